@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: MIT
+"""Meshes of the tests: two structured blocks that do not match at their interface."""
+
+from collections.abc import Callable
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import basix.ufl
+import dolfinx
+
+LOWER, UPPER = 1, 2
+BOTTOM, TOP, TOP_OF_LOWER, BOTTOM_OF_UPPER, LEFT, RIGHT = 1, 2, 3, 4, 5, 6
+
+Array = npt.NDArray[np.float64]
+
+
+def _columns(n: int, x: tuple[float, float], splits, jitter: float, seed: int) -> Array:
+    """Return the x coordinates of the grid lines of one block."""
+    if splits is not None:
+        return np.asarray(splits, dtype=float)
+    lines = np.linspace(*x, n + 1)
+    shift = np.random.default_rng(seed).uniform(-0.5, 0.5, n - 1)
+    lines[1:-1] += jitter * shift * (x[1] - x[0]) / n
+    return lines
+
+
+def _block(lines: Array, rows: Array, cell: str) -> tuple[Array, npt.NDArray[np.int64]]:
+    """Return points, numbered row by row, and cells of a structured block."""
+    nx, ny = len(lines) - 1, len(rows) - 1
+    points = np.stack([np.tile(lines, ny + 1), np.repeat(rows, nx + 1)], axis=1)
+    first = (np.arange(ny)[:, None] * (nx + 1) + np.arange(nx)).ravel()
+    quads = first[:, None] + np.array([0, 1, nx + 1, nx + 2])
+    if cell == "quadrilateral":
+        return points, quads
+    return points, np.concatenate([quads[:, [0, 1, 3]], quads[:, [0, 3, 2]]])
+
+
+def _partitioner(partition: str, comm: MPI.Comm, stripes: npt.NDArray[np.int32]):
+    """Return dolfinx's partitioner, or one that sends each cell to the rank in `stripes`."""
+    if comm.size == 1:
+        return None
+    if partition in ("graph", "shared_facet"):
+        mode = "none" if partition == "graph" else "shared_facet"
+        return dolfinx.mesh.create_cell_partitioner(getattr(dolfinx.mesh.GhostMode, mode))
+
+    def send(*_):
+        destinations = dolfinx.graph.adjacencylist(stripes.reshape(-1, 1))
+        return getattr(destinations, "_cpp_object", destinations)
+
+    return send
+
+
+def _tag(mesh, dim: int, marks: list[tuple[int, Callable]]) -> dolfinx.mesh.MeshTags:
+    """Tag entities whose nodes, numbered as in the input, all satisfy a condition."""
+    mesh.topology.create_entities(dim)
+    mesh.topology.create_connectivity(dim, mesh.topology.dim)
+    if dim < mesh.topology.dim:
+        entities = dolfinx.mesh.exterior_facet_indices(mesh.topology)
+    else:
+        entities = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)
+    local = dolfinx.mesh.entities_to_geometry(mesh, dim, entities)
+    nodes = np.asarray(mesh.geometry.input_global_indices)[local.reshape(len(entities), -1)]
+    values = np.zeros(len(entities), dtype=np.int32)
+    for tag, condition in marks:
+        values[condition(nodes).all(axis=1)] = tag
+    kept = values > 0
+    order = np.argsort(entities[kept])
+    return dolfinx.mesh.meshtags(mesh, dim, entities[kept][order], values[kept][order])
+
+
+def two_blocks(
+    comm: MPI.Comm,
+    n_lower: tuple[int, int] = (2, 2),
+    n_upper: tuple[int, int] = (3, 3),
+    *,
+    x_lower: tuple[float, float] = (0.0, 1.0),
+    x_upper: tuple[float, float] = (0.0, 1.0),
+    heights: tuple[float, float] = (1.0, 1.0),
+    gap: float = 0.0,
+    cell: str = "triangle",
+    angle: float = 0.0,
+    splits_lower: npt.ArrayLike | None = None,
+    splits_upper: npt.ArrayLike | None = None,
+    jitter: float = 0.0,
+    seed: int = 0,
+    transform: Callable[[Array], Array] | None = None,
+    partition: str = "graph",
+) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags, dolfinx.mesh.MeshTags]:
+    """Create a mesh of two disconnected blocks, one above the other.
+
+    The interface lies on y = 0 (lower block) and y = gap (upper block) before everything is
+    turned about the origin by `angle`.
+
+    Args:
+        comm: Communicator.
+        n_lower: Number of columns and rows of the lower block.
+        n_upper: Number of columns and rows of the upper block.
+        x_lower: Ends of the lower block.
+        x_upper: Ends of the upper block.
+        heights: Heights of the lower and the upper block.
+        gap: Initial gap, negative for an overlap.
+        cell: "triangle" or "quadrilateral".
+        angle: Inclination in radians.
+        splits_lower: Grid lines of the lower block, in place of `n_lower[0]` and `x_lower`.
+        splits_upper: Grid lines of the upper block, in place of `n_upper[0]` and `x_upper`.
+        jitter: Random shift of the inner grid lines, in parts of the spacing (below 1).
+        seed: Seed of the shift.
+        transform: Map of the (n, 2) points, applied after the rotation.
+        partition: "graph" (dolfinx's choice), "shared_facet" (the same, with ghost cells),
+            "stripes" (every rank has a piece of both blocks and of both sides of the interface),
+            "bodies" (the first rank has the lower block, the others layers of the upper one: all
+            but two ranks have no facet of the interface).
+
+    Returns:
+        Mesh; cell tags (1 lower, 2 upper); facet tags (1 bottom of the lower block, 2 top of the
+        upper one, 3 top of the lower one, 4 bottom of the upper one, 5 left, 6 right sides).
+    """
+    lower = _columns(n_lower[0], x_lower, splits_lower, jitter, seed)
+    upper = _columns(n_upper[0], x_upper, splits_upper, jitter, seed + 1)
+    points_l, cells_l = _block(lower, np.linspace(-heights[0], 0, n_lower[1] + 1), cell)
+    points_u, cells_u = _block(upper, np.linspace(gap, gap + heights[1], n_upper[1] + 1), cell)
+    n_l, n_u, c_l, c_u = len(points_l), len(points_u), len(lower), len(upper)
+    points = np.concatenate([points_l, points_u])
+    cells = np.concatenate([cells_l, cells_u + n_l])
+
+    middle = points[cells, 0].mean(axis=1)
+    position = (middle - middle.min()) / (np.ptp(middle) * (1 + 1e-9))
+    ranks = np.floor(comm.size * position).astype(np.int32)
+    if partition == "bodies" and comm.size > 1:
+        height = (points[cells, 1].mean(axis=1) - gap) / (heights[1] * (1 + 1e-9))
+        ranks = np.where(cells[:, 0] < n_l, 0, 1 + np.floor((comm.size - 1) * height))
+        ranks = ranks.astype(np.int32)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    points = points @ turn if angle else points
+    points = points if transform is None else transform(points)
+
+    mine = slice(*(len(cells) * np.array([comm.rank, comm.rank + 1]) // comm.size))
+    own = slice(*(len(points) * np.array([comm.rank, comm.rank + 1]) // comm.size))
+    mesh = dolfinx.mesh.create_mesh(
+        comm,
+        cells[mine],
+        x=np.ascontiguousarray(points[own]),
+        e=basix.ufl.element("Lagrange", cell, 1, shape=(2,)),
+        partitioner=_partitioner(partition, comm, ranks[mine]),
+    )
+    cell_tags = _tag(mesh, 2, [(LOWER, lambda i: i < n_l), (UPPER, lambda i: i >= n_l)])
+    columns = lambda i: np.where(i < n_l, i % c_l, (i - n_l) % c_u)  # noqa: E731
+    marks = [
+        (LEFT, lambda i: columns(i) == 0),
+        (RIGHT, lambda i: columns(i) == np.where(i < n_l, c_l, c_u) - 1),
+        (BOTTOM, lambda i: i < c_l),
+        (TOP, lambda i: i >= n_l + n_u - c_u),
+        (TOP_OF_LOWER, lambda i: (i >= n_l - c_l) & (i < n_l)),
+        (BOTTOM_OF_UPPER, lambda i: (i >= n_l) & (i < n_l + c_u)),
+    ]
+    return mesh, cell_tags, _tag(mesh, 1, marks)
