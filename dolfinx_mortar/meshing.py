@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: MIT
+"""Meshes for the demos and tests, made by gmsh on one rank and distributed.
+
+Both bodies of a contact problem live in one mesh with two disconnected parts. Each symmetric body
+is meshed as its right half and mirrored, so that the mesh has the symmetry of the problem, and is
+meshed in a gmsh model of its own, so that no node can be shared where the bodies touch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from mpi4py import MPI
+
+import basix.ufl
+import ufl
+from dolfinx import mesh as dmesh
+
+import numpy as np
+import numpy.typing as npt
+
+BLOCK, DISC = 1, 2  # cell tags
+BOTTOM, FLAT, TOP, ARC = 1, 2, 3, 4  # facet tags
+PAPER_DIVISIONS = (34, 20)  # half block: 34 x 20 rectangles, 2720 triangles in the whole block
+PAPER_DISC_SIZE = 0.45 / 8.0  # element size over radius that gives about 1200 triangles
+GRADED_CORE = 2.5  # mm, distance from the contact point within which the size is h
+GRADED_LIMIT = 10.0  # largest size of a graded mesh over h
+
+Arrays = tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]  # nodes (n, 2), cells (m, k)
+
+
+class HertzMesh(NamedTuple):
+    """Mesh of the half disc on the block, with its tags."""
+
+    mesh: dmesh.Mesh
+    cell_tags: dmesh.MeshTags  # 1 block, 2 disc
+    facet_tags: dmesh.MeshTags  # 1 bottom of block, 2 flat face of disc, 3 top of block, 4 arc
+
+
+def hertz(
+    comm: MPI.Intracomm,
+    *,
+    kind: str = "paper",
+    h: float | tuple[float, float] = 0.05,
+    radius: float = 8.0,
+    block: tuple[float, float] = (30.0, 10.0),
+    gap: float = 0.0,
+    cell: str = "triangle",
+) -> HertzMesh:
+    """Mesh a half disc above a block, non-matching where they touch (collective).
+
+    The block is [-w/2, w/2] x [-t, 0] with (w, t) = ``block``. The disc has its lowest point at
+    (0, ``gap``) and its flat face on top at y = ``radius + gap``. The mesh is symmetric in x and
+    (0, 0), (0, ``gap``) are nodes. Cell tags: 1 block, 2 disc. Facet tags: 1 bottom of the block,
+    2 flat face of the disc, 3 top of the block, 4 arc of the disc.
+
+    Args:
+        comm: Communicator of the mesh; gmsh runs on its rank 0 only.
+        kind: "paper": about 1200 cells in the disc and 2720 in the block (as triangles, for any
+            ``radius`` and ``block``); "graded": element size ``h`` within 2.5 mm of the first
+            contact point and h (1 + r - 2.5), at most 10 h, at distance r mm.
+        h: Element size of the graded mesh [mm]; a pair gives (block, disc) separately.
+        radius: Radius of the disc [mm].
+        block: Width and thickness of the block [mm].
+        gap: Initial vertical gap between the bodies [mm]; negative for an overlap.
+        cell: "triangle" or "quadrilateral".
+
+    Returns:
+        The mesh, its cell tags and its facet tags.
+
+    Raises:
+        ValueError: If an argument is out of range (on all ranks).
+        RuntimeError: If gmsh is missing or fails (on all ranks).
+    """
+    sizes = (h, h) if np.ndim(h) == 0 else tuple(np.asarray(h, dtype=float))
+    _check_options(kind, cell)
+    for name, value, count in (("h", sizes, 2), ("radius", (radius,), 1), ("block", block, 2)):
+        if len(value) != count or not all(0 < v < np.inf for v in value):
+            raise ValueError(f"{name} = {value} must be positive and finite.")
+    if not np.isfinite(gap):
+        raise ValueError(f"gap = {gap} must be finite; use 0 for bodies that touch in a point.")
+    if kind == "graded" and max(sizes) > radius / 2:
+        raise ValueError(f"h = {h} must be at most half the radius, {radius / 2}.")
+
+    def create() -> tuple[Arrays, Arrays]:
+        return (
+            _half_block(block, kind, sizes[0], cell),
+            _half_disc(radius, gap, kind, sizes[1], cell),
+        )
+
+    mesh, first = _distribute(comm, create, cell)
+    mesh.name = "hertz"
+    in_block = mesh.topology.original_cell_index < first
+    values = np.where(in_block, BLOCK, DISC).astype(np.int32)
+    cell_tags = dmesh.meshtags(mesh, 2, np.arange(len(values), dtype=np.int32), values)
+    cell_tags.name = "bodies"
+    facet_tags = _tag_boundary(mesh, in_block, bottom=-block[1], flat=radius + gap)
+    facet_tags.name = "boundary"
+    return HertzMesh(mesh, cell_tags, facet_tags)
+
+
+def _check_options(kind: str, cell: str) -> None:
+    for name, value, known in (
+        ("kind", kind, ("paper", "graded")),
+        ("cell", cell, ("triangle", "quadrilateral")),
+    ):
+        if value not in known:
+            raise ValueError(f"{name} = {value!r} is not known; use one of {known}.")
+
+
+def _half_block(block: tuple[float, float], kind: str, h: float, cell: str) -> Arrays:
+    """Mesh [0, w/2] x [-t, 0] and mirror it."""
+
+    def draw(geo: Any) -> int:
+        w, t = 0.5 * block[0], block[1]
+        p = [geo.addPoint(x, y, 0.0) for x, y in ((0, 0), (0, -t), (w, -t), (w, 0))]
+        lines = [geo.addLine(p[i], p[(i + 1) % 4]) for i in range(4)]
+        surface = geo.addPlaneSurface([geo.addCurveLoop(lines)])
+        if kind == "paper":
+            nx, ny = PAPER_DIVISIONS
+            for line, n in zip(lines, (ny, nx, ny, nx), strict=True):
+                geo.mesh.setTransfiniteCurve(line, n + 1)
+            geo.mesh.setTransfiniteSurface(surface)
+        return p[0]
+
+    return _mirror(*_mesh_half(draw, h if kind == "graded" else None, block[1], cell))
+
+
+def _half_disc(radius: float, gap: float, kind: str, h: float, cell: str) -> Arrays:
+    """Mesh the quarter disc x >= 0 and mirror it."""
+
+    def draw(geo: Any) -> int:
+        p = [geo.addPoint(x, y + gap, 0.0) for x, y in ((0, 0), (radius, radius), (0, radius))]
+        arc = geo.addCircleArc(p[0], p[2], p[1])
+        lines = [arc, geo.addLine(p[1], p[2]), geo.addLine(p[2], p[0])]
+        geo.addPlaneSurface([geo.addCurveLoop(lines)])
+        return p[0]
+
+    graded = h if kind == "graded" else None
+    return _mirror(*_mesh_half(draw, graded, PAPER_DISC_SIZE * radius, cell))
+
+
+def _mesh_half(
+    draw: Callable[[Any], int], graded: float | None, uniform: float, cell: str
+) -> Arrays:
+    """Mesh one plane surface; sizes are graded from the point that ``draw`` returns, or uniform."""
+    import gmsh
+
+    started = not gmsh.isInitialized()
+    if started:
+        gmsh.initialize(readConfigFiles=False, interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.model.add("dolfinx_mortar half body")
+        origin = draw(gmsh.model.geo)
+        gmsh.model.geo.synchronize()
+        _set_sizes(gmsh, origin, graded, uniform)
+        # 6 = frontal Delaunay; 8 and 3 = its variant and blossom-full-quad recombination
+        gmsh.option.setNumber("Mesh.Algorithm", 6 if cell == "triangle" else 8)
+        gmsh.option.setNumber("Mesh.RecombineAll", int(cell == "quadrilateral"))
+        gmsh.option.setNumber("Mesh.RecombinationAlgorithm", 3)
+        gmsh.model.mesh.generate(2)
+        tags, x, _ = gmsh.model.mesh.getNodes()
+        _, cells = gmsh.model.mesh.getElementsByType(2 if cell == "triangle" else 3)
+        gmsh.model.remove()
+    finally:
+        if started:
+            gmsh.finalize()
+    position = np.zeros(int(tags.max()) + 1, dtype=np.int64)
+    position[tags] = np.arange(len(tags))
+    cells = position[cells].reshape(-1, 3 if cell == "triangle" else 4)
+    # gmsh also lists points no cell uses, such as a circle's centre
+    used, cells = np.unique(cells, return_inverse=True)
+    return x.reshape(-1, 3)[used, :2], cells.reshape(-1, 3 if cell == "triangle" else 4)
+
+
+def _set_sizes(gmsh: Any, origin: int, graded: float | None, uniform: float) -> None:
+    field = gmsh.model.mesh.field
+    for source in ("FromPoints", "FromCurvature", "ExtendFromBoundary"):
+        gmsh.option.setNumber(f"Mesh.MeshSize{source}", 0)
+    if graded is None:
+        gmsh.option.setNumber("Mesh.MeshSizeMin", uniform)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", uniform)
+        return
+    gmsh.option.setNumber("Mesh.MeshSizeMin", 0.0)
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 1e22)
+    distance, size = field.add("Distance"), field.add("Threshold")
+    field.setNumbers(distance, "PointsList", [origin])
+    for name, value in (
+        ("InField", distance),
+        ("SizeMin", graded),
+        ("SizeMax", GRADED_LIMIT * graded),
+        ("DistMin", GRADED_CORE),
+        ("DistMax", GRADED_CORE + GRADED_LIMIT - 1.0),
+    ):
+        field.setNumber(size, name, value)
+    field.setAsBackgroundMesh(size)
+
+
+def _mirror(x: npt.NDArray[np.float64], cells: npt.NDArray[np.int64]) -> Arrays:
+    """Add the mirror image in x = 0, whose nodes are shared.
+
+    >>> x = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    >>> nodes, cells = _mirror(x, np.array([[0, 1, 2]]))
+    >>> nodes[:, 0].tolist(), cells.tolist()
+    ([0.0, 1.0, 0.0, -1.0], [[0, 1, 2], [3, 0, 2]])
+    """
+    on_axis = np.abs(x[:, 0]) < 1e-10 * np.ptp(x[:, 0])
+    x = np.where(on_axis[:, None], [[0.0, 1.0]], [[1.0, 1.0]]) * x
+    image = np.arange(len(x))
+    image[~on_axis] = len(x) + np.arange(np.count_nonzero(~on_axis))
+    # reversing the two nodes of an edge keeps the orientation of triangles and quadrilaterals
+    flip = [1, 0, 2] if cells.shape[1] == 3 else [1, 0, 3, 2]
+    return (
+        np.concatenate([x, x[~on_axis] * [-1.0, 1.0]]),
+        np.concatenate([cells, image[cells][:, flip]]),
+    )
+
+
+def _distribute(
+    comm: MPI.Intracomm, create: Callable[[], tuple[Arrays, Arrays]], cell: str
+) -> tuple[dmesh.Mesh, int]:
+    """Join the two bodies that ``create`` makes on rank 0; also return the first body's size."""
+    k = 3 if cell == "triangle" else 4
+    x: npt.NDArray[np.float64] = np.empty((0, 2))
+    cells: npt.NDArray[np.int64] = np.empty((0, k), dtype=np.int64)
+    first, problem = 0, ""
+    if comm.rank == 0:
+        try:
+            (x1, cells1), (x2, cells2) = create()
+            x, cells = np.concatenate([x1, x2]), np.concatenate([cells1, cells2 + len(x1)])
+            first = len(cells1)
+        except ImportError:
+            problem = "gmsh is not installed; install the Python package gmsh (or python3-gmsh)."
+        except Exception as error:  # gmsh raises bare Exception
+            problem = f"gmsh failed: {error}"
+    first, problem = comm.bcast((first, problem))
+    if problem:
+        raise RuntimeError(problem)
+    if cell == "quadrilateral":
+        cells = cells[:, [0, 1, 3, 2]]  # gmsh goes around, dolfinx numbers like a tensor product
+    domain = ufl.Mesh(basix.ufl.element("Lagrange", cell, 1, shape=(2,)))
+    return dmesh.create_mesh(comm, cells=np.ascontiguousarray(cells), x=x, e=domain), first
+
+
+def _tag_boundary(
+    mesh: dmesh.Mesh, in_block: npt.NDArray[np.bool_], *, bottom: float, flat: float
+) -> dmesh.MeshTags:
+    """Tag the outer facets of both bodies from the body they belong to and their height."""
+    mesh.topology.create_connectivity(1, 2)
+    facets = dmesh.exterior_facet_indices(mesh.topology)
+    to_cell = mesh.topology.connectivity(1, 2)
+    block_side = in_block[to_cell.array[to_cell.offsets[facets]]]
+    y = mesh.geometry.x[dmesh.entities_to_geometry(mesh, 1, facets), 1]
+    tolerance = 1e-9 * (flat - bottom)
+
+    def at(height: float) -> npt.NDArray[np.bool_]:
+        return np.all(np.abs(y.reshape(-1, 2) - height) < tolerance, axis=1)
+
+    values = np.zeros(len(facets), dtype=np.int32)
+    values[block_side & at(bottom)] = BOTTOM
+    values[block_side & at(0.0)] = TOP
+    values[~block_side] = ARC
+    values[~block_side & at(flat)] = FLAT
+    tagged = values > 0
+    return dmesh.meshtags(mesh, 1, facets[tagged], values[tagged])
