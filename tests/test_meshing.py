@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: MIT
+"""The Hertz meshes: areas, tags, symmetry, separation of the bodies, sizes."""
+
+from mpi4py import MPI
+
+import ufl
+from dolfinx import fem, mesh
+from dolfinx_mortar import meshing
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+COMM = MPI.COMM_WORLD
+CELLS = ["triangle", "quadrilateral"]
+
+
+def integral(form: ufl.Form) -> float:
+    return COMM.allreduce(fem.assemble_scalar(fem.form(form)))
+
+
+def owned_counts(m: meshing.HertzMesh) -> list[int]:
+    owned = m.mesh.topology.index_map(2).size_local
+    return [COMM.allreduce(int(np.sum(m.cell_tags.values[:owned] == tag))) for tag in (1, 2)]
+
+
+def nodes_and_cells(m: meshing.HertzMesh) -> tuple[np.ndarray, np.ndarray]:
+    V = fem.functionspace(m.mesh, ("Lagrange", 1))
+    return V.tabulate_dof_coordinates()[:, :2], V.dofmap.list
+
+
+@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize("kind", ["paper", "graded"])
+def test_areas_lengths_and_flux_of_tagged_parts(kind, cell):
+    m = meshing.hertz(COMM, kind=kind, h=0.3, radius=6.0, block=(20.0, 8.0), gap=0.25, cell=cell)
+    one = fem.Constant(m.mesh, 1.0)
+    dx = ufl.Measure("dx", m.mesh, subdomain_data=m.cell_tags)
+    ds = ufl.Measure("ds", m.mesh, subdomain_data=m.facet_tags)
+    assert integral(one * dx(meshing.BLOCK)) == pytest.approx(160.0, rel=1e-12)
+    assert integral(one * dx(meshing.DISC)) == pytest.approx(np.pi * 18.0, rel=2e-2)
+    lengths = [integral(one * ds(tag)) for tag in (1, 2, 3, 4)]
+    assert lengths[:3] == pytest.approx([20.0, 12.0, 20.0], rel=1e-12)
+    assert lengths[3] == pytest.approx(np.pi * 6.0, rel=1e-2)
+    n_y = ufl.FacetNormal(m.mesh)[1]
+    flux = [integral(n_y * ds(tag)) for tag in (1, 2, 3, 4)]  # outward: bottom down, arc down
+    assert flux == pytest.approx([-20.0, 12.0, 20.0, -12.0], rel=1e-12)
+
+
+def test_paper_counts():
+    block, disc = owned_counts(meshing.hertz(COMM))
+    assert block == 2720
+    assert disc == pytest.approx(1200, rel=0.02)
+
+
+@pytest.mark.parametrize("gap", [0.0, -0.05])
+def test_bodies_share_no_node_and_both_have_the_contact_point(gap):
+    m = meshing.hertz(COMM, kind="graded", h=0.2, gap=gap)
+    dofmap = fem.functionspace(m.mesh, ("Lagrange", 1))
+    x = dofmap.tabulate_dof_coordinates()[:, :2]
+    owned = dofmap.dofmap.index_map.size_local
+    body = np.zeros((2, len(x)), dtype=bool)
+    for i in (0, 1):
+        body[i, dofmap.dofmap.list[m.cell_tags.find(i + 1)]] = True
+    assert not np.any(body[0] & body[1])
+    for i, y in ((0, 0.0), (1, gap)):
+        here = body[i, :owned] & (np.abs(x[:owned] - [0.0, y]).max(axis=1) < 1e-12)
+        assert COMM.allreduce(int(here.sum())) == 1
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_mesh_is_symmetric(cell):
+    m = meshing.hertz(MPI.COMM_SELF, kind="graded", h=0.2, gap=0.1, cell=cell)
+    x, cells = nodes_and_cells(m)
+    for points in (x, x[cells].mean(axis=1)):
+        distance, image = cKDTree(points).query(points * [-1.0, 1.0])
+        assert distance.max() < 1e-12
+        assert np.array_equal(np.sort(image), np.arange(len(points)))
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_graded_sizes(cell):
+    h = 0.1
+    m = meshing.hertz(MPI.COMM_SELF, kind="graded", h=h, cell=cell)
+    m.mesh.topology.create_entities(1)
+    edges = np.arange(m.mesh.topology.index_map(1).size_local, dtype=np.int32)
+    ends = m.mesh.geometry.x[mesh.entities_to_geometry(m.mesh, 1, edges)]
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    r = np.linalg.norm(ends.mean(axis=1), axis=1)
+    size = h * np.clip(1 + r - 2.5, 1.0, 10.0)
+    assert np.median(length / size) == pytest.approx(1.0, abs=0.1)
+    near = r < 2.5
+    assert length[near].max() < 1.6 * h
+    assert length[near].min() > 0.4 * h
+    # no sliver: area against the longest edge of each cell
+    x, cells = nodes_and_cells(m)
+    a, b = x[cells[:, 1]] - x[cells[:, 0]], x[cells[:, 2]] - x[cells[:, 0]]
+    area = 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    longest = m.mesh.h(2, np.arange(len(cells), dtype=np.int32))
+    assert (area / longest**2).min() > 0.1
+
+
+def test_meshing_is_deterministic_and_silent(capfd):
+    first, second = (meshing.hertz(COMM, kind="graded", h=0.3) for _ in range(2))
+    assert np.array_equal(first.mesh.geometry.x, second.mesh.geometry.x)
+    captured = capfd.readouterr()
+    assert (captured.out, captured.err) == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        ({"kind": "fine"}, "kind"),
+        ({"cell": "tetrahedron"}, "cell"),
+        ({"h": 0.0}, "h"),
+        ({"h": np.nan}, "h"),
+        ({"h": (0.1, -1.0)}, "h"),
+        ({"kind": "graded", "h": 5.0}, "h"),
+        ({"radius": -8.0}, "radius"),
+        ({"block": (30.0, 0.0)}, "block"),
+        ({"gap": np.inf}, "gap"),
+    ],
+)
+def test_bad_input_is_named_on_all_ranks(arguments, name):
+    with pytest.raises(ValueError, match=f"^{name} = "):
+        meshing.hertz(COMM, **arguments)
