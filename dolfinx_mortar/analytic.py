@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: MIT
+"""Closed solutions of contact mechanics: pure functions of numbers, in any consistent units.
+
+Line contact is plane strain and forces are per unit thickness, e.g. N/mm with mm and MPa.
+Lengths, moduli and yield stresses are positive; pressure and depth are positive into the body.
+
+Source of the formulas: K. L. Johnson, Contact Mechanics, Cambridge University Press 1985,
+section 4.2 and eqs. 4.22-4.24 (point contact), eqs. 4.43-4.46 (line contact), 4.49 (stresses
+below a line contact).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import minimize_scalar
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LineContact:
+    """Hertz line contact of two parallel cylinders, plane strain."""
+
+    force: float  # per unit thickness
+    radius: float  # effective, 1/R = 1/R1 + 1/R2
+    E_star: float  # effective modulus, 1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2
+    half_width: float  # a = sqrt(4 F R/(pi E*))
+    peak_pressure: float  # p0 = 2 F/(pi a)
+
+    def pressure(self, x: npt.ArrayLike) -> Floats:
+        """Return p0 sqrt(1 - x^2/a^2), zero outside the contact, at distances x from the middle."""
+        return _semi_ellipse(x, self.half_width, self.peak_pressure)
+
+
+@dataclass(frozen=True)
+class PointContact:
+    """Hertz point contact of two spheres."""
+
+    force: float
+    radius: float  # effective, 1/R = 1/R1 + 1/R2
+    E_star: float  # effective modulus
+    contact_radius: float  # a = (3 F R/(4 E*))^(1/3)
+    peak_pressure: float  # p0 = 3 F/(2 pi a^2)
+    approach: float  # of distant points, delta = a^2/R
+
+    def pressure(self, r: npt.ArrayLike) -> Floats:
+        """Return p0 sqrt(1 - r^2/a^2), zero outside the contact, at distances r from the middle."""
+        return _semi_ellipse(r, self.contact_radius, self.peak_pressure)
+
+
+@dataclass(frozen=True)
+class FirstYield:
+    """Load at which a line contact first yields, below the surface on the axis of symmetry."""
+
+    peak_pressure: float
+    half_width: float
+    force: float  # per unit thickness
+    depth: float  # of the point that yields first
+    ratio: float  # largest von Mises stress over peak pressure
+
+
+def _semi_ellipse(x: npt.ArrayLike, a: float, p0: float) -> Floats:
+    return p0 * np.sqrt(np.maximum(0.0, 1.0 - (np.asarray(x, dtype=float) / a) ** 2))
+
+
+def effective_modulus(E1: float, nu1: float, E2: float, nu2: float) -> float:
+    """Return E* with 1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2; an infinite E is a rigid body.
+
+    >>> round(effective_modulus(206_900.0, 0.29, 206_900.0, 0.29), 1)
+    112949.0
+    """
+    _check_positive(E1=E1, E2=E2)
+    for name, nu in (("nu1", nu1), ("nu2", nu2)):
+        if not -1.0 < nu <= 0.5:
+            raise ValueError(f"{name} = {nu} must lie in (-1, 0.5].")
+    compliance = (1.0 - nu1**2) / E1 + (1.0 - nu2**2) / E2
+    if compliance == 0.0:
+        raise ValueError(f"E1 = {E1} and E2 = {E2}: one of the two bodies must not be rigid.")
+    return float(1.0 / compliance)
+
+
+def effective_radius(radius: float | tuple[float, float]) -> float:
+    """Return R with 1/R = 1/R1 + 1/R2; one number stands for a round body on a flat one.
+
+    A negative radius is that of a hollow surface, an infinite one is flat.
+
+    >>> effective_radius((8.0, 8.0)), effective_radius(8.0), effective_radius((4.0, -8.0))
+    (4.0, 8.0, 8.0)
+    """
+    with np.errstate(divide="ignore"):
+        curvature = float(np.sum(1.0 / np.atleast_1d(np.asarray(radius, dtype=float))))
+    if not (0.0 < curvature < np.inf):
+        raise ValueError(f"radius = {radius} must leave a positive, finite curvature sum 1/R.")
+    return 1.0 / curvature
+
+
+def hertz_line(
+    force: float,
+    radius: float | tuple[float, float],
+    E1: float,
+    nu1: float,
+    E2: float,
+    nu2: float,
+) -> LineContact:
+    """Solve the line contact of two cylinders (Johnson eqs. 4.43, 4.45), plane strain.
+
+        a = sqrt(4 F R/(pi E*)),    p0 = 2 F/(pi a),    p(x) = p0 sqrt(1 - x^2/a^2)
+
+    Args:
+        force: Force F per unit thickness, positive in compression.
+        radius: Radius of a cylinder on a flat body, or the pair (R1, R2).
+        E1: Young's modulus of the first body.
+        nu1: Poisson's ratio of the first body.
+        E2: Young's modulus of the second body.
+        nu2: Poisson's ratio of the second body.
+
+    Returns:
+        Half-width, peak pressure and the pressure distribution.
+
+    >>> c = hertz_line(10.0, 8.0, 200.0, 0.3, 200.0, 0.3)
+    >>> round(c.half_width, 5), round(c.peak_pressure, 5)
+    (0.96277, 6.6124)
+    """
+    _check_positive(force=force)
+    R, E_star = effective_radius(radius), effective_modulus(E1, nu1, E2, nu2)
+    a = float(np.sqrt(4.0 * force * R / (np.pi * E_star)))
+    return LineContact(force, R, E_star, a, 2.0 * force / (np.pi * a))
+
+
+def hertz_point(
+    force: float,
+    radius: float | tuple[float, float],
+    E1: float,
+    nu1: float,
+    E2: float,
+    nu2: float,
+) -> PointContact:
+    """Solve the point contact of two spheres (Johnson eqs. 4.22-4.24).
+
+        a = (3 F R/(4 E*))^(1/3),    p0 = 3 F/(2 pi a^2),    delta = a^2/R
+
+    Args:
+        force: Force F, positive in compression.
+        radius: Radius of a sphere on a flat body, or the pair (R1, R2).
+        E1: Young's modulus of the first body.
+        nu1: Poisson's ratio of the first body.
+        E2: Young's modulus of the second body.
+        nu2: Poisson's ratio of the second body.
+
+    Returns:
+        Contact radius, peak pressure, approach and the pressure distribution.
+
+    >>> c = hertz_point(117808.787, (6.1237, 6.1237), 1e8, 0.29, 1e6, 0.29)
+    >>> round(c.contact_radius, 5), round(c.peak_pressure / 1e5, 5)
+    (0.63018, 1.41642)
+    """
+    _check_positive(force=force)
+    R, E_star = effective_radius(radius), effective_modulus(E1, nu1, E2, nu2)
+    a = float(np.cbrt(3.0 * force * R / (4.0 * E_star)))
+    return PointContact(force, R, E_star, a, 1.5 * force / (np.pi * a**2), a**2 / R)
+
+
+def line_axis_stress(depth: npt.ArrayLike, nu: float) -> Floats:
+    """Principal stresses below the middle of a line contact (Johnson eq. 4.49), plane strain.
+
+    With z = depth/a and s = sqrt(1 + z^2), in units of the peak pressure,
+
+        sigma_x = 2 z - (1 + 2 z^2)/s,    sigma_y = -1/s,    sigma_z = nu (sigma_x + sigma_y)
+
+    Args:
+        depth: Depth over the half-width a, shape (...).
+        nu: Poisson's ratio of the body.
+
+    Returns:
+        Stresses along the surface, normal to it and out of plane, shape (..., 3).
+
+    >>> line_axis_stress(0.0, 0.25).tolist()
+    [-1.0, -1.0, -0.5]
+    """
+    z = np.asarray(depth, dtype=float)
+    s = np.sqrt(1.0 + z**2)
+    sx, sy = 2.0 * z - (1.0 + 2.0 * z**2) / s, -1.0 / s
+    return np.stack([sx, sy, nu * (sx + sy)], axis=-1)
+
+
+def first_yield_line(
+    yield_stress: float,
+    radius: float | tuple[float, float],
+    E1: float,
+    nu1: float,
+    E2: float,
+    nu2: float,
+) -> FirstYield:
+    """Find the load at which the first body of a line contact starts to yield (von Mises).
+
+    The von Mises stress on the axis is maximised over the depth; for common nu that is the
+    largest of the whole half-plane.
+
+    Args:
+        yield_stress: Uniaxial yield stress of the first body (sqrt(3/2) Y for the Frobenius
+            norm Y of the deviatoric stress).
+        radius: Radius of a cylinder on a flat body, or the pair (R1, R2).
+        E1: Young's modulus of the body that yields.
+        nu1: Poisson's ratio of the body that yields.
+        E2: Young's modulus of the other body.
+        nu2: Poisson's ratio of the other body.
+
+    Returns:
+        Peak pressure, half-width, force and depth at first yield.
+
+    >>> y = first_yield_line(450.0, 8.0, 206_900.0, 0.29, 206_900.0, 0.29)
+    >>> round(y.peak_pressure, 1), round(y.half_width, 5), round(y.force, 1), round(y.depth, 4)
+    (801.4, 0.11353, 142.9, 0.079)
+    """
+    _check_positive(yield_stress=yield_stress)
+
+    def von_mises(z: float) -> float:
+        s = line_axis_stress(z, nu1)
+        return float(np.sqrt(0.5 * np.sum((s - np.roll(s, 1)) ** 2)))
+
+    found = minimize_scalar(lambda z: -von_mises(z), bounds=(0.2, 2.0), options={"xatol": 1e-10})
+    ratio = -float(found.fun)
+    p0 = yield_stress / ratio
+    R, E_star = effective_radius(radius), effective_modulus(E1, nu1, E2, nu2)
+    a = 2.0 * p0 * R / E_star  # from p0 = 2 F/(pi a) and a^2 = 4 F R/(pi E*)
+    return FirstYield(p0, a, 0.5 * np.pi * a * p0, float(found.x) * a, ratio)
+
+
+def fit_pressure(x: npt.ArrayLike, p: npt.ArrayLike) -> tuple[float, float]:
+    """Fit a Hertz distribution to nodal pressures: least squares of p^2 linear in x^2.
+
+        p^2 = p0^2 (1 - x^2/a^2) = c0 + c1 x^2,    p0 = sqrt(c0),    a = sqrt(-c0/c1)
+
+    Unlike the largest nodal value and the last active node, the fit is not limited to the
+    resolution of one element.
+
+    Args:
+        x: Distances of the active nodes from the middle of the contact, shape (n,).
+        p: Pressures at these nodes, positive in compression, shape (n,).
+
+    Returns:
+        Peak pressure p0 and half-width a; (nan, nan) where fewer than two distances are known or
+        the pressure does not fall with the distance, as for a contact of very few nodes.
+
+    >>> peak, width = fit_pressure([-3.0, 0.0, 3.0], [8.0, 10.0, 8.0])
+    >>> round(peak, 12), round(width, 12)
+    (10.0, 5.0)
+    """
+    square, values = np.asarray(x, dtype=float) ** 2, np.asarray(p, dtype=float) ** 2
+    if square.shape != values.shape:
+        raise ValueError(f"x and p must have the same shape, not {square.shape}, {values.shape}.")
+    if len(square) < 2 or np.ptp(square) <= 1e-12 * np.max(square):
+        return np.nan, np.nan
+    mean = square.mean(), values.mean()
+    slope = np.sum((square - mean[0]) * (values - mean[1])) / np.sum((square - mean[0]) ** 2)
+    peak = mean[1] - slope * mean[0]
+    if not (slope < 0.0 < peak):
+        return np.nan, np.nan
+    return float(np.sqrt(peak)), float(np.sqrt(-peak / slope))
+
+
+def _check_positive(**values: float) -> None:
+    for name, value in values.items():
+        if not value > 0.0:
+            raise ValueError(f"{name} = {value} must be positive.")
