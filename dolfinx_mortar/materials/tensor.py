@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: MIT
+"""Symmetric 3x3 tensors and how they are stored.
+
+Laws always see 3x3 tensors. A plane problem pads them with zeros (plane strain) and stores the four
+components that can be non-zero; a spatial problem stores six. The stored shear is the tensor
+component (not the engineering strain) and is stored once.
+
+==== ==========================
+gdim stored components, in order
+==== ==========================
+2    xx, yy, zz, xy
+3    xx, yy, zz, xy, yz, xz
+==== ==========================
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+import ufl
+from ufl.core.expr import Expr
+
+COMPONENTS = {2: ("xx", "yy", "zz", "xy"), 3: ("xx", "yy", "zz", "xy", "yz", "xz")}
+_ROW_COLUMN = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
+
+
+def strain(u: Expr) -> Expr:
+    """Return the small strain of a displacement as a 3x3 tensor, zero out of the plane in 2D."""
+    g = ufl.sym(ufl.grad(u))
+    if g.ufl_shape == (3, 3):
+        return g
+    return ufl.as_tensor([[g[0, 0], g[0, 1], 0], [g[1, 0], g[1, 1], 0], [0, 0, 0]])
+
+
+def from_components(c: Expr) -> Expr:
+    """Return the 3x3 tensor whose stored components are c (4 or 6 of them)."""
+    xx, yy, zz, xy = (c[i] for i in range(4))
+    yz, xz = (c[4], c[5]) if c.ufl_shape == (6,) else (0, 0)
+    return ufl.as_tensor([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def to_components(tensor: Expr, size: int) -> Expr:
+    """Return the vector of the first `size` (4 or 6) stored components of a 3x3 tensor."""
+    return ufl.as_vector([tensor[i, j] for i, j in _ROW_COLUMN[:size]])
+
+
+def frobenius_norm(c: np.ndarray) -> np.ndarray:
+    """Return the Frobenius norm sqrt(T:T) of tensors stored as (..., 4 or 6), shear counted twice.
+
+    >>> float(frobenius_norm(np.array([1.0, 0.0, 0.0, 2.0])))
+    3.0
+    """
+    return np.sqrt(np.sum(c[..., :3] ** 2, axis=-1) + 2 * np.sum(c[..., 3:] ** 2, axis=-1))
+
+
+def vector_norm(c: np.ndarray) -> np.ndarray:
+    """Return the Euclidean norm of the stored components (..., 4 or 6), shear counted once.
+
+    Not invariant under rotation. Kept to compare with figures of the literature that plot the norm
+    of the stored back stress vector as "hardening".
+
+    >>> float(vector_norm(np.array([3.0, 0.0, 0.0, 4.0])))
+    5.0
+    """
+    return np.linalg.norm(c, axis=-1)
+
+
+def von_mises(stress: np.ndarray) -> np.ndarray:
+    """Return sqrt(3/2) |dev sigma| of stresses stored as (..., 4 or 6).
+
+    >>> float(von_mises(np.array([450.0, 0.0, 0.0, 0.0])))
+    450.0
+    """
+    deviator = stress.copy()
+    deviator[..., :3] -= stress[..., :3].mean(axis=-1, keepdims=True)
+    return np.sqrt(1.5) * frobenius_norm(deviator)

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: MIT
+"""Which law holds in which cells: the user's tags turned into one region per law."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+import basix
+import basix.ufl
+from dolfinx import fem, mesh
+from dolfinx_mortar import compat
+from dolfinx_mortar.materials import Material
+
+CELL_TYPES = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
+
+
+@dataclass(frozen=True)
+class Region:
+    """The cells of one law, whatever the values of its parameters."""
+
+    law: Any  # the class of the material
+    cells: np.ndarray  # int32 (m,), local cells, ghosts included
+    parameters: fem.Function  # DG0, one component per parameter of the law
+    symbols: SimpleNamespace  # the parameters by name, as UFL
+
+    def parameter_values(self, cells: np.ndarray) -> SimpleNamespace:
+        """Return the parameters by name, each (len(cells),)."""
+        dofs = self.parameters.function_space.dofmap.list[cells, 0]
+        names = vars(self.symbols)
+        values = self.parameters.x.array.reshape(-1, len(names))[dofs]
+        return SimpleNamespace(**{name: values[:, i] for i, name in enumerate(names)})
+
+
+def check_displacement(u: fem.Function) -> None:
+    """Raise ValueError unless u is a degree 1 vector Lagrange Function on a supported cell."""
+    if np.issubdtype(PETSc.ScalarType, np.complexfloating):
+        raise ValueError("This PETSc is built with complex numbers; use a real build.")
+    if not isinstance(u, fem.Function):
+        raise ValueError(f"u must be a dolfinx.fem.Function (the displacement), not {type(u)}.")
+    V, domain = u.function_space, u.function_space.mesh
+    cell = domain.topology.cell_type.name
+    d = domain.geometry.dim
+    if cell not in CELL_TYPES or domain.topology.dim != d:
+        raise ValueError(
+            f"u is on a mesh of {cell} cells in {d}D; supported are {', '.join(CELL_TYPES)} "
+            "of the dimension of the space."
+        )
+    shape = V.ufl_element().reference_value_shape
+    if shape != (d,) or V.dofmap.index_map_bs != d:
+        raise ValueError(
+            f"u has values of shape {shape}; create its space by "
+            f'functionspace(mesh, ("Lagrange", 1, ({d},))).'
+        )
+    element = V.element.basix_element
+    lagrange = element.family == basix.ElementFamily.P and not element.discontinuous
+    if not lagrange or element.degree != 1:
+        raise ValueError(
+            f"u is in a {element.family.name} space of degree {element.degree}; only continuous "
+            "Lagrange elements of degree 1 are supported."
+        )
+
+
+def create_regions(
+    domain: mesh.Mesh,
+    materials: Material | Mapping[int, Material],
+    cell_tags: mesh.MeshTags | None,
+) -> list[Region]:
+    """Group the cells by law and store the parameters cell by cell (collective).
+
+    Raises:
+        ValueError: if tags and materials do not cover the cells exactly.
+    """
+    laws, choice = _material_of_cells(domain, materials, cell_tags)
+    # Sorted by name so that the same laws make the same forms in any order of the dictionary.
+    classes = sorted({type(law) for law in laws}, key=lambda c: c.__qualname__)
+    index = np.array([classes.index(type(law)) for law in laws])
+    return [_create_region(domain, laws, choice, index == i) for i in range(len(classes))]
+
+
+def _create_region(
+    domain: mesh.Mesh, laws: list[Any], choice: np.ndarray, chosen: np.ndarray
+) -> Region:
+    """Create the region of the chosen laws, all of one class.
+
+    Args:
+        domain: the mesh.
+        laws: all materials.
+        choice: (cells,) index into laws per local cell.
+        chosen: (len(laws),) bool, those of this region.
+    """
+    law = type(laws[int(np.flatnonzero(chosen)[0])])
+    names = [field.name for field in dataclasses.fields(law)]
+    element = basix.ufl.element("DG", domain.basix_cell(), 0, shape=(len(names),))
+    parameters = fem.Function(fem.functionspace(domain, element))
+    cells = np.flatnonzero(chosen[choice]).astype(np.int32)
+    table = np.array(
+        [[getattr(m, n) if c else 0.0 for n in names] for m, c in zip(laws, chosen, strict=True)]
+    )
+    dofs = parameters.function_space.dofmap.list[:, 0]
+    parameters.x.array.reshape(-1, len(names))[dofs[cells]] = table[choice[cells]]
+    symbols = SimpleNamespace(**{name: parameters[i] for i, name in enumerate(names)})
+    return Region(law, cells, parameters, symbols)
+
+
+def _material_of_cells(
+    domain: mesh.Mesh,
+    materials: Material | Mapping[int, Material],
+    cell_tags: mesh.MeshTags | None,
+) -> tuple[list[Any], np.ndarray]:
+    """Return the materials and, per local cell (ghosts included), the index of its material."""
+    imap = domain.topology.index_map(domain.topology.dim)
+    count = imap.size_local + imap.num_ghosts
+    if not isinstance(materials, Mapping):
+        _check_material("materials", materials)
+        return [materials], np.zeros(count, dtype=np.int32)
+    for tag, law in materials.items():
+        _check_material(f"materials[{tag}]", law)
+    if not materials or cell_tags is None:
+        raise ValueError(
+            "materials is a dictionary by cell tag: give at least one material, and cell_tags."
+        )
+    if cell_tags.dim != domain.topology.dim or not compat.on_same_mesh(cell_tags, domain):
+        raise ValueError("cell_tags must tag the cells of the mesh of u, not of another mesh.")
+    tags = np.array(sorted(materials), dtype=np.int64)
+    # Through a DG0 Function, so that ghost cells get their owner's tag.
+    marker = fem.Function(fem.functionspace(domain, ("DG", 0)))
+    dofs = marker.function_space.dofmap.list[:, 0]
+    untagged = float(np.iinfo(np.int32).min)
+    marker.x.array[:] = untagged
+    marker.x.array[dofs[cell_tags.indices]] = cell_tags.values
+    marker.x.scatter_forward()
+    values = marker.x.array[dofs[:count]].astype(np.int64)
+    _check_cover(domain.comm, values[: imap.size_local], tags, int(untagged))
+    laws = [materials[int(tag)] for tag in tags]
+    return laws, np.searchsorted(tags, values).astype(np.int32)
+
+
+def _check_material(name: str, law: Any) -> None:
+    """Raise ValueError unless law is an instance of a material class."""
+    required = ("state", "linear", "elastic_stress", "updated_state", "output")
+    is_law = dataclasses.is_dataclass(law) and not isinstance(law, type)
+    stressed = hasattr(law, "energy") or hasattr(law, "stress")
+    if not (is_law and stressed and all(hasattr(law, r) for r in required)):
+        raise ValueError(f"{name} = {law!r} is not a material such as Elastic(E, nu).")
+
+
+def _check_cover(comm: MPI.Comm, values: np.ndarray, tags: np.ndarray, untagged: int) -> None:
+    """Raise ValueError on all ranks unless the tags of the owned cells and `tags` are the same."""
+    found = np.unique(np.concatenate(comm.allgather(np.unique(values))))
+    missing = np.setdiff1d(found, tags)
+    if missing.size:
+        cells = comm.allreduce(int(np.isin(values, missing).sum()), op=MPI.SUM)
+        named = ["no tag" if tag == untagged else f"tag {tag}" for tag in missing]
+        raise ValueError(
+            f"materials: {cells} cells have no material ({', '.join(named)}); "
+            "add a material for each tag, and tag all cells."
+        )
+    empty = np.setdiff1d(tags, found)
+    if empty.size:
+        raise ValueError(
+            f"materials: tag {', '.join(map(str, empty))} marks no cell; cell_tags has "
+            f"{', '.join(map(str, found))}."
+        )
