@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: MIT
+"""Round trips through the XDMF file: every field, every step, any number of ranks."""
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from types import SimpleNamespace
+
+from mpi4py import MPI
+
+import ufl
+from basix.ufl import element
+from dolfinx import fem, mesh
+from dolfinx_mortar.output import Writer
+
+import numpy as np
+import pytest
+
+meshio = pytest.importorskip("meshio")
+pytest.importorskip("h5py")
+
+COMM = MPI.COMM_WORLD
+CELLS = {name: mesh.CellType[name] for name in ("triangle", "quadrilateral")}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return Path(COMM.bcast(str(tmp_path)))
+
+
+def polynomial(x: np.ndarray) -> np.ndarray:
+    return 1.0 + 2.0 * x[0] - 3.0 * x[1]
+
+
+class Problem:
+    """Fields that are known functions of place and time."""
+
+    def __init__(self, cell: str, degree: int) -> None:
+        m = mesh.create_rectangle(COMM, [[0.0, 0.0], [2.0, 1.0]], (5, 4), CELLS[cell])
+        self.solid = SimpleNamespace(V=fem.functionspace(m, ("Lagrange", degree, (2,))))
+        self.t = 0.0
+        symmetric = element("DG", cell, 0, shape=(3, 3), symmetry=True)
+        self.fields = {
+            "displacement": fem.Function(self.solid.V),
+            "contact pressure [MPa]": fem.Function(fem.functionspace(m, ("Lagrange", degree))),
+            "linear": fem.Function(fem.functionspace(m, ("Lagrange", 1))),
+            "von Mises": fem.Function(fem.functionspace(m, ("DG", 0))),
+            "stress": fem.Function(fem.functionspace(m, ("DG", 0, (3, 3)))),
+            "back stress": fem.Function(fem.functionspace(m, symmetric)),
+            "strain": fem.Function(fem.functionspace(m, ("DG", 0, (2, 2)))),
+        }
+
+    def output_fields(self) -> dict[str, fem.Function]:
+        f = self.fields
+        x = ufl.SpatialCoordinate(self.solid.V.mesh)
+        f["displacement"].interpolate(lambda x: np.stack([self.t * polynomial(x), -x[1]]))
+        f["contact pressure [MPa]"].interpolate(lambda x: self.t - polynomial(x))
+        f["linear"].interpolate(lambda x: self.t + polynomial(x))
+        y = 1.0 + 2.0 * x[0] - 3.0 * x[1] + self.t
+        symmetric = [[y, 2 * y, 3 * y], [2 * y, 4 * y, 5 * y], [3 * y, 5 * y, 6 * y]]
+        full = [[y, 2 * y, 3 * y], [4 * y, 5 * y, 6 * y], [7 * y, 8 * y, 9 * y]]
+        for name, tensor in (
+            ("von Mises", y),
+            ("stress", ufl.as_matrix(full)),
+            ("back stress", ufl.as_matrix(symmetric)),
+            ("strain", ufl.as_matrix([[y, 2 * y], [3 * y, 4 * y]])),
+        ):
+            space = f[name].function_space
+            points = space.element.interpolation_points
+            points = points() if callable(points) else points
+            f[name].interpolate(fem.Expression(tensor, points))
+        return f
+
+
+EXPECTED = {  # components over the scalar y at the cell centre
+    "stress": np.arange(1.0, 10.0),
+    "back stress": np.array([1.0, 2, 3, 2, 4, 5, 3, 5, 6]),
+    "strain": np.array([1.0, 2, 0, 3, 4, 0, 0, 0, 0]),
+}
+
+
+def check_step(path: Path, step: int, t: float, count: int) -> None:
+    """Compare one step with the functions it was made of."""
+    with meshio.xdmf.TimeSeriesReader(path) as reader:
+        points, cells = reader.read_points_cells()
+        assert reader.num_steps == count
+        time, node, cell = reader.read_data(step)
+    assert time == t
+    y = polynomial(points.T)
+    assert set(node) == {"displacement", "contact pressure [MPa]", "linear"}
+    assert np.allclose(node["displacement"], np.stack([t * y, -points[:, 1], 0 * y], axis=1))
+    assert np.allclose(node["contact pressure [MPa]"], t - y)
+    assert np.allclose(node["linear"], t + y)
+    corners = cells[0].data[:, : 3 if cells[0].type.startswith("tri") else 4]
+    centre = polynomial(points[corners].mean(axis=1).T) + t
+    assert set(cell) == {"von Mises", *EXPECTED}
+    assert np.allclose(cell["von Mises"][0], centre)
+    for name, factors in EXPECTED.items():
+        assert np.allclose(cell[name][0], centre[:, None] * factors)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("cell", CELLS)
+def test_every_field_is_read_back_after_each_step(folder, cell, degree):
+    problem, path = Problem(cell, degree), folder / "out.xdmf"
+    with Writer(path, problem) as out:
+        for step, t in enumerate((0.25, 0.5, 1.0)):
+            problem.t = t
+            out.write(t)
+            for earlier, time in enumerate((0.25, 0.5, 1.0)[: step + 1]):
+                check_step(path, earlier, time, step + 1)
+            COMM.Barrier()
+    assert {p.name for p in folder.iterdir()} == {"out.xdmf", "out.h5"}
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("cell", CELLS)
+def test_cells_have_their_area_and_vtk_order(folder, cell, degree):
+    problem, path = Problem(cell, degree), folder / "out.xdmf"
+    with Writer(path, problem) as out:
+        out.write(0.0)
+    with meshio.xdmf.TimeSeriesReader(path) as reader:
+        points, (block,) = reader.read_points_cells()
+    k = 3 if cell == "triangle" else 4
+    nodes = points[block.data]
+    corners = nodes[:, :k, :2]
+    following = np.roll(corners, -1, axis=1)
+    x, y = np.moveaxis(corners, -1, 0)
+    area = 0.5 * np.abs(np.sum(x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1), axis=1))
+    assert area.sum() == pytest.approx(2.0, rel=1e-12)
+    if degree == 2:
+        assert np.allclose(nodes[:, k : 2 * k, :2], 0.5 * (corners + following))
+    assert len(points) == (5 * degree + 1) * (4 * degree + 1)
+
+
+def test_a_reader_that_keeps_the_file_open_does_not_stop_the_writer(folder):
+    problem, path = Problem("triangle", 1), folder / "out.xdmf"
+    with Writer(path, problem) as out:
+        out.write(0.0)
+        with meshio.xdmf.TimeSeriesReader(path) as reader:
+            reader.read_points_cells()
+            COMM.Barrier()
+            problem.t = 1.0
+            out.write(1.0)
+    check_step(path, 1, 1.0, 2)
+
+
+def test_an_error_between_steps_leaves_a_readable_file(folder):
+    problem, path = Problem("triangle", 1), folder / "out.xdmf"
+    with pytest.raises(ZeroDivisionError), Writer(path, problem) as out:
+        out.write(0.0)
+        raise ZeroDivisionError
+    COMM.Barrier()
+    check_step(path, 0, 0.0, 1)
+
+
+def test_notes_are_kept_and_escaped(folder):
+    problem, path = Problem("triangle", 1), folder / "out.xdmf"
+    with Writer(path, problem, notes={"units": "mm & MPa <N/mm>"}) as out:
+        out.write(0.0)
+    note = ET.parse(path).getroot().find("Domain/Information")
+    assert note is not None and note.attrib == {"Name": "units", "Value": "mm & MPa <N/mm>"}
+
+
+def test_bad_paths_are_named_on_all_ranks(folder):
+    problem = Problem("triangle", 1)
+    for path in (folder / "out.vtu", folder / "missing" / "out.xdmf"):
+        with pytest.raises(ValueError, match=r"^path = "):
+            Writer(path, problem)
+
+
+def test_field_of_another_mesh_is_refused(folder):
+    problem, other = Problem("triangle", 1), Problem("triangle", 1)
+    with Writer(folder / "out.xdmf", problem) as out:
+        problem.fields = other.fields
+        with pytest.raises(ValueError, match="another mesh"):
+            out.write(0.0)
