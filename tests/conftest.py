@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: MIT
+"""What every test needs: reproducible random numbers, and an orderly life on several ranks."""
+
+import gc
+import os
+import time
+from collections.abc import Generator
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import hypothesis
+import numpy as np
+import pytest
+
+COMM = MPI.COMM_WORLD
+WAIT = 60.0  # seconds a failed test waits for the other ranks before it ends the whole run
+
+# Ranks must draw the same examples, and machines differ in speed.
+hypothesis.settings.register_profile("ranks", deadline=None, derandomize=True, database=None)
+hypothesis.settings.load_profile("ranks")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_configure(config: pytest.Config) -> None:
+    """Let only rank 0 write to the terminal."""
+    terminal = config.pluginmanager.get_plugin("terminalreporter")
+    if COMM.rank > 0 and terminal is not None:
+        terminal._tw._file = open(os.devnull, "w")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip what is meant for one rank when there are more."""
+    if COMM.size > 1:
+        for item in items:
+            if "serial" in item.keywords:
+                item.add_marker(pytest.mark.skip(reason="for one rank only"))
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, None, None]:
+    """Print at once what failed on a silent rank."""
+    outcome = yield
+    report = outcome.get_result()  # type: ignore[attr-defined]
+    if report.failed and COMM.size > 1:
+        capture = item.config.pluginmanager.get_plugin("capturemanager")
+        with capture.global_and_fixture_disabled():
+            text = f"\n[rank {COMM.rank}] {item.nodeid}, {report.when}\n{report.longreprtext}\n"
+            os.write(2, text.encode())
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown() -> None:
+    """Destroy PETSc objects in the same order on all ranks, and end the run if a rank is missing.
+
+    A rank that failed stands here while the others wait in a collective call of the test: without
+    the time limit that would last for ever.
+    """
+    if COMM.size == 1:
+        return
+    arrived = COMM.Ibarrier()
+    start = time.monotonic()
+    while not arrived.Test():
+        if time.monotonic() - start > WAIT:
+            os.write(2, f"[rank {COMM.rank}] the other ranks did not finish\n".encode())
+            COMM.Abort(1)
+        time.sleep(1e-3)
+    gc.collect()
+    PETSc.garbage_cleanup(COMM)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """Random numbers that are the same on all ranks and in every run."""
+    return np.random.default_rng(1)

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: MIT
+"""The tests again, on more ranks: the quick ones marked `mpi` by default, all of them when slow."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from mpi4py import MPI
+
+import pytest
+
+COMM = MPI.COMM_WORLD
+ROOT = Path(__file__).resolve().parent.parent
+# what a launcher tells its ranks; a second launcher below would take itself for one of them
+LAUNCHER = ("OMPI_COMM_", "OMPI_APP_", "OMPI_FIRST_", "PMIX_", "PRTE_JOB", "PRTE_LAUNCHED", "PMI_")
+
+
+RANKS = "DOLFINX_MORTAR_TEST_RANKS"
+
+
+def run_on_ranks(ranks: int, selection: str, seconds: float) -> None:
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(LAUNCHER)}
+    environment.pop("PYTEST_ADDOPTS", None)
+    environment[RANKS] = str(ranks)
+    tests = [sys.executable, "-m", "pytest", "tests", "-p", "no:cacheprovider", "-x", "-q"]
+    command = ["mpirun", "-n", str(ranks), *tests, "-m", selection]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    with subprocess.Popen(command, cwd=ROOT, env=environment, text=True, **pipes) as job:
+        try:
+            output, _ = job.communicate(timeout=seconds)
+        except subprocess.TimeoutExpired:
+            job.terminate()  # the launcher takes its ranks along; a kill would leave them behind
+            output, _ = job.communicate()
+            output += f"\nended after {seconds} s"
+    if job.returncode != 0:
+        last = "\n".join(output.splitlines()[-80:])
+        pytest.fail(f"{' '.join(command)}\nexit code {job.returncode}\n{last}", pytrace=False)
+
+
+@pytest.mark.mpi
+def test_ranks_form_one_job() -> None:
+    assert COMM.size == int(os.environ.get(RANKS, COMM.size))
+    assert COMM.allreduce(1) == COMM.size
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_quick_tests_on_ranks(ranks: int) -> None:
+    run_on_ranks(ranks, "mpi and not slow and not serial", 600.0)
+
+
+@pytest.mark.serial
+@pytest.mark.slow
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_all_tests_on_ranks(ranks: int) -> None:
+    run_on_ranks(ranks, "not slow and not serial", 1800.0)
