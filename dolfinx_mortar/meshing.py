@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 
 from mpi4py import MPI
 
+import numpy as np
+import numpy.typing as npt
+
 import basix.ufl
 import ufl
 from dolfinx import mesh as dmesh
-
-import numpy as np
-import numpy.typing as npt
 
 BLOCK, DISC = 1, 2  # cell tags
 BOTTOM, FLAT, TOP, ARC = 1, 2, 3, 4  # facet tags

@@ -21,10 +21,11 @@ from typing import Protocol
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfinx import default_scalar_type, fem, plot
-
 import numpy as np
 import numpy.typing as npt
+
+from dolfinx import default_scalar_type, fem, plot
+from dolfinx_mortar.materials.tensor import COMPONENTS
 
 TOPOLOGY = {  # XDMF names by (cell, nodes per cell); nodes in VTK order
     ("triangle", 3): "Triangle",
@@ -36,9 +37,22 @@ TOPOLOGY = {  # XDMF names by (cell, nodes per cell); nodes in VTK order
     ("hexahedron", 8): "Hexahedron",
     ("hexahedron", 27): "Hexahedron_27",
 }
-KINDS = {1: "Scalar", 3: "Vector", 9: "Tensor"}  # XDMF attribute types by components
 
 Values = npt.NDArray[np.float64]
+KINDS = {1: "Scalar", 3: "Vector", 9: "Tensor"}  # XDMF attribute types by components
+
+
+def _expansion(stored: tuple[str, ...]) -> Values:
+    """Return the matrix E, (components, 9), that makes full tensors of stored symmetric ones.
+
+    >>> np.array([[1.0, 2.0, 3.0, 4.0]]) @ _expansion(("xx", "yy", "zz", "xy"))
+    array([[1., 4., 0., 4., 2., 0., 0., 0., 3.]])
+    """
+    nine = [row + column for row in "xyz" for column in "xyz"]
+    return np.array([[float(name in (s, s[::-1])) for name in nine] for s in stored])
+
+
+STORED = {len(names): _expansion(names) for names in COMPONENTS.values()}  # by components
 
 
 class HasSpace(Protocol):
@@ -66,7 +80,8 @@ class Writer:
     The fields are ``problem.output_fields()``: Lagrange Functions on the problem's mesh, written
     at the nodes of ``problem.solid.V`` (interpolated if their degree differs), and
     piecewise-constant Functions (DG0), written per cell. Vectors are padded to three components
-    (x, y, z), tensors of shape (2, 2) or (3, 3) to nine (xx, xy, xz, yx, ...); other shapes are
+    (x, y, z); tensors of shape (2, 2) or (3, 3), and symmetric ones stored in four or six
+    components in the order of `materials.tensor`, to nine (xx, xy, xz, yx, ...); other shapes are
     written as a flat row of components.
 
     After every step the HDF5 file is closed and the XDMF file replaced in one move, so what has
@@ -251,7 +266,7 @@ class _Layout:
 
 
 def _pad(values: Values, shape: tuple[int, ...]) -> Values:
-    """Pad vectors to three and square tensors to three by three components.
+    """Pad vectors to three and tensors to three by three components.
 
     >>> _pad(np.array([[1.0, 2.0]]), (2,)).tolist()
     [[1.0, 2.0, 0.0]]
@@ -261,6 +276,8 @@ def _pad(values: Values, shape: tuple[int, ...]) -> Values:
     n, components = values.shape
     if shape == (2,):
         return np.pad(values, ((0, 0), (0, 1)))
+    if len(shape) == 1 and components in STORED:
+        return values @ STORED[components]
     if len(shape) == 2 and shape[0] == shape[1] <= 3:
         if components < shape[0] ** 2:
             # a symmetric element stores the rows of the lower triangle

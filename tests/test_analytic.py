@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Closed solutions against published numbers, equilibrium and independent quadrature."""
 
-from dolfinx_mortar import analytic
-
 import numpy as np
 import pytest
 from scipy.integrate import quad
+
+from dolfinx_mortar import analytic
 
 STEEL = (206_900.0, 0.29, 206_900.0, 0.29)
 

@@ -3,13 +3,13 @@
 
 from mpi4py import MPI
 
-import ufl
-from dolfinx import fem, mesh
-from dolfinx_mortar import meshing
-
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+
+import ufl
+from dolfinx import fem, mesh
+from dolfinx_mortar import meshing
 
 COMM = MPI.COMM_WORLD
 CELLS = ["triangle", "quadrilateral"]

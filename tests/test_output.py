@@ -7,13 +7,13 @@ from types import SimpleNamespace
 
 from mpi4py import MPI
 
+import numpy as np
+import pytest
+
 import ufl
 from basix.ufl import element
 from dolfinx import fem, mesh
 from dolfinx_mortar.output import Writer
-
-import numpy as np
-import pytest
 
 meshio = pytest.importorskip("meshio")
 pytest.importorskip("h5py")
@@ -35,6 +35,7 @@ class Problem:
     """Fields that are known functions of place and time."""
 
     def __init__(self, cell: str, degree: int) -> None:
+        """Make the mesh and all Functions."""
         m = mesh.create_rectangle(COMM, [[0.0, 0.0], [2.0, 1.0]], (5, 4), CELLS[cell])
         self.solid = SimpleNamespace(V=fem.functionspace(m, ("Lagrange", degree, (2,))))
         self.t = 0.0
@@ -46,6 +47,8 @@ class Problem:
             "von Mises": fem.Function(fem.functionspace(m, ("DG", 0))),
             "stress": fem.Function(fem.functionspace(m, ("DG", 0, (3, 3)))),
             "back stress": fem.Function(fem.functionspace(m, symmetric)),
+            "plane": fem.Function(fem.functionspace(m, ("DG", 0, (4,)))),
+            "spatial": fem.Function(fem.functionspace(m, ("DG", 0, (6,)))),
             "strain": fem.Function(fem.functionspace(m, ("DG", 0, (2, 2)))),
         }
 
@@ -62,6 +65,8 @@ class Problem:
             ("von Mises", y),
             ("stress", ufl.as_matrix(full)),
             ("back stress", ufl.as_matrix(symmetric)),
+            ("plane", ufl.as_vector([i * y for i in range(1, 5)])),
+            ("spatial", ufl.as_vector([i * y for i in range(1, 7)])),
             ("strain", ufl.as_matrix([[y, 2 * y], [3 * y, 4 * y]])),
         ):
             space = f[name].function_space
@@ -74,6 +79,8 @@ class Problem:
 EXPECTED = {  # components over the scalar y at the cell centre
     "stress": np.arange(1.0, 10.0),
     "back stress": np.array([1.0, 2, 3, 2, 4, 5, 3, 5, 6]),
+    "plane": np.array([1.0, 4, 0, 4, 2, 0, 0, 0, 3]),
+    "spatial": np.array([1.0, 4, 6, 4, 2, 5, 6, 5, 3]),
     "strain": np.array([1.0, 2, 0, 3, 4, 0, 0, 0, 0]),
 }
 
