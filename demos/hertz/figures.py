@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: MIT
+"""The pictures of the Hertz demo: figures 2 to 7 of the paper, deformed shape, contact pressure.
+
+They are drawn on one rank from the XDMF file, so they look the same on any number of ranks. Fields
+are constant per cell, as computed, and drawn on the deformed bodies at true scale unless the title
+says otherwise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+
+YY = 4  # place of the yy component among the nine of a tensor
+DPI = 150
+HARDENING = "Hardening: norm of the back stress as a vector (xx, yy, zz, xy)"
+
+
+@dataclass(frozen=True)
+class Result:
+    """Last step of the XDMF file."""
+
+    points: np.ndarray  # (n, 2) reference coordinates in mm
+    cells: np.ndarray  # (m, k) corners
+    u: np.ndarray  # (n, 2) displacement in mm
+    fields: dict[str, np.ndarray]  # cell values by name, (m,) or (m, components)
+
+
+def read(xdmf: Path) -> Result:
+    """Read the last step that the file holds."""
+    with meshio.xdmf.TimeSeriesReader(xdmf) as reader:
+        points, (block,) = reader.read_points_cells()
+        _, node, cell = reader.read_data(reader.num_steps - 1)
+    corners = 3 if block.type.startswith("triangle") else 4
+    fields = {name: values[0] for name, values in cell.items()}
+    return Result(points[:, :2], block.data[:, :corners], node["displacement"][:, :2], fields)
+
+
+def draw(
+    output: Path, xdmf: Path, summary: dict[str, Any], pressure: tuple[np.ndarray, np.ndarray]
+) -> list[Path]:
+    """Draw all pictures of the last step into a folder; call on one rank.
+
+    Args:
+        output: Existing folder for the PNG files.
+        xdmf: File written by `dolfinx_mortar.Writer`, with the displacement and the cell fields
+            stress, von_mises and hardening.
+        summary: The demo's summary; its last step gives the load, the force and Hertz' solution.
+        pressure: Positions x [mm] and contact pressures [MPa] of the slave nodes.
+
+    Returns:
+        The files written.
+    """
+    result, step = read(xdmf), summary["steps"][-1]
+    window = _contact_window(result, pressure)
+    stress_y = result.fields["stress"][:, YY]
+    von_mises, hardening = result.fields["von_mises"], result.fields["hardening"]
+    load = f"$d$ = {step['displacement']:.4g} mm, $P$ = {step['force']:.1f} N/mm"
+    figures = {
+        "fig2_mesh": _mesh(result),
+        "fig3_hardening": _field(result, hardening, (HARDENING, load), "magma"),
+        "fig4_stress_y": _field(result, stress_y, ("Stress σ$_y$", load), "viridis"),
+        "fig5_von_mises": _field(result, von_mises, ("Von Mises stress", load), "viridis"),
+        "fig6_stress_y_zoom": _field(
+            result, stress_y, ("Stress σ$_y$ at the contact", load), "viridis", window
+        ),
+        "fig7_von_mises_zoom": _field(
+            result, von_mises, ("Von Mises stress at the contact", load), "viridis", window
+        ),
+        "deformed": _deformed(result, window, load),
+        "pressure": _pressure(step, pressure),
+    }
+    files = []
+    for name, figure in figures.items():
+        files.append(output / f"{name}.png")
+        figure.savefig(files[-1], dpi=DPI)
+    return files
+
+
+def _contact_window(
+    result: Result, pressure: tuple[np.ndarray, np.ndarray]
+) -> tuple[float, float, float, float]:
+    """Return x0, x1, y0, y1 of a square around the contact, on the deformed bodies."""
+    x, p = pressure
+    active = np.abs(x[p > 0.0])
+    half = 2.5 * active.max() if active.size else 0.1 * np.ptp(result.points[:, 0])
+    half = min(max(half, 0.02 * np.ptp(result.points[:, 0])), 0.3 * np.ptp(result.points[:, 0]))
+    middle = np.argmin(np.linalg.norm(result.points, axis=1))
+    y = result.points[middle, 1] + result.u[middle, 1]
+    return -half, half, y - half, y + half
+
+
+def _axes(width: float, height: float, title: str) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(width, height), layout="constrained")
+    axes = figure.subplots()
+    axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title=title)
+    return figure, axes
+
+
+def _add_cells(
+    axes: Axes,
+    x: np.ndarray,
+    cells: np.ndarray,
+    window: tuple[float, ...] | None = None,
+    **style: Any,
+) -> PolyCollection:
+    """Draw the cells that meet the window (all without one) and fit the axes to them."""
+    polygons = x[cells]
+    values = style.pop("array", None)
+    if window is not None:
+        low, high = polygons.min(axis=1), polygons.max(axis=1)
+        inside = (high[:, 0] > window[0]) & (low[:, 0] < window[1])
+        inside &= (high[:, 1] > window[2]) & (low[:, 1] < window[3])
+        polygons = polygons[inside]
+        values = None if values is None else values[inside]
+    collection = PolyCollection(polygons, array=values, **style)
+    axes.add_collection(collection)
+    if window is None:
+        axes.autoscale()
+        axes.margins(0.02)
+    else:
+        axes.set(xlim=window[:2], ylim=window[2:])
+    return collection
+
+
+def _mesh(result: Result) -> Figure:
+    title = f"Mesh: {len(result.cells)} elements, {len(result.points)} nodes"
+    figure, axes = _axes(8.0, 5.4, title)
+    _add_cells(axes, result.points, result.cells, fc="#e8eef4", ec="#20415c", lw=0.3)
+    return figure
+
+
+def _field(
+    result: Result,
+    values: np.ndarray,
+    titles: tuple[str, str],
+    colours: str,
+    window: tuple[float, ...] | None = None,
+) -> Figure:
+    """Draw a cell field in MPa with its colour bar, in a window or on the whole bodies."""
+    figure, axes = _axes(*((8.0, 5.0) if window is None else (6.4, 5.6)), "\n".join(titles))
+    # antialiasing would leave hairlines between cells
+    cells = _add_cells(
+        axes, result.points + result.u, result.cells, window, array=values, cmap=colours, aa=False
+    )
+    figure.colorbar(cells, ax=axes, label="MPa", shrink=0.9)
+    return figure
+
+
+def _deformed(result: Result, window: tuple[float, ...], load: str) -> Figure:
+    """Draw the deformed mesh over the undeformed one: magnified, and at the contact true."""
+    largest = float(np.linalg.norm(result.u, axis=1).max())
+    room = 0.06 * np.ptp(result.points[:, 1])
+    factors = [f for f in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if f * largest <= room]
+    factor = factors[-1] if factors else 1
+    figure = Figure(figsize=(11.0, 4.8), layout="constrained")
+    figure.suptitle(f"Deformed shape, {load}")
+    left, right = figure.subplots(1, 2, width_ratios=(1.55, 1.0))
+    size = np.linalg.norm(result.u, axis=1)[result.cells].mean(axis=1)
+    magnified = f"displacements {factor} times magnified, bodies overlap"
+    thin = min(0.3, 1e3 / len(result.cells))  # lines must not hide the colours of a fine mesh
+    for axes, scale, part, title in (
+        (left, factor, None, magnified if factor > 1 else "true scale"),
+        (right, 1, window, "at the contact, true scale"),
+    ):
+        axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title=title)
+        moved = result.points + scale * result.u
+        _add_cells(axes, result.points, result.cells, part, fc="none", ec="#bbbbbb", lw=thin)
+        cells = _add_cells(
+            axes, moved, result.cells, part, array=size, cmap="viridis", ec="#ffffffa0", lw=thin
+        )
+        cells.set_clim(0.0, max(largest, 1e-300))
+    figure.colorbar(cells, ax=right, label="|u| [mm]", shrink=0.9)
+    return figure
+
+
+def _pressure(step: dict[str, Any], pressure: tuple[np.ndarray, np.ndarray]) -> Figure:
+    """Draw the nodal pressures and Hertz' elastic solution for the same force."""
+    order = np.argsort(pressure[0])
+    x, p = pressure[0][order], pressure[1][order]
+    figure = Figure(figsize=(7.2, 4.6), layout="constrained")
+    axes = figure.subplots()
+    half = np.abs(x[p > 0.0]).max(initial=0.0)
+    a, p0 = step.get("half_width_hertz"), step.get("peak_pressure_hertz")
+    if a and p0 and np.isfinite([a, p0]).all():
+        t = np.linspace(0.0, np.pi, 201)
+        label = f"Hertz, elastic: $p_0$ = {p0:.0f} MPa, $a$ = {a:.3f} mm"
+        axes.plot(a * np.cos(t), p0 * np.sin(t), "k--", lw=1.2, label=label)
+        half = max(half, a)
+    label = f"computed: largest {p.max(initial=0.0):.0f} MPa"
+    axes.plot(x, p, "o-", color="#c03a2b", ms=3.5, lw=1.0, label=label)
+    limit = 1.4 * half if half > 0.0 else None
+    axes.set(
+        title=f"Contact pressure at $P$ = {step['force']:.1f} N/mm",
+        xlabel="x [mm]",
+        ylabel="pressure [MPa]",
+        xlim=None if limit is None else (-limit, limit),
+    )
+    axes.set_ylim(0.0, 1.25 * max(axes.get_ylim()[1], 1e-300))  # room for the legend
+    axes.grid(alpha=0.3)
+    axes.legend(loc="upper right", fontsize="small")
+    return figure
