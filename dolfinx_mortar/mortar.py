@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: MIT
+r"""Mortar operators D and M of a pair of surfaces as PETSc matrices.
+
+    D_jl = int Phi_j N_l^s,      M_jl = int Phi_j N_l^m      over the covered part of the slave side
+
+with the dual functions Phi_j of the kept slave nodes. D is diagonal over the kept nodes. Rows are
+integrated by the ranks that own the slave facets; copies of the master facets travel to them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx
+from dolfinx.common import timed
+from dolfinx_mortar import coo
+from dolfinx_mortar.dual import covered_weights, dual_values
+from dolfinx_mortar.pairing import Pairing, create_pairing, outside_margin, received_facets
+from dolfinx_mortar.segments import Segments, create_segments, shape_functions
+from dolfinx_mortar.surface import Surface, accumulate, coordinates, create_surface, nodal_normals
+
+__all__ = [
+    "Mortar",
+    "Pairing",
+    "assemble_mortar",
+    "assemble_node_matrices",
+    "create_pairing",
+    "default_keep",
+    "find_segments",
+    "node_weights",
+    "outside_margin",
+]
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+Ints = npt.NDArray[np.int32]
+
+LEAST_COVERAGE = 0.05
+"""A slave node carries a multiplier if more than this part of its tributary weight is covered."""
+_SAME = 1e-9  # relative difference of coverages that is taken for round-off
+
+
+@dataclass(frozen=True, eq=False)
+class Mortar:
+    """The paper's matrices. Row d*i + c belongs to component c of the slave node nodes[i].
+
+    Rows are distributed like the slave nodes; nodes that cannot carry a multiplier have no row.
+    """
+
+    D: PETSc.Mat  # (d * m_I, dofs of V)
+    M: PETSc.Mat  # (d * m_I, dofs of V)
+    N: PETSc.Mat  # (d * m_I, m_I), column i holds the outward slave normal of nodes[i]
+    gap: PETSc.Vec  # (m_I,) weighted gap -N^T (D - M)(X + u), positive where the interface is open
+    nodes: npt.NDArray[np.int64]  # (m_I of this rank,) global nodes in the order of the rows
+
+
+@timed("~Mortar: segments")
+def find_segments(pairing: Pairing, u: dolfinx.fem.Function | None) -> tuple[Segments, Floats]:
+    """Find the segments and the averaged slave normals (n, d) at X + u (collective)."""
+    slave = pairing.slave
+    x = coordinates(slave, u)
+    normals = nodal_normals(slave, x)
+    x_m = received_facets(pairing, u)
+    segments = create_segments(x[slave.facets], normals[slave.facets], x_m, pairing.pairs)
+    return segments, normals
+
+
+def _sum_facets(surface: Surface, values: Floats) -> Floats:
+    """Sum values (m, k) of facets and their nodes over facets and ranks: (n,) (collective)."""
+    local = np.bincount(surface.facets.ravel(), values.ravel(), minlength=len(surface.nodes))
+    return accumulate(surface, local)
+
+
+@timed("~Mortar: node weights")
+def node_weights(pairing: Pairing, segments: Segments) -> tuple[Floats, Floats]:
+    """Return int N_j over the covered part and the whole slave side, (n,) each (collective)."""
+    N_s = shape_functions(segments.xi_s)
+    slave = pairing.slave
+    covered = covered_weights(N_s, segments.weight, segments.slave, len(slave.facets))
+    return _sum_facets(slave, covered), _sum_facets(slave, segments.facet_weights)
+
+
+def default_keep(
+    pairing: Pairing,
+    segments: Segments,
+    covered: Floats,
+    tributary: Floats,
+    allowed: Bools | None = None,
+) -> Bools:
+    """Choose the slave nodes that carry a multiplier, the same on any number of ranks (collective).
+
+    A node is kept if more than 5 % of its tributary weight is covered. Where that leaves a covered
+    facet without a kept node, the facet's best covered node is kept, so that no covered part of
+    the slave side is without multiplier.
+
+    Args:
+        pairing: The pair of surfaces.
+        segments: Its segments.
+        covered: Covered weight (n,) of each slave node, of `node_weights`.
+        tributary: Whole weight (n,), of `node_weights`.
+        allowed: Nodes (n,) that may be kept; all if not given.
+    """
+    allowed = np.ones(len(covered), dtype=bool) if allowed is None else allowed
+    coverage = np.where(allowed, covered, 0.0) / np.maximum(tributary, np.finfo(float).tiny)
+    keep = coverage > LEAST_COVERAGE
+    facets = pairing.slave.facets[np.unique(segments.slave)]
+    facets = facets[~keep[facets].any(axis=1) & (coverage[facets] > 0).any(axis=1)]
+    share = coverage[facets]
+    # the first of equals in the outward orientation, whatever the numbers and the round-off
+    best = np.argmax(share >= (1 - _SAME) * share.max(axis=1, initial=0.0)[:, None], axis=1)
+    rescued = np.bincount(facets[np.arange(len(facets)), best], minlength=len(covered))
+    return keep | (accumulate(pairing.slave, rescued) > 0)
+
+
+@timed("~Mortar: assemble D and M")
+def assemble_node_matrices(
+    pairing: Pairing, segments: Segments, keep: Bools
+) -> tuple[PETSc.Mat, PETSc.Mat]:
+    """Refill the matrices D and M of the pairing in place (collective).
+
+    Args:
+        pairing: The pair of surfaces.
+        segments: Its segments.
+        keep: Slave nodes (n,) that carry a multiplier; a node has the same value on all ranks.
+
+    Returns:
+        D and M in the numbering of V's nodes. Rows of removed nodes vanish; their columns in D do
+        not. Over the kept nodes D is diagonal (exactly: the other integrals vanish by construction
+        and are not computed).
+    """
+    N_s, N_m = shape_functions(segments.xi_s), shape_functions(segments.xi_m)
+    kept = keep[pairing.slave.facets]
+    Phi = dual_values(N_s, segments.weight, segments.slave, kept) * segments.weight[:, None]
+    paired = np.unique(pairing.pairs[:, 0])
+    blocks_D = _integrate(Phi, N_s, segments.slave, len(kept))[paired]
+    both = kept[paired][:, :, None] & kept[paired][:, None, :]
+    blocks_D[both & ~np.eye(kept.shape[1], dtype=bool)] = 0.0
+    coo.set_values(pairing.D, blocks_D)
+    coo.set_values(pairing.M, _integrate(Phi, N_m, segments.pair, len(pairing.pairs)))
+    return pairing.D, pairing.M
+
+
+def _integrate(Phi: Floats, N: Floats, where: Ints, size: int) -> Floats:
+    """Return the sums (size, k, l) of weighted Phi (q, k) times N (q, l) over points by `where`."""
+    blocks = np.empty((size, Phi.shape[1], N.shape[1]))
+    for i in range(Phi.shape[1]):
+        for j in range(N.shape[1]):
+            blocks[:, i, j] = np.bincount(where, Phi[:, i] * N[:, j], minlength=size)
+    return blocks
+
+
+# -- the paper's matrices --------------------------------------------------------------------------
+
+
+def _expand_rows(A: PETSc.Mat, rows: Ints, V: dolfinx.fem.FunctionSpace) -> PETSc.Mat:
+    """Return the given owned rows of a node matrix with every entry times the d x d identity."""
+    d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
+    start, columns, values = A.getValuesCSR()
+    count = np.diff(start)[rows]
+    entries = np.repeat(start[rows] - np.append(0, np.cumsum(count)[:-1])[: len(rows)], count)
+    entries = (entries + np.arange(len(entries))).astype(np.int64)
+    at = np.repeat(np.arange(len(rows)), count)
+    order = np.argsort(at[:, None] * d + np.arange(d), axis=None, kind="stable")
+    all_columns = (columns[entries][:, None] * d + np.arange(d)).ravel()[order]
+    all_values = np.repeat(values[entries], d)[order]
+    new_start = np.append(0, np.cumsum(np.repeat(count, d)))
+    sizes = ((d * len(rows), None), (d * index_map.size_local, d * index_map.size_global))
+    csr = (new_start.astype(PETSc.IntType), all_columns.astype(PETSc.IntType), all_values)
+    return PETSc.Mat().createAIJ(sizes, csr=csr, comm=V.mesh.comm)
+
+
+def _create_normal_matrix(comm: MPI.Comm, normals: Floats) -> PETSc.Mat:
+    """Return N (d * m, m), block diagonal of the normals (m of this rank, d)."""
+    m, d = normals.shape
+    first = comm.exscan(m) or 0
+    columns = (first + np.repeat(np.arange(m), d)).astype(PETSc.IntType)
+    start = np.arange(m * d + 1, dtype=PETSc.IntType)
+    sizes = ((m * d, None), (m, None))
+    return PETSc.Mat().createAIJ(sizes, csr=(start, columns, normals.ravel()), comm=comm)
+
+
+def assemble_mortar(
+    V: dolfinx.fem.FunctionSpace,
+    facet_tags: dolfinx.mesh.MeshTags,
+    *,
+    slave: int,
+    master: int,
+    u: dolfinx.fem.Function | None = None,
+) -> Mortar:
+    """Assemble the paper's matrices D, M and N and the weighted gap (collective).
+
+    The constraint of frictionless contact is B_I v <= c_I for the displacement v with
+    B_I = N^T (D - M) and c_I = -N^T (D - M) X.
+
+    Args:
+        V: Vector Lagrange space of degree 1 on the mesh of all bodies.
+        facet_tags: Facet tags of the same mesh.
+        slave: Tag of the side that carries the multipliers.
+        master: Tag of the other side.
+        u: Displacement; segments, normals and gap belong to X + u.
+
+    Raises:
+        ValueError: On all ranks, for tags or spaces that make no sense.
+    """
+    surfaces = [create_surface(V, facet_tags, slave, "slave")]
+    surfaces.append(create_surface(V, facet_tags, master, "master"))
+    pairing = create_pairing(V, *surfaces, u)
+    segments, normals = find_segments(pairing, u)
+    keep = default_keep(pairing, segments, *node_weights(pairing, segments))
+    node_D, node_M = assemble_node_matrices(pairing, segments, keep)
+    own = surfaces[0].nodes[: surfaces[0].owned]
+    kept = keep[: len(own)]
+    D, M = (_expand_rows(A, own[kept], V) for A in (node_D, node_M))
+    N = _create_normal_matrix(V.mesh.comm, normals[: len(own)][kept])
+    x, relative, gap = D.createVecRight(), D.createVecLeft(), N.createVecRight()
+    d = V.dofmap.index_map_bs
+    x.array[:] = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local, :d].ravel()
+    if u is not None:
+        x.axpy(1.0, u.x.petsc_vec)
+    (M - D).mult(x, relative)
+    N.multTranspose(relative, gap)
+    nodes = V.dofmap.index_map.local_to_global(own[kept])
+    return Mortar(D=D, M=M, N=N, gap=gap, nodes=nodes)
