@@ -28,6 +28,7 @@ from dolfinx_mortar.fields import PointFields
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.materials.tensor import COMPONENTS, from_components, strain, to_components
 from dolfinx_mortar.regions import Region, check_displacement, create_regions
+from ufl.classes import Label, Variable
 
 
 class Solid:
@@ -110,7 +111,8 @@ class Solid:
         state, p = self._symbols(region)
         if hasattr(region.law, "stress"):
             return region.law.stress(eps, state, p)
-        variable = ufl.variable(eps)
+        # Not ufl.variable: its running number would get into the signature of the compiled code.
+        variable = Variable(eps, Label(-1))
         return ufl.diff(region.law.energy(variable, state, p), variable)
 
     def _measures(self) -> list[tuple[Region, ufl.Measure]]:

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: MIT
+"""One cell under a prescribed homogeneous strain: a law seen without any boundary value problem."""
+
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx import fem, mesh
+from dolfinx_mortar.materials.tensor import COMPONENTS
+from dolfinx_mortar.solid import Solid
+
+INDEX = {c: ("xyz".index(c[0]), "xyz".index(c[1])) for c in COMPONENTS[3]}
+
+
+class MaterialPoint:
+    """A law at one integration point, on each rank for itself."""
+
+    def __init__(self, law: Any, d: int = 3) -> None:
+        """Create a triangle (d = 2, plane strain) or a tetrahedron (d = 3)."""
+        if d == 2:
+            domain = mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
+        else:
+            domain = mesh.create_unit_cube(MPI.COMM_SELF, 1, 1, 1)
+        V = fem.functionspace(domain, ("Lagrange", 1, (d,)))
+        self.d = d
+        self.x = V.tabulate_dof_coordinates()[:, :d]
+        self.solid = Solid(fem.Function(V), law)
+
+    def reset(self) -> None:
+        """Return to the virgin state."""
+        for f in self.solid.state.values():
+            f.x.array[:] = 0.0
+
+    def set_plastic_strain(self, ep: np.ndarray) -> None:
+        """Prescribe the committed plastic strain, a symmetric (3, 3)."""
+        stored = [ep[INDEX[c]] for c in COMPONENTS[self.d]]
+        self.solid.state["plastic_strain"].x.array.reshape(-1, len(stored))[:] = stored
+
+    def stress(self, strain: np.ndarray) -> np.ndarray:
+        """Return the stress (3, 3) of the law for a strain (3, 3), with the committed state."""
+        self.solid.u.x.array[:] = (self.x @ strain[: self.d, : self.d]).ravel()
+        self.solid.update_output()
+        return self._tensor("stress")
+
+    def commit(self) -> np.ndarray:
+        """Commit the state of the last strain and return the plastic strain (3, 3)."""
+        self.solid.commit()
+        return self._tensor("plastic_strain")
+
+    def _tensor(self, name: str) -> np.ndarray:
+        """Return a stored tensor at the first integration point as (3, 3)."""
+        stored = self.solid.fields.values(name)[0, 0]
+        result = np.zeros((3, 3))
+        for c, value in zip(COMPONENTS[self.d], stored, strict=True):
+            i, j = INDEX[c]
+            result[i, j] = result[j, i] = value
+        return result
