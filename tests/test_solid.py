@@ -16,7 +16,7 @@ import ffcx.codegeneration.jit
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.materials import Elastic, VonMises
-from dolfinx_mortar.materials.tensor import from_components, strain
+from dolfinx_mortar.materials.tensor import frobenius_norm, from_components, strain
 from dolfinx_mortar.solid import Solid
 
 COMM = MPI.COMM_WORLD
@@ -167,21 +167,26 @@ def test_default_quadrature() -> None:
 
 
 def test_state_changes_only_at_commit() -> None:
-    """Assembly and output leave the state alone; a commit makes the energy's relaxation part of it.
+    """Assembly and output leave the state alone; a commit keeps the stress and dissipates energy.
 
-    After a commit at u the stress is the same, and a second commit changes nothing.
+    psi is the stored energy plus the dissipation Y |dep| of the step: a commit at the same u takes
+    away just the latter. A second commit changes nothing.
     """
     solid = create_loaded("quadrilateral")
     before = solid.state["plastic_strain"].x.array.copy()
     forces = residual(solid)
     solid.assemble_tangent(solid.create_matrix())
-    solid.energy()
+    energy, ep = solid.energy(), solid.fields.values("plastic_strain")
     solid.update_output()
     stress = solid.stress.x.array.copy()
     assert np.array_equal(solid.state["plastic_strain"].x.array, before)
     solid.commit()
     after = solid.state["plastic_strain"].x.array.copy()
     assert COMM.allreduce(float(np.abs(after - before).max()), op=MPI.MAX) > 1e-5
+    flow = frobenius_norm(solid.fields.values("plastic_strain") - ep)
+    dissipation = total(STEEL.Y * flow * solid.fields.weights)
+    assert dissipation > 1e-3 * energy
+    assert np.isclose(energy - solid.energy(), dissipation, rtol=1e-9)
     solid.update_output()
     assert np.abs(solid.stress.x.array - stress).max(initial=0) < 1e-9 * STEEL.Y
     assert np.abs(residual(solid) - forces).max(initial=0) < 1e-9 * STEEL.Y
