@@ -142,12 +142,8 @@ def test_element_force_norm(cell: str) -> None:
     solid.update_output()
     d = solid.mesh.geometry.dim
     W = fem.functionspace(solid.mesh, ("Discontinuous Lagrange", 1, (d,)))
-    dx = ufl.dx(
-        metadata={
-            "quadrature_degree": solid.quadrature_degree,
-            "quadrature_scheme": "default",
-        }
-    )
+    rule = {"quadrature_degree": solid.quadrature_degree, "quadrature_scheme": "default"}
+    dx = ufl.dx(metadata=rule)
     form = ufl.inner(from_components(solid.stress), strain(ufl.TestFunction(W))) * dx
     forces = fem.assemble_vector(fem.form(form)).array
     expected = np.sqrt(total(forces[: d * W.dofmap.index_map.size_local] ** 2))
@@ -208,7 +204,7 @@ def test_output_fields() -> None:
     xx, yy, zz, xy = np.moveaxis(s, -1, 0)
     mises = np.sqrt(0.5 * ((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2 + 6 * xy**2))
     assert np.allclose(solid.fields.values("von_mises"), mises, rtol=1e-12)
-    largest = COMM.allreduce(float(mises.max(initial=0.0)), op=MPI.MAX)
+    largest = COMM.allreduce(mises.max(initial=0.0), op=MPI.MAX)
     assert np.isclose(solid.max("von_mises"), largest, rtol=1e-12)
     area = total((frobenius > 0) * solid.fields.weights)
     assert 0.1 < area < 1.9 and np.isclose(solid.plastic_area(), area, rtol=1e-14)
@@ -382,7 +378,7 @@ def test_wrong_tags() -> None:
         Solid(u, {1: STEEL})
     with pytest.raises(ValueError, match="another mesh"):
         Solid(u, {1: STEEL, 2: STEEL}, create_tags(other, lambda x: 1 + (x[:, 1] > 1.0)))
-    none = np.arange(0, dtype=np.int32)
+    none = np.zeros(0, dtype=np.int32)
     with pytest.raises(ValueError, match=rf"{cells} cells have no material \(no tag\)"):
         Solid(u, {1: STEEL}, mesh.meshtags(domain, 2, none, none))
     with pytest.raises(ValueError, match="cell_tags"):
