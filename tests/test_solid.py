@@ -367,9 +367,8 @@ def test_wrong_tags() -> None:
     domain, other = create_domain("triangle"), create_domain("triangle")
     u = create_displacement(domain)
     tags = create_tags(domain, lambda x: 1 + (x[:, 1] > 1.0))
-    cells = 2 * 4 * 5
-    upper = domain.topology.index_map(2).size_local
-    count = int(COMM.allreduce(int(np.sum(tags.values[:upper] == 2)), op=MPI.SUM))
+    owned = domain.topology.index_map(2).size_local
+    count = int(total(tags.values[:owned] == 2))
     with pytest.raises(ValueError, match=rf"{count} cells have no material \(tag 2\)"):
         Solid(u, {1: STEEL}, tags)
     with pytest.raises(ValueError, match="tag 5 marks no cell"):
@@ -379,7 +378,7 @@ def test_wrong_tags() -> None:
     with pytest.raises(ValueError, match="another mesh"):
         Solid(u, {1: STEEL, 2: STEEL}, create_tags(other, lambda x: 1 + (x[:, 1] > 1.0)))
     none = np.zeros(0, dtype=np.int32)
-    with pytest.raises(ValueError, match=rf"{cells} cells have no material \(no tag\)"):
+    with pytest.raises(ValueError, match=r"40 cells have no material \(no tag\)"):
         Solid(u, {1: STEEL}, mesh.meshtags(domain, 2, none, none))
     with pytest.raises(ValueError, match="cell_tags"):
         Solid(u, {1: STEEL}, mesh.meshtags(domain, 1, none, none))
@@ -394,9 +393,7 @@ def test_tags_of_owned_cells_suffice() -> None:
     domain = create_domain("triangle")
     owned = np.arange(domain.topology.index_map(2).size_local, dtype=np.int32)
     tags = mesh.meshtags(domain, 2, owned, np.full(len(owned), 3, dtype=np.int32))
-    energies = []
-    for materials in (({3: STEEL}, tags), (STEEL, None)):
-        solid = Solid(create_displacement(domain), *materials)
+    solids = [Solid(create_displacement(domain), *m) for m in (({3: STEEL}, tags), (STEEL, None))]
+    for solid in solids:
         set_wave(solid.u, 2e-3)
-        energies.append(solid.energy())
-    assert np.isclose(*energies, rtol=1e-14)
+    assert np.isclose(solids[0].energy(), solids[1].energy(), rtol=1e-14)
