@@ -33,6 +33,8 @@ def set_pattern(A: PETSc.Mat, rows: npt.ArrayLike, columns: npt.ArrayLike) -> No
     """
     i, j = (np.array(v, dtype=PETSc.IntType).ravel() for v in (rows, columns))  # PETSc reorders
     assert i.size == j.size
+    for indices, size in zip((i, j), A.getSize(), strict=True):  # PETSc would write past the end
+        assert indices.size == 0 or (indices.min() >= 0 and indices.max() < size)
     pointers = (ctypes.c_void_p(v.ctypes.data) for v in (i, j))
     count = ctypes.c_ssize_t(i.size)
     _call("MatSetPreallocationCOO", ctypes.c_void_p(A.handle), count, *pointers)

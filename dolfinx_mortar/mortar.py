@@ -175,7 +175,7 @@ def _expand_rows(A: PETSc.Mat, rows: Ints, V: dolfinx.fem.FunctionSpace) -> PETS
     return PETSc.Mat().createAIJ(sizes, csr=csr, comm=V.mesh.comm)
 
 
-def _create_normal_matrix(comm: MPI.Comm, normals: Floats) -> PETSc.Mat:
+def _create_normal_matrix(comm: MPI.Intracomm, normals: Floats) -> PETSc.Mat:
     """Return N (d * m, m), block diagonal of the normals (m of this rank, d)."""
     m, d = normals.shape
     first = comm.exscan(m) or 0

@@ -65,10 +65,10 @@ def _facet_arrays(surface: Surface, u: dolfinx.fem.Function | None) -> tuple[Flo
 
 def _group(x: Floats) -> list[Ints]:
     """Divide facets x (m, k, d) into groups of neighbours, by halving along the longest side."""
-    groups = [np.arange(len(x), dtype=np.int32)]
+    groups: list[Ints] = [np.arange(len(x), dtype=np.int32)]
     centre = x.mean(axis=1)
     while len(groups) < _GROUPS and max(map(len, groups)) > 1:
-        halves = []
+        halves: list[Ints] = []
         for group in groups:
             points = centre[group]
             axis = np.argmax(np.ptp(points, axis=0)) if len(group) else 0
@@ -101,7 +101,7 @@ def _group_cones(
     )
 
 
-def _find_receivers(comm: MPI.Comm, cones: Cones, x_m: Floats) -> Bools:
+def _find_receivers(comm: MPI.Intracomm, cones: Cones, x_m: Floats) -> Bools:
     """Return (own master facets, ranks): which ranks can need them (collective)."""
     needed = np.zeros((len(x_m), comm.size), dtype=bool)
     balls = bounding_balls(x_m)
@@ -213,9 +213,8 @@ def create_pairing(
     x_s, n_s = _facet_arrays(slave, u)
     x_m = coordinates(master, u)[master.facets]
     margin, groups = facet_sizes(x_s), _group(x_s)
-    if comm.size == 1:
-        receivers = np.ones((len(x_m), 1), dtype=bool)
-    else:
+    receivers: Bools = np.ones((len(x_m), 1), dtype=bool)
+    if comm.size > 1:
         receivers = _find_receivers(comm, _group_cones(x_s, n_s, groups, margin, TURN), x_m)
     nodes, facets, X = _send_facets(master, receivers)
     scatter, received = _create_scatter(V, nodes)

@@ -22,7 +22,7 @@ Ints = npt.NDArray[np.int32]
 
 FACING = 0.2
 """A master facet faces a slave facet if n_s . n_m < -FACING at all nodes of the slave facet."""
-TURN = 0.1
+TURN = 0.03
 """Rotation (radians) after the search for which the margin of the candidate pairs provides."""
 FACING_MARGIN = 0.3
 """Change of n_s . n_m after the search for which the candidate pairs provide."""
@@ -165,12 +165,13 @@ def find_meeting(cones: Cones, centre: Floats, radius: Floats) -> Ints:
     block = np.add.reduceat(centre, first) / count[:, None]
     reach = np.linalg.norm(centre - np.repeat(block, count, axis=0), axis=1) + radius
     block_radius = np.maximum.reduceat(reach, first) * (1 + 1e-10)
-    pairs = _meeting(
+    pairs: Ints = _meeting(
         cones.centre, cones.axis, cones.radius, cones.slope, centre, radius, block, block_radius,
         _BLOCK,
     )  # fmt: skip
     pairs[:, 1] = order[pairs[:, 1]]
-    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    ordered: Ints = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    return ordered
 
 
 def are_facing(n_s: Floats, n_m: Floats, slack: float = 0.0) -> npt.NDArray[np.bool_]:
@@ -202,8 +203,9 @@ def find_candidates(
 
 
 @numba.njit(cache=True)
-def _cross(a, b):  # type: ignore[no-untyped-def]
-    return a[0] * b[1] - a[1] * b[0]
+def _moment(x, i, y, n):  # type: ignore[no-untyped-def]
+    """Return (x_i - y) x n_i."""
+    return (x[i, 0] - y[0]) * n[i, 1] - (x[i, 1] - y[1]) * n[i, 0]
 
 
 @numba.njit(cache=True)
@@ -213,30 +215,30 @@ def _project_node(x, n, y):  # type: ignore[no-untyped-def]
     f(xi) = (x(xi) - y) x n(xi) falls along the facet as long as y is nearer than the point where
     the normals of a concave facet meet; there is no answer (nan) behind that point.
     """
-    first = _cross(x[0] - y, n[0])
-    last = _cross(x[1] - y, n[1])
+    first, last = _moment(x, 0, y, n), _moment(x, 1, y, n)
     if first <= 0.0 or last >= 0.0:
         if first <= 0.0 and last >= 0.0:
             return np.nan
         return -1.0 if first <= 0.0 else 1.0
-    h, d = (x[1] - x[0]) / 2, (n[1] - n[0]) / 2
-    c, m = (x[0] + x[1]) / 2 - y, (n[0] + n[1]) / 2
-    # f = A + B xi + C xi^2 with f' < 0 at the root, in the form that does not cancel
-    A, B, C = _cross(c, m), _cross(h, m) + _cross(c, d), _cross(h, d)
-    root = np.sqrt(max(B * B - 4 * A * C, 0.0))
-    xi = 2 * A / (root - B) if B <= 0.0 else -(B + root) / (2 * C)
-    return min(max(xi, -1.0), 1.0)
+    h0, h1 = (x[1, 0] - x[0, 0]) / 2, (x[1, 1] - x[0, 1]) / 2
+    d0, d1 = (n[1, 0] - n[0, 0]) / 2, (n[1, 1] - n[0, 1]) / 2
+    # f = A + B xi + C xi^2 with f(-1) > 0 > f(1); the root in the form that does not cancel
+    C = h0 * d1 - h1 * d0
+    A, B = (first + last) / 2 - C, (last - first) / 2
+    return min(max(2 * A / (np.sqrt(max(B * B - 4 * A * C, 0.0)) - B), -1.0), 1.0)
 
 
 @numba.njit(cache=True)
 def _distance(x, n, y, normal, xi):  # type: ignore[no-untyped-def]
     """Return the distance along n(xi) from the slave facet to the master line through y[0]."""
-    p = (x[0] + x[1]) / 2 + xi * (x[1] - x[0]) / 2 - y[0]
-    m = (n[0] + n[1]) / 2 + xi * (n[1] - n[0]) / 2
-    scale = np.sqrt(m[0] ** 2 + m[1] ** 2)
-    return (
-        abs((p[0] * normal[0] + p[1] * normal[1]) / (m[0] * normal[0] + m[1] * normal[1])) * scale
-    )
+    height, slope, square = 0.0, 0.0, 0.0
+    for i in range(2):
+        p = (1 - xi) / 2 * (x[0, i] - y[0, i]) + (1 + xi) / 2 * (x[1, i] - y[0, i])
+        m = (1 - xi) / 2 * n[0, i] + (1 + xi) / 2 * n[1, i]
+        height += p * normal[i]
+        slope += m * normal[i]
+        square += m * m
+    return abs(height / slope) * np.sqrt(square)
 
 
 @numba.njit(cache=True)

@@ -2,6 +2,7 @@
 """One side of an interface as flat arrays: nodes, facets, coordinates and normals."""
 
 from dataclasses import dataclass
+from typing import Any
 
 from petsc4py import PETSc
 
@@ -41,30 +42,32 @@ class Surface:
     sums: PETSc.Vec  # one entry per node, ghosted: work vector of `accumulate`
 
 
+def _is_vector_p1(V: dolfinx.fem.FunctionSpace) -> bool:
+    """Tell whether V is made of continuous vector Lagrange elements of degree 1."""
+    if V.dofmap.index_map_bs != V.mesh.geometry.dim:
+        return False
+    element = V.ufl_element()
+    if element.family_name not in ("P", "Q", "Lagrange") or element.reference_value_size < 2:
+        return False
+    return not element.discontinuous and V.element.basix_element.degree == 1
+
+
 def _check_space(V: dolfinx.fem.FunctionSpace) -> None:
     """Raise a ValueError, without communication, for spaces that are not supported."""
-    cell, d = V.mesh.topology.cell_name(), V.mesh.geometry.dim
-    element = V.element.basix_element if V.num_sub_spaces else None
     if np.issubdtype(PETSc.ScalarType, np.complexfloating):
         raise ValueError("PETSc was built for complex numbers; use a build for real numbers.")
+    cell, d = V.mesh.topology.cell_name(), V.mesh.geometry.dim
     if cell not in _FACETS or d != V.mesh.topology.dim:
         raise ValueError(
             f"V: cells of type {cell} in {d}D are not supported; use one of {sorted(_FACETS)}."
         )
-    family = V.ufl_element().family_name
-    if (
-        element is None
-        or V.dofmap.index_map_bs != d
-        or family not in ("P", "Q", "Lagrange")
-        or element.discontinuous
-        or element.degree != 1
-    ):
+    if V.component():
+        raise ValueError("V is a part of a larger space; use V.collapse()[0].")
+    if not _is_vector_p1(V):
         raise ValueError(
             f"V: the element is {V.ufl_element()}; it has to be a continuous vector Lagrange "
             f'element of degree 1, functionspace(mesh, ("Lagrange", 1, ({d},))).'
         )
-    if V.component():
-        raise ValueError("V is a part of a larger space; use V.collapse()[0].")
 
 
 def _share_tags(facet_tags: dolfinx.mesh.MeshTags, tag: int) -> Ints:
@@ -187,18 +190,19 @@ def create_surface(
     )
 
 
-def accumulate(surface: Surface, values: Floats) -> Floats:
+def accumulate(surface: Surface, values: npt.NDArray[Any]) -> Floats:
     """Sum values (n,) or (n, c) of the nodes over the ranks; all ranks get the sum (collective)."""
+    result = np.array(values, dtype=float)
     if surface.V.mesh.comm.size == 1:
-        return np.array(values, dtype=float)
-    result = np.empty(values.shape)
-    for c in np.ndindex(values.shape[1:]):
+        return result
+    columns = result[:, None] if result.ndim == 1 else result  # views
+    for column in columns.T:
         with surface.sums.localForm() as local:
-            local.array_w[:] = values[:, *c]
+            local.array_w[:] = column
         surface.sums.ghostUpdate(PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE)
         surface.sums.ghostUpdate(PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
         with surface.sums.localForm() as local:
-            result[:, *c] = local.array_r
+            column[:] = local.array_r
     return result
 
 
@@ -222,6 +226,6 @@ def nodal_normals(surface: Surface, x: Floats) -> Floats:
     """
     n_f = np.repeat(facet_normals(surface, x), surface.facets.shape[1], axis=0)
     where = surface.facets.ravel()
-    total = np.stack([np.bincount(where, n, minlength=len(x)) for n in n_f.T], axis=1)
-    total = accumulate(surface, total)
+    local = np.stack([np.bincount(where, n, minlength=len(x)) for n in n_f.T], axis=1)
+    total = accumulate(surface, local)
     return total / np.maximum(np.linalg.norm(total, axis=1), np.finfo(float).tiny)[:, None]

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: MIT
+"""The dual basis: biorthogonality, exact fractions, shared out functions."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dolfinx_mortar.dual import covered_weights, dual_values
+from tests.polylines import assemble
+from tests.test_segments import flat, split
+
+EXACT = 1e-12
+
+
+def test_half_covered_facet():
+    """Exact fractions; the dual basis of the whole facet would have a zero pivot here."""
+    o = assemble([[1, 2], [3, 2]], [[2, 2], [0, 2]])
+    assert np.abs(o.D - np.diag([0.75, 0.25])).max() < 1e-15
+    assert np.abs(o.M - np.array([[9, 9], [9, -3]]) / 24).max() < 1e-15
+
+
+def test_fully_covered_facet_has_the_closed_form():
+    xi = np.array([-0.9, -0.1, 0.4, 0.8])
+    points, weights = np.polynomial.legendre.leggauss(4)
+    N = np.stack([1 - points, 1 + points], axis=1) / 2
+    keep = np.ones((1, 2), dtype=bool)
+    Phi = dual_values(N, weights, np.zeros(4, dtype=np.int32), keep)
+    line = np.polynomial.polynomial.polyfit(points, Phi, 1)
+    assert line == pytest.approx(np.array([[0.5, 0.5], [-1.5, 1.5]]), abs=1e-14)
+    assert np.abs(np.polynomial.polynomial.polyval(xi, line).sum(axis=0) - 1).max() < 1e-14
+
+
+def gauss(a, b, k):
+    """Return shape function values (3, k) and weights on the part [a, b] of [-1, 1]."""
+    points, weights = np.polynomial.legendre.leggauss(k + 2)
+    xi = (a + b) / 2 + (b - a) / 2 * points
+    if k == 2:
+        N = np.stack([1 - xi, 1 + xi], axis=1) / 2
+    else:
+        N = np.stack([xi * (xi - 1) / 2, 1 - xi**2, xi * (xi + 1) / 2], axis=1)
+    return N, weights * (b - a) / 2
+
+
+@pytest.mark.parametrize("k", [2, 3])
+@pytest.mark.parametrize("t", [1.0, 1e-2, 1e-6])
+@pytest.mark.parametrize("end", [-1, 1])
+def test_biorthogonal_where_little_is_covered(k, t, end):
+    """To round-off of what is added up: two-node tips are exact, three-node ones inflate Phi."""
+    a, b = (-1, -1 + 2 * t) if end < 0 else (1 - 2 * t, 1)
+    N, weight = gauss(a, b, k)
+    slave = np.zeros(len(weight), dtype=np.int32)
+    Phi = dual_values(N, weight, slave, np.ones((1, k), dtype=bool))
+    product = np.einsum("q,qi,qj->ij", weight, Phi, N)
+    D = covered_weights(N, weight, slave, 1)[0]
+    error = np.abs(product - np.diag(D))
+    largest = np.abs(Phi).max()
+    assert error.max() < 1e-15 * largest * weight.sum()
+    assert np.abs(Phi.sum(axis=1) - 1).max() < 1e-14 * largest
+    if k == 2:
+        assert largest < 4
+        assert (error / np.sqrt(np.outer(D, D))).max() < EXACT
+
+
+@settings(deadline=None)
+@given(split(0, 1), split(-0.31, 0.73), st.floats(-1, 1), st.floats(0, 7))
+def test_identities_of_random_splits(slave, master, shift, angle):
+    """D is diagonal, rows of D - M vanish, linear fields are reproduced along the interface."""
+    o = assemble(flat(slave, 0, angle), flat(master + shift, 0, angle, up=True))
+    D = np.diag(o.D)
+    touched = D > 0
+    assert (D >= 0).all()
+    assert np.abs(o.D - np.diag(D)).max() < EXACT
+    assert np.abs(o.D.sum(axis=1) - o.M.sum(axis=1)).max() < EXACT
+    assert np.abs(o.M @ o.x_m - o.D @ o.x_s).max() < EXACT
+    kept = o.coverage > 0.05
+    assert (kept <= touched).all()
+    P = o.M[kept] / D[kept, None]
+    assert np.abs(P.sum(axis=1) - 1).max(initial=0) < 1e-11
+    assert np.abs(P @ o.x_m - o.x_s[kept]).max(initial=0) < 1e-10  # slave facets of 1e-3
+
+
+def test_projection_operator_of_ten_on_nine_nodes():
+    o = assemble(flat(np.linspace(0, 1, 10)), flat(np.linspace(0, 1, 9), up=True))
+    P = np.linalg.solve(o.D, o.M)
+    assert np.abs(P.sum(axis=1) - 1).max() < 1e-14
+    assert np.abs(P @ o.x_m - o.x_s).max() < 1e-14
+
+
+@pytest.mark.parametrize("removed", [0, 1, 2, 5])
+def test_removed_functions_are_shared_out(removed):
+    """Rows of removed nodes vanish, D stays diagonal over the kept, constants stay."""
+    slave, keep = np.linspace(0, 1, 6), np.arange(6) != removed
+    master = [-0.2, 0.15, 0.5, 1.3]
+    full = assemble(flat(slave), flat(master, up=True))
+    o = assemble(flat(slave), flat(master, up=True), keep=keep)
+    assert (o.D[removed] == 0).all()
+    assert (o.M[removed] == 0).all()
+    over_kept = o.D[np.ix_(keep, keep)]
+    assert np.abs(over_kept - np.diag(np.diag(over_kept))).max() < EXACT
+    assert np.abs(np.diag(over_kept) - np.diag(full.D)[keep]).max() < EXACT
+    assert o.D[:, removed].sum() == pytest.approx(full.D[removed, removed], abs=EXACT)
+    assert np.abs(o.M.sum(axis=0) - full.M.sum(axis=0)).max() < EXACT
+    assert np.abs(o.M @ o.x_m - o.D @ o.x_s).max() < EXACT
+
+
+def test_shared_out_in_equal_parts_on_larger_facets():
+    """Three nodes, one of them removed: both others take half of its function."""
+    N, weight = gauss(-1, 0.3, 3)
+    slave = np.zeros(len(weight), dtype=np.int32)
+    full = dual_values(N, weight, slave, np.ones((1, 3), dtype=bool))
+    Phi = dual_values(N, weight, slave, np.array([[True, False, True]]))
+    assert (Phi[:, 1] == 0).all()
+    assert np.abs(Phi[:, 0] - full[:, 0] - full[:, 1] / 2).max() < 1e-13
+    assert np.abs(Phi.sum(axis=1) - 1).max() < 1e-12
+
+
+def test_facet_without_kept_node():
+    N, weight = gauss(-1, 1, 2)
+    Phi = dual_values(N, weight, np.zeros(4, dtype=np.int32), np.zeros((1, 2), dtype=bool))
+    assert (Phi == 0).all()
+
+
+@pytest.mark.parametrize("coverage", [0.04, 1e-6])
+def test_removal_is_exact_where_little_is_covered(coverage):
+    """The last slave node is removed at small coverage; forces are still transferred exactly."""
+    slave = np.array([0, 0.4, 1.0])
+    end = 0.4 + 0.6 * coverage
+    o = assemble(flat(slave), flat([-0.1, 0.3, end], up=True), keep=[True, True, False])
+    assert o.covered.sum() == pytest.approx(end, abs=1e-15)
+    assert np.abs(o.D.sum(axis=1) - o.M.sum(axis=1)).max() < 1e-15
+    assert np.abs(o.M @ o.x_m - o.D @ o.x_s).max() < 1e-15
+    assert o.M.sum() == pytest.approx(end, abs=1e-15)
+
+
+@pytest.mark.parametrize("distance", [1.0, 1e6])
+def test_translation_costs_only_the_digits_it_must(distance):
+    slave, master = np.linspace(0, 1, 8), np.linspace(-0.1, 0.9, 6)
+    here = assemble(flat(slave), flat(master, up=True))
+    there = assemble(flat(slave) + distance, flat(master, up=True) + distance)
+    bound = 100 * np.finfo(float).eps * distance
+    assert np.abs(here.D - there.D).max() < bound
+    assert np.abs(here.M - there.M).max() < bound
+    assert np.abs(there.D.sum(axis=1) - there.M.sum(axis=1)).max() < EXACT
+
+
+def test_swap_and_renumbering():
+    """Both sides as slave transfer the same resultant; the order of the nodes has no influence."""
+    a, b = np.linspace(0, 1, 7), np.array([-0.3, 0.1, 0.5, 0.8])
+    one = assemble(flat(a), flat(b, up=True))
+    other = assemble(flat(b, up=True), flat(a))
+    assert one.D.sum() == pytest.approx(other.D.sum(), abs=1e-14)
+    order = np.random.default_rng(0).permutation(4)
+    place = np.argsort(order)
+    facets = place[np.stack([np.arange(3), np.arange(1, 4)], axis=1)][[2, 0, 1]]
+    mixed = assemble(flat(a), flat(b, up=True)[order], facets_m=facets)
+    assert np.abs(mixed.M - one.M[:, order]).max() < 1e-15

@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: MIT
+"""Projection, clipping and candidates, by identities on polylines."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dolfinx_mortar import segments
+from tests.polylines import assemble, chain, nodal_normals
+
+EXACT = 1e-12
+
+
+def flat(splits, y=0.0, angle=0.0, up=False):
+    """Return the nodes of a straight polyline; the outward normal is -y unless `up`."""
+    x = np.sort(np.asarray(splits, dtype=float))[:: -1 if up else 1]
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([x, np.full_like(x, y)], axis=1) @ np.array([[c, s], [-s, c]])
+
+
+def split(low, high):
+    """Return a strategy of random grids with at least one cell, nodes 1e-6 apart or more."""
+    inner = st.lists(st.floats(0.001, 0.999), max_size=9)
+    return inner.map(lambda s: low + (high - low) * np.unique(np.round([0, *s, 1], 6)))
+
+
+def test_facet_normals_of_the_polyline():
+    x = np.array([[0.0, 0.0], [4.0, 3.0], [7.0, 7.0]])
+    normals = nodal_normals(x, chain(3))
+    expected = np.array([[3 / 5, -4 / 5], [1 / np.sqrt(2), -1 / np.sqrt(2)], [4 / 5, -3 / 5]])
+    assert np.abs(normals - expected).max() < 1e-15
+
+
+def test_half_covered_facet_has_exact_points():
+    o = assemble([[1, 2], [3, 2]], [[2, 2], [0, 2]])
+    assert o.covered == pytest.approx([1.0], abs=1e-15)
+    N = segments.shape_functions(o.points.xi_s)
+    L = segments.shape_functions(o.points.xi_m)
+    w = o.points.weight
+    assert 24 * np.einsum("q,qi,qj->ij", w, N, N) == pytest.approx(np.array([[14, 4], [4, 2]]))
+    assert 24 * np.einsum("q,qi,qj->ij", w, N, L) == pytest.approx(np.array([[13, 5], [5, 1]]))
+
+
+@settings(deadline=None)
+@given(split(0, 1), split(-0.3, 0.7), st.floats(-3, 3), st.floats(0, 7), st.floats(-1, 1))
+def test_covered_length_and_projection_on_flat_sides(slave, master, shift, angle, gap):
+    """The covered length is the overlap, and every point is projected along the normal."""
+    master = master + shift
+    o = assemble(flat(slave, angle=angle), flat(master, -gap, angle, up=True))
+    low, high = np.maximum(slave[:-1], master[0]), np.minimum(slave[1:], master[-1])
+    assert np.abs(o.covered - np.maximum(high - low, 0)).max() < EXACT
+    p = o.points
+    N, L = segments.shape_functions(p.xi_s), segments.shape_functions(p.xi_m)
+    x_s = np.einsum("qk,qki->qi", N, o.x_s[chain(len(slave))][p.slave])
+    x_m = np.einsum("qk,qki->qi", L, o.x_m[chain(len(master))][p.master])
+    normal = np.array([np.sin(angle), -np.cos(angle)])
+    assert np.abs(x_m - x_s - gap * normal).max(initial=0) < EXACT
+    assert np.abs(p.xi_s).max(initial=0) <= 1 + EXACT
+    assert np.abs(p.xi_m).max(initial=0) <= 1 + 1e-9  # master facets may be 1e-3 short
+    assert (p.weight > 0).all()
+    assert (np.diff(p.slave) >= 0).all()
+
+
+@pytest.mark.parametrize("t", [0.5, 1e-3, 1e-6])
+@pytest.mark.parametrize("distance", [0.0, 1e-3, 1e3, -0.1])
+def test_any_coverage_at_any_distance(t, distance):
+    o = assemble([[0, 0], [1, 0]], [[t, -distance], [-1, -distance]])
+    assert o.covered[0] == pytest.approx(t, rel=1e-9)
+    assert o.points.xi_m.max() < 1
+
+
+def test_coincident_nodes_leave_neither_holes_nor_slivers():
+    x = np.array([0.0, 0.1, 0.35, 0.7, 1.0])
+    noise = 1e-15 * np.array([0, 1, -1, 1, 0])
+    for master in (x, x + noise, x - noise):
+        o = assemble(flat(x), flat(master, up=True))
+        assert len(o.points.weight) == 3 * 4
+        assert np.abs(o.covered - np.diff(x)).max() < 1e-14
+
+
+def test_touching_ends_share_nothing():
+    o = assemble(flat([0, 0.5, 1]), flat([1, 1.5], up=True))
+    assert len(o.points.weight) == 0
+
+
+def test_nearest_of_two_masters_covers():
+    """Two facing sides behind each other, the nearer one shorter: no point is covered twice."""
+    x_m = np.array([[0.6, -0.1], [0.2, -0.1], [1.0, -0.5], [0.0, -0.5]])
+    for order in ([[0, 1], [2, 3]], [[2, 3], [0, 1]]):
+        o = assemble(flat([0, 1]), x_m, facets_m=order)
+        assert o.covered == pytest.approx([1.0], abs=1e-15)
+        near = order.index([0, 1])
+        weights = np.bincount(o.points.master, o.points.weight)
+        assert weights[near] == pytest.approx(0.4, abs=1e-14)
+        assert weights[1 - near] == pytest.approx(0.6, abs=1e-14)
+
+
+def test_overlap_counts_as_distance():
+    """The side at -0.1 (bodies overlap) is nearer than the one at 0.2."""
+    x_m = np.array([[1, 0.1], [0, 0.1], [1, -0.2], [0, -0.2]], dtype=float)
+    o = assemble(flat([0, 1]), x_m, facets_m=[[0, 1], [2, 3]])
+    assert (o.points.master == 0).all()
+
+
+def test_back_of_a_thin_master_is_ignored():
+    x_m = np.array([[1, -0.1], [0, -0.1], [0, -0.05], [1, -0.05]], dtype=float)
+    front_and_back = [[0, 1], [2, 3]]
+    o = assemble(flat([0, 1]), x_m, facets_m=front_and_back)
+    assert (o.points.master == 0).all()
+    assert o.covered == pytest.approx([1.0], abs=1e-15)
+
+
+def test_nothing_faces_a_parallel_side():
+    o = assemble(flat([0, 1]), flat([0, 1], -0.1))
+    assert len(o.points.weight) == 0
+
+
+def arc(radius, centre, first, last, n):
+    """Return the nodes of an arc; the body is inside for first < last, hence a convex slave."""
+    angle = np.linspace(first, last, n)
+    return np.asarray(centre) + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+@pytest.mark.parametrize("n, m", [(7, 11), (20, 8), (3, 3)])
+@pytest.mark.parametrize("convex", [True, False])
+def test_concentric_arcs_are_covered_completely(n, m, convex):
+    """A shaft in a bearing, either of them the slave, with ends that coincide radially."""
+    shaft = arc(1.0, (0, 0), -2.5, -0.6, n if convex else m)
+    bearing = arc(1.1, (0, 0), -0.6, -2.5, m if convex else n)
+    x_s, x_m = (shaft, bearing) if convex else (bearing, shaft)
+    o = assemble(x_s, x_m)
+    length = np.linalg.norm(np.diff(x_s, axis=0), axis=1)
+    # The end normals are those of the end facets, not radial: the ends may be cut by O(h).
+    assert np.abs(o.covered[1:-1] - length[1:-1]).max(initial=0) < EXACT
+    assert (o.covered[[0, -1]] > 0.8 * length[[0, -1]]).all()
+
+
+def test_points_lie_on_the_interpolated_normal():
+    x_s, x_m = arc(1.0, (0, 0), -2.0, -1.0, 4), flat([-0.9, -0.2, 0.1, 0.8], -1.2, up=True)
+    o = assemble(x_s, x_m)
+    p, facets = o.points, chain(4)
+    assert len(p.weight) > 0
+    N, L = segments.shape_functions(p.xi_s), segments.shape_functions(p.xi_m)
+    normal = np.einsum("qk,qki->qi", N, nodal_normals(x_s, facets)[facets][p.slave])
+    ray = np.einsum("qk,qki->qi", L, x_m[facets][p.master])
+    ray -= np.einsum("qk,qki->qi", N, x_s[facets][p.slave])
+    cross = ray[:, 0] * normal[:, 1] - ray[:, 1] * normal[:, 0]
+    assert np.abs(cross).max() < 1e-14
+    assert ((ray * normal).sum(axis=1) > 0).all()
+
+
+def test_long_master_beyond_a_corner():
+    """The far end of the master has no projection at all; the facet is covered nonetheless."""
+    x_s = [[-1, 0], [0, 0], [1, 0], [1, 1]]
+    o = assemble(x_s, [[50, -0.1], [-50, -0.1]])
+    assert o.covered[:2] == pytest.approx([1.0, 1.0], abs=EXACT)
+    assert o.covered[2] == 0.0  # its normal is at a right angle to the master's
+
+
+def random_side(seed, n, up):
+    """Return a wavy polyline over about [0, 1]."""
+    rng = np.random.default_rng(seed)
+    x = np.sort(rng.uniform(-0.2, 1.2, n))
+    y = rng.uniform(-0.15, 0.15, n) + (-0.3 if up else 0.0)
+    return np.stack([x, y], axis=1)[:: -1 if up else 1]
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 10**6), st.integers(2, 15), st.integers(2, 15))
+def test_candidates_contain_all_segments(seed, n, m):
+    """The broad phase loses nothing: all pairs as candidates give the same segments."""
+    x_s, x_m = random_side(seed, n, False), random_side(seed + 1, m, True)
+    every = np.stack(np.meshgrid(np.arange(n - 1), np.arange(m - 1), indexing="ij"), axis=-1)
+    o = assemble(x_s, x_m)
+    complete = assemble(x_s, x_m, pairs=every.reshape(-1, 2).astype(np.int32))
+    for name in ("slave", "master", "xi_s", "xi_m", "weight"):
+        assert (getattr(o.points, name) == getattr(complete.points, name)).all()
+    assert (o.covered <= np.linalg.norm(np.diff(x_s, axis=0), axis=1) * (1 + EXACT)).all()
+
+
+def test_broad_phase_is_selective():
+    """Flat sides with equal facets: at most three masters per slave without margin."""
+    grid = np.linspace(0, 1, 201)
+    x_s, x_m = flat(grid)[chain(201)], flat(grid, -0.01, up=True)[chain(201)]
+    normals = np.broadcast_to([0.0, -1.0], x_s.shape)
+    pairs = segments.find_candidates(x_s, normals, x_m, np.zeros(200), moving=False)
+    assert np.bincount(pairs[:, 0], minlength=200).max() <= 3
+    wide = segments.find_candidates(x_s, normals, x_m, np.full(200, 1 / 200))
+    assert np.bincount(wide[:, 0], minlength=200).max() <= 7
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_units_do_not_matter(scale):
+    x_s, x_m = random_side(3, 9, False), random_side(4, 7, True)
+    one, other = assemble(x_s, x_m), assemble(scale * x_s, scale * x_m)
+    assert (one.points.slave == other.points.slave).all()
+    assert np.abs(one.points.xi_m - other.points.xi_m).max() < EXACT
+    assert np.abs(one.D - other.D / scale).max() < EXACT
+
+
+def test_no_pairs_at_all():
+    o = assemble(flat([0, 0.4, 1]), flat([7, 8], up=True), pairs=np.empty((0, 2), dtype=np.int32))
+    assert len(o.points.weight) == 0
+    assert (o.D == 0).all()
+    assert o.points.facet_weights.sum() == pytest.approx(1.0)
