@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: MIT
+"""dolfinx_mortar: contact and tying of elasto-plastic bodies by the dual mortar method.
+
+    solid = dm.Solid(u, {1: steel, 2: steel}, cell_tags)
+    contact = dm.Contact(facet_tags, slave=3, master=4)
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs)
+    report = dm.newton(problem)
+    problem.commit()
+
+The theory is in Cermak, Svetlik, Varga, Pospisil (2024), doi 10.4203/ccc.9.10.3.
+"""
+
+from dolfinx_mortar import analytic, meshing
+from dolfinx_mortar.interface import Contact, Tie
+from dolfinx_mortar.materials import Elastic, VonMises
+from dolfinx_mortar.mortar import Mortar, assemble_mortar
+from dolfinx_mortar.newton import newton
+from dolfinx_mortar.output import Writer
+from dolfinx_mortar.problem import ContactProblem
+from dolfinx_mortar.qp import QPNotSolved
+from dolfinx_mortar.report import NewtonNotConverged, StepReport
+from dolfinx_mortar.solid import Solid
+from dolfinx_mortar.stepping import LoadStep, load_steps
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Contact",
+    "ContactProblem",
+    "Elastic",
+    "LoadStep",
+    "Mortar",
+    "NewtonNotConverged",
+    "QPNotSolved",
+    "Solid",
+    "StepReport",
+    "Tie",
+    "VonMises",
+    "Writer",
+    "analytic",
+    "assemble_mortar",
+    "load_steps",
+    "meshing",
+    "newton",
+]

@@ -1,0 +1,419 @@
+# SPDX-License-Identifier: MIT
+"""Interfaces between bodies: contact and mesh tying, as rows of the change of basis.
+
+At a kept slave node j with frame R_j = (n_j, t_j, ..) the displacement is written
+
+    u_j = R_j w_j + sum_l Q_jl u_l,      Q_jl = R_j S_j R_j^T P_jl,      P = D^-1 (M - D_removed)
+
+where S_j = diag(1 in constrained directions): (1, 0, ..) for frictionless contact, ones for a tie.
+Then w is the relative displacement in those directions, and every constraint is a bound on w.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem, la
+from dolfinx.mesh import MeshTags
+
+from dolfinx_mortar import coo
+from dolfinx_mortar.mortar import (
+    assemble_node_matrices,
+    default_keep,
+    find_segments,
+    node_weights,
+)
+from dolfinx_mortar.pairing import Pairing, create_pairing, outside_margin
+from dolfinx_mortar.parallel import any_rank
+from dolfinx_mortar.segments import Segments
+from dolfinx_mortar.surface import Surface, create_surface
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+Ints = npt.NDArray[np.int32]
+
+# A slave normal that loses more than this share of its length to Dirichlet data has no direction
+# left in which contact could act.
+MIN_FREE_NORMAL = 0.5
+
+
+def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:
+    """Return orthonormal frames with the normal first and prescribed axes among the tangents.
+
+    Args:
+        normals: (n, d) unit normals; zero in every prescribed direction.
+        fixed: (n, d) True where a Cartesian direction is prescribed.
+
+    Returns:
+        R (n, d, d) with the frame vectors as columns and slot (n, d): the column of R that is the
+        Cartesian axis i where ``fixed[:, i]``, else -1.
+
+    >>> R, slot = create_frames(np.array([[0.0, -1.0]]), np.array([[True, False]]))
+    >>> R[0].tolist(), slot[0].tolist()
+    ([[0.0, 1.0], [-1.0, 0.0]], [1, -1])
+    """
+    n, d = normals.shape
+    # Axes in the order of growing share in n: prescribed ones have none and come first, the one
+    # closest to n is left out, so that [n, axes] is never singular.
+    order = np.argsort(np.abs(normals) - 2.0 * fixed, axis=1, kind="stable")[:, : d - 1]
+    columns = np.concatenate([normals[:, None, :], np.eye(d)[order]], axis=1)
+    R, upper = np.linalg.qr(np.swapaxes(columns, 1, 2))
+    R = R * np.sign(np.einsum("nii->ni", upper))[:, None, :]
+    slot = np.full((n, d), -1, dtype=np.int32)
+    np.put_along_axis(slot, order, np.arange(1, d, dtype=np.int32)[None, :], axis=1)
+    return R + 0.0, np.where(fixed, slot, -1).astype(np.int32)
+
+
+def create_square(
+    V: fem.FunctionSpace, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]
+) -> PETSc.Mat:
+    """Return a matrix in V's layout with a fixed pattern, for ``coo.set_values``; collective."""
+    layout, d = V.dofmap.index_map, V.dofmap.index_map_bs
+    A = PETSc.Mat().create(V.mesh.comm)
+    A.setSizes([(d * layout.size_local, d * layout.size_global)] * 2)
+    A.setType(PETSc.Mat.Type.AIJ)
+    coo.set_pattern(A, rows, columns)
+    return A
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Where an interface couples slave rows to other nodes; fixed between two searches."""
+
+    nodes: Ints  # (n,) local indices of the slave nodes this rank owns
+    row: Ints  # (e,) index into nodes of each coupling entry
+    column: npt.NDArray[np.int64]  # (e,) global node of each coupling entry
+    from_D: Ints  # positions in D's values of the leading entries (off-diagonal of D)
+    from_M: Ints  # positions in M's values of the remaining entries
+
+
+def _rows_and_columns(A: PETSc.Mat) -> tuple[Ints, npt.NDArray[np.int64]]:
+    """Return owned row (local) and column (global) of every entry in the pattern of A."""
+    indptr, columns, _ = A.getValuesCSR()
+    rows = np.repeat(np.arange(len(indptr) - 1, dtype=np.int32), np.diff(indptr))
+    return rows, columns.astype(np.int64)
+
+
+class Interface:
+    """One pair of slave and master surfaces, marked in facet tags.
+
+    Args:
+        facet_tags: facet markers on the mesh of the displacement.
+        slave: tag of the side that carries the multipliers and the integration (nonmortar side).
+        master: tag of the other side (mortar side).
+
+    After a step (see the subclasses for signs): ``force``, ``moment``, ``pressure``, ``gap`` and
+    ``active``.
+    """
+
+    kind: ClassVar[str] = "interface"
+
+    def __init__(self, facet_tags: MeshTags, *, slave: int, master: int) -> None:
+        """Keep the description; surfaces are found when a problem takes the interface."""
+        if slave == master:
+            raise ValueError(f"slave and master are both tag {slave}: give two different tags")
+        self.facet_tags, self.slave, self.master = facet_tags, slave, master
+        self.bound = False
+
+    def __repr__(self) -> str:
+        """Name the kind and the tags."""
+        return f"{type(self).__name__}(slave={self.slave}, master={self.master})"
+
+    # -- set-up ----------------------------------------------------------------------------------
+
+    def bind(self, V: fem.FunctionSpace, fixed: Bools) -> None:
+        """Find the surfaces in V; collective.
+
+        Args:
+            V: the vector space of the displacement.
+            fixed: (local nodes, d) True where a direction of a node is prescribed.
+        """
+        self.V, self.fixed = V, fixed
+        self.d = V.dofmap.index_map_bs
+        self.n_owned = V.dofmap.index_map.size_local
+        self.n_local = self.n_owned + V.dofmap.index_map.num_ghosts
+        self.slave_surface = create_surface(V, self.facet_tags, self.slave, "slave")
+        self.master_surface = create_surface(V, self.facet_tags, self.master, "master")
+        self.banned = np.zeros(self.n_local, dtype=bool)  # claimed by an earlier interface
+        self.slave_nodes = self._mark(self.slave_surface)
+        self.master_nodes = self._mark(self.master_surface)
+        scalar = V.sub(0).collapse()[0]
+        names = ("pressure", "gap", "active")
+        self.pressure, self.gap, self.active = (fem.Function(scalar, name=n) for n in names)
+        self.bound = True
+
+    def share(self, owned: Bools) -> Bools:
+        """Return marks of this rank's own nodes, (owned nodes,), on its ghosts, too; collective."""
+        vector = la.vector(self.V.dofmap.index_map, 1)
+        vector.array[: self.n_owned] = owned
+        vector.scatter_forward()
+        return np.asarray(vector.array > 0)
+
+    def _mark(self, surface: Surface) -> Bools:
+        """Return which local nodes lie on a surface; collective."""
+        owned = np.zeros(self.n_owned, dtype=bool)
+        owned[surface.nodes[: surface.owned]] = True
+        return self.share(owned)
+
+    def search(self, u: fem.Function) -> None:
+        """Pair slave and master facets at X + u and fix the coupling pattern; collective."""
+        self.pairing: Pairing = create_pairing(self.V, self.slave_surface, self.master_surface, u)
+        self.facet_length = self.mean_facet_length(self.slave_surface)
+        nodes = self.slave_surface.nodes[: self.slave_surface.owned]
+        position = np.full(self.n_owned, -1, dtype=np.int32)
+        position[nodes] = np.arange(len(nodes), dtype=np.int32)
+        row_D, column_D = _rows_and_columns(self.pairing.D)
+        row_M, column_M = _rows_and_columns(self.pairing.M)
+        first = self.V.dofmap.index_map.local_range[0]
+        from_D = np.flatnonzero((row_D + first != column_D) & (position[row_D] >= 0))
+        from_M = np.flatnonzero(position[row_M] >= 0)
+        self.pattern = Pattern(
+            nodes,
+            np.concatenate([position[row_D[from_D]], position[row_M[from_M]]]),
+            np.concatenate([column_D[from_D], column_M[from_M]]),
+            from_D.astype(np.int32),
+            from_M.astype(np.int32),
+        )
+        self.Q = self._create_coupling_matrix()
+
+    def _create_coupling_matrix(self) -> PETSc.Mat:
+        """Return Q with the pattern of all candidate pairs, its values not yet set."""
+        p, d, layout = self.pattern, self.d, self.V.dofmap.index_map
+        a, b = np.divmod(np.arange(d * d), d)
+        row = d * (p.nodes[p.row].astype(np.int64) + layout.local_range[0])[:, None] + a
+        column = d * p.column[:, None] + b
+        return create_square(self.V, row.ravel(), column.ravel())
+
+    def mean_facet_length(self, surface: Surface) -> float:
+        """Return the mean length of the first edges of a side's facets; collective."""
+        edges = surface.X[surface.facets[:, 1]] - surface.X[surface.facets[:, 0]]
+        local = np.array([np.linalg.norm(edges, axis=1).sum(), len(edges)])
+        total, count = self.V.mesh.comm.allreduce(local, op=MPI.SUM)
+        return float(total / count)
+
+    def needs_search(self, u: fem.Function) -> bool:
+        """Tell whether the bodies slid out of the margin of the last search; collective."""
+        return outside_margin(self.pairing, u)
+
+    # -- geometry --------------------------------------------------------------------------------
+
+    def update(self, u: fem.Function) -> None:
+        """Rebuild segments, D, M, frames and Q from X + u on the fixed pattern; collective."""
+        segments, normals = find_segments(self.pairing, u)
+        covered, tributary = node_weights(self.pairing, segments)
+        nodes = self.slave_surface.nodes
+        free = normals * ~self.fixed[nodes]
+        left = np.linalg.norm(free, axis=1)
+        allowed = self._allowed(nodes, left) & ~self.banned[nodes, None]
+        P = self._project(segments, covered, tributary, allowed)
+
+        direction = free / np.maximum(left, np.finfo(float).tiny)[:, None]
+        own = slice(None, self.slave_surface.owned)
+        self.coverage = covered[own] / tributary[own]
+        self._set_frames(P, direction[own])
+
+    def _project(
+        self, segments: Segments, covered: Floats, tributary: Floats, allowed: Bools
+    ) -> Floats:
+        """Set kept and weight D_jj (n, c) and return P (entries, c) for c choices of kept nodes.
+
+        Directions that may keep the same nodes, which is the rule, share one assembly.
+        """
+        same = (allowed == allowed[:, :1]).all(axis=0)
+        differ = any_rank(self.V.mesh.comm, *~same)
+        found = []
+        for c in range(allowed.shape[1]):
+            if c > 0 and not differ[c]:
+                found.append(found[0])
+                continue
+            keep = default_keep(self.pairing, segments, covered, tributary, allowed[:, c])
+            D, M = assemble_node_matrices(self.pairing, segments, keep)
+            p = self.pattern
+            weight = D.getDiagonal().array[p.nodes]
+            entries = np.concatenate([-D.getValuesCSR()[2][p.from_D], M.getValuesCSR()[2][p.from_M]])
+            inverse = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0)
+            found.append((entries * inverse[p.row], weight))
+        self.weight = np.column_stack([weight for _, weight in found])
+        self.kept = self.weight > 0
+        return np.column_stack([entries for entries, _ in found])
+
+    def _allowed(self, nodes: Ints, left: Floats) -> Bools:
+        """Return (len(nodes), c): which nodes may carry a multiplier, per choice of direction."""
+        raise NotImplementedError
+
+    def _set_frames(self, P: Floats, normals: Floats) -> None:
+        """Set R, slot, S at the owned slave nodes and refill Q."""
+        raise NotImplementedError
+
+    def constrained(self, v: PETSc.Vec) -> Floats:
+        """Return the components of the relative motion that the interface constrains; collective."""
+        return np.asarray(self.relative(v)[self.S])
+
+    def _fill(self, blocks: Floats) -> None:
+        """Refill Q with (entries, d, d) blocks."""
+        self.blocks = blocks
+        coo.set_values(self.Q, blocks)
+
+    def relative(self, v: PETSc.Vec) -> Floats:
+        """Return R^T (v_j - sum_l Q_jl v_l) at the owned slave nodes, (n, d); collective.
+
+        In constrained directions this is the relative motion of the two sides, R_j^T (v_j - P v).
+        """
+        difference = v.array_r - (self.Q * v).array_r
+        local = difference.reshape(-1, self.d)[self.pattern.nodes]
+        return np.asarray(np.einsum("nij,ni->nj", self.R, local))
+
+    def transpose(self, forces: Floats) -> Floats:
+        """Return the owned nodal forces (I - Q)^T v of slave forces v (n, d); collective."""
+        v, moved = self.Q.createVecLeft(), self.Q.createVecRight()
+        v.array.reshape(-1, self.d)[self.pattern.nodes] = forces
+        self.Q.multTranspose(v, moved)
+        return np.asarray((v.array_r - moved.array_r).reshape(-1, self.d))
+
+    # -- results ---------------------------------------------------------------------------------
+
+    def set_resultants(self, forces: Floats, x: Floats) -> None:
+        """Set the resultants from the forces that the slave nodes exert; collective.
+
+        Args:
+            forces: (n, d) at the owned slave nodes; -forces act on the slave body.
+            x: (owned nodes, d) coordinates for the moments.
+
+        ``force`` (d,) is the resultant exerted on the slave side, ``moment`` (3,) its moment about
+        the origin; ``master_force`` and ``master_moment`` are those on the master side.
+        """
+        f, points = np.zeros((self.n_owned, 3)), np.zeros((self.n_owned, 3))
+        f[:, : self.d], points[:, : self.d] = self.transpose(forces), x
+        sides = [np.where(side[: self.n_owned, None], -f, 0.0) for side in (self.slave_nodes, self.master_nodes)]
+        local = np.array([[s.sum(axis=0), np.cross(points, s).sum(axis=0)] for s in sides])
+        total = self.V.mesh.comm.allreduce(local, op=MPI.SUM)
+        self.force, self.moment = total[0, 0, : self.d], total[0, 1]
+        self.master_force, self.master_moment = total[1, 0, : self.d], total[1, 1]
+
+    def _extend(self, values: Floats, kept: Bools) -> Floats:
+        """Give removed slave nodes the mean of the kept ones on their facets; (local nodes,).
+
+        A kept node's value is a traction even if the node is partly covered, because D_jj is its
+        covered weight; a removed node has handed its dual function to those neighbours.
+        """
+        layout = self.V.dofmap.index_map
+        vector = la.vector(layout, 2)
+        array = vector.array.reshape(-1, 2)
+        own = self.pattern.nodes
+        array[own] = np.column_stack([np.where(kept, values, 0.0), kept])
+        vector.scatter_forward()
+        known = array.copy()
+        facets = self.slave_surface.nodes[self.slave_surface.facets]
+        array[:] = 0.0
+        np.add.at(array, facets, known[facets].sum(axis=1, keepdims=True))
+        vector.scatter_reverse(la.InsertMode.add)
+        vector.scatter_forward()
+        with np.errstate(invalid="ignore"):
+            return np.where(known[:, 1] > 0, known[:, 0], array[:, 0] / array[:, 1])
+
+
+class Contact(Interface):
+    """Frictionless unilateral contact: w_n <= gap, pressure >= 0, pressure * opening = 0.
+
+    ``pressure`` (traction, >= 0 in compression), ``gap`` (>= 0 when open; not-a-number at slave
+    nodes that face no master) and ``active`` (1 in contact, else 0) are Functions that vanish off
+    the slave side. ``force`` is the resultant exerted on the slave side, -sum_j D_jj lambda_j n_j.
+    """
+
+    kind = "contact"
+
+    def _allowed(self, nodes: Ints, left: Floats) -> Bools:
+        return np.asarray((left >= MIN_FREE_NORMAL)[:, None])
+
+    def _set_frames(self, P: Floats, normals: Floats) -> None:
+        kept, p = self.kept[:, 0], self.pattern
+        fixed = self.fixed[p.nodes]
+        axes = np.arange(self.d, dtype=np.int32)
+        frames, slots = create_frames(np.where(kept[:, None], normals, np.eye(self.d)[0]), fixed)
+        self.normals = np.where(kept[:, None], normals, 0.0)
+        self.R = np.where(kept[:, None, None], frames, np.eye(self.d))
+        self.slot = np.where(kept[:, None], slots, np.where(fixed, axes, -1))
+        self.S = kept[:, None] & (axes == 0)
+        n = self.normals[p.row]
+        self._fill(P[:, 0, None, None] * n[:, :, None] * n[:, None, :])
+
+    def set_results(self, reaction: Floats, active: Bools, gap: Floats, x: Floats) -> None:
+        """Set resultants and Functions; collective.
+
+        Args:
+            reaction: (n,) D_jj lambda_j >= 0 at the owned slave nodes.
+            active: (n,) nodes in contact.
+            gap: (n,) nodal gaps w_n may still close.
+            x: (owned nodes, d) coordinates for the moments.
+        """
+        kept = self.kept[:, 0]
+        self.set_resultants(reaction[:, None] * self.normals, x)
+        self.multiplier = np.divide(
+            reaction, self.weight[:, 0], out=np.zeros_like(reaction), where=kept
+        )
+        on_slave = self.slave_nodes
+        for function, values in ((self.pressure, self.multiplier), (self.gap, gap)):
+            function.x.array[:] = np.where(on_slave, self._extend(values, kept), 0.0)
+        self.pressure.x.array[:] = np.nan_to_num(self.pressure.x.array)
+        self.active.x.array[:] = 0.0
+        self.active.x.array[self.pattern.nodes] = active
+        self.active.x.scatter_forward()
+
+    def gather(self, u: fem.Function) -> dict[str, Floats]:
+        """Return the slave nodes of all ranks on every rank; collective.
+
+        Returns:
+            "X" (n, d) reference and "x" (n, d) current coordinates at u, "pressure", "gap" and
+            "active" (n,), ordered by X.
+        """
+        own = self.pattern.nodes
+        X = self.V.tabulate_dof_coordinates()[own, : self.d]
+        columns = [X, X + u.x.array.reshape(-1, self.d)[own]]
+        columns += [f.x.array[own, None] for f in (self.pressure, self.gap, self.active)]
+        table = np.concatenate(self.V.mesh.comm.allgather(np.hstack(columns)))
+        table = table[np.lexsort(table[:, : self.d].T[::-1])]
+        parts = np.split(table, [self.d, 2 * self.d], axis=1)
+        names = ("pressure", "gap", "active")
+        return {"X": parts[0], "x": parts[1]} | dict(zip(names, parts[2].T, strict=True))
+
+
+class Tie(Interface):
+    """Mesh tying ("glue"): both sides move together in all directions, u_s = P u_m.
+
+    Directions with Dirichlet data are left to those data. ``force`` is the resultant exerted on the
+    slave side; ``pressure`` the normal traction, positive in compression.
+    """
+
+    kind = "tie"
+
+    def _allowed(self, nodes: Ints, left: Floats) -> Bools:
+        return ~self.fixed[nodes]
+
+    def _set_frames(self, P: Floats, normals: Floats) -> None:
+        p = self.pattern
+        n = len(p.nodes)
+        self.normals = normals
+        self.R = np.broadcast_to(np.eye(self.d), (n, self.d, self.d))
+        axes = np.arange(self.d, dtype=np.int32)
+        self.slot = np.where(self.fixed[p.nodes], axes, -1)
+        self.S = self.kept
+        self._fill(P[:, :, None] * np.eye(self.d))
+
+    def set_results(self, reaction: Floats, x: Floats) -> None:
+        """Set resultants and the normal traction from the tying forces (n, d); collective."""
+        self.set_resultants(reaction, x)
+        kept = self.kept.any(axis=1)
+        weight = np.maximum(self.weight.max(axis=1), np.finfo(float).tiny)
+        normal = np.einsum("ni,ni->n", reaction, self.normals) / weight
+        pressure = np.nan_to_num(self._extend(np.where(kept, normal, 0.0), kept))
+        self.pressure.x.array[:] = np.where(self.slave_nodes, pressure, 0.0)
+        self.active.x.array[:] = 0.0
+        self.active.x.array[self.pattern.nodes] = kept
+        self.active.x.scatter_forward()

@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: MIT
+"""Semi-smooth Newton: a bound-constrained QP at every iterate, and a line search on the energy."""
+
+from __future__ import annotations
+
+import logging
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_mortar import qp as backends
+from dolfinx_mortar.certificate import create_certificate
+from dolfinx_mortar.parallel import maximum
+from dolfinx_mortar.problem import ContactProblem
+from dolfinx_mortar.qp import QPSolution
+from dolfinx_mortar.report import Iteration, NewtonNotConverged, StepReport
+
+Floats = npt.NDArray[np.float64]
+
+log = logging.getLogger(__name__)
+
+ARMIJO = 1e-4
+MAX_HALVINGS = 12
+# Forces balanced to this share of their scale are balanced to round-off.
+FORCE_FLOOR = 1e-12
+# Below this share of diag(K) |u| a force residual is the round-off of K u.
+STIFFNESS_FLOOR = 1e-15
+
+
+def newton(
+    problem: ContactProblem, *, qp: str = "active-set", rtol: float = 1e-6, max_it: int = 50
+) -> StepReport:
+    """Solve one load step from the committed state; collective.
+
+    At the iterate u^k the energy is replaced by its quadratic model (paper, eq. 9) and the
+    bound-constrained QP is solved to the end (eq. 10), warm-started from the last contact set. The
+    step is shortened on J(v) + s sum_j D_jj (w_n - gap)_+ if that merit does not fall.
+
+    Args:
+        problem: the bodies and their constraints; ``problem.commit()`` accepts the step.
+        qp: name of the QP backend, see ``dolfinx_mortar.qp.available()``.
+        rtol: tolerance for |du|_e / (|u|_e + |u + du|_e) in the elastic energy norm and for the
+            relative projected force residual.
+        max_it: largest number of Newton iterations.
+
+    Returns:
+        The report of the converged step.
+
+    Raises:
+        NewtonNotConverged: with the report attached; u and the committed state are as before.
+        ValueError: for an unknown backend or tolerance, or input that ``begin_step`` rejects.
+    """
+    backends.check_name(qp)
+    if not 0.0 < rtol < 1.0 or max_it < 1:
+        raise ValueError(f"rtol is {rtol}, max_it is {max_it}: need 0 < rtol < 1 and max_it >= 1")
+    before, active = problem.u.x.array.copy(), problem.active.copy()
+    earlier = dict(problem.timings.seconds)
+    report = StepReport(backend=qp, geometry=problem.geometry, rtol=rtol)
+    try:
+        with problem.timings("total"):
+            problem.begin_step()
+            _Step(problem, report).run(max_it)
+    except backends.QPNotSolved as error:
+        raise _failed(f"the QP of Newton iteration {len(report.iterations) + 1}: {error}", report) from error
+    finally:
+        report.seconds = problem.timings.since(earlier)
+        report.linear_solver = problem.linear.description
+        report.notes += [note for note in problem.notes if note not in report.notes]
+        if not report.converged:
+            problem.u.x.array[:] = before
+            problem.active = active
+    return report
+
+
+def _failed(message: str, report: StepReport) -> NewtonNotConverged:
+    return NewtonNotConverged(
+        f"{message}. The displacement and the committed state are as before the step: "
+        "retry with a smaller one (dm.load_steps does)",
+        report,
+    )
+
+
+class _Step:
+    """One load step in progress: what an iteration hands to the next."""
+
+    def __init__(self, problem: ContactProblem, report: StepReport) -> None:
+        self.problem, self.report = problem, report
+        self.moving = problem.geometry == "updated" and bool(problem.interfaces)
+        # Far enough below Newton's tolerance for the QP never to be what limits it.
+        self.tolerance = max(1e-13, min(1e-10, 1e-3 * report.rtol))
+        self.potential: float | None = None  # J(u), once a line search has needed it
+        self.largest_multiplier = 0.0
+        self.predicted_gap: Floats | None = None  # after the last step, as it was linearised
+
+    def run(self, max_it: int) -> None:
+        """Iterate until converged; sets the results and the certificate."""
+        problem, report = self.problem, self.report
+        start = problem.predict_active()
+        for number in range(1, max_it + 1):
+            if number > 1:
+                if self.moving:
+                    problem.update_geometry()
+                start = problem.active[problem.bounded_nodes].astype(np.int8)
+            done = self.iterate(number, start)
+            _log(problem, report)
+            if done:
+                problem.set_results(self.reaction)
+                report.certificate = create_certificate(problem, report, self.reaction)
+                report.converged = True
+                return
+        raise _failed(f"Newton did not converge in max_it={max_it} iterations", report)
+
+    def iterate(self, number: int, start: npt.NDArray[np.int8]) -> bool:
+        """Linearise, solve the QP, step, record; return whether this was the last iteration."""
+        problem, report = self.problem, self.report
+        fixed_supports = not problem.changes_dirichlet()
+        qp = problem.quadratic_program()
+        geometry_change = self.geometry_change()
+        with problem.timings("linear_solves"):
+            solved = backends.solve(
+                qp, report.backend, problem.linear, start_active=start, rtol=self.tolerance
+            )
+        if solved.note:
+            report.notes.append(f"iteration {number}: {solved.note}")
+        changed = self.take_over(solved, start)
+
+        step = problem.to_displacement(solved.x)
+        increment, at_rest = self.energy_increment(step)
+        slope = -problem.vectors["r"].dot(step)
+        length, halvings = self.line_search(step, solved.x, slope, search=fixed_supports)
+        self.predicted_gap = problem.gap - length * _normal_part(problem, solved.x)
+        residual, floor = force_residual(problem, solved.z)
+        report.iterations.append(
+            Iteration(
+                number=number,
+                increment=increment,
+                force_residual=residual,
+                kkt=solved.kkt.worst,
+                active=problem.comm.allreduce(int(problem.active.sum()), op=MPI.SUM),
+                changed=changed,
+                updates=solved.updates,
+                linear_iterations=solved.linear_iterations,
+                factorisations=solved.factorisations,
+                step_length=length,
+                line_search_steps=halvings,
+                geometry_change=geometry_change,
+            )
+        )
+        small = increment <= self.report.rtol and residual <= max(self.report.rtol, floor)
+        # Balanced forces need no confirming solve, unless the geometry has moved since.
+        balanced = residual <= max(FORCE_FLOOR, 10.0 * self.tolerance, floor)
+        return length == 1.0 and (
+            (small and changed == 0) or (balanced and (at_rest or not self.moving))
+        )
+
+    def take_over(self, solved: QPSolution, start: npt.NDArray[np.int8]) -> int:
+        """Keep the contact set and reactions; return how many nodes changed, weak ones left out.
+
+        A node is weakly active if both its reaction and its opening are below the tolerance.
+        """
+        problem = self.problem
+        active = solved.active > 0
+        problem.active[:] = False
+        problem.active[problem.bounded_nodes] = active
+        self.reaction = solved.z
+        z = np.abs(solved.z.array_r[problem.bounded])
+        opening = np.abs(problem.gap[problem.bounded_nodes] - solved.x.array_r[problem.bounded])
+        near = active | (start > 0)
+        multipliers = z / problem.multiplier_weights()
+        largest = maximum(
+            problem.comm,
+            z.max(initial=0.0),
+            opening.max(initial=0.0, where=near),
+            multipliers.max(initial=0.0),
+        )
+        strong = (z > 1e-3 * largest[0]) | (opening > 1e-3 * largest[1])
+        self.largest_multiplier = max(self.largest_multiplier, float(largest[2]))
+        return int(problem.comm.allreduce(int(((start > 0) != active)[strong].sum()), op=MPI.SUM))
+
+    def energy_increment(self, step: PETSc.Vec) -> tuple[float, bool]:
+        """Return |du|_e / (|u|_e + |u + du|_e), and whether du is round-off of u.
+
+        Bodies that only move rigidly have no energy; then the second answer decides.
+        """
+        problem = self.problem
+        v, own = problem.increment, step.array_r.size
+        norms = []
+        for u, du in ((0.0, 1.0), (1.0, 0.0), (1.0, 1.0)):
+            v.x.array[:own] = u * problem.u.x.array[:own] + du * step.array_r
+            v.x.scatter_forward()
+            norms.append(problem.solid.elastic_norm(v))
+        largest = maximum(
+            problem.comm,
+            np.abs(step.array_r).max(initial=0.0),
+            np.abs(problem.u.x.array).max(initial=0.0),
+        )
+        total = norms[1] + norms[2]
+        return norms[0] / total if total > 0 else 0.0, bool(largest[0] <= 1e-11 * largest[1])
+
+    def merit(self, violation: float) -> float:
+        """Return J(u) + s sum_j D_jj (w_n - gap)_+ for a given sum."""
+        problem = self.problem
+        external = problem.vectors["f"].array_r @ problem.u.x.array[: problem.d * problem.n]
+        self.potential = problem.solid.energy() - float(problem.comm.allreduce(external))
+        return self.potential + 2.0 * self.largest_multiplier * violation
+
+    def line_search(
+        self, step: PETSc.Vec, dy: PETSc.Vec, slope: float, *, search: bool
+    ) -> tuple[float, int]:
+        """Move u along the step until the merit falls; return the length and the halvings.
+
+        Without a search (an iteration that changes Dirichlet values must be free to raise the
+        energy) the whole step is taken.
+        """
+        problem = self.problem
+        own = step.array_r.size
+        start, direction = problem.u.x.array[:own].copy(), step.array_r.copy()
+        violated = [problem.violation(0.0, dy), problem.violation(1.0, dy)] if search else [0.0, 0.0]
+        before = self.merit(violated[0]) if search else 0.0
+        slope += 2.0 * self.largest_multiplier * (violated[1] - violated[0])
+        length = 1.0
+        for halvings in range(MAX_HALVINGS + 1):
+            problem.u.x.array[:own] = start + length * direction
+            problem.u.x.scatter_forward()
+            if not search:
+                return length, 0
+            after = self.merit(problem.violation(length, dy))
+            noise = 1e-13 * (abs(before) + abs(after))
+            if after <= before + ARMIJO * length * min(slope, 0.0) + noise:
+                return length, halvings
+            length *= 0.5
+        raise _failed("the line search found no step that lowers the energy", self.report)
+
+    def geometry_change(self) -> float:
+        """Return how far the active gaps are from their last prediction, in facet lengths."""
+        problem = self.problem
+        if self.predicted_gap is None or not self.moving:
+            return 0.0
+        both = problem.active & np.isfinite(self.predicted_gap) & np.isfinite(problem.gap)
+        change = np.abs(problem.gap[both] - self.predicted_gap[both]).max(initial=0.0)
+        return float(maximum(problem.comm, change)[0] / problem.facet_length)
+
+
+def _normal_part(problem: ContactProblem, dy: PETSc.Vec) -> Floats:
+    """Return the closing w_n of every owned node in an increment, 0 where it is not bounded."""
+    closing = np.zeros(problem.n)
+    closing[problem.bounded_nodes] = dy.array_r[problem.bounded]
+    return closing
+
+
+def force_residual(problem: ContactProblem, reaction: PETSc.Vec) -> tuple[float, float]:
+    """Return the norm of T^T (f - F(u)) - z on free unknowns over its scale, and its floor.
+
+    The scale is the largest of the norms of external forces, contact forces, reactions of supports
+    and ties, and unassembled element forces. The floor is the round-off of K u on that scale: after
+    unloading all forces may vanish, but not their round-off.
+    """
+    v = problem.vectors
+    with problem.timings("assembly"):
+        problem.solid.assemble_residual(v["F"])
+        elements = problem.solid.element_force_norm()
+    v["F"].copy(v["r"])
+    v["r"].aypx(-1.0, v["f"])
+    free = problem.to_reduced(v["r"])
+    supports = free.array_r[problem.eliminated]
+    free.axpy(-1.0, reaction)
+    free.array[problem.eliminated] = 0.0
+    x = problem.vectors["x"]
+    x.array[:] = problem.u.x.array[: x.array_r.size]
+    x.pointwiseMult(x, problem.diagonal)
+    squares = problem.comm.allreduce(np.array([supports @ supports]), op=MPI.SUM)
+    scale = max(v["f"].norm(), reaction.norm(), float(np.sqrt(squares[0])), elements)
+    if scale == 0.0:
+        return 0.0, 0.0
+    return free.norm() / scale, STIFFNESS_FLOOR * x.norm() / scale
+
+
+def _log(problem: ContactProblem, report: StepReport) -> None:
+    """Log one line about the last iteration on rank 0."""
+    if problem.comm.rank == 0:
+        i = report.iterations[-1]
+        log.info(
+            "Newton %2d: increment %.2e, forces %.2e, KKT %.1e, active %d (%+d), QP %d, CG %d, "
+            "factorisations %d, step %.3g",
+            *(i.number, i.increment, i.force_residual, i.kkt, i.active, i.changed, i.updates),
+            *(i.linear_iterations, i.factorisations, i.step_length),
+        )

@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: MIT
+"""Entry-wise reductions of small arrays over the ranks.
+
+Mpi4py's lower-case ``allreduce`` compares whole objects, which arrays refuse.
+"""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+
+def maximum(comm: MPI.Comm, *values: float) -> npt.NDArray[np.float64]:
+    """Return the largest of each value over all ranks; collective.
+
+    >>> maximum(MPI.COMM_SELF, 1.0, 2.0).tolist()
+    [1.0, 2.0]
+    """
+    local = np.array(values, dtype=float)
+    result = np.empty_like(local)
+    comm.Allreduce(local, result, op=MPI.MAX)
+    return result
+
+
+def any_rank(comm: MPI.Comm, *flags: bool) -> npt.NDArray[np.bool_]:
+    """Return for each flag whether it is set on any rank; collective."""
+    return maximum(comm, *(float(flag) for flag in flags)) > 0.0

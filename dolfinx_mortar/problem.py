@@ -1,0 +1,380 @@
+# SPDX-License-Identifier: MIT
+"""A load step of bodies, interfaces, supports and loads as a bound-constrained QP in y, u = T y."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import ufl
+from dolfinx import fem, la
+
+from dolfinx_mortar.audit import Audit, create_audit
+from dolfinx_mortar.bodies import Bodies, find_bodies
+from dolfinx_mortar.interface import Contact, Interface, Tie
+from dolfinx_mortar.parallel import any_rank, maximum
+from dolfinx_mortar.qp import BoundQP, LinearSolver
+from dolfinx_mortar.report import Timings
+from dolfinx_mortar.solid import Solid
+from dolfinx_mortar.transformation import Transformation, resolve_claims
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+
+def _check_loads(loads: ufl.Form, V: fem.FunctionSpace) -> ufl.Form:
+    """Return the loads if they are a linear form on V's mesh.
+
+    Raises:
+        ValueError: otherwise.
+    """
+    if not isinstance(loads, ufl.Form) or len(loads.arguments()) != 1:
+        raise ValueError(f"loads is {loads!r}: give a linear form, for example inner(t, v) * ds")
+    if loads.arguments()[0].ufl_function_space() != V.ufl_function_space():
+        raise ValueError("loads: the test function must belong to the space of solid.u")
+    return loads
+
+
+class ContactProblem:
+    """Elasto-plastic bodies with contact and mesh tying under Dirichlet data and loads.
+
+    One step minimises J(v) = Psi(v) - f.v over B_E v = c_E, B_I v <= c_I (paper, eqs. 2-4).
+
+    Args:
+        solid: the bodies: displacement, materials, committed state.
+        interfaces: contacts and ties; none is plain elasto-plasticity. A slave node claimed twice
+            belongs to the interface that comes first.
+        bcs: Dirichlet conditions on the space of ``solid.u`` or its components; their values are
+            read anew at every step.
+        loads: linear form of the external virtual work, assembled anew at every step.
+        geometry: "updated" rebuilds normals, segments, D, M and gaps from X + u in every Newton
+            iteration, "reference" freezes them at X.
+        petsc_options_prefix: prefix of the linear solver's PETSc options.
+        petsc_options: options of the linear solver, without the prefix.
+
+    Raises:
+        ValueError: for arguments that cannot work, on all ranks, with the remedy.
+    """
+
+    def __init__(
+        self,
+        solid: Solid,
+        interfaces: Sequence[Interface] = (),
+        *,
+        bcs: Sequence[fem.DirichletBC] = (),
+        loads: ufl.Form | None = None,
+        geometry: str = "updated",
+        petsc_options_prefix: str = "dolfinx_mortar_",
+        petsc_options: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Check the arguments and create everything that later steps refill."""
+        if geometry not in ("updated", "reference"):
+            raise ValueError(f"geometry is {geometry!r}: choose 'updated' or 'reference'")
+        for interface in interfaces:
+            if not isinstance(interface, Interface):
+                raise ValueError(f"interfaces holds {interface!r}: give Contact or Tie objects")
+        self.solid, self.u, self.V = solid, solid.u, solid.V
+        self.interfaces, self.bcs, self.geometry = list(interfaces), list(bcs), geometry
+        self.timings = Timings()
+        layout = self.V.dofmap.index_map
+        self.comm, self.d = self.V.mesh.comm, self.V.dofmap.index_map_bs
+        self.n = layout.size_local  # owned nodes
+        self.first_dof = self.d * layout.local_range[0]
+        self.loads = None if loads is None else fem.form(_check_loads(loads, self.V))
+        self.fixed = self._prescribed_dofs()
+        with self.timings("setup"):
+            self.K = solid.create_matrix()
+            names = ("f", "F", "r", "residual", "x", "du", "dy", "lower", "upper")
+            self.vectors = {name: self.K.createVecRight() for name in names}
+            self.increment = fem.Function(self.V, name="increment")
+            self.linear = LinearSolver(
+                self.comm, prefix=petsc_options_prefix, options=dict(petsc_options or {})
+            )
+        with self.timings("mortar"):
+            for interface in self.interfaces:
+                interface.bind(self.V, self.fixed)
+        self.bodies: Bodies = find_bodies(self.V)
+        self.active = np.zeros(self.n, dtype=bool)  # of the last QP, owned nodes
+        self.committed_active = self.active.copy()
+        self.notes: list[str] = []
+        self.searches = 0
+        self.facet_length = 1.0
+        self._outputs: dict[str, fem.Function] = {}
+        self._audited: Audit | None = None
+
+    def _prescribed_dofs(self) -> Bools:
+        """Return (local nodes, d): which displacement components Dirichlet data prescribe."""
+        layout = self.V.dofmap.index_map
+        fixed = np.zeros(self.d * (layout.size_local + layout.num_ghosts), dtype=bool)
+        for bc in self.bcs:
+            fixed[bc.dof_indices()[0]] = True
+        return fixed.reshape(-1, self.d)
+
+    @property
+    def contacts(self) -> list[Contact]:
+        """The unilateral interfaces."""
+        return [i for i in self.interfaces if isinstance(i, Contact)]
+
+    @property
+    def ties(self) -> list[Tie]:
+        """The tied interfaces."""
+        return [i for i in self.interfaces if isinstance(i, Tie)]
+
+    # -- a step ----------------------------------------------------------------------------------
+
+    def audit(self) -> Audit:
+        """Return the geometry audit, made before the first step; collective.
+
+        Raises:
+            ValueError: if nothing holds a body, or a pair of surfaces cannot meet.
+        """
+        if self._audited is None:
+            self.update_geometry(search=True)
+            self._audited = create_audit(self)
+        return self._audited
+
+    def begin_step(self) -> None:
+        """Read loads and Dirichlet values of the step; collective.
+
+        Raises:
+            ValueError: on NaN or infinity in either, or in the displacement or the coordinates.
+        """
+        f = self.vectors["f"]
+        f.set(0.0)
+        if self.loads is not None:
+            with self.timings("assembly"):
+                assembled = fem.assemble_vector(self.loads)
+                assembled.scatter_reverse(la.InsertMode.add)
+                f.array[:] = assembled.array[: self.d * self.n]
+        self.target = np.full(self.fixed.size, np.nan)
+        values = np.zeros(self.fixed.size)
+        for bc in self.bcs:
+            bc.set(values)
+        self.target[self.fixed.ravel()] = values[self.fixed.ravel()]
+        owned = self.fixed.ravel()[: self.d * self.n]
+        for name, array, remedy in (
+            ("loads", f.array_r, "check the coefficients of the linear form"),
+            ("bcs", self.target[: self.d * self.n][owned], "check the values of the conditions"),
+            ("u", self.u.x.array, "start from a finite displacement"),
+            ("the mesh's coordinates", self.V.mesh.geometry.x, "check the mesh"),
+        ):
+            bad = self.comm.allreduce(int(np.sum(~np.isfinite(array))), op=MPI.SUM)
+            if bad:
+                raise ValueError(f"{name}: {bad} values are NaN or infinite; {remedy}")
+        self.audit()
+
+    def dirichlet_increment(self) -> Floats:
+        """Return prescribed minus present values, (owned nodes, d), 0 where free."""
+        own = slice(None, self.d * self.n)
+        difference = np.nan_to_num(self.target[own] - self.u.x.array[own])
+        return difference.reshape(-1, self.d)
+
+    def changes_dirichlet(self) -> bool:
+        """Tell whether prescribed values differ from the present displacement; collective."""
+        change = float(np.abs(self.dirichlet_increment()).max(initial=0.0))
+        size = float(np.abs(self.u.x.array).max(initial=0.0))
+        change, size = maximum(self.comm, change, size)
+        return bool(change > 1e-14 * size)
+
+    def prescribed(self, v: PETSc.Vec) -> Floats:
+        """Return the components of a displacement that Dirichlet data prescribe."""
+        return np.asarray(v.array_r[self.fixed[: self.n].ravel()])
+
+    # -- geometry and constraints ----------------------------------------------------------------
+
+    def update_geometry(self, *, search: bool = False) -> None:
+        """Rebuild D, M, N, T at X + u (at X if frozen); search again where needed; collective."""
+        if not self.interfaces:
+            return
+        with self.timings("mortar"):
+            if search or any(i.needs_search(self.u) for i in self.interfaces):
+                self.searches += 1
+                for interface in self.interfaces:
+                    interface.search(self.u)
+                self.facet_length = max(i.facet_length for i in self.interfaces)
+                order, notes = resolve_claims(self.interfaces)
+                self.notes += [note for note in notes if note not in self.notes]
+                self.transformation = Transformation(self.V, self.interfaces, order)
+            for interface in self.interfaces:
+                interface.update(self.u)
+            self.transformation.update()
+            self._locate_constraints()
+
+    def _locate_constraints(self) -> None:
+        """Set, over owned unknowns of y: slots of Dirichlet data, tied and bounded unknowns."""
+        slot = np.tile(np.arange(self.d), (self.n, 1))
+        tied = np.zeros((self.n, self.d), dtype=bool)
+        bounded = np.zeros(self.n, dtype=bool)
+        for interface in self.interfaces:
+            nodes, kept = interface.pattern.nodes, interface.kept.any(axis=1)
+            present = interface.slot[kept] >= 0
+            slot[nodes[kept]] = np.where(present, interface.slot[kept], slot[nodes[kept]])
+            if isinstance(interface, Tie):
+                tied[nodes] |= interface.S
+            else:
+                bounded[nodes] |= interface.S[:, 0]
+        nodes, components = np.nonzero(self.fixed[: self.n])
+        self.dirichlet_dofs = self.d * nodes + components  # in u
+        dirichlet = self.d * nodes + slot[nodes, components]  # in y
+        self.tied_dofs = np.flatnonzero(tied.ravel())
+        self.eliminated = np.concatenate([dirichlet, self.tied_dofs]).astype(np.int64)
+        self.bounded_nodes = np.flatnonzero(bounded)
+        self.bounded = (self.d * self.bounded_nodes).astype(np.int32)
+
+    def current_coordinates(self) -> PETSc.Vec:
+        """Return X + u as a vector (also with frozen geometry: the gap is linear in u)."""
+        x = self.vectors["x"]
+        X = self.V.tabulate_dof_coordinates()[: self.n, : self.d]
+        x.array[:] = X.ravel() + self.u.x.array[: self.d * self.n]
+        return x
+
+    def gaps(self) -> Floats:
+        """Return (owned nodes,) how far w_n may still grow, n_j.(P x - x_j); collective."""
+        x = self.current_coordinates()
+        gap = np.full(self.n, np.inf)
+        for contact in self.contacts:
+            kept = contact.S[:, 0]
+            gap[contact.pattern.nodes[kept]] = -contact.relative(x)[kept, 0]
+        return gap
+
+    def _eliminated_increment(self) -> Floats:
+        """Return the increments of the eliminated unknowns: Dirichlet data, then ties."""
+        own = self.d * self.n
+        u = self.vectors["x"]
+        u.array[:] = self.u.x.array[:own]
+        slip = np.zeros((self.n, self.d))
+        for tie in self.ties:
+            nodes = tie.pattern.nodes
+            slip[nodes] = np.where(tie.S, -tie.relative(u), slip[nodes])
+        dirichlet = self.target[self.dirichlet_dofs] - self.u.x.array[self.dirichlet_dofs]
+        return np.concatenate([dirichlet, slip.ravel()[self.tied_dofs]])
+
+    # -- the quadratic program -------------------------------------------------------------------
+
+    def quadratic_program(self) -> BoundQP:
+        """Assemble min 1/2 dy.K^ dy - r^.dy with its bounds at the present u; collective."""
+        v = self.vectors
+        with self.timings("assembly"):
+            self.solid.assemble_tangent(self.K)
+            self.solid.assemble_residual(v["F"])
+        v["F"].copy(v["r"])
+        v["r"].aypx(-1.0, v["f"])
+        with self.timings("transform"):
+            A = self.transformation.transform(self.K) if self.interfaces else self.K
+            b = self.to_reduced(v["r"])
+            v["dy"].set(0.0)
+            v["dy"].array[self.eliminated] = self._eliminated_increment()
+            diagonal = A.getDiagonal()
+            self.diagonal = diagonal
+            rows = (self.eliminated + self.first_dof).astype(PETSc.IntType)
+            A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+            A.zeroRowsColumns(rows, diag=diagonal.sum() / diagonal.getSize(), x=v["dy"], b=b)
+            A.setOption(PETSc.Mat.Option.SPD, True)
+            v["lower"].set(PETSc.NINFINITY)
+            v["upper"].set(PETSc.INFINITY)
+            self.gap = self.gaps()
+            v["upper"].array[self.bounded] = self.gap[self.bounded_nodes]
+        return BoundQP(A, b, v["lower"], v["upper"], self.bounded)
+
+    def multiplier_weights(self) -> Floats:
+        """Return D_jj of the bounded unknowns."""
+        weights = np.ones(self.n)
+        for contact in self.contacts:
+            kept = contact.S[:, 0]
+            weights[contact.pattern.nodes[kept]] = contact.weight[kept, 0]
+        return np.asarray(weights[self.bounded_nodes])
+
+    def violation(self, length: float, dy: PETSc.Vec) -> float:
+        """Return sum_j D_jj (w_n - gap)_+ after a part of an increment; collective."""
+        excess = length * dy.array_r[self.bounded] - self.gap[self.bounded_nodes]
+        local = self.multiplier_weights() @ np.maximum(excess, 0.0)
+        return float(self.comm.allreduce(float(local), op=MPI.SUM))
+
+    def to_reduced(self, forces: PETSc.Vec) -> PETSc.Vec:
+        """Return T^T times a force vector; collective."""
+        result = forces.duplicate()
+        if self.interfaces:
+            self.transformation.T.multTranspose(forces, result)
+        else:
+            forces.copy(result)
+        return result
+
+    def to_displacement(self, dy: PETSc.Vec) -> PETSc.Vec:
+        """Return du = T dy; collective."""
+        du = self.vectors["du"]
+        if self.interfaces:
+            self.transformation.T.mult(dy, du)
+        else:
+            dy.copy(du)
+        return du
+
+    def predict_active(self) -> npt.NDArray[np.int8]:
+        """Return a first guess of the contact set, int8 on the bounded unknowns; collective.
+
+        The set of the last step where there is one; otherwise the nodes that overlap once every
+        body moved by the mean of its prescribed increments; where none does, the nodes nearest.
+        """
+        marked = self.active[self.bounded_nodes]
+        if not any_rank(self.comm, marked.any())[0] and self.contacts:
+            change = self.dirichlet_increment()
+            mean = self.bodies.mean(change, self.fixed[: self.n])
+            self.vectors["dy"].array[:] = mean[self.bodies.label].ravel()
+            gap = self.gaps()
+            for contact in self.contacts:
+                kept = contact.S[:, 0]
+                nodes = contact.pattern.nodes[kept]
+                gap[nodes] -= contact.relative(self.vectors["dy"])[kept, 0]
+            nearest = -float(maximum(self.comm, -gap.min(initial=np.inf))[0])
+            marked = gap[self.bounded_nodes] <= max(0.0, nearest) + 1e-6 * self.facet_length
+        return marked.astype(np.int8)
+
+    # -- results ---------------------------------------------------------------------------------
+
+    def set_results(self, reaction: PETSc.Vec) -> None:
+        """Set the interfaces' resultants and Functions from the QP's reactions; collective."""
+        x = self.current_coordinates().array_r.reshape(-1, self.d).copy()
+        gap = self.gaps()
+        forces = self.to_reduced(self.vectors["r"]).array_r.reshape(-1, self.d)
+        z = reaction.array_r[:: self.d]
+        for interface in self.interfaces:
+            nodes = interface.pattern.nodes
+            if isinstance(interface, Contact):
+                kept = interface.S[:, 0]
+                interface.set_results(
+                    np.where(kept, z[nodes], 0.0), kept & self.active[nodes], gap[nodes], x
+                )
+            elif isinstance(interface, Tie):
+                interface.set_results(np.where(interface.S, forces[nodes], 0.0), x)
+
+    def commit(self) -> None:
+        """Make the converged step the state from which the next one starts; collective."""
+        with self.timings("commit"):
+            self.solid.commit()
+            self.solid.update_output()
+        self.committed_active = self.active.copy()
+
+    def output_fields(self) -> dict[str, fem.Function]:
+        """Return the Functions worth writing, by name; collective.
+
+        Cell averages of the committed stress and internal variables, in the user's units. Norms:
+        ``plastic_strain_norm`` and ``back_stress_norm`` are tensor (Frobenius) norms, ``hardening``
+        is the vector norm of the stored back stress components that the paper plots.
+        """
+        fields = {"displacement": self.u}
+        names = ("stress", "von_mises", "plastic_strain", "plastic_strain_norm")
+        for name in (*names, "back_stress_norm", "hardening"):
+            if name in self.solid.fields.names:
+                fields[name] = self.solid.cell_values(name)
+        for name in ("pressure", "gap", "status") if self.interfaces else ():
+            parts = [getattr(i, "active" if name == "status" else name) for i in self.interfaces]
+            if name not in self._outputs:
+                self._outputs[name] = fem.Function(parts[0].function_space, name=name)
+            self._outputs[name].x.array[:] = sum(part.x.array for part in parts)
+            fields[name] = self._outputs[name]
+        return fields

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: MIT
+"""What a load step tells its user: iterations, certificate, seconds; and the errors that carry it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+
+class Timings:
+    """Wall-clock seconds by part of the work, this rank's."""
+
+    def __init__(self) -> None:
+        """Start with nothing measured."""
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, part: str) -> Iterator[None]:
+        """Add the time spent inside the ``with`` block to ``part``."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[part] = self.seconds.get(part, 0.0) + time.perf_counter() - start
+
+    def since(self, earlier: dict[str, float]) -> dict[str, float]:
+        """Return the seconds spent since a copy of ``seconds`` was taken."""
+        return {k: v - earlier.get(k, 0.0) for k, v in self.seconds.items()}
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """One Newton iteration: a tangent, a bound-constrained QP, a step."""
+
+    number: int
+    increment: float  # |du|_e / (|u|_e + |u + du|_e), elastic energy norm
+    force_residual: float  # projected force residual after the step, relative
+    kkt: float  # largest KKT residual of the QP, relative
+    active: int  # active contact nodes, all interfaces and ranks
+    changed: int  # active nodes that changed since the last iteration, weakly active ones left out
+    updates: int  # iterations of the QP backend
+    linear_iterations: int
+    factorisations: int
+    step_length: float  # accepted by the line search
+    line_search_steps: int  # shortenings before acceptance
+    geometry_change: float  # gap minus its prediction by the last linearisation, in facet lengths
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Residuals of a converged step, each relative to its own scale.
+
+    Scales: forces to the largest of external, contact, reaction and element forces; lengths to the
+    mean slave facet; multipliers to the largest multiplier.
+    """
+
+    equilibrium: float  # forces on free unknowns
+    gap: float  # deepest violation of w_n <= gap
+    sign: float  # largest tensile multiplier
+    complementarity: float  # largest lambda_j * gap_j
+    force_balance: float  # resultants on slave and master side added up
+    moment_balance: float  # the same for moments about the origin
+    linear_field_error: float  # tangential part of x_s - P x_m in facet lengths: 0 on flat interfaces
+    row_sum_error: float  # largest row sum of D - M over D_jj
+    smallest_coverage: float  # covered share of the tributary length over kept slave nodes
+    kept_nodes: int
+    removed_nodes: int  # slave nodes whose dual function was shared out
+    active_nodes: int
+    active_set_changes: int
+    newton_iterations: int
+    qp_iterations: int
+    line_search_steps: int
+    geometry_change: float
+
+
+@dataclass
+class StepReport:
+    """Report of one load step; ``print`` shows a table, ``as_dict`` goes to JSON."""
+
+    converged: bool = False
+    backend: str = ""
+    geometry: str = ""
+    linear_solver: str = ""
+    rtol: float = 0.0
+    iterations: list[Iteration] = field(default_factory=list)
+    certificate: Certificate | None = None
+    notes: list[str] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def newton_iterations(self) -> int:
+        """Number of linearisations, the confirming one included."""
+        return len(self.iterations)
+
+    @property
+    def qp_iterations(self) -> int:
+        """Iterations of the QP backend over the whole step."""
+        return sum(it.updates for it in self.iterations)
+
+    @property
+    def factorisations(self) -> int:
+        """Numerical factorisations (preconditioner set-ups) over the whole step."""
+        return sum(it.factorisations for it in self.iterations)
+
+    @property
+    def residual_history(self) -> list[float]:
+        """Energy-norm increments, one per Newton iteration."""
+        return [it.increment for it in self.iterations]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the report as plain numbers, strings, lists and dictionaries."""
+        return asdict(self) | {
+            "newton_iterations": self.newton_iterations,
+            "qp_iterations": self.qp_iterations,
+            "factorisations": self.factorisations,
+            "residual_history": self.residual_history,
+        }
+
+    def __str__(self) -> str:
+        """Return a table of the iterations, the certificate and the seconds."""
+        state = "converged" if self.converged else "NOT converged"
+        lines = [
+            f"{state} in {self.newton_iterations} Newton iterations "
+            f"({self.qp_iterations} QP, {self.factorisations} factorisations), "
+            f"{self.geometry} geometry, {self.backend}, {self.linear_solver}",
+            "  it  increment  force res.        KKT  active changed  QP  lin fact  step  geometry",
+        ]
+        lines += [
+            f"{i.number:4d} {i.increment:10.2e} {i.force_residual:11.2e} {i.kkt:10.2e} {i.active:7d}"
+            f" {i.changed:7d} {i.updates:3d} {i.linear_iterations:4d} {i.factorisations:4d}"
+            f" {i.step_length:5.3g} {i.geometry_change:9.1e}"
+            for i in self.iterations
+        ]
+        if self.certificate is not None:
+            lines.append("certificate")
+            for name, value in asdict(self.certificate).items():
+                shown = f"{value:.2e}" if isinstance(value, float) else f"{value:d}"
+                lines.append(f"  {name.replace('_', ' '):<22} {shown}")
+        lines += [f"note: {note}" for note in self.notes]
+        lines.append("seconds: " + ", ".join(f"{k} {v:.3f}" for k, v in self.seconds.items()))
+        return "\n".join(lines)
+
+
+class NewtonNotConverged(RuntimeError):
+    """Newton's method ended without a solution; ``report`` holds what happened.
+
+    The displacement and the committed state are as before the step: retry with a smaller one.
+    """
+
+    def __init__(self, message: str, report: StepReport) -> None:
+        """Attach the report to the message."""
+        super().__init__(f"{message}\n{report}")
+        self.report = report

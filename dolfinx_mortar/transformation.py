@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: MIT
+"""The change of basis u = T y of a whole problem, in which every constraint is a bound.
+
+Off the slave nodes T is the identity. At slave node j, u_j = R_j w_j + sum_l Q_jl u_l, so that
+T = (I - Q)^-1 W with W = blockdiag(R_j). Where no slave node leans on another, T = W + Q; where an
+interface leans on slave nodes of another one (bodies in a stack), T is the product of the
+interfaces' own matrices in topological order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem
+
+from dolfinx_mortar import coo
+from dolfinx_mortar.interface import Interface, create_square
+from dolfinx_mortar.parallel import any_rank
+
+Bools = npt.NDArray[np.bool_]
+
+
+def _referenced(interface: Interface) -> Bools:
+    """Return which owned nodes the candidate pairs of an interface lean on; collective."""
+    V, p = interface.V, interface.pattern
+    layout, n = V.dofmap.index_map, interface.n_owned
+    count = PETSc.Vec().createMPI((n, layout.size_global), comm=V.mesh.comm)
+    columns = p.column[p.from_D.size :].astype(PETSc.IntType)
+    count.setValues(columns, np.ones(len(columns)), addv=PETSc.InsertMode.ADD_VALUES)
+    count.assemble()
+    return np.asarray(count.array_r > 0)
+
+
+def resolve_claims(interfaces: Sequence[Interface]) -> tuple[list[int], list[str]]:
+    """Give every slave node to one interface and order the interfaces; collective.
+
+    A second claim on a slave node, and a claim that would close a cycle, is removed from the later
+    interface (the node's dual function is shared out, it stays on the slave side).
+
+    Returns:
+        The order in which the transformations multiply, and notes on what was removed.
+    """
+    notes: list[str] = []
+    if not interfaces:
+        return [], notes
+    comm = interfaces[0].V.mesh.comm
+    claimed = np.zeros(interfaces[0].n_local, dtype=bool)
+    leans = [_referenced(interface) for interface in interfaces]
+    ahead: set[tuple[int, int]] = set()  # (i, k): T_i stands left of T_k, i leans on slaves of k
+
+    def remove(k: int, nodes: Bools, why: str) -> None:
+        own = nodes[: interfaces[k].n_owned] & ~interfaces[k].banned[: interfaces[k].n_owned]
+        count = comm.allreduce(int(own.sum()), op=MPI.SUM)
+        if count:
+            interfaces[k].banned |= interfaces[k].share(own)
+            notes.append(f"{interfaces[k]}: {count} slave nodes removed, {why}")
+
+    for k, interface in enumerate(interfaces):
+        remove(k, interface.slave_nodes & claimed, "claimed by an earlier interface")
+        for i in range(k + 1):
+            own = slice(None, interface.n_owned)
+            slaves_k = interface.slave_nodes[own] & ~interface.banned[own]
+            slaves_i = interfaces[i].slave_nodes[own] & ~interfaces[i].banned[own]
+            hit = [leans[i] & slaves_k, leans[k] & slaves_i]
+            i_on_k, k_on_i = any_rank(comm, *(h.any() for h in hit))
+            if i == k and i_on_k:
+                remove(k, hit[0], "they are master nodes of the same interface")
+            elif i_on_k and (k_on_i or _reaches(ahead, k, i)):
+                remove(k, hit[0], f"they would close a cycle with {interfaces[i]}")
+                i_on_k = False
+            if i != k:
+                ahead |= {(i, k)} if i_on_k else set()
+                ahead |= {(k, i)} if k_on_i else set()
+        claimed |= interface.slave_nodes & ~interface.banned
+    return _topological(len(interfaces), ahead), notes
+
+
+def _reaches(edges: set[tuple[int, int]], a: int, b: int) -> bool:
+    """Tell whether b can be reached from a."""
+    return any(c == a and (e == b or _reaches(edges, e, b)) for c, e in edges)
+
+
+def _topological(n: int, edges: set[tuple[int, int]]) -> list[int]:
+    """Return 0..n-1 ordered so that every edge (i, k) has i before k."""
+    order: list[int] = []
+    while len(order) < n:
+        order.append(
+            next(
+                k
+                for k in range(n)
+                if k not in order and all(i in order for i, e in edges if e == k)
+            )
+        )
+    return order
+
+
+class Transformation:
+    """T and the product T^T K T on patterns that stay fixed while the pairings do.
+
+    Args:
+        V: the vector space of the displacement.
+        interfaces: interfaces whose pairing exists.
+        order: topological order of the interfaces, from ``resolve_claims``.
+    """
+
+    def __init__(
+        self, V: fem.FunctionSpace, interfaces: Sequence[Interface], order: list[int]
+    ) -> None:
+        """Build the patterns; values come with ``update``."""
+        self.V = V
+        ordered = [interfaces[i] for i in order]
+        # Without chains all interfaces fit in one matrix, which saves the products.
+        own = slice(None, ordered[0].n_owned)
+        leans = [_referenced(i) for i in ordered]
+        chained = any(
+            (lean & other.slave_nodes[own] & ~other.banned[own]).any()
+            for i, lean in enumerate(leans)
+            for other in ordered[i + 1 :]
+        )
+        groups = [[i] for i in ordered] if any_rank(V.mesh.comm, chained)[0] else [ordered]
+        self.factors = [_Factor(V, group) for group in groups]
+        self.T: PETSc.Mat | None = None
+        self.product: PETSc.Mat | None = None
+
+    def update(self) -> None:
+        """Refill T from the interfaces' frames and couplings; collective."""
+        for factor in self.factors:
+            factor.update()
+        T = self.factors[0].T
+        for k, factor in enumerate(self.factors[1:]):
+            if self.T is None:
+                factor.partial = T.matMult(factor.T)
+            else:
+                T.matMult(factor.T, result=factor.partial)
+            T = self.factors[k + 1].partial
+        self.T = T
+
+    def transform(self, K: PETSc.Mat) -> PETSc.Mat:
+        """Return T^T K T, refilled in place from the second call on; collective."""
+        if self.product is None:
+            self.product = K.ptap(self.T)
+            self.product.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        else:
+            K.ptap(self.T, result=self.product)
+        return self.product
+
+
+class _Factor:
+    """The transformation of interfaces that do not lean on each other's slave nodes."""
+
+    partial: PETSc.Mat  # product of the factors up to this one
+
+    def __init__(self, V: fem.FunctionSpace, interfaces: Sequence[Interface]) -> None:
+        layout, d = V.dofmap.index_map, V.dofmap.index_map_bs
+        first, n = layout.local_range[0], layout.size_local
+        taken = np.zeros(n, dtype=bool)
+        a, b = np.divmod(np.arange(d * d), d)
+        rows, columns = [], []
+        self.parts: list[tuple[Interface, Bools]] = []
+        # A node on several slave sides takes its frame from the interface that may keep it.
+        for i in interfaces:
+            p = i.pattern
+            mine = ~taken[p.nodes] & (~i.banned[p.nodes] | ~_kept_elsewhere(i, interfaces))
+            taken[p.nodes[mine]] = True
+            self.parts.append((i, mine))
+            at = d * (p.nodes.astype(np.int64) + first)
+            rows += [(at[mine][:, None] + a).ravel(), (at[p.row][:, None] + a).ravel()]
+            columns += [(at[mine][:, None] + b).ravel(), (d * p.column[:, None] + b).ravel()]
+        rest = np.flatnonzero(~np.repeat(taken, d)) + d * first
+        self.identity = len(rest)
+        ij = [np.concatenate([rest, *c]) for c in (rows, columns)]
+        self.T = create_square(V, *ij)
+
+    def update(self) -> None:
+        values = [np.ones(self.identity)]
+        for i, mine in self.parts:
+            values += [i.R[mine].ravel(), i.blocks.ravel()]
+        coo.set_values(self.T, np.concatenate(values))
+
+
+def _kept_elsewhere(interface: Interface, group: Sequence[Interface]) -> Bools:
+    """Return which slave nodes of an interface another one of the group may keep."""
+    nodes = interface.pattern.nodes
+    found = np.zeros(len(nodes), dtype=bool)
+    for other in group:
+        if other is not interface:
+            found |= other.slave_nodes[nodes] & ~other.banned[nodes]
+    return found
