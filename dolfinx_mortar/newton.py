@@ -164,6 +164,11 @@ class _Step:
         active = solved.active > 0
         problem.active[:] = False
         problem.active[problem.bounded_nodes] = active
+        # What b - A x leaves off the active set is residual, not contact force.
+        keep = problem.bounded[active]
+        forces = solved.z.array_r[keep].copy()
+        solved.z.set(0.0)
+        solved.z.array[keep] = forces
         self.reaction = solved.z
         z = np.abs(solved.z.array_r[problem.bounded])
         opening = np.abs(problem.gap[problem.bounded_nodes] - solved.x.array_r[problem.bounded])

@@ -2,8 +2,8 @@
 """The pictures of the Hertz demo: figures 2 to 7 of the paper, deformed shape, contact pressure.
 
 They are drawn on one rank from the XDMF file, so they look the same on any number of ranks. Fields
-are constant per cell, as computed, and drawn on the deformed bodies at true scale unless the title
-says otherwise.
+are constant per cell, as computed; like the paper's they are averaged at the nodes for the eye, and
+drawn on the deformed bodies at true scale.
 """
 
 from __future__ import annotations
@@ -144,40 +144,53 @@ def _field(
     colours: str,
     window: tuple[float, ...] | None = None,
 ) -> Figure:
-    """Draw a cell field in MPa with its colour bar, in a window or on the whole bodies."""
+    """Draw a field in MPa with its colour bar, in a window or on the whole bodies."""
     figure, axes = _axes(*((8.0, 5.0) if window is None else (6.4, 5.6)), "\n".join(titles))
-    # antialiasing would leave hairlines between cells
-    cells = _add_cells(
-        axes, result.points + result.u, result.cells, window, array=values, cmap=colours, aa=False
+    x, cells = result.points + result.u, result.cells
+    triangles = np.concatenate([cells[:, [0, i, i + 1]] for i in range(1, cells.shape[1] - 1)])
+    drawn = axes.tripcolor(
+        *x.T, triangles, _nodal_average(result, values), shading="gouraud", cmap=colours
     )
-    figure.colorbar(cells, ax=axes, label="MPa", shrink=0.9)
+    if window is not None:
+        axes.set(xlim=window[:2], ylim=window[2:])
+    figure.colorbar(drawn, ax=axes, label="MPa", shrink=0.9)
     return figure
 
 
+def _nodal_average(result: Result, values: np.ndarray) -> np.ndarray:
+    """Return the mean over the cells at each node, weighted by their areas; bodies stay apart."""
+    x = result.points[result.cells]
+    area = _cross(x[:, 1] - x[:, 0], x[:, -1] - x[:, 0]) + _cross(
+        x[:, -2] - x[:, 1], x[:, -2] - x[:, -1]
+    )
+    total = np.zeros((2, len(result.points)))
+    for corner in result.cells.T:
+        np.add.at(total[0], corner, area * values)
+        np.add.at(total[1], corner, area)
+    return total[0] / total[1]
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+
+
 def _deformed(result: Result, window: tuple[float, ...], load: str) -> Figure:
-    """Draw the deformed mesh over the undeformed one: magnified, and at the contact true."""
+    """Draw the deformed mesh over the undeformed one, all of it and at the contact."""
     largest = float(np.linalg.norm(result.u, axis=1).max())
-    room = 0.06 * np.ptp(result.points[:, 1])
-    factors = [f for f in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if f * largest <= room]
-    factor = factors[-1] if factors else 1
     figure = Figure(figsize=(11.0, 4.8), layout="constrained")
-    figure.suptitle(f"Deformed shape, {load}")
-    left, right = figure.subplots(1, 2, width_ratios=(1.55, 1.0))
+    figure.suptitle(f"Deformed shape at true scale, {load}")
     size = np.linalg.norm(result.u, axis=1)[result.cells].mean(axis=1)
-    magnified = f"displacements {factor} times magnified, bodies overlap"
     thin = min(0.3, 1e3 / len(result.cells))  # lines must not hide the colours of a fine mesh
-    for axes, scale, part, title in (
-        (left, factor, None, magnified if factor > 1 else "true scale"),
-        (right, 1, window, "at the contact, true scale"),
-    ):
-        axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title=title)
-        moved = result.points + scale * result.u
+    both = figure.subplots(1, 2, width_ratios=(1.55, 1.0))
+    for axes, part in zip(both, (None, window), strict=True):
+        axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
+        x = result.points + result.u
         _add_cells(axes, result.points, result.cells, part, fc="none", ec="#bbbbbb", lw=thin)
         cells = _add_cells(
-            axes, moved, result.cells, part, array=size, cmap="viridis", ec="#ffffffa0", lw=thin
+            axes, x, result.cells, part, array=size, cmap="viridis", ec="#ffffffa0", lw=thin
         )
         cells.set_clim(0.0, max(largest, 1e-300))
-    figure.colorbar(cells, ax=right, label="|u| [mm]", shrink=0.9)
+    figure.colorbar(cells, ax=both[1], label="|u| [mm]", shrink=0.9)
     return figure
 
 

@@ -1,11 +1,5 @@
 # SPDX-License-Identifier: MIT
-# ---
-# jupyter:
-#   jupytext:
-#     text_representation:
-#       extension: .py
-#       format_name: light
-# ---
+# ruff: noqa: D100
 
 # # A half disc pressed into a block, both elasto-plastic
 #
@@ -185,8 +179,9 @@ def summarise(
         "force": force,
         "peak_pressure": float(p.max()),
         "half_width_edge": edge(x, p),
-        "peak_pressure_fit": peak,
-        "half_width_fit": width,
+        # JSON has no not-a-number: a contact of one or two nodes cannot be fitted
+        "peak_pressure_fit": None if np.isnan(peak) else peak,
+        "half_width_fit": None if np.isnan(width) else width,
         "peak_pressure_hertz": hertz.peak_pressure if hertz else 0.0,
         "half_width_hertz": hertz.half_width if hertz else 0.0,
         "max_von_mises": solid.max("von_mises"),
