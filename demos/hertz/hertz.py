@@ -39,7 +39,7 @@ parser.add_argument("--h", type=float, default=0.05, help="element size at the c
 parser.add_argument("--geometry", choices=["reference", "updated"], default="updated")
 parser.add_argument("--qp", default="active-set", help="active-set, interior-point or tron")
 parser.add_argument("--rtol", type=float, default=1e-6, help="tolerance of Newton's method")
-parser.add_argument("--output", type=Path, default=Path("results_hertz"))
+parser.add_argument("--output", type=Path, default=Path("results/hertz"))
 
 
 def main(options: argparse.Namespace) -> dict:
