@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from dolfinx_mortar.bodies import free_motions
 from dolfinx_mortar.interface import Interface
 from dolfinx_mortar.pairing import Pairing
+from dolfinx_mortar.parallel import maximum
 from dolfinx_mortar.segments import facet_normals, facet_sizes
 
 if TYPE_CHECKING:
@@ -38,8 +39,8 @@ class InterfaceAudit:
     uncovered_nodes: int  # face no master
     removed_nodes: int  # covered, but without a multiplier (little coverage, Dirichlet, claims)
     dirichlet_directions: int  # directions of slave nodes left to Dirichlet data
+    facing_away: int  # slave facets that touch master facets, but do not face them
     size_ratio: float  # mean slave facet length over mean master facet length
-    facing_away: int  # slave facets that lie opposite the master but do not face it
 
 
 @dataclass(frozen=True)
@@ -78,11 +79,17 @@ def create_audit(problem: ContactProblem) -> Audit:
             + "; ".join(loose)
             + ". Prescribe these motions (bcs), or check slave and master tags"
         )
+    _check_sides(problem)
     found = [_audit(interface) for interface in problem.interfaces]
     warnings = list(problem.notes)
     if problem.contacts and free_motions(problem.bodies, [*held, *ties]):
         warnings.append("a body is held by contact alone: the loads must press it on")
     for i in found:
+        if i.kept_nodes == 0:
+            warnings.append(
+                f"{i.name}: no slave node carries a multiplier, so it does nothing; check the "
+                "tags, or let the other side be the slave if this one has Dirichlet data"
+            )
         if i.size_ratio > COARSE:
             warnings.append(
                 f"{i.name}: slave facets are {i.size_ratio:.1f} times as long as master facets; "
@@ -106,6 +113,26 @@ def create_audit(problem: ContactProblem) -> Audit:
     return audit
 
 
+def _check_sides(problem: ContactProblem) -> None:
+    """Raise a ValueError on all ranks if two sides face each other only through their bodies.
+
+    That is so if every slave node is deeper inside the master body than any body is large; smaller
+    overlaps are ordinary input.
+    """
+    for interface in problem.interfaces:
+        kept = interface.kept.all(axis=1)
+        relative = interface.relative(problem.current_coordinates())
+        normal = relative[:, 0]
+        if interface.kind == "tie":  # its frames are the Cartesian axes
+            normal = np.einsum("ni,ni->n", interface.normals, relative)
+        shallowest, some = maximum(problem.comm, (-normal[kept]).max(initial=-np.inf), kept.any())
+        if some and -shallowest > problem.bodies.radius.max():
+            raise ValueError(
+                f"slave={interface.slave} and master={interface.master} can never meet: all slave "
+                f"nodes lie at least {-shallowest:.3g} beyond the master side; check the tags"
+            )
+
+
 def _audit(interface: Interface) -> InterfaceAudit:
     """Count over the slave side of one interface; collective."""
     comm, own = interface.V.mesh.comm, interface.pattern.nodes
@@ -127,11 +154,7 @@ def _audit(interface: Interface) -> InterfaceAudit:
         op=MPI.SUM,
     )
     lengths = [interface.mean_facet_length(s) for s in surfaces]
-    return InterfaceAudit(
-        repr(interface), *map(int, counts[:7]), float(lengths[0] / lengths[1]), int(counts[7])
-    )
-
-
+    return InterfaceAudit(repr(interface), *map(int, counts), float(lengths[0] / lengths[1]))  # type: ignore[call-arg]
 
 
 def _count_facing_away(pairing: Pairing) -> int:

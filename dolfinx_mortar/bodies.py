@@ -97,9 +97,7 @@ def find_bodies(V: fem.FunctionSpace) -> Bodies:
     return Bodies(V, count, label, centre, np.sqrt(square.sum(axis=1)))
 
 
-def free_motions(
-    bodies: Bodies, constraints: Sequence[Callable[[PETSc.Vec], Floats]]
-) -> list[str]:
+def free_motions(bodies: Bodies, constraints: Sequence[Callable[[PETSc.Vec], Floats]]) -> list[str]:
     """Name the rigid motions that no constraint resists; collective.
 
     Args:
@@ -122,7 +120,8 @@ def free_motions(
         parts = np.flatnonzero(np.abs(motion) > 0.1 * np.abs(motion).max())
         found.append(
             " + ".join(
-                f"{modes[k][1]} of the body around {np.round(bodies.centre[modes[k][0]], 3).tolist()}"
+                f"{modes[k][1]} of the body around "
+                f"{np.round(bodies.centre[modes[k][0]], 3).tolist()}"
                 for k in parts
             )
         )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The certificate of a converged step: what equilibrium, contact laws and operators really satisfy."""
+"""The certificate of a converged step: how well equilibrium and contact laws are satisfied."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def _largest(problem: ContactProblem, *arrays: Floats) -> Floats:
     return maximum(problem.comm, *(a.max(initial=0.0) for a in arrays))
 
 
-def _share(value: float, scale: float) -> float:
+def _share(value: npt.ArrayLike, scale: npt.ArrayLike) -> float:
     """Return value / scale, 0 where nothing acts at all."""
-    return float(value / scale) if scale > 0 else 0.0
+    return float(np.asarray(value) / scale) if np.asarray(scale) > 0 else 0.0
 
 
 def _operator_errors(interface: Interface) -> tuple[float, float]:
@@ -74,17 +74,15 @@ def create_certificate(
     problem: ContactProblem, report: StepReport, reaction: PETSc.Vec
 ) -> Certificate:
     """Judge the present state of a problem whose results are set; collective."""
-    gap, multiplier, opposed = [np.zeros(0)], [np.zeros(0)], [np.zeros(0)]
+    gap: list[Floats] = [np.zeros(0)]
+    multiplier: list[Floats] = [np.zeros(0)]
     nodal = problem.gaps()
     for contact in problem.contacts:
-        kept = contact.S[:, 0]
-        g, p = nodal[contact.pattern.nodes[kept]], contact.multiplier[kept]
-        gap, multiplier = [*gap, g], [*multiplier, p]
-        opposed.append(np.abs(g * p))
+        constrained = contact.S[:, 0]
+        gap.append(nodal[contact.pattern.nodes[constrained]])
+        multiplier.append(contact.multiplier[constrained])
     g, p = np.concatenate(gap), np.concatenate(multiplier)
-    deepest, tensile, pressure, product = _largest(
-        problem, -g, -p, np.abs(p), np.concatenate(opposed)
-    )
+    deepest, tensile, pressure, product = _largest(problem, -g, -p, np.abs(p), np.abs(g * p))
     errors = [_operator_errors(i) for i in problem.interfaces] or [(0.0, 0.0)]
     force, moment = _balances(problem.interfaces)
     kept = [i.kept.any(axis=1) for i in problem.interfaces]
@@ -121,5 +119,3 @@ def create_certificate(
         line_search_steps=sum(i.line_search_steps for i in report.iterations),
         geometry_change=report.iterations[-1].geometry_change,
     )
-
-

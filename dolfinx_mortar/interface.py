@@ -22,8 +22,8 @@ import numpy.typing as npt
 
 from dolfinx import fem, la
 from dolfinx.mesh import MeshTags
-
 from dolfinx_mortar import coo
+from dolfinx_mortar.frames import create_frames
 from dolfinx_mortar.mortar import (
     assemble_node_matrices,
     default_keep,
@@ -33,7 +33,7 @@ from dolfinx_mortar.mortar import (
 from dolfinx_mortar.pairing import Pairing, create_pairing, outside_margin
 from dolfinx_mortar.parallel import any_rank
 from dolfinx_mortar.segments import Segments
-from dolfinx_mortar.surface import Surface, create_surface
+from dolfinx_mortar.surface import Surface, check_tags, create_surface
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -42,45 +42,6 @@ Ints = npt.NDArray[np.int32]
 # A slave normal that loses more than this share of its length to Dirichlet data has no direction
 # left in which contact could act.
 MIN_FREE_NORMAL = 0.5
-
-
-def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:
-    """Return orthonormal frames with the normal first and prescribed axes among the tangents.
-
-    Args:
-        normals: (n, d) unit normals; zero in every prescribed direction.
-        fixed: (n, d) True where a Cartesian direction is prescribed.
-
-    Returns:
-        R (n, d, d) with the frame vectors as columns and slot (n, d): the column of R that is the
-        Cartesian axis i where ``fixed[:, i]``, else -1.
-
-    >>> R, slot = create_frames(np.array([[0.0, -1.0]]), np.array([[True, False]]))
-    >>> R[0].tolist(), slot[0].tolist()
-    ([[0.0, 1.0], [-1.0, 0.0]], [1, -1])
-    """
-    n, d = normals.shape
-    # Axes in the order of growing share in n: prescribed ones have none and come first, the one
-    # closest to n is left out, so that [n, axes] is never singular.
-    order = np.argsort(np.abs(normals) - 2.0 * fixed, axis=1, kind="stable")[:, : d - 1]
-    columns = np.concatenate([normals[:, None, :], np.eye(d)[order]], axis=1)
-    R, upper = np.linalg.qr(np.swapaxes(columns, 1, 2))
-    R = R * np.sign(np.einsum("nii->ni", upper))[:, None, :]
-    slot = np.full((n, d), -1, dtype=np.int32)
-    np.put_along_axis(slot, order, np.arange(1, d, dtype=np.int32)[None, :], axis=1)
-    return R + 0.0, np.where(fixed, slot, -1).astype(np.int32)
-
-
-def create_square(
-    V: fem.FunctionSpace, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]
-) -> PETSc.Mat:
-    """Return a matrix in V's layout with a fixed pattern, for ``coo.set_values``; collective."""
-    layout, d = V.dofmap.index_map, V.dofmap.index_map_bs
-    A = PETSc.Mat().create(V.mesh.comm)
-    A.setSizes([(d * layout.size_local, d * layout.size_global)] * 2)
-    A.setType(PETSc.Mat.Type.AIJ)
-    coo.set_pattern(A, rows, columns)
-    return A
 
 
 @dataclass(frozen=True)
@@ -115,8 +76,17 @@ class Interface:
 
     kind: ClassVar[str] = "interface"
 
+    normals: Floats  # (n, d) at the owned slave nodes, without prescribed directions
+    R: Floats  # (n, d, d) frames, normal first
+    S: Bools  # (n, d) which directions of the frame are constrained
+    slot: Ints  # (n, d) column of R that is a prescribed Cartesian direction, else -1
+
     def __init__(self, facet_tags: MeshTags, *, slave: int, master: int) -> None:
         """Keep the description; surfaces are found when a problem takes the interface."""
+        check_tags(facet_tags)
+        for name, tag in (("slave", slave), ("master", master)):
+            if not isinstance(tag, int | np.integer):
+                raise ValueError(f"{name} is {tag!r}: give a tag of facet_tags, an integer")
         if slave == master:
             raise ValueError(f"slave and master are both tag {slave}: give two different tags")
         self.facet_tags, self.slave, self.master = facet_tags, slave, master
@@ -162,7 +132,7 @@ class Interface:
         owned[surface.nodes[: surface.owned]] = True
         return self.share(owned)
 
-    def search(self, u: fem.Function) -> None:
+    def search(self, u: fem.Function | None) -> None:
         """Pair slave and master facets at X + u and fix the coupling pattern; collective."""
         self.pairing: Pairing = create_pairing(self.V, self.slave_surface, self.master_surface, u)
         self.facet_length = self.mean_facet_length(self.slave_surface)
@@ -189,7 +159,7 @@ class Interface:
         a, b = np.divmod(np.arange(d * d), d)
         row = d * (p.nodes[p.row].astype(np.int64) + layout.local_range[0])[:, None] + a
         column = d * p.column[:, None] + b
-        return create_square(self.V, row.ravel(), column.ravel())
+        return coo.create_square(self.V, row.ravel(), column.ravel())
 
     def mean_facet_length(self, surface: Surface) -> float:
         """Return the mean length of the first edges of a side's facets; collective."""
@@ -198,13 +168,13 @@ class Interface:
         total, count = self.V.mesh.comm.allreduce(local, op=MPI.SUM)
         return float(total / count)
 
-    def needs_search(self, u: fem.Function) -> bool:
+    def needs_search(self, u: fem.Function | None) -> bool:
         """Tell whether the bodies slid out of the margin of the last search; collective."""
         return outside_margin(self.pairing, u)
 
     # -- geometry --------------------------------------------------------------------------------
 
-    def update(self, u: fem.Function) -> None:
+    def update(self, u: fem.Function | None) -> None:
         """Rebuild segments, D, M, frames and Q from X + u on the fixed pattern; collective."""
         segments, normals = find_segments(self.pairing, u)
         covered, tributary = node_weights(self.pairing, segments)
@@ -228,7 +198,7 @@ class Interface:
         """
         same = (allowed == allowed[:, :1]).all(axis=0)
         differ = any_rank(self.V.mesh.comm, *~same)
-        found = []
+        found: list[tuple[Floats, Floats]] = []
         for c in range(allowed.shape[1]):
             if c > 0 and not differ[c]:
                 found.append(found[0])
@@ -237,7 +207,8 @@ class Interface:
             D, M = assemble_node_matrices(self.pairing, segments, keep)
             p = self.pattern
             weight = D.getDiagonal().array[p.nodes]
-            entries = np.concatenate([-D.getValuesCSR()[2][p.from_D], M.getValuesCSR()[2][p.from_M]])
+            values = -D.getValuesCSR()[2][p.from_D], M.getValuesCSR()[2][p.from_M]
+            entries = np.concatenate(values)
             inverse = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0)
             found.append((entries * inverse[p.row], weight))
         self.weight = np.column_stack([weight for _, weight in found])
@@ -253,7 +224,7 @@ class Interface:
         raise NotImplementedError
 
     def constrained(self, v: PETSc.Vec) -> Floats:
-        """Return the components of the relative motion that the interface constrains; collective."""
+        """Return the constrained components of the relative motion; collective."""
         return np.asarray(self.relative(v)[self.S])
 
     def _fill(self, blocks: Floats) -> None:
@@ -291,13 +262,16 @@ class Interface:
         """
         f, points = np.zeros((self.n_owned, 3)), np.zeros((self.n_owned, 3))
         f[:, : self.d], points[:, : self.d] = self.transpose(forces), x
-        sides = [np.where(side[: self.n_owned, None], -f, 0.0) for side in (self.slave_nodes, self.master_nodes)]
+        sides = [
+            np.where(side[: self.n_owned, None], -f, 0.0)
+            for side in (self.slave_nodes, self.master_nodes)
+        ]
         local = np.array([[s.sum(axis=0), np.cross(points, s).sum(axis=0)] for s in sides])
         total = self.V.mesh.comm.allreduce(local, op=MPI.SUM)
         self.force, self.moment = total[0, 0, : self.d], total[0, 1]
         self.master_force, self.master_moment = total[1, 0, : self.d], total[1, 1]
 
-    def _extend(self, values: Floats, kept: Bools) -> Floats:
+    def _extend(self, values: Floats, kept: npt.ArrayLike) -> Floats:
         """Give removed slave nodes the mean of the kept ones on their facets; (local nodes,).
 
         A kept node's value is a traction even if the node is partly covered, because D_jj is its

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import logging
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -63,7 +64,8 @@ def newton(
             problem.begin_step()
             _Step(problem, report).run(max_it)
     except backends.QPNotSolved as error:
-        raise _failed(f"the QP of Newton iteration {len(report.iterations) + 1}: {error}", report) from error
+        number = len(report.iterations) + 1
+        raise _failed(f"the QP of Newton iteration {number}: {error}", report) from error
     finally:
         report.seconds = problem.timings.since(earlier)
         report.linear_solver = problem.linear.description
@@ -222,7 +224,7 @@ class _Step:
         problem = self.problem
         own = step.array_r.size
         start, direction = problem.u.x.array[:own].copy(), step.array_r.copy()
-        violated = [problem.violation(0.0, dy), problem.violation(1.0, dy)] if search else [0.0, 0.0]
+        violated = [problem.violation(part, dy) if search else 0.0 for part in (0.0, 1.0)]
         before = self.merit(violated[0]) if search else 0.0
         slope += 2.0 * self.largest_multiplier * (violated[1] - violated[0])
         length = 1.0

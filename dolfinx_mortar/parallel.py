@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 
-def maximum(comm: MPI.Comm, *values: float) -> npt.NDArray[np.float64]:
+def maximum(comm: MPI.Comm, *values: float | np.bool_) -> npt.NDArray[np.float64]:
     """Return the largest of each value over all ranks; collective.
 
     >>> maximum(MPI.COMM_SELF, 1.0, 2.0).tolist()
@@ -24,6 +24,6 @@ def maximum(comm: MPI.Comm, *values: float) -> npt.NDArray[np.float64]:
     return result
 
 
-def any_rank(comm: MPI.Comm, *flags: bool) -> npt.NDArray[np.bool_]:
+def any_rank(comm: MPI.Comm, *flags: bool | np.bool_) -> npt.NDArray[np.bool_]:
     """Return for each flag whether it is set on any rank; collective."""
     return maximum(comm, *(float(flag) for flag in flags)) > 0.0

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 import ufl
 from dolfinx import fem, la
-
+from dolfinx_mortar.arguments import check_arguments
 from dolfinx_mortar.audit import Audit, create_audit
 from dolfinx_mortar.bodies import Bodies, find_bodies
 from dolfinx_mortar.interface import Contact, Interface, Tie
@@ -26,19 +26,6 @@ from dolfinx_mortar.transformation import Transformation, resolve_claims
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
-
-
-def _check_loads(loads: ufl.Form, V: fem.FunctionSpace) -> ufl.Form:
-    """Return the loads if they are a linear form on V's mesh.
-
-    Raises:
-        ValueError: otherwise.
-    """
-    if not isinstance(loads, ufl.Form) or len(loads.arguments()) != 1:
-        raise ValueError(f"loads is {loads!r}: give a linear form, for example inner(t, v) * ds")
-    if loads.arguments()[0].ufl_function_space() != V.ufl_function_space():
-        raise ValueError("loads: the test function must belong to the space of solid.u")
-    return loads
 
 
 class ContactProblem:
@@ -74,19 +61,15 @@ class ContactProblem:
         petsc_options: Mapping[str, Any] | None = None,
     ) -> None:
         """Check the arguments and create everything that later steps refill."""
-        if geometry not in ("updated", "reference"):
-            raise ValueError(f"geometry is {geometry!r}: choose 'updated' or 'reference'")
-        for interface in interfaces:
-            if not isinstance(interface, Interface):
-                raise ValueError(f"interfaces holds {interface!r}: give Contact or Tie objects")
+        self.interfaces, self.bcs = check_arguments(solid, interfaces, bcs, loads, geometry)
         self.solid, self.u, self.V = solid, solid.u, solid.V
-        self.interfaces, self.bcs, self.geometry = list(interfaces), list(bcs), geometry
+        self.geometry = geometry
         self.timings = Timings()
         layout = self.V.dofmap.index_map
         self.comm, self.d = self.V.mesh.comm, self.V.dofmap.index_map_bs
         self.n = layout.size_local  # owned nodes
         self.first_dof = self.d * layout.local_range[0]
-        self.loads = None if loads is None else fem.form(_check_loads(loads, self.V))
+        self.loads = None if loads is None else fem.form(loads)
         self.fixed = self._prescribed_dofs()
         with self.timings("setup"):
             self.K = solid.create_matrix()
@@ -110,11 +93,14 @@ class ContactProblem:
 
     def _prescribed_dofs(self) -> Bools:
         """Return (local nodes, d): which displacement components Dirichlet data prescribe."""
-        layout = self.V.dofmap.index_map
-        fixed = np.zeros(self.d * (layout.size_local + layout.num_ghosts), dtype=bool)
+        marks = la.vector(self.V.dofmap.index_map, self.d)
+        marks.array[:] = 0.0
         for bc in self.bcs:
-            fixed[bc.dof_indices()[0]] = True
-        return fixed.reshape(-1, self.d)
+            marks.array[bc.dof_indices()[0]] = 1.0
+        # Dofs may have been located on ranks that do not own them, or on their owners alone.
+        marks.scatter_reverse(la.InsertMode.add)
+        marks.scatter_forward()
+        return np.asarray(marks.array > 0.0).reshape(-1, self.d)
 
     @property
     def contacts(self) -> list[Contact]:
@@ -167,7 +153,10 @@ class ContactProblem:
             bad = self.comm.allreduce(int(np.sum(~np.isfinite(array))), op=MPI.SUM)
             if bad:
                 raise ValueError(f"{name}: {bad} values are NaN or infinite; {remedy}")
-        self.audit()
+        if self._audited is None:
+            self.audit()
+        elif self.geometry == "updated":
+            self.update_geometry()  # u may have been set, or put back after a failed step
 
     def dirichlet_increment(self) -> Floats:
         """Return prescribed minus present values, (owned nodes, d), 0 where free."""
@@ -192,17 +181,18 @@ class ContactProblem:
         """Rebuild D, M, N, T at X + u (at X if frozen); search again where needed; collective."""
         if not self.interfaces:
             return
+        at = self.u if self.geometry == "updated" else None
         with self.timings("mortar"):
-            if search or any(i.needs_search(self.u) for i in self.interfaces):
+            if search or any(i.needs_search(at) for i in self.interfaces):
                 self.searches += 1
                 for interface in self.interfaces:
-                    interface.search(self.u)
+                    interface.search(at)
                 self.facet_length = max(i.facet_length for i in self.interfaces)
                 order, notes = resolve_claims(self.interfaces)
                 self.notes += [note for note in notes if note not in self.notes]
                 self.transformation = Transformation(self.V, self.interfaces, order)
             for interface in self.interfaces:
-                interface.update(self.u)
+                interface.update(at)
             self.transformation.update()
             self._locate_constraints()
 
@@ -219,9 +209,9 @@ class ContactProblem:
                 tied[nodes] |= interface.S
             else:
                 bounded[nodes] |= interface.S[:, 0]
-        nodes, components = np.nonzero(self.fixed[: self.n])
-        self.dirichlet_dofs = self.d * nodes + components  # in u
-        dirichlet = self.d * nodes + slot[nodes, components]  # in y
+        node, component = np.nonzero(self.fixed[: self.n])
+        self.dirichlet_dofs = self.d * node + component  # in u
+        dirichlet = self.d * node + slot[node, component]  # in y
         self.tied_dofs = np.flatnonzero(tied.ravel())
         self.eliminated = np.concatenate([dirichlet, self.tied_dofs]).astype(np.int64)
         self.bounded_nodes = np.flatnonzero(bounded)

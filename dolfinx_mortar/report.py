@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a load step tells its user: iterations, certificate, seconds; and the errors that carry it."""
+"""What a load step tells its user: iterations, certificate, seconds; the error that carries it."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Certificate:
     complementarity: float  # largest lambda_j * gap_j
     force_balance: float  # resultants on slave and master side added up
     moment_balance: float  # the same for moments about the origin
-    linear_field_error: float  # tangential part of x_s - P x_m in facet lengths: 0 on flat interfaces
+    linear_field_error: float  # tangential part of x_s - P x_m in facet lengths, 0 if flat
     row_sum_error: float  # largest row sum of D - M over D_jj
     smallest_coverage: float  # covered share of the tributary length over kept slave nodes
     kept_nodes: int
@@ -129,8 +129,8 @@ class StepReport:
             "  it  increment  force res.        KKT  active changed  QP  lin fact  step  geometry",
         ]
         lines += [
-            f"{i.number:4d} {i.increment:10.2e} {i.force_residual:11.2e} {i.kkt:10.2e} {i.active:7d}"
-            f" {i.changed:7d} {i.updates:3d} {i.linear_iterations:4d} {i.factorisations:4d}"
+            f"{i.number:4d} {i.increment:10.2e} {i.force_residual:11.2e} {i.kkt:10.2e}"
+            f" {i.active:7d} {i.changed:7d} {i.updates:3d} {i.linear_iterations:4d} {i.factorisations:4d}"
             f" {i.step_length:5.3g} {i.geometry_change:9.1e}"
             for i in self.iterations
         ]

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -51,16 +52,21 @@ def load_steps(
         times: load levels in the order of the loading; they may fall.
         on_time: sets loads and Dirichlet values for a level, also for levels between two times.
         start: level of the committed state.
-        qp, rtol, max_it: as in ``newton``.
+        qp: as in ``newton``.
+        rtol: as in ``newton``.
+        max_it: as in ``newton``.
         max_cuts: largest number of halvings of one step.
 
     Yields:
         One ``LoadStep`` for every entry of ``times``.
 
     Raises:
+        ValueError: for levels that are not finite.
         NewtonNotConverged: when the smallest step fails, too. Steps yielded before are committed.
     """
-    levels = list(times)
+    levels = [float(t) for t in times]
+    if not all(map(math.isfinite, levels)):
+        raise ValueError(f"times is {levels}: every level must be finite")
     with _progress(problem.comm, len(levels)) as advance:
         reached = start
         for number, level in enumerate(levels, start=1):

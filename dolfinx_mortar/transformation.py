@@ -18,9 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-
 from dolfinx_mortar import coo
-from dolfinx_mortar.interface import Interface, create_square
+from dolfinx_mortar.interface import Interface
 from dolfinx_mortar.parallel import any_rank
 
 Bools = npt.NDArray[np.bool_]
@@ -125,7 +124,7 @@ class Transformation:
         )
         groups = [[i] for i in ordered] if any_rank(V.mesh.comm, chained)[0] else [ordered]
         self.factors = [_Factor(V, group) for group in groups]
-        self.T: PETSc.Mat | None = None
+        self.T: PETSc.Mat = None  # set by the first update
         self.product: PETSc.Mat | None = None
 
     def update(self) -> None:
@@ -175,7 +174,7 @@ class _Factor:
         rest = np.flatnonzero(~np.repeat(taken, d)) + d * first
         self.identity = len(rest)
         ij = [np.concatenate([rest, *c]) for c in (rows, columns)]
-        self.T = create_square(V, *ij)
+        self.T = coo.create_square(V, *ij)
 
     def update(self) -> None:
         values = [np.ones(self.identity)]
