@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: MIT
+"""Bound-constrained quadratic programs: data, backends chosen by name, one check for all of them.
+
+A backend is a module of this package with a function
+
+    solve(qp: BoundQP, linear: LinearSolver, *, start: int8 (k,), rtol: float) -> QPSolution
+
+and the name of its file with dashes; nothing else has to be registered.
+"""
+
+from importlib import import_module
+from pkgutil import iter_modules
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_mortar.qp.bound_qp import KKT, BoundQP, QPNotSolved, QPSolution, check, validate
+from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
+
+__all__ = [
+    "KKT",
+    "BoundQP",
+    "LinearSolveFailed",
+    "LinearSolver",
+    "QPNotSolved",
+    "QPSolution",
+    "available",
+    "check",
+    "check_name",
+    "solve",
+]
+
+# Modules that are not backends
+_PARTS = {"bound_qp", "condensed", "dense", "linear", "tao"}
+
+
+def available() -> list[str]:
+    """Return the names of the backends."""
+    names = [module.name for module in iter_modules(__path__) if module.name not in _PARTS]
+    return sorted(name.replace("_", "-") for name in names)
+
+
+def check_name(backend: str) -> None:
+    """Raise ValueError if there is no backend of this name."""
+    if backend not in available():
+        raise ValueError(f"qp is {backend!r}: choose one of {', '.join(map(repr, available()))}")
+
+
+def solve(
+    qp: BoundQP,
+    backend: str = "active-set",
+    linear: LinearSolver | None = None,
+    *,
+    start_active: npt.NDArray[np.int8] | None = None,
+    rtol: float = 1e-10,
+) -> QPSolution:
+    """Solve a bound-constrained QP (collective).
+
+    Args:
+        qp: the problem.
+        backend: "active-set", "interior-point" or "tron".
+        linear: linear solver, whose factorisation is reused if it was used before; a MUMPS
+            Cholesky factorisation by default.
+        start_active: (k,) guess of the active set on ``qp.bounded``: +1 upper, -1 lower, 0 free.
+            By default every unknown at its nearest bound, which holds every body.
+        rtol: tolerance of the KKT check, relative; round-off is the limit.
+
+    Returns:
+        The solution, which has passed the check.
+
+    Raises:
+        ValueError: for an unknown backend or data that have no solution.
+        QPNotSolved: if the result fails the check; the exception carries it.
+    """
+    check_name(backend)
+    validate(qp)
+    if linear is None:
+        linear = LinearSolver(qp.comm, prefix="dolfinx_mortar_qp_")
+    module = import_module(f"{__name__}.{backend.replace('-', '_')}")
+    start = _nearest(qp) if start_active is None else np.asarray(start_active, dtype=np.int8)
+    lower, upper = qp.bounds()
+    start = np.where((start > 0) & np.isinf(upper), 0, start)
+    start = np.where((start < 0) & np.isinf(lower), 0, start).astype(np.int8)
+    before = (linear.counts.iterations, linear.counts.factorisations)
+    try:
+        linear.attach(qp.A)
+        solution: QPSolution = module.solve(qp, linear, start=start, rtol=rtol)
+    except LinearSolveFailed as error:
+        raise QPNotSolved(f"The backend {backend!r} stopped: {error}") from error
+    except PETSc.Error as error:
+        raise QPNotSolved(
+            f"The backend {backend!r} stopped in PETSc: {error}. Check the options of the linear "
+            f"solver, {linear.options}"
+        ) from error
+    solution.linear_iterations += linear.counts.iterations - before[0]
+    solution.factorisations += linear.counts.factorisations - before[1]
+    if not solution.kkt.satisfied(rtol):
+        raise QPNotSolved(
+            f"The solution of the backend {backend!r} fails the check at rtol={rtol:g}: "
+            f"{solution.kkt}. {solution.note}",
+            solution,
+        )
+    return solution
+
+
+def _nearest(qp: BoundQP) -> npt.NDArray[np.int8]:
+    """Return every bounded unknown at the bound nearest to zero."""
+    lower, upper = qp.bounds()
+    return np.where(np.abs(upper) <= np.abs(lower), 1, -1).astype(np.int8)

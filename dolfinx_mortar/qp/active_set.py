@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: MIT
+"""Primal-dual active set: semi-smooth Newton on z = max(0, z + c (x - upper)) and its mirror image.
+
+Where the bounded unknowns are few, `condensed` finds the set first, and what follows here checks
+it. Otherwise the updates below do the work: early ones are solved loosely, the last one tightly. A
+set that comes back although solves are tight is a cycle; then the interior point takes over.
+"""
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_mortar.qp import condensed, interior_point
+from dolfinx_mortar.qp.bound_qp import (
+    BoundQP,
+    QPNotSolved,
+    QPSolution,
+    check,
+    classify,
+    reaction,
+)
+from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
+
+Actives = npt.NDArray[np.int8]
+
+MAX_UPDATES = 60
+# Loose tolerance while the set still moves, and its reduction per update once it settles.
+LOOSE, TIGHTEN = 1e-2, 1e-2
+SETTLED = 0.1
+
+
+def solve(qp: BoundQP, linear: LinearSolver, *, start: Actives, rtol: float) -> QPSolution:
+    """Solve a bound-constrained QP by active-set updates (collective).
+
+    Args:
+        qp: the problem.
+        linear: linear solver, attached to qp.A.
+        start: (k,) first active set.
+        rtol: tolerance of the last linear solve relative to the forces.
+
+    Returns:
+        The solution; its active set is one that solved the linear system, so that weakly active
+        unknowns may be on either side.
+
+    Raises:
+        QPNotSolved: if the interior point, called after a cycle or a failed solve, fails too.
+    """
+    x = qp.b.duplicate()
+    x.set(0.0)
+    try:
+        if condensed.is_worthwhile(qp, linear):
+            active = condensed.predict(qp, linear, x, start, rtol=rtol)
+            solution = _update(qp, linear, x, active, rtol, loose=rtol)
+        else:
+            solution = _update(qp, linear, x, start, rtol, loose=LOOSE)
+        if solution is not None:
+            return solution
+        reason = "the active set came back to an earlier one"
+    except LinearSolveFailed as error:
+        reason = f"an active set could not be solved ({error})"
+    return _hand_over(qp, linear, start, rtol, reason)
+
+
+def _hand_over(
+    qp: BoundQP, linear: LinearSolver, start: Actives, rtol: float, reason: str
+) -> QPSolution:
+    """Let the interior point finish, and say so."""
+    try:
+        solution = interior_point.solve(qp, linear, start=start, rtol=rtol)
+    except (LinearSolveFailed, PETSc.Error) as error:
+        raise QPNotSolved(
+            f"Active set: {reason}. The interior point failed as well ({error}). "
+            "Most often a body can float away: add a support or a load that closes the contact."
+        ) from error
+    solution.note = f"handed to the interior point: {reason}. {solution.note}".strip()
+    return solution
+
+
+def _update(
+    qp: BoundQP, linear: LinearSolver, x: PETSc.Vec, active: Actives, rtol: float, *, loose: float
+) -> QPSolution | None:
+    """Update the set until it stays; return None for a cycle."""
+    lower, upper = qp.bounds()
+    seen: set[bytes] = set()
+    z = reaction(qp, x)
+    tolerance, b_norm = max(loose, rtol), qp.b.norm()
+    for updates in range(1, MAX_UPDATES + 1):
+        held = active != 0
+        x.array[qp.bounded[held]] = np.where(active > 0, upper, lower)[held]
+        force = max(b_norm, z.norm(), reaction(qp, x).norm() if updates == 1 else 0.0)
+        fixed = np.sort(qp.bounded[held])
+        linear.solve(qp.b, x, fixed, atol=0.5 * tolerance * force)
+        z = reaction(qp, x)
+        force = max(b_norm, _held_norm(z, fixed))
+        new = classify(qp, x, z)
+        atol = max(tolerance * force, linear.round_off(x))
+        if not _differ(qp, x, z, active, new, atol=atol):
+            if tolerance <= rtol:
+                kkt = check(qp, x, z)
+                return QPSolution(x, z, active, kkt, updates, 0, 0, "active-set")
+            tolerance = rtol
+            continue
+        changed, size = qp.comm.allreduce(np.array([(new != active).sum(), held.sum()]))
+        if changed <= SETTLED * size:
+            tolerance = max(rtol, TIGHTEN * tolerance)
+        if _came_back(qp, new, seen):
+            if tolerance <= rtol:
+                return None
+            seen.clear()
+            tolerance = rtol
+        active = new
+    return None
+
+
+def _held_norm(z: PETSc.Vec, fixed: npt.NDArray[np.int32]) -> float:
+    """Return the norm of the reactions of held unknowns."""
+    zb = z.array_r[fixed]
+    return float(np.sqrt(z.comm.tompi4py().allreduce(zb @ zb)))
+
+
+def _differ(
+    qp: BoundQP,
+    x: PETSc.Vec,
+    z: PETSc.Vec,
+    active: Actives,
+    new: Actives,
+    *,
+    atol: float,
+) -> bool:
+    """Tell whether two sets differ by more than weakly active unknowns.
+
+    An unknown is weakly active if its reaction and its distance to the bound, times the stiffness,
+    are both below the accuracy of the forces: then either side is right.
+    """
+    lower, upper = qp.bounds()
+    side = np.where((active > 0) | (new > 0), upper, lower)
+    side = np.where(np.isfinite(side), side, x.array_r[qp.bounded])
+    c = qp.A.getDiagonal().array_r[qp.bounded]
+    strength = np.abs(z.array_r[qp.bounded]) + c * np.abs(x.array_r[qp.bounded] - side)
+    strong = (active != new) & (strength > atol)
+    return bool(qp.comm.allreduce(int(strong.sum())))
+
+
+def _came_back(qp: BoundQP, active: Actives, seen: set[bytes]) -> bool:
+    """Tell whether all ranks have seen their part of this set in one and the same update."""
+    everywhere = b"".join(qp.comm.allgather(active.tobytes()))
+    known = everywhere in seen
+    seen.add(everywhere)
+    return known

@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: MIT
+"""A convex quadratic program with bounds, its solution, and the check that judges every backend."""
+
+from dataclasses import dataclass, fields
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+EPS = float(np.finfo(np.float64).eps)
+# Round-off of A x in units of eps |diag(A) x|: rows of a stiffness matrix have 10 to 100 entries
+ROUND_OFF = 16.0
+
+
+@dataclass(frozen=True)
+class BoundQP:
+    """The problem min 1/2 x'Ax - b'x subject to lower <= x <= upper.
+
+    The reaction is z = b - A x: z >= 0 at an active upper bound, z <= 0 at an active lower bound
+    and z = 0 at a free unknown.
+    """
+
+    A: PETSc.Mat  # (n, n) symmetric, positive definite on the unknowns that no bound can hold
+    b: PETSc.Vec  # (n,) force
+    lower: PETSc.Vec  # (n,) PETSC_NINFINITY where there is none
+    upper: PETSc.Vec  # (n,) PETSC_INFINITY where there is none
+    bounded: npt.NDArray[np.int32]  # (k,) owned local indices of unknowns with a finite bound
+
+    @property
+    def comm(self) -> MPI.Comm:
+        """Communicator of the matrix."""
+        return self.A.comm.tompi4py()
+
+    def bounds(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Return (lower, upper) on `bounded` with IEEE infinities where there is no bound."""
+        lower = self.lower.array_r[self.bounded].copy()
+        upper = self.upper.array_r[self.bounded].copy()
+        lower[lower <= PETSc.NINFINITY] = -np.inf
+        upper[upper >= PETSc.INFINITY] = np.inf
+        return lower, upper
+
+
+@dataclass(frozen=True)
+class KKT:
+    """Residuals of the optimality conditions, each relative to its own scale.
+
+    Forces are measured by |b| + |z on bounded unknowns|, lengths by max |x|, so that no value
+    depends on the units. `force_floor` and `length_floor` are the round-off in the same measure.
+    """
+
+    stationarity: float  # |z| over free unknowns
+    feasibility: float  # largest violation of a bound
+    sign: float  # largest reaction that pulls instead of pushes
+    complementarity: float  # largest min(|reaction|, distance to the bound that it belongs to)
+    force_floor: float
+    length_floor: float
+
+    def satisfied(self, rtol: float) -> bool:
+        """Tell whether every residual is below rtol or below its round-off floor."""
+        force, length = max(rtol, self.force_floor), max(rtol, self.length_floor)
+        return bool(
+            self.stationarity <= force
+            and self.sign <= force
+            and self.feasibility <= length
+            and self.complementarity <= max(force, length)
+        )
+
+    @property
+    def worst(self) -> float:
+        """Return the largest of the four residuals (inf if one is not a number)."""
+        worst = max(self.stationarity, self.feasibility, self.sign, self.complementarity)
+        finite = all(np.isfinite(getattr(self, f.name)) for f in fields(self))
+        return worst if finite else float("inf")
+
+
+@dataclass
+class QPSolution:
+    """Solution of a BoundQP with what it took to find it."""
+
+    x: PETSc.Vec  # (n,)
+    z: PETSc.Vec  # (n,) reaction b - A x
+    active: npt.NDArray[np.int8]  # (k,) on `bounded`: +1 at upper, -1 at lower, 0 free
+    kkt: KKT
+    updates: int  # changes of the active set, or iterations of the backend
+    linear_iterations: int
+    factorisations: int
+    backend: str
+    note: str = ""
+
+
+class QPNotSolved(RuntimeError):
+    """A backend ended without a solution that passes the KKT check.
+
+    Attributes:
+        solution: the last iterate with its KKT residuals, or None if there is none.
+    """
+
+    def __init__(self, message: str, solution: QPSolution | None = None) -> None:
+        """Keep the last iterate for the report."""
+        super().__init__(message)
+        self.solution = solution
+
+
+def _ratio(value: float, scale: float) -> float:
+    """Return value / scale, where 0 / 0 is 0 (nothing is exactly as large as nothing)."""
+    return 0.0 if value == 0.0 else float(value / scale) if scale > 0.0 else float("inf")
+
+
+def validate(qp: BoundQP) -> None:
+    """Raise ValueError on all ranks if the data can have no solution.
+
+    Raises:
+        ValueError: a lower bound above its upper bound, an infinite bound of the wrong sign,
+            a number that is not finite in b or A, or indices out of range.
+    """
+    lower, upper = qp.lower.array_r, qp.upper.array_r
+    crossed = np.flatnonzero(lower > upper)
+    start = qp.b.getOwnershipRange()[0]
+    wrong = (lower >= PETSc.INFINITY) | (upper <= PETSc.NINFINITY)
+    diag = qp.A.getDiagonal().array_r
+    outside = (qp.bounded < 0) | (qp.bounded >= lower.size)
+    finite = (lower > PETSc.NINFINITY) | (upper < PETSc.INFINITY)
+    finite[qp.bounded[~outside]] = False
+    verdicts = [
+        ("bounded", f"{outside.sum()} indices are not owned by this rank", outside.any()),
+        ("bounded", f"{finite.sum()} unknowns with a finite bound are missing", finite.any()),
+        ("b", "it contains NaN or infinity; check loads and state", ~np.isfinite(qp.b.array_r)),
+        ("A", "its diagonal contains NaN or infinity; check the tangent", ~np.isfinite(diag)),
+        ("A", "its diagonal has entries <= 0, so it is not positive definite", diag <= 0.0),
+        ("lower, upper", "they contain NaN", np.isnan(lower) | np.isnan(upper)),
+        ("lower, upper", "infinite bounds of the wrong sign", wrong),
+        (
+            "lower, upper",
+            f"lower > upper at unknowns {(crossed[:3] + start).tolist()}; no x can satisfy them",
+            crossed.size > 0,
+        ),
+    ]
+    found = np.array([np.any(bad) for _, _, bad in verdicts])
+    anywhere = np.empty_like(found)
+    qp.comm.Allreduce(found, anywhere, op=MPI.LOR)
+    for (name, text, _), bad in zip(verdicts, anywhere, strict=True):
+        if bad:
+            raise ValueError(f"The {name} of the quadratic program cannot be used: {text}.")
+
+
+def reaction(qp: BoundQP, x: PETSc.Vec) -> PETSc.Vec:
+    """Return z = b - A x."""
+    z = qp.b.duplicate()
+    qp.A.mult(x, z)
+    z.aypx(-1.0, qp.b)
+    return z
+
+
+def classify(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec) -> npt.NDArray[np.int8]:
+    """Return the active set that the primal-dual rule predicts from (x, z).
+
+    An unknown is at its upper bound if z + c (x - upper) > 0 and at its lower bound if
+    z + c (x - lower) < 0, with c = diag(A), which makes both terms forces of one size.
+
+    Returns:
+        (k,) int8 on `qp.bounded`.
+    """
+    lower, upper = qp.bounds()
+    c = qp.A.getDiagonal().array_r[qp.bounded]
+    xb, zb = x.array_r[qp.bounded], z.array_r[qp.bounded]
+    active = np.zeros(qp.bounded.size, dtype=np.int8)
+    active[zb + c * (xb - upper) > 0.0] = 1
+    active[zb + c * (xb - lower) < 0.0] = -1
+    return active
+
+
+def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
+    """Measure how well x satisfies the optimality conditions, from the data alone (collective).
+
+    Args:
+        qp: the problem.
+        x: (n,) candidate.
+        z: b - A x if it is at hand; computed otherwise.
+
+    Returns:
+        The four residuals; they are zero for the exact solution, whatever backend found it.
+    """
+    z = reaction(qp, x) if z is None else z
+    lower, upper = qp.bounds()
+    xb, zb = x.array_r[qp.bounded], z.array_r[qp.bounded]
+    active = classify(qp, x, z)
+    free = np.ones(x.local_size, dtype=bool)
+    free[qp.bounded[active != 0]] = False
+    over, under = np.maximum(xb - upper, 0.0), np.maximum(lower - xb, 0.0)
+    pull = np.where(active == 0, 0.0, np.maximum(-active * zb, 0.0))
+    # the bound that a reaction belongs to follows from its sign; without one it is stationarity's
+    side = np.where(zb > 0.0, upper, lower)
+    distance = np.abs(np.where(np.isfinite(side), side, xb) - xb)
+    bound = np.maximum(np.where(over > 0, np.abs(upper), 0), np.where(under > 0, np.abs(lower), 0))
+    largest = [np.abs(x.array_r), bound, np.maximum(over, under), pull]
+    tops = np.array([a.max(initial=0.0) for a in largest])
+    x_top, bound_top, gap_top, pull_top = _max_over_ranks(qp.comm, tops)
+    round_off = qp.A.getDiagonal().array_r * x.array_r
+    parts = (qp.b.array_r, zb, z.array_r[free], round_off)
+    b2, zb2, free2, off2 = np.sqrt(qp.comm.allreduce(np.array([v @ v for v in parts])))
+    force, length = b2 + zb2, max(x_top, bound_top)
+    # One of the two factors must vanish; a product would mix far bounds with round-off in z.
+    tiny = np.finfo(float).tiny
+    both = np.minimum(np.abs(zb) / max(force, tiny), distance / max(length, tiny))
+    both_top = _max_over_ranks(qp.comm, np.array([both.max(initial=0.0)]))[0]
+    return KKT(
+        stationarity=_ratio(free2, force),
+        feasibility=_ratio(gap_top, length),
+        sign=_ratio(pull_top, force),
+        complementarity=float(both_top),
+        force_floor=ROUND_OFF * EPS * _ratio(off2, force) if force > 0.0 else 0.0,
+        length_floor=ROUND_OFF * EPS,
+    )
+
+
+def _max_over_ranks(comm: MPI.Comm, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the entry-wise maximum over all ranks; NaN wins, unlike in MPI_MAX."""
+    nan = comm.allreduce(bool(np.isnan(values).any()), op=MPI.LOR)
+    result = np.empty_like(values)
+    comm.Allreduce(np.nan_to_num(values, nan=0.0), result, op=MPI.MAX)
+    return np.full_like(values, np.nan) if nan else result

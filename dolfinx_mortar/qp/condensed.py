@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: MIT
+"""Any number of active-set updates for the price of one factorisation and a few solves.
+
+Factorise A once with all bounded unknowns B held. Then x_I follows from x_B by one solve, and what
+is left is a QP for x_B with the Schur complement S = A_BB - A_BI A_II^-1 A_IB. Applying S costs one
+solve; forming it would cost one per bounded unknown. So a dense model of S is kept on every rank
+(it is data of a surface, not of a volume), the model's QP is solved to the end, and the solve that
+checks the result gives one exact pair (v, S v) that improves the model (block BFGS). The first
+model is the square root of a graph Laplacian, because S is a half-order operator like the
+Dirichlet-to-Neumann map; later ones start from what was learnt in the last Newton iteration.
+
+Nothing here is singular as long as the bounds, all active, hold the bodies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import cho_factor, cho_solve, eigh
+
+from dolfinx_mortar.qp.bound_qp import BoundQP
+from dolfinx_mortar.qp.dense import solve_dense
+from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
+
+Floats = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
+
+# Dense algebra on more unknowns than these costs more than the solves that it saves.
+MAX_UNKNOWNS = 1500
+MAX_PAIRS = 40
+# Pairs with less curvature than this, relative to |v| |S v|, are round-off.
+LEAST_CURVATURE = 1e-12
+
+
+@dataclass
+class SchurModel:
+    """A symmetric positive definite model of the Schur complement on the bounded unknowns."""
+
+    unknowns: Indices  # this rank's bounded unknowns
+    base: Floats  # (k, k) before any pair is known
+    V: Floats  # (k, j) directions, conjugate: V' W = 1
+    W: Floats  # (k, j) S V
+
+    def matrix(self) -> Floats:
+        """Return base - base V (V' base V)^-1 V' base + W W', which maps V to W."""
+        if self.V.shape[1] == 0:
+            return self.base
+        C = self.base @ self.V
+        M = self.base - C @ cho_solve(cho_factor(self.V.T @ C), C.T) + self.W @ self.W.T
+        return np.asarray(0.5 * (M + M.T))
+
+    def learn(self, v: Floats, w: Floats) -> None:
+        """Add the pair w = S v, made conjugate to the pairs at hand."""
+        for _ in range(2):  # twice is enough
+            c = self.W.T @ v
+            v, w = v - self.V @ c, w - self.W @ c
+        energy = v @ w
+        if not energy > LEAST_CURVATURE * np.linalg.norm(v) * np.linalg.norm(w):
+            return
+        if self.V.shape[1] == 0:
+            self.base = self.base * (energy / (v @ self.base @ v))
+        scale = 1.0 / np.sqrt(energy)
+        self.V = np.column_stack([self.V, scale * v])
+        self.W = np.column_stack([self.W, scale * w])
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The bounded unknowns of all ranks as one replicated vector, in rank order."""
+
+    comm: MPI.Comm
+    own: Indices  # this rank's bounded unknowns, ascending
+    counts: npt.NDArray[np.int64]  # (ranks,)
+
+    @property
+    def own_part(self) -> slice:
+        """This rank's part of a replicated vector."""
+        first = int(self.counts[: self.comm.rank].sum())
+        return slice(first, first + self.own.size)
+
+    def gather(self, values: Floats) -> Floats:
+        """Return the values of all ranks."""
+        result = np.empty(int(self.counts.sum()))
+        self.comm.Allgatherv(
+            np.ascontiguousarray(values, dtype=np.float64), (result, self.counts.tolist())
+        )
+        return result
+
+    def block(self, A: PETSc.Mat) -> Floats:
+        """Return A restricted to these unknowns, dense and replicated."""
+        rows = (self.own + A.getOwnershipRange()[0]).astype(PETSc.IntType)
+        index = PETSc.IS().createGeneral(rows, comm=A.comm)
+        indptr, columns, values = A.createSubMatrix(index, index).getValuesCSR()
+        row = self.own_part.start + np.repeat(np.arange(self.own.size), np.diff(indptr))
+        dense = np.zeros(2 * (int(self.counts.sum()),))
+        for i, j, a in self.comm.allgather((row, columns, values)):
+            dense[i, j] = a
+        return dense
+
+
+def half_laplacian(block: Floats) -> Floats:
+    """Return diag^(1/2) sqrt(L) diag^(1/2), with L the Laplacian of the graph of A_BB.
+
+    For linear elements on a curve this is the energy of the Dirichlet-to-Neumann map up to a
+    factor, whatever the mesh sizes; diag(A) brings in the stiffness.
+    """
+    diagonal = np.sqrt(np.diag(block))
+    weights = np.abs(block) / np.outer(diagonal, diagonal)
+    np.fill_diagonal(weights, 0.0)
+    values, vectors = eigh(np.diag(weights.sum(axis=1)) - weights)
+    # the size of the body bounds the softest mode: one wavelength over the whole surface
+    shift = max(values.max(initial=0.0), 1.0) / max(1, values.size) ** 2
+    root = (vectors * np.sqrt(np.maximum(values, 0.0) + shift)) @ vectors.T
+    return np.asarray(root * np.outer(diagonal, diagonal))
+
+
+def is_worthwhile(qp: BoundQP, linear: LinearSolver) -> bool:
+    """Tell whether the bounded unknowns are few and the linear solver is a factorisation."""
+    size = qp.comm.allreduce(qp.bounded.size)
+    return linear.direct and 0 < size <= MAX_UNKNOWNS
+
+
+def predict(
+    qp: BoundQP, linear: LinearSolver, x: PETSc.Vec, start: npt.NDArray[np.int8], *, rtol: float
+) -> npt.NDArray[np.int8]:
+    """Solve the QP through its Schur complement on the bounded unknowns (collective).
+
+    Args:
+        qp: the problem.
+        linear: factorises A with all bounded unknowns held, unless it has done so; keeps the model.
+        x: (n,) out: the solution.
+        start: (k,) guess of the active set.
+        rtol: residual of the free bounded unknowns relative to the forces.
+
+    Returns:
+        The active set (k,). It is what the model says after at most 40 solves; the caller checks.
+
+    Raises:
+        LinearSolveFailed: if A is singular even with all bounded unknowns held.
+    """
+    order = np.argsort(qp.bounded)
+    surface = Surface(qp.comm, qp.bounded[order], np.array(qp.comm.allgather(order.size)))
+    lower, upper = (surface.gather(bound[order]) for bound in qp.bounds())
+    linear.factorise(surface.own)
+    model = _model(qp, linear, surface)
+    active = np.sign(surface.gather(start[order].astype(np.float64)))
+    reduced = _Reduced(qp, linear, surface, x)
+    w = np.where(active > 0, upper, np.where(active < 0, lower, np.clip(0.0, lower, upper)))
+    rho = reduced.force(w)
+    b_norm = qp.b.norm()
+    for _ in range(MAX_PAIRS):
+        d, active = _solve_model(qp, surface, model, (rho, lower - w, upper - w, active))
+        tolerance = max(0.3 * rtol * max(np.linalg.norm(rho), b_norm), linear.round_off(x))
+        reached = w + d
+        held = active != 0
+        if np.linalg.norm(rho[~held]) <= tolerance and np.array_equal(reached[held], w[held]):
+            break
+        reached[held] = np.where(active > 0, upper, lower)[held]
+        w, rho = reduced.move(w, reached, rho, model)
+        if not np.isfinite(rho).all():
+            break
+    result = np.empty(order.size, dtype=np.int8)
+    result[order] = active[surface.own_part]
+    return result
+
+
+class _Reduced:
+    """The energy as a function of x_B alone, with x kept up to date."""
+
+    def __init__(self, qp: BoundQP, linear: LinearSolver, surface: Surface, x: PETSc.Vec) -> None:
+        self.qp, self.linear, self.surface, self.x = qp, linear, surface, x
+        self.z, self.dx, self.before = (x.duplicate() for _ in range(3))
+
+    def force(self, w: Floats) -> Floats:
+        """Set x_B = w, solve for x_I and return (b - A x)_B = minus the reduced gradient."""
+        own, x = self.surface.own, self.x
+        x.array[own] = w[self.surface.own_part]
+        self.linear.apply(self.linear.residual(self.qp.b, x, own), self.dx)
+        self.dx.array[own] = 0.0
+        x.axpy(1.0, self.dx)
+        self.qp.A.mult(x, self.z)
+        self.z.aypx(-1.0, self.qp.b)
+        return self.surface.gather(self.z.array_r[own])
+
+    def move(
+        self, w: Floats, reached: Floats, rho: Floats, model: SchurModel
+    ) -> tuple[Floats, Floats]:
+        """Go from w towards `reached` as long as the energy falls; the model learns the pair."""
+        self.x.copy(self.before)
+        after = self.force(reached)
+        d, Sd = reached - w, rho - after
+        model.learn(d, Sd)
+        energy = d @ Sd
+        step = rho @ d / energy if energy > 0.0 else 1.0
+        if not 0.0 < step < 1.0:
+            return reached, after
+        self.x.aypx(step / (1.0 - step), self.before)  # (before + s/(1-s) x) (1-s)
+        self.x.scale(1.0 - step)
+        return w + step * d, rho - step * Sd
+
+
+def _model(qp: BoundQP, linear: LinearSolver, surface: Surface) -> SchurModel:
+    """Return the model that the linear solver remembers, without pairs, or a new one."""
+    last = linear.memory.get("schur")
+    fits = isinstance(last, SchurModel) and np.array_equal(last.unknowns, surface.own)
+    if qp.comm.allreduce(fits, op=MPI.LAND) and isinstance(last, SchurModel):
+        base = last.matrix()
+    else:
+        base = half_laplacian(surface.block(qp.A))
+    empty = np.zeros((base.shape[0], 0))
+    model = SchurModel(surface.own.copy(), base, empty, empty)
+    linear.memory["schur"] = model
+    return model
+
+
+def _solve_model(
+    qp: BoundQP, surface: Surface, model: SchurModel, problem: tuple[Floats, Floats, Floats, Floats]
+) -> tuple[Floats, Floats]:
+    """Solve the model's QP on rank 0 and send the answer, so that it is bitwise the same.
+
+    The model starts afresh where round-off has made it indefinite.
+    """
+    for _ in range(2):
+        answer = None
+        if qp.comm.rank == 0:
+            try:
+                answer = solve_dense(model.matrix(), *problem)
+            except np.linalg.LinAlgError:
+                pass
+        answer = qp.comm.bcast(answer, root=0)
+        if answer is not None:
+            return answer
+        model.base = half_laplacian(surface.block(qp.A))
+        model.V = model.W = np.zeros((model.base.shape[0], 0))
+    raise LinearSolveFailed(
+        "The stiffness of the bounded unknowns is not positive definite: check the material "
+        "constants, and that the bounds and supports together hold every body."
+    )

@@ -1,0 +1,325 @@
+# SPDX-License-Identifier: MIT
+"""Linear systems with some unknowns held, and the reuse of factorisations among them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_mortar.qp.bound_qp import EPS, ROUND_OFF
+
+Indices = npt.NDArray[np.int32]
+
+DEFAULTS = {"ksp_type": "cg", "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
+# A numeric factorisation in 2D costs as much as 4 to 5 solves with it (measured at 5k, 50k and
+# 200k unknowns, MUMPS): beyond that many iterations a new one is cheaper than an old one.
+REFACTOR_AFTER = 5
+MAX_ITERATIONS = 500
+MAX_SWEEPS = 6
+# MUMPS: workspace too small; ICNTL(14) is the percentage by which it exceeds the estimate.
+WORKSPACE_ERRORS = (-8, -9)
+# A well-posed stiffness matrix loses up to 6 to 8 digits; one that loses 12 is singular.
+SINGULAR_LOSS = 1e-4
+
+
+class LinearSolveFailed(RuntimeError):
+    """A linear system could not be solved; the message has the reason and the remedy."""
+
+
+@dataclass
+class LinearCounts:
+    """What the solver has done so far."""
+
+    symbolic: int = 0  # analyses of a pattern
+    factorisations: int = 0  # numeric factorisations or preconditioner set-ups
+    iterations: int = 0  # applications of the factorisation or preconditioner
+    solves: int = 0
+    seconds_factor: float = 0.0
+    seconds_solve: float = 0.0
+
+
+class LinearSolver:
+    """Solve A_ff x_f = b_f - A_fc x_c for changing sets c of held unknowns and changing A.
+
+    The operator is a copy of A whose rows and columns in c are zeroed with the pattern kept, so
+    nothing is allocated and the symbolic factorisation lives as long as the pattern. The numeric
+    factorisation of an earlier set or an earlier A preconditions conjugate gradients; it is renewed
+    as soon as the observed convergence promises that this is cheaper. The decisions depend on
+    residuals only, never on clocks, and so are the same on all ranks.
+
+    Args:
+        comm: communicator of the matrices.
+        prefix: prefix of all PETSc options of this solver.
+        options: PETSc options without prefix over the defaults (CG with MUMPS Cholesky); what the
+            user's options database has under the prefix wins.
+        near_nullspace: for multigrid; it must fit the transformed unknowns.
+        refactor_after: iterations that cost as much as a new factorisation.
+    """
+
+    def __init__(
+        self,
+        comm: MPI.Comm,
+        *,
+        prefix: str,
+        options: dict[str, Any] | None = None,
+        near_nullspace: PETSc.NullSpace | None = None,
+        refactor_after: int = REFACTOR_AFTER,
+    ) -> None:
+        """Remember the options; PETSc objects follow with the first matrix."""
+        self.comm = comm
+        self.prefix = prefix
+        self.options = DEFAULTS | (options or {})
+        self.near_nullspace = near_nullspace
+        self.refactor_after = refactor_after
+        self.counts = LinearCounts()
+        self.memory: dict[str, object] = {}  # what a backend has learnt about the matrices
+        self._A: PETSc.Mat | None = None
+        self._seen: tuple[int, int] = (-1, -1)  # object state of A: as masked, as factorised
+        self._fixed: Indices | None = None  # mask of the operator
+        self._factor_fixed: Indices | None = None  # mask of the factorisation
+
+    @property
+    def direct(self) -> bool:
+        """Tell whether the preconditioner is a factorisation."""
+        return self._ksp.getPC().getType() in ("cholesky", "lu")
+
+    @property
+    def description(self) -> str:
+        """Name the method, for reports."""
+        if self._A is None:
+            return "not used yet"
+        pc = self._ksp.getPC()
+        name = pc.getType()
+        if self.direct:
+            name += f" ({pc.getFactorSolverType()})"
+        return f"{self._ksp.getType()} + {name}"
+
+    @contextmanager
+    def database(self, prefix: str, more: Mapping[str, Any] | None = None) -> Iterator[None]:
+        """Hold our options in PETSc's database: they are read at set-up as well as at creation."""
+        opts = PETSc.Options()
+        mine = {f"{prefix}{key}": value for key, value in (self.options | dict(more or {})).items()}
+        mine = {key: value for key, value in mine.items() if not opts.hasName(key)}
+        for key, value in mine.items():
+            opts.setValue(key, value)
+        try:
+            yield
+        finally:
+            for key in mine:
+                opts.delValue(key)
+
+    def attach(self, A: PETSc.Mat) -> None:
+        """Take A as the matrix of the next solves (collective).
+
+        The factorisation at hand stays as preconditioner if A is the object seen before.
+        """
+        if self._A is not None and A.handle == self._A.handle:
+            return
+        self._A = None  # until all options have proved valid
+        self._masked = A.duplicate(copy=True)
+        self._masked.setOption(PETSc.Mat.Option.SPD, True)
+        self._masked.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        if self.near_nullspace is not None:
+            self._masked.setNearNullSpace(self.near_nullspace)
+        self._r, self._dx = A.createVecRight(), A.createVecRight()
+        self._seen, self._fixed, self._factor_fixed = (-1, -1), None, None
+        self._ksp = PETSc.KSP().create(self.comm)
+        self._ksp.setOptionsPrefix(self.prefix)
+        self._ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+        with self.database(self.prefix):
+            self._ksp.setFromOptions()
+        if self._ksp.getType() == "preonly":
+            self._ksp.setNormType(PETSc.KSP.NormType.NONE)
+        else:
+            self._ksp.setConvergenceTest(self._converged)
+        self._ksp.setOperators(self._masked)
+        self._A = A
+        self.counts.symbolic += 1
+
+    def is_fresh(self, fixed: Indices) -> bool:
+        """Tell whether the factorisation is that of the present A with this mask (collective)."""
+        same = self._factor_fixed is not None and np.array_equal(self._factor_fixed, fixed)
+        return self._seen[1] == self._state() and bool(self.comm.allreduce(same, op=MPI.LAND))
+
+    def _state(self) -> int:
+        assert self._A is not None
+        return int(self._A.stateGet())
+
+    def _mask(self, fixed: Indices) -> None:
+        """Set the operator to A with rows and columns of `fixed` replaced by a scaled identity."""
+        same = self._fixed is not None and np.array_equal(self._fixed, fixed)
+        if self._seen[0] == self._state() and self.comm.allreduce(same, op=MPI.LAND):
+            return
+        assert self._A is not None
+        self._A.copy(self._masked, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        self._diagonal = self._A.getDiagonal()
+        typical = self._diagonal.sum() / self._diagonal.getSize()
+        rows = (fixed + self._A.getOwnershipRange()[0]).astype(PETSc.IntType)
+        self._masked.zeroRowsColumns(rows, diag=typical)
+        self._fixed = fixed.copy()
+        self._seen = (self._state(), self._seen[1])
+
+    def factorise(self, fixed: Indices) -> None:
+        """Factorise A with `fixed` held, unless that is what the factorisation is of (collective).
+
+        Raises:
+            LinearSolveFailed: for a singular matrix or one that does not fit into memory.
+        """
+        self._mask(fixed)
+        if self.is_fresh(fixed):
+            return
+        begin = perf_counter()
+        pc = self._ksp.getPC()
+        pc.setReusePreconditioner(False)
+        self._ksp.setOperators(self._masked)
+        with self.database(self.prefix):
+            for _ in range(MAX_SWEEPS):
+                pc.setUp()
+                self.counts.factorisations += 1
+                if not self._enlarge_workspace(pc):
+                    break
+                self._masked.stateIncrease()
+        pc.setReusePreconditioner(True)
+        self._factor_fixed = fixed.copy()
+        self._seen = (self._seen[0], self._state())
+        self.counts.seconds_factor += perf_counter() - begin
+        if pc.getFailedReason() != 0:
+            self._factor_fixed = None
+            raise LinearSolveFailed(
+                f"The factorisation of a matrix of order {self._masked.size[0]} failed "
+                f"({self._reason(pc)}). Most often a body is held by nothing: add a Dirichlet "
+                "condition or a contact that holds it, or check the material constants."
+            )
+
+    def _mumps(self, pc: PETSc.PC) -> PETSc.Mat | None:
+        """Return the factor if it is one of MUMPS."""
+        return pc.getFactorMatrix() if self.direct and pc.getFactorSolverType() == "mumps" else None
+
+    def _reason(self, pc: PETSc.PC) -> str:
+        factor = self._mumps(pc)
+        code = f", MUMPS INFOG(1) = {factor.getMumpsInfog(1)}" if factor is not None else ""
+        return f"PETSc reason {pc.getFailedReason()}{code}"
+
+    def _enlarge_workspace(self, pc: PETSc.PC) -> bool:
+        """Double MUMPS' workspace if it was too small; tell whether to try again."""
+        factor = self._mumps(pc)
+        if factor is None or factor.getMumpsInfog(1) not in WORKSPACE_ERRORS:
+            return False
+        factor.setMumpsIcntl(14, 2 * max(factor.getMumpsIcntl(14), 20))
+        return True
+
+    def apply(self, r: PETSc.Vec, x: PETSc.Vec) -> None:
+        """Apply the factorisation (or preconditioner) at hand once: x = F^-1 r."""
+        begin = perf_counter()
+        self._ksp.getPC().apply(r, x)
+        self.counts.iterations += 1
+        self.counts.seconds_solve += perf_counter() - begin
+
+    def residual(self, b: PETSc.Vec, x: PETSc.Vec, fixed: Indices) -> PETSc.Vec:
+        """Return b - A x with zeros at `fixed`; the vector is reused by the next call."""
+        assert self._A is not None
+        self._A.mult(x, self._r)
+        self._r.aypx(-1.0, b)
+        self._r.array[fixed] = 0.0
+        return self._r
+
+    def solve(self, b: PETSc.Vec, x: PETSc.Vec, fixed: Indices, *, atol: float) -> int:
+        """Solve for the unknowns that are not held, in place (collective).
+
+        Args:
+            b: (n,) right-hand side.
+            x: (n,) in: values of the held unknowns and a guess for the others; out: solution.
+            fixed: owned local indices of held unknowns, ascending.
+            atol: largest 2-norm of b - A x over unknowns not held.
+
+        Returns:
+            The number of iterations.
+
+        Raises:
+            LinearSolveFailed: if the true residual stays above both atol and round-off, or if
+                the solution is so large that the matrix must be singular.
+        """
+        self._mask(fixed)
+        before = self.counts.iterations
+        self.counts.solves += 1
+        norm, previous = self.residual(b, x, fixed).norm(), np.inf
+        first = norm
+        for _ in range(MAX_SWEEPS):
+            floor = self.round_off(x)
+            if norm <= atol or (norm <= floor and norm > 0.3 * previous):
+                break
+            if self._factor_fixed is None and self._seen[1] < 0:
+                self.factorise(fixed)
+            self._atol = max(0.5 * atol, 0.02 * floor)
+            self._sweep()
+            x.axpy(1.0, self._dx)
+            norm, previous = self.residual(b, x, fixed).norm(), norm
+            if norm > max(atol, self.round_off(x)) and not self.is_fresh(fixed):
+                self.factorise(fixed)
+        self._judge(b, x, max(first, norm), norm, atol)
+        return self.counts.iterations - before
+
+    def _sweep(self) -> None:
+        """Solve for the correction dx of the present residual."""
+        begin = perf_counter()
+        self._stale = not self.is_fresh(self._fixed)  # type: ignore[arg-type]
+        self._ksp.setTolerances(rtol=1e-14, atol=self._atol, max_it=MAX_ITERATIONS)
+        self._ksp.solve(self._r, self._dx)
+        self.counts.iterations += max(1, self._ksp.getIterationNumber())
+        self.counts.seconds_solve += perf_counter() - begin
+
+    def round_off(self, x: PETSc.Vec) -> float:
+        """Return the round-off of A x, the smallest residual that can be expected."""
+        scaled = self._dx.duplicate()
+        scaled.pointwiseMult(self._diagonal, x)
+        return float(ROUND_OFF * EPS * scaled.norm())
+
+    def _converged(self, ksp: PETSc.KSP, its: int, norm: float) -> int:
+        """Stop at the tolerance, or when an old factorisation turns out too slow a guide."""
+        Reason = PETSc.KSP.ConvergedReason
+        if its == 0:
+            self._first = norm
+        if not np.isfinite(norm):
+            return int(Reason.DIVERGED_NANORINF)
+        if norm <= self._atol:
+            return int(Reason.CONVERGED_ATOL)
+        if norm <= 1e-14 * self._first:
+            return int(Reason.CONVERGED_RTOL)
+        if its >= MAX_ITERATIONS:
+            return int(Reason.DIVERGED_MAX_IT)
+        if self._stale and self.direct and its >= 2:
+            rate = np.log(norm / self._first) / its
+            left = np.log(self._atol / norm) / rate if rate < 0.0 else np.inf
+            if left > self.refactor_after:
+                return int(Reason.CONVERGED_ITS)
+        return int(Reason.CONVERGED_ITERATING)
+
+    def _judge(self, b: PETSc.Vec, x: PETSc.Vec, first: float, norm: float, atol: float) -> None:
+        """Raise if a solution is none."""
+        round_off = self.round_off(x)
+        tolerance = max(atol, round_off)
+        if np.isfinite(norm) and norm <= tolerance:
+            assert self._A is not None
+            self._A.mult(x, self._dx)
+            self._dx.aypx(-1.0, b)  # with the reactions of held unknowns
+            force = max(first, b.norm(), self._dx.norm())
+            if round_off <= SINGULAR_LOSS * force or force == 0.0:
+                return
+            cause = f"its round-off {round_off:.1e} is near the forces {force:.1e}"
+        else:
+            cause = f"the residual is {norm:.1e}, not {tolerance:.1e}"
+        raise LinearSolveFailed(
+            f"The linear solver gave no solution: {cause} (PETSc reason "
+            f"{self._ksp.getConvergedReason()}). A solution with large round-off comes from a "
+            "singular matrix: a body is held by nothing. Otherwise choose a direct solver (pc_type "
+            "cholesky) or a better preconditioner."
+        )

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: MIT
+"""PETSc's TAO on a scaled bound-constrained QP, stopped and judged by the check on the data."""
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution, check, classify, reaction
+from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
+
+MAX_ITERATIONS = 200
+POLISHING_SOLVES = 5
+# Far bounds of unknowns that have none, in units of the largest scaled unknown
+BOX = 1e3
+# TAO's own tests must not stop it before ours does.
+NEVER = 1e-50
+
+
+def run(
+    qp: BoundQP,
+    linear: LinearSolver,
+    method: str,
+    *,
+    rtol: float,
+) -> QPSolution:
+    """Solve with one of TAO's methods, then once more with the active set that it has found.
+
+    The unknowns are scaled to a unit diagonal and a unit force, so that TAO's absolute constants
+    mean the same in all units.
+
+    Args:
+        qp: the problem.
+        linear: its options go to the linear solver inside TAO; it makes the last solve.
+        method: "bqpip" or "tron".
+        rtol: tolerance of the KKT check that stops the iteration.
+
+    Returns:
+        The solution before or after the last solve, whichever passes the check better.
+    """
+    box, iterations = BOX, 0
+    for _ in range(3):
+        scaled = _Scaled(qp, linear, box)
+        x, its, reason = _iterate(qp, linear, scaled, method, rtol)
+        iterations += its
+        if not scaled.touches_box(x):
+            break
+        box *= BOX
+    solution = _polish(qp, linear, x, rtol)
+    solution.updates += iterations
+    solution.factorisations += iterations
+    solution.note = f"TAO {method}: {iterations} iterations, reason {reason}"
+    return solution
+
+
+def _iterate(
+    qp: BoundQP, linear: LinearSolver, scaled: "_Scaled", method: str, rtol: float
+) -> tuple[PETSc.Vec, int, int]:
+    """Run TAO; return x, the iterations and TAO's reason to stop."""
+    tao = PETSc.TAO().create(qp.A.comm)
+    tao.setOptionsPrefix(f"{linear.prefix}tao_")
+    tao.setType(method)
+
+    def objective(_: PETSc.TAO, y: PETSc.Vec, gradient: PETSc.Vec) -> float:
+        scaled.A.mult(y, gradient)
+        gradient.axpy(-1.0, scaled.b)
+        return float(0.5 * (y.dot(gradient) - y.dot(scaled.b)))
+
+    def stop(tao: PETSc.TAO) -> None:
+        if check(qp, scaled.unscale(tao.getSolution())).satisfied(0.1 * rtol):
+            tao.setConvergedReason(PETSc.TAO.Reason.CONVERGED_USER)
+
+    y, gradient = scaled.start.copy(), scaled.b.duplicate()
+    tao.setObjectiveGradient(objective, gradient)
+    tao.setHessian(lambda *_: None, scaled.A)
+    tao.setVariableBounds((scaled.lower, scaled.upper))
+    tao.setTolerances(gatol=NEVER, grtol=NEVER, gttol=NEVER)
+    tao.setMaximumIterations(MAX_ITERATIONS)
+    tao.setMonitor(stop)
+    with linear.database(f"{linear.prefix}tao_"):
+        tao.setFromOptions()
+        tao.solve(y)
+    result = scaled.unscale(y), tao.getIterationNumber(), int(tao.getConvergedReason())
+    tao.destroy()
+    return result
+
+
+class _Scaled:
+    """The QP in y = x / (s l), s = diag(A)^(-1/2), with a length l that makes y about 1.
+
+    The length comes from the solution with all bounded unknowns held where they are (or at the
+    nearest admissible value). Unknowns without a bound get one that is far away: the interior
+    point averages its complementarity over all bounds, and one at infinity spoils it.
+    """
+
+    def __init__(self, qp: BoundQP, linear: LinearSolver, box: float) -> None:
+        self.qp, self.box = qp, box
+        self.s = qp.A.getDiagonal()
+        self.s.sqrtabs()
+        self.s.reciprocal()
+        lower, upper = qp.bounds()
+        x = qp.b.duplicate()
+        x.set(0.0)
+        x.array[qp.bounded] = np.clip(0.0, lower, upper)
+        force = max(qp.b.norm(), reaction(qp, x).norm())
+        linear.solve(qp.b, x, np.sort(qp.bounded), atol=1e-3 * force)
+        x.pointwiseDivide(x, self.s)
+        self.length = x.norm(PETSc.NormType.INFINITY) or 1.0
+        x.scale(1.0 / self.length)
+        self.start = x
+        self.A = qp.A.copy()
+        self.A.diagonalScale(self.s, self.s)
+        self.A.setOption(PETSc.Mat.Option.SPD, True)
+        self.b, self.lower, self.upper = (qp.b.duplicate() for _ in range(3))
+        self.b.pointwiseMult(qp.b, self.s)
+        self.b.scale(1.0 / self.length)
+        s = self.s.array_r[qp.bounded]
+        for bound, values, far in ((self.lower, lower, -box), (self.upper, upper, box)):
+            bound.set(far)
+            scaled = values / (s * self.length)
+            bound.array[qp.bounded] = np.where(np.isfinite(scaled), scaled, far)
+
+    def unscale(self, y: PETSc.Vec) -> PETSc.Vec:
+        """Return x."""
+        x = y.duplicate()
+        x.pointwiseMult(y, self.s)
+        x.scale(self.length)
+        return x
+
+    def touches_box(self, x: PETSc.Vec) -> bool:
+        """Tell whether the far bounds are not far enough."""
+        y = np.abs(x.array_r / (self.s.array_r * self.length))
+        y[self.qp.bounded] = 0.0
+        return bool(self.qp.comm.allreduce(y.max(initial=0.0), op=MPI.MAX) > 0.1 * self.box)
+
+
+def _polish(qp: BoundQP, linear: LinearSolver, x: PETSc.Vec, rtol: float) -> QPSolution:
+    """Round by complementarity: solve once with the active set found, more often if it changes."""
+    z = reaction(qp, x)
+    best = QPSolution(x, z, classify(qp, x, z), check(qp, x, z), 0, 0, 0, "")
+    lower, upper = qp.bounds()
+    y, active = x.copy(), best.active
+    for _ in range(POLISHING_SOLVES):
+        held = active != 0
+        y.array[qp.bounded[held]] = np.where(active > 0, upper, lower)[held]
+        force = max(qp.b.norm(), z.norm())
+        try:
+            linear.solve(qp.b, y, np.sort(qp.bounded[held]), atol=0.5 * rtol * force)
+        except LinearSolveFailed:
+            break
+        z = reaction(qp, y)
+        kkt, new = check(qp, y, z), classify(qp, y, z)
+        if kkt.worst < best.kkt.worst:
+            best = QPSolution(y.copy(), z, active, kkt, 0, 0, 0, "")
+        if not qp.comm.allreduce(int((new != active).sum())):
+            break
+        active = new
+    return best

@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: MIT
+"""Trust-region Newton with projected searches: TAO's tron."""
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_mortar.qp import tao
+from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution
+from dolfinx_mortar.qp.linear import LinearSolver
+
+
+def solve(
+    qp: BoundQP, linear: LinearSolver, *, start: npt.NDArray[np.int8], rtol: float
+) -> QPSolution:
+    """Solve a bound-constrained QP with TAO's tron (collective).
+
+    Args:
+        qp: the problem.
+        linear: gives its options to the solver inside, and makes the last solve.
+        start: (k,) unused; the method starts from the point of the box nearest to zero.
+        rtol: tolerance of the KKT check.
+    """
+    solution = tao.run(qp, linear, "tron", rtol=rtol)
+    solution.backend = "tron"
+    return solution
