@@ -70,6 +70,12 @@ def _check_space(V: dolfinx.fem.FunctionSpace) -> None:
         )
 
 
+def check_tags(facet_tags: Any) -> None:
+    """Raise a ValueError unless the argument is a MeshTags."""
+    if not isinstance(facet_tags, dolfinx.mesh.MeshTags):
+        raise ValueError(f"facet_tags is {facet_tags!r}: give a dolfinx.mesh.MeshTags of facets.")
+
+
 def _share_tags(facet_tags: dolfinx.mesh.MeshTags, tag: int) -> Ints:
     """Return the owned facets that any rank has marked with `tag`."""
     facet_map = facet_tags.topology.index_map(facet_tags.dim)
@@ -84,6 +90,7 @@ def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str
     """Return the marked facets that this rank owns; raise a ValueError on all ranks."""
     topology, comm = V.mesh.topology, V.mesh.comm
     fdim = topology.dim - 1
+    check_tags(facet_tags)
     if not compat.on_same_mesh(facet_tags, V.mesh):
         raise ValueError(f"facet_tags ({name}={tag}) belong to another mesh than V.")
     if facet_tags.dim != fdim:

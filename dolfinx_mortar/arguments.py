@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: MIT
+"""What a problem may be made of: checks of its arguments, the same on all ranks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+from dolfinx_mortar.interface import Interface
+from dolfinx_mortar.parallel import any_rank
+from dolfinx_mortar.solid import Solid
+
+GEOMETRIES = ("updated", "reference")
+
+
+def check_arguments(
+    solid: Solid,
+    interfaces: Iterable[Interface],
+    bcs: Iterable[fem.DirichletBC],
+    loads: ufl.Form | None,
+    geometry: str,
+) -> tuple[list[Interface], list[fem.DirichletBC]]:
+    """Return interfaces and Dirichlet conditions as lists if a problem can be made; collective.
+
+    Raises:
+        ValueError: if not, naming the argument and the remedy.
+    """
+    if not isinstance(solid, Solid):
+        raise ValueError(f"solid is {solid!r}: give a Solid(u, materials, cell_tags)")
+    if geometry not in GEOMETRIES:
+        raise ValueError(f"geometry is {geometry!r}: choose 'updated' or 'reference'")
+    sides = _check_interfaces(_as_list("interfaces", interfaces))
+    conditions = _check_conditions(_as_list("bcs", bcs), solid.V)
+    if loads is not None:
+        _check_loads(loads, solid.V)
+    finite = np.isfinite(solid.V.mesh.geometry.x).all()
+    if any_rank(solid.V.mesh.comm, not finite)[0]:
+        raise ValueError("the mesh's coordinates hold NaN or infinity; check the mesh")
+    return sides, conditions
+
+
+def _as_list(name: str, given: Any) -> list[Any]:
+    """Return the members of a sequence; a lone object is an error with a hint."""
+    if not isinstance(given, Iterable):
+        raise ValueError(f"{name} is {given!r}: give a list, [{name[:-1]}]")
+    return list(given)
+
+
+def _check_interfaces(interfaces: list[Any]) -> list[Interface]:
+    """Return interfaces if they are some, and all different."""
+    for k, interface in enumerate(interfaces):
+        if not isinstance(interface, Interface):
+            raise ValueError(f"interfaces holds {interface!r}: give Contact or Tie objects")
+        if any(interface is other for other in interfaces[:k]):
+            raise ValueError(f"interfaces holds the same object {interface!r} twice: give it once")
+    return interfaces
+
+
+def _check_conditions(bcs: Sequence[Any], V: fem.FunctionSpace) -> list[fem.DirichletBC]:
+    """Return Dirichlet conditions if they are some, on V or its components."""
+    for bc in bcs:
+        if not isinstance(bc, fem.DirichletBC):
+            raise ValueError(f"bcs holds {bc!r}: make it with dolfinx.fem.dirichletbc")
+        space = bc.function_space
+        if not V._cpp_object.contains(getattr(space, "_cpp_object", space)):
+            raise ValueError(
+                "bcs holds a condition on another space than that of solid.u: make it on "
+                "u.function_space or a component, u.function_space.sub(i)"
+            )
+    return list(bcs)
+
+
+def _check_loads(loads: Any, V: fem.FunctionSpace) -> None:
+    """Raise a ValueError unless the loads are a linear form of V's test function."""
+    if not isinstance(loads, ufl.Form) or len(loads.arguments()) != 1:
+        raise ValueError(f"loads is {loads!r}: give a linear form, for example inner(t, v) * ds")
+    space = loads.arguments()[0].ufl_function_space()
+    if space != V.ufl_function_space():
+        raise ValueError(
+            "loads: the test function belongs to another space; make it with "
+            "TestFunction(u.function_space)"
+        )
