@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: MIT
+"""The half disc on a block: problem, load steps and the numbers that are compared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+from mpi4py import MPI
+
+import numpy as np
+
+import dolfinx_mortar as dm
+from dolfinx import fem
+
+PLASTIC = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
+ELASTIC = dm.Elastic(E=206_900.0, nu=0.29)
+SIDES = {"block": (dm.meshing.TOP, dm.meshing.ARC), "disc": (dm.meshing.ARC, dm.meshing.TOP)}
+
+
+@lru_cache(maxsize=2)
+def create_mesh(kind: str, h: float, **options) -> dm.meshing.HertzMesh:
+    """Return a mesh; the last ones are kept, because gmsh takes longer than some tests."""
+    return dm.meshing.hertz(MPI.COMM_WORLD, kind=kind, h=h, **options)
+
+
+@dataclass
+class HertzCase:
+    """A problem whose flat face moves down by a prescribed displacement."""
+
+    problem: dm.ContactProblem
+    contact: dm.Contact
+    top: fem.Constant  # displacement of the flat face
+
+    def press(self, depth: float) -> None:
+        """Prescribe the displacement (0, -depth) of the flat face."""
+        self.top.value[:] = (0.0, -depth)
+
+    def fit(self) -> tuple[float, float]:
+        """Return half-width and peak pressure of p^2 = p0^2 (1 - x^2/b^2), least squares.
+
+        Over the active nodes, at reference x when frozen and at current x when updated.
+        """
+        surface = self.contact.gather(self.problem.u)
+        on = surface["active"] > 0
+        x = surface["x" if self.problem.geometry == "updated" else "X"][on, 0]
+        peak, half_width = dm.analytic.fit_pressure(x, surface["pressure"][on])
+        return half_width, peak
+
+    @property
+    def force(self) -> float:
+        """Total contact force, positive in compression."""
+        return float(abs(self.contact.force[1]))
+
+
+def create_case(
+    mesh: dm.meshing.HertzMesh,
+    materials=PLASTIC,
+    *,
+    slave: str = "block",
+    geometry: str = "updated",
+) -> HertzCase:
+    """Clamp the block's bottom, prescribe the disc's flat face, put contact in between."""
+    V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (2,)))
+    solid = dm.Solid(fem.Function(V, name="u"), materials, mesh.cell_tags)
+    values = [fem.Constant(mesh.mesh, np.zeros(2)) for _ in range(2)]
+    tags = (dm.meshing.BOTTOM, dm.meshing.FLAT)
+    bcs = [
+        fem.dirichletbc(value, fem.locate_dofs_topological(V, 1, mesh.facet_tags.find(tag)), V)
+        for value, tag in zip(values, tags, strict=True)
+    ]
+    contact = dm.Contact(mesh.facet_tags, slave=SIDES[slave][0], master=SIDES[slave][1])
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=geometry)
+    return HertzCase(problem, contact, values[1])
