@@ -18,6 +18,7 @@ from dolfinx_mortar.output import Writer
 meshio = pytest.importorskip("meshio")
 pytest.importorskip("h5py")
 
+pytestmark = pytest.mark.mpi
 COMM = MPI.COMM_WORLD
 CELLS = {name: mesh.CellType[name] for name in ("triangle", "quadrilateral")}
 

@@ -19,6 +19,7 @@ from dolfinx_mortar.materials import Elastic, VonMises
 from dolfinx_mortar.materials.tensor import frobenius_norm, from_components, strain
 from dolfinx_mortar.solid import Solid
 
+pytestmark = pytest.mark.mpi
 COMM = MPI.COMM_WORLD
 STEEL = VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")

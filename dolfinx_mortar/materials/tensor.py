@@ -68,7 +68,7 @@ def vector_norm(c: np.ndarray) -> np.ndarray:
 def von_mises(stress: np.ndarray) -> np.ndarray:
     """Return sqrt(3/2) |dev sigma| of stresses stored as (..., 4 or 6).
 
-    >>> float(von_mises(np.array([450.0, 0.0, 0.0, 0.0])))
+    >>> round(float(von_mises(np.array([450.0, 0.0, 0.0, 0.0]))), 9)
     450.0
     """
     deviator = stress.copy()
