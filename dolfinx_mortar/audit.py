@@ -49,6 +49,7 @@ class Audit:
 
     bodies: int
     interfaces: list[InterfaceAudit]
+    held_by_contact: bool  # some body is held by contact alone
     warnings: list[str]
 
     def __str__(self) -> str:
@@ -82,7 +83,8 @@ def create_audit(problem: ContactProblem) -> Audit:
     _check_sides(problem)
     found = [_audit(interface) for interface in problem.interfaces]
     warnings = list(problem.notes)
-    if problem.contacts and free_motions(problem.bodies, [*held, *ties]):
+    by_contact = bool(problem.contacts and free_motions(problem.bodies, [*held, *ties]))
+    if by_contact:
         warnings.append("a body is held by contact alone: the loads must press it on")
     for i in found:
         if i.kept_nodes == 0:
@@ -105,7 +107,7 @@ def create_audit(problem: ContactProblem) -> Audit:
                 f"{i.name}: {i.dirichlet_directions} directions of slave nodes have Dirichlet "
                 "data, which win over the interface"
             )
-    audit = Audit(problem.bodies.count, found, warnings)
+    audit = Audit(problem.bodies.count, found, by_contact, warnings)
     if problem.comm.rank == 0:
         log.info("%s", audit)
         for warning in warnings:

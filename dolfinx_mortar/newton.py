@@ -64,8 +64,10 @@ def newton(
             problem.begin_step()
             _Step(problem, report).run(max_it)
     except backends.QPNotSolved as error:
-        number = len(report.iterations) + 1
-        raise _failed(f"the QP of Newton iteration {number}: {error}", report) from error
+        number, cause = len(report.iterations) + 1, str(error)
+        if problem.audit().held_by_contact:
+            cause += " A body held by contact alone may float away: do the loads press it on?"
+        raise _failed(f"the QP of Newton iteration {number}: {cause}", report) from error
     finally:
         report.seconds = problem.timings.since(earlier)
         report.linear_solver = problem.linear.description

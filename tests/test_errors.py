@@ -12,8 +12,6 @@ from dolfinx import default_scalar_type, fem, mesh
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP, TOP_OF_LOWER
 from tests.pressed_blocks import COMM, ELASTIC, PressedBlocks, rejected, some_rank
 
-pytestmark = pytest.mark.mpi
-
 
 @pytest.fixture
 def case():
@@ -33,12 +31,14 @@ def test_the_unspoilt_case_works(case):
     assert report.converged and report.certificate.active_nodes > 0
 
 
+@pytest.mark.mpi
 @pytest.mark.parametrize("side", ["slave", "master"])
 def test_tag_that_marks_nothing(case, side):
     with rejected(f"{side}=77", "marks no facet", "has the values"):
         case.problem([case.contact(**{side: 77})])
 
 
+@pytest.mark.mpi
 def test_interior_facets_on_one_rank_only(case):
     tdim = case.mesh.topology.dim
     case.mesh.topology.create_connectivity(tdim - 1, tdim)
@@ -84,11 +84,13 @@ def test_tag_that_is_no_integer(case, tag):
         case.contact(slave=tag)
 
 
+@pytest.mark.mpi
 def test_sides_that_never_face_each_other(case):
     with rejected(f"slave={TOP} and master={TOP_OF_LOWER}", "never meet", "check the tags"):
         case.problem([case.contact(slave=TOP, master=TOP_OF_LOWER)]).audit()
 
 
+@pytest.mark.mpi
 @pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
 def test_sides_beyond_each_other(case, kind):
     """Top and bottom of the pile do face each other, but only through both bodies."""
@@ -178,11 +180,13 @@ def test_material_constants(bad, name):
             dm.Elastic(**elastic)
 
 
+@pytest.mark.mpi
 def test_cells_without_material(case):
     with rejected("materials", "no material (tag 2)", "add a material"):
         dm.Solid(case.u, {1: ELASTIC}, case.cells)
 
 
+@pytest.mark.mpi
 def test_cells_without_tag_on_one_rank_only(case):
     left_out = some_rank(case.cells.indices)[:1]
     kept = np.setdiff1d(case.cells.indices, left_out)
@@ -266,6 +270,7 @@ def test_conditions_on_another_space(case, where):
         case.problem(bcs=[bc])
 
 
+@pytest.mark.mpi
 def test_conditions_on_components_are_welcome(case):
     collapsed, _ = case.V.sub(1).collapse()
     value = fem.Function(collapsed)
@@ -297,6 +302,7 @@ def test_loads(case, loads):
 # -- numbers that are none
 
 
+@pytest.mark.mpi
 def test_nan_in_the_loads_of_one_rank(case):
     force = fem.Function(case.V)
     force.x.array[some_rank(np.arange(len(force.x.array)))[:1]] = np.nan
@@ -316,6 +322,7 @@ def test_nan_in_boundary_values(case, value):
     assert not case.u.x.array.any()
 
 
+@pytest.mark.mpi
 def test_nan_in_boundary_values_of_one_rank(case):
     value = fem.Function(case.V)
     dofs = fem.locate_dofs_topological(case.V, 1, case.facets.find(TOP))
@@ -326,6 +333,7 @@ def test_nan_in_boundary_values_of_one_rank(case):
         dm.newton(problem)
 
 
+@pytest.mark.mpi
 def test_nan_in_the_start(case):
     problem = case.problem()
     case.u.x.array[some_rank(np.arange(len(case.u.x.array)))[:1]] = np.nan
@@ -333,6 +341,7 @@ def test_nan_in_the_start(case):
         dm.newton(problem)
 
 
+@pytest.mark.mpi
 @pytest.mark.parametrize("when", ["before", "after"])
 def test_nan_in_coordinates(case, when):
     """One point far from the interface, before or after the problem is made."""
@@ -343,6 +352,7 @@ def test_nan_in_coordinates(case, when):
         dm.newton(case.problem() if problem is None else problem)
 
 
+@pytest.mark.mpi
 def test_nan_in_interface_coordinates(case):
     x = case.mesh.geometry.x
     x[np.isclose(x[:, 1], 0.0) & np.isclose(x[:, 0], 0.0), 0] = np.nan

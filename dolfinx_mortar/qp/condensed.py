@@ -33,7 +33,7 @@ Indices = npt.NDArray[np.int32]
 # Dense algebra on more unknowns than these costs more than the solves that it saves.
 MAX_UNKNOWNS = 1500
 MAX_PAIRS = 40
-# Pairs with less curvature than this, relative to |v| |S v|, are round-off.
+# Of a pair with less curvature left than this, only round-off is new.
 LEAST_CURVATURE = 1e-12
 
 
@@ -56,11 +56,13 @@ class SchurModel:
 
     def learn(self, v: Floats, w: Floats) -> None:
         """Add the pair w = S v, made conjugate to the pairs at hand."""
+        whole = v @ w
         for _ in range(2):  # twice is enough
             c = self.W.T @ v
             v, w = v - self.V @ c, w - self.W @ c
         energy = v @ w
-        if not energy > LEAST_CURVATURE * np.linalg.norm(v) * np.linalg.norm(w):
+        least = max(whole, float(np.linalg.norm(v) * np.linalg.norm(w)))
+        if not energy > LEAST_CURVATURE * least:
             return
         if self.V.shape[1] == 0:
             self.base = self.base * (energy / (v @ self.base @ v))
@@ -86,9 +88,8 @@ class Surface:
     def gather(self, values: Floats) -> Floats:
         """Return the values of all ranks."""
         result = np.empty(int(self.counts.sum()))
-        self.comm.Allgatherv(
-            np.ascontiguousarray(values, dtype=np.float64), (result, self.counts.tolist())
-        )
+        counts = [int(count) for count in self.counts]
+        self.comm.Allgatherv(np.ascontiguousarray(values, dtype=np.float64), (result, counts))
         return result
 
     def block(self, A: PETSc.Mat) -> Floats:
@@ -152,6 +153,8 @@ def predict(
     reduced = _Reduced(qp, linear, surface, x)
     w = np.where(active > 0, upper, np.where(active < 0, lower, np.clip(0.0, lower, upper)))
     rho = reduced.force(w)
+    if not np.isfinite(rho).all():
+        raise LinearSolveFailed("The linear solver gave NaN or infinity: check its options.")
     b_norm = qp.b.norm()
     for _ in range(MAX_PAIRS):
         d, active = _solve_model(qp, surface, model, (rho, lower - w, upper - w, active))

@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: MIT
+"""Steps that cannot be solved: floating bodies, useless solvers, too few iterations."""
+
+import json
+from xml.etree import ElementTree
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx import default_scalar_type, fem
+from dolfinx_mortar import stepping
+from tests.meshes import BOTTOM, TOP
+from tests.pressed_blocks import PressedBlocks, rejected
+
+
+@pytest.fixture
+def case():
+    return PressedBlocks()
+
+
+# -- bodies that nothing holds
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("geometry", ["updated", "reference"])
+@pytest.mark.parametrize(
+    ("supports", "words"),
+    [
+        ([], ("translation x", "translation y", "rotation about z")),
+        ([TOP], ("translation x of the body around [0.5, -0.5]",)),
+        ([BOTTOM], ("translation x of the body around [0.5, 0.5]",)),
+    ],
+)
+def test_floating_bodies_with_contact(case, geometry, supports, words):
+    """A contact holds neither of the two against sliding."""
+    with rejected("bcs", "nothing holds", *words, "Prescribe"):
+        dm.newton(case.problem(bcs=[case.bc(tag) for tag in supports], geometry=geometry))
+
+
+def test_floating_bodies_without_interface(case):
+    with rejected("nothing holds", "translation x of the body around [0.5, 0.5]", "Prescribe"):
+        dm.newton(case.problem([], bcs=[case.bc(BOTTOM)]))
+
+
+def test_body_that_may_turn(case):
+    """One node held, and no interface: only the rotation is free."""
+    corner = fem.locate_dofs_geometrical(
+        case.V, lambda x: np.isclose(x[0], 0) & np.isclose(x[1], 1.0)
+    )
+    pin = fem.dirichletbc(np.zeros(2, dtype=default_scalar_type), corner, case.V)
+    with rejected("nothing holds", "rotation about z"):
+        dm.newton(case.problem([], bcs=[case.bc(BOTTOM), pin]))
+
+
+@pytest.mark.mpi
+def test_body_pulled_off_its_contact(case):
+    """Held by contact and pulled away: no minimum, and no answer of 1e11 either."""
+    x_only = fem.locate_dofs_topological(case.V.sub(0), 1, case.facets.find(TOP))
+    guide = fem.dirichletbc(default_scalar_type(0), x_only, case.V.sub(0))
+    problem = case.problem(bcs=[case.bc(BOTTOM), guide], loads=case.pull((0.0, 1.0)))
+    with rejected("float", error=dm.NewtonNotConverged):
+        dm.newton(problem)
+    assert not case.u.x.array.any()
+
+
+# -- solvers that fail
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"ksp_type": "preonly", "pc_type": "none"},
+        {"pc_factor_mat_solver_type": "no_such_package"},
+        {"pc_type": "no_such_type"},
+    ],
+)
+def test_useless_linear_solver(case, options):
+    with rejected("linear solver", error=dm.NewtonNotConverged) as caught:
+        dm.newton(case.problem(petsc_options_prefix="bad_", petsc_options=options))
+    assert not caught.value.report.converged
+    assert not case.u.x.array.any()
+
+
+@pytest.mark.parametrize("nonsense", [np.nan, 1e11, 0.0])
+@pytest.mark.parametrize("qp", ["active-set", "interior-point", "tron"])
+def test_linear_solver_that_returns_nonsense(case, monkeypatch, nonsense, qp):
+    problem = case.problem()
+
+    with monkeypatch.context() as patch:
+        patch.setattr(dm.qp.LinearSolver, "_sweep", lambda self: self._dx.set(nonsense))
+        patch.setattr(dm.qp.LinearSolver, "apply", lambda self, r, x: x.set(nonsense))
+        with rejected("linear solver", error=dm.NewtonNotConverged):
+            dm.newton(problem, qp=qp)
+    assert not case.u.x.array.any()
+    assert dm.newton(problem, qp=qp).converged
+
+
+def test_foreign_options_come_back(case):
+    """A failed solve leaves PETSc's options as they were."""
+    before = PETSc.Options().getAll()
+    with pytest.raises(dm.NewtonNotConverged):
+        dm.newton(case.problem(petsc_options_prefix="bad_", petsc_options={"pc_type": "no"}))
+    assert PETSc.Options().getAll() == before
+
+
+# -- Newton that does not converge
+
+
+def plastic(case, **options):
+    """Return the blocks with a soft law: pressing needs several iterations."""
+    solid = dm.Solid(case.u, dm.VonMises(1000.0, 0.3, 1.0, 100.0))
+    return dm.ContactProblem(solid, [case.contact()], bcs=case.bcs(), **options)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("geometry", ["updated", "reference"])
+def test_too_few_iterations(case, geometry, tmp_path):
+    """The exception has the report; nothing else has changed; smaller steps go on from there."""
+    problem = plastic(case, geometry=geometry)
+    path = case.mesh.comm.bcast(str(tmp_path / "out.xdmf"))
+    with dm.Writer(path, problem) as out:
+        dm.newton(problem)
+        problem.commit()
+        out.write(0.5)
+        u, active = case.u.x.array.copy(), problem.active.copy()
+        state = {name: f.x.array.copy() for name, f in problem.solid.state.items()}
+        force = problem.contacts[0].force.copy()
+        case.top.value[:] = (0.0, -0.05)
+        with rejected("max_it=1", "smaller", error=dm.NewtonNotConverged) as caught:
+            dm.newton(problem, max_it=1)
+        report = caught.value.report
+        assert not report.converged and report.newton_iterations == 1
+        assert "NOT converged" in str(report)
+        json.dumps(report.as_dict())
+        assert np.array_equal(case.u.x.array, u)
+        assert np.array_equal(problem.active, active)
+        assert np.array_equal(problem.contacts[0].force, force)
+        for name, f in problem.solid.state.items():
+            assert np.array_equal(f.x.array, state[name])
+        assert times_in(path) == [0.5]
+
+        for level in np.linspace(0.01, 0.05, 5)[1:]:
+            case.top.value[:] = (0.0, -level)
+            assert dm.newton(problem).converged
+            problem.commit()
+        out.write(1.0)
+    assert times_in(path) == [0.5, 1.0]
+
+
+def times_in(path):
+    """Return the times in an XDMF file that another program would see now."""
+    return [float(t.get("Value")) for t in ElementTree.parse(path).iter("Time")]
+
+
+@pytest.mark.mpi
+def test_a_failed_step_leaves_no_trace(case):
+    """Retrying gives what it would have given without the failure."""
+    problem = plastic(case)
+    case.top.value[:] = (0.0, -0.05)
+    with pytest.raises(dm.NewtonNotConverged):
+        dm.newton(problem, max_it=2)
+    dm.newton(problem, rtol=1e-11)
+    other = PressedBlocks()
+    other.top.value[:] = (0.0, -0.05)
+    fresh = plastic(other)
+    dm.newton(fresh, rtol=1e-11)
+    assert np.abs(case.u.x.array - other.u.x.array).max(initial=0.0) < 1e-12
+    assert problem.contacts[0].force == pytest.approx(fresh.contacts[0].force, rel=1e-9)
+
+
+def test_stop_by_the_user(case, monkeypatch):
+    """An interrupt inside a step leaves the displacement as it was."""
+    problem = case.problem()
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(problem, "set_results", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        dm.newton(problem)
+    assert not case.u.x.array.any()
+
+
+# -- load steps
+
+
+def press(case, depth=0.05):
+    """Return the function that sets the level of the load."""
+
+    def on_time(t):
+        case.top.value[:] = (0.0, -depth * t)
+
+    return on_time
+
+
+@pytest.mark.mpi
+def test_steps_are_cut_where_newton_fails(case, monkeypatch):
+    """Newton gets one iteration in steps above 0.16: they fail, and are halved until they fit."""
+    problem, level, reached = plastic(case), [0.0], [0.0]
+
+    def on_time(t):
+        level[0] = t
+        press(case)(t)
+
+    def short_of_breath(problem, **options):
+        wide = abs(level[0] - reached[0]) > 0.16
+        report = dm.newton(problem, **(options | {"max_it": 1} if wide else options))
+        reached[0] = level[0]
+        return report
+
+    monkeypatch.setattr(stepping, "newton", short_of_breath)
+    steps = list(dm.load_steps(problem, [0.1, 0.6, 0.0], on_time=on_time))
+    assert [(s.number, s.time) for s in steps] == [(1, 0.1), (2, 0.6), (3, 0.0)]
+    assert [len(s.parts) for s in steps] == [1, 4, 4]
+    assert all(part.converged for s in steps for part in s.parts)
+    assert all(s.report is s.parts[-1] for s in steps)
+
+
+def test_steps_that_cannot_be_cut_further(case):
+    """After `max_cuts` the exception comes out, with what was committed before in place."""
+    problem, tried = plastic(case), []
+    first = next(dm.load_steps(problem, [0.1, 1.0], on_time=press(case)))
+    assert first.report.converged
+    after = case.u.x.array.copy()
+
+    def counting(t):
+        tried.append(t)
+        press(case)(t)
+
+    with pytest.raises(dm.NewtonNotConverged):
+        list(dm.load_steps(problem, [1.0], on_time=counting, start=0.1, max_it=1, max_cuts=2))
+    assert tried == pytest.approx([1.0, 0.55, 0.325])
+    assert np.array_equal(case.u.x.array, after)
+
+
+def test_levels_may_fall(case):
+    """Loading and unloading: contact opens, a plastic strain stays."""
+    problem = plastic(case)
+    steps = list(dm.load_steps(problem, [0.5, 1.0, 0.5, 0.0], on_time=press(case)))
+    assert [s.time for s in steps] == [0.5, 1.0, 0.5, 0.0]
+    assert steps[1].report.certificate.active_nodes > 0
+    assert steps[3].report.certificate.active_nodes == 0
+    assert problem.contacts[0].force == pytest.approx([0.0, 0.0], abs=1e-12)
+    assert problem.solid.max("plastic_strain_norm") > 1e-3
+
+
+def test_closing_the_generator_keeps_what_is_committed(case):
+    problem = plastic(case)
+    for step in dm.load_steps(problem, [0.2, 0.4, 0.6], on_time=press(case)):
+        if step.number == 2:
+            break
+    u = case.u.x.array.copy()
+    rest = list(dm.load_steps(problem, [0.6], on_time=press(case), start=0.4))
+    assert rest[0].report.converged and not np.array_equal(u, case.u.x.array)
