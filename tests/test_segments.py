@@ -150,6 +150,27 @@ def test_points_lie_on_the_interpolated_normal():
     assert ((ray * normal).sum(axis=1) > 0).all()
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_segments_end_where_the_normal_meets_a_node(seed):
+    """(x_s(xi) - x_m) x n(xi) = 0 at the ends inside a slave facet; it is quadratic in xi."""
+    o = assemble(random_side(seed, 6, False), random_side(seed + 9, 15, True))
+    facets = chain(6)
+    xi = o.points.xi_s.reshape(-1, 3)
+    half = (xi[:, 2] - xi[:, 0]) / (2 * np.sqrt(0.6))
+    ends = xi[:, 1:2] + half[:, None] * np.array([-1, 1])
+    slave = o.points.slave[::3]
+    nodes = o.x_m[chain(15)][o.points.master[::3]][:, ::-1]  # the sides run against each other
+    n_s, inside = nodal_normals(o.x_s, facets)[facets][slave], 0
+    for i in range(2):
+        N = segments.shape_functions(ends[:, i : i + 1])
+        p = np.einsum("sk,ski->si", N, o.x_s[facets][slave]) - nodes[:, i]
+        n = np.einsum("sk,ski->si", N, n_s)
+        cut = np.abs(ends[:, i]) < 1 - 1e-6
+        inside += cut.sum()
+        assert np.abs(p[:, 0] * n[:, 1] - p[:, 1] * n[:, 0])[cut].max(initial=0) < 1e-13
+    assert inside >= 8
+
+
 def test_long_master_beyond_a_corner():
     """The far end of the master has no projection at all; the facet is covered nonetheless."""
     x_s = [[-1, 0], [0, 0], [1, 0], [1, 1]]
