@@ -3,18 +3,20 @@
 
 from mpi4py import MPI
 
+import hypothesis
+import hypothesis.strategies as st
 import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
+from dolfinx_mortar.parallel import maximum
+from dolfinx_mortar.parallel import maximum
 from tests.meshes import two_blocks
 
 E, NU, P = 1000.0, 0.4, 10.0
 EXACT = 1e-10
-
-pytestmark = pytest.mark.mpi
 
 
 def rotation(angle):
@@ -29,24 +31,28 @@ def exact_displacement(angle):
     return lambda x: strain @ x[:2]
 
 
-def beyond(x, cut, lines, outside):
-    """Return a traction share: moments of 1 beyond ``cut``, linear on the facet that is cut.
+def beyond(mesh, x, cut, lines):
+    """Return a traction share with the moments of the indicator of x > ``cut``.
 
-    On facets wholly beyond it is 1, on the others 0; on the one that holds the cut the linear
-    function has the same integrals against both shape functions as the indicator.
+    It is 1 on facets wholly beyond and 0 on those wholly before; on the facet that holds the cut
+    the linear function has the same integrals against both shape functions as the indicator. All
+    numbers are Constants, so that one form is compiled for all.
     """
     k = int(np.searchsorted(lines, cut)) - 1
-    if not 0 <= k < len(lines) - 1 or np.isclose(cut, lines[k + 1], rtol=0, atol=1e-14):
-        return outside(x, cut)
-    a, b = lines[k], lines[k + 1]
-    h, s = b - a, (cut - a) / (b - a)
-    moments = h * np.array([(1 - s) ** 2 / 2, (1 - s**2) / 2])
-    alpha, beta = np.linalg.solve(h / 6 * np.array([[2.0, 1.0], [1.0, 2.0]]), moments)
-    inside = alpha + (beta - alpha) * (x - a) / h
-    return ufl.conditional(ufl.And(x > a, x < b), inside, outside(x, b))
+    a = b = cut
+    alpha = beta = 1.0
+    if 0 <= k < len(lines) - 1 and not np.isclose(cut, lines[k + 1], rtol=0, atol=1e-14):
+        a, b = lines[k], lines[k + 1]
+        h, s = b - a, (cut - a) / (b - a)
+        moments = h * np.array([(1 - s) ** 2 / 2, (1 - s**2) / 2])
+        alpha, beta = np.linalg.solve(h / 6 * np.array([[2.0, 1.0], [1.0, 2.0]]), moments)
+    slope = (beta - alpha) / (b - a) if b > a else 0.0
+    a, b, alpha, slope = (fem.Constant(mesh, default_scalar_type(c)) for c in (a, b, alpha, slope))
+    inside = alpha + slope * (x - a)
+    return ufl.conditional(x > b, 1.0, ufl.conditional(x > a, inside, 0.0))
 
 
-def solve_patch(slave="lower", lower=None, upper=None, angle=0.0, cell="triangle", seed=0, hold="edge"):
+def solve_patch(slave="lower", lower=None, upper=None, *, angle=0.0, cell="triangle", hold="edge"):
     """Press the upper block on the lower one; return problem, contact and the exact solution."""
     lower = np.linspace(0, 1, 4) if lower is None else np.asarray(lower)
     upper = np.linspace(0, 1, 5) if upper is None else np.asarray(upper)
@@ -64,20 +70,19 @@ def solve_patch(slave="lower", lower=None, upper=None, angle=0.0, cell="triangle
     exact.interpolate(exact_displacement(angle))
     solid = dm.Solid(u, dm.Elastic(E, NU))
     R = rotation(angle)
-    t, n = (ufl.as_vector(c.tolist()) for c in R.T)
+    t, n = (fem.Constant(mesh, c.astype(default_scalar_type)) for c in R.T)
     v, ds = ufl.TestFunction(V), ufl.Measure("ds", mesh, subdomain_data=facets)
     x = ufl.dot(ufl.SpatialCoordinate(mesh), t)
     loads = -P * ufl.dot(n, v) * ds(2)
     # Where one block sticks out beyond the other, the pressure acts on it directly.
     for tag, lines, end, sign in ((3, lower, upper[-1], 1.0), (4, upper, lower[-1], -1.0)):
-        if lines[-1] > end:
-            share = beyond(x, end, lines, lambda x, c: ufl.conditional(x > c, 1.0, 0.0))
-            loads += -sign * P * share * ufl.dot(n, v) * ds(tag)
+        loads += -sign * P * beyond(mesh, x, end, lines) * ufl.dot(n, v) * ds(tag)
     fixed = []
     bottom = fem.locate_dofs_topological(V, 1, facets.find(1))
     if hold == "edge":  # slave ends on a Dirichlet edge; nothing holds the upper block vertically
         left, below = (
-            fem.locate_dofs_topological(V.sub(i), 1, facets.find(tag)) for i, tag in ((0, 5), (1, 1))
+            fem.locate_dofs_topological(V.sub(i), 1, facets.find(tag))
+            for i, tag in ((0, 5), (1, 1))
         )
         zero = default_scalar_type(0)
         lift = default_scalar_type((1 - NU**2) / E * P)  # of the bottom; the interface stays
@@ -98,7 +103,7 @@ def check(problem, contact, exact):
     report = dm.newton(problem, rtol=1e-11)
     error = np.abs(problem.u.x.array - exact.x.array).max(initial=0.0)
     scale = np.abs(exact.x.array).max(initial=0.0)
-    error, scale = MPI.COMM_WORLD.allreduce(np.array([error, scale]), op=MPI.MAX)
+    error, scale = maximum(MPI.COMM_WORLD, error, scale)
     assert error < EXACT * scale
     kept = contact.S[:, 0]
     assert np.abs(contact.multiplier[kept] - P).max(initial=0.0) < EXACT * P
@@ -109,9 +114,70 @@ def check(problem, contact, exact):
     return report
 
 
+@pytest.mark.mpi
 @pytest.mark.parametrize("slave", ["lower", "upper"])
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
 @pytest.mark.parametrize("hold", ["edge", "node"])
 def test_equal_lengths(slave, cell, hold):
     """Both blocks end together, slave ends on a Dirichlet edge or free."""
     check(*solve_patch(slave, cell=cell, hold=hold))
+
+
+LENGTHS = {
+    "lower longer": (np.linspace(0, 1.5, 6), np.linspace(0, 1, 5)),
+    "upper longer": (np.linspace(0, 1, 4), np.linspace(0, 1.3, 7)),
+    "ends on a node": (np.linspace(0, 2, 7), np.linspace(0, 1, 5)),
+}
+
+
+@pytest.mark.parametrize("slave", ["lower", "upper"])
+@pytest.mark.parametrize("lengths", LENGTHS)
+@pytest.mark.parametrize("hold", ["edge", "node"])
+def test_unequal_lengths(slave, lengths, hold):
+    """The slave side is longer or shorter than the master side."""
+    check(*solve_patch(slave, *LENGTHS[lengths], hold=hold))
+
+
+@pytest.mark.parametrize("slave", ["lower", "upper"])
+@pytest.mark.parametrize(
+    "covered", [0.5, 0.1, 0.05, 0.01, 1e-3, pytest.param(1e-6, marks=pytest.mark.mpi)]
+)
+def test_little_coverage(slave, covered):
+    """The last facet of the slave side is covered by a small part of its length."""
+    h = 0.4
+    end = 1 - covered * h
+    short = np.array([0, 0.21, 0.5, 0.77, 1.0])
+    long = np.array([0, 0.35, 0.7, end, end + h])
+    lines = (long, short) if slave == "lower" else (short, long)
+    problem, contact, exact = solve_patch(slave, *lines, hold="edge")
+    check(problem, contact, exact)
+    # a node that too little faces has no multiplier of its own: a neighbour has its share
+    kept = MPI.COMM_WORLD.allreduce(int(np.sum(contact.kept)), op=MPI.SUM)
+    assert kept == len(long) - (covered**2 <= 0.05)
+
+
+@pytest.mark.parametrize("slave", ["lower", "upper"])
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize("lengths", LENGTHS)
+def test_inclined(slave, cell, lengths):
+    """The interface is inclined by 30 degrees."""
+    lower, upper = LENGTHS[lengths]
+    check(*solve_patch(slave, lower, upper, angle=np.pi / 6, cell=cell, hold="node"))
+
+
+widths = st.lists(st.floats(0.2, 1.0), min_size=1, max_size=5)
+
+
+@hypothesis.settings(max_examples=25)
+@hypothesis.given(
+    lower=widths,
+    upper=widths,
+    length=st.floats(0.7, 1.4),
+    slave=st.sampled_from(["lower", "upper"]),
+    angle=st.sampled_from([0.0, 0.4, np.pi / 6, 2.0]),
+)
+def test_random_splits(lower, upper, length, slave, angle):
+    """Random non-matching sides of random lengths."""
+    lines = [np.concatenate([[0.0], np.cumsum(w)]) / np.sum(w) for w in (lower, upper)]
+    lines[1] = lines[1] * length
+    check(*solve_patch(slave, *lines, angle=angle, hold="node"))

@@ -226,7 +226,7 @@ def test_units(length, stress):
 
 
 def test_tolerances_down_to_round_off():
-    """rtol = 1e-12 stops at round-off, also for separated bodies and after unloading."""
+    """The tolerance 1e-12 stops at round-off, also for separated bodies and after unloading."""
     case = create_case(create_mesh("paper", 0.05))
     for depth in (0.1, 0.0, -0.05, 0.0, 0.1):
         case.press(depth)
