@@ -35,51 +35,77 @@ def covered_weights(N_s: Floats, weight: Floats, slave: Ints, m: int) -> Floats:
     return np.stack(columns, axis=1)
 
 
+# The kernels spell out their sums: array expressions would take three times as long to compile.
+
+
+@numba.njit(cache=True)
+def _product(A, i, B, j):  # type: ignore[no-untyped-def]
+    """Return the scalar product of column i of A and column j of B."""
+    result = 0.0
+    for q in range(A.shape[0]):
+        result += A[q, i] * B[q, j]
+    return result
+
+
 @numba.njit(cache=True)
 def _orthonormalise(Q, R):  # type: ignore[no-untyped-def]
     """Replace the columns of Q (q, k) by Q of Q R; return False if they are dependent."""
     for j in range(Q.shape[1]):
-        length = np.sqrt((Q[:, j] ** 2).sum())
+        length = np.sqrt(_product(Q, j, Q, j))
         for _ in range(2):  # the second pass makes Q orthogonal to round-off
             for i in range(j):
-                r = (Q[:, i] * Q[:, j]).sum()
+                r = _product(Q, i, Q, j)
                 R[i, j] += r
-                Q[:, j] -= r * Q[:, i]
-        R[j, j] = np.sqrt((Q[:, j] ** 2).sum())
+                for q in range(Q.shape[0]):
+                    Q[q, j] -= r * Q[q, i]
+        R[j, j] = np.sqrt(_product(Q, j, Q, j))
         if R[j, j] <= _DEPENDENT * length:
             return False
-        Q[:, j] /= R[j, j]
+        for q in range(Q.shape[0]):
+            Q[q, j] /= R[j, j]
     return True
 
 
 @numba.njit(cache=True)
 def _facet_dual(N, weight):  # type: ignore[no-untyped-def]
     """Return Phi (q, k) of one facet."""
-    q, k = N.shape
-    root = np.sqrt(weight)
-    Q, R = np.empty((q, k)), np.zeros((k, k))
-    for i in range(k):
-        Q[:, i] = root * N[:, i]
+    points, k = N.shape
+    Q, R, D = np.empty((points, k)), np.zeros((k, k)), np.zeros(k)
+    for q in range(points):
+        for j in range(k):
+            Q[q, j] = np.sqrt(weight[q]) * N[q, j]
+            D[j] += weight[q] * N[q, j]
     if not _orthonormalise(Q, R):
         return N.copy()  # nothing but round-off is covered: any partition of unity will do
-    Phi = np.zeros((q, k))
+    Phi = np.zeros((points, k))
     y = np.empty(k)
     for j in range(k):
-        y[:] = 0.0
-        y[j] = (weight * N[:, j]).sum()
         for i in range(k):  # R^T y = D e_j
+            y[i] = D[j] if i == j else 0.0
             for h in range(i):
                 y[i] -= R[h, i] * y[h]
             y[i] /= R[i, i]
-            Phi[:, j] += y[i] * Q[:, i]
-        Phi[:, j] /= root
+            for q in range(points):
+                Phi[q, j] += y[i] * Q[q, i] / np.sqrt(weight[q])
     return Phi
+
+
+@numba.njit(cache=True)
+def _share_out(full, kept, count, Phi):  # type: ignore[no-untyped-def]
+    """Add the functions (q, k) of one facet to Phi, removed ones in equal parts."""
+    for q in range(full.shape[0]):
+        for i in range(full.shape[1]):
+            if kept[i]:
+                Phi[q, i] += full[q, i]
+                continue
+            for j in range(full.shape[1]):
+                if kept[j]:
+                    Phi[q, j] += full[q, i] / count
 
 
 @numba.njit(cache=True)
 def _all_duals(N_s, weight, slave, keep):  # type: ignore[no-untyped-def]
     """Return Phi (q, k), removed functions shared out; points are ordered by slave facet."""
-    k = N_s.shape[1]
     Phi = np.zeros(N_s.shape)
     a = 0
     while a < len(slave):
@@ -87,17 +113,15 @@ def _all_duals(N_s, weight, slave, keep):  # type: ignore[no-untyped-def]
         while b < len(slave) and slave[b] == slave[a]:
             b += 1
         kept = keep[slave[a]]
-        count = kept.sum()
+        count = 0
+        for j in range(len(kept)):
+            count += kept[j]
         if count == 1:  # exact, and the only way where almost nothing is covered
-            Phi[a:b, np.argmax(kept)] = 1.0
+            for q in range(a, b):
+                for j in range(len(kept)):
+                    Phi[q, j] = kept[j]
         elif count > 1:
-            full = _facet_dual(N_s[a:b], weight[a:b])
-            for j in range(k):
-                for i in range(k):
-                    if kept[j] and i == j:
-                        Phi[a:b, j] += full[:, j]
-                    elif kept[j] and not kept[i]:
-                        Phi[a:b, j] += full[:, i] / count
+            _share_out(_facet_dual(N_s[a:b], weight[a:b]), kept, count, Phi[a:b])
         a = b
     return Phi
 

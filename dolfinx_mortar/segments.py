@@ -255,11 +255,21 @@ def _nearest(x, n, x_m, n_m, master, low, high, a, b):  # type: ignore[no-untype
 
 
 @numba.njit(cache=True)
+def _insert(cuts, count, value):  # type: ignore[no-untyped-def]
+    """Insert a value into the first `count` ascending ones."""
+    while count > 0 and cuts[count - 1] > value:
+        cuts[count] = cuts[count - 1]
+        count -= 1
+    cuts[count] = value
+
+
+@numba.njit(cache=True)
 def _clip(x_s, n_s, x_m, n_m, pairs):  # type: ignore[no-untyped-def]
     """Return the pair and the ends in xi of all segments; no part of a slave facet occurs twice."""
     p = len(pairs)
     which, ends = np.empty(2 * p, dtype=np.int32), np.empty((2 * p, 2))
-    low, high, index = np.empty(p), np.empty(p), np.empty(p, dtype=np.int32)
+    low, high, cuts = np.empty(p), np.empty(p), np.empty(2 * p)
+    index, master = np.empty(p, dtype=np.int32), np.empty(p, dtype=np.int32)
     q = 0
     r = 0
     while r < p:
@@ -270,25 +280,23 @@ def _clip(x_s, n_s, x_m, n_m, pairs):  # type: ignore[no-untyped-def]
             # the two sides run against each other
             a, b = _project_node(x_s[s], n_s[s], y[1]), _project_node(x_s[s], n_s[s], y[0])
             if b - a > SHORTEST:
-                low[c], high[c], index[c] = a, b, r
+                low[c], high[c], index[c], master[c] = a, b, r, pairs[r, 1]
+                _insert(cuts, 2 * c, a)
+                _insert(cuts, 2 * c + 1, b)
                 c += 1
             r += 1
-        master = pairs[index[:c], 1]
-        cuts = np.sort(np.concatenate((low[:c], high[:c])))
         start = q
-        for i in range(len(cuts) - 1):
-            if cuts[i + 1] - cuts[i] <= SHORTEST:
+        for i in range(2 * c - 1):
+            a, b = cuts[i], cuts[i + 1]
+            if b - a <= SHORTEST:
                 continue
-            best = _nearest(
-                x_s[s], n_s[s], x_m, n_m, master, low[:c], high[:c], cuts[i], cuts[i + 1]
-            )
+            best = _nearest(x_s[s], n_s[s], x_m, n_m, master[:c], low, high, a, b)
             if best < 0:
                 continue
-            if q > start and which[q - 1] == index[best] and ends[q - 1, 1] == cuts[i]:
-                ends[q - 1, 1] = cuts[i + 1]
+            if q > start and which[q - 1] == index[best] and ends[q - 1, 1] == a:
+                ends[q - 1, 1] = b
                 continue
-            which[q] = index[best]
-            ends[q, 0], ends[q, 1] = cuts[i], cuts[i + 1]
+            which[q], ends[q, 0], ends[q, 1] = index[best], a, b
             q += 1
     return which[:q], ends[:q]
 
