@@ -180,6 +180,7 @@ class ContactProblem:
     def update_geometry(self, *, search: bool = False) -> None:
         """Rebuild D, M, N, T at X + u (at X if frozen); search again where needed; collective."""
         if not self.interfaces:
+            self._locate_constraints()
             return
         at = self.u if self.geometry == "updated" else None
         with self.timings("mortar"):

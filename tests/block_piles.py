@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: MIT
+"""Meshes of any number of rectangular blocks, and what tests gather from them."""
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import basix.ufl
+import dolfinx
+from tests.meshes import _block, _partitioner, _tag
+
+BELOW, EAST, ABOVE, WEST = 1, 2, 3, 4
+"""Sides; the facet tag of a side of block k (from 1 on) is 10 k + side."""
+
+Box = tuple[float, float, float, float, int, int]  # x_0, x_1, y_0, y_1, columns, rows
+
+
+def create_blocks(
+    comm: MPI.Comm, boxes: list[Box], *, partition: str = "graph", cell: str = "triangle"
+) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags, dolfinx.mesh.MeshTags]:
+    """Create disconnected blocks; return mesh, cell tags (block number) and facet tags."""
+    points, cells, sides = [], [], []
+    first = 0
+    for x_0, x_1, y_0, y_1, nx, ny in boxes:
+        p, c = _block(np.linspace(x_0, x_1, nx + 1), np.linspace(y_0, y_1, ny + 1), cell)
+        points.append(p)
+        cells.append(c + first)
+        row, column = np.divmod(np.arange(len(p)), nx + 1)
+        sides.append(np.stack([row == 0, column == nx, row == ny, column == 0]))
+        first += len(p)
+    block_of_point = np.repeat(np.arange(len(boxes)), [len(p) for p in points])
+    block_of_cell = np.repeat(np.arange(len(boxes)), [len(c) for c in cells])
+    on_side = np.concatenate(sides, axis=1)
+    x, e = np.concatenate(points), np.concatenate(cells)
+    middle = x[e, 0].mean(axis=1)
+    ranks = np.floor(comm.size * (middle - middle.min()) / (np.ptp(middle) * (1 + 1e-9)))
+    ranks = block_of_cell % comm.size if partition == "bodies" else ranks
+    mine = slice(*(len(e) * np.array([comm.rank, comm.rank + 1]) // comm.size))
+    own = slice(*(len(x) * np.array([comm.rank, comm.rank + 1]) // comm.size))
+    mesh = dolfinx.mesh.create_mesh(
+        comm,
+        e[mine],
+        x=np.ascontiguousarray(x[own]),
+        e=basix.ufl.element("Lagrange", cell, 1, shape=(2,)),
+        partitioner=_partitioner(partition, comm, ranks.astype(np.int32)[mine]),
+    )
+    blocks = range(len(boxes))
+    cell_marks = [(k + 1, lambda i, k=k: block_of_point[i] == k) for k in blocks]
+    facet_marks = [
+        (10 * (k + 1) + s, lambda i, k=k, s=s: (block_of_point[i] == k) & on_side[s - 1, i])
+        for k in blocks
+        for s in (BELOW, EAST, ABOVE, WEST)
+    ]
+    return mesh, _tag(mesh, 2, cell_marks), _tag(mesh, 1, facet_marks)
+
+
+def to_dense(A: PETSc.Mat) -> npt.NDArray[np.float64]:
+    """Return a distributed matrix on every rank."""
+    indptr, columns, values = A.getValuesCSR()
+    rows = np.zeros((len(indptr) - 1, A.getSize()[1]))
+    np.add.at(rows, (np.repeat(np.arange(len(rows)), np.diff(indptr)), columns), values)
+    return np.concatenate(A.comm.tompi4py().allgather(rows))
+
+
+def to_global(comm: MPI.Comm, own: npt.NDArray) -> npt.NDArray:
+    """Return the concatenation of the ranks' arrays on every rank."""
+    return np.concatenate(comm.allgather(own))
