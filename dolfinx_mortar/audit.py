@@ -25,6 +25,9 @@ log = logging.getLogger(__name__)
 
 # A slave facet this many times longer than the master's makes the contact pressure coarse.
 COARSE = 2.0
+# Normals whose product is above this turn away from each other; at a right angle, around a corner,
+# the facets are merely useless.
+BACK = 0.1
 
 
 @dataclass(frozen=True)
@@ -170,4 +173,4 @@ def _count_facing_away(pairing: Pairing) -> int:
         return 0
     distance, nearest = cKDTree(x_m.mean(axis=1)).query(x_s.mean(axis=1))
     opposed = np.einsum("mi,mi->m", facet_normals(x_s), facet_normals(x_m)[nearest])
-    return int(((distance < facet_sizes(x_s)) & (opposed > 0)).sum())
+    return int(((distance < facet_sizes(x_s)) & (opposed > BACK)).sum())

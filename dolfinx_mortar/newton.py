@@ -28,6 +28,8 @@ MAX_HALVINGS = 12
 FORCE_FLOOR = 1e-12
 # Below this share of diag(K) |u| a force residual is the round-off of K u.
 STIFFNESS_FLOOR = 1e-15
+# Below this share of the coordinates a displacement is lost in the round-off of the gaps.
+COORDINATE_FLOOR = 16.0 * np.finfo(float).eps
 
 
 def newton(
@@ -96,6 +98,8 @@ class _Step:
         self.tolerance = max(1e-13, min(1e-10, 1e-3 * report.rtol))
         self.potential: float | None = None  # J(u), once a line search has needed it
         self.largest_multiplier = 0.0
+        extent = np.abs(problem.V.mesh.geometry.x).max(initial=0.0)
+        self.rest = COORDINATE_FLOOR * float(maximum(problem.comm, extent)[0])
         self.predicted_gap: Floats | None = None  # after the last step, as it was linearised
 
     def run(self, max_it: int) -> None:
@@ -189,7 +193,7 @@ class _Step:
         return int(problem.comm.allreduce(int(((start > 0) != active)[strong].sum()), op=MPI.SUM))
 
     def energy_increment(self, step: PETSc.Vec) -> tuple[float, bool]:
-        """Return |du|_e / (|u|_e + |u + du|_e), and whether du is round-off of u.
+        """Return |du|_e / (|u|_e + |u + du|_e), and whether du is round-off of u or X.
 
         Bodies that only move rigidly have no energy; then the second answer decides.
         """
@@ -206,7 +210,8 @@ class _Step:
             np.abs(problem.u.x.array).max(initial=0.0),
         )
         total = norms[1] + norms[2]
-        return norms[0] / total if total > 0 else 0.0, bool(largest[0] <= 1e-11 * largest[1])
+        at_rest = bool(largest[0] <= max(1e-11 * largest[1], self.rest))
+        return norms[0] / total if total > 0 else 0.0, at_rest
 
     def merit(self, violation: float) -> float:
         """Return J(u) + s sum_j D_jj (w_n - gap)_+ for a given sum."""

@@ -91,7 +91,7 @@ def test_linear_solver_that_returns_nonsense(case, monkeypatch, nonsense, qp):
     problem = case.problem()
 
     with monkeypatch.context() as patch:
-        patch.setattr(dm.qp.LinearSolver, "_sweep", lambda self: self._dx.set(nonsense))
+        patch.setattr(dm.qp.LinearSolver, "_sweep", lambda self, *_: self._dx.set(nonsense))
         patch.setattr(dm.qp.LinearSolver, "apply", lambda self, r, x: x.set(nonsense))
         with rejected("linear solver", error=dm.NewtonNotConverged):
             dm.newton(problem, qp=qp)
@@ -183,6 +183,21 @@ def test_stop_by_the_user(case, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         dm.newton(problem)
     assert not case.u.x.array.any()
+
+
+# -- where there is next to nothing to solve
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("qp", ["active-set", "interior-point", "tron"])
+@pytest.mark.parametrize("gap", [0.0, 1e-17, -1e-17, 1e-13, -1e-15, -1e-13, -1e-11, 0.3])
+def test_rest(gap, qp):
+    """No load: gaps and overlaps of round-off size are solved or ignored, and raise nothing."""
+    case = PressedBlocks(gap=gap, n_lower=(5, 3), n_upper=(4, 3))
+    case.top.value[:] = 0.0
+    report = dm.newton(case.problem(), qp=qp, max_it=4)
+    assert report.converged
+    assert np.abs(case.u.x.array).max(initial=0.0) <= max(-gap, 1e-15)
 
 
 # -- load steps

@@ -11,6 +11,7 @@ and the name of its file with dashes; nothing else has to be registered.
 from importlib import import_module
 from pkgutil import iter_modules
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -76,6 +77,8 @@ def solve(
     """
     check_name(backend)
     validate(qp)
+    if (trivial := _nothing_to_do(qp, backend)) is not None:
+        return trivial
     if linear is None:
         linear = LinearSolver(qp.comm, prefix="dolfinx_mortar_qp_")
     module = import_module(f"{__name__}.{backend.replace('-', '_')}")
@@ -103,6 +106,22 @@ def solve(
             solution,
         )
     return solution
+
+
+def _nothing_to_do(qp: BoundQP, backend: str) -> QPSolution | None:
+    """Return x = 0 if no force acts and no bound forbids it.
+
+    An iteration would only come near, and have nothing to measure its error against.
+    """
+    lower, upper = qp.bounds()
+    outside = bool((lower > 0.0).any() or (upper < 0.0).any())
+    if qp.comm.allreduce(outside or bool(qp.b.array_r.any()), op=MPI.LOR):
+        return None
+    x, z = qp.b.duplicate(), qp.b.duplicate()
+    x.set(0.0)
+    z.set(0.0)
+    active = np.zeros(qp.bounded.size, dtype=np.int8)
+    return QPSolution(x, z, active, check(qp, x, z), 0, 0, 0, backend)
 
 
 def _nearest(qp: BoundQP) -> npt.NDArray[np.int8]:

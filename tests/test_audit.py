@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: MIT
+"""The geometry audit: it names what would go wrong before the first step, and only that."""
+
+import logging
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import default_scalar_type, fem, mesh
+from tests.block_piles import ABOVE, BELOW, EAST, WEST, create_blocks
+
+COMM = MPI.COMM_WORLD
+PAIR = [(0.0, 1.0, -1.0, 0.0, 4, 3), (0.0, 1.0, 0.0, 1.0, 3, 3)]
+
+pytestmark = pytest.mark.mpi
+
+
+def condition(V, facets, tag, component=None, value=0.0):
+    """Return a Dirichlet condition on marked facets."""
+    space = V if component is None else V.sub(component)
+    dofs = fem.locate_dofs_topological(space, 1, facets.find(tag))
+    array = np.full(2, value) if component is None else value
+    return fem.dirichletbc(default_scalar_type(array), dofs, space)
+
+
+def create(
+    boxes=PAIR, joins=((13, 21),), supports=((11, None), (23, None)), kind=dm.Contact, **options
+):
+    """Return a problem of blocks: joins are (slave, master), supports (tag, component)."""
+    domain, cells, facets = create_blocks(COMM, boxes)
+    change = options.pop("tags", None)
+    facets = facets if change is None else change(domain, facets)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    interfaces = [kind(facets, slave=s, master=m) for s, m in joins]
+    bcs = [condition(V, facets, tag, component) for tag, component in supports]
+    solid = dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.3), cells)
+    if "push" in options:
+        ds = ufl.Measure("ds", domain, subdomain_data=facets)
+        value = fem.Constant(domain, default_scalar_type(options.pop("push")))
+        options["loads"] = ufl.inner(value, ufl.TestFunction(V)) * ds(23)
+    return dm.ContactProblem(solid, interfaces, bcs=bcs, **options)
+
+
+def test_nothing_to_complain():
+    audit = create().audit()
+    assert audit.warnings == [] and not audit.held_by_contact
+    assert audit.bodies == 2
+    (found,) = audit.interfaces
+    assert (found.slave_facets, found.master_facets) == (4, 3)
+    assert (found.slave_nodes, found.kept_nodes) == (5, 5)
+    assert found.uncovered_nodes == found.removed_nodes == found.dirichlet_directions == 0
+    assert found.facing_away == 0
+    assert found.size_ratio == pytest.approx(0.75)
+
+
+def test_print(capsys):
+    """One line for the whole, one per interface and warning; the tags are in it."""
+    problem = create(supports=((11, None), (22, 0)))
+    print(problem.audit())
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "2 bodies, 1 interfaces"
+    assert lines[1].startswith("Contact(slave=13, master=21): 4 slave and 3 master facets")
+    assert lines[2].startswith("warning: ") and "contact alone" in lines[2]
+    assert len(lines) == 3
+
+
+def test_log(caplog):
+    """Rank 0 logs the audit once, warnings as such."""
+    problem = create(supports=((11, None), (22, 0)))
+    with caplog.at_level(logging.INFO, logger="dolfinx_mortar"):
+        problem.audit()
+        problem.audit()
+    levels = [record.levelname for record in caplog.records if "audit" in record.name]
+    assert levels == (["INFO", "WARNING"] if COMM.rank == 0 else [])
+
+
+@pytest.mark.parametrize(
+    ("supports", "kind", "directions", "kept"),
+    [
+        (((11, None), (23, None), (14, 0)), dm.Contact, 1, 5),  # normal free: still kept
+        (((11, None), (23, None), (14, 1)), dm.Contact, 1, 4),  # normal taken
+        (((11, None), (23, None), (14, None), (12, None)), dm.Contact, 4, 3),
+        (((11, None), (23, None), (14, 0)), dm.Tie, 1, 5),  # tied in y
+        (((11, None), (23, None), (14, None)), dm.Tie, 2, 4),
+    ],
+)
+def test_slave_nodes_with_dirichlet_data(supports, kind, directions, kept):
+    """Directions are dropped and counted; the rest of the interface still works."""
+    problem = create(supports=supports, kind=kind)
+    audit = problem.audit()
+    assert audit.interfaces[0].dirichlet_directions == directions
+    assert audit.interfaces[0].kept_nodes == kept
+    assert audit.interfaces[0].removed_nodes == 5 - kept
+    assert any(f"{directions} directions" in w and "Dirichlet" in w for w in audit.warnings)
+    assert dm.newton(problem).converged
+
+
+def test_slave_side_that_is_prescribed_altogether():
+    audit = create(supports=((11, None), (23, None), (13, None))).audit()
+    assert audit.interfaces[0].kept_nodes == 0
+    assert any("no slave node carries a multiplier" in w for w in audit.warnings)
+
+
+def test_coarse_slave():
+    boxes = [(0.0, 1.0, -1.0, 0.0, 2, 2), (0.0, 1.0, 0.0, 1.0, 9, 2)]
+    coarse, fine = create(boxes).audit(), create(boxes, joins=((21, 13),)).audit()
+    assert any("4.5 times as long" in w and "finer" in w for w in coarse.warnings)
+    assert fine.warnings == []
+
+
+def all_around(domain, facets):
+    """Give the whole boundary of the lower block, but its bottom, the tag 13."""
+    values = np.where(np.isin(facets.values, (12, 13, 14)), 13, facets.values)
+    return mesh.meshtags(domain, 1, facets.indices, values.astype(np.int32))
+
+
+def test_facets_that_turn_their_back():
+    """A slave side marked around the corner is fine; one with its back to the master is not."""
+    audit = create(tags=all_around).audit()
+    assert audit.interfaces[0].facing_away == 0
+
+    def and_the_sides_of_a_slit(domain, facets):
+        values = np.where(facets.values == 23, 21, facets.values)
+        return mesh.meshtags(domain, 1, facets.indices, values.astype(np.int32))
+
+    # a thin upper block, of which the top is marked, too: its facets turn away from the slave
+    thin = [(0.0, 1.0, -1.0, 0.0, 4, 3), (0.0, 1.0, -0.1, 0.0, 4, 1)]
+    audit = create(thin, tags=and_the_sides_of_a_slit, supports=((11, None), (22, None))).audit()
+    assert audit.interfaces[0].facing_away == 4
+    assert any("4 slave facets turn their back" in w for w in audit.warnings)
+
+
+def test_uncovered_nodes():
+    boxes = [(0.0, 1.0, -1.0, 0.0, 4, 3), (0.5, 1.0, 0.0, 1.0, 3, 3)]
+    found = create(boxes).audit().interfaces[0]
+    assert found.uncovered_nodes == 2 and found.kept_nodes == 3
+
+
+def test_double_claims():
+    """The earlier interface keeps the nodes; the audit says what the later one lost."""
+    boxes = [(0.0, 1.0, -1.0, 0.0, 4, 2), (0.0, 0.4, 0.0, 1.0, 2, 2), (0.6, 1.0, 0.0, 1.0, 2, 2)]
+    supports = ((11, None), (23, None), (33, None))
+    audit = create(boxes, joins=((13, 21), (13, 31)), supports=supports).audit()
+    assert any("slave=13, master=31" in w and "5 slave nodes removed" in w for w in audit.warnings)
+    swapped = create(boxes, joins=((21, 13), (31, 13)), supports=supports).audit()
+    assert swapped.warnings == [] and swapped.interfaces[1].kept_nodes == 3
+
+
+def test_body_held_by_contact_alone():
+    """A warning, and it works under a load that presses it on; the load must be balanced."""
+    problem = create(supports=((11, None), (22, 0)), push=(0.0, -5.0))
+    audit = problem.audit()
+    assert audit.held_by_contact
+    assert audit.warnings == ["a body is held by contact alone: the loads must press it on"]
+    report = dm.newton(problem)
+    assert report.converged
+    # the interface bends a little, so the force may lean, but no more than that
+    assert problem.contacts[0].force == pytest.approx([0.0, -5.0], abs=5e-3)
+    assert problem.contacts[0].force[1] == pytest.approx(-5.0, rel=1e-6)
+
+
+def test_body_that_nothing_holds():
+    with pytest.raises(ValueError, match=r"nothing holds.*translation x.*Prescribe"):
+        create(supports=((11, None),)).audit()
+    # a tie holds it altogether
+    assert create(supports=((11, None),), kind=dm.Tie).audit().warnings == []
+
+
+def test_the_audit_comes_before_the_first_step():
+    """A problem that the audit rejects does not start."""
+    problem = create(supports=((11, None),))
+    with pytest.raises(ValueError, match="nothing holds"):
+        dm.newton(problem)
+    assert not problem.u.x.array.any()
+
+
+def test_units_do_not_matter():
+    """The same findings in metres and micrometres."""
+    texts = set()
+    for scale in (1e-6, 1.0, 1e6):
+        boxes = [(*(scale * np.array(box[:4])), *box[4:]) for box in PAIR]
+        texts.add(str(create(boxes, supports=((11, None), (22, 0))).audit()))
+    assert len(texts) == 1
+
+
+assert (ABOVE, BELOW, EAST, WEST) == (3, 1, 2, 4), "the tags above are written out"
