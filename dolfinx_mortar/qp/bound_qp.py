@@ -12,6 +12,7 @@ import numpy.typing as npt
 EPS = float(np.finfo(np.float64).eps)
 # Round-off of A x in units of eps |diag(A) x|: rows of a stiffness matrix have 10 to 100 entries
 ROUND_OFF = 16.0
+_FAR = 1e300  # farther than any bound
 
 
 @dataclass(frozen=True)
@@ -195,9 +196,14 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     distance = np.abs(np.where(np.isfinite(side), side, xb) - xb)
     bound = np.maximum(np.where(over > 0, np.abs(upper), 0), np.where(under > 0, np.abs(lower), 0))
     largest = [np.abs(x.array_r), bound, np.maximum(over, under), pull]
-    tops = np.array([a.max(initial=0.0) for a in largest])
-    x_top, bound_top, gap_top, pull_top = _max_over_ranks(qp.comm, tops)
-    round_off = qp.A.getDiagonal().array_r * x.array_r
+    nearest = np.minimum(np.abs(lower), np.abs(upper)).min(initial=np.inf)
+    tops = np.array([a.max(initial=0.0) for a in largest] + [-min(nearest, _FAR)])
+    x_top, bound_top, gap_top, pull_top, nearest = _max_over_ranks(qp.comm, tops)
+    # Where nothing acts, x and z are the round-off of guesses that went to the nearest bound.
+    moved = np.abs(x.array_r)
+    if -nearest < _FAR:
+        moved[qp.bounded] = np.maximum(moved[qp.bounded], -nearest)
+    round_off = qp.A.getDiagonal().array_r * moved
     parts = (qp.b.array_r, zb, z.array_r[free], round_off)
     b2, zb2, free2, off2 = np.sqrt(qp.comm.allreduce(np.array([v @ v for v in parts])))
     force, length = b2 + zb2, max(x_top, bound_top)
