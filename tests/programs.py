@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: MIT
+"""Bound-constrained QPs without a mesh, for any number of ranks."""
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_mortar.qp import BoundQP
+
+Floats = npt.NDArray[np.float64]
+
+
+def from_arrays(A: Floats, b: Floats, lower: Floats, upper: Floats, comm: MPI.Comm) -> BoundQP:
+    """Distribute a dense problem given on all ranks; IEEE infinities mean no bound."""
+    matrix = PETSc.Mat().createAIJ(A.shape, nnz=A.shape[0], comm=comm)
+    first, last = matrix.getOwnershipRange()
+    for row in range(first, last):
+        matrix.setValues(row, np.arange(A.shape[0], dtype=PETSc.IntType), A[row])
+    matrix.assemble()
+    vectors = [matrix.createVecRight() for _ in range(3)]
+    for vector, values in zip(vectors, (b, lower, upper), strict=True):
+        vector.array[:] = np.clip(values[first:last], PETSc.NINFINITY, PETSc.INFINITY)
+    own = np.isfinite(lower) | np.isfinite(upper)
+    return BoundQP(matrix, *vectors, np.flatnonzero(own[first:last]).astype(np.int32))
+
+
+def gathered(v: PETSc.Vec) -> Floats:
+    """Return all entries of a vector on every rank."""
+    return np.concatenate(v.comm.tompi4py().allgather(v.array_r.copy()))
+
+
+def membrane(
+    n: int = 24,
+    *,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    depth: float = 0.05,
+    curvature: float = 1.0,
+    held: bool = True,
+    force: float = 0.0,
+    stiffness: float = 1.0,
+    length: float = 1.0,
+) -> BoundQP:
+    """Return a square membrane of n x n nodes under a parabolic obstacle along its last row.
+
+    Five-point Laplacian; the side opposite the obstacle is held, or free if not `held`. The
+    obstacle reaches `depth` below the last row; `force` acts on the row opposite.
+    """
+    size = n * n
+    A = PETSc.Mat().createAIJ((size, size), nnz=5, comm=comm)
+    first, last = A.getOwnershipRange()
+    b, lower, upper = (A.createVecRight() for _ in range(3))
+    lower.set(PETSc.NINFINITY)
+    upper.set(PETSc.INFINITY)
+    bounded = []
+    for row in range(first, last):
+        i, j = divmod(row, n)
+        neighbours = [
+            p * n + q
+            for p, q in ((i - 1, j), (i + 1, j), (i, j - 1), (i, j + 1))
+            if 0 <= p < n and 0 <= q < n
+        ]
+        A.setValue(row, row, stiffness * (len(neighbours) + (1 if held and i == 0 else 0)))
+        for column in neighbours:
+            A.setValue(row, column, -stiffness)
+        if i == 0:
+            b[row] = force * stiffness * length
+        if i == n - 1:
+            t = j / (n - 1) - 0.45
+            upper[row] = length * (0.5 * curvature * t * t - depth)
+            bounded.append(row - first)
+    for part in (A, b, upper):
+        part.assemble()
+    return BoundQP(A, b, lower, upper, np.array(bounded, dtype=np.int32))

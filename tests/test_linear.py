@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: MIT
+"""Linear solves with held unknowns: options, reuse and renewal of factorisations, failures."""
+
+from collections.abc import Iterator
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from programs import membrane
+
+from dolfinx_mortar.qp import BoundQP, LinearSolveFailed, LinearSolver
+
+COMM = MPI.COMM_WORLD
+RTOL = 1e-11
+
+
+@pytest.fixture
+def qp() -> BoundQP:
+    program = membrane(24)
+    program.b.array[:] = np.cos(1.7 * np.arange(*program.b.getOwnershipRange()))
+    return program
+
+
+@pytest.fixture
+def database() -> Iterator[PETSc.Options]:
+    """PETSc's options, as before after the test."""
+    options = PETSc.Options()
+    before = options.getAll()
+    yield options
+    for key in set(options.getAll()) - set(before):
+        options.delValue(key)
+
+
+def none() -> np.ndarray:
+    return np.zeros(0, dtype=np.int32)
+
+
+def solved(linear: LinearSolver, qp: BoundQP, fixed: np.ndarray) -> float:
+    """Solve from zero; return the relative residual on the unknowns that are not held."""
+    x = qp.b.duplicate()
+    x.set(0.0)
+    linear.attach(qp.A)
+    linear.solve(qp.b, x, fixed, atol=RTOL * qp.b.norm())
+    r = qp.b - qp.A * x
+    r.array[fixed] = 0.0
+    assert np.abs(x.array_r[fixed]).max(initial=0.0) == 0.0
+    return float(r.norm() / qp.b.norm())
+
+
+@pytest.mark.mpi
+def test_held_unknowns_keep_their_values(qp: BoundQP) -> None:
+    linear = LinearSolver(COMM, prefix="held_")
+    linear.attach(qp.A)
+    x = qp.b.duplicate()
+    x.set(0.0)
+    x.array[qp.bounded] = 0.25
+    linear.solve(qp.b, x, qp.bounded, atol=RTOL * qp.b.norm())
+    r = qp.b - qp.A * x
+    r.array[qp.bounded] = 0.0
+    assert r.norm() <= RTOL * qp.b.norm()
+    assert (x.array_r[qp.bounded] == 0.25).all()
+
+
+@pytest.mark.mpi
+def test_the_factorisation_serves_a_few_more_held_unknowns(qp: BoundQP) -> None:
+    linear = LinearSolver(COMM, prefix="few_", refactor_after=30)
+    assert solved(linear, qp, qp.bounded) <= RTOL
+    assert solved(linear, qp, qp.bounded[1:]) <= RTOL
+    assert linear.counts.factorisations == 1
+    assert solved(linear, qp, none()) <= RTOL  # far away, but 30 iterations are allowed
+    assert linear.counts.symbolic == 1
+
+
+@pytest.mark.mpi
+def test_a_slow_old_factorisation_is_renewed_at_once(qp: BoundQP) -> None:
+    linear = LinearSolver(COMM, prefix="slow_")
+    solved(linear, qp, qp.bounded)
+    before = linear.counts.iterations
+    assert solved(linear, qp, none()) <= RTOL
+    assert linear.counts.factorisations == 2
+    assert linear.counts.iterations - before <= 4 + linear.refactor_after
+
+
+@pytest.mark.mpi
+def test_a_slightly_changed_matrix_needs_no_factorisation(qp: BoundQP) -> None:
+    linear = LinearSolver(COMM, prefix="slight_")
+    solved(linear, qp, none())
+    diagonal = qp.A.getDiagonal()
+    diagonal.array[::7] *= 1.0 + 1e-5
+    qp.A.setDiagonal(diagonal)
+    assert solved(linear, qp, none()) <= RTOL
+    assert linear.counts.factorisations == 1
+    diagonal.array[::2] *= 3.0
+    qp.A.setDiagonal(diagonal)
+    assert solved(linear, qp, none()) <= RTOL
+    assert linear.counts.factorisations == 2
+    assert linear.counts.symbolic == 1
+
+
+def test_the_same_matrix_again_costs_one_iteration(qp: BoundQP) -> None:
+    linear = LinearSolver(COMM, prefix="again_")
+    solved(linear, qp, none())
+    before = linear.counts.iterations
+    solved(linear, qp, none())
+    assert linear.counts.iterations - before == 1
+    assert linear.counts.factorisations == 1
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"ksp_type": "preonly"},
+        {"pc_type": "lu"},
+        {"pc_type": "gamg"},
+        {"pc_type": "jacobi"},
+        {"ksp_type": "minres", "pc_type": "jacobi"},
+    ],
+)
+def test_other_methods(qp: BoundQP, options: dict[str, str]) -> None:
+    linear = LinearSolver(COMM, prefix="other_", options=options)
+    assert solved(linear, qp, qp.bounded) <= RTOL
+    for value in options.values():
+        assert value in linear.description
+
+
+def test_options_of_the_user_win_and_ours_leave_no_trace(
+    qp: BoundQP, database: PETSc.Options
+) -> None:
+    database["mine_pc_type"] = "jacobi"
+    before = database.getAll()
+    linear = LinearSolver(COMM, prefix="mine_", options={"pc_type": "lu", "ksp_type": "minres"})
+    solved(linear, qp, none())
+    assert linear.description == "minres + jacobi"
+    assert database.getAll() == before
+
+
+@pytest.mark.mpi
+def test_options_reach_mumps(qp: BoundQP) -> None:
+    linear = LinearSolver(COMM, prefix="reach_", options={"mat_mumps_icntl_7": 2})
+    solved(linear, qp, none())
+    factor = linear._ksp.getPC().getFactorMatrix()
+    assert factor.getMumpsIcntl(7) == 2
+
+
+@pytest.mark.mpi
+def test_too_small_a_workspace_is_enlarged() -> None:
+    qp = membrane(60)
+    qp.b.set(1.0)
+    linear = LinearSolver(COMM, prefix="small_", options={"mat_mumps_icntl_14": -70})
+    assert solved(linear, qp, none()) <= RTOL
+    assert linear._ksp.getPC().getFactorMatrix().getMumpsIcntl(14) > 0
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("pc", ["cholesky", "lu"])
+def test_a_singular_matrix_is_an_error(pc: str) -> None:
+    qp = membrane(12, held=False)
+    qp.b.set(1.0)
+    with pytest.raises(LinearSolveFailed, match="held by nothing"):
+        solved(LinearSolver(COMM, prefix="singular_", options={"pc_type": pc}), qp, none())

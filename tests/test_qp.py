@@ -1,0 +1,311 @@
+# SPDX-License-Identifier: MIT
+"""Bound-constrained QPs: signs, the check, all backends against it, reuse, awkward cases."""
+
+from dataclasses import replace
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import hypothesis
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from programs import from_arrays, gathered, membrane
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import lsq_linear
+
+from dolfinx_mortar.qp import (
+    LinearSolver,
+    QPNotSolved,
+    QPSolution,
+    active_set,
+    available,
+    check,
+    condensed,
+    solve,
+)
+from dolfinx_mortar.qp.condensed import SchurModel, half_laplacian
+
+COMM = MPI.COMM_WORLD
+INF = np.inf
+
+# three unknowns: from six of the eight active sets the updates never end
+CYCLING = np.array([[9.0, -13, 7], [-13, 22, -7], [7, -7, 9]])
+CYCLING_FORCE = np.array([-1.0, 2, 0])
+
+
+@pytest.fixture(params=["active-set", "interior-point", "tron"])
+def backend(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture
+def updates_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Switch the condensation off, as for very many bounded unknowns."""
+    monkeypatch.setattr(condensed, "MAX_UNKNOWNS", 0)
+
+
+def active_everywhere(solution: QPSolution) -> list[int]:
+    return [int(a) for part in COMM.allgather(solution.active) for a in part]
+
+
+def test_every_file_is_a_backend() -> None:
+    assert available() == ["active-set", "interior-point", "tron"]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("b", "lower", "upper", "x", "z", "active"),
+    [
+        (4.0, -INF, 1.0, 1.0, 2.0, 1),
+        (-4.0, -1.0, INF, -1.0, -2.0, -1),
+        (4.0, -INF, 3.0, 2.0, 0.0, 0),
+        (4.0, -1.0, 1.0, 1.0, 2.0, 1),
+        (0.0, -INF, -1.0, -1.0, 2.0, 1),
+    ],
+)
+def test_signs_with_one_unknown(
+    backend: str, b: float, lower: float, upper: float, x: float, z: float, active: int
+) -> None:
+    bounds = np.array([lower]), np.array([upper])
+    solution = solve(from_arrays(np.array([[2.0]]), np.array([b]), *bounds, COMM), backend)
+    assert gathered(solution.x) == pytest.approx([x], rel=1e-9)
+    assert gathered(solution.z) == pytest.approx([z], rel=1e-9, abs=1e-9)
+    assert active_everywhere(solution) == [active]
+
+
+@hypothesis.given(seed=st.integers(0, 10**6), size=st.integers(2, 9))
+@hypothesis.settings(
+    max_examples=20,
+    suppress_health_check=[hypothesis.HealthCheck.function_scoped_fixture],
+)
+def test_random_problems_against_scipy(backend: str, seed: int, size: int) -> None:
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((size, size))
+    A, b = root @ root.T + 0.1 * np.eye(size), rng.standard_normal(size)
+    lower, upper = -rng.exponential(0.5, size), rng.exponential(0.5, size)
+    lower[rng.random(size) < 0.5], upper[rng.random(size) < 0.5] = -INF, INF
+    solution = solve(from_arrays(A, b, lower, upper, COMM), backend)
+    L = cholesky(A, lower=True)
+    rhs = solve_triangular(L, b, lower=True)
+    expected = lsq_linear(L.T, rhs, (lower, upper), method="bvls", tol=1e-14).x
+    np.testing.assert_allclose(gathered(solution.x), expected, atol=1e-8 * np.abs(expected).max())
+
+
+@pytest.mark.mpi
+def test_backends_agree(backend: str) -> None:
+    qp = membrane()
+    reference, other = solve(qp, rtol=1e-12), solve(qp, backend, rtol=1e-12)
+    scale = np.abs(gathered(reference.z)).max()
+    assert 3 < np.abs(active_everywhere(reference)).sum() < 20
+    assert active_everywhere(other) == active_everywhere(reference)
+    np.testing.assert_allclose(gathered(other.z), gathered(reference.z), atol=1e-10 * scale)
+
+
+def test_check_sees_each_violation() -> None:
+    qp = membrane(8)
+    solution = solve(qp, rtol=1e-13)
+    assert solution.kkt.worst < 1e-12
+    first, last = qp.b.getOwnershipRange()
+
+    def spoilt(row: int, change: float) -> PETSc.Vec:
+        x = solution.x.copy()
+        if first <= row < last:
+            x.array[row - first] += change
+        return x
+
+    middle, corner, size = 8 * 7 + 3, 8 * 8 - 1, abs(float(qp.upper.min()[1]))
+    assert check(qp, spoilt(20, 1e-3 * size)).stationarity > 1e-4
+    assert check(qp, spoilt(middle, 1e-3 * size)).feasibility > 5e-4
+    assert check(qp, spoilt(middle, -1e-3 * size)).complementarity > 5e-4
+    assert check(qp, spoilt(corner, 1e-3 * size)).stationarity > 1e-4
+    # held on the wrong side: a reaction that pulls
+    pulled = replace(qp, upper=qp.upper.copy(), b=qp.b.copy())
+    x = qp.b.duplicate()
+    x.set(0.0)
+    pulled.upper.array[qp.bounded] = -1.0
+    x.array[qp.bounded] = 1.0
+    assert check(pulled, x).sign > 0.1
+
+
+def test_check_rejects_a_solution_that_is_not_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    def wrong(qp, linear, *, start, rtol):  # type: ignore[no-untyped-def]
+        x = qp.b.duplicate()
+        x.set(0.0)
+        return QPSolution(x, x, start, check(qp, x), 0, 0, 0, "wrong")
+
+    monkeypatch.setattr(active_set, "solve", wrong)
+    with pytest.raises(QPNotSolved, match="fails the check") as caught:
+        solve(membrane(6))
+    assert caught.value.solution is not None and caught.value.solution.kkt.feasibility > 0.1
+
+
+@pytest.mark.parametrize("guess", [0, 1])
+def test_weakly_active_unknowns_may_be_on_either_side(backend: str, guess: int) -> None:
+    """The bound goes exactly through the free solution: reaction and distance both vanish."""
+    A, b = np.diag([2.0, 4.0, 8.0]) + 1.0, np.array([1.0, 2.0, 3.0])
+    free = np.linalg.solve(A, b)
+    upper = np.array([free[0], INF, free[2]])
+    qp = from_arrays(A, b, np.full(3, -INF), upper, COMM)
+    start = np.full(qp.bounded.size, guess, dtype=np.int8)
+    solution = solve(qp, backend, start_active=start)
+    np.testing.assert_allclose(gathered(solution.x), free, rtol=1e-10)
+
+
+@pytest.mark.mpi
+def test_a_cycle_is_handed_to_the_interior_point(updates_only: None) -> None:
+    qp = from_arrays(CYCLING, CYCLING_FORCE, np.full(3, -INF), np.zeros(3), COMM)
+    solution = solve(qp)
+    assert "interior point" in solution.note and "came back" in solution.note
+    assert solution.kkt.satisfied(1e-10)
+
+
+def test_the_condensed_problem_does_not_cycle() -> None:
+    qp = from_arrays(CYCLING, CYCLING_FORCE, np.full(3, -INF), np.zeros(3), COMM)
+    assert solve(qp).note == ""
+
+
+def test_updates_alone_find_the_same_solution(monkeypatch: pytest.MonkeyPatch) -> None:
+    qp = membrane()
+    reference = solve(qp, rtol=1e-12)
+    monkeypatch.setattr(condensed, "MAX_UNKNOWNS", 0)
+    other = solve(qp, rtol=1e-12)
+    assert other.updates > 1 and reference.updates == 1
+    scale = np.abs(gathered(reference.z)).max()
+    np.testing.assert_allclose(gathered(other.z), gathered(reference.z), atol=1e-10 * scale)
+
+
+@pytest.mark.mpi
+def test_a_body_held_by_its_bounds_alone(backend: str) -> None:
+    solution = solve(membrane(12, held=False, force=1.0), backend)
+    reactions = gathered(solution.z)
+    assert reactions.sum() == pytest.approx(12.0, rel=1e-9)  # carries the whole load
+    assert reactions.min() > -1e-9
+
+
+def test_a_body_pulled_away_is_an_error() -> None:
+    with pytest.raises(QPNotSolved, match=r"float away|held by nothing"):
+        solve(membrane(6, held=False, force=-1.0))
+
+
+def test_a_body_held_by_nothing_is_an_error() -> None:
+    qp = membrane(8, held=False, force=1.0)
+    qp.upper.set(PETSc.INFINITY)
+    with pytest.raises(QPNotSolved, match="held by nothing"):
+        solve(replace(qp, bounded=np.zeros(0, dtype=np.int32)))
+
+
+@pytest.mark.parametrize("stiffness", [1e-6, 1e6])
+@pytest.mark.parametrize("length", [1e-6, 1e6])
+def test_units_do_not_matter(backend: str, stiffness: float, length: float) -> None:
+    plain = solve(membrane(10), backend)
+    other = solve(membrane(10, stiffness=stiffness, length=length), backend)
+    assert active_everywhere(other) == active_everywhere(plain)
+    assert abs(other.updates - plain.updates) <= 1
+    assert abs(other.linear_iterations - plain.linear_iterations) <= 1
+    expected, found = gathered(plain.z), gathered(other.z) / (stiffness * length)
+    np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
+
+
+@pytest.mark.mpi
+def test_all_updates_cost_one_factorisation() -> None:
+    linear = LinearSolver(COMM, prefix="one_")
+    qp = membrane(48)
+    solution = solve(qp, linear=linear)
+    assert solution.factorisations == 1
+    assert solution.linear_iterations <= 20
+
+
+def test_a_neighbouring_active_set_costs_no_factorisation() -> None:
+    linear = LinearSolver(COMM, prefix="neighbour_")
+    qp = membrane(32)
+    first = solve(qp, linear=linear)
+    qp.upper.array[qp.bounded] -= 0.03
+    second = solve(qp, linear=linear, start_active=first.active)
+    assert active_everywhere(second) != active_everywhere(first)
+    assert second.factorisations == 0
+    assert second.linear_iterations < first.linear_iterations
+
+
+@pytest.mark.mpi
+def test_ranks_agree_with_one() -> None:
+    own = solve(membrane(16, comm=MPI.COMM_SELF), rtol=1e-14)
+    shared = solve(membrane(16), rtol=1e-14)
+    for name in ("x", "z"):
+        expected = getattr(own, name).array_r
+        found = gathered(getattr(shared, name))
+        np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
+
+
+def test_no_bounds_and_no_forces() -> None:
+    qp = membrane(8)
+    qp.upper.set(PETSc.INFINITY)
+    qp = replace(qp, bounded=np.zeros(0, dtype=np.int32))
+    assert solve(qp).x.norm() == 0.0
+    qp.b.set(1.0)
+    assert solve(qp).kkt.stationarity < 1e-10
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("name", ["lower", "b", "nan bound", "sign of infinity", "bounded"])
+def test_data_without_a_solution(name: str) -> None:
+    """The fault is on the last rank only; all ranks must learn of it."""
+    qp = membrane(6)
+    if name == "bounded":
+        qp = replace(qp, bounded=np.zeros(0, dtype=np.int32))
+    elif COMM.rank == COMM.size - 1:
+        row = int(qp.bounded[0])
+        if name == "lower":
+            qp.lower.array[row] = 7.0
+        elif name == "b":
+            qp.b.array[row] = np.nan
+        elif name == "nan bound":
+            qp.upper.array[row] = np.nan
+        else:
+            qp.lower.array[row] = PETSc.INFINITY
+            qp.upper.array[row] = PETSc.INFINITY
+    message = {"lower": "lower > upper", "nan bound": "NaN", "sign of infinity": "wrong sign"}.get(
+        name, f"The {name}"
+    )
+    with pytest.raises(ValueError, match=message):
+        solve(qp)
+
+
+def test_unknown_backend() -> None:
+    with pytest.raises(ValueError, match=r"'simplex'.*'active-set'"):
+        solve(membrane(4), "simplex")
+
+
+def test_model_reproduces_what_it_has_seen(rng: np.random.Generator) -> None:
+    S = np.cov(rng.standard_normal((6, 30)))
+    model = SchurModel(np.arange(6, dtype=np.int32), np.eye(6), np.zeros((6, 0)), np.zeros((6, 0)))
+    seen = rng.standard_normal((6, 4))
+    for v in seen.T:
+        model.learn(v, S @ v)
+    M = model.matrix()
+    np.testing.assert_allclose(M @ seen, S @ seen, rtol=1e-10)
+    assert np.linalg.eigvalsh(M)[0] > 0.0
+    model.learn(seen[:, 0], S @ seen[:, 0])  # nothing new
+    assert model.V.shape == (6, 4)
+
+
+def test_first_model_is_close_to_the_schur_complement_on_any_mesh() -> None:
+    """The ratio of the two stays within a factor of six, two octaves of the mesh size apart."""
+    for n in (12, 48):
+        qp = membrane(n, comm=MPI.COMM_SELF)
+        A = _dense(qp.A)
+        B, rest = np.arange(n * (n - 1), n * n), np.arange(n * (n - 1))
+        S = A[np.ix_(B, B)] - A[np.ix_(B, rest)] @ np.linalg.solve(
+            A[np.ix_(rest, rest)], A[np.ix_(rest, B)]
+        )
+        M = half_laplacian(A[np.ix_(B, B)])
+        L = cholesky(M, lower=True)
+        ratio = np.linalg.eigvalsh(np.linalg.solve(L, np.linalg.solve(L, S).T))
+        assert ratio[-1] / ratio[0] < 6.0
+
+
+def _dense(A: PETSc.Mat) -> np.ndarray:
+    indptr, columns, values = A.getValuesCSR()
+    dense = np.zeros(A.size)
+    dense[np.repeat(np.arange(A.size[0]), np.diff(indptr)), columns] = values
+    return dense
