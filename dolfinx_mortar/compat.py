@@ -23,3 +23,11 @@ def on_same_mesh(tags: mesh.MeshTags, domain: mesh.Mesh) -> bool:
         return getattr(topology, "_cpp_object", topology)
 
     return unwrapped(tags.topology) is unwrapped(domain.topology)
+
+
+def cell_partitioner(ghosts: mesh.GhostMode) -> Any:
+    """Return the default partitioner with such ghosts (0.11 asks for the cells per facet)."""
+    try:
+        return mesh.create_cell_partitioner(ghosts, 2)
+    except TypeError:
+        return mesh.create_cell_partitioner(ghosts)

@@ -147,7 +147,9 @@ def _meeting(centre, axis, radius, slope, ball, rho, block, block_rho, size):  #
             for m in range(b * size, min((b + 1) * size, len(rho))):
                 if _meets(c, a, r, t, ball[m], rho[m]):
                     if p == len(pairs):
-                        pairs = np.concatenate((pairs, np.empty_like(pairs)))
+                        longer = np.empty((2 * p, 2), dtype=np.int32)
+                        longer[:p] = pairs
+                        pairs = longer
                     pairs[p, 0] = s
                     pairs[p, 1] = m
                     p += 1

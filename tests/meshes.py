@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 import basix.ufl
 import dolfinx
+from dolfinx_mortar import compat
 
 LOWER, UPPER = 1, 2
 BOTTOM, TOP, TOP_OF_LOWER, BOTTOM_OF_UPPER, LEFT, RIGHT = 1, 2, 3, 4, 5, 6
@@ -40,11 +41,10 @@ def _block(lines: Array, rows: Array, cell: str) -> tuple[Array, npt.NDArray[np.
 
 def _partitioner(partition: str, comm: MPI.Comm, stripes: npt.NDArray[np.int32]):
     """Return dolfinx's partitioner, or one that sends each cell to the rank in `stripes`."""
-    if comm.size == 1:
+    if comm.size == 1 or partition == "graph":
         return None
-    if partition in ("graph", "shared_facet"):
-        mode = "none" if partition == "graph" else "shared_facet"
-        return dolfinx.mesh.create_cell_partitioner(getattr(dolfinx.mesh.GhostMode, mode))
+    if partition == "shared_facet":
+        return compat.cell_partitioner(dolfinx.mesh.GhostMode.shared_facet)
 
     def send(*_):
         destinations = dolfinx.graph.adjacencylist(stripes.reshape(-1, 1))
