@@ -208,6 +208,13 @@ def test_broad_phase_is_selective():
     assert np.bincount(wide[:, 0], minlength=200).max() <= 7
 
 
+def test_every_facet_may_be_a_candidate_of_every_other():
+    """Far away and provided for rotation: more pairs than the first allocation holds."""
+    x_s, x_m = flat(np.linspace(0, 1, 61))[chain(61)], flat(np.linspace(0, 1, 61), -99, up=True)
+    pairs = segments.find_candidates(x_s, np.full_like(x_s, (0, -1)), x_m[chain(61)], np.ones(60))
+    assert (pairs == np.stack(np.divmod(np.arange(3600), 60), axis=1)).all()
+
+
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
 def test_units_do_not_matter(scale):
     x_s, x_m = random_side(3, 9, False), random_side(4, 7, True)
