@@ -16,8 +16,6 @@ from tests.block_piles import ABOVE, BELOW, EAST, WEST, create_blocks
 COMM = MPI.COMM_WORLD
 PAIR = [(0.0, 1.0, -1.0, 0.0, 4, 3), (0.0, 1.0, 0.0, 1.0, 3, 3)]
 
-pytestmark = pytest.mark.mpi
-
 
 def condition(V, facets, tag, component=None, value=0.0):
     """Return a Dirichlet condition on marked facets."""
@@ -45,6 +43,7 @@ def create(
     return dm.ContactProblem(solid, interfaces, bcs=bcs, **options)
 
 
+@pytest.mark.mpi
 def test_nothing_to_complain():
     audit = create().audit()
     assert audit.warnings == [] and not audit.held_by_contact
@@ -68,6 +67,7 @@ def test_print(capsys):
     assert len(lines) == 3
 
 
+@pytest.mark.mpi
 def test_log(caplog):
     """Rank 0 logs the audit once, warnings as such."""
     problem = create(supports=((11, None), (22, 0)))
@@ -118,6 +118,7 @@ def all_around(domain, facets):
     return mesh.meshtags(domain, 1, facets.indices, values.astype(np.int32))
 
 
+@pytest.mark.mpi
 def test_facets_that_turn_their_back():
     """A slave side marked around the corner is fine; one with its back to the master is not."""
     audit = create(tags=all_around).audit()
@@ -134,12 +135,14 @@ def test_facets_that_turn_their_back():
     assert any("4 slave facets turn their back" in w for w in audit.warnings)
 
 
+@pytest.mark.mpi
 def test_uncovered_nodes():
     boxes = [(0.0, 1.0, -1.0, 0.0, 4, 3), (0.5, 1.0, 0.0, 1.0, 3, 3)]
     found = create(boxes).audit().interfaces[0]
     assert found.uncovered_nodes == 2 and found.kept_nodes == 3
 
 
+@pytest.mark.mpi
 def test_double_claims():
     """The earlier interface keeps the nodes; the audit says what the later one lost."""
     boxes = [(0.0, 1.0, -1.0, 0.0, 4, 2), (0.0, 0.4, 0.0, 1.0, 2, 2), (0.6, 1.0, 0.0, 1.0, 2, 2)]
@@ -163,6 +166,7 @@ def test_body_held_by_contact_alone():
     assert problem.contacts[0].force[1] == pytest.approx(-5.0, rel=1e-6)
 
 
+@pytest.mark.mpi
 def test_body_that_nothing_holds():
     with pytest.raises(ValueError, match=r"nothing holds.*translation x.*Prescribe"):
         create(supports=((11, None),)).audit()

@@ -188,7 +188,6 @@ def test_stop_by_the_user(case, monkeypatch):
 # -- where there is next to nothing to solve
 
 
-@pytest.mark.mpi
 @pytest.mark.parametrize("qp", ["active-set", "interior-point", "tron"])
 @pytest.mark.parametrize("gap", [0.0, 1e-17, -1e-17, 1e-13, -1e-15, -1e-13, -1e-11, 0.3])
 def test_rest(gap, qp):
