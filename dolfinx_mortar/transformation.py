@@ -50,7 +50,7 @@ def resolve_claims(interfaces: Sequence[Interface]) -> tuple[list[int], list[str
         return [], notes
     comm = interfaces[0].V.mesh.comm
     claimed = np.zeros(interfaces[0].n_local, dtype=bool)
-    leans = [_referenced(interface) for interface in interfaces]
+    referenced = [_referenced(interface) for interface in interfaces]
     ahead: set[tuple[int, int]] = set()  # (i, k): T_i stands left of T_k, i leans on slaves of k
 
     def remove(k: int, nodes: Bools, why: str) -> None:
@@ -60,22 +60,25 @@ def resolve_claims(interfaces: Sequence[Interface]) -> tuple[list[int], list[str
             interfaces[k].banned |= interfaces[k].share(own)
             notes.append(f"{interfaces[k]}: {count} slave nodes removed, {why}")
 
+    def leaning(i: int, k: int) -> Bools:
+        """Return the owned slave nodes of k that i leans on."""
+        own = slice(None, interfaces[k].n_owned)
+        slaves = interfaces[k].slave_nodes[own] & ~interfaces[k].banned[own]
+        # removed slave nodes enter like master nodes
+        return np.asarray((referenced[i] | interfaces[i].banned[own]) & slaves)
+
     for k, interface in enumerate(interfaces):
         remove(k, interface.slave_nodes & claimed, "claimed by an earlier interface")
-        for i in range(k + 1):
-            own = slice(None, interface.n_owned)
-            slaves_k = interface.slave_nodes[own] & ~interface.banned[own]
-            slaves_i = interfaces[i].slave_nodes[own] & ~interfaces[i].banned[own]
-            hit = [leans[i] & slaves_k, leans[k] & slaves_i]
-            i_on_k, k_on_i = any_rank(comm, *(h.any() for h in hit))
-            if i == k and i_on_k:
-                remove(k, hit[0], "they are master nodes of the same interface")
-            elif i_on_k and (k_on_i or _reaches(ahead, k, i)):
-                remove(k, hit[0], f"they would close a cycle with {interfaces[i]}")
-                i_on_k = False
-            if i != k:
-                ahead |= {(i, k)} if i_on_k else set()
-                ahead |= {(k, i)} if k_on_i else set()
+        remove(k, leaning(k, k), "they are master nodes of the same interface")
+        ahead |= {(k, i) for i in range(k) if any_rank(comm, leaning(k, i).any())[0]}
+        for i in range(k):
+            hit = leaning(i, k)
+            if not any_rank(comm, hit.any())[0]:
+                continue
+            if _reaches(ahead, k, i):
+                remove(k, hit, f"they would close a cycle with {interfaces[i]}")
+            else:
+                ahead.add((i, k))
         claimed |= interface.slave_nodes & ~interface.banned
     return _topological(len(interfaces), ahead), notes
 
@@ -116,7 +119,7 @@ class Transformation:
         ordered = [interfaces[i] for i in order]
         # Without chains all interfaces fit in one matrix, which saves the products.
         own = slice(None, ordered[0].n_owned)
-        leans = [_referenced(i) for i in ordered]
+        leans = [_referenced(i) | i.banned[own] for i in ordered]
         chained = any(
             (lean & other.slave_nodes[own] & ~other.banned[own]).any()
             for i, lean in enumerate(leans)

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: MIT
+"""Three bodies: stacks, nodes that are slave and master, second claims and cycles, all exact."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import basix.ufl
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import create_mesh, exterior_facet_indices, locate_entities_boundary, meshtags
+from dolfinx_mortar.parallel import maximum
+from tests.meshes import _block
+
+E, NU, P = 1000.0, 0.3, 10.0
+EXACT = 1e-10
+COMM = MPI.COMM_WORLD
+
+pytestmark = pytest.mark.mpi
+
+
+def create_blocks(blocks):
+    """Return a mesh of rectangles given as (x lines, y lines), and the block of each cell."""
+    parts = [_block(np.asarray(x, float), np.asarray(y, float), "triangle") for x, y in blocks]
+    offsets = np.cumsum([0] + [len(points) for points, _ in parts])
+    counts = np.cumsum([0] + [len(cells) for _, cells in parts])
+    points = np.concatenate([points for points, _ in parts])
+    cells = np.concatenate([c + o for (_, c), o in zip(parts, offsets, strict=False)])
+    if COMM.rank > 0:  # the first rank has all, dolfinx distributes
+        points, cells = points[:0], cells[:0]
+    element = basix.ufl.element("Lagrange", "triangle", 1, shape=(2,))
+    mesh = create_mesh(COMM, cells, x=points, e=element)
+    block = np.searchsorted(counts, mesh.topology.original_cell_index, side="right") - 1
+    return mesh, block
+
+
+def tag_facets(mesh, block, marks):
+    """Tag facets given as tag: (block or None, function of x)."""
+    mesh.topology.create_connectivity(1, 2)
+    cell = mesh.topology.connectivity(1, 2)
+    exterior = exterior_facet_indices(mesh.topology)
+    owner = np.full(exterior.max(initial=-1) + 1, -1)
+    owner[exterior] = [block[cell.links(f)[0]] for f in exterior]
+    found, values = [], []
+    for tag, (number, where) in marks.items():
+        facets = np.intersect1d(locate_entities_boundary(mesh, 1, where), exterior)
+        facets = facets if number is None else facets[owner[facets] == number]
+        found.append(facets)
+        values.append(np.full(len(facets), tag, dtype=np.int32))
+    found, values = np.concatenate(found).astype(np.int32), np.concatenate(values)
+    order = np.argsort(found)
+    return meshtags(mesh, 1, found[order], values[order])
+
+
+def at(y, low=-1.0, high=9.0):
+    """Return a marker of the line at height y between two x."""
+    return lambda x: np.isclose(x[1], y) & (x[0] > low - 1e-9) & (x[0] < high + 1e-9)
+
+
+def press(mesh, tags, interfaces):
+    """Press on tag 2 with P; check the uniaxial stress state and return problem and report.
+
+    Tag 1 (bottom, y = 0) and tag 5 (vertical sides) slide; contact alone holds the rest.
+    """
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    exact, u = fem.Function(V), fem.Function(V)
+    strain = P / E * np.array([NU * (1 + NU), NU**2 - 1])[:, None]
+    exact.interpolate(lambda x: strain * x[:2])
+    bcs = []
+    for component, tag in ((1, 1), (0, 5)):
+        W, _ = V.sub(component).collapse()
+        dofs = fem.locate_dofs_topological((V.sub(component), W), 1, tags.find(tag))
+        value = fem.Function(W)
+        value.interpolate(exact.sub(component).collapse())
+        bcs.append(fem.dirichletbc(value, dofs, V.sub(component)))
+    ds = ufl.Measure("ds", mesh, subdomain_data=tags)
+    loads = -fem.Constant(mesh, P) * ufl.TestFunction(V)[1] * ds(2)
+    solid = dm.Solid(u, dm.Elastic(E, NU))
+    problem = dm.ContactProblem(solid, interfaces(tags), bcs=bcs, loads=loads, geometry="reference")
+    report = dm.newton(problem, rtol=1e-11)
+    error, size = maximum(
+        COMM,
+        np.abs(u.x.array - exact.x.array).max(initial=0.0),
+        np.abs(exact.x.array).max(initial=0.0),
+    )
+    assert error < EXACT * size
+    for i in problem.interfaces:
+        on = i.kept.any(axis=1)
+        pressure = i.pressure.x.array[i.pattern.nodes[on]]
+        assert np.abs(pressure - P).max(initial=0.0) < 1e-9 * P
+    return problem, report
+
+
+COLUMNS = [np.linspace(0, 1, n) for n in (4, 6, 5)]
+
+
+def stack(kinds, slaves):
+    """Return the interfaces of a stack; ``slaves`` says which side of each is the slave."""
+
+    def create(tags):
+        sides = [(20, 11), (21, 12)]
+        return [
+            kind(tags, slave=pair[s == "upper"], master=pair[s == "lower"])
+            for kind, pair, s in zip(kinds, sides, slaves, strict=True)
+        ]
+
+    return create
+
+
+@pytest.mark.parametrize("below", ["lower", "upper"])
+@pytest.mark.parametrize("above", ["lower", "upper"])
+@pytest.mark.parametrize("kinds", [(dm.Contact, dm.Contact), (dm.Contact, dm.Tie)])
+def test_stack(kinds, below, above):
+    """Three blocks in a stack, the middle one slave above and master below, and all others."""
+    mesh, block = create_blocks([(x, np.linspace(k, k + 1, 4)) for k, x in enumerate(COLUMNS)])
+    marks = {1: (0, at(0.0)), 2: (2, at(3.0)), 5: (None, lambda x: np.isclose(x[0], 0))}
+    marks |= {20: (0, at(1.0)), 11: (1, at(1.0)), 21: (1, at(2.0)), 12: (2, at(2.0))}
+    tags = tag_facets(mesh, block, marks)
+    problem, _ = press(mesh, tags, stack(kinds, (below, above)))
+    for interface in problem.interfaces:
+        assert np.isclose(abs(interface.force[1]), P, rtol=1e-9)
+
+
+def beside(left, right):
+    """Return a lower block of length 2, two blocks beside each other on it, and the tags.
+
+    20 and 21 are the left and right half of the lower side, 11 and 12 the sides opposite.
+    """
+    lines = [np.linspace(0, 2, 6), left, right]
+    lines[0] = np.sort(np.append(lines[0], 1.0))
+    heights = [np.linspace(0, 1, 4), np.linspace(1, 2, 3), np.linspace(1, 2, 4)]
+    mesh, block = create_blocks(zip(lines, heights, strict=True))
+    # upper blocks slide along the line between them, too
+    marks = {1: (0, at(0.0)), 2: (None, at(2.0)), 11: (1, at(1.0)), 12: (2, at(1.0))}
+    marks |= {20: (0, at(1.0, 0, 1)), 21: (0, at(1.0, 1, 2))}
+    marks[5] = (None, lambda x: np.isclose(x[0], 0) | np.isclose(x[0], 1) & (x[1] > 1 - 1e-9))
+    return mesh, tag_facets(mesh, block, marks)
+
+
+BESIDE = {
+    # which side is slave left and right: the node at x = 1 is ...
+    "slave and master": ((20, 11), (12, 21)),
+    "master and slave": ((11, 20), (21, 12)),
+    "slave twice": ((20, 11), (21, 12)),
+    "master twice": ((11, 20), (12, 21)),
+}
+
+
+@pytest.mark.parametrize("case", BESIDE)
+@pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
+def test_two_blocks_on_one(case, kind):
+    """A node of the lower block belongs to both interfaces, as slave, master or both."""
+    mesh, tags = beside(np.linspace(0, 1, 5), np.linspace(1, 2, 4))
+
+    def create(tags):
+        return [kind(tags, slave=s, master=m) for s, m in BESIDE[case]]
+
+    problem, _ = press(mesh, tags, create)
+    claimed = sum("claimed" in note for note in problem.notes)
+    assert claimed == (case == "slave twice")
+    for interface in problem.interfaces:
+        assert np.isclose(abs(interface.force[1]), P, rtol=0.35)
+    total = sum(abs(i.force[1]) for i in problem.interfaces)
+    assert np.isclose(total, 2 * P, rtol=1e-9)
+
+
+@pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
+def test_cycle(kind):
+    """Slave on the left and master on the right: each interface leans on the other one's nodes."""
+    lines = np.linspace(0, 2, 7)[[0, 1, 2, 4, 5, 6]], np.linspace(0, 2, 9)[[0, 1, 2, 3, 5, 6, 7, 8]]
+    lines = [np.sort(np.append(x, 1.0)) for x in lines]
+    heights = [np.linspace(0, 1, 4), np.linspace(1, 2, 4)]
+    mesh, block = create_blocks(zip(lines, heights, strict=True))
+    marks = {1: (0, at(0.0)), 2: (1, at(2.0)), 5: (None, lambda x: np.isclose(x[0], 0))}
+    marks |= {20: (0, at(1.0, 0, 1)), 21: (0, at(1.0, 1, 2))}
+    marks |= {11: (1, at(1.0, 0, 1)), 12: (1, at(1.0, 1, 2))}
+    tags = tag_facets(mesh, block, marks)
+
+    def create(tags):
+        return [kind(tags, slave=20, master=11), kind(tags, slave=12, master=21)]
+
+    problem, _ = press(mesh, tags, create)
+    assert any("cycle" in note for note in problem.notes)
