@@ -9,6 +9,9 @@ import numpy.typing as npt
 
 import basix.ufl
 import dolfinx
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import default_scalar_type, fem
 from tests.meshes import _block, _partitioner, _tag
 
 BELOW, EAST, ABOVE, WEST = 1, 2, 3, 4
@@ -67,3 +70,57 @@ def to_dense(A: PETSc.Mat) -> npt.NDArray[np.float64]:
 def to_global(comm: MPI.Comm, own: npt.NDArray) -> npt.NDArray:
     """Return the concatenation of the ranks' arrays on every rank."""
     return np.concatenate(comm.allgather(own))
+
+
+COMM = MPI.COMM_WORLD
+STEEL = dm.Elastic(1000.0, 0.3)
+
+# a long block under two short ones, and a pile of three
+BRIDGE = [(0.0, 3.0, -1.0, 0.0, 7, 2), (0.0, 1.3, 0.0, 1.0, 4, 3), (1.7, 3.0, 0.0, 1.0, 5, 2)]
+PILE = [(0.0, 1.0, 0.0, 1.0, 3, 2), (0.0, 1.0, 1.0, 2.0, 4, 2), (0.0, 1.0, 2.0, 3.0, 5, 2)]
+
+
+class Blocks:
+    """Blocks, their space and the usual parts of a problem."""
+
+    def __init__(self, boxes, **options):
+        """Create mesh, space and displacement."""
+        self.mesh, self.cells, self.facets = create_blocks(COMM, boxes, **options)
+        self.V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
+        self.u = fem.Function(self.V, name="u")
+
+    def fix(self, block, side, component=None, value=0.0):
+        """Return a Dirichlet condition on a side; value may be a dolfinx Constant."""
+        V = self.V if component is None else self.V.sub(component)
+        dofs = fem.locate_dofs_topological(V, 1, self.facets.find(10 * block + side))
+        if component is None and not isinstance(value, fem.Constant):
+            value = np.full(2, value, dtype=default_scalar_type)
+        elif not isinstance(value, fem.Constant):
+            value = default_scalar_type(value)
+        return fem.dirichletbc(value, dofs, V)
+
+    def join(self, kind, slave, master):
+        """Return an interface between two sides (block, side)."""
+        tags = [10 * block + side for block, side in (slave, master)]
+        return kind(self.facets, slave=tags[0], master=tags[1])
+
+    def problem(self, interfaces, bcs, law=STEEL, **options):
+        """Return the problem."""
+        return dm.ContactProblem(dm.Solid(self.u, law, self.cells), interfaces, bcs=bcs, **options)
+
+    def traction(self, block, side, value):
+        """Return the virtual work of a traction."""
+        ds = ufl.Measure("ds", self.mesh, subdomain_data=self.facets)
+        value = fem.Constant(self.mesh, default_scalar_type(value))
+        return ufl.inner(value, ufl.TestFunction(self.V)) * ds(10 * block + side)
+
+
+def chain(kinds=(dm.Contact, dm.Contact), **options):
+    """Return a problem in which the second interface's master nodes are slaves of the first."""
+    b = Blocks(BRIDGE, **options)
+    interfaces = [
+        b.join(kinds[0], (1, ABOVE), (2, BELOW)),
+        b.join(kinds[1], (3, BELOW), (1, ABOVE)),
+    ]
+    bcs = [b.fix(1, BELOW), b.fix(2, ABOVE, value=-0.01), b.fix(3, ABOVE, value=-0.02)]
+    return b, b.problem(interfaces, bcs)

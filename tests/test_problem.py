@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The change of basis against dense matrices, frames, bodies, problems of several interfaces."""
+"""Bodies, problems of several interfaces and materials, results, reports."""
 
 import json
 
@@ -12,214 +12,21 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.bodies import find_bodies
-from dolfinx_mortar.frames import create_frames
-from tests.block_piles import ABOVE, BELOW, EAST, WEST, create_blocks, to_dense, to_global
-
-COMM = MPI.COMM_WORLD
-STEEL = dm.Elastic(1000.0, 0.3)
-ROUND_OFF = 1e-12
-
-# a long block under two short ones, and a pile of three
-BRIDGE = [(0.0, 3.0, -1.0, 0.0, 7, 2), (0.0, 1.3, 0.0, 1.0, 4, 3), (1.7, 3.0, 0.0, 1.0, 5, 2)]
-PILE = [(0.0, 1.0, 0.0, 1.0, 3, 2), (0.0, 1.0, 1.0, 2.0, 4, 2), (0.0, 1.0, 2.0, 3.0, 5, 2)]
-
-
-class Blocks:
-    """Blocks, their space and the usual parts of a problem."""
-
-    def __init__(self, boxes, **options):
-        """Create mesh, space and displacement."""
-        self.mesh, self.cells, self.facets = create_blocks(COMM, boxes, **options)
-        self.V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
-        self.u = fem.Function(self.V, name="u")
-
-    def fix(self, block, side, component=None, value=0.0):
-        """Return a Dirichlet condition on a side; value may be a dolfinx Constant."""
-        V = self.V if component is None else self.V.sub(component)
-        dofs = fem.locate_dofs_topological(V, 1, self.facets.find(10 * block + side))
-        if component is None and not isinstance(value, fem.Constant):
-            value = np.full(2, value, dtype=default_scalar_type)
-        elif not isinstance(value, fem.Constant):
-            value = default_scalar_type(value)
-        return fem.dirichletbc(value, dofs, V)
-
-    def join(self, kind, slave, master):
-        """Return an interface between two sides (block, side)."""
-        tags = [10 * block + side for block, side in (slave, master)]
-        return kind(self.facets, slave=tags[0], master=tags[1])
-
-    def problem(self, interfaces, bcs, law=STEEL, **options):
-        """Return the problem."""
-        return dm.ContactProblem(dm.Solid(self.u, law, self.cells), interfaces, bcs=bcs, **options)
-
-    def traction(self, block, side, value):
-        """Return the virtual work of a traction."""
-        ds = ufl.Measure("ds", self.mesh, subdomain_data=self.facets)
-        value = fem.Constant(self.mesh, default_scalar_type(value))
-        return ufl.inner(value, ufl.TestFunction(self.V)) * ds(10 * block + side)
-
-
-def chain(kinds=(dm.Contact, dm.Contact), **options):
-    """Return a problem in which the second interface's master nodes are slaves of the first."""
-    b = Blocks(BRIDGE, **options)
-    interfaces = [
-        b.join(kinds[0], (1, ABOVE), (2, BELOW)),
-        b.join(kinds[1], (3, BELOW), (1, ABOVE)),
-    ]
-    bcs = [b.fix(1, BELOW), b.fix(2, ABOVE, value=-0.01), b.fix(3, ABOVE, value=-0.02)]
-    return b, b.problem(interfaces, bcs)
-
-
-# -- frames
-
-
-@pytest.mark.parametrize("d", [2, 3])
-def test_frames_are_orthonormal(d, rng):
-    normals = rng.normal(size=(50, d))
-    normals[:d] = np.eye(d)
-    fixed = np.zeros((50, d), dtype=bool)
-    fixed[10:30, 1] = True
-    fixed[30:, 0] = d == 3
-    normals[fixed] = 0.0
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    R, slot = create_frames(normals, fixed)
-    assert np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(d)).max() < ROUND_OFF
-    assert np.abs(R[:, :, 0] - normals).max() < ROUND_OFF
-    assert np.array_equal(slot >= 0, fixed)
-    for j, i in zip(*np.nonzero(fixed), strict=True):
-        assert R[j, :, slot[j, i]] == pytest.approx(np.eye(d)[i], abs=ROUND_OFF)
-
-
-# -- the change of basis
-
-
-def dense_transformation(problem):
-    """Return T = (I - Q)^-1 W from D, M, R and S, gathered, without the interfaces' products."""
-    N, d = problem.V.dofmap.index_map.size_global, problem.d
-    Q, W = np.zeros((N, d, N, d)), np.einsum("ij,ab->iajb", np.eye(N), np.eye(d))
-    for i in problem.interfaces:
-        D, M = to_dense(i.pairing.D), to_dense(i.pairing.M)
-        nodes = to_global(COMM, i.pattern.nodes + problem.V.dofmap.index_map.local_range[0])
-        kept, R, S = (to_global(COMM, a) for a in (i.kept.any(axis=1), i.R, i.S))
-        for j, node in zip(np.flatnonzero(kept), nodes[kept], strict=True):
-            P = (M[node] - D[node] * (np.arange(N) != node)) / D[node, node]
-            Q[node] = np.einsum("ab,l->alb", R[j] @ np.diag(S[j]) @ R[j].T, P)
-            W[node, :, node] = R[j]
-    size = d * N
-    return np.linalg.solve(np.eye(size) - Q.reshape(size, size), W.reshape(size, size))
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize(
-    "kinds", [(dm.Contact, dm.Contact), (dm.Tie, dm.Contact), (dm.Tie, dm.Tie)]
+from tests.block_piles import (
+    ABOVE,
+    BELOW,
+    BRIDGE,
+    COMM,
+    EAST,
+    PILE,
+    STEEL,
+    WEST,
+    Blocks,
+    chain,
+    to_dense,
 )
-def test_transformation_of_a_chain(kinds):
-    _, problem = chain(kinds)
-    problem.audit()
-    assert len(problem.transformation.factors) == 2
-    T = dense_transformation(problem)
-    assert np.abs(to_dense(problem.transformation.T) - T).max() < ROUND_OFF
-    problem.solid.assemble_tangent(problem.K)
-    K = to_dense(problem.K)
-    for _ in range(2):  # created, and refilled
-        transformed = to_dense(problem.transformation.transform(problem.K))
-        assert np.abs(transformed - T.T @ K @ T).max() < ROUND_OFF * np.abs(K).max()
 
-
-@pytest.mark.parametrize("partition", ["graph", "stripes", "bodies"])
-def test_transformation_follows_the_geometry(partition, rng):
-    """Inclined normals, on any partition, in place."""
-    b, problem = chain(partition=partition)
-    problem.audit()
-    before = to_dense(problem.transformation.T)
-    x = b.V.tabulate_dof_coordinates()
-    b.u.x.array[:] = 0.05 * np.column_stack([np.sin(x[:, 1]), x[:, 0] ** 2]).ravel()
-    problem.update_geometry()
-    T = to_dense(problem.transformation.T)
-    assert np.abs(T - dense_transformation(problem)).max() < ROUND_OFF
-    assert np.abs(T - before).max() > 1e-3
-
-
-@pytest.mark.mpi
-def test_independent_interfaces_share_one_factor():
-    b = Blocks(PILE)
-    interfaces = [b.join(dm.Contact, (k, ABOVE), (k + 1, BELOW)) for k in (1, 2)]
-    problem = b.problem(interfaces, [b.fix(k, WEST) for k in (1, 2, 3)])
-    problem.audit()
-    assert len(problem.transformation.factors) == 1
-    T = to_dense(problem.transformation.T)
-    assert np.abs(T - dense_transformation(problem)).max() < ROUND_OFF
-
-
-@pytest.mark.mpi
-def test_rigid_motions_are_kept():
-    """A common translation of all bodies has no relative part: y = R^T u with w_n = 0."""
-    _, problem = chain()
-    problem.audit()
-    T, N = to_dense(problem.transformation.T), problem.V.dofmap.index_map.size_global
-    u = np.tile([0.3, -0.7], N)
-    y = np.linalg.solve(T, u)
-    bounded = to_global(COMM, problem.bounded + problem.first_dof)
-    assert len(bounded) > 0 and np.abs(y[bounded]).max() < ROUND_OFF
-
-
-@pytest.mark.mpi
-def test_relative_and_transpose_are_adjoint(rng):
-    """For all v and all slave forces f, f . R^T (v - Q v) = v . (I - Q)^T R f."""
-    _, problem = chain()
-    problem.audit()
-    layout = problem.V.dofmap.index_map
-    everywhere = rng.normal(size=(layout.size_global, 4))
-    mine = everywhere[slice(*layout.local_range)]
-    v = problem.K.createVecRight()
-    v.array[:] = mine[:, :2].ravel()
-    for i in problem.interfaces:
-        f = mine[i.pattern.nodes, 2:]
-        left = np.sum(f * i.relative(v))
-        right = v.array_r @ i.transpose(np.einsum("nij,nj->ni", i.R, f)).ravel()
-        left, right = COMM.allreduce(np.array([left, right]))
-        assert left == pytest.approx(right, rel=ROUND_OFF)
-
-
-@pytest.mark.mpi
-def test_second_claims_and_cycles_are_removed_and_said():
-    b = Blocks(PILE)
-    up = b.join(dm.Contact, (1, ABOVE), (2, BELOW))
-    bcs = [b.fix(k, WEST) for k in (1, 2, 3)]
-    for later, why in (
-        (b.join(dm.Contact, (2, BELOW), (1, ABOVE)), "cycle"),
-        (b.join(dm.Tie, (1, ABOVE), (2, BELOW)), "claimed by an earlier interface"),
-    ):
-        problem = b.problem([up, later], bcs)
-        audit = problem.audit()
-        assert any(why in w and repr(later) in w for w in audit.warnings), audit
-        T = to_dense(problem.transformation.T)
-        assert np.abs(T - dense_transformation(problem)).max() < ROUND_OFF
-        assert np.linalg.matrix_rank(T) == len(T)
-        assert audit.interfaces[1].kept_nodes == 0 < audit.interfaces[0].kept_nodes
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
-def test_prescribed_components_of_slave_nodes(kind):
-    """Dirichlet data on slave nodes with inclined normals hold exactly, in every component."""
-    b = Blocks(PILE[:2])
-    b.mesh.geometry.x[:, 1] += 0.2 * b.mesh.geometry.x[:, 0] ** 2
-    bcs = [
-        b.fix(1, BELOW),
-        b.fix(1, EAST, component=0, value=2e-3),
-        b.fix(1, WEST, component=0, value=-1e-3),
-        b.fix(2, EAST, component=0, value=1e-3),
-        b.fix(2, ABOVE, component=1, value=-1e-2),
-    ]
-    problem = b.problem([b.join(kind, (1, ABOVE), (2, BELOW))], bcs, geometry="reference")
-    report = dm.newton(problem, rtol=1e-10)
-    expected = fem.Function(b.V)
-    expected.x.array[:] = b.u.x.array
-    for bc in bcs:
-        bc.set(expected.x.array)
-    assert np.abs(b.u.x.array - expected.x.array).max(initial=0.0) < 1e-15
-    assert report.certificate.equilibrium < 1e-9
+ROUND_OFF = 1e-12
 
 
 # -- bodies
