@@ -30,6 +30,9 @@ FORCE_FLOOR = 1e-12
 STIFFNESS_FLOOR = 1e-15
 # Below this share of the coordinates a displacement is lost in the round-off of the gaps.
 COORDINATE_FLOOR = 16.0 * np.finfo(float).eps
+# An iteration stalls if two of them leave this share of the increment; the geometry is then held
+# until the increment has fallen to the other share.
+STALLED, RELEASED = 0.7, 0.1
 
 
 def newton(
@@ -101,6 +104,7 @@ class _Step:
         extent = np.abs(problem.V.mesh.geometry.x).max(initial=0.0)
         self.rest = COORDINATE_FLOOR * float(maximum(problem.comm, extent)[0])
         self.predicted_gap: Floats | None = None  # after the last step, as it was linearised
+        self.held_at: float | None = None  # increment at which the geometry was stopped
 
     def run(self, max_it: int) -> None:
         """Iterate until converged; sets the results and the certificate."""
@@ -108,17 +112,33 @@ class _Step:
         start = problem.predict_active()
         for number in range(1, max_it + 1):
             if number > 1:
-                if self.moving:
+                if self.moving and not self.hold():
                     problem.update_geometry()
                 start = problem.active[problem.bounded_nodes].astype(np.int8)
             done = self.iterate(number, start)
             _log(problem, report)
-            if done:
+            if done and self.held_at is None:
                 problem.set_results(self.reaction)
                 report.certificate = create_certificate(problem, report, self.reaction)
                 report.converged = True
                 return
         raise _failed(f"Newton did not converge in max_it={max_it} iterations", report)
+
+    def hold(self) -> bool:
+        """Tell whether to keep the geometry in the next iteration, because Newton stalls.
+
+        The merit of the line search belongs to one geometry. Where the tangent changes a lot, a
+        new gap after every step can lend the energy that a cycle of steps spends; with the
+        geometry held the merit falls for good.
+        """
+        increments = [i.increment for i in self.report.iterations]
+        if self.held_at is None:
+            floor = 10.0 * self.report.rtol
+            if len(increments) > 3 and increments[-1] > max(floor, STALLED * increments[-3]):
+                self.held_at = increments[-1]
+        elif increments[-1] <= max(RELEASED * self.held_at, self.report.rtol):
+            self.held_at = None
+        return self.held_at is not None
 
     def iterate(self, number: int, start: npt.NDArray[np.int8]) -> bool:
         """Linearise, solve the QP, step, record; return whether this was the last iteration."""
