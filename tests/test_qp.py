@@ -278,7 +278,8 @@ def test_unknown_backend() -> None:
 
 def test_model_reproduces_what_it_has_seen(rng: np.random.Generator) -> None:
     S = np.cov(rng.standard_normal((6, 30)))
-    model = SchurModel(np.arange(6, dtype=np.int32), np.eye(6), np.zeros((6, 0)), np.zeros((6, 0)))
+    empty = np.zeros((6, 0))
+    model = SchurModel(np.arange(6, dtype=np.int32), np.eye(6), np.eye(6), empty, empty)
     seen = rng.standard_normal((6, 4))
     for v in seen.T:
         model.learn(v, S @ v)
