@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: MIT
+"""Solve one plastic contact step on any number of ranks and write its numbers; see test_ranks."""
+
+import json
+import sys
+
+from mpi4py import MPI
+
+import numpy as np
+
+import dolfinx_mortar as dm
+from dolfinx import fem
+from tests.hertz_case import create_case
+from tests.meshes import BOTTOM, TOP, two_blocks
+
+STEEL = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
+
+
+def gather(problem) -> list:
+    """Return the displacements (n, 4) of all nodes with their coordinates, ordered."""
+    V = problem.V
+    n = V.dofmap.index_map.size_local
+    X = V.tabulate_dof_coordinates()[:n, :2]
+    u = problem.u.x.array[: 2 * n].reshape(-1, 2)
+    # nodes of the two bodies may lie at one place: the displacement tells them apart
+    table = np.concatenate(V.mesh.comm.allgather(np.hstack([X, u])))
+    return table[np.lexsort(np.round(table, 9).T[::-1])].tolist()
+
+
+def hertz() -> dict:
+    """Press the disc on the block."""
+    case = create_case(dm.meshing.hertz(MPI.COMM_WORLD, kind="paper"))
+    case.press(0.2)
+    report = dm.newton(case.problem, rtol=1e-11)
+    surface = case.contact.gather(case.problem.u)
+    return {
+        "force": case.contact.force.tolist(),
+        "moment": [float(case.contact.moment[2])],
+        "pressure": surface["pressure"].tolist(),
+        "displacement": gather(case.problem),
+        "iterations": report.newton_iterations,
+    }
+
+
+def blocks(partition: str) -> dict:
+    """Press two blocks with oblique load on each other, on a given partition."""
+    mesh, cells, facets = two_blocks(
+        MPI.COMM_WORLD, (8, 6), (9, 7), x_upper=(0.1, 0.8), jitter=0.4, partition=partition
+    )
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    bcs = []
+    for tag, value in ((BOTTOM, (0.0, 0.0)), (TOP, (0.001, -0.01))):
+        dofs = fem.locate_dofs_topological(V, 1, facets.find(tag))
+        bcs.append(fem.dirichletbc(fem.Constant(mesh, np.array(value)), dofs, V))
+    contact = dm.Contact(facets, slave=3, master=4)
+    solid = dm.Solid(fem.Function(V), STEEL, cells)
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs)
+    dm.newton(problem, rtol=1e-11)
+    surface = contact.gather(problem.u)
+    return {
+        "force": contact.force.tolist(),
+        "moment": [float(contact.moment[2])],
+        "pressure": surface["pressure"].tolist(),
+        "displacement": gather(problem),
+    }
+
+
+if __name__ == "__main__":
+    # on one rank all partitions are the same
+    results = {"hertz": hertz()}
+    results |= {name: blocks(name) for name in ("graph", "shared_facet", "stripes", "bodies")}
+    if MPI.COMM_WORLD.rank == 0:
+        with open(sys.argv[1], "w") as file:
+            json.dump(results, file)

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: MIT
+"""The same numbers on 1, 2 and 3 ranks: force, multipliers, displacement, however split."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.test_parallel import LAUNCHER, ROOT
+
+SAME = 1e-10
+PROGRAM = Path(__file__).parent / "ranks_program.py"
+
+pytestmark = pytest.mark.serial
+
+
+def run(ranks: int, folder: Path) -> dict:
+    """Return the results of the program on some ranks."""
+    result = folder / f"{ranks}.json"
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(LAUNCHER)}
+    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), environment.get("PYTHONPATH", "")])
+    launcher = [] if ranks == 1 else ["mpirun", "-n", str(ranks)]
+    command = [*launcher, sys.executable, str(PROGRAM), str(result)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return json.loads(result.read_text())
+
+
+@pytest.fixture(scope="module")
+def serial(tmp_path_factory) -> dict:
+    """Results on one rank."""
+    return run(1, tmp_path_factory.mktemp("ranks"))
+
+
+def compare(found: dict, expected: dict) -> None:
+    """Compare everything relative to the largest entry of its kind."""
+    for name in ("force", "moment", "pressure", "displacement"):
+        a, b = np.array(found[name]), np.array(expected[name])
+        assert a.shape == b.shape, name
+        if name == "displacement":
+            assert np.allclose(a[:, :2], b[:, :2], rtol=0, atol=1e-14)
+            a, b = a[:, 2:], b[:, 2:]
+        difference = np.abs(a - b).max(initial=0.0)
+        scale = np.abs(expected["force"]).max() if name == "moment" else np.abs(b).max()
+        assert difference <= SAME * scale, (name, difference / scale)
+
+
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_same_numbers_on_any_ranks(ranks, serial, tmp_path):
+    """Force, moment, multipliers and displacement agree to 1e-10."""
+    found = run(ranks, tmp_path)
+    for case, expected in serial.items():
+        compare(found[case], expected)
+    assert abs(found["hertz"]["iterations"] - serial["hertz"]["iterations"]) <= 1
