@@ -23,6 +23,10 @@ Floats = npt.NDArray[np.float64]
 log = logging.getLogger(__name__)
 
 ARMIJO = 1e-4
+# QPs on the way need not be more accurate than Newton's next increment, the square of the last.
+FORCING = 1e-4
+# A contact set of which a smaller share changed in the last QP is expected to stay.
+SETTLED = 0.1
 MAX_HALVINGS = 12
 # Forces balanced to this share of their scale are balanced to round-off.
 FORCE_FLOOR = 1e-12
@@ -99,6 +103,7 @@ class _Step:
         self.moving = problem.geometry == "updated" and bool(problem.interfaces)
         # Far enough below Newton's tolerance for the QP never to be what limits it.
         self.tolerance = max(1e-13, min(1e-10, 1e-3 * report.rtol))
+        self.settled = False  # the contact set is expected to stay
         self.potential: float | None = None  # J(u), once a line search has needed it
         self.largest_multiplier = 0.0
         extent = np.abs(problem.V.mesh.geometry.x).max(initial=0.0)
@@ -145,10 +150,15 @@ class _Step:
         problem, report = self.problem, self.report
         fixed_supports = not problem.changes_dirichlet()
         qp = problem.quadratic_program()
-        geometry_change = self.geometry_change()
+        geometry_change, rtol = self.geometry_change(), self.accuracy()
         with problem.timings("linear_solves"):
             solved = backends.solve(
-                qp, report.backend, problem.linear, start_active=start, rtol=self.tolerance
+                qp,
+                report.backend,
+                problem.linear,
+                start_active=start,
+                rtol=rtol,
+                settled=self.settled,
             )
         if solved.note:
             report.notes.append(f"iteration {number}: {solved.note}")
@@ -176,12 +186,22 @@ class _Step:
                 geometry_change=geometry_change,
             )
         )
-        small = increment <= self.report.rtol and residual <= max(self.report.rtol, floor)
+        self.settled = changed <= SETTLED * report.iterations[-1].active
+        in_balance = residual <= max(report.rtol, floor)
+        small = increment <= report.rtol and in_balance and changed == 0
         # Balanced forces need no confirming solve, unless the geometry has moved since.
         balanced = residual <= max(FORCE_FLOOR, 10.0 * self.tolerance, floor)
-        return length == 1.0 and (
-            (small and changed == 0) or (balanced and (at_rest or not self.moving))
-        )
+        balanced = balanced or (problem.solid.linear and in_balance)
+        tight = solved.kkt.satisfied(max(self.tolerance, 1e-2 * report.rtol))
+        return length == 1.0 and tight and (small or (balanced and (at_rest or not self.moving)))
+
+    def accuracy(self) -> float:
+        """Return the tolerance of the next QP: tight where it may be the last one."""
+        problem, done = self.problem, self.report.iterations
+        if problem.solid.linear and not self.moving:
+            return self.tolerance  # one QP is the whole step
+        last = done[-1].increment if done else 1.0
+        return float(max(self.tolerance, FORCING * min(1.0, last) ** 2))
 
     def take_over(self, solved: QPSolution, start: npt.NDArray[np.int8]) -> int:
         """Keep the contact set and reactions; return how many nodes changed, weak ones left out.

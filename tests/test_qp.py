@@ -129,7 +129,7 @@ def test_check_sees_each_violation() -> None:
 
 
 def test_check_rejects_a_solution_that_is_not_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    def wrong(qp, linear, *, start, rtol):  # type: ignore[no-untyped-def]
+    def wrong(qp, linear, *, start, rtol, settled):  # type: ignore[no-untyped-def]
         x = qp.b.duplicate()
         x.set(0.0)
         return QPSolution(x, x, start, check(qp, x), 0, 0, 0, "wrong")
@@ -208,22 +208,22 @@ def test_units_do_not_matter(backend: str, stiffness: float, length: float) -> N
 
 
 @pytest.mark.mpi
-def test_all_updates_cost_one_factorisation() -> None:
+def test_all_updates_cost_two_factorisations() -> None:
     linear = LinearSolver(COMM, prefix="one_")
     qp = membrane(48)
     solution = solve(qp, linear=linear)
-    assert solution.factorisations == 1
-    assert solution.linear_iterations <= 20
+    assert solution.factorisations <= 2
+    assert solution.linear_iterations <= 12
 
 
-def test_a_neighbouring_active_set_costs_no_factorisation() -> None:
+def test_a_neighbouring_active_set_costs_at_most_one_factorisation() -> None:
     linear = LinearSolver(COMM, prefix="neighbour_")
     qp = membrane(32)
     first = solve(qp, linear=linear)
     qp.upper.array[qp.bounded] -= 0.03
-    second = solve(qp, linear=linear, start_active=first.active)
+    second = solve(qp, linear=linear, start_active=first.active, settled=True)
     assert active_everywhere(second) != active_everywhere(first)
-    assert second.factorisations == 0
+    assert second.factorisations <= 1
     assert second.linear_iterations < first.linear_iterations
 
 

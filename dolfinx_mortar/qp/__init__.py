@@ -3,7 +3,9 @@
 
 A backend is a module of this package with a function
 
-    solve(qp: BoundQP, linear: LinearSolver, *, start: int8 (k,), rtol: float) -> QPSolution
+    solve(qp: BoundQP, linear: LinearSolver, *, start: int8 (k,), rtol: float, settled: bool)
+
+that returns a QPSolution
 
 and the name of its file with dashes; nothing else has to be registered.
 """
@@ -56,6 +58,7 @@ def solve(
     *,
     start_active: npt.NDArray[np.int8] | None = None,
     rtol: float = 1e-10,
+    settled: bool = False,
 ) -> QPSolution:
     """Solve a bound-constrained QP (collective).
 
@@ -67,6 +70,8 @@ def solve(
         start_active: (k,) guess of the active set on ``qp.bounded``: +1 upper, -1 lower, 0 free.
             By default every unknown at its nearest bound, which holds every body.
         rtol: tolerance of the KKT check, relative; round-off is the limit.
+        settled: the guess is expected to be right up to a few unknowns; a wrong promise costs
+            time only.
 
     Returns:
         The solution, which has passed the check.
@@ -89,7 +94,7 @@ def solve(
     before = (linear.counts.iterations, linear.counts.factorisations)
     try:
         linear.attach(qp.A)
-        solution: QPSolution = module.solve(qp, linear, start=start, rtol=rtol)
+        solution: QPSolution = module.solve(qp, linear, start=start, rtol=rtol, settled=settled)
     except LinearSolveFailed as error:
         raise QPNotSolved(f"The backend {backend!r} stopped: {error}") from error
     except PETSc.Error as error:

@@ -20,11 +20,13 @@ from dolfinx_mortar.qp.bound_qp import EPS, ROUND_OFF
 Indices = npt.NDArray[np.int32]
 
 DEFAULTS = {"ksp_type": "cg", "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
-# A numeric factorisation in 2D costs as much as 4 to 5 solves with it (measured at 5k, 50k and
+# A numeric factorisation in 2D costs as much as 5 to 7 solves with it (measured at 5k, 50k and
 # 200k unknowns, MUMPS): beyond that many iterations a new one is cheaper than an old one.
-REFACTOR_AFTER = 5
+REFACTOR_AFTER = 6
 # Conjugate gradients need a few iterations before their rate tells anything.
 TRIAL_ITERATIONS = 3
+# A mask that differs by this many times REFACTOR_AFTER unknowns makes an old factorisation useless.
+FAR = 4
 MAX_ITERATIONS = 500
 MAX_SWEEPS = 6
 # MUMPS: workspace too small; ICNTL(14) is the percentage by which it exceeds the estimate.
@@ -261,7 +263,7 @@ class LinearSolver:
             floor = self.round_off(x)
             if norm <= atol or (norm <= floor and norm > 0.3 * previous):
                 break
-            if self._factor_fixed is None and self._seen[1] < 0:
+            if self._is_far(fixed):
                 self.factorise(fixed)
             self._sweep(max(0.5 * atol, 0.02 * floor) / norm)
             self._dx.array[fixed] = 0.0  # an old factorisation may not know that they are held
@@ -271,6 +273,18 @@ class LinearSolver:
                 self.factorise(fixed)
         self._judge(b, x, max(first, norm), norm, atol)
         return self.counts.iterations - before
+
+    def _is_far(self, fixed: Indices) -> bool:
+        """Tell whether the factorisation is of no use for this mask (collective).
+
+        An unknown more or less in the mask is a change of rank one, and costs up to one iteration.
+        """
+        if self._factor_fixed is None:
+            return self._seen[1] < 0
+        if not self.direct:
+            return False
+        different = self.comm.allreduce(np.setxor1d(self._factor_fixed, fixed).size)
+        return bool(different > FAR * self.refactor_after)
 
     def _sweep(self, reduction: float) -> None:
         """Solve for the correction dx of the present residual, to be reduced by a factor."""

@@ -10,7 +10,12 @@ from dolfinx_mortar.qp.linear import LinearSolver
 
 
 def solve(
-    qp: BoundQP, linear: LinearSolver, *, start: npt.NDArray[np.int8], rtol: float
+    qp: BoundQP,
+    linear: LinearSolver,
+    *,
+    start: npt.NDArray[np.int8],
+    rtol: float,
+    settled: bool = False,
 ) -> QPSolution:
     """Solve a bound-constrained QP with TAO's tron (collective).
 
@@ -19,6 +24,7 @@ def solve(
         linear: gives its options to the solver inside, and makes the last solve.
         start: (k,) unused; the method starts from the point of the box nearest to zero.
         rtol: tolerance of the KKT check.
+        settled: unused, like the start.
     """
     solution = tao.run(qp, linear, "tron", rtol=rtol)
     solution.backend = "tron"
