@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The square plate with a square hole of the reference computation, and a plain Newton method.
-
-Shared by the tests of the law (through `PlainNewton`) and of the whole package (through the same
-calls with another solver), so the loop over the load steps is written once.
-"""
+"""The square plate with a square hole of the reference computation."""
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -13,7 +9,6 @@ import numpy as np
 import basix.ufl
 import ufl
 from dolfinx import fem, mesh
-from dolfinx_mortar.solid import Solid
 
 
 def create_plate(comm: MPI.Comm, element: str, level: int) -> mesh.Mesh:
@@ -40,17 +35,17 @@ def create_plate(comm: MPI.Comm, element: str, level: int) -> mesh.Mesh:
     return mesh.create_mesh(comm, cells=cells.astype(np.int64), x=points, e=ufl.Mesh(coordinates))
 
 
-def roller_dofs(V: fem.FunctionSpace) -> np.ndarray:
-    """Return the local dofs of u_x on x = 0 and u_y on y = 0."""
+def roller_sides(V: fem.FunctionSpace) -> list[np.ndarray]:
+    """Return the local dofs of u_x on x = 0, and those of u_y on y = 0."""
     fdim = V.mesh.topology.dim - 1
     dofs = []
     for i in range(2):
         facets = mesh.locate_entities_boundary(V.mesh, fdim, lambda x, i=i: np.isclose(x[i], 0))
         dofs.append(fem.locate_dofs_topological(V.sub(i), fdim, facets))
-    return np.concatenate(dofs).astype(np.int32)
+    return dofs
 
 
-def top_traction(V: fem.FunctionSpace, traction: float) -> ufl.Form:
+def top_traction(V: fem.FunctionSpace, traction: float | fem.Constant) -> ufl.Form:
     """Return the linear form of the traction (0, traction) on y = 10."""
     fdim = V.mesh.topology.dim - 1
     facets = mesh.locate_entities_boundary(V.mesh, fdim, lambda x: np.isclose(x[1], 10.0))
@@ -65,50 +60,3 @@ def assemble_load(form: ufl.Form, V: fem.FunctionSpace) -> PETSc.Vec:
     fem.assemble_vector(f.x.array, fem.form(form))
     f.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
     return f.x.petsc_vec.copy()
-
-
-class PlainNewton:
-    """Newton's method with a direct solver and no line search, for prescribed values zero."""
-
-    def __init__(self, solid: Solid, fixed: np.ndarray) -> None:
-        """Create the matrix and the solver.
-
-        Args:
-            solid: the body.
-            fixed: local dofs whose values stay as they are.
-        """
-        self.solid = solid
-        bs = solid.V.dofmap.bs
-        self.fixed = fixed[fixed < bs * solid.V.dofmap.index_map.size_local]
-        self.K = solid.create_matrix()
-        self.step = fem.Function(solid.V)
-        self.r = self.step.x.petsc_vec.duplicate()
-        self.ksp = PETSc.KSP().create(solid.V.mesh.comm)
-        self.ksp.setType("preonly")
-        self.ksp.getPC().setType("lu")
-        self.ksp.getPC().setFactorSolverType("mumps")
-        self.ksp.setOperators(self.K)
-
-    def residual(self, load: PETSc.Vec) -> float:
-        """Set r = load - F(u) with zeros at fixed dofs, and return its norm."""
-        self.solid.assemble_residual(self.r)
-        self.r.aypx(-1.0, load)
-        self.r.array_w[self.fixed] = 0.0
-        return self.r.norm()
-
-    def __call__(self, load: PETSc.Vec, rtol: float = 1e-12, max_it: int = 15) -> list[float]:
-        """Solve a step and return the history of |du| / (|u| + |u + du|) in the energy norm."""
-        u, du = self.solid.u.x, self.step.x
-        history: list[float] = []
-        while not history or history[-1] > rtol:
-            assert len(history) < max_it, f"Newton did not converge: {history}"
-            self.residual(load)
-            self.solid.assemble_tangent(self.K)
-            self.K.zeroRowsColumnsLocal(self.fixed, 1.0)
-            self.ksp.solve(self.r, du.petsc_vec)
-            du.scatter_forward()
-            before = self.solid.elastic_norm(self.solid.u)
-            u.array[:] += du.array
-            after = self.solid.elastic_norm(self.solid.u)
-            history.append(self.solid.elastic_norm(self.step) / max(before + after, 1e-300))
-        return history
