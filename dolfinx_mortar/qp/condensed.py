@@ -35,9 +35,8 @@ MAX_UNKNOWNS = 1500
 MAX_PAIRS = 40
 # Smaller entries of A, relative to its diagonal, are no neighbours.
 LEAST_EDGE = 1e-10
-# A remembered model that is this wrong about the first pair is worse than a fresh one (measured
-# over the iterations of a plastic step).
-FORGET = 0.25
+# If the energy is least before this share of a step, the whole step would raise it.
+SHORT = 0.5
 # Of a pair with less curvature left than this, only round-off is new.
 LEAST_CURVATURE = 1e-12
 
@@ -77,11 +76,10 @@ class SchurModel:
         self.W = np.column_stack([self.W, scale * w])
 
     def _calibrate(self, v: Floats, w: Floats) -> None:
-        """Scale the base by the first pair; forget a remembered one that is far from it."""
-        for base in (self.base, self.fresh):
-            self.base = base * (v @ w / (v @ base @ v))
-            if np.linalg.norm(self.base @ v - w) <= FORGET * np.linalg.norm(w):
-                return
+        """Scale the base by the first pair; take the one that predicts the pair better."""
+        scaled = [base * (v @ w / (v @ base @ v)) for base in (self.base, self.fresh)]
+        errors = [np.linalg.norm(base @ v - w) for base in scaled]
+        self.base = scaled[int(np.argmin(errors))]
 
 
 @dataclass(frozen=True)
@@ -209,14 +207,17 @@ class _Reduced:
     def move(
         self, w: Floats, reached: Floats, rho: Floats, model: SchurModel
     ) -> tuple[Floats, Floats]:
-        """Go from w towards `reached` as long as the energy falls; the model learns the pair."""
+        """Go from w to `reached` if that lowers the energy, else to its minimum on the way.
+
+        The model learns the pair either way. Whole steps put held unknowns exactly on their bounds.
+        """
         self.x.copy(self.before)
         after = self.force(reached)
         d, Sd = reached - w, rho - after
         model.learn(d, Sd)
         energy = d @ Sd
         step = rho @ d / energy if energy > 0.0 else 1.0
-        if not 0.0 < step < 1.0:
+        if not 0.0 < step < SHORT:
             return reached, after
         self.x.aypx(step / (1.0 - step), self.before)  # (before + s/(1-s) x) (1-s)
         self.x.scale(1.0 - step)
