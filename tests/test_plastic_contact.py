@@ -19,9 +19,13 @@ TOLERANCE = {"force": 5e-3, "peak": 2e-2, "strain": 3e-2}
 
 
 def observe(case):
-    """Return the compared quantities of a committed state."""
+    """Return the compared quantities of a committed state.
+
+    The peak is the largest nodal pressure: the plastic profile is flat, an ellipse does not fit it.
+    """
     strain = case.problem.solid.max("plastic_strain_norm")
-    return {"force": case.force, "peak": case.fit()[1], "strain": strain}
+    peak = case.contact.gather(case.problem.u)["pressure"].max()
+    return {"force": case.force, "peak": float(peak), "strain": strain}
 
 
 def compare(found, expected):
