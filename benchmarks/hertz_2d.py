@@ -1,0 +1,288 @@
+# SPDX-License-Identifier: MIT
+"""Time and memory of contact relative to one plain factorisation, on the graded Hertz problem.
+
+Every case runs in a process of its own and measures its references itself, so that all figures
+are ratios within one run:
+
+    factorisation   symbolic and numeric, of the plain tangent with supports, same solver options
+    assembly, solve of the same tangent; medians of three
+    mortar          search, segments, D, M, T for one geometry / factorisation
+    step            first call of newton, code compiled / (units x reference); the units are
+                    frozen elastic: 4 (assembly + factorisation); updated elastic: 6 / 4 of that for
+                    each geometry; plastic: 1.5 iterations (assembly + factorisation + solve)
+    memory          peak of the process / peak of a process that only factorises the plain tangent
+    rebuilt         forms compiled, and matrix patterns analysed beyond one product and one
+                    factorisation, inside newton; with updated geometry per search
+
+The first call from empty caches and the warm default demo are timed as well (``--start``).
+
+    python3 benchmarks/hertz_2d.py --sizes 5k 50k 200k --ranks 1 2 --output results_benchmarks
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+import dolfinx_mortar as dm
+from dolfinx import fem
+
+SIZES: dict[str, float] = {"5k": 0.15, "50k": 0.044, "200k": 0.0218}
+"""Element size of the graded mesh by number of unknowns."""
+MORTAR_LIMITS = {"5k": None, "50k": 0.10, "200k": 0.05}
+MEMORY_LIMIT, COLD_LIMIT, WARM_LIMIT = 1.3, 20.0, 15.0
+PATTERN_EVENTS = ("MatPreallCOO", "MatPtAPSymbolic", "MatMatMultSym", "MatCholFctrSym")
+ROOT = Path(__file__).resolve().parents[1]
+STEPS = [
+    (material, geometry, slave)
+    for material, geometry in (
+        ("elastic", "reference"),
+        ("elastic", "updated"),
+        ("plastic", "reference"),
+        ("plastic", "updated"),
+    )
+    for slave in ("block", "disc")
+]
+parser = argparse.ArgumentParser(
+    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+)
+parser.add_argument("--sizes", nargs="+", choices=SIZES, default=list(SIZES))
+parser.add_argument("--ranks", nargs="+", type=int, default=[1, 2])
+parser.add_argument("--clock", choices=["wall", "cpu"], default="wall", help="cpu: busy machine")
+parser.add_argument("--start", action="store_true", help="time the demo with empty caches, too")
+parser.add_argument("--only", default="", help="cases whose name contains this")
+parser.add_argument("--output", type=Path, default=Path("results_benchmarks"))
+parser.add_argument("--case", nargs=4, help=argparse.SUPPRESS)  # size, material, geometry, slave
+
+
+# -- one case, in a process of its own ---------------------------------------------------------
+
+
+class Clock:
+    """Seconds of a call, the longest of all ranks."""
+
+    def __init__(self, kind: str) -> None:
+        """Choose between wall-clock and processor time."""
+        self.now = time.process_time if kind == "cpu" else time.perf_counter
+
+    def __call__(self, call: Callable[[], Any]) -> float:
+        """Time one call (collective)."""
+        MPI.COMM_WORLD.barrier()
+        begin = self.now()
+        call()
+        return MPI.COMM_WORLD.allreduce(self.now() - begin, op=MPI.MAX)
+
+    def median(self, call: Callable[[], Any]) -> float:
+        """Time three calls (collective)."""
+        return statistics.median(self(call) for _ in range(3))
+
+
+def create_problem(h: float, material: str, geometry: str, slave: str) -> dm.ContactProblem:
+    """Set up the paper's problem at d = 0.2 mm; geometry "none" leaves the contact out."""
+    mesh, _, facet_tags = dm.meshing.hertz(MPI.COMM_WORLD, kind="graded", h=h)
+    steel = dm.VonMises(E=206_900.0, nu=0.29, Y=450.0 * np.sqrt(2.0 / 3.0), a=10_000.0)
+    law = steel if material == "plastic" else dm.Elastic(E=steel.E, nu=steel.nu)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    solid = dm.Solid(fem.Function(V), law)
+    nodes = [fem.locate_dofs_topological(V, 1, facet_tags.find(tag)) for tag in (1, 2)]
+    motions = (np.zeros(2), np.array([0.0, -0.2]))
+    bcs = [fem.dirichletbc(v, n, V) for v, n in zip(motions, nodes, strict=True)]
+    if geometry == "none":
+        return dm.ContactProblem(solid, bcs=bcs)
+    tags = (3, 4) if slave == "block" else (4, 3)
+    contact = dm.Contact(facet_tags, slave=tags[0], master=tags[1])
+    return dm.ContactProblem(solid, [contact], bcs=bcs, geometry=geometry)
+
+
+def measure_reference(problem: dm.ContactProblem, clock: Clock) -> dict[str, float]:
+    """Time assembly, factorisation and solve of the plain tangent with supports."""
+    solid, linear = problem.solid, problem.linear
+    K, r = solid.create_matrix(), problem.vectors["F"]
+
+    def assemble() -> None:
+        solid.assemble_tangent(K)
+        solid.assemble_residual(r)
+
+    assembly = clock.median(assemble)
+    diagonal = K.getDiagonal()
+    rows = (np.flatnonzero(problem.fixed[: problem.n]) + problem.first_dof).astype(PETSc.IntType)
+    K.zeroRowsColumns(rows, diag=diagonal.sum() / diagonal.getSize())
+    K.setOption(PETSc.Mat.Option.SPD, True)
+    b = K.createVecRight()
+    x = b.duplicate()
+    b.set(1.0)
+    factorisations, solves = [], []
+    for _ in range(3):
+        ksp = PETSc.KSP().create(problem.comm)
+        ksp.setOptionsPrefix(linear.prefix)
+        with linear.database(linear.prefix, {"ksp_type": "preonly"}):
+            ksp.setFromOptions()
+            ksp.setOperators(K)
+            factorisations.append(clock(ksp.setUp))
+        solves.append(clock.median(lambda ksp=ksp: ksp.solve(b, x)))
+        ksp.destroy()
+    return {
+        "assembly": assembly,
+        "factorisation": statistics.median(factorisations),
+        "solve": statistics.median(solves),
+    }
+
+
+def count_patterns() -> dict[str, int]:
+    """Return how many patterns PETSc has analysed so far, by event."""
+    return {name: PETSc.Log.Event(name).getPerfInfo()["count"] for name in PATTERN_EVENTS}
+
+
+def count_compiled() -> int:
+    """Return the number of files in the cache of compiled forms."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "fenics"
+    return len(list(cache.glob("*.so")))
+
+
+def peak_memory() -> float:
+    """Return the peak resident memory of all ranks together in MB (collective)."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return MPI.COMM_WORLD.allreduce(peak, op=MPI.SUM)
+
+
+def run_case(h: float, material: str, geometry: str, slave: str, kind: str) -> dict[str, Any]:
+    """Measure one case (collective)."""
+    clock = Clock(kind)
+    PETSc.Log.begin()
+    if geometry == "none":
+        problem = create_problem(h, material, geometry, slave)
+        return measure_reference(problem, clock) | {"memory": peak_memory()}
+    dm.newton(create_problem(0.6, material, geometry, slave))  # loads all compiled code
+    problem = create_problem(h, material, geometry, slave)
+    patterns, compiled = count_patterns(), count_compiled()
+    reports: list[dm.StepReport] = []
+    step = clock(lambda: reports.append(dm.newton(problem)))
+    report = reports[0]
+    result = {
+        "dofs": 2 * problem.V.dofmap.index_map.size_global,
+        "step": step,
+        "memory": peak_memory(),
+        "iterations": len(report.iterations),
+        "factorisations": sum(i.factorisations for i in report.iterations),
+        "linear_iterations": sum(i.linear_iterations for i in report.iterations),
+        "searches": problem.searches,
+        "patterns": {k: v - patterns[k] for k, v in count_patterns().items()},
+        "compiled": count_compiled() - compiled,
+        "force": abs(float(problem.contacts[0].force[1])),
+        "seconds": report.seconds,
+        "per_iteration": [[i.linear_iterations, i.factorisations] for i in report.iterations],
+    }
+    result["mortar"] = clock.median(lambda: problem.update_geometry(search=True))
+    return result | measure_reference(problem, clock)
+
+
+# -- all cases ---------------------------------------------------------------------------------
+
+
+def start_case(ranks: int, case: tuple[str, str, str, str], clock: str) -> dict[str, Any]:
+    """Run one case in new processes and return what its rank 0 printed last."""
+    launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
+    command = [*launcher, sys.executable, __file__, "--clock", clock, "--case", *case]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=3600)
+    if done.returncode:
+        return {"error": done.stderr.strip().splitlines()[-1:] or ["no message"]}
+    return json.loads(done.stdout.strip().splitlines()[-1])
+
+
+def step_limit(material: str, geometry: str, r: dict[str, Any]) -> float:
+    """Return the seconds that a step may take in units of its own references."""
+    once = r["assembly"] + r["factorisation"]
+    if material == "plastic":
+        return 1.5 * r["iterations"] * (once + r["solve"])
+    return 4.0 * once if geometry == "reference" else 1.5 * r["iterations"] * 4.0 * once
+
+
+def rebuilt(r: dict[str, Any]) -> int:
+    """Return the forms compiled and the patterns analysed that were not due."""
+    due = max(1, r["searches"])
+    extra = [r["patterns"][name] - due for name in ("MatPtAPSymbolic", "MatCholFctrSym")]
+    return int(r["compiled"] + sum(max(0, n) for n in extra))
+
+
+def evaluate(size: str, case: tuple[str, str, str], r: dict[str, Any], memory: float) -> list[str]:
+    """Add the ratios to a result and return its row of the table."""
+    r["ratios"] = ratios = {
+        "mortar": r["mortar"] / r["factorisation"],
+        "step": r["step"] / step_limit(case[0], case[1], r),
+        "memory": r["memory"] / memory,
+        "rebuilt": rebuilt(r),
+    }
+    limits = {"mortar": MORTAR_LIMITS[size], "step": 1.0, "memory": MEMORY_LIMIT, "rebuilt": 0}
+    r["missed"] = [k for k, limit in limits.items() if limit is not None and ratios[k] > limit]
+    cells = [f"{r['iterations']}", f"{r['linear_iterations']}", f"{r['factorisations']}"]
+    cells += [f"{100 * ratios['mortar']:.1f} %", f"{ratios['step']:.2f}"]
+    cells += [f"{ratios['memory']:.2f}", f"{ratios['rebuilt']}", " ".join(r["missed"]) or "-"]
+    return cells
+
+
+def time_demo(output: Path) -> dict[str, float]:
+    """Time the default demo with empty caches of compiled code, and again."""
+    seconds = []
+    with tempfile.TemporaryDirectory() as cache:
+        names = {"XDG_CACHE_HOME": cache, "NUMBA_CACHE_DIR": f"{cache}/numba"}
+        for _ in range(2):
+            begin = time.perf_counter()
+            command = [sys.executable, ROOT / "demos/hertz/hertz.py", "--output", output / "demo"]
+            subprocess.run(command, env=os.environ | names, check=True, capture_output=True)
+            seconds.append(time.perf_counter() - begin)
+    return {"cold_extra": seconds[0] - seconds[1], "warm": seconds[1]}
+
+
+def main(options: argparse.Namespace) -> None:
+    """Run all cases, print the table, write benchmarks.json."""
+    options.output.mkdir(parents=True, exist_ok=True)
+    results: dict[str, Any] = {}
+    head = ("ranks", "size", "case", "its", "solves", "fact", "mortar", "step", "memory", "rebuilt")
+    line = "{:>5} {:>5} {:<24}" + " {:>7}" * 7 + " {}"
+    print(line.format(*head, "missed"))
+    for ranks in options.ranks:
+        for size in options.sizes:
+            plain = start_case(ranks, (size, "elastic", "none", "-"), options.clock)
+            results[f"{ranks} {size} plain"] = plain
+            for case in STEPS:
+                name = " ".join(case)
+                if options.only not in name:
+                    continue
+                r = start_case(ranks, (size, *case), options.clock)
+                results[f"{ranks} {size} {name}"] = r
+                row = [str(r)] if "error" in r else evaluate(size, case, r, plain["memory"])
+                row += [""] * (8 - len(row))
+                print(line.format(ranks, size, name, *row), flush=True)
+                path = options.output / "benchmarks.json"
+                path.write_text(json.dumps(results, indent=1))
+    if options.start:
+        results["demo"] = demo = time_demo(options.output)
+        print(f"first call {demo['cold_extra']:.1f} s of compilation (limit {COLD_LIMIT:g})")
+        print(f"default demo warm {demo['warm']:.1f} s (limit {WARM_LIMIT:g})")
+        (options.output / "benchmarks.json").write_text(json.dumps(results, indent=1))
+
+
+if __name__ == "__main__":
+    arguments = parser.parse_args()
+    if arguments.case:
+        size, *kind = arguments.case
+        measured = run_case(SIZES[size], *kind, arguments.clock)
+        if MPI.COMM_WORLD.rank == 0:
+            print(json.dumps(measured))
+    else:
+        main(arguments)
