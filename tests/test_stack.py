@@ -18,8 +18,6 @@ E, NU, P = 1000.0, 0.3, 10.0
 EXACT = 1e-10
 COMM = MPI.COMM_WORLD
 
-pytestmark = pytest.mark.mpi
-
 
 def create_blocks(blocks):
     """Return a mesh of rectangles given as (x lines, y lines), and the block of each cell."""
@@ -148,6 +146,7 @@ BESIDE = {
 }
 
 
+@pytest.mark.mpi
 @pytest.mark.parametrize("case", BESIDE)
 @pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
 def test_two_blocks_on_one(case, kind):
@@ -166,6 +165,7 @@ def test_two_blocks_on_one(case, kind):
     assert np.isclose(total, 2 * P, rtol=1e-9)
 
 
+@pytest.mark.mpi
 @pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
 def test_cycle(kind):
     """Slave on the left and master on the right: each interface leans on the other one's nodes."""
