@@ -102,6 +102,24 @@ class ContactProblem:
         marks.scatter_forward()
         return np.asarray(marks.array > 0.0).reshape(-1, self.d)
 
+    def _prescribed_values(self) -> Floats:
+        """Return the prescribed values at owned dofs, 0 elsewhere; collective."""
+        size = self.fixed.size
+        values, known = np.zeros(size), np.zeros(size)
+        for bc in self.bcs:
+            bc.set(values)
+            known[bc.dof_indices()[0]] = 1.0
+        shared = la.vector(self.V.dofmap.index_map, 2 * self.d)
+        shared.array.reshape(-1, 2 * self.d)[:] = np.hstack(
+            [part.reshape(-1, self.d) for part in (known * values, known)]
+        )
+        shared.scatter_reverse(la.InsertMode.add)
+        total = shared.array.reshape(-1, 2 * self.d)[: self.n]
+        # The owner's own value is exact; the mean of the others' stands in where it has none.
+        own = slice(None, self.d * self.n)
+        mean = total[:, : self.d].ravel() / np.maximum(total[:, self.d :].ravel(), 1.0)
+        return np.where(known[own] > 0, values[own], mean)
+
     @property
     def contacts(self) -> list[Contact]:
         """The unilateral interfaces."""
@@ -138,15 +156,11 @@ class ContactProblem:
                 assembled = fem.assemble_vector(self.loads)
                 assembled.scatter_reverse(la.InsertMode.add)
                 f.array[:] = assembled.array[: self.d * self.n]
-        self.target = np.full(self.fixed.size, np.nan)
-        values = np.zeros(self.fixed.size)
-        for bc in self.bcs:
-            bc.set(values)
-        self.target[self.fixed.ravel()] = values[self.fixed.ravel()]
+        self.target = self._prescribed_values()
         owned = self.fixed.ravel()[: self.d * self.n]
         for name, array, remedy in (
             ("loads", f.array_r, "check the coefficients of the linear form"),
-            ("bcs", self.target[: self.d * self.n][owned], "check the values of the conditions"),
+            ("bcs", self.target[owned], "check the values of the conditions"),
             ("u", self.u.x.array, "start from a finite displacement"),
             ("the mesh's coordinates", self.V.mesh.geometry.x, "check the mesh"),
         ):
@@ -161,8 +175,8 @@ class ContactProblem:
     def dirichlet_increment(self) -> Floats:
         """Return prescribed minus present values, (owned nodes, d), 0 where free."""
         own = slice(None, self.d * self.n)
-        difference = np.nan_to_num(self.target[own] - self.u.x.array[own])
-        return difference.reshape(-1, self.d)
+        difference = (self.target - self.u.x.array[own]).reshape(-1, self.d)
+        return np.where(self.fixed[: self.n], difference, 0.0)
 
     def changes_dirichlet(self) -> bool:
         """Tell whether prescribed values differ from the present displacement; collective."""

@@ -10,7 +10,7 @@ import pytest
 
 import dolfinx_mortar as dm
 import ufl
-from dolfinx import default_scalar_type, fem
+from dolfinx import default_scalar_type, fem, la
 from dolfinx_mortar.bodies import find_bodies
 from tests.block_piles import (
     ABOVE,
@@ -231,3 +231,30 @@ def test_report(qp):
     assert back["certificate"]["newton_iterations"] == back["newton_iterations"]
     assert set(back["seconds"]) >= {"total", "assembly", "linear_solves", "mortar"}
     assert back["certificate"]["smallest_coverage"] <= 1.0
+
+
+# -- Dirichlet data
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("known_to", ["owners", "others"])
+def test_dirichlet_values_known_to_some_ranks_only(known_to):
+    """Dofs may have been located by their owners alone, or only where they are ghosts."""
+    b = Blocks(PILE[:1], partition="stripes")
+    layout = b.V.dofmap.index_map
+    owned, local = layout.size_local, layout.size_local + layout.num_ghosts
+    nodes = np.arange(owned) if known_to == "owners" else np.arange(owned, local)
+    value = np.array([0.3, -0.7])
+    bcs = [b.fix(1, BELOW), fem.dirichletbc(value, nodes.astype(np.int32), b.V)]
+    problem = b.problem([], bcs if known_to == "others" else bcs[1:])
+    problem.begin_step()
+    marks = la.vector(layout, 1)
+    marks.array[:] = 0.0
+    marks.array[nodes] = 1.0
+    marks.scatter_reverse(la.InsertMode.add)
+    meant = marks.array[:owned] > 0
+    # the later condition wins where both speak, but on the bottom the owner's own zero is as good
+    meant &= b.V.tabulate_dof_coordinates()[:owned, 1] > 0.5
+    assert problem.fixed[:owned][meant].all()
+    assert (problem.target.reshape(-1, 2)[meant] == value).all()
+    assert COMM.allreduce(int(meant.sum())) > 0 or COMM.size == 1
