@@ -257,15 +257,19 @@ def main(options: argparse.Namespace) -> None:
     print(line.format(*head, "missed"))
     for ranks in options.ranks:
         for size in options.sizes:
-            plain = start_case(ranks, (size, "elastic", "none", "-"), options.clock)
-            results[f"{ranks} {size} plain"] = plain
+            plain = {}
+            for material in ("elastic", "plastic"):
+                r = start_case(ranks, (size, material, "none", "-"), options.clock)
+                results[f"{ranks} {size} {material} plain"] = plain[material] = r
             for case in STEPS:
                 name = " ".join(case)
                 if options.only not in name:
                     continue
                 r = start_case(ranks, (size, *case), options.clock)
                 results[f"{ranks} {size} {name}"] = r
-                row = [str(r)] if "error" in r else evaluate(size, case, r, plain["memory"])
+                row = (
+                    [str(r)] if "error" in r else evaluate(size, case, r, plain[case[0]]["memory"])
+                )
                 row += [""] * (8 - len(row))
                 print(line.format(ranks, size, name, *row), flush=True)
                 path = options.output / "benchmarks.json"

@@ -128,6 +128,9 @@ class LinearSolver:
         """
         if self._A is not None and A.handle == self._A.handle:
             return
+        if self._A is not None:  # two factorisations at a time would need twice the memory
+            self._ksp.destroy()
+            self._masked.destroy()
         self._A = None  # until all options have proved valid
         self._masked = A.duplicate(copy=True)
         self._masked.setOption(PETSc.Mat.Option.SPD, True)
