@@ -130,8 +130,8 @@ class StepReport:
         ]
         lines += [
             f"{i.number:4d} {i.increment:10.2e} {i.force_residual:11.2e} {i.kkt:10.2e}"
-            f" {i.active:7d} {i.changed:7d} {i.updates:3d} {i.linear_iterations:4d} {i.factorisations:4d}"
-            f" {i.step_length:5.3g} {i.geometry_change:9.1e}"
+            f" {i.active:7d} {i.changed:7d} {i.updates:3d} {i.linear_iterations:4d}"
+            f" {i.factorisations:4d} {i.step_length:5.3g} {i.geometry_change:9.1e}"
             for i in self.iterations
         ]
         if self.certificate is not None:

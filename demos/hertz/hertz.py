@@ -47,8 +47,7 @@ parser.add_argument("--output", type=Path, default=Path("results/hertz"))
 
 def main(options: argparse.Namespace) -> dict:
     """Solve the benchmark and return its summary."""
-    comm = MPI.COMM_WORLD
-    seconds = {}
+    comm, seconds = MPI.COMM_WORLD, {}
     begin = lap = time.perf_counter()
 
     # ## Mesh
