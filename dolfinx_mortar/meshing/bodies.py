@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: MIT
+"""From the arrays of two bodies on one rank to one distributed mesh; running gmsh safely."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import basix.ufl
+import ufl
+from dolfinx import mesh as dmesh
+
+Arrays = tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]  # nodes (n, d), cells (m, k)
+
+GMSH_TYPE = {"triangle": 2, "quadrilateral": 3, "tetrahedron": 4}
+NODES = {"triangle": 3, "quadrilateral": 4, "tetrahedron": 4, "hexahedron": 8}
+DIMENSION = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
+
+
+@contextmanager
+def gmsh_model() -> Iterator[Any]:
+    """Yield gmsh with an empty model of its own; leave gmsh as it was found."""
+    import gmsh
+
+    started = not gmsh.isInitialized()
+    if started:
+        gmsh.initialize(readConfigFiles=False, interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        for source in ("FromPoints", "FromCurvature", "ExtendFromBoundary"):
+            gmsh.option.setNumber(f"Mesh.MeshSize{source}", 0)
+        gmsh.model.add("dolfinx_mortar body")
+        yield gmsh
+        gmsh.model.remove()
+    finally:
+        if started:
+            gmsh.finalize()
+
+
+def set_graded_size(
+    gmsh: Any, origin: int, h: float, *, core: float, limit: float, beyond: float
+) -> None:
+    """Let the size be h within ``core`` of a point, then grow linearly to limit h over ``beyond``.
+
+    Args:
+        gmsh: the module, with a synchronised model.
+        origin: number of the point.
+        h: smallest size.
+        core: distance from the point at which the growth starts.
+        limit: largest size over h.
+        beyond: length over which it is reached.
+    """
+    field = gmsh.model.mesh.field
+    gmsh.option.setNumber("Mesh.MeshSizeMin", 0.0)
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 1e22)
+    distance, size = field.add("Distance"), field.add("Threshold")
+    field.setNumbers(distance, "PointsList", [origin])
+    for name, value in (
+        ("InField", distance),
+        ("SizeMin", h),
+        ("SizeMax", limit * h),
+        ("DistMin", core),
+        ("DistMax", core + beyond),
+    ):
+        field.setNumber(size, name, value)
+    field.setAsBackgroundMesh(size)
+
+
+def read_cells(gmsh: Any, cell: str) -> Arrays:
+    """Return nodes (n, 3) and cells (m, k) of the current gmsh model, without unused points."""
+    tags, x, _ = gmsh.model.mesh.getNodes()
+    _, cells = gmsh.model.mesh.getElementsByType(GMSH_TYPE[cell])
+    position = np.zeros(int(tags.max()) + 1, dtype=np.int64)
+    position[tags] = np.arange(len(tags))
+    # gmsh also lists points no cell uses, such as a circle's centre
+    used, cells = np.unique(position[cells], return_inverse=True)
+    cells = cells.reshape(-1, NODES[cell])
+    if cell == "quadrilateral":
+        cells = cells[:, [0, 1, 3, 2]]  # gmsh goes around, dolfinx numbers like a tensor product
+    return x.reshape(-1, 3)[used], cells
+
+
+def distribute(
+    comm: MPI.Intracomm, create: Callable[[], tuple[Arrays, Arrays]], cell: str
+) -> tuple[dmesh.Mesh, int]:
+    """Join the two bodies that ``create`` makes on rank 0; also return the first body's size.
+
+    The nodes of a cell are in the order of dolfinx.
+
+    Raises:
+        RuntimeError: If gmsh is missing or fails (on all ranks).
+    """
+    k, d = NODES[cell], DIMENSION[cell]
+    x: npt.NDArray[np.float64] = np.empty((0, d))
+    cells: npt.NDArray[np.int64] = np.empty((0, k), dtype=np.int64)
+    first, problem = 0, ""
+    if comm.rank == 0:
+        try:
+            (x1, cells1), (x2, cells2) = create()
+            x, cells = np.concatenate([x1, x2]), np.concatenate([cells1, cells2 + len(x1)])
+            first = len(cells1)
+        except ImportError:
+            problem = "gmsh is not installed; install the Python package gmsh (or python3-gmsh)."
+        except Exception as error:  # gmsh raises bare Exception
+            problem = f"gmsh failed: {error}"
+    first, problem = comm.bcast((first, problem))
+    if problem:
+        raise RuntimeError(problem)
+    domain = ufl.Mesh(basix.ufl.element("Lagrange", cell, 1, shape=(d,)))
+    return dmesh.create_mesh(comm, cells=np.ascontiguousarray(cells), x=x, e=domain), first
+
+
+def exterior_facets(
+    mesh: dmesh.Mesh, in_first: npt.NDArray[np.bool_]
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_], npt.NDArray[np.float64]]:
+    """Return the exterior facets (m,), whether they bound the first body, and their nodes.
+
+    The nodes' coordinates have shape (m, k, 3).
+    """
+    d = mesh.topology.dim
+    mesh.topology.create_connectivity(d - 1, d)
+    facets = dmesh.exterior_facet_indices(mesh.topology)
+    to_cell = mesh.topology.connectivity(d - 1, d)
+    first = np.asarray(in_first[to_cell.array[to_cell.offsets[facets]]])
+    x = np.asarray(mesh.geometry.x, dtype=np.float64)
+    return facets, first, x[dmesh.entities_to_geometry(mesh, d - 1, facets)]

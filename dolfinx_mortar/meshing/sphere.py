@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: MIT
+"""A quarter of the half ball on a block, graded towards the first contact point.
+
+Hexahedra are mapped: around the contact point, the block is a cube in shells that end at its sides.
+The half ball is the image of such a half ball of twice the radius under the inversion in the sphere
+of radius 2R around its highest point's mirror image (0, 0, 2R): it takes the plane z = 0 to the
+ball's surface and the sphere of radius 2R to the flat face, and as it is conformal, well-shaped
+cells stay so. Tetrahedra come from gmsh.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import mesh as dmesh
+from dolfinx_mortar.meshing.bodies import (
+    Arrays,
+    distribute,
+    exterior_facets,
+    gmsh_model,
+    read_cells,
+    set_graded_size,
+)
+from dolfinx_mortar.meshing.hexahedra import graded_octant
+
+BLOCK, BALL = 1, 2  # cell tags
+BOTTOM, FLAT, TOP, SPHERE, SYMMETRY_X, SYMMETRY_Y = 1, 2, 3, 4, 5, 6  # facet tags
+CORE = 0.125  # radius of the finest part over the radius of the ball
+HXT = 10  # gmsh's number of its fast Delaunay algorithm
+
+Floats = npt.NDArray[np.float64]
+
+
+class SphereMesh(NamedTuple):
+    """Quarter of the half ball on the block, with its tags."""
+
+    mesh: dmesh.Mesh
+    cell_tags: dmesh.MeshTags  # 1 block, 2 ball
+    facet_tags: dmesh.MeshTags  # 1 bottom, 2 flat face, 3 block top, 4 ball, 5 x = 0, 6 y = 0
+
+
+def sphere(
+    comm: MPI.Intracomm,
+    *,
+    cell: str = "hexahedron",
+    h: float | tuple[float, float] = 0.125,
+    radius: float = 8.0,
+    block: tuple[float, float, float] = (30.0, 30.0, 10.0),
+    gap: float = 0.0,
+    core: float | None = None,
+) -> SphereMesh:
+    """Mesh a quarter of a half ball above a block, non-matching where they touch (collective).
+
+    The whole block is [-w/2, w/2] x [-l/2, l/2] x [-t, 0] with (w, l, t) = ``block``. The half ball
+    has its lowest point at (0, 0, ``gap``) and its flat face on top at z = ``radius + gap``. The
+    quarter x, y >= 0 of both is meshed; (0, 0, 0) and (0, 0, ``gap``) are nodes. Cell tags: 1
+    block, 2 ball. Facet tags: 1 bottom of the block, 2 flat face of the ball, 3 top of the block, 4
+    round surface of the ball, 5 symmetry plane x = 0, 6 symmetry plane y = 0.
+
+    Args:
+        comm: Communicator of the mesh; it is created on rank 0 and distributed.
+        cell: "hexahedron" or "tetrahedron" (which needs gmsh).
+        h: Element size at the first contact point [mm]; a pair gives (block, ball) separately. The
+            ball's hexahedra are one more along the edge of the core, so that they do not match.
+        radius: Radius of the ball [mm].
+        block: Width, length and thickness of the whole block [mm].
+        gap: Initial vertical gap between the bodies [mm]; negative for an overlap.
+        core: Distance from the contact point within which the size is ``h`` [mm], by default an
+            eighth of the radius; beyond, sizes grow in proportion to the distance.
+
+    Raises:
+        ValueError: If an argument is out of range (on all ranks).
+        RuntimeError: If gmsh is missing or fails (on all ranks).
+    """
+    sizes = (h, h) if np.ndim(h) == 0 else tuple(np.asarray(h, dtype=float))
+    core = CORE * radius if core is None else core
+    if cell not in ("tetrahedron", "hexahedron"):
+        raise ValueError(f"cell = {cell!r} is not known; use 'tetrahedron' or 'hexahedron'.")
+    for name, value, count in (("h", sizes, 2), ("radius", (radius,), 1), ("block", block, 3)):
+        if len(value) != count or not all(0 < v < np.inf for v in value):
+            raise ValueError(f"{name} = {value} must be positive and finite.")
+    if not np.isfinite(gap):
+        raise ValueError(f"gap = {gap} must be finite; use 0 for bodies that touch in a point.")
+    largest = 0.5 * min(radius, block[0] / 2, block[1] / 2, block[2])
+    if not max(sizes) <= core <= largest:
+        raise ValueError(f"core = {core} must lie between h = {h} and {largest:g}.")
+    corner = np.array([block[0] / 2, block[1] / 2, block[2]])
+
+    def create() -> tuple[Arrays, Arrays]:
+        if cell == "hexahedron":
+            return (
+                _block_of_hexahedra(corner, core, sizes[0]),
+                _ball_of_hexahedra(radius, gap, core, sizes[1]),
+            )
+        return (
+            _block_of_tetrahedra(corner, core, sizes[0]),
+            _ball_of_tetrahedra(radius, gap, core, sizes[1]),
+        )
+
+    mesh, first = distribute(comm, create, cell)
+    mesh.name = "sphere"
+    in_block = mesh.topology.original_cell_index < first
+    values = np.where(in_block, BLOCK, BALL).astype(np.int32)
+    cell_tags = dmesh.meshtags(mesh, 3, np.arange(len(values), dtype=np.int32), values)
+    cell_tags.name = "bodies"
+    facet_tags = _tag_boundary(mesh, in_block, bottom=-block[2], flat=radius + gap)
+    facet_tags.name = "boundary"
+    return SphereMesh(mesh, cell_tags, facet_tags)
+
+
+def _block_of_hexahedra(corner: Floats, core: float, h: float) -> Arrays:
+    n = int(np.ceil(core / h - 1e-9))
+    x, cells = graded_octant(core, n, float(np.cbrt(corner.prod())), lambda p: p * corner)
+    return x * [1.0, 1.0, -1.0] + 0.0, cells
+
+
+def _ball_of_hexahedra(radius: float, gap: float, core: float, h: float) -> Arrays:
+    n = int(np.ceil(core / h - 1e-9)) + 1
+
+    def outer(p: Floats) -> Floats:
+        # equal angles; on a far face the largest coordinate is 1
+        angles = np.tan(0.25 * np.pi * p)
+        return 2.0 * radius * angles / np.linalg.norm(angles, axis=1, keepdims=True)
+
+    x, cells = graded_octant(core, n, 2.0 * radius, outer)
+    # inversion of the lower half space around (0, 0, 2R)
+    arm = x * [1.0, 1.0, -1.0] - [0.0, 0.0, 2.0 * radius]
+    x = (2.0 * radius) ** 2 * arm / (arm**2).sum(axis=1, keepdims=True) + [0, 0, 2.0 * radius + gap]
+    return x, cells
+
+
+def _block_of_tetrahedra(corner: Floats, core: float, h: float) -> Arrays:
+    with gmsh_model() as gmsh:
+        w, b, t = corner
+        gmsh.model.occ.addBox(0, 0, -t, w, b, t)
+        return _tetrahedra(gmsh, (0.0, 0.0, 0.0), core, h, float(np.linalg.norm(corner)))
+
+
+def _ball_of_tetrahedra(radius: float, gap: float, core: float, h: float) -> Arrays:
+    with gmsh_model() as gmsh:
+        occ = gmsh.model.occ
+        part = [(3, occ.addSphere(0, 0, 0, radius, -1, 0.0, np.pi / 2, np.pi / 2))]
+        # the pole of the parametrisation goes to the rim, away from the contact
+        occ.rotate(part, 0, 0, 0, 0, 1, 0, np.pi / 2)
+        occ.translate(part, 0, 0, radius + gap)
+        return _tetrahedra(gmsh, (0.0, 0.0, gap), core, h, 2.0 * radius)
+
+
+def _tetrahedra(
+    gmsh: Any, contact: tuple[float, float, float], core: float, h: float, far: float
+) -> Arrays:
+    """Mesh the model; sizes grow from h at the contact point to h far / core at distance far."""
+    gmsh.model.occ.synchronize()
+    points = np.array([gmsh.model.getValue(0, tag, []) for _, tag in gmsh.model.getEntities(0)])
+    nearest = int(np.linalg.norm(points - contact, axis=1).argmin())
+    origin = gmsh.model.getEntities(0)[nearest][1]
+    set_graded_size(gmsh, origin, h, core=core, limit=far / core, beyond=far - core)
+    gmsh.option.setNumber("Mesh.Algorithm3D", HXT)
+    gmsh.model.mesh.generate(3)
+    return read_cells(gmsh, "tetrahedron")
+
+
+def _tag_boundary(
+    mesh: dmesh.Mesh, in_block: npt.NDArray[np.bool_], *, bottom: float, flat: float
+) -> dmesh.MeshTags:
+    """Tag the outer facets of both bodies from the body they belong to and their planes."""
+    facets, block_side, x = exterior_facets(mesh, in_block)
+    tolerance = 1e-9 * (flat - bottom)
+
+    def at(axis: int, position: float) -> npt.NDArray[np.bool_]:
+        return np.all(np.abs(x[:, :, axis] - position) < tolerance, axis=1)
+
+    values = np.zeros(len(facets), dtype=np.int32)
+    values[~block_side] = SPHERE
+    values[block_side & at(2, bottom)] = BOTTOM
+    values[block_side & at(2, 0.0)] = TOP
+    values[~block_side & at(2, flat)] = FLAT
+    values[at(0, 0.0)] = SYMMETRY_X
+    values[at(1, 0.0)] = SYMMETRY_Y
+    tagged = values > 0
+    return dmesh.meshtags(mesh, 2, facets[tagged], values[tagged])
