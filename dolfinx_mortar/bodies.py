@@ -90,11 +90,23 @@ def find_bodies(V: fem.FunctionSpace) -> Bodies:
     label = np.searchsorted(np.unique(used), label).astype(np.int32)
     count = len(np.unique(used))
 
-    x = V.tabulate_dof_coordinates()[:n_owned, :d]
+    return _measure(V, count, label)
+
+
+def _measure(V: fem.FunctionSpace, count: int, label: npt.NDArray[np.int32]) -> Bodies:
+    """Return bodies with their centres and radii; collective."""
+    d = V.dofmap.index_map_bs
+    x = V.tabulate_dof_coordinates()[: len(label), :d]
     bodies = Bodies(V, count, label, np.zeros((count, d)), np.ones(count))
     centre = bodies.mean(x, np.ones_like(x, dtype=bool))
     square = bodies.mean((x - centre[label]) ** 2, np.ones_like(x, dtype=bool))
     return Bodies(V, count, label, centre, np.sqrt(square.sum(axis=1)))
+
+
+def rigid_motions(V: fem.FunctionSpace) -> list[PETSc.Vec]:
+    """Return the 3 or 6 rigid motions of the whole mesh as if it were one body; collective."""
+    everything = np.zeros(V.dofmap.index_map.size_local, dtype=np.int32)
+    return [motion for _, _, motion in _measure(V, 1, everything).rigid_modes()]
 
 
 def free_motions(bodies: Bodies, constraints: Sequence[Callable[[PETSc.Vec], Floats]]) -> list[str]:

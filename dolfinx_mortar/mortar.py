@@ -44,6 +44,7 @@ Ints = npt.NDArray[np.int32]
 LEAST_COVERAGE = 0.05
 """A slave node carries a multiplier if more than this part of its tributary weight is covered."""
 _SAME = 1e-9  # relative difference of coverages that is taken for round-off
+_DIRECTION = np.array([1.0, 0.55, 0.31])  # not normal to the edges of common meshes
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +81,8 @@ def _sum_facets(surface: Surface, values: Floats) -> Floats:
 @timed("~Mortar: node weights")
 def node_weights(pairing: Pairing, segments: Segments) -> tuple[Floats, Floats]:
     """Return int N_j over the covered part and the whole slave side, (n,) each (collective)."""
-    N_s = shape_functions(segments.xi_s)
     slave = pairing.slave
+    N_s = shape_functions(segments.xi_s, slave.facets.shape[1])
     covered = covered_weights(N_s, segments.weight, segments.slave, len(slave.facets))
     return _sum_facets(slave, covered), _sum_facets(slave, segments.facet_weights)
 
@@ -112,8 +113,10 @@ def default_keep(
     facets = pairing.slave.facets[np.unique(segments.slave)]
     facets = facets[~keep[facets].any(axis=1) & (coverage[facets] > 0).any(axis=1)]
     share = coverage[facets]
-    # the first of equals in the outward orientation, whatever the numbers and the round-off
-    best = np.argmax(share >= (1 - _SAME) * share.max(axis=1, initial=0.0)[:, None], axis=1)
+    equal = share >= (1 - _SAME) * share.max(axis=1, initial=0.0)[:, None]
+    # the first of equals in some direction, whatever the numbers and the round-off
+    X = pairing.slave.X
+    best = np.argmin(np.where(equal, (X @ _DIRECTION[: X.shape[1]])[facets], np.inf), axis=1)
     rescued = np.bincount(facets[np.arange(len(facets)), best], minlength=len(covered))
     return keep | (accumulate(pairing.slave, rescued) > 0)
 
@@ -134,7 +137,8 @@ def assemble_node_matrices(
         not. Over the kept nodes D is diagonal (exactly: the other integrals vanish by construction
         and are not computed).
     """
-    N_s, N_m = shape_functions(segments.xi_s), shape_functions(segments.xi_m)
+    N_s = shape_functions(segments.xi_s, pairing.slave.facets.shape[1])
+    N_m = shape_functions(segments.xi_m, pairing.master_facets.shape[1])
     kept = keep[pairing.slave.facets]
     Phi = dual_values(N_s, segments.weight, segments.slave, kept) * segments.weight[:, None]
     paired = np.unique(pairing.pairs[:, 0])

@@ -25,9 +25,10 @@ from dolfinx_mortar.segments import (
     bounding_balls,
     create_cones,
     facet_normals,
-    facet_sizes,
     find_candidates,
     find_meeting,
+    projection_directions,
+    sliding_margins,
 )
 from dolfinx_mortar.surface import Surface, coordinates, nodal_normals
 
@@ -58,9 +59,10 @@ class Pairing:
 
 
 def _facet_arrays(surface: Surface, u: dolfinx.fem.Function | None) -> tuple[Floats, Floats]:
-    """Return coordinates and averaged normals (m, k, d) at the nodes of the facets (collective)."""
+    """Return coordinates and directions of projection (m, k, d) of the facets (collective)."""
     x = coordinates(surface, u)
-    return x[surface.facets], nodal_normals(surface, x)[surface.facets]
+    x_f, n_f = x[surface.facets], nodal_normals(surface, x)[surface.facets]
+    return x_f, projection_directions(x_f, n_f)
 
 
 def _group(x: Floats) -> list[Ints]:
@@ -201,7 +203,7 @@ def create_pairing(
 ) -> Pairing:
     """Find the candidate pairs at X + u and create the matrices for them (collective).
 
-    The pairs provide for a relative sliding by about one slave facet and for small rotations;
+    The pairs provide for a relative sliding by half an edge or more and for small rotations;
     `outside_margin` tells when that is used up.
 
     Raises:
@@ -212,7 +214,7 @@ def create_pairing(
     comm = V.mesh.comm
     x_s, n_s = _facet_arrays(slave, u)
     x_m = coordinates(master, u)[master.facets]
-    margin, groups = facet_sizes(x_s), _group(x_s)
+    margin, groups = sliding_margins(x_s), _group(x_s)
     receivers: Bools = np.ones((len(x_m), 1), dtype=bool)
     if comm.size > 1:
         receivers = _find_receivers(comm, _group_cones(x_s, n_s, groups, margin, TURN), x_m)

@@ -16,10 +16,10 @@ import ufl
 from dolfinx import fem, la
 from dolfinx_mortar.arguments import check_arguments
 from dolfinx_mortar.audit import Audit, create_audit
-from dolfinx_mortar.bodies import Bodies, find_bodies
+from dolfinx_mortar.bodies import Bodies, find_bodies, rigid_motions
 from dolfinx_mortar.interface import Contact, Interface, Tie
 from dolfinx_mortar.parallel import any_rank, maximum
-from dolfinx_mortar.qp import BoundQP, LinearSolver
+from dolfinx_mortar.qp import MULTIGRID, BoundQP, LinearSolver
 from dolfinx_mortar.report import Timings
 from dolfinx_mortar.solid import Solid
 from dolfinx_mortar.transformation import Transformation, resolve_claims
@@ -77,7 +77,10 @@ class ContactProblem:
             self.vectors = {name: self.K.createVecRight() for name in names}
             self.increment = fem.Function(self.V, name="increment")
             self.linear = LinearSolver(
-                self.comm, prefix=petsc_options_prefix, options=dict(petsc_options or {})
+                self.comm,
+                prefix=petsc_options_prefix,
+                options=(MULTIGRID if self.d == 3 else {}) | dict(petsc_options or {}),
+                near_nullspace=self._rigid_motions,
             )
         with self.timings("mortar"):
             for interface in self.interfaces:
@@ -309,6 +312,18 @@ class ContactProblem:
         else:
             forces.copy(result)
         return result
+
+    def _rigid_motions(self) -> list[PETSc.Vec]:
+        """Return the rigid motions of the whole in y, for multigrid; collective.
+
+        The interfaces move along with the bodies, so w_n = 0 up to the curvature of the sides.
+        """
+        motions = rigid_motions(self.V)
+        if self.interfaces:
+            motions = [self.transformation.inverse(motion) for motion in motions]
+        for motion in motions:
+            motion.array[self.eliminated] = 0.0
+        return motions
 
     def to_displacement(self, dy: PETSc.Vec) -> PETSc.Vec:
         """Return du = T dy; collective."""

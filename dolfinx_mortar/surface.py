@@ -4,6 +4,7 @@
 from dataclasses import dataclass
 from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -15,8 +16,15 @@ from dolfinx_mortar import compat, segments
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 
-_FACETS = {"triangle": "interval", "quadrilateral": "interval"}
+_FACETS = {
+    "triangle": "interval",
+    "quadrilateral": "interval",
+    "tetrahedron": "triangle",
+    "hexahedron": "quadrilateral",
+}
 """The supported cells and their facets."""
+_MOST_WARPED = 0.3
+"""Smallest cosine between the normal at a corner of a quadrilateral and its mean normal."""
 _LOOPS = {"interval": [0, 1], "triangle": [0, 1, 2], "quadrilateral": [0, 1, 3, 2]}
 """Order in which the nodes of a dolfinx facet are passed on the way around it."""
 
@@ -35,9 +43,9 @@ class Surface:
     tag: int
     nodes: Ints  # (n,) local nodes, ascending: owned ones first, ghosts after them
     owned: int  # number of owned nodes
-    facets: Ints  # (m, k) indices into nodes; in 2D (t_y, -t_x) of t = x_2 - x_1 points outwards
+    facets: Ints  # (m, k) indices into nodes, such that the area vectors point outwards
     entities: Ints  # (m,) local facets of the mesh
-    cell: str  # "interval"
+    cell: str  # "interval", "triangle" or "quadrilateral"
     X: Floats  # (n, d) reference coordinates of the nodes
     sums: PETSc.Vec  # one entry per node, ghosted: work vector of `accumulate`
 
@@ -155,6 +163,20 @@ def _create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, 
     return np.concatenate([owned, ghosts]).astype(np.int32), len(owned), sums
 
 
+def _check_shapes(x: Floats, comm: MPI.Comm, name: str) -> None:
+    """Raise a ValueError on all ranks for facets x (m, k, d) without a usable shape."""
+    finite = np.isfinite(x).all()
+    quality = segments.distortions(x) if finite else np.zeros(0)
+    bad = comm.allreduce(np.array([not finite, (quality < _MOST_WARPED).sum()], dtype=int))
+    if bad[0]:
+        raise ValueError(f"{name}: coordinates of the mesh are not finite.")
+    if bad[1]:
+        raise ValueError(
+            f"{name}: {bad[1]} facets are degenerate (no length or area), inverted or badly warped "
+            "(the normal at a corner is far from the mean normal); mend the mesh there."
+        )
+
+
 def create_surface(
     V: dolfinx.fem.FunctionSpace, facet_tags: dolfinx.mesh.MeshTags, tag: int, name: str
 ) -> Surface:
@@ -170,7 +192,8 @@ def create_surface(
 
     Raises:
         ValueError: On all ranks, for a space that is not supported, tags of another mesh or
-            dimension, a tag that marks no or interior facets, coordinates that are not finite.
+            dimension, a tag that marks no or interior facets, coordinates that are not finite,
+            facets that are degenerate, inverted or badly warped.
     """
     _check_space(V)
     entities = _marked_facets(V, facet_tags, tag, name)
@@ -178,11 +201,7 @@ def create_surface(
     X = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
     facet_nodes = _order_outwards(X, facet_nodes, cells, V)
     nodes, owned, sums = _create_sums(V, np.unique(facet_nodes))
-    bad = ~np.isfinite(X[nodes]).all() or (segments.facet_sizes(X[facet_nodes]) == 0).any()
-    if V.mesh.comm.allreduce(int(bad)):
-        raise ValueError(
-            f"{name}={tag}: coordinates of the mesh are not finite or a facet has no length."
-        )
+    _check_shapes(X[facet_nodes], V.mesh.comm, f"{name}={tag}")
     return Surface(
         V=V,
         name=name,

@@ -143,6 +143,12 @@ class Transformation:
             T = self.factors[k + 1].partial
         self.T = T
 
+    def inverse(self, u: PETSc.Vec) -> PETSc.Vec:
+        """Return y with T y = u; collective."""
+        for factor in self.factors:
+            u = factor.inverse(u)
+        return u
+
     def transform(self, K: PETSc.Mat) -> PETSc.Mat:
         """Return T^T K T, refilled in place from the second call on; collective."""
         if self.product is None:
@@ -184,6 +190,18 @@ class _Factor:
         for i, mine in self.parts:
             values += [i.R[mine].ravel(), i.blocks.ravel()]
         coo.set_values(self.T, np.concatenate(values))
+
+    def inverse(self, u: PETSc.Vec) -> PETSc.Vec:
+        """Return y with T y = u: w_j = R_j^T (u_j - sum_l Q_jl u_l) at slave nodes; collective."""
+        difference = u.copy()
+        for i, _ in self.parts:
+            difference.axpy(-1.0, i.Q * u)
+        y = u.copy()
+        for i, mine in self.parts:
+            nodes = i.pattern.nodes[mine]
+            slip = difference.array_r.reshape(-1, i.d)[nodes]
+            y.array.reshape(-1, i.d)[nodes] = np.einsum("nij,ni->nj", i.R[mine], slip)
+        return y
 
 
 def _kept_elsewhere(interface: Interface, group: Sequence[Interface]) -> Bools:

@@ -181,11 +181,11 @@ def test_bad_spaces():
 
 
 def test_cells_not_supported():
-    mesh = dolfinx.mesh.create_unit_cube(COMM, 2, 2, 2)
+    mesh = dolfinx.mesh.create_unit_cube(COMM, 2, 2, 2, dolfinx.mesh.CellType.prism)
     mesh.topology.create_entities(2)
     facets = np.zeros(0, dtype=np.int32)
     tags = dolfinx.mesh.meshtags(mesh, 2, facets, facets)
-    with pytest.raises(ValueError, match="tetrahedron in 3D are not supported"):
+    with pytest.raises(ValueError, match="prism in 3D are not supported"):
         create_surface(space(mesh), tags, 3, "slave")
 
 

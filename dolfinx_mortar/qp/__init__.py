@@ -20,10 +20,11 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_mortar.qp.bound_qp import KKT, BoundQP, QPNotSolved, QPSolution, check, validate
-from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
+from dolfinx_mortar.qp.linear import MULTIGRID, LinearSolveFailed, LinearSolver
 
 __all__ = [
     "KKT",
+    "MULTIGRID",
     "BoundQP",
     "LinearSolveFailed",
     "LinearSolver",

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from time import perf_counter
@@ -20,9 +20,14 @@ from dolfinx_mortar.qp.bound_qp import EPS, ROUND_OFF
 Indices = npt.NDArray[np.int32]
 
 DEFAULTS = {"ksp_type": "cg", "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
+# For three dimensions, where a factorisation takes too much time and memory.
+MULTIGRID = {"pc_type": "gamg"}
 # A numeric factorisation in 2D costs as much as 5 to 7 solves with it (measured at 5k, 50k and
 # 200k unknowns, MUMPS): beyond that many iterations a new one is cheaper than an old one.
 REFACTOR_AFTER = 6
+# A set-up of multigrid in 3D costs as much as 30 iterations with it (measured at 60k to 200k
+# unknowns, GAMG).
+SETUP_AFTER = 30
 # Conjugate gradients need a few iterations before their rate tells anything.
 TRIAL_ITERATIONS = 3
 # A mask that differs by this many times REFACTOR_AFTER unknowns makes an old factorisation useless.
@@ -65,8 +70,10 @@ class LinearSolver:
         prefix: prefix of all PETSc options of this solver.
         options: PETSc options without prefix over the defaults (CG with MUMPS Cholesky); what the
             user's options database has under the prefix wins.
-        near_nullspace: for multigrid; it must fit the transformed unknowns.
-        refactor_after: iterations that cost as much as a new factorisation.
+        near_nullspace: for multigrid: returns the motions that strain next to nothing, in the
+            unknowns of the matrix at hand. It is asked at every set-up.
+        refactor_after: iterations that cost as much as a new factorisation or set-up; measured
+            values by default.
     """
 
     def __init__(
@@ -75,26 +82,34 @@ class LinearSolver:
         *,
         prefix: str,
         options: dict[str, Any] | None = None,
-        near_nullspace: PETSc.NullSpace | None = None,
-        refactor_after: int = REFACTOR_AFTER,
+        near_nullspace: Callable[[], Sequence[PETSc.Vec]] | None = None,
+        refactor_after: int | None = None,
     ) -> None:
         """Remember the options; PETSc objects follow with the first matrix."""
         self.comm = comm
         self.prefix = prefix
         self.options = DEFAULTS | (options or {})
         self.near_nullspace = near_nullspace
-        self.refactor_after = refactor_after
+        self._refactor_after = refactor_after
         self.counts = LinearCounts()
         self.memory: dict[str, object] = {}  # what a backend has learnt about the matrices
         self._A: PETSc.Mat | None = None
         self._seen: tuple[int, int] = (-1, -1)  # object state of A: as masked, as factorised
         self._fixed: Indices | None = None  # mask of the operator
         self._factor_fixed: Indices | None = None  # mask of the factorisation
+        self._fresh_rate = 0.0  # log of the reduction per iteration, when it was new
 
     @property
     def direct(self) -> bool:
         """Tell whether the preconditioner is a factorisation."""
         return self._ksp.getPC().getType() in ("cholesky", "lu")
+
+    @property
+    def refactor_after(self) -> int:
+        """Iterations that cost as much as a new factorisation or set-up."""
+        if self._refactor_after is not None:
+            return self._refactor_after
+        return REFACTOR_AFTER if self.direct else SETUP_AFTER
 
     @property
     def description(self) -> str:
@@ -135,8 +150,6 @@ class LinearSolver:
         self._masked = A.duplicate(copy=True)
         self._masked.setOption(PETSc.Mat.Option.SPD, True)
         self._masked.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        if self.near_nullspace is not None:
-            self._masked.setNearNullSpace(self.near_nullspace)
         self._r, self._dx = A.createVecRight(), A.createVecRight()
         self._seen, self._fixed, self._factor_fixed = (-1, -1), None, None
         self._ksp = PETSc.KSP().create(self.comm)
@@ -187,6 +200,8 @@ class LinearSolver:
         begin = perf_counter()
         pc = self._ksp.getPC()
         pc.setReusePreconditioner(False)
+        if not self.direct:
+            self._set_near_nullspace(fixed)
         self._ksp.setOperators(self._masked)
         for _ in range(MAX_SWEEPS):
             with self.database(self.prefix):
@@ -205,6 +220,24 @@ class LinearSolver:
                 f"({self._reason(pc)}). Most often a body is held by nothing: add a Dirichlet "
                 "condition or a contact that holds it, or check the material constants."
             )
+
+    def _set_near_nullspace(self, fixed: Indices) -> None:
+        """Give the matrix its near-null space, zero where unknowns are held."""
+        if self.near_nullspace is None:
+            return
+        basis: list[PETSc.Vec] = []
+        for vector in self.near_nullspace():
+            vector.array[fixed] = 0.0
+            whole = vector.norm()
+            for _ in range(2):  # twice is enough
+                for other in basis:
+                    vector.axpy(-other.dot(vector), other)
+            if vector.norm() > 1e-8 * whole:
+                vector.normalize()
+                basis.append(vector)
+        if basis:
+            self._masked.setBlockSize(basis[0].getBlockSize())
+            self._masked.setNearNullSpace(PETSc.NullSpace().create(vectors=basis))
 
     def _mumps(self, pc: PETSc.PC) -> PETSc.Mat | None:
         """Return the factor if it is one of MUMPS."""

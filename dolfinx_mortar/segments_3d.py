@@ -1,0 +1,283 @@
+# SPDX-License-Identifier: MIT
+r"""Segments in 3D: convex polygons in the auxiliary planes of the slave facets.
+
+The auxiliary plane of a slave facet goes through its centre, normal to its mean normal. Both
+facets are projected on it along that normal; their intersection is a convex polygon, which is
+split into triangles. Straight edges stay straight, so that neighbours still share them and a
+surface is covered without holes. A point of the plane belongs to the points of the two facets
+above and below it: by an affine map for triangles, by the root of a quadratic equation for
+quadrilaterals. The weight of a point is its area in the plane over the cosine between the plane
+and the slave facet, which is 1 for plane facets.
+
+On triangles the points integrate Phi_j N_l exactly, and so they do on parallelograms. The inverse
+map of other quadrilaterals is not a polynomial; there the degree of the quadrature grows with the
+change of the Jacobian over a triangle until the integrals of the shape functions are exact to
+about 1e-12, so that the two sides still exchange a constant pressure without loss.
+"""
+
+from functools import cache
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+import basix
+from dolfinx_mortar import polygons
+from dolfinx_mortar.polygons import VERTICES
+from dolfinx_mortar.projections import create_planes, height_at, inverse, project, stretch
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int32]
+
+_HIGHEST = 24  # degree of quadrature
+_ACCURACY = np.log(1e-12)
+
+
+@cache
+def _rules() -> tuple[Floats, Floats, npt.NDArray[np.int64]]:
+    """Return points, weights (sum 1) and first points of the rules of degree 2, 4, ... ."""
+    degrees = range(2, _HIGHEST + 2, 2)
+    rules = [basix.make_quadrature(basix.CellType.triangle, degree) for degree in degrees]
+    points = np.concatenate([p for p, _ in rules])
+    weights = np.concatenate([w / w.sum() for _, w in rules])
+    return points, weights, np.cumsum([0] + [len(w) for _, w in rules])
+
+
+@numba.njit(cache=True)
+def _distance(S, M, x, y):  # type: ignore[no-untyped-def]
+    """Return the distance of two projected facets at (x, y)."""
+    xi, eta, _ = inverse(S, x, y)
+    r, s, _ = inverse(M, x, y)
+    return abs(height_at(S, xi, eta) - height_at(M, r, s))
+
+
+@numba.njit(cache=True)
+def _any_overlap(pieces, sizes, count):  # type: ignore[no-untyped-def]
+    """Tell whether any of the first `count` polygons overlap; sweep from left to right."""
+    low, high = np.empty(count), np.empty(count)
+    for i in range(count):
+        low[i], high[i] = np.inf, -np.inf
+        for k in range(sizes[i]):
+            low[i], high[i] = min(low[i], pieces[i, k, 0]), max(high[i], pieces[i, k, 0])
+    active = np.empty(count, dtype=np.int64)
+    a = 0
+    for i in np.argsort(low):
+        left = 0
+        for k in range(a):
+            j = active[k]
+            if high[j] > low[i]:
+                active[left] = j
+                left += 1
+                if polygons.overlap(pieces[i], sizes[i], pieces[j], sizes[j]):
+                    return True
+        active[left] = i
+        a = left + 1
+    return False
+
+
+@numba.njit(cache=True)
+def _with_room(pieces, sizes, owner, count):  # type: ignore[no-untyped-def]
+    """Return the arrays with room for the pieces of one difference."""
+    if count + VERTICES <= len(sizes):
+        return pieces, sizes, owner
+    n = 2 * len(sizes) + VERTICES
+    longer, more, whose = (
+        np.empty((n, VERTICES, 2)),
+        np.empty(n, sizes.dtype),
+        np.empty(n, sizes.dtype),
+    )
+    longer[:count], more[:count], whose[:count] = pieces[:count], sizes[:count], owner[:count]
+    return longer, more, whose
+
+
+@numba.njit(cache=True)
+def _keep_nearest(S, M, given, given_sizes, given_owner, n):  # type: ignore[no-untyped-def]
+    """Return polygons that cover the same without overlap; the nearest master gets each part.
+
+    Every given polygon comes to the pieces of the earlier ones: where it is nearer, they lose what
+    they share with it, where it is not, it loses that.
+    """
+    pieces = np.empty((2 * n + VERTICES, VERTICES, 2))
+    sizes, owner = np.empty(len(pieces), np.int64), np.empty(len(pieces), np.int64)
+    common, spare = np.empty((VERTICES, 2)), np.empty((VERTICES, 2))
+    count = 0
+    for i in range(n):
+        P, size = given[i], given_sizes[i]
+        old = count
+        stronger = np.zeros(old, dtype=np.bool_)
+        for j in range(old):
+            if sizes[j] == 0 or not polygons.overlap(P, size, pieces[j], sizes[j]):
+                continue
+            m = polygons.intersect(P, size, pieces[j], sizes[j], 1, common, spare)
+            if polygons.is_thin(common, m):
+                continue
+            _, x, y = polygons.measure(common, m)
+            mine, other = _distance(S, M[given_owner[i]], x, y), _distance(S, M[owner[j]], x, y)
+            stronger[j] = other <= mine
+            if not stronger[j]:
+                pieces, sizes, owner = _with_room(pieces, sizes, owner, count)
+                first = count
+                count = polygons.subtract(
+                    pieces[j].copy(), sizes[j], P, size, pieces, sizes, count, spare
+                )
+                owner[first:count] = owner[j]
+                sizes[j] = 0
+        pieces, sizes, owner = _with_room(pieces, sizes, owner, count)
+        fresh = count
+        pieces[count], sizes[count], owner[count] = P, size, given_owner[i]
+        count += 1
+        for j in range(old):
+            if not stronger[j]:
+                continue
+            for k in range(fresh, count):
+                if sizes[k] == 0 or not polygons.overlap(pieces[k], sizes[k], pieces[j], sizes[j]):
+                    continue
+                pieces, sizes, owner = _with_room(pieces, sizes, owner, count)
+                first = count
+                count = polygons.subtract(
+                    pieces[k].copy(), sizes[k], pieces[j], sizes[j], pieces, sizes, count, spare
+                )
+                owner[first:count] = owner[k]
+                sizes[k] = 0
+    return pieces, sizes, owner, count
+
+
+@numba.njit(cache=True)
+def _clip(S, x_m, pairs, first, last, centre, axes, M, pieces, sizes, owner):  # type: ignore[no-untyped-def]
+    """Fill M, pieces, sizes, owner (0 ... last - first) for one slave facet; return the count."""
+    spare = np.empty((VERTICES, 2))
+    count = 0
+    k = S.shape[0]
+    if polygons.orientation(S, k) <= 0:
+        return 0  # folded: no inverse map
+    for r in range(first, last):
+        P = M[r - first]
+        project(x_m[pairs[r, 1]], centre, axes, P)
+        sign = polygons.orientation(P, P.shape[0])
+        if sign == 0 or polygons.is_beside(P, P.shape[0], S, k, sign, 0.0):
+            continue
+        size = polygons.intersect(S, k, P, P.shape[0], sign, pieces[count], spare)
+        if not polygons.is_thin(pieces[count], size):
+            sizes[count], owner[count] = size, r - first
+            count += 1
+    return count
+
+
+@numba.njit(cache=True)
+def _triangulate(x_s, x_m, pairs, centre, axes):  # type: ignore[no-untyped-def]
+    """Return the pair (t,) and the corners (t, 3, 2) of the triangles of all segments."""
+    p = len(pairs)
+    which, corners = np.empty(4 * p + 64, dtype=np.int64), np.empty((4 * p + 64, 3, 2))
+    S = np.empty((x_s.shape[1], 3))
+    t = 0
+    last = 0
+    while last < p:
+        first, s = last, pairs[last, 0]
+        while last < p and pairs[last, 0] == s:
+            last += 1
+        n = last - first
+        M = np.empty((n, x_m.shape[1], 3))
+        pieces, sizes = np.empty((n, VERTICES, 2)), np.empty(n, np.int64)
+        owner = np.empty(n, np.int64)
+        project(x_s[s], centre[s], axes[s], S)
+        n = _clip(S, x_m, pairs, first, last, centre[s], axes[s], M, pieces, sizes, owner)
+        if _any_overlap(pieces, sizes, n):
+            pieces, sizes, owner, n = _keep_nearest(S, M, pieces, sizes, owner, n)
+        for i in range(n):
+            if t + VERTICES > len(which):
+                more, longer = np.empty(2 * len(which), np.int64), np.empty((2 * len(which), 3, 2))
+                more[:t], longer[:t] = which[:t], corners[:t]
+                which, corners = more, longer
+            for v in range(1, sizes[i] - 1):
+                which[t] = first + owner[i]
+                for h in range(2):
+                    corners[t, 0, h] = pieces[i, 0, h]
+                    corners[t, 1, h], corners[t, 2, h] = pieces[i, v, h], pieces[i, v + 1, h]
+                t += 1
+    return which[:t], corners[:t]
+
+
+@numba.njit(cache=True)
+def _variation(P, corners):  # type: ignore[no-untyped-def]
+    """Return the relative change of the Jacobian of a projected facet over a triangle."""
+    if P.shape[0] == 3:
+        return 0.0
+    low, high = np.inf, 0.0
+    for v in range(3):
+        J = inverse(P, corners[v, 0], corners[v, 1])[2]
+        low, high = min(low, J), max(high, J)
+    return (high - low) / (high + low)
+
+
+@numba.njit(cache=True)
+def _choose_rules(x_s, x_m, pairs, centre, axes, which, corners):  # type: ignore[no-untyped-def]
+    """Return the number (t,) of the quadrature rule of each triangle."""
+    rule = np.zeros(len(which), dtype=np.int64)
+    S, M = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3))
+    if len(S) + len(M) == 6:
+        return rule
+    for t in range(len(which)):
+        s, m = pairs[which[t]]
+        project(x_s[s], centre[s], axes[s], S)
+        project(x_m[m], centre[s], axes[s], M)
+        variation = _variation(S, corners[t]) + _variation(M, corners[t])
+        degree = 4.0
+        if variation > 0.0:
+            # the singularities of the inverse maps lie 1 / variation triangles away
+            degree = 2 + _ACCURACY / np.log(min(variation / 2, 0.9))
+        rule[t] = min(max(np.ceil(degree / 2), 2.0), _HIGHEST // 2) - 1
+    return rule
+
+
+@numba.njit(cache=True)
+def _place(x_s, x_m, pairs, centre, axes, radius, which, corners, rule, points, weights, start):  # type: ignore[no-untyped-def]
+    """Return the pair, xi_s, xi_m and weight of all quadrature points."""
+    total = 0
+    for t in range(len(which)):
+        total += start[rule[t] + 1] - start[rule[t]]
+    pair, weight = np.empty(total, np.int64), np.empty(total)
+    xi_s, xi_m = np.empty((total, 2)), np.empty((total, 2))
+    S, M = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3))
+    q = 0
+    for t in range(len(which)):
+        s, m = pairs[which[t]]
+        if t == 0 or which[t] != which[t - 1]:
+            project(x_s[s], centre[s], axes[s], S)
+            project(x_m[m], centre[s], axes[s], M)
+        c = corners[t]
+        ux, uy, vx, vy = c[1, 0] - c[0, 0], c[1, 1] - c[0, 1], c[2, 0] - c[0, 0], c[2, 1] - c[0, 1]
+        area = (ux * vy - uy * vx) / 2 * radius[s] ** 2
+        for i in range(start[rule[t]], start[rule[t] + 1]):
+            x = c[0, 0] + points[i, 0] * ux + points[i, 1] * vx
+            y = c[0, 1] + points[i, 0] * uy + points[i, 1] * vy
+            xi_s[q, 0], xi_s[q, 1], _ = inverse(S, x, y)
+            xi_m[q, 0], xi_m[q, 1], _ = inverse(M, x, y)
+            weight[q] = weights[i] * area * stretch(S, xi_s[q, 0], xi_s[q, 1])
+            pair[q] = which[t]
+            q += area > 0.0  # a degenerate triangle of a polygon has nothing to integrate
+    return pair[:q], xi_s[:q], xi_m[:q], weight[:q]
+
+
+def place_points(
+    x_s: Floats, x_m: Floats, pairs: Ints
+) -> tuple[npt.NDArray[np.int64], Floats, Floats, Floats]:
+    """Project, clip, split and place quadrature points.
+
+    Facets whose projection is folded or inverted cover nothing.
+
+    Args:
+        x_s: Node coordinates (ms, k, 3) of the slave facets.
+        x_m: Node coordinates (mm, k', 3) of the master facets.
+        pairs: Pairs (p, 2) that face each other, ordered by slave facet.
+
+    Returns:
+        Index into the pairs (q,), xi_s (q, 2), xi_m (q, 2) and weight (q,) of the points.
+    """
+    centre, axes, radius = create_planes(x_s)
+    x_s, x_m = np.ascontiguousarray(x_s), np.ascontiguousarray(x_m)
+    which, corners = _triangulate(x_s, x_m, pairs, centre, axes)
+    rule = _choose_rules(x_s, x_m, pairs, centre, axes, which, corners)
+    pair, xi_s, xi_m, weight = _place(
+        x_s, x_m, pairs, centre, axes, radius, which, corners, rule, *_rules()
+    )
+    return pair, xi_s, xi_m, weight

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: MIT
+"""Meshes of the tests in 3D: two structured boxes that do not match at their interface."""
+
+from collections.abc import Callable
+from itertools import permutations
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import basix.ufl
+import dolfinx
+from tests.meshes import LOWER, UPPER, _partitioner, _tag
+
+BOTTOM, TOP, TOP_OF_LOWER, BOTTOM_OF_UPPER, LEFT, RIGHT, FRONT, BACK = range(1, 9)
+
+Array = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+
+
+def rotation(axis: npt.ArrayLike, angle: float) -> Array:
+    """Return the matrix that turns by an angle about an axis."""
+    a = np.asarray(axis, dtype=float)
+    a = a / np.linalg.norm(a)
+    K = np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
+    return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
+
+
+def box_points(lines: list[Array], jitter: float, seed: int) -> Array:
+    """Return the points of a grid, x fastest; inner ones shifted, those on a face within it.
+
+    The shift is at most half of `jitter` of the adjacent spacing.
+    """
+    grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
+    shift = np.random.default_rng(seed).uniform(-0.5, 0.5, grid.shape)
+    for i, line in enumerate(lines):
+        room = np.zeros(len(line))
+        room[1:-1] = np.minimum(np.diff(line)[:-1], np.diff(line)[1:])
+        shift[..., i] *= jitter * room.reshape([-1 if j == i else 1 for j in range(3)])
+    return (grid + shift).transpose(2, 1, 0, 3).reshape(-1, 3)
+
+
+def box_cells(n: tuple[int, int, int], cell: str) -> Ints:
+    """Return the cells of a grid with n cells per direction; six tetrahedra per hexahedron."""
+    strides = np.array([1, n[0] + 1, (n[0] + 1) * (n[1] + 1)])
+    i, j, k = (a.ravel() for a in np.meshgrid(*map(np.arange, n), indexing="ij"))
+    first = i * strides[0] + j * strides[1] + k * strides[2]
+    if cell == "hexahedron":
+        corner = np.array([[a, b, c] for c in (0, 1) for b in (0, 1) for a in (0, 1)])
+        return first[:, None] + corner @ strides
+    paths = [np.cumsum([0, *strides[list(order)]]) for order in permutations(range(3))]
+    return np.concatenate([first[:, None] + path for path in paths])
+
+
+def two_boxes(
+    comm: MPI.Comm,
+    n_lower: tuple[int, int, int] = (2, 2, 2),
+    n_upper: tuple[int, int, int] = (3, 3, 2),
+    *,
+    lower: tuple[float, float, float, float] = (0.0, 1.0, 0.0, 1.0),
+    upper: tuple[float, float, float, float] = (0.0, 1.0, 0.0, 1.0),
+    heights: tuple[float, float] = (1.0, 1.0),
+    gap: float = 0.0,
+    cell: str = "tetrahedron",
+    turn: Array | None = None,
+    splits_lower: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
+    splits_upper: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
+    jitter: float = 0.0,
+    seed: int = 0,
+    transform: Callable[[Array], Array] | None = None,
+    partition: str = "graph",
+) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags, dolfinx.mesh.MeshTags]:
+    """Create a mesh of two disconnected boxes, one above the other.
+
+    The interface lies on z = 0 (lower box) and z = gap (upper box) before everything is turned.
+
+    Args:
+        comm: Communicator.
+        n_lower: Number of cells of the lower box in x, y and z.
+        n_upper: Number of cells of the upper box.
+        lower: Ends of the lower box in x and y.
+        upper: Ends of the upper box.
+        heights: Heights of the lower and the upper box.
+        gap: Initial gap, negative for an overlap.
+        cell: "tetrahedron" or "hexahedron".
+        turn: Rotation matrix.
+        splits_lower: Grid lines of the lower box in x and y, in place of `n_lower` and `lower`.
+        splits_upper: Grid lines of the upper box.
+        jitter: Random shift of the nodes, in parts of the spacing; the faces stay flat.
+        seed: Seed of the shift.
+        transform: Map of the (n, 3) points, applied after the rotation.
+        partition: As for `tests.meshes.two_blocks`.
+
+    Returns:
+        Mesh; cell tags (1 lower, 2 upper); facet tags (1 bottom of the lower box, 2 top of the
+        upper one, 3 top of the lower one, 4 bottom of the upper one, 5 left, 6 right, 7 front and
+        8 back sides: low and high x, low and high y).
+    """
+    lines = []
+    given = ((n_lower, lower, splits_lower), (n_upper, upper, splits_upper))
+    for (n, ends, splits), z in zip(
+        given, ((-heights[0], 0.0), (gap, gap + heights[1])), strict=True
+    ):
+        plane = splits or (np.linspace(*ends[:2], n[0] + 1), np.linspace(*ends[2:], n[1] + 1))
+        lines.append([*(np.asarray(s, dtype=float) for s in plane), np.linspace(*z, n[2] + 1)])
+    sizes = [tuple(len(line) - 1 for line in box) for box in lines]
+    parts = [box_points(box, jitter, seed + i) for i, box in enumerate(lines)]
+    n_l = len(parts[0])
+    points = np.concatenate(parts)
+    cells = np.concatenate([box_cells(sizes[0], cell), box_cells(sizes[1], cell) + n_l])
+
+    middle = points[cells, 0].mean(axis=1)
+    ranks = np.floor(comm.size * (middle - middle.min()) / (np.ptp(middle) * (1 + 1e-9)))
+    if partition == "bodies" and comm.size > 1:
+        height = (points[cells, 2].mean(axis=1) - gap) / (heights[1] * (1 + 1e-9))
+        ranks = np.where(cells[:, 0] < n_l, 0, 1 + np.floor((comm.size - 1) * height))
+    ranks = ranks.astype(np.int32)
+    points = points if turn is None else points @ turn.T
+    points = points if transform is None else transform(points)
+
+    mine = slice(*(len(cells) * np.array([comm.rank, comm.rank + 1]) // comm.size))
+    own = slice(*(len(points) * np.array([comm.rank, comm.rank + 1]) // comm.size))
+    mesh = dolfinx.mesh.create_mesh(
+        comm,
+        cells[mine],
+        x=np.ascontiguousarray(points[own]),
+        e=basix.ufl.element("Lagrange", cell, 1, shape=(3,)),
+        partitioner=_partitioner(partition, comm, ranks[mine]),
+    )
+    cell_tags = _tag(mesh, 3, [(LOWER, lambda i: i < n_l), (UPPER, lambda i: i >= n_l)])
+    return mesh, cell_tags, _tag(mesh, 2, _marks(sizes, n_l))
+
+
+def _marks(sizes: list[tuple[int, ...]], n_l: int) -> list[tuple[int, Callable]]:
+    """Return tags and conditions on node numbers for the faces of the boxes."""
+    a, b = (np.array(size) + 1 for size in sizes)
+
+    def index(i: Ints) -> list[Ints]:
+        """Return the grid index of nodes in each direction."""
+        below = i < n_l
+        i = np.where(below, i, i - n_l)
+        nx, ny = np.where(below, a[0], b[0]), np.where(below, a[1], b[1])
+        return [i % nx, i // nx % ny, i // (nx * ny)]
+
+    def low(i: Ints, axis: int) -> npt.NDArray[np.bool_]:
+        return index(i)[axis] == 0
+
+    def high(i: Ints, axis: int) -> npt.NDArray[np.bool_]:
+        return index(i)[axis] == np.where(i < n_l, a[axis], b[axis]) - 1
+
+    return [
+        (LEFT, lambda i: low(i, 0)),
+        (RIGHT, lambda i: high(i, 0)),
+        (FRONT, lambda i: low(i, 1)),
+        (BACK, lambda i: high(i, 1)),
+        (BOTTOM, lambda i: low(i, 2) & (i < n_l)),
+        (TOP, lambda i: high(i, 2) & (i >= n_l)),
+        (TOP_OF_LOWER, lambda i: high(i, 2) & (i < n_l)),
+        (BOTTOM_OF_UPPER, lambda i: low(i, 2) & (i >= n_l)),
+    ]
