@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: MIT
+"""Contact patch tests in 3D: a constant stress state across a non-matching interface."""
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import hypothesis
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+
+import dolfinx.fem.petsc
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import default_scalar_type, fem
+from dolfinx_mortar.parallel import maximum
+from dolfinx_mortar.surface import accumulate, create_surface
+from tests.meshes_3d import (
+    BOTTOM,
+    BOTTOM_OF_UPPER,
+    FRONT,
+    LEFT,
+    TOP,
+    TOP_OF_LOWER,
+    rotation,
+    two_boxes,
+)
+
+COMM = MPI.COMM_WORLD
+
+E, NU, P = 1000.0, 0.4, 10.0
+EXACT = 1e-10
+STRAIN = np.diag([NU / E * P, NU / E * P, -P / E])  # of the uniaxial stress -P along z
+TILTED = rotation((1.0, 2.0, 0.5), 0.7)
+
+
+def clip(polygon, rectangle):
+    """Return the part of a convex polygon (n, 2) within (low x, high x, low y, high y)."""
+    for i, bound, sign in ((0, 0, 1), (0, 1, -1), (1, 2, 1), (1, 3, -1)):
+        d = sign * (polygon[:, i] - rectangle[bound])
+        points = []
+        for a in range(len(polygon)):
+            b = (a + 1) % len(polygon)
+            if d[a] >= 0:
+                points.append(polygon[a])
+            if d[a] * d[b] < 0:
+                points.append(polygon[a] + d[a] / (d[a] - d[b]) * (polygon[b] - polygon[a]))
+        polygon = np.array(points).reshape(-1, 2)
+        if len(polygon) < 3:
+            return polygon[:0]
+    return polygon
+
+
+def covered_integrals(x, rectangle):
+    """Return the integrals (k,) of N_j over the part of a triangle or rectangle x in another."""
+    result = np.zeros(len(x))
+    part = clip(x, rectangle)
+    for b in range(1, len(part) - 1):
+        corners = part[[0, b, b + 1]]
+        edges = corners[1:] - corners[0]
+        area = abs(np.linalg.det(edges)) / 2
+        points = corners.mean(axis=0) + (corners - corners.mean(axis=0)) / 2  # exact to degree 2
+        if len(x) == 3:
+            r = np.linalg.solve((x[1:] - x[0]).T, (points - x[0]).T)
+            N = np.stack([1 - r.sum(axis=0), *r])
+        else:
+            low, high = x.min(axis=0), x.max(axis=0)
+            assert np.isclose(x, np.where(x < (low + high) / 2, low, high), atol=1e-13).all()
+            r = (points - low) / (high - low)
+            N = np.prod(np.where((x > (low + high) / 2)[:, None], r, 1 - r), axis=2)
+        result += area / 3 * N.sum(axis=1)
+    return result
+
+
+def uncovered_pressure(V, facets, tag, R, rectangle):
+    """Return a Function p so that int p N_j over a side is int N_j over its uncovered part."""
+    surface = create_surface(V, facets, tag, "slave")
+    x = (surface.X @ R)[surface.facets][:, :, :2]
+    local = np.zeros(len(surface.nodes))
+    for nodes, corners in zip(surface.facets, x, strict=True):
+        everything = (-9.0, 9.0, -9.0, 9.0)
+        part = covered_integrals(corners, everything) - covered_integrals(corners, rectangle)
+        local[nodes] += part
+    total = accumulate(surface, local)
+    Q = V.sub(0).collapse()[0]
+    p, q = ufl.TrialFunction(Q), ufl.TestFunction(Q)
+    ds = ufl.Measure("ds", V.mesh, subdomain_data=facets)(tag)
+    result, right = fem.Function(Q), fem.Function(Q)
+    A = dolfinx.fem.petsc.assemble_matrix(fem.form(p * q * ds + zero(V.mesh) * p * q * ufl.dx))
+    A.assemble()
+    right.x.array[surface.nodes] = total
+    right.x.scatter_forward()
+    index_map = Q.dofmap.index_map
+    off = np.ones(index_map.size_local, dtype=bool)
+    off[surface.nodes[: surface.owned]] = False
+    rows = (index_map.local_range[0] + np.flatnonzero(off)).astype(PETSc.IntType)
+    A.zeroRowsColumns(rows, 1.0)
+    solver = PETSc.KSP().create(V.mesh.comm)
+    solver.setOperators(A)
+    solver.setType("preonly")
+    solver.getPC().setType("lu")
+    solver.getPC().setFactorSolverType("mumps")
+    solver.solve(right.x.petsc_vec, result.x.petsc_vec)
+    result.x.scatter_forward()
+    return result
+
+
+def zero(mesh):
+    """Return a Constant 0."""
+    return fem.Constant(mesh, default_scalar_type(0))
+
+
+def solve_patch(slave="lower", *, cell="tetrahedron", turn=None, hold="planes", **options):
+    """Press the upper box on the lower one; return problem, contact and the exact solution.
+
+    Args:
+        slave: "lower" or "upper".
+        cell: Cell type.
+        turn: Rotation of everything.
+        hold: "planes" (the symmetry planes x = 0 and y = 0 cut through the contact) or "nodes"
+            (the bottom and an edge on top are held). Only the contact holds the upper box down.
+        options: Of `two_boxes`.
+    """
+    R = np.eye(3) if turn is None else turn
+    mesh, _, facets = two_boxes(COMM, cell=cell, turn=turn, **options)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    u, exact = fem.Function(V), fem.Function(V)
+    strain = R @ STRAIN @ R.T
+    exact.interpolate(lambda x: strain @ x[:3])
+    n = fem.Constant(mesh, R[:, 2].astype(default_scalar_type))
+    v, ds = ufl.TestFunction(V), ufl.Measure("ds", mesh, subdomain_data=facets)
+    fixed = []
+    if hold == "planes":
+        for tag, i, value in ((LEFT, 0, 0.0), (FRONT, 1, 0.0), (BOTTOM, 2, P / E)):
+            dofs = fem.locate_dofs_topological(V.sub(i), 2, facets.find(tag))
+            fixed.append(fem.dirichletbc(default_scalar_type(value), dofs, V.sub(i)))
+    else:
+        bottom = fem.locate_dofs_topological(V, 2, facets.find(BOTTOM))
+        edge = fem.locate_dofs_geometrical(
+            V, lambda x: np.isclose((R.T @ x)[0], 0) & np.isclose((R.T @ x)[2], 1)
+        )
+        fixed += [fem.dirichletbc(exact, dofs) for dofs in (bottom, edge)]
+    loads = -P * ufl.dot(n, v) * ds(TOP)
+    # Where one box sticks out beyond the other, the pressure acts on it directly.
+    ends = [ends_of(options, side) for side in ("lower", "upper")]
+    if ends[0] != ends[1]:
+        for tag, sign, other in ((TOP_OF_LOWER, 1, ends[1]), (BOTTOM_OF_UPPER, -1, ends[0])):
+            free = uncovered_pressure(V, facets, tag, R, other)
+            loads += -sign * P * free * ufl.dot(n, v) * ds(tag)
+    tags = (TOP_OF_LOWER, BOTTOM_OF_UPPER)[:: 1 if slave == "lower" else -1]
+    contact = dm.Contact(facets, slave=tags[0], master=tags[1])
+    solid = dm.Solid(u, dm.Elastic(E, NU))
+    problem = dm.ContactProblem(solid, [contact], bcs=fixed, loads=loads, geometry="reference")
+    return problem, contact, exact
+
+
+def ends_of(options, side):
+    """Return low x, high x, low y, high y of a box."""
+    splits = options.get(f"splits_{side}")
+    if splits is None:
+        return options.get(side, (0.0, 1.0, 0.0, 1.0))
+    return splits[0][0], splits[0][-1], splits[1][0], splits[1][-1]
+
+
+def check(problem, contact, exact):
+    """Solve and compare displacement and pressure with the constant stress state."""
+    report = dm.newton(problem, rtol=1e-11)
+    error = np.abs(problem.u.x.array - exact.x.array).max(initial=0.0)
+    scale = np.abs(exact.x.array).max(initial=0.0)
+    pressure = np.abs(contact.multiplier[contact.S[:, 0]] - P).max(initial=0.0)
+    error, scale, pressure = maximum(COMM, error, scale, pressure)
+    assert error < EXACT * scale
+    assert pressure < EXACT * P
+    assert report.certificate.equilibrium < EXACT
+    assert report.certificate.force_balance < EXACT
+    return report
+
+
+CELLS = pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+SLAVES = pytest.mark.parametrize("slave", ["lower", "upper"])
+
+
+@pytest.mark.mpi
+@SLAVES
+@CELLS
+@pytest.mark.parametrize("hold", ["planes", "nodes"])
+def test_equal_sizes(slave, cell, hold):
+    """Symmetry planes cut through the contact, or nothing holds its edges."""
+    check(*solve_patch(slave, cell=cell, hold=hold))
+
+
+@SLAVES
+@CELLS
+@pytest.mark.parametrize("seed", range(3))
+def test_jittered_and_inclined(slave, cell, seed):
+    """Facets of any shape on an inclined plane."""
+    check(*solve_patch(slave, cell=cell, hold="nodes", turn=TILTED, jitter=0.4, seed=seed))
+
+
+SIZES = {
+    "lower larger": ((0, 1.3, 0, 1.4), (0, 1, 0, 1)),
+    "upper larger": ((0, 1, 0, 1), (0, 1.3, 0, 1.2)),
+    "crossed": ((0, 1.3, 0, 1), (0, 1, 0, 1.25)),
+    "ends on nodes": ((0, 1.5, 0, 1.5), (0, 1, 0, 1)),
+}
+
+
+@SLAVES
+@CELLS
+@pytest.mark.parametrize("sizes", SIZES)
+@pytest.mark.parametrize("turn", [None, TILTED])
+def test_unequal_sizes(slave, cell, sizes, turn):
+    """The slave side is larger or smaller than the master side, straight or inclined."""
+    lower, upper = SIZES[sizes]
+    hold = "planes" if turn is None else "nodes"
+    check(*solve_patch(slave, cell=cell, hold=hold, turn=turn, lower=lower, upper=upper))
+
+
+@SLAVES
+@CELLS
+@pytest.mark.parametrize(
+    "covered", [0.5, 0.1, 0.05, 0.01, 1e-3, pytest.param(1e-6, marks=pytest.mark.mpi)]
+)
+def test_little_coverage(slave, cell, covered):
+    """The last rows of facets of the slave side are covered by a small part of their length."""
+    h = 0.4
+    end = 1 - covered * h
+    short = (np.array([0, 0.31, 0.77, 1.0]),) * 2
+    long = (np.array([0, 0.35, 0.7, end, end + h]), np.array([0, 0.4, end, end + h]))
+    lines = (long, short) if slave == "lower" else (short, long)
+    check(*solve_patch(slave, cell=cell, splits_lower=lines[0], splits_upper=lines[1]))
+
+
+widths = st.lists(st.floats(0.2, 1.0), min_size=1, max_size=4)
+
+
+@hypothesis.settings(max_examples=15)
+@hypothesis.given(
+    splits=st.tuples(widths, widths, widths, widths),
+    sizes=st.tuples(st.floats(0.7, 1.4), st.floats(0.7, 1.4)),
+    slave=st.sampled_from(["lower", "upper"]),
+    cell=st.sampled_from(["tetrahedron", "hexahedron"]),
+    turn=st.sampled_from([None, TILTED]),
+)
+def test_random_splits(splits, sizes, slave, cell, turn):
+    """Random non-matching sides of random sizes."""
+    lines = [np.concatenate([[0.0], np.cumsum(w)]) / np.sum(w) for w in splits]
+    upper = (lines[2] * sizes[0], lines[3] * sizes[1])
+    grids = {"splits_lower": (lines[0], lines[1]), "splits_upper": upper}
+    check(*solve_patch(slave, cell=cell, hold="nodes", turn=turn, **grids))
