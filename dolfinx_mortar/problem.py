@@ -19,7 +19,7 @@ from dolfinx_mortar.audit import Audit, create_audit
 from dolfinx_mortar.bodies import Bodies, find_bodies, rigid_motions
 from dolfinx_mortar.interface import Contact, Interface, Tie
 from dolfinx_mortar.parallel import any_rank, maximum
-from dolfinx_mortar.qp import MULTIGRID, BoundQP, LinearSolver
+from dolfinx_mortar.qp import MULTIGRID, BoundQP, LinearSolver, Preconditioning
 from dolfinx_mortar.report import Timings
 from dolfinx_mortar.solid import Solid
 from dolfinx_mortar.transformation import Transformation, resolve_claims
@@ -80,7 +80,7 @@ class ContactProblem:
                 self.comm,
                 prefix=petsc_options_prefix,
                 options=(MULTIGRID if self.d == 3 else {}) | dict(petsc_options or {}),
-                near_nullspace=self._rigid_motions,
+                preconditioning=self._preconditioning,
             )
         with self.timings("mortar"):
             for interface in self.interfaces:
@@ -313,17 +313,23 @@ class ContactProblem:
             forces.copy(result)
         return result
 
-    def _rigid_motions(self) -> list[PETSc.Vec]:
-        """Return the rigid motions of the whole in y, for multigrid; collective.
-
-        The interfaces move along with the bodies, so w_n = 0 up to the curvature of the sides.
-        """
+    def _preconditioning(self, held: npt.NDArray[np.int32]) -> Preconditioning:
+        """Return what multigrid works on while some bounds are active; collective."""
+        K = self.K if self.interfaces else self.K.copy()  # without interfaces K is the QP's matrix
         motions = rigid_motions(self.V)
+        E = None
         if self.interfaces:
-            motions = [self.transformation.inverse(motion) for motion in motions]
+            K, E, motions = self.transformation.release(K, held, motions)
+        decoupled = np.union1d(self.eliminated, held).astype(np.int32)
         for motion in motions:
-            motion.array[self.eliminated] = 0.0
-        return motions
+            motion.array[decoupled] = 0.0
+        diagonal = K.getDiagonal()
+        K.zeroRowsColumns(
+            (decoupled + self.first_dof).astype(PETSc.IntType),
+            diag=diagonal.sum() / diagonal.getSize(),
+        )
+        K.setOption(PETSc.Mat.Option.SPD, True)
+        return Preconditioning(K, E, motions)
 
     def to_displacement(self, dy: PETSc.Vec) -> PETSc.Vec:
         """Return du = T dy; collective."""

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from dolfinx_mortar.facets import bounding_balls
 
@@ -20,7 +19,7 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 
 _STEEPEST = 1e30  # tangent of the opening angle of a cone that is a half space or wider
-_BRANCHES = 8  # balls that are enclosed by a ball of the next level
+_BRANCHES = 8  # balls that are enclosed by a ball of the next level, a power of 2
 _ROUND_OFF = 1e-10
 
 
@@ -108,6 +107,63 @@ def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-
     return pairs[:p]
 
 
+@numba.njit(cache=True)
+def _select(order, value, a, b, middle):  # type: ignore[no-untyped-def]
+    """Reorder order[a:b] so that no value before `middle` is larger than one behind it."""
+    b -= 1
+    while a < b:
+        pivot = value[order[(a + b) // 2]]
+        i, j = a, b
+        while i <= j:
+            while value[order[i]] < pivot:
+                i += 1
+            while value[order[j]] > pivot:
+                j -= 1
+            if i <= j:
+                order[i], order[j] = order[j], order[i]
+                i += 1
+                j -= 1
+        if middle <= j:
+            b = j
+        elif middle >= i:
+            a = i
+        else:
+            return
+
+
+@numba.njit(cache=True)
+def _sort_in_space(x):  # type: ignore[no-untyped-def]
+    """Return an order of points x (d, n) in which aligned blocks of 2^j points are compact.
+
+    Ranges are halved across their longest side, again and again. The first half is always a power
+    of two, so that blocks never straddle a cut.
+    """
+    d, n = x.shape
+    order = np.arange(n)
+    stack = np.empty((64, 2), dtype=np.int64)
+    stack[0, 0], stack[0, 1], top = 0, n, 1
+    while top > 0:
+        top -= 1
+        a, b = stack[top, 0], stack[top, 1]
+        if b - a <= _BRANCHES:
+            continue
+        axis, widest = 0, -1.0
+        for i in range(d):
+            low, high = np.inf, -np.inf
+            for k in range(a, b):
+                low, high = min(low, x[i, order[k]]), max(high, x[i, order[k]])
+            if high - low > widest:
+                axis, widest = i, high - low
+        half = _BRANCHES
+        while 2 * half < b - a:
+            half *= 2
+        _select(order, x[axis], a, b, a + half)
+        stack[top, 0], stack[top, 1] = a, a + half
+        stack[top + 1, 0], stack[top + 1, 1] = a + half, b
+        top += 2
+    return order
+
+
 def _enclose(centre: Floats, radius: Floats) -> tuple[Floats, Floats]:
     """Return balls (centre, radius) around groups of _BRANCHES successive balls."""
     first = np.arange(0, len(radius), _BRANCHES)
@@ -122,7 +178,7 @@ def find_meeting(cones: Cones, centre: Floats, radius: Floats) -> Ints:
     n = len(radius)
     if len(cones.radius) == 0 or n == 0:
         return np.empty((0, 2), dtype=np.int32)
-    order = cKDTree(centre, leafsize=_BRANCHES).indices  # neighbours in space become neighbours
+    order = _sort_in_space(np.ascontiguousarray(centre.T))  # neighbours in space become neighbours
     levels = [(np.ascontiguousarray(centre[order]), radius[order])]
     while len(levels[-1][1]) > _BRANCHES:
         levels.append(_enclose(*levels[-1]))

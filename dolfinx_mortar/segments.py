@@ -47,7 +47,7 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 
 FACING = 0.2
-"""A master facet faces a slave facet if n_s . n_m < -FACING at all nodes of the slave facet."""
+"""A master facet faces a slave facet if n_s . n_m < -FACING for all n_s of the slave facet."""
 TURN = 0.03
 """Rotation (radians) after the search for which the margin of the candidate pairs provides."""
 FACING_MARGIN = 0.3
@@ -73,7 +73,7 @@ class Segments:
 
 
 def projection_directions(x_s: Floats, n_s: Floats) -> Floats:
-    """Return the directions (m, k, d) in which the nodes of slave facets are projected.
+    """Return the directions (m, k, d) in which slave facets are projected, (m, 1, d) if it is one.
 
     Args:
         x_s: Node coordinates (m, k, d) of the slave facets.
@@ -81,7 +81,7 @@ def projection_directions(x_s: Floats, n_s: Floats) -> Floats:
     """
     if x_s.shape[2] == 2:
         return n_s
-    return np.repeat(facet_normals(x_s)[:, None], x_s.shape[1], axis=1)
+    return facet_normals(x_s)[:, None]
 
 
 def sliding_margins(x_s: Floats) -> Floats:
@@ -93,7 +93,7 @@ def sliding_margins(x_s: Floats) -> Floats:
 
 
 def are_facing(n_s: Floats, n_m: Floats, slack: float = 0.0) -> npt.NDArray[np.bool_]:
-    """Tell (p,) whether facets with nodal normals n_s (p, k, d) face those with n_m (p, d)."""
+    """Tell (p,) whether facets with directions n_s (p, k, d) face those with n_m (p, d)."""
     return np.einsum("pki,pi->pk", n_s, n_m).max(axis=1, initial=-1.0) < slack - FACING
 
 
@@ -115,12 +115,10 @@ def find_candidates(
     """
     n_s, turn = projection_directions(x_s, n_s), TURN if moving else 0.0
     pairs = find_meeting(create_cones(x_s, n_s, margin, turn), *bounding_balls(x_m))
+    if x_s.shape[2] == 3:
+        pairs = pairs[projections.are_near(x_s, x_m, pairs, margin, turn)]
     n_m = facet_normals(x_m)
-    slack = FACING_MARGIN if moving else 0.0
-    pairs = pairs[are_facing(n_s[pairs[:, 0]], n_m[pairs[:, 1]], slack)]
-    if x_s.shape[2] == 2:
-        return pairs
-    return pairs[projections.are_near(x_s, x_m, pairs, margin, turn)]
+    return pairs[are_facing(n_s[pairs[:, 0]], n_m[pairs[:, 1]], FACING_MARGIN if moving else 0.0)]
 
 
 def create_segments(x_s: Floats, n_s: Floats, x_m: Floats, pairs: Ints) -> Segments:

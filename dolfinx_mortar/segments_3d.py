@@ -59,9 +59,15 @@ def _any_overlap(pieces, sizes, count):  # type: ignore[no-untyped-def]
         low[i], high[i] = np.inf, -np.inf
         for k in range(sizes[i]):
             low[i], high[i] = min(low[i], pieces[i, k, 0]), max(high[i], pieces[i, k, 0])
-    active = np.empty(count, dtype=np.int64)
+    order, active = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+    for i in range(count):  # in place of argsort, which takes seconds to compile
+        k = i
+        while k > 0 and low[order[k - 1]] > low[i]:
+            order[k] = order[k - 1]
+            k -= 1
+        order[k] = i
     a = 0
-    for i in np.argsort(low):
+    for i in order:
         left = 0
         for k in range(a):
             j = active[k]

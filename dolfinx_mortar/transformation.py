@@ -23,6 +23,7 @@ from dolfinx_mortar.interface import Interface
 from dolfinx_mortar.parallel import any_rank
 
 Bools = npt.NDArray[np.bool_]
+Ints = npt.NDArray[np.int32]
 
 
 def _referenced(interface: Interface) -> Bools:
@@ -143,6 +144,33 @@ class Transformation:
             T = self.factors[k + 1].partial
         self.T = T
 
+    def release(
+        self, K: PETSc.Mat, held: Ints, motions: list[PETSc.Vec]
+    ) -> tuple[PETSc.Mat, PETSc.Mat | None, list[PETSc.Vec]]:
+        """Return a basis v in which sides that are not in contact know nothing of each other.
+
+        It differs from y at slave nodes whose contact is open: v_n = n_j.u_j there instead of
+        w_n = n_j.(u_j - P u), so that y = (I - E) v. For chains of interfaces it is y itself.
+
+        Args:
+            K: matrix in u.
+            held: owned unknowns of y that are held by their bounds.
+            motions: displacements.
+
+        Returns:
+            K in v (a new matrix), E (None if it is zero), the motions in v.
+        """
+        if len(self.factors) > 1:
+            return K.ptap(self.T), None, [self.inverse(motion) for motion in motions]
+        T, E = self.factors[0].release(held)
+        released = []
+        for motion in motions:
+            y = self.inverse(motion)
+            v = y.copy()
+            E.multAdd(y, y, v)  # (I - E)^-1 = I + E: no column of E is released
+            released.append(v)
+        return K.ptap(T), E, released
+
     def inverse(self, u: PETSc.Vec) -> PETSc.Vec:
         """Return y with T y = u; collective."""
         for factor in self.factors:
@@ -180,16 +208,40 @@ class _Factor:
             at = d * (p.nodes.astype(np.int64) + first)
             rows += [(at[mine][:, None] + a).ravel(), (at[p.row][:, None] + a).ravel()]
             columns += [(at[mine][:, None] + b).ravel(), (d * p.column[:, None] + b).ravel()]
-        rest = np.flatnonzero(~np.repeat(taken, d)) + d * first
-        self.identity = len(rest)
-        ij = [np.concatenate([rest, *c]) for c in (rows, columns)]
+        self.V = V
+        self.rest = np.flatnonzero(~np.repeat(taken, d)) + d * first  # rows of the identity
+        ij = [np.concatenate([self.rest, *c]) for c in (rows, columns)]
         self.T = coo.create_square(V, *ij)
 
     def update(self) -> None:
-        values = [np.ones(self.identity)]
+        values = [np.ones(len(self.rest))]
         for i, mine in self.parts:
             values += [i.R[mine].ravel(), i.blocks.ravel()]
         coo.set_values(self.T, np.concatenate(values))
+
+    def release(self, held: Ints) -> tuple[PETSc.Mat, PETSc.Mat]:
+        """Return T of contact at held unknowns only, without stored zeros, and E; collective."""
+        V = self.V
+        first, n = V.dofmap.index_map.local_range[0], V.dofmap.index_map.size_local
+        d = V.dofmap.index_map_bs
+        is_held = np.zeros(d * n, dtype=bool)
+        is_held[held] = True
+        a, b = np.divmod(np.arange(d * d), d)
+        rest = self.rest
+        T, E = [(rest, rest, np.ones(len(rest)))], []
+        for i, mine in self.parts:
+            p = i.pattern
+            at = d * (p.nodes.astype(np.int64) + first)
+            T.append((at[mine][:, None] + a, at[mine][:, None] + b, i.R[mine].reshape(-1, d * d)))
+            open_ = i.opens & ~is_held[d * p.nodes]
+            used = i.blocks.any(axis=(1, 2))
+            on, off = used & ~open_[p.row], used & open_[p.row]
+            columns = d * p.column[:, None]
+            T.append((at[p.row[on]][:, None] + a, columns[on] + b, i.blocks[on].reshape(-1, d * d)))
+            normal = np.einsum("ea,eab->eb", i.normals[p.row[off]], i.blocks[off])
+            row = np.repeat(at[p.row[off]][:, None], d, axis=1)
+            E.append((row, columns[off] + np.arange(d), normal))
+        return _create(V, T), _create(V, E)
 
     def inverse(self, u: PETSc.Vec) -> PETSc.Vec:
         """Return y with T y = u: w_j = R_j^T (u_j - sum_l Q_jl u_l) at slave nodes; collective."""
@@ -202,6 +254,16 @@ class _Factor:
             slip = difference.array_r.reshape(-1, i.d)[nodes]
             y.array.reshape(-1, i.d)[nodes] = np.einsum("nij,ni->nj", i.R[mine], slip)
         return y
+
+
+def _create(V: fem.FunctionSpace, parts: Sequence[tuple[npt.ArrayLike, ...]]) -> PETSc.Mat:
+    """Return the matrix of triplets (rows, columns, values); collective."""
+    rows, columns, values = (
+        np.concatenate([np.ravel(part[k]) for part in parts]) for k in range(3)
+    )
+    A = coo.create_square(V, rows, columns)
+    coo.set_values(A, values)
+    return A
 
 
 def _kept_elsewhere(interface: Interface, group: Sequence[Interface]) -> Bools:

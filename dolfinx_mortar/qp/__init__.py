@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from dolfinx_mortar.qp.bound_qp import KKT, BoundQP, QPNotSolved, QPSolution, check, validate
 from dolfinx_mortar.qp.linear import MULTIGRID, LinearSolveFailed, LinearSolver
+from dolfinx_mortar.qp.multigrid import Preconditioning
 
 __all__ = [
     "KKT",
@@ -28,6 +29,7 @@ __all__ = [
     "BoundQP",
     "LinearSolveFailed",
     "LinearSolver",
+    "Preconditioning",
     "QPNotSolved",
     "QPSolution",
     "available",
@@ -37,7 +39,7 @@ __all__ = [
 ]
 
 # Modules that are not backends
-_PARTS = {"bound_qp", "condensed", "dense", "linear", "tao"}
+_PARTS = {"bound_qp", "condensed", "dense", "linear", "multigrid", "tao"}
 
 
 def available() -> list[str]:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from time import perf_counter
@@ -16,12 +16,14 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_mortar.qp.bound_qp import EPS, ROUND_OFF
+from dolfinx_mortar.qp.multigrid import CreatePreconditioning, Multigrid, Preconditioning
 
 Indices = npt.NDArray[np.int32]
 
 DEFAULTS = {"ksp_type": "cg", "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
 # For three dimensions, where a factorisation takes too much time and memory.
-MULTIGRID = {"pc_type": "gamg"}
+# The threshold drops entries that are zero up to round-off.
+MULTIGRID = {"pc_type": "gamg", "pc_gamg_threshold": 0.005}
 # A numeric factorisation in 2D costs as much as 5 to 7 solves with it (measured at 5k, 50k and
 # 200k unknowns, MUMPS): beyond that many iterations a new one is cheaper than an old one.
 REFACTOR_AFTER = 6
@@ -70,8 +72,8 @@ class LinearSolver:
         prefix: prefix of all PETSc options of this solver.
         options: PETSc options without prefix over the defaults (CG with MUMPS Cholesky); what the
             user's options database has under the prefix wins.
-        near_nullspace: for multigrid: returns the motions that strain next to nothing, in the
-            unknowns of the matrix at hand. It is asked at every set-up.
+        preconditioning: for solvers that are not direct: returns the matrix to precondition with,
+            given the held unknowns. It is asked at every set-up; by default the masked matrix.
         refactor_after: iterations that cost as much as a new factorisation or set-up; measured
             values by default.
     """
@@ -82,14 +84,14 @@ class LinearSolver:
         *,
         prefix: str,
         options: dict[str, Any] | None = None,
-        near_nullspace: Callable[[], Sequence[PETSc.Vec]] | None = None,
+        preconditioning: CreatePreconditioning | None = None,
         refactor_after: int | None = None,
     ) -> None:
         """Remember the options; PETSc objects follow with the first matrix."""
         self.comm = comm
         self.prefix = prefix
         self.options = DEFAULTS | (options or {})
-        self.near_nullspace = near_nullspace
+        self.preconditioning = preconditioning
         self._refactor_after = refactor_after
         self.counts = LinearCounts()
         self.memory: dict[str, object] = {}  # what a backend has learnt about the matrices
@@ -102,7 +104,7 @@ class LinearSolver:
     @property
     def direct(self) -> bool:
         """Tell whether the preconditioner is a factorisation."""
-        return self._ksp.getPC().getType() in ("cholesky", "lu")
+        return self._pc.getType() in ("cholesky", "lu")
 
     @property
     def refactor_after(self) -> int:
@@ -116,10 +118,9 @@ class LinearSolver:
         """Name the method, for reports."""
         if self._A is None:
             return "not used yet"
-        pc = self._ksp.getPC()
-        name = pc.getType()
+        name = self._pc.getType()
         if self.direct:
-            name += f" ({pc.getFactorSolverType()})"
+            name += f" ({self._pc.getFactorSolverType()})"
         return f"{self._ksp.getType()} + {name}"
 
     @contextmanager
@@ -157,6 +158,11 @@ class LinearSolver:
         self._ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
         with self.database(self.prefix):
             self._ksp.setFromOptions()
+            self._pc = self._ksp.getPC()
+            if not self.direct:
+                self._multigrid = Multigrid(self.comm, self.prefix)
+                self._pc = self._multigrid.inner
+                self._ksp.setPC(PETSc.PC().createPython(self._multigrid, comm=self.comm))
         if self._ksp.getType() != "cg":
             self._ksp.setNormType(PETSc.KSP.NormType.DEFAULT)
         if self._ksp.getType() != "preonly":
@@ -198,18 +204,13 @@ class LinearSolver:
         if self.is_fresh(fixed):
             return
         begin = perf_counter()
-        pc = self._ksp.getPC()
-        pc.setReusePreconditioner(False)
-        if not self.direct:
-            self._set_near_nullspace(fixed)
-        self._ksp.setOperators(self._masked)
-        for _ in range(MAX_SWEEPS):
+        pc = self._pc
+        if self.direct:
+            self._set_up_factorisation(pc)
+        else:
             with self.database(self.prefix):
-                pc.setUp()
+                self._multigrid.renew(self._create_preconditioning(fixed), fixed)
                 self.counts.factorisations += 1
-                if not self._enlarge_workspace(pc):
-                    break
-        pc.setReusePreconditioner(True)
         self._factor_fixed = fixed.copy()
         self._seen = (self._seen[0], self._state())
         self.counts.seconds_factor += perf_counter() - begin
@@ -221,23 +222,22 @@ class LinearSolver:
                 "condition or a contact that holds it, or check the material constants."
             )
 
-    def _set_near_nullspace(self, fixed: Indices) -> None:
-        """Give the matrix its near-null space, zero where unknowns are held."""
-        if self.near_nullspace is None:
-            return
-        basis: list[PETSc.Vec] = []
-        for vector in self.near_nullspace():
-            vector.array[fixed] = 0.0
-            whole = vector.norm()
-            for _ in range(2):  # twice is enough
-                for other in basis:
-                    vector.axpy(-other.dot(vector), other)
-            if vector.norm() > 1e-8 * whole:
-                vector.normalize()
-                basis.append(vector)
-        if basis:
-            self._masked.setBlockSize(basis[0].getBlockSize())
-            self._masked.setNearNullSpace(PETSc.NullSpace().create(vectors=basis))
+    def _set_up_factorisation(self, pc: PETSc.PC) -> None:
+        """Factorise the masked matrix, with more workspace if there was too little."""
+        pc.setReusePreconditioner(False)
+        self._ksp.setOperators(self._masked)
+        for _ in range(MAX_SWEEPS):
+            with self.database(self.prefix):
+                pc.setUp()
+                self.counts.factorisations += 1
+                if not self._enlarge_workspace(pc):
+                    break
+        pc.setReusePreconditioner(True)
+
+    def _create_preconditioning(self, fixed: Indices) -> Preconditioning:
+        if self.preconditioning is not None:
+            return self.preconditioning(fixed)
+        return Preconditioning(self._masked.copy(), None, [])
 
     def _mumps(self, pc: PETSc.PC) -> PETSc.Mat | None:
         """Return the factor if it is one of MUMPS."""

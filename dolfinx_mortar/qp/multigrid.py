@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: MIT
+"""An iterative solver's preconditioner: multigrid in unknowns that suit it, not in those of the QP.
+
+Where a bound holds an unknown, the unknown is right for multigrid: it drops out. Where the bound is
+open, the two sides move apart, and the unknown, their relative motion, mixes them: coarse functions
+of one body drag the other along (measured in 2D: 75 and 113 iterations on two meshes instead of 17
+and 23, in 3D 43 instead of 18). So the caller may give a matrix B in unknowns v of its own,
+
+    x = (I - E) v,      M^-1 = (I - E) B^-1 (I - E)^T on unknowns that are not held.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+Indices = npt.NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Preconditioning:
+    """The matrix to precondition with for one set of held unknowns."""
+
+    B: PETSc.Mat  # (n, n) symmetric positive definite, held unknowns decoupled
+    E: PETSc.Mat | None  # (n, n) x = (I - E) v; None for E = 0
+    motions: list[PETSc.Vec]  # v that strain next to nothing, zero at held unknowns
+
+
+CreatePreconditioning = Callable[[Indices], Preconditioning]
+
+
+def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
+    """Return an orthonormal basis of the vectors, which are overwritten; collective."""
+    basis: list[PETSc.Vec] = []
+    for vector in vectors:
+        whole = vector.norm()
+        for _ in range(2):  # twice is enough
+            for other in basis:
+                vector.axpy(-other.dot(vector), other)
+        if vector.norm() > 1e-8 * whole:
+            vector.normalize()
+            basis.append(vector)
+    return basis
+
+
+class Multigrid:
+    """Context of a PETSc PC of type python: M^-1 above, with any PC for B^-1.
+
+    Args:
+        comm: communicator of the matrices.
+        prefix: prefix of the options of the PC for B^-1.
+    """
+
+    def __init__(self, comm: MPI.Comm, prefix: str) -> None:
+        """Create the inner PC; its options are read at every set-up."""
+        self.inner = PETSc.PC().create(comm)
+        self.inner.setOptionsPrefix(prefix)
+        self.inner.setFromOptions()
+        self.held = np.empty(0, dtype=np.int32)
+
+    def renew(self, data: Preconditioning, held: Indices) -> None:
+        """Take another matrix; collective."""
+        self.E, self.held, self.B = data.E, held.copy(), data.B
+        basis = orthonormal(data.motions)
+        if basis:
+            data.B.setBlockSize(basis[0].getBlockSize())
+            data.B.setNearNullSpace(PETSc.NullSpace().create(vectors=basis))
+        self.inner.reset()
+        self.inner.setOperators(data.B)
+        self.inner.setFromOptions()
+        self.inner.setUp()
+        self._r = data.B.createVecRight()
+        self._v = data.B.createVecRight()
+
+    def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
+        """Set z = M^-1 r (called by PETSc)."""
+        r.copy(self._r)
+        if self.E is not None:
+            self.E.multTranspose(r, self._v)
+            self._r.axpy(-1.0, self._v)
+        self.inner.apply(self._r, self._v)
+        self._v.copy(z)
+        if self.E is not None:
+            self.E.mult(self._v, self._r)
+            z.axpy(-1.0, self._r)
