@@ -3,6 +3,8 @@
 
 A polygon is an array of vertices, anticlockwise, of which the first `n` count. Lengths are
 relative: the callers scale the plane so that a slave facet has radius 1.
+
+Numba's cache of a caller in another file does not notice changes here: touch that file, too.
 """
 
 import numba
@@ -12,6 +14,8 @@ VERTICES = 32
 """Room for the vertices of a polygon; two quadrilaterals make 8, differences add one per cut."""
 THINNEST = 1e-12
 """Polygons that are narrower than this are dropped."""
+SNAP = 1e-13
+"""Vertices that are nearer to a line are taken to lie on it."""
 TOUCHING = 1e-11
 """Polygons that overlap by less than this width are taken to touch."""
 
@@ -21,20 +25,18 @@ def cut(P, n, ax, ay, bx, by, Q):  # type: ignore[no-untyped-def]
     """Write the part of P on the left of the line from a to b into Q; return its size."""
     dx, dy = bx - ax, by - ay
     length = np.sqrt(dx * dx + dy * dy)
-    if length == 0.0:
-        return 0
     dx, dy = dx / length, dy / length
     m = 0
     before = n - 1
     d0 = dx * (P[before, 1] - ay) - dy * (P[before, 0] - ax)
     for i in range(n):
         d1 = dx * (P[i, 1] - ay) - dy * (P[i, 0] - ax)
-        if (d0 < 0.0) != (d1 < 0.0) and d0 != 0.0 and d1 != 0.0 and m < VERTICES:
+        if ((d0 < -SNAP and d1 > SNAP) or (d0 > SNAP and d1 < -SNAP)) and m < VERTICES:
             t = d0 / (d0 - d1)
             Q[m, 0] = P[before, 0] + t * (P[i, 0] - P[before, 0])
             Q[m, 1] = P[before, 1] + t * (P[i, 1] - P[before, 1])
             m += 1
-        if d1 >= 0.0 and m < VERTICES:
+        if d1 >= -SNAP and m < VERTICES:
             Q[m, 0], Q[m, 1] = P[i, 0], P[i, 1]
             m += 1
         before, d0 = i, d1
@@ -121,15 +123,8 @@ def is_beside(P, n, Q, m, sign, distance):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def overlap(P, n, Q, m):  # type: ignore[no-untyped-def]
-    """Tell whether two anticlockwise convex polygons share more than a line."""
-    # a negative distance: polygons that overlap a little still count as beside each other
-    return not (is_beside(P, n, Q, m, 1, -TOUCHING) or is_beside(Q, m, P, n, 1, -TOUCHING))
-
-
-@numba.njit(cache=True)
-def subtract(P, n, Q, m, pieces, sizes, count, spare):  # type: ignore[no-untyped-def]
-    """Append the convex pieces of P without Q to pieces; return the new count.
+def subtract(P, n, Q, m, sign, pieces, sizes, count, spare):  # type: ignore[no-untyped-def]
+    """Append the convex pieces of P without Q, of the given orientation; return the new count.
 
     Each edge of Q cuts off what lies beyond it, and hands on the rest.
     """
@@ -138,11 +133,12 @@ def subtract(P, n, Q, m, pieces, sizes, count, spare):  # type: ignore[no-untype
         rest[i, 0], rest[i, 1] = P[i, 0], P[i, 1]
     for i in range(m):
         j = i + 1 if i + 1 < m else 0
-        size = cut(rest, n, Q[j, 0], Q[j, 1], Q[i, 0], Q[i, 1], pieces[count])
+        a, b = (i, j) if sign > 0 else (j, i)
+        size = cut(rest, n, Q[b, 0], Q[b, 1], Q[a, 0], Q[a, 1], pieces[count])
         if not is_thin(pieces[count], size):
             sizes[count] = size
             count += 1
-        n = cut(rest, n, Q[i, 0], Q[i, 1], Q[j, 0], Q[j, 1], spare)
+        n = cut(rest, n, Q[a, 0], Q[a, 1], Q[b, 0], Q[b, 1], spare)
         for k in range(n):
             rest[k, 0], rest[k, 1] = spare[k, 0], spare[k, 1]
         if n < 3:

@@ -324,10 +324,8 @@ class ContactProblem:
         for motion in motions:
             motion.array[decoupled] = 0.0
         diagonal = K.getDiagonal()
-        K.zeroRowsColumns(
-            (decoupled + self.first_dof).astype(PETSc.IntType),
-            diag=diagonal.sum() / diagonal.getSize(),
-        )
+        rows = (decoupled + self.first_dof).astype(PETSc.IntType)
+        K.zeroRowsColumns(rows, diag=diagonal.sum() / diagonal.getSize())
         K.setOption(PETSc.Mat.Option.SPD, True)
         return Preconditioning(K, E, motions)
 

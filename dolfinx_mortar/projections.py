@@ -53,7 +53,9 @@ def inverse(P, x, y):  # type: ignore[no-untyped-def]
         a0, a1, b0, b1 = P[1, 0] - P[0, 0], P[1, 1] - P[0, 1], P[2, 0] - P[0, 0], P[2, 1] - P[0, 1]
         J = a0 * b1 - a1 * b0
         p0, p1 = x - P[0, 0], y - P[0, 1]
-        return (p0 * b1 - p1 * b0) / J, (a0 * p1 - a1 * p0) / J, abs(J)
+        xi = (p0 * b1 - p1 * b0) / J
+        # by projection on b: on slivers xi is inexact, but the point stays where it is
+        return xi, ((p0 - xi * a0) * b0 + (p1 - xi * a1) * b1) / (b0 * b0 + b1 * b1), abs(J)
     a0, a1 = (
         (P[1, 0] + P[2, 0] - P[0, 0] - P[3, 0]) / 4,
         (P[1, 1] + P[2, 1] - P[0, 1] - P[3, 1]) / 4,

@@ -23,12 +23,14 @@ import numpy.typing as npt
 
 import basix
 from dolfinx_mortar import polygons
-from dolfinx_mortar.polygons import VERTICES
+from dolfinx_mortar.polygons import TOUCHING, VERTICES
 from dolfinx_mortar.projections import create_planes, height_at, inverse, project, stretch
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 
+NEGLIGIBLE = 1e-13
+"""Triangles that are smaller than this part of their polygon are dropped."""
 _HIGHEST = 24  # degree of quadrature
 _ACCURACY = np.log(1e-12)
 
@@ -52,16 +54,25 @@ def _distance(S, M, x, y):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _any_overlap(pieces, sizes, count):  # type: ignore[no-untyped-def]
-    """Tell whether any of the first `count` polygons overlap; sweep from left to right."""
+def _overlap(P, Q):  # type: ignore[no-untyped-def]
+    """Tell whether two projected facets share more than a line."""
+    p, q = P.shape[0], Q.shape[0]
+    # a negative distance: facets that overlap by round-off still count as beside each other
+    if polygons.is_beside(P, p, Q, q, polygons.orientation(P, p), -TOUCHING):
+        return False
+    return not polygons.is_beside(Q, q, P, p, polygons.orientation(Q, q), -TOUCHING)
+
+
+@numba.njit(cache=True)
+def _any_overlap(M, count):  # type: ignore[no-untyped-def]
+    """Tell whether any of the first `count` facets overlap; sweep from left to right."""
     low, high = np.empty(count), np.empty(count)
+    order, active = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
     for i in range(count):
         low[i], high[i] = np.inf, -np.inf
-        for k in range(sizes[i]):
-            low[i], high[i] = min(low[i], pieces[i, k, 0]), max(high[i], pieces[i, k, 0])
-    order, active = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
-    for i in range(count):  # in place of argsort, which takes seconds to compile
-        k = i
+        for k in range(M.shape[1]):
+            low[i], high[i] = min(low[i], M[i, k, 0]), max(high[i], M[i, k, 0])
+        k = i  # insertion, since argsort takes seconds to compile
         while k > 0 and low[order[k - 1]] > low[i]:
             order[k] = order[k - 1]
             k -= 1
@@ -74,7 +85,7 @@ def _any_overlap(pieces, sizes, count):  # type: ignore[no-untyped-def]
             if high[j] > low[i]:
                 active[left] = j
                 left += 1
-                if polygons.overlap(pieces[i], sizes[i], pieces[j], sizes[j]):
+                if _overlap(M[i], M[j]):
                     return True
         active[left] = i
         a = left + 1
@@ -82,91 +93,105 @@ def _any_overlap(pieces, sizes, count):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _with_room(pieces, sizes, owner, count):  # type: ignore[no-untyped-def]
+def _is_hidden(S, M, i, j, piece, size, common, spare):  # type: ignore[no-untyped-def]
+    """Tell whether facet j is nearer to the slave than facet i, behind the same part of it."""
+    if i == j or not _overlap(M[i], M[j]):
+        return False
+    n = M.shape[1]
+    size = polygons.intersect(piece, size, M[j], n, polygons.orientation(M[j], n), common, spare)
+    if polygons.is_thin(common, size):
+        return False
+    _, x, y = polygons.measure(common, size)
+    one, other = _distance(S, M[i], x, y), _distance(S, M[j], x, y)
+    return other < one or (other == one and j < i)
+
+
+@numba.njit(cache=True)
+def _make_room(pieces, sizes, owner, count):  # type: ignore[no-untyped-def]
     """Return the arrays with room for the pieces of one difference."""
-    if count + VERTICES <= len(sizes):
+    room = len(sizes)
+    if count + VERTICES <= room:
         return pieces, sizes, owner
-    n = 2 * len(sizes) + VERTICES
-    longer, more, whose = (
-        np.empty((n, VERTICES, 2)),
-        np.empty(n, sizes.dtype),
-        np.empty(n, sizes.dtype),
-    )
+    longer = np.empty((2 * room, VERTICES, 2))
+    more, whose = np.zeros(2 * room, np.int64), np.zeros(2 * room, np.int64)
     longer[:count], more[:count], whose[:count] = pieces[:count], sizes[:count], owner[:count]
     return longer, more, whose
 
 
 @numba.njit(cache=True)
-def _keep_nearest(S, M, given, given_sizes, given_owner, n):  # type: ignore[no-untyped-def]
+def _keep_nearest(S, M, given, given_sizes, n):  # type: ignore[no-untyped-def]
     """Return polygons that cover the same without overlap; the nearest master gets each part.
 
-    Every given polygon comes to the pieces of the earlier ones: where it is nearer, they lose what
-    they share with it, where it is not, it loses that.
+    What a master facet hides is cut off by that facet's own edges; those of the polygons can be as
+    short as round-off and have no direction.
+
+    Returns:
+        Polygons, their sizes, their masters, their number.
     """
     pieces = np.empty((2 * n + VERTICES, VERTICES, 2))
-    sizes, owner = np.empty(len(pieces), np.int64), np.empty(len(pieces), np.int64)
+    sizes, owner = np.zeros(len(pieces), np.int64), np.zeros(len(pieces), np.int64)
     common, spare = np.empty((VERTICES, 2)), np.empty((VERTICES, 2))
     count = 0
     for i in range(n):
-        P, size = given[i], given_sizes[i]
-        old = count
-        stronger = np.zeros(old, dtype=np.bool_)
-        for j in range(old):
-            if sizes[j] == 0 or not polygons.overlap(P, size, pieces[j], sizes[j]):
-                continue
-            m = polygons.intersect(P, size, pieces[j], sizes[j], 1, common, spare)
-            if polygons.is_thin(common, m):
-                continue
-            _, x, y = polygons.measure(common, m)
-            mine, other = _distance(S, M[given_owner[i]], x, y), _distance(S, M[owner[j]], x, y)
-            stronger[j] = other <= mine
-            if not stronger[j]:
-                pieces, sizes, owner = _with_room(pieces, sizes, owner, count)
-                first = count
-                count = polygons.subtract(
-                    pieces[j].copy(), sizes[j], P, size, pieces, sizes, count, spare
-                )
-                owner[first:count] = owner[j]
-                sizes[j] = 0
-        pieces, sizes, owner = _with_room(pieces, sizes, owner, count)
-        fresh = count
-        pieces[count], sizes[count], owner[count] = P, size, given_owner[i]
+        first = count
+        pieces, sizes, owner = _make_room(pieces, sizes, owner, count)
+        pieces[count], sizes[count], owner[count] = given[i], given_sizes[i], i
         count += 1
-        for j in range(old):
-            if not stronger[j]:
+        for j in range(n):
+            if not _is_hidden(S, M, i, j, given[i], given_sizes[i], common, spare):
                 continue
-            for k in range(fresh, count):
-                if sizes[k] == 0 or not polygons.overlap(pieces[k], sizes[k], pieces[j], sizes[j]):
-                    continue
-                pieces, sizes, owner = _with_room(pieces, sizes, owner, count)
-                first = count
-                count = polygons.subtract(
-                    pieces[k].copy(), sizes[k], pieces[j], sizes[j], pieces, sizes, count, spare
-                )
-                owner[first:count] = owner[k]
-                sizes[k] = 0
+            for k in range(first, count):
+                pieces, sizes, owner = _make_room(pieces, sizes, owner, count)
+                sign = polygons.orientation(M[j], M.shape[1])
+                common[:] = pieces[k]
+                size, sizes[k], before = sizes[k], 0, count
+                if size > 2:
+                    count = polygons.subtract(
+                        common, size, M[j], M.shape[1], sign, pieces, sizes, count, spare
+                    )
+                    owner[before:count] = i
     return pieces, sizes, owner, count
 
 
 @numba.njit(cache=True)
-def _clip(S, x_m, pairs, first, last, centre, axes, M, pieces, sizes, owner):  # type: ignore[no-untyped-def]
-    """Fill M, pieces, sizes, owner (0 ... last - first) for one slave facet; return the count."""
+def _clip(S, x_m, pairs, first, last, centre, axes, M, pieces, sizes, row):  # type: ignore[no-untyped-def]
+    """Fill M, pieces, sizes and row (of the pair) for one slave facet; return the count."""
     spare = np.empty((VERTICES, 2))
     count = 0
-    k = S.shape[0]
+    k, n = S.shape[0], x_m.shape[1]
     if polygons.orientation(S, k) <= 0:
         return 0  # folded: no inverse map
     for r in range(first, last):
-        P = M[r - first]
+        P = M[count]
         project(x_m[pairs[r, 1]], centre, axes, P)
-        sign = polygons.orientation(P, P.shape[0])
-        if sign == 0 or polygons.is_beside(P, P.shape[0], S, k, sign, 0.0):
+        sign = polygons.orientation(P, n)
+        if sign == 0 or polygons.is_beside(P, n, S, k, sign, 0.0):
             continue
-        size = polygons.intersect(S, k, P, P.shape[0], sign, pieces[count], spare)
+        size = polygons.intersect(S, k, P, n, sign, pieces[count], spare)
         if not polygons.is_thin(pieces[count], size):
-            sizes[count], owner[count] = size, r - first
+            sizes[count], row[count] = size, r
             count += 1
     return count
+
+
+@numba.njit(cache=True)
+def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
+    """Append the triangles of a polygon, those of round-off excepted; return the new arrays."""
+    if t + VERTICES > len(which):
+        more, longer = np.empty(2 * len(which), np.int64), np.empty((2 * len(which), 3, 2))
+        more[:t], longer[:t] = which[:t], corners[:t]
+        which, corners = more, longer
+    least = NEGLIGIBLE * polygons.measure(P, n)[0]
+    for v in range(1, n - 1):
+        ux, uy = P[v, 0] - P[0, 0], P[v, 1] - P[0, 1]
+        vx, vy = P[v + 1, 0] - P[0, 0], P[v + 1, 1] - P[0, 1]
+        if ux * vy - uy * vx > least:
+            which[t] = pair
+            for h in range(2):
+                corners[t, 0, h], corners[t, 1, h] = P[0, h], P[v, h]
+                corners[t, 2, h] = P[v + 1, h]
+            t += 1
+    return which, corners, t
 
 
 @numba.njit(cache=True)
@@ -182,24 +207,17 @@ def _triangulate(x_s, x_m, pairs, centre, axes):  # type: ignore[no-untyped-def]
         while last < p and pairs[last, 0] == s:
             last += 1
         n = last - first
-        M = np.empty((n, x_m.shape[1], 3))
+        M, row = np.empty((n, x_m.shape[1], 3)), np.empty(n, np.int64)
         pieces, sizes = np.empty((n, VERTICES, 2)), np.empty(n, np.int64)
-        owner = np.empty(n, np.int64)
         project(x_s[s], centre[s], axes[s], S)
-        n = _clip(S, x_m, pairs, first, last, centre[s], axes[s], M, pieces, sizes, owner)
-        if _any_overlap(pieces, sizes, n):
-            pieces, sizes, owner, n = _keep_nearest(S, M, pieces, sizes, owner, n)
+        n = _clip(S, x_m, pairs, first, last, centre[s], axes[s], M, pieces, sizes, row)
+        owner = np.arange(n)
+        if _any_overlap(M, n):
+            pieces, sizes, owner, n = _keep_nearest(S, M, pieces, sizes, n)
         for i in range(n):
-            if t + VERTICES > len(which):
-                more, longer = np.empty(2 * len(which), np.int64), np.empty((2 * len(which), 3, 2))
-                more[:t], longer[:t] = which[:t], corners[:t]
-                which, corners = more, longer
-            for v in range(1, sizes[i] - 1):
-                which[t] = first + owner[i]
-                for h in range(2):
-                    corners[t, 0, h] = pieces[i, 0, h]
-                    corners[t, 1, h], corners[t, 2, h] = pieces[i, v, h], pieces[i, v + 1, h]
-                t += 1
+            if sizes[i] > 2:
+                pair = row[owner[i]]
+                which, corners, t = _append_fan(pieces[i], sizes[i], which, corners, t, pair)
     return which[:t], corners[:t]
 
 
@@ -260,8 +278,8 @@ def _place(x_s, x_m, pairs, centre, axes, radius, which, corners, rule, points, 
             xi_m[q, 0], xi_m[q, 1], _ = inverse(M, x, y)
             weight[q] = weights[i] * area * stretch(S, xi_s[q, 0], xi_s[q, 1])
             pair[q] = which[t]
-            q += area > 0.0  # a degenerate triangle of a polygon has nothing to integrate
-    return pair[:q], xi_s[:q], xi_m[:q], weight[:q]
+            q += 1
+    return pair, xi_s, xi_m, weight
 
 
 def place_points(

@@ -325,6 +325,8 @@ class LinearSolver:
     def _sweep(self, reduction: float) -> None:
         """Solve for the correction dx of the present residual, to be reduced by a factor."""
         begin = perf_counter()
+        if not self.direct:
+            self._multigrid.hold(self._fixed, self._diagonal.array_r)  # type: ignore[arg-type]
         self._reduction = max(reduction, 1e-14)
         self._stale = not self.is_fresh(self._fixed)  # type: ignore[arg-type]
         self._ksp.setTolerances(max_it=MAX_ITERATIONS)

@@ -6,7 +6,9 @@ open, the two sides move apart, and the unknown, their relative motion, mixes th
 of one body drag the other along (measured in 2D: 75 and 113 iterations on two meshes instead of 17
 and 23, in 3D 43 instead of 18). So the caller may give a matrix B in unknowns v of its own,
 
-    x = (I - E) v,      M^-1 = (I - E) B^-1 (I - E)^T on unknowns that are not held.
+    x = (I - E) v,      M^-1 = (I - E) B^-1 (I - E)^T on unknowns that are not held now.
+
+B may be that of an earlier set of held unknowns.
 """
 
 from __future__ import annotations
@@ -62,11 +64,11 @@ class Multigrid:
         self.inner = PETSc.PC().create(comm)
         self.inner.setOptionsPrefix(prefix)
         self.inner.setFromOptions()
-        self.held = np.empty(0, dtype=np.int32)
+        self.held_by_B = self.held = self.freed = np.empty(0, dtype=np.int32)
 
     def renew(self, data: Preconditioning, held: Indices) -> None:
         """Take another matrix; collective."""
-        self.E, self.held, self.B = data.E, held.copy(), data.B
+        self.E, self.held_by_B = data.E, held
         basis = orthonormal(data.motions)
         if basis:
             data.B.setBlockSize(basis[0].getBlockSize())
@@ -77,6 +79,11 @@ class Multigrid:
         self.inner.setUp()
         self._r = data.B.createVecRight()
         self._v = data.B.createVecRight()
+
+    def hold(self, held: Indices, diagonal: npt.NDArray[np.float64]) -> None:
+        """Say which unknowns are held now, and the diagonal of the QP's matrix."""
+        self.held, self.freed = held, np.setdiff1d(self.held_by_B, held)
+        self.freed_diagonal = diagonal[self.freed]
 
     def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
         """Set z = M^-1 r (called by PETSc)."""
@@ -89,3 +96,5 @@ class Multigrid:
         if self.E is not None:
             self.E.mult(self._v, self._r)
             z.axpy(-1.0, self._r)
+        z.array[self.freed] = r.array_r[self.freed] / self.freed_diagonal
+        z.array[self.held] = 0.0

@@ -1,0 +1,334 @@
+# SPDX-License-Identifier: MIT
+"""Projection, clipping and candidates in 3D, by identities on surfaces without a mesh."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dolfinx_mortar import facets, segments
+from tests.meshes_3d import rotation
+from tests.surfaces import Side, assemble, grid, triangles
+
+EXACT = 1e-12
+TURN = rotation((0.3, -1.0, 0.7), 1.1)
+CORNERS = np.array([[0.0, 0], [1, 0], [0, 1], [1, 1]])
+PAIRS = pytest.mark.parametrize("k_s, k_m", [(3, 3), (3, 4), (4, 3), (4, 4)])
+
+
+def areas(side):
+    return np.linalg.norm(facets.area_vectors(side.corners), axis=1)
+
+
+def check_identities(slave, master, normal, gap, *, tolerance=EXACT):
+    """Check the operators of two flat sides, the master at slave + gap * normal and the larger."""
+    o = assemble(slave, master)
+    scale = np.abs(slave.x).max()
+    assert np.abs(o.covered - areas(slave)).max() < tolerance
+    # the normal of a sliver is as inexact as its height
+    size = facets.bounding_balls(slave.corners)[1] ** 2 / areas(slave)
+    error = np.abs(o.x_m - o.x_s - gap * normal).max(axis=1)
+    assert (error < tolerance + 1e-14 * abs(gap) * size[o.points.slave]).all()
+    assert (o.points.weight > 0).all()
+    assert (np.diff(o.points.slave) >= 0).all()
+    # D is diagonal, constants and linear fields are reproduced, nothing is lost on the way
+    assert np.abs(o.D - np.diag(o.weights)).max() < tolerance
+    assert np.abs(o.D.sum(axis=1) - o.M.sum(axis=1)).max() < tolerance
+    assert np.abs(o.D.sum(axis=0) - o.weights).max() < tolerance
+    assert np.abs(o.M.sum(axis=0) - o.master_weights).max() < tolerance
+    linear = o.M @ (master.x - gap * normal) - o.D @ slave.x
+    assert np.abs(linear).max() < tolerance * scale
+    whole = np.zeros(len(slave.x))
+    np.add.at(whole, slave.facets, o.points.facet_weights)
+    assert np.abs(o.weights - whole).max() < tolerance
+    return o
+
+
+def points_2d(low, high):
+    """Return a strategy of points in a square with its corners; also close together."""
+    coordinate = st.floats(low, high)
+    wild = st.lists(st.tuples(coordinate, coordinate), max_size=12)
+    box = low + (high - low) * CORNERS
+    return wild.map(lambda p: np.concatenate([box, np.reshape(p, (-1, 2))]))
+
+
+@settings(max_examples=80)
+@given(points_2d(0, 1), points_2d(-0.25, 1.5), st.floats(-2, 2), st.booleans())
+def test_random_triangles(slave, master, gap, shared):
+    """Slivers, touching edges, coincident and almost coincident nodes."""
+    if shared:  # the slave nodes also occur on the master side, some of them a little off
+        noise = np.resize([0, 1e-16, -1e-15, 1e-13, 1e-11, 1e-9, -1e-7, 1e-5], slave.shape)
+        master = np.concatenate([master, slave + noise])
+    x_s = triangles(slave).moved(TURN)
+    x_m = triangles(master).reversed().moved(TURN, gap * TURN[:, 2])
+    check_identities(x_s, x_m, TURN[:, 2], gap)
+
+
+def lines(low, high):
+    """Return a strategy of grid lines, 0.02 apart or more."""
+    widths = st.lists(st.floats(0.05, 1), min_size=1, max_size=5)
+    return widths.map(lambda w: low + (high - low) * np.cumsum([0, *w]) / np.sum(w))
+
+
+@PAIRS
+@settings(max_examples=25)
+@given(
+    x=st.tuples(lines(0, 1), lines(0, 1)),
+    y=st.tuples(lines(-0.3, 1), lines(0, 1.4)),
+    jitter=st.floats(0, 0.6),
+    seed=st.integers(0, 1000),
+    angle=st.floats(0, 7),
+)
+def test_random_grids(k_s, k_m, x, y, jitter, seed, angle):
+    """Facets of both kinds, of any convex shape; flat quadrilaterals are integrated exactly."""
+    slave = grid(*x, jitter, seed, k_s).moved(TURN)
+    turn = rotation((0, 0, 1), angle) if k_s == k_m else np.eye(3)
+    wide = grid(y[0] * 3 - 1, y[1] * 3 - 1, jitter, seed + 1, k_m).reversed()
+    middle = np.array([0.5, 0.5, 0])
+    master = wide.moved(TURN @ turn, TURN @ (middle - turn @ middle + [0, 0, 0.1]))
+    check_identities(slave, master, TURN[:, 2], 0.1)
+
+
+@PAIRS
+def test_partly_covered(k_s, k_m):
+    """The common area is that of the common rectangle, for facets of either side."""
+    slave = grid(np.linspace(0, 1, 4), np.linspace(0, 1, 5), 0.5, 1, k_s)
+    master = grid(np.linspace(0.3, 1.7, 6), np.linspace(-0.2, 0.9, 4), 0.5, 2, k_m).reversed()
+    o = assemble(slave, master)
+    assert o.covered.sum() == pytest.approx(0.7 * 0.9, abs=EXACT)
+    assert (o.covered <= areas(slave) + EXACT).all()
+    assert (o.used <= areas(master) + EXACT).all()
+    assert np.abs(o.D - np.diag(o.weights)).max() < EXACT
+    assert np.abs(o.M @ master.x - o.D @ slave.x).max() < EXACT
+
+
+@PAIRS
+@pytest.mark.parametrize("t", [0.5, 1e-3, 1e-6])
+@pytest.mark.parametrize("distance", [0.0, 1e-3, 1e3, -0.1])
+def test_any_coverage_at_any_distance(k_s, k_m, t, distance):
+    slave, master = grid([0, 1], [0, 1], k=k_s), grid([-1, t], [-1, 2], k=k_m).reversed()
+    o = assemble(slave, master.moved(shift=(0, 0, distance)))
+    assert o.covered.sum() == pytest.approx(t, rel=1e-9)
+    corner = grid([-1, t], [-1, t], k=k_m).reversed().moved(shift=(0, 0, distance))
+    assert assemble(slave, corner).covered.sum() == pytest.approx(t * t, rel=1e-9)
+
+
+def test_matching_sides_make_one_segment_per_facet():
+    side = grid(np.linspace(0, 1, 4), np.linspace(0, 1, 3), 0.4, 3, 3)
+    noise = 1e-15 * np.random.default_rng(0).uniform(-1, 1, side.x.shape)
+    for x in (side.x, side.x + noise):
+        o = assemble(side, Side(x, side.facets).reversed())
+        assert len(o.points.weight) == 3 * len(side.facets)
+        assert np.abs(o.covered - areas(side)).max() < 1e-14
+
+
+def test_touching_edges_share_nothing():
+    o = assemble(grid([0, 1], [0, 1]), grid([1, 2], [0, 1]).reversed())
+    assert len(o.points.weight) == 0
+
+
+def joined(*sides):
+    """Return several sides as one."""
+    first = np.cumsum([0] + [len(side.x) for side in sides])
+    facets = [side.facets + a for side, a in zip(sides, first, strict=False)]
+    return Side(np.concatenate([side.x for side in sides]), np.concatenate(facets))
+
+
+@PAIRS
+@pytest.mark.parametrize("seed", range(4))
+def test_nearest_of_several_masters_covers(k_s, k_m, seed):
+    """Layers behind each other, the nearer ones smaller: no point is covered twice."""
+    slave = grid(np.linspace(0, 1, 3), np.linspace(0, 1, 3), 0.3, seed, k_s)
+    near = grid([0.2, 0.35, 0.6], [0.25, 0.8], 0, seed, k_m).moved(shift=(0, 0, 0.1))
+    other = grid([0.5, 0.9], [0.1, 0.4, 0.9], 0, seed, k_m).moved(shift=(0, 0, -0.2))
+    far = grid(np.linspace(-1, 2, 5), np.linspace(-1, 2, 5), 0.3, seed, k_m)
+    far = far.moved(shift=(0, 0, 0.5))
+    master = joined(far, other, near).renumbered(seed).reversed()
+    o = assemble(slave, master)
+    assert np.abs(o.covered - areas(slave)).max() < EXACT
+    height = master.corners[:, :, 2].mean(axis=1)
+    shares = [o.used[np.isclose(height, z)].sum() for z in (0.1, -0.2, 0.5)]
+    beside = 0.4 * 0.8 - 0.1 * 0.55  # of the second layer, beside the first
+    first = 0.4 * 0.55
+    assert shares == pytest.approx([first, beside, 1 - first - beside], abs=EXACT)
+
+
+@PAIRS
+def test_crossing_masters_cover_once(k_s, k_m):
+    """Two layers that penetrate each other: everything is covered, by either."""
+    slave = grid([0, 0.4, 1], [0, 0.7, 1], k=k_s)
+    slope = np.array([[1, 0, 0], [0, 1, 0], [0.4, 0, 1]])
+    flat = grid(np.linspace(-1, 2, 6), [-1, 0.2, 2], k=k_m)
+    master = joined(flat.moved(slope, (0, 0, 0.1)), flat.moved(shift=(0, 0, 0.3))).reversed()
+    assert np.abs(assemble(slave, master).covered - areas(slave)).max() < EXACT
+
+
+def test_back_of_a_thin_master_is_ignored():
+    front = grid([-1, 2], [-1, 2]).reversed().moved(shift=(0, 0, 0.1))
+    back = grid([-1, 2], [-1, 2]).moved(shift=(0, 0, 0.05))
+    o = assemble(grid([0, 1], [0, 1]), joined(back, front))
+    assert (o.points.master == 1).all()
+    assert o.covered == pytest.approx([1.0], abs=EXACT)
+
+
+def curved(side, bend):
+    """Return a side on the surface z = bend(x, y)."""
+    return Side(np.column_stack([side.x[:, :2], bend(*side.x[:, :2].T)]), side.facets)
+
+
+def saddle(x, y):
+    return 0.3 * x**2 - 0.2 * y**2 + 0.2 * x * y
+
+
+@PAIRS
+def test_covered_area_of_curved_sides_is_of_second_order(k_s, k_m):
+    """Sides on one curved surface, the master beyond the slave, warped facets."""
+    errors, gaps = [], []
+    exact = None
+    for n in (4, 8, 16):
+        s, m = np.linspace(0, 1, n + 1), np.linspace(-0.5, 1.5, 3 * n + 1)
+        slave = curved(grid(s, s, 0.3, n, k_s), saddle)
+        master = curved(grid(m, m, 0.3, n + 1, k_m), saddle).reversed()
+        o = assemble(slave, master)
+        fine = curved(grid(np.linspace(0, 1, 129), np.linspace(0, 1, 129), k=3), saddle)
+        exact = areas(fine).sum() if exact is None else exact
+        errors.append(abs(o.covered.sum() - exact))
+        gaps.append(np.abs(o.x_m - o.x_s).max())
+        assert np.abs(o.D.sum(axis=1) - o.M.sum(axis=1)).max() < EXACT
+        assert np.abs(o.D - np.diag(o.weights)).max() < EXACT
+    assert np.log2(errors[0] / errors[2]) / 2 > 1.8
+    assert np.log2(gaps[0] / gaps[2]) / 2 > 1.6
+
+
+@PAIRS
+def test_closed_neighbours_share_their_edges(k_s, k_m):
+    """On a curved side all facets inside are covered, up to second order, without holes."""
+    s = np.linspace(0, 1, 9)
+    slave = curved(grid(s, s, 0.3, 1, k_s), saddle)
+    master = curved(grid(np.linspace(-1, 2, 13), np.linspace(-1, 2, 11), 0.3, 2, k_m), saddle)
+    o = assemble(slave, master.reversed())
+    assert np.abs(o.covered / o.points.facet_weights.sum(axis=1) - 1).max() < 1e-5
+
+
+@PAIRS
+def test_points_lie_on_the_normal_of_the_slave_facet(k_s, k_m):
+    slave = curved(grid(np.linspace(0, 1, 4), np.linspace(0, 1, 5), 0.5, 1, k_s), saddle)
+    master = curved(grid(np.linspace(-1, 2, 7), np.linspace(-1, 2, 6), 0.5, 2, k_m), saddle)
+    o = assemble(slave, master.reversed().moved(shift=(0.1, 0, 0.4)))
+    normals = facets.facet_normals(slave.corners)[o.points.slave]
+    assert len(normals) > 0
+    assert np.abs(np.cross(o.x_m - o.x_s, normals)).max() < EXACT
+
+
+@PAIRS
+@pytest.mark.parametrize("seed", range(3))
+def test_numbering_does_not_matter(k_s, k_m, seed):
+    """Operators as bilinear forms of fields are the same for any order of nodes and facets."""
+    slave = curved(grid(np.linspace(0, 1, 4), np.linspace(0, 1, 5), 0.5, 1, k_s), saddle)
+    master = curved(grid(np.linspace(-0.4, 2, 7), np.linspace(0.3, 2, 6), 0.5, 2, k_m), saddle)
+
+    def forms(slave, master):
+        o = assemble(slave, master)
+        f, g = np.exp(slave.x @ [0.3, 0.8, 0.1]), np.cos(master.x @ [1, 2, 1.0])
+        return np.array([f @ o.D @ f, f @ o.M @ g, o.covered.sum()])
+
+    one = forms(slave, master.reversed())
+    other = forms(slave.renumbered(seed), master.reversed().renumbered(seed + 10))
+    # the surface of warped facets is not a polynomial; everything else is exact
+    assert np.abs(one - other).max() < (1e-7 if k_s == 4 else 1e-11)
+
+
+@PAIRS
+@settings(max_examples=20)
+@given(seed=st.integers(0, 10**6), n=st.integers(1, 6), m=st.integers(1, 6))
+def test_candidates_contain_all_segments(k_s, k_m, seed, n, m):
+    """The broad phase loses nothing: all pairs as candidates give the same segments."""
+    rng = np.random.default_rng(seed)
+    a, b = (
+        grid(np.linspace(0, 1, n + 1), np.linspace(0, 1, n + 1), 0.4, seed, k_s),
+        grid(np.linspace(-0.2, 1, m + 1), np.linspace(0, 1.3, m + 1), 0.4, seed + 1, k_m),
+    )
+    slave = Side(a.x + rng.uniform(-0.1, 0.1, a.x.shape) / n, a.facets)
+    master = Side(b.x + rng.uniform(-0.1, 0.1, b.x.shape) / m + [0, 0, 0.3], b.facets).reversed()
+    sizes = len(slave.facets), len(master.facets)
+    every = np.stack(np.divmod(np.arange(sizes[0] * sizes[1]), sizes[1]), axis=1)
+    o, complete = assemble(slave, master), assemble(slave, master, pairs=every.astype(np.int32))
+    for name in ("slave", "master", "xi_s", "xi_m", "weight"):
+        assert (getattr(o.points, name) == getattr(complete.points, name)).all()
+
+
+def test_broad_phase_is_selective():
+    """Equal flat grids: at most the neighbours without a margin, one more ring with it."""
+    s = np.linspace(0, 1, 21)
+    slave, master = grid(s, s).corners, grid(s, s).reversed().moved(shift=(0, 0, 0.01)).corners
+    none = np.zeros(slave.shape)
+    pairs = segments.find_candidates(slave, none, master, np.zeros(400), moving=False)
+    assert np.bincount(pairs[:, 0]).max() == 9
+    margin = segments.sliding_margins(slave)
+    pairs = segments.find_candidates(slave, none, master, margin)
+    assert np.bincount(pairs[:, 0]).max() <= 9 + 12
+
+
+@pytest.mark.parametrize("k", [3, 4])
+def test_margin_holds_while_the_master_slides(k):
+    slave = curved(grid(np.linspace(0, 1, 6), np.linspace(0, 1, 6), 0.4, 1, k), saddle)
+    master = curved(grid(np.linspace(-1, 2, 15), np.linspace(-1, 2, 15), 0.4, 2, k), saddle)
+    master = master.reversed()
+    x, none = slave.corners, np.zeros(slave.corners.shape)
+    margin = segments.sliding_margins(x)
+    known = set(map(tuple, segments.find_candidates(x, none, master.corners, margin)))
+    small = 0.9 * margin.min()
+    for shift in ((small, 0, 0), (0, -small, 0), (0.7 * small, 0.7 * small, 0)):
+        moved = master.moved(rotation((1, 1, 0), 0.01), shift).corners
+        now = segments.find_candidates(x, none, moved, 0 * margin, moving=False)
+        assert set(map(tuple, now)) <= known
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+@PAIRS
+def test_units_do_not_matter(k_s, k_m, scale):
+    slave = curved(grid(np.linspace(0, 1, 4), np.linspace(0, 1, 5), 0.5, 1, k_s), saddle)
+    master = curved(grid(np.linspace(-0.4, 2, 7), np.linspace(0.3, 2, 6), 0.5, 2, k_m), saddle)
+    master = master.reversed()
+    one = assemble(slave, master)
+    other = assemble(slave.moved(scale * np.eye(3)), master.moved(scale * np.eye(3)))
+    assert (one.points.slave == other.points.slave).all()
+    assert np.abs(one.points.xi_m - other.points.xi_m).max() < EXACT
+    assert np.abs(one.D - other.D / scale**2).max() < EXACT
+
+
+def one_facet(*nodes):
+    """Return a side of one facet in z = 0."""
+    x = np.column_stack([np.array(nodes, dtype=float), np.zeros(len(nodes))])
+    return Side(x, np.arange(len(nodes), dtype=np.int32)[None])
+
+
+def test_folded_facets_cover_nothing():
+    """A facet that deformation has turned inside out has no inverse map."""
+    folded = Side(
+        np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]), np.array([[0, 1, 2, 3]])
+    )
+    whole = grid([-1, 2], [-1, 2])
+    pairs = np.zeros((1, 2), dtype=np.int32)
+    assert len(assemble(folded, whole.reversed(), pairs=pairs).points.weight) == 0
+    assert len(assemble(whole, folded.reversed(), pairs=pairs).points.weight) == 0
+
+
+def test_inverse_map_takes_the_root_inside():
+    """Of the two points of a bilinear facet over a point of the plane, the one on the facet."""
+    dart = Side(
+        np.array([[0.0, 0, 0], [1, 0, 0], [0.6, 0.6, 0], [0, 1, 0]]), np.array([[0, 1, 2, 3]])
+    )
+    wide = grid([-1, 2], [-1, 2]).reversed()
+    for o in (assemble(dart, wide), assemble(wide.reversed(), dart.reversed())):
+        assert np.abs(o.points.xi_s).max() <= 1 + EXACT
+        assert np.abs(o.points.xi_m).max() <= 1 + EXACT
+        assert np.abs(o.x_s - o.x_m).max() < EXACT
+        assert o.covered.sum() == pytest.approx(0.6, abs=EXACT)
+
+
+def test_no_pairs_at_all():
+    none = np.empty((0, 2), dtype=np.int32)
+    o = assemble(grid([0, 0.4, 1], [0, 1]), grid([7, 8], [7, 8]).reversed(), pairs=none)
+    assert len(o.points.weight) == 0
+    assert o.points.facet_weights.sum() == pytest.approx(1.0)
