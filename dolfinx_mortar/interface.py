@@ -223,11 +223,6 @@ class Interface:
         """Set R, slot, S at the owned slave nodes and refill Q."""
         raise NotImplementedError
 
-    @property
-    def opens(self) -> Bools:
-        """(n,) slave nodes at which the two sides may come apart."""
-        return np.zeros(len(self.pattern.nodes), dtype=bool)
-
     def constrained(self, v: PETSc.Vec) -> Floats:
         """Return the constrained components of the relative motion; collective."""
         return np.asarray(self.relative(v)[self.S])
@@ -307,11 +302,6 @@ class Contact(Interface):
     """
 
     kind = "contact"
-
-    @property
-    def opens(self) -> Bools:
-        """(n,) slave nodes at which the two sides may come apart."""
-        return np.asarray(self.S[:, 0])
 
     def _allowed(self, nodes: Ints, left: Floats) -> Bools:
         return np.asarray((left >= MIN_FREE_NORMAL)[:, None])

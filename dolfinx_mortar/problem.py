@@ -16,16 +16,21 @@ import ufl
 from dolfinx import fem, la
 from dolfinx_mortar.arguments import check_arguments
 from dolfinx_mortar.audit import Audit, create_audit
-from dolfinx_mortar.bodies import Bodies, find_bodies, rigid_motions
+from dolfinx_mortar.bodies import Bodies, find_bodies
 from dolfinx_mortar.interface import Contact, Interface, Tie
 from dolfinx_mortar.parallel import any_rank, maximum
-from dolfinx_mortar.qp import MULTIGRID, BoundQP, LinearSolver, Preconditioning
+from dolfinx_mortar.preconditioning import create_preconditioning
+from dolfinx_mortar.qp import MULTIGRID, BoundQP, LinearSolver
 from dolfinx_mortar.report import Timings
 from dolfinx_mortar.solid import Solid
 from dolfinx_mortar.transformation import Transformation, resolve_claims
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
+
+# Two round bodies that overlap by delta touch where they would overlap by half of it (Hertz: a^2 =
+# R delta, while the overlap ends at 2 R delta).
+OVERLAP = 0.5
 
 
 class ContactProblem:
@@ -80,7 +85,7 @@ class ContactProblem:
                 self.comm,
                 prefix=petsc_options_prefix,
                 options=(MULTIGRID if self.d == 3 else {}) | dict(petsc_options or {}),
-                preconditioning=self._preconditioning,
+                preconditioning=lambda held: create_preconditioning(self, held),
             )
         with self.timings("mortar"):
             for interface in self.interfaces:
@@ -313,22 +318,6 @@ class ContactProblem:
             forces.copy(result)
         return result
 
-    def _preconditioning(self, held: npt.NDArray[np.int32]) -> Preconditioning:
-        """Return what multigrid works on while some bounds are active; collective."""
-        K = self.K if self.interfaces else self.K.copy()  # without interfaces K is the QP's matrix
-        motions = rigid_motions(self.V)
-        E = None
-        if self.interfaces:
-            K, E, motions = self.transformation.release(K, held, motions)
-        decoupled = np.union1d(self.eliminated, held).astype(np.int32)
-        for motion in motions:
-            motion.array[decoupled] = 0.0
-        diagonal = K.getDiagonal()
-        rows = (decoupled + self.first_dof).astype(PETSc.IntType)
-        K.zeroRowsColumns(rows, diag=diagonal.sum() / diagonal.getSize())
-        K.setOption(PETSc.Mat.Option.SPD, True)
-        return Preconditioning(K, E, motions)
-
     def to_displacement(self, dy: PETSc.Vec) -> PETSc.Vec:
         """Return du = T dy; collective."""
         du = self.vectors["du"]
@@ -341,8 +330,9 @@ class ContactProblem:
     def predict_active(self) -> npt.NDArray[np.int8]:
         """Return a first guess of the contact set, int8 on the bounded unknowns; collective.
 
-        The set of the last step where there is one; otherwise the nodes that overlap once every
-        body moved by the mean of its prescribed increments; where none does, the nodes nearest.
+        The set of the last step where there is one; otherwise nodes that overlap once every body
+        moved by the mean of its prescribed increments, as deeply as where round bodies touch in
+        the end; where none does, the nodes nearest.
         """
         marked = self.active[self.bounded_nodes]
         if not any_rank(self.comm, marked.any())[0] and self.contacts:
@@ -355,7 +345,8 @@ class ContactProblem:
                 nodes = contact.pattern.nodes[kept]
                 gap[nodes] -= contact.relative(self.vectors["dy"])[kept, 0]
             nearest = -float(maximum(self.comm, -gap.min(initial=np.inf))[0])
-            marked = gap[self.bounded_nodes] <= max(0.0, nearest) + 1e-6 * self.facet_length
+            reach = nearest if nearest > 0.0 else OVERLAP * nearest
+            marked = gap[self.bounded_nodes] <= reach + 1e-6 * self.facet_length
         return marked.astype(np.int8)
 
     # -- results ---------------------------------------------------------------------------------

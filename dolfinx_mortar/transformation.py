@@ -233,7 +233,7 @@ class _Factor:
             p = i.pattern
             at = d * (p.nodes.astype(np.int64) + first)
             T.append((at[mine][:, None] + a, at[mine][:, None] + b, i.R[mine].reshape(-1, d * d)))
-            open_ = i.opens & ~is_held[d * p.nodes]
+            open_ = (i.kind == "contact") & i.S[:, 0] & ~is_held[d * p.nodes]
             used = i.blocks.any(axis=(1, 2))
             on, off = used & ~open_[p.row], used & open_[p.row]
             columns = d * p.column[:, None]
