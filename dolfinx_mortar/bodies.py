@@ -68,7 +68,7 @@ class Bodies:
 
 def find_bodies(V: fem.FunctionSpace) -> Bodies:
     """Find the connected parts of the mesh through the nodes that cells share; collective."""
-    layout, d, comm = V.dofmap.index_map, V.dofmap.index_map_bs, V.mesh.comm
+    layout, comm = V.dofmap.index_map, V.mesh.comm
     n_owned, n_local = layout.size_local, layout.size_local + layout.num_ghosts
     cells = V.dofmap.list
     first, last = cells[:, :-1].ravel(), cells[:, 1:].ravel()

@@ -228,7 +228,8 @@ class _Factor:
         is_held[held] = True
         a, b = np.divmod(np.arange(d * d), d)
         rest = self.rest
-        T, E = [(rest, rest, np.ones(len(rest)))], []
+        T: list[tuple[npt.ArrayLike, ...]] = [(rest, rest, np.ones(len(rest)))]
+        E: list[tuple[npt.ArrayLike, ...]] = []
         for i, mine in self.parts:
             p = i.pattern
             at = d * (p.nodes.astype(np.int64) + first)
