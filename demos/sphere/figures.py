@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: MIT
+"""The pictures of the sphere demo: bodies in perspective, contact pressure as a map and a curve.
+
+They are drawn on one rank from the XDMF file, so they look the same on any number of ranks. Fields
+are constant per cell, as computed, and drawn on the deformed bodies at true scale.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.tri import Triangulation
+
+log = logging.getLogger(__name__)
+
+ZZ = 8  # place of the zz component among the nine of a tensor
+DPI = 150
+SIZE = (1200, 900)  # pixels of the pictures in perspective
+VIEW = (-1.0, -1.1, 0.75)  # from where the symmetry planes are seen
+BAR = {"vertical": True, "position_x": 0.88, "position_y": 0.2, "height": 0.6, "width": 0.05}
+
+Pressure = tuple[np.ndarray, np.ndarray]  # positions (n, 2), pressures (n,)
+
+
+def draw(output: Path, xdmf: Path, summary: dict[str, Any], pressure: Pressure) -> list[Path]:
+    """Draw all pictures of the last step into a folder; call on one rank.
+
+    Args:
+        output: Existing folder for the PNG files.
+        xdmf: File written by `dolfinx_mortar.Writer`.
+        summary: The demo's summary; its last step gives the load, the force and Hertz' solution.
+        pressure: Positions (n, 2) [mm] and contact pressures (n,) [MPa] of the slave nodes.
+
+    Returns:
+        The files written.
+    """
+    step = summary["steps"][-1]
+    files = []
+    for name, figure in (
+        ("pressure_map", _map(step, pressure)),
+        ("pressure", _curve(step, pressure)),
+    ):
+        files.append(output / f"{name}.png")
+        figure.savefig(files[-1], dpi=DPI)
+    try:
+        import pyvista
+    except ImportError:
+        log.warning("pyvista is not installed: no pictures in perspective")
+        return files
+    with _screen() as found:
+        if not found:
+            log.warning("no screen and no Xvfb: no pictures in perspective")
+            return files
+        return files + _perspectives(pyvista, output, xdmf, step, pressure)
+
+
+@contextmanager
+def _screen() -> Iterator[bool]:
+    """Provide an X server of our own if there is no screen; tell whether there is one."""
+    if os.environ.get("DISPLAY"):
+        yield True
+        return
+    if shutil.which("Xvfb") is None:
+        yield False
+        return
+    read, write = os.pipe()
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1600x1200x24", "-nolisten", "tcp"],
+        pass_fds=[write],
+        stderr=subprocess.DEVNULL,
+    )
+    os.close(write)
+    with os.fdopen(read) as pipe:
+        number = pipe.readline().strip()
+    try:
+        if number:
+            os.environ["DISPLAY"] = f":{number}"
+        yield bool(number)
+    finally:
+        os.environ.pop("DISPLAY", None)
+        server.terminate()
+        server.wait()
+
+
+def _perspectives(
+    pyvista: Any, output: Path, xdmf: Path, step: dict[str, Any], pressure: Pressure
+) -> list[Path]:
+    """Draw mesh and fields, whole and at the contact."""
+    grid = _read(pyvista, xdmf)
+    load = f"d = {step['displacement']:.4g} mm, P = {step['force']:.0f} N"
+    near = _near(pressure)
+    pictures = {
+        "mesh": (None, f"Quarter model: {grid.n_cells} cells, {grid.n_points} nodes", None),
+        "von_mises": ("von_mises", f"Von Mises stress [MPa], {load}", None),
+        "von_mises_zoom": ("von_mises", f"Von Mises stress [MPa], {load}", near),
+        "stress_z_zoom": ("stress_z", f"Vertical stress [MPa], {load}", near),
+        "deformed": ("u_z", f"Vertical displacement [mm], {load}", None),
+    }
+    if step["plastic_volume"] > 0.0:
+        pictures["plastic_strain_zoom"] = (
+            "plastic_strain_norm",
+            f"Plastic strain (Frobenius norm), {load}",
+            near,
+        )
+    files = []
+    for name, (field, title, size) in pictures.items():
+        files.append(output / f"{name}.png")
+        plotter = pyvista.Plotter(off_screen=True, window_size=SIZE)
+        plotter.set_background("white")
+        part = grid if size is None else _cut(grid, size)
+        style = {"show_edges": True, "line_width": 1, "edge_color": "#40404060"}
+        if field is None:
+            plotter.add_mesh(part, scalars="body", cmap=["#b9cfe4", "#e4c9a8"], **style)
+            plotter.remove_scalar_bar()
+        else:
+            bar = BAR | {"title": " ", "color": "black", "fmt": "%.3g"}
+            plotter.add_mesh(part, scalars=field, cmap="viridis", scalar_bar_args=bar, **style)
+        plotter.add_text(title, font_size=13, color="black", position="upper_edge")
+        plotter.add_axes(color="black")
+        plotter.view_vector(VIEW, viewup=(0, 0, 1))
+        plotter.camera.zoom(1.1)
+        plotter.screenshot(files[-1])
+        plotter.close()
+    return files
+
+
+def _read(pyvista: Any, xdmf: Path) -> Any:
+    """Return the last step that the file holds, on the deformed bodies."""
+    with meshio.xdmf.TimeSeriesReader(xdmf) as reader:
+        points, (block,) = reader.read_points_cells()
+        _, node, cell = reader.read_data(reader.num_steps - 1)
+    kinds = {"hexahedron": pyvista.CellType.HEXAHEDRON, "tetra": pyvista.CellType.TETRA}
+    grid = pyvista.UnstructuredGrid(
+        {kinds[block.type]: np.asarray(block.data)}, points + node["displacement"]
+    )
+    # the bodies are told apart before they are deformed
+    middle = points[block.data][:, :, 2].mean(axis=1)
+    grid.cell_data["body"] = (middle > 0.0).astype(float)
+    grid.cell_data["stress_z"] = cell["stress"][0][:, ZZ]
+    for name in ("von_mises", "plastic_strain_norm"):
+        if name in cell:
+            grid.cell_data[name] = cell[name][0]
+    grid.point_data["u_z"] = node["displacement"][:, 2]
+    return grid
+
+
+def _near(pressure: Pressure) -> float:
+    """Return the size of the part to show at the contact."""
+    x, p = pressure
+    r = np.hypot(*x.T)
+    return 2.2 * float(r[p > 0.0].max(initial=0.1 * r.max()))
+
+
+def _cut(grid: Any, size: float) -> Any:
+    """Return the cells near the contact."""
+    centres = np.abs(grid.cell_centers().points)
+    return grid.extract_cells(np.flatnonzero(centres.max(axis=1) < size))
+
+
+def _map(step: dict[str, Any], pressure: Pressure) -> Figure:
+    """Draw the pressure over the quarter of the contact, with Hertz' circle."""
+    x, p = pressure
+    figure = Figure(figsize=(6.4, 5.4), layout="constrained")
+    axes = figure.subplots()
+    drawn = axes.tripcolor(Triangulation(*x.T), p, shading="gouraud", cmap="inferno")
+    axes.plot(*x[p > 0.0].T, ".", color="white", ms=2, label="nodes in contact")
+    a = step["contact_radius_hertz"]
+    t = np.linspace(0.0, np.pi / 2, 91)
+    axes.plot(a * np.cos(t), a * np.sin(t), "c--", lw=1.2, label=f"Hertz, elastic: a = {a:.3f} mm")
+    limit = 1.25 * max(a, step["contact_radius_last_node"])
+    axes.set(
+        aspect="equal",
+        title=f"Contact pressure at $P$ = {step['force']:.0f} N",
+        xlabel="x [mm]",
+        ylabel="y [mm]",
+        xlim=(0.0, limit),
+        ylim=(0.0, limit),
+    )
+    axes.legend(loc="upper right", fontsize="small", facecolor="#808080")
+    figure.colorbar(drawn, ax=axes, label="pressure [MPa]")
+    return figure
+
+
+def _curve(step: dict[str, Any], pressure: Pressure) -> Figure:
+    """Draw the nodal pressures over the radius, and Hertz' elastic solution for this force."""
+    x, p = pressure
+    r = np.hypot(*x.T)
+    figure = Figure(figsize=(7.2, 4.6), layout="constrained")
+    axes = figure.subplots()
+    a, p0 = step["contact_radius_hertz"], step["peak_pressure_hertz"]
+    t = np.linspace(0.0, np.pi / 2, 201)
+    label = f"Hertz, elastic: $p_0$ = {p0:.0f} MPa, $a$ = {a:.3f} mm"
+    axes.plot(a * np.cos(t), p0 * np.sin(t), "k--", lw=1.2, label=label)
+    limit = 1.4 * max(a, step["contact_radius_last_node"], 1e-300)
+    shown = r < limit
+    label = f"computed, all slave nodes: largest {p.max(initial=0.0):.0f} MPa"
+    axes.plot(r[shown], p[shown], "o", color="#c03a2b", ms=3.5, label=label)
+    axes.set(
+        title=f"Contact pressure at $P$ = {step['force']:.0f} N",
+        xlabel="distance r from the axis [mm]",
+        ylabel="pressure [MPa]",
+        xlim=(0.0, limit),
+    )
+    axes.set_ylim(0.0, 1.25 * max(axes.get_ylim()[1], 1e-300))  # room for the legend
+    axes.grid(alpha=0.3)
+    axes.legend(loc="upper right", fontsize="small")
+    return figure

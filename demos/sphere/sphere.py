@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: MIT
+# ruff: noqa: D100
+
+# # A half ball pressed into a block, both elasto-plastic
+#
+# The three-dimensional companion of the Hertz demo. It shows how to
+#
+# - model a quarter of two bodies with symmetry planes that cut through the contact,
+# - solve contact in 3D with the default solver: conjugate gradients with algebraic multigrid,
+# - check the result against Hertz' point contact, and look at the pressure as a map.
+#
+# A half ball of radius 8 mm touches the block $[-15, 15]^2 \times [-10, 0]$ mm in the origin. The
+# block is clamped at the bottom, the flat face of the ball is pushed down by $d$. In every step
+#
+# $$\min_v \Psi(v) - f \cdot v \quad\text{subject to}\quad B_E v = c_E,\; B_I v \le c_I,$$
+#
+# with $B_I = N^T (D - M)$ the weighted gap of the mortar method. Units: mm, MPa, N.
+
+import argparse
+import json
+import logging
+import time
+from pathlib import Path
+
+from mpi4py import MPI
+
+import figures
+import numpy as np
+
+import dolfinx_mortar as dm
+from dolfinx import fem
+from dolfinx.mesh import MeshTags
+
+RADIUS = 8.0
+PARTS = ("mortar", "assembly", "transform", "linear_solves", "commit")
+
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("--displacement", type=float, default=0.2, help="of the flat face, in mm")
+parser.add_argument("--steps", type=int, default=1, help="number of equal load steps")
+parser.add_argument("--material", choices=["plastic", "elastic"], default="plastic")
+parser.add_argument("--cell", choices=["tetrahedron", "hexahedron"], default="hexahedron")
+parser.add_argument("--slave", choices=["block", "ball"], default="block")
+parser.add_argument("--h", type=float, default=0.125, help="element size at the contact, in mm")
+parser.add_argument("--geometry", choices=["reference", "updated"], default="updated")
+parser.add_argument("--qp", default="active-set", help="active-set, interior-point or tron")
+parser.add_argument("--rtol", type=float, default=1e-6, help="tolerance of Newton's method")
+parser.add_argument("--output", type=Path, default=Path("results/sphere"))
+
+
+def main(options: argparse.Namespace) -> dict:
+    """Solve the problem and return its summary."""
+    comm = MPI.COMM_WORLD
+    seconds = {}
+    begin = lap = time.perf_counter()
+
+    # ## Mesh
+    #
+    # A quarter of both bodies, in one mesh with two disconnected parts, graded towards the contact.
+    # Cell tags: 1 block, 2 ball. Facet tags: 1 bottom, 2 flat face, 3 top of the block, 4 round
+    # surface of the ball, 5 and 6 the symmetry planes $x = 0$ and $y = 0$.
+
+    mesh, cell_tags, facet_tags = dm.meshing.sphere(
+        comm, cell=options.cell, h=options.h, radius=RADIUS
+    )
+    lap, seconds["mesh"] = time.perf_counter(), time.perf_counter() - lap
+
+    # ## Bodies
+    #
+    # Von Mises plasticity with kinematic hardening, with a uniaxial yield stress of 450 MPa.
+
+    steel = dm.VonMises(E=206_900.0, nu=0.29, Y=450.0 * np.sqrt(2.0 / 3.0), a=10_000.0)
+    if options.material == "elastic":
+        steel = dm.Elastic(E=steel.E, nu=steel.nu)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    u = fem.Function(V, name="displacement")
+    solid = dm.Solid(u, {1: steel, 2: steel}, cell_tags)
+
+    # ## Supports and contact
+    #
+    # The slave side carries the multipliers (the pressures); either side may be the slave.
+
+    push = fem.Constant(mesh, 0.0)
+    bcs = supports(V, facet_tags, push)
+    slave, master = (3, 4) if options.slave == "block" else (4, 3)
+    contact = dm.Contact(facet_tags, slave=slave, master=master)
+    problem = dm.ContactProblem(
+        solid, [contact], bcs=bcs, geometry=options.geometry, petsc_options_prefix="sphere_"
+    )
+
+    def press(d: float) -> None:
+        push.value = -d
+
+    # ## Load steps
+    #
+    # The linear systems are solved by conjugate gradients with algebraic multigrid. To choose
+    # another solver, say `petsc_options={"pc_type": "cholesky"}`.
+
+    if comm.rank == 0:
+        options.output.mkdir(parents=True, exist_ok=True)
+    comm.barrier()
+    seconds["setup"] = time.perf_counter() - lap
+    levels = options.displacement * np.arange(1, options.steps + 1) / options.steps
+    steps = []
+    output = 0.0
+    with dm.Writer(options.output / "sphere.xdmf", problem, notes={"units": "mm, MPa"}) as writer:
+        for step in dm.load_steps(problem, levels, on_time=press, qp=options.qp, rtol=options.rtol):
+            steps.append(summarise(step, problem, contact, steel, options))
+            lap = time.perf_counter()
+            writer.write(step.time)
+            output += time.perf_counter() - lap
+            if comm.rank == 0:
+                print(step.report)
+    nodes = contact.gather(u)
+    summary = {
+        "dofs": 3 * V.dofmap.index_map.size_global,
+        "cells": mesh.topology.index_map(3).size_global,
+        "ranks": comm.size,
+        "slave_nodes": len(nodes["X"]),
+        "linear_solver": problem.linear.description,
+        "options": {name: str(value) for name, value in vars(options).items()},
+        "steps": steps,
+        "seconds": seconds | {part: problem.timings.seconds.get(part, 0.0) for part in PARTS},
+    }
+
+    # ## Pictures
+    #
+    # The bodies in perspective, the contact pressure as a map and along the radius.
+
+    lap = time.perf_counter()
+    if comm.rank == 0:
+        x = nodes["X" if options.geometry == "reference" else "x"][:, :2]
+        figures.draw(
+            options.output, options.output / "sphere.xdmf", summary, (x, nodes["pressure"])
+        )
+        now = time.perf_counter()
+        summary["seconds"] |= {"output": output + now - lap, "total": now - begin}
+        (options.output / "summary.json").write_text(json.dumps(summary, indent=1))
+        print("{force:.1f} N, peak pressure {peak_pressure:.0f} MPa".format(**steps[-1]))
+        print(f"results in {options.output}")
+    return summary
+
+
+# ## Supports
+#
+# On a symmetry plane only the component across it is prescribed. Slave nodes there keep their
+# contact: their normals are taken within the plane.
+
+
+def supports(
+    V: fem.FunctionSpace, facet_tags: MeshTags, push: fem.Constant
+) -> list[fem.DirichletBC]:
+    """Clamp the bottom, push the flat face, hold the symmetry planes."""
+    zero = fem.Constant(V.mesh, 0.0)
+    prescribed = [(1, 0, zero), (1, 1, zero), (1, 2, zero), (2, 0, zero), (2, 1, zero)]
+    prescribed += [(2, 2, push), (5, 0, zero), (6, 1, zero)]
+    bcs = []
+    for tag, component, value in prescribed:
+        W = V.sub(component)
+        dofs = fem.locate_dofs_topological(W, 2, facet_tags.find(tag))
+        bcs.append(fem.dirichletbc(value, dofs, W))
+    return bcs
+
+
+# ## What a step is summarised by
+#
+# Forces are those of the whole ball, four times those of the quarter. Contact radius and peak
+# pressure come from a least-squares fit of Hertz' semi-ellipsoid, $p^2 = p_0^2 (1 - r^2/a^2)$; the
+# radius of the last node in contact is known to one element only.
+
+
+def summarise(
+    step: dm.LoadStep,
+    problem: dm.ContactProblem,
+    contact: dm.Contact,
+    steel: dm.VonMises | dm.Elastic,
+    options: argparse.Namespace,
+) -> dict:
+    """Return the numbers of one load step."""
+    solid, report = problem.solid, step.report
+    nodes = contact.gather(problem.u)
+    x = nodes["X" if options.geometry == "reference" else "x"]
+    r, p, active = np.hypot(x[:, 0], x[:, 1]), nodes["pressure"], nodes["active"] > 0
+    force = 4.0 * float(abs(contact.force[2]))
+    peak, radius = dm.analytic.fit_pressure(r[active], p[active])
+    hertz = (
+        dm.analytic.hertz_point(force, RADIUS, steel.E, steel.nu, steel.E, steel.nu)
+        if force
+        else None
+    )
+    plastic = options.material == "plastic"
+    return {
+        "displacement": step.time,
+        "force": force,
+        "peak_pressure": float(p.max()),
+        "contact_radius_last_node": float(r[active].max(initial=0.0)),
+        # JSON has no not-a-number: a contact of one or two nodes cannot be fitted
+        "peak_pressure_fit": None if np.isnan(peak) else peak,
+        "contact_radius_fit": None if np.isnan(radius) else radius,
+        "peak_pressure_hertz": hertz.peak_pressure if hertz else 0.0,
+        "contact_radius_hertz": hertz.contact_radius if hertz else 0.0,
+        "max_von_mises": solid.max("von_mises"),
+        "max_plastic_strain": solid.max("plastic_strain_norm") if plastic else 0.0,
+        "max_back_stress": solid.max("back_stress_norm") if plastic else 0.0,
+        "plastic_volume": 4.0 * solid.plastic_area(),
+        "active_nodes": int(active.sum()),
+        "newton_iterations": sum(part.newton_iterations for part in step.parts),
+        "qp_iterations": sum(part.qp_iterations for part in step.parts),
+        "linear_iterations": sum(
+            i.linear_iterations for part in step.parts for i in part.iterations
+        ),
+        "factorisations": sum(part.factorisations for part in step.parts),
+        "residual_history": [v for part in step.parts for v in part.residual_history],
+        "certificate": report.as_dict()["certificate"],
+    }
+
+
+if __name__ == "__main__":
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    main(parser.parse_args())
