@@ -114,9 +114,9 @@ def default_keep(
     facets = facets[~keep[facets].any(axis=1) & (coverage[facets] > 0).any(axis=1)]
     share = coverage[facets]
     equal = share >= (1 - _SAME) * share.max(axis=1, initial=0.0)[:, None]
-    # the first of equals in some direction, whatever the numbers and the round-off
+    # the furthest of equals in some direction, whatever the numbers and the round-off
     X = pairing.slave.X
-    best = np.argmin(np.where(equal, (X @ _DIRECTION[: X.shape[1]])[facets], np.inf), axis=1)
+    best = np.argmax(np.where(equal, (X @ _DIRECTION[: X.shape[1]])[facets], -np.inf), axis=1)
     rescued = np.bincount(facets[np.arange(len(facets)), best], minlength=len(covered))
     return keep | (accumulate(pairing.slave, rescued) > 0)
 

@@ -67,7 +67,8 @@ def _check_space(V: dolfinx.fem.FunctionSpace) -> None:
     cell, d = V.mesh.topology.cell_name(), V.mesh.geometry.dim
     if cell not in _FACETS or d != V.mesh.topology.dim:
         raise ValueError(
-            f"V: cells of type {cell} in {d}D are not supported; use one of {sorted(_FACETS)}."
+            f"V: cells of type {cell} in {d}D are not supported; use one of {sorted(_FACETS)}, "
+            "the same for all bodies."
         )
     if V.component():
         raise ValueError("V is a part of a larger space; use V.collapse()[0].")

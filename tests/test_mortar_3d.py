@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: MIT
+"""Mortar operators in 3D as PETSc matrices, on any number of ranks; ties and bad input."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import fem
+from dolfinx_mortar.mortar import (
+    assemble_mortar,
+    assemble_node_matrices,
+    create_pairing,
+    default_keep,
+    find_segments,
+    node_weights,
+    outside_margin,
+)
+from dolfinx_mortar.parallel import maximum
+from dolfinx_mortar.surface import create_surface, facet_normals, nodal_normals
+from tests.meshes_3d import (
+    BACK,
+    BOTTOM,
+    BOTTOM_OF_UPPER,
+    FRONT,
+    LEFT,
+    RIGHT,
+    TOP,
+    TOP_OF_LOWER,
+    rotation,
+    two_boxes,
+)
+
+COMM = MPI.COMM_WORLD
+EXACT = 1e-12
+TILTED = rotation((1.0, 2.0, 0.5), 0.7)
+CELLS = pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+SIDES = pytest.mark.parametrize(
+    "sides", [(TOP_OF_LOWER, BOTTOM_OF_UPPER), (BOTTOM_OF_UPPER, TOP_OF_LOWER)]
+)
+PARTITIONS = pytest.mark.parametrize("partition", ["graph", "shared_facet", "stripes", "bodies"])
+
+
+def space(mesh):
+    return fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+
+
+def owned_coordinates(V):
+    return V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local]
+
+
+def field(A, values):
+    """Return a vector that A can be applied to."""
+    v = A.createVecRight()
+    v.array[:] = np.ravel(values)
+    return v
+
+
+def largest(values):
+    return maximum(COMM, np.abs(values).max(initial=0.0))[0]
+
+
+@pytest.mark.mpi
+@PARTITIONS
+@SIDES
+@CELLS
+def test_inclined_flat_interface(partition, sides, cell):
+    """Row sums, linear fields, diagonal D, gap and covered area across an open flat gap."""
+    gap = 0.1
+    mesh, _, tags = two_boxes(
+        COMM, (3, 4, 2), (4, 3, 2), cell=cell, turn=TILTED, jitter=0.4, gap=gap,
+        upper=(-0.3, 0.85, 0.2, 1.4), partition=partition,
+    )  # fmt: skip
+    V = space(mesh)
+    mortar = assemble_mortar(V, tags, slave=sides[0], master=sides[1])
+    x, ones = (
+        field(mortar.D, owned_coordinates(V)),
+        field(mortar.D, np.ones(V.dofmap.index_map.size_local * 3)),
+    )
+    row, total = mortar.D * ones, mortar.M * ones
+    assert largest((row - total).array) < EXACT
+    normal = TILTED[:, 2] if sides[0] == TOP_OF_LOWER else -TILTED[:, 2]
+    offset = (mortar.M * x - mortar.D * x).array.reshape(-1, 3)
+    weight = row.array[::3]
+    assert largest(offset - gap * weight[:, None] * normal) < EXACT
+    assert largest(mortar.gap.array - gap * weight) < EXACT
+    assert COMM.allreduce(weight.sum()) == pytest.approx(0.85 * 0.8, abs=EXACT)
+    assert (weight > 0).all()
+
+
+def curved(x):
+    """Bend both bodies, the upper one away from the lower."""
+    z = x[:, 2] + 0.2 * x[:, 0] ** 2 - 0.15 * x[:, 1] ** 2 + 0.1 * x[:, 0] * x[:, 1]
+    away = np.where(x[:, 2] > 0.05, 0.1 * x[:, 0] ** 2, 0)
+    return np.column_stack([x[:, :2], z + away])
+
+
+def forms(comm, partition, sides, cell):
+    """Return numbers that describe D, M, N and the gap independently of numbers and ranks."""
+    mesh, _, tags = two_boxes(
+        comm, (3, 4, 2), (4, 3, 2), cell=cell, jitter=0.4, gap=0.1, transform=curved,
+        upper=(-0.3, 0.85, 0.2, 1.4), partition=partition,
+    )  # fmt: skip
+    V = space(mesh)
+    mortar = assemble_mortar(V, tags, slave=sides[0], master=sides[1])
+    X = owned_coordinates(V)
+    f = field(mortar.D, np.cos(X @ np.array([[1.0, 0.2, 0.3], [0.1, 2, 0], [1, 1, 1]])))
+    own = X[mortar.nodes - V.dofmap.index_map.local_range[0]]
+    g, h = mortar.D.createVecLeft(), mortar.gap.duplicate()
+    g.array[:], h.array[:] = np.exp(own).ravel(), np.sin(own.sum(axis=1))
+    return np.array(
+        [
+            g.dot(mortar.D * f),
+            g.dot(mortar.M * f),
+            g.dot(mortar.N * h),
+            h.dot(mortar.gap),
+            float(mortar.gap.getSize()),
+        ]
+    )
+
+
+@pytest.mark.mpi
+@PARTITIONS
+@SIDES
+@CELLS
+def test_same_operators_on_any_number_of_ranks(partition, sides, cell):
+    alone = forms(MPI.COMM_SELF, "graph", sides, cell)
+    together = forms(COMM, partition, sides, cell)
+    assert np.abs(together - alone).max() < (1e-7 if cell == "hexahedron" else 1e-12)
+
+
+def test_normals_of_a_box():
+    """Facets point outwards; nodal normals at edges and corners are the means of the sides'."""
+    for cell in ("tetrahedron", "hexahedron"):
+        mesh, _, tags = two_boxes(COMM, (2, 2, 2), (1, 1, 1), cell=cell)
+        V = space(mesh)
+        for tag, axis, sign in ((LEFT, 0, -1), (RIGHT, 0, 1), (FRONT, 1, -1), (BACK, 1, 1)):
+            surface = create_surface(V, tags, tag, "slave")
+            expected = sign * np.eye(3)[axis]
+            assert np.abs(facet_normals(surface, surface.X) - expected).max(initial=0) < 1e-14
+            assert np.abs(nodal_normals(surface, surface.X) - expected).max(initial=0) < 1e-14
+        lower = dolfinx.mesh.exterior_facet_indices(mesh.topology)
+        everything = dolfinx.mesh.meshtags(mesh, 2, lower, np.full(len(lower), 9, dtype=np.int32))
+        surface = create_surface(V, everything, 9, "slave")
+        n_f = facet_normals(surface, surface.X)
+        assert np.abs(np.abs(n_f).max(axis=1, initial=1) - 1).max(initial=0) < 1e-14
+
+
+def create_pair(cell, partition="graph", **options):
+    mesh, _, tags = two_boxes(COMM, (5, 4, 1), (6, 5, 1), cell=cell, partition=partition, **options)
+    V = space(mesh)
+    sides = [create_surface(V, tags, tag, name) for tag, name in ((3, "slave"), (4, "master"))]
+    return V, create_pairing(V, *sides, None)
+
+
+def refill(pairing, u):
+    points, _ = find_segments(pairing, u)
+    keep = default_keep(pairing, points, *node_weights(pairing, points))
+    D, M = assemble_node_matrices(pairing, points, keep)
+    f = pairing.D.createVecRight()
+    X = owned_coordinates(pairing.slave.V)
+    f.array[:] = np.cos(X @ [1.0, 2.0, 0.5])
+    return np.array([f.dot(D * f), f.dot(M * f)])
+
+
+@pytest.mark.mpi
+@CELLS
+@pytest.mark.parametrize("partition", ["stripes", "bodies"])
+def test_margin_of_sliding(cell, partition):
+    """Within the margin the pattern still holds all segments; beyond it, the search is due."""
+    V, pairing = create_pair(cell, partition, gap=0.01, jitter=0.3)
+    u = fem.Function(V)
+    upper = V.tabulate_dof_coordinates()[:, 2] > 0.005
+    h = 1 / 5
+    for distance, outside in ((0.25, False), (0.45, None), (3.0, True)):
+        u.x.array[:] = 0.0
+        u.x.array.reshape(-1, 3)[upper, :2] = distance * h * np.array([0.8, 0.6])
+        if outside is not None:
+            assert outside_margin(pairing, u) == outside
+        if not outside_margin(pairing, u):
+            fresh = create_pairing(V, pairing.slave, pairing.master, u)
+            assert np.abs(refill(pairing, u) - refill(fresh, u)).max() < EXACT
+
+
+@pytest.mark.mpi
+@SIDES
+@CELLS
+def test_tied_linear_field(sides, cell):
+    """A linear field with shear passes through a jittered, inclined interface exactly."""
+    mesh, _, facets = two_boxes(COMM, (2, 3, 2), (3, 2, 2), cell=cell, turn=TILTED, jitter=0.4)
+    V = space(mesh)
+    strain = np.array([[1e-3, 4e-4, 0], [-2e-4, 2e-3, 3e-4], [5e-4, 1e-4, -1e-3]])
+    exact, u = fem.Function(V), fem.Function(V)
+    exact.interpolate(lambda x: strain @ x[:3])
+    E, nu = 1000.0, 0.3
+    symmetric = (strain + strain.T) / 2
+    stress = E / (1 + nu) * (symmetric + nu / (1 - 2 * nu) * np.trace(strain) * np.eye(3))
+    n, v = ufl.FacetNormal(mesh), ufl.TestFunction(V)
+    ds = ufl.Measure("ds", mesh, subdomain_data=facets)
+    loads = ufl.dot(ufl.dot(fem.Constant(mesh, stress), n), v) * ds((LEFT, RIGHT, FRONT, BACK))
+    dofs = [fem.locate_dofs_topological(V, 2, facets.find(tag)) for tag in (BOTTOM, TOP)]
+    bc = fem.dirichletbc(exact, np.unique(np.concatenate(dofs)))
+    tie = dm.Tie(facets, slave=sides[0], master=sides[1])
+    problem = dm.ContactProblem(dm.Solid(u, dm.Elastic(E, nu)), [tie], bcs=[bc], loads=loads)
+    report = dm.newton(problem, rtol=1e-11)
+    assert largest(u.x.array - exact.x.array) < 1e-10 * largest(exact.x.array)
+    assert report.certificate.force_balance < 1e-10
+
+
+# -- bad input -------------------------------------------------------------------------------------
+
+
+def one_hexahedron_moved(node, to):
+    """Return the transformation that moves a node of the interface."""
+
+    def transform(x):
+        x = x.copy()
+        x[np.linalg.norm(x - node, axis=1) < 1e-9] = to
+        return x
+
+    return transform
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("to", [(0.95, 0.95, 0.0), (0.5, 0.5, 2.5)])
+def test_folded_and_warped_facets(to):
+    """A node beyond the opposite diagonal, or far out of the plane."""
+    mesh, _, tags = two_boxes(
+        COMM, (2, 2, 1), (2, 2, 1), cell="hexahedron", gap=3.0,
+        transform=one_hexahedron_moved((0.5, 0.5, 0.0), to),
+    )  # fmt: skip
+    with pytest.raises(ValueError, match=r"slave=3: .* inverted or badly warped"):
+        create_surface(space(mesh), tags, 3, "slave")
+
+
+@pytest.mark.mpi
+def test_degenerate_triangles():
+    mesh, _, tags = two_boxes(
+        COMM, (2, 2, 1), (2, 2, 1), gap=3.0,
+        transform=one_hexahedron_moved((0.5, 0.5, 0.0), (0.5, 0.0, 0.0)),
+    )  # fmt: skip
+    with pytest.raises(ValueError, match=r"slave=3: .* degenerate"):
+        create_surface(space(mesh), tags, 3, "slave")
+
+
+@pytest.mark.mpi
+def test_tags_of_another_dimension():
+    mesh, cells, _ = two_boxes(COMM)
+    with pytest.raises(ValueError, match="dimension 3; facets have dimension 2"):
+        create_surface(space(mesh), cells, 1, "slave")
