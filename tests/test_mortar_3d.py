@@ -150,7 +150,7 @@ def test_normals_of_a_box():
 
 
 def create_pair(cell, partition="graph", **options):
-    mesh, _, tags = two_boxes(COMM, (5, 4, 1), (6, 5, 1), cell=cell, partition=partition, **options)
+    mesh, _, tags = two_boxes(COMM, (5, 4, 1), (6, 5, 2), cell=cell, partition=partition, **options)
     V = space(mesh)
     sides = [create_surface(V, tags, tag, name) for tag, name in ((3, "slave"), (4, "master"))]
     return V, create_pairing(V, *sides, None)
