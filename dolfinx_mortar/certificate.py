@@ -78,7 +78,7 @@ def create_certificate(
     multiplier: list[Floats] = [np.zeros(0)]
     nodal = problem.gaps()
     for contact in problem.contacts:
-        constrained = contact.S[:, 0]
+        constrained = contact.kept[:, 0]
         gap.append(nodal[contact.pattern.nodes[constrained]])
         multiplier.append(contact.multiplier[constrained])
     g, p = np.concatenate(gap), np.concatenate(multiplier)

@@ -33,7 +33,7 @@ from dolfinx_mortar.mortar import (
 from dolfinx_mortar.pairing import Pairing, create_pairing, outside_margin
 from dolfinx_mortar.parallel import any_rank
 from dolfinx_mortar.segments import Segments
-from dolfinx_mortar.surface import Surface, check_tags, create_surface
+from dolfinx_mortar.surface import Surface, check_tags, create_surface, mean_facet_length
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -55,13 +55,6 @@ class Pattern:
     from_M: Ints  # positions in M's values of the remaining entries
 
 
-def _rows_and_columns(A: PETSc.Mat) -> tuple[Ints, npt.NDArray[np.int64]]:
-    """Return owned row (local) and column (global) of every entry in the pattern of A."""
-    indptr, columns, _ = A.getValuesCSR()
-    rows = np.repeat(np.arange(len(indptr) - 1, dtype=np.int32), np.diff(indptr))
-    return rows, columns.astype(np.int64)
-
-
 class Interface:
     """One pair of slave and master surfaces, marked in facet tags.
 
@@ -78,7 +71,8 @@ class Interface:
 
     normals: Floats  # (n, d) at the owned slave nodes, without prescribed directions
     R: Floats  # (n, d, d) frames, normal first
-    S: Bools  # (n, d) which directions of the frame are constrained
+    S: Bools  # (n, d) which directions of the frame are constrained in the change of basis
+    near: Bools  # (n,) slave nodes that take part in the change of basis
     slot: Ints  # (n, d) column of R that is a prescribed Cartesian direction, else -1
 
     def __init__(self, facet_tags: MeshTags, *, slave: int, master: int) -> None:
@@ -135,12 +129,12 @@ class Interface:
     def search(self, u: fem.Function | None) -> None:
         """Pair slave and master facets at X + u and fix the coupling pattern; collective."""
         self.pairing: Pairing = create_pairing(self.V, self.slave_surface, self.master_surface, u)
-        self.facet_length = self.mean_facet_length(self.slave_surface)
+        self.facet_length = mean_facet_length(self.slave_surface)
         nodes = self.slave_surface.nodes[: self.slave_surface.owned]
         position = np.full(self.n_owned, -1, dtype=np.int32)
         position[nodes] = np.arange(len(nodes), dtype=np.int32)
-        row_D, column_D = _rows_and_columns(self.pairing.D)
-        row_M, column_M = _rows_and_columns(self.pairing.M)
+        row_D, column_D = coo.rows_and_columns(self.pairing.D)
+        row_M, column_M = coo.rows_and_columns(self.pairing.M)
         first = self.V.dofmap.index_map.local_range[0]
         from_D = np.flatnonzero((row_D + first != column_D) & (position[row_D] >= 0))
         from_M = np.flatnonzero(position[row_M] >= 0)
@@ -152,6 +146,8 @@ class Interface:
             from_M.astype(np.int32),
         )
         self.Q = self._create_coupling_matrix()
+        if not hasattr(self, "near"):
+            self.near = np.ones(len(nodes), dtype=bool)
 
     def _create_coupling_matrix(self) -> PETSc.Mat:
         """Return Q with the pattern of all candidate pairs, its values not yet set."""
@@ -161,16 +157,20 @@ class Interface:
         column = d * p.column[:, None] + b
         return coo.create_square(self.V, row.ravel(), column.ravel())
 
-    def mean_facet_length(self, surface: Surface) -> float:
-        """Return the mean length of the first edges of a side's facets; collective."""
-        edges = surface.X[surface.facets[:, 1]] - surface.X[surface.facets[:, 0]]
-        local = np.array([np.linalg.norm(edges, axis=1).sum(), len(edges)])
-        total, count = self.V.mesh.comm.allreduce(local, op=MPI.SUM)
-        return float(total / count)
+    def needs_search(self, u: fem.Function | None, *, everywhere: bool) -> bool:
+        """Tell whether the bodies slid out of the margin of the last search; collective.
 
-    def needs_search(self, u: fem.Function | None) -> bool:
-        """Tell whether the bodies slid out of the margin of the last search; collective."""
-        return outside_margin(self.pairing, u)
+        Args:
+            u: displacement.
+            everywhere: ask for all slave facets; otherwise for those at near nodes only.
+        """
+        if everywhere:
+            return outside_margin(self.pairing, u)
+        near = np.zeros(self.n_owned, dtype=bool)
+        near[self.pattern.nodes] = self.near
+        surface = self.slave_surface
+        among = self.share(near)[surface.nodes][surface.facets].any(axis=1)
+        return outside_margin(self.pairing, u, among)
 
     # -- geometry --------------------------------------------------------------------------------
 
@@ -225,7 +225,7 @@ class Interface:
 
     def constrained(self, v: PETSc.Vec) -> Floats:
         """Return the constrained components of the relative motion; collective."""
-        return np.asarray(self.relative(v)[self.S])
+        return np.asarray(self.relative(v)[:, : self.kept.shape[1]][self.kept])
 
     def _fill(self, blocks: Floats) -> None:
         """Refill Q with (entries, d, d) blocks."""
@@ -309,14 +309,21 @@ class Contact(Interface):
     def _set_frames(self, P: Floats, normals: Floats) -> None:
         kept, p = self.kept[:, 0], self.pattern
         fixed = self.fixed[p.nodes]
-        axes = np.arange(self.d, dtype=np.int32)
         frames, slots = create_frames(np.where(kept[:, None], normals, np.eye(self.d)[0]), fixed)
         self.normals = np.where(kept[:, None], normals, 0.0)
         self.R = np.where(kept[:, None, None], frames, np.eye(self.d))
-        self.slot = np.where(kept[:, None], slots, np.where(fixed, axes, -1))
-        self.S = kept[:, None] & (axes == 0)
+        self._slots = slots
+        self.restrict(self.near)
         n = self.normals[p.row]
         self._fill(P[:, 0, None, None] * n[:, :, None] * n[:, None, :])
+
+    def restrict(self, near: Bools) -> None:
+        """Let only these of the kept nodes take part in the change of basis, (n,)."""
+        self.near = near
+        axes = np.arange(self.d, dtype=np.int32)
+        self.S = (self.kept[:, 0] & near)[:, None] & (axes == 0)
+        left = np.where(self.fixed[self.pattern.nodes], axes, -1)
+        self.slot = np.where(self.S[:, :1], self._slots, left)
 
     def set_results(self, reaction: Floats, active: Bools, gap: Floats, x: Floats) -> None:
         """Set resultants and Functions; collective.

@@ -122,7 +122,7 @@ class _Step:
                 start = problem.active[problem.bounded_nodes].astype(np.int8)
             done = self.iterate(number, start)
             _log(problem, report)
-            if done and self.held_at is None:
+            if done and self.held_at is None and problem.far_nodes_stay_open():
                 problem.set_results(self.reaction)
                 report.certificate = create_certificate(problem, report, self.reaction)
                 report.converged = True

@@ -172,8 +172,9 @@ class _Factor:
             taken[p.nodes[mine]] = True
             self.parts.append((i, mine))
             at = d * (p.nodes.astype(np.int64) + first)
-            rows += [(at[mine][:, None] + a).ravel(), (at[p.row][:, None] + a).ravel()]
-            columns += [(at[mine][:, None] + b).ravel(), (d * p.column[:, None] + b).ravel()]
+            near = i.near[p.row]
+            rows += [(at[mine][:, None] + a).ravel(), (at[p.row[near]][:, None] + a).ravel()]
+            columns += [(at[mine][:, None] + b).ravel(), (d * p.column[near][:, None] + b).ravel()]
         rest = np.flatnonzero(~np.repeat(taken, d)) + d * first
         self.identity = len(rest)
         ij = [np.concatenate([rest, *c]) for c in (rows, columns)]
@@ -182,7 +183,8 @@ class _Factor:
     def update(self) -> None:
         values = [np.ones(self.identity)]
         for i, mine in self.parts:
-            values += [i.R[mine].ravel(), i.blocks.ravel()]
+            frames = np.where(np.asarray(i.S.any(axis=1))[:, None, None], i.R, np.eye(i.d))
+            values += [frames[mine].ravel(), i.blocks[i.near[i.pattern.row]].ravel()]
         coo.set_values(self.T, np.concatenate(values))
 
 
