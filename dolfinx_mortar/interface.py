@@ -23,8 +23,8 @@ import numpy.typing as npt
 from dolfinx import fem, la
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar import coo
-from dolfinx_mortar.frames import create_frames
 from dolfinx_mortar.mortar import (
+    LEAST_COVERAGE,
     assemble_node_matrices,
     default_keep,
     find_segments,
@@ -38,10 +38,6 @@ from dolfinx_mortar.surface import Surface, check_tags, create_surface, mean_fac
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 Ints = npt.NDArray[np.int32]
-
-# A slave normal that loses more than this share of its length to Dirichlet data has no direction
-# left in which contact could act.
-MIN_FREE_NORMAL = 0.5
 
 
 @dataclass(frozen=True)
@@ -156,6 +152,10 @@ class Interface:
         row = d * (p.nodes[p.row].astype(np.int64) + layout.local_range[0])[:, None] + a
         column = d * p.column[:, None] + b
         return coo.create_square(self.V, row.ravel(), column.ravel())
+
+    def configuration(self, u: fem.Function | None) -> fem.Function | None:
+        """Return the displacement at which the interface is taken, None for X."""
+        return u
 
     def needs_search(self, u: fem.Function | None, *, everywhere: bool) -> bool:
         """Tell whether the bodies slid out of the margin of the last search; collective.
@@ -272,129 +272,25 @@ class Interface:
         self.master_force, self.master_moment = total[1, 0, : self.d], total[1, 1]
 
     def _extend(self, values: Floats, kept: npt.ArrayLike) -> Floats:
-        """Give removed slave nodes the mean of the kept ones on their facets; (local nodes,).
+        """Give covered slave nodes without multiplier the mean of the kept ones on their facets.
 
         A kept node's value is a traction even if the node is partly covered, because D_jj is its
-        covered weight; a removed node has handed its dual function to those neighbours.
+        covered weight; a removed node has handed its dual function to those neighbours. Nodes
+        beyond the master, and all off the slave side, are not-a-number; (local nodes,).
         """
-        layout = self.V.dofmap.index_map
-        vector = la.vector(layout, 2)
+        vector = la.vector(self.V.dofmap.index_map, 2)
         array = vector.array.reshape(-1, 2)
         own = self.pattern.nodes
         array[own] = np.column_stack([np.where(kept, values, 0.0), kept])
         vector.scatter_forward()
         known = array.copy()
+        covered = np.zeros(self.n_owned, dtype=bool)
+        covered[own] = self.coverage > LEAST_COVERAGE
         facets = self.slave_surface.nodes[self.slave_surface.facets]
         array[:] = 0.0
         np.add.at(array, facets, known[facets].sum(axis=1, keepdims=True))
         vector.scatter_reverse(la.InsertMode.add)
         vector.scatter_forward()
         with np.errstate(invalid="ignore"):
-            return np.where(known[:, 1] > 0, known[:, 0], array[:, 0] / array[:, 1])
-
-
-class Contact(Interface):
-    """Frictionless unilateral contact: w_n <= gap, pressure >= 0, pressure * opening = 0.
-
-    ``pressure`` (traction, >= 0 in compression), ``gap`` (>= 0 when open; not-a-number at slave
-    nodes that face no master) and ``active`` (1 in contact, else 0) are Functions that vanish off
-    the slave side. ``force`` is the resultant exerted on the slave side, -sum_j D_jj lambda_j n_j.
-    """
-
-    kind = "contact"
-
-    def _allowed(self, nodes: Ints, left: Floats) -> Bools:
-        return np.asarray((left >= MIN_FREE_NORMAL)[:, None])
-
-    def _set_frames(self, P: Floats, normals: Floats) -> None:
-        kept, p = self.kept[:, 0], self.pattern
-        fixed = self.fixed[p.nodes]
-        frames, slots = create_frames(np.where(kept[:, None], normals, np.eye(self.d)[0]), fixed)
-        self.normals = np.where(kept[:, None], normals, 0.0)
-        self.R = np.where(kept[:, None, None], frames, np.eye(self.d))
-        self._slots = slots
-        self.restrict(self.near)
-        n = self.normals[p.row]
-        self._fill(P[:, 0, None, None] * n[:, :, None] * n[:, None, :])
-
-    def restrict(self, near: Bools) -> None:
-        """Let only these of the kept nodes take part in the change of basis, (n,)."""
-        self.near = near
-        axes = np.arange(self.d, dtype=np.int32)
-        self.S = (self.kept[:, 0] & near)[:, None] & (axes == 0)
-        left = np.where(self.fixed[self.pattern.nodes], axes, -1)
-        self.slot = np.where(self.S[:, :1], self._slots, left)
-
-    def set_results(self, reaction: Floats, active: Bools, gap: Floats, x: Floats) -> None:
-        """Set resultants and Functions; collective.
-
-        Args:
-            reaction: (n,) D_jj lambda_j >= 0 at the owned slave nodes.
-            active: (n,) nodes in contact.
-            gap: (n,) nodal gaps w_n may still close.
-            x: (owned nodes, d) coordinates for the moments.
-        """
-        kept = self.kept[:, 0]
-        self.set_resultants(reaction[:, None] * self.normals, x)
-        self.multiplier = np.divide(
-            reaction, self.weight[:, 0], out=np.zeros_like(reaction), where=kept
-        )
-        on_slave = self.slave_nodes
-        for function, values in ((self.pressure, self.multiplier), (self.gap, gap)):
-            function.x.array[:] = np.where(on_slave, self._extend(values, kept), 0.0)
-        self.pressure.x.array[:] = np.nan_to_num(self.pressure.x.array)
-        self.active.x.array[:] = 0.0
-        self.active.x.array[self.pattern.nodes] = active
-        self.active.x.scatter_forward()
-
-    def gather(self, u: fem.Function) -> dict[str, Floats]:
-        """Return the slave nodes of all ranks on every rank; collective.
-
-        Returns:
-            "X" (n, d) reference and "x" (n, d) current coordinates at u, "pressure", "gap" and
-            "active" (n,), ordered by X.
-        """
-        own = self.pattern.nodes
-        X = self.V.tabulate_dof_coordinates()[own, : self.d]
-        columns = [X, X + u.x.array.reshape(-1, self.d)[own]]
-        columns += [f.x.array[own, None] for f in (self.pressure, self.gap, self.active)]
-        table = np.concatenate(self.V.mesh.comm.allgather(np.hstack(columns)))
-        table = table[np.lexsort(table[:, : self.d].T[::-1])]
-        parts = np.split(table, [self.d, 2 * self.d], axis=1)
-        names = ("pressure", "gap", "active")
-        return {"X": parts[0], "x": parts[1]} | dict(zip(names, parts[2].T, strict=True))
-
-
-class Tie(Interface):
-    """Mesh tying ("glue"): both sides move together in all directions, u_s = P u_m.
-
-    Directions with Dirichlet data are left to those data. ``force`` is the resultant exerted on the
-    slave side; ``pressure`` the normal traction, positive in compression.
-    """
-
-    kind = "tie"
-
-    def _allowed(self, nodes: Ints, left: Floats) -> Bools:
-        return ~self.fixed[nodes]
-
-    def _set_frames(self, P: Floats, normals: Floats) -> None:
-        p = self.pattern
-        n = len(p.nodes)
-        self.normals = normals
-        self.R = np.broadcast_to(np.eye(self.d), (n, self.d, self.d))
-        axes = np.arange(self.d, dtype=np.int32)
-        self.slot = np.where(self.fixed[p.nodes], axes, -1)
-        self.S = self.kept
-        self._fill(P[:, :, None] * np.eye(self.d))
-
-    def set_results(self, reaction: Floats, x: Floats) -> None:
-        """Set resultants and the normal traction from the tying forces (n, d); collective."""
-        self.set_resultants(reaction, x)
-        kept = self.kept.any(axis=1)
-        weight = np.maximum(self.weight.max(axis=1), np.finfo(float).tiny)
-        normal = np.einsum("ni,ni->n", reaction, self.normals) / weight
-        pressure = np.nan_to_num(self._extend(np.where(kept, normal, 0.0), kept))
-        self.pressure.x.array[:] = np.where(self.slave_nodes, pressure, 0.0)
-        self.active.x.array[:] = 0.0
-        self.active.x.array[self.pattern.nodes] = kept
-        self.active.x.scatter_forward()
+            extended = np.where(self.share(covered), array[:, 0] / array[:, 1], np.nan)
+        return np.where(known[:, 1] > 0, known[:, 0], extended)

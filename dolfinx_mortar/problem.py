@@ -18,12 +18,14 @@ from dolfinx_mortar import reach
 from dolfinx_mortar.arguments import check_arguments
 from dolfinx_mortar.audit import Audit, create_audit
 from dolfinx_mortar.bodies import Bodies, find_bodies
-from dolfinx_mortar.interface import Contact, Interface, Tie
+from dolfinx_mortar.contact import Contact
+from dolfinx_mortar.interface import Interface
 from dolfinx_mortar.parallel import any_rank, maximum
 from dolfinx_mortar.qp import BoundQP, LinearSolver
 from dolfinx_mortar.report import Timings
 from dolfinx_mortar.solid import Solid
 from dolfinx_mortar.supports import prescribed_dofs, prescribed_values
+from dolfinx_mortar.tie import Tie
 from dolfinx_mortar.transformation import Transformation, resolve_claims
 
 Floats = npt.NDArray[np.float64]
@@ -71,6 +73,7 @@ class ContactProblem:
         self.comm, self.d = self.V.mesh.comm, self.V.dofmap.index_map_bs
         self.n = layout.size_local  # owned nodes
         self.first_dof = self.d * layout.local_range[0]
+        self.X = self.V.tabulate_dof_coordinates()[: self.n, : self.d].copy()
         self.loads = None if loads is None else fem.form(loads)
         self.fixed = prescribed_dofs(self.V, self.bcs)
         with self.timings("setup"):
@@ -86,7 +89,6 @@ class ContactProblem:
                 interface.bind(self.V, self.fixed)
         self.bodies: Bodies = find_bodies(self.V)
         self.active = np.zeros(self.n, dtype=bool)  # of the last QP, owned nodes
-        self.committed_active = self.active.copy()
         self.notes: list[str] = []
         self.searches = 0
         self.facet_length = 1.0
@@ -177,12 +179,11 @@ class ContactProblem:
         if not self.interfaces:
             self._locate_constraints()
             return
-        at = self.configuration
         with self.timings("mortar"):
-            if search or any(i.needs_search(at, everywhere=everywhere) for i in self.interfaces):
+            if search or self._slid(everywhere=everywhere):
                 self._search()
             for interface in self.interfaces:
-                interface.update(at)
+                interface.update(interface.configuration(self.configuration))
             if self.transformation is None or not reach.covers_contact(self):
                 reach.restrict(self)
                 self.linear.release()  # before the new product needs the memory
@@ -195,12 +196,18 @@ class ContactProblem:
         """The displacement at which normals and segments are taken."""
         return self.u if self.geometry == "updated" else None
 
+    def _slid(self, *, everywhere: bool) -> bool:
+        """Tell whether contacts slid out of the margins of their pairings; collective."""
+        at = self.configuration
+        slid = [c.needs_search(at, everywhere=everywhere) for c in self.contacts if at is not None]
+        return any(slid)
+
     def _search(self) -> None:
         """Pair the surfaces; T has to be built anew; collective."""
         self.searches += 1
         self.outdated = False
         for interface in self.interfaces:
-            interface.search(self.configuration)
+            interface.search(interface.configuration(self.configuration))
         self.facet_length = max(i.facet_length for i in self.interfaces)
         self.order, notes = resolve_claims(self.interfaces)
         self.notes += [note for note in notes if note not in self.notes]
@@ -210,15 +217,12 @@ class ContactProblem:
         """Tell whether no slave node outside T has come into contact; repairs T if one has."""
         if not self.contacts:
             return True
-        at = self.configuration
         with self.timings("mortar"):
-            if at is not None and any(i.needs_search(at, everywhere=True) for i in self.interfaces):
-                self.outdated = (
-                    True  # T still fits near the contact; the next step builds a new one
-                )
-                for interface in self.interfaces:
-                    interface.search(at)
-                    interface.update(at)
+            if self._slid(everywhere=True):
+                self.outdated = True  # T still fits near the contact; the next step gets a new one
+                for contact in self.contacts:
+                    contact.search(self.configuration)
+                    contact.update(self.configuration)
             open_ = not reach.touches_far_nodes(self)
         if not open_:
             self.update_geometry(search=self.outdated)
@@ -248,8 +252,7 @@ class ContactProblem:
     def current_coordinates(self) -> PETSc.Vec:
         """Return X + u as a vector (also with frozen geometry: the gap is linear in u)."""
         x = self.vectors["x"]
-        X = self.V.tabulate_dof_coordinates()[: self.n, : self.d]
-        x.array[:] = X.ravel() + self.u.x.array[: self.d * self.n]
+        x.array[:] = self.X.ravel() + self.u.x.array[: self.d * self.n]
         return x
 
     def gaps(self) -> Floats:
@@ -349,12 +352,14 @@ class ContactProblem:
 
     def set_results(self, reaction: PETSc.Vec) -> None:
         """Set the interfaces' resultants and Functions from the QP's reactions; collective."""
-        x = self.current_coordinates().array_r.reshape(-1, self.d).copy()
+        moved = self.X + self.u.x.array[: self.d * self.n].reshape(-1, self.d)
         gap = self.gaps()
         forces = self.to_reduced(self.vectors["r"]).array_r.reshape(-1, self.d)
         z = reaction.array_r[:: self.d]
         for interface in self.interfaces:
             nodes = interface.pattern.nodes
+            frozen = interface.configuration(self.configuration) is None
+            x = self.X if frozen else moved  # where the forces act
             if isinstance(interface, Contact):
                 kept = interface.S[:, 0]
                 interface.set_results(
@@ -368,7 +373,6 @@ class ContactProblem:
         with self.timings("commit"):
             self.solid.commit()
             self.solid.update_output()
-        self.committed_active = self.active.copy()
 
     def output_fields(self) -> dict[str, fem.Function]:
         """Return the Functions worth writing, by name; collective.
