@@ -117,7 +117,7 @@ class ContactProblem:
             ValueError: if nothing holds a body, or a pair of surfaces cannot meet.
         """
         if self._audited is None:
-            self.update_geometry(search=True)
+            self.update_geometry(search=True, at=reach.expected_displacement(self))
             self._audited = create_audit(self)
         return self._audited
 
@@ -148,7 +148,9 @@ class ContactProblem:
         if self._audited is None:
             self.audit()
         else:  # u may have been set, or put back after a failed step; new data may reach further
-            self.update_geometry(search=self.outdated, everywhere=True)
+            self.update_geometry(
+                search=self.outdated, everywhere=True, at=reach.expected_displacement(self)
+            )
 
     def dirichlet_increment(self) -> Floats:
         """Return prescribed minus present values, (owned nodes, d), 0 where free."""
@@ -169,21 +171,25 @@ class ContactProblem:
 
     # -- geometry and constraints ----------------------------------------------------------------
 
-    def update_geometry(self, *, search: bool = False, everywhere: bool = False) -> None:
+    def update_geometry(
+        self, *, search: bool = False, everywhere: bool = False, at: fem.Function | None = None
+    ) -> None:
         """Rebuild D, M, N, T at X + u (at X if frozen); collective.
 
         Args:
             search: pair the surfaces anew in any case; otherwise where they slid too far.
             everywhere: ask so for the whole surfaces, not only near the contact.
+            at: displacement instead of u.
         """
         if not self.interfaces:
             self._locate_constraints()
             return
+        at = self.configuration if at is None else at
         with self.timings("mortar"):
-            if search or self._slid(everywhere=everywhere):
-                self._search()
+            if search or self._slid(at, everywhere=everywhere):
+                self._search(at)
             for interface in self.interfaces:
-                interface.update(interface.configuration(self.configuration))
+                interface.update(interface.configuration(at))
             if self.transformation is None or not reach.covers_contact(self):
                 reach.restrict(self)
                 self.linear.release()  # before the new product needs the memory
@@ -196,18 +202,17 @@ class ContactProblem:
         """The displacement at which normals and segments are taken."""
         return self.u if self.geometry == "updated" else None
 
-    def _slid(self, *, everywhere: bool) -> bool:
+    def _slid(self, at: fem.Function | None, *, everywhere: bool) -> bool:
         """Tell whether contacts slid out of the margins of their pairings; collective."""
-        at = self.configuration
         slid = [c.needs_search(at, everywhere=everywhere) for c in self.contacts if at is not None]
         return any(slid)
 
-    def _search(self) -> None:
+    def _search(self, at: fem.Function | None) -> None:
         """Pair the surfaces; T has to be built anew; collective."""
         self.searches += 1
         self.outdated = False
         for interface in self.interfaces:
-            interface.search(interface.configuration(self.configuration))
+            interface.search(interface.configuration(at))
         self.facet_length = max(i.facet_length for i in self.interfaces)
         self.order, notes = resolve_claims(self.interfaces)
         self.notes += [note for note in notes if note not in self.notes]
@@ -218,7 +223,7 @@ class ContactProblem:
         if not self.contacts:
             return True
         with self.timings("mortar"):
-            if self._slid(everywhere=True):
+            if self._slid(self.configuration, everywhere=True):
                 self.outdated = True  # T still fits near the contact; the next step gets a new one
                 for contact in self.contacts:
                     contact.search(self.configuration)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx import fem
 from dolfinx_mortar.parallel import any_rank, maximum
 
 if TYPE_CHECKING:
@@ -26,11 +27,30 @@ INCREMENT_SHARE, FACETS = 0.25, 2.0
 ROOM = 2.0
 
 
-def predicted_gaps(problem: ContactProblem) -> Floats:
-    """Return (owned nodes,) gaps after each body moved by the mean of its prescribed increments."""
-    gap, motion = problem.gaps(), problem.vectors["dy"]
+def _expected_motion(problem: ContactProblem) -> Floats:
+    """Return (owned dofs,) the motion of each body by the mean of its prescribed increments."""
     mean = problem.bodies.mean(problem.dirichlet_increment(), problem.fixed[: problem.n])
-    motion.array[:] = mean[problem.bodies.label].ravel()
+    return np.asarray(mean[problem.bodies.label].ravel())
+
+
+def expected_displacement(problem: ContactProblem) -> fem.Function | None:
+    """Return u plus the expected motion, None if the geometry is frozen.
+
+    Pairs, normals and segments of a step's first iteration are taken there: a disc that is pressed
+    down by many facet lengths meets other partners than where it started.
+    """
+    if problem.configuration is None or not problem.interfaces:
+        return None
+    trial, motion = problem.increment, _expected_motion(problem)
+    trial.x.array[: len(motion)] = problem.u.x.array[: len(motion)] + motion
+    trial.x.scatter_forward()
+    return trial
+
+
+def predicted_gaps(problem: ContactProblem) -> Floats:
+    """Return (owned nodes,) the gaps after the expected motion."""
+    gap, motion = problem.gaps(), problem.vectors["dy"]
+    motion.array[:] = _expected_motion(problem)
     for contact in problem.contacts:
         kept = contact.kept[:, 0]
         gap[contact.pattern.nodes[kept]] -= contact.relative(motion)[kept, 0]
