@@ -28,7 +28,8 @@ def _largest(problem: ContactProblem, *arrays: Floats) -> Floats:
 
 def _share(value: npt.ArrayLike, scale: npt.ArrayLike) -> float:
     """Return value / scale, 0 where nothing acts at all."""
-    return float(np.asarray(value) / scale) if np.asarray(scale) > 0 else 0.0
+    share = float(np.asarray(value) / scale) if np.asarray(scale) > 0 else 0.0
+    return share + 0.0  # no -0.0
 
 
 def _operator_errors(interface: Interface) -> tuple[float, float]:
