@@ -128,7 +128,9 @@ class _Step:
                 start = problem.active[problem.bounded_nodes].astype(np.int8)
             done = self.iterate(number, start)
             _log(problem, report)
-            if done and self.held_at is None and problem.far_nodes_stay_open():
+            # While the geometry moves, its update looks after the far nodes.
+            complete = (self.moving and not done) or problem.far_nodes_stay_open()
+            if done and complete and self.held_at is None:
                 problem.set_results(self.reaction)
                 report.certificate = create_certificate(problem, report, self.reaction)
                 report.converged = True

@@ -76,8 +76,9 @@ def covers_contact(problem: ContactProblem) -> bool:
 def restrict(problem: ContactProblem) -> None:
     """Choose the slave nodes that T will hold; collective."""
     gap, distance = _near(problem)
+    near = (gap <= ROOM * distance) | (problem.gaps() <= 0.0)
     for contact in problem.contacts:
-        contact.restrict(gap[contact.pattern.nodes] <= ROOM * distance)
+        contact.restrict(near[contact.pattern.nodes])
 
 
 def touches_far_nodes(problem: ContactProblem) -> bool:
