@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx import fem
 from dolfinx_mortar.frames import create_frames
 from dolfinx_mortar.interface import Interface
+from dolfinx_mortar.results import Result
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -28,6 +30,7 @@ class Contact(Interface):
     """
 
     kind = "contact"
+    multiplier: Any = Result()  # (n,) lambda_j at the owned slave nodes
 
     def _allowed(self, nodes: Ints, left: Floats) -> Bools:
         return np.asarray((left >= MIN_FREE_NORMAL)[:, None])
@@ -72,20 +75,3 @@ class Contact(Interface):
         self.active.x.array[:] = 0.0
         self.active.x.array[self.pattern.nodes] = active
         self.active.x.scatter_forward()
-
-    def gather(self, u: fem.Function) -> dict[str, Floats]:
-        """Return the slave nodes of all ranks on every rank; collective.
-
-        Returns:
-            "X" (n, d) reference and "x" (n, d) current coordinates at u, "pressure", "gap" and
-            "active" (n,), ordered by X.
-        """
-        own = self.pattern.nodes
-        X = self.V.tabulate_dof_coordinates()[own, : self.d]
-        columns = [X, X + u.x.array.reshape(-1, self.d)[own]]
-        columns += [f.x.array[own, None] for f in (self.pressure, self.gap, self.active)]
-        table = np.concatenate(self.V.mesh.comm.allgather(np.hstack(columns)))
-        table = table[np.lexsort(table[:, : self.d].T[::-1])]
-        parts = np.split(table, [self.d, 2 * self.d], axis=1)
-        names = ("pressure", "gap", "active")
-        return {"X": parts[0], "x": parts[1]} | dict(zip(names, parts[2].T, strict=True))

@@ -12,7 +12,7 @@ Then w is the relative displacement in those directions, and every constraint is
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -32,6 +32,7 @@ from dolfinx_mortar.mortar import (
 )
 from dolfinx_mortar.pairing import Pairing, create_pairing, outside_margin
 from dolfinx_mortar.parallel import any_rank
+from dolfinx_mortar.results import NoResult, Result
 from dolfinx_mortar.segments import Segments
 from dolfinx_mortar.surface import Surface, check_tags, create_surface, mean_facet_length
 
@@ -64,6 +65,14 @@ class Interface:
     """
 
     kind: ClassVar[str] = "interface"
+
+    force: Any = Result()  # (d,) resultant exerted on the slave side
+    moment: Any = Result()  # (3,) its moment about the origin
+    master_force: Any = Result()  # the same for the master side
+    master_moment: Any = Result()
+    pressure: Any = Result()  # Functions, which exist as soon as a problem has the interface
+    gap: Any = Result()
+    active: Any = Result()
 
     normals: Floats  # (n, d) at the owned slave nodes, without prescribed directions
     R: Floats  # (n, d, d) frames, normal first
@@ -107,6 +116,8 @@ class Interface:
         scalar = V.sub(0).collapse()[0]
         names = ("pressure", "gap", "active")
         self.pressure, self.gap, self.active = (fem.Function(scalar, name=n) for n in names)
+        owned = self.slave_surface.owned
+        self.carries: Bools = np.zeros(owned, dtype=bool)  # nodes with multiplier in the results
         self.bound = True
 
     def share(self, owned: Bools) -> Bools:
@@ -266,6 +277,7 @@ class Interface:
             np.where(side[: self.n_owned, None], -f, 0.0)
             for side in (self.slave_nodes, self.master_nodes)
         ]
+        self.carries = np.asarray(self.kept.any(axis=1))
         local = np.array([[s.sum(axis=0), np.cross(points, s).sum(axis=0)] for s in sides])
         total = self.V.mesh.comm.allreduce(local, op=MPI.SUM)
         self.force, self.moment = total[0, 0, : self.d], total[0, 1]
@@ -294,3 +306,25 @@ class Interface:
         with np.errstate(invalid="ignore"):
             extended = np.where(self.share(covered), array[:, 0] / array[:, 1], np.nan)
         return np.where(known[:, 1] > 0, known[:, 0], extended)
+
+    def gather(self, u: fem.Function) -> dict[str, Floats]:
+        """Return the slave nodes of all ranks on every rank; collective.
+
+        Returns:
+            "X" (n, d) reference and "x" (n, d) current coordinates at u, "pressure", "gap" and
+            "active" (n,), ordered by X.
+
+        Raises:
+            NoResult: before the first step.
+        """
+        if "force" not in vars(self):
+            raise NoResult(self, "nodal results")
+        own = self.pattern.nodes
+        X = self.V.tabulate_dof_coordinates()[own, : self.d]
+        columns = [X, X + u.x.array.reshape(-1, self.d)[own]]
+        columns += [f.x.array[own, None] for f in (self.pressure, self.gap, self.active)]
+        table = np.concatenate(self.V.mesh.comm.allgather(np.hstack(columns)))
+        table = table[np.lexsort(table[:, : self.d].T[::-1])]
+        parts = np.split(table, [self.d, 2 * self.d], axis=1)
+        names = ("pressure", "gap", "active")
+        return {"X": parts[0], "x": parts[1]} | dict(zip(names, parts[2].T, strict=True))

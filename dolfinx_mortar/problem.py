@@ -23,6 +23,7 @@ from dolfinx_mortar.interface import Interface
 from dolfinx_mortar.parallel import any_rank, maximum
 from dolfinx_mortar.qp import BoundQP, LinearSolver
 from dolfinx_mortar.report import Timings
+from dolfinx_mortar.results import merge_results
 from dolfinx_mortar.solid import Solid
 from dolfinx_mortar.supports import prescribed_dofs, prescribed_values
 from dolfinx_mortar.tie import Tie
@@ -392,9 +393,8 @@ class ContactProblem:
             if name in self.solid.fields.names:
                 fields[name] = self.solid.cell_values(name)
         for name in ("pressure", "gap", "status") if self.interfaces else ():
-            parts = [getattr(i, "active" if name == "status" else name) for i in self.interfaces]
             if name not in self._outputs:
-                self._outputs[name] = fem.Function(parts[0].function_space, name=name)
-            self._outputs[name].x.array[:] = sum(part.x.array for part in parts)
-            fields[name] = self._outputs[name]
+                space = self.interfaces[0].pressure.function_space
+                self._outputs[name] = fem.Function(space, name=name)
+            fields[name] = merge_results(self.interfaces, name, self._outputs[name])
         return fields

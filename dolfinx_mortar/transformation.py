@@ -40,7 +40,8 @@ def resolve_claims(interfaces: Sequence[Interface]) -> tuple[list[int], list[str
     """Give every slave node to one interface and order the interfaces; collective.
 
     A second claim on a slave node, and a claim that would close a cycle, is removed from the later
-    interface (the node's dual function is shared out, it stays on the slave side).
+    interface (the node's dual function is shared out, it stays on the slave side). What an earlier
+    search removed counts no more: bodies that have slid lean on other nodes.
 
     Returns:
         The order in which the transformations multiply, and notes on what was removed.
@@ -49,6 +50,8 @@ def resolve_claims(interfaces: Sequence[Interface]) -> tuple[list[int], list[str
     if not interfaces:
         return [], notes
     comm = interfaces[0].V.mesh.comm
+    for interface in interfaces:
+        interface.banned[:] = False
     claimed = np.zeros(interfaces[0].n_local, dtype=bool)
     referenced = [_referenced(interface) for interface in interfaces]
     ahead: set[tuple[int, int]] = set()  # (i, k): T_i stands left of T_k, i leans on slaves of k
@@ -181,6 +184,7 @@ class _Factor:
         self.T = coo.create_square(V, *ij)
 
     def update(self) -> None:
+        """Refill the matrix from the interfaces' frames and couplings; collective."""
         values = [np.ones(self.identity)]
         for i, mine in self.parts:
             frames = np.where(np.asarray(i.S.any(axis=1))[:, None, None], i.R, np.eye(i.d))
