@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -43,8 +44,18 @@ def check_arguments(
     return sides, conditions
 
 
+def check_controls(rtol: Any, max_it: Any) -> None:
+    """Raise a ValueError unless the controls of Newton's method make sense."""
+    if not (isinstance(rtol, Real) and 0.0 < float(rtol) < 1.0):
+        raise ValueError(f"rtol is {rtol!r}: need a number, 0 < rtol < 1")
+    if not isinstance(max_it, Integral) or max_it < 1:
+        raise ValueError(f"max_it is {max_it!r}: need an integer, max_it >= 1")
+
+
 def _as_list(name: str, given: Any) -> list[Any]:
     """Return the members of a sequence; a lone object is an error with a hint."""
+    if given is None:
+        raise ValueError(f"{name} is None: give a list, [] for none")
     if not isinstance(given, Iterable):
         raise ValueError(f"{name} is {given!r}: give a list, [{name[:-1]}]")
     return list(given)
@@ -76,8 +87,13 @@ def _check_conditions(bcs: Sequence[Any], V: fem.FunctionSpace) -> list[fem.Diri
 
 def _check_loads(loads: Any, V: fem.FunctionSpace) -> None:
     """Raise a ValueError unless the loads are a linear form of V's test function."""
-    if not isinstance(loads, ufl.Form) or len(loads.arguments()) != 1:
-        raise ValueError(f"loads is {loads!r}: give a linear form, for example inner(t, v) * ds")
+    wanted = "give a linear form, for example inner(t, v) * ds"
+    if isinstance(loads, fem.Form):
+        raise ValueError(f"loads is a compiled form: {wanted}, in UFL as it is before fem.form")
+    if not isinstance(loads, ufl.Form):  # its repr may fill pages
+        raise ValueError(f"loads is a {type(loads).__name__}: {wanted}")
+    if len(loads.arguments()) != 1:
+        raise ValueError(f"loads has {len(loads.arguments())} arguments, not one: {wanted}")
     space = loads.arguments()[0].ufl_function_space()
     if space != V.ufl_function_space():
         raise ValueError(

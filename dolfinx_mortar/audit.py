@@ -17,6 +17,7 @@ from dolfinx_mortar.interface import Interface
 from dolfinx_mortar.pairing import Pairing
 from dolfinx_mortar.parallel import maximum
 from dolfinx_mortar.segments import facet_normals, facet_sizes
+from dolfinx_mortar.surface import mean_facet_length
 
 if TYPE_CHECKING:
     from dolfinx_mortar.problem import ContactProblem
@@ -158,7 +159,7 @@ def _audit(interface: Interface) -> InterfaceAudit:
         ),
         op=MPI.SUM,
     )
-    lengths = [interface.mean_facet_length(s) for s in surfaces]
+    lengths = [mean_facet_length(s) for s in surfaces]
     return InterfaceAudit(repr(interface), *map(int, counts), float(lengths[0] / lengths[1]))  # type: ignore[call-arg]
 
 

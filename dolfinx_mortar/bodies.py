@@ -21,6 +21,8 @@ Floats = npt.NDArray[np.float64]
 # A rigid motion counts as held if the constraints resist it by more than this share of the motion
 # that they resist most.
 HELD = 1e-7
+# Two rigid motions that differ by less than this share have the same name.
+SAME = 1e-4
 
 
 @dataclass(frozen=True)
@@ -119,7 +121,8 @@ def free_motions(bodies: Bodies, constraints: Sequence[Callable[[PETSc.Vec], Flo
             contact counts as if it could also pull.
 
     Returns:
-        One sentence for every independent motion in the null space, empty if all is held.
+        The motions in the null space by name: of single bodies where possible, then of several
+        bodies together, then sums of motions; empty if all is held.
     """
     modes = bodies.rigid_modes()
     columns = [np.concatenate([c(v).ravel() for c in constraints]) for _, _, v in modes]
@@ -127,14 +130,63 @@ def free_motions(bodies: Bodies, constraints: Sequence[Callable[[PETSc.Vec], Flo
     gram = bodies.V.mesh.comm.allreduce(rows.T @ rows, op=MPI.SUM)
     scale = max(float(gram.diagonal().max()), np.finfo(float).tiny)
     values, vectors = np.linalg.eigh(gram / scale)
-    found = []
-    for motion in vectors.T[values < HELD**2 * len(modes)]:
+    null = rest = vectors[:, values < HELD**2 * len(modes)]
+    body = np.array([k for k, _, _ in modes])
+    named = [f"{name} of {_name(bodies, [k])}" for k, name, _ in modes]
+    rest, found = _take_out(null, rest, dict(zip(named, np.eye(len(modes)), strict=True)))
+    for group in _groups(rest, body):
+        rest, together = _take_out(null, rest, _common_motions(bodies, group))
+        found += together
+    for motion in rest.T:
         parts = np.flatnonzero(np.abs(motion) > 0.1 * np.abs(motion).max())
-        found.append(
-            " + ".join(
-                f"{modes[k][1]} of the body around "
-                f"{np.round(bodies.centre[modes[k][0]], 3).tolist()}"
-                for k in parts
-            )
-        )
+        found.append(" + ".join(named[k] for k in parts))
     return found
+
+
+def _name(bodies: Bodies, group: Sequence[int]) -> str:
+    """Return how a message calls a body, or several."""
+    centres = ", ".join(str(np.round(bodies.centre[k], 3).tolist()) for k in group)
+    return (
+        f"the bodies around {centres} together" if len(group) > 1 else f"the body around {centres}"
+    )
+
+
+def _take_out(null: Floats, rest: Floats, motions: dict[str, Floats]) -> tuple[Floats, list[str]]:
+    """Return the rest (modes, k) of a null space without given motions, and which it had."""
+    found = []
+    for name, motion in motions.items():
+        unit = motion / np.linalg.norm(motion)
+        share = rest.T @ unit
+        inside = np.linalg.norm(unit - null @ (null.T @ unit)) < SAME
+        if inside and np.linalg.norm(share) > SAME:
+            found.append(name)
+            rest = rest @ np.linalg.svd(share[None])[2][1:].T
+    return rest, found
+
+
+def _groups(null: Floats, body: npt.NDArray[np.int_]) -> list[list[int]]:
+    """Return the sets of bodies that only move together in a null space (modes, k)."""
+    linked = np.abs(null @ null.T) > SAME
+    _, label = connected_components(linked | (body[:, None] == body), directed=False)
+    return [np.unique(body[label == k]).tolist() for k in np.unique(label)]
+
+
+def _common_motions(bodies: Bodies, group: list[int]) -> dict[str, Floats]:
+    """Return the rigid motions of a group of bodies as one, in terms of their rigid modes."""
+    count, d = bodies.centre.shape
+    planes = [(0, 1)] if d == 2 else [(1, 2), (2, 0), (0, 1)]
+    arm = bodies.centre - bodies.centre[group].mean(axis=0)
+    shift, turn = (
+        np.zeros((d + len(planes), count, d)),
+        np.zeros((d + len(planes), count, len(planes))),
+    )
+    names = []
+    for i in range(d):
+        shift[i, group, i] = 1.0
+        names.append(f"translation {'xyz'[i]}")
+    for k, (i, j) in enumerate(planes):
+        shift[d + k, group, i], shift[d + k, group, j] = -arm[group, j], arm[group, i]
+        turn[d + k, group, k] = bodies.radius[group]
+        names.append(f"rotation about {'xyz'[3 - i - j]}")
+    motions = np.concatenate([shift, turn], axis=2).reshape(len(names), -1)
+    return {f"{n} of {_name(bodies, group)}": m for n, m in zip(names, motions, strict=True)}

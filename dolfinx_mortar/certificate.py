@@ -28,7 +28,8 @@ def _largest(problem: ContactProblem, *arrays: Floats) -> Floats:
 
 def _share(value: npt.ArrayLike, scale: npt.ArrayLike) -> float:
     """Return value / scale, 0 where nothing acts at all."""
-    return float(np.asarray(value) / scale) if np.asarray(scale) > 0 else 0.0
+    share = float(np.asarray(value) / scale) if np.asarray(scale) > 0 else 0.0
+    return share + 0.0  # no -0.0
 
 
 def _operator_errors(interface: Interface) -> tuple[float, float]:
@@ -78,7 +79,7 @@ def create_certificate(
     multiplier: list[Floats] = [np.zeros(0)]
     nodal = problem.gaps()
     for contact in problem.contacts:
-        constrained = contact.S[:, 0]
+        constrained = contact.kept[:, 0]
         gap.append(nodal[contact.pattern.nodes[constrained]])
         multiplier.append(contact.multiplier[constrained])
     g, p = np.concatenate(gap), np.concatenate(multiplier)

@@ -62,3 +62,10 @@ def create_square(V: fem.FunctionSpace, rows: npt.ArrayLike, columns: npt.ArrayL
     A.setType(PETSc.Mat.Type.AIJ)
     set_pattern(A, rows, columns)
     return A
+
+
+def rows_and_columns(A: PETSc.Mat) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int64]]:
+    """Return owned row (local) and column (global) of every entry in the pattern of A."""
+    indptr, columns, _ = A.getValuesCSR()
+    rows = np.repeat(np.arange(len(indptr) - 1, dtype=np.int32), np.diff(indptr))
+    return rows, columns.astype(np.int64)

@@ -16,6 +16,8 @@ from dolfinx import fem
 from dolfinx_mortar.materials.tensor import COMPONENTS, frobenius_norm, vector_norm, von_mises
 from dolfinx_mortar.regions import Region
 
+# Zero where no law has them: scripts need not know the materials. Name -> whether it is a tensor.
+PLASTIC_FIELDS = {"plastic_strain": True, "back_stress": True, "plastic": False}
 # The name under which the literature plots a quantity -> ours.
 ALIASES = {"hardening": "back_stress_vector_norm"}
 
@@ -59,7 +61,8 @@ class PointFields:
             names += [name for name in self._output(region, none) if name not in names]
         tensors = [name for name in names if name != "plastic"]
         norms = [f"{name}_{norm}" for name in tensors for norm in ("norm", "vector_norm")]
-        return (*names, *norms, "von_mises", *ALIASES)
+        aliases = [name for name, target in ALIASES.items() if target in norms]
+        return (*names, *norms, "von_mises", *aliases)
 
     def values(self, name: str) -> np.ndarray:
         """Return a field on the owned cells: (cells, points) or (cells, points, components).
@@ -68,7 +71,7 @@ class PointFields:
             name: a stored field ("stress", "plastic_strain", "back_stress", "plastic"),
                 "von_mises", a tensor's name followed by "_norm" (Frobenius), "_vector_norm"
                 (stored components, shear once) or a component ("stress_yy"), or "hardening", the
-                vector norm of the back stress.
+                vector norm of the back stress. What only plasticity has is zero in elastic bodies.
 
         Raises:
             ValueError: if no law has that field.
@@ -97,6 +100,9 @@ class PointFields:
             if result is None:
                 result = np.zeros((self._owned, self._points, *field.shape[1:]))
             result[cells] = field.reshape(cells.size, self._points, *field.shape[1:])
+        if result is None and name in PLASTIC_FIELDS:
+            shape = (len(self._components),) if PLASTIC_FIELDS[name] else ()
+            result = np.zeros((self._owned, self._points, *shape))
         if result is None:
             raise ValueError(f"no field {name!r}; there are {', '.join(self.names)}.")
         return result
@@ -129,8 +135,16 @@ class PointFields:
         return assembled.array[Q.dofmap.list[: self._owned]]
 
     def max(self, name: str) -> float:
-        """Return the largest value of a scalar field over all points and ranks."""
+        """Return the largest value of a scalar field over all points and ranks.
+
+        Raises:
+            ValueError: if the field is a tensor, or no law has it.
+        """
         values = self.values(name)
+        if values.ndim > 2:
+            raise ValueError(
+                f"{name!r} is a tensor: ask for a norm or a component, '{name}_norm' or '{name}_xx'"
+            )
         largest = float(values.max()) if values.size else -np.inf
         return self._mesh.comm.allreduce(largest, op=MPI.MAX)
 

@@ -12,7 +12,7 @@ Then w is the relative displacement in those directions, and every constraint is
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -23,8 +23,8 @@ import numpy.typing as npt
 from dolfinx import fem, la
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar import coo
-from dolfinx_mortar.frames import create_frames
 from dolfinx_mortar.mortar import (
+    LEAST_COVERAGE,
     assemble_node_matrices,
     default_keep,
     find_segments,
@@ -32,16 +32,13 @@ from dolfinx_mortar.mortar import (
 )
 from dolfinx_mortar.pairing import Pairing, create_pairing, outside_margin
 from dolfinx_mortar.parallel import any_rank
+from dolfinx_mortar.results import NoResult, Result
 from dolfinx_mortar.segments import Segments
-from dolfinx_mortar.surface import Surface, check_tags, create_surface
+from dolfinx_mortar.surface import Surface, check_tags, create_surface, mean_facet_length
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 Ints = npt.NDArray[np.int32]
-
-# A slave normal that loses more than this share of its length to Dirichlet data has no direction
-# left in which contact could act.
-MIN_FREE_NORMAL = 0.5
 
 
 @dataclass(frozen=True)
@@ -53,13 +50,6 @@ class Pattern:
     column: npt.NDArray[np.int64]  # (e,) global node of each coupling entry
     from_D: Ints  # positions in D's values of the leading entries (off-diagonal of D)
     from_M: Ints  # positions in M's values of the remaining entries
-
-
-def _rows_and_columns(A: PETSc.Mat) -> tuple[Ints, npt.NDArray[np.int64]]:
-    """Return owned row (local) and column (global) of every entry in the pattern of A."""
-    indptr, columns, _ = A.getValuesCSR()
-    rows = np.repeat(np.arange(len(indptr) - 1, dtype=np.int32), np.diff(indptr))
-    return rows, columns.astype(np.int64)
 
 
 class Interface:
@@ -76,9 +66,18 @@ class Interface:
 
     kind: ClassVar[str] = "interface"
 
+    force: Any = Result()  # (d,) resultant exerted on the slave side
+    moment: Any = Result()  # (3,) its moment about the origin
+    master_force: Any = Result()  # the same for the master side
+    master_moment: Any = Result()
+    pressure: Any = Result()  # Functions, which exist as soon as a problem has the interface
+    gap: Any = Result()
+    active: Any = Result()
+
     normals: Floats  # (n, d) at the owned slave nodes, without prescribed directions
     R: Floats  # (n, d, d) frames, normal first
-    S: Bools  # (n, d) which directions of the frame are constrained
+    S: Bools  # (n, d) which directions of the frame are constrained in the change of basis
+    near: Bools  # (n,) slave nodes that take part in the change of basis
     slot: Ints  # (n, d) column of R that is a prescribed Cartesian direction, else -1
 
     def __init__(self, facet_tags: MeshTags, *, slave: int, master: int) -> None:
@@ -117,6 +116,8 @@ class Interface:
         scalar = V.sub(0).collapse()[0]
         names = ("pressure", "gap", "active")
         self.pressure, self.gap, self.active = (fem.Function(scalar, name=n) for n in names)
+        owned = self.slave_surface.owned
+        self.carries: Bools = np.zeros(owned, dtype=bool)  # nodes with multiplier in the results
         self.bound = True
 
     def share(self, owned: Bools) -> Bools:
@@ -135,12 +136,12 @@ class Interface:
     def search(self, u: fem.Function | None) -> None:
         """Pair slave and master facets at X + u and fix the coupling pattern; collective."""
         self.pairing: Pairing = create_pairing(self.V, self.slave_surface, self.master_surface, u)
-        self.facet_length = self.mean_facet_length(self.slave_surface)
+        self.facet_length = mean_facet_length(self.slave_surface)
         nodes = self.slave_surface.nodes[: self.slave_surface.owned]
         position = np.full(self.n_owned, -1, dtype=np.int32)
         position[nodes] = np.arange(len(nodes), dtype=np.int32)
-        row_D, column_D = _rows_and_columns(self.pairing.D)
-        row_M, column_M = _rows_and_columns(self.pairing.M)
+        row_D, column_D = coo.rows_and_columns(self.pairing.D)
+        row_M, column_M = coo.rows_and_columns(self.pairing.M)
         first = self.V.dofmap.index_map.local_range[0]
         from_D = np.flatnonzero((row_D + first != column_D) & (position[row_D] >= 0))
         from_M = np.flatnonzero(position[row_M] >= 0)
@@ -152,6 +153,8 @@ class Interface:
             from_M.astype(np.int32),
         )
         self.Q = self._create_coupling_matrix()
+        if not hasattr(self, "near"):
+            self.near = np.ones(len(nodes), dtype=bool)
 
     def _create_coupling_matrix(self) -> PETSc.Mat:
         """Return Q with the pattern of all candidate pairs, its values not yet set."""
@@ -161,16 +164,24 @@ class Interface:
         column = d * p.column[:, None] + b
         return coo.create_square(self.V, row.ravel(), column.ravel())
 
-    def mean_facet_length(self, surface: Surface) -> float:
-        """Return the mean length of the first edges of a side's facets; collective."""
-        edges = surface.X[surface.facets[:, 1]] - surface.X[surface.facets[:, 0]]
-        local = np.array([np.linalg.norm(edges, axis=1).sum(), len(edges)])
-        total, count = self.V.mesh.comm.allreduce(local, op=MPI.SUM)
-        return float(total / count)
+    def configuration(self, u: fem.Function | None) -> fem.Function | None:
+        """Return the displacement at which the interface is taken, None for X."""
+        return u
 
-    def needs_search(self, u: fem.Function | None) -> bool:
-        """Tell whether the bodies slid out of the margin of the last search; collective."""
-        return outside_margin(self.pairing, u)
+    def needs_search(self, u: fem.Function | None, *, everywhere: bool) -> bool:
+        """Tell whether the bodies slid out of the margin of the last search; collective.
+
+        Args:
+            u: displacement.
+            everywhere: ask for all slave facets; otherwise for those at near nodes only.
+        """
+        if everywhere:
+            return outside_margin(self.pairing, u)
+        near = np.zeros(self.n_owned, dtype=bool)
+        near[self.pattern.nodes] = self.near
+        surface = self.slave_surface
+        among = self.share(near)[surface.nodes][surface.facets].any(axis=1)
+        return outside_margin(self.pairing, u, among)
 
     # -- geometry --------------------------------------------------------------------------------
 
@@ -225,7 +236,7 @@ class Interface:
 
     def constrained(self, v: PETSc.Vec) -> Floats:
         """Return the constrained components of the relative motion; collective."""
-        return np.asarray(self.relative(v)[self.S])
+        return np.asarray(self.relative(v)[:, : self.kept.shape[1]][self.kept])
 
     def _fill(self, blocks: Floats) -> None:
         """Refill Q with (entries, d, d) blocks."""
@@ -266,79 +277,35 @@ class Interface:
             np.where(side[: self.n_owned, None], -f, 0.0)
             for side in (self.slave_nodes, self.master_nodes)
         ]
+        self.carries = np.asarray(self.kept.any(axis=1))
         local = np.array([[s.sum(axis=0), np.cross(points, s).sum(axis=0)] for s in sides])
         total = self.V.mesh.comm.allreduce(local, op=MPI.SUM)
         self.force, self.moment = total[0, 0, : self.d], total[0, 1]
         self.master_force, self.master_moment = total[1, 0, : self.d], total[1, 1]
 
     def _extend(self, values: Floats, kept: npt.ArrayLike) -> Floats:
-        """Give removed slave nodes the mean of the kept ones on their facets; (local nodes,).
+        """Give covered slave nodes without multiplier the mean of the kept ones on their facets.
 
         A kept node's value is a traction even if the node is partly covered, because D_jj is its
-        covered weight; a removed node has handed its dual function to those neighbours.
+        covered weight; a removed node has handed its dual function to those neighbours. Nodes
+        beyond the master, and all off the slave side, are not-a-number; (local nodes,).
         """
-        layout = self.V.dofmap.index_map
-        vector = la.vector(layout, 2)
+        vector = la.vector(self.V.dofmap.index_map, 2)
         array = vector.array.reshape(-1, 2)
         own = self.pattern.nodes
         array[own] = np.column_stack([np.where(kept, values, 0.0), kept])
         vector.scatter_forward()
         known = array.copy()
+        covered = np.zeros(self.n_owned, dtype=bool)
+        covered[own] = self.coverage > LEAST_COVERAGE
         facets = self.slave_surface.nodes[self.slave_surface.facets]
         array[:] = 0.0
         np.add.at(array, facets, known[facets].sum(axis=1, keepdims=True))
         vector.scatter_reverse(la.InsertMode.add)
         vector.scatter_forward()
         with np.errstate(invalid="ignore"):
-            return np.where(known[:, 1] > 0, known[:, 0], array[:, 0] / array[:, 1])
-
-
-class Contact(Interface):
-    """Frictionless unilateral contact: w_n <= gap, pressure >= 0, pressure * opening = 0.
-
-    ``pressure`` (traction, >= 0 in compression), ``gap`` (>= 0 when open; not-a-number at slave
-    nodes that face no master) and ``active`` (1 in contact, else 0) are Functions that vanish off
-    the slave side. ``force`` is the resultant exerted on the slave side, -sum_j D_jj lambda_j n_j.
-    """
-
-    kind = "contact"
-
-    def _allowed(self, nodes: Ints, left: Floats) -> Bools:
-        return np.asarray((left >= MIN_FREE_NORMAL)[:, None])
-
-    def _set_frames(self, P: Floats, normals: Floats) -> None:
-        kept, p = self.kept[:, 0], self.pattern
-        fixed = self.fixed[p.nodes]
-        axes = np.arange(self.d, dtype=np.int32)
-        frames, slots = create_frames(np.where(kept[:, None], normals, np.eye(self.d)[0]), fixed)
-        self.normals = np.where(kept[:, None], normals, 0.0)
-        self.R = np.where(kept[:, None, None], frames, np.eye(self.d))
-        self.slot = np.where(kept[:, None], slots, np.where(fixed, axes, -1))
-        self.S = kept[:, None] & (axes == 0)
-        n = self.normals[p.row]
-        self._fill(P[:, 0, None, None] * n[:, :, None] * n[:, None, :])
-
-    def set_results(self, reaction: Floats, active: Bools, gap: Floats, x: Floats) -> None:
-        """Set resultants and Functions; collective.
-
-        Args:
-            reaction: (n,) D_jj lambda_j >= 0 at the owned slave nodes.
-            active: (n,) nodes in contact.
-            gap: (n,) nodal gaps w_n may still close.
-            x: (owned nodes, d) coordinates for the moments.
-        """
-        kept = self.kept[:, 0]
-        self.set_resultants(reaction[:, None] * self.normals, x)
-        self.multiplier = np.divide(
-            reaction, self.weight[:, 0], out=np.zeros_like(reaction), where=kept
-        )
-        on_slave = self.slave_nodes
-        for function, values in ((self.pressure, self.multiplier), (self.gap, gap)):
-            function.x.array[:] = np.where(on_slave, self._extend(values, kept), 0.0)
-        self.pressure.x.array[:] = np.nan_to_num(self.pressure.x.array)
-        self.active.x.array[:] = 0.0
-        self.active.x.array[self.pattern.nodes] = active
-        self.active.x.scatter_forward()
+            extended = np.where(self.share(covered), array[:, 0] / array[:, 1], np.nan)
+        return np.where(known[:, 1] > 0, known[:, 0], extended)
 
     def gather(self, u: fem.Function) -> dict[str, Floats]:
         """Return the slave nodes of all ranks on every rank; collective.
@@ -346,7 +313,12 @@ class Contact(Interface):
         Returns:
             "X" (n, d) reference and "x" (n, d) current coordinates at u, "pressure", "gap" and
             "active" (n,), ordered by X.
+
+        Raises:
+            NoResult: before the first step.
         """
+        if "force" not in vars(self):
+            raise NoResult(self, "nodal results")
         own = self.pattern.nodes
         X = self.V.tabulate_dof_coordinates()[own, : self.d]
         columns = [X, X + u.x.array.reshape(-1, self.d)[own]]
@@ -356,38 +328,3 @@ class Contact(Interface):
         parts = np.split(table, [self.d, 2 * self.d], axis=1)
         names = ("pressure", "gap", "active")
         return {"X": parts[0], "x": parts[1]} | dict(zip(names, parts[2].T, strict=True))
-
-
-class Tie(Interface):
-    """Mesh tying ("glue"): both sides move together in all directions, u_s = P u_m.
-
-    Directions with Dirichlet data are left to those data. ``force`` is the resultant exerted on the
-    slave side; ``pressure`` the normal traction, positive in compression.
-    """
-
-    kind = "tie"
-
-    def _allowed(self, nodes: Ints, left: Floats) -> Bools:
-        return ~self.fixed[nodes]
-
-    def _set_frames(self, P: Floats, normals: Floats) -> None:
-        p = self.pattern
-        n = len(p.nodes)
-        self.normals = normals
-        self.R = np.broadcast_to(np.eye(self.d), (n, self.d, self.d))
-        axes = np.arange(self.d, dtype=np.int32)
-        self.slot = np.where(self.fixed[p.nodes], axes, -1)
-        self.S = self.kept
-        self._fill(P[:, :, None] * np.eye(self.d))
-
-    def set_results(self, reaction: Floats, x: Floats) -> None:
-        """Set resultants and the normal traction from the tying forces (n, d); collective."""
-        self.set_resultants(reaction, x)
-        kept = self.kept.any(axis=1)
-        weight = np.maximum(self.weight.max(axis=1), np.finfo(float).tiny)
-        normal = np.einsum("ni,ni->n", reaction, self.normals) / weight
-        pressure = np.nan_to_num(self._extend(np.where(kept, normal, 0.0), kept))
-        self.pressure.x.array[:] = np.where(self.slave_nodes, pressure, 0.0)
-        self.active.x.array[:] = 0.0
-        self.active.x.array[self.pattern.nodes] = kept
-        self.active.x.scatter_forward()

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_mortar import qp as backends
+from dolfinx_mortar.arguments import check_controls
 from dolfinx_mortar.certificate import create_certificate
 from dolfinx_mortar.parallel import maximum
 from dolfinx_mortar.problem import ContactProblem
@@ -46,7 +47,8 @@ def newton(
 
     At the iterate u^k the energy is replaced by its quadratic model (paper, eq. 9) and the
     bound-constrained QP is solved to the end (eq. 10), warm-started from the last contact set. The
-    step is shortened on J(v) + s sum_j D_jj (w_n - gap)_+ if that merit does not fall.
+    step is shortened on J(v) + s sum_j D_jj (w_n - gap)_+ if that merit does not fall. Where a
+    material has a stress but no energy, there is no J, and all steps are whole.
 
     Args:
         problem: the bodies and their constraints; ``problem.commit()`` accepts the step.
@@ -60,11 +62,10 @@ def newton(
 
     Raises:
         NewtonNotConverged: with the report attached; u and the committed state are as before.
-        ValueError: for an unknown backend or tolerance, or input that ``begin_step`` rejects.
+        ValueError: for an unknown backend or bad tolerance, or input that ``begin_step`` rejects.
     """
     backends.check_name(qp)
-    if not 0.0 < rtol < 1.0 or max_it < 1:
-        raise ValueError(f"rtol is {rtol}, max_it is {max_it}: need 0 < rtol < 1 and max_it >= 1")
+    check_controls(rtol, max_it)
     before, active = problem.u.x.array.copy(), problem.active.copy()
     earlier = dict(problem.timings.seconds)
     report = StepReport(backend=qp, geometry=problem.geometry, rtol=rtol)
@@ -73,10 +74,8 @@ def newton(
             problem.begin_step()
             _Step(problem, report).run(max_it)
     except backends.QPNotSolved as error:
-        number, cause = len(report.iterations) + 1, str(error)
-        if problem.audit().held_by_contact:
-            cause += " A body held by contact alone may float away: do the loads press it on?"
-        raise _failed(f"the QP of Newton iteration {number}: {cause}", report) from error
+        number, cause = len(report.iterations) + 1, str(error).rstrip(". ")
+        raise _failed(f"the QP of Newton iteration {number}: {cause}", problem, report) from error
     finally:
         report.seconds = problem.timings.since(earlier)
         report.linear_solver = problem.linear.description
@@ -87,7 +86,13 @@ def newton(
     return report
 
 
-def _failed(message: str, report: StepReport) -> NewtonNotConverged:
+def _failed(message: str, problem: ContactProblem, report: StepReport) -> NewtonNotConverged:
+    """Return the error, with what the audit knows about bodies that may move off; collective."""
+    if problem.audit().held_by_contact:
+        message += (
+            ". A body held by contact alone may float away (do the loads press it on?), or slides "
+            "or rolls freely (then prescribe that motion)"
+        )
     return NewtonNotConverged(
         f"{message}. The displacement and the committed state are as before the step: "
         "retry with a smaller one (dm.load_steps does)",
@@ -110,6 +115,7 @@ class _Step:
         self.rest = COORDINATE_FLOOR * float(maximum(problem.comm, extent)[0])
         self.predicted_gap: Floats | None = None  # after the last step, as it was linearised
         self.held_at: float | None = None  # increment at which the geometry was stopped
+        self.noted: dict[str, list[int]] = {}  # what the QP backend said, and in which iterations
 
     def run(self, max_it: int) -> None:
         """Iterate until converged; sets the results and the certificate."""
@@ -122,12 +128,14 @@ class _Step:
                 start = problem.active[problem.bounded_nodes].astype(np.int8)
             done = self.iterate(number, start)
             _log(problem, report)
-            if done and self.held_at is None:
+            # While the geometry moves, its update looks after the far nodes.
+            complete = (self.moving and not done) or problem.far_nodes_stay_open()
+            if done and complete and self.held_at is None:
                 problem.set_results(self.reaction)
                 report.certificate = create_certificate(problem, report, self.reaction)
                 report.converged = True
                 return
-        raise _failed(f"Newton did not converge in max_it={max_it} iterations", report)
+        raise _failed(f"Newton did not converge in max_it={max_it} iterations", problem, report)
 
     def hold(self) -> bool:
         """Tell whether to keep the geometry in the next iteration, because Newton stalls.
@@ -161,13 +169,14 @@ class _Step:
                 settled=self.settled,
             )
         if solved.note:
-            report.notes.append(f"iteration {number}: {solved.note}")
+            self.note(number, solved.note)
         changed = self.take_over(solved, start)
 
         step = problem.to_displacement(solved.x)
         increment, at_rest = self.energy_increment(step)
         slope = -problem.vectors["r"].dot(step)
-        length, halvings = self.line_search(step, solved.x, slope, search=fixed_supports)
+        search = fixed_supports and problem.solid.has_energy
+        length, halvings = self.line_search(step, solved.x, slope, search=search)
         self.predicted_gap = problem.gap - length * _normal_part(problem, solved.x)
         residual, floor = force_residual(problem, solved.z)
         report.iterations.append(
@@ -194,6 +203,12 @@ class _Step:
         balanced = balanced or (problem.solid.linear and in_balance)
         tight = solved.kkt.satisfied(max(self.tolerance, 1e-2 * report.rtol))
         return length == 1.0 and tight and (small or (balanced and (at_rest or not self.moving)))
+
+    def note(self, number: int, text: str) -> None:
+        """Report what the QP backend says: one note, once for all iterations that say the same."""
+        self.noted.setdefault(text, []).append(number)
+        said = [f"iteration {', '.join(map(str, n))}: {t}" for t, n in self.noted.items()]
+        self.report.notes = ["; ".join(said)]
 
     def accuracy(self) -> float:
         """Return the tolerance of the next QP: tight where it may be the last one."""
@@ -266,7 +281,7 @@ class _Step:
         """Move u along the step until the merit falls; return the length and the halvings.
 
         Without a search (an iteration that changes Dirichlet values must be free to raise the
-        energy) the whole step is taken.
+        energy; a law may have none) the whole step is taken.
         """
         problem = self.problem
         own = step.array_r.size
@@ -285,7 +300,7 @@ class _Step:
             if after <= before + ARMIJO * length * min(slope, 0.0) + noise:
                 return length, halvings
             length *= 0.5
-        raise _failed("the line search found no step that lowers the energy", self.report)
+        raise _failed("the line search found no step that lowers the energy", problem, self.report)
 
     def geometry_change(self) -> float:
         """Return how far the active gaps are from their last prediction, in facet lengths."""

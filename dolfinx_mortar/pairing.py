@@ -246,22 +246,33 @@ def received_facets(pairing: Pairing, u: dolfinx.fem.Function | None) -> Floats:
 
 
 @timed("~Mortar: margin")
-def outside_margin(pairing: Pairing, u: dolfinx.fem.Function | None) -> bool:
+def outside_margin(
+    pairing: Pairing, u: dolfinx.fem.Function | None, among: Bools | None = None
+) -> bool:
     """Tell whether a segment at X + u can belong to a pair that is not a candidate (collective).
 
     The broad phase without margin is repeated and must not find anything new, so the answer
     depends on the relative motion of the two sides only, and False is always safe.
+
+    Args:
+        pairing: The pair of surfaces.
+        u: Displacement.
+        among: Slave facets of this rank (ms,) to look at; all if not given.
     """
     comm = pairing.slave.V.mesh.comm
     x_s, n_s = _facet_arrays(pairing.slave, u)
     x_m = received_facets(pairing, u)
     none = np.zeros(len(x_s))
-    pairs = find_candidates(x_s, n_s, x_m, none, moving=False)
+    among = np.ones(len(x_s), dtype=bool) if among is None else among
+    asked = np.flatnonzero(among)
+    pairs = find_candidates(x_s[asked], n_s[asked], x_m, none[asked], moving=False)
+    pairs[:, 0] = asked[pairs[:, 0]]
     fresh, known = (p[:, 0].astype(np.int64) * len(x_m) + p[:, 1] for p in (pairs, pairing.pairs))
     missing = not np.isin(fresh, known, assume_unique=True).all()
     if comm.size > 1:
         x_own = coordinates(pairing.master, u)[pairing.master.facets]
-        cones = _group_cones(x_s, n_s, pairing.groups, none, 0.0)
+        groups = [group[among[group]] for group in pairing.groups]
+        cones = _group_cones(x_s, n_s, [group for group in groups if len(group)], none, 0.0)
         receivers = _find_receivers(comm, cones, x_own)
         missing = missing or bool((receivers & ~pairing.sent).any())
     return bool(comm.allreduce(int(missing)))

@@ -14,15 +14,20 @@ import numpy.typing as npt
 
 import ufl
 from dolfinx import fem, la
+from dolfinx_mortar import reach
 from dolfinx_mortar.arguments import check_arguments
 from dolfinx_mortar.audit import Audit, create_audit
 from dolfinx_mortar.bodies import Bodies, find_bodies
-from dolfinx_mortar.interface import Contact, Interface, Tie
+from dolfinx_mortar.contact import Contact
+from dolfinx_mortar.interface import Interface
 from dolfinx_mortar.parallel import any_rank, maximum
 from dolfinx_mortar.preconditioning import create_preconditioning
 from dolfinx_mortar.qp import MULTIGRID, BoundQP, LinearSolver
 from dolfinx_mortar.report import Timings
+from dolfinx_mortar.results import merge_results
 from dolfinx_mortar.solid import Solid
+from dolfinx_mortar.supports import prescribed_dofs, prescribed_values
+from dolfinx_mortar.tie import Tie
 from dolfinx_mortar.transformation import Transformation, resolve_claims
 
 Floats = npt.NDArray[np.float64]
@@ -74,8 +79,9 @@ class ContactProblem:
         self.comm, self.d = self.V.mesh.comm, self.V.dofmap.index_map_bs
         self.n = layout.size_local  # owned nodes
         self.first_dof = self.d * layout.local_range[0]
+        self.X = self.V.tabulate_dof_coordinates()[: self.n, : self.d].copy()
         self.loads = None if loads is None else fem.form(loads)
-        self.fixed = self._prescribed_dofs()
+        self.fixed = prescribed_dofs(self.V, self.bcs)
         with self.timings("setup"):
             self.K = solid.create_matrix()
             names = ("f", "F", "r", "residual", "x", "du", "dy", "lower", "upper")
@@ -92,41 +98,14 @@ class ContactProblem:
                 interface.bind(self.V, self.fixed)
         self.bodies: Bodies = find_bodies(self.V)
         self.active = np.zeros(self.n, dtype=bool)  # of the last QP, owned nodes
-        self.committed_active = self.active.copy()
         self.notes: list[str] = []
         self.searches = 0
         self.facet_length = 1.0
         self._outputs: dict[str, fem.Function] = {}
+        self.target = np.zeros(self.d * self.n)
+        self.transformation: Transformation | None = None
+        self.outdated = False  # the surfaces were paired anew without a new T
         self._audited: Audit | None = None
-
-    def _prescribed_dofs(self) -> Bools:
-        """Return (local nodes, d): which displacement components Dirichlet data prescribe."""
-        marks = la.vector(self.V.dofmap.index_map, self.d)
-        marks.array[:] = 0.0
-        for bc in self.bcs:
-            marks.array[bc.dof_indices()[0]] = 1.0
-        # Dofs may have been located on ranks that do not own them, or on their owners alone.
-        marks.scatter_reverse(la.InsertMode.add)
-        marks.scatter_forward()
-        return np.asarray(marks.array > 0.0).reshape(-1, self.d)
-
-    def _prescribed_values(self) -> Floats:
-        """Return the prescribed values at owned dofs, 0 elsewhere; collective."""
-        size = self.fixed.size
-        values, known = np.zeros(size), np.zeros(size)
-        for bc in self.bcs:
-            bc.set(values)
-            known[bc.dof_indices()[0]] = 1.0
-        shared = la.vector(self.V.dofmap.index_map, 2 * self.d)
-        shared.array.reshape(-1, 2 * self.d)[:] = np.hstack(
-            [part.reshape(-1, self.d) for part in (known * values, known)]
-        )
-        shared.scatter_reverse(la.InsertMode.add)
-        total = shared.array.reshape(-1, 2 * self.d)[: self.n]
-        # The owner's own value is exact; the mean of the others' stands in where it has none.
-        own = slice(None, self.d * self.n)
-        mean = total[:, : self.d].ravel() / np.maximum(total[:, self.d :].ravel(), 1.0)
-        return np.where(known[own] > 0, values[own], mean)
 
     @property
     def contacts(self) -> list[Contact]:
@@ -147,7 +126,7 @@ class ContactProblem:
             ValueError: if nothing holds a body, or a pair of surfaces cannot meet.
         """
         if self._audited is None:
-            self.update_geometry(search=True)
+            self.update_geometry(search=True, at=reach.expected_displacement(self))
             self._audited = create_audit(self)
         return self._audited
 
@@ -164,7 +143,7 @@ class ContactProblem:
                 assembled = fem.assemble_vector(self.loads)
                 assembled.scatter_reverse(la.InsertMode.add)
                 f.array[:] = assembled.array[: self.d * self.n]
-        self.target = self._prescribed_values()
+        self.target = prescribed_values(self.V, self.bcs)
         owned = self.fixed.ravel()[: self.d * self.n]
         for name, array, remedy in (
             ("loads", f.array_r, "check the coefficients of the linear form"),
@@ -177,8 +156,10 @@ class ContactProblem:
                 raise ValueError(f"{name}: {bad} values are NaN or infinite; {remedy}")
         if self._audited is None:
             self.audit()
-        elif self.geometry == "updated":
-            self.update_geometry()  # u may have been set, or put back after a failed step
+        else:  # u may have been set, or put back after a failed step; new data may reach further
+            self.update_geometry(
+                search=self.outdated, everywhere=True, at=reach.expected_displacement(self)
+            )
 
     def dirichlet_increment(self) -> Floats:
         """Return prescribed minus present values, (owned nodes, d), 0 where free."""
@@ -199,25 +180,67 @@ class ContactProblem:
 
     # -- geometry and constraints ----------------------------------------------------------------
 
-    def update_geometry(self, *, search: bool = False) -> None:
-        """Rebuild D, M, N, T at X + u (at X if frozen); search again where needed; collective."""
+    def update_geometry(
+        self, *, search: bool = False, everywhere: bool = False, at: fem.Function | None = None
+    ) -> None:
+        """Rebuild D, M, N, T at X + u (at X if frozen); collective.
+
+        Args:
+            search: pair the surfaces anew in any case; otherwise where they slid too far.
+            everywhere: ask so for the whole surfaces, not only near the contact.
+            at: displacement instead of u.
+        """
         if not self.interfaces:
             self._locate_constraints()
             return
-        at = self.u if self.geometry == "updated" else None
+        at = self.configuration if at is None else at
         with self.timings("mortar"):
-            if search or any(i.needs_search(at) for i in self.interfaces):
-                self.searches += 1
-                for interface in self.interfaces:
-                    interface.search(at)
-                self.facet_length = max(i.facet_length for i in self.interfaces)
-                order, notes = resolve_claims(self.interfaces)
-                self.notes += [note for note in notes if note not in self.notes]
-                self.transformation = Transformation(self.V, self.interfaces, order)
+            if search or self._slid(at, everywhere=everywhere):
+                self._search(at)
             for interface in self.interfaces:
-                interface.update(at)
+                interface.update(interface.configuration(at))
+            if self.transformation is None or not reach.covers_contact(self):
+                reach.restrict(self)
+                self.linear.release()  # before the new product needs the memory
+                self.transformation = Transformation(self.V, self.interfaces, self.order)
             self.transformation.update()
             self._locate_constraints()
+
+    @property
+    def configuration(self) -> fem.Function | None:
+        """The displacement at which normals and segments are taken."""
+        return self.u if self.geometry == "updated" else None
+
+    def _slid(self, at: fem.Function | None, *, everywhere: bool) -> bool:
+        """Tell whether contacts slid out of the margins of their pairings; collective."""
+        slid = [c.needs_search(at, everywhere=everywhere) for c in self.contacts if at is not None]
+        return any(slid)
+
+    def _search(self, at: fem.Function | None) -> None:
+        """Pair the surfaces; T has to be built anew; collective."""
+        self.searches += 1
+        self.outdated = False
+        for interface in self.interfaces:
+            interface.search(interface.configuration(at))
+        self.facet_length = max(i.facet_length for i in self.interfaces)
+        self.order, notes = resolve_claims(self.interfaces)
+        self.notes += [note for note in notes if note not in self.notes]
+        self.transformation = None
+
+    def far_nodes_stay_open(self) -> bool:
+        """Tell whether no slave node outside T has come into contact; repairs T if one has."""
+        if not self.contacts:
+            return True
+        with self.timings("mortar"):
+            if self._slid(self.configuration, everywhere=True):
+                self.outdated = True  # T still fits near the contact; the next step gets a new one
+                for contact in self.contacts:
+                    contact.search(self.configuration)
+                    contact.update(self.configuration)
+            open_ = not reach.touches_far_nodes(self)
+        if not open_:
+            self.update_geometry(search=self.outdated)
+        return open_
 
     def _locate_constraints(self) -> None:
         """Set, over owned unknowns of y: slots of Dirichlet data, tied and bounded unknowns."""
@@ -225,7 +248,7 @@ class ContactProblem:
         tied = np.zeros((self.n, self.d), dtype=bool)
         bounded = np.zeros(self.n, dtype=bool)
         for interface in self.interfaces:
-            nodes, kept = interface.pattern.nodes, interface.kept.any(axis=1)
+            nodes, kept = interface.pattern.nodes, interface.S.any(axis=1)
             present = interface.slot[kept] >= 0
             slot[nodes[kept]] = np.where(present, interface.slot[kept], slot[nodes[kept]])
             if isinstance(interface, Tie):
@@ -243,8 +266,7 @@ class ContactProblem:
     def current_coordinates(self) -> PETSc.Vec:
         """Return X + u as a vector (also with frozen geometry: the gap is linear in u)."""
         x = self.vectors["x"]
-        X = self.V.tabulate_dof_coordinates()[: self.n, : self.d]
-        x.array[:] = X.ravel() + self.u.x.array[: self.d * self.n]
+        x.array[:] = self.X.ravel() + self.u.x.array[: self.d * self.n]
         return x
 
     def gaps(self) -> Floats:
@@ -252,7 +274,7 @@ class ContactProblem:
         x = self.current_coordinates()
         gap = np.full(self.n, np.inf)
         for contact in self.contacts:
-            kept = contact.S[:, 0]
+            kept = contact.kept[:, 0]
             gap[contact.pattern.nodes[kept]] = -contact.relative(x)[kept, 0]
         return gap
 
@@ -279,7 +301,7 @@ class ContactProblem:
         v["F"].copy(v["r"])
         v["r"].aypx(-1.0, v["f"])
         with self.timings("transform"):
-            A = self.transformation.transform(self.K) if self.interfaces else self.K
+            A = self.K if self.transformation is None else self.transformation.transform(self.K)
             b = self.to_reduced(v["r"])
             v["dy"].set(0.0)
             v["dy"].array[self.eliminated] = self._eliminated_increment()
@@ -312,19 +334,19 @@ class ContactProblem:
     def to_reduced(self, forces: PETSc.Vec) -> PETSc.Vec:
         """Return T^T times a force vector; collective."""
         result = forces.duplicate()
-        if self.interfaces:
-            self.transformation.T.multTranspose(forces, result)
-        else:
+        if self.transformation is None:
             forces.copy(result)
+        else:
+            self.transformation.T.multTranspose(forces, result)
         return result
 
     def to_displacement(self, dy: PETSc.Vec) -> PETSc.Vec:
         """Return du = T dy; collective."""
         du = self.vectors["du"]
-        if self.interfaces:
-            self.transformation.T.mult(dy, du)
-        else:
+        if self.transformation is None:
             dy.copy(du)
+        else:
+            self.transformation.T.mult(dy, du)
         return du
 
     def predict_active(self) -> npt.NDArray[np.int8]:
@@ -336,29 +358,24 @@ class ContactProblem:
         """
         marked = self.active[self.bounded_nodes]
         if not any_rank(self.comm, marked.any())[0] and self.contacts:
-            change = self.dirichlet_increment()
-            mean = self.bodies.mean(change, self.fixed[: self.n])
-            self.vectors["dy"].array[:] = mean[self.bodies.label].ravel()
-            gap = self.gaps()
-            for contact in self.contacts:
-                kept = contact.S[:, 0]
-                nodes = contact.pattern.nodes[kept]
-                gap[nodes] -= contact.relative(self.vectors["dy"])[kept, 0]
+            gap = reach.predicted_gaps(self)
             nearest = -float(maximum(self.comm, -gap.min(initial=np.inf))[0])
-            reach = nearest if nearest > 0.0 else OVERLAP * nearest
-            marked = gap[self.bounded_nodes] <= reach + 1e-6 * self.facet_length
+            depth = nearest if nearest > 0.0 else OVERLAP * nearest
+            marked = gap[self.bounded_nodes] <= depth + 1e-6 * self.facet_length
         return marked.astype(np.int8)
 
     # -- results ---------------------------------------------------------------------------------
 
     def set_results(self, reaction: PETSc.Vec) -> None:
         """Set the interfaces' resultants and Functions from the QP's reactions; collective."""
-        x = self.current_coordinates().array_r.reshape(-1, self.d).copy()
+        moved = self.X + self.u.x.array[: self.d * self.n].reshape(-1, self.d)
         gap = self.gaps()
         forces = self.to_reduced(self.vectors["r"]).array_r.reshape(-1, self.d)
         z = reaction.array_r[:: self.d]
         for interface in self.interfaces:
             nodes = interface.pattern.nodes
+            frozen = interface.configuration(self.configuration) is None
+            x = self.X if frozen else moved  # where the forces act
             if isinstance(interface, Contact):
                 kept = interface.S[:, 0]
                 interface.set_results(
@@ -372,7 +389,6 @@ class ContactProblem:
         with self.timings("commit"):
             self.solid.commit()
             self.solid.update_output()
-        self.committed_active = self.active.copy()
 
     def output_fields(self) -> dict[str, fem.Function]:
         """Return the Functions worth writing, by name; collective.
@@ -387,9 +403,8 @@ class ContactProblem:
             if name in self.solid.fields.names:
                 fields[name] = self.solid.cell_values(name)
         for name in ("pressure", "gap", "status") if self.interfaces else ():
-            parts = [getattr(i, "active" if name == "status" else name) for i in self.interfaces]
             if name not in self._outputs:
-                self._outputs[name] = fem.Function(parts[0].function_space, name=name)
-            self._outputs[name].x.array[:] = sum(part.x.array for part in parts)
-            fields[name] = self._outputs[name]
+                space = self.interfaces[0].pressure.function_space
+                self._outputs[name] = fem.Function(space, name=name)
+            fields[name] = merge_results(self.interfaces, name, self._outputs[name])
         return fields

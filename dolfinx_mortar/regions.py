@@ -123,6 +123,8 @@ def _material_of_cells(
         _check_material("materials", materials)
         return [materials], np.zeros(count, dtype=np.int32)
     for tag, law in materials.items():
+        if not isinstance(tag, int | np.integer):
+            raise ValueError(f"materials has the key {tag!r}: its keys are cell tags, integers.")
         _check_material(f"materials[{tag}]", law)
     if not materials or cell_tags is None:
         raise ValueError(

@@ -151,6 +151,10 @@ class NewtonNotConverged(RuntimeError):
     """
 
     def __init__(self, message: str, report: StepReport) -> None:
-        """Attach the report to the message."""
-        super().__init__(f"{message}\n{report}")
-        self.report = report
+        """Keep the report; it may be completed after the exception is made."""
+        super().__init__(message, report)
+        self.message, self.report = message, report
+
+    def __str__(self) -> str:
+        """Return the message and the report as it is now."""
+        return f"{self.message}\n{self.report}"

@@ -27,6 +27,7 @@ from dolfinx_mortar import compat
 from dolfinx_mortar.fields import PointFields
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.materials.tensor import COMPONENTS, from_components, strain, to_components
+from dolfinx_mortar.parallel import any_rank
 from dolfinx_mortar.regions import Region, check_displacement, create_regions
 from ufl.classes import Label, Variable
 
@@ -43,6 +44,7 @@ class Solid:
         stress: quadrature Function of the same components, filled by `update_output`.
         quadrature_degree: degree of the cell integrals.
         linear: True if all laws are linear, so that the tangent is constant.
+        has_energy: True if all laws have a potential, so that `energy` works.
     """
 
     def __init__(
@@ -63,13 +65,14 @@ class Solid:
                 quadrilaterals and hexahedra, p the degree of u.
 
         Raises:
-            ValueError: if u is in another kind of space, or materials and tags do not match.
+            ValueError: if u is in another kind of space, materials and tags do not match, or the
+                quadrature degree is no integer from 0 on.
         """
         check_displacement(u)
         self.u = u
         self.V = u.function_space
         self.mesh = self.V.mesh
-        self.quadrature_degree = _degree(self.V) if quadrature_degree is None else quadrature_degree
+        self.quadrature_degree = _degree(self.V, quadrature_degree)
         self.regions = create_regions(self.mesh, materials, cell_tags)
         self.linear = all(r.law.linear for r in self.regions)
         self.state = self._create_state()
@@ -190,6 +193,11 @@ class Solid:
         self._force.scatter_reverse(la.InsertMode.add)
         r.array_w[:] = self._force.array[: r.local_size]
 
+    @property
+    def has_energy(self) -> bool:
+        """Whether all laws have a potential."""
+        return self._energy is not None
+
     def energy(self) -> float:
         """Return the incremental potential Psi(u), the sum over all ranks.
 
@@ -248,6 +256,9 @@ class Solid:
 
         Args:
             name: see `PointFields.values`, for example "von_mises" or "plastic_strain_norm".
+
+        Raises:
+            ValueError: for a tensor, or a name that no law knows.
         """
         return self.fields.max(name)
 
@@ -260,8 +271,13 @@ class Solid:
         return self.fields.integral("plastic") if "plastic" in self.fields.names else 0.0
 
 
-def _degree(V: fem.FunctionSpace) -> int:
-    """Return the default quadrature degree: 2(p - 1) >= 1 on simplices, else 2p."""
+def _degree(V: fem.FunctionSpace, given: int | None) -> int:
+    """Return the quadrature degree: by default 2(p - 1) >= 1 on simplices, else 2p."""
+    if given is not None:
+        valid = isinstance(given, int | np.integer) and not isinstance(given, bool) and given >= 0
+        if any_rank(V.mesh.comm, not valid)[0]:
+            raise ValueError(f"quadrature_degree is {given!r}: give an integer from 0 on, or None.")
+        return int(given)
     p = V.element.basix_element.degree
     simplex = V.mesh.topology.cell_type in (mesh.CellType.triangle, mesh.CellType.tetrahedron)
     return max(2 * (p - 1), 1) if simplex else 2 * p

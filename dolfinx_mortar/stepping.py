@@ -9,9 +9,11 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import TextIO
 
 from mpi4py import MPI
 
+from rich.console import Console
 from rich.progress import Progress
 
 from dolfinx_mortar.newton import newton
@@ -61,9 +63,11 @@ def load_steps(
         One ``LoadStep`` for every entry of ``times``.
 
     Raises:
-        ValueError: for levels that are not finite.
+        ValueError: for times that are no list of finite levels.
         NewtonNotConverged: when the smallest step fails, too. Steps yielded before are committed.
     """
+    if not isinstance(times, Iterable):
+        raise ValueError(f"times is {times!r}: give a list of levels, [{times!r}] for a single one")
     levels = [float(t) for t in times]
     if not all(map(math.isfinite, levels)):
         raise ValueError(f"times is {levels}: every level must be finite")
@@ -78,8 +82,13 @@ def load_steps(
                     on_time(target)
                 try:
                     parts.append(newton(problem, qp=qp, rtol=rtol, max_it=max_it))
-                except NewtonNotConverged:
+                except NewtonNotConverged as error:
                     if cuts >= max_cuts or on_time is None:
+                        tried = f"{cuts} of {max_cuts} cuts" if on_time else "no cuts (no on_time)"
+                        error.message = (
+                            f"load step {number} to time {level:g} failed from {reached:g} to "
+                            f"{target:g}, after {tried}: {error.message}"
+                        )
                         raise
                     if problem.comm.rank == 0:
                         log.warning("no convergence at %g, trying half the step", target)
@@ -98,6 +107,30 @@ def _progress(comm: MPI.Comm, total: int) -> Iterator[Callable[[], None]]:
     if comm.rank != 0 or total < 2 or not sys.stderr.isatty():
         yield lambda: None
         return
-    with Progress(transient=True) as bar:
+    console = Console(stderr=True, soft_wrap=True)
+    before = sys.stderr, sys.stdout
+    with Progress(console=console, transient=True, redirect_stdout=sys.stdout.isatty()) as bar:
         task = bar.add_task("load steps", total=total)
-        yield lambda: bar.advance(task)
+        with _logs_through(dict(zip(before, (sys.stderr, sys.stdout), strict=True))):
+            yield lambda: bar.advance(task)
+
+
+@contextmanager
+def _logs_through(streams: dict[TextIO, TextIO]) -> Iterator[None]:
+    """Let the package's log handlers write to other streams.
+
+    They hold the streams of the time when they were made, and would write across the bar.
+    """
+    moved: list[tuple[logging.StreamHandler[TextIO], TextIO]] = []
+    logger: logging.Logger | None = log
+    while logger is not None:
+        for handler in logger.handlers:
+            if isinstance(handler, logging.StreamHandler) and handler.stream in streams:
+                moved.append((handler, handler.stream))
+                handler.setStream(streams[handler.stream])
+        logger = logger.parent if logger.propagate else None
+    try:
+        yield
+    finally:
+        for handler, stream in moved:
+            handler.setStream(stream)

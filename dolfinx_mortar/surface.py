@@ -256,3 +256,11 @@ def nodal_normals(surface: Surface, x: Floats) -> Floats:
     local = np.stack([np.bincount(where, n, minlength=len(x)) for n in n_f.T], axis=1)
     total = accumulate(surface, local)
     return total / np.maximum(np.linalg.norm(total, axis=1), np.finfo(float).tiny)[:, None]
+
+
+def mean_facet_length(surface: Surface) -> float:
+    """Return the mean length of the first edges of the facets at X (collective)."""
+    edges = surface.X[surface.facets[:, 1]] - surface.X[surface.facets[:, 0]]
+    local = np.array([np.linalg.norm(edges, axis=1).sum(), len(edges)])
+    total, count = surface.V.mesh.comm.allreduce(local)
+    return float(total / count)

@@ -22,6 +22,7 @@ from dolfinx_mortar import coo
 from dolfinx_mortar.interface import Interface
 from dolfinx_mortar.parallel import any_rank
 
+Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 Ints = npt.NDArray[np.int32]
 
@@ -41,7 +42,8 @@ def resolve_claims(interfaces: Sequence[Interface]) -> tuple[list[int], list[str
     """Give every slave node to one interface and order the interfaces; collective.
 
     A second claim on a slave node, and a claim that would close a cycle, is removed from the later
-    interface (the node's dual function is shared out, it stays on the slave side).
+    interface (the node's dual function is shared out, it stays on the slave side). What an earlier
+    search removed counts no more: bodies that have slid lean on other nodes.
 
     Returns:
         The order in which the transformations multiply, and notes on what was removed.
@@ -50,6 +52,8 @@ def resolve_claims(interfaces: Sequence[Interface]) -> tuple[list[int], list[str
     if not interfaces:
         return [], notes
     comm = interfaces[0].V.mesh.comm
+    for interface in interfaces:
+        interface.banned[:] = False
     claimed = np.zeros(interfaces[0].n_local, dtype=bool)
     referenced = [_referenced(interface) for interface in interfaces]
     ahead: set[tuple[int, int]] = set()  # (i, k): T_i stands left of T_k, i leans on slaves of k
@@ -206,17 +210,19 @@ class _Factor:
             taken[p.nodes[mine]] = True
             self.parts.append((i, mine))
             at = d * (p.nodes.astype(np.int64) + first)
-            rows += [(at[mine][:, None] + a).ravel(), (at[p.row][:, None] + a).ravel()]
-            columns += [(at[mine][:, None] + b).ravel(), (d * p.column[:, None] + b).ravel()]
+            near = i.near[p.row]
+            rows += [(at[mine][:, None] + a).ravel(), (at[p.row[near]][:, None] + a).ravel()]
+            columns += [(at[mine][:, None] + b).ravel(), (d * p.column[near][:, None] + b).ravel()]
         self.V = V
         self.rest = np.flatnonzero(~np.repeat(taken, d)) + d * first  # rows of the identity
         ij = [np.concatenate([self.rest, *c]) for c in (rows, columns)]
         self.T = coo.create_square(V, *ij)
 
     def update(self) -> None:
+        """Refill the matrix from the interfaces' frames and couplings; collective."""
         values = [np.ones(len(self.rest))]
         for i, mine in self.parts:
-            values += [i.R[mine].ravel(), i.blocks.ravel()]
+            values += [_frames(i)[mine].ravel(), i.blocks[i.near[i.pattern.row]].ravel()]
         coo.set_values(self.T, np.concatenate(values))
 
     def release(self, held: Ints) -> tuple[PETSc.Mat, PETSc.Mat]:
@@ -233,9 +239,11 @@ class _Factor:
         for i, mine in self.parts:
             p = i.pattern
             at = d * (p.nodes.astype(np.int64) + first)
-            T.append((at[mine][:, None] + a, at[mine][:, None] + b, i.R[mine].reshape(-1, d * d)))
+            T.append(
+                (at[mine][:, None] + a, at[mine][:, None] + b, _frames(i)[mine].reshape(-1, d * d))
+            )
             open_ = (i.kind == "contact") & i.S[:, 0] & ~is_held[d * p.nodes]
-            used = i.blocks.any(axis=(1, 2))
+            used = i.blocks.any(axis=(1, 2)) & i.near[p.row]
             on, off = used & ~open_[p.row], used & open_[p.row]
             columns = d * p.column[:, None]
             T.append((at[p.row[on]][:, None] + a, columns[on] + b, i.blocks[on].reshape(-1, d * d)))
@@ -248,13 +256,21 @@ class _Factor:
         """Return y with T y = u: w_j = R_j^T (u_j - sum_l Q_jl u_l) at slave nodes; collective."""
         difference = u.copy()
         for i, _ in self.parts:
-            difference.axpy(-1.0, i.Q * u)
+            moved = (i.Q * u).array_r.reshape(-1, i.d)
+            nodes = i.pattern.nodes[i.near]  # the others know nothing of the master
+            difference.array.reshape(-1, i.d)[nodes] -= moved[nodes]
         y = u.copy()
         for i, mine in self.parts:
             nodes = i.pattern.nodes[mine]
             slip = difference.array_r.reshape(-1, i.d)[nodes]
-            y.array.reshape(-1, i.d)[nodes] = np.einsum("nij,ni->nj", i.R[mine], slip)
+            y.array.reshape(-1, i.d)[nodes] = np.einsum("nij,ni->nj", _frames(i)[mine], slip)
         return y
+
+
+def _frames(interface: Interface) -> Floats:
+    """Return the frames (n, d, d) of the slave nodes, Cartesian ones where nothing is bound."""
+    bound = np.asarray(interface.S.any(axis=1))[:, None, None]
+    return np.where(bound, interface.R, np.eye(interface.d))
 
 
 def _create(V: fem.FunctionSpace, parts: Sequence[tuple[npt.ArrayLike, ...]]) -> PETSc.Mat:

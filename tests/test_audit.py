@@ -11,7 +11,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem, mesh
-from tests.block_piles import ABOVE, BELOW, EAST, WEST, create_blocks
+from tests.block_piles import ABOVE, BELOW, EAST, PILE, WEST, create_blocks
 
 COMM = MPI.COMM_WORLD
 PAIR = [(0.0, 1.0, -1.0, 0.0, 4, 3), (0.0, 1.0, 0.0, 1.0, 3, 3)]
@@ -192,3 +192,36 @@ def test_units_do_not_matter():
 
 
 assert (ABOVE, BELOW, EAST, WEST) == (3, 1, 2, 4), "the tags above are written out"
+
+
+ALL = "[0.5, 0.5], [0.5, 1.5], [0.5, 2.5]"
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("joins", "kind", "supports", "expected"),
+    [
+        ((), dm.Contact, ((11, None), (21, None)), "xyz of the body around [0.5, 2.5]"),
+        (((13, 21), (23, 31)), dm.Tie, (), f"xyz of the bodies around {ALL} together"),
+        (((13, 21), (23, 31)), dm.Tie, ((11, 1),), f"x of the bodies around {ALL} together"),
+        (((13, 21),), dm.Tie, ((31, None),), f"xyz of the bodies around {ALL[:22]} together"),
+        (
+            ((13, 21), (23, 31)),
+            dm.Contact,
+            (),
+            "x of the body around [0.5, 0.5]; x of the body around [0.5, 1.5]; "
+            f"x of the body around [0.5, 2.5]; yz of the bodies around {ALL} together",
+        ),
+    ],
+)
+def test_free_motions_by_simple_names(joins, kind, supports, expected):
+    """Every motion of single bodies or several together is named as one, and once."""
+    kinds = {"x": "translation x", "y": "translation y", "z": "rotation about z"}
+    whole = []
+    for part in expected.split("; "):
+        letters, _, who = part.partition(" of ")
+        whole += [f"{kinds[letter]} of {who}" for letter in letters]
+    with pytest.raises(ValueError) as caught:
+        create(PILE, joins, supports, kind).audit()
+    found = str(caught.value).partition("against ")[2].partition(". Prescribe")[0]
+    assert sorted(found.split("; ")) == sorted(whole)

@@ -168,6 +168,8 @@ def test_complex_build(case, monkeypatch):
         ({"a": -1.0}, "a"),
         ({"E": np.nan}, "E"),
         ({"Y": np.inf}, "Y"),
+        ({"E": "x"}, "E"),
+        ({"nu": np.array([0.1, 0.2])}, "nu"),
     ],
 )
 def test_material_constants(bad, name):
@@ -178,6 +180,19 @@ def test_material_constants(bad, name):
         elastic = {k: v for k, v in (good | bad).items() if k in ("E", "nu")}
         with rejected(f"Elastic: {name} = ", "finite number"):
             dm.Elastic(**elastic)
+
+
+@pytest.mark.parametrize("name", ["yield_stress", "plastic_modulus"])
+def test_uniaxial_constants_by_the_names_of_their_arguments(name):
+    test = {"yield_stress": 450.0, "plastic_modulus": 15e3}
+    with rejected(f"from_uniaxial: {name} = -1.0"):
+        dm.VonMises.from_uniaxial(200e3, 0.3, **(test | {name: -1.0}))
+
+
+@pytest.mark.parametrize("degree", ["a", -1, 1.5, True])
+def test_quadrature_degree(case, degree):
+    with rejected(f"quadrature_degree is {degree!r}", "integer"):
+        dm.Solid(case.u, ELASTIC, quadrature_degree=degree)
 
 
 @pytest.mark.mpi
@@ -207,7 +222,9 @@ def test_cell_tags(case, cells):
         dm.Solid(case.u, {1: ELASTIC, 2: ELASTIC}, tags)
 
 
-@pytest.mark.parametrize("law", [None, 200e3, dm.Elastic, {1: dm.Elastic, 2: ELASTIC}, {}])
+@pytest.mark.parametrize(
+    "law", [None, 200e3, dm.Elastic, {1: dm.Elastic, 2: ELASTIC}, {}, {"1": ELASTIC}]
+)
 def test_what_is_no_material(case, law):
     with rejected("materials"):
         dm.Solid(case.u, law, case.cells)
@@ -230,6 +247,9 @@ def test_arguments_of_a_wrong_type(case):
         dm.ContactProblem(solid, bcs=case.bcs()[0])
     with rejected("bcs holds", "dirichletbc"):
         dm.ContactProblem(solid, bcs=[0.0])
+    for name in ("interfaces", "bcs"):
+        with rejected(f"{name} is None", "[] for none"):
+            dm.ContactProblem(solid, **{name: None})
     contact = case.contact()
     with rejected("interfaces", "twice"):
         dm.ContactProblem(solid, [contact, contact])
@@ -248,7 +268,11 @@ def test_backend(case, qp):
 
 
 @pytest.mark.parametrize(
-    "bad", [{"rtol": 0.0}, {"rtol": -1.0}, {"rtol": 1.0}, {"rtol": np.nan}, {"max_it": 0}]
+    "bad",
+    [
+        *({"rtol": value} for value in (0.0, -1.0, 1.0, np.nan, "1", None)),
+        *({"max_it": value} for value in (0, 2.5, "9")),
+    ],
 )
 def test_tolerances(case, bad):
     with rejected(next(iter(bad)), "need"):
@@ -286,7 +310,9 @@ def test_conditions_on_components_are_welcome(case):
     assert dm.newton(case.problem(bcs=bcs)).converged
 
 
-@pytest.mark.parametrize("loads", ["bilinear", "functional", "other space", "number"])
+@pytest.mark.parametrize(
+    "loads", ["bilinear", "functional", "other space", "number", "Function", "compiled"]
+)
 def test_loads(case, loads):
     v, w = ufl.TestFunction(case.V), ufl.TrialFunction(case.V)
     form = {
@@ -294,9 +320,13 @@ def test_loads(case, loads):
         "functional": case.u[0] * ufl.dx,
         "other space": ufl.TestFunction(PressedBlocks().V)[0] * ufl.dx,
         "number": 0.0,
+        "Function": case.u,
+        "compiled": fem.form(v[0] * ufl.dx),
     }[loads]
-    with rejected("loads", "test function" if loads == "other space" else "linear form"):
+    hint = {"other space": "test function", "compiled": "UFL"}.get(loads, "linear form")
+    with rejected("loads", hint) as caught:
         case.problem(loads=form)
+    assert len(str(caught.value)) < 150  # no page of UFL
 
 
 # -- numbers that are none
@@ -360,7 +390,9 @@ def test_nan_in_interface_coordinates(case):
         dm.assemble_mortar(case.V, case.facets, slave=3, master=4)
 
 
-@pytest.mark.parametrize("times", [[0.5, np.nan], [np.inf]])
-def test_times(case, times):
-    with rejected("times", "finite"):
+@pytest.mark.parametrize(
+    ("times", "word"), [([0.5, np.nan], "finite"), ([np.inf], "finite"), (1.0, "[1.0]")]
+)
+def test_times(case, times, word):
+    with rejected("times", word):
         next(dm.load_steps(case.problem(), times))

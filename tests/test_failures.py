@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Steps that cannot be solved: floating bodies, useless solvers, too few iterations."""
 
+import io
 import json
+import logging
+import sys
 from xml.etree import ElementTree
 
 from petsc4py import PETSc
@@ -61,9 +64,20 @@ def test_body_pulled_off_its_contact(case):
     x_only = fem.locate_dofs_topological(case.V.sub(0), 1, case.facets.find(TOP))
     guide = fem.dirichletbc(default_scalar_type(0), x_only, case.V.sub(0))
     problem = case.problem(bcs=[case.bc(BOTTOM), guide], loads=case.pull((0.0, 1.0)))
-    with rejected("float", error=dm.NewtonNotConverged):
+    with rejected("float", "rolls", error=dm.NewtonNotConverged):
         dm.newton(problem)
     assert not case.u.x.array.any()
+
+
+def test_a_hint_only_where_contact_alone_holds(case):
+    """Too few iterations: what holds the bodies is mentioned only if it may be the cause."""
+    x_only = fem.locate_dofs_topological(case.V.sub(0), 1, case.facets.find(TOP))
+    guide = fem.dirichletbc(default_scalar_type(0), x_only, case.V.sub(0))
+    push = plastic(case, bcs=[case.bc(BOTTOM), guide], loads=case.pull((0.0, -2.0)))
+    for problem, expected in ((push, True), (plastic(case), False)):
+        with rejected("max_it=1", error=dm.NewtonNotConverged) as caught:
+            dm.newton(problem, max_it=1)
+        assert ("rolls" in caught.value.message) == expected
 
 
 # -- solvers that fail
@@ -113,7 +127,8 @@ def test_foreign_options_come_back(case):
 def plastic(case, **options):
     """Return the blocks with a soft law: pressing needs several iterations."""
     solid = dm.Solid(case.u, dm.VonMises(1000.0, 0.3, 1.0, 100.0))
-    return dm.ContactProblem(solid, [case.contact()], bcs=case.bcs(), **options)
+    options = {"bcs": case.bcs()} | options
+    return dm.ContactProblem(solid, [case.contact()], **options)
 
 
 @pytest.mark.mpi
@@ -135,6 +150,8 @@ def test_too_few_iterations(case, geometry, tmp_path):
         report = caught.value.report
         assert not report.converged and report.newton_iterations == 1
         assert "NOT converged" in str(report)
+        assert str(report) in str(caught.value)  # as it is at the end, not when it was raised
+        assert report.seconds["total"] > 0 and "cholesky" in report.linear_solver
         json.dumps(report.as_dict())
         assert np.array_equal(case.u.x.array, u)
         assert np.array_equal(problem.active, active)
@@ -245,7 +262,8 @@ def test_steps_that_cannot_be_cut_further(case):
         tried.append(t)
         press(case)(t)
 
-    with pytest.raises(dm.NewtonNotConverged):
+    words = ("step 1 to time 1 ", "from 0.1 to 0.325", "2 of 2 cuts", "max_it=1")
+    with rejected(*words, error=dm.NewtonNotConverged):
         list(dm.load_steps(problem, [1.0], on_time=counting, start=0.1, max_it=1, max_cuts=2))
     assert tried == pytest.approx([1.0, 0.55, 0.325])
     assert np.array_equal(case.u.x.array, after)
@@ -270,3 +288,49 @@ def test_closing_the_generator_keeps_what_is_committed(case):
     u = case.u.x.array.copy()
     rest = list(dm.load_steps(problem, [0.6], on_time=press(case), start=0.4))
     assert rest[0].report.converged and not np.array_equal(u, case.u.x.array)
+
+
+# -- what the backends say, and what the terminal shows
+
+
+def test_one_note_per_step(case, monkeypatch):
+    """A backend that says something in every QP is quoted once."""
+    quiet = dm.newton(plastic(case), qp="interior-point")
+    assert quiet.newton_iterations > 2 and quiet.notes == []
+    case.u.x.array[:] = 0.0
+    solve = dm.qp.solve
+
+    def talkative(*args, **options):
+        solution = solve(*args, **options)
+        solution.note = "hear"
+        return solution
+
+    monkeypatch.setattr(dm.qp, "solve", talkative)
+    report = dm.newton(plastic(case))
+    numbers = ", ".join(str(i.number) for i in report.iterations)
+    assert report.newton_iterations > 2 and report.notes == [f"iteration {numbers}: hear"]
+
+
+class Terminal(io.StringIO):
+    """A stream that says it is a terminal."""
+
+    def isatty(self):
+        return True
+
+
+@pytest.mark.serial
+def test_log_lines_go_above_the_progress_bar(case, monkeypatch):
+    """A handler made before the bar writes where the bar has been erased, and is put back."""
+    screen, logger = Terminal(), logging.getLogger("dolfinx_mortar")
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(sys, "stderr", screen)
+    handler = logging.StreamHandler(screen)
+    monkeypatch.setattr(logger, "handlers", [handler])
+    monkeypatch.setattr(logger, "level", logging.INFO)
+    for _ in dm.load_steps(plastic(case), [0.1, 0.2], on_time=press(case)):
+        assert handler.stream is not screen
+    assert handler.stream is screen and sys.stderr is screen
+    lines = screen.getvalue().split("\n")
+    told = [line for line in lines if "Newton  1" in line]
+    assert len(told) == 2 and "load steps" in screen.getvalue()
+    assert all(line.rpartition("\x1b[2K")[2].startswith("Newton") for line in told)

@@ -25,6 +25,7 @@ from tests.block_piles import (
     chain,
     to_dense,
 )
+from tests.meshes import two_blocks
 
 ROUND_OFF = 1e-12
 
@@ -117,7 +118,7 @@ def test_results_after_a_step():
     nodes = contact.pattern.nodes
     weighted = contact.weight[:, 0] * contact.pressure.x.array[nodes]
     assert COMM.allreduce(weighted.sum()) == pytest.approx(-contact.force[1], rel=1e-10)
-    x = b.V.tabulate_dof_coordinates()[nodes, :2] + b.u.x.array.reshape(-1, 2)[nodes]
+    x = b.V.tabulate_dof_coordinates()[nodes, :2]  # frozen geometry: forces act at X
     moment = COMM.allreduce(float((-weighted * x[:, 0]).sum()))
     assert contact.moment == pytest.approx([0.0, 0.0, moment], rel=1e-9)
     on = contact.active.x.array[nodes] > 0
@@ -258,3 +259,62 @@ def test_dirichlet_values_known_to_some_ranks_only(known_to):
     assert problem.fixed[:owned][meant].all()
     assert (problem.target.reshape(-1, 2)[meant] == value).all()
     assert COMM.allreduce(int(meant.sum())) > 0 or COMM.size == 1
+
+
+# -- results at the ends of the contact
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("end", [1.1, 1.125, 1.25])
+def test_pressure_and_gap_end_where_the_master_ends(end):
+    """A uniform pressure on [0, end]: nodes beyond face no master, whatever their neighbours."""
+    mesh, _, facets = two_blocks(COMM, (8, 2), (5, 2), x_lower=(0.0, 2.0), x_upper=(0.0, end))
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    u, v = fem.Function(V), ufl.TestFunction(V)
+    ds = ufl.Measure("ds", mesh, subdomain_data=facets)
+    zero = default_scalar_type(0)
+    bcs = [
+        fem.dirichletbc(zero, fem.locate_dofs_topological(V.sub(i), 1, facets.find(t)), V.sub(i))
+        for i, t in ((1, 1), (0, 5))
+    ]
+    contact = dm.Contact(facets, slave=3, master=4)
+    problem = dm.ContactProblem(
+        dm.Solid(u, dm.Elastic(1000.0, 0.0)),
+        [contact],
+        bcs=bcs,
+        loads=-5.0 * v[1] * ds(2),
+        geometry="reference",
+    )
+    dm.newton(problem)
+    assert contact.force[1] == pytest.approx(-5.0 * end, rel=1e-9)
+    nodes = contact.gather(u)
+    x = nodes["X"][:, 0]
+    beyond = x >= end + 0.25 - 1e-9  # the facet that holds the end reaches no further
+    assert beyond.any() and not beyond.all()
+    assert (nodes["pressure"][beyond] == 0.0).all() and np.isnan(nodes["gap"][beyond]).all()
+    assert (nodes["pressure"][x < end] > 0.0).all()
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("geometry", ["reference", "updated"])
+def test_moment_balances_the_loads(geometry):
+    """An eccentric pressure on a tie, which acts at X with any geometry."""
+    mesh, _, facets = two_blocks(COMM, (3, 3), (4, 4))
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    u, v = fem.Function(V), ufl.TestFunction(V)
+    ds = ufl.Measure("ds", mesh, subdomain_data=facets)
+    x = ufl.SpatialCoordinate(mesh)[0]
+    bottom = fem.locate_dofs_topological(V, 1, facets.find(1))
+    bcs = [fem.dirichletbc(default_scalar_type((0, 0)), bottom, V)]
+    tie = dm.Tie(facets, slave=3, master=4)
+    problem = dm.ContactProblem(
+        dm.Solid(u, dm.Elastic(100.0, 0.3)),
+        [tie],
+        bcs=bcs,
+        loads=-(1.0 + x) * v[1] * ds(2),
+        geometry=geometry,
+    )
+    report = dm.newton(problem, rtol=1e-11)
+    assert tie.force == pytest.approx([0.0, -1.5], abs=1e-10)
+    assert tie.moment[2] == pytest.approx(-5.0 / 6.0, rel=1e-10)  # int x (1 + x) dx
+    assert report.certificate.moment_balance < 1e-10

@@ -153,6 +153,25 @@ def test_second_claims_and_cycles_are_removed_and_said():
 
 
 @pytest.mark.mpi
+def test_removed_nodes_come_back_when_the_cycle_is_gone():
+    """Two interfaces lean on each other's slave nodes until one body has slid away."""
+    b = Blocks(PILE[:2])
+    up, down = (
+        b.join(dm.Contact, *s) for s in (((1, ABOVE), (2, BELOW)), ((2, BELOW), (1, ABOVE)))
+    )
+    problem = b.problem([up, down], [b.fix(1, BELOW), b.fix(2, ABOVE)])
+    problem.audit()
+    everywhere = np.flatnonzero(down.slave_nodes)
+    assert down.banned[everywhere].all() and not up.banned.any()
+    x = b.V.tabulate_dof_coordinates()
+    for slide, gone in ((9.0, True), (0.0, False)):
+        b.u.x.array[::2] = np.where(x[:, 1] > 1.0 + 1e-9, slide, 0.0)
+        b.u.x.array[2 * everywhere] = slide
+        problem.update_geometry(search=True)
+        assert down.banned[everywhere].any() != gone or everywhere.size == 0
+
+
+@pytest.mark.mpi
 @pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
 def test_prescribed_components_of_slave_nodes(kind):
     """Dirichlet data on slave nodes with inclined normals hold exactly, in every component."""

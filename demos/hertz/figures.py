@@ -61,7 +61,8 @@ def draw(
     result, step = read(xdmf), summary["steps"][-1]
     window = _contact_window(result, pressure)
     stress_y = result.fields["stress"][:, YY]
-    von_mises, hardening = result.fields["von_mises"], result.fields["hardening"]
+    von_mises = result.fields["von_mises"]
+    hardening = result.fields.get("hardening", np.zeros_like(von_mises))  # none if all is elastic
     load = f"$d$ = {step['displacement']:.4g} mm, $P$ = {step['force']:.1f} N/mm"
     figures = {
         "fig2_mesh": _mesh(result),

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from numbers import Real
 from types import SimpleNamespace
 from typing import Any, ClassVar, Protocol
 
@@ -55,8 +56,8 @@ def check_parameters(law: str, **ranges: tuple[float, float, float, bool]) -> No
         ranges: parameter=(value, lower, upper, lower_allowed); the upper end is never allowed.
     """
     for name, (value, lower, upper, closed) in ranges.items():
-        inside = lower <= value < upper if closed else lower < value < upper
-        if not (inside and math.isfinite(value)):
+        number = isinstance(value, Real) and math.isfinite(value)
+        if not number or not (lower <= value if closed else lower < value) or value >= upper:
             bracket = "[" if closed else "("
             raise ValueError(
                 f"{law}: {name} = {value!r} must be a finite number in {bracket}{lower}, {upper})."

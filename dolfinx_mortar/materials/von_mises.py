@@ -81,7 +81,15 @@ class VonMises:
             yield_stress: uniaxial yield stress; Y = sqrt(2/3) yield_stress.
             plastic_modulus: d sigma / d (plastic strain) in tension; a = 2/3 plastic_modulus. A
                 test's tangent modulus E_t gives plastic_modulus = E E_t / (E - E_t).
+
+        Raises:
+            ValueError: for the same ranges, naming these arguments.
         """
+        check_parameters(
+            "VonMises.from_uniaxial",
+            yield_stress=(yield_stress, 0.0, math.inf, False),
+            plastic_modulus=(plastic_modulus, 0.0, math.inf, True),
+        )
         return cls(E, nu, math.sqrt(2 / 3) * yield_stress, 2 / 3 * plastic_modulus)
 
     @staticmethod

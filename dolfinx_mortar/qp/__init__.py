@@ -10,6 +10,7 @@ that returns a QPSolution
 and the name of its file with dashes; nothing else has to be registered.
 """
 
+from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules
 
@@ -42,6 +43,7 @@ __all__ = [
 _PARTS = {"bound_qp", "condensed", "dense", "linear", "multigrid", "tao"}
 
 
+@cache
 def available() -> list[str]:
     """Return the names of the backends."""
     names = [module.name for module in iter_modules(__path__) if module.name not in _PARTS]

@@ -144,10 +144,7 @@ class LinearSolver:
         """
         if self._A is not None and A.handle == self._A.handle:
             return
-        if self._A is not None:  # two factorisations at a time would need twice the memory
-            self._ksp.destroy()
-            self._masked.destroy()
-        self._A = None  # until all options have proved valid
+        self.release()  # until all options have proved valid
         self._masked = A.duplicate(copy=True)
         self._masked.setOption(PETSc.Mat.Option.SPD, True)
         self._masked.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
@@ -170,6 +167,13 @@ class LinearSolver:
         self._ksp.setOperators(self._masked)
         self._A = A
         self.counts.symbolic += 1
+
+    def release(self) -> None:
+        """Free the matrix and the factorisation: two at a time would need twice the memory."""
+        if self._A is not None:
+            self._ksp.destroy()
+            self._masked.destroy()
+        self._A = None
 
     def is_fresh(self, fixed: Indices) -> bool:
         """Tell whether the factorisation is that of the present A with this mask (collective)."""

@@ -49,7 +49,8 @@ def run(
     solution = _polish(qp, linear, x, rtol)
     solution.updates += iterations
     solution.factorisations += iterations
-    solution.note = f"TAO {method}: {iterations} iterations, reason {reason}"
+    if reason != PETSc.TAO.Reason.CONVERGED_USER:
+        solution.note = f"TAO {method} did not reach the tolerance itself, reason {reason}"
     return solution
 
 

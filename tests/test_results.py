@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: MIT
+"""Results of interfaces: none before a step, nodal values of ties, slave sides that share nodes."""
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx import default_scalar_type, fem
+from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP_OF_LOWER
+from tests.pressed_blocks import COMM, ELASTIC, PressedBlocks, rejected
+from tests.test_stack import BESIDE, P, beside, press
+
+RESULTANTS = ("force", "moment", "master_force", "master_moment", "multiplier")
+
+
+def test_asking_before_the_first_step():
+    """A clear error with a problem or without; ``hasattr`` still works."""
+    case = PressedBlocks()
+    contact = case.contact()
+    for name in (*RESULTANTS, "pressure", "gap", "active"):
+        with rejected(
+            f"Contact(slave=3, master=4) has no {name} yet", "newton", error=RuntimeError
+        ):
+            getattr(contact, name)
+        assert not hasattr(contact, name)
+    problem = case.problem([contact])
+    assert not contact.pressure.x.array.any()  # there, so that an output can begin with zeros
+    assert not problem.output_fields()["pressure"].x.array.any()
+    with rejected("newton", error=RuntimeError):
+        contact.gather(case.u)
+    with pytest.raises(dm.NewtonNotConverged):
+        dm.newton(problem, max_it=1, rtol=1e-15)
+    assert not hasattr(contact, "force")
+    dm.newton(problem)
+    assert all(hasattr(contact, name) for name in RESULTANTS)
+    assert len(contact.gather(case.u)["gap"]) > 0
+
+
+@pytest.mark.mpi
+def test_nodal_values_of_a_tie():
+    """Pulled by 2: the normal traction is -2 at all slave nodes, in order of x."""
+    case = PressedBlocks()
+    tie = dm.Tie(case.facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
+    slide = fem.locate_dofs_topological(case.V.sub(1), 1, case.facets.find(BOTTOM))
+    corner = fem.locate_dofs_geometrical(
+        (case.V.sub(0), case.V.sub(0).collapse()[0]),
+        lambda x: np.isclose(x[0], 0.0) & np.isclose(x[1], -1.0),
+    )
+    zero = default_scalar_type(0)
+    pin = fem.Function(case.V.sub(0).collapse()[0])
+    bcs = [fem.dirichletbc(zero, slide, case.V.sub(1)), fem.dirichletbc(pin, corner, case.V.sub(0))]
+    dm.newton(case.problem([tie], bcs=bcs, loads=case.pull((0.0, 2.0))), rtol=1e-11)
+    nodes = tie.gather(case.u)
+    assert nodes["pressure"] == pytest.approx(np.full(len(nodes["X"]), -2.0), rel=1e-9)
+    assert (np.diff(nodes["X"][:, 0]) > 0).all() and (nodes["active"] == 1.0).all()
+    moved = COMM.allreduce(np.abs(nodes["x"] - nodes["X"]).max())
+    assert 0.0 < moved < 0.1
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
+def test_a_node_on_two_slave_sides_counts_once(kind):
+    """Under a uniform pressure the merged field is that pressure at all slave nodes."""
+    mesh, tags = beside(np.linspace(0, 1, 5), np.linspace(1, 2, 4))
+    sides = BESIDE["slave twice"]
+    problem, _ = press(mesh, tags, lambda t: [kind(t, slave=s, master=m) for s, m in sides])
+    fields = problem.output_fields()
+    slave = problem.interfaces[0].slave_nodes | problem.interfaces[1].slave_nodes
+    for name, expected in (("pressure", P), ("status", 1.0), ("gap", 0.0)):
+        values = fields[name].x.array
+        assert np.abs(values[slave] - expected).max(initial=0.0) < 1e-8
+        assert not values[~slave].any()
+
+
+@pytest.mark.mpi
+def test_gap_of_a_node_that_faces_only_the_second_master():
+    """The first interface claims the node at x = 1, but its master ends at 0.8."""
+    mesh, tags = beside(np.linspace(0, 0.8, 5), np.linspace(1, 2, 4))
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    bcs = []
+    for component, tag in ((1, 1), (1, 2), (0, 5)):
+        dofs = fem.locate_dofs_topological(V.sub(component), 1, tags.find(tag))
+        value = default_scalar_type(-0.01 if tag == 2 else 0.0)
+        bcs.append(fem.dirichletbc(value, dofs, V.sub(component)))
+    contacts = [dm.Contact(tags, slave=s, master=m) for s, m in BESIDE["slave twice"]]
+    problem = dm.ContactProblem(
+        dm.Solid(fem.Function(V), ELASTIC), contacts, bcs=bcs, geometry="reference"
+    )
+    dm.newton(problem)
+    x = V.tabulate_dof_coordinates()[:, 0]
+    shared = contacts[0].slave_nodes & contacts[1].slave_nodes
+    assert np.isnan(contacts[0].gap.x.array[shared]).all() and (np.abs(x[shared] - 1) < 1e-9).all()
+    fields = problem.output_fields()
+    assert np.isfinite(fields["gap"].x.array).all()
+    assert (fields["pressure"].x.array[shared] > 0.0).all()
+    assert COMM.allreduce(int(shared.sum())) > 0
