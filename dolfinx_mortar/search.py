@@ -89,20 +89,21 @@ def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-
             top += 1
         while top > 0:
             top -= 1
-            level, i = stack[top, 0], stack[top, 1]
-            if not _meets(c, a, r, t, ball[start[level] + i], rho[start[level] + i]):
+            level, k = stack[top, 0], stack[top, 1]
+            if not _meets(c, a, r, t, ball[start[level] + k], rho[start[level] + k]):
                 continue
             if level > 0:
                 size = start[level] - start[level - 1]
-                for j in range(i * _BRANCHES, min((i + 1) * _BRANCHES, size)):
+                for j in range(k * _BRANCHES, min((k + 1) * _BRANCHES, size)):
                     stack[top, 0], stack[top, 1] = level - 1, j
                     top += 1
                 continue
             if p == len(pairs):
                 longer = np.empty((2 * p, 2), dtype=np.int32)
-                longer[:p] = pairs
+                for i in range(p):
+                    longer[i, 0], longer[i, 1] = pairs[i, 0], pairs[i, 1]
                 pairs = longer
-            pairs[p, 0], pairs[p, 1] = s, i
+            pairs[p, 0], pairs[p, 1] = s, k
             p += 1
     return pairs[:p]
 

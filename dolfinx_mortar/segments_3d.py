@@ -106,6 +106,16 @@ def _is_hidden(S, M, i, j, piece, size, common, spare):  # type: ignore[no-untyp
     return other < one or (other == one and j < i)
 
 
+# Loops in place of slices: array assignments take a second each to compile.
+
+
+@numba.njit(cache=True)
+def _copy(P, n, Q):  # type: ignore[no-untyped-def]
+    """Copy the first n points of P to Q."""
+    for i in range(n):
+        Q[i, 0], Q[i, 1] = P[i, 0], P[i, 1]
+
+
 @numba.njit(cache=True)
 def _make_room(pieces, sizes, owner, count):  # type: ignore[no-untyped-def]
     """Return the arrays with room for the pieces of one difference."""
@@ -114,7 +124,9 @@ def _make_room(pieces, sizes, owner, count):  # type: ignore[no-untyped-def]
         return pieces, sizes, owner
     longer = np.empty((2 * room, VERTICES, 2))
     more, whose = np.zeros(2 * room, np.int64), np.zeros(2 * room, np.int64)
-    longer[:count], more[:count], whose[:count] = pieces[:count], sizes[:count], owner[:count]
+    for i in range(count):
+        more[i], whose[i] = sizes[i], owner[i]
+        _copy(pieces[i], sizes[i], longer[i])
     return longer, more, whose
 
 
@@ -135,7 +147,8 @@ def _keep_nearest(S, M, given, given_sizes, n):  # type: ignore[no-untyped-def]
     for i in range(n):
         first = count
         pieces, sizes, owner = _make_room(pieces, sizes, owner, count)
-        pieces[count], sizes[count], owner[count] = given[i], given_sizes[i], i
+        sizes[count], owner[count] = given_sizes[i], i
+        _copy(given[i], given_sizes[i], pieces[count])
         count += 1
         for j in range(n):
             if not _is_hidden(S, M, i, j, given[i], given_sizes[i], common, spare):
@@ -143,13 +156,14 @@ def _keep_nearest(S, M, given, given_sizes, n):  # type: ignore[no-untyped-def]
             for k in range(first, count):
                 pieces, sizes, owner = _make_room(pieces, sizes, owner, count)
                 sign = polygons.orientation(M[j], M.shape[1])
-                common[:] = pieces[k]
+                _copy(pieces[k], sizes[k], common)
                 size, sizes[k], before = sizes[k], 0, count
                 if size > 2:
                     count = polygons.subtract(
                         common, size, M[j], M.shape[1], sign, pieces, sizes, count, spare
                     )
-                    owner[before:count] = i
+                    for h in range(before, count):
+                        owner[h] = i
     return pieces, sizes, owner, count
 
 
@@ -179,7 +193,9 @@ def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
     """Append the triangles of a polygon, those of round-off excepted; return the new arrays."""
     if t + VERTICES > len(which):
         more, longer = np.empty(2 * len(which), np.int64), np.empty((2 * len(which), 3, 2))
-        more[:t], longer[:t] = which[:t], corners[:t]
+        for i in range(t):
+            more[i] = which[i]
+            _copy(corners[i], 3, longer[i])
         which, corners = more, longer
     least = NEGLIGIBLE * polygons.measure(P, n)[0]
     for v in range(1, n - 1):
@@ -211,7 +227,9 @@ def _triangulate(x_s, x_m, pairs, centre, axes):  # type: ignore[no-untyped-def]
         pieces, sizes = np.empty((n, VERTICES, 2)), np.empty(n, np.int64)
         project(x_s[s], centre[s], axes[s], S)
         n = _clip(S, x_m, pairs, first, last, centre[s], axes[s], M, pieces, sizes, row)
-        owner = np.arange(n)
+        owner = np.empty(n, np.int64)
+        for i in range(n):
+            owner[i] = i
         if _any_overlap(M, n):
             pieces, sizes, owner, n = _keep_nearest(S, M, pieces, sizes, n)
         for i in range(n):
