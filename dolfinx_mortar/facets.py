@@ -23,7 +23,7 @@ def area_vectors(x: Floats) -> Floats:
     anticlockwise.
 
     Example:
-        >>> area_vectors(np.array([[[0.0, 0, 5], [2, 0, 5], [2, 1, 5], [0, 1, 5]]]))
+        >>> area_vectors(np.array([[[0.0, 0, 5], [2, 0, 5], [2, 1, 5], [0, 1, 5]]])) + 0.0
         array([[0., 0., 2.]])
     """
     if x.shape[2] == 2:

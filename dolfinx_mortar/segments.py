@@ -137,10 +137,9 @@ def create_segments(x_s: Floats, n_s: Floats, x_m: Floats, pairs: Ints) -> Segme
     n_m = facet_normals(x_m)
     facing = np.flatnonzero(are_facing(n_s[pairs[:, 0]], n_m[pairs[:, 1]]))
     if x_s.shape[2] == 2:
-        points = segments_2d.place_points(x_s, n_s, x_m, pairs[facing])
+        which, xi_s, xi_m, weight = segments_2d.place_points(x_s, n_s, x_m, pairs[facing])
     else:
-        points = segments_3d.place_points(x_s, x_m, pairs[facing])
-    which, xi_s, xi_m, weight = points
+        which, xi_s, xi_m, weight = segments_3d.place_points(x_s, x_m, pairs[facing])
     pair = facing[which].astype(np.int32)
     slave, master = pairs[pair].T
     return Segments(pair, slave, master, xi_s, xi_m, weight, tributary_weights(x_s))

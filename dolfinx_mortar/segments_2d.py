@@ -6,6 +6,8 @@ along the interpolated averaged nodal normals n(xi) = N_1 n_1 + N_2 n_2 (not nor
 point of the master line that belongs to xi solves (x_s(xi) - x_m) x n(xi) = 0.
 """
 
+from typing import Any
+
 import numba
 import numpy as np
 import numpy.typing as npt
@@ -135,7 +137,7 @@ def _opposite(x_s: Floats, n_s: Floats, x_m: Floats, xi: Floats) -> Floats:
 
 def place_points(
     x_s: Floats, n_s: Floats, x_m: Floats, pairs: Ints
-) -> tuple[Ints, Floats, Floats, Floats]:
+) -> tuple[npt.NDArray[Any], Floats, Floats, Floats]:
     """Project, clip and place three Gauss points on every segment.
 
     On flat facets the points integrate Phi_j N_l and Phi_j N_l (quadratic) exactly.

@@ -16,6 +16,7 @@ about 1e-12, so that the two sides still exchange a constant pressure without lo
 """
 
 from functools import cache
+from typing import Any
 
 import numba
 import numpy as np
@@ -38,11 +39,13 @@ _ACCURACY = np.log(1e-12)
 @cache
 def _rules() -> tuple[Floats, Floats, npt.NDArray[np.int64]]:
     """Return points, weights (sum 1) and first points of the rules of degree 2, 4, ... ."""
-    degrees = range(2, _HIGHEST + 2, 2)
-    rules = [basix.make_quadrature(basix.CellType.triangle, degree) for degree in degrees]
-    points = np.concatenate([p for p, _ in rules])
-    weights = np.concatenate([w / w.sum() for _, w in rules])
-    return points, weights, np.cumsum([0] + [len(w) for _, w in rules])
+    points, weights, start = [], [], [0]
+    for degree in range(2, _HIGHEST + 2, 2):
+        p, w = (np.asarray(a) for a in basix.make_quadrature(basix.CellType.triangle, degree))
+        points.append(p)
+        weights.append(w / w.sum())
+        start.append(start[-1] + len(w))
+    return np.concatenate(points), np.concatenate(weights), np.array(start, dtype=np.int64)
 
 
 @numba.njit(cache=True)
@@ -302,7 +305,7 @@ def _place(x_s, x_m, pairs, centre, axes, radius, which, corners, rule, points, 
 
 def place_points(
     x_s: Floats, x_m: Floats, pairs: Ints
-) -> tuple[npt.NDArray[np.int64], Floats, Floats, Floats]:
+) -> tuple[npt.NDArray[Any], Floats, Floats, Floats]:
     """Project, clip, split and place quadrature points.
 
     Facets whose projection is folded or inverted cover nothing.
