@@ -117,18 +117,21 @@ def _perspectives(
         files.append(output / f"{name}.png")
         plotter = pyvista.Plotter(off_screen=True, window_size=SIZE)
         plotter.set_background("white")
-        part = grid if size is None else _cut(grid, size)
         style = {"show_edges": True, "line_width": 1, "edge_color": "#40404060"}
         if field is None:
-            plotter.add_mesh(part, scalars="body", cmap=["#b9cfe4", "#e4c9a8"], **style)
+            plotter.add_mesh(grid, scalars="body", cmap=["#b9cfe4", "#e4c9a8"], **style)
             plotter.remove_scalar_bar()
         else:
             bar = BAR | {"title": " ", "color": "black", "fmt": "%.3g"}
-            plotter.add_mesh(part, scalars=field, cmap="viridis", scalar_bar_args=bar, **style)
+            plotter.add_mesh(grid, scalars=field, cmap="viridis", scalar_bar_args=bar, **style)
         plotter.add_text(title, font_size=13, color="black", position="upper_edge")
         plotter.add_axes(color="black")
+        plotter.enable_parallel_projection()
         plotter.view_vector(VIEW, viewup=(0, 0, 1))
-        plotter.camera.zoom(1.1)
+        if size is not None:
+            plotter.camera.focal_point = (0.0, 0.0, 0.0)
+            plotter.camera.position = tuple(100.0 * c for c in VIEW)
+            plotter.camera.parallel_scale = size
         plotter.screenshot(files[-1])
         plotter.close()
     return files
@@ -155,16 +158,10 @@ def _read(pyvista: Any, xdmf: Path) -> Any:
 
 
 def _near(pressure: Pressure) -> float:
-    """Return the size of the part to show at the contact."""
+    """Return half the height of the part to show at the contact."""
     x, p = pressure
     r = np.hypot(*x.T)
-    return 2.2 * float(r[p > 0.0].max(initial=0.1 * r.max()))
-
-
-def _cut(grid: Any, size: float) -> Any:
-    """Return the cells near the contact."""
-    centres = np.abs(grid.cell_centers().points)
-    return grid.extract_cells(np.flatnonzero(centres.max(axis=1) < size))
+    return 1.6 * float(r[p > 0.0].max(initial=0.1 * r.max()))
 
 
 def _map(step: dict[str, Any], pressure: Pressure) -> Figure:

@@ -129,4 +129,6 @@ def exterior_facets(
     to_cell = mesh.topology.connectivity(d - 1, d)
     first = np.asarray(in_first[to_cell.array[to_cell.offsets[facets]]])
     x = np.asarray(mesh.geometry.x, dtype=np.float64)
+    if len(facets) == 0:  # dolfinx would divide by their number
+        return facets, first, np.empty((0, d, 3))
     return facets, first, x[dmesh.entities_to_geometry(mesh, d - 1, facets)]

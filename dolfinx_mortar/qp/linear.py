@@ -15,6 +15,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_mortar.qp import factorisation
 from dolfinx_mortar.qp.bound_qp import EPS, ROUND_OFF
 from dolfinx_mortar.qp.multigrid import CreatePreconditioning, Multigrid, Preconditioning
 
@@ -27,17 +28,16 @@ MULTIGRID = {"pc_type": "gamg", "pc_gamg_threshold": 0.005}
 # A numeric factorisation in 2D costs as much as 5 to 7 solves with it (measured at 5k, 50k and
 # 200k unknowns, MUMPS): beyond that many iterations a new one is cheaper than an old one.
 REFACTOR_AFTER = 6
-# A set-up of multigrid in 3D costs as much as 30 iterations with it (measured at 60k to 200k
-# unknowns, GAMG).
-SETUP_AFTER = 30
+# A set-up of multigrid in 3D costs as much as 50 iterations with it (measured at 70k and 220k
+# unknowns, GAMG). It is renewed when an old one has cost as many more than a new one would have.
+SETUP_AFTER = 50
 # Conjugate gradients need a few iterations before their rate tells anything.
 TRIAL_ITERATIONS = 3
 # A mask that differs by this many times REFACTOR_AFTER unknowns makes an old factorisation useless.
 FAR = 4
 MAX_ITERATIONS = 500
+LEAST_RATE = 0.01  # log of the reduction per iteration below which none is expected
 MAX_SWEEPS = 6
-# MUMPS: workspace too small; ICNTL(14) is the percentage by which it exceeds the estimate.
-WORKSPACE_ERRORS = (-8, -9)
 # A well-posed stiffness matrix loses up to 6 to 8 digits; one that loses 12 is singular.
 SINGULAR_LOSS = 1e-4
 
@@ -93,13 +93,15 @@ class LinearSolver:
         self.options = DEFAULTS | (options or {})
         self.preconditioning = preconditioning
         self._refactor_after = refactor_after
+        self.max_iterations = MAX_ITERATIONS  # of one sweep
         self.counts = LinearCounts()
         self.memory: dict[str, object] = {}  # what a backend has learnt about the matrices
         self._A: PETSc.Mat | None = None
         self._seen: tuple[int, int] = (-1, -1)  # object state of A: as masked, as factorised
         self._fixed: Indices | None = None  # mask of the operator
         self._factor_fixed: Indices | None = None  # mask of the factorisation
-        self._fresh_rate = 0.0  # log of the reduction per iteration, when it was new
+        self._fresh_rate = 0.0  # log of the reduction per iteration when it was new
+        self._excess = 0.0  # iterations above those of a new one, since it was new
 
     @property
     def direct(self) -> bool:
@@ -222,8 +224,7 @@ class LinearSolver:
             self._factor_fixed = None
             raise LinearSolveFailed(
                 f"The factorisation of a matrix of order {self._masked.size[0]} failed "
-                f"({self._reason(pc)}). Most often a body is held by nothing: add a Dirichlet "
-                "condition or a contact that holds it, or check the material constants."
+                f"({factorisation.reason(pc)}). {factorisation.remedy(pc)}"
             )
 
     def _set_up_factorisation(self, pc: PETSc.PC) -> None:
@@ -243,21 +244,12 @@ class LinearSolver:
             return self.preconditioning(fixed)
         return Preconditioning(self._masked.copy(), None, [])
 
-    def _mumps(self, pc: PETSc.PC) -> PETSc.Mat | None:
-        """Return the factor if it is one of MUMPS."""
-        return pc.getFactorMatrix() if self.direct and pc.getFactorSolverType() == "mumps" else None
-
-    def _reason(self, pc: PETSc.PC) -> str:
-        factor = self._mumps(pc)
-        code = f", MUMPS INFOG(1) = {factor.getMumpsInfog(1)}" if factor is not None else ""
-        return f"PETSc reason {pc.getFailedReason()}{code}"
-
     def _enlarge_workspace(self, pc: PETSc.PC) -> bool:
         """Double MUMPS' workspace if it was too small; tell whether to try again."""
-        factor = self._mumps(pc)
-        if factor is None or factor.getMumpsInfog(1) not in WORKSPACE_ERRORS:
+        enough = factorisation.enough_workspace(pc)
+        if enough is None:
             return False
-        self.options["mat_mumps_icntl_14"] = 2 * max(factor.getMumpsIcntl(14), 20)
+        self.options["mat_mumps_icntl_14"] = enough
         pc.reset()  # a failed factor cannot be used again
         self._ksp.setOperators(self._masked)
         self.counts.symbolic += 1
@@ -295,7 +287,7 @@ class LinearSolver:
                 the solution is so large that the matrix must be singular.
         """
         self._mask(fixed)
-        before = self.counts.iterations
+        before = self._begun = self.counts.iterations
         self.counts.solves += 1
         norm, previous = self.residual(b, x, fixed).norm(), np.inf
         first = norm
@@ -309,8 +301,12 @@ class LinearSolver:
             self._dx.array[fixed] = 0.0  # an old factorisation may not know that they are held
             x.axpy(1.0, self._dx)
             norm, previous = self.residual(b, x, fixed).norm(), norm
-            if norm > max(atol, self.round_off(x)) and not self.is_fresh(fixed):
+            if norm <= max(atol, self.round_off(x)):
+                continue
+            if not self.is_fresh(fixed):
                 self.factorise(fixed)
+            elif not self.direct and not norm < 0.5 * previous:
+                break  # a new set-up does no better
         self._judge(b, x, max(first, norm), norm, atol)
         return self.counts.iterations - before
 
@@ -322,7 +318,7 @@ class LinearSolver:
         if self._factor_fixed is None:
             return self._seen[1] < 0
         if not self.direct:
-            return False
+            return self._excess > self.refactor_after
         different = self.comm.allreduce(np.setxor1d(self._factor_fixed, fixed).size)
         return bool(different > FAR * self.refactor_after)
 
@@ -331,11 +327,16 @@ class LinearSolver:
         begin = perf_counter()
         if not self.direct:
             self._multigrid.hold(self._fixed, self._diagonal.array_r)  # type: ignore[arg-type]
-        self._reduction = max(reduction, 1e-14)
+        self._reduction, self._reached = max(reduction, 1e-14), 0.0
         self._stale = not self.is_fresh(self._fixed)  # type: ignore[arg-type]
-        self._ksp.setTolerances(max_it=MAX_ITERATIONS)
+        self._ksp.setTolerances(max_it=self.max_iterations)
         self._ksp.solve(self._r, self._dx)
-        self.counts.iterations += max(1, self._ksp.getIterationNumber())
+        its = self._ksp.getIterationNumber()
+        self.counts.iterations += max(1, its)
+        if self._stale:
+            self._excess += its - self._reached / min(self._fresh_rate, -LEAST_RATE)
+        else:
+            self._fresh_rate, self._excess = self._reached / max(its, 1), 0.0
         self.counts.seconds_solve += perf_counter() - begin
 
     def round_off(self, x: PETSc.Vec) -> float:
@@ -352,9 +353,10 @@ class LinearSolver:
         if not np.isfinite(norm):
             return int(Reason.DIVERGED_NANORINF)
         reached = norm / self._first if self._first > 0.0 else 0.0
+        self._reached = float(np.log(max(reached, np.finfo(float).tiny)))
         if reached <= self._reduction:
             return int(Reason.CONVERGED_RTOL)
-        if its >= MAX_ITERATIONS:
+        if its >= self.max_iterations:
             return int(Reason.DIVERGED_MAX_IT)
         if self._stale and self.direct and its >= TRIAL_ITERATIONS:
             rate = np.log(reached) / its
@@ -377,9 +379,11 @@ class LinearSolver:
             cause = f"its round-off {round_off:.1e} is near the forces {force:.1e}"
         else:
             cause = f"the residual is {norm:.1e}, not {tolerance:.1e}"
+        remedy = "Otherwise choose a direct solver (pc_type cholesky) or a better preconditioner."
+        if not self.direct:
+            cause += f" after {self.counts.iterations - self._begun} iterations"
         raise LinearSolveFailed(
-            f"The linear solver gave no solution: {cause} (PETSc reason "
+            f"The linear solver, {self.description}, gave no solution: {cause} (PETSc reason "
             f"{self._ksp.getConvergedReason()}). A solution with large round-off comes from a "
-            "singular matrix: a body is held by nothing. Otherwise choose a direct solver (pc_type "
-            "cholesky) or a better preconditioner."
+            f"singular matrix: a body is held by nothing. {remedy}"
         )

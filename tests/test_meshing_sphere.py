@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: MIT
+"""The quarter of a half ball on a block: volumes, tags, shapes of cells, separation."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import entities_to_geometry
+from dolfinx_mortar import meshing
+
+COMM = MPI.COMM_WORLD
+CELLS = ["hexahedron", "tetrahedron"]
+TAGS = (1, 2, 3, 4, 5, 6)
+
+
+def integral(form: ufl.Form) -> float:
+    return COMM.allreduce(fem.assemble_scalar(fem.form(form)))
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_volumes_areas_and_flux_of_tagged_parts(cell):
+    m = meshing.sphere(COMM, cell=cell, h=0.25, radius=6.0, block=(24.0, 20.0, 8.0), gap=0.25)
+    one, n = fem.Constant(m.mesh, 1.0), ufl.FacetNormal(m.mesh)
+    dx = ufl.Measure("dx", m.mesh, subdomain_data=m.cell_tags)
+    ds = ufl.Measure("ds", m.mesh, subdomain_data=m.facet_tags)
+    assert integral(one * dx(meshing.BLOCK)) == pytest.approx(960.0, rel=1e-12)
+    assert integral(one * dx(meshing.BALL)) == pytest.approx(36.0 * np.pi, rel=4e-2)
+    areas = [integral(one * ds(tag)) for tag in TAGS]
+    circle = 9.0 * np.pi
+    expected = [120.0, circle, 120.0, 18.0 * np.pi, 80.0 + circle, 96.0 + circle]
+    assert areas[0] == pytest.approx(120.0, rel=1e-12)
+    assert areas == pytest.approx(expected, rel=3e-2)
+    assert integral(one * ds) == pytest.approx(sum(areas) + 8.0 * 22.0, rel=1e-12)  # far sides
+    flux = [integral(n[2] * ds(tag)) for tag in TAGS]  # outward: bottom down, ball down
+    assert flux == pytest.approx([-120.0, areas[1], 120.0, -areas[1], 0.0, 0.0], abs=1e-9)
+    assert integral(n[0] * ds(5)) == pytest.approx(-areas[4], rel=1e-12)
+    assert integral(n[1] * ds(6)) == pytest.approx(-areas[5], rel=1e-12)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_bodies_share_no_node_and_both_have_the_contact_point(cell):
+    m = meshing.sphere(COMM, cell=cell, h=0.25)
+    V = fem.functionspace(m.mesh, ("Lagrange", 1))
+    x = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local]
+    x = np.concatenate(COMM.allgather(x))
+    assert np.sum(np.linalg.norm(x, axis=1) < 1e-12) == 2
+    distance = np.sort(cKDTree(x).query(x, k=2)[0][:, 1])
+    assert distance[1] < 1e-12 < 1e-3 < distance[2]  # only the two contact points coincide
+    # round surface: all its nodes are on the sphere, whatever the mapping
+    facets = m.facet_tags.find(meshing.SPHERE)
+    on = x_of(m, facets)
+    assert np.abs(np.linalg.norm(on - [0.0, 0.0, 8.0], axis=-1) - 8.0).max(initial=0.0) < 1e-9
+
+
+def x_of(m: meshing.SphereMesh, facets: np.ndarray) -> np.ndarray:
+    if len(facets) == 0:  # dolfinx would divide by their number
+        return np.empty((0, 3))
+    return m.mesh.geometry.x[entities_to_geometry(m.mesh, 2, facets)].reshape(-1, 3)
+
+
+def test_hexahedra_are_nearly_cubes_everywhere():
+    """Volume of a cell over the cube of its mean edge, and growth in proportion to distance."""
+    m = meshing.sphere(COMM, h=0.25)
+    owned = m.mesh.topology.index_map(3).size_local
+    x = m.mesh.geometry.x[m.mesh.geometry.dofmap[:owned]]
+    edges = np.stack([x[:, 1] - x[:, 0], x[:, 2] - x[:, 0], x[:, 4] - x[:, 0]], axis=1)
+    lengths = np.linalg.norm(edges, axis=2)
+    shape = np.abs(np.linalg.det(edges)) / lengths.max(axis=1) ** 3
+    assert shape.min(initial=1.0) > 0.1
+    middle = np.linalg.norm(x.mean(axis=1), axis=1)
+    far = middle > 2.0
+    assert ((lengths.mean(axis=1) / middle)[far] < 0.4).all()
+
+
+def test_tags_and_counts_follow_the_element_size():
+    cells = [
+        meshing.sphere(COMM, h=h).mesh.topology.index_map(3).size_global for h in (0.5, 0.25, 0.125)
+    ]
+    assert 5.0 < cells[1] / cells[0] < 10.0
+    assert 6.0 < cells[2] / cells[1] < 8.5
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"cell": "prism"},
+        {"h": 0.0},
+        {"h": np.nan},
+        {"h": 2.0},
+        {"radius": -1.0},
+        {"block": (30.0, 10.0)},
+        {"gap": np.inf},
+        {"core": 20.0},
+    ],
+)
+def test_bad_arguments_are_named(options):
+    with pytest.raises(ValueError, match=next(iter(options)) if "h" not in options else "h"):
+        meshing.sphere(COMM, **options)
