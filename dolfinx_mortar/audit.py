@@ -29,6 +29,8 @@ COARSE = 2.0
 # Normals whose product is above this turn away from each other; at a right angle, around a corner,
 # the facets are merely useless.
 BACK = 0.1
+# Sides with common nodes that overlap by this part of a body's radius face each other through it.
+DEEP = 0.5
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,8 @@ def _check_sides(problem: ContactProblem) -> None:
     """Raise a ValueError on all ranks if two sides face each other only through their bodies.
 
     That is so if every slave node is deeper inside the master body than any body is large; smaller
-    overlaps are ordinary input.
+    overlaps are ordinary input. Where the two sides are parts of one surface, it is so as soon as
+    a slave node lies that deep (faces of a crack share nodes, too, but do not overlap).
     """
     for interface in problem.interfaces:
         kept = interface.kept.all(axis=1)
@@ -131,7 +134,20 @@ def _check_sides(problem: ContactProblem) -> None:
         normal = relative[:, 0]
         if interface.kind == "tie":  # its frames are the Cartesian axes
             normal = np.einsum("ni,ni->n", interface.normals, relative)
-        shallowest, some = maximum(problem.comm, (-normal[kept]).max(initial=-np.inf), kept.any())
+        joined = (interface.slave_nodes & interface.master_nodes).any()
+        shallowest, deepest, some, joined = maximum(
+            problem.comm,
+            (-normal[kept]).max(initial=-np.inf),
+            normal[kept].max(initial=-np.inf),
+            kept.any(),
+            joined,
+        )
+        if joined and deepest > DEEP * problem.bodies.radius.max():
+            raise ValueError(
+                f"slave={interface.slave} and master={interface.master} are parts of one surface "
+                f"that meets itself through its body, {deepest:.3g} deep; mark only the parts that "
+                "can touch"
+            )
         if some and -shallowest > problem.bodies.radius.max():
             raise ValueError(
                 f"slave={interface.slave} and master={interface.master} can never meet: all slave "

@@ -251,3 +251,20 @@ def test_tags_of_another_dimension():
     mesh, cells, _ = two_boxes(COMM)
     with pytest.raises(ValueError, match="dimension 3; facets have dimension 2"):
         create_surface(space(mesh), cells, 1, "slave")
+
+
+@pytest.mark.mpi
+def test_closed_surface_in_contact_with_itself():
+    """Two parts of the surface of one body face each other through the body only."""
+    cube = dolfinx.mesh.create_unit_cube(COMM, 4, 4, 4)
+    cube.topology.create_connectivity(2, 3)
+    facets = dolfinx.mesh.exterior_facet_indices(cube.topology)
+    x = dolfinx.mesh.compute_midpoints(cube, 2, facets)[:, 0]
+    tags = dolfinx.mesh.meshtags(cube, 2, facets, np.where(x < 0.4, 1, 2).astype(np.int32))
+    V = space(cube)
+    bottom = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[2], 0))
+    bc = fem.dirichletbc(np.zeros(3), bottom, V)
+    solid = dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3))
+    problem = dm.ContactProblem(solid, [dm.Contact(tags, slave=1, master=2)], bcs=[bc])
+    with pytest.raises(ValueError, match="parts of one surface"):
+        dm.newton(problem)
