@@ -18,6 +18,8 @@ from typing import Any
 
 import meshio
 import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
@@ -27,7 +29,7 @@ ZZ = 8  # place of the zz component among the nine of a tensor
 DPI = 150
 SIZE = (1200, 900)  # pixels of the pictures in perspective
 VIEW = (-1.0, -1.1, 0.75)  # from where the symmetry planes are seen
-BAR = {"vertical": True, "position_x": 0.88, "position_y": 0.2, "height": 0.6, "width": 0.05}
+COLOURS = "viridis"
 
 Pressure = tuple[np.ndarray, np.ndarray]  # positions (n, 2), pressures (n,)
 
@@ -115,26 +117,46 @@ def _perspectives(
     files = []
     for name, (field, title, size) in pictures.items():
         files.append(output / f"{name}.png")
-        plotter = pyvista.Plotter(off_screen=True, window_size=SIZE)
-        plotter.set_background("white")
-        style = {"show_edges": True, "line_width": 1, "edge_color": "#40404060"}
-        if field is None:
-            plotter.add_mesh(grid, scalars="body", cmap=["#b9cfe4", "#e4c9a8"], **style)
-            plotter.remove_scalar_bar()
-        else:
-            bar = BAR | {"title": " ", "color": "black", "fmt": "%.3g"}
-            plotter.add_mesh(grid, scalars=field, cmap="viridis", scalar_bar_args=bar, **style)
-        plotter.add_text(title, font_size=13, color="black", position="upper_edge")
-        plotter.add_axes(color="black")
-        plotter.enable_parallel_projection()
-        plotter.view_vector(VIEW, viewup=(0, 0, 1))
-        if size is not None:
-            plotter.camera.focal_point = (0.0, 0.0, 0.0)
-            plotter.camera.position = tuple(100.0 * c for c in VIEW)
-            plotter.camera.parallel_scale = size
-        plotter.screenshot(files[-1])
-        plotter.close()
+        _framed(_photograph(pyvista, grid, field, size), grid, field, title).savefig(
+            files[-1], dpi=DPI
+        )
     return files
+
+
+def _photograph(pyvista: Any, grid: Any, field: str | None, size: float | None) -> np.ndarray:
+    """Return the pixels of the bodies, seen so that both symmetry planes show."""
+    plotter = pyvista.Plotter(off_screen=True, window_size=SIZE)
+    plotter.set_background("white")
+    style = {"show_edges": True, "line_width": 1, "edge_color": "#404040", "edge_opacity": 0.4}
+    if field is None:
+        plotter.add_mesh(grid, scalars="body", cmap=["#b9cfe4", "#e4c9a8"], **style)
+    else:
+        plotter.add_mesh(grid, scalars=field, cmap=COLOURS, lighting=False, **style)
+    plotter.remove_scalar_bar()
+    plotter.add_axes(color="black")
+    plotter.enable_parallel_projection()
+    plotter.view_vector(VIEW, viewup=(0, 0, 1))
+    if size is not None:
+        plotter.camera.focal_point = (0.0, 0.0, 0.0)
+        plotter.camera.position = tuple(100.0 * c for c in VIEW)
+        plotter.camera.parallel_scale = size
+    pixels = plotter.screenshot(return_img=True)
+    plotter.close()
+    return np.asarray(pixels)
+
+
+def _framed(pixels: np.ndarray, grid: Any, field: str | None, title: str) -> Figure:
+    """Put a picture below its title and beside its colour bar."""
+    figure = Figure(figsize=(8.0, 5.8), layout="constrained")
+    axes = figure.subplots()
+    axes.imshow(pixels)
+    axes.set_axis_off()
+    axes.set_title(title)
+    if field is not None:
+        values = grid[field]
+        norm = Normalize(float(values.min()), float(values.max()))
+        figure.colorbar(ScalarMappable(norm, COLOURS), ax=axes, shrink=0.8)
+    return figure
 
 
 def _read(pyvista: Any, xdmf: Path) -> Any:
