@@ -133,7 +133,7 @@ def free_motions(bodies: Bodies, constraints: Sequence[Callable[[PETSc.Vec], Flo
 
 def _name(bodies: Bodies, group: list[int]) -> str:
     """Return how a message calls a body, or several."""
-    places = sorted((np.round(bodies.centre[group], 3) + 0.0).tolist())
+    places = sorted([float(x) for x in row] for row in np.round(bodies.centre[group], 3) + 0.0)
     centres = ", ".join(map(str, places))
     return (
         f"the bodies around {centres} together" if len(group) > 1 else f"the body around {centres}"
