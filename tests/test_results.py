@@ -36,6 +36,19 @@ def test_asking_before_the_first_step():
     assert len(contact.gather(case.u)["gap"]) > 0
 
 
+def test_an_interface_serves_one_problem():
+    """A second problem takes it over, without results; the first one says so."""
+    case = PressedBlocks()
+    contact = case.contact()
+    first = case.problem([contact])
+    dm.newton(first)
+    second = case.problem([contact], geometry="reference")
+    assert not hasattr(contact, "force")
+    with rejected("interfaces: Contact(slave=3, master=4)", "made later"):
+        dm.newton(first)
+    assert dm.newton(second).converged
+
+
 @pytest.mark.mpi
 def test_nodal_values_of_a_tie():
     """Pulled by 2: the normal traction is -2 at all slave nodes, in order of x."""
