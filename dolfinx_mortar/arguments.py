@@ -8,12 +8,15 @@ from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.interface import Interface
 from dolfinx_mortar.parallel import any_rank
 from dolfinx_mortar.solid import Solid
+
+Bools = npt.NDArray[np.bool_]
 
 GEOMETRIES = ("updated", "reference")
 
@@ -42,6 +45,20 @@ def check_arguments(
     if any_rank(solid.V.mesh.comm, not finite)[0]:
         raise ValueError("the mesh's coordinates hold NaN or infinity; check the mesh")
     return sides, conditions
+
+
+def check_owned(interfaces: Iterable[Interface], fixed: Bools) -> None:
+    """Raise a ValueError if a problem made later has taken over an interface.
+
+    Args:
+        interfaces: those of the problem.
+        fixed: the array of prescribed directions that the problem bound them with.
+    """
+    for interface in interfaces:
+        if interface.fixed is not fixed:
+            raise ValueError(
+                f"interfaces: {interface} belongs to a problem made later; give each its own"
+            )
 
 
 def check_controls(rtol: Any, max_it: Any) -> None:

@@ -143,9 +143,10 @@ def free_motions(bodies: Bodies, constraints: Sequence[Callable[[PETSc.Vec], Flo
     return found
 
 
-def _name(bodies: Bodies, group: Sequence[int]) -> str:
+def _name(bodies: Bodies, group: list[int]) -> str:
     """Return how a message calls a body, or several."""
-    centres = ", ".join(str(np.round(bodies.centre[k], 3).tolist()) for k in group)
+    places = sorted([float(x) for x in row] for row in np.round(bodies.centre[group], 3) + 0.0)
+    centres = ", ".join(map(str, places))
     return (
         f"the bodies around {centres} together" if len(group) > 1 else f"the body around {centres}"
     )

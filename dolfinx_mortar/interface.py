@@ -105,6 +105,7 @@ class Interface:
             fixed: (local nodes, d) True where a direction of a node is prescribed.
         """
         self.V, self.fixed = V, fixed
+        vars(self).pop("force", None)  # results of an earlier problem
         self.d = V.dofmap.index_map_bs
         self.n_owned = V.dofmap.index_map.size_local
         self.n_local = self.n_owned + V.dofmap.index_map.num_ghosts

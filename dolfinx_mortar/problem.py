@@ -15,7 +15,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from dolfinx_mortar import reach
-from dolfinx_mortar.arguments import check_arguments
+from dolfinx_mortar.arguments import check_arguments, check_owned
 from dolfinx_mortar.audit import Audit, create_audit
 from dolfinx_mortar.bodies import Bodies, find_bodies
 from dolfinx_mortar.contact import Contact
@@ -53,7 +53,8 @@ class ContactProblem:
         geometry: "updated" rebuilds normals, segments, D, M and gaps from X + u in every Newton
             iteration, "reference" freezes them at X.
         petsc_options_prefix: prefix of the linear solver's PETSc options.
-        petsc_options: options of the linear solver, without the prefix.
+        petsc_options: options of the linear solver, without the prefix. PETSc ignores keys that it
+            does not know; ``report.linear_solver`` names the method that they have led to.
 
     Raises:
         ValueError: for arguments that cannot work, on all ranks, with the remedy.
@@ -134,8 +135,10 @@ class ContactProblem:
         """Read loads and Dirichlet values of the step; collective.
 
         Raises:
-            ValueError: on NaN or infinity in either, or in the displacement or the coordinates.
+            ValueError: on NaN or infinity in either, or in the displacement or the coordinates,
+                and if another problem has taken over an interface.
         """
+        check_owned(self.interfaces, self.fixed)
         f = self.vectors["f"]
         f.set(0.0)
         if self.loads is not None:
@@ -393,15 +396,9 @@ class ContactProblem:
     def output_fields(self) -> dict[str, fem.Function]:
         """Return the Functions worth writing, by name; collective.
 
-        Cell averages of the committed stress and internal variables, in the user's units. Norms:
-        ``plastic_strain_norm`` and ``back_stress_norm`` are tensor (Frobenius) norms, ``hardening``
-        is the vector norm of the stored back stress components that the paper plots.
+        The displacement, ``solid.output_fields()``, and the interfaces' pressure, gap and status.
         """
-        fields = {"displacement": self.u}
-        names = ("stress", "von_mises", "plastic_strain", "plastic_strain_norm")
-        for name in (*names, "back_stress_norm", "hardening"):
-            if name in self.solid.fields.names:
-                fields[name] = self.solid.cell_values(name)
+        fields = {"displacement": self.u} | self.solid.output_fields()
         for name in ("pressure", "gap", "status") if self.interfaces else ():
             if name not in self._outputs:
                 space = self.interfaces[0].pressure.function_space

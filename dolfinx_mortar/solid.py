@@ -31,6 +31,11 @@ from dolfinx_mortar.parallel import any_rank
 from dolfinx_mortar.regions import Region, check_displacement, create_regions
 from ufl.classes import Label, Variable
 
+OUTPUT_FIELDS = (
+    *("stress", "von_mises", "plastic_strain", "plastic_strain_norm"),
+    *("back_stress_norm", "hardening"),
+)
+
 
 class Solid:
     """Elasto-plastic bodies on one mesh, seen from the displacement u and the committed state.
@@ -265,6 +270,15 @@ class Solid:
     def cell_values(self, name: str) -> fem.Function:
         """Return the cell averages of a field as a DG0 Function (refilled at every call)."""
         return self.fields.cell_values(name)
+
+    def output_fields(self) -> dict[str, fem.Function]:
+        """Return the cell averages worth writing, by name, in the user's units (collective).
+
+        The committed stress and internal variables as far as the laws have them.
+        ``plastic_strain_norm`` and ``back_stress_norm`` are tensor (Frobenius) norms, ``hardening``
+        is the vector norm of the stored back stress components that the literature plots.
+        """
+        return {n: self.cell_values(n) for n in OUTPUT_FIELDS if n in self.fields.names}
 
     def plastic_area(self) -> float:
         """Return the area (volume in 3D) whose committed plastic strain is not zero."""

@@ -6,6 +6,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem
+from dolfinx_mortar.certificate import _share
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP_OF_LOWER
 from tests.pressed_blocks import COMM, ELASTIC, PressedBlocks, rejected
 from tests.test_stack import BESIDE, P, beside, press
@@ -34,6 +35,19 @@ def test_asking_before_the_first_step():
     dm.newton(problem)
     assert all(hasattr(contact, name) for name in RESULTANTS)
     assert len(contact.gather(case.u)["gap"]) > 0
+
+
+def test_an_interface_serves_one_problem():
+    """A second problem takes it over, without results; the first one says so."""
+    case = PressedBlocks()
+    contact = case.contact()
+    first = case.problem([contact])
+    dm.newton(first)
+    second = case.problem([contact], geometry="reference")
+    assert not hasattr(contact, "force")
+    with rejected("interfaces: Contact(slave=3, master=4)", "made later"):
+        dm.newton(first)
+    assert dm.newton(second).converged
 
 
 @pytest.mark.mpi
@@ -94,3 +108,9 @@ def test_gap_of_a_node_that_faces_only_the_second_master():
     assert np.isfinite(fields["gap"].x.array).all()
     assert (fields["pressure"].x.array[shared] > 0.0).all()
     assert COMM.allreduce(int(shared.sum())) > 0
+
+
+def test_certificates_have_no_negative_zero():
+    """The largest tension among pressures that are zero or positive may come out as -0.0."""
+    assert [str(_share(v, s)) for v, s in ((-0.0, 2.0), (0.0, 2.0), (1.0, 0.0))] == 3 * ["0.0"]
+    assert _share(-1.0, 2.0) == -0.5

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: MIT
+"""The demo as a command."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+HERTZ = Path(__file__).parent.parent / "demos" / "hertz" / "hertz.py"
+
+
+def run(*options):
+    return subprocess.run(
+        [sys.executable, str(HERTZ), *options], capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("steps", ["0", "-3", "x"])
+def test_steps_are_counted_from_one(steps):
+    done = run("--steps", steps)
+    assert done.returncode == 2 and "--steps" in done.stderr and "Traceback" not in done.stderr
+
+
+@pytest.mark.serial
+def test_elastic_bodies_have_no_plastic_numbers(tmp_path):
+    done = run("--material", "elastic", "--displacement", "0.05", "--output", str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    (step,) = json.loads((tmp_path / "summary.json").read_text())["steps"]
+    assert step["max_plastic_strain"] == step["max_back_stress"] == step["plastic_area"] == 0.0
+    assert step["force"] == pytest.approx(2425.0, rel=0.05)  # on a coarse mesh
+    assert step["certificate"]["equilibrium"] < 1e-6
