@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: MIT
+"""Contact in 3D on the quarter ball: what a step costs, and that iterations do not grow with 1/h.
+
+Run with ``containers/run python3 benchmarks/sphere_3d.py [--h 0.25 0.125 ...] [--output FILE]``, or
+with ``mpirun``. One row per mesh: the contact step from nothing against the same model with the
+interface tied, an elasto-plastic step against its Newton iterations, seconds per part, memory.
+Times are wall-clock of the slowest rank, ratios are of one run; the first mesh is solved twice so
+that no compilation is measured.
+"""
+
+import argparse
+import json
+import resource
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+import dolfinx_mortar as dm
+from dolfinx import fem
+
+COMM = MPI.COMM_WORLD
+E, NU = 206_900.0, 0.29
+LAWS = {
+    "elastic": dm.Elastic(E=E, nu=NU),
+    "plastic": dm.VonMises(E=E, nu=NU, Y=450.0 * np.sqrt(2.0 / 3.0), a=10_000.0),
+}
+DEPTH = {"elastic": 0.05, "plastic": 0.1}
+PARTS = ("mortar", "assembly", "transform", "linear_solves", "total")
+
+
+def create(mesh: dm.meshing.SphereMesh, law: str, kind: str) -> dm.ContactProblem:
+    """Return the problem with its interface in contact or tied."""
+    V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (3,)))
+    solid = dm.Solid(fem.Function(V, name="u"), LAWS[law])
+    held = [(1, 0, 0.0), (1, 1, 0.0), (1, 2, 0.0), (2, 0, 0.0), (2, 1, 0.0)]
+    held += [(2, 2, -DEPTH[law]), (5, 0, 0.0), (6, 1, 0.0)]
+    bcs = []
+    for tag, component, value in held:
+        W = V.sub(component)
+        dofs = fem.locate_dofs_topological(W, 2, mesh.facet_tags.find(tag))
+        bcs.append(fem.dirichletbc(fem.Constant(mesh.mesh, value), dofs, W))
+    interface = {"contact": dm.Contact, "tie": dm.Tie}[kind]
+    side = interface(mesh.facet_tags, slave=3, master=4)
+    return dm.ContactProblem(solid, [side], bcs=bcs, geometry="reference")
+
+
+def measure(mesh: dm.meshing.SphereMesh, law: str, kind: str) -> dict[str, Any]:
+    """Solve one step and return its numbers."""
+    COMM.barrier()
+    begin = perf_counter()
+    problem = create(mesh, law, kind)
+    report = dm.newton(problem)
+    seconds = COMM.allreduce(perf_counter() - begin, op=MPI.MAX)
+    linear = problem.linear.counts
+    return {
+        "seconds": seconds,
+        "parts": {part: problem.timings.seconds.get(part, 0.0) for part in PARTS},
+        "newton": report.newton_iterations,
+        "active_set_updates": report.qp_iterations,
+        "krylov": sum(i.linear_iterations for i in report.iterations),
+        "set_ups": report.factorisations,
+        "seconds_set_up": linear.seconds_factor,
+        "seconds_iterations": linear.seconds_solve,
+        "force_of_the_ball": 4.0 * float(abs(problem.interfaces[0].force[2])),
+        "solver": report.linear_solver,
+    }
+
+
+def row(cell: str, h: float) -> dict[str, Any]:
+    """Return all numbers of one mesh."""
+    mesh = dm.meshing.sphere(COMM, cell=cell, h=h)
+    nodes = fem.functionspace(mesh.mesh, ("Lagrange", 1)).dofmap.index_map.size_global
+    found = {
+        "elastic": measure(mesh, "elastic", "contact"),
+        "tied": measure(mesh, "elastic", "tie"),
+        "plastic": measure(mesh, "plastic", "contact"),
+    }
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    elastic, plastic = found["elastic"], found["plastic"]
+    # assembly and a warm solve of one iteration, as they came out on average
+    warm = plastic["parts"]["assembly"] + plastic["seconds_iterations"]
+    return {
+        "cell": cell,
+        "h": h,
+        "unknowns": 3 * nodes,
+        "ranks": COMM.size,
+        "contact_over_tied": elastic["seconds"] / found["tied"]["seconds"],
+        "plastic_over_warm": plastic["seconds"] / warm,
+        "mortar_over_linear": elastic["parts"]["mortar"] / elastic["parts"]["linear_solves"],
+        "peak_memory_gib": COMM.allreduce(memory, op=MPI.SUM),
+    } | found
+
+
+def show(rows: list[dict[str, Any]]) -> None:
+    """Print the table."""
+    print("  unknowns  contact s  tied s  ratio  updates  CG  plastic s  Newton  CG   force   GiB")
+    for r in rows:
+        e, p = r["elastic"], r["plastic"]
+        print(
+            f"{r['unknowns']:10d} {e['seconds']:10.2f} {r['tied']['seconds']:7.2f}"
+            f" {r['contact_over_tied']:6.2f} {e['active_set_updates']:8d} {e['krylov']:3d}"
+            f" {p['seconds']:10.2f} {p['newton']:7d} {p['krylov']:3d}"
+            f" {e['force_of_the_ball']:8.1f} {r['peak_memory_gib']:5.2f}"
+        )
+    if len(rows) >= 3:
+        h = [r["h"] for r in rows[-3:]]
+        F = [r["elastic"]["force_of_the_ball"] for r in rows[-3:]]
+        order = np.log(abs((F[0] - F[1]) / (F[1] - F[2]))) / np.log(h[0] / h[1])
+        limit = F[2] + (F[2] - F[1]) / ((h[1] / h[2]) ** 2 - 1.0)
+        print(f"force: observed order {order:.2f}, limit with order 2: {limit:.1f} N")
+
+
+def main() -> None:
+    """Measure all meshes."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--h", type=float, nargs="+", default=[0.25, 0.125, 0.0625])
+    parser.add_argument("--cell", choices=["hexahedron", "tetrahedron"], default="hexahedron")
+    parser.add_argument("--output", type=Path)
+    options = parser.parse_args()
+    row(options.cell, options.h[0])  # compiles
+    rows = [row(options.cell, h) for h in options.h]
+    if COMM.rank == 0:
+        show(rows)
+        if options.output:
+            options.output.write_text(json.dumps(rows, indent=1))
+
+
+if __name__ == "__main__":
+    main()
