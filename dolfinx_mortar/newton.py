@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_mortar import qp as backends
+from dolfinx_mortar import reach
 from dolfinx_mortar.arguments import check_controls
 from dolfinx_mortar.certificate import create_certificate
 from dolfinx_mortar.parallel import maximum
@@ -120,7 +121,7 @@ class _Step:
     def run(self, max_it: int) -> None:
         """Iterate until converged; sets the results and the certificate."""
         problem, report = self.problem, self.report
-        start = problem.predict_active()
+        start = reach.predict_active(problem)
         for number in range(1, max_it + 1):
             if number > 1:
                 if self.moving and not self.hold():

@@ -29,7 +29,7 @@ def create_preconditioning(problem: ContactProblem, held: npt.NDArray[np.int32])
         held: owned unknowns of y that are held at their bounds.
     """
     K, E, motions = problem.K, None, rigid_motions(problem.V)
-    if problem.interfaces:
+    if problem.transformation is not None:
         B, E, motions = problem.transformation.release(K, held, motions)
     else:
         B = K.copy()

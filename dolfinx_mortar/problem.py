@@ -20,7 +20,7 @@ from dolfinx_mortar.audit import Audit, create_audit
 from dolfinx_mortar.bodies import Bodies, find_bodies
 from dolfinx_mortar.contact import Contact
 from dolfinx_mortar.interface import Interface
-from dolfinx_mortar.parallel import any_rank, maximum
+from dolfinx_mortar.parallel import maximum
 from dolfinx_mortar.preconditioning import create_preconditioning
 from dolfinx_mortar.qp import MULTIGRID, BoundQP, LinearSolver
 from dolfinx_mortar.report import Timings
@@ -32,10 +32,6 @@ from dolfinx_mortar.transformation import Transformation, resolve_claims
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
-
-# Two round bodies that overlap by delta touch where they would overlap by half of it (Hertz: a^2 =
-# R delta, while the overlap ends at 2 R delta).
-OVERLAP = 0.5
 
 
 class ContactProblem:
@@ -351,21 +347,6 @@ class ContactProblem:
         else:
             self.transformation.T.mult(dy, du)
         return du
-
-    def predict_active(self) -> npt.NDArray[np.int8]:
-        """Return a first guess of the contact set, int8 on the bounded unknowns; collective.
-
-        The set of the last step where there is one; otherwise nodes that overlap once every body
-        moved by the mean of its prescribed increments, as deeply as where round bodies touch in
-        the end; where none does, the nodes nearest.
-        """
-        marked = self.active[self.bounded_nodes]
-        if not any_rank(self.comm, marked.any())[0] and self.contacts:
-            gap = reach.predicted_gaps(self)
-            nearest = -float(maximum(self.comm, -gap.min(initial=np.inf))[0])
-            depth = nearest if nearest > 0.0 else OVERLAP * nearest
-            marked = gap[self.bounded_nodes] <= depth + 1e-6 * self.facet_length
-        return marked.astype(np.int8)
 
     # -- results ---------------------------------------------------------------------------------
 

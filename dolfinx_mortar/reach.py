@@ -25,6 +25,9 @@ Floats = npt.NDArray[np.float64]
 INCREMENT_SHARE, FACETS = 0.25, 2.0
 # T gets room for so many times that distance, so that it need not change in every step.
 ROOM = 2.0
+# Two round bodies that overlap by delta touch where they would overlap by half of it (Hertz: a^2 =
+# R delta, while the overlap ends at 2 R delta).
+OVERLAP = 0.5
 
 
 def _expected_motion(problem: ContactProblem) -> Floats:
@@ -86,3 +89,19 @@ def touches_far_nodes(problem: ContactProblem) -> bool:
     gap = problem.gaps()
     touched = [(gap[c.pattern.nodes[~c.near]] <= 0.0).any() for c in problem.contacts]
     return bool(any_rank(problem.comm, any(touched))[0])
+
+
+def predict_active(problem: ContactProblem) -> npt.NDArray[np.int8]:
+    """Return a first guess of the contact set, int8 on the bounded unknowns; collective.
+
+    The set of the last step where there is one; otherwise nodes that overlap once every body moved
+    by the mean of its prescribed increments, as deeply as where round bodies touch in the end;
+    where none does, the nodes nearest.
+    """
+    marked = problem.active[problem.bounded_nodes]
+    if not any_rank(problem.comm, marked.any())[0] and problem.contacts:
+        gap = predicted_gaps(problem)
+        nearest = -float(maximum(problem.comm, -gap.min(initial=np.inf))[0])
+        depth = nearest if nearest > 0.0 else OVERLAP * nearest
+        marked = gap[problem.bounded_nodes] <= depth + 1e-6 * problem.facet_length
+    return marked.astype(np.int8)

@@ -64,7 +64,9 @@ class Multigrid:
         self.inner = PETSc.PC().create(comm)
         self.inner.setOptionsPrefix(prefix)
         self.inner.setFromOptions()
-        self.held_by_B = self.held = self.freed = np.empty(0, dtype=np.int32)
+        self.held_by_B: Indices = np.empty(0, dtype=np.int32)
+        self.held: Indices = self.held_by_B
+        self.freed: Indices = self.held_by_B
 
     def renew(self, data: Preconditioning, held: Indices) -> None:
         """Take another matrix; collective."""
@@ -82,7 +84,8 @@ class Multigrid:
 
     def hold(self, held: Indices, diagonal: npt.NDArray[np.float64]) -> None:
         """Say which unknowns are held now, and the diagonal of the QP's matrix."""
-        self.held, self.freed = held, np.setdiff1d(self.held_by_B, held)
+        self.held = held
+        self.freed = np.asarray(np.setdiff1d(self.held_by_B, held), dtype=np.int32)
         self.freed_diagonal = diagonal[self.freed]
 
     def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
