@@ -136,7 +136,9 @@ class Interface:
 
     def search(self, u: fem.Function | None) -> None:
         """Pair slave and master facets at X + u and fix the coupling pattern; collective."""
-        self.pairing: Pairing = create_pairing(self.V, self.slave_surface, self.master_surface, u)
+        self.pairing: Pairing = create_pairing(
+            self.V, self.slave_surface, self.master_surface, u, moving=u is not None
+        )
         self.facet_length = mean_facet_length(self.slave_surface)
         nodes = self.slave_surface.nodes[: self.slave_surface.owned]
         position = np.full(self.n_owned, -1, dtype=np.int32)

@@ -214,7 +214,7 @@ def assemble_mortar(
     """
     surfaces = [create_surface(V, facet_tags, slave, "slave")]
     surfaces.append(create_surface(V, facet_tags, master, "master"))
-    pairing = create_pairing(V, *surfaces, u)
+    pairing = create_pairing(V, *surfaces, u, moving=False)
     segments, normals = find_segments(pairing, u)
     keep = default_keep(pairing, segments, *node_weights(pairing, segments))
     node_D, node_M = assemble_node_matrices(pairing, segments, keep)

@@ -25,8 +25,9 @@ Floats = npt.NDArray[np.float64]
 log = logging.getLogger(__name__)
 
 ARMIJO = 1e-4
-# QPs on the way need not be more accurate than Newton's next increment, the square of the last.
-FORCING = 1e-4
+# QPs on the way need not be more accurate than Newton's next increment, about the square of the
+# last. Digits that save one Newton iteration are cheap with a factorisation only.
+FORCING = {"direct": 1e-4, "iterative": 1e-2}
 # A contact set of which a smaller share changed in the last QP is expected to stay.
 SETTLED = 0.1
 MAX_HALVINGS = 12
@@ -107,8 +108,6 @@ class _Step:
     def __init__(self, problem: ContactProblem, report: StepReport) -> None:
         self.problem, self.report = problem, report
         self.moving = problem.geometry == "updated" and bool(problem.interfaces)
-        # Far enough below Newton's tolerance for the QP never to be what limits it.
-        self.tolerance = max(1e-13, min(1e-10, 1e-3 * report.rtol))
         self.settled = False  # the contact set is expected to stay
         self.potential: float | None = None  # J(u), once a line search has needed it
         self.largest_multiplier = 0.0
@@ -159,6 +158,7 @@ class _Step:
         problem, report = self.problem, self.report
         fixed_supports = not problem.changes_dirichlet()
         qp = problem.quadratic_program()
+        problem.linear.attach(qp.A)
         geometry_change, rtol = self.geometry_change(), self.accuracy()
         with problem.timings("linear_solves"):
             solved = backends.solve(
@@ -205,6 +205,15 @@ class _Step:
         tight = solved.kkt.satisfied(max(self.tolerance, 1e-2 * report.rtol))
         return length == 1.0 and tight and (small or (balanced and (at_rest or not self.moving)))
 
+    @property
+    def tolerance(self) -> float:
+        """Tolerance of the last QP: far enough below Newton's never to be what limits it.
+
+        A digit more is one or two iterations with a factorisation, and many with multigrid.
+        """
+        least = 1e-10 if self.problem.linear.direct else 1.0
+        return max(1e-13, min(least, 1e-3 * self.report.rtol))
+
     def note(self, number: int, text: str) -> None:
         """Report what the QP backend says: one note, once for all iterations that say the same."""
         self.noted.setdefault(text, []).append(number)
@@ -217,7 +226,8 @@ class _Step:
         if problem.solid.linear and not self.moving:
             return self.tolerance  # one QP is the whole step
         last = done[-1].increment if done else 1.0
-        return float(max(self.tolerance, FORCING * min(1.0, last) ** 2))
+        share = FORCING["direct" if problem.linear.direct else "iterative"]
+        return float(max(self.tolerance, share * min(1.0, last) ** 2))
 
     def take_over(self, solved: QPSolution, start: npt.NDArray[np.int8]) -> int:
         """Keep the contact set and reactions; return how many nodes changed, weak ones left out.

@@ -200,11 +200,13 @@ def create_pairing(
     slave: Surface,
     master: Surface,
     u: dolfinx.fem.Function | None,
+    *,
+    moving: bool = True,
 ) -> Pairing:
     """Find the candidate pairs at X + u and create the matrices for them (collective).
 
-    The pairs provide for a relative sliding by half an edge or more and for small rotations;
-    `outside_margin` tells when that is used up.
+    Where the surfaces move, the pairs provide for a relative sliding by half an edge or more and
+    for small rotations; `outside_margin` tells when that is used up.
 
     Raises:
         ValueError: On all ranks, if the sides share facets, belong to another space, or no slave
@@ -214,14 +216,14 @@ def create_pairing(
     comm = V.mesh.comm
     x_s, n_s = _facet_arrays(slave, u)
     x_m = coordinates(master, u)[master.facets]
-    margin, groups = sliding_margins(x_s), _group(x_s)
+    margin, groups = sliding_margins(x_s) * moving, _group(x_s)
     receivers: Bools = np.ones((len(x_m), 1), dtype=bool)
     if comm.size > 1:
-        receivers = _find_receivers(comm, _group_cones(x_s, n_s, groups, margin, TURN), x_m)
+        receivers = _find_receivers(comm, _group_cones(x_s, n_s, groups, margin, TURN * moving), x_m)
     nodes, facets, X = _send_facets(master, receivers)
     scatter, received = _create_scatter(V, nodes)
     x_received = _master_coordinates(X, scatter, received, u)[facets]
-    pairs = find_candidates(x_s, n_s, x_received, margin)
+    pairs = find_candidates(x_s, n_s, x_received, margin, moving=moving)
     _check_facing(pairs, slave, master, n_s, x_m)
     D, M = _create_matrices(slave, pairs, nodes, facets)
     return Pairing(

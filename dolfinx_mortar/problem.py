@@ -336,7 +336,7 @@ class ContactProblem:
         if self.transformation is None:
             forces.copy(result)
         else:
-            self.transformation.T.multTranspose(forces, result)
+            self.transformation.apply_transposed(forces, result)
         return result
 
     def to_displacement(self, dy: PETSc.Vec) -> PETSc.Vec:
@@ -345,7 +345,7 @@ class ContactProblem:
         if self.transformation is None:
             dy.copy(du)
         else:
-            self.transformation.T.mult(dy, du)
+            self.transformation.apply(dy, du)
         return du
 
     # -- results ---------------------------------------------------------------------------------

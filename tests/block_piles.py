@@ -67,6 +67,15 @@ def to_dense(A: PETSc.Mat) -> npt.NDArray[np.float64]:
     return np.concatenate(A.comm.tompi4py().allgather(rows))
 
 
+def dense_transformation(problem: dm.ContactProblem) -> npt.NDArray[np.float64]:
+    """Return T, the product of the factors I + S, on every rank."""
+    factors = [to_dense(factor.S) for factor in problem.transformation.factors]
+    T = np.eye(len(factors[0]))
+    for S in factors:
+        T = T + T @ S
+    return T
+
+
 def to_global(comm: MPI.Comm, own: npt.NDArray) -> npt.NDArray:
     """Return the concatenation of the ranks' arrays on every rank."""
     return np.concatenate(comm.allgather(own))
