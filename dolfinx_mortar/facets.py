@@ -68,11 +68,14 @@ def shape_functions(xi: Floats, k: int = 2) -> Floats:
     """
     if k == 2:
         return np.concatenate([(1 - xi) / 2, (1 + xi) / 2], axis=1)
-    r, s = xi.T
+    (r, s), N = xi.T, np.empty((len(xi), k))
     if k == 3:
-        return np.stack([1 - r - s, r, s], axis=1)
+        N[:, 0], N[:, 1], N[:, 2] = 1 - r - s, r, s
+        return N
     a, b, c, d = (1 - r) / 2, (1 + r) / 2, (1 - s) / 2, (1 + s) / 2
-    return np.stack([a * c, b * c, b * d, a * d], axis=1)
+    for i, factors in enumerate(((a, c), (b, c), (b, d), (a, d))):
+        np.multiply(*factors, out=N[:, i])
+    return N
 
 
 def tributary_weights(x: Floats) -> Floats:

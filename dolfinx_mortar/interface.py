@@ -23,6 +23,7 @@ import numpy.typing as npt
 from dolfinx import fem, la
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar import coo
+from dolfinx_mortar.blocks import BlockMatrix
 from dolfinx_mortar.mortar import (
     LEAST_COVERAGE,
     assemble_node_matrices,
@@ -155,17 +156,11 @@ class Interface:
             from_D.astype(np.int32),
             from_M.astype(np.int32),
         )
-        self.Q = self._create_coupling_matrix()
+        p = self.pattern
+        self._blocks = BlockMatrix(self.V, p.nodes[p.row], p.column)
+        self.Q = self._blocks.matrix
         if not hasattr(self, "near"):
             self.near = np.ones(len(nodes), dtype=bool)
-
-    def _create_coupling_matrix(self) -> PETSc.Mat:
-        """Return Q with the pattern of all candidate pairs, its values not yet set."""
-        p, d, layout = self.pattern, self.d, self.V.dofmap.index_map
-        a, b = np.divmod(np.arange(d * d), d)
-        row = d * (p.nodes[p.row].astype(np.int64) + layout.local_range[0])[:, None] + a
-        column = d * p.column[:, None] + b
-        return coo.create_square(self.V, row.ravel(), column.ravel())
 
     def configuration(self, u: fem.Function | None) -> fem.Function | None:
         """Return the displacement at which the interface is taken, None for X."""
@@ -244,7 +239,7 @@ class Interface:
     def _fill(self, blocks: Floats) -> None:
         """Refill Q with (entries, d, d) blocks."""
         self.blocks = blocks
-        coo.set_values(self.Q, blocks)
+        self._blocks.fill(blocks)
 
     def relative(self, v: PETSc.Vec) -> Floats:
         """Return R^T (v_j - sum_l Q_jl v_l) at the owned slave nodes, (n, d); collective.

@@ -219,7 +219,9 @@ def create_pairing(
     margin, groups = sliding_margins(x_s) * moving, _group(x_s)
     receivers: Bools = np.ones((len(x_m), 1), dtype=bool)
     if comm.size > 1:
-        receivers = _find_receivers(comm, _group_cones(x_s, n_s, groups, margin, TURN * moving), x_m)
+        receivers = _find_receivers(
+            comm, _group_cones(x_s, n_s, groups, margin, TURN * moving), x_m
+        )
     nodes, facets, X = _send_facets(master, receivers)
     scatter, received = _create_scatter(V, nodes)
     x_received = _master_coordinates(X, scatter, received, u)[facets]

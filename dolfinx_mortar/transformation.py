@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from dolfinx_mortar import coo
+from dolfinx_mortar.blocks import BlockMatrix
 from dolfinx_mortar.interface import Interface
 from dolfinx_mortar.parallel import any_rank
 
@@ -215,11 +215,9 @@ class Congruence:
         self.KS = K.matMult(S)
         self.KSt = self.KS.transpose(PETSc.Mat())
         self.StKS = self.St.matMult(self.KS)
-        change = self.KS.copy()
-        change.axpy(1.0, self.KSt, other)
-        change.axpy(1.0, self.StKS, other)
-        self.product = K.copy()
-        self.product.axpy(1.0, change, other)
+        self.product = self.KS.duplicate(copy=True)
+        for part in (self.KSt, self.StKS, K):  # K last: each sum is copied once
+            self.product.axpy(1.0, part, other)
 
     def update(self, K: PETSc.Mat, S: PETSc.Mat) -> None:
         """Refill the product from new values on the same patterns; collective."""
@@ -236,10 +234,8 @@ class _Factor:
     """T = I + S of interfaces that do not lean on each other's slave nodes."""
 
     def __init__(self, V: fem.FunctionSpace, interfaces: Sequence[Interface]) -> None:
-        layout, d = V.dofmap.index_map, V.dofmap.index_map_bs
-        first, n = layout.local_range[0], layout.size_local
+        first, n = V.dofmap.index_map.local_range[0], V.dofmap.index_map.size_local
         taken = np.zeros(n, dtype=bool)
-        a, b = np.divmod(np.arange(d * d), d)
         rows, columns = [], []
         self.parts: list[tuple[Interface, Bools]] = []
         # A node on several slave sides takes its frame from the interface that may keep it.
@@ -248,20 +244,20 @@ class _Factor:
             mine = ~taken[p.nodes] & (~i.banned[p.nodes] | ~_kept_elsewhere(i, interfaces))
             taken[p.nodes[mine]] = True
             self.parts.append((i, mine))
-            at = d * (p.nodes.astype(np.int64) + first)
             near = i.near[p.row]
-            rows += [(at[mine][:, None] + a).ravel(), (at[p.row[near]][:, None] + a).ravel()]
-            columns += [(at[mine][:, None] + b).ravel(), (d * p.column[near][:, None] + b).ravel()]
+            rows += [p.nodes[mine], p.nodes[p.row[near]]]
+            columns += [p.nodes[mine].astype(np.int64) + first, p.column[near]]
         self.V = V
-        self.S = coo.create_square(V, np.concatenate(rows), np.concatenate(columns))
+        self._blocks = BlockMatrix(V, np.concatenate(rows), np.concatenate(columns))
+        self.S = self._blocks.matrix
 
     def update(self) -> None:
         """Refill the matrix from the interfaces' frames and couplings; collective."""
         values = []
         for i, mine in self.parts:
             turn = _frames(i)[mine] - np.eye(i.d)
-            values += [turn.ravel(), i.blocks[i.near[i.pattern.row]].ravel()]
-        coo.set_values(self.S, np.concatenate(values))
+            values += [turn, i.blocks[i.near[i.pattern.row]]]
+        self._blocks.fill(np.concatenate(values))
 
     def release(self, held: Ints) -> tuple[PETSc.Mat, PETSc.Mat]:
         """Return S of contact at held unknowns only, without stored zeros, and E; collective."""
@@ -270,22 +266,19 @@ class _Factor:
         d = V.dofmap.index_map_bs
         is_held = np.zeros(d * n, dtype=bool)
         is_held[held] = True
-        a, b = np.divmod(np.arange(d * d), d)
-        S: list[tuple[npt.ArrayLike, ...]] = []
-        E: list[tuple[npt.ArrayLike, ...]] = []
+        S: list[tuple[npt.NDArray[np.int32], npt.NDArray[np.int64], Floats]] = []
+        E: list[tuple[npt.NDArray[np.int32], npt.NDArray[np.int64], Floats]] = []
         for i, mine in self.parts:
             p = i.pattern
-            at = d * (p.nodes.astype(np.int64) + first)
-            turn = (_frames(i)[mine] - np.eye(d)).reshape(-1, d * d)
-            S.append((at[mine][:, None] + a, at[mine][:, None] + b, turn))
+            nodes = p.nodes[mine]
+            S.append((nodes, nodes.astype(np.int64) + first, _frames(i)[mine] - np.eye(d)))
             open_ = (i.kind == "contact") & i.S[:, 0] & ~is_held[d * p.nodes]
             used = i.blocks.any(axis=(1, 2)) & i.near[p.row]
             on, off = used & ~open_[p.row], used & open_[p.row]
-            columns = d * p.column[:, None]
-            S.append((at[p.row[on]][:, None] + a, columns[on] + b, i.blocks[on].reshape(-1, d * d)))
-            normal = np.einsum("ea,eab->eb", i.normals[p.row[off]], i.blocks[off])
-            row = np.repeat(at[p.row[off]][:, None], d, axis=1)
-            E.append((row, columns[off] + np.arange(d), normal))
+            S.append((p.nodes[p.row[on]], p.column[on], i.blocks[on]))
+            normal = np.zeros((int(off.sum()), d, d))
+            normal[:, 0] = np.einsum("ea,eab->eb", i.normals[p.row[off]], i.blocks[off])
+            E.append((p.nodes[p.row[off]], p.column[off], normal))
         return _create(V, S), _create(V, E)
 
     def inverse(self, u: PETSc.Vec) -> PETSc.Vec:
@@ -309,14 +302,15 @@ def _frames(interface: Interface) -> Floats:
     return np.where(bound, interface.R, np.eye(interface.d))
 
 
-def _create(V: fem.FunctionSpace, parts: Sequence[tuple[npt.ArrayLike, ...]]) -> PETSc.Mat:
-    """Return the matrix of triplets (rows, columns, values); collective."""
-    rows, columns, values = (
-        np.concatenate([np.ravel(part[k]) for part in parts]) for k in range(3)
-    )
-    A = coo.create_square(V, rows, columns)
-    coo.set_values(A, values)
-    return A
+def _create(
+    V: fem.FunctionSpace,
+    parts: Sequence[tuple[npt.NDArray[np.int32], npt.NDArray[np.int64], Floats]],
+) -> PETSc.Mat:
+    """Return the matrix of parts (rows, columns, blocks); collective."""
+    rows, columns, values = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    blocks = BlockMatrix(V, rows, columns)
+    blocks.fill(values)
+    return blocks.matrix
 
 
 def _kept_elsewhere(interface: Interface, group: Sequence[Interface]) -> Bools:

@@ -6,6 +6,9 @@ it. Otherwise the updates below do the work: early ones are solved loosely, the 
 set that comes back although solves are tight is a cycle; then the interior point takes over.
 """
 
+from hashlib import blake2b
+
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -96,7 +99,7 @@ def _update(
     set is read from; the last one to ``rtol`` of all forces.
     """
     lower, upper = qp.bounds()
-    seen: set[bytes] = set()
+    seen: set[int] = set()
     z = reaction(qp, x)
     tolerance, b_norm = max(loose, rtol), qp.b.norm()
     force, held_force, updates = max(b_norm, z.norm()), 0.0, 1
@@ -167,9 +170,10 @@ def _differ(
     return bool(qp.comm.allreduce(int(strong.sum())))
 
 
-def _came_back(qp: BoundQP, active: Actives, seen: set[bytes]) -> bool:
-    """Tell whether all ranks have seen their part of this set in one and the same update."""
-    everywhere = b"".join(qp.comm.allgather(active.tobytes()))
+def _came_back(qp: BoundQP, active: Actives, seen: set[int]) -> bool:
+    """Tell whether this set, over all ranks, was there before; one number travels."""
+    part = blake2b(active.tobytes(), digest_size=7, salt=str(qp.comm.rank).encode())
+    everywhere = qp.comm.allreduce(int.from_bytes(part.digest()), op=MPI.SUM)
     known = everywhere in seen
     seen.add(everywhere)
     return known

@@ -214,6 +214,7 @@ class LinearSolver:
         if self.direct:
             self._set_up_factorisation(pc)
         else:
+            self._multigrid.release()  # two at a time would need twice the memory
             with self.database(self.prefix):
                 self._multigrid.renew(self._create_preconditioning(fixed), fixed)
                 self.counts.factorisations += 1

@@ -68,6 +68,11 @@ class Multigrid:
         self.held: Indices = self.held_by_B
         self.freed: Indices = self.held_by_B
 
+    def release(self) -> None:
+        """Free the matrices of the inner PC."""
+        self.inner.reset()
+        self.E = None
+
     def renew(self, data: Preconditioning, held: Indices) -> None:
         """Take another matrix; collective."""
         self.E, self.held_by_B = data.E, held
@@ -75,7 +80,6 @@ class Multigrid:
         if basis:
             data.B.setBlockSize(basis[0].getBlockSize())
             data.B.setNearNullSpace(PETSc.NullSpace().create(vectors=basis))
-        self.inner.reset()
         self.inner.setOperators(data.B)
         self.inner.setFromOptions()
         self.inner.setUp()
