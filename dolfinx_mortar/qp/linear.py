@@ -17,7 +17,12 @@ import numpy.typing as npt
 
 from dolfinx_mortar.qp import factorisation
 from dolfinx_mortar.qp.bound_qp import EPS, ROUND_OFF
-from dolfinx_mortar.qp.multigrid import CreatePreconditioning, Multigrid, Preconditioning
+from dolfinx_mortar.qp.multigrid import (
+    CreatePreconditioning,
+    FreePart,
+    Multigrid,
+    Preconditioning,
+)
 
 Indices = npt.NDArray[np.int32]
 
@@ -61,8 +66,9 @@ class LinearCounts:
 class LinearSolver:
     """Solve A_ff x_f = b_f - A_fc x_c for changing sets c of held unknowns and changing A.
 
-    The operator is a copy of A whose rows and columns in c are zeroed with the pattern kept, so
-    nothing is allocated and the symbolic factorisation lives as long as the pattern. The numeric
+    With a factorisation the operator is a copy of A whose rows and columns in c are zeroed with the
+    pattern kept, so nothing is allocated and the symbolic factorisation lives as long as the
+    pattern; otherwise A itself is applied, and its rows in c are left out. The numeric
     factorisation of an earlier set or an earlier A preconditions conjugate gradients; it is renewed
     as soon as the observed convergence promises that this is cheaper. The decisions depend on
     residuals only, never on clocks, and so are the same on all ranks.
@@ -147,9 +153,6 @@ class LinearSolver:
         if self._A is not None and A.handle == self._A.handle:
             return
         self.release()  # until all options have proved valid
-        self._masked = A.duplicate(copy=True)
-        self._masked.setOption(PETSc.Mat.Option.SPD, True)
-        self._masked.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         self._r, self._dx = A.createVecRight(), A.createVecRight()
         self._seen, self._fixed, self._factor_fixed = (-1, -1), None, None
         self._ksp = PETSc.KSP().create(self.comm)
@@ -158,7 +161,13 @@ class LinearSolver:
         with self.database(self.prefix):
             self._ksp.setFromOptions()
             self._pc = self._ksp.getPC()
-            if not self.direct:
+            if self.direct:
+                self._masked = A.duplicate(copy=True)
+                self._masked.setOption(PETSc.Mat.Option.SPD, True)
+                self._masked.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+            else:
+                self._operator = FreePart(A)
+                self._masked = PETSc.Mat().createPython(A.getSizes(), self._operator, self.comm)
                 self._multigrid = Multigrid(self.comm, self.prefix)
                 self._pc = self._multigrid.inner
                 self._ksp.setPC(PETSc.PC().createPython(self._multigrid, comm=self.comm))
@@ -192,13 +201,20 @@ class LinearSolver:
         if self._seen[0] == self._state() and self.comm.allreduce(same, op=MPI.LAND):
             return
         assert self._A is not None
-        self._A.copy(self._masked, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self._diagonal = self._A.getDiagonal()
-        typical = self._diagonal.sum() / self._diagonal.getSize()
-        rows = (fixed + self._A.getOwnershipRange()[0]).astype(PETSc.IntType)
-        self._masked.zeroRowsColumns(rows, diag=typical)
+        if self.direct:
+            self._A.copy(self._masked, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+            self._decouple(self._masked, fixed)
+        else:
+            self._operator.held = fixed
         self._fixed = fixed.copy()
         self._seen = (self._state(), self._seen[1])
+
+    def _decouple(self, matrix: PETSc.Mat, fixed: Indices) -> None:
+        """Replace rows and columns by those of a scaled identity."""
+        typical = self._diagonal.sum() / self._diagonal.getSize()
+        rows = (fixed + matrix.getOwnershipRange()[0]).astype(PETSc.IntType)
+        matrix.zeroRowsColumns(rows, diag=typical)
 
     def factorise(self, fixed: Indices) -> None:
         """Factorise A with `fixed` held, unless that is what the factorisation is of (collective).
@@ -243,7 +259,10 @@ class LinearSolver:
     def _create_preconditioning(self, fixed: Indices) -> Preconditioning:
         if self.preconditioning is not None:
             return self.preconditioning(fixed)
-        return Preconditioning(self._masked.copy(), None, [])
+        assert self._A is not None
+        B = self._A.copy()
+        self._decouple(B, fixed)
+        return Preconditioning(B, None, [])
 
     def _enlarge_workspace(self, pc: PETSc.PC) -> bool:
         """Double MUMPS' workspace if it was too small; tell whether to try again."""

@@ -51,6 +51,25 @@ def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
     return basis
 
 
+class FreePart:
+    """Context of a PETSc Mat of type python: A on unknowns that are not held, without a copy of A.
+
+    For vectors that vanish at held unknowns.
+    """
+
+    def __init__(self, A: PETSc.Mat) -> None:
+        """Hold nothing."""
+        self.A = A
+        self.held: Indices = np.empty(0, dtype=np.int32)
+
+    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Set y = A x with zeros at held unknowns (called by PETSc)."""
+        self.A.mult(x, y)
+        y.array[self.held] = 0.0
+
+    multTranspose = mult  # A is symmetric
+
+
 class Multigrid:
     """Context of a PETSc PC of type python: M^-1 above, with any PC for B^-1.
 
