@@ -3,7 +3,8 @@
 
 Run with ``containers/run python3 benchmarks/mortar_3d.py [--facets 1000 ...] [--output FILE]``. Two
 blocks of hexahedra with n x n and 2n/3 x 2n/3 facets at their interface are tied and compressed.
-The blocks are three cells high, fewer than in real models, where the share is smaller. The smallest model is solved twice, so that no compilation is measured.
+The blocks are three cells high, fewer than in real models, where the share is smaller. The smallest
+model is solved twice, so that no compilation is measured.
 """
 
 import argparse

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
@@ -17,6 +16,7 @@ import numpy.typing as npt
 
 from dolfinx_mortar.qp import factorisation
 from dolfinx_mortar.qp.bound_qp import EPS, ROUND_OFF
+from dolfinx_mortar.qp.counts import LinearCounts
 from dolfinx_mortar.qp.multigrid import (
     CreatePreconditioning,
     FreePart,
@@ -49,18 +49,6 @@ SINGULAR_LOSS = 1e-4
 
 class LinearSolveFailed(RuntimeError):
     """A linear system could not be solved; the message has the reason and the remedy."""
-
-
-@dataclass
-class LinearCounts:
-    """What the solver has done so far."""
-
-    symbolic: int = 0  # analyses of a pattern
-    factorisations: int = 0  # numeric factorisations or preconditioner set-ups
-    iterations: int = 0  # applications of the factorisation or preconditioner
-    solves: int = 0
-    seconds_factor: float = 0.0
-    seconds_solve: float = 0.0
 
 
 class LinearSolver:
