@@ -85,11 +85,8 @@ def measure(ranks: int, h: float) -> dict[str, Any]:
 
 def show(title: str, rows: list[dict[str, Any]]) -> None:
     """Print a table."""
-    print(
-        f"\n{title}\nranks  unknowns  wall s  CPU s  Newton   CG  us CPU/unknown/CG  messages      MB",
-        end="",
-    )
-    print("  reductions  slave facets (a rank)  cones  masters received")
+    print(f"\n{title}\nranks  unknowns  wall s  CPU s  Newton   CG  us CPU/unknown/CG", end="")
+    print("  messages      MB  reductions  slave facets (a rank)  cones  masters received")
     for r in rows:
         each = 1e6 * r["cpu"] * r["ranks"] / r["unknowns"] / r["krylov"]
         print(

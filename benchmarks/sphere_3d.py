@@ -98,9 +98,8 @@ def row(cell: str, h: float) -> dict[str, Any]:
 
 def show(rows: list[dict[str, Any]]) -> None:
     """Print the table."""
-    print(
-        "  unknowns  contact s  tied s  ratio  updates  CG  plastic s  Newton  CG  ratio   force   GiB"
-    )
+    print("  unknowns  contact s  tied s  ratio  updates  CG", end="")
+    print("  plastic s  Newton  CG  ratio   force   GiB")
     for r in rows:
         e, p = r["elastic"], r["plastic"]
         print(
