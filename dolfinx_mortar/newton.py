@@ -15,7 +15,7 @@ from dolfinx_mortar import qp as backends
 from dolfinx_mortar import reach
 from dolfinx_mortar.arguments import check_controls
 from dolfinx_mortar.certificate import create_certificate
-from dolfinx_mortar.parallel import maximum
+from dolfinx_mortar.parallel import free_unused, maximum
 from dolfinx_mortar.problem import ContactProblem
 from dolfinx_mortar.qp import QPSolution
 from dolfinx_mortar.report import Iteration, NewtonNotConverged, StepReport
@@ -156,6 +156,7 @@ class _Step:
     def iterate(self, number: int, start: npt.NDArray[np.int8]) -> bool:
         """Linearise, solve the QP, step, record; return whether this was the last iteration."""
         problem, report = self.problem, self.report
+        free_unused(problem.comm)
         fixed_supports = not problem.changes_dirichlet()
         qp = problem.quadratic_program()
         problem.linear.attach(qp.A)

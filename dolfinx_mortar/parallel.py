@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Entry-wise reductions of small arrays over the ranks.
+"""Entry-wise reductions of small arrays over the ranks, and what else all ranks do together.
 
 Mpi4py's lower-case ``allreduce`` compares whole objects, which arrays refuse.
 """
@@ -7,6 +7,7 @@ Mpi4py's lower-case ``allreduce`` compares whole objects, which arrays refuse.
 from __future__ import annotations
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
@@ -27,3 +28,12 @@ def maximum(comm: MPI.Comm, *values: float | np.bool_) -> npt.NDArray[np.float64
 def any_rank(comm: MPI.Comm, *flags: bool | np.bool_) -> npt.NDArray[np.bool_]:
     """Return for each flag whether it is set on any rank; collective."""
     return maximum(comm, *(float(flag) for flag in flags)) > 0.0
+
+
+def free_unused(comm: MPI.Comm) -> None:
+    """Free PETSc objects that Python has let go; collective.
+
+    On several ranks petsc4py only lists them, because the ranks' garbage collectors do not run at
+    the same time; without this call they pile up.
+    """
+    PETSc.garbage_cleanup(comm)

@@ -81,7 +81,7 @@ class ContactProblem:
         self.fixed = prescribed_dofs(self.V, self.bcs)
         with self.timings("setup"):
             self.K = solid.create_matrix()
-            names = ("f", "F", "r", "residual", "x", "du", "dy", "lower", "upper")
+            names = ("f", "F", "r", "x", "du", "dy", "lower", "upper")
             self.vectors = {name: self.K.createVecRight() for name in names}
             self.increment = fem.Function(self.V, name="increment")
             self.linear = LinearSolver(

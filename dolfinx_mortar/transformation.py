@@ -213,21 +213,21 @@ class Congruence:
         other = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
         self.St = S.transpose(PETSc.Mat())
         self.KS = K.matMult(S)
-        self.KSt = self.KS.transpose(PETSc.Mat())
         self.StKS = self.St.matMult(self.KS)
         self.product = self.KS.duplicate(copy=True)
-        for part in (self.KSt, self.StKS, K):  # K last: each sum is copied once
+        for part in (self.KS.transpose(PETSc.Mat()), self.StKS, K):  # K last: copied once
             self.product.axpy(1.0, part, other)
 
     def update(self, K: PETSc.Mat, S: PETSc.Mat) -> None:
         """Refill the product from new values on the same patterns; collective."""
         S.transpose(self.St)
         K.matMult(S, result=self.KS)
-        self.KS.transpose(self.KSt)
+        KSt = self.KS.transpose(PETSc.Mat())
         self.St.matMult(self.KS, result=self.StKS)
         self.product.zeroEntries()
-        for part in (K, self.KS, self.KSt, self.StKS):
+        for part in (K, self.KS, KSt, self.StKS):
             self.product.axpy(1.0, part, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        KSt.destroy()
 
 
 class _Factor:

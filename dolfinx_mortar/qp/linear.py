@@ -14,6 +14,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_mortar.parallel import free_unused
 from dolfinx_mortar.qp import factorisation
 from dolfinx_mortar.qp.bound_qp import EPS, ROUND_OFF
 from dolfinx_mortar.qp.counts import LinearCounts
@@ -214,11 +215,13 @@ class LinearSolver:
         if self.is_fresh(fixed):
             return
         begin = perf_counter()
+        if not self.direct:
+            self._multigrid.release()  # two at a time would need twice the memory
+        free_unused(self.comm)
         pc = self._pc
         if self.direct:
             self._set_up_factorisation(pc)
         else:
-            self._multigrid.release()  # two at a time would need twice the memory
             with self.database(self.prefix):
                 self._multigrid.renew(self._create_preconditioning(fixed), fixed)
                 self.counts.factorisations += 1
