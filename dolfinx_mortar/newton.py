@@ -159,7 +159,6 @@ class _Step:
         free_unused(problem.comm)
         fixed_supports = not problem.changes_dirichlet()
         qp = problem.quadratic_program()
-        problem.linear.attach(qp.A)
         geometry_change, rtol = self.geometry_change(), self.accuracy()
         with problem.timings("linear_solves"):
             solved = backends.solve(

@@ -40,7 +40,7 @@ __all__ = [
 ]
 
 # Modules that are not backends
-_PARTS = {"bound_qp", "condensed", "dense", "factorisation", "linear", "multigrid", "tao"}
+_PARTS = {"bound_qp", "condensed", "counts", "dense", "factorisation", "linear", "multigrid", "tao"}
 
 
 @cache

@@ -101,7 +101,8 @@ class LinearSolver:
     @property
     def direct(self) -> bool:
         """Tell whether the preconditioner is a factorisation."""
-        return self._pc.getType() in ("cholesky", "lu")
+        chosen = PETSc.Options(self.prefix).getString("pc_type", str(self.options["pc_type"]))
+        return chosen in ("cholesky", "lu")
 
     @property
     def refactor_after(self) -> int:
