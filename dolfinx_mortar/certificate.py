@@ -35,8 +35,9 @@ def _share(value: npt.ArrayLike, scale: npt.ArrayLike) -> float:
 def _operator_errors(interface: Interface) -> tuple[float, float]:
     """Return the linear-field error and the row-sum error of D and M; collective.
 
-    On a flat interface (D - M) X has no tangential part, whatever the gap; rows of D - M sum to
-    zero on every interface. Both per D_jj, the first in facet lengths.
+    On a flat interface (D - M) X has no tangential part, whatever the gap; on a curved one it has
+    the angle between the projections and the nodal normals, times the gap. Rows of D - M sum to
+    zero on every interface. Both per D_jj, the first in parts of gap plus facet length.
     """
     D, M = interface.pairing.D, interface.pairing.M
     nodes, d = interface.pattern.nodes, interface.d
@@ -54,8 +55,9 @@ def _operator_errors(interface: Interface) -> tuple[float, float]:
     sums = np.abs(apply(np.ones(interface.n_owned))).max(initial=0.0)
     gap = np.column_stack([apply(x) for x in X.T])
     normals = interface.normals[kept]
-    tangential = gap - np.einsum("ni,ni->n", gap, normals)[:, None] * normals
-    linear = np.linalg.norm(tangential, axis=1).max(initial=0.0) / interface.facet_length
+    along = np.einsum("ni,ni->n", gap, normals)
+    tangential = np.linalg.norm(gap - along[:, None] * normals, axis=1)
+    linear = (tangential / (np.abs(along) + interface.facet_length)).max(initial=0.0)
     linear, sums = maximum(interface.V.mesh.comm, linear, sums)
     return float(linear), float(sums)
 

@@ -63,7 +63,7 @@ class Certificate:
     complementarity: float  # largest lambda_j * gap_j
     force_balance: float  # resultants on slave and master side added up
     moment_balance: float  # the same for moments about the origin
-    linear_field_error: float  # tangential part of x_s - P x_m in facet lengths, 0 if flat
+    linear_field_error: float  # tangential part of x_s - P x_m per gap + facet length
     row_sum_error: float  # largest row sum of D - M over D_jj
     smallest_coverage: float  # covered share of the tributary length over kept slave nodes
     kept_nodes: int

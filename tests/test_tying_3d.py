@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: MIT
+"""Mesh tying in 3D: orders on flat non-matching and on cylindrical interfaces."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import fem
+from tests.meshes_3d import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_boxes
+
+COMM = MPI.COMM_WORLD
+E, NU = 1000.0, 0.3
+MARGIN = 0.2  # of the observed orders
+OUTER = (1, 2, 5, 6, 7, 8)
+
+
+def to_sector(x):
+    """Map (angle, length, radius - 2) to a sector of two concentric rings."""
+    angle, radius = 0.8 * x[:, 0], 2.0 + x[:, 2]
+    return np.column_stack([radius * np.sin(angle), x[:, 1], radius * np.cos(angle)])
+
+
+def field(x, m):
+    """Return a smooth displacement, with the functions of NumPy or UFL."""
+    return (
+        m.sin(1.5 * x[0] + x[1]) * m.cos(x[2]),
+        m.cos(x[0]) * m.exp(0.5 * x[1]) + 0.3 * m.sin(x[2]),
+        m.sin(x[2] + 0.5 * x[0] * x[1]),
+    )
+
+
+class Symbols:
+    sin, cos, exp = staticmethod(ufl.sin), staticmethod(ufl.cos), staticmethod(ufl.exp)
+
+
+def solve_smooth(n, cell, slave, transform):
+    """Return the errors in L2 and H1 with 2n and 3n cells along the edges of the boxes."""
+    boxes = (2 * n,) * 3, (3 * n,) * 3
+    mesh, _, facets = two_boxes(COMM, *boxes, cell=cell, transform=transform)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    given = fem.Function(V)
+    given.interpolate(lambda x: np.array(field(x, np)))
+    dofs = [fem.locate_dofs_topological(V, 2, facets.find(tag)) for tag in OUTER]
+    bc = fem.dirichletbc(given, np.unique(np.concatenate(dofs)))
+    x, v = ufl.SpatialCoordinate(mesh), ufl.TestFunction(V)
+    exact = ufl.as_vector(field(x, Symbols))
+    mu, lam = E / (2 * (1 + NU)), E * NU / ((1 + NU) * (1 - 2 * NU))
+    stress = 2 * mu * ufl.sym(ufl.grad(exact)) + lam * ufl.div(exact) * ufl.Identity(3)
+    u = fem.Function(V)
+    tags = (TOP_OF_LOWER, BOTTOM_OF_UPPER)
+    tags = tags if slave == "lower" else tags[::-1]
+    problem = dm.ContactProblem(
+        dm.Solid(u, dm.Elastic(E, NU)),
+        [dm.Tie(facets, slave=tags[0], master=tags[1])],
+        bcs=[bc],
+        loads=-ufl.dot(ufl.div(stress), v) * ufl.dx(degree=4),
+    )
+    dm.newton(problem)
+    e = u - exact
+    squares = [ufl.dot(e, e), ufl.inner(ufl.grad(e), ufl.grad(e))]
+    dx = ufl.dx(degree=4)
+    return [np.sqrt(COMM.allreduce(fem.assemble_scalar(fem.form(s * dx)))) for s in squares]
+
+
+def check_orders(sizes, *case):
+    errors = np.array([solve_smooth(n, *case) for n in sizes])
+    ratio = np.log2(np.array(sizes[1:]) / np.array(sizes[:-1]))
+    orders = np.log2(errors[:-1] / errors[1:]) / ratio[:, None]
+    print(f"{case[:2]}: errors {errors.tolist()}, orders {orders.tolist()}")
+    assert np.all(orders[-1] > np.array([2.0, 1.0]) - MARGIN)
+
+
+@pytest.mark.parametrize("transform", [None, to_sector], ids=["flat", "cylinder"])
+def test_orders_of_hexahedra(transform):
+    check_orders((1, 2, 3), "hexahedron", "upper", transform)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("transform", [None, to_sector], ids=["flat", "cylinder"])
+@pytest.mark.parametrize("slave", ["lower", "upper"])
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_orders(cell, slave, transform):
+    """L2 order 2 and H1 order 1, coarse or fine side as slave."""
+    check_orders((2, 4, 6), cell, slave, transform)
