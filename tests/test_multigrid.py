@@ -1,43 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Contact in 3D by conjugate gradients and multigrid: the basis, the answer, the failures."""
 
-from functools import lru_cache
-
 from mpi4py import MPI
 
 import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx import fem
+from tests.ball_case import create_problem
 
 COMM = MPI.COMM_WORLD
-STEEL = dm.Elastic(E=206_900.0, nu=0.29)
-
-
-@lru_cache
-def create_mesh(h):
-    """Return one mesh per size: another call may partition it in another way."""
-    return dm.meshing.sphere(COMM, h=h)
-
-
-def create_problem(*, h=0.5, slave="block", **options):
-    """Return the quarter of a half ball on a block, its flat face pushed down by 0.2 mm."""
-    m = create_mesh(h)
-    V = fem.functionspace(m.mesh, ("Lagrange", 1, (3,)))
-    solid = dm.Solid(fem.Function(V, name="u"), options.pop("law", STEEL))
-    bcs = []
-    for tag, component, value in (
-        *((tag, i, 0.0) for tag in (1, 2) for i in range(3) if (tag, i) != (2, 2)),
-        *((2, 2, -0.2), (5, 0, 0.0), (6, 1, 0.0)),
-    ):
-        W = V.sub(component)
-        dofs = fem.locate_dofs_topological(W, 2, m.facet_tags.find(tag))
-        bcs.append(fem.dirichletbc(fem.Constant(m.mesh, value), dofs, W))
-    tags = (3, 4) if slave == "block" else (4, 3)
-    contact = dm.Contact(m.facet_tags, slave=tags[0], master=tags[1])
-    options = {"geometry": "reference"} | options
-    return dm.ContactProblem(solid, [contact], bcs=bcs, **options), contact
 
 
 @pytest.fixture(scope="module")

@@ -52,6 +52,5 @@ def test_quick_tests_on_ranks(ranks: int) -> None:
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.parametrize("ranks", [2, 3])
-def test_all_tests_on_ranks(ranks: int) -> None:
-    run_on_ranks(ranks, "not slow and not serial", 1800.0)
+def test_all_tests_on_ranks() -> None:
+    run_on_ranks(3, "not slow and not serial", 1800.0)

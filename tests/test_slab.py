@@ -25,7 +25,7 @@ def extrude(section):
     mesh = section.mesh
     x, cells = mesh.geometry.x.copy(), mesh.geometry.dofmap.astype(np.int64)
     top = len(x)
-    points = np.concatenate([x, x + [0.0, 0.0, THICKNESS]])
+    points = np.concatenate([x, x + np.array([0.0, 0.0, THICKNESS])])
     if mesh.topology.cell_name() == "quadrilateral":
         cell, cells = "hexahedron", np.hstack([cells, cells + top])
     else:  # prisms in three parts; ascending nodes make neighbours agree on the diagonals

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: MIT
+"""Hertz' point contact: half ball R = 8 mm pressed 0.05 mm into the block 30 x 30 x 10 mm.
+
+The force of this finite model, which is not Hertz' half space, has no closed form; its limit comes
+from three meshes with the observed order two. Radius and pressure are Hertz' at the force found.
+"""
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from tests.ball_case import STEEL, create_problem
+
+DEPTH, RADIUS = 0.05, 8.0
+
+
+def solve(h, slave="block", **options):
+    """Return the force of the whole ball, and radius and peak of the pressure, fitted."""
+    options = {"cell": "hexahedron", "depth": DEPTH} | options
+    problem, contact = create_problem(h=h, slave=slave, **options)
+    report = dm.newton(problem)
+    assert report.certificate.equilibrium < 1e-6
+    found = contact.gather(problem.u)
+    on = found["active"] > 0
+    x = found["X" if problem.geometry == "reference" else "x"][on]
+    peak, radius = dm.analytic.fit_pressure(np.hypot(x[:, 0], x[:, 1]), found["pressure"][on])
+    return 4.0 * abs(contact.force[2]), radius, peak
+
+
+def hertz(force):
+    """Return contact radius and peak pressure of point contact at a force."""
+    found = dm.analytic.hertz_point(force, RADIUS, STEEL.E, STEEL.nu, STEEL.E, STEEL.nu)
+    return found.contact_radius, found.peak_pressure
+
+
+@pytest.mark.slow
+def test_convergence_to_hertz():
+    """Force within 1 % of its limit, radius 2 %, pressure 3 % with 8 facets across the radius."""
+    h = np.array([0.25, 0.125, 0.0625])
+    found = [solve(size) for size in h]
+    F = np.array([force for force, _, _ in found])
+    order = np.log2((F[0] - F[1]) / (F[1] - F[2]))
+    limit = F[2] + (F[2] - F[1]) / 3.0
+    force, radius, peak = found[-1]
+    contact_radius, peak_pressure = hertz(force)
+    print(f"forces {F.tolist()}, order {order:.2f}, limit {limit:.1f}")
+    print(f"radius {radius:.4f} ({contact_radius:.4f}), peak {peak:.0f} ({peak_pressure:.0f})")
+    assert contact_radius > 8.0 * h[-1]
+    assert 1.7 < order < 2.4
+    assert force == pytest.approx(limit, rel=0.01)
+    assert radius == pytest.approx(contact_radius, rel=0.02)
+    assert peak == pytest.approx(peak_pressure, rel=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("geometry", "difference"), [("reference", 0.01), ("updated", 0.002)])
+def test_slave_may_be_either_side(geometry, difference):
+    forces = [solve(0.0884, slave, geometry=geometry)[0] for slave in ("block", "ball")]
+    print(f"{geometry}: forces {forces}")
+    assert forces[0] == pytest.approx(forces[1], rel=difference)
+
+
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_coarse_contact_is_near_hertz(cell):
+    """Two to three facets across the contact radius: pressure and radius to a tenth."""
+    force, radius, peak = solve(0.25, cell=cell)
+    contact_radius, peak_pressure = hertz(force)
+    assert radius == pytest.approx(contact_radius, rel=0.1)
+    assert peak == pytest.approx(peak_pressure, rel=0.1)
