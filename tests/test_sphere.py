@@ -3,9 +3,9 @@
 
 The force of this finite model, which is not Hertz' half space, has no closed form; its limit comes
 from three meshes with the observed order two. An axisymmetric model of triangles (half ball on a
-cylinder of radius 15, or of the block's area: 16.93), with contact between paired nodes, small strain
-and another solver gave 5074.4, 5046.1, 5042.8 N (5074.4, 5047.0, 5043.8 N) for h = 0.1, 0.05, 0.025.
-Radius and pressure are Hertz' at the force found.
+cylinder of radius 15, or of the block's area: 16.93), with contact between paired nodes, small
+strain and another solver gave 5074.4, 5046.1, 5042.8 N (5074.4, 5047.0, 5043.8 N) for element sizes
+of 0.1, 0.05, 0.025. Radius and pressure are Hertz' at the force found.
 """
 
 import numpy as np
