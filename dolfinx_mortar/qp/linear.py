@@ -34,9 +34,10 @@ MULTIGRID = {"pc_type": "gamg", "pc_gamg_threshold": 0.005}
 # A numeric factorisation in 2D costs as much as 5 to 7 solves with it (measured at 5k, 50k and
 # 200k unknowns, MUMPS): beyond that many iterations a new one is cheaper than an old one.
 REFACTOR_AFTER = 6
-# A set-up of multigrid in 3D costs as much as 50 iterations with it (measured at 70k and 220k
-# unknowns, GAMG). It is renewed when an old one has cost as many more than a new one would have.
-SETUP_AFTER = 50
+# A set-up of multigrid in 3D costs as much as 40 to 50 iterations with it (GAMG, 40k to 260k
+# unknowns). It is renewed when an old one has cost half as many more than a new one would have:
+# that takes the same time as to wait for all of them, and the iterations grow less with the mesh.
+SETUP_AFTER = 20
 # Conjugate gradients need a few iterations before their rate tells anything.
 TRIAL_ITERATIONS = 3
 # A mask that differs by this many times REFACTOR_AFTER unknowns makes an old factorisation useless.
