@@ -18,12 +18,7 @@ from dolfinx_mortar.parallel import free_unused
 from dolfinx_mortar.qp import factorisation
 from dolfinx_mortar.qp.bound_qp import EPS, ROUND_OFF
 from dolfinx_mortar.qp.counts import LinearCounts
-from dolfinx_mortar.qp.multigrid import (
-    CreatePreconditioning,
-    FreePart,
-    Multigrid,
-    Preconditioning,
-)
+from dolfinx_mortar.qp.multigrid import CreatePreconditioning, FreePart, Multigrid, Preconditioning
 
 Indices = npt.NDArray[np.int32]
 
@@ -35,8 +30,8 @@ MULTIGRID = {"pc_type": "gamg", "pc_gamg_threshold": 0.005}
 # 200k unknowns, MUMPS): beyond that many iterations a new one is cheaper than an old one.
 REFACTOR_AFTER = 6
 # A set-up of multigrid in 3D costs as much as 40 to 50 iterations with it (GAMG, 40k to 260k
-# unknowns). It is renewed when an old one has cost half as many more than a new one would have:
-# that takes the same time as to wait for all of them, and the iterations grow less with the mesh.
+# unknowns). Renewed when an old one has cost half as many more than a new one would have, it takes
+# the same time as to wait for all, and the iterations grow less with the mesh.
 SETUP_AFTER = 20
 # Conjugate gradients need a few iterations before their rate tells anything.
 TRIAL_ITERATIONS = 3
