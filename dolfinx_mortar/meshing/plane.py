@@ -16,9 +16,15 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-import basix.ufl
-import ufl
 from dolfinx import mesh as dmesh
+from dolfinx_mortar.meshing.bodies import (
+    Arrays,
+    distribute,
+    exterior_facets,
+    gmsh_model,
+    read_cells,
+    set_graded_size,
+)
 
 BLOCK, DISC = 1, 2  # cell tags
 BOTTOM, FLAT, TOP, ARC = 1, 2, 3, 4  # facet tags
@@ -26,8 +32,6 @@ PAPER_DIVISIONS = (34, 20)  # half block: 34 x 20 rectangles, 2720 triangles in 
 PAPER_DISC_SIZE = 0.45 / 8.0  # element size over radius that gives about 1200 triangles
 GRADED_CORE = 2.5  # mm, distance from the contact point within which the size is h
 GRADED_LIMIT = 10.0  # largest size of a graded mesh over h
-
-Arrays = tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]  # nodes (n, 2), cells (m, k)
 
 
 class HertzMesh(NamedTuple):
@@ -89,7 +93,7 @@ def hertz(
             _half_disc(radius, gap, kind, sizes[1], cell),
         )
 
-    mesh, first = _distribute(comm, create, cell)
+    mesh, first = distribute(comm, create, cell)
     mesh.name = "hertz"
     in_block = mesh.topology.original_cell_index < first
     values = np.where(in_block, BLOCK, DISC).astype(np.int32)
@@ -145,57 +149,22 @@ def _mesh_half(
     draw: Callable[[Any], int], graded: float | None, uniform: float, cell: str
 ) -> Arrays:
     """Mesh one plane surface; sizes are graded from the point that ``draw`` returns, or uniform."""
-    import gmsh
-
-    started = not gmsh.isInitialized()
-    if started:
-        gmsh.initialize(readConfigFiles=False, interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.model.add("dolfinx_mortar half body")
+    with gmsh_model() as gmsh:
         origin = draw(gmsh.model.geo)
         gmsh.model.geo.synchronize()
-        _set_sizes(gmsh, origin, graded, uniform)
+        if graded is None:
+            gmsh.option.setNumber("Mesh.MeshSizeMin", uniform)
+            gmsh.option.setNumber("Mesh.MeshSizeMax", uniform)
+        else:
+            growth = {"core": GRADED_CORE, "limit": GRADED_LIMIT, "beyond": GRADED_LIMIT - 1.0}
+            set_graded_size(gmsh, origin, graded, **growth)
         # 6 = frontal Delaunay; 8 and 3 = its variant and blossom-full-quad recombination
         gmsh.option.setNumber("Mesh.Algorithm", 6 if cell == "triangle" else 8)
         gmsh.option.setNumber("Mesh.RecombineAll", int(cell == "quadrilateral"))
         gmsh.option.setNumber("Mesh.RecombinationAlgorithm", 3)
         gmsh.model.mesh.generate(2)
-        tags, x, _ = gmsh.model.mesh.getNodes()
-        _, cells = gmsh.model.mesh.getElementsByType(2 if cell == "triangle" else 3)
-        gmsh.model.remove()
-    finally:
-        if started:
-            gmsh.finalize()
-    position = np.zeros(int(tags.max()) + 1, dtype=np.int64)
-    position[tags] = np.arange(len(tags))
-    cells = position[cells].reshape(-1, 3 if cell == "triangle" else 4)
-    # gmsh also lists points no cell uses, such as a circle's centre
-    used, cells = np.unique(cells, return_inverse=True)
-    return x.reshape(-1, 3)[used, :2], cells.reshape(-1, 3 if cell == "triangle" else 4)
-
-
-def _set_sizes(gmsh: Any, origin: int, graded: float | None, uniform: float) -> None:
-    field = gmsh.model.mesh.field
-    for source in ("FromPoints", "FromCurvature", "ExtendFromBoundary"):
-        gmsh.option.setNumber(f"Mesh.MeshSize{source}", 0)
-    if graded is None:
-        gmsh.option.setNumber("Mesh.MeshSizeMin", uniform)
-        gmsh.option.setNumber("Mesh.MeshSizeMax", uniform)
-        return
-    gmsh.option.setNumber("Mesh.MeshSizeMin", 0.0)
-    gmsh.option.setNumber("Mesh.MeshSizeMax", 1e22)
-    distance, size = field.add("Distance"), field.add("Threshold")
-    field.setNumbers(distance, "PointsList", [origin])
-    for name, value in (
-        ("InField", distance),
-        ("SizeMin", graded),
-        ("SizeMax", GRADED_LIMIT * graded),
-        ("DistMin", GRADED_CORE),
-        ("DistMax", GRADED_CORE + GRADED_LIMIT - 1.0),
-    ):
-        field.setNumber(size, name, value)
-    field.setAsBackgroundMesh(size)
+        x, cells = read_cells(gmsh, cell)
+    return x[:, :2], cells
 
 
 def _mirror(x: npt.NDArray[np.float64], cells: npt.NDArray[np.int64]) -> Arrays:
@@ -210,7 +179,7 @@ def _mirror(x: npt.NDArray[np.float64], cells: npt.NDArray[np.int64]) -> Arrays:
     x = np.where(on_axis[:, None], [[0.0, 1.0]], [[1.0, 1.0]]) * x
     image = np.arange(len(x))
     image[~on_axis] = len(x) + np.arange(np.count_nonzero(~on_axis))
-    # reversing the two nodes of an edge keeps the orientation of triangles and quadrilaterals
+    # the image of a cell has the two nodes of each edge along x the other way round
     flip = [1, 0, 2] if cells.shape[1] == 3 else [1, 0, 3, 2]
     return (
         np.concatenate([x, x[~on_axis] * [-1.0, 1.0]]),
@@ -218,45 +187,15 @@ def _mirror(x: npt.NDArray[np.float64], cells: npt.NDArray[np.int64]) -> Arrays:
     )
 
 
-def _distribute(
-    comm: MPI.Intracomm, create: Callable[[], tuple[Arrays, Arrays]], cell: str
-) -> tuple[dmesh.Mesh, int]:
-    """Join the two bodies that ``create`` makes on rank 0; also return the first body's size."""
-    k = 3 if cell == "triangle" else 4
-    x: npt.NDArray[np.float64] = np.empty((0, 2))
-    cells: npt.NDArray[np.int64] = np.empty((0, k), dtype=np.int64)
-    first, problem = 0, ""
-    if comm.rank == 0:
-        try:
-            (x1, cells1), (x2, cells2) = create()
-            x, cells = np.concatenate([x1, x2]), np.concatenate([cells1, cells2 + len(x1)])
-            first = len(cells1)
-        except ImportError:
-            problem = "gmsh is not installed; install the Python package gmsh (or python3-gmsh)."
-        except Exception as error:  # gmsh raises bare Exception
-            problem = f"gmsh failed: {error}"
-    first, problem = comm.bcast((first, problem))
-    if problem:
-        raise RuntimeError(problem)
-    if cell == "quadrilateral":
-        cells = cells[:, [0, 1, 3, 2]]  # gmsh goes around, dolfinx numbers like a tensor product
-    domain = ufl.Mesh(basix.ufl.element("Lagrange", cell, 1, shape=(2,)))
-    return dmesh.create_mesh(comm, cells=np.ascontiguousarray(cells), x=x, e=domain), first
-
-
 def _tag_boundary(
     mesh: dmesh.Mesh, in_block: npt.NDArray[np.bool_], *, bottom: float, flat: float
 ) -> dmesh.MeshTags:
     """Tag the outer facets of both bodies from the body they belong to and their height."""
-    mesh.topology.create_connectivity(1, 2)
-    facets = dmesh.exterior_facet_indices(mesh.topology)
-    to_cell = mesh.topology.connectivity(1, 2)
-    block_side = in_block[to_cell.array[to_cell.offsets[facets]]]
-    y = mesh.geometry.x[dmesh.entities_to_geometry(mesh, 1, facets), 1]
+    facets, block_side, x = exterior_facets(mesh, in_block)
     tolerance = 1e-9 * (flat - bottom)
 
     def at(height: float) -> npt.NDArray[np.bool_]:
-        return np.all(np.abs(y.reshape(-1, 2) - height) < tolerance, axis=1)
+        return np.all(np.abs(x[:, :, 1] - height) < tolerance, axis=1)
 
     values = np.zeros(len(facets), dtype=np.int32)
     values[block_side & at(bottom)] = BOTTOM
