@@ -30,7 +30,12 @@ class BlockMatrix:
         layout, d = V.dofmap.index_map, V.dofmap.index_map_bs
         n, N = layout.size_local, layout.size_global
         key = np.asarray(rows, dtype=np.int64) * N + np.asarray(columns, dtype=np.int64)
-        places, block = np.unique(key, return_inverse=True)
+        order = np.argsort(key, kind="stable")  # fast for keys that are ascending in parts
+        ascending = key[order]
+        fresh = np.diff(ascending, prepend=-1) > 0
+        places = ascending[fresh]
+        block = np.empty(len(key), dtype=np.int64)
+        block[order] = np.cumsum(fresh) - 1
         self.repeats = len(places) < len(key)
         row, column = np.divmod(places, N)
         count = np.bincount(row, minlength=n)
