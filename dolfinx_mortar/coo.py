@@ -12,8 +12,6 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx import fem
-
 # Symbols are looked up in the libraries that petsc4py itself is linked with.
 _lib = ctypes.CDLL(PETSc.__file__)
 
@@ -52,16 +50,6 @@ def set_values(A: PETSc.Mat, values: npt.ArrayLike) -> None:
         pointer,
         ctypes.c_int(PETSc.InsertMode.INSERT_VALUES),
     )
-
-
-def create_square(V: fem.FunctionSpace, rows: npt.ArrayLike, columns: npt.ArrayLike) -> PETSc.Mat:
-    """Create an AIJ matrix in V's layout with a fixed pattern, for `set_values` (collective)."""
-    layout, d = V.dofmap.index_map, V.dofmap.index_map_bs
-    A = PETSc.Mat().create(V.mesh.comm)
-    A.setSizes([(d * layout.size_local, d * layout.size_global)] * 2)
-    A.setType(PETSc.Mat.Type.AIJ)
-    set_pattern(A, rows, columns)
-    return A
 
 
 def rows_and_columns(A: PETSc.Mat) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int64]]:
