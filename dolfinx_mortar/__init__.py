@@ -11,17 +11,17 @@ The theory is in Cermak, Svetlik, Varga, Pospisil (2024), doi 10.4203/ccc.9.10.3
 """
 
 from dolfinx_mortar import analytic, meshing
-from dolfinx_mortar.contact import Contact
+from dolfinx_mortar.interfaces.contact import Contact
+from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.materials import Elastic, VonMises
-from dolfinx_mortar.mortar import Mortar, assemble_mortar
-from dolfinx_mortar.newton import newton
+from dolfinx_mortar.mortar.paper import Mortar, assemble_mortar
 from dolfinx_mortar.output import Writer
-from dolfinx_mortar.problem import ContactProblem
 from dolfinx_mortar.qp import QPNotSolved
-from dolfinx_mortar.report import NewtonNotConverged, StepReport
-from dolfinx_mortar.solid import Solid
-from dolfinx_mortar.stepping import LoadStep, load_steps
-from dolfinx_mortar.tie import Tie
+from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.steps.load_steps import LoadStep, load_steps
+from dolfinx_mortar.steps.newton import newton
+from dolfinx_mortar.steps.problem import ContactProblem
+from dolfinx_mortar.steps.report import NewtonNotConverged, StepReport
 
 __version__ = "0.1.0"
 

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
-Floats = npt.NDArray[np.float64]
+from dolfinx_mortar.arrays import Floats
 
 
 @dataclass(frozen=True)

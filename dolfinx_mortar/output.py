@@ -22,9 +22,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx import default_scalar_type, fem, plot
+from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.materials.tensor import COMPONENTS
 
 TOPOLOGY = {  # XDMF names by (cell, nodes per cell); nodes in VTK order
@@ -38,11 +38,10 @@ TOPOLOGY = {  # XDMF names by (cell, nodes per cell); nodes in VTK order
     ("hexahedron", 27): "Hexahedron_27",
 }
 
-Values = npt.NDArray[np.float64]
 KINDS = {1: "Scalar", 3: "Vector", 9: "Tensor"}  # XDMF attribute types by components
 
 
-def _expansion(stored: tuple[str, ...]) -> Values:
+def _expansion(stored: tuple[str, ...]) -> Floats:
     """Return the matrix E, (components, 9), that makes full tensors of stored symmetric ones.
 
     >>> np.array([[1.0, 2.0, 3.0, 4.0]]) @ _expansion(("xx", "yy", "zz", "xy"))
@@ -182,7 +181,7 @@ class Writer:
         viewer.destroy()
         return [head, geometry]
 
-    def _write_values(self, viewer: PETSc.Viewer, key: str, values: Values) -> ET.Element:
+    def _write_values(self, viewer: PETSc.Viewer, key: str, values: Floats) -> ET.Element:
         """Write the rows of this rank, shape (n, components), and return the reference to them."""
         n, components = values.shape
         vector = PETSc.Vec().createWithArray(
@@ -223,10 +222,10 @@ class _Layout:
     def __init__(self, V: fem.FunctionSpace) -> None:
         self.V = V
         self.element = V.ufl_element()
-        self._rows: dict[str, tuple[fem.FunctionSpace, npt.NDArray[np.int32]]] = {}  # by name
+        self._rows: dict[str, tuple[fem.FunctionSpace, Ints]] = {}  # by name
         self._targets: dict[str, fem.Function] = {}  # for fields of another degree, by name
 
-    def values(self, name: str, function: fem.Function) -> tuple[Values, str]:
+    def values(self, name: str, function: fem.Function) -> tuple[Floats, str]:
         """Return the owned values, padded, shape (n, components), and "Node" or "Cell"."""
         space = function.function_space
         if space.mesh is not self.V.mesh:
@@ -238,7 +237,7 @@ class _Layout:
         values = function.x.array.reshape(-1, function.function_space.dofmap.index_map_bs)[rows]
         return _pad(values, function.ufl_shape), "Cell" if degree == 0 else "Node"
 
-    def _permutation(self, name: str, space: fem.FunctionSpace) -> npt.NDArray[np.int32]:
+    def _permutation(self, name: str, space: fem.FunctionSpace) -> Ints:
         """Local nodes (or cells) of a space in the order of V's owned nodes (or the owned cells).
 
         The numbering of a space is dolfinx's affair: two spaces of the same element need not agree.
@@ -265,7 +264,7 @@ class _Layout:
         return self._targets[name]
 
 
-def _pad(values: Values, shape: tuple[int, ...]) -> Values:
+def _pad(values: Floats, shape: tuple[int, ...]) -> Floats:
     """Pad vectors to three and tensors to three by three components.
 
     >>> _pad(np.array([[1.0, 2.0]]), (2,)).tolist()

@@ -9,7 +9,7 @@ import numpy as np
 
 from dolfinx import fem, mesh
 from dolfinx_mortar.materials.tensor import COMPONENTS
-from dolfinx_mortar.solid import Solid
+from dolfinx_mortar.solid.solid import Solid
 
 INDEX = {c: ("xyz".index(c[0]), "xyz".index(c[1])) for c in COMPONENTS[3]}
 

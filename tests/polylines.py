@@ -6,7 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar import dual, segments
+from dolfinx_mortar.geometry import segments
+from dolfinx_mortar.geometry.facets import facet_normals, shape_functions
+from dolfinx_mortar.mortar import dual
 
 Floats = npt.NDArray[np.float64]
 
@@ -32,7 +34,7 @@ def chain(n: int) -> npt.NDArray[np.int32]:
 def nodal_normals(x: Floats, facets: npt.NDArray[np.int32]) -> Floats:
     """Return averaged unit normals by a loop over the facets."""
     normals = np.zeros_like(x)
-    for facet, n in zip(facets, segments.facet_normals(x[facets]), strict=True):
+    for facet, n in zip(facets, facet_normals(x[facets]), strict=True):
         normals[facet] += n
     return normals / np.linalg.norm(normals, axis=1)[:, None]
 
@@ -55,7 +57,7 @@ def assemble(x_s, x_m, *, keep=None, facets_m=None, pairs=None) -> Operators:
     if pairs is None:
         pairs = segments.find_candidates(f_s, n_s, f_m, np.zeros(len(f_s)))
     points = segments.create_segments(f_s, n_s, f_m, pairs)
-    N_s, N_m = (segments.shape_functions(xi) for xi in (points.xi_s, points.xi_m))
+    N_s, N_m = (shape_functions(xi) for xi in (points.xi_s, points.xi_m))
     keep = np.ones(len(x_s), dtype=bool) if keep is None else np.asarray(keep)
     Phi = dual.dual_values(N_s, points.weight, points.slave, keep[facets_s])
     D, M = np.zeros((len(x_s), len(x_s))), np.zeros((len(x_s), len(x_m)))

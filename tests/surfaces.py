@@ -7,7 +7,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import Delaunay
 
-from dolfinx_mortar import dual, segments
+from dolfinx_mortar.geometry import segments
+from dolfinx_mortar.geometry.facets import shape_functions
+from dolfinx_mortar.mortar import dual
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
@@ -96,8 +98,8 @@ def assemble(slave: Side, master: Side, *, pairs: Ints | None = None) -> Operato
     if pairs is None:
         pairs = segments.find_candidates(x_s, n_s, x_m, np.zeros(len(x_s)))
     p = segments.create_segments(x_s, n_s, x_m, pairs)
-    N_s = segments.shape_functions(p.xi_s, x_s.shape[1])
-    N_m = segments.shape_functions(p.xi_m, x_m.shape[1])
+    N_s = shape_functions(p.xi_s, x_s.shape[1])
+    N_m = shape_functions(p.xi_m, x_m.shape[1])
     keep = np.ones(slave.facets.shape, dtype=bool)
     Phi = p.weight[:, None] * dual.dual_values(N_s, p.weight, p.slave, keep)
     rows, columns = slave.facets[p.slave], master.facets[p.master]

@@ -9,7 +9,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.certificate import _operator_errors
+from dolfinx_mortar.steps.certificate import _operator_errors
 from tests.ball_case import STEEL, create_problem
 from tests.meshes_3d import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, rotation, two_boxes
 

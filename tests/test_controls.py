@@ -12,7 +12,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from dolfinx_mortar.parallel import maximum
+from dolfinx_mortar.algebra.parallel import maximum
 from tests.meshes import BOTTOM, LEFT, TOP, two_blocks
 
 E = 1000.0

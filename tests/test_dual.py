@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dolfinx_mortar.dual import covered_weights, dual_values
+from dolfinx_mortar.mortar.dual import covered_weights, dual_values
 from tests.polylines import assemble
 from tests.test_segments import flat, split
 

@@ -16,7 +16,7 @@ import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.materials import VonMises
 from dolfinx_mortar.materials.tensor import frobenius_norm
-from dolfinx_mortar.solid import Solid
+from dolfinx_mortar.solid.solid import Solid
 
 REFERENCE = json.loads(
     (Path(__file__).parent / "reference" / "vm_kinematic_hardening_2d.json").read_text()

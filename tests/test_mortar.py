@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 
 import dolfinx
-from dolfinx_mortar.mortar import (
-    assemble_mortar,
+from dolfinx_mortar.mortar.operators import (
     assemble_node_matrices,
-    create_pairing,
     default_keep,
     find_segments,
     node_weights,
-    outside_margin,
 )
-from dolfinx_mortar.surface import create_surface
+from dolfinx_mortar.mortar.pairing import create_pairing, outside_margin
+from dolfinx_mortar.mortar.paper import assemble_mortar
+from dolfinx_mortar.mortar.surface import create_surface
 from tests.meshes import two_blocks
 
 COMM = MPI.COMM_WORLD

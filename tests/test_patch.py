@@ -11,7 +11,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
-from dolfinx_mortar.parallel import maximum
+from dolfinx_mortar.algebra.parallel import maximum
 from tests.meshes import two_blocks
 
 E, NU, P = 1000.0, 0.4, 10.0

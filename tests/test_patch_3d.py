@@ -13,8 +13,8 @@ import dolfinx.fem.petsc
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
-from dolfinx_mortar.parallel import maximum
-from dolfinx_mortar.surface import accumulate, create_surface
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.mortar.surface import accumulate, create_surface
 from tests.meshes_3d import (
     BOTTOM,
     BOTTOM_OF_UPPER,

@@ -11,7 +11,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem, la
-from dolfinx_mortar.bodies import find_bodies
+from dolfinx_mortar.steps.bodies import find_bodies
 from tests.block_piles import (
     ABOVE,
     BELOW,

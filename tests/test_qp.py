@@ -18,12 +18,12 @@ from dolfinx_mortar.qp import (
     LinearSolver,
     QPNotSolved,
     QPSolution,
-    active_set,
     available,
     check,
     condensed,
     solve,
 )
+from dolfinx_mortar.qp.backends import active_set
 from dolfinx_mortar.qp.condensed import SchurModel, half_laplacian
 
 COMM = MPI.COMM_WORLD

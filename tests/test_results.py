@@ -6,7 +6,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem
-from dolfinx_mortar.certificate import _share
+from dolfinx_mortar.steps.certificate import _share
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP_OF_LOWER
 from tests.pressed_blocks import COMM, ELASTIC, PressedBlocks, rejected
 from tests.test_stack import BESIDE, P, beside, press

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dolfinx_mortar import segments
+from dolfinx_mortar.geometry import segments
+from dolfinx_mortar.geometry.facets import shape_functions
 from tests.polylines import assemble, chain, nodal_normals
 
 EXACT = 1e-12
@@ -35,8 +36,8 @@ def test_facet_normals_of_the_polyline():
 def test_half_covered_facet_has_exact_points():
     o = assemble([[1, 2], [3, 2]], [[2, 2], [0, 2]])
     assert o.covered == pytest.approx([1.0], abs=1e-15)
-    N = segments.shape_functions(o.points.xi_s)
-    L = segments.shape_functions(o.points.xi_m)
+    N = shape_functions(o.points.xi_s)
+    L = shape_functions(o.points.xi_m)
     w = o.points.weight
     assert 24 * np.einsum("q,qi,qj->ij", w, N, N) == pytest.approx(np.array([[14, 4], [4, 2]]))
     assert 24 * np.einsum("q,qi,qj->ij", w, N, L) == pytest.approx(np.array([[13, 5], [5, 1]]))
@@ -51,7 +52,7 @@ def test_covered_length_and_projection_on_flat_sides(slave, master, shift, angle
     low, high = np.maximum(slave[:-1], master[0]), np.minimum(slave[1:], master[-1])
     assert np.abs(o.covered - np.maximum(high - low, 0)).max() < EXACT
     p = o.points
-    N, L = segments.shape_functions(p.xi_s), segments.shape_functions(p.xi_m)
+    N, L = shape_functions(p.xi_s), shape_functions(p.xi_m)
     x_s = np.einsum("qk,qki->qi", N, o.x_s[chain(len(slave))][p.slave])
     x_m = np.einsum("qk,qki->qi", L, o.x_m[chain(len(master))][p.master])
     normal = np.array([np.sin(angle), -np.cos(angle)])
@@ -141,7 +142,7 @@ def test_points_lie_on_the_interpolated_normal():
     o = assemble(x_s, x_m)
     p, facets = o.points, chain(4)
     assert len(p.weight) > 0
-    N, L = segments.shape_functions(p.xi_s), segments.shape_functions(p.xi_m)
+    N, L = shape_functions(p.xi_s), shape_functions(p.xi_m)
     normal = np.einsum("qk,qki->qi", N, nodal_normals(x_s, facets)[facets][p.slave])
     ray = np.einsum("qk,qki->qi", L, x_m[facets][p.master])
     ray -= np.einsum("qk,qki->qi", N, x_s[facets][p.slave])
@@ -160,7 +161,7 @@ def test_segments_end_where_the_normal_meets_a_node(seed):
     ends = (xi[:, 1:2] + half[:, None] * np.array([-1, 1])).reshape(-1, 1)
     inside = np.abs(ends[:, 0]) < 1 - 1e-6
     slave = np.repeat(o.points.slave[::3], 2)[inside]
-    N = segments.shape_functions(ends[inside])
+    N = shape_functions(ends[inside])
     p = np.einsum("ek,eki->ei", N, o.x_s[facets][slave])[:, None] - o.x_m
     n = np.einsum("ek,eki->ei", N, nodal_normals(o.x_s, facets)[facets][slave])[:, None]
     cross = np.abs(p[..., 0] * n[..., 1] - p[..., 1] * n[..., 0])

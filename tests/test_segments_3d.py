@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dolfinx_mortar import facets, segments
+from dolfinx_mortar.geometry import facets, segments
 from tests.meshes_3d import rotation
 from tests.surfaces import Side, assemble, grid, triangles
 

@@ -11,8 +11,8 @@ import basix.ufl
 import dolfinx
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar import segments
-from dolfinx_mortar.facets import facet_normals
+from dolfinx_mortar.geometry import segments
+from dolfinx_mortar.geometry.facets import facet_normals
 from tests.hertz_case import ELASTIC, PLASTIC, SIDES, create_mesh
 
 pytestmark = pytest.mark.serial

@@ -17,7 +17,7 @@ import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.materials import Elastic, VonMises
 from dolfinx_mortar.materials.tensor import frobenius_norm, from_components, strain
-from dolfinx_mortar.solid import Solid
+from dolfinx_mortar.solid.solid import Solid
 
 pytestmark = pytest.mark.mpi
 COMM = MPI.COMM_WORLD

@@ -9,7 +9,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from dolfinx_mortar.parallel import maximum
+from dolfinx_mortar.algebra.parallel import maximum
 from tests.meshes import two_blocks
 
 E, NU = 1000.0, 0.3

@@ -2,14 +2,7 @@
 """Meshes for the demos and tests: two bodies, one above the other, in one distributed mesh."""
 
 from dolfinx_mortar.meshing.plane import ARC, BLOCK, BOTTOM, DISC, FLAT, TOP, HertzMesh, hertz
-from dolfinx_mortar.meshing.sphere import (
-    BALL,
-    SPHERE,
-    SYMMETRY_X,
-    SYMMETRY_Y,
-    SphereMesh,
-    sphere,
-)
+from dolfinx_mortar.meshing.sphere import BALL, SPHERE, SYMMETRY_X, SYMMETRY_Y, SphereMesh, sphere
 
 __all__ = [
     "ARC",

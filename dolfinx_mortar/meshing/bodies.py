@@ -10,13 +10,13 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import basix.ufl
 import ufl
 from dolfinx import mesh as dmesh
+from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 
-Arrays = tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]  # nodes (n, d), cells (m, k)
+Arrays = tuple[Floats, Longs]  # nodes (n, d), cells (m, k)
 
 GMSH_TYPE = {"triangle": 2, "quadrilateral": 3, "tetrahedron": 4}
 NODES = {"triangle": 3, "quadrilateral": 4, "tetrahedron": 4, "hexahedron": 8}
@@ -97,8 +97,8 @@ def distribute(
         RuntimeError: If gmsh is missing or fails (on all ranks).
     """
     k, d = NODES[cell], DIMENSION[cell]
-    x: npt.NDArray[np.float64] = np.empty((0, d))
-    cells: npt.NDArray[np.int64] = np.empty((0, k), dtype=np.int64)
+    x: Floats = np.empty((0, d))
+    cells: Longs = np.empty((0, k), dtype=np.int64)
     first, problem = 0, ""
     if comm.rank == 0:
         try:
@@ -116,9 +116,7 @@ def distribute(
     return dmesh.create_mesh(comm, cells=np.ascontiguousarray(cells), x=x, e=domain), first
 
 
-def exterior_facets(
-    mesh: dmesh.Mesh, in_first: npt.NDArray[np.bool_]
-) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_], npt.NDArray[np.float64]]:
+def exterior_facets(mesh: dmesh.Mesh, in_first: Bools) -> tuple[Ints, Bools, Floats]:
     """Return the exterior facets (m,), whether they bound the first body, and their nodes.
 
     The nodes' coordinates have shape (m, k, 3).

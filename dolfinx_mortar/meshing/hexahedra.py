@@ -13,11 +13,9 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from dolfinx_mortar.arrays import Bools, Floats, Longs
 from dolfinx_mortar.meshing.bodies import Arrays
-
-Floats = npt.NDArray[np.float64]
 
 
 def graded_octant(edge: float, n: int, radius: float, outer: Callable[[Floats], Floats]) -> Arrays:
@@ -48,7 +46,7 @@ def graded_octant(edge: float, n: int, radius: float, outer: Callable[[Floats], 
     return x, np.concatenate([_cube_cells(n), _shell_cells(n, far, shells)])
 
 
-def _cube_cells(n: int) -> npt.NDArray[np.int64]:
+def _cube_cells(n: int) -> Longs:
     """Return the cells (n^3, 8) of the cube's lattice; the last coordinate runs fastest."""
     i, j, k = (a.ravel() for a in np.meshgrid(*[np.arange(n)] * 3, indexing="ij"))
     corners = [(a, b, c) for a in (0, 1) for b in (0, 1) for c in (0, 1)]
@@ -56,7 +54,7 @@ def _cube_cells(n: int) -> npt.NDArray[np.int64]:
     return np.stack(at, axis=1).astype(np.int64)
 
 
-def _shell_cells(n: int, far: npt.NDArray[np.int64], shells: int) -> npt.NDArray[np.int64]:
+def _shell_cells(n: int, far: Longs, shells: int) -> Longs:
     """Return the cells (3 n^2 shells, 8) between the cube and the outer boundary."""
     cube = _cube_cells(n)
     position = np.full((n + 1) ** 3, -1, dtype=np.int64)
@@ -73,7 +71,7 @@ def _shell_cells(n: int, far: npt.NDArray[np.int64], shells: int) -> npt.NDArray
     return np.concatenate([np.hstack([low[quads], high[quads]]) for low, high in pairwise(levels)])
 
 
-def _touches(face: npt.NDArray[np.int64], axis: int, n: int) -> npt.NDArray[np.bool_]:
+def _touches(face: Longs, axis: int, n: int) -> Bools:
     """Tell which faces of lattice nodes lie on the far face of an axis."""
     coordinate = face // (n + 1) ** (2 - axis) % (n + 1)
     return np.asarray((coordinate == n).all(axis=1))

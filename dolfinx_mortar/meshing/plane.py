@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx import mesh as dmesh
+from dolfinx_mortar.arrays import Bools, Floats, Longs
 from dolfinx_mortar.meshing.bodies import (
     Arrays,
     distribute,
@@ -167,7 +167,7 @@ def _mesh_half(
     return x[:, :2], cells
 
 
-def _mirror(x: npt.NDArray[np.float64], cells: npt.NDArray[np.int64]) -> Arrays:
+def _mirror(x: Floats, cells: Longs) -> Arrays:
     """Add the mirror image in x = 0, whose nodes are shared.
 
     >>> x = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
@@ -188,13 +188,13 @@ def _mirror(x: npt.NDArray[np.float64], cells: npt.NDArray[np.int64]) -> Arrays:
 
 
 def _tag_boundary(
-    mesh: dmesh.Mesh, in_block: npt.NDArray[np.bool_], *, bottom: float, flat: float
+    mesh: dmesh.Mesh, in_block: Bools, *, bottom: float, flat: float
 ) -> dmesh.MeshTags:
     """Tag the outer facets of both bodies from the body they belong to and their height."""
     facets, block_side, x = exterior_facets(mesh, in_block)
     tolerance = 1e-9 * (flat - bottom)
 
-    def at(height: float) -> npt.NDArray[np.bool_]:
+    def at(height: float) -> Bools:
         return np.all(np.abs(x[:, :, 1] - height) < tolerance, axis=1)
 
     values = np.zeros(len(facets), dtype=np.int32)

@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx import mesh as dmesh
+from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.meshing.bodies import (
     Arrays,
     distribute,
@@ -32,8 +32,6 @@ BLOCK, BALL = 1, 2  # cell tags
 BOTTOM, FLAT, TOP, SPHERE, SYMMETRY_X, SYMMETRY_Y = 1, 2, 3, 4, 5, 6  # facet tags
 CORE = 0.125  # radius of the finest part over the radius of the ball
 HXT = 10  # gmsh's number of its fast Delaunay algorithm
-
-Floats = npt.NDArray[np.float64]
 
 
 class SphereMesh(NamedTuple):
@@ -166,13 +164,13 @@ def _tetrahedra(
 
 
 def _tag_boundary(
-    mesh: dmesh.Mesh, in_block: npt.NDArray[np.bool_], *, bottom: float, flat: float
+    mesh: dmesh.Mesh, in_block: Bools, *, bottom: float, flat: float
 ) -> dmesh.MeshTags:
     """Tag the outer facets of both bodies from the body they belong to and their planes."""
     facets, block_side, x = exterior_facets(mesh, in_block)
     tolerance = 1e-9 * (flat - bottom)
 
-    def at(axis: int, position: float) -> npt.NDArray[np.bool_]:
+    def at(axis: int, position: float) -> Bools:
         return np.all(np.abs(x[:, :, axis] - position) < tolerance, axis=1)
 
     values = np.zeros(len(facets), dtype=np.int32)

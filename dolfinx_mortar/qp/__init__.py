@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Bound-constrained quadratic programs: data, backends chosen by name, one check for all of them.
 
-A backend is a module of this package with a function
+A backend is a module of `qp.backends` with a function
 
     solve(qp: BoundQP, linear: LinearSolver, *, start: int8 (k,), rtol: float, settled: bool)
 
@@ -18,8 +18,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
+from dolfinx_mortar.arrays import Actives
+from dolfinx_mortar.qp import backends
 from dolfinx_mortar.qp.bound_qp import KKT, BoundQP, QPNotSolved, QPSolution, check, validate
 from dolfinx_mortar.qp.linear import MULTIGRID, LinearSolveFailed, LinearSolver
 from dolfinx_mortar.qp.multigrid import Preconditioning
@@ -39,14 +40,11 @@ __all__ = [
     "solve",
 ]
 
-# Modules that are not backends
-_PARTS = {"bound_qp", "condensed", "counts", "dense", "factorisation", "linear", "multigrid", "tao"}
-
 
 @cache
 def available() -> list[str]:
     """Return the names of the backends."""
-    names = [module.name for module in iter_modules(__path__) if module.name not in _PARTS]
+    names = [module.name for module in iter_modules(backends.__path__)]
     return sorted(name.replace("_", "-") for name in names)
 
 
@@ -61,7 +59,7 @@ def solve(
     backend: str = "active-set",
     linear: LinearSolver | None = None,
     *,
-    start_active: npt.NDArray[np.int8] | None = None,
+    start_active: Actives | None = None,
     rtol: float = 1e-10,
     settled: bool = False,
 ) -> QPSolution:
@@ -91,7 +89,7 @@ def solve(
         return trivial
     if linear is None:
         linear = LinearSolver(qp.comm, prefix="dolfinx_mortar_qp_")
-    module = import_module(f"{__name__}.{backend.replace('-', '_')}")
+    module = import_module(f"{backends.__name__}.{backend.replace('-', '_')}")
     start = _nearest(qp) if start_active is None else np.asarray(start_active, dtype=np.int8)
     lower, upper = qp.bounds()
     start = np.where((start > 0) & np.isinf(upper), 0, start)
@@ -134,7 +132,7 @@ def _nothing_to_do(qp: BoundQP, backend: str) -> QPSolution | None:
     return QPSolution(x, z, active, check(qp, x, z), 0, 0, 0, backend)
 
 
-def _nearest(qp: BoundQP) -> npt.NDArray[np.int8]:
+def _nearest(qp: BoundQP) -> Actives:
     """Return every bounded unknown at the bound nearest to zero."""
     lower, upper = qp.bounds()
     return np.where(np.abs(upper) <= np.abs(lower), 1, -1).astype(np.int8)

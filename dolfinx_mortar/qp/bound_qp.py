@@ -7,7 +7,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
+
+from dolfinx_mortar.arrays import Actives, Floats, Ints
 
 EPS = float(np.finfo(np.float64).eps)
 # Round-off of A x in units of eps |diag(A) x|: rows of a stiffness matrix have 10 to 100 entries
@@ -27,14 +28,14 @@ class BoundQP:
     b: PETSc.Vec  # (n,) force
     lower: PETSc.Vec  # (n,) PETSC_NINFINITY where there is none
     upper: PETSc.Vec  # (n,) PETSC_INFINITY where there is none
-    bounded: npt.NDArray[np.int32]  # (k,) owned local indices of unknowns with a finite bound
+    bounded: Ints  # (k,) owned local indices of unknowns with a finite bound
 
     @property
     def comm(self) -> MPI.Comm:
         """Communicator of the matrix."""
         return self.A.comm.tompi4py()
 
-    def bounds(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def bounds(self) -> tuple[Floats, Floats]:
         """Return (lower, upper) on `bounded` with IEEE infinities where there is no bound."""
         lower = self.lower.array_r[self.bounded].copy()
         upper = self.upper.array_r[self.bounded].copy()
@@ -82,7 +83,7 @@ class QPSolution:
 
     x: PETSc.Vec  # (n,)
     z: PETSc.Vec  # (n,) reaction b - A x
-    active: npt.NDArray[np.int8]  # (k,) on `bounded`: +1 at upper, -1 at lower, 0 free
+    active: Actives  # (k,) on `bounded`: +1 at upper, -1 at lower, 0 free
     kkt: KKT
     updates: int  # changes of the active set, or iterations of the backend
     linear_iterations: int
@@ -154,7 +155,7 @@ def reaction(qp: BoundQP, x: PETSc.Vec) -> PETSc.Vec:
     return z
 
 
-def classify(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec) -> npt.NDArray[np.int8]:
+def classify(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec) -> Actives:
     """Return the active set that the primal-dual rule predicts from (x, z).
 
     An unknown is at its upper bound if z + c (x - upper) > 0 and at its lower bound if
@@ -221,7 +222,7 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     )
 
 
-def _max_over_ranks(comm: MPI.Comm, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _max_over_ranks(comm: MPI.Comm, values: Floats) -> Floats:
     """Return the entry-wise maximum over all ranks; NaN wins, unlike in MPI_MAX."""
     nan = comm.allreduce(bool(np.isnan(values).any()), op=MPI.LOR)
     result = np.empty_like(values)

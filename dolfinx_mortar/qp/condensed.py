@@ -20,15 +20,12 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve, eigh
 
+from dolfinx_mortar.arrays import Actives, Floats, Ints, Longs
 from dolfinx_mortar.qp.bound_qp import BoundQP
 from dolfinx_mortar.qp.dense import solve_dense
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
-
-Floats = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
 
 # Dense algebra on more unknowns than these costs more than the solves that it saves.
 MAX_UNKNOWNS = 1500
@@ -45,7 +42,7 @@ LEAST_CURVATURE = 1e-12
 class SchurModel:
     """A symmetric positive definite model of the Schur complement on the bounded unknowns."""
 
-    unknowns: Indices  # this rank's bounded unknowns
+    unknowns: Ints  # this rank's bounded unknowns
     fresh: Floats  # (k, k) from A alone
     base: Floats  # (k, k) before any pair is known: fresh, or what was learnt about an earlier A
     V: Floats  # (k, j) directions, conjugate: V' W = 1
@@ -87,8 +84,8 @@ class Surface:
     """The bounded unknowns of all ranks as one replicated vector, in rank order."""
 
     comm: MPI.Comm
-    own: Indices  # this rank's bounded unknowns, ascending
-    counts: npt.NDArray[np.int64]  # (ranks,)
+    own: Ints  # this rank's bounded unknowns, ascending
+    counts: Longs  # (ranks,)
 
     @property
     def own_part(self) -> slice:
@@ -141,8 +138,8 @@ def is_worthwhile(qp: BoundQP, linear: LinearSolver) -> bool:
 
 
 def predict(
-    qp: BoundQP, linear: LinearSolver, x: PETSc.Vec, start: npt.NDArray[np.int8], *, rtol: float
-) -> npt.NDArray[np.int8]:
+    qp: BoundQP, linear: LinearSolver, x: PETSc.Vec, start: Actives, *, rtol: float
+) -> Actives:
     """Solve the QP through its Schur complement on the bounded unknowns (collective).
 
     Args:

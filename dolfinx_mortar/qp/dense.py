@@ -2,11 +2,10 @@
 """Small dense bound-constrained QPs, for a model replicated on every rank."""
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.optimize import lsq_linear
 
-Floats = npt.NDArray[np.float64]
+from dolfinx_mortar.arrays import Floats
 
 MAX_UPDATES = 40
 

@@ -12,15 +12,13 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
-from dolfinx_mortar.parallel import free_unused
-from dolfinx_mortar.qp import factorisation
+from dolfinx_mortar.algebra.parallel import free_unused
+from dolfinx_mortar.arrays import Ints
+from dolfinx_mortar.qp import mumps
 from dolfinx_mortar.qp.bound_qp import EPS, ROUND_OFF
 from dolfinx_mortar.qp.counts import LinearCounts
 from dolfinx_mortar.qp.multigrid import CreatePreconditioning, FreePart, Multigrid, Preconditioning
-
-Indices = npt.NDArray[np.int32]
 
 DEFAULTS = {"ksp_type": "cg", "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
 # For three dimensions, where a factorisation takes too much time and memory.
@@ -89,14 +87,14 @@ class LinearSolver:
         self.memory: dict[str, object] = {}  # what a backend has learnt about the matrices
         self._A: PETSc.Mat | None = None
         self._seen: tuple[int, int] = (-1, -1)  # object state of A: as masked, as factorised
-        self._fixed: Indices | None = None  # mask of the operator
-        self._factor_fixed: Indices | None = None  # mask of the factorisation
+        self._fixed: Ints | None = None  # mask of the operator
+        self._factor_fixed: Ints | None = None  # mask of the factorisation
         self._fresh_rate = 0.0  # log of the reduction per iteration when it was new
         self._excess = 0.0  # iterations above those of a new one, since it was new
 
     @property
     def direct(self) -> bool:
-        """Tell whether the preconditioner is a factorisation."""
+        """Tell whether the preconditioner is a mumps."""
         chosen = PETSc.Options(self.prefix).getString("pc_type", str(self.options["pc_type"]))
         return chosen in ("cholesky", "lu")
 
@@ -172,7 +170,7 @@ class LinearSolver:
             self._masked.destroy()
         self._A = None
 
-    def is_fresh(self, fixed: Indices) -> bool:
+    def is_fresh(self, fixed: Ints) -> bool:
         """Tell whether the factorisation is that of the present A with this mask (collective)."""
         same = self._factor_fixed is not None and np.array_equal(self._factor_fixed, fixed)
         return self._seen[1] == self._state() and bool(self.comm.allreduce(same, op=MPI.LAND))
@@ -181,7 +179,7 @@ class LinearSolver:
         assert self._A is not None
         return int(self._A.stateGet())
 
-    def _mask(self, fixed: Indices) -> None:
+    def _mask(self, fixed: Ints) -> None:
         """Set the operator to A with rows and columns of `fixed` replaced by a scaled identity."""
         same = self._fixed is not None and np.array_equal(self._fixed, fixed)
         if self._seen[0] == self._state() and self.comm.allreduce(same, op=MPI.LAND):
@@ -196,13 +194,13 @@ class LinearSolver:
         self._fixed = fixed.copy()
         self._seen = (self._state(), self._seen[1])
 
-    def _decouple(self, matrix: PETSc.Mat, fixed: Indices) -> None:
+    def _decouple(self, matrix: PETSc.Mat, fixed: Ints) -> None:
         """Replace rows and columns by those of a scaled identity."""
         typical = self._diagonal.sum() / self._diagonal.getSize()
         rows = (fixed + matrix.getOwnershipRange()[0]).astype(PETSc.IntType)
         matrix.zeroRowsColumns(rows, diag=typical)
 
-    def factorise(self, fixed: Indices) -> None:
+    def factorise(self, fixed: Ints) -> None:
         """Factorise A with `fixed` held, unless that is what the factorisation is of (collective).
 
         Raises:
@@ -229,7 +227,7 @@ class LinearSolver:
             self._factor_fixed = None
             raise LinearSolveFailed(
                 f"The factorisation of a matrix of order {self._masked.size[0]} failed "
-                f"({factorisation.reason(pc)}). {factorisation.remedy(pc)}"
+                f"({mumps.reason(pc)}). {mumps.remedy(pc)}"
             )
 
     def _set_up_factorisation(self, pc: PETSc.PC) -> None:
@@ -244,7 +242,7 @@ class LinearSolver:
                     break
         pc.setReusePreconditioner(True)
 
-    def _create_preconditioning(self, fixed: Indices) -> Preconditioning:
+    def _create_preconditioning(self, fixed: Ints) -> Preconditioning:
         if self.preconditioning is not None:
             return self.preconditioning(fixed)
         assert self._A is not None
@@ -254,7 +252,7 @@ class LinearSolver:
 
     def _enlarge_workspace(self, pc: PETSc.PC) -> bool:
         """Double MUMPS' workspace if it was too small; tell whether to try again."""
-        enough = factorisation.enough_workspace(pc)
+        enough = mumps.enough_workspace(pc)
         if enough is None:
             return False
         self.options["mat_mumps_icntl_14"] = enough
@@ -270,7 +268,7 @@ class LinearSolver:
         self.counts.iterations += 1
         self.counts.seconds_solve += perf_counter() - begin
 
-    def residual(self, b: PETSc.Vec, x: PETSc.Vec, fixed: Indices) -> PETSc.Vec:
+    def residual(self, b: PETSc.Vec, x: PETSc.Vec, fixed: Ints) -> PETSc.Vec:
         """Return b - A x with zeros at `fixed`; the vector is reused by the next call."""
         assert self._A is not None
         self._A.mult(x, self._r)
@@ -278,7 +276,7 @@ class LinearSolver:
         self._r.array[fixed] = 0.0
         return self._r
 
-    def solve(self, b: PETSc.Vec, x: PETSc.Vec, fixed: Indices, *, atol: float) -> int:
+    def solve(self, b: PETSc.Vec, x: PETSc.Vec, fixed: Ints, *, atol: float) -> int:
         """Solve for the unknowns that are not held, in place (collective).
 
         Args:
@@ -318,7 +316,7 @@ class LinearSolver:
         self._judge(b, x, max(first, norm), norm, atol)
         return self.counts.iterations - before
 
-    def _is_far(self, fixed: Indices) -> bool:
+    def _is_far(self, fixed: Ints) -> bool:
         """Tell whether the factorisation is of no use for this mask (collective).
 
         An unknown more or less in the mask is a change of rank one, and costs up to one iteration.

@@ -20,9 +20,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
-Indices = npt.NDArray[np.int32]
+from dolfinx_mortar.arrays import Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,7 @@ class Preconditioning:
     motions: list[PETSc.Vec]  # v that strain next to nothing, zero at held unknowns
 
 
-CreatePreconditioning = Callable[[Indices], Preconditioning]
+CreatePreconditioning = Callable[[Ints], Preconditioning]
 
 
 def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
@@ -60,7 +59,7 @@ class FreePart:
     def __init__(self, A: PETSc.Mat) -> None:
         """Hold nothing."""
         self.A = A
-        self.held: Indices = np.empty(0, dtype=np.int32)
+        self.held: Ints = np.empty(0, dtype=np.int32)
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Set y = A x with zeros at held unknowns (called by PETSc)."""
@@ -83,16 +82,16 @@ class Multigrid:
         self.inner = PETSc.PC().create(comm)
         self.inner.setOptionsPrefix(prefix)
         self.inner.setFromOptions()
-        self.held_by_B: Indices = np.empty(0, dtype=np.int32)
-        self.held: Indices = self.held_by_B
-        self.freed: Indices = self.held_by_B
+        self.held_by_B: Ints = np.empty(0, dtype=np.int32)
+        self.held: Ints = self.held_by_B
+        self.freed: Ints = self.held_by_B
 
     def release(self) -> None:
         """Free the matrices of the inner PC."""
         self.inner.reset()
         self.E = None
 
-    def renew(self, data: Preconditioning, held: Indices) -> None:
+    def renew(self, data: Preconditioning, held: Ints) -> None:
         """Take another matrix; collective."""
         self.E, self.held_by_B = data.E, held
         basis = orthonormal(data.motions)
@@ -105,7 +104,7 @@ class Multigrid:
         self._r = data.B.createVecRight()
         self._v = data.B.createVecRight()
 
-    def hold(self, held: Indices, diagonal: npt.NDArray[np.float64]) -> None:
+    def hold(self, held: Ints, diagonal: Floats) -> None:
         """Say which unknowns are held now, and the diagonal of the QP's matrix."""
         self.held = held
         self.freed = np.asarray(np.setdiff1d(self.held_by_B, held), dtype=np.int32)

@@ -1,0 +1,6 @@
+# SPDX-License-Identifier: MIT
+"""Facets in space: search, projection, clipping, quadrature points.
+
+Arrays of node coordinates in, index arrays and quadrature points out.
+Knows nothing of dofs, ranks or PETSc.
+"""

@@ -1,0 +1,326 @@
+# SPDX-License-Identifier: MIT
+r"""Segments in 3D: convex polygons in the auxiliary planes of the slave facets.
+
+The auxiliary plane of a slave facet goes through its centre, normal to its mean normal. Both
+facets are projected on it along that normal; their intersection is a convex polygon, which is
+split into triangles. Straight edges stay straight, so that neighbours still share them and a
+surface is covered without holes. A point of the plane belongs to the points of the two facets
+above and below it: by an affine map for triangles, by the root of a quadratic equation for
+quadrilaterals. The weight of a point is its area in the plane over the cosine between the plane
+and the slave facet, which is 1 for plane facets.
+
+On triangles the points integrate Phi_j N_l exactly, and so they do on parallelograms. The inverse
+map of other quadrilaterals is not a polynomial; there the degree of the quadrature grows with the
+change of the Jacobian over a triangle until the integrals of the shape functions are exact to
+about 1e-12, so that the two sides still exchange a constant pressure without loss.
+"""
+
+from functools import cache
+from typing import Any
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+import basix
+from dolfinx_mortar.arrays import Floats, Ints, Longs
+from dolfinx_mortar.geometry import polygons
+from dolfinx_mortar.geometry.plane import create_planes, height_at, inverse, project, stretch
+from dolfinx_mortar.geometry.polygons import TOUCHING, VERTICES
+
+NEGLIGIBLE = 1e-13
+"""Triangles that are smaller than this part of their polygon are dropped."""
+_HIGHEST = 24  # degree of quadrature
+_ACCURACY = np.log(1e-12)
+
+
+@cache
+def _rules() -> tuple[Floats, Floats, Longs]:
+    """Return points, weights (sum 1) and first points of the rules of degree 2, 4, ... ."""
+    points, weights, start = [], [], [0]
+    for degree in range(2, _HIGHEST + 2, 2):
+        p, w = (np.asarray(a) for a in basix.make_quadrature(basix.CellType.triangle, degree))
+        points.append(p)
+        weights.append(w / w.sum())
+        start.append(start[-1] + len(w))
+    return np.concatenate(points), np.concatenate(weights), np.array(start, dtype=np.int64)
+
+
+@numba.njit(cache=True)
+def _distance(S, M, x, y):  # type: ignore[no-untyped-def]
+    """Return the distance of two projected facets at (x, y)."""
+    xi, eta, _ = inverse(S, x, y)
+    r, s, _ = inverse(M, x, y)
+    return abs(height_at(S, xi, eta) - height_at(M, r, s))
+
+
+@numba.njit(cache=True)
+def _overlap(P, Q):  # type: ignore[no-untyped-def]
+    """Tell whether two projected facets share more than a line."""
+    p, q = P.shape[0], Q.shape[0]
+    # a negative distance: facets that overlap by round-off still count as beside each other
+    if polygons.is_beside(P, p, Q, q, polygons.orientation(P, p), -TOUCHING):
+        return False
+    return not polygons.is_beside(Q, q, P, p, polygons.orientation(Q, q), -TOUCHING)
+
+
+@numba.njit(cache=True)
+def _any_overlap(M, count):  # type: ignore[no-untyped-def]
+    """Tell whether any of the first `count` facets overlap; sweep from left to right."""
+    low, high = np.empty(count), np.empty(count)
+    order, active = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+    for i in range(count):
+        low[i], high[i] = np.inf, -np.inf
+        for k in range(M.shape[1]):
+            low[i], high[i] = min(low[i], M[i, k, 0]), max(high[i], M[i, k, 0])
+        k = i  # insertion, since argsort takes seconds to compile
+        while k > 0 and low[order[k - 1]] > low[i]:
+            order[k] = order[k - 1]
+            k -= 1
+        order[k] = i
+    a = 0
+    for i in order:
+        left = 0
+        for k in range(a):
+            j = active[k]
+            if high[j] > low[i]:
+                active[left] = j
+                left += 1
+                if _overlap(M[i], M[j]):
+                    return True
+        active[left] = i
+        a = left + 1
+    return False
+
+
+@numba.njit(cache=True)
+def _is_hidden(S, M, i, j, piece, size, common, spare):  # type: ignore[no-untyped-def]
+    """Tell whether facet j is nearer to the slave than facet i, behind the same part of it."""
+    if i == j or not _overlap(M[i], M[j]):
+        return False
+    n = M.shape[1]
+    size = polygons.intersect(piece, size, M[j], n, polygons.orientation(M[j], n), common, spare)
+    if polygons.is_thin(common, size):
+        return False
+    _, x, y = polygons.measure(common, size)
+    one, other = _distance(S, M[i], x, y), _distance(S, M[j], x, y)
+    return other < one or (other == one and j < i)
+
+
+# Loops in place of slices: array assignments take a second each to compile.
+
+
+@numba.njit(cache=True)
+def _copy(P, n, Q):  # type: ignore[no-untyped-def]
+    """Copy the first n points of P to Q."""
+    for i in range(n):
+        Q[i, 0], Q[i, 1] = P[i, 0], P[i, 1]
+
+
+@numba.njit(cache=True)
+def _make_room(pieces, sizes, owner, count):  # type: ignore[no-untyped-def]
+    """Return the arrays with room for the pieces of one difference."""
+    room = len(sizes)
+    if count + VERTICES <= room:
+        return pieces, sizes, owner
+    longer = np.empty((2 * room, VERTICES, 2))
+    more, whose = np.zeros(2 * room, np.int64), np.zeros(2 * room, np.int64)
+    for i in range(count):
+        more[i], whose[i] = sizes[i], owner[i]
+        _copy(pieces[i], sizes[i], longer[i])
+    return longer, more, whose
+
+
+@numba.njit(cache=True)
+def _keep_nearest(S, M, given, given_sizes, n):  # type: ignore[no-untyped-def]
+    """Return polygons that cover the same without overlap; the nearest master gets each part.
+
+    What a master facet hides is cut off by that facet's own edges; those of the polygons can be as
+    short as round-off and have no direction.
+
+    Returns:
+        Polygons, their sizes, their masters, their number.
+    """
+    pieces = np.empty((2 * n + VERTICES, VERTICES, 2))
+    sizes, owner = np.zeros(len(pieces), np.int64), np.zeros(len(pieces), np.int64)
+    common, spare = np.empty((VERTICES, 2)), np.empty((VERTICES, 2))
+    count = 0
+    for i in range(n):
+        first = count
+        pieces, sizes, owner = _make_room(pieces, sizes, owner, count)
+        sizes[count], owner[count] = given_sizes[i], i
+        _copy(given[i], given_sizes[i], pieces[count])
+        count += 1
+        for j in range(n):
+            if not _is_hidden(S, M, i, j, given[i], given_sizes[i], common, spare):
+                continue
+            for k in range(first, count):
+                pieces, sizes, owner = _make_room(pieces, sizes, owner, count)
+                sign = polygons.orientation(M[j], M.shape[1])
+                _copy(pieces[k], sizes[k], common)
+                size, sizes[k], before = sizes[k], 0, count
+                if size > 2:
+                    count = polygons.subtract(
+                        common, size, M[j], M.shape[1], sign, pieces, sizes, count, spare
+                    )
+                    for h in range(before, count):
+                        owner[h] = i
+    return pieces, sizes, owner, count
+
+
+@numba.njit(cache=True)
+def _clip(S, x_m, pairs, first, last, centre, axes, M, pieces, sizes, row):  # type: ignore[no-untyped-def]
+    """Fill M, pieces, sizes and row (of the pair) for one slave facet; return the count."""
+    spare = np.empty((VERTICES, 2))
+    count = 0
+    k, n = S.shape[0], x_m.shape[1]
+    if polygons.orientation(S, k) <= 0:
+        return 0  # folded: no inverse map
+    for r in range(first, last):
+        P = M[count]
+        project(x_m[pairs[r, 1]], centre, axes, P)
+        sign = polygons.orientation(P, n)
+        if sign == 0 or polygons.is_beside(P, n, S, k, sign, 0.0):
+            continue
+        size = polygons.intersect(S, k, P, n, sign, pieces[count], spare)
+        if not polygons.is_thin(pieces[count], size):
+            sizes[count], row[count] = size, r
+            count += 1
+    return count
+
+
+@numba.njit(cache=True)
+def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
+    """Append the triangles of a polygon, those of round-off excepted; return the new arrays."""
+    if t + VERTICES > len(which):
+        more, longer = np.empty(2 * len(which), np.int64), np.empty((2 * len(which), 3, 2))
+        for i in range(t):
+            more[i] = which[i]
+            _copy(corners[i], 3, longer[i])
+        which, corners = more, longer
+    least = NEGLIGIBLE * polygons.measure(P, n)[0]
+    for v in range(1, n - 1):
+        ux, uy = P[v, 0] - P[0, 0], P[v, 1] - P[0, 1]
+        vx, vy = P[v + 1, 0] - P[0, 0], P[v + 1, 1] - P[0, 1]
+        if ux * vy - uy * vx > least:
+            which[t] = pair
+            for h in range(2):
+                corners[t, 0, h], corners[t, 1, h] = P[0, h], P[v, h]
+                corners[t, 2, h] = P[v + 1, h]
+            t += 1
+    return which, corners, t
+
+
+@numba.njit(cache=True)
+def _triangulate(x_s, x_m, pairs, centre, axes):  # type: ignore[no-untyped-def]
+    """Return the pair (t,) and the corners (t, 3, 2) of the triangles of all segments."""
+    p = len(pairs)
+    which, corners = np.empty(4 * p + 64, dtype=np.int64), np.empty((4 * p + 64, 3, 2))
+    S = np.empty((x_s.shape[1], 3))
+    t = 0
+    last = 0
+    while last < p:
+        first, s = last, pairs[last, 0]
+        while last < p and pairs[last, 0] == s:
+            last += 1
+        n = last - first
+        M, row = np.empty((n, x_m.shape[1], 3)), np.empty(n, np.int64)
+        pieces, sizes = np.empty((n, VERTICES, 2)), np.empty(n, np.int64)
+        project(x_s[s], centre[s], axes[s], S)
+        n = _clip(S, x_m, pairs, first, last, centre[s], axes[s], M, pieces, sizes, row)
+        owner = np.empty(n, np.int64)
+        for i in range(n):
+            owner[i] = i
+        if _any_overlap(M, n):
+            pieces, sizes, owner, n = _keep_nearest(S, M, pieces, sizes, n)
+        for i in range(n):
+            if sizes[i] > 2:
+                pair = row[owner[i]]
+                which, corners, t = _append_fan(pieces[i], sizes[i], which, corners, t, pair)
+    return which[:t], corners[:t]
+
+
+@numba.njit(cache=True)
+def _variation(P, corners):  # type: ignore[no-untyped-def]
+    """Return the relative change of the Jacobian of a projected facet over a triangle."""
+    if P.shape[0] == 3:
+        return 0.0
+    low, high = np.inf, 0.0
+    for v in range(3):
+        J = inverse(P, corners[v, 0], corners[v, 1])[2]
+        low, high = min(low, J), max(high, J)
+    return (high - low) / (high + low)
+
+
+@numba.njit(cache=True)
+def _choose_rules(x_s, x_m, pairs, centre, axes, which, corners):  # type: ignore[no-untyped-def]
+    """Return the number (t,) of the quadrature rule of each triangle."""
+    rule = np.zeros(len(which), dtype=np.int64)
+    S, M = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3))
+    if len(S) + len(M) == 6:
+        return rule
+    for t in range(len(which)):
+        s, m = pairs[which[t]]
+        project(x_s[s], centre[s], axes[s], S)
+        project(x_m[m], centre[s], axes[s], M)
+        variation = _variation(S, corners[t]) + _variation(M, corners[t])
+        degree = 4.0
+        if variation > 0.0:
+            # the singularities of the inverse maps lie 1 / variation triangles away
+            degree = 2 + _ACCURACY / np.log(min(variation / 2, 0.9))
+        rule[t] = min(max(np.ceil(degree / 2), 2.0), _HIGHEST // 2) - 1
+    return rule
+
+
+@numba.njit(cache=True)
+def _place(x_s, x_m, pairs, centre, axes, radius, which, corners, rule, points, weights, start):  # type: ignore[no-untyped-def]
+    """Return the pair, xi_s, xi_m and weight of all quadrature points."""
+    total = 0
+    for t in range(len(which)):
+        total += start[rule[t] + 1] - start[rule[t]]
+    pair, weight = np.empty(total, np.int64), np.empty(total)
+    xi_s, xi_m = np.empty((total, 2)), np.empty((total, 2))
+    S, M = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3))
+    q = 0
+    for t in range(len(which)):
+        s, m = pairs[which[t]]
+        if t == 0 or which[t] != which[t - 1]:
+            project(x_s[s], centre[s], axes[s], S)
+            project(x_m[m], centre[s], axes[s], M)
+        c = corners[t]
+        ux, uy, vx, vy = c[1, 0] - c[0, 0], c[1, 1] - c[0, 1], c[2, 0] - c[0, 0], c[2, 1] - c[0, 1]
+        area = (ux * vy - uy * vx) / 2 * radius[s] ** 2
+        for i in range(start[rule[t]], start[rule[t] + 1]):
+            x = c[0, 0] + points[i, 0] * ux + points[i, 1] * vx
+            y = c[0, 1] + points[i, 0] * uy + points[i, 1] * vy
+            xi_s[q, 0], xi_s[q, 1], _ = inverse(S, x, y)
+            xi_m[q, 0], xi_m[q, 1], _ = inverse(M, x, y)
+            weight[q] = weights[i] * area * stretch(S, xi_s[q, 0], xi_s[q, 1])
+            pair[q] = which[t]
+            q += 1
+    return pair, xi_s, xi_m, weight
+
+
+def place_points(
+    x_s: Floats, x_m: Floats, pairs: Ints
+) -> tuple[npt.NDArray[Any], Floats, Floats, Floats]:
+    """Project, clip, split and place quadrature points.
+
+    Facets whose projection is folded or inverted cover nothing.
+
+    Args:
+        x_s: Node coordinates (ms, k, 3) of the slave facets.
+        x_m: Node coordinates (mm, k', 3) of the master facets.
+        pairs: Pairs (p, 2) that face each other, ordered by slave facet.
+
+    Returns:
+        Index into the pairs (q,), xi_s (q, 2), xi_m (q, 2) and weight (q,) of the points.
+    """
+    centre, axes, radius = create_planes(x_s)
+    x_s, x_m = np.ascontiguousarray(x_s), np.ascontiguousarray(x_m)
+    which, corners = _triangulate(x_s, x_m, pairs, centre, axes)
+    rule = _choose_rules(x_s, x_m, pairs, centre, axes, which, corners)
+    pair, xi_s, xi_m, weight = _place(
+        x_s, x_m, pairs, centre, axes, radius, which, corners, rule, *_rules()
+    )
+    return pair, xi_s, xi_m, weight

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: MIT
+"""Facets in the auxiliary plane of a slave facet: projection, inverse maps, distances (3D)."""
+
+import numba
+import numpy as np
+
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.geometry import polygons
+from dolfinx_mortar.geometry.facets import bounding_balls, facet_normals
+
+_ROUND_OFF = 1e-9  # part of a slave facet by which the search may be too generous
+
+
+def create_planes(x_s: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return centres (m, 3), axes (m, 3, 3) and radii (m,) of the facets' auxiliary planes.
+
+    Rows of the axes are two tangents and the normal, over the radius: (x - centre) @ axes.T has
+    the size of one.
+    """
+    centre, radius = bounding_balls(x_s)
+    radius = np.maximum(radius, np.finfo(float).tiny)
+    n = facet_normals(x_s)
+    t = x_s[:, 1] - x_s[:, 0]
+    t = t - np.einsum("mi,mi->m", t, n)[:, None] * n
+    t /= np.maximum(np.linalg.norm(t, axis=1), np.finfo(float).tiny)[:, None]
+    axes = np.stack([t, np.cross(n, t), n], axis=1) / radius[:, None, None]
+    return centre, axes, radius
+
+
+@numba.njit(cache=True)
+def project(x, centre, axes, P):  # type: ignore[no-untyped-def]
+    """Write the facet x (k, 3) in the coordinates of a plane into P: tangents, then height."""
+    for j in range(x.shape[0]):
+        for i in range(3):
+            P[j, i] = 0.0
+            for h in range(3):
+                P[j, i] += axes[i, h] * (x[j, h] - centre[h])
+
+
+@numba.njit(cache=True)
+def inverse(P, x, y):  # type: ignore[no-untyped-def]
+    """Return xi, eta and the size of the Jacobian where the projected facet P meets (x, y).
+
+    The bilinear map is m + xi a + eta b + xi eta c. With p = m - (x, y), the cross product of
+    p + xi a + eta (b + xi c) = 0 and b + xi c is C + B xi + A xi^2 = 0, and the derivative of its
+    left-hand side is the Jacobian: the root inside is the one where it has the sign of a x b.
+    """
+    if P.shape[0] == 3:
+        a0, a1, b0, b1 = P[1, 0] - P[0, 0], P[1, 1] - P[0, 1], P[2, 0] - P[0, 0], P[2, 1] - P[0, 1]
+        J = a0 * b1 - a1 * b0
+        p0, p1 = x - P[0, 0], y - P[0, 1]
+        xi = (p0 * b1 - p1 * b0) / J
+        # by projection on b: on slivers xi is inexact, but the point stays where it is
+        return xi, ((p0 - xi * a0) * b0 + (p1 - xi * a1) * b1) / (b0 * b0 + b1 * b1), abs(J)
+    a0, a1 = (
+        (P[1, 0] + P[2, 0] - P[0, 0] - P[3, 0]) / 4,
+        (P[1, 1] + P[2, 1] - P[0, 1] - P[3, 1]) / 4,
+    )
+    b0, b1 = (
+        (P[2, 0] + P[3, 0] - P[0, 0] - P[1, 0]) / 4,
+        (P[2, 1] + P[3, 1] - P[0, 1] - P[1, 1]) / 4,
+    )
+    c0, c1 = (
+        (P[0, 0] + P[2, 0] - P[1, 0] - P[3, 0]) / 4,
+        (P[0, 1] + P[2, 1] - P[1, 1] - P[3, 1]) / 4,
+    )
+    p0 = (P[0, 0] + P[1, 0] + P[2, 0] + P[3, 0]) / 4 - x
+    p1 = (P[0, 1] + P[1, 1] + P[2, 1] + P[3, 1]) / 4 - y
+    A = a0 * c1 - a1 * c0
+    centre = a0 * b1 - a1 * b0
+    B = centre + p0 * c1 - p1 * c0
+    C = p0 * b1 - p1 * b0
+    sign = 1.0 if centre > 0.0 else -1.0
+    J = np.sqrt(max(B * B - 4 * A * C, 0.0))
+    if sign * B > 0.0:  # the form that does not cancel
+        xi = -2 * C / (B + sign * J)
+    else:
+        xi = (sign * J - B) / (2 * A)
+    d0, d1 = b0 + xi * c0, b1 + xi * c1
+    eta = -((p0 + xi * a0) * d0 + (p1 + xi * a1) * d1) / (d0 * d0 + d1 * d1)
+    return xi, eta, J
+
+
+@numba.njit(cache=True)
+def height_at(P, xi, eta):  # type: ignore[no-untyped-def]
+    """Return the height of the point (xi, eta) of a facet over the plane."""
+    if P.shape[0] == 3:
+        return (1 - xi - eta) * P[0, 2] + xi * P[1, 2] + eta * P[2, 2]
+    low = (1 - xi) * P[0, 2] + (1 + xi) * P[1, 2]
+    high = (1 - xi) * P[3, 2] + (1 + xi) * P[2, 2]
+    return ((1 - eta) * low + (1 + eta) * high) / 4
+
+
+@numba.njit(cache=True)
+def stretch(P, xi, eta):  # type: ignore[no-untyped-def]
+    """Return the area of a facet per area in the plane at (xi, eta)."""
+    if P.shape[0] == 3:
+        return 1.0
+    a, b = np.empty(3), np.empty(3)
+    for i in range(3):
+        a[i] = (1 - eta) * (P[1, i] - P[0, i]) + (1 + eta) * (P[2, i] - P[3, i])
+        b[i] = (1 - xi) * (P[3, i] - P[0, i]) + (1 + xi) * (P[2, i] - P[1, i])
+    n0, n1 = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2]
+    n2 = a[0] * b[1] - a[1] * b[0]
+    return np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) / abs(n2)
+
+
+@numba.njit(cache=True)
+def _are_near(x_s, x_m, pairs, centre, axes, radius, margin, turn):  # type: ignore[no-untyped-def]
+    """Tell (p,) whether the projections come closer than the margins."""
+    near = np.ones(len(pairs), dtype=np.bool_)
+    k, n = x_s.shape[1], x_m.shape[1]
+    S, M = np.empty((k, 3)), np.empty((n, 3))
+    for p in range(len(pairs)):
+        s = pairs[p, 0]
+        if p == 0 or s != pairs[p - 1, 0]:
+            project(x_s[s], centre[s], axes[s], S)
+            convex = polygons.orientation(S, k)
+        project(x_m[pairs[p, 1]], centre[s], axes[s], M)
+        height = 0.0
+        for i in range(n):
+            height = max(height, abs(M[i, 2]))
+        reach = margin[s] / radius[s] + turn * (height + 2.0) + _ROUND_OFF
+        sign = polygons.orientation(M, n)
+        if convex != 0 and polygons.is_beside(S, k, M, n, convex, reach):
+            near[p] = False
+        elif sign != 0 and polygons.is_beside(M, n, S, k, sign, reach):
+            near[p] = False
+    return near
+
+
+def are_near(x_s: Floats, x_m: Floats, pairs: Ints, margin: Floats, turn: float) -> Bools:
+    """Tell (p,) which pairs come closer than a margin when projected on the slave's plane.
+
+    Args:
+        x_s: Node coordinates (ms, k, 3) of the slave facets.
+        x_m: Node coordinates (mm, k', 3) of the master facets.
+        pairs: Pairs (p, 2), ordered by slave facet.
+        margin: Lateral margin (ms,).
+        turn: Tangent of the rotation for which to provide.
+    """
+    x_s, x_m = np.ascontiguousarray(x_s), np.ascontiguousarray(x_m)
+    near: Bools = _are_near(x_s, x_m, pairs, *create_planes(x_s), margin, turn)
+    return near

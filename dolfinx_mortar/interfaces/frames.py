@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: MIT
+"""Orthonormal frames of slave nodes: the normal first, prescribed axes among the tangents."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+
+
+def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:
+    """Return orthonormal frames with the normal first and prescribed axes among the tangents.
+
+    Args:
+        normals: (n, d) unit normals; zero in every prescribed direction.
+        fixed: (n, d) True where a Cartesian direction is prescribed.
+
+    Returns:
+        R (n, d, d) with the frame vectors as columns and slot (n, d): the column of R that is the
+        Cartesian axis i where ``fixed[:, i]``, else -1.
+
+    >>> R, slot = create_frames(np.array([[0.0, -1.0]]), np.array([[True, False]]))
+    >>> R[0].tolist(), slot[0].tolist()
+    ([[0.0, 1.0], [-1.0, 0.0]], [1, -1])
+    """
+    n, d = normals.shape
+    # Axes in the order of growing share in n: prescribed ones have none and come first, the one
+    # closest to n is left out, so that [n, axes] is never singular.
+    order = np.argsort(np.abs(normals) - 2.0 * fixed, axis=1, kind="stable")[:, : d - 1]
+    columns = np.concatenate([normals[:, None, :], np.eye(d)[order]], axis=1)
+    R, upper = np.linalg.qr(np.swapaxes(columns, 1, 2))
+    R = R * np.sign(np.einsum("nii->ni", upper))[:, None, :]
+    slot = np.full((n, d), -1, dtype=np.int32)
+    np.put_along_axis(slot, order, np.arange(1, d, dtype=np.int32)[None, :], axis=1)
+    return R + 0.0, np.where(fixed, slot, -1).astype(np.int32)

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: MIT
+r"""Mortar operators D and M of a pair of surfaces as PETSc matrices.
+
+    D_jl = int Phi_j N_l^s,      M_jl = int Phi_j N_l^m      over the covered part of the slave side
+
+with the dual functions Phi_j of the kept slave nodes. D is diagonal over the kept nodes. Rows are
+integrated by the ranks that own the slave facets; copies of the master facets travel to them.
+"""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+
+import dolfinx
+from dolfinx.common import timed
+from dolfinx_mortar.algebra import triplets
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.geometry.facets import shape_functions
+from dolfinx_mortar.geometry.segments import Segments, create_segments
+from dolfinx_mortar.mortar.dual import covered_weights, dual_values
+from dolfinx_mortar.mortar.pairing import Pairing, received_facets
+from dolfinx_mortar.mortar.surface import (
+    Surface,
+    accumulate,
+    coordinates,
+    nodal_normals,
+)
+
+LEAST_COVERAGE = 0.05
+"""A slave node carries a multiplier if more than this part of its tributary weight is covered."""
+_SAME = 1e-9  # relative difference of coverages that is taken for round-off
+_DIRECTION = np.array([1.0, 0.55, 0.31])  # not normal to the edges of common meshes
+
+
+@timed("~Mortar: segments")
+def find_segments(pairing: Pairing, u: dolfinx.fem.Function | None) -> tuple[Segments, Floats]:
+    """Find the segments and the averaged slave normals (n, d) at X + u (collective)."""
+    slave = pairing.slave
+    x = coordinates(slave, u)
+    normals = nodal_normals(slave, x)
+    x_m = received_facets(pairing, u)
+    segments = create_segments(x[slave.facets], normals[slave.facets], x_m, pairing.pairs)
+    return segments, normals
+
+
+def _sum_facets(surface: Surface, values: Floats) -> Floats:
+    """Sum values (m, k) of facets and their nodes over facets and ranks: (n,) (collective)."""
+    local = np.bincount(surface.facets.ravel(), values.ravel(), minlength=len(surface.nodes))
+    return accumulate(surface, local)
+
+
+@timed("~Mortar: node weights")
+def node_weights(pairing: Pairing, segments: Segments) -> tuple[Floats, Floats]:
+    """Return int N_j over the covered part and the whole slave side, (n,) each (collective)."""
+    slave = pairing.slave
+    N_s = shape_functions(segments.xi_s, slave.facets.shape[1])
+    covered = covered_weights(N_s, segments.weight, segments.slave, len(slave.facets))
+    return _sum_facets(slave, covered), _sum_facets(slave, segments.facet_weights)
+
+
+def default_keep(
+    pairing: Pairing,
+    segments: Segments,
+    covered: Floats,
+    tributary: Floats,
+    allowed: Bools | None = None,
+) -> Bools:
+    """Choose the slave nodes that carry a multiplier, the same on any number of ranks (collective).
+
+    A node is kept if more than 5 % of its tributary weight is covered. Where that leaves a covered
+    facet without a kept node, the facet's best covered node is kept, so that no covered part of
+    the slave side is without multiplier.
+
+    Args:
+        pairing: The pair of surfaces.
+        segments: Its segments.
+        covered: Covered weight (n,) of each slave node, of `node_weights`.
+        tributary: Whole weight (n,), of `node_weights`.
+        allowed: Nodes (n,) that may be kept; all if not given.
+    """
+    allowed = np.ones(len(covered), dtype=bool) if allowed is None else allowed
+    coverage = np.where(allowed, covered, 0.0) / np.maximum(tributary, np.finfo(float).tiny)
+    keep = coverage > LEAST_COVERAGE
+    facets = pairing.slave.facets[np.unique(segments.slave)]
+    facets = facets[~keep[facets].any(axis=1) & (coverage[facets] > 0).any(axis=1)]
+    share = coverage[facets]
+    equal = share >= (1 - _SAME) * share.max(axis=1, initial=0.0)[:, None]
+    # the furthest of equals in some direction, whatever the numbers and the round-off
+    X = pairing.slave.X
+    best = np.argmax(np.where(equal, (X @ _DIRECTION[: X.shape[1]])[facets], -np.inf), axis=1)
+    rescued = np.bincount(facets[np.arange(len(facets)), best], minlength=len(covered))
+    return keep | (accumulate(pairing.slave, rescued) > 0)
+
+
+@timed("~Mortar: assemble D and M")
+def assemble_node_matrices(
+    pairing: Pairing, segments: Segments, keep: Bools
+) -> tuple[PETSc.Mat, PETSc.Mat]:
+    """Refill the matrices D and M of the pairing in place (collective).
+
+    Args:
+        pairing: The pair of surfaces.
+        segments: Its segments.
+        keep: Slave nodes (n,) that carry a multiplier; a node has the same value on all ranks.
+
+    Returns:
+        D and M in the numbering of V's nodes. Rows of removed nodes vanish; their columns in D do
+        not. Over the kept nodes D is diagonal (exactly: the other integrals vanish by construction
+        and are not computed).
+    """
+    N_s = shape_functions(segments.xi_s, pairing.slave.facets.shape[1])
+    N_m = shape_functions(segments.xi_m, pairing.master_facets.shape[1])
+    kept = keep[pairing.slave.facets]
+    Phi = dual_values(N_s, segments.weight, segments.slave, kept) * segments.weight[:, None]
+    paired = np.unique(pairing.pairs[:, 0])
+    blocks_D = _integrate(Phi, N_s, segments.slave, len(kept))[paired]
+    both = kept[paired][:, :, None] & kept[paired][:, None, :]
+    blocks_D[both & ~np.eye(kept.shape[1], dtype=bool)] = 0.0
+    triplets.set_values(pairing.D, blocks_D)
+    triplets.set_values(pairing.M, _integrate(Phi, N_m, segments.pair, len(pairing.pairs)))
+    return pairing.D, pairing.M
+
+
+def _integrate(Phi: Floats, N: Floats, where: Ints, size: int) -> Floats:
+    """Return the sums (size, k, l) of weighted Phi (q, k) times N (q, l) over points by `where`."""
+    blocks = np.empty((size, Phi.shape[1], N.shape[1]))
+    for i in range(Phi.shape[1]):
+        for j in range(N.shape[1]):
+            blocks[:, i, j] = np.bincount(where, Phi[:, i] * N[:, j], minlength=size)
+    return blocks

@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: MIT
+"""Pairs of slave and master facets over all ranks, found once and used while the bodies slide.
+
+Each slave facet is integrated by its owner; copies of the master facets that it may meet travel to
+that rank. Only surfaces communicate, the volume mesh stays where it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+import dolfinx
+from dolfinx.common import timed
+from dolfinx_mortar.algebra import triplets
+from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.geometry.facets import bounding_balls, facet_normals
+from dolfinx_mortar.geometry.search import Cones, create_cones, find_meeting
+from dolfinx_mortar.geometry.segments import (
+    TURN,
+    are_facing,
+    find_candidates,
+    projection_directions,
+    sliding_margins,
+)
+from dolfinx_mortar.mortar.surface import Surface, coordinates, nodal_normals
+
+_GROUPS = 16  # cones by which a rank tells the others where it needs master facets
+
+
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """Candidate pairs of facets, found at one configuration with a margin, and their matrices."""
+
+    slave: Surface
+    master: Surface
+    pairs: Ints  # (p, 2) slave facet of this rank, received master facet; ordered
+    master_nodes: Longs  # (nm,) global nodes of the received master facets
+    master_facets: Ints  # (mm, k) indices into master_nodes
+    master_X: Floats  # (nm, d) their reference coordinates
+    margin: Floats  # (ms,) lateral margin of each slave facet at the search
+    sent: Bools  # (own master facets, ranks): which ranks have received them
+    groups: list[Ints]  # slave facets of this rank in up to 16 groups of neighbours
+    scatter: PETSc.Scatter  # from a vector of V to the displacements of master_nodes
+    received: PETSc.Vec  # (d * nm) on this rank alone: target of the scatter
+    D: PETSc.Mat  # (nodes, nodes) of V: int Phi_j N_l^s, pattern of all candidate pairs
+    M: PETSc.Mat  # (nodes, nodes) of V: int Phi_j N_l^m, pattern of all candidate pairs
+
+
+def _facet_arrays(surface: Surface, u: dolfinx.fem.Function | None) -> tuple[Floats, Floats]:
+    """Return coordinates and directions of projection (m, k, d) of the facets (collective)."""
+    x = coordinates(surface, u)
+    x_f, n_f = x[surface.facets], nodal_normals(surface, x)[surface.facets]
+    return x_f, projection_directions(x_f, n_f)
+
+
+def _group(x: Floats) -> list[Ints]:
+    """Divide facets x (m, k, d) into groups of neighbours, by halving along the longest side."""
+    groups: list[Ints] = [np.arange(len(x), dtype=np.int32)]
+    centre = x.mean(axis=1)
+    while len(groups) < _GROUPS and max(map(len, groups)) > 1:
+        halves: list[Ints] = []
+        for group in groups:
+            points = centre[group]
+            axis = np.argmax(np.ptp(points, axis=0)) if len(group) else 0
+            halves += np.array_split(group[np.argsort(points[:, axis], kind="stable")], 2)
+        groups = halves
+    return [group for group in groups if len(group)]
+
+
+def _group_cones(
+    x_s: Floats, n_s: Floats, groups: list[Ints], margin: Floats, turn: float
+) -> Cones:
+    """Bound the projections of groups of slave facets with a lateral margin (m,) per facet."""
+    d = x_s.shape[2]
+    cones = [
+        create_cones(
+            x_s[group].reshape(1, -1, d),
+            n_s[group].reshape(1, -1, d),
+            margin[group].max(keepdims=True),
+            turn,
+        )
+        for group in groups
+    ]
+    if not cones:
+        return Cones(np.empty((0, d)), np.empty((0, d)), np.empty(0), np.empty(0))
+    return Cones(
+        np.concatenate([cone.centre for cone in cones]),
+        np.concatenate([cone.axis for cone in cones]),
+        np.concatenate([cone.radius for cone in cones]),
+        np.concatenate([cone.slope for cone in cones]),
+    )
+
+
+def _find_receivers(comm: MPI.Intracomm, cones: Cones, x_m: Floats) -> Bools:
+    """Return (own master facets, ranks): which ranks can need them (collective)."""
+    needed = np.zeros((len(x_m), comm.size), dtype=bool)
+    balls = bounding_balls(x_m)
+    for rank, others in enumerate(comm.allgather(cones)):
+        needed[find_meeting(others, *balls)[:, 1], rank] = True
+    return needed
+
+
+def _send_facets(master: Surface, receivers: Bools) -> tuple[Longs, Ints, Floats]:
+    """Send copies of the master facets (collective).
+
+    Returns:
+        Global nodes (nm,), facets (mm, k) as indices into them, reference coordinates (nm, d).
+    """
+    V = master.V
+    numbers = V.dofmap.index_map.local_to_global(master.nodes)[master.facets]
+    X = master.X[master.facets]
+    parts = V.mesh.comm.alltoall([(numbers[to], X[to]) for to in receivers.T])
+    numbers, X = (np.concatenate([part[i] for part in parts]) for i in range(2))
+    nodes, first, facets = np.unique(numbers, return_index=True, return_inverse=True)
+    facets = facets.reshape(numbers.shape).astype(np.int32)
+    return nodes.astype(np.int64), facets, X.reshape(-1, X.shape[2])[first]
+
+
+def _create_scatter(V: dolfinx.fem.FunctionSpace, nodes: Longs) -> tuple[PETSc.Scatter, PETSc.Vec]:
+    """Create the scatter that brings values of V at global nodes to this rank (collective)."""
+    d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
+    size = (d * index_map.size_local, d * index_map.size_global)
+    source = PETSc.Vec().createMPI(size, comm=V.mesh.comm)
+    target = PETSc.Vec().createSeq(d * len(nodes), comm=PETSc.COMM_SELF)
+    where = PETSc.IS().createBlock(d, nodes.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
+    return PETSc.Scatter().create(source, where, target, None), target
+
+
+def _create_matrices(
+    slave: Surface, pairs: Ints, nodes: Longs, facets: Ints
+) -> tuple[PETSc.Mat, PETSc.Mat]:
+    """Create D and M with room for all candidate pairs (collective)."""
+    index_map = slave.V.dofmap.index_map
+    rows = index_map.local_to_global(slave.nodes)[slave.facets].astype(PETSc.IntType)
+    columns = nodes[facets].astype(PETSc.IntType)
+    paired = np.unique(pairs[:, 0])
+    matrices = []
+    for i, j in ((rows[paired], rows[paired]), (rows[pairs[:, 0]], columns[pairs[:, 1]])):
+        A = PETSc.Mat().create(slave.V.mesh.comm)
+        A.setSizes([(index_map.size_local, index_map.size_global)] * 2)
+        A.setType(PETSc.Mat.Type.AIJ)
+        block = (len(i), i.shape[1], j.shape[1])
+        all_rows, all_columns = (np.broadcast_to(v, block) for v in (i[:, :, None], j[:, None]))
+        triplets.set_pattern(A, all_rows, all_columns)
+        triplets.set_values(A, np.zeros(all_rows.size))
+        matrices.append(A)
+    return matrices[0], matrices[1]
+
+
+def _check_surfaces(
+    V: dolfinx.fem.FunctionSpace,
+    slave: Surface,
+    master: Surface,
+    u: dolfinx.fem.Function | None,
+) -> None:
+    """Raise a ValueError on all ranks for surfaces that are not a pair."""
+    if slave.V != V or master.V != V:
+        raise ValueError("slave and master have to be surfaces of V.")
+    if u is not None and u.function_space != V:
+        raise ValueError("u has to be a Function of V itself, not of another space or mesh.")
+    common = V.mesh.comm.allreduce(len(np.intersect1d(slave.entities, master.entities)))
+    if common:
+        raise ValueError(
+            f"slave={slave.tag} and master={master.tag} share {common} facets; "
+            "mark each side of the interface with a tag of its own."
+        )
+
+
+def _check_facing(pairs: Ints, slave: Surface, master: Surface, n_s: Floats, x_m: Floats) -> None:
+    """Raise a ValueError on all ranks if no slave facet faces any master facet (collective)."""
+    comm = slave.V.mesh.comm
+    if comm.allreduce(len(pairs)):
+        return
+    n_m = np.concatenate(comm.allgather(facet_normals(x_m)))
+    facing = any(are_facing(np.broadcast_to(n, (len(n_m), *n.shape)), n_m).any() for n in n_s)
+    if not comm.allreduce(int(facing)):
+        raise ValueError(
+            f"slave={slave.tag} and master={master.tag} can never meet: no two of their facets "
+            "face each other; check the tags."
+        )
+
+
+@timed("~Mortar: search")
+def create_pairing(
+    V: dolfinx.fem.FunctionSpace,
+    slave: Surface,
+    master: Surface,
+    u: dolfinx.fem.Function | None,
+    *,
+    moving: bool = True,
+) -> Pairing:
+    """Find the candidate pairs at X + u and create the matrices for them (collective).
+
+    Where the surfaces move, the pairs provide for a relative sliding by half an edge or more and
+    for small rotations; `outside_margin` tells when that is used up.
+
+    Raises:
+        ValueError: On all ranks, if the sides share facets, belong to another space, or no slave
+            facet faces a master facet.
+    """
+    _check_surfaces(V, slave, master, u)
+    comm = V.mesh.comm
+    x_s, n_s = _facet_arrays(slave, u)
+    x_m = coordinates(master, u)[master.facets]
+    margin, groups = sliding_margins(x_s) * moving, _group(x_s)
+    receivers: Bools = np.ones((len(x_m), 1), dtype=bool)
+    if comm.size > 1:
+        receivers = _find_receivers(
+            comm, _group_cones(x_s, n_s, groups, margin, TURN * moving), x_m
+        )
+    nodes, facets, X = _send_facets(master, receivers)
+    scatter, received = _create_scatter(V, nodes)
+    x_received = _master_coordinates(X, scatter, received, u)[facets]
+    pairs = find_candidates(x_s, n_s, x_received, margin, moving=moving)
+    _check_facing(pairs, slave, master, n_s, x_m)
+    D, M = _create_matrices(slave, pairs, nodes, facets)
+    return Pairing(
+        slave, master, pairs, nodes, facets, X, margin, receivers, groups, scatter, received, D, M
+    )
+
+
+def _master_coordinates(
+    X: Floats, scatter: PETSc.Scatter, received: PETSc.Vec, u: dolfinx.fem.Function | None
+) -> Floats:
+    """Return the coordinates X + u (nm, d) of the received master nodes (collective)."""
+    if u is None:
+        return X
+    scatter.scatter(u.x.petsc_vec, received)
+    return X + received.array_r.reshape(X.shape)
+
+
+def received_facets(pairing: Pairing, u: dolfinx.fem.Function | None) -> Floats:
+    """Return the coordinates (mm, k, d) of the received master facets (collective)."""
+    x = _master_coordinates(pairing.master_X, pairing.scatter, pairing.received, u)
+    return x[pairing.master_facets]
+
+
+@timed("~Mortar: margin")
+def outside_margin(
+    pairing: Pairing, u: dolfinx.fem.Function | None, among: Bools | None = None
+) -> bool:
+    """Tell whether a segment at X + u can belong to a pair that is not a candidate (collective).
+
+    The broad phase without margin is repeated and must not find anything new, so the answer
+    depends on the relative motion of the two sides only, and False is always safe.
+
+    Args:
+        pairing: The pair of surfaces.
+        u: Displacement.
+        among: Slave facets of this rank (ms,) to look at; all if not given.
+    """
+    comm = pairing.slave.V.mesh.comm
+    x_s, n_s = _facet_arrays(pairing.slave, u)
+    x_m = received_facets(pairing, u)
+    none = np.zeros(len(x_s))
+    among = np.ones(len(x_s), dtype=bool) if among is None else among
+    asked = np.flatnonzero(among)
+    pairs = find_candidates(x_s[asked], n_s[asked], x_m, none[asked], moving=False)
+    pairs[:, 0] = asked[pairs[:, 0]]
+    fresh, known = (p[:, 0].astype(np.int64) * len(x_m) + p[:, 1] for p in (pairs, pairing.pairs))
+    missing = not np.isin(fresh, known, assume_unique=True).all()
+    if comm.size > 1:
+        x_own = coordinates(pairing.master, u)[pairing.master.facets]
+        groups = [group[among[group]] for group in pairing.groups]
+        cones = _group_cones(x_s, n_s, [group for group in groups if len(group)], none, 0.0)
+        receivers = _find_receivers(comm, cones, x_own)
+        missing = missing or bool((receivers & ~pairing.sent).any())
+    return bool(comm.allreduce(int(missing)))

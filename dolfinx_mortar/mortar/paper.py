@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: MIT
+r"""The matrices D, M and N as the paper writes them (eqs. 17 to 20), for users and for tests.
+
+The solver does not take this way: it keeps one entry per pair of nodes (`operators`) and turns them
+into a change of basis (`interfaces.basis`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+import dolfinx
+from dolfinx_mortar.arrays import Floats, Ints, Longs
+from dolfinx_mortar.mortar.operators import (
+    assemble_node_matrices,
+    default_keep,
+    find_segments,
+    node_weights,
+)
+from dolfinx_mortar.mortar.pairing import create_pairing
+from dolfinx_mortar.mortar.surface import create_surface
+
+
+@dataclass(frozen=True, eq=False)
+class Mortar:
+    """The paper's matrices. Row d*i + c belongs to component c of the slave node nodes[i].
+
+    Rows are distributed like the slave nodes; nodes that cannot carry a multiplier have no row.
+    """
+
+    D: PETSc.Mat  # (d * m_I, dofs of V)
+    M: PETSc.Mat  # (d * m_I, dofs of V)
+    N: PETSc.Mat  # (d * m_I, m_I), column i holds the outward slave normal of nodes[i]
+    gap: PETSc.Vec  # (m_I,) weighted gap -N^T (D - M)(X + u), positive where the interface is open
+    nodes: Longs  # (m_I of this rank,) global nodes in the order of the rows
+
+
+def _expand_rows(A: PETSc.Mat, rows: Ints, V: dolfinx.fem.FunctionSpace) -> PETSc.Mat:
+    """Return the given owned rows of a node matrix with every entry times the d x d identity."""
+    d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
+    start, columns, values = A.getValuesCSR()
+    count = np.diff(start)[rows]
+    entries = np.repeat(start[rows] - np.append(0, np.cumsum(count)[:-1])[: len(rows)], count)
+    entries = (entries + np.arange(len(entries))).astype(np.int64)
+    at = np.repeat(np.arange(len(rows)), count)
+    order = np.argsort(at[:, None] * d + np.arange(d), axis=None, kind="stable")
+    all_columns = (columns[entries][:, None] * d + np.arange(d)).ravel()[order]
+    all_values = np.repeat(values[entries], d)[order]
+    new_start = np.append(0, np.cumsum(np.repeat(count, d)))
+    sizes = ((d * len(rows), None), (d * index_map.size_local, d * index_map.size_global))
+    csr = (new_start.astype(PETSc.IntType), all_columns.astype(PETSc.IntType), all_values)
+    return PETSc.Mat().createAIJ(sizes, csr=csr, comm=V.mesh.comm)
+
+
+def _create_normal_matrix(comm: MPI.Intracomm, normals: Floats) -> PETSc.Mat:
+    """Return N (d * m, m), block diagonal of the normals (m of this rank, d)."""
+    m, d = normals.shape
+    first = comm.exscan(m) or 0
+    columns = (first + np.repeat(np.arange(m), d)).astype(PETSc.IntType)
+    start = np.arange(m * d + 1, dtype=PETSc.IntType)
+    sizes = ((m * d, None), (m, None))
+    return PETSc.Mat().createAIJ(sizes, csr=(start, columns, normals.ravel()), comm=comm)
+
+
+def assemble_mortar(
+    V: dolfinx.fem.FunctionSpace,
+    facet_tags: dolfinx.mesh.MeshTags,
+    *,
+    slave: int,
+    master: int,
+    u: dolfinx.fem.Function | None = None,
+) -> Mortar:
+    """Assemble the paper's matrices D, M and N and the weighted gap (collective).
+
+    The constraint of frictionless contact is B_I v <= c_I for the displacement v with
+    B_I = N^T (D - M) and c_I = -N^T (D - M) X.
+
+    Args:
+        V: Vector Lagrange space of degree 1 on the mesh of all bodies.
+        facet_tags: Facet tags of the same mesh.
+        slave: Tag of the side that carries the multipliers.
+        master: Tag of the other side.
+        u: Displacement; segments, normals and gap belong to X + u.
+
+    Raises:
+        ValueError: On all ranks, for tags or spaces that make no sense.
+    """
+    surfaces = [create_surface(V, facet_tags, slave, "slave")]
+    surfaces.append(create_surface(V, facet_tags, master, "master"))
+    pairing = create_pairing(V, *surfaces, u, moving=False)
+    segments, normals = find_segments(pairing, u)
+    keep = default_keep(pairing, segments, *node_weights(pairing, segments))
+    node_D, node_M = assemble_node_matrices(pairing, segments, keep)
+    own = surfaces[0].nodes[: surfaces[0].owned]
+    kept = keep[: len(own)]
+    D, M = (_expand_rows(A, own[kept], V) for A in (node_D, node_M))
+    N = _create_normal_matrix(V.mesh.comm, normals[: len(own)][kept])
+    x, relative, gap = D.createVecRight(), D.createVecLeft(), N.createVecRight()
+    d = V.dofmap.index_map_bs
+    x.array[:] = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local, :d].ravel()
+    if u is not None:
+        x.axpy(1.0, u.x.petsc_vec)
+    (M - D).mult(x, relative)
+    N.multTranspose(relative, gap)
+    nodes = V.dofmap.index_map.local_to_global(own[kept])
+    return Mortar(D=D, M=M, N=N, gap=gap, nodes=nodes)

@@ -1,0 +1,260 @@
+# SPDX-License-Identifier: MIT
+"""One side of an interface as flat arrays: nodes, facets, coordinates and normals."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx
+from dolfinx_mortar import compat
+from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.geometry.facets import distortions, facet_normals
+
+_FACETS = {
+    "triangle": "interval",
+    "quadrilateral": "interval",
+    "tetrahedron": "triangle",
+    "hexahedron": "quadrilateral",
+}
+"""The supported cells and their facets."""
+_MOST_WARPED = 0.3
+"""Smallest cosine between the normal at a corner of a quadrilateral and its mean normal."""
+_LOOPS = {"interval": [0, 1], "triangle": [0, 1, 2], "quadrilateral": [0, 1, 3, 2]}
+"""Order in which the nodes of a dolfinx facet are passed on the way around it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """The marked facets that this rank integrates, and their nodes.
+
+    A facet is integrated by the rank that owns its cell. The nodes are those of these facets and
+    those that this rank owns on facets of other ranks, so that every node of the surface is known
+    to its owner.
+    """
+
+    V: dolfinx.fem.FunctionSpace
+    name: str  # "slave" or "master", for messages
+    tag: int
+    nodes: Ints  # (n,) local nodes, ascending: owned ones first, ghosts after them
+    owned: int  # number of owned nodes
+    facets: Ints  # (m, k) indices into nodes, such that the area vectors point outwards
+    entities: Ints  # (m,) local facets of the mesh
+    cell: str  # "interval", "triangle" or "quadrilateral"
+    X: Floats  # (n, d) reference coordinates of the nodes
+    sums: PETSc.Vec  # one entry per node, ghosted: work vector of `accumulate`
+
+
+def _is_vector_p1(V: dolfinx.fem.FunctionSpace) -> bool:
+    """Tell whether V is made of continuous vector Lagrange elements of degree 1."""
+    if V.dofmap.index_map_bs != V.mesh.geometry.dim:
+        return False
+    element = V.ufl_element()
+    if element.family_name not in ("P", "Q", "Lagrange") or element.reference_value_size < 2:
+        return False
+    return not element.discontinuous and V.element.basix_element.degree == 1
+
+
+def _check_space(V: dolfinx.fem.FunctionSpace) -> None:
+    """Raise a ValueError, without communication, for spaces that are not supported."""
+    if np.issubdtype(PETSc.ScalarType, np.complexfloating):
+        raise ValueError("PETSc was built for complex numbers; use a build for real numbers.")
+    cell, d = V.mesh.topology.cell_name(), V.mesh.geometry.dim
+    if cell not in _FACETS or d != V.mesh.topology.dim:
+        raise ValueError(
+            f"V: cells of type {cell} in {d}D are not supported; use one of {sorted(_FACETS)}, "
+            "the same for all bodies."
+        )
+    if V.component():
+        raise ValueError("V is a part of a larger space; use V.collapse()[0].")
+    if not _is_vector_p1(V):
+        raise ValueError(
+            f"V: the element is {V.ufl_element()}; it has to be a continuous vector Lagrange "
+            f'element of degree 1, functionspace(mesh, ("Lagrange", 1, ({d},))).'
+        )
+
+
+def check_tags(facet_tags: Any) -> None:
+    """Raise a ValueError unless the argument is a MeshTags."""
+    if not isinstance(facet_tags, dolfinx.mesh.MeshTags):
+        raise ValueError(f"facet_tags is {facet_tags!r}: give a dolfinx.mesh.MeshTags of facets.")
+
+
+def _share_tags(facet_tags: dolfinx.mesh.MeshTags, tag: int) -> Ints:
+    """Return the owned facets that any rank has marked with `tag`."""
+    facet_map = facet_tags.topology.index_map(facet_tags.dim)
+    mark = dolfinx.la.vector(facet_map)
+    mark.array[:] = 0.0
+    mark.array[facet_tags.find(tag)] = 1.0
+    mark.scatter_reverse(dolfinx.la.InsertMode.add)
+    return np.flatnonzero(mark.array[: facet_map.size_local]).astype(np.int32)
+
+
+def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str) -> Ints:  # type: ignore[no-untyped-def]
+    """Return the marked facets that this rank owns; raise a ValueError on all ranks."""
+    topology, comm = V.mesh.topology, V.mesh.comm
+    fdim = topology.dim - 1
+    check_tags(facet_tags)
+    if not compat.on_same_mesh(facet_tags, V.mesh):
+        raise ValueError(f"facet_tags ({name}={tag}) belong to another mesh than V.")
+    if facet_tags.dim != fdim:
+        raise ValueError(
+            f"facet_tags ({name}={tag}) mark entities of dimension {facet_tags.dim}; "
+            f"facets have dimension {fdim}."
+        )
+    for pair in ((fdim, topology.dim), (topology.dim, fdim)):
+        topology.create_connectivity(*pair)
+    facets = _share_tags(facet_tags, tag)
+    exterior = dolfinx.mesh.exterior_facet_indices(topology)
+    inside = np.setdiff1d(facets, exterior)
+    total, interior = comm.allreduce(np.array([len(facets), len(inside)]))
+    if total == 0:
+        known = sorted(set().union(*comm.allgather(set(facet_tags.values.tolist()))))
+        raise ValueError(f"{name}={tag} marks no facet; facet_tags has the values {known}.")
+    if interior > 0:
+        raise ValueError(
+            f"{name}={tag} marks {interior} facets inside the mesh; mark exterior facets only."
+        )
+    return facets
+
+
+def _facet_nodes(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, Ints]:
+    """Return the local nodes (m, k) of facets, on the way around each, and their cells (m,)."""
+    topology = V.mesh.topology
+    tdim = topology.dim
+    facet_cells = topology.connectivity(tdim - 1, tdim)
+    cells = facet_cells.array[facet_cells.offsets[entities]]
+    assert (cells < topology.index_map(tdim).size_local).all()
+    count = len(topology.connectivity(tdim, tdim - 1).links(0))
+    cell_facets = topology.connectivity(tdim, tdim - 1).array.reshape(-1, count)
+    local = np.argmax(cell_facets[cells] == entities[:, None], axis=1)
+    loop = _LOOPS[_FACETS[topology.cell_name()]]
+    layout = V.dofmap.dof_layout
+    closure = np.array([layout.entity_closure_dofs(tdim - 1, i) for i in range(count)])[:, loop]
+    return V.dofmap.list[cells[:, None], closure[local]], cells
+
+
+def _order_outwards(X: Floats, nodes: Ints, cells: Ints, V: dolfinx.fem.FunctionSpace) -> Ints:
+    """Reverse facets whose normal points into their cell."""
+    x = X[nodes]
+    inwards = x.mean(axis=1) - X[V.dofmap.list[cells]].mean(axis=1)
+    wrong = (facet_normals(x) * inwards).sum(axis=1) < 0
+    return np.where(wrong[:, None], nodes[:, ::-1], nodes)
+
+
+def _create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, PETSc.Vec]:
+    """Add the nodes that only other ranks use to their owner's; number them for `accumulate`."""
+    index_map = V.dofmap.index_map
+    number = dolfinx.la.vector(index_map)
+    number.array[:] = 0.0
+    number.array[nodes] = 1.0
+    number.scatter_reverse(dolfinx.la.InsertMode.add)
+    owned = np.flatnonzero(number.array[: index_map.size_local])
+    first = V.mesh.comm.exscan(len(owned)) or 0
+    number.array[owned] = first + np.arange(len(owned))
+    number.scatter_forward()
+    ghosts = nodes[nodes >= index_map.size_local]
+    ghost_numbers = number.array[ghosts].astype(PETSc.IntType)
+    sums = PETSc.Vec().createGhost(ghost_numbers, (len(owned), None), comm=V.mesh.comm)
+    return np.concatenate([owned, ghosts]).astype(np.int32), len(owned), sums
+
+
+def _check_shapes(x: Floats, comm: MPI.Comm, name: str) -> None:
+    """Raise a ValueError on all ranks for facets x (m, k, d) without a usable shape."""
+    finite = np.isfinite(x).all()
+    quality = distortions(x) if finite else np.zeros(0)
+    bad = comm.allreduce(np.array([not finite, (quality < _MOST_WARPED).sum()], dtype=int))
+    if bad[0]:
+        raise ValueError(f"{name}: coordinates of the mesh are not finite.")
+    if bad[1]:
+        raise ValueError(
+            f"{name}: {bad[1]} facets are degenerate (no length or area), inverted or badly warped "
+            "(the normal at a corner is far from the mean normal); mend the mesh there."
+        )
+
+
+def create_surface(
+    V: dolfinx.fem.FunctionSpace, facet_tags: dolfinx.mesh.MeshTags, tag: int, name: str
+) -> Surface:
+    """Collect the exterior facets marked with `tag` (collective).
+
+    Tags may be given on any rank that has the facet, as owner or ghost.
+
+    Args:
+        V: Vector Lagrange space of degree 1 on the mesh of all bodies.
+        facet_tags: Facet tags of the same mesh.
+        tag: Value that marks the surface.
+        name: Name of the argument, for messages.
+
+    Raises:
+        ValueError: On all ranks, for a space that is not supported, tags of another mesh or
+            dimension, a tag that marks no or interior facets, coordinates that are not finite,
+            facets that are degenerate, inverted or badly warped.
+    """
+    _check_space(V)
+    entities = _marked_facets(V, facet_tags, tag, name)
+    facet_nodes, cells = _facet_nodes(V, entities)
+    X = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
+    facet_nodes = _order_outwards(X, facet_nodes, cells, V)
+    nodes, owned, sums = _create_sums(V, np.unique(facet_nodes))
+    _check_shapes(X[facet_nodes], V.mesh.comm, f"{name}={tag}")
+    return Surface(
+        V=V,
+        name=name,
+        tag=tag,
+        nodes=nodes,
+        owned=owned,
+        facets=np.searchsorted(nodes, facet_nodes).astype(np.int32),
+        entities=entities,
+        cell=_FACETS[V.mesh.topology.cell_name()],
+        X=np.ascontiguousarray(X[nodes]),
+        sums=sums,
+    )
+
+
+def accumulate(surface: Surface, values: npt.NDArray[Any]) -> Floats:
+    """Sum values (n,) or (n, c) of the nodes over the ranks; all ranks get the sum (collective)."""
+    result = np.array(values, dtype=float)
+    if surface.V.mesh.comm.size == 1:
+        return result
+    columns = result[:, None] if result.ndim == 1 else result  # views
+    for column in columns.T:
+        with surface.sums.localForm() as local:
+            local.array_w[:] = column
+        surface.sums.ghostUpdate(PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE)
+        surface.sums.ghostUpdate(PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
+        with surface.sums.localForm() as local:
+            column[:] = local.array_r
+    return result
+
+
+def coordinates(surface: Surface, u: dolfinx.fem.Function | None) -> Floats:
+    """Return the coordinates X + u (n, d) of the nodes; the ghosts of u are up to date."""
+    if u is None:
+        return surface.X
+    return surface.X + u.x.array.reshape(-1, surface.X.shape[1])[surface.nodes]
+
+
+def nodal_normals(surface: Surface, x: Floats) -> Floats:
+    """Return the averaged unit normals (n, d) of the nodes (collective).
+
+    n_j is the normalised sum of the unit normals of all facets of this surface at node j, without
+    weights; zero where they cancel.
+    """
+    n_f = np.repeat(facet_normals(x[surface.facets]), surface.facets.shape[1], axis=0)
+    where = surface.facets.ravel()
+    local = np.stack([np.bincount(where, n, minlength=len(x)) for n in n_f.T], axis=1)
+    total = accumulate(surface, local)
+    return total / np.maximum(np.linalg.norm(total, axis=1), np.finfo(float).tiny)[:, None]
+
+
+def mean_facet_length(surface: Surface) -> float:
+    """Return the mean length of the first edges of the facets at X (collective)."""
+    edges = surface.X[surface.facets[:, 1]] - surface.X[surface.facets[:, 0]]
+    local = np.array([np.linalg.norm(edges, axis=1).sum(), len(edges)])
+    total, count = surface.V.mesh.comm.allreduce(local)
+    return float(total / count)

@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: MIT
+"""Interior point: TAO's bqpip, the counterpart of the quadprog that the paper calls."""
+
+from dolfinx_mortar.arrays import Actives
+from dolfinx_mortar.qp import tao
+from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution
+from dolfinx_mortar.qp.linear import LinearSolver
+
+
+def solve(
+    qp: BoundQP,
+    linear: LinearSolver,
+    *,
+    start: Actives,
+    rtol: float,
+    settled: bool = False,
+) -> QPSolution:
+    """Solve a bound-constrained QP with TAO's bqpip (collective).
+
+    Args:
+        qp: the problem.
+        linear: gives its options to the solver inside, and makes the last solve.
+        start: (k,) unused; the method starts from the interior of the bounds.
+        rtol: tolerance of the KKT check.
+        settled: unused, like the start.
+    """
+    solution = tao.run(qp, linear, "bqpip", rtol=rtol)
+    solution.backend = "interior-point"
+    return solution

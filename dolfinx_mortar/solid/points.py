@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: MIT
+"""Stress, internal variables and their norms at the integration points, as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+
+from mpi4py import MPI
+
+import numpy as np
+
+import basix.ufl
+import ufl
+from dolfinx import fem
+from dolfinx_mortar.materials.tensor import COMPONENTS, frobenius_norm, vector_norm, von_mises
+from dolfinx_mortar.solid.laws import Region
+
+# Zero where no law has them: scripts need not know the materials. Name -> whether it is a tensor.
+PLASTIC_FIELDS = {"plastic_strain": True, "back_stress": True, "plastic": False}
+# The name under which the literature plots a quantity -> ours.
+ALIASES = {"hardening": "back_stress_vector_norm"}
+
+
+class PointFields:
+    """Values of quadrature Functions and derived quantities on the owned cells.
+
+    Nothing is compiled but the integration weights: all derived fields are NumPy expressions.
+    """
+
+    def __init__(
+        self,
+        stress: fem.Function,
+        state: Mapping[str, fem.Function],
+        regions: Sequence[Region],
+        degree: int,
+    ) -> None:
+        """Keep references to the quadrature Functions; nothing is evaluated yet.
+
+        Args:
+            stress: stress components at the integration points.
+            state: internal variables.
+            regions: the laws, which may add fields such as the back stress.
+            degree: quadrature degree of the Functions.
+        """
+        self._stored = {"stress": stress, **state}
+        self._regions = regions
+        self._degree = degree
+        self._mesh = stress.function_space.mesh
+        self._components = COMPONENTS[self._mesh.geometry.dim]
+        self._owned = self._mesh.topology.index_map(self._mesh.topology.dim).size_local
+        self._points = stress.function_space.dofmap.list.shape[1]
+        self._averages: dict[str, fem.Function] = {}
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of all fields, scalars and tensors, without the single components."""
+        names = list(self._stored)
+        for region in self._regions:
+            none = np.arange(0, dtype=np.int32)
+            names += [name for name in self._output(region, none) if name not in names]
+        tensors = [name for name in names if name != "plastic"]
+        norms = [f"{name}_{norm}" for name in tensors for norm in ("norm", "vector_norm")]
+        aliases = [name for name, target in ALIASES.items() if target in norms]
+        return (*names, *norms, "von_mises", *aliases)
+
+    def values(self, name: str) -> np.ndarray:
+        """Return a field on the owned cells: (cells, points) or (cells, points, components).
+
+        Args:
+            name: a stored field ("stress", "plastic_strain", "back_stress", "plastic"),
+                "von_mises", a tensor's name followed by "_norm" (Frobenius), "_vector_norm"
+                (stored components, shear once) or a component ("stress_yy"), or "hardening", the
+                vector norm of the back stress. What only plasticity has is zero in elastic bodies.
+
+        Raises:
+            ValueError: if no law has that field.
+        """
+        name = ALIASES.get(name, name)
+        if name == "von_mises":
+            return von_mises(self._base("stress"))
+        for suffix, norm in (("_vector_norm", vector_norm), ("_norm", frobenius_norm)):
+            if name.endswith(suffix):
+                return norm(self._base(name.removesuffix(suffix)))
+        base, _, component = name.rpartition("_")
+        if component in self._components:
+            return self._base(base)[..., self._components.index(component)]
+        return self._base(name)
+
+    def _base(self, name: str) -> np.ndarray:
+        """Return a stored field or one that the laws derive, zero where a law has none."""
+        if name in self._stored:
+            return self._at_points(self._stored[name])
+        result = None
+        for region in self._regions:
+            cells = region.cells[region.cells < self._owned]
+            field = self._output(region, cells).get(name)
+            if field is None:
+                continue
+            if result is None:
+                result = np.zeros((self._owned, self._points, *field.shape[1:]))
+            result[cells] = field.reshape(cells.size, self._points, *field.shape[1:])
+        if result is None and name in PLASTIC_FIELDS:
+            shape = (len(self._components),) if PLASTIC_FIELDS[name] else ()
+            result = np.zeros((self._owned, self._points, *shape))
+        if result is None:
+            raise ValueError(f"no field {name!r}; there are {', '.join(self.names)}.")
+        return result
+
+    def _at_points(self, f: fem.Function) -> np.ndarray:
+        """Return a quadrature Function on the owned cells, (cells, points[, components])."""
+        dofmap = f.function_space.dofmap
+        values = f.x.array.reshape(-1, dofmap.bs)[dofmap.list[: self._owned]]
+        return values[..., 0] if dofmap.bs == 1 else values
+
+    def _output(self, region: Region, cells: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the derived fields of a region's law in some of its cells, cell by cell."""
+        p = region.parameter_values(np.repeat(cells, self._points))
+        state = {}
+        for name in region.law.state:
+            values = self._at_points(self._stored[name])[cells]
+            state[name] = values.reshape(cells.size * self._points, *values.shape[2:])
+        return region.law.output(state, p)
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """Integration weights with the Jacobian, (cells, points); their sum is the volume."""
+        metadata = {"quadrature_degree": self._degree, "quadrature_scheme": "default"}
+        element = basix.ufl.quadrature_element(
+            self._mesh.basix_cell(), scheme="default", degree=self._degree
+        )
+        Q = fem.functionspace(self._mesh, element)
+        dx = ufl.Measure("dx", self._mesh, metadata=metadata)
+        assembled = fem.assemble_vector(fem.form(ufl.TestFunction(Q) * dx))
+        return assembled.array[Q.dofmap.list[: self._owned]]
+
+    def max(self, name: str) -> float:
+        """Return the largest value of a scalar field over all points and ranks.
+
+        Raises:
+            ValueError: if the field is a tensor, or no law has it.
+        """
+        values = self.values(name)
+        if values.ndim > 2:
+            raise ValueError(
+                f"{name!r} is a tensor: ask for a norm or a component, '{name}_norm' or '{name}_xx'"
+            )
+        largest = float(values.max()) if values.size else -np.inf
+        return self._mesh.comm.allreduce(largest, op=MPI.MAX)
+
+    def integral(self, name: str) -> float:
+        """Return the integral of a scalar field over the bodies, summed over the ranks."""
+        return self._mesh.comm.allreduce(
+            float(np.sum(self.values(name) * self.weights)), op=MPI.SUM
+        )
+
+    def cell_values(self, name: str) -> fem.Function:
+        """Return the cell averages of a field in a DG0 Function, kept and refilled per name."""
+        values, weights = self.values(name), self.weights
+        if name not in self._averages:
+            shape = values.shape[2:]
+            element = basix.ufl.element("DG", self._mesh.basix_cell(), 0, shape=shape)
+            self._averages[name] = fem.Function(fem.functionspace(self._mesh, element), name=name)
+        average = self._averages[name]
+        flat = values.reshape(*weights.shape, -1)
+        means = np.einsum("cq,cqi->ci", weights, flat) / weights.sum(axis=1)[:, None]
+        dofs = average.function_space.dofmap.list[: self._owned, 0]
+        average.x.array.reshape(-1, flat.shape[2])[dofs] = means
+        average.x.scatter_forward()
+        return average

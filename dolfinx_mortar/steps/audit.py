@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: MIT
+"""The geometry audit before the first step: what would go wrong, named while it can be mended."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mpi4py import MPI
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.geometry.facets import facet_normals, facet_sizes
+from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.mortar.pairing import Pairing
+from dolfinx_mortar.mortar.surface import mean_facet_length
+from dolfinx_mortar.steps.bodies import free_motions
+
+if TYPE_CHECKING:
+    from dolfinx_mortar.steps.problem import ContactProblem
+
+log = logging.getLogger(__name__)
+
+# A slave facet this many times longer than the master's makes the contact pressure coarse.
+COARSE = 2.0
+# Normals whose product is above this turn away from each other; at a right angle, around a corner,
+# the facets are merely useless.
+BACK = 0.1
+# Sides with common nodes that overlap by this part of a body's radius face each other through it.
+DEEP = 0.5
+
+
+@dataclass(frozen=True)
+class InterfaceAudit:
+    """Counts over one interface, all ranks."""
+
+    name: str
+    slave_facets: int
+    master_facets: int
+    slave_nodes: int
+    kept_nodes: int  # carry a multiplier
+    uncovered_nodes: int  # face no master
+    removed_nodes: int  # covered, but without a multiplier (little coverage, Dirichlet, claims)
+    dirichlet_directions: int  # directions of slave nodes left to Dirichlet data
+    facing_away: int  # slave facets that touch master facets, but do not face them
+    size_ratio: float  # mean slave facet length over mean master facet length
+
+
+@dataclass(frozen=True)
+class Audit:
+    """What the audit found."""
+
+    bodies: int
+    interfaces: list[InterfaceAudit]
+    held_by_contact: bool  # some body is held by contact alone
+    warnings: list[str]
+
+    def __str__(self) -> str:
+        """Return one line per interface and warning."""
+        lines = [f"{self.bodies} bodies, {len(self.interfaces)} interfaces"]
+        for i in self.interfaces:
+            lines.append(
+                f"{i.name}: {i.slave_facets} slave and {i.master_facets} master facets, "
+                f"{i.kept_nodes} of {i.slave_nodes} slave nodes carry a multiplier, "
+                f"{i.uncovered_nodes} face no master, {i.removed_nodes} removed, "
+                f"{i.dirichlet_directions} directions left to Dirichlet data"
+            )
+        return "\n".join(lines + [f"warning: {w}" for w in self.warnings])
+
+
+def create_audit(problem: ContactProblem) -> Audit:
+    """Audit bodies and interfaces of a problem whose pairings exist; collective.
+
+    Raises:
+        ValueError: if a body can move rigidly without any resistance.
+    """
+    held = [problem.prescribed]
+    ties = [tie.constrained for tie in problem.ties]
+    loose = free_motions(problem.bodies, [*held, *ties, *(c.constrained for c in problem.contacts)])
+    if loose:
+        raise ValueError(
+            "bcs, interfaces: nothing holds the bodies against "
+            + "; ".join(loose)
+            + ". Prescribe these motions (bcs), or check slave and master tags"
+        )
+    _check_sides(problem)
+    found = [_audit(interface) for interface in problem.interfaces]
+    warnings = list(problem.notes)
+    by_contact = bool(problem.contacts and free_motions(problem.bodies, [*held, *ties]))
+    if by_contact:
+        warnings.append("a body is held by contact alone: the loads must press it on")
+    for i in found:
+        if i.kept_nodes == 0:
+            warnings.append(
+                f"{i.name}: no slave node carries a multiplier, so it does nothing; check the "
+                "tags, or let the other side be the slave if this one has Dirichlet data"
+            )
+        if i.size_ratio > COARSE:
+            warnings.append(
+                f"{i.name}: slave facets are {i.size_ratio:.1f} times as long as master facets; "
+                "let the finer side be the slave"
+            )
+        if i.facing_away:
+            warnings.append(
+                f"{i.name}: {i.facing_away} slave facets turn their back on the master side; "
+                "mark only facets that can touch"
+            )
+        if i.dirichlet_directions:
+            warnings.append(
+                f"{i.name}: {i.dirichlet_directions} directions of slave nodes have Dirichlet "
+                "data, which win over the interface"
+            )
+    audit = Audit(problem.bodies.count, found, by_contact, warnings)
+    if problem.comm.rank == 0:
+        log.info("%s", audit)
+        for warning in warnings:
+            log.warning("%s", warning)
+    return audit
+
+
+def _check_sides(problem: ContactProblem) -> None:
+    """Raise a ValueError on all ranks if two sides face each other only through their bodies.
+
+    That is so if every slave node is deeper inside the master body than any body is large; smaller
+    overlaps are ordinary input. Where the two sides are parts of one surface, it is so as soon as
+    a slave node lies that deep (faces of a crack share nodes, too, but do not overlap).
+    """
+    for interface in problem.interfaces:
+        kept = interface.kept.all(axis=1)
+        relative = interface.relative(problem.current_coordinates())
+        normal = relative[:, 0]
+        if interface.kind == "tie":  # its frames are the Cartesian axes
+            normal = np.einsum("ni,ni->n", interface.normals, relative)
+        joined = (interface.slave_nodes & interface.master_nodes).any()
+        shallowest, deepest, some, joined = maximum(
+            problem.comm,
+            (-normal[kept]).max(initial=-np.inf),
+            normal[kept].max(initial=-np.inf),
+            kept.any(),
+            joined,
+        )
+        if joined and deepest > DEEP * problem.bodies.radius.max():
+            raise ValueError(
+                f"slave={interface.slave} and master={interface.master} are parts of one surface "
+                f"that meets itself through its body, {deepest:.3g} deep; mark only the parts that "
+                "can touch"
+            )
+        if some and -shallowest > problem.bodies.radius.max():
+            raise ValueError(
+                f"slave={interface.slave} and master={interface.master} can never meet: all slave "
+                f"nodes lie at least {-shallowest:.3g} beyond the master side; check the tags"
+            )
+
+
+def _audit(interface: Interface) -> InterfaceAudit:
+    """Count over the slave side of one interface; collective."""
+    comm, own = interface.V.mesh.comm, interface.pattern.nodes
+    kept = interface.kept.any(axis=1)
+    covered = interface.coverage > 0
+    surfaces = interface.slave_surface, interface.master_surface
+    counts = comm.allreduce(
+        np.array(
+            [
+                *(len(s.facets) for s in surfaces),
+                len(own),
+                kept.sum(),
+                (~covered).sum(),
+                (covered & ~kept).sum(),
+                interface.fixed[own].sum(),
+                _count_facing_away(interface.pairing),
+            ]
+        ),
+        op=MPI.SUM,
+    )
+    lengths = [mean_facet_length(s) for s in surfaces]
+    return InterfaceAudit(repr(interface), *map(int, counts), float(lengths[0] / lengths[1]))  # type: ignore[call-arg]
+
+
+def _count_facing_away(pairing: Pairing) -> int:
+    """Return how many slave facets of this rank touch a master facet that does not face them.
+
+    "Touch" means that the nearest master facet is within one facet length at X.
+    """
+    x_s = pairing.slave.X[pairing.slave.facets]
+    x_m = pairing.master_X[pairing.master_facets]
+    if len(x_s) == 0 or len(x_m) == 0:
+        return 0
+    distance, nearest = cKDTree(x_m.mean(axis=1)).query(x_s.mean(axis=1))
+    opposed = np.einsum("mi,mi->m", facet_normals(x_s), facet_normals(x_m)[nearest])
+    return int(((distance < facet_sizes(x_s)) & (opposed > BACK)).sum())

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: MIT
+"""Bodies: the connected parts of a mesh, and the rigid motions that nothing holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from dolfinx import fem, la
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+
+# A rigid motion counts as held if the constraints resist it by more than this share of the motion
+# that they resist most.
+HELD = 1e-7
+# Two rigid motions that differ by less than this share have the same name.
+SAME = 1e-4
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """Connected parts of the mesh behind a space."""
+
+    V: fem.FunctionSpace
+    count: int
+    label: Ints  # (owned nodes,) body of each node
+    centre: Floats  # (count, d) mean of the nodes' coordinates
+    radius: Floats  # (count,) root mean square distance of the nodes from the centre
+
+    def rigid_modes(self) -> list[tuple[int, str, PETSc.Vec]]:
+        """Return (body, name, displacement) of every rigid motion, rotations scaled by 1/radius."""
+        d = self.V.dofmap.index_map_bs
+        x = self.V.tabulate_dof_coordinates()[: len(self.label), :d]
+        modes = []
+        for body in range(self.count):
+            on = (self.label == body)[:, None]
+            arm = (x - self.centre[body]) / self.radius[body]
+            motions = [(f"translation {'xyz'[i]}", np.eye(d)[i] * on) for i in range(d)]
+            for i, j in [(0, 1)] if d == 2 else [(1, 2), (2, 0), (0, 1)]:
+                spin = np.zeros((len(x), d))
+                spin[:, i], spin[:, j] = -arm[:, j], arm[:, i]
+                motions.append((f"rotation about {'xyz'[3 - i - j]}", spin * on))
+            modes += [(body, name, self._vector(motion)) for name, motion in motions]
+        return modes
+
+    def _vector(self, values: Floats) -> PETSc.Vec:
+        layout, d = self.V.dofmap.index_map, self.V.dofmap.index_map_bs
+        vector = PETSc.Vec().createMPI(
+            (d * layout.size_local, d * layout.size_global), bsize=d, comm=self.V.mesh.comm
+        )
+        vector.array[:] = values.ravel()
+        return vector
+
+    def mean(self, values: Floats, where: Bools) -> Floats:
+        """Return the mean over each body of (owned nodes, d) values where marked, else 0."""
+        total = np.zeros((self.count, 2, values.shape[1]))
+        np.add.at(total[:, 0], self.label, np.where(where, values, 0.0))
+        np.add.at(total[:, 1], self.label, where.astype(float))
+        total = self.V.mesh.comm.allreduce(total, op=MPI.SUM)
+        return np.asarray(total[:, 0] / np.maximum(total[:, 1], 1.0))
+
+
+def find_bodies(V: fem.FunctionSpace) -> Bodies:
+    """Find the connected parts of the mesh through the nodes that cells share; collective."""
+    layout, comm = V.dofmap.index_map, V.mesh.comm
+    n_owned, n_local = layout.size_local, layout.size_local + layout.num_ghosts
+    cells = V.dofmap.list
+    first, last = cells[:, :-1].ravel(), cells[:, 1:].ravel()
+    graph = coo_array((np.ones(len(first)), (first, last)), shape=(n_local, n_local))
+    parts, local = connected_components(graph, directed=False)
+
+    # Parts of different ranks are one body where a ghost of one part is owned by the other.
+    offset = comm.exscan(parts) or 0
+    vector = la.vector(layout, 1)
+    vector.array[:n_owned] = local[:n_owned] + offset
+    vector.scatter_forward()
+    touching = np.column_stack([local + offset, vector.array]).astype(np.int64)
+    links = np.concatenate(comm.allgather(np.unique(touching, axis=0)))
+    total = comm.allreduce(parts, op=MPI.SUM)
+    joined = coo_array((np.ones(len(links)), links.T), shape=(total, total))
+    count, body_of = connected_components(joined, directed=False)
+    label = body_of[local + offset][:n_owned].astype(np.int32)
+    used = np.concatenate(comm.allgather(np.unique(label)))
+    label = np.searchsorted(np.unique(used), label).astype(np.int32)
+    count = len(np.unique(used))
+
+    return _measure(V, count, label)
+
+
+def _measure(V: fem.FunctionSpace, count: int, label: Ints) -> Bodies:
+    """Return bodies with their centres and radii; collective."""
+    d = V.dofmap.index_map_bs
+    x = V.tabulate_dof_coordinates()[: len(label), :d]
+    bodies = Bodies(V, count, label, np.zeros((count, d)), np.ones(count))
+    centre = bodies.mean(x, np.ones_like(x, dtype=bool))
+    square = bodies.mean((x - centre[label]) ** 2, np.ones_like(x, dtype=bool))
+    return Bodies(V, count, label, centre, np.sqrt(square.sum(axis=1)))
+
+
+def rigid_motions(V: fem.FunctionSpace) -> list[PETSc.Vec]:
+    """Return the 3 or 6 rigid motions of the whole mesh as if it were one body; collective."""
+    everything = np.zeros(V.dofmap.index_map.size_local, dtype=np.int32)
+    return [motion for _, _, motion in _measure(V, 1, everything).rigid_modes()]
+
+
+def free_motions(bodies: Bodies, constraints: Sequence[Callable[[PETSc.Vec], Floats]]) -> list[str]:
+    """Name the rigid motions that no constraint resists; collective.
+
+    Args:
+        bodies: the bodies.
+        constraints: functions that return the constrained displacements (any number on each rank)
+            of a displacement vector: prescribed components, relative motions at interfaces. A
+            contact counts as if it could also pull.
+
+    Returns:
+        The motions in the null space by name: of single bodies where possible, then of several
+        bodies together, then sums of motions; empty if all is held.
+    """
+    modes = bodies.rigid_modes()
+    columns = [np.concatenate([c(v).ravel() for c in constraints]) for _, _, v in modes]
+    rows = np.column_stack(columns)
+    gram = bodies.V.mesh.comm.allreduce(rows.T @ rows, op=MPI.SUM)
+    scale = max(float(gram.diagonal().max()), np.finfo(float).tiny)
+    values, vectors = np.linalg.eigh(gram / scale)
+    null = rest = vectors[:, values < HELD**2 * len(modes)]
+    body = np.array([k for k, _, _ in modes])
+    named = [f"{name} of {_name(bodies, [k])}" for k, name, _ in modes]
+    rest, found = _take_out(null, rest, dict(zip(named, np.eye(len(modes)), strict=True)))
+    for group in _groups(rest, body):
+        rest, together = _take_out(null, rest, _common_motions(bodies, group))
+        found += together
+    for motion in rest.T:
+        parts = np.flatnonzero(np.abs(motion) > 0.1 * np.abs(motion).max())
+        found.append(" + ".join(named[k] for k in parts))
+    return found
+
+
+def _name(bodies: Bodies, group: list[int]) -> str:
+    """Return how a message calls a body, or several."""
+    places = sorted([float(x) for x in row] for row in np.round(bodies.centre[group], 3) + 0.0)
+    centres = ", ".join(map(str, places))
+    return (
+        f"the bodies around {centres} together" if len(group) > 1 else f"the body around {centres}"
+    )
+
+
+def _take_out(null: Floats, rest: Floats, motions: dict[str, Floats]) -> tuple[Floats, list[str]]:
+    """Return the rest (modes, k) of a null space without given motions, and which it had."""
+    found = []
+    for name, motion in motions.items():
+        unit = motion / np.linalg.norm(motion)
+        share = rest.T @ unit
+        inside = np.linalg.norm(unit - null @ (null.T @ unit)) < SAME
+        if inside and np.linalg.norm(share) > SAME:
+            found.append(name)
+            rest = rest @ np.linalg.svd(share[None])[2][1:].T
+    return rest, found
+
+
+def _groups(null: Floats, body: npt.NDArray[np.int_]) -> list[list[int]]:
+    """Return the sets of bodies that only move together in a null space (modes, k)."""
+    linked = np.abs(null @ null.T) > SAME
+    _, label = connected_components(linked | (body[:, None] == body), directed=False)
+    return [np.unique(body[label == k]).tolist() for k in np.unique(label)]
+
+
+def _common_motions(bodies: Bodies, group: list[int]) -> dict[str, Floats]:
+    """Return the rigid motions of a group of bodies as one, in terms of their rigid modes."""
+    count, d = bodies.centre.shape
+    planes = [(0, 1)] if d == 2 else [(1, 2), (2, 0), (0, 1)]
+    arm = bodies.centre - bodies.centre[group].mean(axis=0)
+    shift, turn = (
+        np.zeros((d + len(planes), count, d)),
+        np.zeros((d + len(planes), count, len(planes))),
+    )
+    names = []
+    for i in range(d):
+        shift[i, group, i] = 1.0
+        names.append(f"translation {'xyz'[i]}")
+    for k, (i, j) in enumerate(planes):
+        shift[d + k, group, i], shift[d + k, group, j] = -arm[group, j], arm[group, i]
+        turn[d + k, group, k] = bodies.radius[group]
+        names.append(f"rotation about {'xyz'[3 - i - j]}")
+    motions = np.concatenate([shift, turn], axis=2).reshape(len(names), -1)
+    return {f"{n} of {_name(bodies, group)}": m for n, m in zip(names, motions, strict=True)}

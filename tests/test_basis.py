@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: MIT
+"""The change of basis against dense matrices, and frames."""
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx import fem
+from dolfinx_mortar.interfaces.frames import create_frames
+from tests.block_piles import (
+    ABOVE,
+    BELOW,
+    COMM,
+    EAST,
+    PILE,
+    WEST,
+    Blocks,
+    chain,
+    dense_transformation,
+    to_dense,
+    to_global,
+)
+
+ROUND_OFF = 1e-12
+
+
+# -- frames
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_frames_are_orthonormal(d, rng):
+    normals = rng.normal(size=(50, d))
+    normals[:d] = np.eye(d)
+    fixed = np.zeros((50, d), dtype=bool)
+    fixed[10:30, 1] = True
+    fixed[30:, 0] = d == 3
+    normals[fixed] = 0.0
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    R, slot = create_frames(normals, fixed)
+    assert np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(d)).max() < ROUND_OFF
+    assert np.abs(R[:, :, 0] - normals).max() < ROUND_OFF
+    assert np.array_equal(slot >= 0, fixed)
+    for j, i in zip(*np.nonzero(fixed), strict=True):
+        assert R[j, :, slot[j, i]] == pytest.approx(np.eye(d)[i], abs=ROUND_OFF)
+
+
+# -- the change of basis
+
+
+def expected_transformation(problem):
+    """Return T = (I - Q)^-1 W from D, M, R and S, gathered, without the interfaces' products."""
+    N, d = problem.V.dofmap.index_map.size_global, problem.d
+    Q, W = np.zeros((N, d, N, d)), np.einsum("ij,ab->iajb", np.eye(N), np.eye(d))
+    for i in problem.interfaces:
+        D, M = to_dense(i.pairing.D), to_dense(i.pairing.M)
+        nodes = to_global(COMM, i.pattern.nodes + problem.V.dofmap.index_map.local_range[0])
+        kept, R, S = (to_global(COMM, a) for a in (i.kept.any(axis=1), i.R, i.S))
+        for j, node in zip(np.flatnonzero(kept), nodes[kept], strict=True):
+            P = (M[node] - D[node] * (np.arange(N) != node)) / D[node, node]
+            Q[node] = np.einsum("ab,l->alb", R[j] @ np.diag(S[j]) @ R[j].T, P)
+            W[node, :, node] = R[j]
+    size = d * N
+    return np.linalg.solve(np.eye(size) - Q.reshape(size, size), W.reshape(size, size))
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    "kinds", [(dm.Contact, dm.Contact), (dm.Tie, dm.Contact), (dm.Tie, dm.Tie)]
+)
+def test_transformation_of_a_chain(kinds):
+    _, problem = chain(kinds)
+    problem.audit()
+    assert len(problem.transformation.factors) == 2
+    T = expected_transformation(problem)
+    assert np.abs(dense_transformation(problem) - T).max() < ROUND_OFF
+    problem.solid.assemble_tangent(problem.K)
+    K = to_dense(problem.K)
+    for _ in range(2):  # created, and refilled
+        transformed = to_dense(problem.transformation.transform(problem.K))
+        assert np.abs(transformed - T.T @ K @ T).max() < ROUND_OFF * np.abs(K).max()
+
+
+@pytest.mark.parametrize("partition", ["graph", "stripes", "bodies"])
+def test_transformation_follows_the_geometry(partition, rng):
+    """Inclined normals, on any partition, in place."""
+    b, problem = chain(partition=partition)
+    problem.audit()
+    before = dense_transformation(problem)
+    x = b.V.tabulate_dof_coordinates()
+    b.u.x.array[:] = 0.05 * np.column_stack([np.sin(x[:, 1]), x[:, 0] ** 2]).ravel()
+    problem.update_geometry()
+    T = dense_transformation(problem)
+    assert np.abs(T - expected_transformation(problem)).max() < ROUND_OFF
+    assert np.abs(T - before).max() > 1e-3
+
+
+@pytest.mark.mpi
+def test_independent_interfaces_share_one_factor():
+    b = Blocks(PILE)
+    interfaces = [b.join(dm.Contact, (k, ABOVE), (k + 1, BELOW)) for k in (1, 2)]
+    problem = b.problem(interfaces, [b.fix(k, WEST) for k in (1, 2, 3)])
+    problem.audit()
+    assert len(problem.transformation.factors) == 1
+    T = dense_transformation(problem)
+    assert np.abs(T - expected_transformation(problem)).max() < ROUND_OFF
+
+
+@pytest.mark.mpi
+def test_rigid_motions_are_kept():
+    """A common translation of all bodies has no relative part: y = R^T u with w_n = 0."""
+    _, problem = chain()
+    problem.audit()
+    T, N = dense_transformation(problem), problem.V.dofmap.index_map.size_global
+    u = np.tile([0.3, -0.7], N)
+    y = np.linalg.solve(T, u)
+    bounded = to_global(COMM, problem.bounded + problem.first_dof)
+    assert len(bounded) > 0 and np.abs(y[bounded]).max() < ROUND_OFF
+
+
+@pytest.mark.mpi
+def test_relative_and_transpose_are_adjoint(rng):
+    """For all v and all slave forces f, f . R^T (v - Q v) = v . (I - Q)^T R f."""
+    _, problem = chain()
+    problem.audit()
+    layout = problem.V.dofmap.index_map
+    everywhere = rng.normal(size=(layout.size_global, 4))
+    mine = everywhere[slice(*layout.local_range)]
+    v = problem.K.createVecRight()
+    v.array[:] = mine[:, :2].ravel()
+    for i in problem.interfaces:
+        f = mine[i.pattern.nodes, 2:]
+        left = np.sum(f * i.relative(v))
+        right = v.array_r @ i.transpose(np.einsum("nij,nj->ni", i.R, f)).ravel()
+        left, right = COMM.allreduce(np.array([left, right]))
+        assert left == pytest.approx(right, rel=ROUND_OFF)
+
+
+@pytest.mark.mpi
+def test_second_claims_and_cycles_are_removed_and_said():
+    b = Blocks(PILE)
+    up = b.join(dm.Contact, (1, ABOVE), (2, BELOW))
+    bcs = [b.fix(k, WEST) for k in (1, 2, 3)]
+    for later, why in (
+        (b.join(dm.Contact, (2, BELOW), (1, ABOVE)), "cycle"),
+        (b.join(dm.Tie, (1, ABOVE), (2, BELOW)), "claimed by an earlier interface"),
+    ):
+        problem = b.problem([up, later], bcs)
+        audit = problem.audit()
+        assert any(why in w and repr(later) in w for w in audit.warnings), audit
+        T = dense_transformation(problem)
+        assert np.abs(T - expected_transformation(problem)).max() < ROUND_OFF
+        assert np.linalg.matrix_rank(T) == len(T)
+        assert audit.interfaces[1].kept_nodes == 0 < audit.interfaces[0].kept_nodes
+
+
+@pytest.mark.mpi
+def test_removed_nodes_come_back_when_the_cycle_is_gone():
+    """Two interfaces lean on each other's slave nodes until one body has slid away."""
+    b = Blocks(PILE[:2])
+    up, down = (
+        b.join(dm.Contact, *s) for s in (((1, ABOVE), (2, BELOW)), ((2, BELOW), (1, ABOVE)))
+    )
+    problem = b.problem([up, down], [b.fix(1, BELOW), b.fix(2, ABOVE)])
+    problem.audit()
+    everywhere = np.flatnonzero(down.slave_nodes)
+    assert down.banned[everywhere].all() and not up.banned.any()
+    x = b.V.tabulate_dof_coordinates()
+    for slide, gone in ((9.0, True), (0.0, False)):
+        b.u.x.array[::2] = np.where(x[:, 1] > 1.0 + 1e-9, slide, 0.0)
+        b.u.x.array[2 * everywhere] = slide
+        problem.update_geometry(search=True)
+        assert down.banned[everywhere].any() != gone or everywhere.size == 0
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
+def test_prescribed_components_of_slave_nodes(kind):
+    """Dirichlet data on slave nodes with inclined normals hold exactly, in every component."""
+    b = Blocks(PILE[:2])
+    b.mesh.geometry.x[:, 1] += 0.2 * b.mesh.geometry.x[:, 0] ** 2
+    bcs = [
+        b.fix(1, BELOW),
+        b.fix(1, EAST, component=0, value=2e-3),
+        b.fix(1, WEST, component=0, value=-1e-3),
+        b.fix(2, EAST, component=0, value=1e-3),
+        b.fix(2, ABOVE, component=1, value=-1e-2),
+    ]
+    problem = b.problem([b.join(kind, (1, ABOVE), (2, BELOW))], bcs, geometry="reference")
+    report = dm.newton(problem, rtol=1e-10)
+    expected = fem.Function(b.V)
+    expected.x.array[:] = b.u.x.array
+    for bc in bcs:
+        bc.set(expected.x.array)
+    assert np.abs(b.u.x.array - expected.x.array).max(initial=0.0) < 1e-15
+    assert report.certificate.equilibrium < 1e-9

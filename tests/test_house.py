@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: MIT
+"""The floors of the house: which way imports point (ARCHITECTURE.md)."""
+
+import ast
+from pathlib import Path
+
+import dolfinx_mortar
+
+PACKAGE = Path(dolfinx_mortar.__file__).parent
+
+# Floor -> the floors it may import; "arrays" and "compat" are open to all.
+BELOW = {
+    "algebra": set(),
+    "geometry": set(),
+    "mortar": {"algebra", "geometry"},
+    "materials": set(),
+    "solid": {"algebra", "materials"},
+    "interfaces": {"algebra", "geometry", "mortar"},
+    "qp": {"algebra"},
+    "steps": {"algebra", "geometry", "mortar", "materials", "solid", "interfaces", "qp"},
+    "meshing": set(),
+    "analytic": set(),
+    "output": {"algebra", "materials"},
+}
+OPEN = {"arrays", "compat"}
+FOREIGN = {  # libraries that a floor must not know
+    "geometry": {"dolfinx", "petsc4py", "mpi4py", "ufl"},
+    "algebra": {"ufl", "basix"},
+    "qp": {"dolfinx", "ufl", "basix"},
+    "materials": {"dolfinx", "petsc4py", "mpi4py"},
+}
+
+
+def imported(file):
+    """Yield the dotted names that a file imports, also inside functions and for types only."""
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{file}: imports are absolute"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def floors():
+    """Return (file, its floor, the floors it imports, the libraries it imports)."""
+    found = []
+    for file in sorted(PACKAGE.rglob("*.py")):
+        parts = file.relative_to(PACKAGE).with_suffix("").parts
+        if parts == ("__init__",):
+            continue
+        names = [name.split(".") for name in imported(file)]
+        ours = {name[1] for name in names if name[0] == "dolfinx_mortar"}
+        found.append((file, parts[0], ours - {parts[0]} - OPEN, {name[0] for name in names}))
+    return found
+
+
+def test_imports_point_down():
+    wrong = {
+        str(file.relative_to(PACKAGE)): sorted(ours - BELOW[floor])
+        for file, floor, ours, _ in floors()
+        if floor not in OPEN and ours - BELOW[floor]
+    }
+    assert not wrong
+
+
+def test_floors_form_no_circle():
+    for floor, below in BELOW.items():
+        assert all(floor not in BELOW[other] for other in below)
+
+
+def test_floors_know_no_more_than_they_must():
+    wrong = {
+        str(file.relative_to(PACKAGE)): sorted(libraries & FOREIGN.get(floor, set()))
+        for file, floor, _, libraries in floors()
+        if libraries & FOREIGN.get(floor, set())
+    }
+    assert not wrong
+
+
+def test_every_floor_says_what_it_is_for():
+    for floor in BELOW:
+        if (PACKAGE / floor).is_dir():
+            assert ast.get_docstring(ast.parse((PACKAGE / floor / "__init__.py").read_text()))
