@@ -44,7 +44,7 @@ def work(h: float, log: str) -> None:
     problem = create(mesh, "plastic", "contact")
     report = newton(problem)
     wall, cpu = perf_counter() - begin[0], process_time() - begin[1]
-    pairing = problem.interfaces[0].pairing
+    pairing = problem.system.links[0].pairing
     facets = len(pairing.slave.facets)
     found = {
         "unknowns": 3 * problem.V.dofmap.index_map.size_global,

@@ -7,6 +7,7 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.interfaces.frames import create_frames
+from dolfinx_mortar.steps.linearisation import find_balance
 from tests.block_piles import (
     ABOVE,
     BELOW,
@@ -51,10 +52,11 @@ def expected_transformation(problem):
     """Return T = (I - Q)^-1 W from D, M, R and S, gathered, without the interfaces' products."""
     N, d = problem.V.dofmap.index_map.size_global, problem.d
     Q, W = np.zeros((N, d, N, d)), np.einsum("ij,ab->iajb", np.eye(N), np.eye(d))
-    for i in problem.interfaces:
+    for i in problem.system.links:
         D, M = to_dense(i.pairing.D), to_dense(i.pairing.M)
-        nodes = to_global(COMM, i.pattern.nodes + problem.V.dofmap.index_map.local_range[0])
-        kept, R, S = (to_global(COMM, a) for a in (i.kept.any(axis=1), i.R, i.S))
+        nodes = to_global(COMM, i.nodes + problem.V.dofmap.index_map.local_range[0])
+        kept = i.coupling.kept.any(axis=1)
+        kept, R, S = (to_global(COMM, a) for a in (kept, i.coupling.R, i.constrained))
         for j, node in zip(np.flatnonzero(kept), nodes[kept], strict=True):
             P = (M[node] - D[node] * (np.arange(N) != node)) / D[node, node]
             Q[node] = np.einsum("ab,l->alb", R[j] @ np.diag(S[j]) @ R[j].T, P)
@@ -70,13 +72,13 @@ def expected_transformation(problem):
 def test_transformation_of_a_chain(kinds):
     _, problem = chain(kinds)
     problem.audit()
-    assert len(problem.transformation.factors) == 2
+    assert len(problem.system.transformation.factors) == 2
     T = expected_transformation(problem)
     assert np.abs(dense_transformation(problem) - T).max() < ROUND_OFF
     problem.solid.assemble_tangent(problem.K)
     K = to_dense(problem.K)
     for _ in range(2):  # created, and refilled
-        transformed = to_dense(problem.transformation.transform(problem.K))
+        transformed = to_dense(problem.system.transformation.transform(problem.K))
         assert np.abs(transformed - T.T @ K @ T).max() < ROUND_OFF * np.abs(K).max()
 
 
@@ -88,7 +90,7 @@ def test_transformation_follows_the_geometry(partition, rng):
     before = dense_transformation(problem)
     x = b.V.tabulate_dof_coordinates()
     b.u.x.array[:] = 0.05 * np.column_stack([np.sin(x[:, 1]), x[:, 0] ** 2]).ravel()
-    problem.update_geometry()
+    problem.update_geometry(0.0)
     T = dense_transformation(problem)
     assert np.abs(T - expected_transformation(problem)).max() < ROUND_OFF
     assert np.abs(T - before).max() > 1e-3
@@ -100,7 +102,7 @@ def test_independent_interfaces_share_one_factor():
     interfaces = [b.join(dm.Contact, (k, ABOVE), (k + 1, BELOW)) for k in (1, 2)]
     problem = b.problem(interfaces, [b.fix(k, WEST) for k in (1, 2, 3)])
     problem.audit()
-    assert len(problem.transformation.factors) == 1
+    assert len(problem.system.transformation.factors) == 1
     T = dense_transformation(problem)
     assert np.abs(T - expected_transformation(problem)).max() < ROUND_OFF
 
@@ -113,7 +115,8 @@ def test_rigid_motions_are_kept():
     T, N = dense_transformation(problem), problem.V.dofmap.index_map.size_global
     u = np.tile([0.3, -0.7], N)
     y = np.linalg.solve(T, u)
-    bounded = to_global(COMM, problem.bounded + problem.first_dof)
+    own = find_balance(problem, problem.begin_step()).bounds.dofs
+    bounded = to_global(COMM, own + problem.first_dof)
     assert len(bounded) > 0 and np.abs(y[bounded]).max() < ROUND_OFF
 
 
@@ -127,10 +130,10 @@ def test_relative_and_transpose_are_adjoint(rng):
     mine = everywhere[slice(*layout.local_range)]
     v = problem.K.createVecRight()
     v.array[:] = mine[:, :2].ravel()
-    for i in problem.interfaces:
-        f = mine[i.pattern.nodes, 2:]
+    for i in problem.system.links:
+        f = mine[i.nodes, 2:]
         left = np.sum(f * i.relative(v))
-        right = v.array_r @ i.transpose(np.einsum("nij,nj->ni", i.R, f)).ravel()
+        right = v.array_r @ i.transpose(np.einsum("nij,nj->ni", i.coupling.R, f)).ravel()
         left, right = COMM.allreduce(np.array([left, right]))
         assert left == pytest.approx(right, rel=ROUND_OFF)
 
@@ -162,14 +165,16 @@ def test_removed_nodes_come_back_when_the_cycle_is_gone():
     )
     problem = b.problem([up, down], [b.fix(1, BELOW), b.fix(2, ABOVE)])
     problem.audit()
-    everywhere = np.flatnonzero(down.slave_nodes)
-    assert down.banned[everywhere].all() and not up.banned.any()
+    upper, lower = problem.system.links
+    everywhere = np.flatnonzero(lower.sides.on_slave)
+    assert lower.banned[everywhere].all() and not upper.banned.any()
     x = b.V.tabulate_dof_coordinates()
     for slide, gone in ((9.0, True), (0.0, False)):
         b.u.x.array[::2] = np.where(x[:, 1] > 1.0 + 1e-9, slide, 0.0)
         b.u.x.array[2 * everywhere] = slide
-        problem.update_geometry(search=True)
-        assert down.banned[everywhere].any() != gone or everywhere.size == 0
+        problem.update_geometry(0.0, search=True)
+        banned = problem.system.link(down).banned
+        assert banned[everywhere].any() != gone or everywhere.size == 0
 
 
 @pytest.mark.mpi

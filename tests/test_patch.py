@@ -104,9 +104,10 @@ def check(problem, contact, exact):
     scale = np.abs(exact.x.array).max(initial=0.0)
     error, scale = maximum(MPI.COMM_WORLD, error, scale)
     assert error < EXACT * scale
-    kept = contact.S[:, 0]
+    link = problem.system.link(contact)
+    kept = link.constrained[:, 0]
     assert np.abs(contact.multiplier[kept] - P).max(initial=0.0) < EXACT * P
-    on_slave = contact.slave_nodes & (contact.pressure.x.array != 0)
+    on_slave = link.sides.on_slave & (contact.pressure.x.array != 0)
     assert np.abs(contact.pressure.x.array[on_slave] - P).max(initial=0.0) < EXACT * P
     assert report.certificate.equilibrium < EXACT
     assert report.certificate.force_balance < EXACT
@@ -151,7 +152,9 @@ def test_little_coverage(slave, covered):
     problem, contact, exact = solve_patch(slave, *lines, hold="edge")
     check(problem, contact, exact)
     # a node that too little faces has no multiplier of its own: a neighbour has its share
-    kept = MPI.COMM_WORLD.allreduce(int(np.sum(contact.kept)), op=MPI.SUM)
+    kept = MPI.COMM_WORLD.allreduce(
+        int(np.sum(problem.system.link(contact).coupling.kept)), op=MPI.SUM
+    )
     assert kept == len(long) - (covered**2 <= 0.05)
 
 

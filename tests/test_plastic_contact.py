@@ -157,14 +157,14 @@ def test_failure_leaves_everything_as_before():
     case.problem.commit()
     solid = case.problem.solid
     before = {name: f.x.array.copy() for name, f in solid.state.items()}
-    u, active = case.problem.u.x.array.copy(), case.problem.active.copy()
+    u, active = case.problem.u.x.array.copy(), case.problem.committed.active.copy()
     case.press(0.4)
     with pytest.raises(dm.NewtonNotConverged) as caught:
         dm.newton(case.problem, max_it=2)
     assert caught.value.report.newton_iterations == 2
     assert not caught.value.report.converged
     assert np.array_equal(case.problem.u.x.array, u)
-    assert np.array_equal(case.problem.active, active)
+    assert np.array_equal(case.problem.committed.active, active)
     for name, f in solid.state.items():
         assert np.array_equal(f.x.array, before[name])
     assert dm.newton(case.problem).converged

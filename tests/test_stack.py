@@ -84,9 +84,9 @@ def press(mesh, tags, interfaces):
         np.abs(exact.x.array).max(initial=0.0),
     )
     assert error < EXACT * size
-    for i in problem.interfaces:
-        on = i.kept.any(axis=1)
-        pressure = i.pressure.x.array[i.pattern.nodes[on]]
+    for link in problem.system.links:
+        on = link.coupling.kept.any(axis=1)
+        pressure = link.interface.pressure.x.array[link.nodes[on]]
         assert np.abs(pressure - P).max(initial=0.0) < 1e-9 * P
     return problem, report
 
@@ -157,7 +157,7 @@ def test_two_blocks_on_one(case, kind):
         return [kind(tags, slave=s, master=m) for s, m in BESIDE[case]]
 
     problem, _ = press(mesh, tags, create)
-    claimed = sum("claimed" in note for note in problem.notes)
+    claimed = sum("claimed" in note for note in problem.system.notes)
     assert claimed == (case == "slave twice")
     for interface in problem.interfaces:
         assert np.isclose(abs(interface.force[1]), P, rtol=0.35)
@@ -182,4 +182,4 @@ def test_cycle(kind):
         return [kind(tags, slave=20, master=11), kind(tags, slave=12, master=21)]
 
     problem, _ = press(mesh, tags, create)
-    assert any("cycle" in note for note in problem.notes)
+    assert any("cycle" in note for note in problem.system.notes)

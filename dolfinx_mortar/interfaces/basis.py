@@ -19,8 +19,8 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.blocks import BlockMatrix
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
-from dolfinx_mortar.interfaces.claims import referenced
-from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.interfaces.claims import find_leant_on
+from dolfinx_mortar.interfaces.coupling import Link
 
 
 class Transformation:
@@ -28,32 +28,33 @@ class Transformation:
 
     Args:
         V: the vector space of the displacement.
-        interfaces: interfaces whose pairing exists.
+        links: the interfaces with their pairings, claims and near nodes.
         order: topological order of the interfaces, from ``resolve_claims``.
     """
 
-    def __init__(
-        self, V: fem.FunctionSpace, interfaces: Sequence[Interface], order: list[int]
-    ) -> None:
+    def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], order: list[int]) -> None:
         """Build the patterns; values come with ``update``."""
-        self.V = V
-        ordered = [interfaces[i] for i in order]
         # Without chains all interfaces fit in one matrix, which saves the products.
-        own = slice(None, ordered[0].n_owned)
-        leans = [referenced(i) | i.banned[own] for i in ordered]
+        n = V.dofmap.index_map.size_local
+        leans = [
+            find_leant_on(link.sides, link.pattern, link.banned[:n], link.coupling.coverage)
+            for link in links
+        ]
         chained = any(
-            (lean & other.slave_nodes[own] & ~other.banned[own]).any()
-            for i, lean in enumerate(leans)
-            for other in ordered[i + 1 :]
+            (leans[i] & links[k].sides.on_slave[:n] & ~links[k].banned[:n]).any()
+            for position, i in enumerate(order)
+            for k in order[position + 1 :]
         )
-        groups = [[i] for i in ordered] if any_rank(V.mesh.comm, chained)[0] else [ordered]
-        self.factors = [_Factor(V, group) for group in groups]  # T is their product
+        groups = [[i] for i in order] if any_rank(V.mesh.comm, chained)[0] else [order]
+        self.links = links
+        self.factors = [_Factor(V, links, group) for group in groups]  # T is their product
         self._congruences: list[Congruence] = []
 
-    def update(self) -> None:
+    def update(self, links: Sequence[Link]) -> None:
         """Refill T from the interfaces' frames and couplings; collective."""
+        self.links = links
         for factor in self.factors:
-            factor.update()
+            factor.update(links)
 
     def apply(self, y: PETSc.Vec, u: PETSc.Vec) -> None:
         """Set u = T y; collective."""
@@ -79,7 +80,7 @@ class Transformation:
 
         Args:
             K: matrix in u.
-            held: owned unknowns of y that are held by their bounds.
+            held: owned unknowns of y that are held, by bounds or for good.
             motions: displacements.
 
         Returns:
@@ -89,7 +90,7 @@ class Transformation:
             for factor in self.factors:
                 K = Congruence(K, factor.S).product
             return K, None, [self.inverse(motion) for motion in motions]
-        S, E = self.factors[0].release(held)
+        S, E = self.factors[0].release(self.links, held)
         released = []
         for motion in motions:
             y = self.inverse(motion)
@@ -101,7 +102,7 @@ class Transformation:
     def inverse(self, u: PETSc.Vec) -> PETSc.Vec:
         """Return y with T y = u; collective."""
         for factor in self.factors:
-            u = factor.inverse(u)
+            u = factor.inverse(self.links, u)
         return u
 
     def transform(self, K: PETSc.Mat) -> PETSc.Mat:
@@ -149,34 +150,39 @@ class Congruence:
 class _Factor:
     """T = I + S of interfaces that do not lean on each other's slave nodes."""
 
-    def __init__(self, V: fem.FunctionSpace, interfaces: Sequence[Interface]) -> None:
+    def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], members: list[int]) -> None:
         first, n = V.dofmap.index_map.local_range[0], V.dofmap.index_map.size_local
         taken = np.zeros(n, dtype=bool)
         rows, columns = [], []
-        self.parts: list[tuple[Interface, Bools]] = []
+        self.parts: list[tuple[int, Bools]] = []
         # A node on several slave sides takes its frame from the interface that may keep it.
-        for i in interfaces:
-            p = i.pattern
-            mine = ~taken[p.nodes] & (~i.banned[p.nodes] | ~_kept_elsewhere(i, interfaces))
-            taken[p.nodes[mine]] = True
-            self.parts.append((i, mine))
-            near = i.near[p.row]
-            rows += [p.nodes[mine], p.nodes[p.row[near]]]
-            columns += [p.nodes[mine].astype(np.int64) + first, p.column[near]]
+        for k in members:
+            link, p = links[k], links[k].pattern
+            others = [links[i] for i in members if i != k]
+            mine = ~taken[link.nodes] & ~(link.banned[link.nodes] & _kept_by(others, link.nodes))
+            taken[link.nodes[mine]] = True
+            self.parts.append((k, mine))
+            near = link.near[p.row]
+            rows += [link.nodes[mine], link.nodes[p.row[near]]]
+            columns += [link.nodes[mine].astype(np.int64) + first, p.column[near]]
         self.V = V
         self._blocks = BlockMatrix(V, np.concatenate(rows), np.concatenate(columns))
         self.S = self._blocks.matrix
 
-    def update(self) -> None:
+    def update(self, links: Sequence[Link]) -> None:
         """Refill the matrix from the interfaces' frames and couplings; collective."""
         values = []
-        for i, mine in self.parts:
-            turn = _frames(i)[mine] - np.eye(i.d)
-            values += [turn, i.blocks[i.near[i.pattern.row]]]
+        for k, mine in self.parts:
+            link = links[k]
+            turn = link.frames[mine] - np.eye(link.frames.shape[1])
+            values += [turn, link.coupling.blocks[link.near[link.pattern.row]]]
         self._blocks.fill(np.concatenate(values))
 
-    def release(self, held: Ints) -> tuple[PETSc.Mat, PETSc.Mat]:
-        """Return S of contact at held unknowns only, without stored zeros, and E; collective."""
+    def release(self, links: Sequence[Link], held: Ints) -> tuple[PETSc.Mat, PETSc.Mat]:
+        """Return S of constraints at held unknowns only, without stored zeros, and E; collective.
+
+        Only a constraint along the normal can let go: contact that is not held is open.
+        """
         V = self.V
         first, n = V.dofmap.index_map.local_range[0], V.dofmap.index_map.size_local
         d = V.dofmap.index_map_bs
@@ -184,44 +190,35 @@ class _Factor:
         is_held[held] = True
         S: list[tuple[Ints, Longs, Floats]] = []
         E: list[tuple[Ints, Longs, Floats]] = []
-        for i, mine in self.parts:
-            p = i.pattern
-            nodes = p.nodes[mine]
-            S.append((nodes, nodes.astype(np.int64) + first, _frames(i)[mine] - np.eye(d)))
-            open_ = (i.kind == "contact") & i.S[:, 0] & ~is_held[d * p.nodes]
-            used = i.blocks.any(axis=(1, 2)) & i.near[p.row]
+        for k, mine in self.parts:
+            link, p, blocks = links[k], links[k].pattern, links[k].coupling.blocks
+            nodes = link.nodes[mine]
+            S.append((nodes, nodes.astype(np.int64) + first, link.frames[mine] - np.eye(d)))
+            open_ = link.constrained[:, 0] & ~is_held[d * link.nodes]
+            used = blocks.any(axis=(1, 2)) & link.near[p.row]
             on, off = used & ~open_[p.row], used & open_[p.row]
-            S.append((p.nodes[p.row[on]], p.column[on], i.blocks[on]))
+            S.append((link.nodes[p.row[on]], p.column[on], blocks[on]))
             normal = np.zeros((int(off.sum()), d, d))
-            normal[:, 0] = np.einsum("ea,eab->eb", i.normals[p.row[off]], i.blocks[off])
-            E.append((p.nodes[p.row[off]], p.column[off], normal))
+            normal[:, 0] = np.einsum("ea,eab->eb", link.coupling.normals[p.row[off]], blocks[off])
+            E.append((link.nodes[p.row[off]], p.column[off], normal))
         return _create(V, S), _create(V, E)
 
-    def inverse(self, u: PETSc.Vec) -> PETSc.Vec:
+    def inverse(self, links: Sequence[Link], u: PETSc.Vec) -> PETSc.Vec:
         """Return y with T y = u: w_j = R_j^T (u_j - sum_l Q_jl u_l) at slave nodes; collective."""
-        difference = u.copy()
-        for i, _ in self.parts:
-            moved = (i.Q * u).array_r.reshape(-1, i.d)
-            nodes = i.pattern.nodes[i.near]  # the others know nothing of the master
-            difference.array.reshape(-1, i.d)[nodes] -= moved[nodes]
+        difference, d = u.copy(), self.V.dofmap.index_map_bs
+        for k, _ in self.parts:
+            moved = (links[k].coupling.Q * u).array_r.reshape(-1, d)
+            nodes = links[k].nodes[links[k].near]  # the others know nothing of the master
+            difference.array.reshape(-1, d)[nodes] -= moved[nodes]
         y = u.copy()
-        for i, mine in self.parts:
-            nodes = i.pattern.nodes[mine]
-            slip = difference.array_r.reshape(-1, i.d)[nodes]
-            y.array.reshape(-1, i.d)[nodes] = np.einsum("nij,ni->nj", _frames(i)[mine], slip)
+        for k, mine in self.parts:
+            nodes = links[k].nodes[mine]
+            slip = difference.array_r.reshape(-1, d)[nodes]
+            y.array.reshape(-1, d)[nodes] = np.einsum("nij,ni->nj", links[k].frames[mine], slip)
         return y
 
 
-def _frames(interface: Interface) -> Floats:
-    """Return the frames (n, d, d) of the slave nodes, Cartesian ones where nothing is bound."""
-    bound = np.asarray(interface.S.any(axis=1))[:, None, None]
-    return np.where(bound, interface.R, np.eye(interface.d))
-
-
-def _create(
-    V: fem.FunctionSpace,
-    parts: Sequence[tuple[Ints, Longs, Floats]],
-) -> PETSc.Mat:
+def _create(V: fem.FunctionSpace, parts: Sequence[tuple[Ints, Longs, Floats]]) -> PETSc.Mat:
     """Return the matrix of parts (rows, columns, blocks); collective."""
     rows, columns, values = (np.concatenate([part[k] for part in parts]) for k in range(3))
     blocks = BlockMatrix(V, rows, columns)
@@ -229,11 +226,9 @@ def _create(
     return blocks.matrix
 
 
-def _kept_elsewhere(interface: Interface, group: Sequence[Interface]) -> Bools:
-    """Return which slave nodes of an interface another one of the group may keep."""
-    nodes = interface.pattern.nodes
+def _kept_by(links: Sequence[Link], nodes: Ints) -> Bools:
+    """Return which of the owned nodes some interface may keep as slave nodes."""
     found = np.zeros(len(nodes), dtype=bool)
-    for other in group:
-        if other is not interface:
-            found |= other.slave_nodes[nodes] & ~other.banned[nodes]
+    for link in links:
+        found |= link.sides.on_slave[nodes] & ~link.banned[nodes]
     return found

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -11,69 +12,147 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arrays import Bools
+from dolfinx_mortar.arrays import Bools, Ints
+from dolfinx_mortar.interfaces.coupling import Pattern, Sides, share
 from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.mortar.operators import LEAST_COVERAGE, Coverage
 
 
-def referenced(interface: Interface) -> Bools:
+@dataclass(frozen=True)
+class Claims:
+    """The owners of slave nodes that several interfaces want, and what follows."""
+
+    owner: Ints  # (owned nodes,) the interface that may keep it
+    banned: list[Bools]  # for each interface (local nodes,): slave nodes that it may not keep
+    leans: frozenset[tuple[int, int]]  # (i, k): i leans on slave nodes of k, T_i is left of T_k
+    order: list[int]  # in which the transformations multiply
+    notes: list[str]  # on what was removed
+
+
+def referenced(sides: Sides, pattern: Pattern) -> Bools:
     """Return which owned nodes the candidate pairs of an interface lean on; collective."""
-    V, p = interface.V, interface.pattern
-    layout, n = V.dofmap.index_map, interface.n_owned
-    count = PETSc.Vec().createMPI((n, layout.size_global), comm=V.mesh.comm)
-    columns = p.column[p.from_D.size :].astype(PETSc.IntType)
+    layout = sides.V.dofmap.index_map
+    count = PETSc.Vec().createMPI((sides.n_owned, layout.size_global), comm=sides.V.mesh.comm)
+    columns = pattern.column[pattern.from_D.size :].astype(PETSc.IntType)
     count.setValues(columns, np.ones(len(columns)), addv=PETSc.InsertMode.ADD_VALUES)
     count.assemble()
     return np.asarray(count.array_r > 0)
 
 
-def resolve_claims(interfaces: Sequence[Interface]) -> tuple[list[int], list[str]]:
+def choose_owners(sides: Sequence[Sides], coverage: Sequence[Coverage]) -> Ints:
+    """Return for each owned node (n,) the interface that may keep it; no communication.
+
+    A node on several slave sides belongs to the first interface whose master it faces, that is, by
+    which it is covered enough to carry a multiplier; failing that, to the first that covers it.
+    """
+    n = sides[0].n_owned
+    owner, best = np.zeros(n, dtype=np.int32), np.full(n, -1)
+    for k, (side, found) in enumerate(zip(sides, coverage, strict=True)):
+        level = np.full(n, -1)
+        level[side.nodes] = 1 * (found.share > 0.0) + (found.share > LEAST_COVERAGE)
+        owner[level > best] = k
+        best = np.maximum(best, level)
+    return owner
+
+
+def find_leant_on(sides: Sides, pattern: Pattern, banned: Bools, coverage: Coverage) -> Bools:
+    """Return which owned nodes P of an interface may refer to; collective.
+
+    Master nodes of the candidate pairs, and slave nodes without multiplier that share a covered
+    facet with others: their dual function is shared out, and they enter P like master nodes.
+    """
+    leant_on = referenced(sides, pattern)
+    leant_on[sides.nodes[coverage.reached & banned[sides.nodes]]] = True
+    return leant_on
+
+
+def resolve_claims(
+    interfaces: Sequence[Interface],
+    sides: Sequence[Sides],
+    patterns: Sequence[Pattern],
+    coverage: Sequence[Coverage],
+) -> Claims:
     """Give every slave node to one interface and order the interfaces; collective.
 
-    A second claim on a slave node, and a claim that would close a cycle, is removed from the later
-    interface (the node's dual function is shared out, it stays on the slave side). What an earlier
-    search removed counts no more: bodies that have slid lean on other nodes.
+    A claim that would close a cycle is removed from the later interface. The dual function of a
+    removed node is shared out, it stays on the slave side.
 
-    Returns:
-        The order in which the transformations multiply, and notes on what was removed.
+    Args:
+        interfaces: the descriptions, in the user's order.
+        sides: their surfaces.
+        patterns: what their candidate pairs couple.
+        coverage: how far the slave nodes face the masters.
     """
+    comm, n = sides[0].V.mesh.comm, sides[0].n_owned
+    owner = choose_owners(sides, coverage)
+    slaves = [s.on_slave[:n] for s in sides]
+    banned = [slave & (owner != k) for k, slave in enumerate(slaves)]
     notes: list[str] = []
-    if not interfaces:
-        return [], notes
-    comm = interfaces[0].V.mesh.comm
-    for interface in interfaces:
-        interface.banned[:] = False
-    claimed = np.zeros(interfaces[0].n_local, dtype=bool)
-    leant_on = [referenced(interface) for interface in interfaces]
-    ahead: set[tuple[int, int]] = set()  # (i, k): T_i stands left of T_k, i leans on slaves of k
+    leans: set[tuple[int, int]] = set()
 
-    def remove(k: int, nodes: Bools, why: str) -> None:
-        own = nodes[: interfaces[k].n_owned] & ~interfaces[k].banned[: interfaces[k].n_owned]
-        count = comm.allreduce(int(own.sum()), op=MPI.SUM)
+    def note(k: int, nodes: Bools, why: str) -> None:
+        count = comm.allreduce(int(nodes.sum()), op=MPI.SUM)
         if count:
-            interfaces[k].banned |= interfaces[k].share(own)
             notes.append(f"{interfaces[k]}: {count} slave nodes removed, {why}")
 
     def leaning(i: int, k: int) -> Bools:
         """Return the owned slave nodes of k that i leans on."""
-        own = slice(None, interfaces[k].n_owned)
-        slaves = interfaces[k].slave_nodes[own] & ~interfaces[k].banned[own]
-        # removed slave nodes enter like master nodes
-        return np.asarray((leant_on[i] | interfaces[i].banned[own]) & slaves)
+        leant_on = find_leant_on(sides[i], patterns[i], banned[i], coverage[i])
+        return np.asarray(leant_on & slaves[k] & ~banned[k])
 
-    for k, interface in enumerate(interfaces):
-        remove(k, interface.slave_nodes & claimed, "claimed by an earlier interface")
+    def remove(k: int, nodes: Bools, why: str) -> None:
+        note(k, nodes, why)
+        banned[k] |= nodes
+
+    for k in range(len(sides)):
+        lost = np.zeros(n, dtype=bool)
+        lost[sides[k].nodes] = coverage[k].share > LEAST_COVERAGE
+        note(
+            k,
+            lost & banned[k],
+            "claimed by an earlier interface whose master they face as well; "
+            "give both masters one tag",
+        )
         remove(k, leaning(k, k), "they are master nodes of the same interface")
-        ahead |= {(k, i) for i in range(k) if any_rank(comm, leaning(k, i).any())[0]}
+        leans |= {(k, i) for i in range(k) if any_rank(comm, leaning(k, i).any())[0]}
         for i in range(k):
             hit = leaning(i, k)
             if not any_rank(comm, hit.any())[0]:
                 continue
-            if _reaches(ahead, k, i):
+            if _reaches(leans, k, i):
                 remove(k, hit, f"they would close a cycle with {interfaces[i]}")
             else:
-                ahead.add((i, k))
-        claimed |= interface.slave_nodes & ~interface.banned
-    return _topological(len(interfaces), ahead), notes
+                leans.add((i, k))
+    shared = [share(s.V, b) for s, b in zip(sides, banned, strict=True)]
+    return Claims(owner, shared, frozenset(leans), _topological(len(sides), leans), notes)
+
+
+def are_outdated(
+    claims: Claims,
+    sides: Sequence[Sides],
+    patterns: Sequence[Pattern],
+    coverage: Sequence[Coverage],
+) -> bool:
+    """Tell whether bodies have slid so far that claims must be settled anew; collective.
+
+    That is so if a node no longer faces the master of its interface, but another one's, or if an
+    interface leans on another one that it did not lean on before.
+    """
+    if len(sides) < 2:
+        return False
+    n = sides[0].n_owned
+    best = choose_owners(sides, coverage)
+    faces = np.zeros((len(sides), n), dtype=bool)
+    for k, (side, found) in enumerate(zip(sides, coverage, strict=True)):
+        faces[k, side.nodes] = found.share > LEAST_COVERAGE
+    own = np.arange(n)
+    outdated = [bool((~faces[claims.owner, own] & faces[best, own]).any())]
+    for i, (side, pattern) in enumerate(zip(sides, patterns, strict=True)):
+        leant_on = find_leant_on(side, pattern, claims.banned[i][:n], coverage[i])
+        for k, other in enumerate(sides):
+            hit = leant_on & other.on_slave[:n] & ~claims.banned[k][:n]
+            outdated.append(bool(hit.any()) and i != k and (i, k) not in claims.leans)
+    return bool(any_rank(sides[0].V.mesh.comm, any(outdated))[0])
 
 
 def _reaches(edges: set[tuple[int, int]], a: int, b: int) -> bool:

@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.interfaces.constraints import Constraints
 from dolfinx_mortar.interfaces.frames import create_frames
-from dolfinx_mortar.interfaces.interface import Interface
-from dolfinx_mortar.interfaces.results import Result
+from dolfinx_mortar.interfaces.interface import Frame, Interface
 
 # A slave normal that loses more than this share of its length to Dirichlet data has no direction
 # left in which contact could act.
@@ -26,48 +26,31 @@ class Contact(Interface):
     """
 
     kind = "contact"
-    multiplier: Any = Result()  # (n,) lambda_j at the owned slave nodes
+    one_sided = True
 
-    def _allowed(self, nodes: Ints, left: Floats) -> Bools:
+    def may_carry(self, left: Floats, fixed: Bools) -> Bools:
+        """Return (n, 1): nodes whose normal is not taken by Dirichlet data."""
         return np.asarray((left >= MIN_FREE_NORMAL)[:, None])
 
-    def _set_frames(self, P: Floats, normals: Floats) -> None:
-        kept, p = self.kept[:, 0], self.pattern
-        fixed = self.fixed[p.nodes]
-        frames, slots = create_frames(np.where(kept[:, None], normals, np.eye(self.d)[0]), fixed)
-        self.normals = np.where(kept[:, None], normals, 0.0)
-        self.R = np.where(kept[:, None, None], frames, np.eye(self.d))
-        self._slots = slots
-        self.restrict(self.near)
-        n = self.normals[p.row]
-        self._fill(P[:, 0, None, None] * n[:, :, None] * n[:, None, :])
+    def frame(self, normals: Floats, kept: Bools, fixed: Bools) -> Frame:
+        """Return frames with the normal first, of which the normal is constrained."""
+        d = normals.shape[1]
+        some = kept[:, :1]
+        frames, slots = create_frames(np.where(some, normals, np.eye(d)[0]), fixed)
+        R = np.where(some[:, :, None], frames, np.eye(d))
+        return Frame(R, slots, some & (np.arange(d) == 0), np.where(some, normals, 0.0))
 
-    def restrict(self, near: Bools) -> None:
-        """Let only these of the kept nodes take part in the change of basis, (n,)."""
-        self.near = near
-        axes = np.arange(self.d, dtype=np.int32)
-        self.S = (self.kept[:, 0] & near)[:, None] & (axes == 0)
-        left = np.where(self.fixed[self.pattern.nodes], axes, -1)
-        self.slot = np.where(self.S[:, :1], self._slots, left)
+    def blocks(self, P: Floats, normals: Floats) -> Floats:
+        """Return P_jl n_j n_j^T."""
+        return np.asarray(P[:, 0, None, None] * normals[:, :, None] * normals[:, None, :])
 
-    def set_results(self, reaction: Floats, active: Bools, gap: Floats, x: Floats) -> None:
-        """Set resultants and Functions; collective.
+    def measured(self, x: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:
+        """Return the positions."""
+        return x
 
-        Args:
-            reaction: (n,) D_jj lambda_j >= 0 at the owned slave nodes.
-            active: (n,) nodes in contact.
-            gap: (n,) nodal gaps w_n may still close.
-            x: (owned nodes, d) coordinates for the moments.
-        """
-        kept = self.kept[:, 0]
-        self.set_resultants(reaction[:, None] * self.normals, x)
-        self.multiplier = np.divide(
-            reaction, self.weight[:, 0], out=np.zeros_like(reaction), where=kept
-        )
-        on_slave = self.slave_nodes
-        for function, values in ((self.pressure, self.multiplier), (self.gap, gap)):
-            function.x.array[:] = np.where(on_slave, self._extend(values, kept), 0.0)
-        self.pressure.x.array[:] = np.nan_to_num(self.pressure.x.array)
-        self.active.x.array[:] = 0.0
-        self.active.x.array[self.pattern.nodes] = active
-        self.active.x.scatter_forward()
+    def constraints(self, nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
+        """Return w_n <= gap, the gap being minus the relative position along the normal."""
+        on = directions[:, 0]
+        gap = -slip[on, 0]
+        dofs = (directions.shape[1] * nodes[on]).astype(np.int32)
+        return Constraints(dofs, np.full(len(gap), -np.inf), gap, D[on, 0])

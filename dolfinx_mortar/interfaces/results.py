@@ -1,60 +1,126 @@
 # SPDX-License-Identifier: MIT
-"""Results of interfaces: missing before the first step, and merged where slave sides meet."""
+"""Results of a step: resultants, nodal tractions and gaps, merged where slave sides meet."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+
+from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx import fem
-
-if TYPE_CHECKING:
-    from dolfinx_mortar.interfaces.interface import Interface
-
-
-class NoResult(RuntimeError, AttributeError):
-    """A result was asked for before the first step; also an AttributeError, for ``hasattr``."""
-
-    def __init__(self, interface: Interface, name: str) -> None:
-        """Say what is missing, and what to do."""
-        super().__init__(f"{interface} has no {name} yet: solve a step first, newton(problem)")
+from dolfinx import fem, la
+from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.interfaces.coupling import Link, Sides, share
+from dolfinx_mortar.interfaces.interface import Fields, Interface, Resultants
+from dolfinx_mortar.mortar.operators import LEAST_COVERAGE
 
 
-class Result:
-    """Stands for a result until a step sets it: asking for it is an error that says so."""
+def set_results(link: Link, reaction: Floats, gap: Floats, active: Bools, x: Floats) -> None:
+    """Set resultants and Functions of an interface; collective.
 
-    def __set_name__(self, owner: type, name: str) -> None:
-        """Take the name of the attribute."""
-        self.name = name
+    Args:
+        link: the interface in its present configuration.
+        reaction: (n, d) D_jj lambda_j in the frames, at the owned slave nodes; zero in directions
+            that are not constrained.
+        gap: (n,) nodal gaps that may still close; zero for a tie.
+        active: (n,) nodes on which the interface acts.
+        x: (owned nodes, d) coordinates at which the forces act.
+    """
+    fields = link.interface.fields
+    assert fields is not None
+    kept, D = link.coupling.kept.any(axis=1), link.coupling.weight
+    weight = np.broadcast_to(D, reaction.shape)
+    multiplier = np.divide(reaction, weight, out=np.zeros_like(reaction), where=weight > 0)
+    forces = np.einsum("nij,nj->ni", link.coupling.R, reaction)
+    link.interface.resultants = _resultants(link, forces, multiplier, x)
+    largest = np.maximum(D.max(axis=1, initial=0.0), np.finfo(float).tiny)
+    normal = np.einsum("ni,ni->n", forces, link.coupling.normals) / largest
+    _fill(fields.pressure, link, np.where(kept, normal, 0.0), kept)
+    fields.pressure.x.array[:] = np.nan_to_num(fields.pressure.x.array)
+    _fill(fields.gap, link, gap, kept)
+    fields.active.x.array[:] = 0.0
+    fields.active.x.array[link.nodes] = active
+    fields.active.x.scatter_forward()
 
-    def __get__(self, interface: Interface | None, owner: type) -> Any:
-        """Raise the error; a result that has been set hides this."""
-        if interface is None:
-            return self
-        raise NoResult(interface, self.name)
+
+def _resultants(link: Link, forces: Floats, multiplier: Floats, x: Floats) -> Resultants:
+    """Return the resultants of the forces (n, d) that the slave nodes exert; collective."""
+    n, d = link.sides.n_owned, forces.shape[1]
+    f, points = np.zeros((n, 3)), np.zeros((n, 3))
+    f[:, :d], points[:, :d] = link.transpose(forces), x
+    sides = [
+        np.where(side[:n, None], -f, 0.0) for side in (link.sides.on_slave, link.sides.on_master)
+    ]
+    local = np.array([[s.sum(axis=0), np.cross(points, s).sum(axis=0)] for s in sides])
+    total = link.sides.V.mesh.comm.allreduce(local, op=MPI.SUM)
+    return Resultants(
+        force=total[0, 0, :d],
+        moment=total[0, 1],
+        master_force=total[1, 0, :d],
+        master_moment=total[1, 1],
+        multiplier=multiplier[:, 0] if link.coupling.kept.shape[1] == 1 else multiplier,
+        nodes=link.nodes,
+        carries=link.coupling.kept.any(axis=1),
+    )
+
+
+def _fill(function: fem.Function, link: Link, values: Floats, kept: Bools) -> None:
+    """Set a Function to nodal values on the slave side, zero off it; collective.
+
+    Covered slave nodes without multiplier get the mean of the kept ones on their facets. A kept
+    node's value is a traction even if the node is partly covered, because D_jj is its covered
+    weight; a removed node has handed its dual function to those neighbours. Nodes beyond the master
+    are not-a-number.
+    """
+    sides = link.sides
+    vector = la.vector(sides.V.dofmap.index_map, 2)
+    array = vector.array.reshape(-1, 2)
+    array[link.nodes] = np.column_stack([np.where(kept, values, 0.0), kept])
+    vector.scatter_forward()
+    known = array.copy()
+    covered = np.zeros(sides.n_owned, dtype=bool)
+    covered[link.nodes] = link.coupling.coverage.share > LEAST_COVERAGE
+    facets = sides.slave.nodes[sides.slave.facets]
+    array[:] = 0.0
+    np.add.at(array, facets, known[facets].sum(axis=1, keepdims=True))
+    vector.scatter_reverse(la.InsertMode.add)
+    vector.scatter_forward()
+    with np.errstate(invalid="ignore"):
+        extended = np.where(share(sides.V, covered), array[:, 0] / array[:, 1], np.nan)
+    result = np.where(known[:, 1] > 0, known[:, 0], extended)
+    function.x.array[:] = np.where(sides.on_slave, result, 0.0)
+
+
+def _field(fields: Fields | None, name: str) -> fem.Function:
+    assert fields is not None
+    function: fem.Function = getattr(fields, "active" if name == "status" else name)
+    return function
 
 
 def merge_results(
-    interfaces: Sequence[Interface], name: str, function: fem.Function
+    sides: Sequence[Sides], interfaces: Sequence[Interface], name: str, function: fem.Function
 ) -> fem.Function:
     """Fill a Function with "pressure", "gap" or "status" of all interfaces; collective.
 
     A node on several slave sides has the value of the interface that gave it a multiplier, then of
     the first one in which it faces the master. Off the slave sides the value is 0.
     """
-    owned = slice(None, interfaces[0].n_owned)
-    merged = np.zeros(interfaces[0].n_owned)
-    best = np.full(len(merged), -1)
-    for interface in interfaces:
-        nodes = interface.slave_surface.nodes[: interface.slave_surface.owned]
-        facing = ~np.isnan(interface.gap.x.array[nodes])
-        claim = np.where(facing, 1 + interface.carries, 0)
+    n = sides[0].n_owned
+    merged, best = np.zeros(n), np.full(n, -1)
+    for side, interface in zip(sides, interfaces, strict=True):
+        nodes = side.nodes
+        facing = ~np.isnan(_field(interface.fields, "gap").x.array[nodes])
+        claim = np.where(facing, 1 + _carries(interface, len(nodes)), 0)
         take = claim > best[nodes]
         best[nodes[take]] = claim[take]
-        values = getattr(interface, "active" if name == "status" else name).x.array
+        values = _field(interface.fields, name).x.array
         merged[nodes[take]] = values[nodes[take]]
-    function.x.array[owned] = merged
+    function.x.array[:n] = merged
     function.x.scatter_forward()
     return function
+
+
+def _carries(interface: Interface, n: int) -> Bools:
+    """Return which slave nodes have had a multiplier in the last step."""
+    return np.zeros(n, dtype=bool) if interface.resultants is None else interface.resultants.carries

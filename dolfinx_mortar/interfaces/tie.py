@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+from petsc4py import PETSc
+
 import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.interfaces.constraints import Constraints, equalities
+from dolfinx_mortar.interfaces.interface import Frame, Interface
 
 
 class Tie(Interface):
@@ -24,27 +27,26 @@ class Tie(Interface):
         """Return None: D and M do not follow the deformation."""
         return None
 
-    def _allowed(self, nodes: Ints, left: Floats) -> Bools:
-        return ~self.fixed[nodes]
+    def may_carry(self, left: Floats, fixed: Bools) -> Bools:
+        """Return (n, d): directions without Dirichlet data."""
+        return ~fixed
 
-    def _set_frames(self, P: Floats, normals: Floats) -> None:
-        p = self.pattern
-        n = len(p.nodes)
-        self.normals = normals
-        self.R = np.broadcast_to(np.eye(self.d), (n, self.d, self.d))
-        axes = np.arange(self.d, dtype=np.int32)
-        self.slot = np.where(self.fixed[p.nodes], axes, -1)
-        self.S = self.kept
-        self._fill(P[:, :, None] * np.eye(self.d))
+    def frame(self, normals: Floats, kept: Bools, fixed: Bools) -> Frame:
+        """Return Cartesian frames, of which the kept directions are constrained."""
+        n, d = normals.shape
+        slot = np.where(fixed, np.arange(d, dtype=np.int32), -1).astype(np.int32)
+        return Frame(np.broadcast_to(np.eye(d), (n, d, d)), slot, kept, normals)
 
-    def set_results(self, reaction: Floats, x: Floats) -> None:
-        """Set resultants and the normal traction from the tying forces (n, d); collective."""
-        self.set_resultants(reaction, x)
-        kept = self.kept.any(axis=1)
-        weight = np.maximum(self.weight.max(axis=1), np.finfo(float).tiny)
-        normal = np.einsum("ni,ni->n", reaction, self.normals) / weight
-        pressure = np.nan_to_num(self._extend(np.where(kept, normal, 0.0), kept))
-        self.pressure.x.array[:] = np.where(self.slave_nodes, pressure, 0.0)
-        self.active.x.array[:] = 0.0
-        self.active.x.array[self.pattern.nodes] = kept
-        self.active.x.scatter_forward()
+    def blocks(self, P: Floats, normals: Floats) -> Floats:
+        """Return P_jl I."""
+        return np.asarray(P[:, :, None] * np.eye(P.shape[1]))
+
+    def measured(self, x: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:
+        """Return the displacements: the initial distance stays."""
+        return u
+
+    def constraints(self, nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
+        """Return w = 0: what has slipped is taken back."""
+        node, axis = np.nonzero(directions)
+        dofs = (directions.shape[1] * nodes[node] + axis).astype(np.int32)
+        return equalities(dofs, -slip[node, axis], D[node, axis])

@@ -9,6 +9,8 @@ integrated by the ranks that own the slave facets; copies of the master facets t
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -58,6 +60,25 @@ def node_weights(pairing: Pairing, segments: Segments) -> tuple[Floats, Floats]:
     N_s = shape_functions(segments.xi_s, slave.facets.shape[1])
     covered = covered_weights(N_s, segments.weight, segments.slave, len(slave.facets))
     return _sum_facets(slave, covered), _sum_facets(slave, segments.facet_weights)
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How far the owned slave nodes face the master."""
+
+    share: Floats  # (n,) covered share of the tributary weight
+    reached: Bools  # (n,) on a facet of which some part is covered
+
+
+def find_coverage(
+    pairing: Pairing, segments: Segments, covered: Floats, tributary: Floats
+) -> Coverage:
+    """Return the coverage of the owned slave nodes; the weights are of `node_weights`."""
+    slave = pairing.slave
+    nodes = slave.facets[np.unique(segments.slave)].ravel()
+    reached = accumulate(slave, np.bincount(nodes, minlength=len(slave.nodes))) > 0
+    own = slice(None, slave.owned)
+    return Coverage(np.asarray(covered[own] / tributary[own]), np.asarray(reached[own]))
 
 
 def default_keep(

@@ -58,6 +58,7 @@ class KKT:
     complementarity: float  # largest min(|reaction|, distance to the bound that it belongs to)
     force_floor: float
     length_floor: float
+    unsolved: float = 0.0  # |z| over free unknowns, a force
 
     def satisfied(self, rtol: float) -> bool:
         """Tell whether every residual is below rtol or below its round-off floor."""
@@ -219,6 +220,7 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
         complementarity=float(both_top),
         force_floor=ROUND_OFF * EPS * _ratio(off2, force) if force > 0.0 else 0.0,
         length_floor=ROUND_OFF * EPS,
+        unsolved=float(free2),
     )
 
 

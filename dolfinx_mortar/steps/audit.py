@@ -5,22 +5,21 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.geometry.facets import facet_normals, facet_sizes
-from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.interfaces.coupling import Link
+from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import mean_facet_length
-from dolfinx_mortar.steps.bodies import free_motions
-
-if TYPE_CHECKING:
-    from dolfinx_mortar.steps.problem import ContactProblem
+from dolfinx_mortar.steps.bodies import Bodies, free_motions
+from dolfinx_mortar.steps.dirichlet import Dirichlet
 
 log = logging.getLogger(__name__)
 
@@ -71,112 +70,124 @@ class Audit:
         return "\n".join(lines + [f"warning: {w}" for w in self.warnings])
 
 
-def create_audit(problem: ContactProblem) -> Audit:
-    """Audit bodies and interfaces of a problem whose pairings exist; collective.
+def create_audit(
+    bodies: Bodies, system: InterfaceSystem, supports: Dirichlet, x: PETSc.Vec
+) -> Audit:
+    """Audit bodies and interfaces whose pairings exist; collective.
+
+    Args:
+        bodies: the connected parts of the mesh.
+        system: the interfaces.
+        supports: the Dirichlet conditions.
+        x: (n,) present coordinates X + u.
 
     Raises:
         ValueError: if a body can move rigidly without any resistance.
     """
-    held = [problem.prescribed]
-    ties = [tie.constrained for tie in problem.ties]
-    loose = free_motions(problem.bodies, [*held, *ties, *(c.constrained for c in problem.contacts)])
+    links = system.links
+    ties = [link.constrained_motion for link in links if not link.interface.one_sided]
+    contacts = [link.constrained_motion for link in links if link.interface.one_sided]
+    held = [lambda v: v.array_r[supports.owned.ravel()]]
+    loose = free_motions(bodies, [*held, *ties, *contacts])
     if loose:
         raise ValueError(
             "bcs, interfaces: nothing holds the bodies against "
             + "; ".join(loose)
             + ". Prescribe these motions (bcs), or check slave and master tags"
         )
-    _check_sides(problem)
-    found = [_audit(interface) for interface in problem.interfaces]
-    warnings = list(problem.notes)
-    by_contact = bool(problem.contacts and free_motions(problem.bodies, [*held, *ties]))
+    for link in links:
+        _check_sides(link, bodies, x)
+    found = [_audit(link) for link in links]
+    by_contact = bool(contacts and free_motions(bodies, [*held, *ties]))
+    warnings = list(system.notes)
     if by_contact:
         warnings.append("a body is held by contact alone: the loads must press it on")
     for i in found:
-        if i.kept_nodes == 0:
-            warnings.append(
-                f"{i.name}: no slave node carries a multiplier, so it does nothing; check the "
-                "tags, or let the other side be the slave if this one has Dirichlet data"
-            )
-        if i.size_ratio > COARSE:
-            warnings.append(
-                f"{i.name}: slave facets are {i.size_ratio:.1f} times as long as master facets; "
-                "let the finer side be the slave"
-            )
-        if i.facing_away:
-            warnings.append(
-                f"{i.name}: {i.facing_away} slave facets turn their back on the master side; "
-                "mark only facets that can touch"
-            )
-        if i.dirichlet_directions:
-            warnings.append(
-                f"{i.name}: {i.dirichlet_directions} directions of slave nodes have Dirichlet "
-                "data, which win over the interface"
-            )
-    audit = Audit(problem.bodies.count, found, by_contact, warnings)
-    if problem.comm.rank == 0:
+        warnings += _warnings(i)
+    audit = Audit(bodies.count, found, by_contact, warnings)
+    if bodies.V.mesh.comm.rank == 0:
         log.info("%s", audit)
         for warning in warnings:
             log.warning("%s", warning)
     return audit
 
 
-def _check_sides(problem: ContactProblem) -> None:
+def _warnings(i: InterfaceAudit) -> list[str]:
+    """Return what to say about an interface."""
+    warnings = []
+    if i.kept_nodes == 0:
+        warnings.append(
+            f"{i.name}: no slave node carries a multiplier, so it does nothing; check the "
+            "tags, or let the other side be the slave if this one has Dirichlet data"
+        )
+    if i.size_ratio > COARSE:
+        warnings.append(
+            f"{i.name}: slave facets are {i.size_ratio:.1f} times as long as master facets; "
+            "let the finer side be the slave"
+        )
+    if i.facing_away:
+        warnings.append(
+            f"{i.name}: {i.facing_away} slave facets turn their back on the master side; "
+            "mark only facets that can touch"
+        )
+    if i.dirichlet_directions:
+        warnings.append(
+            f"{i.name}: {i.dirichlet_directions} directions of slave nodes have Dirichlet "
+            "data, which win over the interface"
+        )
+    return warnings
+
+
+def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec) -> None:
     """Raise a ValueError on all ranks if two sides face each other only through their bodies.
 
     That is so if every slave node is deeper inside the master body than any body is large; smaller
     overlaps are ordinary input. Where the two sides are parts of one surface, it is so as soon as
     a slave node lies that deep (faces of a crack share nodes, too, but do not overlap).
     """
-    for interface in problem.interfaces:
-        kept = interface.kept.all(axis=1)
-        relative = interface.relative(problem.current_coordinates())
-        normal = relative[:, 0]
-        if interface.kind == "tie":  # its frames are the Cartesian axes
-            normal = np.einsum("ni,ni->n", interface.normals, relative)
-        joined = (interface.slave_nodes & interface.master_nodes).any()
-        shallowest, deepest, some, joined = maximum(
-            problem.comm,
-            (-normal[kept]).max(initial=-np.inf),
-            normal[kept].max(initial=-np.inf),
-            kept.any(),
-            joined,
+    interface, kept = link.interface, link.coupling.kept.all(axis=1)
+    relative = np.einsum("nij,nj->ni", link.coupling.R, link.relative(x))
+    normal = np.einsum("ni,ni->n", link.coupling.normals, relative)
+    shallowest, deepest, some, joined = maximum(
+        bodies.V.mesh.comm,
+        (-normal[kept]).max(initial=-np.inf),
+        normal[kept].max(initial=-np.inf),
+        kept.any(),
+        (link.sides.on_slave & link.sides.on_master).any(),
+    )
+    if joined and deepest > DEEP * bodies.radius.max():
+        raise ValueError(
+            f"slave={interface.slave} and master={interface.master} are parts of one surface "
+            f"that meets itself through its body, {deepest:.3g} deep; mark only the parts that "
+            "can touch"
         )
-        if joined and deepest > DEEP * problem.bodies.radius.max():
-            raise ValueError(
-                f"slave={interface.slave} and master={interface.master} are parts of one surface "
-                f"that meets itself through its body, {deepest:.3g} deep; mark only the parts that "
-                "can touch"
-            )
-        if some and -shallowest > problem.bodies.radius.max():
-            raise ValueError(
-                f"slave={interface.slave} and master={interface.master} can never meet: all slave "
-                f"nodes lie at least {-shallowest:.3g} beyond the master side; check the tags"
-            )
+    if some and -shallowest > bodies.radius.max():
+        raise ValueError(
+            f"slave={interface.slave} and master={interface.master} can never meet: all slave "
+            f"nodes lie at least {-shallowest:.3g} beyond the master side; check the tags"
+        )
 
 
-def _audit(interface: Interface) -> InterfaceAudit:
+def _audit(link: Link) -> InterfaceAudit:
     """Count over the slave side of one interface; collective."""
-    comm, own = interface.V.mesh.comm, interface.pattern.nodes
-    kept = interface.kept.any(axis=1)
-    covered = interface.coverage > 0
-    surfaces = interface.slave_surface, interface.master_surface
-    counts = comm.allreduce(
+    sides, kept = link.sides, link.coupling.kept.any(axis=1)
+    covered = link.coupling.coverage.share > 0
+    counts = sides.V.mesh.comm.allreduce(
         np.array(
             [
-                *(len(s.facets) for s in surfaces),
-                len(own),
+                *(len(s.facets) for s in (sides.slave, sides.master)),
+                len(link.nodes),
                 kept.sum(),
                 (~covered).sum(),
                 (covered & ~kept).sum(),
-                interface.fixed[own].sum(),
-                _count_facing_away(interface.pairing),
+                sides.fixed[link.nodes].sum(),
+                _count_facing_away(link.pairing),
             ]
         ),
         op=MPI.SUM,
     )
-    lengths = [mean_facet_length(s) for s in surfaces]
-    return InterfaceAudit(repr(interface), *map(int, counts), float(lengths[0] / lengths[1]))  # type: ignore[call-arg]
+    lengths = [mean_facet_length(s) for s in (sides.slave, sides.master)]
+    return InterfaceAudit(repr(link.interface), *map(int, counts), float(lengths[0] / lengths[1]))  # type: ignore[call-arg]
 
 
 def _count_facing_away(pairing: Pairing) -> int:

@@ -94,6 +94,22 @@ def find_bodies(V: fem.FunctionSpace) -> Bodies:
     return _measure(V, count, label)
 
 
+def join_bodies(bodies: Bodies, sides: Sequence[tuple[Bools, Bools]]) -> Bodies:
+    """Return the bodies with those as one that are tied; collective.
+
+    Args:
+        bodies: the connected parts of the mesh.
+        sides: for each tie, marks of its slave and of its master nodes, (local nodes,) each.
+    """
+    n = len(bodies.label)
+    touched = np.zeros((len(sides), bodies.count))
+    for k, (slave, master) in enumerate(sides):
+        touched[k, bodies.label[slave[:n] | master[:n]]] = 1.0
+    touched = bodies.V.mesh.comm.allreduce(touched, op=MPI.SUM)  # arrays have no MAX
+    count, group = connected_components(touched.T @ touched, directed=False)
+    return _measure(bodies.V, count, group[bodies.label].astype(np.int32))
+
+
 def _measure(V: fem.FunctionSpace, count: int, label: Ints) -> Bodies:
     """Return bodies with their centres and radii; collective."""
     d = V.dofmap.index_map_bs

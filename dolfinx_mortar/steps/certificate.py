@@ -6,14 +6,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.interfaces.coupling import Link
 from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.interfaces.near import nodal_gaps
+from dolfinx_mortar.steps.linearisation import Balance
 from dolfinx_mortar.steps.report import Certificate, StepReport
 
 if TYPE_CHECKING:
@@ -31,77 +33,71 @@ def _share(value: npt.ArrayLike, scale: npt.ArrayLike) -> float:
     return share + 0.0  # no -0.0
 
 
-def _operator_errors(interface: Interface) -> tuple[float, float]:
+def operator_errors(link: Link, facet_length: float) -> tuple[float, float]:
     """Return the linear-field error and the row-sum error of D and M; collective.
 
     On a flat interface (D - M) X has no tangential part, whatever the gap; on a curved one it has
     the angle between the projections and the nodal normals, times the gap. Rows of D - M sum to
     zero on every interface. Both per D_jj, the first in parts of gap plus facet length.
     """
-    D, M = interface.pairing.D, interface.pairing.M
-    nodes, d = interface.pattern.nodes, interface.d
-    weight = D.getDiagonal().array_r[nodes]
+    D, M, sides = link.pairing.D, link.pairing.M, link.sides
+    weight = D.getDiagonal().array_r[link.nodes]
     kept = weight > 0
-    X = interface.V.tabulate_dof_coordinates()[: interface.n_owned, :d]
-    v, out = D.createVecRight(), D.createVecLeft()
+    normals = link.coupling.normals[kept]
+    X = sides.V.tabulate_dof_coordinates()[: sides.n_owned, : normals.shape[1]]
+    v = D.createVecRight()
 
     def apply(values: Floats) -> Floats:
         v.array[:] = values
         relative = (D * v).array_r - (M * v).array_r
-        out.array[:] = relative
-        return np.asarray(relative[nodes][kept] / weight[kept])
+        return np.asarray(relative[link.nodes][kept] / weight[kept])
 
-    sums = np.abs(apply(np.ones(interface.n_owned))).max(initial=0.0)
+    sums = np.abs(apply(np.ones(sides.n_owned))).max(initial=0.0)
     gap = np.column_stack([apply(x) for x in X.T])
-    normals = interface.normals[kept]
     along = np.einsum("ni,ni->n", gap, normals)
     tangential = np.linalg.norm(gap - along[:, None] * normals, axis=1)
-    linear = (tangential / (np.abs(along) + interface.facet_length)).max(initial=0.0)
-    linear, sums = maximum(interface.V.mesh.comm, linear, sums)
+    linear = (tangential / (np.abs(along) + facet_length)).max(initial=0.0)
+    linear, sums = maximum(sides.V.mesh.comm, linear, sums)
     return float(linear), float(sums)
 
 
-def _balances(interfaces: list[Interface]) -> tuple[float, float]:
+def _balances(interfaces: list[Interface], facet_length: float) -> tuple[float, float]:
     """Return the largest relative imbalances of forces and moments between the two sides."""
     force = moment = 0.0
     for i in interfaces:
         scale = np.linalg.norm(i.force)
-        arm = np.linalg.norm(i.moment) + scale * i.facet_length
+        arm = np.linalg.norm(i.moment) + scale * facet_length
         force = max(force, _share(np.linalg.norm(i.force + i.master_force), scale))
         moment = max(moment, _share(np.linalg.norm(i.moment + i.master_moment), arm))
     return force, moment
 
 
 def create_certificate(
-    problem: ContactProblem, report: StepReport, reaction: PETSc.Vec
+    problem: ContactProblem, report: StepReport, balance: Balance
 ) -> Certificate:
     """Judge the present state of a problem whose results are set; collective."""
+    links, length = problem.system.links, problem.system.facet_length
     gap: list[Floats] = [np.zeros(0)]
     multiplier: list[Floats] = [np.zeros(0)]
-    nodal = problem.gaps()
-    for contact in problem.contacts:
-        constrained = contact.kept[:, 0]
-        gap.append(nodal[contact.pattern.nodes[constrained]])
-        multiplier.append(contact.multiplier[constrained])
+    nodal = nodal_gaps(links, problem.positions(), problem.n)
+    for link in links:
+        if link.interface.one_sided:
+            on = link.coupling.directions[:, 0]
+            gap.append(nodal[link.nodes[on]])
+            multiplier.append(link.interface.multiplier[on])
     g, p = np.concatenate(gap), np.concatenate(multiplier)
     deepest, tensile, pressure, product = _largest(problem, -g, -p, np.abs(p), np.abs(g * p))
-    errors = [_operator_errors(i) for i in problem.interfaces] or [(0.0, 0.0)]
-    force, moment = _balances(problem.interfaces)
-    kept = [i.kept.any(axis=1) for i in problem.interfaces]
+    errors = [operator_errors(link, length) for link in links] or [(0.0, 0.0)]
+    force, moment = _balances(problem.interfaces, length)
+    kept = [link.coupling.kept.any(axis=1) for link in links]
+    covered = [link.coupling.coverage.share for link in links]
     counts = [
         sum(int(k.sum()) for k in kept),
-        sum(
-            int(((i.coverage > 0) & ~k).sum())
-            for i, k in zip(problem.interfaces, kept, strict=True)
-        ),
-        int(problem.active.sum()),
+        sum(int(((c > 0) & ~k).sum()) for c, k in zip(covered, kept, strict=True)),
+        int(problem.committed.active.sum()),
     ]
     counts = problem.comm.allreduce(np.array(counts), op=MPI.SUM)
-    coverage = min(
-        (i.coverage[k].min(initial=1.0) for i, k in zip(problem.interfaces, kept, strict=True)),
-        default=1.0,
-    )
-    length = problem.facet_length
+    least = min((c[k].min(initial=1.0) for c, k in zip(covered, kept, strict=True)), default=1.0)
     return Certificate(
         equilibrium=report.iterations[-1].force_residual,
         gap=_share(deepest, length),
@@ -111,7 +107,7 @@ def create_certificate(
         moment_balance=moment,
         linear_field_error=max(e[0] for e in errors),
         row_sum_error=max(e[1] for e in errors),
-        smallest_coverage=float(-maximum(problem.comm, -coverage)[0]),
+        smallest_coverage=float(-maximum(problem.comm, -least)[0]),
         kept_nodes=int(counts[0]),
         removed_nodes=int(counts[1]),
         active_nodes=int(counts[2]),

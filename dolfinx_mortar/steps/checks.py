@@ -12,7 +12,6 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arrays import Bools
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.solid.solid import Solid
 
@@ -45,15 +44,15 @@ def check_arguments(
     return sides, conditions
 
 
-def check_owned(interfaces: Iterable[Interface], fixed: Bools) -> None:
+def check_owned(interfaces: Iterable[Interface], owner: object) -> None:
     """Raise a ValueError if a problem made later has taken over an interface.
 
     Args:
         interfaces: those of the problem.
-        fixed: the array of prescribed directions that the problem bound them with.
+        owner: what the problem has taken them for.
     """
     for interface in interfaces:
-        if interface.fixed is not fixed:
+        if interface.owner is not owner:
             raise ValueError(
                 f"interfaces: {interface} belongs to a problem made later; give each its own"
             )

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -38,3 +39,31 @@ def prescribed_values(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> F
     total, count = (table[: layout.size_local, part].ravel() for part in np.s_[:d, d:])
     # The owner's own value is exact; the mean of the others' stands in where it has none.
     return np.where(known[own] > 0, values[own], total / np.maximum(count, 1.0))
+
+
+@dataclass(frozen=True)
+class Dirichlet:
+    """Dirichlet conditions of a problem; values are read anew at every step."""
+
+    V: fem.FunctionSpace
+    bcs: list[fem.DirichletBC]
+    fixed: Bools  # (local nodes, d) which components are prescribed
+
+    @property
+    def owned(self) -> Bools:
+        """Which components of the owned nodes are prescribed, (n, d)."""
+        return np.asarray(self.fixed[: self.V.dofmap.index_map.size_local])
+
+    def values(self) -> Floats:
+        """Return the prescribed values at owned dofs, 0 where there is none; collective."""
+        return prescribed_values(self.V, self.bcs)
+
+    def increment(self, target: Floats, u: Floats) -> Floats:
+        """Return prescribed minus present values, (owned nodes, d), 0 where free."""
+        difference = (target - u[: target.size]).reshape(self.owned.shape)
+        return np.where(self.owned, difference, 0.0)
+
+
+def create_dirichlet(V: fem.FunctionSpace, bcs: list[fem.DirichletBC]) -> Dirichlet:
+    """Find the prescribed dofs; collective."""
+    return Dirichlet(V, bcs, prescribed_dofs(V, bcs))

@@ -1,43 +1,61 @@
 # SPDX-License-Identifier: MIT
-"""Semi-smooth Newton: a bound-constrained QP at every iterate, and a line search on the energy."""
+"""Semi-smooth Newton: a bound-constrained QP at every iterate (paper, section 3).
+
+One iteration, at u with contacts (active set, multipliers) and a geometry:
+
+    1  solve min 1/2 dy.K^ dy - r^.dy, lower <= dy <= upper          as accurate as 5 will show
+    2  u <- u + t T dy, t by line search; the QP's reactions are the new multipliers
+    3  unless the geometry is held: rebuild normals, segments, D, M and T at u
+    4  residuals of forces and contact at u, in that geometry, with these multipliers
+    5  done if all are within what is allowed
+
+The geometry is a fixed point that is watched: it is rebuilt after every iteration as long as its
+change shrinks; where it does not, it is held until Newton has converged in it.
+"""
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx import fem
 from dolfinx_mortar import qp as backends
 from dolfinx_mortar.algebra.parallel import free_unused, maximum
 from dolfinx_mortar.arrays import Actives, Floats
+from dolfinx_mortar.interfaces.near import predict_active
 from dolfinx_mortar.qp import QPSolution
-from dolfinx_mortar.steps import near
+from dolfinx_mortar.steps import failures
 from dolfinx_mortar.steps.certificate import create_certificate
 from dolfinx_mortar.steps.checks import check_controls
-from dolfinx_mortar.steps.problem import ContactProblem
-from dolfinx_mortar.steps.report import Iteration, NewtonNotConverged, StepReport
+from dolfinx_mortar.steps.line_search import Energy, NoDescent, find_energy, move, search
+from dolfinx_mortar.steps.linearisation import (
+    Balance,
+    Linearisation,
+    find_balance,
+    linearise,
+    to_displacement,
+)
+from dolfinx_mortar.steps.problem import ContactProblem, StepData
+from dolfinx_mortar.steps.report import Iteration, StepReport
+from dolfinx_mortar.steps.residuals import Contacts, Residuals, Scales, measure
+from dolfinx_mortar.steps.results import set_results
 
 log = logging.getLogger(__name__)
 
-ARMIJO = 1e-4
-# QPs on the way need not be more accurate than Newton's next increment, about the square of the
-# last. Digits that save one Newton iteration are cheap with a factorisation only.
-FORCING = {"direct": 1e-4, "iterative": 1e-2}
-# A contact set of which a smaller share changed in the last QP is expected to stay.
-SETTLED = 0.1
-MAX_HALVINGS = 12
-# Forces balanced to this share of their scale are balanced to round-off.
-FORCE_FLOOR = 1e-12
-# Below this share of diag(K) |u| a force residual is the round-off of K u.
-STIFFNESS_FLOOR = 1e-15
-# Below this share of the coordinates a displacement is lost in the round-off of the gaps.
-COORDINATE_FLOOR = 16.0 * np.finfo(float).eps
-# An iteration stalls if two of them leave this share of the increment; the geometry is then held
-# until the increment has fallen to the other share.
-STALLED, RELEASED = 0.7, 0.1
+# The error allowed to a QP, as a share of the residual that the contraction seen so far promises
+# for the next iterate (Eisenstat and Walker 1996). Digits are cheap with a factorisation only.
+FORCING = {"direct": 1e-3, "iterative": 1e-1}
+# The first QP of a nonlinear step has no contraction to go by.
+FIRST_QP = {"direct": 1e-4, "iterative": 1e-2}
+# A QP need not be more accurate than this share of what the step allows.
+QP_SHARE = 0.1
 
 
 def newton(
@@ -46,15 +64,15 @@ def newton(
     """Solve one load step from the committed state; collective.
 
     At the iterate u^k the energy is replaced by its quadratic model (paper, eq. 9) and the
-    bound-constrained QP is solved to the end (eq. 10), warm-started from the last contact set. The
-    step is shortened on J(v) + s sum_j D_jj (w_n - gap)_+ if that merit does not fall. Where a
-    material has a stress but no energy, there is no J, and all steps are whole.
+    bound-constrained QP is solved (eq. 10), warm-started from the last contact set. The step is
+    shortened on J(v) + s sum_j D_jj (w_n - gap)_+ if that merit does not fall. Where a material has
+    a stress but no energy, there is no J, and all steps are whole.
 
     Args:
         problem: the bodies and their constraints; ``problem.commit()`` accepts the step.
         qp: name of the QP backend, see ``dolfinx_mortar.qp.available()``.
-        rtol: tolerance for |du|_e / (|u|_e + |u + du|_e) in the elastic energy norm and for the
-            relative projected force residual.
+        rtol: tolerance for the residuals of forces and contact, relative to the largest forces of
+            the step and their work; round-off is the limit.
         max_it: largest number of Newton iterations.
 
     Returns:
@@ -64,295 +82,349 @@ def newton(
         NewtonNotConverged: with the report attached; u and the committed state are as before.
         ValueError: for an unknown backend or bad tolerance, or input that ``begin_step`` rejects.
     """
+    return solve_step(problem, qp=qp, rtol=rtol, max_it=max_it)
+
+
+def solve_step(
+    problem: ContactProblem, *, qp: str, rtol: float, max_it: int, overlap: float = 0.0
+) -> StepReport:
+    """Solve one load step, with an overlap that is left to later steps; see `newton`."""
     backends.check_name(qp)
     check_controls(rtol, max_it)
-    before, active = problem.u.x.array.copy(), problem.active.copy()
-    earlier = dict(problem.timings.seconds)
     report = StepReport(backend=qp, geometry=problem.geometry, rtol=rtol)
-    try:
-        with problem.timings("total"):
-            problem.begin_step()
-            _Step(problem, report).run(max_it)
-    except backends.QPNotSolved as error:
-        number, cause = len(report.iterations) + 1, str(error).rstrip(". ")
-        raise _failed(f"the QP of Newton iteration {number}: {cause}", problem, report) from error
-    finally:
-        report.seconds = problem.timings.since(earlier)
-        report.linear_solver = problem.linear.description
-        report.notes += [note for note in problem.notes if note not in report.notes]
-        if not report.converged:
-            problem.u.x.array[:] = before
-            problem.active = active
+    if overlap > 0.0:
+        report.notes.append(f"the initial overlap is left {overlap:.3g} deep in this part")
+    with _undone_on_failure(problem, report):
+        data = problem.begin_step()
+        _Step(problem, report, data, overlap).run(max_it)
     return report
 
 
-def _failed(message: str, problem: ContactProblem, report: StepReport) -> NewtonNotConverged:
-    """Return the error, with what the audit knows about bodies that may move off; collective."""
-    if problem.audit().held_by_contact:
-        message += (
-            ". A body held by contact alone may float away (do the loads press it on?), or slides "
-            "or rolls freely (then prescribe that motion)"
-        )
-    return NewtonNotConverged(
-        f"{message}. The displacement and the committed state are as before the step: "
-        "retry with a smaller one (dm.load_steps does)",
-        report,
-    )
+@contextmanager
+def _undone_on_failure(problem: ContactProblem, report: StepReport) -> Iterator[None]:
+    """Put the displacement back if the step fails; complete the report in any case."""
+    before = problem.u.x.array.copy()
+    earlier = dict(problem.timings.seconds)
+    try:
+        with problem.timings("total"):
+            yield
+    except backends.QPNotSolved as error:
+        number, cause = len(report.iterations) + 1, str(error).rstrip(". ")
+        message = f"the QP of Newton iteration {number}: {cause}"
+        raise failures.not_converged(message, problem, report) from error
+    finally:
+        report.seconds = problem.timings.since(earlier)
+        report.linear_solver = problem.linear.description
+        report.notes += [note for note in problem.system.notes if note not in report.notes]
+        if not report.converged:
+            problem.u.x.array[:] = before
+
+
+@dataclass(frozen=True)
+class Iterate:
+    """What one iteration hands to the next."""
+
+    balance: Balance
+    contacts: Contacts
+    scales: Scales
+    energy: Energy | None  # J(u), where a line search may need it
+    norm: float  # |u|_e
+    largest: float  # largest multiplier seen in the step
+
+
+@dataclass(frozen=True)
+class Watch:
+    """The geometry as a fixed point: whether it is held, and its last change."""
+
+    moving: bool
+    held: bool = False
+    change: float = np.inf  # work of the contact forces in the last change of the gaps
+
+    def after(self, change: float) -> Watch:
+        """Return the watch after an update with this change: held unless it shrinks."""
+        return replace(self, held=change >= self.change, change=change)
 
 
 class _Step:
-    """One load step in progress: what an iteration hands to the next."""
+    """One load step in progress."""
 
-    def __init__(self, problem: ContactProblem, report: StepReport) -> None:
-        self.problem, self.report = problem, report
-        self.moving = problem.geometry == "updated" and bool(problem.interfaces)
-        self.settled = False  # the contact set is expected to stay
-        self.potential: float | None = None  # J(u), once a line search has needed it
-        self.largest_multiplier = 0.0
-        extent = np.abs(problem.V.mesh.geometry.x).max(initial=0.0)
-        self.rest = COORDINATE_FLOOR * float(maximum(problem.comm, extent)[0])
-        self.predicted_gap: Floats | None = None  # after the last step, as it was linearised
-        self.held_at: float | None = None  # increment at which the geometry was stopped
-        self.noted: dict[str, list[int]] = {}  # what the QP backend said, and in which iterations
+    def __init__(
+        self, problem: ContactProblem, report: StepReport, data: StepData, overlap: float
+    ) -> None:
+        self.problem, self.report, self.data, self.overlap = problem, report, data, overlap
+        self.linear = problem.solid.linear and problem.loads.linear
 
     def run(self, max_it: int) -> None:
-        """Iterate until converged; sets the results and the certificate."""
-        problem, report = self.problem, self.report
-        start = near.predict_active(problem)
+        """Iterate until done; set the results and the certificate."""
+        problem = self.problem
+        watch = Watch(problem.geometry == "updated" and bool(problem.contacts))  # ties stay at X
+        iterate, start = self.first()
+        residuals: list[Residuals] = []
         for number in range(1, max_it + 1):
-            if number > 1:
-                if self.moving and not self.hold():
-                    problem.update_geometry()
-                start = problem.active[problem.bounded_nodes].astype(np.int8)
-            done = self.iterate(number, start)
-            _log(problem, report)
-            # While the geometry moves, its update looks after the far nodes.
-            complete = (self.moving and not done) or problem.far_nodes_stay_open()
-            if done and complete and self.held_at is None:
-                problem.set_results(self.reaction)
-                report.certificate = create_certificate(problem, report, self.reaction)
-                report.converged = True
+            iterate, watch, residual = self.iterate(number, iterate, start, watch, residuals)
+            residuals.append(residual)
+            _log(problem, self.report)
+            if residual.excess <= 1.0 and self.geometry_is_complete():
+                self.finish(iterate)
                 return
-        raise _failed(f"Newton did not converge in max_it={max_it} iterations", problem, report)
+            start = iterate.contacts.active[iterate.balance.nodes].astype(np.int8)
+        raise failures.not_converged(
+            f"Newton did not converge in max_it={max_it} iterations", problem, self.report
+        )
 
-    def hold(self) -> bool:
-        """Tell whether to keep the geometry in the next iteration, because Newton stalls.
+    def first(self) -> tuple[Iterate, Actives]:
+        """Return the iterate to start from, and a guess of the contact set."""
+        problem = self.problem
+        balance = self.balance()
+        active = problem.committed.active
+        contacts = Contacts(active, np.zeros(problem.n))
+        energy = find_energy(problem, self.data) if self.has_energy else None
+        norm = problem.solid.elastic_norm(problem.u)
+        start = active[balance.nodes].astype(np.int8)
+        if problem.contacts and not problem.comm.allreduce(bool(start.any()), op=MPI.LOR):
+            links, length = problem.system.links, problem.system.facet_length
+            start = predict_active(links, problem.positions(), problem.n, balance.nodes, length)
+        return Iterate(balance, contacts, Scales(), energy, norm, 0.0), start
 
-        The merit of the line search belongs to one geometry. Where the tangent changes a lot, a
-        new gap after every step can lend the energy that a cycle of steps spends; with the
-        geometry held the merit falls for good.
-        """
-        increments = [i.increment for i in self.report.iterations]
-        if self.held_at is None:
-            floor = 10.0 * self.report.rtol
-            if len(increments) > 3 and increments[-1] > max(floor, STALLED * increments[-3]):
-                self.held_at = increments[-1]
-        elif increments[-1] <= max(RELEASED * self.held_at, self.report.rtol):
-            self.held_at = None
-        return self.held_at is not None
+    @property
+    def has_energy(self) -> bool:
+        """Whether there is a merit to search on."""
+        return self.problem.solid.has_energy
 
-    def iterate(self, number: int, start: Actives) -> bool:
-        """Linearise, solve the QP, step, record; return whether this was the last iteration."""
+    def balance(self) -> Balance:
+        """Return forces and constraints at u in the present geometry."""
+        return find_balance(self.problem, self.data, self.overlap)
+
+    def iterate(
+        self,
+        number: int,
+        old: Iterate,
+        start: Actives,
+        watch: Watch,
+        residuals: list[Residuals],
+    ) -> tuple[Iterate, Watch, Residuals]:
+        """Solve a QP, step, follow the geometry, judge and record."""
         problem, report = self.problem, self.report
         free_unused(problem.comm)
-        fixed_supports = not problem.changes_dirichlet()
-        qp = problem.quadratic_program()
-        geometry_change, rtol = self.geometry_change(), self.accuracy()
-        with problem.timings("linear_solves"):
-            solved = backends.solve(
-                qp,
-                report.backend,
-                problem.linear,
-                start_active=start,
-                rtol=rtol,
-                settled=self.settled,
-            )
-        if solved.note:
-            self.note(number, solved.note)
-        changed = self.take_over(solved, start)
+        lin = linearise(problem, old.balance, tangent=number == 1 or not self.linear)
+        scales = old.scales
+        if number == 1:
+            lifted = problem.vector(self.data.asked)
+            lifted.pointwiseMult(lifted, lin.diagonal)
+            scales = replace(scales, first=max(lin.qp.b.norm(), lifted.norm()))
+        solved = self.solve(lin, start, self.accuracy(lin, watch, residuals))
+        self.note(number, solved.note)
+        contacts, largest = self.take_over(lin, solved, old.largest)
 
-        step = problem.to_displacement(solved.x)
-        increment, at_rest = self.energy_increment(step)
-        slope = -problem.vectors["r"].dot(step)
-        search = fixed_supports and problem.solid.has_energy
-        length, halvings = self.line_search(step, solved.x, slope, search=search)
-        self.predicted_gap = problem.gap - length * _normal_part(problem, solved.x)
-        residual, floor = force_residual(problem, solved.z)
+        du = to_displacement(problem, solved.x)
+        length, halvings, energy = self.move(lin, solved, du, largest, old.energy)
+        norm = problem.solid.elastic_norm(problem.u)
+        increment = _elastic_norm(problem, du)
+        increment = increment / (old.norm + norm) if old.norm + norm > 0.0 else 0.0
+        scales = replace(scales, work=max(scales.work, norm**2))
+
+        predicted = _nodal(
+            problem, lin.balance, lin.balance.bounds.upper - length * _motion(lin, solved)
+        )
+        balance, watch, change = self.follow(watch, lin, contacts, scales, predicted)
+        residual, scales = measure(problem, balance, contacts, lin.diagonal, scales, report.rtol)
         report.iterations.append(
             Iteration(
                 number=number,
                 increment=increment,
-                force_residual=residual,
+                force_residual=residual.forces,
+                contact_residual=residual.contact,
                 kkt=solved.kkt.worst,
-                active=problem.comm.allreduce(int(problem.active.sum()), op=MPI.SUM),
-                changed=changed,
+                active=problem.comm.allreduce(int(contacts.active.sum()), op=MPI.SUM),
+                changed=self.count_changes(lin, solved, start, residual),
                 updates=solved.updates,
                 linear_iterations=solved.linear_iterations,
                 factorisations=solved.factorisations,
                 step_length=length,
                 line_search_steps=halvings,
-                geometry_change=geometry_change,
+                geometry_change=change,
+                geometry_held=watch.held,
             )
         )
-        self.settled = changed <= SETTLED * report.iterations[-1].active
-        in_balance = residual <= max(report.rtol, floor)
-        small = increment <= report.rtol and in_balance and changed == 0
-        # Balanced forces need no confirming solve, unless the geometry has moved since.
-        balanced = residual <= max(FORCE_FLOOR, 10.0 * self.tolerance, floor)
-        balanced = balanced or (problem.solid.linear and in_balance)
-        tight = solved.kkt.satisfied(max(self.tolerance, 1e-2 * report.rtol))
-        return length == 1.0 and tight and (small or (balanced and (at_rest or not self.moving)))
+        return Iterate(balance, contacts, scales, energy, norm, largest), watch, residual
 
-    @property
-    def tolerance(self) -> float:
-        """Tolerance of the last QP: far enough below Newton's never to be what limits it.
+    # -- the parts of an iteration ---------------------------------------------------------------
 
-        A digit more is one or two iterations with a factorisation, and many with multigrid.
+    def accuracy(self, lin: Linearisation, watch: Watch, residuals: list[Residuals]) -> float:
+        """Return the relative tolerance of the next QP: what the next residual can show."""
+        kind = "direct" if self.problem.linear.direct else "iterative"
+        tight = max(1e-13, min(1e-10 if kind == "direct" else 1.0, 1e-3 * self.report.rtol))
+        if self.linear and not watch.moving:
+            return tight  # one QP is the whole step
+        if not residuals:
+            return max(tight, FIRST_QP[kind])
+        last = residuals[-1]
+        before = residuals[-2].excess if len(residuals) > 1 else np.inf
+        contraction = min(1.0, last.excess / before) if np.isfinite(before) else 1.0
+        allowed = max(QP_SHARE, FORCING[kind] * contraction * last.excess) * last.limit
+        size = lin.qp.b.norm()
+        return float(max(tight, min(FIRST_QP[kind], allowed / size if size > 0.0 else 1.0)))
+
+    def solve(self, lin: Linearisation, start: Actives, rtol: float) -> QPSolution:
+        """Solve the QP with the backend of the step."""
+        with self.problem.timings("linear_solves"):
+            solved = backends.solve(
+                lin.qp,
+                self.report.backend,
+                self.problem.linear,
+                start_active=start,
+                rtol=rtol,
+                settled=self.settled(),
+            )
+        # An iterative solver comes near what supports and ties ask for; it is known exactly.
+        equal = lin.balance.equal
+        solved.x.array[equal.dofs] = equal.upper
+        return solved
+
+    def settled(self) -> bool:
+        """Tell whether the contact set is expected to stay, up to a few nodes."""
+        last = self.report.iterations[-1:]
+        return bool(last) and last[0].changed <= 0.1 * last[0].active
+
+    def take_over(
+        self, lin: Linearisation, solved: QPSolution, largest: float
+    ) -> tuple[Contacts, float]:
+        """Return the contacts of a QP's solution, and the largest multiplier so far."""
+        n, bounds, nodes = self.problem.n, lin.balance.bounds, lin.balance.nodes
+        on = solved.active > 0
+        active, multipliers = np.zeros(n, dtype=bool), np.zeros(n)
+        active[nodes] = on
+        # What b - A x leaves off the active set is residual, not contact force.
+        multipliers[nodes[on]] = solved.z.array_r[bounds.dofs[on]] / bounds.weight[on]
+        seen = float(maximum(self.problem.comm, multipliers.max(initial=0.0))[0])
+        return Contacts(active, multipliers), max(largest, seen)
+
+    def count_changes(
+        self, lin: Linearisation, solved: QPSolution, start: Actives, residual: Residuals
+    ) -> int:
+        """Return how many nodes changed sides, weakly active ones left out.
+
+        A node is weakly active if its reaction, and the force that would close its gap, are both
+        within what the step allows.
         """
-        least = 1e-10 if self.problem.linear.direct else 1.0
-        return max(1e-13, min(least, 1e-3 * self.report.rtol))
+        bounds = lin.balance.bounds
+        z = np.abs(solved.z.array_r[bounds.dofs])
+        opening = np.abs(bounds.upper - solved.x.array_r[bounds.dofs])
+        force = np.maximum(z, lin.diagonal.array_r[bounds.dofs] * opening)
+        changed = ((start > 0) != (solved.active > 0)) & (force > residual.limit)
+        return int(self.problem.comm.allreduce(int(changed.sum()), op=MPI.SUM))
+
+    def move(
+        self,
+        lin: Linearisation,
+        solved: QPSolution,
+        du: PETSc.Vec,
+        largest: float,
+        energy: Energy | None,
+    ) -> tuple[float, int, Energy | None]:
+        """Move u along the step; return its length, the halvings, and J.
+
+        In the iteration in which supports move, or ties still ask for a motion, the energy must be
+        free to rise, and a law may have none: then the whole step is taken.
+        """
+        problem = self.problem
+        own = du.local_size
+        scale = np.abs(problem.u.x.array).max(initial=0.0)
+        asked, size = maximum(problem.comm, lin.balance.equal.scale, scale)
+        moved = self.data.increment > 0.0 and not self.report.iterations
+        with problem.timings("assembly"):
+            if energy is None or moved or asked > 1e-14 * size:
+                move(problem, problem.u.x.array[:own] + du.array_r)
+                return 1.0, 0, find_energy(problem, self.data) if self.has_energy else None
+            try:
+                return search(problem, self.data, lin, solved, du, largest, energy)
+            except NoDescent as error:
+                raise failures.not_converged(str(error), problem, self.report) from error
+
+    def follow(
+        self,
+        watch: Watch,
+        lin: Linearisation,
+        contacts: Contacts,
+        scales: Scales,
+        predicted: Floats,
+    ) -> tuple[Balance, Watch, float]:
+        """Rebuild the geometry at u unless it stands or is held; return the balance there."""
+        problem, rtol = self.problem, self.report.rtol
+        balance = self.balance() if not watch.moving or watch.held else None
+        if balance is not None:
+            if not watch.moving:
+                return balance, watch, 0.0
+            residual, _ = measure(problem, balance, contacts, lin.diagonal, scales, rtol)
+            if residual.excess > 1.0:
+                return balance, watch, 0.0
+        problem.update_geometry(self.data.increment)
+        balance = self.balance()
+        change, work = _change(problem, balance, contacts, predicted)
+        return balance, watch.after(work), change
+
+    def geometry_is_complete(self) -> bool:
+        """Tell whether the whole surfaces agree: partners far away, and nodes outside T."""
+        problem = self.problem
+        with problem.timings("mortar"):
+            complete = problem.system.is_complete(problem.configuration, problem.positions())
+        if not complete:
+            problem.update_geometry(self.data.increment, everywhere=True)
+        return complete
+
+    def finish(self, iterate: Iterate) -> None:
+        """Set what the step has found."""
+        problem, report = self.problem, self.report
+        problem.committed.active = iterate.contacts.active
+        set_results(problem, iterate.balance, iterate.contacts)
+        report.certificate = create_certificate(problem, report, iterate.balance)
+        report.converged = True
 
     def note(self, number: int, text: str) -> None:
-        """Report what the QP backend says: one note, once for all iterations that say the same."""
-        self.noted.setdefault(text, []).append(number)
-        said = [f"iteration {', '.join(map(str, n))}: {t}" for t, n in self.noted.items()]
-        self.report.notes = ["; ".join(said)]
-
-    def accuracy(self) -> float:
-        """Return the tolerance of the next QP: tight where it may be the last one."""
-        problem, done = self.problem, self.report.iterations
-        if problem.solid.linear and not self.moving:
-            return self.tolerance  # one QP is the whole step
-        last = done[-1].increment if done else 1.0
-        share = FORCING["direct" if problem.linear.direct else "iterative"]
-        return float(max(self.tolerance, share * min(1.0, last) ** 2))
-
-    def take_over(self, solved: QPSolution, start: Actives) -> int:
-        """Keep the contact set and reactions; return how many nodes changed, weak ones left out.
-
-        A node is weakly active if both its reaction and its opening are below the tolerance.
-        """
-        problem = self.problem
-        active = solved.active > 0
-        problem.active[:] = False
-        problem.active[problem.bounded_nodes] = active
-        # What b - A x leaves off the active set is residual, not contact force.
-        keep = problem.bounded[active]
-        forces = solved.z.array_r[keep].copy()
-        solved.z.set(0.0)
-        solved.z.array[keep] = forces
-        self.reaction = solved.z
-        z = np.abs(solved.z.array_r[problem.bounded])
-        opening = np.abs(problem.gap[problem.bounded_nodes] - solved.x.array_r[problem.bounded])
-        near = active | (start > 0)
-        multipliers = z / problem.multiplier_weights()
-        largest = maximum(
-            problem.comm,
-            z.max(initial=0.0),
-            opening.max(initial=0.0, where=near),
-            multipliers.max(initial=0.0),
-        )
-        strong = (z > 1e-3 * largest[0]) | (opening > 1e-3 * largest[1])
-        self.largest_multiplier = max(self.largest_multiplier, float(largest[2]))
-        return int(problem.comm.allreduce(int(((start > 0) != active)[strong].sum()), op=MPI.SUM))
-
-    def energy_increment(self, step: PETSc.Vec) -> tuple[float, bool]:
-        """Return |du|_e / (|u|_e + |u + du|_e), and whether du is round-off of u or X.
-
-        Bodies that only move rigidly have no energy; then the second answer decides.
-        """
-        problem = self.problem
-        v, own = problem.increment, step.array_r.size
-        norms = []
-        for u, du in ((0.0, 1.0), (1.0, 0.0), (1.0, 1.0)):
-            v.x.array[:own] = u * problem.u.x.array[:own] + du * step.array_r
-            v.x.scatter_forward()
-            norms.append(problem.solid.elastic_norm(v))
-        largest = maximum(
-            problem.comm,
-            np.abs(step.array_r).max(initial=0.0),
-            np.abs(problem.u.x.array).max(initial=0.0),
-        )
-        total = norms[1] + norms[2]
-        at_rest = bool(largest[0] <= max(1e-11 * largest[1], self.rest))
-        return norms[0] / total if total > 0 else 0.0, at_rest
-
-    def merit(self, violation: float) -> float:
-        """Return J(u) + s sum_j D_jj (w_n - gap)_+ for a given sum."""
-        problem = self.problem
-        external = problem.vectors["f"].array_r @ problem.u.x.array[: problem.d * problem.n]
-        self.potential = problem.solid.energy() - float(problem.comm.allreduce(external))
-        return self.potential + 2.0 * self.largest_multiplier * violation
-
-    def line_search(
-        self, step: PETSc.Vec, dy: PETSc.Vec, slope: float, *, search: bool
-    ) -> tuple[float, int]:
-        """Move u along the step until the merit falls; return the length and the halvings.
-
-        Without a search (an iteration that changes Dirichlet values must be free to raise the
-        energy; a law may have none) the whole step is taken.
-        """
-        problem = self.problem
-        own = step.array_r.size
-        start, direction = problem.u.x.array[:own].copy(), step.array_r.copy()
-        violated = [problem.violation(part, dy) if search else 0.0 for part in (0.0, 1.0)]
-        before = self.merit(violated[0]) if search else 0.0
-        slope += 2.0 * self.largest_multiplier * (violated[1] - violated[0])
-        length = 1.0
-        for halvings in range(MAX_HALVINGS + 1):
-            problem.u.x.array[:own] = start + length * direction
-            problem.u.x.scatter_forward()
-            if not search:
-                return length, 0
-            after = self.merit(problem.violation(length, dy))
-            noise = 1e-13 * (abs(before) + abs(after))
-            if after <= before + ARMIJO * length * min(slope, 0.0) + noise:
-                return length, halvings
-            length *= 0.5
-        raise _failed("the line search found no step that lowers the energy", problem, self.report)
-
-    def geometry_change(self) -> float:
-        """Return how far the active gaps are from their last prediction, in facet lengths."""
-        problem = self.problem
-        if self.predicted_gap is None or not self.moving:
-            return 0.0
-        both = problem.active & np.isfinite(self.predicted_gap) & np.isfinite(problem.gap)
-        change = np.abs(problem.gap[both] - self.predicted_gap[both]).max(initial=0.0)
-        return float(maximum(problem.comm, change)[0] / problem.facet_length)
+        """Report what the QP backend says, once for all iterations that say the same."""
+        if not text:
+            return
+        for k, note in enumerate(self.report.notes):
+            head, _, said = note.partition(": ")
+            if said == text and head.startswith("iteration "):
+                self.report.notes[k] = f"{head}, {number}: {text}"
+                return
+        self.report.notes.append(f"iteration {number}: {text}")
 
 
-def _normal_part(problem: ContactProblem, dy: PETSc.Vec) -> Floats:
-    """Return the closing w_n of every owned node in an increment, 0 where it is not bounded."""
-    closing = np.zeros(problem.n)
-    closing[problem.bounded_nodes] = dy.array_r[problem.bounded]
-    return closing
+def _elastic_norm(problem: ContactProblem, du: PETSc.Vec) -> float:
+    """Return |du|_e; collective."""
+    v = fem.Function(problem.V)
+    v.x.array[: du.local_size] = du.array_r
+    v.x.scatter_forward()
+    return problem.solid.elastic_norm(v)
 
 
-def force_residual(problem: ContactProblem, reaction: PETSc.Vec) -> tuple[float, float]:
-    """Return the norm of T^T (f - F(u)) - z on free unknowns over its scale, and its floor.
+def _motion(lin: Linearisation, solved: QPSolution) -> Floats:
+    """Return the motion (k,) of the bounded unknowns."""
+    return np.asarray(solved.x.array_r[lin.balance.bounds.dofs])
 
-    The scale is the largest of the norms of external forces, contact forces, reactions of supports
-    and ties, and unassembled element forces. The floor is the round-off of K u on that scale: after
-    unloading all forces may vanish, but not their round-off.
+
+def _nodal(problem: ContactProblem, balance: Balance, values: Floats) -> Floats:
+    """Return values (k,) of bounded unknowns at the owned nodes, nan where there is none."""
+    nodal = np.full(problem.n, np.nan)
+    nodal[balance.nodes] = values
+    return nodal
+
+
+def _change(
+    problem: ContactProblem, balance: Balance, contacts: Contacts, predicted: Floats
+) -> tuple[float, float]:
+    """Return how far the gaps of closed contacts are from their prediction.
+
+    The largest in facet lengths, and the work of the contact forces in all of them; collective.
     """
-    v = problem.vectors
-    with problem.timings("assembly"):
-        problem.solid.assemble_residual(v["F"])
-        elements = problem.solid.element_force_norm()
-    v["F"].copy(v["r"])
-    v["r"].aypx(-1.0, v["f"])
-    free = problem.to_reduced(v["r"])
-    supports = free.array_r[problem.eliminated]
-    free.axpy(-1.0, reaction)
-    free.array[problem.eliminated] = 0.0
-    x = problem.vectors["x"]
-    x.array[:] = problem.u.x.array[: x.array_r.size]
-    x.pointwiseMult(x, problem.diagonal)
-    squares = problem.comm.allreduce(np.array([supports @ supports]), op=MPI.SUM)
-    scale = max(v["f"].norm(), reaction.norm(), float(np.sqrt(squares[0])), elements)
-    if scale == 0.0:
-        return 0.0, 0.0
-    return free.norm() / scale, STIFFNESS_FLOOR * x.norm() / scale
+    nodes = balance.nodes
+    off = np.abs(balance.bounds.upper - predicted[nodes])
+    off[~contacts.active[nodes] | ~np.isfinite(off)] = 0.0
+    largest = float(maximum(problem.comm, off.max(initial=0.0))[0])
+    work = problem.comm.allreduce(float(np.abs(contacts.reactions(balance)) @ off), op=MPI.SUM)
+    return largest / problem.system.facet_length, float(work)
 
 
 def _log(problem: ContactProblem, report: StepReport) -> None:
@@ -360,8 +432,9 @@ def _log(problem: ContactProblem, report: StepReport) -> None:
     if problem.comm.rank == 0:
         i = report.iterations[-1]
         log.info(
-            "Newton %2d: increment %.2e, forces %.2e, KKT %.1e, active %d (%+d), QP %d, CG %d, "
-            "factorisations %d, step %.3g",
-            *(i.number, i.increment, i.force_residual, i.kkt, i.active, i.changed, i.updates),
-            *(i.linear_iterations, i.factorisations, i.step_length),
+            "Newton %2d: increment %.2e, forces %.2e, contact %.2e, KKT %.1e, active %d (%+d), "
+            "QP %d, CG %d, factorisations %d, step %.3g%s",
+            *(i.number, i.increment, i.force_residual, i.contact_residual, i.kkt, i.active),
+            *(i.changed, i.updates, i.linear_iterations, i.factorisations, i.step_length),
+            ", geometry held" if i.geometry_held else "",
         )

@@ -3,21 +3,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx_mortar.arrays import Ints
+from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.qp import Preconditioning
 from dolfinx_mortar.steps.bodies import rigid_motions
-
-if TYPE_CHECKING:
-    from dolfinx_mortar.steps.problem import ContactProblem
+from dolfinx_mortar.steps.dirichlet import Dirichlet
 
 
-def create_preconditioning(problem: ContactProblem, held: Ints) -> Preconditioning:
+def create_preconditioning(
+    K: PETSc.Mat, system: InterfaceSystem, supports: Dirichlet, held: Ints
+) -> Preconditioning:
     """Return the matrix of a preconditioner and its near-null space; collective.
 
     The near-null space are the rigid motions of the whole. In the unknowns of the QP they have
@@ -25,19 +24,34 @@ def create_preconditioning(problem: ContactProblem, held: Ints) -> Preconditioni
     open, the unknowns are changed back (`Transformation.release`).
 
     Args:
-        problem: the problem, with its tangent K and its transformation up to date.
+        K: the tangent.
+        system: the interfaces, with T up to date.
+        supports: the Dirichlet conditions.
         held: owned unknowns of y that are held at their bounds.
     """
-    K, E, motions = problem.K, None, rigid_motions(problem.V)
-    if problem.transformation is not None:
-        B, E, motions = problem.transformation.release(K, held, motions)
+    V, motions = supports.V, rigid_motions(supports.V)
+    decoupled = np.union1d(eliminated_dofs(system, supports), held).astype(np.int32)
+    if system.transformation is not None:
+        B, E, motions = system.transformation.release(K, decoupled, motions)
     else:
-        B = K.copy()
-    decoupled = np.union1d(problem.eliminated, held).astype(np.int32)
+        B, E = K.copy(), None
     for motion in motions:
         motion.array[decoupled] = 0.0
     diagonal = B.getDiagonal()
-    rows = (decoupled + problem.first_dof).astype(PETSc.IntType)
+    first = V.dofmap.index_map_bs * V.dofmap.index_map.local_range[0]
+    rows = (decoupled + first).astype(PETSc.IntType)
     B.zeroRowsColumns(rows, diag=diagonal.sum() / diagonal.getSize())
     B.setOption(PETSc.Mat.Option.SPD, True)
     return Preconditioning(B, E, motions)
+
+
+def eliminated_dofs(system: InterfaceSystem, supports: Dirichlet) -> Ints:
+    """Return the owned unknowns of y that Dirichlet data and ties leave no freedom."""
+    d = supports.V.dofmap.index_map_bs
+    node, component = np.nonzero(supports.owned)
+    parts = [d * node + system.slots()[node, component]]
+    for link in system.links:
+        if not link.interface.one_sided:
+            k, axis = np.nonzero(link.constrained)
+            parts.append(d * link.nodes[k] + axis)
+    return np.unique(np.concatenate(parts)).astype(np.int32)

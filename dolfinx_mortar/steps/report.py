@@ -38,6 +38,7 @@ class Iteration:
     number: int
     increment: float  # |du|_e / (|u|_e + |u + du|_e), elastic energy norm
     force_residual: float  # projected force residual after the step, relative
+    contact_residual: float  # penetration and complementarity after the step, relative
     kkt: float  # largest KKT residual of the QP, relative
     active: int  # active contact nodes, all interfaces and ranks
     changed: int  # active nodes that changed since the last iteration, weakly active ones left out
@@ -47,6 +48,7 @@ class Iteration:
     step_length: float  # accepted by the line search
     line_search_steps: int  # shortenings before acceptance
     geometry_change: float  # gap minus its prediction by the last linearisation, in facet lengths
+    geometry_held: bool  # the next iteration keeps the geometry, because its change does not shrink
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,7 @@ class StepReport:
 
     @property
     def newton_iterations(self) -> int:
-        """Number of linearisations, the confirming one included."""
+        """Number of linearisations."""
         return len(self.iterations)
 
     @property
@@ -126,12 +128,14 @@ class StepReport:
             f"{state} in {self.newton_iterations} Newton iterations "
             f"({self.qp_iterations} QP, {self.factorisations} factorisations), "
             f"{self.geometry} geometry, {self.backend}, {self.linear_solver}",
-            "  it  increment  force res.        KKT  active changed  QP  lin fact  step  geometry",
+            "  it  increment  force res. contact res.       KKT  active changed  QP  lin fact  step"
+            "  geometry",
         ]
         lines += [
-            f"{i.number:4d} {i.increment:10.2e} {i.force_residual:11.2e} {i.kkt:10.2e}"
-            f" {i.active:7d} {i.changed:7d} {i.updates:3d} {i.linear_iterations:4d}"
+            f"{i.number:4d} {i.increment:10.2e} {i.force_residual:11.2e} {i.contact_residual:12.2e}"
+            f" {i.kkt:9.1e} {i.active:7d} {i.changed:7d} {i.updates:3d} {i.linear_iterations:4d}"
             f" {i.factorisations:4d} {i.step_length:5.3g} {i.geometry_change:9.1e}"
+            f"{' held' if i.geometry_held else ''}"
             for i in self.iterations
         ]
         if self.certificate is not None:

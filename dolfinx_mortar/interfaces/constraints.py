@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: MIT
+"""What an interface, or a support, asks of unknowns of y: bounds on single unknowns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """Bounds on increments of unknowns y, of u = T y, in this rank's numbering.
+
+    The problem, the QP and the certificate know constraints by their bounds only: contact has an
+    upper one, tying and Dirichlet data have two that are equal.
+    """
+
+    dofs: Ints  # (k,) owned unknowns of y, each once
+    lower: Floats  # (k,) -inf where there is none
+    upper: Floats  # (k,) inf where there is none
+    weight: Floats  # (k,) D_jj: reaction = weight * multiplier
+
+    @property
+    def equal(self) -> Bools:
+        """Which unknowns have no freedom left, (k,)."""
+        return np.asarray(self.lower == self.upper)
+
+    @property
+    def scale(self) -> float:
+        """The largest distance that an equality still asks for; on this rank."""
+        return float(np.abs(self.upper[self.equal]).max(initial=0.0))
+
+    def select(self, mask: Bools) -> Constraints:
+        """Return some of the constraints."""
+        return Constraints(self.dofs[mask], self.lower[mask], self.upper[mask], self.weight[mask])
+
+
+def equalities(dofs: Ints, values: Floats, weight: Floats | None = None) -> Constraints:
+    """Return the constraints y = values.
+
+    >>> equalities(np.array([4], dtype=np.int32), np.array([0.5])).equal.tolist()
+    [True]
+    """
+    weight = np.ones(len(dofs)) if weight is None else weight
+    return Constraints(dofs.astype(np.int32), values, values, weight)
+
+
+def join(parts: Sequence[Constraints]) -> Constraints:
+    """Return the constraints of all parts."""
+    columns = ([p.dofs, p.lower, p.upper, p.weight] for p in parts)
+    dofs, lower, upper, weight = (np.concatenate(c) for c in zip(*columns, strict=True))
+    return Constraints(dofs.astype(np.int32), lower, upper, weight)

@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: MIT
+"""What a search and an update find for one interface: records, made anew and never changed.
+
+At a kept slave node j with frame R_j = (n_j, t_j, ..) the displacement is written
+
+    u_j = R_j w_j + sum_l Q_jl u_l,      Q_jl = R_j S_j R_j^T P_jl,      P = D^-1 (M - D_removed)
+
+where S_j = diag(1 in constrained directions). Then w is the relative displacement of the two sides
+in those directions, and every constraint is a bound on w.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx import fem, la
+from dolfinx_mortar.algebra import triplets
+from dolfinx_mortar.algebra.blocks import BlockMatrix
+from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.mortar.operators import (
+    Coverage,
+    assemble_node_matrices,
+    default_keep,
+    find_coverage,
+    find_segments,
+    node_weights,
+)
+from dolfinx_mortar.mortar.pairing import Pairing, create_pairing, outside_margin
+from dolfinx_mortar.mortar.surface import Surface, create_surface
+
+
+@dataclass(frozen=True)
+class Sides:
+    """The two surfaces of an interface in the space of the displacement."""
+
+    V: fem.FunctionSpace
+    slave: Surface
+    master: Surface
+    on_slave: Bools  # (local nodes,)
+    on_master: Bools  # (local nodes,)
+    fixed: Bools  # (local nodes, d) directions with Dirichlet data
+
+    @property
+    def nodes(self) -> Ints:
+        """Local numbers (n,) of the slave nodes that this rank owns."""
+        return self.slave.nodes[: self.slave.owned]
+
+    @property
+    def n_owned(self) -> int:
+        """How many nodes of V this rank owns."""
+        return int(self.V.dofmap.index_map.size_local)
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Where an interface couples slave rows to other nodes; fixed between two searches."""
+
+    row: Ints  # (e,) index into the owned slave nodes
+    column: Longs  # (e,) global node
+    from_D: Ints  # positions in D's values of the leading entries (off-diagonal of D)
+    from_M: Ints  # positions in M's values of the remaining entries
+    blocks: BlockMatrix  # room for Q
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """Frames, weights and Q of one interface in one configuration, at its owned slave nodes.
+
+    ``Q`` is refilled by the next update of the same pattern.
+    """
+
+    Q: PETSc.Mat
+    blocks: Floats  # (e, d, d) its entries on the pattern
+    R: Floats  # (n, d, d) frames, normal first; columns are the directions
+    slot: Ints  # (n, d) column of R that is a prescribed Cartesian direction, else -1
+    directions: Bools  # (n, d) which directions of the frame the interface constrains
+    kept: Bools  # (n, c) nodes that carry a multiplier, for each of c choices of direction
+    weight: Floats  # (n, c) D_jj, 0 where not kept
+    normals: Floats  # (n, d) outward, without prescribed directions
+    coverage: Coverage  # how far the nodes face the master
+
+
+@dataclass(frozen=True)
+class Link:
+    """An interface with what a search and an update have found for it."""
+
+    interface: Interface
+    sides: Sides
+    pairing: Pairing
+    pattern: Pattern
+    coupling: Coupling
+    near: Bools  # (n,) slave nodes that take part in the change of basis
+    banned: Bools  # (local nodes,) slave nodes that another interface has
+
+    @property
+    def nodes(self) -> Ints:
+        """Local numbers (n,) of the slave nodes that this rank owns."""
+        return self.sides.nodes
+
+    @property
+    def constrained(self) -> Bools:
+        """Which directions of the frames (n, d) are constrained in the change of basis."""
+        return np.asarray(self.coupling.directions & self.near[:, None])
+
+    @property
+    def slot(self) -> Ints:
+        """Column of the frames in use (n, d) that is a prescribed Cartesian direction, else -1."""
+        axes = np.arange(self.coupling.slot.shape[1], dtype=np.int32)
+        left = np.where(self.sides.fixed[self.nodes], axes, -1)
+        bound = self.constrained.any(axis=1)[:, None]
+        return np.where(bound, self.coupling.slot, left).astype(np.int32)
+
+    @property
+    def frames(self) -> Floats:
+        """Frames in use (n, d, d): Cartesian ones where nothing is bound."""
+        bound = self.constrained.any(axis=1)[:, None, None]
+        return np.where(bound, self.coupling.R, np.eye(self.coupling.R.shape[1]))
+
+    def relative(self, v: PETSc.Vec) -> Floats:
+        """Return R^T (v_j - sum_l Q_jl v_l) at the owned slave nodes, (n, d); collective.
+
+        In constrained directions this is the relative motion of the two sides, R_j^T (v_j - P v).
+        """
+        difference = v.array_r - (self.coupling.Q * v).array_r
+        local = difference.reshape(-1, self.coupling.R.shape[1])[self.nodes]
+        return np.asarray(np.einsum("nij,ni->nj", self.coupling.R, local))
+
+    def constrained_motion(self, v: PETSc.Vec) -> Floats:
+        """Return the constrained components of the relative motion, near or far; collective."""
+        return np.asarray(self.relative(v)[self.coupling.directions])
+
+    def transpose(self, forces: Floats) -> Floats:
+        """Return the owned nodal forces (I - Q)^T v of slave forces v (n, d); collective."""
+        Q = self.coupling.Q
+        v, moved = Q.createVecLeft(), Q.createVecRight()
+        v.array.reshape(-1, forces.shape[1])[self.nodes] = forces
+        Q.multTranspose(v, moved)
+        return np.asarray((v.array_r - moved.array_r).reshape(-1, forces.shape[1]))
+
+
+def share(V: fem.FunctionSpace, owned: Bools) -> Bools:
+    """Return marks of this rank's own nodes, (owned nodes,), on its ghosts, too; collective."""
+    vector = la.vector(V.dofmap.index_map, 1)
+    vector.array[: len(owned)] = owned
+    vector.scatter_forward()
+    return np.asarray(vector.array > 0)
+
+
+def find_sides(interface: Interface, V: fem.FunctionSpace, fixed: Bools) -> Sides:
+    """Find the surfaces of an interface in V; collective.
+
+    Args:
+        interface: the description.
+        V: the vector space of the displacement.
+        fixed: (local nodes, d) True where a direction of a node is prescribed.
+    """
+    surfaces = [
+        create_surface(V, interface.facet_tags, tag, name)
+        for name, tag in (("slave", interface.slave), ("master", interface.master))
+    ]
+    marks = []
+    for surface in surfaces:
+        owned = np.zeros(V.dofmap.index_map.size_local, dtype=bool)
+        owned[surface.nodes[: surface.owned]] = True
+        marks.append(share(V, owned))
+    return Sides(V, *surfaces, *marks, fixed)
+
+
+def pair(sides: Sides, u: fem.Function | None) -> tuple[Pairing, Pattern]:
+    """Pair slave and master facets at X + u and fix the coupling pattern; collective."""
+    pairing = create_pairing(sides.V, sides.slave, sides.master, u, moving=u is not None)
+    nodes = sides.nodes
+    position = np.full(sides.n_owned, -1, dtype=np.int32)
+    position[nodes] = np.arange(len(nodes), dtype=np.int32)
+    row_D, column_D = triplets.rows_and_columns(pairing.D)
+    row_M, column_M = triplets.rows_and_columns(pairing.M)
+    first = sides.V.dofmap.index_map.local_range[0]
+    from_D = np.flatnonzero((row_D + first != column_D) & (position[row_D] >= 0))
+    from_M = np.flatnonzero(position[row_M] >= 0)
+    row = np.concatenate([position[row_D[from_D]], position[row_M[from_M]]])
+    column = np.concatenate([column_D[from_D], column_M[from_M]])
+    blocks = BlockMatrix(sides.V, nodes[row], column)
+    return pairing, Pattern(row, column, from_D.astype(np.int32), from_M.astype(np.int32), blocks)
+
+
+def has_slid(link: Link, u: fem.Function | None, *, everywhere: bool) -> bool:
+    """Tell whether the bodies slid out of the margin of the last search; collective.
+
+    Args:
+        link: the interface and its pairing.
+        u: displacement.
+        everywhere: ask for all slave facets; otherwise for those at near nodes only.
+    """
+    if everywhere:
+        return outside_margin(link.pairing, u)
+    near = np.zeros(link.sides.n_owned, dtype=bool)
+    near[link.nodes] = link.near
+    surface = link.sides.slave
+    among = share(link.sides.V, near)[surface.nodes][surface.facets].any(axis=1)
+    return outside_margin(link.pairing, u, among)
+
+
+def couple(
+    interface: Interface,
+    sides: Sides,
+    pairing: Pairing,
+    pattern: Pattern,
+    banned: Bools,
+    u: fem.Function | None,
+) -> Coupling:
+    """Integrate D and M at X + u on the fixed pattern and refill Q; collective.
+
+    Args:
+        interface: what is constrained.
+        sides: its surfaces.
+        pairing: candidate pairs.
+        pattern: where D and M couple nodes.
+        banned: (local nodes,) slave nodes that may not carry a multiplier.
+        u: displacement, None for X.
+    """
+    segments, normals = find_segments(pairing, u)
+    covered, tributary = node_weights(pairing, segments)
+    nodes, own = sides.slave.nodes, slice(None, sides.slave.owned)
+    free = normals * ~sides.fixed[nodes]
+    left = np.linalg.norm(free, axis=1)
+    allowed = interface.may_carry(left, sides.fixed[nodes]) & ~banned[nodes, None]
+    P, weight = [], []
+    differ = any_rank(sides.V.mesh.comm, *(allowed != allowed[:, :1]).any(axis=0))
+    for c in range(allowed.shape[1]):  # choices that keep the same nodes share one assembly
+        if c > 0 and not differ[c]:
+            P.append(P[0])
+            weight.append(weight[0])
+            continue
+        keep = default_keep(pairing, segments, covered, tributary, allowed[:, c])
+        D, M = assemble_node_matrices(pairing, segments, keep)
+        weight.append(D.getDiagonal().array[sides.nodes])
+        values = -D.getValuesCSR()[2][pattern.from_D], M.getValuesCSR()[2][pattern.from_M]
+        inverse = np.divide(1.0, weight[c], out=np.zeros_like(weight[c]), where=weight[c] > 0)
+        P.append(np.concatenate(values) * inverse[pattern.row])
+    weights = np.column_stack(weight)
+    direction = (free / np.maximum(left, np.finfo(float).tiny)[:, None])[own]
+    frame = interface.frame(direction, weights > 0, sides.fixed[sides.nodes])
+    blocks = interface.blocks(np.column_stack(P), frame.normals[pattern.row])
+    pattern.blocks.fill(blocks)
+    return Coupling(
+        Q=pattern.blocks.matrix,
+        blocks=blocks,
+        R=frame.R,
+        slot=frame.slot,
+        directions=frame.directions,
+        kept=weights > 0,
+        weight=weights,
+        normals=frame.normals,
+        coverage=find_coverage(pairing, segments, covered, tributary),
+    )
+
+
+def measure_coverage(pairing: Pairing, u: fem.Function | None) -> Coverage:
+    """Return how far the slave nodes face the master at X + u; collective."""
+    segments, _ = find_segments(pairing, u)
+    return find_coverage(pairing, segments, *node_weights(pairing, segments))
+
+
+def restrict(link: Link, near: Bools) -> Link:
+    """Let only these slave nodes, (n,), take part in the change of basis."""
+    return replace(link, near=near)

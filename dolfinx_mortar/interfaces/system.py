@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: MIT
+"""All interfaces of a problem together: paired, claimed, coupled, and one change of basis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx import fem
+from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.interfaces.basis import Transformation
+from dolfinx_mortar.interfaces.claims import Claims, are_outdated, resolve_claims
+from dolfinx_mortar.interfaces.constraints import Constraints, join
+from dolfinx_mortar.interfaces.coupling import (
+    Link,
+    Sides,
+    couple,
+    find_sides,
+    has_slid,
+    measure_coverage,
+    pair,
+    restrict,
+)
+from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.interfaces.near import find_reach, touches_far_nodes
+from dolfinx_mortar.mortar.operators import Coverage
+from dolfinx_mortar.mortar.surface import mean_facet_length
+
+
+class InterfaceSystem:
+    """The interfaces of a problem and T, as of the last update.
+
+    Args:
+        V: the vector space of the displacement.
+        interfaces: in the order in which they claim slave nodes.
+        fixed: (local nodes, d) True where a direction of a node is prescribed.
+
+    Attributes:
+        links: the interfaces with their pairings and couplings.
+        transformation: T; None without interfaces.
+        notes: what claims have removed.
+        searches: how often the surfaces were paired.
+        facet_length: largest mean slave facet of the interfaces, 1 without interfaces.
+    """
+
+    def __init__(self, V: fem.FunctionSpace, interfaces: Sequence[Interface], fixed: Bools) -> None:
+        """Find the surfaces; collective."""
+        self.V, self.interfaces = V, list(interfaces)
+        self.sides: list[Sides] = [find_sides(i, V, fixed) for i in interfaces]
+        self.facet_length = max((mean_facet_length(s.slave) for s in self.sides), default=1.0)
+        self.links: list[Link] = []
+        self.claims: Claims | None = None
+        self.transformation: Transformation | None = None
+        self.notes: list[str] = []
+        self.searches = 0
+
+    @property
+    def n(self) -> int:
+        """How many nodes this rank owns."""
+        return int(self.V.dofmap.index_map.size_local)
+
+    def link(self, interface: Interface) -> Link:
+        """Return what the last update has found for an interface."""
+        return self.links[next(k for k, i in enumerate(self.interfaces) if i is interface)]
+
+    # -- configurations --------------------------------------------------------------------------
+
+    def update(
+        self,
+        at: fem.Function | None,
+        x: PETSc.Vec,
+        increment: float,
+        *,
+        search: bool = False,
+        everywhere: bool = False,
+    ) -> bool:
+        """Rebuild D, M, N and T at X + u; collective.
+
+        Args:
+            at: displacement u at which normals and segments are taken; None for X.
+            x: (n,) present coordinates X + u, also for frozen surfaces.
+            increment: largest prescribed increment of the step, which tells what counts as near.
+            search: pair the surfaces anew in any case; otherwise where they slid too far.
+            everywhere: ask so for the whole surfaces, not only near the contact.
+
+        Returns:
+            Whether T has a new pattern.
+        """
+        if not self.interfaces:
+            return False
+        if search or not self.links or self._slid(at, everywhere=everywhere):
+            self._search(at)
+        else:
+            self.links = [replace(link, coupling=self._couple(link, at)) for link in self.links]
+            if self._claims_outdated():
+                self._search(at)
+        reach = find_reach(self.links, x, self.n, increment, self.facet_length)
+        missing = reach.missing(self.links)
+        fresh = self.transformation is None or bool(any_rank(self.V.mesh.comm, missing)[0])
+        if fresh:
+            assert self.claims is not None
+            self.links = [restrict(link, reach.near(link)) for link in self.links]
+            self.transformation = None  # before the new one needs the memory
+            self.transformation = Transformation(self.V, self.links, self.claims.order)
+        assert self.transformation is not None
+        self.transformation.update(self.links)
+        return fresh
+
+    def _slid(self, at: fem.Function | None, *, everywhere: bool) -> bool:
+        """Tell whether sides slid out of the margins of their pairings; collective."""
+        slid = [
+            has_slid(link, at, everywhere=everywhere)
+            for link in self.links
+            if link.interface.configuration(at) is not None
+        ]
+        return any(slid)
+
+    def _couple(self, link: Link, at: fem.Function | None):  # type: ignore[no-untyped-def]
+        at = link.interface.configuration(at)
+        return couple(link.interface, link.sides, link.pairing, link.pattern, link.banned, at)
+
+    def _search(self, at: fem.Function | None) -> None:
+        """Pair the surfaces and settle the claims; T has to be built anew; collective."""
+        self.searches += 1
+        self.transformation = None
+        configurations = [i.configuration(at) for i in self.interfaces]
+        found = [pair(s, u) for s, u in zip(self.sides, configurations, strict=True)]
+        pairings, patterns = zip(*found, strict=True)
+        if len(self.sides) > 1:
+            coverage = [
+                measure_coverage(p, u) for p, u in zip(pairings, configurations, strict=True)
+            ]
+        else:  # nobody to share with
+            nodes = len(self.sides[0].nodes)
+            coverage = [Coverage(np.ones(nodes), np.ones(nodes, dtype=bool))]
+        self.claims = resolve_claims(self.interfaces, self.sides, patterns, coverage)
+        self.notes += [note for note in self.claims.notes if note not in self.notes]
+        self.links = []
+        parts = zip(
+            self.interfaces,
+            self.sides,
+            pairings,
+            patterns,
+            self.claims.banned,
+            configurations,
+            strict=True,
+        )
+        for interface, sides, pairing, pattern, banned, u in parts:
+            coupling = couple(interface, sides, pairing, pattern, banned, u)
+            near = np.ones(len(sides.nodes), dtype=bool)
+            self.links.append(Link(interface, sides, pairing, pattern, coupling, near, banned))
+
+    def _claims_outdated(self) -> bool:
+        """Tell whether the claims must be settled anew; collective."""
+        assert self.claims is not None
+        patterns = [link.pattern for link in self.links]
+        coverage = [link.coupling.coverage for link in self.links]
+        return are_outdated(self.claims, self.sides, patterns, coverage)
+
+    def is_complete(self, at: fem.Function | None, x: PETSc.Vec) -> bool:
+        """Tell whether no slave node outside T may be in contact; collective.
+
+        It may where the sides have slid past their partners, or where a gap has closed.
+        """
+        if not self.links:
+            return True
+        slid = at is not None and self._slid(at, everywhere=True)
+        return not slid and not touches_far_nodes(self.links, x, self.n)
+
+    # -- what the QP needs -----------------------------------------------------------------------
+
+    def constraints(self, x: PETSc.Vec, u: PETSc.Vec) -> Constraints:
+        """Return the bounds of all interfaces on increments of y; collective.
+
+        Args:
+            x: (n,) coordinates X + u (also with frozen geometry: the gap is linear in u).
+            u: (n,) displacement.
+        """
+        parts = []
+        for link in self.links:
+            slip = link.relative(link.interface.measured(x, u))
+            directions = link.constrained
+            parts.append(
+                link.interface.constraints(link.nodes, directions, slip, link.coupling.weight)
+            )
+        none: Floats = np.zeros(0)
+        return join([*parts, Constraints(np.zeros(0, dtype=np.int32), none, none, none)])
+
+    def slots(self) -> Ints:
+        """Return (owned nodes, d): the unknown of each node that is a Cartesian component."""
+        d = self.V.dofmap.index_map_bs
+        slot: Ints = np.tile(np.arange(d, dtype=np.int32), (self.n, 1))
+        for link in self.links:
+            carries = link.constrained.any(axis=1)
+            nodes, own = link.nodes[carries], link.slot[carries]
+            slot[nodes] = np.where(own >= 0, own, slot[nodes])
+        return slot

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: MIT
+"""The length of a Newton step: energy where it speaks, slopes where it is round-off.
+
+The merit is phi(t) = J(u + t du) + s sum_j D_jj (t w_j - gap_j)_+ with the gaps of one geometry. A
+step is accepted if phi falls by a share of what its slope promises (Armijo). Where that promise is
+smaller than the round-off of phi's own terms, the values say nothing; then the slope at the end of
+the step must not exceed the slope at its start (the approximate Wolfe condition of Hager and Zhang,
+SIAM J. Optim. 16, 2005, sufficient for a convex phi): slopes are sums of forces times
+displacements, and do not cancel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.qp import QPSolution
+from dolfinx_mortar.steps.linearisation import Linearisation
+from dolfinx_mortar.steps.problem import StepData
+from dolfinx_mortar.steps.residuals import EPS, gap_round_off, round_off
+
+if TYPE_CHECKING:
+    from dolfinx_mortar.steps.problem import ContactProblem
+
+ARMIJO = 1e-4
+MAX_HALVINGS = 12
+
+
+class NoDescent(RuntimeError):
+    """No step along the direction lowers the merit."""
+
+
+@dataclass(frozen=True)
+class Energy:
+    """J(u) and the size of its terms."""
+
+    value: float
+    terms: float  # sum of the absolute values of what is added up
+
+
+def find_energy(problem: ContactProblem, data: StepData) -> Energy:
+    """Return J(u) = Psi(u) - f.u; collective."""
+    psi, potential = problem.solid.energy(), problem.loads.energy()
+    work = data.f.array_r * problem.u.x.array[: data.f.local_size]
+    local = np.array([work.sum(), np.abs(work).sum()])
+    total, size = problem.comm.allreduce(local, op=MPI.SUM)
+    return Energy(psi + potential - total, abs(psi) + abs(potential) + size)
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A step to be shortened: u + t du, y + t dy, with what phi needs besides J."""
+
+    start: Floats  # (n,) u
+    du: Floats  # (n,)
+    motion: Floats  # (k,) of the bounded unknowns
+    gap: Floats  # (k,) beyond which they are penalised, round-off of gaps included
+    penalty: Floats  # (k,) s D_jj
+    noise: float  # error of r.du: round-off of forces and gaps, and what the QP has left
+
+    def excess(self, t: float) -> float:
+        """Return the penalty term at t; on this rank."""
+        return float(self.penalty @ np.maximum(t * self.motion - self.gap, 0.0))
+
+    def growth(self, t: float) -> float:
+        """Return the derivative of the penalty term at t, ahead; on this rank."""
+        beyond = t * self.motion > self.gap
+        return float(self.penalty[beyond] @ self.motion[beyond])
+
+
+def search(
+    problem: ContactProblem,
+    data: StepData,
+    lin: Linearisation,
+    solved: QPSolution,
+    du: PETSc.Vec,
+    multiplier: float,
+    before: Energy,
+) -> tuple[float, int, Energy]:
+    """Move u along a step until the merit falls; collective.
+
+    Args:
+        problem: the problem; its displacement is moved.
+        data: loads of the step.
+        lin: the linearisation that has led to the step.
+        solved: the QP's solution.
+        du: the same step in u.
+        multiplier: largest multiplier seen; the penalty is twice as large.
+        before: J at the start.
+
+    Returns:
+        The length, the number of halvings, and J at the end.
+
+    Raises:
+        NoDescent: if 12 halvings do not suffice.
+    """
+    bounds, own = lin.balance.bounds, du.local_size
+    # forces of contact and ties times the round-off of their gaps; what the QP has not balanced
+    held = lin.balance.reduced.array_r[lin.balance.equal.dofs]
+    local = np.abs(solved.z.array_r[bounds.dofs]).sum() + np.abs(held).sum()
+    touching = _sum(problem, float(local))
+    unbalanced = round_off(problem, lin.diagonal) + solved.kkt.unsolved
+    path = Direction(
+        start=problem.u.x.array[:own].copy(),
+        du=du.array_r.copy(),
+        motion=solved.x.array_r[bounds.dofs],
+        gap=bounds.upper + gap_round_off(problem),
+        penalty=2.0 * multiplier * bounds.weight,
+        noise=unbalanced * du.norm() + gap_round_off(problem) * touching,
+    )
+    cells = problem.V.mesh.topology.index_map(problem.V.mesh.topology.dim).size_global
+    first, last = _sum(problem, path.excess(0.0)), _sum(problem, path.excess(1.0))
+    promise = -lin.balance.r.dot(du) + last - first
+    length = 1.0
+    for halvings in range(MAX_HALVINGS + 1):
+        move(problem, path.start + length * path.du)
+        after, penalty = find_energy(problem, data), _sum(problem, path.excess(length))
+        # a sum of n terms of one size loses about sqrt(n) units of round-off
+        noise = EPS * np.sqrt(cells) * (before.terms + after.terms + first + penalty) + path.noise
+        if abs(promise) <= path.noise:
+            accepted = True  # not even slopes say anything: the residuals will judge
+        elif abs(length * promise) > noise:
+            target = before.value + first + ARMIJO * length * min(promise, 0.0)
+            accepted = after.value + penalty <= target + noise
+        else:
+            slope = _slope(problem, data, path, length)
+            accepted = slope <= (1.0 - 2.0 * ARMIJO) * abs(promise) + path.noise
+        if accepted:
+            return length, halvings, after
+        length *= 0.5
+    move(problem, path.start)
+    raise NoDescent("the line search found no step that lowers the energy")
+
+
+def _slope(problem: ContactProblem, data: StepData, path: Direction, t: float) -> float:
+    """Return the derivative of phi at u, which lies at t on the path; collective."""
+    F = problem.vector()
+    problem.solid.assemble_residual(F)
+    problem.loads.add_forces(F)
+    local = float((F.array_r - data.f.array_r) @ path.du) + path.growth(t)
+    return _sum(problem, local)
+
+
+def _sum(problem: ContactProblem, value: float) -> float:
+    return float(problem.comm.allreduce(value, op=MPI.SUM))
+
+
+def move(problem: ContactProblem, values: Floats) -> None:
+    """Set the displacement to owned values; collective."""
+    problem.u.x.array[: values.size] = values
+    problem.u.x.scatter_forward()

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: MIT
+"""One Newton iterate: what is out of balance at u, and the QP that mends it.
+
+A `Balance` is made at every iterate in the geometry of the moment, a `Linearisation` from it where
+another QP is needed. Newton's method, the line search, the certificate and the results read them;
+both are made in one go and never changed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.interfaces.constraints import Constraints, equalities, join
+from dolfinx_mortar.qp import BoundQP
+from dolfinx_mortar.steps.problem import StepData
+
+if TYPE_CHECKING:
+    from dolfinx_mortar.steps.problem import ContactProblem
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Forces and constraints at the present u, in the geometry of the moment."""
+
+    r: PETSc.Vec  # (n,) f - F(u)
+    reduced: PETSc.Vec  # (n,) T^T r
+    equal: Constraints  # what Dirichlet data and ties still ask for
+    bounds: Constraints  # what contact allows
+    elements: float  # norm of the unassembled element forces
+    external: float  # norm of the external forces
+
+    @property
+    def nodes(self) -> Ints:
+        """Owned nodes (k,) of the bounded unknowns."""
+        return np.asarray(self.bounds.dofs // self.reduced.getBlockSize(), dtype=np.int32)
+
+    @property
+    def eliminated(self) -> Ints:
+        """Owned unknowns (m,) without freedom, ascending."""
+        return np.sort(self.equal.dofs)
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """The quadratic program of one iterate."""
+
+    qp: BoundQP
+    balance: Balance
+    diagonal: PETSc.Vec  # (n,) of K^ before the elimination
+
+
+def find_balance(problem: ContactProblem, data: StepData, overlap: float = 0.0) -> Balance:
+    """Assemble the forces and constraints at the present u; collective.
+
+    Args:
+        problem: the problem, in the geometry to be judged.
+        data: loads and prescribed values of the step.
+        overlap: depth by which the sides may still overlap (initial overlaps are resolved in
+            parts).
+    """
+    with problem.timings("assembly"):
+        F = problem.vector()
+        problem.solid.assemble_residual(F)
+        problem.loads.add_forces(F)
+        elements = problem.solid.element_force_norm()
+    F.aypx(-1.0, data.f)
+    with problem.timings("transform"):
+        reduced = to_reduced(problem, F)
+        u = problem.vector(problem.u.x.array[: F.local_size])
+        found = problem.system.constraints(problem.positions(), u)
+        asked = _dirichlet_constraints(problem, data, u.array_r)
+    equal, bounds = found.select(found.equal), found.select(~found.equal)
+    if overlap > 0.0:
+        bounds = replace(bounds, upper=bounds.upper + overlap)
+    return Balance(F, reduced, join([asked, equal]), bounds, elements, data.f.norm())
+
+
+def _dirichlet_constraints(problem: ContactProblem, data: StepData, u: Floats) -> Constraints:
+    """Return prescribed minus present values as equalities of unknowns of y."""
+    node, component = np.nonzero(problem.supports.owned)
+    dofs = problem.d * node + component  # in u
+    slots = problem.d * node + problem.system.slots()[node, component]  # in y
+    return equalities(slots, data.target[dofs] - u[dofs])
+
+
+def linearise(problem: ContactProblem, balance: Balance, *, tangent: bool = True) -> Linearisation:
+    """Assemble min 1/2 dy.K^ dy - r^.dy with its bounds at the present u; collective.
+
+    Args:
+        problem: the problem, in the geometry of the balance.
+        balance: forces and constraints.
+        tangent: assemble K anew; a linear law needs it once in a step.
+    """
+    T = problem.system.transformation
+    if tangent or T is None:  # without T the elimination below spoils K itself
+        with problem.timings("assembly"):
+            problem.solid.assemble_tangent(problem.K)
+            problem.loads.add_tangent(problem.K)
+    with problem.timings("transform"):
+        A = problem.K if T is None else T.transform(problem.K)
+        b, dy = balance.reduced.copy(), problem.vector()
+        dy.array[balance.equal.dofs] = balance.equal.upper
+        diagonal = A.getDiagonal()
+        rows = (balance.eliminated + problem.first_dof).astype(PETSc.IntType)
+        A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        A.zeroRowsColumns(rows, diag=diagonal.sum() / diagonal.getSize(), x=dy, b=b)
+        A.setOption(PETSc.Mat.Option.SPD, True)
+        lower, upper = problem.vector(), problem.vector()
+        lower.set(PETSc.NINFINITY)
+        upper.set(PETSc.INFINITY)
+        bounds = balance.bounds
+        lower.array[bounds.dofs] = np.maximum(bounds.lower, PETSc.NINFINITY)
+        upper.array[bounds.dofs] = np.minimum(bounds.upper, PETSc.INFINITY)
+    return Linearisation(BoundQP(A, b, lower, upper, bounds.dofs), balance, diagonal)
+
+
+def to_reduced(problem: ContactProblem, forces: PETSc.Vec) -> PETSc.Vec:
+    """Return T^T times a force vector; collective."""
+    result = forces.copy()
+    if problem.system.transformation is not None:
+        problem.system.transformation.apply_transposed(forces, result)
+    return result
+
+
+def to_displacement(problem: ContactProblem, dy: PETSc.Vec) -> PETSc.Vec:
+    """Return du = T dy; collective."""
+    du = dy.copy()
+    if problem.system.transformation is not None:
+        problem.system.transformation.apply(dy, du)
+    return du

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: MIT
+"""When a step is done: residuals of the nonlinear problem, each against what is allowed.
+
+Forces are measured against the largest that have acted in the step, a penetration by the force that
+would undo it, an open contact that carries a force by the work of that force in the gap. None of
+this vanishes in rigid travel or after unloading, where an increment or an energy says nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.steps.linearisation import Balance
+
+if TYPE_CHECKING:
+    from dolfinx_mortar.steps.problem import ContactProblem
+
+EPS = float(np.finfo(float).eps)
+# A row of a stiffness matrix sums up, in absolute values, to 2 to 4 times its diagonal entry, so
+# that |K| |u| <= 4 |diag(K) u|.
+ROW_SUM = 4.0
+# Operations behind a gap: a coordinate times a shape function, summed over a few facets
+GAP_OPERATIONS = 16.0
+# Of the step's first residual, K times the prescribed increment, rtol times this may stay: it is
+# what the linear solver was asked for, and in a stress-free step the only scale there is.
+FIRST_SHARE = 1e-3
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Which contacts are closed, and what they carry; over the owned nodes."""
+
+    active: Bools  # (owned nodes,)
+    multipliers: Floats  # (owned nodes,) lambda_j, 0 where not active
+
+    def reactions(self, balance: Balance) -> Floats:
+        """Return D_jj lambda_j (k,) on the bounded unknowns of a configuration."""
+        return np.asarray(balance.bounds.weight * self.multipliers[balance.nodes])
+
+
+@dataclass(frozen=True)
+class Scales:
+    """The sizes that a step has shown so far; they only grow."""
+
+    force: float = 0.0  # largest norm of external, contact, support or element forces
+    first: float = 0.0  # norm of the first QP's right-hand side
+    work: float = 0.0  # largest |u|_e^2
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """What is left at an iterate; ``excess`` <= 1 means that the step is done."""
+
+    forces: float  # norm of T^T (f - F(u)) - z on unknowns with freedom, over the force scale
+    contact: float  # penetration and complementarity, on their scales
+    excess: float  # largest residual over what is allowed
+    limit: float  # norm of forces that is allowed
+
+
+def _norm(comm: MPI.Comm, *parts: Floats) -> float:
+    return float(np.sqrt(comm.allreduce(float(sum(p @ p for p in parts)), op=MPI.SUM)))
+
+
+def _ratio(value: float, scale: float) -> float:
+    return 0.0 if value == 0.0 else value / scale if scale > 0.0 else np.inf
+
+
+def round_off(problem: ContactProblem, diagonal: PETSc.Vec) -> float:
+    """Return the round-off of K u, EPS times the norm of |K| |u|; collective."""
+    return (
+        ROW_SUM
+        * EPS
+        * _norm(problem.comm, diagonal.array_r * problem.u.x.array[: diagonal.local_size])
+    )
+
+
+def gap_round_off(problem: ContactProblem) -> float:
+    """Return the round-off of gaps, which are differences of coordinates; collective."""
+    x, u = problem.V.mesh.geometry.x, problem.u.x.array
+    sizes = maximum(problem.comm, np.abs(x).max(initial=0.0), np.abs(u).max(initial=0.0))
+    return float(GAP_OPERATIONS * EPS * sizes.sum())
+
+
+def measure(
+    problem: ContactProblem,
+    balance: Balance,
+    contacts: Contacts,
+    diagonal: PETSc.Vec,
+    scales: Scales,
+    rtol: float,
+) -> tuple[Residuals, Scales]:
+    """Judge an iterate, with the multipliers at hand; collective.
+
+    Args:
+        problem: the problem; its displacement is the iterate.
+        balance: forces and constraints in the geometry that is to be judged.
+        contacts: the multipliers of the last QP.
+        diagonal: of the last K^, which turns a penetration into the force that undoes it.
+        scales: of the step so far.
+        rtol: tolerance.
+
+    Returns:
+        The residuals, and the scales with this iterate's sizes.
+    """
+    comm, z = problem.comm, contacts.reactions(balance)
+    free = balance.reduced.array_r.copy()
+    supports = free[balance.equal.dofs]
+    free[balance.bounds.dofs] -= z
+    free[balance.equal.dofs] = 0.0
+    forces = _norm(comm, free)
+    largest = max(balance.external, balance.elements, _norm(comm, z), _norm(comm, supports))
+    scales = replace(scales, force=max(scales.force, largest))
+    floor = round_off(problem, diagonal)
+    limit = max(rtol * scales.force, FIRST_SHARE * rtol * scales.first, floor)
+
+    length = gap_round_off(problem)
+    active, gap = contacts.active[balance.nodes], balance.bounds.upper
+    off = np.maximum(np.where(active, np.abs(gap), np.maximum(-gap, 0.0)) - length, 0.0)
+    missed = np.maximum(np.abs(balance.equal.upper) - length, 0.0)
+    stiffness = diagonal.array_r
+    pull = _norm(
+        comm,
+        np.where(active, 0.0, stiffness[balance.bounds.dofs] * off),
+        stiffness[balance.equal.dofs] * missed,
+    )
+    work = comm.allreduce(float(np.abs(z) @ off), op=MPI.SUM)
+    shares = (forces / limit if forces > 0.0 else 0.0), _ratio(pull, limit)
+    excess = max(*shares, _ratio(work, rtol * scales.work))
+    relative = max(_ratio(pull, max(scales.force, limit)), _ratio(work, scales.work))
+    return Residuals(_ratio(forces, max(scales.force, limit)), relative, excess, limit), scales
