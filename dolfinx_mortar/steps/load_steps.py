@@ -4,21 +4,19 @@
 from __future__ import annotations
 
 import logging
-import math
-import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TextIO
 
-from mpi4py import MPI
+import numpy as np
 
-from rich.console import Console
-from rich.progress import Progress
-
-from dolfinx_mortar.steps.newton import newton
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.interfaces.near import nodal_gaps
+from dolfinx_mortar.steps.checks import check_load_steps, check_problem
+from dolfinx_mortar.steps.newton import solve_step
 from dolfinx_mortar.steps.problem import ContactProblem
+from dolfinx_mortar.steps.progress import progress as show_progress
 from dolfinx_mortar.steps.report import NewtonNotConverged, StepReport
+from dolfinx_mortar.steps.residuals import gap_round_off
 
 log = logging.getLogger(__name__)
 
@@ -32,105 +30,164 @@ class LoadStep:
     report: StepReport  # of the last part
     parts: list[StepReport] = field(default_factory=list)  # one, or several after cut-backs
 
+    def __str__(self) -> str:
+        """Return one line."""
+        iterations = sum(part.newton_iterations for part in self.parts)
+        cut = f" in {len(self.parts)} parts" if len(self.parts) > 1 else ""
+        certificate = self.report.certificate
+        active = certificate.active_nodes if certificate is not None else 0
+        return (
+            f"step {self.number} to {self.time:g}{cut}: {iterations} Newton iterations, "
+            f"{active} nodes in contact"
+        )
+
+
+@dataclass(frozen=True)
+class Level:
+    """A point on the loading path."""
+
+    time: float
+    overlap: float = 0.0  # depth by which the sides may still overlap
+    cuts: int = 0  # halvings that have led to it
+
+    def between(self, reached: Level) -> Level:
+        """Return the level halfway from where one is."""
+        return Level(
+            (reached.time + self.time) / 2.0, (reached.overlap + self.overlap) / 2.0, self.cuts + 1
+        )
+
 
 def load_steps(
     problem: ContactProblem,
     times: Iterable[float],
     *,
     on_time: Callable[[float], None] | None = None,
-    start: float = 0.0,
+    start: float | None = None,
     qp: str = "active-set",
     rtol: float = 1e-6,
     max_it: int = 50,
+    cuts: str = "halve",
     max_cuts: int = 6,
+    progress: bool | None = None,
 ) -> Iterator[LoadStep]:
     """Walk through load levels: set the loads, solve, commit, yield; collective.
 
     A step that does not converge is halved, up to ``max_cuts`` times; the parts are committed one
-    by one (the loading path matters to plasticity, they belong to the answer).
+    by one (the loading path matters to plasticity, they belong to the answer). Sides that overlap
+    at the start of such a step are pushed apart in the same parts.
 
     Args:
         problem: the bodies and their constraints.
         times: load levels in the order of the loading; they may fall.
         on_time: sets loads and Dirichlet values for a level, also for levels between two times.
-        start: level of the committed state.
+        start: level of the committed state; by default the last one that ``load_steps`` has
+            reached on this problem, 0 at first.
         qp: as in ``newton``.
         rtol: as in ``newton``.
         max_it: as in ``newton``.
+        cuts: "halve", or "none" to fail where a step does not converge as it is.
         max_cuts: largest number of halvings of one step.
+        progress: show how far the walk has come; None does if both standard streams are terminals
+            and there is more than one step.
 
     Yields:
         One ``LoadStep`` for every entry of ``times``.
 
     Raises:
-        ValueError: for times that are no list of finite levels.
+        ValueError: for arguments that make no sense, on all ranks.
         NewtonNotConverged: when the smallest step fails, too. Steps yielded before are committed.
     """
-    if not isinstance(times, Iterable):
-        raise ValueError(f"times is {times!r}: give a list of levels, [{times!r}] for a single one")
-    levels = [float(t) for t in times]
-    if not all(map(math.isfinite, levels)):
-        raise ValueError(f"times is {levels}: every level must be finite")
-    with _progress(problem.comm, len(levels)) as advance:
-        reached = start
-        for number, level in enumerate(levels, start=1):
-            parts: list[StepReport] = []
-            pending = [(level, 0)]
-            while pending:
-                target, cuts = pending[-1]
-                if on_time is not None:
-                    on_time(target)
-                try:
-                    parts.append(newton(problem, qp=qp, rtol=rtol, max_it=max_it))
-                except NewtonNotConverged as error:
-                    if cuts >= max_cuts or on_time is None:
-                        tried = f"{cuts} of {max_cuts} cuts" if on_time else "no cuts (no on_time)"
-                        error.message = (
-                            f"load step {number} to time {level:g} failed from {reached:g} to "
-                            f"{target:g}, after {tried}: {error.message}"
-                        )
-                        raise
-                    if problem.comm.rank == 0:
-                        log.warning("no convergence at %g, trying half the step", target)
-                    pending.append(((reached + target) / 2.0, cuts + 1))
-                    continue
-                problem.commit()
-                reached = target
-                pending.pop()
+    check_problem(problem, ContactProblem)
+    levels = check_load_steps(times, start, max_cuts, cuts, problem.comm)
+    most = max_cuts if cuts == "halve" else 0
+    options = {"qp": qp, "rtol": rtol, "max_it": max_it}
+    if start is not None:
+        problem.committed.level = float(start)
+    with show_progress(problem.comm, len(levels), progress) as advance:
+        for number, time in enumerate(levels, start=1):
+            parts = _walk(problem, number, time, on_time, most, options)
             advance()
-            yield LoadStep(number, level, parts[-1], parts)
+            yield LoadStep(number, time, parts[-1], parts)
 
 
-@contextmanager
-def _progress(comm: MPI.Comm, total: int) -> Iterator[Callable[[], None]]:
-    """Show a bar over the load steps on rank 0 of a terminal."""
-    if comm.rank != 0 or total < 2 or not sys.stderr.isatty():
-        yield lambda: None
+def _walk(
+    problem: ContactProblem,
+    number: int,
+    time: float,
+    on_time: Callable[[float], None] | None,
+    most: int,
+    options: dict[str, object],
+) -> list[StepReport]:
+    """Go to a level, in parts where that fails; return the reports of the parts."""
+    parts: list[StepReport] = []
+    reached, pending = Level(problem.committed.level), [Level(time)]
+    failures = 0
+    while pending:
+        level = pending[-1]
+        _set_loads(problem, on_time, level.time)
+        try:
+            report = solve_step(problem, overlap=level.overlap, **options)  # type: ignore[arg-type]
+        except NewtonNotConverged as error:
+            failures += 1
+            if not parts:
+                reached = Level(reached.time, find_overlap(problem))
+            way = level.time != reached.time and on_time is not None
+            if level.cuts >= most or not (way or level.overlap != reached.overlap):
+                error.message = _describe(number, time, level, reached, most, error.message)
+                raise
+            if problem.comm.rank == 0:
+                log.warning("no convergence at %g, trying half the step", level.time)
+            pending.append(level.between(reached))
+            continue
+        problem.commit()
+        problem.committed.level = level.time
+        reached = level
+        parts.append(report)
+        pending.pop()
+    if failures:
+        shown = ", ".join(f"{n} iterations" for n in (p.newton_iterations for p in parts))
+        parts[-1].notes.append(f"the step was cut {failures} times and made in parts: {shown}")
+    parts[-1].cuts = failures
+    return parts
+
+
+def _set_loads(
+    problem: ContactProblem, on_time: Callable[[float], None] | None, time: float
+) -> None:
+    """Call the user's function; an error on one rank is raised on all of them; collective."""
+    if on_time is None:
         return
-    console = Console(stderr=True, soft_wrap=True)
-    before = sys.stderr, sys.stdout
-    with Progress(console=console, transient=True, redirect_stdout=sys.stdout.isatty()) as bar:
-        task = bar.add_task("load steps", total=total)
-        with _logs_through(dict(zip(before, (sys.stderr, sys.stdout), strict=True))):
-            yield lambda: bar.advance(task)
-
-
-@contextmanager
-def _logs_through(streams: dict[TextIO, TextIO]) -> Iterator[None]:
-    """Let the package's log handlers write to other streams.
-
-    They hold the streams of the time when they were made, and would write across the bar.
-    """
-    moved: list[tuple[logging.StreamHandler[TextIO], TextIO]] = []
-    logger: logging.Logger | None = log
-    while logger is not None:
-        for handler in logger.handlers:
-            if isinstance(handler, logging.StreamHandler) and handler.stream in streams:
-                moved.append((handler, handler.stream))
-                handler.setStream(streams[handler.stream])
-        logger = logger.parent if logger.propagate else None
+    error: Exception | None = None
     try:
-        yield
-    finally:
-        for handler, stream in moved:
-            handler.setStream(stream)
+        on_time(time)
+    except Exception as caught:  # whatever the user's code may raise
+        error = caught
+    if problem.comm.size == 1:
+        if error is not None:
+            raise error
+        return
+    told = problem.comm.allgather("" if error is None else f"{type(error).__name__}: {error}")
+    if error is not None:
+        raise error
+    failed = [(rank, text) for rank, text in enumerate(told) if text]
+    if failed:
+        raise RuntimeError(f"on_time({time:g}) failed on rank {failed[0][0]}: {failed[0][1]}")
+
+
+def find_overlap(problem: ContactProblem) -> float:
+    """Return how deep sides overlap at the present displacement, 0 for round-off; collective."""
+    x = problem.update_geometry(0.0, everywhere=True)
+    gap = nodal_gaps(problem.system.links, x, problem.n)
+    deepest = float(maximum(problem.comm, (-gap).max(initial=0.0))[0])
+    return deepest if deepest > gap_round_off(problem) else 0.0
+
+
+def _describe(
+    number: int, time: float, level: Level, reached: Level, most: int, message: str
+) -> str:
+    """Return the message of a step that has failed for good."""
+    cuts = f"{level.cuts} of {most} cuts"
+    return (
+        f"load step {number} to time {time:g} failed from {reached.time:g}, the last level that "
+        f"converged, to {level.time:g}, after {cuts}: {message}"
+    )

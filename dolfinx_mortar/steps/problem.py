@@ -37,7 +37,7 @@ class Committed:
     """What the next step starts from, beside the displacement and the internal variables."""
 
     active: Bools  # (owned nodes,) closed contacts
-    level: float | None = None  # load level of the last step of `load_steps`
+    level: float = 0.0  # load level, of the last step of `load_steps`
 
 
 @dataclass(frozen=True)

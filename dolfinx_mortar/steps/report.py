@@ -89,6 +89,7 @@ class StepReport:
     rtol: float = 0.0
     iterations: list[Iteration] = field(default_factory=list)
     certificate: Certificate | None = None
+    cuts: int = 0  # failures of larger steps before this one, set by `load_steps`
     notes: list[str] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
 
