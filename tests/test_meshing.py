@@ -108,7 +108,6 @@ def test_meshing_is_deterministic_and_silent(capfd):
     assert (captured.out, captured.err) == ("", "")
 
 
-@pytest.mark.mpi
 @pytest.mark.parametrize(
     ("arguments", "name"),
     [

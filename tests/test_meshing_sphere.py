@@ -86,7 +86,6 @@ def test_tags_and_counts_follow_the_element_size():
     assert 6.0 < cells[2] / cells[1] < 8.5
 
 
-@pytest.mark.mpi
 @pytest.mark.parametrize(
     "options",
     [
