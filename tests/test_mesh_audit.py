@@ -188,6 +188,7 @@ def check_collapsed(kind, angle):
     def flatten(x):
         x = x.copy()
         x[: len(x) // 2, -1] = 0.0
+        x += 0.03 * np.sin(7.0 * x[:, ::-1] + 1.0) * (np.arange(d) < d - 1)
         return x @ turn[:d, :d].T + 0.7
 
     domain = create(kind, transform=flatten)
