@@ -12,12 +12,19 @@ below a line contact).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import Bools, Floats
+
+# Where p^2 has fallen below this share of p0^2 a node counts to the edge of a contact: its facets
+# reach out of it, and its pressure is their mean.
+EDGE = 0.1
+# A fit without the edge needs that many nodes.
+ENOUGH = 5
 
 
 @dataclass(frozen=True)
@@ -72,10 +79,10 @@ def effective_modulus(E1: float, nu1: float, E2: float, nu2: float) -> float:
     >>> round(effective_modulus(206_900.0, 0.29, 206_900.0, 0.29), 1)
     112949.0
     """
-    _check_positive(E1=E1, E2=E2)
-    for name, nu in (("nu1", nu1), ("nu2", nu2)):
-        if not -1.0 < nu <= 0.5:
-            raise ValueError(f"{name} = {nu} must lie in (-1, 0.5].")
+    for name, modulus in (("E1", E1), ("E2", E2)):
+        if not (_is_number(modulus) and modulus > 0.0):
+            raise ValueError(f"{name} = {modulus!r} must be positive; np.inf for a rigid body.")
+    _check_poisson(nu1=nu1, nu2=nu2)
     compliance = (1.0 - nu1**2) / E1 + (1.0 - nu2**2) / E2
     if compliance == 0.0:
         raise ValueError(f"E1 = {E1} and E2 = {E2}: one of the two bodies must not be rigid.")
@@ -90,10 +97,16 @@ def effective_radius(radius: float | tuple[float, float]) -> float:
     >>> effective_radius((8.0, 8.0)), effective_radius(8.0), effective_radius((4.0, -8.0))
     (4.0, 8.0, 8.0)
     """
-    with np.errstate(divide="ignore"):
-        curvature = float(np.sum(1.0 / np.atleast_1d(np.asarray(radius, dtype=float))))
+    radii = np.atleast_1d(np.asarray(radius))
+    if radii.dtype.kind not in "fiu" or radii.shape not in ((1,), (2,)):
+        raise ValueError(f"radius = {radius!r} must be one number, or a pair for two round bodies.")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        curvature = float(np.sum(1.0 / radii))
     if not (0.0 < curvature < np.inf):
-        raise ValueError(f"radius = {radius} must leave a positive, finite curvature sum 1/R.")
+        raise ValueError(
+            f"radius = {radius!r} must leave a positive, finite curvature sum 1/R: no radius is 0 "
+            "or NaN, one of two is positive, and a hollow one (negative) is the larger."
+        )
     return 1.0 / curvature
 
 
@@ -119,6 +132,9 @@ def hertz_line(
 
     Returns:
         Half-width, peak pressure and the pressure distribution.
+
+    Raises:
+        ValueError: For a number that is out of range, by the name of its argument.
 
     >>> c = hertz_line(10.0, 8.0, 200.0, 0.3, 200.0, 0.3)
     >>> round(c.half_width, 5), round(c.peak_pressure, 5)
@@ -153,6 +169,9 @@ def hertz_point(
     Returns:
         Contact radius, peak pressure, approach and the pressure distribution.
 
+    Raises:
+        ValueError: For a number that is out of range, by the name of its argument.
+
     >>> c = hertz_point(117808.787, (6.1237, 6.1237), 1e8, 0.29, 1e6, 0.29)
     >>> round(c.contact_radius, 5), round(c.peak_pressure / 1e5, 5)
     (0.63018, 1.41642)
@@ -171,16 +190,22 @@ def line_axis_stress(depth: npt.ArrayLike, nu: float) -> Floats:
         sigma_x = 2 z - (1 + 2 z^2)/s,    sigma_y = -1/s,    sigma_z = nu (sigma_x + sigma_y)
 
     Args:
-        depth: Depth over the half-width a, shape (...).
+        depth: Depth over the half-width a, shape (...), not negative.
         nu: Poisson's ratio of the body.
 
     Returns:
         Stresses along the surface, normal to it and out of plane, shape (..., 3).
 
+    Raises:
+        ValueError: For a depth or a Poisson's ratio that is out of range.
+
     >>> line_axis_stress(0.0, 0.25).tolist()
     [-1.0, -1.0, -0.5]
     """
-    z = np.asarray(depth, dtype=float)
+    _check_poisson(nu=nu)
+    z = _numbers("depth", depth)
+    if (z < 0.0).any():
+        raise ValueError(f"depth = {depth!r} must not be negative: it is positive into the body.")
     s = np.sqrt(1.0 + z**2)
     sx, sy = 2.0 * z - (1.0 + 2.0 * z**2) / s, -1.0 / s
     return np.stack([sx, sy, nu * (sx + sy)], axis=-1)
@@ -211,11 +236,15 @@ def first_yield_line(
     Returns:
         Peak pressure, half-width, force and depth at first yield.
 
+    Raises:
+        ValueError: For a number that is out of range, by the name of its argument.
+
     >>> y = first_yield_line(450.0, 8.0, 206_900.0, 0.29, 206_900.0, 0.29)
     >>> round(y.peak_pressure, 1), round(y.half_width, 5), round(y.force, 1), round(y.depth, 4)
     (801.4, 0.11353, 142.9, 0.079)
     """
     _check_positive(yield_stress=yield_stress)
+    R, E_star = effective_radius(radius), effective_modulus(E1, nu1, E2, nu2)
 
     def von_mises(z: float) -> float:
         s = line_axis_stress(z, nu1)
@@ -224,7 +253,6 @@ def first_yield_line(
     found = minimize_scalar(lambda z: -von_mises(z), bounds=(0.2, 2.0), options={"xatol": 1e-10})
     ratio = -float(found.fun)
     p0 = yield_stress / ratio
-    R, E_star = effective_radius(radius), effective_modulus(E1, nu1, E2, nu2)
     a = 2.0 * p0 * R / E_star  # from p0 = 2 F/(pi a) and a^2 = 4 F R/(pi E*)
     return FirstYield(p0, a, 0.5 * np.pi * a * p0, float(found.x) * a, ratio)
 
@@ -235,7 +263,8 @@ def fit_pressure(x: npt.ArrayLike, p: npt.ArrayLike) -> tuple[float, float]:
         p^2 = p0^2 (1 - x^2/a^2) = c0 + c1 x^2,    p0 = sqrt(c0),    a = sqrt(-c0/c1)
 
     Unlike the largest nodal value and the last active node, the fit is not limited to the
-    resolution of one element.
+    resolution of one element. Nodes at the edge, where the p^2 that the nodes farther inside
+    predict is below a tenth of p0^2, are left out if five others remain.
 
     Args:
         x: Distances of the active nodes from the middle of the contact, shape (n,).
@@ -245,24 +274,65 @@ def fit_pressure(x: npt.ArrayLike, p: npt.ArrayLike) -> tuple[float, float]:
         Peak pressure p0 and half-width a; (nan, nan) where fewer than two distances are known or
         the pressure does not fall with the distance, as for a contact of very few nodes.
 
+    Raises:
+        ValueError: For arrays of different shapes, or with members that are no finite numbers.
+
     >>> peak, width = fit_pressure([-3.0, 0.0, 3.0], [8.0, 10.0, 8.0])
     >>> round(peak, 12), round(width, 12)
     (10.0, 5.0)
     """
-    square, values = np.asarray(x, dtype=float) ** 2, np.asarray(p, dtype=float) ** 2
-    if square.shape != values.shape:
-        raise ValueError(f"x and p must have the same shape, not {square.shape}, {values.shape}.")
-    if len(square) < 2 or np.ptp(square) <= 1e-12 * np.max(square):
+    distances, values = _numbers("x", x), _numbers("p", p)
+    if distances.shape != values.shape or distances.ndim != 1:
+        raise ValueError(
+            f"x and p must have the same shape (n,), not {distances.shape}, {values.shape}."
+        )
+    squares = distances**2, values**2
+    # The farthest nodes may be at the edge: the others tell where it is.
+    farthest = squares[0].max(initial=0.0)
+    c0, c1 = _fit_line(*_leave_out(*squares, squares[0] > (1.0 - EDGE) * farthest))
+    c0, c1 = _fit_line(*_leave_out(*squares, c0 + c1 * squares[0] < EDGE * c0))
+    if not (c1 < 0.0 < c0):
         return np.nan, np.nan
-    mean = square.mean(), values.mean()
-    slope = np.sum((square - mean[0]) * (values - mean[1])) / np.sum((square - mean[0]) ** 2)
-    peak = mean[1] - slope * mean[0]
-    if not (slope < 0.0 < peak):
+    return float(np.sqrt(c0)), float(np.sqrt(-c0 / c1))
+
+
+def _leave_out(x: Floats, y: Floats, edge: Bools) -> tuple[Floats, Floats]:
+    """Return the points without those at the edge, or all where too few would remain."""
+    kept = ~edge if np.count_nonzero(~edge) >= ENOUGH else np.ones_like(edge)
+    return x[kept], y[kept]
+
+
+def _fit_line(x: Floats, y: Floats) -> tuple[float, float]:
+    """Return (c0, c1) of the least-squares line y = c0 + c1 x; NaN for fewer than two x."""
+    if len(x) < 2 or np.ptp(x) <= 1e-12 * np.max(x):
         return np.nan, np.nan
-    return float(np.sqrt(peak)), float(np.sqrt(-peak / slope))
+    slope = float(np.sum((x - x.mean()) * (y - y.mean())) / np.sum((x - x.mean()) ** 2))
+    return float(y.mean()) - slope * float(x.mean()), slope
+
+
+def _is_number(value: Any) -> bool:
+    """Tell whether a value is one real number, and no truth value."""
+    array = np.asarray(value)
+    return array.ndim == 0 and array.dtype.kind in "fiu"
+
+
+def _numbers(name: str, values: npt.ArrayLike) -> Floats:
+    """Return finite numbers as an array of any shape."""
+    array = np.asarray(values)
+    if array.size and (array.dtype.kind not in "fiu" or not np.isfinite(array).all()):
+        raise ValueError(f"{name} = {values!r} must hold finite numbers only.")
+    return array.astype(float)
 
 
 def _check_positive(**values: float) -> None:
     for name, value in values.items():
-        if not value > 0.0:
-            raise ValueError(f"{name} = {value} must be positive.")
+        if not (_is_number(value) and 0.0 < value < np.inf):
+            raise ValueError(f"{name} = {value!r} must be a positive, finite number.")
+
+
+def _check_poisson(**values: float) -> None:
+    for name, nu in values.items():
+        if not (_is_number(nu) and -1.0 < nu < 0.5):
+            raise ValueError(
+                f"{name} = {nu!r} must lie in (-1, 0.5); take 0.499 for an incompressible body."
+            )

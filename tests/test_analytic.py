@@ -86,6 +86,52 @@ def test_fit_recovers_exact_and_noisy_distributions():
     assert noisy != pytest.approx(exact, rel=1e-9)
 
 
+def hertz_nodes(count):
+    """Return nodes across the benchmark's contact, its rim included, and the exact pressure."""
+    c = analytic.hertz_line(2425.4, 8.0, *STEEL)
+    x = np.linspace(-0.98 * c.half_width, 0.98 * c.half_width, count)
+    return c, x, c.pressure(x)
+
+
+@pytest.mark.parametrize("wrong", [0.0, 0.5, 2.0])
+def test_fit_leaves_out_the_edge(wrong):
+    """Whatever the pressure of the two outermost nodes is, the others tell."""
+    c, x, p = hertz_nodes(15)
+    p[[0, -1]] *= wrong
+    fitted = analytic.fit_pressure(x, p)
+    assert fitted == pytest.approx((c.peak_pressure, c.half_width), rel=1e-12)
+
+
+def test_fit_keeps_nodes_that_are_not_at_the_edge():
+    """The outermost nodes of a coarse mesh may lie well inside: they carry most of the slope."""
+    c = analytic.hertz_line(2425.4, 8.0, *STEEL)
+    x = np.linspace(-0.85 * c.half_width, 0.85 * c.half_width, 9)
+    p = c.pressure(x)
+    p[[0, -1]] *= 1.02
+    fitted = analytic.fit_pressure(x, p)
+    assert fitted != pytest.approx((c.peak_pressure, c.half_width), rel=1e-6)
+    assert fitted == pytest.approx((c.peak_pressure, c.half_width), rel=0.02)
+
+
+@pytest.mark.parametrize(("count", "left_out"), [(6, False), (7, True)])
+def test_fit_keeps_five_nodes(count, left_out):
+    c, x, p = hertz_nodes(count)
+    p[[0, -1]] *= 1.5
+    fitted = analytic.fit_pressure(x, p)
+    assert (fitted == pytest.approx((c.peak_pressure, c.half_width), rel=1e-12)) is left_out
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_fit_does_not_hang_on_where_the_edge_begins(factor, monkeypatch):
+    """Nodal means over facets stand for the pressure of a computation."""
+    c = analytic.hertz_line(2425.4, 8.0, *STEEL)
+    x, h = np.linspace(-0.45, 0.45, 19), 0.05
+    p = np.array([quad(c.pressure, s - h / 2, s + h / 2)[0] / h for s in x])
+    before = analytic.fit_pressure(x, p)
+    monkeypatch.setattr(analytic, "EDGE", factor * analytic.EDGE)
+    assert analytic.fit_pressure(x, p) == pytest.approx(before, rel=5e-3)
+
+
 @pytest.mark.parametrize(
     ("x", "p"), [([], []), ([0.0], [1.0]), ([-1.0, 1.0], [2.0, 2.0]), ([0.0, 1.0], [1.0, 2.0])]
 )
@@ -97,14 +143,64 @@ def test_fit_of_too_little_is_nan(x, p):
     ("arguments", "name"),
     [
         ((-1.0, 8.0, *STEEL), "force"),
+        ((0.0, 8.0, *STEEL), "force"),
+        ((np.nan, 8.0, *STEEL), "force"),
+        ((np.inf, 8.0, *STEEL), "force"),
+        ((None, 8.0, *STEEL), "force"),
+        (("1", 8.0, *STEEL), "force"),
+        ((True, 8.0, *STEEL), "force"),
+        (((1.0, 2.0), 8.0, *STEEL), "force"),
         ((1.0, 0.0, *STEEL), "radius"),
+        ((1.0, np.nan, *STEEL), "radius"),
+        ((1.0, np.inf, *STEEL), "radius"),
+        ((1.0, -8.0, *STEEL), "radius"),
+        ((1.0, None, *STEEL), "radius"),
+        ((1.0, "8", *STEEL), "radius"),
+        ((1.0, (8.0, 0.0), *STEEL), "radius"),
+        ((1.0, (8.0, np.nan), *STEEL), "radius"),
+        ((1.0, (8.0, 8.0, 8.0), *STEEL), "radius"),
         ((1.0, (2.0, -2.0), *STEEL), "radius"),
         ((1.0, 8.0, 0.0, 0.3, 1.0, 0.3), "E1"),
+        ((1.0, 8.0, np.nan, 0.3, 1.0, 0.3), "E1"),
+        ((1.0, 8.0, 1.0, 0.3, -1.0, 0.3), "E2"),
+        ((1.0, 8.0, 1.0, 0.3, None, 0.3), "E2"),
+        ((1.0, 8.0, 1.0, 0.5, 1.0, 0.3), "nu1"),
+        ((1.0, 8.0, 1.0, -1.0, 1.0, 0.3), "nu1"),
         ((1.0, 8.0, 1.0, 0.3, 1.0, 0.51), "nu2"),
+        ((1.0, 8.0, 1.0, 0.3, 1.0, np.nan), "nu2"),
+        ((1.0, 8.0, 1.0, 0.3, 1.0, None), "nu2"),
         ((1.0, 8.0, np.inf, 0.3, np.inf, 0.3), "E1"),
     ],
 )
-@pytest.mark.parametrize("function", [analytic.hertz_line, analytic.hertz_point])
+@pytest.mark.parametrize(
+    "function", [analytic.hertz_line, analytic.hertz_point, analytic.first_yield_line]
+)
 def test_bad_numbers_are_named(function, arguments, name):
-    with pytest.raises(ValueError, match=name):
+    if function is analytic.first_yield_line and name == "force":
+        name = "yield_stress"
+    with pytest.raises(ValueError, match=f"^{name} = "):
         function(*arguments)
+
+
+@pytest.mark.parametrize("depth", [-0.1, np.nan, np.inf, None, "1", [0.1, -0.1]])
+def test_depths_out_of_range_are_named(depth):
+    with pytest.raises(ValueError, match=r"^depth = "):
+        analytic.line_axis_stress(depth, 0.3)
+    with pytest.raises(ValueError, match=r"^nu = 0\.5 "):
+        analytic.line_axis_stress(1.0, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("x", "p", "words"),
+    [
+        ([0.0, 1.0], [1.0], "same shape"),
+        ([[0.0, 1.0]], [[1.0, 2.0]], "same shape"),
+        ([0.0, np.nan], [1.0, 2.0], "^x = "),
+        ([0.0, 1.0], [1.0, np.inf], "^p = "),
+        ([0.0, 1.0], [1.0, None], "^p = "),
+        (None, [1.0], "^x = "),
+    ],
+)
+def test_bad_points_of_a_fit_are_named(x, p, words):
+    with pytest.raises(ValueError, match=words):
+        analytic.fit_pressure(x, p)

@@ -41,6 +41,7 @@ def test_force_half_width_and_peak_pressure(geometry, slave):
     # the answer obeys Hertz's own relation between force and pressure, up to the finite block
     hertz = dm.analytic.hertz_line(case.force, 8.0, 206_900.0, 0.29, 206_900.0, 0.29)
     assert abs(case.fit()[1] / hertz.peak_pressure - 1) < 0.015
+    assert abs(case.fit()[0] / hertz.half_width - 1) < 0.015
     # the flat faces of the disc and the block see opposite forces, and no horizontal one
     assert abs(case.contact.force[0]) < 1e-4 * case.force
     # linear material: one linearisation if the geometry is frozen, and perhaps its confirmation

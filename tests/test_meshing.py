@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The Hertz meshes: areas, tags, symmetry, separation of the bodies, sizes."""
 
+import importlib
+
 from mpi4py import MPI
 
 import numpy as np
@@ -110,16 +112,95 @@ def test_meshing_is_deterministic_and_silent(capfd):
     ("arguments", "name"),
     [
         ({"kind": "fine"}, "kind"),
+        ({"kind": "Paper"}, "kind"),
+        ({"kind": None}, "kind"),
         ({"cell": "tetrahedron"}, "cell"),
+        ({"cell": ["triangle"]}, "cell"),
         ({"h": 0.0}, "h"),
         ({"h": np.nan}, "h"),
         ({"h": (0.1, -1.0)}, "h"),
+        ({"h": None}, "h"),
+        ({"h": "0.1"}, "h"),
+        ({"h": True}, "h"),
+        ({"h": (0.1,)}, "h"),
+        ({"h": (0.1, 0.2, 0.3)}, "h"),
+        ({"h": (0.1, None)}, "h"),
+        ({"h": np.full((2, 2), 0.1)}, "h"),
         ({"kind": "graded", "h": 5.0}, "h"),
         ({"radius": -8.0}, "radius"),
+        ({"radius": np.nan}, "radius"),
+        ({"radius": (8.0,)}, "radius"),
+        ({"radius": None}, "radius"),
         ({"block": (30.0, 0.0)}, "block"),
+        ({"block": 30.0}, "block"),
+        ({"block": (30.0, 30.0, 10.0)}, "block"),
+        ({"block": (30.0, "10")}, "block"),
         ({"gap": np.inf}, "gap"),
+        ({"gap": np.nan}, "gap"),
+        ({"gap": None}, "gap"),
+        ({"gap": (0.0,)}, "gap"),
+        ({"gap": -8.0}, "gap"),  # the block reaches the flat face
+        ({"gap": -2.5, "block": (30.0, 2.5)}, "gap"),  # the disc reaches the bottom
+        ({"gap": 1e5}, "gap"),
     ],
 )
-def test_bad_input_is_named_on_all_ranks(arguments, name):
+def test_bad_input_is_named_on_all_ranks(arguments, name, monkeypatch):
+    monkeypatch.setattr("dolfinx_mortar.meshing.plane.distribute", pytest.fail)
     with pytest.raises(ValueError, match=f"^{name} = "):
         meshing.hertz(COMM, **arguments)
+
+
+@pytest.mark.mpi
+def test_bad_input_of_one_rank_is_an_error_on_all():
+    last = COMM.rank == COMM.size - 1
+    with pytest.raises(ValueError, match=r"^gap = nan"):
+        meshing.hertz(COMM, gap=np.nan if last else 0.0)
+    if COMM.size > 1:
+        with pytest.raises(ValueError, match=r"^radius = 8.0 on rank 0, but 9.0 on rank"):
+            meshing.hertz(COMM, radius=9.0 if last else 8.0)
+
+
+def test_what_is_no_communicator():
+    with pytest.raises(ValueError, match=r"^comm = None must be"):
+        meshing.hertz(None)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"h": np.float32(0.5)},
+        {"h": [0.5, 1]},
+        {"h": np.array([0.5, 0.6])},
+        {"radius": 8, "block": [30, 10], "gap": np.int64(0)},
+    ],
+)
+def test_numbers_of_any_kind_are_welcome(arguments):
+    assert owned_counts(meshing.hertz(COMM, kind="graded", **{"h": 0.6} | arguments))[0] > 0
+
+
+@pytest.mark.parametrize(
+    ("radius", "block", "gap"),
+    [
+        (8.0, (30.0, 10.0), -7.99),
+        (8.0, (30.0, 10.0), 8e3),
+        (1e-7, (30.0, 10.0), 0.0),  # the disc is smaller than the round-off of a common scale
+        (1e6, (30.0, 10.0), -1.0),
+        (8e-6, (30e-6, 10e-6), 1e-7),
+    ],
+)
+def test_no_gap_and_no_size_swallows_a_tag(radius, block, gap):
+    m = meshing.hertz(COMM, radius=radius, block=block, gap=gap)
+    one = fem.Constant(m.mesh, 1.0)
+    ds = ufl.Measure("ds", m.mesh, subdomain_data=m.facet_tags)
+    lengths = [integral(one * ds(tag)) for tag in (1, 2, 3)]
+    assert lengths == pytest.approx([block[0], 2 * radius, block[0]], rel=1e-9)
+    assert integral(one * ds(4)) == pytest.approx(np.pi * radius, rel=1e-2)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_tags_do_not_hang_on_a_tolerance(factor, monkeypatch):
+    before = meshing.hertz(COMM, gap=0.1).facet_tags
+    module = importlib.import_module("dolfinx_mortar.meshing.plane")
+    monkeypatch.setattr(module, "ON_PLANE", factor * module.ON_PLANE)
+    after = meshing.hertz(COMM, gap=0.1).facet_tags
+    assert np.array_equal(before.values, after.values)

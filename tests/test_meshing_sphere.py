@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The quarter of a half ball on a block: volumes, tags, shapes of cells, separation."""
 
+import importlib
+
 from mpi4py import MPI
 
 import numpy as np
@@ -88,15 +90,51 @@ def test_tags_and_counts_follow_the_element_size():
     "options",
     [
         {"cell": "prism"},
+        {"cell": None},
         {"h": 0.0},
         {"h": np.nan},
         {"h": 2.0},
+        {"h": None},
+        {"h": "fine"},
+        {"h": (0.1, 0.1, 0.1)},
         {"radius": -1.0},
+        {"radius": np.nan},
+        {"radius": None},
         {"block": (30.0, 10.0)},
+        {"block": (30.0, 30.0, np.nan)},
+        {"block": None},
         {"gap": np.inf},
+        {"gap": None},
+        {"gap": -8.0},
+        {"gap": 1e5},
         {"core": 20.0},
+        {"core": np.nan},
+        {"core": "1"},
+        {"core": 0.1, "h": 0.2},
     ],
 )
-def test_bad_arguments_are_named(options):
-    with pytest.raises(ValueError, match=next(iter(options)) if "h" not in options else "h"):
+def test_bad_arguments_are_named(options, monkeypatch):
+    module = importlib.import_module("dolfinx_mortar.meshing.sphere")  # not the function
+    monkeypatch.setattr(module, "distribute", pytest.fail)
+    with pytest.raises(ValueError, match=f"^{next(iter(options))} = "):
         meshing.sphere(COMM, **options)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize(
+    ("radius", "block", "gap"),
+    [
+        (8.0, (30.0, 30.0, 10.0), -7.99),
+        (8.0, (30.0, 30.0, 10.0), 8e3),
+        (8e-3, (30e-3, 30e-3, 10e-3), 1e-4),
+    ],
+)
+def test_no_gap_and_no_size_swallows_a_tag(cell, radius, block, gap):
+    m = meshing.sphere(COMM, cell=cell, h=radius / 16, radius=radius, block=block, gap=gap)
+    one, n = fem.Constant(m.mesh, 1.0), ufl.FacetNormal(m.mesh)
+    ds = ufl.Measure("ds", m.mesh, subdomain_data=m.facet_tags)
+    areas = np.array([integral(one * ds(tag)) for tag in TAGS]) / radius**2
+    top, circle = block[0] * block[1] / 4 / radius**2, np.pi / 4
+    side = block[0] * block[2] / 2 / radius**2 + circle
+    assert areas == pytest.approx([top, circle, top, 2 * circle, side, side], rel=5e-2)
+    assert integral(n[2] * ds(4)) / radius**2 == pytest.approx(-areas[1], rel=1e-9)

@@ -21,6 +21,7 @@ Arrays = tuple[Floats, Longs]  # nodes (n, d), cells (m, k)
 GMSH_TYPE = {"triangle": 2, "quadrilateral": 3, "tetrahedron": 4}
 NODES = {"triangle": 3, "quadrilateral": 4, "tetrahedron": 4, "hexahedron": 8}
 DIMENSION = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
+ON_PLANE = 1e-9  # a point closer to a plane, in sizes of its body, is on it
 
 
 @contextmanager

@@ -17,7 +17,9 @@ import numpy as np
 
 from dolfinx import mesh as dmesh
 from dolfinx_mortar.arrays import Bools, Floats, Longs
+from dolfinx_mortar.meshing.arguments import check_gap, check_on_all_ranks, choose, positive
 from dolfinx_mortar.meshing.bodies import (
+    ON_PLANE,
     Arrays,
     distribute,
     exterior_facets,
@@ -77,15 +79,8 @@ def hertz(
         ValueError: If an argument is out of range (on all ranks).
         RuntimeError: If gmsh is missing or fails (on all ranks).
     """
-    sizes = (h, h) if np.ndim(h) == 0 else tuple(np.asarray(h, dtype=float))
-    _check_options(kind, cell)
-    for name, value, count in (("h", sizes, 2), ("radius", (radius,), 1), ("block", block, 2)):
-        if len(value) != count or not all(0 < v < np.inf for v in value):
-            raise ValueError(f"{name} = {value} must be positive and finite.")
-    if not np.isfinite(gap):
-        raise ValueError(f"gap = {gap} must be finite; use 0 for bodies that touch in a point.")
-    if kind == "graded" and max(sizes) > radius / 2:
-        raise ValueError(f"h = {h} must be at most half the radius, {radius / 2}.")
+    given = {"kind": kind, "cell": cell, "h": h, "radius": radius, "block": block, "gap": gap}
+    sizes, radius, block, gap = check_on_all_ranks(comm, _check, **given)
 
     def create() -> tuple[Arrays, Arrays]:
         return (
@@ -99,18 +94,23 @@ def hertz(
     values = np.where(in_block, BLOCK, DISC).astype(np.int32)
     cell_tags = dmesh.meshtags(mesh, 2, np.arange(len(values), dtype=np.int32), values)
     cell_tags.name = "bodies"
-    facet_tags = _tag_boundary(mesh, in_block, bottom=-block[1], flat=radius + gap)
+    facet_tags = _tag_boundary(mesh, in_block, thickness=block[1], radius=radius, gap=gap)
     facet_tags.name = "boundary"
     return HertzMesh(mesh, cell_tags, facet_tags)
 
 
-def _check_options(kind: str, cell: str) -> None:
-    for name, value, known in (
-        ("kind", kind, ("paper", "graded")),
-        ("cell", cell, ("triangle", "quadrilateral")),
-    ):
-        if value not in known:
-            raise ValueError(f"{name} = {value!r} is not known; use one of {known}.")
+def _check(
+    *, kind: Any, cell: Any, h: Any, radius: Any, block: Any, gap: Any
+) -> tuple[tuple[float, ...], float, tuple[float, float], float]:
+    """Return sizes (block, disc), radius, block and gap as numbers, or raise a ValueError."""
+    choose("kind", kind, ("paper", "graded"))
+    choose("cell", cell, ("triangle", "quadrilateral"))
+    sizes = positive("h", h, "block, disc", one=True)
+    (R,) = positive("radius", radius, "of the disc")
+    width, thickness = positive("block", block, "width, thickness")
+    if kind == "graded" and max(sizes) > R / 2:
+        raise ValueError(f"h = {h!r} must be at most half the radius, {R / 2:g}.")
+    return sizes, R, (width, thickness), check_gap(gap, R, thickness)
 
 
 def _half_block(block: tuple[float, float], kind: str, h: float, cell: str) -> Arrays:
@@ -188,19 +188,20 @@ def _mirror(x: Floats, cells: Longs) -> Arrays:
 
 
 def _tag_boundary(
-    mesh: dmesh.Mesh, in_block: Bools, *, bottom: float, flat: float
+    mesh: dmesh.Mesh, in_block: Bools, *, thickness: float, radius: float, gap: float
 ) -> dmesh.MeshTags:
     """Tag the outer facets of both bodies from the body they belong to and their height."""
     facets, block_side, x = exterior_facets(mesh, in_block)
-    tolerance = 1e-9 * (flat - bottom)
+    # on the scale of the body itself: the other one and the gap may be of any size
+    tolerance = ON_PLANE * np.where(block_side, thickness, radius)
 
     def at(height: float) -> Bools:
-        return np.all(np.abs(x[:, :, 1] - height) < tolerance, axis=1)
+        return np.abs(x[:, :, 1] - height).max(axis=1, initial=0.0) < tolerance
 
     values = np.zeros(len(facets), dtype=np.int32)
-    values[block_side & at(bottom)] = BOTTOM
+    values[block_side & at(-thickness)] = BOTTOM
     values[block_side & at(0.0)] = TOP
     values[~block_side] = ARC
-    values[~block_side & at(flat)] = FLAT
+    values[~block_side & at(radius + gap)] = FLAT
     tagged = values > 0
     return dmesh.meshtags(mesh, 1, facets[tagged], values[tagged])

@@ -18,7 +18,9 @@ import numpy as np
 
 from dolfinx import mesh as dmesh
 from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.meshing.arguments import check_gap, check_on_all_ranks, choose, positive
 from dolfinx_mortar.meshing.bodies import (
+    ON_PLANE,
     Arrays,
     distribute,
     exterior_facets,
@@ -75,18 +77,8 @@ def sphere(
         ValueError: If an argument is out of range (on all ranks).
         RuntimeError: If gmsh is missing or fails (on all ranks).
     """
-    sizes = (h, h) if np.ndim(h) == 0 else tuple(np.asarray(h, dtype=float))
-    core = CORE * radius if core is None else core
-    if cell not in ("tetrahedron", "hexahedron"):
-        raise ValueError(f"cell = {cell!r} is not known; use 'tetrahedron' or 'hexahedron'.")
-    for name, value, count in (("h", sizes, 2), ("radius", (radius,), 1), ("block", block, 3)):
-        if len(value) != count or not all(0 < v < np.inf for v in value):
-            raise ValueError(f"{name} = {value} must be positive and finite.")
-    if not np.isfinite(gap):
-        raise ValueError(f"gap = {gap} must be finite; use 0 for bodies that touch in a point.")
-    largest = 0.5 * min(radius, block[0] / 2, block[1] / 2, block[2])
-    if not max(sizes) <= core <= largest:
-        raise ValueError(f"core = {core} must lie between h = {h} and {largest:g}.")
+    given = {"cell": cell, "h": h, "radius": radius, "block": block, "gap": gap, "core": core}
+    sizes, radius, block, gap, core = check_on_all_ranks(comm, _check, **given)
     corner = np.array([block[0] / 2, block[1] / 2, block[2]])
 
     def create() -> tuple[Arrays, Arrays]:
@@ -106,9 +98,33 @@ def sphere(
     values = np.where(in_block, BLOCK, BALL).astype(np.int32)
     cell_tags = dmesh.meshtags(mesh, 3, np.arange(len(values), dtype=np.int32), values)
     cell_tags.name = "bodies"
-    facet_tags = _tag_boundary(mesh, in_block, bottom=-block[2], flat=radius + gap)
+    facet_tags = _tag_boundary(mesh, in_block, thickness=block[2], radius=radius, gap=gap)
     facet_tags.name = "boundary"
     return SphereMesh(mesh, cell_tags, facet_tags)
+
+
+def _check(
+    *, cell: Any, h: Any, radius: Any, block: Any, gap: Any, core: Any
+) -> tuple[tuple[float, ...], float, tuple[float, float, float], float, float]:
+    """Return sizes (block, ball), radius, block, gap and core as numbers, or raise a ValueError."""
+    choose("cell", cell, ("hexahedron", "tetrahedron"))
+    sizes = positive("h", h, "block, ball", one=True)
+    (R,) = positive("radius", radius, "of the ball")
+    width, length, thickness = positive("block", block, "width, length, thickness")
+    number = check_gap(gap, R, thickness)
+    if core is None and max(sizes) > CORE * R:
+        raise ValueError(
+            f"h = {h!r} must be at most {CORE * R:g}, an eighth of the radius, or give a larger "
+            "core."
+        )
+    (inner,) = positive("core", CORE * R if core is None else core, "of the finest part")
+    largest = 0.5 * min(R, width / 2, length / 2, thickness)
+    if not max(sizes) <= inner <= largest:
+        raise ValueError(
+            f"core = {inner!r} must lie between h = {h!r} and {largest:g}, half of what the radius "
+            "and the block leave."
+        )
+    return sizes, R, (width, length, thickness), number, inner
 
 
 def _block_of_hexahedra(corner: Floats, core: float, h: float) -> Arrays:
@@ -164,20 +180,21 @@ def _tetrahedra(
 
 
 def _tag_boundary(
-    mesh: dmesh.Mesh, in_block: Bools, *, bottom: float, flat: float
+    mesh: dmesh.Mesh, in_block: Bools, *, thickness: float, radius: float, gap: float
 ) -> dmesh.MeshTags:
     """Tag the outer facets of both bodies from the body they belong to and their planes."""
     facets, block_side, x = exterior_facets(mesh, in_block)
-    tolerance = 1e-9 * (flat - bottom)
+    # on the scale of the body itself: the other one and the gap may be of any size
+    tolerance = ON_PLANE * np.where(block_side, thickness, radius)
 
     def at(axis: int, position: float) -> Bools:
-        return np.all(np.abs(x[:, :, axis] - position) < tolerance, axis=1)
+        return np.abs(x[:, :, axis] - position).max(axis=1, initial=0.0) < tolerance
 
     values = np.zeros(len(facets), dtype=np.int32)
     values[~block_side] = SPHERE
-    values[block_side & at(2, bottom)] = BOTTOM
+    values[block_side & at(2, -thickness)] = BOTTOM
     values[block_side & at(2, 0.0)] = TOP
-    values[~block_side & at(2, flat)] = FLAT
+    values[~block_side & at(2, radius + gap)] = FLAT
     values[at(0, 0.0)] = SYMMETRY_X
     values[at(1, 0.0)] = SYMMETRY_Y
     tagged = values > 0

@@ -3,9 +3,14 @@
 
 from __future__ import annotations
 
+import hashlib
+import math
+import textwrap
 from collections.abc import Iterable, Sequence
 from numbers import Integral, Real
 from typing import Any
+
+from mpi4py import MPI
 
 import numpy as np
 
@@ -16,6 +21,7 @@ from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.solid.solid import Solid
 
 GEOMETRIES = ("updated", "reference")
+CUTS = ("halve", "none")
 
 
 def check_arguments(
@@ -32,10 +38,18 @@ def check_arguments(
     """
     if not isinstance(solid, Solid):
         raise ValueError(f"solid is {solid!r}: give a Solid(u, materials, cell_tags)")
+    given, conditions = _unrolled(interfaces), _unrolled(bcs)
+    check_same_on_all_ranks(
+        solid.V.mesh.comm,
+        interfaces=given,
+        bcs=conditions,
+        loads=None if loads is None else type(loads).__name__,
+        geometry=geometry,
+    )
     if geometry not in GEOMETRIES:
         raise ValueError(f"geometry is {geometry!r}: choose 'updated' or 'reference'")
-    sides = _check_interfaces(_as_list("interfaces", interfaces))
-    conditions = _check_conditions(_as_list("bcs", bcs), solid.V)
+    sides = _check_interfaces(_as_list("interfaces", given))
+    conditions = _check_conditions(_as_list("bcs", conditions), solid.V)
     if loads is not None:
         _check_loads(loads, solid.V)
     finite = np.isfinite(solid.V.mesh.geometry.x).all()
@@ -58,12 +72,121 @@ def check_owned(interfaces: Iterable[Interface], owner: object) -> None:
             )
 
 
-def check_controls(rtol: Any, max_it: Any) -> None:
-    """Raise a ValueError unless the controls of Newton's method make sense."""
-    if not (isinstance(rtol, Real) and 0.0 < float(rtol) < 1.0):
+def check_problem(problem: Any, kind: type) -> None:
+    """Raise a ValueError unless a problem is of its kind, which lies above this module."""
+    if not isinstance(problem, kind):
+        raise ValueError(
+            f"problem is {problem!r}: give a {kind.__name__}(solid, interfaces, bcs=...)"
+        )
+
+
+def check_controls(rtol: Any, max_it: Any, comm: MPI.Comm | None = None) -> None:
+    """Raise a ValueError unless the controls of Newton's method make sense; collective.
+
+    Args:
+        rtol: relative tolerance.
+        max_it: largest number of iterations.
+        comm: ranks that have to agree.
+    """
+    if comm is not None:
+        check_same_on_all_ranks(comm, rtol=rtol, max_it=max_it)
+    if not (_is_number(rtol) and 0.0 < float(rtol) < 1.0):
         raise ValueError(f"rtol is {rtol!r}: need a number, 0 < rtol < 1")
-    if not isinstance(max_it, Integral) or max_it < 1:
+    if not _is_integer(max_it) or max_it < 1:
         raise ValueError(f"max_it is {max_it!r}: need an integer, max_it >= 1")
+
+
+def check_load_steps(
+    times: Any, start: Any, max_cuts: Any, cuts: Any, comm: MPI.Comm | None = None
+) -> list[float]:
+    """Return the load levels as numbers if they and the rules for cuts make sense; collective.
+
+    Args:
+        times: load levels.
+        start: level of the committed state, None for the one that was reached last.
+        max_cuts: largest number of halvings of a step.
+        cuts: "halve" or "none".
+        comm: ranks that have to agree.
+
+    Raises:
+        ValueError: for what cannot work, naming the argument and the remedy.
+    """
+    levels = _unrolled(times)
+    if comm is not None:
+        check_same_on_all_ranks(comm, times=levels, start=start, max_cuts=max_cuts, cuts=cuts)
+    if not isinstance(levels, list):
+        raise ValueError(f"times is {times!r}: give a list of levels, [{times!r}] for a single one")
+    for level in levels:
+        if not (_is_number(level) and math.isfinite(level)):
+            raise ValueError(f"times holds {level!r}: every level must be a finite number")
+    if start is not None and not (_is_number(start) and math.isfinite(start)):
+        raise ValueError(
+            f"start is {start!r}: give the finite level of the committed state, or None for the "
+            "last one reached"
+        )
+    if not _is_integer(max_cuts) or max_cuts < 0:
+        raise ValueError(f"max_cuts is {max_cuts!r}: need an integer, max_cuts >= 0")
+    if not isinstance(cuts, str) or cuts not in CUTS:
+        raise ValueError(f"cuts is {cuts!r}: choose 'halve' or 'none'")
+    return [float(level) for level in levels]
+
+
+def check_same_on_all_ranks(comm: MPI.Comm, **named_values: Any) -> None:
+    """Raise a ValueError on all ranks where a value is not the same on all of them; collective.
+
+    One short message per call: every rank sends a hash of each value. Numbers, texts, lists of
+    them and interfaces count by value, other objects by their type only.
+
+    Args:
+        comm: the ranks.
+        **named_values: the values by the names that the error shall use.
+    """
+    if comm.size == 1:
+        return
+    texts = {name: _plain(value) for name, value in named_values.items()}
+    mine = [hashlib.sha256(text.encode()).digest()[:8] for text in texts.values()]
+    sent = np.frombuffer(b"".join(mine), dtype=np.int64)
+    received = np.empty((comm.size, len(sent)), dtype=np.int64)
+    comm.Allgather(sent, received)
+    for name, differs in zip(texts, (received != received[0]).T, strict=True):
+        if differs.any():
+            every = comm.allgather(texts[name])
+            told = [
+                f"{textwrap.shorten(text, 60)} on rank {rank}" for rank, text in enumerate(every)
+            ]
+            others = ", ".join(told[rank] for rank in np.flatnonzero(differs))
+            raise ValueError(
+                f"{name} differs between the ranks: {told[0]}, but {others}; give all ranks the "
+                "same"
+            )
+
+
+def _plain(value: Any) -> str:
+    """Return a text that is the same for equal values, on any rank."""
+    if value is None or isinstance(value, bool | np.bool_ | str | Interface):
+        return repr(value)
+    if isinstance(value, Real):
+        return repr(float(value))
+    value = value.tolist() if isinstance(value, np.ndarray) else value
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_plain, value))}]"
+    return type(value).__name__
+
+
+def _unrolled(values: Any) -> Any:
+    """Return a list of what can be iterated over only once; texts and all else as they are."""
+    values = values.tolist() if isinstance(values, np.ndarray) else values
+    return list(values) if isinstance(values, Iterable) and not isinstance(values, str) else values
+
+
+def _is_number(value: Any) -> bool:
+    """Tell whether a value is a real number, and no truth value."""
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def _is_integer(value: Any) -> bool:
+    """Tell whether a value is an integer, and no truth value."""
+    return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 def _as_list(name: str, given: Any) -> list[Any]:

@@ -1,0 +1,292 @@
+# SPDX-License-Identifier: MIT
+"""The audit of the mesh itself: coordinates that are none, cells collapsed, inverted or folded.
+
+The sign of one cell's Jacobian says nothing, because dolfinx numbers a cell's nodes as it likes. It
+is compared: within a quadrilateral or hexahedron, with the signs at the other corners; otherwise,
+with the neighbours'. Two cells that share a facet lie on opposite sides of it. So with the signs
+and the ways in which both go around the facet, their sum over a facet is 0 inside a sound mesh, +1
+or -1 on its surface, and +2 or -2 where both lie on the same side. (Then the sum of all cells'
+volumes is not what the surface encloses.) Of each body the fewer cells are to blame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+import basix
+from dolfinx import fem, la
+from dolfinx.mesh import Mesh, exterior_facet_indices
+from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.arrays import Bools, Floats, Longs
+from dolfinx_mortar.steps.bodies import find_bodies
+
+SIMPLICES = ("triangle", "tetrahedron")
+CELLS = (*SIMPLICES, "quadrilateral", "hexahedron")
+# Round-off of a Jacobian in units of EPS |x| h^(d-1), with |x| the cell's largest coordinate and h
+# its longest edge: some products of differences of coordinates.
+ROUND_OFF = 32.0 * np.finfo(float).eps
+# Places that a message names.
+NAMED = 3
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """The cells that this rank owns."""
+
+    mesh: Mesh
+    kind: str
+    nodes: Longs  # (n, k) global numbers
+    x: Floats  # (n, k, d) coordinates
+
+
+def check_mesh(mesh: Mesh) -> None:
+    """Raise a ValueError on all ranks unless every cell is sound; collective.
+
+    Looked for: geometry of higher degree, coordinates that are NaN or infinite, cells without
+    volume, cells whose Jacobian changes sign, cells that overlap a neighbour. Bodies may overlap
+    each other. Cells that the package does not know at all are left to other checks.
+
+    Args:
+        mesh: the mesh of all bodies.
+
+    Raises:
+        ValueError: with what is wrong, how many cells, where the first ones are, and the remedy.
+    """
+    kind, d = mesh.topology.cell_name(), mesh.topology.dim
+    if kind not in CELLS or mesh.geometry.dim != d:
+        return
+    if mesh.geometry.cmap.degree != 1:
+        raise ValueError(
+            f"mesh: the geometry has degree {mesh.geometry.cmap.degree}; make the mesh with "
+            "straight edges, of degree 1"
+        )
+    cells = _own_cells(mesh, kind)
+    bad = np.any(~np.isfinite(cells.x), axis=(1, 2))
+    _reject(cells, bad, "have coordinates that are NaN or infinite", "check the mesh")
+    with np.errstate(under="ignore"):
+        J = corner_jacobians(cells.x, kind)
+        noise = _round_off(cells.x)[:, None]
+    collapsed = (np.abs(J) <= noise).all(axis=1)
+    _reject(cells, collapsed, "have collapsed, without volume", "mend the mesh there", bodies=True)
+    mixed = (J > noise).any(axis=1) & (J < -noise).any(axis=1)
+    order = "the nodes of a cell are in dolfinx's order (a tensor product, not around it)"
+    remedy = f"check that no node was moved too far, and that {order}"
+    _reject(cells, mixed, "are inverted: the Jacobian changes sign inside", remedy)
+    _reject(
+        cells,
+        _inverted(cells, np.sign(J.sum(axis=1))),
+        "are inverted or folded: they lie on the same side of a facet as their neighbour",
+        "check that no node was moved through a cell",
+        surface=True,
+    )
+
+
+def corner_jacobians(x: Floats, kind: str) -> Floats:
+    """Return the Jacobians (n, c) at the corners of cells x (n, k, d); one for a simplex.
+
+    >>> square = np.array([[[0.0, 0.0], [2.0, 0.0], [0.0, 1.0], [2.0, 1.0]]])
+    >>> corner_jacobians(square, "quadrilateral").tolist()
+    [[2.0, 2.0, 2.0, 2.0]]
+    """
+    d = x.shape[2]
+    if kind in SIMPLICES:
+        return _determinants([x[:, i + 1] - x[:, 0] for i in range(d)])[:, None]
+    corners = []
+    for i in range(2**d):
+        # the bits of i are the reference coordinates of corner i
+        ends = [(i | 1 << axis, i & ~(1 << axis)) for axis in range(d)]
+        corners.append(_determinants([x[:, high] - x[:, low] for high, low in ends]))
+    return np.stack(corners, axis=1)
+
+
+def _determinants(columns: list[Floats]) -> Floats:
+    """Return the determinants (n,) of d vectors (n, d)."""
+    if len(columns) == 2:
+        a, b = columns
+        return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    return np.einsum("ni,ni->n", np.cross(columns[0], columns[1]), columns[2])
+
+
+def _round_off(x: Floats) -> Floats:
+    """Return what round-off may make of the Jacobian of cells x (n, k, d)."""
+    d = x.shape[2]
+    extent = (x.max(axis=1) - x.min(axis=1)).max(axis=1)
+    return ROUND_OFF * np.abs(x).max(axis=(1, 2)) * extent ** (d - 1)
+
+
+def _own_cells(mesh: Mesh, kind: str) -> _Cells:
+    """Collect numbers and coordinates of the owned cells' nodes."""
+    d, geometry = mesh.topology.dim, mesh.geometry
+    dofs = geometry.dofmap[: mesh.topology.index_map(d).size_local]
+    nodes = geometry.index_map().local_to_global(dofs.ravel().astype(np.int32))
+    x = np.asarray(geometry.x[:, :d], dtype=np.float64)[dofs]
+    return _Cells(mesh, kind, np.asarray(nodes, dtype=np.int64).reshape(dofs.shape), x)
+
+
+# -- which side of a facet ------------------------------------------------------------------------
+
+
+def _inverted(cells: _Cells, sign: Floats) -> Bools:
+    """Tell which cells (n,) to turn so that neighbours lie on opposite sides; collective.
+
+    Args:
+        cells: the owned cells.
+        sign: (n,) of their Jacobians.
+    """
+    topology = cells.mesh.topology
+    d = topology.dim
+    topology.create_entities(d - 1)
+    topology.create_connectivity(d, d - 1)
+    ways = _ways_around(cells)
+    facets = topology.connectivity(d, d - 1).array[: ways.size].reshape(ways.shape)
+    sides = sign[:, None] * ways
+    wrong = np.abs(_sum_over_cells(cells.mesh, facets, sides)[facets]) == 2.0
+    if not any_rank(cells.mesh.comm, wrong.any())[0]:
+        return np.zeros(len(sign), dtype=bool)
+    numbers = topology.index_map(d - 1).local_to_global(facets.ravel())
+    told = cells.mesh.comm.gather((numbers, sides.ravel()))
+    inverted = None
+    if told is not None:
+        facet, side = (np.concatenate(part) for part in zip(*told, strict=True))
+        inverted = _fewer_side(facet, side, ways.shape[1])
+    first, last = topology.index_map(d).local_range
+    return np.asarray(cells.mesh.comm.bcast(inverted)[first:last])
+
+
+def _fewer_side(facet: Longs, side: Floats, facets_per_cell: int) -> Bools:
+    """Return which cells to turn: of each body the fewer ones.
+
+    Every cell stands twice in a graph, as it is and turned; edges join what fits together across a
+    facet. So each body has two parts, and every cell is in one of them as it is.
+    """
+    n = len(facet) // facets_per_cell
+    cell = np.arange(len(facet)) // facets_per_cell
+    order = np.argsort(facet, kind="stable")
+    shared = np.flatnonzero(np.diff(facet[order]) == 0)
+    a, b = order[shared], order[shared + 1]
+    turned = np.where(side[a] + side[b] == 0.0, 0, n)
+    rows = np.concatenate([cell[a], cell[a] + n])
+    columns = np.concatenate([cell[b] + turned, cell[b] + n - turned])
+    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(2 * n, 2 * n))
+    count, part = connected_components(graph, directed=False)
+    size = np.bincount(part[:n], minlength=count)
+    here, there = size[part[:n]], size[part[n:]]
+    return np.asarray((here < there) | ((here == there) & (part[:n] > part[n:])))
+
+
+def _sum_over_cells(mesh: Mesh, facets: npt.NDArray[np.int32], values: Floats) -> Floats:
+    """Return the sums (local facets,) of the cells' values (n, f) at their facets; collective."""
+    total = la.vector(mesh.topology.index_map(mesh.topology.dim - 1))
+    count = len(total.array)
+    total.array[:] = np.bincount(facets.ravel(), values.ravel(), minlength=count)
+    total.scatter_reverse(la.InsertMode.add)
+    total.scatter_forward()
+    return np.array(total.array)
+
+
+def _ways_around(cells: _Cells) -> Floats:
+    """Return (n, f) +1 where a facet, as the cell sees it from outside, is passed by its numbers.
+
+    Seen from outside and in the reference cell; a negative Jacobian turns it round. A facet is
+    passed from its smallest number towards the smaller one of the two numbers beside that.
+    """
+    kind = basix.CellType[cells.kind]
+    corners, entities = np.asarray(basix.geometry(kind)), basix.topology(kind)[cells.x.shape[2] - 1]
+    ways = np.empty((len(cells.nodes), len(entities)))
+    for i, entity in enumerate(entities):
+        loop = [entity[k] for k in ((0, 1, 3, 2) if len(entity) == 4 else range(len(entity)))]
+        out = corners[loop].mean(axis=0) - corners.mean(axis=0)
+        sides = [corners[loop[1]] - corners[loop[0]], corners[loop[-1]] - corners[loop[0]]]
+        outside = np.sign(np.linalg.det([*sides[: len(out) - 1], out]))
+        numbers = cells.nodes[:, loop]
+        least = numbers.argmin(axis=1)[:, None]
+        after, before = (
+            np.take_along_axis(numbers, (least + step) % len(loop), axis=1)[:, 0]
+            for step in (1, -1)
+        )
+        forward = least[:, 0] == 0 if len(loop) == 2 else after < before
+        ways[:, i] = np.where(forward, outside, -outside)
+    return ways
+
+
+# -- messages -------------------------------------------------------------------------------------
+
+
+def _reject(
+    cells: _Cells,
+    bad: Any,
+    what: str,
+    remedy: str,
+    *,
+    bodies: bool = False,
+    surface: bool = False,
+) -> None:
+    """Raise a ValueError on all ranks if any cell (n,) is bad; collective.
+
+    Args:
+        cells: the owned cells.
+        bad: (n,) the ones to name.
+        what: what they are or have.
+        remedy: what to do.
+        bodies: name also the bodies all of whose cells are bad.
+        surface: say if some are at the surface.
+    """
+    comm = cells.mesh.comm
+    count, total = comm.allreduce(np.array([bad.sum(), len(bad)]), op=MPI.SUM)
+    if count == 0:
+        return
+    more = _whole_bodies(cells, bad) if bodies else ""
+    more += _at_surface(cells, bad) if surface else ""
+    raise ValueError(
+        f"mesh: {count} of {total} cells {what}, around {_places(cells, bad)}{more}; {remedy}"
+    )
+
+
+def _places(cells: _Cells, bad: Bools) -> str:
+    """Return the centres of the first bad cells, in the order of their coordinates; collective."""
+    x = cells.x[bad]
+    known = np.isfinite(x)
+    centres = np.where(known, x, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    every = np.concatenate(cells.mesh.comm.allgather(centres))
+    places = sorted(tuple(float(f"{v:.4g}") + 0.0 for v in centre) for centre in every)
+    return ", ".join(map(str, places[:NAMED])) + (" ..." if len(places) > NAMED else "")
+
+
+def _at_surface(cells: _Cells, bad: Bools) -> str:
+    """Return what to say if bad cells have facets on the surface; collective."""
+    topology = cells.mesh.topology
+    d = topology.dim
+    topology.create_connectivity(d - 1, d)
+    outside = np.zeros(len(topology.connectivity(d - 1, d).offsets) - 1, dtype=bool)
+    outside[exterior_facet_indices(topology)] = True
+    to_facets = topology.connectivity(d, d - 1)
+    of_bad = [to_facets.links(cell) for cell in np.flatnonzero(bad)]
+    count = sum(int(outside[facets].any()) for facets in of_bad)
+    count = cells.mesh.comm.allreduce(count, op=MPI.SUM)
+    return f" ({count} of them at the surface, which is folded there)" if count else ""
+
+
+def _whole_bodies(cells: _Cells, bad: Bools) -> str:
+    """Return what to say if all cells of a body are bad; collective."""
+    mesh, d = cells.mesh, cells.x.shape[2]
+    V = fem.functionspace(mesh, ("Lagrange", 1, (d,)))
+    bodies = find_bodies(V)
+    label = la.vector(V.dofmap.index_map)
+    label.array[: len(bodies.label)] = bodies.label
+    label.scatter_forward()
+    body = label.array[V.dofmap.list[: len(bad), 0]].astype(np.int64)
+    counts = np.stack([np.bincount(body[k], minlength=bodies.count) for k in (bad, ~bad)])
+    counts = mesh.comm.allreduce(counts, op=MPI.SUM)
+    whole = np.flatnonzero((counts[0] > 0) & (counts[1] == 0))
+    if len(whole) == 0:
+        return ""
+    centres = [tuple(float(f"{v:.4g}") + 0.0 for v in bodies.centre[k]) for k in whole]
+    return f" (all cells of the body around {', '.join(map(str, sorted(centres)))})"

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: MIT
+"""Arguments of steps: what they may be, and that all ranks have to give the same."""
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx_mortar.steps import checks
+from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
+from tests.pressed_blocks import COMM, ELASTIC, PressedBlocks, rejected
+
+STEPS = {"times": [0.5, 1.0], "start": None, "max_cuts": 6, "cuts": "halve"}
+LAST = COMM.size - 1
+
+
+def unequal(name):
+    """Expect the error about an argument that the last rank gives differently; none on one rank."""
+    return rejected(
+        f"{name} differs between the ranks", f"on rank {LAST}", "give all ranks the same"
+    )
+
+
+# -- what they may be
+
+
+@pytest.mark.parametrize("problem", [None, "x", dm.Solid, 3])
+def test_what_is_no_problem(problem):
+    with rejected("problem is", "give a ContactProblem(solid"):
+        checks.check_problem(problem, dm.ContactProblem)
+
+
+def test_a_problem_is_one():
+    checks.check_problem(PressedBlocks().problem(), dm.ContactProblem)
+
+
+@pytest.mark.parametrize(
+    ("given", "levels"),
+    [
+        ({}, [0.5, 1.0]),
+        ({"times": np.array([1, 0.5])}, [1.0, 0.5]),
+        ({"times": (t for t in (1, 2))}, [1.0, 2.0]),
+        ({"times": range(3)}, [0.0, 1.0, 2.0]),
+        ({"times": []}, []),
+        ({"start": 0, "max_cuts": 0, "cuts": "none"}, [0.5, 1.0]),
+        ({"start": np.float32(0.5), "max_cuts": np.int32(3)}, [0.5, 1.0]),
+    ],
+)
+def test_load_steps_that_make_sense(given, levels):
+    found = checks.check_load_steps(**(STEPS | given))
+    assert found == levels and all(type(level) is float for level in found)
+
+
+@pytest.mark.parametrize(
+    ("name", "bad", "remedy"),
+    [
+        *(("times", t, "give a list") for t in (None, 1.0, "1.0", np.array(1.0))),
+        *(("times", [0.5, t], "finite") for t in (np.nan, np.inf, None, "1", True, 1j, [1.0])),
+        *(("start", t, "or None") for t in (np.nan, -np.inf, "0", False, [0.0])),
+        *(("max_cuts", t, "max_cuts >= 0") for t in (-1, 1.5, None, "6", True)),
+        *(("cuts", t, "'halve' or 'none'") for t in ("half", None, 0, ["halve"])),
+    ],
+)
+def test_load_steps_that_make_none(name, bad, remedy):
+    with rejected(name, remedy):
+        checks.check_load_steps(**(STEPS | {name: bad}))
+
+
+@pytest.mark.parametrize(("name", "bad"), [("rtol", True), ("rtol", 1j), ("max_it", True)])
+def test_truth_values_are_no_numbers(name, bad):
+    with rejected(f"{name} is {bad!r}"):
+        checks.check_controls(**({"rtol": 1e-6, "max_it": 50} | {name: bad}))
+
+
+# -- the same on all ranks
+
+
+@pytest.mark.mpi
+def test_equal_values_pass_whatever_they_are():
+    case = PressedBlocks()
+    checks.check_same_on_all_ranks(
+        COMM,
+        number=1 if COMM.rank else np.float64(1.0),
+        nothing=None,
+        text="updated",
+        levels=[0.1, np.nan] if COMM.rank else np.array([0.1, np.nan]),
+        objects=[case.contact(), case.u, case.bcs()],  # the addresses differ
+    )
+
+
+@pytest.mark.mpi
+def test_unequal_values_are_named():
+    pairs = [(1.0, 1.0 + 1e-15), (None, 0.0), ("a", "b"), ([1.0], [1.0, 2.0]), ([[1]], [[2]])]
+    for common, other in [*pairs, (0, False)]:
+        value = other if COMM.rank == LAST else common
+        if COMM.size == 1:
+            checks.check_same_on_all_ranks(COMM, fine=1.0, value=value)
+            continue
+        with unequal("value"):
+            checks.check_same_on_all_ranks(COMM, fine=1.0, value=value)
+
+
+@pytest.mark.mpi
+def test_long_values_are_shortened():
+    if COMM.size > 1:
+        with unequal("times") as caught:
+            checks.check_same_on_all_ranks(COMM, times=[float(COMM.rank)] * 500)
+        assert len(str(caught.value)) < 100 * COMM.size + 100
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("name", ["interfaces", "tags", "bcs", "geometry", "none"])
+def test_arguments_of_a_problem_that_differ(name):
+    """Without the check, the ranks would wait for each other in different places."""
+    case = PressedBlocks()
+    contact, bcs, last = case.contact(), case.bcs(), COMM.rank == LAST
+    other = {
+        "interfaces": {"interfaces": []},
+        "tags": {"interfaces": [case.contact(slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER)]},
+        "bcs": {"bcs": bcs[:1]},
+        "geometry": {"geometry": "reference"},
+        "none": {"interfaces": None},
+    }[name]
+    given = {"interfaces": [contact], "bcs": bcs} | (other if last else {})
+    solid = dm.Solid(case.u, ELASTIC)
+    if COMM.size > 1:
+        with unequal({"tags": "interfaces", "none": "interfaces"}.get(name, name)):
+            dm.ContactProblem(solid, **given)
+    else:
+        dm.ContactProblem(solid, [contact], bcs=bcs)
+
+
+@pytest.mark.mpi
+def test_controls_that_differ():
+    """Also if the value of one rank is wrong in itself: that rank would leave the others alone."""
+    if COMM.size == 1:
+        return
+    for other in (1e-8, -1.0, None):
+        with unequal("rtol"):
+            checks.check_controls(other if COMM.rank == LAST else 1e-6, 50, COMM)
+    with unequal("times"):
+        times = [1.0] if COMM.rank == LAST else [1.0, 2.0]
+        checks.check_load_steps(**(STEPS | {"times": times}), comm=COMM)
+    with unequal("max_cuts"):
+        checks.check_load_steps(**(STEPS | {"max_cuts": COMM.rank // LAST}), comm=COMM)

@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: MIT
+"""The audit of meshes: which are refused, and that sound ones are not, whatever their numbering."""
+
+import numpy as np
+import pytest
+
+import basix.ufl
+import dolfinx_mortar as dm
+from dolfinx import mesh
+from dolfinx_mortar.steps import mesh_audit
+from dolfinx_mortar.steps.mesh_audit import check_mesh
+from tests.meshes import two_blocks
+from tests.meshes_3d import rotation, two_boxes
+from tests.pressed_blocks import COMM, rejected
+
+KINDS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
+PLANE = ["triangle", "quadrilateral"]
+
+
+def create(kind, n=4, **options):
+    """Return two boxes of side 1, on each other, of n cells along each edge."""
+    if kind in PLANE:
+        return two_blocks(COMM, (n, n), (n, n), cell=kind, **options)[0]
+    return two_boxes(COMM, (n,) * 3, (n,) * 3, cell=kind, **options)[0]
+
+
+def move(domain, point, target):
+    """Move the mesh's node at a point, on every rank that has it."""
+    d = domain.geometry.dim
+    x = domain.geometry.x
+    x[np.abs(x[:, :d] - point).max(axis=1) < 1e-6, :d] = target
+
+
+def volumes(domain):
+    """Return the sum of the cells' volumes and the volume that the surface encloses, simplices.
+
+    The latter by the divergence theorem from the facets on the surface, with the normals that
+    point away from their cells.
+    """
+    d = domain.topology.dim
+    domain.topology.create_connectivity(d - 1, d)
+    domain.topology.create_connectivity(d - 1, 0)
+    owned = domain.topology.index_map(d).size_local
+    x = domain.geometry.x[domain.geometry.dofmap[:owned], :d]
+    size = {2: 2.0, 3: 6.0}[d]
+    total = np.abs(np.linalg.det(x[:, 1:] - x[:, :1])).sum() / size
+    enclosed = 0.0
+    for facet in mesh.exterior_facet_indices(domain.topology):
+        cell = domain.topology.connectivity(d - 1, d).links(facet)[0]
+        on = mesh.entities_to_geometry(domain, d - 1, np.array([facet], dtype=np.int32))[0]
+        f = domain.geometry.x[on, :d]
+        middle = domain.geometry.x[domain.geometry.dofmap[cell], :d].mean(axis=0)
+        outwards = np.sign(np.linalg.det([f[0] - middle, *(f[1:] - f[0])]))
+        enclosed += outwards * np.linalg.det(f) / size
+    return COMM.allreduce(total), COMM.allreduce(enclosed)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", KINDS)
+def test_sound_meshes_pass(kind):
+    for partition in ("graph", "shared_facet", "bodies"):
+        check_mesh(create(kind, partition=partition))
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
+@pytest.mark.parametrize("kind", KINDS)
+def test_units_and_places_do_not_matter(kind, scale):
+    """Mirrored, far from the origin, flat cells: all are sound."""
+    d = 2 if kind in PLANE else 3
+    stretch = np.r_[-1.0, 1e-3, 1.0][:d]
+    check_mesh(create(kind, transform=lambda x: scale * (1e3 + stretch * x)))
+
+
+@pytest.mark.parametrize("cell", PLANE)
+@pytest.mark.parametrize("kind", ["paper", "graded"])
+def test_the_meshes_of_the_package_in_the_plane_pass(kind, cell):
+    check_mesh(dm.meshing.hertz(COMM, kind=kind, h=0.3, cell=cell, gap=-0.1).mesh)
+
+
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_the_meshes_of_the_package_in_space_pass(cell):
+    check_mesh(dm.meshing.sphere(COMM, h=0.25, cell=cell).mesh)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_bodies_may_overlap(kind):
+    check_mesh(create(kind, gap=-0.4))
+
+
+# -- inverted and folded
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_node_moved_through_its_cells(kind):
+    """Node (1/4, .., -1/4) of the lower box, inside, or at its surface z = -1."""
+    domain = create(kind, partition="stripes" if kind in PLANE else "graph")
+    d = domain.geometry.dim
+    start = np.full(d, 0.25)
+    start[-1] = -0.25
+    move(domain, start, start + 0.6 * np.eye(d)[0])
+    with rejected(
+        "mesh: ",
+        f" of {2 * 4**d * {'triangle': 2, 'tetrahedron': 6}.get(kind, 1)}",
+        "cells are inverted",
+        "around (",
+        "no node was moved",
+    ):
+        check_mesh(domain)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", ["triangle", "tetrahedron"])
+def test_a_folded_surface(kind):
+    """A node of the bottom is pulled up through the cells above it."""
+    domain = create(kind)
+    d = domain.geometry.dim
+    start = np.full(d, 0.5)
+    start[-1] = -1.0
+    move(domain, start, start + 0.3 * np.eye(d)[-1])
+    with rejected("inverted or folded", "at the surface, which is folded there"):
+        check_mesh(domain)
+
+
+@pytest.mark.mpi
+def test_one_inverted_triangle_is_counted_and_placed():
+    """The corner (1, 1) of the upper square goes through the opposite edge of its only cell."""
+    domain = mesh.create_unit_square(COMM, 4, 4, diagonal=mesh.DiagonalType.left)
+    move(domain, [1.0, 1.0], [0.85, 0.85])
+    with rejected("mesh: 1 of 32 cells are inverted or folded", "around (0.8667, 0.8667) (1 of"):
+        check_mesh(domain)
+
+
+@pytest.mark.mpi
+def test_nodes_around_the_cell_instead_of_a_tensor_product():
+    """The order of most other programs is the usual mistake."""
+    for d in (2, 3):
+        domain = one_cell_numbered_around(d)
+        with rejected("mesh: 1 of 1 cells are inverted: the Jacobian changes", "tensor product"):
+            check_mesh(domain)
+
+
+def one_cell_numbered_around(d):
+    """Return a mesh of one cell, on one rank, whose nodes are given on the way around it."""
+    corners = np.array(np.meshgrid(*[[0.0, 1.0]] * d, indexing="ij")).reshape(d, -1).T
+    around = [0, 1, 3, 2] if d == 2 else [0, 1, 3, 2, 4, 5, 7, 6]
+    kind = "quadrilateral" if d == 2 else "hexahedron"
+    first = COMM.rank == 0
+    cells = np.array([around]) if first else np.empty((0, 2**d), dtype=np.int64)
+    points = corners if first else np.empty((0, d))
+    element = basix.ufl.element("Lagrange", kind, 1, shape=(d,))
+    return mesh.create_mesh(COMM, cells, x=points, e=element)
+
+
+@pytest.mark.parametrize("kind", ["triangle", "tetrahedron"])
+def test_refused_if_the_cells_do_not_fill_what_the_surface_encloses(kind):
+    """Every node is moved at random, more and more from case to case."""
+    refused = []
+    most = {"triangle": 0.2, "tetrahedron": 0.12}[kind]
+    for seed, size in enumerate(np.linspace(0.03, most, 16)):
+        shift = size * np.random.default_rng(seed).uniform(-1.0, 1.0, (2 * 5**3, 3))
+        domain = create(kind, transform=lambda x, shift=shift: x + shift[: len(x), : x.shape[1]])
+        total, enclosed = volumes(domain)
+        refused.append(abs(total - enclosed) > 1e-9 * total)
+        if refused[-1]:
+            with rejected("inverted or folded"):
+                check_mesh(domain)
+        else:
+            check_mesh(domain)
+    assert 4 <= sum(refused) <= 14
+
+
+# -- collapsed
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_collapsed_body_is_named(kind):
+    """The lower box has no height; turned, its Jacobians are round-off."""
+    for angle in (0.0, 0.3):
+        check_collapsed(kind, angle)
+
+
+def check_collapsed(kind, angle):
+    turn = rotation([0.0, 0.0, 1.0] if kind in PLANE else [1.0, 1.0, 0.0], angle)
+    d = 2 if kind in PLANE else 3
+
+    def flatten(x):
+        x = x.copy()
+        x[: len(x) // 2, -1] = 0.0
+        x += 0.03 * np.sin(7.0 * x[:, ::-1] + 1.0) * (np.arange(d) < d - 1)
+        return x @ turn[:d, :d].T + 0.7
+
+    domain = create(kind, transform=flatten)
+    cells = 4**d * {"triangle": 2, "tetrahedron": 6}.get(kind, 1)
+    with rejected(f"mesh: {cells} of {2 * cells} cells have collapsed", "all cells of the body"):
+        check_mesh(domain)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_what_has_collapsed_does_not_hang_on_the_limit(factor, monkeypatch):
+    monkeypatch.setattr(mesh_audit, "ROUND_OFF", factor * mesh_audit.ROUND_OFF)
+    test_a_collapsed_body_is_named("tetrahedron")
+    test_units_and_places_do_not_matter("tetrahedron", 1.0)
+
+
+@pytest.mark.mpi
+def test_one_collapsed_triangle():
+    domain = mesh.create_unit_square(COMM, 4, 4, diagonal=mesh.DiagonalType.left)
+    move(domain, [1.0, 1.0], [0.875, 0.875])
+    with rejected("mesh: 1 of 32 cells have collapsed, without volume, around (0.875, 0.875);"):
+        check_mesh(domain)
+
+
+def test_a_quadrilateral_may_be_a_triangle():
+    """Two nodes at one place: the Jacobian is 0 there, and has one sign elsewhere."""
+    domain = mesh.create_unit_square(COMM, 4, 4, mesh.CellType.quadrilateral)
+    move(domain, [1.0, 1.0], [0.75, 1.0])
+    check_mesh(domain)
+
+
+# -- others
+
+
+@pytest.mark.mpi
+def test_coordinates_that_are_none():
+    for value in (np.nan, np.inf):
+        domain = mesh.create_unit_square(COMM, 4, 4)
+        move(domain, [0.0, 0.0], [0.0, value])
+        with rejected("mesh: 2 of 32 cells have coordinates", "NaN or infinite", "check the mesh"):
+            check_mesh(domain)
+
+
+def test_geometry_of_degree_two():
+    element = basix.ufl.element("Lagrange", "triangle", 2, shape=(2,))
+    points = np.array([[0, 0], [1, 0], [0, 1], [0.5, 0.5], [0, 0.5], [0.5, 0]], dtype=float)
+    first = COMM.rank == 0
+    cells = np.arange(6)[None] if first else np.empty((0, 6), dtype=np.int64)
+    domain = mesh.create_mesh(COMM, cells, x=points if first else np.empty((0, 2)), e=element)
+    with rejected("mesh", "degree 2", "degree 1"):
+        check_mesh(domain)
