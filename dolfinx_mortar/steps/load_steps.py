@@ -5,19 +5,12 @@ from __future__ import annotations
 
 import logging
 import math
-import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TextIO
-
-from mpi4py import MPI
-
-from rich.console import Console
-from rich.progress import Progress
 
 from dolfinx_mortar.steps.newton import newton
 from dolfinx_mortar.steps.problem import ContactProblem
+from dolfinx_mortar.steps.progress import progress as show_progress
 from dolfinx_mortar.steps.report import NewtonNotConverged, StepReport
 
 log = logging.getLogger(__name__)
@@ -71,7 +64,7 @@ def load_steps(
     levels = [float(t) for t in times]
     if not all(map(math.isfinite, levels)):
         raise ValueError(f"times is {levels}: every level must be finite")
-    with _progress(problem.comm, len(levels)) as advance:
+    with show_progress(problem.comm, len(levels), None) as advance:
         reached = start
         for number, level in enumerate(levels, start=1):
             parts: list[StepReport] = []
@@ -99,38 +92,3 @@ def load_steps(
                 pending.pop()
             advance()
             yield LoadStep(number, level, parts[-1], parts)
-
-
-@contextmanager
-def _progress(comm: MPI.Comm, total: int) -> Iterator[Callable[[], None]]:
-    """Show a bar over the load steps on rank 0 of a terminal."""
-    if comm.rank != 0 or total < 2 or not sys.stderr.isatty():
-        yield lambda: None
-        return
-    console = Console(stderr=True, soft_wrap=True)
-    before = sys.stderr, sys.stdout
-    with Progress(console=console, transient=True, redirect_stdout=sys.stdout.isatty()) as bar:
-        task = bar.add_task("load steps", total=total)
-        with _logs_through(dict(zip(before, (sys.stderr, sys.stdout), strict=True))):
-            yield lambda: bar.advance(task)
-
-
-@contextmanager
-def _logs_through(streams: dict[TextIO, TextIO]) -> Iterator[None]:
-    """Let the package's log handlers write to other streams.
-
-    They hold the streams of the time when they were made, and would write across the bar.
-    """
-    moved: list[tuple[logging.StreamHandler[TextIO], TextIO]] = []
-    logger: logging.Logger | None = log
-    while logger is not None:
-        for handler in logger.handlers:
-            if isinstance(handler, logging.StreamHandler) and handler.stream in streams:
-                moved.append((handler, handler.stream))
-                handler.setStream(streams[handler.stream])
-        logger = logger.parent if logger.propagate else None
-    try:
-        yield
-    finally:
-        for handler, stream in moved:
-            handler.setStream(stream)
