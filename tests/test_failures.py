@@ -1,10 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Steps that cannot be solved: floating bodies, useless solvers, too few iterations."""
 
-import io
 import json
-import logging
-import sys
 from xml.etree import ElementTree
 
 from petsc4py import PETSc
@@ -310,28 +307,3 @@ def test_one_note_per_step(case, monkeypatch):
     report = dm.newton(plastic(case))
     numbers = ", ".join(str(i.number) for i in report.iterations)
     assert report.newton_iterations > 2 and report.notes == [f"iteration {numbers}: hear"]
-
-
-class Terminal(io.StringIO):
-    """A stream that says it is a terminal."""
-
-    def isatty(self):
-        return True
-
-
-@pytest.mark.serial
-def test_log_lines_go_above_the_progress_bar(case, monkeypatch):
-    """A handler made before the bar writes where the bar has been erased, and is put back."""
-    screen, logger = Terminal(), logging.getLogger("dolfinx_mortar")
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setattr(sys, "stderr", screen)
-    handler = logging.StreamHandler(screen)
-    monkeypatch.setattr(logger, "handlers", [handler])
-    monkeypatch.setattr(logger, "level", logging.INFO)
-    for _ in dm.load_steps(plastic(case), [0.1, 0.2], on_time=press(case)):
-        assert handler.stream is not screen
-    assert handler.stream is screen and sys.stderr is screen
-    lines = screen.getvalue().split("\n")
-    told = [line for line in lines if "Newton  1" in line]
-    assert len(told) == 2 and "load steps" in screen.getvalue()
-    assert all(line.rpartition("\x1b[2K")[2].startswith("Newton") for line in told)
