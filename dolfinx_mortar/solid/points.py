@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
+from typing import Any
 
 from mpi4py import MPI
 
@@ -34,6 +35,7 @@ class PointFields:
         state: Mapping[str, fem.Function],
         regions: Sequence[Region],
         degree: int,
+        weight: Callable[[Any], Any],
     ) -> None:
         """Keep references to the quadrature Functions; nothing is evaluated yet.
 
@@ -42,10 +44,12 @@ class PointFields:
             state: internal variables.
             regions: the laws, which may add fields such as the back stress.
             degree: quadrature degree of the Functions.
+            weight: factor of the volume by the coordinates, see `Kinematics`.
         """
         self._stored = {"stress": stress, **state}
         self._regions = regions
         self._degree = degree
+        self._weight = weight
         self._mesh = stress.function_space.mesh
         self._components = COMPONENTS[self._mesh.geometry.dim]
         self._owned = self._mesh.topology.index_map(self._mesh.topology.dim).size_local
@@ -124,14 +128,18 @@ class PointFields:
 
     @cached_property
     def weights(self) -> np.ndarray:
-        """Integration weights with the Jacobian, (cells, points); their sum is the volume."""
+        """Integration weights with the Jacobian, (cells, points); their sum is the volume.
+
+        The volume is that of the kinematics, weight included.
+        """
         metadata = {"quadrature_degree": self._degree, "quadrature_scheme": "default"}
         element = basix.ufl.quadrature_element(
             self._mesh.basix_cell(), scheme="default", degree=self._degree
         )
         Q = fem.functionspace(self._mesh, element)
         dx = ufl.Measure("dx", self._mesh, metadata=metadata)
-        assembled = fem.assemble_vector(fem.form(ufl.TestFunction(Q) * dx))
+        factor = ufl.as_ufl(self._weight(ufl.SpatialCoordinate(self._mesh)))
+        assembled = fem.assemble_vector(fem.form(factor * ufl.TestFunction(Q) * dx))
         return assembled.array[Q.dofmap.list[: self._owned]]
 
     def max(self, name: str) -> float:
