@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The bodies: materials on cell tags, committed state, energy, residual and tangent.
 
+A step ends with `evaluate`, which shows its results, and is accepted by `commit`.
+
 Everything is compiled and allocated when a `Solid` is made (what only serves output: when first
 asked for). The compiled code depends on the cell type and the laws, not on the mesh, the tags or
 the values of the parameters, which live in cell-wise constant Functions.
@@ -25,7 +27,13 @@ from dolfinx_mortar.solid.forms import create_forms, create_responses
 from dolfinx_mortar.solid.kinematics import Kinematics, kinematics_of_dimension
 from dolfinx_mortar.solid.laws import check_displacement, create_regions
 from dolfinx_mortar.solid.points import PointFields
-from dolfinx_mortar.solid.state import Evaluation, create_evaluations, create_field, create_state
+from dolfinx_mortar.solid.state import (
+    Evaluation,
+    create_evaluations,
+    create_field,
+    create_state,
+    fill_all,
+)
 
 OUTPUT_FIELDS = (
     *("stress", "von_mises", "plastic_strain", "plastic_strain_norm"),
@@ -41,7 +49,8 @@ class Solid:
         V: space of u.
         kinematics: strain measure, weight and rigid motions; plane strain in 2D.
         state: committed internal variables by name, quadrature Functions: those from which the
-            next step starts. Tensors are stored as (xx, yy, zz, xy) in 2D (plane strain) and
+            next step starts. What `fields` and `max` show is the state that `evaluate` found,
+            committed or not. Tensors are stored as (xx, yy, zz, xy) in 2D (plane strain) and
             (xx, yy, zz, xy, yz, xz) in 3D, the shear being the tensor component.
         stress: quadrature Function of the same components, filled by `evaluate`.
         quadrature_degree: degree of the cell integrals.
@@ -150,21 +159,26 @@ class Solid:
         """Assemble a scalar over all ranks."""
         return self.mesh.comm.allreduce(fem.assemble_scalar(form), op=MPI.SUM)
 
-    # -- committed state and output -------------------------------------------------------------
+    # -- results and committed state ------------------------------------------------------------
+
+    def evaluate(self) -> None:
+        """Evaluate stress and internal variables at u and the committed state; collective.
+
+        These are the results of the step whose displacement is u: `stress`, `fields` and all that
+        rests on them show them from now on. The committed state stays as it is.
+
+        Raises:
+            ValueError: on all ranks, if a law gives NaN or infinity on any; the message names it.
+        """
+        fill_all(self.mesh.comm, self._evaluations)
 
     def commit(self) -> None:
-        """Make the state at the current u the committed one (all internal variables at once)."""
-        for evaluation in self._evaluations:
-            if evaluation.target is not self.stress:
-                evaluation.fill()
+        """Make the internal variables that `evaluate` found last those of the next step's start.
+
+        Nothing that is shown changes.
+        """
         for name, staged in self._staged.items():
             self.state[name].x.array[:] = staged.x.array
-
-    def update_output(self) -> None:
-        """Evaluate the stress at u and the committed state; call after `commit`."""
-        for evaluation in self._evaluations:
-            if evaluation.target is self.stress:
-                evaluation.fill()
 
     @cached_property
     def _evaluations(self) -> list[Evaluation]:
@@ -173,9 +187,9 @@ class Solid:
 
     @cached_property
     def fields(self) -> PointFields:
-        """Stress, state and what derives from them at the integration points, as arrays."""
+        """What `evaluate` found last, and what derives from it, at the points, as arrays."""
         weight = self.kinematics.weight
-        return PointFields(self.stress, self.state, self.regions, self.quadrature_degree, weight)
+        return PointFields(self.stress, self._staged, self.regions, self.quadrature_degree, weight)
 
     def max(self, name: str) -> float:
         """Return the largest value of a scalar field over all integration points (collective).
@@ -195,14 +209,14 @@ class Solid:
     def output_fields(self) -> dict[str, fem.Function]:
         """Return the cell averages worth writing, by name, in the user's units (collective).
 
-        The committed stress and internal variables as far as the laws have them.
+        Stress and internal variables of the last `evaluate`, as far as the laws have them.
         ``plastic_strain_norm`` and ``back_stress_norm`` are tensor (Frobenius) norms, ``hardening``
         is the vector norm of the stored back stress components that the literature plots.
         """
         return {n: self.cell_values(n) for n in OUTPUT_FIELDS if n in self.fields.names}
 
     def plastic_area(self) -> float:
-        """Return the area (volume in 3D) whose committed plastic strain is not zero."""
+        """Return the area (volume in 3D) whose plastic strain is not zero."""
         return self.fields.integral("plastic") if "plastic" in self.fields.names else 0.0
 
 

@@ -6,9 +6,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from mpi4py import MPI
+
+import numpy as np
+
 import basix.ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar import compat
+from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Ints
 from dolfinx_mortar.materials.response import Response
 from dolfinx_mortar.materials.tensor import COMPONENTS, to_components
@@ -19,6 +24,7 @@ from dolfinx_mortar.solid.laws import Region
 class Evaluation:
     """A compiled expression with the Function and the cells that it fills."""
 
+    what: str  # for messages: the law and what it gives
     target: fem.Function
     cells: Ints  # local cells, ghosts included
     expression: fem.Expression
@@ -26,6 +32,29 @@ class Evaluation:
     def fill(self) -> None:
         """Evaluate the expression."""
         self.target.interpolate(self.expression, self.cells)
+
+    def undefined(self) -> int:
+        """Return the number of integration points of the local cells with NaN or infinity."""
+        dofmap = self.target.function_space.dofmap
+        values = self.target.x.array.reshape(-1, dofmap.bs)[dofmap.list[self.cells]]
+        return int(np.sum(~np.isfinite(values).all(axis=-1)))
+
+
+def fill_all(comm: MPI.Comm, evaluations: Sequence[Evaluation]) -> None:
+    """Evaluate all expressions; collective.
+
+    Raises:
+        ValueError: on all ranks, if a law gives NaN or infinity on any, naming the law.
+    """
+    for evaluation in evaluations:
+        evaluation.fill()
+    counts = maximum(comm, *(float(evaluation.undefined()) for evaluation in evaluations))
+    for evaluation, count in zip(evaluations, counts, strict=True):
+        if count:
+            raise ValueError(
+                f"{evaluation.what} is NaN or infinite at {count:.0f} integration points or more; "
+                "check the law with dolfinx_mortar.materials.check and its parameters"
+            )
 
 
 def create_field(domain: mesh.Mesh, degree: int, shape: tuple[int, ...], name: str) -> fem.Function:
@@ -62,9 +91,11 @@ def create_evaluations(
     size = stress.function_space.dofmap.bs
     evaluations = []
     for region, response in zip(regions, responses, strict=True):
-        targets = [(stress, response.stress)]
-        targets += [(staged[name], value) for name, value in response.updated.items()]
-        for target, value in targets:
+        given = [("stress", stress, response.stress)]
+        given += [(name, staged[name], value) for name, value in response.updated.items()]
+        for name, target, value in given:
             stored = to_components(value, size) if value.ufl_shape else value
-            evaluations.append(Evaluation(target, region.cells, fem.Expression(stored, points)))
+            compiled = fem.Expression(stored, points)
+            what = f"{region.law.__name__}: {name}"
+            evaluations.append(Evaluation(what, target, region.cells, compiled))
     return evaluations
