@@ -14,8 +14,9 @@ import numpy as np
 import basix
 import ufl
 from dolfinx import fem, la
+from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.materials.response import Response, respond
+from dolfinx_mortar.materials.response import Response, elastic_response, respond
 from dolfinx_mortar.materials.tensor import from_components
 from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.laws import Region
@@ -41,15 +42,20 @@ def create_responses(
     state: Mapping[str, fem.Function],
     kinematics: Kinematics,
 ) -> list[Response]:
-    """Return what the law of each region makes of the strain of u, as UFL."""
+    """Return what the law of each region makes of the strain of u, as UFL; collective.
+
+    Raises:
+        ValueError: on all ranks, if a law raises or returns something wrong on any.
+    """
     strain = kinematics.measure(u)
     responses = []
-    for region in regions:
-        committed = {
-            name: from_components(state[name]) if shape else state[name]
-            for name, shape in region.law.state.items()
-        }
-        responses.append(respond(region.law, strain, committed, region.symbols))
+    with raised_together(u.function_space.mesh.comm):
+        for region in regions:
+            committed = {
+                name: from_components(state[name]) if shape else state[name]
+                for name, shape in region.law.state.items()
+            }
+            responses.append(respond(region.law, strain, committed, region.symbols))
     return responses
 
 
@@ -72,7 +78,8 @@ def create_forms(
         return reduce(add, (weight * density * dx for density, dx in pairs))
 
     residual = integral([ufl.inner(r.stress, virtual) for r in responses])
-    elastic = [ufl.inner(r.law.elastic_stress(along, r.symbols), along) for r in regions]
+    with raised_together(V.mesh.comm):
+        elastic = [ufl.inner(elastic_response(r.law, along, r.symbols), along) for r in regions]
     gram = _gradient_gram(V)
     element_force = integral([weight * _element_force(r.stress, gram) for r in responses])
     energies = [r.energy for r in responses if r.energy is not None]

@@ -21,6 +21,7 @@ import numpy as np
 
 from dolfinx import fem, la, mesh
 from dolfinx.fem import petsc as fem_petsc
+from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.solid.forms import create_forms, create_responses
@@ -35,6 +36,7 @@ from dolfinx_mortar.solid.state import (
     fill_all,
 )
 
+# Written first, and if a law has them; then all internal variables and what the laws put out.
 OUTPUT_FIELDS = (
     *("stress", "von_mises", "plastic_strain", "plastic_strain_norm"),
     *("back_stress_norm", "hardening"),
@@ -78,8 +80,9 @@ class Solid:
             kinematics: None means plane strain in 2D, spatial in 3D.
 
         Raises:
-            ValueError: if u is in another kind of space, materials and tags do not match, or the
-                quadrature degree is no integer from 0 on.
+            ValueError: if u is in another kind of space, materials and tags do not match, the
+                quadrature degree is no integer from 0 on, or a law lacks a part, raises, or returns
+                something of the wrong name or shape; the message names the law and the part.
         """
         check_displacement(u)
         self.u = u
@@ -91,6 +94,12 @@ class Solid:
         self._staged = {name: f.copy() for name, f in self.state.items()}
         self.stress = create_field(self.mesh, self.quadrature_degree, (3, 3), "stress")
         self._responses = create_responses(u, self.regions, self.state, self.kinematics)
+        weight = self.kinematics.weight
+        self.fields = PointFields(
+            self.stress, self._staged, self.regions, self.quadrature_degree, weight
+        )
+        with raised_together(self.mesh.comm):
+            self.fields.bases  # noqa: B018 - judges what the laws put out
         self._forms = create_forms(
             u, self.regions, self._responses, self.kinematics, self.quadrature_degree
         )
@@ -185,12 +194,6 @@ class Solid:
         """Expressions of stress and internal variables per region, compiled at the first use."""
         return create_evaluations(self.regions, self._responses, self._staged, self.stress)
 
-    @cached_property
-    def fields(self) -> PointFields:
-        """What `evaluate` found last, and what derives from it, at the points, as arrays."""
-        weight = self.kinematics.weight
-        return PointFields(self.stress, self._staged, self.regions, self.quadrature_degree, weight)
-
     def max(self, name: str) -> float:
         """Return the largest value of a scalar field over all integration points (collective).
 
@@ -209,11 +212,14 @@ class Solid:
     def output_fields(self) -> dict[str, fem.Function]:
         """Return the cell averages worth writing, by name, in the user's units (collective).
 
-        Stress and internal variables of the last `evaluate`, as far as the laws have them.
+        Stress, internal variables and the laws' own output, all of the last `evaluate`.
         ``plastic_strain_norm`` and ``back_stress_norm`` are tensor (Frobenius) norms, ``hardening``
         is the vector norm of the stored back stress components that the literature plots.
         """
-        return {n: self.cell_values(n) for n in OUTPUT_FIELDS if n in self.fields.names}
+        first = [name for name in OUTPUT_FIELDS if name in self.fields.names]
+        return {
+            name: self.cell_values(name) for name in dict.fromkeys([*first, *self.fields.bases])
+        }
 
     def plastic_area(self) -> float:
         """Return the area (volume in 3D) whose plastic strain is not zero."""

@@ -69,11 +69,21 @@ def create_field(domain: mesh.Mesh, degree: int, shape: tuple[int, ...], name: s
 def create_state(
     regions: Sequence[Region], domain: mesh.Mesh, degree: int
 ) -> dict[str, fem.Function]:
-    """Create the internal variables of all laws, shared where laws use the same name."""
+    """Create the internal variables of all laws, shared where laws use the same name.
+
+    Raises:
+        ValueError: if two laws have an internal variable of one name in two shapes.
+    """
     shapes: dict[str, tuple[int, ...]] = {}
+    owner: dict[str, str] = {}
     for region in regions:
         for name, shape in region.law.state.items():
-            assert shapes.setdefault(name, shape) == shape, f"two shapes of state {name}"
+            first = owner.setdefault(name, region.law.__name__)
+            if shapes.setdefault(name, shape) != shape:
+                raise ValueError(
+                    f"materials: the state {name!r} has the shape {shapes[name]} in {first} and "
+                    f"{shape} in {region.law.__name__}; give one of them another name."
+                )
     return {name: create_field(domain, degree, shape, name) for name, shape in shapes.items()}
 
 
