@@ -10,10 +10,10 @@
 The theory is in Cermak, Svetlik, Varga, Pospisil (2024), doi 10.4203/ccc.9.10.3.
 """
 
-from dolfinx_mortar import analytic, meshing
+from dolfinx_mortar import analytic, materials, meshing
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.tie import Tie
-from dolfinx_mortar.materials import Elastic, VonMises
+from dolfinx_mortar.materials import Elastic, Material, VonMises
 from dolfinx_mortar.mortar.paper import Mortar, assemble_mortar
 from dolfinx_mortar.output import Writer
 from dolfinx_mortar.qp import QPNotSolved
@@ -30,6 +30,7 @@ __all__ = [
     "ContactProblem",
     "Elastic",
     "LoadStep",
+    "Material",
     "Mortar",
     "NewtonNotConverged",
     "QPNotSolved",
@@ -41,6 +42,7 @@ __all__ = [
     "analytic",
     "assemble_mortar",
     "load_steps",
+    "materials",
     "meshing",
     "newton",
 ]

@@ -41,11 +41,12 @@ class MaterialPoint:
     def stress(self, strain: np.ndarray) -> np.ndarray:
         """Return the stress (3, 3) of the law for a strain (3, 3), with the committed state."""
         self.solid.u.x.array[:] = (self.x @ strain[: self.d, : self.d]).ravel()
-        self.solid.update_output()
+        self.solid.evaluate()
         return self._tensor("stress")
 
     def commit(self) -> np.ndarray:
         """Commit the state of the last strain and return the plastic strain (3, 3)."""
+        self.solid.evaluate()
         self.solid.commit()
         return self._tensor("plastic_strain")
 

@@ -119,7 +119,7 @@ def test_displacement(slave, mesh, cell):
     s = Squares(slave, mesh, cell=cell)
     s.solve([s.hold(BOTTOM, 1), s.hold(LEFT, 0), s.hold(TOP, 1, -0.02)])
     s.check(uniform(-0.01), 10.0)
-    s.solid.update_output()
+    s.solid.evaluate()
     assert np.allclose(s.solid.fields.values("stress_yy"), -10.0, rtol=EXACT, atol=0)
 
 
@@ -155,7 +155,7 @@ def test_tangential_displacement(slave):
     """Frictionless: the upper square slides without shear and keeps the pressure."""
     s = Squares(slave, geometry="reference")  # the updated one sees that the ends slide off
     s.solve([*(s.hold(BOTTOM, i) for i in (0, 1)), s.hold(TOP, 0, 0.05), s.hold(TOP, 1, -0.02)])
-    s.solid.update_output()
+    s.solid.evaluate()
     assert np.abs(s.solid.fields.values("stress_xy")).max(initial=0.0) < 10 * EXACT
     assert abs(s.contact.force[0]) < EXACT * abs(s.contact.force[1])
     assert np.isclose(abs(s.contact.force[1]), 10.0, rtol=1e-9)

@@ -27,8 +27,8 @@ def stretched(law):
     u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
     u.interpolate(lambda x: np.array([0.01 * x[1], 0.02 * x[1]]))
     solid = dm.Solid(u, law)
+    solid.evaluate()
     solid.commit()
-    solid.update_output()
     return solid
 
 

@@ -66,7 +66,7 @@ def recovered_von_mises(case):
     The stress of first-order triangles jumps from cell to cell; the averages converge faster.
     """
     solid = case.problem.solid
-    solid.update_output()
+    solid.evaluate()
     stress = solid.fields.values("stress").mean(axis=1)
     cells = solid.V.dofmap.list[: len(stress)]
     area = solid.fields.weights.sum(axis=1)

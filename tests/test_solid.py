@@ -14,9 +14,10 @@ import pytest
 
 import ffcx.codegeneration.jit
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem, la, mesh
 from dolfinx_mortar.materials import Elastic, VonMises
-from dolfinx_mortar.materials.tensor import frobenius_norm, from_components, strain
+from dolfinx_mortar.materials.tensor import frobenius_norm, from_components
+from dolfinx_mortar.solid.kinematics import kinematics_of_dimension
 from dolfinx_mortar.solid.solid import Solid
 
 pytestmark = pytest.mark.mpi
@@ -58,6 +59,7 @@ def create_loaded(cell: str, n: int = 4) -> Solid:
     """Return a solid with some committed plastic strain, partly yielding at another u."""
     solid = Solid(create_displacement(create_domain(cell, n)), STEEL)
     set_wave(solid.u, 1.0e-3)
+    solid.evaluate()
     solid.commit()
     set_wave(solid.u, 1.0e-3, 0.5)
     return solid
@@ -77,12 +79,9 @@ def total(values: np.ndarray) -> float:
 
 def plastic_share(solid: Solid) -> float:
     """Return the share of the volume that would yield at u, leaving the committed state alone."""
-    kept = {name: f.x.array.copy() for name, f in solid.state.items()}
     before = solid.fields.values("plastic_strain")
-    solid.commit()
+    solid.evaluate()
     change = np.abs(solid.fields.values("plastic_strain") - before).max(axis=-1) > 0
-    for name, values in kept.items():
-        solid.state[name].x.array[:] = values
     return total(change * solid.fields.weights) / total(solid.fields.weights)
 
 
@@ -139,13 +138,17 @@ def test_tangent_lies_between_its_bounds() -> None:
 def test_element_force_norm(cell: str) -> None:
     """On simplices it is the norm of the forces assembled in a space without continuity."""
     solid = create_loaded(cell)
-    solid.commit()
-    solid.update_output()
+    solid.evaluate()
     d = solid.mesh.geometry.dim
     W = fem.functionspace(solid.mesh, ("Discontinuous Lagrange", 1, (d,)))
     rule = {"quadrature_degree": solid.quadrature_degree, "quadrature_scheme": "default"}
     dx = ufl.dx(metadata=rule)
-    form = ufl.inner(from_components(solid.stress), strain(ufl.TestFunction(W))) * dx
+    form = (
+        ufl.inner(
+            from_components(solid.stress), kinematics_of_dimension(d).measure(ufl.TestFunction(W))
+        )
+        * dx
+    )
     forces = fem.assemble_vector(fem.form(form)).array
     expected = np.sqrt(total(forces[: d * W.dofmap.index_map.size_local] ** 2))
     simplex = cell in ("triangle", "tetrahedron")
@@ -174,7 +177,7 @@ def test_state_changes_only_at_commit() -> None:
     forces = residual(solid)
     solid.assemble_tangent(solid.create_matrix())
     energy, ep = solid.energy(), solid.fields.values("plastic_strain")
-    solid.update_output()
+    solid.evaluate()
     stress = solid.stress.x.array.copy()
     assert np.array_equal(solid.state["plastic_strain"].x.array, before)
     solid.commit()
@@ -184,18 +187,90 @@ def test_state_changes_only_at_commit() -> None:
     dissipation = total(STEEL.Y * flow * solid.fields.weights)
     assert dissipation > 1e-3 * energy
     assert np.isclose(energy - solid.energy(), dissipation, rtol=1e-9)
-    solid.update_output()
+    solid.evaluate()
     assert np.abs(solid.stress.x.array - stress).max(initial=0) < 1e-9 * STEEL.Y
     assert np.abs(residual(solid) - forces).max(initial=0) < 1e-9 * STEEL.Y
+    solid.evaluate()
     solid.commit()
     assert np.array_equal(solid.state["plastic_strain"].x.array, after)
+
+
+def shown(solid: Solid) -> dict[str, Any]:
+    """Return all that shows results, as numbers."""
+    written = {name: f.x.array.copy() for name, f in solid.output_fields().items()}
+    values = {f"values {name}": solid.fields.values(name) for name in solid.fields.names}
+    largest = {f"max {n}": solid.max(n) for n in ("von_mises", "plastic_strain_norm", "plastic")}
+    return written | values | largest | {"area": solid.plastic_area(), "s": solid.stress.x.array}
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_results_are_those_of_the_step_before_and_after_its_commit(cell: str) -> None:
+    """Evaluating shows the step at u; accepting it changes nothing that is shown."""
+    solid = create_loaded(cell)
+    committed = {name: f.x.array.copy() for name, f in solid.state.items()}
+    old = {name: np.copy(value) for name, value in shown(solid).items()}
+    solid.evaluate()
+    new = {name: np.copy(value) for name, value in shown(solid).items()}
+    differences = [np.abs(new[n] - old[n]).max(initial=0.0) for n in ("stress", "plastic_strain")]
+    assert COMM.allreduce(differences[0], op=MPI.MAX) > 1e-2 * STEEL.Y
+    assert COMM.allreduce(differences[1], op=MPI.MAX) > 1e-5
+    assert all(np.array_equal(solid.state[n].x.array, values) for n, values in committed.items())
+    # the stress shown is that of the step: its forces are the residual's
+    rule = {"quadrature_degree": solid.quadrature_degree, "quadrature_scheme": "default"}
+    virtual = solid.kinematics.measure(ufl.TestFunction(solid.V))
+    form = ufl.inner(from_components(solid.stress), virtual) * ufl.dx(metadata=rule)
+    forces = fem.assemble_vector(fem.form(form))
+    forces.scatter_reverse(la.InsertMode.add)
+    expected = residual(solid)
+    error = np.abs(forces.array[: len(expected)] - expected).max(initial=0.0)
+    assert error < 1e-13 * np.abs(expected).max(initial=1.0)
+    solid.commit()
+    after = shown(solid)
+    assert after.keys() == new.keys()
+    assert all(np.array_equal(after[name], value) for name, value in new.items())
+    assert any(not np.array_equal(solid.state[n].x.array, committed[n]) for n in committed) or (
+        COMM.size > 1
+    )
+
+
+@dataclass(frozen=True)
+class Logarithmic:
+    """An elastic law with an internal variable that is undefined for negative parameters."""
+
+    E: float
+    nu: float
+    c: float
+
+    state: ClassVar[Mapping[str, tuple[int, ...]]] = {"wear": ()}
+    linear: ClassVar[bool] = True
+    elastic_stress = staticmethod(Elastic.elastic_stress)
+    energy = staticmethod(Elastic.energy)
+    output = staticmethod(Elastic.output)
+
+    @staticmethod
+    def updated_state(eps: Any, state: Any, p: SimpleNamespace) -> dict[str, Any]:
+        """Return ln c."""
+        return {"wear": ufl.ln(p.c)}
+
+
+def test_a_law_that_is_undefined_on_one_rank_is_an_error_on_all() -> None:
+    """The message names the law and the variable, and the committed state is as before."""
+    domain = create_domain("triangle", 6)
+    tags = create_tags(domain, lambda x: 1 + (x[:, 0] + x[:, 1] < 0.3))
+    laws = {1: Logarithmic(1.0, 0.3, 2.0), 2: Logarithmic(1.0, 0.3, -2.0)}
+    solid = Solid(create_displacement(domain), laws, tags)
+    with pytest.raises(
+        ValueError, match=r"Logarithmic: wear is NaN or infinite at \d+ integration"
+    ):
+        solid.evaluate()
+    assert not solid.state["wear"].x.array.any()
 
 
 def test_output_fields() -> None:
     """Norms, components, averages and the plastic area agree with the stored components."""
     solid = create_loaded("quadrilateral")
+    solid.evaluate()
     solid.commit()
-    solid.update_output()
     ep, s = solid.fields.values("plastic_strain"), solid.fields.values("stress")
     frobenius = np.sqrt((ep[..., :3] ** 2).sum(-1) + 2 * ep[..., 3] ** 2)
     assert np.allclose(solid.fields.values("plastic_strain_norm"), frobenius, rtol=1e-14)
@@ -222,6 +297,7 @@ def test_output_fields() -> None:
 def test_elastic_solid_has_no_plastic_area() -> None:
     """An elastic solid is linear and names no plastic field."""
     solid = Solid(create_displacement(create_domain("triangle")), Elastic(1.0, 0.3))
+    solid.evaluate()
     solid.commit()
     assert solid.linear and solid.plastic_area() == 0.0
     assert not any("plastic" in name for name in solid.fields.names)
@@ -248,11 +324,12 @@ def test_materials_by_tag() -> None:
     ):
         solid = Solid(create_displacement(domain), laws, tags)
         set_wave(solid.u, 2e-3)
+        solid.evaluate()
         solid.commit()
         set_wave(solid.u, 2e-3, 0.7)
         K = solid.create_matrix()
         solid.assemble_tangent(K)
-        solid.update_output()
+        solid.evaluate()
         norms = [solid.max(n) for n in ("von_mises", "back_stress_norm", "plastic_strain_norm")]
         forces = np.sqrt(total(residual(solid) ** 2))
         numbers = [solid.energy(), K.norm(), forces, solid.elastic_norm(solid.u), *norms]
@@ -312,8 +389,8 @@ def test_nothing_is_compiled_for_other_numbers(monkeypatch: pytest.MonkeyPatch) 
                 solid.energy()
                 solid.elastic_norm(solid.u)
                 solid.element_force_norm()
+                solid.evaluate()
                 solid.commit()
-                solid.update_output()
                 solid.max("von_mises")
                 solid.cell_values("hardening")
 
@@ -337,6 +414,7 @@ def test_units_of_length() -> None:
         solid.u.x.array[:] *= scale
         domain.geometry.x[:] *= scale
         energy, area = solid.energy() / scale**2, 0.0
+        solid.evaluate()
         solid.commit()
         area = solid.plastic_area() / scale**2
         results.append([energy, area, solid.max("plastic_strain_norm")])

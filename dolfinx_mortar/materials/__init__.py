@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Material laws: one file per law, UFL expressions only."""
+"""Material laws: one file per law, UFL expressions only.
 
+A law turns a 3x3 strain, its committed state and parameters into stress or energy and new state.
+It must not know of meshes, functions or contact; `check` tries a law out without any of them.
+"""
+
+from dolfinx_mortar.materials.comparison import check
 from dolfinx_mortar.materials.elastic import Elastic
 from dolfinx_mortar.materials.protocol import Material
 from dolfinx_mortar.materials.von_mises import VonMises
 
-__all__ = ["Elastic", "Material", "VonMises"]
+__all__ = ["Elastic", "Material", "VonMises", "check"]

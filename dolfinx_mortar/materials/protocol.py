@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from numbers import Real
@@ -25,7 +26,10 @@ class Material(Protocol):
       d psi / d strain and the tangent its derivative, both taken by UFL, or
     * `stress(strain, state, p)`, for a law without a potential (no line search on the energy).
 
-    A law that has both gives its stress in closed form, and UFL differentiates only that.
+    A law that has both gives its stress in closed form, and UFL differentiates only that. The
+    tangent must be symmetric. `dolfinx_mortar.materials.check` tries a law out without a mesh.
+
+    A law may inherit from this class, which has no memory and no output, or just look like it.
 
     Attributes:
         state: internal variables, name -> shape; () or (3, 3) (symmetric).
@@ -38,14 +42,83 @@ class Material(Protocol):
     @staticmethod
     def elastic_stress(strain: Expr, p: Any) -> Expr:
         """Return C : strain, the stress of an elastic increment (defines the energy norm)."""
+        raise NotImplementedError
 
     @staticmethod
     def updated_state(strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
         """Return the internal variables at the end of the step, one per name in `state`."""
+        return {}
 
     @staticmethod
     def output(state: Mapping[str, np.ndarray], p: SimpleNamespace) -> dict[str, np.ndarray]:
-        """Return further fields (q,) or (q, components) at q integration points, from NumPy."""
+        """Return further fields (q,) or (q, components) at q integration points, from NumPy.
+
+        q may be 0: the names and shapes are then all that counts. Optional.
+        """
+        return {}
+
+
+_REMEDIES = {
+    "state": "declare its internal variables, state: ClassVar = {} if it has none",
+    "linear": "declare linear: ClassVar = False, or True if the stress is linear in the strain",
+    "elastic_stress": "add elastic_stress(strain, p), for example "
+    "staticmethod(dolfinx_mortar.Elastic.elastic_stress)",
+    "energy": "add energy(strain, state, p), the potential of the step, or stress(strain, state, "
+    "p)",
+    "updated_state": "add updated_state(strain, state, p) for the internal variables of `state`",
+}
+# The solid's own fields, which a law must not hide.
+RESERVED = ("stress", "von_mises")
+
+
+def check_declaration(name: str, law: Any) -> None:
+    """Raise ValueError unless a law declares all that a law must.
+
+    Args:
+        name: how the user's argument is called.
+        law: what was given as a material.
+    """
+    if not dataclasses.is_dataclass(law) or isinstance(law, type):
+        raise ValueError(f"{name} = {law!r} is not a material such as Elastic(E, nu).")
+    kind = type(law)
+    missing = [part for part in ("state", "linear") if getattr(kind, part, None) is None]
+    methods = ["elastic_stress"]
+    methods += ["updated_state"] if getattr(kind, "state", None) else []
+    missing += [part for part in methods if not callable(getattr(kind, part, None))]
+    if not (callable(getattr(kind, "stress", None)) or callable(getattr(kind, "energy", None))):
+        missing.append("energy")
+    if missing:
+        what = ["stress or energy" if part == "energy" else part for part in missing]
+        remedies = "; ".join(_REMEDIES[part] for part in missing)
+        raise ValueError(
+            f"{name} = {law!r} is not a material: {kind.__name__} has no {', no '.join(what)}; "
+            f"{remedies}."
+        )
+    _check_state(kind)
+    for field in dataclasses.fields(law):
+        if not isinstance(value := getattr(law, field.name), Real):
+            raise ValueError(
+                f"{kind.__name__}: the parameter {field.name} = {value!r} is no number; a field "
+                "that is no parameter is declared as ClassVar."
+            )
+
+
+def _check_state(kind: type) -> None:
+    """Raise ValueError unless the declared internal variables have names and shapes that work."""
+    state: Any = kind.state  # type: ignore[attr-defined]
+    if not isinstance(state, Mapping):
+        raise ValueError(f"{kind.__name__}: state is {state!r}; give a dictionary, name -> shape.")
+    for name, shape in state.items():
+        if not isinstance(name, str) or name in RESERVED:
+            raise ValueError(
+                f"{kind.__name__}: state has the name {name!r}; choose a text other than "
+                f"{' and '.join(RESERVED)}."
+            )
+        if shape not in ((), (3, 3)):
+            raise ValueError(
+                f"{kind.__name__}: state {name!r} has the shape {shape!r}; it must be () for a "
+                "scalar or (3, 3) for a symmetric tensor."
+            )
 
 
 def check_parameters(law: str, **ranges: tuple[float, float, float, bool]) -> None:

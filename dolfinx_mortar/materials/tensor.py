@@ -24,14 +24,6 @@ COMPONENTS = {2: ("xx", "yy", "zz", "xy"), 3: ("xx", "yy", "zz", "xy", "yz", "xz
 _ROW_COLUMN = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
 
 
-def strain(u: Expr) -> Expr:
-    """Return the small strain of a displacement as a 3x3 tensor, zero out of the plane in 2D."""
-    g = ufl.sym(ufl.grad(u))
-    if g.ufl_shape == (3, 3):
-        return g
-    return ufl.as_tensor([[g[0, 0], g[0, 1], 0], [g[1, 0], g[1, 1], 0], [0, 0, 0]])
-
-
 def from_components(c: Expr) -> Expr:
     """Return the 3x3 tensor whose stored components are c (4 or 6 of them)."""
     xx, yy, zz, xy = (c[i] for i in range(4))

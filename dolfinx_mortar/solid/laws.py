@@ -18,7 +18,9 @@ import basix
 import basix.ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar import compat
+from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.materials import Material
+from dolfinx_mortar.materials.protocol import RESERVED, check_declaration
 
 CELL_TYPES = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 
@@ -36,8 +38,39 @@ class Region:
         """Return the parameters by name, each (len(cells),)."""
         dofs = self.parameters.function_space.dofmap.list[cells, 0]
         names = vars(self.symbols)
-        values = self.parameters.x.array.reshape(-1, len(names))[dofs]
+        values = self.parameters.x.array.reshape(-1, max(len(names), 1))[dofs]
         return SimpleNamespace(**{name: values[:, i] for i, name in enumerate(names)})
+
+    def output(self, state: Mapping[str, Floats], cells: Ints, points: int) -> dict[str, Floats]:
+        """Return the further fields of the law, (q,) or (q, components), q points cell by cell.
+
+        Args:
+            state: internal variables at the points of the cells, (q,) or (q, components).
+            cells: local cells.
+            points: number of integration points per cell.
+
+        Raises:
+            ValueError: if the law raises or returns something wrong; the message names it.
+        """
+        if not callable(getattr(self.law, "output", None)):
+            return {}
+        where, q = f"{self.law.__name__}.output", len(cells) * points
+        try:
+            found = self.law.output(state, self.parameter_values(np.repeat(cells, points)))
+            fields = {name: np.asarray(f, dtype=float) for name, f in dict(found or {}).items()}
+        except Exception as error:
+            raise ValueError(
+                f"{where} raised {type(error).__name__}: {error} (at {q} integration points)"
+            ) from error
+        for name, field in fields.items():
+            if not isinstance(name, str) or name in (*RESERVED, *self.law.state):
+                raise ValueError(f"{where} returns the name {name!r}: it is taken, or no text.")
+            if field.ndim not in (1, 2) or len(field) != q:
+                raise ValueError(
+                    f"{where}: {name} has the shape {field.shape} at {q} integration points; it "
+                    f"must be ({q},) or ({q}, components)."
+                )
+        return fields
 
 
 def check_displacement(u: fem.Function) -> None:
@@ -81,7 +114,7 @@ def create_regions(
     """
     laws, choice = _material_of_cells(domain, materials, cell_tags)
     # Sorted by name so that the same laws make the same forms in any order of the dictionary.
-    classes = sorted({type(law) for law in laws}, key=lambda c: c.__qualname__)
+    classes = sorted(dict.fromkeys(type(law) for law in laws), key=lambda c: c.__qualname__)
     index = np.array([classes.index(type(law)) for law in laws])
     return [_create_region(domain, laws, choice, index == i) for i in range(len(classes))]
 
@@ -99,14 +132,16 @@ def _create_region(
     """
     law = type(laws[int(np.flatnonzero(chosen)[0])])
     names = [field.name for field in dataclasses.fields(law)]
-    element = basix.ufl.element("DG", domain.basix_cell(), 0, shape=(len(names),))
+    width = max(len(names), 1)  # a law may have no parameter at all
+    element = basix.ufl.element("DG", domain.basix_cell(), 0, shape=(width,))
     parameters = fem.Function(fem.functionspace(domain, element))
     cells = np.flatnonzero(chosen[choice]).astype(np.int32)
     table = np.array(
         [[getattr(m, n) if c else 0.0 for n in names] for m, c in zip(laws, chosen, strict=True)]
     )
     dofs = parameters.function_space.dofmap.list[:, 0]
-    parameters.x.array.reshape(-1, len(names))[dofs[cells]] = table[choice[cells]]
+    if names:
+        parameters.x.array.reshape(-1, width)[dofs[cells]] = table[choice[cells]]
     symbols = SimpleNamespace(**{name: parameters[i] for i, name in enumerate(names)})
     return Region(law, cells, parameters, symbols)
 
@@ -120,12 +155,12 @@ def _material_of_cells(
     imap = domain.topology.index_map(domain.topology.dim)
     count = imap.size_local + imap.num_ghosts
     if not isinstance(materials, Mapping):
-        _check_material("materials", materials)
+        check_declaration("materials", materials)
         return [materials], np.zeros(count, dtype=np.int32)
     for tag, law in materials.items():
         if not isinstance(tag, int | np.integer):
             raise ValueError(f"materials has the key {tag!r}: its keys are cell tags, integers.")
-        _check_material(f"materials[{tag}]", law)
+        check_declaration(f"materials[{tag}]", law)
     if not materials or cell_tags is None:
         raise ValueError(
             "materials is a dictionary by cell tag: give at least one material, and cell_tags."
@@ -144,15 +179,6 @@ def _material_of_cells(
     _check_cover(domain.comm, values[: imap.size_local], tags, int(untagged))
     laws = [materials[int(tag)] for tag in tags]
     return laws, np.searchsorted(tags, values).astype(np.int32)
-
-
-def _check_material(name: str, law: Any) -> None:
-    """Raise ValueError unless law is an instance of a material class."""
-    required = ("state", "linear", "elastic_stress", "updated_state", "output")
-    is_law = dataclasses.is_dataclass(law) and not isinstance(law, type)
-    stressed = hasattr(law, "energy") or hasattr(law, "stress")
-    if not (is_law and stressed and all(hasattr(law, r) for r in required)):
-        raise ValueError(f"{name} = {law!r} is not a material such as Elastic(E, nu).")
 
 
 def _check_cover(comm: MPI.Comm, values: np.ndarray, tags: np.ndarray, untagged: int) -> None:

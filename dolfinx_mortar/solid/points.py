@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
+from typing import Any
 
 from mpi4py import MPI
 
@@ -13,6 +14,7 @@ import numpy as np
 import basix.ufl
 import ufl
 from dolfinx import fem
+from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.materials.tensor import COMPONENTS, frobenius_norm, vector_norm, von_mises
 from dolfinx_mortar.solid.laws import Region
 
@@ -34,6 +36,7 @@ class PointFields:
         state: Mapping[str, fem.Function],
         regions: Sequence[Region],
         degree: int,
+        weight: Callable[[Any], Any],
     ) -> None:
         """Keep references to the quadrature Functions; nothing is evaluated yet.
 
@@ -42,10 +45,12 @@ class PointFields:
             state: internal variables.
             regions: the laws, which may add fields such as the back stress.
             degree: quadrature degree of the Functions.
+            weight: factor of the volume by the coordinates, see `Kinematics`.
         """
         self._stored = {"stress": stress, **state}
         self._regions = regions
         self._degree = degree
+        self._weight = weight
         self._mesh = stress.function_space.mesh
         self._components = COMPONENTS[self._mesh.geometry.dim]
         self._owned = self._mesh.topology.index_map(self._mesh.topology.dim).size_local
@@ -53,58 +58,89 @@ class PointFields:
         self._averages: dict[str, fem.Function] = {}
 
     @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Names of all fields, scalars and tensors, without the single components."""
-        names = list(self._stored)
+    def bases(self) -> dict[str, tuple[int, ...]]:
+        """Stress, internal variables and the laws' own output: shape (components,) or () by name.
+
+        Raises:
+            ValueError: if a law's output is wrong, or two laws give one name in two shapes.
+        """
+        shapes: dict[str, tuple[int, ...]] = {
+            name: (len(self._components),) if f.function_space.dofmap.bs > 1 else ()
+            for name, f in self._stored.items()
+        }
         for region in self._regions:
             none = np.arange(0, dtype=np.int32)
-            names += [name for name in self._output(region, none) if name not in names]
-        tensors = [name for name in names if name != "plastic"]
-        norms = [f"{name}_{norm}" for name in tensors for norm in ("norm", "vector_norm")]
+            for name, field in self._output(region, none).items():
+                if shapes.setdefault(name, field.shape[1:]) != field.shape[1:]:
+                    raise ValueError(
+                        f"{region.law.__name__}.output: {name} has {field.shape[1:]} components, "
+                        f"but {shapes[name]} in another law; give one of them another name."
+                    )
+        return shapes
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of all fields, scalars and tensors, without the single components."""
+        norms = [
+            f"{name}_{norm}"
+            for name, shape in self.bases.items()
+            if shape == (len(self._components),)
+            for norm in ("norm", "vector_norm")
+        ]
         aliases = [name for name, target in ALIASES.items() if target in norms]
-        return (*names, *norms, "von_mises", *aliases)
+        return tuple(dict.fromkeys((*self.bases, *norms, "von_mises", *aliases)))
 
     def values(self, name: str) -> np.ndarray:
         """Return a field on the owned cells: (cells, points) or (cells, points, components).
 
         Args:
-            name: a stored field ("stress", "plastic_strain", "back_stress", "plastic"),
-                "von_mises", a tensor's name followed by "_norm" (Frobenius), "_vector_norm"
-                (stored components, shear once) or a component ("stress_yy"), or "hardening", the
-                vector norm of the back stress. What only plasticity has is zero in elastic bodies.
+            name: a stored field ("stress", "plastic_strain", or a law's own internal variable or
+                output such as "back_stress", "plastic"), "von_mises", a tensor's name followed by
+                "_norm" (Frobenius), "_vector_norm" (stored components, shear once) or a component
+                ("stress_yy"), or "hardening", the vector norm of the back stress. What only
+                plasticity has is zero in elastic bodies.
 
         Raises:
-            ValueError: if no law has that field.
+            ValueError: if no law has that field, or a law gives NaN on this rank.
         """
+        if name in self.bases:
+            return self._base(name)
         name = ALIASES.get(name, name)
         if name == "von_mises":
             return von_mises(self._base("stress"))
         for suffix, norm in (("_vector_norm", vector_norm), ("_norm", frobenius_norm)):
-            if name.endswith(suffix):
-                return norm(self._base(name.removesuffix(suffix)))
+            base = name.removesuffix(suffix)
+            if base != name and self._is_tensor(base):
+                return norm(self._base(base))
         base, _, component = name.rpartition("_")
-        if component in self._components:
+        if component in self._components and self._is_tensor(base):
             return self._base(base)[..., self._components.index(component)]
         return self._base(name)
+
+    def _is_tensor(self, name: str) -> bool:
+        """Tell whether a name stands for a symmetric tensor, here or in other bodies."""
+        shape = self.bases.get(name, ())
+        return shape == (len(self._components),) or PLASTIC_FIELDS.get(name, False)
 
     def _base(self, name: str) -> np.ndarray:
         """Return a stored field or one that the laws derive, zero where a law has none."""
         if name in self._stored:
             return self._at_points(self._stored[name])
-        result = None
+        if name not in self.bases and name not in PLASTIC_FIELDS:
+            raise ValueError(f"no field {name!r}; there are {', '.join(self.names)}.")
+        missing = (len(self._components),) if PLASTIC_FIELDS.get(name) else ()
+        shape = self.bases.get(name, missing)
+        result = np.zeros((self._owned, self._points, *shape))
         for region in self._regions:
             cells = region.cells[region.cells < self._owned]
             field = self._output(region, cells).get(name)
             if field is None:
                 continue
-            if result is None:
-                result = np.zeros((self._owned, self._points, *field.shape[1:]))
-            result[cells] = field.reshape(cells.size, self._points, *field.shape[1:])
-        if result is None and name in PLASTIC_FIELDS:
-            shape = (len(self._components),) if PLASTIC_FIELDS[name] else ()
-            result = np.zeros((self._owned, self._points, *shape))
-        if result is None:
-            raise ValueError(f"no field {name!r}; there are {', '.join(self.names)}.")
+            if (undefined := int(np.isnan(field).sum())) > 0:
+                raise ValueError(
+                    f"{region.law.__name__}.output: {name} is NaN in {undefined} values."
+                )
+            result[cells] = field.reshape(cells.size, self._points, *shape)
         return result
 
     def _at_points(self, f: fem.Function) -> np.ndarray:
@@ -115,24 +151,34 @@ class PointFields:
 
     def _output(self, region: Region, cells: np.ndarray) -> dict[str, np.ndarray]:
         """Return the derived fields of a region's law in some of its cells, cell by cell."""
-        p = region.parameter_values(np.repeat(cells, self._points))
         state = {}
         for name in region.law.state:
             values = self._at_points(self._stored[name])[cells]
             state[name] = values.reshape(cells.size * self._points, *values.shape[2:])
-        return region.law.output(state, p)
+        return region.output(state, cells, self._points)
 
     @cached_property
     def weights(self) -> np.ndarray:
-        """Integration weights with the Jacobian, (cells, points); their sum is the volume."""
+        """Integration weights with the Jacobian, (cells, points); their sum is the volume.
+
+        The volume is that of the kinematics, weight included.
+        """
         metadata = {"quadrature_degree": self._degree, "quadrature_scheme": "default"}
         element = basix.ufl.quadrature_element(
             self._mesh.basix_cell(), scheme="default", degree=self._degree
         )
         Q = fem.functionspace(self._mesh, element)
         dx = ufl.Measure("dx", self._mesh, metadata=metadata)
-        assembled = fem.assemble_vector(fem.form(ufl.TestFunction(Q) * dx))
+        factor = ufl.as_ufl(self._weight(ufl.SpatialCoordinate(self._mesh)))
+        assembled = fem.assemble_vector(fem.form(factor * ufl.TestFunction(Q) * dx))
         return assembled.array[Q.dofmap.list[: self._owned]]
+
+    def _values_everywhere(self, name: str) -> np.ndarray:
+        """Return a field; an error of a law on one rank is raised on all; collective."""
+        values = np.zeros(0)
+        with raised_together(self._mesh.comm):
+            values = self.values(name)
+        return values
 
     def max(self, name: str) -> float:
         """Return the largest value of a scalar field over all points and ranks.
@@ -140,7 +186,7 @@ class PointFields:
         Raises:
             ValueError: if the field is a tensor, or no law has it.
         """
-        values = self.values(name)
+        values = self._values_everywhere(name)
         if values.ndim > 2:
             raise ValueError(
                 f"{name!r} is a tensor: ask for a norm or a component, '{name}_norm' or '{name}_xx'"
@@ -151,12 +197,12 @@ class PointFields:
     def integral(self, name: str) -> float:
         """Return the integral of a scalar field over the bodies, summed over the ranks."""
         return self._mesh.comm.allreduce(
-            float(np.sum(self.values(name) * self.weights)), op=MPI.SUM
+            float(np.sum(self._values_everywhere(name) * self.weights)), op=MPI.SUM
         )
 
     def cell_values(self, name: str) -> fem.Function:
         """Return the cell averages of a field in a DG0 Function, kept and refilled per name."""
-        values, weights = self.values(name), self.weights
+        values, weights = self._values_everywhere(name), self.weights
         if name not in self._averages:
             shape = values.shape[2:]
             element = basix.ufl.element("DG", self._mesh.basix_cell(), 0, shape=shape)

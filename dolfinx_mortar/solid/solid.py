@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The bodies: materials on cell tags, committed state, energy, residual and tangent.
 
+A step ends with `evaluate`, which shows its results, and is accepted by `commit`.
+
 Everything is compiled and allocated when a `Solid` is made (what only serves output: when first
 asked for). The compiled code depends on the cell type and the laws, not on the mesh, the tags or
 the values of the parameters, which live in cell-wise constant Functions.
@@ -11,26 +13,30 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import cached_property
-from types import SimpleNamespace
-from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
-import basix.ufl
-import ufl
 from dolfinx import fem, la, mesh
 from dolfinx.fem import petsc as fem_petsc
-from dolfinx_mortar import compat
+from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.materials import Material
-from dolfinx_mortar.materials.tensor import COMPONENTS, from_components, strain, to_components
-from dolfinx_mortar.solid.laws import Region, check_displacement, create_regions
+from dolfinx_mortar.solid.forms import create_forms, create_responses
+from dolfinx_mortar.solid.kinematics import Kinematics, kinematics_of_dimension
+from dolfinx_mortar.solid.laws import check_displacement, create_regions
 from dolfinx_mortar.solid.points import PointFields
-from ufl.classes import Label, Variable
+from dolfinx_mortar.solid.state import (
+    Evaluation,
+    create_evaluations,
+    create_field,
+    create_state,
+    fill_all,
+)
 
+# Written first, and if a law has them; then all internal variables and what the laws put out.
 OUTPUT_FIELDS = (
     *("stress", "von_mises", "plastic_strain", "plastic_strain_norm"),
     *("back_stress_norm", "hardening"),
@@ -43,13 +49,15 @@ class Solid:
     Attributes:
         u: displacement; its ghosts must be up to date in every call.
         V: space of u.
-        state: committed internal variables by name, quadrature Functions. Tensors are stored as
-            (xx, yy, zz, xy) in 2D (plane strain) and (xx, yy, zz, xy, yz, xz) in 3D, the shear
-            being the tensor component.
-        stress: quadrature Function of the same components, filled by `update_output`.
+        kinematics: strain measure, weight and rigid motions; plane strain in 2D.
+        state: committed internal variables by name, quadrature Functions: those from which the
+            next step starts. What `fields` and `max` show is the state that `evaluate` found,
+            committed or not. Tensors are stored as (xx, yy, zz, xy) in 2D (plane strain) and
+            (xx, yy, zz, xy, yz, xz) in 3D, the shear being the tensor component.
+        stress: quadrature Function of the same components, filled by `evaluate`.
         quadrature_degree: degree of the cell integrals.
-        linear: True if all laws are linear, so that the tangent is constant.
-        has_energy: True if all laws have a potential, so that `energy` works.
+        regions: the cells of each law, with its parameters.
+        fields: what `evaluate` found, at the integration points.
     """
 
     def __init__(
@@ -59,6 +67,7 @@ class Solid:
         cell_tags: mesh.MeshTags | None = None,
         *,
         quadrature_degree: int | None = None,
+        kinematics: Kinematics | None = None,
     ) -> None:
         """Create the bodies and compile their forms (collective).
 
@@ -68,140 +77,69 @@ class Solid:
             cell_tags: tags of the cells; needed with a law per tag.
             quadrature_degree: None means 2(p - 1), at least 1, on simplices and 2p on
                 quadrilaterals and hexahedra, p the degree of u.
+            kinematics: None means plane strain in 2D, spatial in 3D.
 
         Raises:
-            ValueError: if u is in another kind of space, materials and tags do not match, or the
-                quadrature degree is no integer from 0 on.
+            ValueError: if u is in another kind of space, materials and tags do not match, the
+                quadrature degree is no integer from 0 on, or a law lacks a part, raises, or returns
+                something of the wrong name or shape; the message names the law and the part.
         """
         check_displacement(u)
         self.u = u
         self.V = u.function_space
-        self.mesh = self.V.mesh
+        self.kinematics = kinematics or kinematics_of_dimension(self.mesh.geometry.dim)
         self.quadrature_degree = _degree(self.V, quadrature_degree)
         self.regions = create_regions(self.mesh, materials, cell_tags)
-        self.linear = all(r.law.linear for r in self.regions)
-        self.state = self._create_state()
-        self._staged = {name: fem.Function(f.function_space) for name, f in self.state.items()}
-        self.stress = self._create_quadrature_function((3, 3), "stress")
-        self._compile()
-
-    # -- set-up ---------------------------------------------------------------------------------
-
-    def _create_quadrature_function(self, shape: tuple[int, ...], name: str) -> fem.Function:
-        """Create a quadrature Function for a scalar, shape (), or a tensor, shape (3, 3)."""
-        value_shape = (len(COMPONENTS[self.mesh.geometry.dim]),) if shape else ()
-        element = basix.ufl.quadrature_element(
-            self.mesh.basix_cell(),
-            value_shape=value_shape,
-            scheme="default",
-            degree=self.quadrature_degree,
+        self.state = create_state(self.regions, self.mesh, self.quadrature_degree)
+        self._staged = {name: f.copy() for name, f in self.state.items()}
+        self.stress = create_field(self.mesh, self.quadrature_degree, (3, 3), "stress")
+        self._responses = create_responses(u, self.regions, self.state, self.kinematics)
+        weight = self.kinematics.weight
+        self.fields = PointFields(
+            self.stress, self._staged, self.regions, self.quadrature_degree, weight
         )
-        return fem.Function(fem.functionspace(self.mesh, element), name=name)
-
-    def _create_state(self) -> dict[str, fem.Function]:
-        """Create the internal variables of all laws, shared where laws use the same name."""
-        shapes: dict[str, tuple[int, ...]] = {}
-        for region in self.regions:
-            for name, shape in region.law.state.items():
-                assert shapes.setdefault(name, shape) == shape, f"two shapes of state {name}"
-        return {n: self._create_quadrature_function(s, n) for n, s in shapes.items()}
-
-    def _symbols(self, region: Region) -> tuple[dict[str, Any], SimpleNamespace]:
-        """Return state and parameters of a region as UFL."""
-        state = {
-            name: from_components(self.state[name]) if shape else self.state[name]
-            for name, shape in region.law.state.items()
-        }
-        return state, region.symbols
-
-    def _stress(self, region: Region, eps: Any) -> Any:
-        """Return the stress of a region's law as UFL, from the law or from its potential."""
-        state, p = self._symbols(region)
-        if hasattr(region.law, "stress"):
-            return region.law.stress(eps, state, p)
-        # Not ufl.variable: its running number would get into the signature of the compiled code.
-        variable = Variable(eps, Label(-1))
-        return ufl.diff(region.law.energy(variable, state, p), variable)
-
-    def _measures(self) -> list[tuple[Region, ufl.Measure]]:
-        """Return each region with the measure of its cells."""
-        metadata = {"quadrature_degree": self.quadrature_degree, "quadrature_scheme": "default"}
-        dx = ufl.Measure("dx", self.mesh, metadata=metadata)
-        if len(self.regions) == 1:
-            return [(self.regions[0], dx)]
-        owned = self.mesh.topology.index_map(self.mesh.topology.dim).size_local
-        # Numbers of the laws, not the user's tags: tags must not enter the compiled code.
-        domains = [(i, r.cells[r.cells < owned]) for i, r in enumerate(self.regions)]
-        dx = dx(subdomain_data=domains)
-        return [(region, dx(i)) for i, region in enumerate(self.regions)]
-
-    def _compile(self) -> None:
-        """Compile all forms and expressions that a Newton step needs."""
-        v, w = ufl.TestFunction(self.V), ufl.TrialFunction(self.V)
-        self._direction = fem.Function(self.V)
-        self._force = la.vector(self.V.dofmap.index_map, self.V.dofmap.bs)
-        eps, virtual, along = strain(self.u), strain(v), strain(self._direction)
-        measures = self._measures()
-        stress = [self._stress(region, eps) for region in self.regions]
-        residual = sum(
-            ufl.inner(s, virtual) * dx for s, (_, dx) in zip(stress, measures, strict=True)
+        with raised_together(self.mesh.comm):
+            self.fields.bases  # noqa: B018 - judges what the laws put out
+        self._forms = create_forms(
+            u, self.regions, self._responses, self.kinematics, self.quadrature_degree
         )
-        norm = sum(
-            ufl.inner(r.law.elastic_stress(along, r.symbols), along) * dx for r, dx in measures
-        )
-        gram = _gradient_gram(self.V)
-        force = sum(
-            _element_force(s, gram) * dx for s, (_, dx) in zip(stress, measures, strict=True)
-        )
-        self._residual = fem.form(residual)
-        self._tangent = fem.form(ufl.derivative(residual, self.u, w))
-        self._norm = fem.form(norm)
-        self._element_force = fem.form(force)
-        self._energy = None
-        if all(hasattr(region.law, "energy") for region in self.regions):
-            psi = [region.law.energy(eps, *self._symbols(region)) for region in self.regions]
-            self._energy = fem.form(sum(e * dx for e, (_, dx) in zip(psi, measures, strict=True)))
-        self._updates = [
-            (name, region.cells, self._expression(value))
-            for region in self.regions
-            for name, value in self._updated_state(region, eps).items()
-        ]
 
-    def _updated_state(self, region: Region, eps: Any) -> dict[str, Any]:
-        """Return the new internal variables of a region as UFL components."""
-        new = region.law.updated_state(eps, *self._symbols(region))
-        size = len(COMPONENTS[self.mesh.geometry.dim])
-        return {n: to_components(t, size) if t.ufl_shape else t for n, t in new.items()}
+    @property
+    def mesh(self) -> mesh.Mesh:
+        """The mesh of all bodies."""
+        return self.V.mesh
 
-    def _expression(self, value: Any) -> fem.Expression:
-        """Compile a UFL expression for all integration points."""
-        return fem.Expression(value, compat.interpolation_points(self.stress.function_space))
+    @property
+    def linear(self) -> bool:
+        """Whether all laws are linear, so that the tangent is constant."""
+        return all(region.law.linear for region in self.regions)
+
+    @property
+    def has_energy(self) -> bool:
+        """Whether all laws have a potential, so that `energy` works."""
+        return self._forms.energy is not None
 
     # -- one Newton iteration -------------------------------------------------------------------
 
     def create_matrix(self) -> PETSc.Mat:
         """Create the matrix of the tangent: V's layout, pattern of the mesh, no entries."""
-        K = fem_petsc.create_matrix(self._tangent)
+        K = fem_petsc.create_matrix(self._forms.tangent)
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         return K
 
     def assemble_tangent(self, K: PETSc.Mat) -> None:
         """Fill K with the consistent tangent dF/du at u, symmetric, without boundary conditions."""
         K.zeroEntries()
-        fem_petsc.assemble_matrix(K, self._tangent)
+        fem_petsc.assemble_matrix(K, self._forms.tangent)
         K.assemble()
 
     def assemble_residual(self, r: PETSc.Vec) -> None:
         """Fill the owned part of r with the internal forces F(u)_i = int sigma : eps(phi_i)."""
-        self._force.array[:] = 0.0
-        fem.assemble_vector(self._force.array, self._residual)
-        self._force.scatter_reverse(la.InsertMode.add)
-        r.array_w[:] = self._force.array[: r.local_size]
-
-    @property
-    def has_energy(self) -> bool:
-        """Whether all laws have a potential."""
-        return self._energy is not None
+        force = self._forms.force
+        force.array[:] = 0.0
+        fem.assemble_vector(force.array, self._forms.residual)
+        force.scatter_reverse(la.InsertMode.add)
+        r.array_w[:] = force.array[: r.local_size]
 
     def energy(self) -> float:
         """Return the incremental potential Psi(u), the sum over all ranks.
@@ -209,14 +147,14 @@ class Solid:
         Raises:
             ValueError: if a law gives a stress but no potential.
         """
-        if self._energy is None:
+        if self._forms.energy is None:
             raise ValueError("Solid.energy: a material gives a stress but no energy.")
-        return self._sum(self._energy)
+        return self._sum(self._forms.energy)
 
     def elastic_norm(self, v: fem.Function) -> float:
         """Return the energy norm sqrt(int eps(v) : C : eps(v)) of a Function of V."""
-        self._direction.x.array[:] = v.x.array
-        return math.sqrt(max(self._sum(self._norm), 0.0))
+        self._forms.direction.x.array[:] = v.x.array
+        return math.sqrt(max(self._sum(self._forms.elastic_norm), 0.0))
 
     def element_force_norm(self) -> float:
         """Return the norm of the unassembled element forces at u, sqrt(sum_e sum_a |f_ea|^2).
@@ -224,37 +162,37 @@ class Solid:
         This is the scale of round-off in F(u), and does not vanish with residual stresses. Exact
         for degree 1 on simplices; on other cells the gradients at the midpoint are used.
         """
-        return math.sqrt(max(self._sum(self._element_force), 0.0))
+        return math.sqrt(max(self._sum(self._forms.element_force), 0.0))
 
     def _sum(self, form: fem.Form) -> float:
         """Assemble a scalar over all ranks."""
         return self.mesh.comm.allreduce(fem.assemble_scalar(form), op=MPI.SUM)
 
-    # -- committed state and output -------------------------------------------------------------
+    # -- results and committed state ------------------------------------------------------------
+
+    def evaluate(self) -> None:
+        """Evaluate stress and internal variables at u and the committed state; collective.
+
+        These are the results of the step whose displacement is u: `stress`, `fields` and all that
+        rests on them show them from now on. The committed state stays as it is.
+
+        Raises:
+            ValueError: on all ranks, if a law gives NaN or infinity on any; the message names it.
+        """
+        fill_all(self.mesh.comm, self._evaluations)
 
     def commit(self) -> None:
-        """Make the state at the current u the committed one (all internal variables at once)."""
-        for name, cells, expression in self._updates:
-            self._staged[name].interpolate(expression, cells)
+        """Make the internal variables that `evaluate` found last those of the next step's start.
+
+        Nothing that is shown changes.
+        """
         for name, staged in self._staged.items():
             self.state[name].x.array[:] = staged.x.array
 
-    def update_output(self) -> None:
-        """Evaluate the stress at u and the committed state; call after `commit`."""
-        for region, expression in zip(self.regions, self._stress_expressions, strict=True):
-            self.stress.interpolate(expression, region.cells)
-
     @cached_property
-    def _stress_expressions(self) -> list[fem.Expression]:
-        """Expressions of the stress per region, compiled at the first output."""
-        size = len(COMPONENTS[self.mesh.geometry.dim])
-        stresses = [self._stress(region, strain(self.u)) for region in self.regions]
-        return [self._expression(to_components(s, size)) for s in stresses]
-
-    @cached_property
-    def fields(self) -> PointFields:
-        """Stress, state and what derives from them at the integration points, as arrays."""
-        return PointFields(self.stress, self.state, self.regions, self.quadrature_degree)
+    def _evaluations(self) -> list[Evaluation]:
+        """Expressions of stress and internal variables per region, compiled at the first use."""
+        return create_evaluations(self.regions, self._responses, self._staged, self.stress)
 
     def max(self, name: str) -> float:
         """Return the largest value of a scalar field over all integration points (collective).
@@ -274,14 +212,17 @@ class Solid:
     def output_fields(self) -> dict[str, fem.Function]:
         """Return the cell averages worth writing, by name, in the user's units (collective).
 
-        The committed stress and internal variables as far as the laws have them.
+        Stress, internal variables and the laws' own output, all of the last `evaluate`.
         ``plastic_strain_norm`` and ``back_stress_norm`` are tensor (Frobenius) norms, ``hardening``
         is the vector norm of the stored back stress components that the literature plots.
         """
-        return {n: self.cell_values(n) for n in OUTPUT_FIELDS if n in self.fields.names}
+        first = [name for name in OUTPUT_FIELDS if name in self.fields.names]
+        return {
+            name: self.cell_values(name) for name in dict.fromkeys([*first, *self.fields.bases])
+        }
 
     def plastic_area(self) -> float:
-        """Return the area (volume in 3D) whose committed plastic strain is not zero."""
+        """Return the area (volume in 3D) whose plastic strain is not zero."""
         return self.fields.integral("plastic") if "plastic" in self.fields.names else 0.0
 
 
@@ -295,24 +236,3 @@ def _degree(V: fem.FunctionSpace, given: int | None) -> int:
     p = V.element.basix_element.degree
     simplex = V.mesh.topology.cell_type in (mesh.CellType.triangle, mesh.CellType.tetrahedron)
     return max(2 * (p - 1), 1) if simplex else 2 * p
-
-
-def _gradient_gram(V: fem.FunctionSpace) -> np.ndarray:
-    """Return sum_a grad N_a (x) grad N_a at the midpoint of the reference cell, times its volume.
-
-    Shape (d, d); the gradients are those of the reference cell.
-    """
-    element = V.element.basix_element
-    d = V.mesh.topology.dim
-    midpoint, weight = map(np.asarray, basix.make_quadrature(element.cell_type, 1))
-    gradients = element.tabulate(1, midpoint)[1:, 0, :, 0].reshape(d, -1)
-    return float(weight[0]) * gradients @ gradients.T
-
-
-def _element_force(stress: Any, gram: np.ndarray) -> Any:
-    """Return the density of sum_a |f_ea|^2 over a cell, f_ea = sigma . grad N_a |cell|."""
-    domain = ufl.domain.extract_unique_domain(stress)
-    d = gram.shape[0]
-    s = ufl.as_tensor([[stress[i, j] for j in range(d)] for i in range(d)])
-    t = s * ufl.transpose(ufl.JacobianInverse(domain))
-    return abs(ufl.JacobianDeterminant(domain)) * ufl.inner(t * ufl.as_matrix(gram.tolist()), t)

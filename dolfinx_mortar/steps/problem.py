@@ -272,8 +272,8 @@ class ContactProblem:
     def commit(self) -> None:
         """Make the converged step the state from which the next one starts; collective."""
         with self.timings("commit"):
+            self.solid.evaluate()
             self.solid.commit()
-            self.solid.update_output()
 
     def output_fields(self) -> dict[str, fem.Function]:
         """Return the Functions worth writing, by name; collective.

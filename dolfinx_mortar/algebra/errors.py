@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: MIT
+"""Errors that some ranks meet, raised on all: a rank that goes on alone waits for ever."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from mpi4py import MPI
+
+
+@contextmanager
+def raised_together(comm: MPI.Comm) -> Iterator[None]:
+    """Run a block without collective calls; if it fails on some ranks, raise on all; collective.
+
+    A rank that failed raises its own error. The others raise one that names the rank and the text:
+    an OSError for an OSError, a ValueError for a ValueError, otherwise a RuntimeError.
+
+    >>> with raised_together(MPI.COMM_SELF):
+    ...     raise ValueError("E is -1")
+    Traceback (most recent call last):
+    ValueError: E is -1
+    """
+    own: Exception | None = None
+    try:
+        yield
+    except Exception as error:
+        own = error
+    raise_together(comm, own)
+
+
+def raise_together(comm: MPI.Comm, own: Exception | None) -> None:
+    """Raise an error that this rank has, or that another one has; collective.
+
+    Args:
+        comm: communicator.
+        own: the error of this rank, if any.
+    """
+    found = comm.allgather(None if own is None else (_kind(own), f"{type(own).__name__}: {own}"))
+    if own is not None:
+        raise own
+    for rank, other in enumerate(found):
+        if other is not None:
+            raise _KINDS[other[0]](f"on rank {rank}, {other[1]}")
+
+
+_KINDS = (OSError, ValueError, RuntimeError)
+
+
+def _kind(error: Exception) -> int:
+    """Return the index of the kind that other ranks raise."""
+    return next((i for i, kind in enumerate(_KINDS) if isinstance(error, kind)), 2)

@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: MIT
+"""A law against itself: stress and energy, tangent and stress, state and stress must fit."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.materials.compiled import CompiledLaw, Point
+from dolfinx_mortar.materials.protocol import check_declaration
+from dolfinx_mortar.materials.tensor import COMPONENTS
+
+PATHS, STRAINS = 8, 6  # random strain paths, and strains on each, over five decades
+# Of finite differences, relative to the strain; the better counts. The short one is nearly exact,
+# the long one survives the round-off of formulas that cancel at small strains.
+LENGTHS = (1e-5, 1e-3)
+RTOL = 1e-5  # errors of central differences are near LENGTH^2 and eps/LENGTH
+INDEX = [("xyz".index(name[0]), "xyz".index(name[1])) for name in COMPONENTS[3]]
+SHEAR = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])  # how often a stored component is in a tensor
+
+
+@dataclass(frozen=True)
+class LawReport:
+    """What `check` found; errors are relative to the elastic stress of the same strain."""
+
+    law: str
+    samples: int  # pairs of strain and state
+    changed: int  # samples in which an internal variable changed
+    energy_error: float  # stress against differences of the energy; NaN without an energy
+    tangent_error: float  # tangent against differences of the stress
+    state_error: float  # stress at the end of a step against that at the start of the next
+    skew: float  # largest unsymmetric part of the tangent
+
+    def __str__(self) -> str:
+        """Return a few lines to read."""
+        lines = [
+            f"{self.law}: consistent at {self.samples} strains and states, in {self.changed} of "
+            "which an internal variable changes",
+            f"  tangent against differences of the stress  {self.tangent_error:.1e}",
+            f"  stress kept by the update of the state     {self.state_error:.1e}",
+        ]
+        if not np.isnan(self.energy_error):
+            lines.insert(1, f"  stress against differences of the energy   {self.energy_error:.1e}")
+        if self.skew > RTOL:
+            lines.append(
+                f"  the tangent is not symmetric ({self.skew:.1e}): the linear solvers of this "
+                "package need a symmetric one"
+            )
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class _Sample:
+    """A law at a strain and state, and how messages call the place."""
+
+    law: CompiledLaw
+    name: str
+    strain: Floats  # (6,)
+    state: Mapping[str, Floats]
+
+    def at(self, strain: Floats, direction: Floats) -> Point:
+        """Evaluate the law at the state of the sample; everything must be finite."""
+        point = self.law(strain, direction, self.state)
+        if not point.finite or (self.law.has_energy and not np.isfinite(point.energy)):
+            raise ValueError(f"{self.name} gives NaN or infinity {self.where(strain)}")
+        return point
+
+    def where(self, strain: Floats | None = None) -> str:
+        """Return the place in words."""
+        values = [("strain", self.strain if strain is None else strain), *self.state.items()]
+        return "at " + ", ".join(f"{n} = {_written(v)}" for n, v in values)
+
+    def demand(self, what: str, given: Floats, wanted: Floats, other: str, scale: float) -> float:
+        """Return the error of stored components relative to a scale.
+
+        Raises:
+            ValueError: if it is too large, with the component and both values.
+        """
+        errors = np.abs(np.atleast_1d(given - wanted))
+        worst = int(errors.argmax())
+        if not errors[worst] <= RTOL * scale:
+            component = f" {COMPONENTS[3][worst]}" if len(errors) == 6 else ""
+            values = np.atleast_1d(given)[worst], np.atleast_1d(wanted)[worst]
+            raise ValueError(
+                f"{self.name}: {what}{component} is {values[0]:.8g}, but {other} {values[1]:.8g}, "
+                f"{self.where()} (components {', '.join(COMPONENTS[3])})"
+            )
+        return float(errors[worst] / scale) if scale > 0.0 else 0.0
+
+
+def check(
+    law: Any, *, size: float = 0.1, seed: int = 1, rate_independent: bool = True
+) -> LawReport:
+    """Compare stress, energy, tangent and state of a law at random strains and states.
+
+    The law runs as compiled code, as in a solid, but without a mesh: along random strain paths from
+    the virgin state, whose steps grow over five decades up to `size`. At each strain and state
+
+    * d energy / d strain by central differences must be the stress, where there is an energy;
+    * d stress / d strain by central differences must be the tangent that UFL derives;
+    * with `linear`, the tangent must be the same everywhere;
+    * the internal variables at the end of the step, committed, must give the same stress at the
+      same strain, and stay as they are (not for laws that go on with time).
+
+    Args:
+        law: a material such as ``VonMises(...)``, with parameters of a real problem.
+        size: Frobenius norm of the largest strain.
+        seed: of the random strains.
+        rate_independent: False leaves out the last comparison.
+
+    Returns:
+        The largest errors found; ``print`` it.
+
+    Raises:
+        ValueError: where the law does not fit, with strain, state, component and both values.
+    """
+    check_declaration("law", law)
+    rng = np.random.default_rng(seed)
+    compiled, name = CompiledLaw(law), type(law).__name__
+    virgin = {n: np.zeros(shape) for n, shape in compiled.shapes.items()}
+    start = _Sample(compiled, name, np.zeros(6), virgin)
+    found = []
+    for _ in range(PATHS):
+        state = virgin
+        for norm in np.geomspace(1e-5 * size, size, STRAINS):
+            strain, first, second = (_unit(rng) for _ in range(3))
+            sample = _Sample(compiled, name, norm * strain, state)
+            if type(law).linear:
+                _compare_with_start(sample, start, first)
+            state = sample.at(sample.strain, first).state
+            errors = _compare(sample, first, second)
+            kept = _compare_state(sample, state) if rate_independent else 0.0
+            changed = any(np.any(state[n] != sample.state[n]) for n in state)
+            found.append((changed, *errors, kept))
+    changed_, energy, tangent, skew, kept_ = np.array(found, dtype=float).T
+    errors_ = (float(e.max()) for e in (energy, tangent, kept_, skew))
+    return LawReport(name, len(found), int(changed_.sum()), *errors_)
+
+
+def _compare(sample: _Sample, first: Floats, second: Floats) -> tuple[float, float, float]:
+    """Return the errors of stress and tangent, and how unsymmetric the tangent is."""
+    here, norm = sample.at(sample.strain, first), float(np.linalg.norm(sample.strain))
+    scale = max(float(np.linalg.norm(here.stress)), float(np.linalg.norm(here.elastic)))
+    mirrored = _components(here.stress.T)
+    sample.demand("the stress", _components(here.stress), mirrored, "mirrored it is", scale)
+    energy_error = np.nan
+    if sample.law.has_energy:
+        stress = _components(here.stress)
+        slopes = _nearest([_energy_slopes(sample, t * norm) for t in LENGTHS], stress)
+        energy_error = sample.demand(
+            "the stress", stress, slopes, "differences of the energy give", scale
+        )
+    change = _components(here.change)
+    tangent_error = sample.demand(
+        f"the tangent along {_written(first)},",
+        change,
+        _nearest([_stress_change(sample, first, t * norm) for t in LENGTHS], change),
+        "differences of the stress give",
+        scale / norm,
+    )
+    across = sample.at(sample.strain, second)
+    skew = _work(here.change, second) - _work(across.change, first)
+    return energy_error, tangent_error, abs(skew) / (scale / norm)
+
+
+def _energy_slopes(sample: _Sample, t: float) -> Floats:
+    """Return d energy / d strain, stored components (6,), by central differences."""
+    slopes = np.empty(6)
+    for k in range(6):
+        step = np.zeros(6)
+        step[k] = t / SHEAR[k]  # the work of a stored shear counts twice
+        above, below = (sample.at(sample.strain + s * step, step) for s in (1, -1))
+        slopes[k] = (above.energy - below.energy) / (2 * t)
+    return slopes
+
+
+def _stress_change(sample: _Sample, direction: Floats, t: float) -> Floats:
+    """Return d stress / d strain : direction, stored components (6,), by central differences."""
+    above, below = (sample.at(sample.strain + s * t * direction, direction) for s in (1, -1))
+    return np.asarray(_components(above.stress - below.stress) / (2 * t))
+
+
+def _nearest(candidates: list[Floats], wanted: Floats) -> Floats:
+    """Return the candidate with the smallest largest error."""
+    return min(candidates, key=lambda values: float(np.abs(values - wanted).max()))
+
+
+def _compare_with_start(sample: _Sample, start: _Sample, direction: Floats) -> None:
+    """Raise ValueError unless the tangent of a law that calls itself linear is that at zero."""
+    here, there = sample.at(sample.strain, direction), start.at(start.strain, direction)
+    sample.demand(
+        "linear is True, but the tangent",
+        _components(here.change),
+        _components(there.change),
+        "at zero strain it is",
+        float(np.linalg.norm(there.change)),
+    )
+
+
+def _compare_state(sample: _Sample, state: Mapping[str, Floats]) -> float:
+    """Return the error of the stress after the new state has become the committed one."""
+    none = np.zeros(6)
+    before = sample.at(sample.strain, none)
+    after = dataclasses.replace(sample, state=state).at(sample.strain, none)
+    remedy = "after a commit at the same strain it is"
+    scale = max(float(np.linalg.norm(before.stress)), float(np.linalg.norm(before.elastic)))
+    for name, value in state.items():
+        change = np.abs(value - sample.state[name]).max() + np.abs(value).max()
+        sample.demand(f"the state {name}", value, after.state[name], remedy, float(change))
+    return sample.demand(
+        "the stress", _components(before.stress), _components(after.stress), remedy, scale
+    )
+
+
+def _unit(rng: np.random.Generator) -> Floats:
+    """Return stored components of a random symmetric tensor of norm one."""
+    components = rng.standard_normal(6)
+    return np.asarray(components / np.sqrt(SHEAR @ components**2))
+
+
+def _components(tensor: Floats) -> Floats:
+    """Return the stored components (6,) of a symmetric tensor (3, 3)."""
+    return np.array([tensor[i, j] for i, j in INDEX])
+
+
+def _work(tensor: Floats, direction: Floats) -> float:
+    """Return tensor : direction, the direction by its stored components."""
+    return float((SHEAR * direction) @ _components(tensor))
+
+
+def _written(values: Floats) -> str:
+    """Return numbers as a short text."""
+    numbers = [f"{v:.6g}" for v in np.atleast_1d(values)]
+    return numbers[0] if len(numbers) == 1 else f"({', '.join(numbers)})"

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: MIT
+"""A law as a compiled function of numbers: the code that a solid runs, without any mesh."""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+import basix.ufl
+import ffcx.codegeneration.jit
+import ufl
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.materials.response import elastic_response, respond
+from dolfinx_mortar.materials.tensor import from_components
+from ufl.core.expr import Expr
+
+
+@dataclass(frozen=True)
+class Point:
+    """What a law gives at one strain and state, in numbers."""
+
+    stress: Floats  # (3, 3)
+    elastic: Floats  # (3, 3), C : strain
+    change: Floats  # (3, 3), d stress / d strain : direction
+    energy: float  # NaN if the law has none
+    state: dict[str, Floats]  # at the end of the step, () or (6,)
+
+    @property
+    def finite(self) -> bool:
+        """Whether nothing is NaN or infinite, but for an energy that does not exist."""
+        parts = [self.stress, self.elastic, self.change, *self.state.values()]
+        return all(bool(np.isfinite(part).all()) for part in parts)
+
+
+class CompiledLaw:
+    """The response of a law, compiled for one point.
+
+    Attributes:
+        shapes: stored shape of the internal variables by name, () or (6,).
+        has_energy: whether the law has a potential.
+    """
+
+    def __init__(self, law: Any) -> None:
+        """Compile the law.
+
+        Raises:
+            ValueError: if a method of the law raises or returns something wrong.
+        """
+        kind = type(law)
+        self.shapes = {name: (6,) if shape else () for name, shape in kind.state.items()}
+        self._parameters = [float(getattr(law, f.name)) for f in dataclasses.fields(law)]
+        names = [f.name for f in dataclasses.fields(law)]
+        size = 12 + sum(6 if shape else 1 for shape in self.shapes.values()) + len(names)
+        domain = ufl.Mesh(basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,)))
+        numbers = ufl.Constant(domain, shape=(size,))
+        rest = iter(range(12, size))
+
+        def take(shape: tuple[int, ...]) -> Expr:
+            if not shape:
+                return numbers[next(rest)]
+            return from_components(ufl.as_vector([numbers[next(rest)] for _ in range(6)]))
+
+        strain = ufl.variable(from_components(ufl.as_vector([numbers[i] for i in range(6)])))
+        along = from_components(ufl.as_vector([numbers[i] for i in range(6, 12)]))
+        state = {name: take(shape) for name, shape in self.shapes.items()}
+        p = SimpleNamespace(**{name: take(()) for name in names})
+        response = respond(kind, strain, state, p)
+        self.has_energy = response.energy is not None
+        i, j, k, m = ufl.indices(4)
+        tangent = ufl.diff(response.stress, strain)
+        change = ufl.as_tensor(tangent[i, j, k, m] * along[k, m], (i, j))
+        tensors = [response.stress, elastic_response(kind, strain, p), change]
+        scalars = [tensor[a, b] for tensor in tensors for a in range(3) for b in range(3)]
+        scalars.append(ufl.as_ufl(0.0) if response.energy is None else response.energy)
+        for name, shape in self.shapes.items():
+            scalars += _stored(response.updated[name]) if shape else [response.updated[name]]
+        self._kernel = _compile(ufl.as_vector(scalars))
+        self._count = len(scalars)
+
+    def __call__(self, strain: Floats, direction: Floats, state: Mapping[str, Floats]) -> Point:
+        """Evaluate the law.
+
+        Args:
+            strain: stored components (6,).
+            direction: stored components (6,) of the direction of the tangent.
+            state: committed internal variables by name, () or (6,).
+        """
+        stored = [np.atleast_1d(state[name]) for name in self.shapes]
+        numbers = np.concatenate([strain, direction, *stored, self._parameters])
+        values = self._kernel(numbers, self._count)
+        stress, elastic, change = values[:27].reshape(3, 3, 3)
+        energy, rest = values[27] if self.has_energy else np.nan, values[28:]
+        new = {}
+        for name, shape in self.shapes.items():
+            new[name], rest = (rest[:6], rest[6:]) if shape else (rest[0], rest[1:])
+        return Point(stress, elastic, change, float(energy), new)
+
+
+def _stored(tensor: Expr) -> list[Expr]:
+    """Return the six stored components of a tensor."""
+    return [tensor[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))]
+
+
+def _compile(vector: Expr) -> Any:
+    """Return a function of the constants (n,) that gives the values (count,) of an expression."""
+    where = np.full((1, 3), 0.25)
+    # In a folder of its own, so that ranks that compile at the same time do not meet.
+    with tempfile.TemporaryDirectory() as folder:
+        (compiled,), module, _ = ffcx.codegeneration.jit.compile_expressions(
+            [(vector, where)], cache_dir=Path(folder), cffi_extra_compile_args=["-O1"]
+        )
+    ffi, kernel = module.ffi, compiled.tabulate_tensor_float64
+    corners = np.vstack([np.zeros(3), np.eye(3)])
+    nothing = [ffi.NULL] * (len(ffi.typeof(kernel).args) - 4)  # newer kernels take more
+
+    def evaluate(numbers: Floats, count: int) -> Floats:
+        values, none = np.zeros(count), np.zeros(1)
+        arrays = (values, none, np.ascontiguousarray(numbers), corners)
+        kernel(*(ffi.cast("double *", ffi.from_buffer(a)) for a in arrays), *nothing)
+        return values
+
+    return evaluate

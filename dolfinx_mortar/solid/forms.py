@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: MIT
+"""Energy, internal forces and tangent of the bodies as compiled forms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
+from typing import Any
+
+import numpy as np
+
+import basix
+import ufl
+from dolfinx import fem, la
+from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.materials.response import Response, elastic_response, respond
+from dolfinx_mortar.materials.tensor import from_components
+from dolfinx_mortar.solid.kinematics import Kinematics
+from dolfinx_mortar.solid.laws import Region
+from ufl.core.expr import Expr
+
+
+@dataclass(frozen=True)
+class Forms:
+    """The forms of a solid, with the two vectors that they read or fill."""
+
+    residual: fem.Form  # int sigma : d eps/du [v]
+    tangent: Any  # fem.Form, its derivative; Any because dolfinx annotates one overload only
+    elastic_norm: fem.Form  # int eps(w) : C : eps(w), w = direction
+    element_force: fem.Form  # sum_e sum_a |f_ea|^2
+    energy: fem.Form | None  # Psi, if all laws have a potential
+    direction: fem.Function  # argument of elastic_norm
+    force: la.Vector  # the residual with its ghosts
+
+
+def create_responses(
+    u: fem.Function,
+    regions: Sequence[Region],
+    state: Mapping[str, fem.Function],
+    kinematics: Kinematics,
+) -> list[Response]:
+    """Return what the law of each region makes of the strain of u, as UFL; collective.
+
+    Raises:
+        ValueError: on all ranks, if a law raises or returns something wrong on any.
+    """
+    strain = kinematics.measure(u)
+    responses = []
+    with raised_together(u.function_space.mesh.comm):
+        for region in regions:
+            committed = {
+                name: from_components(state[name]) if shape else state[name]
+                for name, shape in region.law.state.items()
+            }
+            responses.append(respond(region.law, strain, committed, region.symbols))
+    return responses
+
+
+def create_forms(
+    u: fem.Function,
+    regions: Sequence[Region],
+    responses: Sequence[Response],
+    kinematics: Kinematics,
+    degree: int,
+) -> Forms:
+    """Compile all forms that a Newton step needs; collective."""
+    V = u.function_space
+    measures = _measures(V, regions, degree)
+    weight = ufl.as_ufl(kinematics.weight(ufl.SpatialCoordinate(V.mesh)))
+    v, w, direction = ufl.TestFunction(V), ufl.TrialFunction(V), fem.Function(V)
+    virtual, along = kinematics.virtual(u, v), kinematics.virtual(u, direction)
+
+    def integral(densities: Sequence[Expr]) -> ufl.Form:
+        pairs = zip(densities, measures, strict=True)
+        return reduce(add, (weight * density * dx for density, dx in pairs))
+
+    residual = integral([ufl.inner(r.stress, virtual) for r in responses])
+    with raised_together(V.mesh.comm):
+        elastic = [ufl.inner(elastic_response(r.law, along, r.symbols), along) for r in regions]
+    gram = _gradient_gram(V)
+    element_force = integral([weight * _element_force(r.stress, gram) for r in responses])
+    energies = [r.energy for r in responses if r.energy is not None]
+    return Forms(
+        residual=fem.form(residual),
+        tangent=fem.form(ufl.derivative(residual, u, w)),
+        elastic_norm=fem.form(integral(elastic)),
+        element_force=fem.form(element_force),
+        energy=fem.form(integral(energies)) if len(energies) == len(regions) else None,
+        direction=direction,
+        force=la.vector(V.dofmap.index_map, V.dofmap.bs),
+    )
+
+
+def _measures(V: fem.FunctionSpace, regions: Sequence[Region], degree: int) -> list[ufl.Measure]:
+    """Return the measure of the cells of each region."""
+    metadata = {"quadrature_degree": degree, "quadrature_scheme": "default"}
+    dx = ufl.Measure("dx", V.mesh, metadata=metadata)
+    if len(regions) == 1:
+        return [dx]
+    owned = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
+    # Numbers of the laws, not the user's tags: tags must not enter the compiled code.
+    domains = [(i, r.cells[r.cells < owned]) for i, r in enumerate(regions)]
+    dx = dx(subdomain_data=domains)
+    return [dx(i) for i in range(len(regions))]
+
+
+def _gradient_gram(V: fem.FunctionSpace) -> Floats:
+    """Return sum_a grad N_a (x) grad N_a at the midpoint of the reference cell, times its volume.
+
+    Shape (d, d); the gradients are those of the reference cell.
+    """
+    element = V.element.basix_element
+    d = V.mesh.topology.dim
+    midpoint, weight = map(np.asarray, basix.make_quadrature(element.cell_type, 1))
+    gradients = element.tabulate(1, midpoint)[1:, 0, :, 0].reshape(d, -1)
+    return float(weight[0]) * gradients @ gradients.T
+
+
+def _element_force(stress: Any, gram: Floats) -> Any:
+    """Return the density of sum_a |f_ea|^2 over a cell, f_ea = sigma . grad N_a |cell|."""
+    domain = ufl.domain.extract_unique_domain(stress)
+    d = gram.shape[0]
+    s = ufl.as_tensor([[stress[i, j] for j in range(d)] for i in range(d)])
+    t = s * ufl.transpose(ufl.JacobianInverse(domain))
+    return abs(ufl.JacobianDeterminant(domain)) * ufl.inner(t * ufl.as_matrix(gram.tolist()), t)

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: MIT
+"""Functions at the integration points: stress, internal variables, and what fills them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+
+import basix.ufl
+from dolfinx import fem, mesh
+from dolfinx_mortar import compat
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arrays import Ints
+from dolfinx_mortar.materials.response import Response
+from dolfinx_mortar.materials.tensor import COMPONENTS, to_components
+from dolfinx_mortar.solid.laws import Region
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A compiled expression with the Function and the cells that it fills."""
+
+    what: str  # for messages: the law and what it gives
+    target: fem.Function
+    cells: Ints  # local cells, ghosts included
+    expression: fem.Expression
+
+    def fill(self) -> None:
+        """Evaluate the expression."""
+        self.target.interpolate(self.expression, self.cells)
+
+    def undefined(self) -> int:
+        """Return the number of integration points of the local cells with NaN or infinity."""
+        dofmap = self.target.function_space.dofmap
+        values = self.target.x.array.reshape(-1, dofmap.bs)[dofmap.list[self.cells]]
+        return int(np.sum(~np.isfinite(values).all(axis=-1)))
+
+
+def fill_all(comm: MPI.Comm, evaluations: Sequence[Evaluation]) -> None:
+    """Evaluate all expressions; collective.
+
+    Raises:
+        ValueError: on all ranks, if a law gives NaN or infinity on any, naming the law.
+    """
+    for evaluation in evaluations:
+        evaluation.fill()
+    counts = maximum(comm, *(float(evaluation.undefined()) for evaluation in evaluations))
+    for evaluation, count in zip(evaluations, counts, strict=True):
+        if count:
+            raise ValueError(
+                f"{evaluation.what} is NaN or infinite at {count:.0f} integration points or more; "
+                "check the law with dolfinx_mortar.materials.check and its parameters"
+            )
+
+
+def create_field(domain: mesh.Mesh, degree: int, shape: tuple[int, ...], name: str) -> fem.Function:
+    """Create a quadrature Function for a scalar, shape (), or a tensor, shape (3, 3)."""
+    value_shape = (len(COMPONENTS[domain.geometry.dim]),) if shape else ()
+    element = basix.ufl.quadrature_element(
+        domain.basix_cell(), value_shape=value_shape, scheme="default", degree=degree
+    )
+    return fem.Function(fem.functionspace(domain, element), name=name)
+
+
+def create_state(
+    regions: Sequence[Region], domain: mesh.Mesh, degree: int
+) -> dict[str, fem.Function]:
+    """Create the internal variables of all laws, shared where laws use the same name.
+
+    Raises:
+        ValueError: if two laws have an internal variable of one name in two shapes.
+    """
+    shapes: dict[str, tuple[int, ...]] = {}
+    owner: dict[str, str] = {}
+    for region in regions:
+        for name, shape in region.law.state.items():
+            first = owner.setdefault(name, region.law.__name__)
+            if shapes.setdefault(name, shape) != shape:
+                raise ValueError(
+                    f"materials: the state {name!r} has the shape {shapes[name]} in {first} and "
+                    f"{shape} in {region.law.__name__}; give one of them another name."
+                )
+    return {name: create_field(domain, degree, shape, name) for name, shape in shapes.items()}
+
+
+def create_evaluations(
+    regions: Sequence[Region],
+    responses: Sequence[Response],
+    staged: Mapping[str, fem.Function],
+    stress: fem.Function,
+) -> list[Evaluation]:
+    """Compile stress and new internal variables of all regions; collective.
+
+    All read the displacement and the committed state, so the order does not matter.
+    """
+    points = compat.interpolation_points(stress.function_space)
+    size = stress.function_space.dofmap.bs
+    evaluations = []
+    for region, response in zip(regions, responses, strict=True):
+        given = [("stress", stress, response.stress)]
+        given += [(name, staged[name], value) for name, value in response.updated.items()]
+        for name, target, value in given:
+            stored = to_components(value, size) if value.ufl_shape else value
+            compiled = fem.Expression(stored, points)
+            what = f"{region.law.__name__}: {name}"
+            evaluations.append(Evaluation(what, target, region.cells, compiled))
+    return evaluations

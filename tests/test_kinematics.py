@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: MIT
+"""The parts of `Kinematics`, measure, weight and rigid motions, and that the solid uses them."""
+
+import dataclasses
+import math
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import ufl
+from dolfinx import fem, mesh
+from dolfinx_mortar.materials import Elastic
+from dolfinx_mortar.solid.kinematics import kinematics_of_dimension, plane_strain, spatial
+from dolfinx_mortar.solid.solid import Solid
+
+pytestmark = pytest.mark.mpi
+COMM = MPI.COMM_WORLD
+LAW = Elastic(1000.0, 0.3)
+
+
+def create_displacement(d):
+    """Return a displacement in a box of d dimensions."""
+    if d == 2:
+        domain = mesh.create_rectangle(COMM, [(1.0, 0.0), (3.0, 1.0)], (4, 3))
+    else:
+        domain = mesh.create_box(COMM, [(0, 0, 0), (1.0, 2.0, 1.5)], (3, 3, 2))
+    return fem.Function(fem.functionspace(domain, ("Lagrange", 1, (d,))), name="u")
+
+
+def forces(solid):
+    """Return the owned internal forces."""
+    r = solid.u.x.petsc_vec.duplicate()
+    solid.assemble_residual(r)
+    return r.array.copy()
+
+
+def total(values):
+    """Sum over all ranks."""
+    return COMM.allreduce(float(np.sum(values)), op=MPI.SUM)
+
+
+def green_lagrange(u):
+    """Return the finite strain (F^T F - I)/2 in the plane, as 3x3."""
+    g = ufl.grad(u)
+    e = (g + g.T + g.T * g) / 2
+    return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, 0]])
+
+
+def test_the_dimension_chooses():
+    assert kinematics_of_dimension(2) is plane_strain and kinematics_of_dimension(3) is spatial
+    for d, chosen in ((2, plane_strain), (3, spatial)):
+        assert Solid(create_displacement(d), LAW).kinematics is chosen
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_rigid_motions_strain_nothing(d):
+    """All of them, and no more: they are 3 or 6, independent, and the tangent resists none."""
+    u = create_displacement(d)
+    solid = Solid(u, LAW)
+    x = u.function_space.tabulate_dof_coordinates()[:, :d]
+    motions = solid.kinematics.rigid_motions(x)
+    assert len(motions) == d * (d + 1) // 2
+    flat = np.stack([motion.ravel() for motion in motions.values()])
+    assert np.linalg.matrix_rank(flat) == len(motions)
+    for motion in flat:
+        u.x.array[:] = motion
+        u.x.scatter_forward()
+        scale = LAW.E * np.abs(motion).max()
+        assert np.abs(forces(solid)).max(initial=0.0) < 1e-13 * scale
+    u.x.array[:] = (x * np.arange(1, d + 1)).ravel()
+    assert total(forces(solid) ** 2) > 1.0
+
+
+def test_a_nonlinear_measure_gives_its_forces_and_tangent():
+    """Forces are the derivative of the energy, the tangent theirs: int S : d eps/du [v]."""
+    finite = dataclasses.replace(plane_strain, name="finite", measure=green_lagrange)
+    u = create_displacement(2)
+    solid = Solid(u, LAW, kinematics=finite)
+    u.interpolate(lambda x: np.stack([0.1 * np.sin(2 * x[0] + x[1]), 0.2 * np.cos(x[0] - x[1])]))
+    w = fem.Function(u.function_space)
+    w.interpolate(lambda x: np.stack([np.cos(x[0] * x[1]), x[1] - np.sin(3 * x[0])]))
+    start, h, owned = u.x.array.copy(), 1e-6, len(forces(solid))
+    tangent, product = solid.create_matrix(), w.x.petsc_vec.duplicate()
+    solid.assemble_tangent(tangent)
+    tangent.mult(w.x.petsc_vec, product)
+    power = total(forces(solid) * w.x.array[:owned])
+    energies, residuals = [], []
+    for side in (1, -1):
+        u.x.array[:] = start + side * h * w.x.array
+        energies.append(solid.energy())
+        residuals.append(forces(solid))
+    assert abs((energies[0] - energies[1]) / (2 * h) - power) < 1e-7 * abs(power)
+    difference = (residuals[0] - residuals[1]) / (2 * h) - product.array
+    assert total(difference**2) < 1e-14 * total(product.array**2)
+
+
+def test_a_finite_rotation_is_no_finite_strain():
+    finite = dataclasses.replace(plane_strain, name="finite", measure=green_lagrange)
+    solids = [Solid(create_displacement(2), LAW, kinematics=k) for k in (finite, None)]
+    turn = np.array([[math.cos(1) - 1, -math.sin(1)], [math.sin(1), math.cos(1) - 1]])
+    for solid in solids:
+        solid.u.interpolate(lambda x: turn @ x[:2])
+    assert solids[0].energy() < 1e-20 * LAW.E < 0.1 * LAW.E < solids[1].energy()
+
+
+def test_the_weight_is_in_every_integral():
+    """With 2 pi r a plane cut stands for a ring: its volume, and each force and energy of it."""
+    ring = dataclasses.replace(plane_strain, name="ring", weight=lambda x: 2 * np.pi * x[0])
+    u = create_displacement(2)
+    plain, weighted = Solid(u, LAW, quadrature_degree=2), None
+    weighted = Solid(u, LAW, quadrature_degree=2, kinematics=ring)
+    assert np.isclose(total(weighted.fields.weights), math.pi * (3.0**2 - 1.0**2), rtol=1e-13)
+    # a uniform strain: energy per area times the volume
+    u.interpolate(lambda x: np.stack([0.01 * x[0], -0.02 * x[1]]))
+    area, volume = 2.0, 8 * math.pi
+    assert np.isclose(weighted.energy() / plain.energy(), volume / area, rtol=1e-12)
+    assert np.isclose(
+        weighted.elastic_norm(u) ** 2 / plain.elastic_norm(u) ** 2, volume / area, rtol=1e-12
+    )
+    power = total(forces(weighted) * u.x.array[: len(forces(weighted))])
+    assert np.isclose(power, 2 * weighted.energy(), rtol=1e-12)
+    assert weighted.element_force_norm() > 2 * math.pi * plain.element_force_norm()
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_few_attributes(d):
+    assert len(vars(Solid(create_displacement(d), LAW))) <= 12

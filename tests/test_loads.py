@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: MIT
+"""Loads and the potential: closed-form answers, and derivatives against finite differences."""
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+
+import ufl
+from dolfinx import default_scalar_type, fem, mesh
+from dolfinx_mortar.materials import Elastic
+from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.steps.loads import Loads, check_loads
+
+pytestmark = pytest.mark.mpi
+COMM = MPI.COMM_WORLD
+
+
+NAMES = ("springs", "weighted", "body", "dead", "hardening", "one-sided", "both")
+
+
+def create_box(d):
+    """Return a displacement on a box of height 1 (the last direction), and its facets' measure."""
+    if d == 2:
+        domain = mesh.create_rectangle(
+            COMM, [(0, 0), (2.0, 1.0)], (4, 3), mesh.CellType.quadrilateral
+        )
+    else:
+        domain = mesh.create_box(COMM, [(0, 0, 0), (2.0, 1.5, 1.0)], (3, 2, 3))
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (d,))), name="u")
+    found = [
+        mesh.locate_entities_boundary(domain, d - 1, lambda x, h=h: np.isclose(x[d - 1], h))
+        for h in (0.0, 1.0)
+    ]
+    values = np.concatenate([np.full(len(f), 1 + i, np.int32) for i, f in enumerate(found)])
+    facets = np.concatenate(found)
+    order = np.argsort(facets)
+    tags = mesh.meshtags(domain, d - 1, facets[order], values[order])
+    return u, ufl.Measure("ds", domain, subdomain_data=tags), tags
+
+
+def wave(f, size, phase=0.0):
+    """Set a Function to a smooth field, the same on any number of ranks."""
+    d = f.function_space.mesh.geometry.dim
+    f.interpolate(
+        lambda x: size * np.stack([np.sin(2 * x[0] + (i + 1) * x[1] + phase) for i in range(d)])
+    )
+
+
+def total(values):
+    """Sum over all ranks."""
+    return COMM.allreduce(float(np.sum(values)), op=MPI.SUM)
+
+
+def potentials(u, ds):
+    """Return functionals by name: whether they are at most quadratic, and the form."""
+    domain = u.function_space.mesh
+    d, x = domain.geometry.dim, ufl.SpatialCoordinate(domain)
+    pressure = fem.Constant(domain, default_scalar_type(3.0))
+    n = ufl.FacetNormal(domain)
+    return {
+        "springs": (True, 0.5 * 7.0 * ufl.inner(u, u) * ds(1)),
+        "weighted": (True, 0.5 * (1 + x[0]) * u[d - 1] ** 2 * ds(1, degree=4)),
+        "body": (True, 0.5 * ufl.inner(u, u) * ufl.dx),
+        "dead": (True, -pressure * ufl.inner(u, n) * ds(2)),
+        "hardening": (False, ufl.inner(u, u) ** 2 * ds(2)),
+        "one-sided": (False, 0.5 * 5.0 * ufl.max_value(u[0], 0) ** 2 * ds(2)),
+        "both": (False, ufl.exp(u[0]) * ds(1) + u[1] ** 2 * ufl.dx),
+    }
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("d", [2, 3])
+def test_forces_and_tangent_are_derivatives(d, name):
+    """Energy, forces and tangent of each functional fit, beside forces and tangent of a solid."""
+    u, ds, _ = create_box(d)
+    V = u.function_space
+    linear, form = potentials(u, ds)[name]
+    loads, solid = Loads(V, u, potential=form), Solid(u, Elastic(10.0, 0.3))
+    assert loads.has_potential and loads.linear is linear
+    w = fem.Function(V)
+    wave(u, 0.3), wave(w, 1.0, 1.0)
+    start, h = u.x.array.copy(), 1e-5
+
+    def state(t):
+        u.x.array[:] = start + t * w.x.array
+        F = u.x.petsc_vec.duplicate()
+        solid.assemble_residual(F)
+        loads.add_forces(F)
+        return solid.energy() + loads.energy(), F.array.copy()
+
+    (e1, f1), (e0, f0), (_, f) = state(h), state(-h), state(0.0)
+    K = solid.create_matrix()
+    solid.assemble_tangent(K)
+    entries = K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
+    loads.add_tangent(K)
+    assert K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] == entries
+    product = u.x.petsc_vec.duplicate()
+    K.mult(w.x.petsc_vec, product)
+    power = total(f * w.x.array[: len(f)])
+    assert abs((e1 - e0) / (2 * h) - power) < 1e-8 * abs(power)
+    # a kink inside the difference quotient is the one thing that it does not see
+    tolerance = 1e-3 if name == "one-sided" else 1e-8
+    difference = (f1 - f0) / (2 * h) - product.array
+    assert total(difference**2) < tolerance**2 * total(product.array**2)
+    if name == "one-sided":
+        return
+    skew = K.duplicate(copy=True)
+    skew.axpy(-1.0, PETSc.Mat().createTranspose(K).convert("aij"))
+    assert skew.norm() < 1e-13 * K.norm()
+
+
+def solve(solid, loads, u, fixed):
+    """Solve the linear problem with prescribed values (dofs, value) for u."""
+    K, f, F = solid.create_matrix(), u.x.petsc_vec.duplicate(), u.x.petsc_vec.duplicate()
+    solid.assemble_tangent(K)
+    loads.add_tangent(K)
+    loads.assemble(f)
+    solid.assemble_residual(F)
+    loads.add_forces(F)
+    f.axpy(-1.0, F)
+    x = u.x.petsc_vec.duplicate()
+    x.set(0.0)
+    layout, d = u.function_space.dofmap.index_map, u.function_space.dofmap.index_map_bs
+    owned = [(dofs[dofs < d * layout.size_local], value) for dofs, value in fixed]
+    for dofs, value in owned:
+        x.array[dofs] = value - u.x.array[dofs]
+    rows = np.concatenate([dofs for dofs, _ in owned]) + d * layout.local_range[0]
+    K.zeroRowsColumns(rows.astype(PETSc.IntType), diag=1.0, x=x, b=f)
+    solver = PETSc.KSP().create(COMM)
+    solver.setOperators(K)
+    solver.setType("preonly")
+    solver.getPC().setType("lu")
+    solver.getPC().setFactorSolverType("mumps")
+    solver.solve(f, x)
+    u.x.array[: len(x.array)] += x.array
+    u.x.scatter_forward()
+
+
+def held(u, component, where):
+    """Return the dofs of a component on the nodes where a predicate of x holds."""
+    V = u.function_space.sub(component)
+    facets = mesh.locate_entities_boundary(V.mesh, V.mesh.topology.dim - 1, where)
+    return fem.locate_dofs_topological(V, V.mesh.topology.dim - 1, facets)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_spring_bed(d):
+    """A block pressed by 0.01 on springs as stiff as itself: they take half of it, in one solve."""
+    u, ds, _ = create_box(d)
+    E = k = 1000.0
+    loads = Loads(u.function_space, u, potential=0.5 * k * u[d - 1] ** 2 * ds(1))
+    fixed = [(held(u, d - 1, lambda x: np.isclose(x[d - 1], 1.0)), -0.01)]
+    for i in range(d - 1):
+        fixed.append((held(u, i, lambda x, i=i: np.isclose(x[i], 0.0)), 0.0))
+    solid = Solid(u, Elastic(E, 0.0))
+    for _ in range(2):  # a second solve finds the same
+        solve(solid, loads, u, fixed)
+        bottom = u.x.array[held(u, d - 1, lambda x: np.isclose(x[d - 1], 0.0))]
+        assert np.allclose(bottom, -0.005, rtol=1e-12)
+        assert np.isclose(loads.energy(), 0.5 * k * 0.005**2 * (2.0 if d == 2 else 3.0), rtol=1e-12)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_bed_and_traction(d):
+    """A traction 5 on a bed of k = 1000: the bottom sinks by 5/1000, the top by 5/E more."""
+    u, ds, _ = create_box(d)
+    V = u.function_space
+    q = fem.Constant(V.mesh, default_scalar_type(0.0))
+    traction = -q * ufl.TestFunction(V)[d - 1] * ds(2)
+    loads = Loads(V, u, traction, 0.5 * 1000.0 * u[d - 1] ** 2 * ds(1))
+    fixed = [(held(u, i, lambda x, i=i: np.isclose(x[i], 0.0)), 0.0) for i in range(d - 1)]
+    q.value = 5.0  # read at every assembly
+    solve(Solid(u, Elastic(2000.0, 0.0)), loads, u, fixed)
+    for height, sinks in ((0.0, 0.005), (1.0, 0.0075)):
+        dofs = held(u, d - 1, lambda x, height=height: np.isclose(x[d - 1], height))
+        assert np.allclose(u.x.array[dofs], -sinks, rtol=1e-12)
+
+
+def test_a_linear_potential_is_a_load():
+    """-p u.n as potential and p v.n as loads give the same forces."""
+    u, ds, _ = create_box(2)
+    V = u.function_space
+    n, v = ufl.FacetNormal(V.mesh), ufl.TestFunction(V)
+    f, F = u.x.petsc_vec.duplicate(), u.x.petsc_vec.duplicate()
+    Loads(V, u, loads=3.0 * ufl.inner(n, v) * ds(2)).assemble(f)
+    F.set(0.0)
+    Loads(V, u, potential=-3.0 * ufl.inner(u, n) * ds(2)).add_forces(F)
+    assert f.norm() > 1.0 and np.allclose(f.array, -F.array, atol=1e-14)
+
+
+def test_nothing_is_nothing():
+    """Without a form, the forces are zero and nothing is added."""
+    u, _, _ = create_box(2)
+    loads, f = Loads(u.function_space, u), u.x.petsc_vec.duplicate()
+    f.set(1.0)
+    loads.add_forces(f)
+    assert (f.array == 1.0).all()
+    loads.assemble(f)
+    assert not f.array.any() and loads.energy() == 0.0 and loads.linear
+    assert not loads.has_potential and len(vars(loads)) <= 12
+    K = Solid(u, Elastic(1.0, 0.3)).create_matrix()
+    K.assemble()
+    loads.add_tangent(K)
+    assert K.norm() == 0.0
+
+
+def test_loads_that_contain_the_displacement_are_refused():
+    u, ds, _ = create_box(2)
+    v = ufl.TestFunction(u.function_space)
+    other = fem.Function(u.function_space)
+    for inside in (u[1], u.sub(1), ufl.grad(u)[0, 1]):
+        with pytest.raises(ValueError, match=r"^loads contain the displacement .*potential=\.\.\."):
+            check_loads(u, -inside * v[1] * ds(1))
+    check_loads(u, other[1] * v[1] * ds(1))
+    check_loads(u, None)
+
+
+def wrong_potentials():
+    """Return potentials that cannot work, by what the message should say."""
+    u, ds, _ = create_box(2)
+    V = u.function_space
+    w, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    foreign, _, _ = create_box(2)
+    jump = ufl.inner(ufl.jump(u), ufl.jump(u))
+    cases = {
+        "is a float": 3.0,
+        "is a ListTensor": ufl.as_vector([u[0], u[1]]),
+        "compiled form": fem.form(u[0] ** 2 * ds),
+        "has 1 test": ufl.inner(u, v) * ds,
+        "has 2 test": ufl.inner(w, v) * ds,
+        "interior_facet": jump * ufl.dS,
+        "another mesh": foreign[0] ** 2 * ufl.dx,
+        "does not contain": fem.Function(V)[0] ** 2 * ds,
+        r"write u\[i\]": u.sub(1) ** 2 * ds,
+    }
+    return u, cases
+
+
+def test_wrong_potentials_are_refused():
+    u, cases = wrong_potentials()
+    for message, potential in cases.items():
+        with pytest.raises(ValueError, match=rf"^potential.*{message}"):
+            Loads(u.function_space, u, potential=potential)
