@@ -9,7 +9,13 @@ import pytest
 import basix.ufl
 import dolfinx
 from dolfinx_mortar.geometry.facets import facet_normals
-from dolfinx_mortar.mortar.surface import accumulate, coordinates, create_surface, nodal_normals
+from dolfinx_mortar.mortar.surface import (
+    accumulate,
+    coordinates,
+    create_surface,
+    facets_at,
+    nodal_normals,
+)
 from tests.meshes import two_blocks
 
 COMM = MPI.COMM_WORLD
@@ -33,7 +39,7 @@ def test_facets_point_outwards_and_occur_once(cell, partition):
         surface = create_surface(V, tags, tag, "slave")
         x = coordinates(surface, None)[surface.facets]
         size = np.linalg.norm(x[:, 1] - x[:, 0], axis=1)
-        normals = facet_normals(surface.X[surface.facets])
+        normals = facet_normals(facets_at(surface, surface.X))
         assert COMM.allreduce(len(surface.facets)) == count
         assert COMM.allreduce(size.sum()) == pytest.approx(length, abs=1e-13)
         flux += COMM.allreduce((size * (normals * x.mean(axis=1)).sum(axis=1)).sum())
