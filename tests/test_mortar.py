@@ -19,7 +19,7 @@ from dolfinx_mortar.mortar.surface import create_surface
 from tests.meshes import two_blocks
 
 COMM = MPI.COMM_WORLD
-PARTITIONS = ["graph", "shared_facet", "stripes", "bodies"]
+PARTITIONS = ["graph", "shared_facet", "stripes", "bodies", "empty"]
 EXACT = 1e-12
 pytestmark = pytest.mark.mpi
 

@@ -41,7 +41,9 @@ CELLS = pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
 SIDES = pytest.mark.parametrize(
     "sides", [(TOP_OF_LOWER, BOTTOM_OF_UPPER), (BOTTOM_OF_UPPER, TOP_OF_LOWER)]
 )
-PARTITIONS = pytest.mark.parametrize("partition", ["graph", "shared_facet", "stripes", "bodies"])
+PARTITIONS = pytest.mark.parametrize(
+    "partition", ["graph", "shared_facet", "stripes", "bodies", "empty"]
+)
 
 
 def space(mesh):

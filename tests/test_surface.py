@@ -19,7 +19,7 @@ from dolfinx_mortar.mortar.surface import (
 from tests.meshes import two_blocks
 
 COMM = MPI.COMM_WORLD
-PARTITIONS = ["graph", "shared_facet", "stripes", "bodies"]
+PARTITIONS = ["graph", "shared_facet", "stripes", "bodies", "empty"]
 pytestmark = pytest.mark.mpi
 
 

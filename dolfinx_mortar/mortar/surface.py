@@ -10,6 +10,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+import basix
 import dolfinx
 from dolfinx_mortar import compat
 from dolfinx_mortar.arrays import Floats, Ints
@@ -93,7 +94,7 @@ def _facet_nodes(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, In
     facet_cells = topology.connectivity(tdim - 1, tdim)
     cells = facet_cells.array[facet_cells.offsets[entities]]
     assert (cells < topology.index_map(tdim).size_local).all()
-    count = len(topology.connectivity(tdim, tdim - 1).links(0))
+    count = len(basix.topology(V.mesh.basix_cell())[tdim - 1])  # ranks may have no cell to ask
     cell_facets = topology.connectivity(tdim, tdim - 1).array.reshape(-1, count)
     local = np.argmax(cell_facets[cells] == entities[:, None], axis=1)
     order = FACETS_OF[topology.cell_name()].order
