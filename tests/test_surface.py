@@ -8,6 +8,7 @@ import pytest
 
 import basix.ufl
 import dolfinx
+import dolfinx_mortar as dm
 from dolfinx_mortar.geometry.facets import facet_normals
 from dolfinx_mortar.mortar.surface import (
     accumulate,
@@ -197,3 +198,37 @@ def test_coordinates_that_are_not_finite():
     with pytest.raises(ValueError, match="not finite"):
         for tag in (3, 4):
             create_surface(space(mesh), tags, tag, "slave")
+
+
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_curved_cells_are_refused(cell):
+    """A space of degree 1 on cells of degree 2: the surface would be taken for straight."""
+    element = basix.ufl.element("Lagrange", cell, 2, shape=(2,))
+    kind = getattr(dolfinx.mesh.CellType, cell)
+    nodes = basix.create_element(basix.ElementFamily.P, getattr(basix.CellType, cell), 2,
+                                 basix.LagrangeVariant.equispaced).points  # fmt: skip
+    cells = np.arange(len(nodes), dtype=np.int64)[None]
+    first = COMM.rank == 0
+    mesh = dolfinx.mesh.create_mesh(
+        COMM, cells if first else cells[:0], x=nodes if first else nodes[:0], e=element
+    )
+    assert mesh.topology.cell_name() == kind.name
+    mesh.topology.create_connectivity(1, 2)
+    facets = dolfinx.mesh.exterior_facet_indices(mesh.topology)
+    tags = dolfinx.mesh.meshtags(mesh, 1, facets, np.full(len(facets), 3, dtype=np.int32))
+    with pytest.raises(ValueError, match="cells of the mesh are of degree 2"):
+        create_surface(space(mesh), tags, 3, "slave")
+
+
+@pytest.mark.parametrize("tag", [2**40, -(2**31) - 1, 2**31, True, False, 3.0, "3", None])
+def test_tags_that_no_mesh_can_hold(tag):
+    mesh, _, tags = two_blocks(COMM, (4, 2), (3, 2))
+    with pytest.raises(ValueError, match=f"slave is {tag!r}: "):
+        create_surface(space(mesh), tags, tag, "slave")
+    with pytest.raises(ValueError, match=f"master is {tag!r}: "):
+        dm.Contact(tags, slave=3, master=tag)
+
+
+def test_tags_of_numpy():
+    mesh, _, tags = two_blocks(COMM, (4, 2), (3, 2))
+    assert create_surface(space(mesh), tags, np.int64(3), "slave").tag == 3

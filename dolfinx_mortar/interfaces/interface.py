@@ -36,7 +36,13 @@ from dolfinx_mortar.mortar.operators import (
     node_weights,
 )
 from dolfinx_mortar.mortar.pairing import Pairing, create_pairing, outside_margin
-from dolfinx_mortar.mortar.surface import Surface, check_tags, create_surface, mean_facet_length
+from dolfinx_mortar.mortar.surface import (
+    Surface,
+    check_tag,
+    check_tags,
+    create_surface,
+    mean_facet_length,
+)
 
 
 @dataclass(frozen=True)
@@ -82,8 +88,7 @@ class Interface:
         """Keep the description; surfaces are found when a problem takes the interface."""
         check_tags(facet_tags)
         for name, tag in (("slave", slave), ("master", master)):
-            if not isinstance(tag, int | np.integer):
-                raise ValueError(f"{name} is {tag!r}: give a tag of facet_tags, an integer")
+            check_tag(name, tag)
         if slave == master:
             raise ValueError(f"slave and master are both tag {slave}: give two different tags")
         self.facet_tags, self.slave, self.master = facet_tags, slave, master

@@ -17,6 +17,7 @@ import numpy as np
 import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra import triplets
+from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls, facet_normals
 from dolfinx_mortar.geometry.search import Cones, create_cones, find_meeting
@@ -171,6 +172,15 @@ def _check_surfaces(
         )
 
 
+def _check_finite(u: dolfinx.fem.Function | None, *sides: Surface) -> None:
+    """Raise a ValueError on all ranks if X + u is not finite on a side (collective)."""
+    finite = all(np.isfinite(coordinates(side, u)).all() for side in sides)
+    if any_rank(sides[0].V.mesh.comm, not finite)[0]:
+        raise ValueError(
+            "u holds NaN or infinity at nodes of slave or master; check the displacement."
+        )
+
+
 def _check_facing(pairs: Ints, slave: Surface, master: Surface, n_s: Floats, n_m: Floats) -> None:
     """Raise a ValueError on all ranks if no slave facet faces any master facet (collective)."""
     comm = slave.V.mesh.comm
@@ -200,10 +210,11 @@ def create_pairing(
     for small rotations; `outside_margin` tells when that is used up.
 
     Raises:
-        ValueError: On all ranks, if the sides share facets, belong to another space, or no slave
-            facet faces a master facet.
+        ValueError: On all ranks, if the sides share facets, belong to another space, u is not
+            finite there, or no slave facet faces a master facet.
     """
     _check_surfaces(V, slave, master, u)
+    _check_finite(u, slave, master)
     comm = V.mesh.comm
     slaves, n_s = _slave_facets(slave, u)
     masters = facets_at(master, coordinates(master, u))
@@ -247,7 +258,8 @@ def outside_margin(
     """Tell whether a segment at X + u can belong to a pair that is not a candidate (collective).
 
     The broad phase without margin is repeated and must not find anything new, so the answer
-    depends on the relative motion of the two sides only, and False is always safe.
+    depends on the relative motion of the two sides only, and False is always safe. True where u is
+    not finite: the search that is due then names it.
 
     Args:
         pairing: The pair of surfaces.
@@ -264,6 +276,7 @@ def outside_margin(
     pairs[:, 0] = asked[pairs[:, 0]]
     fresh, known = (p[:, 0].astype(np.int64) * count + p[:, 1] for p in (pairs, pairing.pairs))
     missing = not np.isin(fresh, known, assume_unique=True).all()
+    missing = missing or not (np.isfinite(slave.x).all() and np.isfinite(master.x).all())
     if comm.size > 1:
         x_own = coordinates(pairing.master, u)[pairing.master.facets]
         groups = [group[among[group]] for group in pairing.groups]

@@ -20,7 +20,14 @@ def _is_vector_p1(V: dolfinx.fem.FunctionSpace) -> bool:
 
 
 def check_space(V: dolfinx.fem.FunctionSpace) -> None:
-    """Raise a ValueError, without communication, for spaces that are not supported."""
+    """Raise a ValueError, without communication, for spaces that are not supported.
+
+    It needs no surface: a problem without interfaces can ask, too.
+
+    Raises:
+        ValueError: For a complex PETSc, cells of other types or dimensions, curved cells, parts of
+            larger spaces, and other elements than vector Lagrange of degree 1.
+    """
     if np.issubdtype(PETSc.ScalarType, np.complexfloating):
         raise ValueError("PETSc was built for complex numbers; use a build for real numbers.")
     cell, d = V.mesh.topology.cell_name(), V.mesh.geometry.dim
@@ -28,6 +35,12 @@ def check_space(V: dolfinx.fem.FunctionSpace) -> None:
         raise ValueError(
             f"V: cells of type {cell} in {d}D are not supported; use one of {sorted(FACETS_OF)}, "
             "the same for all bodies."
+        )
+    degree = V.mesh.geometry.cmap.degree
+    if degree != 1:
+        raise ValueError(
+            f"V: the cells of the mesh are of degree {degree}; only straight ones are supported, "
+            "make the mesh with degree 1 (in Gmsh: mesh.setOrder(1))."
         )
     if V.component():
         raise ValueError("V is a part of a larger space; use V.collapse()[0].")

@@ -49,6 +49,18 @@ def check_tags(facet_tags: Any) -> None:
         raise ValueError(f"facet_tags is {facet_tags!r}: give a dolfinx.mesh.MeshTags of facets.")
 
 
+def check_tag(name: str, tag: Any) -> None:
+    """Raise a ValueError unless the argument `name` is a value that MeshTags can hold."""
+    if isinstance(tag, bool) or not isinstance(tag, int | np.integer):
+        raise ValueError(f"{name} is {tag!r}: give a tag of facet_tags, an integer")
+    limits = np.iinfo(np.int32)
+    if not limits.min <= tag <= limits.max:
+        raise ValueError(
+            f"{name} is {tag}: tags lie between {limits.min} and {limits.max} (32 bits); give one "
+            "that facet_tags has"
+        )
+
+
 def _share_tags(facet_tags: dolfinx.mesh.MeshTags, tag: int) -> Ints:
     """Return the owned facets that any rank has marked with `tag`."""
     facet_map = facet_tags.topology.index_map(facet_tags.dim)
@@ -64,6 +76,7 @@ def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str
     topology, comm = V.mesh.topology, V.mesh.comm
     fdim = topology.dim - 1
     check_tags(facet_tags)
+    check_tag(name, tag)
     if not compat.on_same_mesh(facet_tags, V.mesh):
         raise ValueError(f"facet_tags ({name}={tag}) belong to another mesh than V.")
     if facet_tags.dim != fdim:
@@ -156,9 +169,9 @@ def create_surface(
         name: Name of the argument, for messages.
 
     Raises:
-        ValueError: On all ranks, for a space that is not supported, tags of another mesh or
-            dimension, a tag that marks no or interior facets, coordinates that are not finite,
-            facets that are degenerate, inverted or badly warped.
+        ValueError: On all ranks, for a space that is not supported, curved cells, tags of another
+            mesh or dimension, a tag that is no 32 bit integer or marks no or interior facets,
+            coordinates that are not finite, facets that are degenerate, inverted or badly warped.
     """
     check_space(V)
     element = FACETS_OF[V.mesh.topology.cell_name()]
