@@ -53,6 +53,11 @@ def _partitioner(partition: str, comm: MPI.Comm, stripes: npt.NDArray[np.int32])
     return send
 
 
+def _pieces(partition: str, comm: MPI.Comm) -> int:
+    """Return how many ranks get a stripe."""
+    return max(comm.size - 1, 1) if partition == "empty" else comm.size
+
+
 def _tag(mesh, dim: int, marks: list[tuple[int, Callable]]) -> dolfinx.mesh.MeshTags:
     """Tag entities whose nodes, numbered as in the input, all satisfy a condition."""
     mesh.topology.create_entities(dim)
@@ -61,8 +66,10 @@ def _tag(mesh, dim: int, marks: list[tuple[int, Callable]]) -> dolfinx.mesh.Mesh
         entities = dolfinx.mesh.exterior_facet_indices(mesh.topology)
     else:
         entities = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)
-    local = dolfinx.mesh.entities_to_geometry(mesh, dim, entities)
-    nodes = np.asarray(mesh.geometry.input_global_indices)[local.reshape(len(entities), -1)]
+    local = np.zeros((0, 1), dtype=np.int32)
+    if len(entities):  # dolfinx 0.9 divides by their number
+        local = dolfinx.mesh.entities_to_geometry(mesh, dim, entities).reshape(len(entities), -1)
+    nodes = np.asarray(mesh.geometry.input_global_indices)[local]
     values = np.zeros(len(entities), dtype=np.int32)
     for tag, condition in marks:
         values[condition(nodes).all(axis=1)] = tag
@@ -112,7 +119,8 @@ def two_blocks(
         partition: "graph" (dolfinx's choice), "shared_facet" (the same, with ghost cells),
             "stripes" (every rank has a piece of both blocks and of both sides of the interface),
             "bodies" (the first rank has the lower block, the others layers of the upper one: all
-            but two ranks have no facet of the interface).
+            but two ranks have no facet of the interface), "empty" (stripes, and nothing for the
+            last rank).
 
     Returns:
         Mesh; cell tags (1 lower, 2 upper); facet tags (1 bottom of the lower block, 2 top of the
@@ -128,7 +136,7 @@ def two_blocks(
 
     middle = points[cells, 0].mean(axis=1)
     position = (middle - middle.min()) / (np.ptp(middle) * (1 + 1e-9))
-    ranks = np.floor(comm.size * position).astype(np.int32)
+    ranks = np.floor(_pieces(partition, comm) * position).astype(np.int32)
     if partition == "bodies" and comm.size > 1:
         height = (points[cells, 1].mean(axis=1) - gap) / (heights[1] * (1 + 1e-9))
         ranks = np.where(cells[:, 0] < n_l, 0, 1 + np.floor((comm.size - 1) * height))

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 import basix.ufl
 import dolfinx
-from tests.meshes import LOWER, UPPER, _partitioner, _tag
+from tests.meshes import LOWER, UPPER, _partitioner, _pieces, _tag
 
 BOTTOM, TOP, TOP_OF_LOWER, BOTTOM_OF_UPPER, LEFT, RIGHT, FRONT, BACK = range(1, 9)
 
@@ -111,7 +111,8 @@ def two_boxes(
     cells = np.concatenate([box_cells(sizes[0], cell), box_cells(sizes[1], cell) + n_l])
 
     middle = points[cells, 0].mean(axis=1)
-    ranks = np.floor(comm.size * (middle - middle.min()) / (np.ptp(middle) * (1 + 1e-9)))
+    position = (middle - middle.min()) / (np.ptp(middle) * (1 + 1e-9))
+    ranks = np.floor(_pieces(partition, comm) * position)
     if partition == "bodies" and comm.size > 1:
         height = (points[cells, 2].mean(axis=1) - gap) / (heights[1] * (1 + 1e-9))
         ranks = np.where(cells[:, 0] < n_l, 0, 1 + np.floor((comm.size - 1) * height))

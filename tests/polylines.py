@@ -7,7 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_mortar.geometry import segments
-from dolfinx_mortar.geometry.facets import facet_normals, shape_functions
+from dolfinx_mortar.geometry.elements import LINE2
+from dolfinx_mortar.geometry.facets import Facets, facet_normals
 from dolfinx_mortar.mortar import dual
 
 Floats = npt.NDArray[np.float64]
@@ -34,7 +35,7 @@ def chain(n: int) -> npt.NDArray[np.int32]:
 def nodal_normals(x: Floats, facets: npt.NDArray[np.int32]) -> Floats:
     """Return averaged unit normals by a loop over the facets."""
     normals = np.zeros_like(x)
-    for facet, n in zip(facets, facet_normals(x[facets]), strict=True):
+    for facet, n in zip(facets, facet_normals(Facets(LINE2, x[facets])), strict=True):
         normals[facet] += n
     return normals / np.linalg.norm(normals, axis=1)[:, None]
 
@@ -53,11 +54,11 @@ def assemble(x_s, x_m, *, keep=None, facets_m=None, pairs=None) -> Operators:
     facets_s = chain(len(x_s))
     facets_m = chain(len(x_m)) if facets_m is None else np.asarray(facets_m, dtype=np.int32)
     n_s = nodal_normals(x_s, facets_s)[facets_s]
-    f_s, f_m = x_s[facets_s], x_m[facets_m]
+    f_s, f_m = Facets(LINE2, x_s[facets_s]), Facets(LINE2, x_m[facets_m])
     if pairs is None:
-        pairs = segments.find_candidates(f_s, n_s, f_m, np.zeros(len(f_s)))
+        pairs = segments.find_candidates(f_s, n_s, f_m, np.zeros(len(facets_s)))
     points = segments.create_segments(f_s, n_s, f_m, pairs)
-    N_s, N_m = (shape_functions(xi) for xi in (points.xi_s, points.xi_m))
+    N_s, N_m = (LINE2.shape_functions(xi) for xi in (points.xi_s, points.xi_m))
     keep = np.ones(len(x_s), dtype=bool) if keep is None else np.asarray(keep)
     Phi = dual.dual_values(N_s, points.weight, points.slave, keep[facets_s])
     D, M = np.zeros((len(x_s), len(x_s))), np.zeros((len(x_s), len(x_m)))
@@ -67,7 +68,7 @@ def assemble(x_s, x_m, *, keep=None, facets_m=None, pairs=None) -> Operators:
             values = points.weight * Phi[:, i]
             np.add.at(D, (rows[:, i], rows[:, j]), values * N_s[:, j])
             np.add.at(M, (rows[:, i], columns[:, j]), values * N_m[:, j])
-    weights = dual.covered_weights(N_s, points.weight, points.slave, len(f_s))
+    weights = dual.covered_weights(N_s, points.weight, points.slave, len(facets_s))
     total, tributary = np.zeros(len(x_s)), np.zeros(len(x_s))
     np.add.at(total, facets_s, weights)
     np.add.at(tributary, facets_s, points.facet_weights)

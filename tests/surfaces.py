@@ -8,7 +8,8 @@ import numpy.typing as npt
 from scipy.spatial import Delaunay
 
 from dolfinx_mortar.geometry import segments
-from dolfinx_mortar.geometry.facets import shape_functions
+from dolfinx_mortar.geometry.elements import QUAD4, TRI3
+from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.mortar import dual
 
 Floats = npt.NDArray[np.float64]
@@ -26,6 +27,11 @@ class Side:
     def corners(self) -> Floats:
         """Node coordinates (m, k, 3) of the facets."""
         return self.x[self.facets]
+
+    @property
+    def geometry(self) -> Facets:
+        """The facets as the package wants them."""
+        return Facets(QUAD4 if self.facets.shape[1] == 4 else TRI3, self.corners)
 
     def reversed(self) -> "Side":
         """Return the side with the opposite normals."""
@@ -93,13 +99,14 @@ class Operators:
 
 def assemble(slave: Side, master: Side, *, pairs: Ints | None = None) -> Operators:
     """Assemble D and M; all slave nodes are kept."""
-    x_s, x_m = slave.corners, master.corners
+    f_s, f_m = slave.geometry, master.geometry
+    x_s, x_m = f_s.x, f_m.x
     n_s = np.zeros(x_s.shape)  # directions of projection do not depend on it
     if pairs is None:
-        pairs = segments.find_candidates(x_s, n_s, x_m, np.zeros(len(x_s)))
-    p = segments.create_segments(x_s, n_s, x_m, pairs)
-    N_s = shape_functions(p.xi_s, x_s.shape[1])
-    N_m = shape_functions(p.xi_m, x_m.shape[1])
+        pairs = segments.find_candidates(f_s, n_s, f_m, np.zeros(len(x_s)))
+    p = segments.create_segments(f_s, n_s, f_m, pairs)
+    N_s = f_s.element.shape_functions(p.xi_s)
+    N_m = f_m.element.shape_functions(p.xi_m)
     keep = np.ones(slave.facets.shape, dtype=bool)
     Phi = p.weight[:, None] * dual.dual_values(N_s, p.weight, p.slave, keep)
     rows, columns = slave.facets[p.slave], master.facets[p.master]

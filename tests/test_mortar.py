@@ -19,7 +19,7 @@ from dolfinx_mortar.mortar.surface import create_surface
 from tests.meshes import two_blocks
 
 COMM = MPI.COMM_WORLD
-PARTITIONS = ["graph", "shared_facet", "stripes", "bodies"]
+PARTITIONS = ["graph", "shared_facet", "stripes", "bodies", "empty"]
 EXACT = 1e-12
 pytestmark = pytest.mark.mpi
 
@@ -378,6 +378,23 @@ def test_bad_pairs_raise_on_all_ranks():
     other = dolfinx.fem.Function(space(two_blocks(COMM)[0]))
     with pytest.raises(ValueError, match=r"u has to be a Function of V"):
         assemble_mortar(V, tags, slave=3, master=4, u=other)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@pytest.mark.parametrize("tag", [3, 4])
+def test_displacements_that_are_not_finite(bad, tag):
+    """At one node of one rank; all ranks hear of it, and a search is due."""
+    mesh, _, tags = two_blocks(COMM, (4, 2), (3, 2), gap=0.1, partition="stripes")
+    V = space(mesh)
+    pairing = pair_up(V, tags, 3, 4)
+    u = dolfinx.fem.Function(V)
+    side = create_surface(V, tags, tag, "side")
+    if COMM.rank == 0:
+        u.x.array[2 * side.nodes[0]] = bad
+    with pytest.raises(ValueError, match="u holds NaN or infinity"):
+        assemble_mortar(V, tags, slave=3, master=4, u=u)
+    with np.errstate(invalid="ignore"):
+        assert outside_margin(pairing, u)
 
 
 def test_bodies_beside_each_other_may_meet_later():

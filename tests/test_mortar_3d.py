@@ -20,7 +20,7 @@ from dolfinx_mortar.mortar.operators import (
 )
 from dolfinx_mortar.mortar.pairing import create_pairing, outside_margin
 from dolfinx_mortar.mortar.paper import assemble_mortar
-from dolfinx_mortar.mortar.surface import create_surface, nodal_normals
+from dolfinx_mortar.mortar.surface import create_surface, facets_at, nodal_normals
 from tests.meshes_3d import (
     BACK,
     BOTTOM,
@@ -41,7 +41,9 @@ CELLS = pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
 SIDES = pytest.mark.parametrize(
     "sides", [(TOP_OF_LOWER, BOTTOM_OF_UPPER), (BOTTOM_OF_UPPER, TOP_OF_LOWER)]
 )
-PARTITIONS = pytest.mark.parametrize("partition", ["graph", "shared_facet", "stripes", "bodies"])
+PARTITIONS = pytest.mark.parametrize(
+    "partition", ["graph", "shared_facet", "stripes", "bodies", "empty"]
+)
 
 
 def space(mesh):
@@ -141,13 +143,14 @@ def test_normals_of_a_box():
             surface = create_surface(V, tags, tag, "slave")
             expected = sign * np.eye(3)[axis]
             assert (
-                np.abs(facet_normals(surface.X[surface.facets]) - expected).max(initial=0) < 1e-14
+                np.abs(facet_normals(facets_at(surface, surface.X)) - expected).max(initial=0)
+                < 1e-14
             )
             assert np.abs(nodal_normals(surface, surface.X) - expected).max(initial=0) < 1e-14
         lower = dolfinx.mesh.exterior_facet_indices(mesh.topology)
         everything = dolfinx.mesh.meshtags(mesh, 2, lower, np.full(len(lower), 9, dtype=np.int32))
         surface = create_surface(V, everything, 9, "slave")
-        n_f = facet_normals(surface.X[surface.facets])
+        n_f = facet_normals(facets_at(surface, surface.X))
         assert np.abs(np.abs(n_f).max(axis=1, initial=1) - 1).max(initial=0) < 1e-14
 
 

@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_mortar.geometry import segments
-from dolfinx_mortar.geometry.facets import shape_functions
+from dolfinx_mortar.geometry.elements import LINE2
+from dolfinx_mortar.geometry.facets import Facets
 from tests.polylines import assemble, chain, nodal_normals
 
 EXACT = 1e-12
@@ -18,6 +19,11 @@ def flat(splits, y=0.0, angle=0.0, up=False):
     x = np.sort(np.asarray(splits, dtype=float))[:: -1 if up else 1]
     c, s = np.cos(angle), np.sin(angle)
     return np.stack([x, np.full_like(x, y)], axis=1) @ np.array([[c, s], [-s, c]])
+
+
+def line(x):
+    """Return the facets of a polyline."""
+    return Facets(LINE2, x[chain(len(x))])
 
 
 def split(low, high):
@@ -36,8 +42,8 @@ def test_facet_normals_of_the_polyline():
 def test_half_covered_facet_has_exact_points():
     o = assemble([[1, 2], [3, 2]], [[2, 2], [0, 2]])
     assert o.covered == pytest.approx([1.0], abs=1e-15)
-    N = shape_functions(o.points.xi_s)
-    L = shape_functions(o.points.xi_m)
+    N = LINE2.shape_functions(o.points.xi_s)
+    L = LINE2.shape_functions(o.points.xi_m)
     w = o.points.weight
     assert 24 * np.einsum("q,qi,qj->ij", w, N, N) == pytest.approx(np.array([[14, 4], [4, 2]]))
     assert 24 * np.einsum("q,qi,qj->ij", w, N, L) == pytest.approx(np.array([[13, 5], [5, 1]]))
@@ -52,7 +58,7 @@ def test_covered_length_and_projection_on_flat_sides(slave, master, shift, angle
     low, high = np.maximum(slave[:-1], master[0]), np.minimum(slave[1:], master[-1])
     assert np.abs(o.covered - np.maximum(high - low, 0)).max() < EXACT
     p = o.points
-    N, L = shape_functions(p.xi_s), shape_functions(p.xi_m)
+    N, L = LINE2.shape_functions(p.xi_s), LINE2.shape_functions(p.xi_m)
     x_s = np.einsum("qk,qki->qi", N, o.x_s[chain(len(slave))][p.slave])
     x_m = np.einsum("qk,qki->qi", L, o.x_m[chain(len(master))][p.master])
     normal = np.array([np.sin(angle), -np.cos(angle)])
@@ -142,7 +148,7 @@ def test_points_lie_on_the_interpolated_normal():
     o = assemble(x_s, x_m)
     p, facets = o.points, chain(4)
     assert len(p.weight) > 0
-    N, L = shape_functions(p.xi_s), shape_functions(p.xi_m)
+    N, L = LINE2.shape_functions(p.xi_s), LINE2.shape_functions(p.xi_m)
     normal = np.einsum("qk,qki->qi", N, nodal_normals(x_s, facets)[facets][p.slave])
     ray = np.einsum("qk,qki->qi", L, x_m[facets][p.master])
     ray -= np.einsum("qk,qki->qi", N, x_s[facets][p.slave])
@@ -161,7 +167,7 @@ def test_segments_end_where_the_normal_meets_a_node(seed):
     ends = (xi[:, 1:2] + half[:, None] * np.array([-1, 1])).reshape(-1, 1)
     inside = np.abs(ends[:, 0]) < 1 - 1e-6
     slave = np.repeat(o.points.slave[::3], 2)[inside]
-    N = shape_functions(ends[inside])
+    N = LINE2.shape_functions(ends[inside])
     p = np.einsum("ek,eki->ei", N, o.x_s[facets][slave])[:, None] - o.x_m
     n = np.einsum("ek,eki->ei", N, nodal_normals(o.x_s, facets)[facets][slave])[:, None]
     cross = np.abs(p[..., 0] * n[..., 1] - p[..., 1] * n[..., 0])
@@ -201,8 +207,8 @@ def test_candidates_contain_all_segments(seed, n, m):
 def test_broad_phase_is_selective():
     """Flat sides with equal facets: at most three masters per slave without margin."""
     grid = np.linspace(0, 1, 201)
-    x_s, x_m = flat(grid)[chain(201)], flat(grid, -0.01, up=True)[chain(201)]
-    normals = np.broadcast_to([0.0, -1.0], x_s.shape)
+    x_s, x_m = line(flat(grid)), line(flat(grid, -0.01, up=True))
+    normals = np.broadcast_to([0.0, -1.0], x_s.x.shape)
     pairs = segments.find_candidates(x_s, normals, x_m, np.zeros(200), moving=False)
     assert np.bincount(pairs[:, 0], minlength=200).max() <= 3
     wide = segments.find_candidates(x_s, normals, x_m, np.full(200, 1 / 200))
@@ -211,8 +217,9 @@ def test_broad_phase_is_selective():
 
 def test_every_facet_may_be_a_candidate_of_every_other():
     """Far away and provided for rotation: more pairs than the first allocation holds."""
-    x_s, x_m = flat(np.linspace(0, 1, 61))[chain(61)], flat(np.linspace(0, 1, 61), -99, up=True)
-    pairs = segments.find_candidates(x_s, np.full_like(x_s, (0, -1)), x_m[chain(61)], np.ones(60))
+    grid = np.linspace(0, 1, 61)
+    x_s, x_m = line(flat(grid)), line(flat(grid, -99, up=True))
+    pairs = segments.find_candidates(x_s, np.full_like(x_s.x, (0, -1)), x_m, np.ones(60))
     assert (pairs == np.stack(np.divmod(np.arange(3600), 60), axis=1)).all()
 
 

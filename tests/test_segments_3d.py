@@ -17,7 +17,7 @@ PAIRS = pytest.mark.parametrize("k_s, k_m", [(3, 3), (3, 4), (4, 3), (4, 4)])
 
 
 def areas(side):
-    return np.linalg.norm(facets.area_vectors(side.corners), axis=1)
+    return np.linalg.norm(facets.area_vectors(side.geometry), axis=1)
 
 
 def check_identities(slave, master, normal, gap, *, tolerance=EXACT):
@@ -216,7 +216,7 @@ def test_points_lie_on_the_normal_of_the_slave_facet(k_s, k_m):
     slave = curved(grid(np.linspace(0, 1, 4), np.linspace(0, 1, 5), 0.5, 1, k_s), saddle)
     master = curved(grid(np.linspace(-1, 2, 7), np.linspace(-1, 2, 6), 0.5, 2, k_m), saddle)
     o = assemble(slave, master.reversed().moved(shift=(0.1, 0, 0.4)))
-    normals = facets.facet_normals(slave.corners)[o.points.slave]
+    normals = facets.facet_normals(slave.geometry)[o.points.slave]
     assert len(normals) > 0
     assert np.abs(np.cross(o.x_m - o.x_s, normals)).max() < EXACT
 
@@ -261,11 +261,11 @@ def test_candidates_contain_all_segments(k_s, k_m, seed, n, m):
 def test_broad_phase_is_selective():
     """Equal flat grids: at most the neighbours without a margin, one more ring with it."""
     s = np.linspace(0, 1, 21)
-    slave, master = grid(s, s).corners, grid(s, s).reversed().moved(shift=(0, 0, 0.01)).corners
-    none = np.zeros(slave.shape)
+    slave, master = grid(s, s), grid(s, s).reversed().moved(shift=(0, 0, 0.01))
+    slave, master, none = slave.geometry, master.geometry, np.zeros(slave.corners.shape)
     pairs = segments.find_candidates(slave, none, master, np.zeros(400), moving=False)
     assert np.bincount(pairs[:, 0]).max() == 9
-    margin = segments.sliding_margins(slave)
+    margin = segments.sliding_margins(slave.x)
     pairs = segments.find_candidates(slave, none, master, margin)
     assert np.bincount(pairs[:, 0]).max() <= 9 + 12
 
@@ -275,12 +275,12 @@ def test_margin_holds_while_the_master_slides(k):
     slave = curved(grid(np.linspace(0, 1, 6), np.linspace(0, 1, 6), 0.4, 1, k), saddle)
     master = curved(grid(np.linspace(-1, 2, 15), np.linspace(-1, 2, 15), 0.4, 2, k), saddle)
     master = master.reversed()
-    x, none = slave.corners, np.zeros(slave.corners.shape)
-    margin = segments.sliding_margins(x)
-    known = set(map(tuple, segments.find_candidates(x, none, master.corners, margin)))
+    x, none = slave.geometry, np.zeros(slave.corners.shape)
+    margin = segments.sliding_margins(x.x)
+    known = set(map(tuple, segments.find_candidates(x, none, master.geometry, margin)))
     small = 0.9 * margin.min()
     for shift in ((small, 0, 0), (0, -small, 0), (0.7 * small, 0.7 * small, 0)):
-        moved = master.moved(rotation((1, 1, 0), 0.01), shift).corners
+        moved = master.moved(rotation((1, 1, 0), 0.01), shift).geometry
         now = segments.find_candidates(x, none, moved, 0 * margin, moving=False)
         assert set(map(tuple, now)) <= known
 

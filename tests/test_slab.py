@@ -85,9 +85,10 @@ def compare(section, law, slave, geometry="reference"):
     )
 
 
-def project_along_facet_normals(x_s, n_s):
+def project_along_facet_normals(slave, n_s):
     """Return the directions of 3D in 2D, too."""
-    return np.repeat(facet_normals(x_s)[:, None], x_s.shape[1] if x_s.shape[2] == 2 else 1, axis=1)
+    count = slave.element.nodes if slave.x.shape[2] == 2 else 1
+    return np.repeat(facet_normals(slave)[:, None], count, axis=1)
 
 
 @pytest.mark.parametrize("slave", ["block", "disc"])

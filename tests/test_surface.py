@@ -8,12 +8,19 @@ import pytest
 
 import basix.ufl
 import dolfinx
+import dolfinx_mortar as dm
 from dolfinx_mortar.geometry.facets import facet_normals
-from dolfinx_mortar.mortar.surface import accumulate, coordinates, create_surface, nodal_normals
+from dolfinx_mortar.mortar.surface import (
+    accumulate,
+    coordinates,
+    create_surface,
+    facets_at,
+    nodal_normals,
+)
 from tests.meshes import two_blocks
 
 COMM = MPI.COMM_WORLD
-PARTITIONS = ["graph", "shared_facet", "stripes", "bodies"]
+PARTITIONS = ["graph", "shared_facet", "stripes", "bodies", "empty"]
 pytestmark = pytest.mark.mpi
 
 
@@ -33,7 +40,7 @@ def test_facets_point_outwards_and_occur_once(cell, partition):
         surface = create_surface(V, tags, tag, "slave")
         x = coordinates(surface, None)[surface.facets]
         size = np.linalg.norm(x[:, 1] - x[:, 0], axis=1)
-        normals = facet_normals(surface.X[surface.facets])
+        normals = facet_normals(facets_at(surface, surface.X))
         assert COMM.allreduce(len(surface.facets)) == count
         assert COMM.allreduce(size.sum()) == pytest.approx(length, abs=1e-13)
         flux += COMM.allreduce((size * (normals * x.mean(axis=1)).sum(axis=1)).sum())
@@ -191,3 +198,37 @@ def test_coordinates_that_are_not_finite():
     with pytest.raises(ValueError, match="not finite"):
         for tag in (3, 4):
             create_surface(space(mesh), tags, tag, "slave")
+
+
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_curved_cells_are_refused(cell):
+    """A space of degree 1 on cells of degree 2: the surface would be taken for straight."""
+    element = basix.ufl.element("Lagrange", cell, 2, shape=(2,))
+    kind = getattr(dolfinx.mesh.CellType, cell)
+    nodes = basix.create_element(basix.ElementFamily.P, getattr(basix.CellType, cell), 2,
+                                 basix.LagrangeVariant.equispaced).points  # fmt: skip
+    cells = np.arange(len(nodes), dtype=np.int64)[None]
+    first = COMM.rank == 0
+    mesh = dolfinx.mesh.create_mesh(
+        COMM, cells if first else cells[:0], x=nodes if first else nodes[:0], e=element
+    )
+    assert mesh.topology.cell_name() == kind.name
+    mesh.topology.create_connectivity(1, 2)
+    facets = dolfinx.mesh.exterior_facet_indices(mesh.topology)
+    tags = dolfinx.mesh.meshtags(mesh, 1, facets, np.full(len(facets), 3, dtype=np.int32))
+    with pytest.raises(ValueError, match="cells of the mesh are of degree 2"):
+        create_surface(space(mesh), tags, 3, "slave")
+
+
+@pytest.mark.parametrize("tag", [2**40, -(2**31) - 1, 2**31, True, False, 3.0, "3", None])
+def test_tags_that_no_mesh_can_hold(tag):
+    mesh, _, tags = two_blocks(COMM, (4, 2), (3, 2))
+    with pytest.raises(ValueError, match=f"slave is {tag!r}: "):
+        create_surface(space(mesh), tags, tag, "slave")
+    with pytest.raises(ValueError, match=f"master is {tag!r}: "):
+        dm.Contact(tags, slave=3, master=tag)
+
+
+def test_tags_of_numpy():
+    mesh, _, tags = two_blocks(COMM, (4, 2), (3, 2))
+    assert create_surface(space(mesh), tags, np.int64(3), "slave").tag == 3

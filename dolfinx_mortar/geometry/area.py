@@ -25,6 +25,7 @@ import numpy.typing as npt
 import basix
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.geometry import polygons
+from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.geometry.plane import create_planes, height_at, inverse, project, stretch
 from dolfinx_mortar.geometry.polygons import TOUCHING, VERTICES
 
@@ -47,11 +48,11 @@ def _rules() -> tuple[Floats, Floats, Longs]:
 
 
 @numba.njit(cache=True)
-def _distance(S, M, x, y):  # type: ignore[no-untyped-def]
+def _distance(S, M, bilinear, x, y):  # type: ignore[no-untyped-def]
     """Return the distance of two projected facets at (x, y)."""
-    xi, eta, _ = inverse(S, x, y)
-    r, s, _ = inverse(M, x, y)
-    return abs(height_at(S, xi, eta) - height_at(M, r, s))
+    xi, eta, _ = inverse(S, bilinear[0], x, y)
+    r, s, _ = inverse(M, bilinear[1], x, y)
+    return abs(height_at(S, bilinear[0], xi, eta) - height_at(M, bilinear[1], r, s))
 
 
 @numba.njit(cache=True)
@@ -94,7 +95,7 @@ def _any_overlap(M, count):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _is_hidden(S, M, i, j, piece, size, common, spare):  # type: ignore[no-untyped-def]
+def _is_hidden(S, M, bilinear, i, j, piece, size, common, spare):  # type: ignore[no-untyped-def]
     """Tell whether facet j is nearer to the slave than facet i, behind the same part of it."""
     if i == j or not _overlap(M[i], M[j]):
         return False
@@ -103,7 +104,7 @@ def _is_hidden(S, M, i, j, piece, size, common, spare):  # type: ignore[no-untyp
     if polygons.is_thin(common, size):
         return False
     _, x, y = polygons.measure(common, size)
-    one, other = _distance(S, M[i], x, y), _distance(S, M[j], x, y)
+    one, other = _distance(S, M[i], bilinear, x, y), _distance(S, M[j], bilinear, x, y)
     return other < one or (other == one and j < i)
 
 
@@ -132,7 +133,7 @@ def _make_room(pieces, sizes, owner, count):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _keep_nearest(S, M, given, given_sizes, n):  # type: ignore[no-untyped-def]
+def _keep_nearest(S, M, bilinear, given, given_sizes, n):  # type: ignore[no-untyped-def]
     """Return polygons that cover the same without overlap; the nearest master gets each part.
 
     What a master facet hides is cut off by that facet's own edges; those of the polygons can be as
@@ -152,7 +153,7 @@ def _keep_nearest(S, M, given, given_sizes, n):  # type: ignore[no-untyped-def]
         _copy(given[i], given_sizes[i], pieces[count])
         count += 1
         for j in range(n):
-            if not _is_hidden(S, M, i, j, given[i], given_sizes[i], common, spare):
+            if not _is_hidden(S, M, bilinear, i, j, given[i], given_sizes[i], common, spare):
                 continue
             for k in range(first, count):
                 pieces, sizes, owner = _make_room(pieces, sizes, owner, count)
@@ -212,7 +213,7 @@ def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _triangulate(x_s, x_m, pairs, centre, axes):  # type: ignore[no-untyped-def]
+def _triangulate(x_s, x_m, bilinear, pairs, centre, axes):  # type: ignore[no-untyped-def]
     """Return the pair (t,) and the corners (t, 3, 2) of the triangles of all segments."""
     p = len(pairs)
     which, corners = np.empty(4 * p + 64, dtype=np.int64), np.empty((4 * p + 64, 3, 2))
@@ -232,7 +233,7 @@ def _triangulate(x_s, x_m, pairs, centre, axes):  # type: ignore[no-untyped-def]
         for i in range(n):
             owner[i] = i
         if _any_overlap(M, n):
-            pieces, sizes, owner, n = _keep_nearest(S, M, pieces, sizes, n)
+            pieces, sizes, owner, n = _keep_nearest(S, M, bilinear, pieces, sizes, n)
         for i in range(n):
             if sizes[i] > 2:
                 pair = row[owner[i]]
@@ -241,29 +242,30 @@ def _triangulate(x_s, x_m, pairs, centre, axes):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _variation(P, corners):  # type: ignore[no-untyped-def]
+def _variation(P, bilinear, corners):  # type: ignore[no-untyped-def]
     """Return the relative change of the Jacobian of a projected facet over a triangle."""
-    if P.shape[0] == 3:
+    if not bilinear:
         return 0.0
     low, high = np.inf, 0.0
     for v in range(3):
-        J = inverse(P, corners[v, 0], corners[v, 1])[2]
+        J = inverse(P, bilinear, corners[v, 0], corners[v, 1])[2]
         low, high = min(low, J), max(high, J)
     return (high - low) / (high + low)
 
 
 @numba.njit(cache=True)
-def _choose_rules(x_s, x_m, pairs, centre, axes, which, corners):  # type: ignore[no-untyped-def]
+def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners):  # type: ignore[no-untyped-def]
     """Return the number (t,) of the quadrature rule of each triangle."""
     rule = np.zeros(len(which), dtype=np.int64)
-    S, M = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3))
-    if len(S) + len(M) == 6:
+    if not (bilinear[0] or bilinear[1]):
         return rule
+    S, M = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3))
     for t in range(len(which)):
         s, m = pairs[which[t]]
         project(x_s[s], centre[s], axes[s], S)
         project(x_m[m], centre[s], axes[s], M)
-        variation = _variation(S, corners[t]) + _variation(M, corners[t])
+        variation = _variation(S, bilinear[0], corners[t])
+        variation += _variation(M, bilinear[1], corners[t])
         degree = 4.0
         if variation > 0.0:
             # the singularities of the inverse maps lie 1 / variation triangles away
@@ -273,7 +275,9 @@ def _choose_rules(x_s, x_m, pairs, centre, axes, which, corners):  # type: ignor
 
 
 @numba.njit(cache=True)
-def _place(x_s, x_m, pairs, centre, axes, radius, which, corners, rule, points, weights, start):  # type: ignore[no-untyped-def]
+def _place(  # type: ignore[no-untyped-def]
+    x_s, x_m, bilinear, pairs, centre, axes, radius, which, corners, rule, points, weights, start
+):
     """Return the pair, xi_s, xi_m and weight of all quadrature points."""
     total = 0
     for t in range(len(which)):
@@ -293,34 +297,33 @@ def _place(x_s, x_m, pairs, centre, axes, radius, which, corners, rule, points, 
         for i in range(start[rule[t]], start[rule[t] + 1]):
             x = c[0, 0] + points[i, 0] * ux + points[i, 1] * vx
             y = c[0, 1] + points[i, 0] * uy + points[i, 1] * vy
-            xi_s[q, 0], xi_s[q, 1], _ = inverse(S, x, y)
-            xi_m[q, 0], xi_m[q, 1], _ = inverse(M, x, y)
-            weight[q] = weights[i] * area * stretch(S, xi_s[q, 0], xi_s[q, 1])
+            xi_s[q, 0], xi_s[q, 1], _ = inverse(S, bilinear[0], x, y)
+            xi_m[q, 0], xi_m[q, 1], _ = inverse(M, bilinear[1], x, y)
+            ratio = stretch(S, bilinear[0], xi_s[q, 0], xi_s[q, 1])
+            weight[q] = weights[i] * area * ratio
             pair[q] = which[t]
             q += 1
     return pair, xi_s, xi_m, weight
 
 
 def place_points(
-    x_s: Floats, x_m: Floats, pairs: Ints
+    slave: Facets, master: Facets, pairs: Ints
 ) -> tuple[npt.NDArray[Any], Floats, Floats, Floats]:
     """Project, clip, split and place quadrature points.
 
     Facets whose projection is folded or inverted cover nothing.
 
     Args:
-        x_s: Node coordinates (ms, k, 3) of the slave facets.
-        x_m: Node coordinates (mm, k', 3) of the master facets.
+        slave: Slave facets (ms,).
+        master: Master facets (mm,).
         pairs: Pairs (p, 2) that face each other, ordered by slave facet.
 
     Returns:
         Index into the pairs (q,), xi_s (q, 2), xi_m (q, 2) and weight (q,) of the points.
     """
-    centre, axes, radius = create_planes(x_s)
-    x_s, x_m = np.ascontiguousarray(x_s), np.ascontiguousarray(x_m)
-    which, corners = _triangulate(x_s, x_m, pairs, centre, axes)
-    rule = _choose_rules(x_s, x_m, pairs, centre, axes, which, corners)
-    pair, xi_s, xi_m, weight = _place(
-        x_s, x_m, pairs, centre, axes, radius, which, corners, rule, *_rules()
-    )
+    centre, axes, radius = create_planes(slave)
+    sides = slave.linear, master.linear, (slave.element.bilinear, master.element.bilinear), pairs
+    which, corners = _triangulate(*sides, centre, axes)
+    rule = _choose_rules(*sides, centre, axes, which, corners)
+    pair, xi_s, xi_m, weight = _place(*sides, centre, axes, radius, which, corners, rule, *_rules())
     return pair, xi_s, xi_m, weight

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_mortar.arrays import Floats, Ints
-from dolfinx_mortar.geometry.facets import facet_normals
+from dolfinx_mortar.geometry.facets import Facets, facet_normals
 
 SHORTEST = 1e-12
 """Segments that are shorter than this part of half a slave facet are dropped."""
@@ -134,27 +134,28 @@ def _opposite(x_s: Floats, n_s: Floats, x_m: Floats, xi: Floats) -> Floats:
 
 
 def place_points(
-    x_s: Floats, n_s: Floats, x_m: Floats, pairs: Ints
+    slave: Facets, n_s: Floats, master: Facets, pairs: Ints
 ) -> tuple[npt.NDArray[Any], Floats, Floats, Floats]:
     """Project, clip and place three Gauss points on every segment.
 
     On flat facets the points integrate Phi_j N_l and Phi_j N_l (quadratic) exactly.
 
     Args:
-        x_s: Node coordinates (ms, 2, 2) of the slave facets.
-        n_s: Averaged normals (ms, 2, 2) at these nodes.
-        x_m: Node coordinates (mm, 2, 2) of the master facets.
+        slave: Slave facets (ms,).
+        n_s: Averaged normals (ms, 2, 2) at their nodes.
+        master: Master facets (mm,).
         pairs: Pairs (p, 2) that face each other, ordered by slave facet.
 
     Returns:
         Index into the pairs (q,), xi_s (q, 1), xi_m (q, 1) and weight (q,) of the points.
     """
-    which, ends = _clip(x_s, n_s, x_m, facet_normals(x_m), pairs)
-    slave, master = pairs[which].T
+    x_s, x_m = slave.linear, master.linear
+    which, ends = _clip(x_s, n_s, x_m, facet_normals(master), pairs)
+    s, m = pairs[which].T
     half = (ends[:, 1] - ends[:, 0]) / 2
     xi = (ends[:, 0] + ends[:, 1])[:, None] / 2 + half[:, None] * _POINTS
     length = np.linalg.norm(x_s[:, 1] - x_s[:, 0], axis=1)
-    weight = (half * length[slave] / 2)[:, None] * _WEIGHTS
-    xi_m = _opposite(x_s[slave], n_s[slave], x_m[master], xi)
+    weight = (half * length[s] / 2)[:, None] * _WEIGHTS
+    xi_m = _opposite(x_s[s], n_s[s], x_m[m], xi)
     which = np.repeat(which, len(_POINTS))
     return which, xi.reshape(-1, 1), xi_m.reshape(-1, 1), weight.ravel()

@@ -6,20 +6,21 @@ import numpy as np
 
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry import polygons
-from dolfinx_mortar.geometry.facets import bounding_balls, facet_normals
+from dolfinx_mortar.geometry.facets import Facets, bounding_balls, facet_normals
 
 _ROUND_OFF = 1e-9  # part of a slave facet by which the search may be too generous
 
 
-def create_planes(x_s: Floats) -> tuple[Floats, Floats, Floats]:
+def create_planes(slave: Facets) -> tuple[Floats, Floats, Floats]:
     """Return centres (m, 3), axes (m, 3, 3) and radii (m,) of the facets' auxiliary planes.
 
     Rows of the axes are two tangents and the normal, over the radius: (x - centre) @ axes.T has
     the size of one.
     """
+    x_s = slave.x
     centre, radius = bounding_balls(x_s)
     radius = np.maximum(radius, np.finfo(float).tiny)
-    n = facet_normals(x_s)
+    n = facet_normals(slave)
     t = x_s[:, 1] - x_s[:, 0]
     t = t - np.einsum("mi,mi->m", t, n)[:, None] * n
     t /= np.maximum(np.linalg.norm(t, axis=1), np.finfo(float).tiny)[:, None]
@@ -38,14 +39,14 @@ def project(x, centre, axes, P):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def inverse(P, x, y):  # type: ignore[no-untyped-def]
+def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
     """Return xi, eta and the size of the Jacobian where the projected facet P meets (x, y).
 
     The bilinear map is m + xi a + eta b + xi eta c. With p = m - (x, y), the cross product of
     p + xi a + eta (b + xi c) = 0 and b + xi c is C + B xi + A xi^2 = 0, and the derivative of its
     left-hand side is the Jacobian: the root inside is the one where it has the sign of a x b.
     """
-    if P.shape[0] == 3:
+    if not bilinear:
         a0, a1, b0, b1 = P[1, 0] - P[0, 0], P[1, 1] - P[0, 1], P[2, 0] - P[0, 0], P[2, 1] - P[0, 1]
         J = a0 * b1 - a1 * b0
         p0, p1 = x - P[0, 0], y - P[0, 1]
@@ -82,9 +83,9 @@ def inverse(P, x, y):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def height_at(P, xi, eta):  # type: ignore[no-untyped-def]
+def height_at(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
     """Return the height of the point (xi, eta) of a facet over the plane."""
-    if P.shape[0] == 3:
+    if not bilinear:
         return (1 - xi - eta) * P[0, 2] + xi * P[1, 2] + eta * P[2, 2]
     low = (1 - xi) * P[0, 2] + (1 + xi) * P[1, 2]
     high = (1 - xi) * P[3, 2] + (1 + xi) * P[2, 2]
@@ -92,9 +93,9 @@ def height_at(P, xi, eta):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def stretch(P, xi, eta):  # type: ignore[no-untyped-def]
+def stretch(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
     """Return the area of a facet per area in the plane at (xi, eta)."""
-    if P.shape[0] == 3:
+    if not bilinear:
         return 1.0
     a, b = np.empty(3), np.empty(3)
     for i in range(3):
@@ -129,16 +130,16 @@ def _are_near(x_s, x_m, pairs, centre, axes, radius, margin, turn):  # type: ign
     return near
 
 
-def are_near(x_s: Floats, x_m: Floats, pairs: Ints, margin: Floats, turn: float) -> Bools:
+def are_near(slave: Facets, master: Facets, pairs: Ints, margin: Floats, turn: float) -> Bools:
     """Tell (p,) which pairs come closer than a margin when projected on the slave's plane.
 
     Args:
-        x_s: Node coordinates (ms, k, 3) of the slave facets.
-        x_m: Node coordinates (mm, k', 3) of the master facets.
+        slave: Slave facets (ms,).
+        master: Master facets (mm,).
         pairs: Pairs (p, 2), ordered by slave facet.
         margin: Lateral margin (ms,).
         turn: Tangent of the rotation for which to provide.
     """
-    x_s, x_m = np.ascontiguousarray(x_s), np.ascontiguousarray(x_m)
-    near: Bools = _are_near(x_s, x_m, pairs, *create_planes(x_s), margin, turn)
+    planes = create_planes(slave)
+    near: Bools = _are_near(slave.linear, master.linear, pairs, *planes, margin, turn)
     return near

@@ -2,8 +2,7 @@
 r"""Which part of a slave facet lies over which master facet, and quadrature points there.
 
 Everything that depends on the space dimension is chosen here: the directions of projection,
-clipping and splitting (`line`, `area`). Facets are plain arrays of node coordinates;
-dofs, ranks and matrices are unknown here.
+clipping and splitting (`line`, `area`).
 
 A slave facet is projected along the interpolated averaged nodal normals in 2D, along its own mean
 normal in 3D.
@@ -16,6 +15,7 @@ import numpy as np
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry import area, line, plane
 from dolfinx_mortar.geometry.facets import (
+    Facets,
     bounding_balls,
     facet_normals,
     facet_sizes,
@@ -49,16 +49,16 @@ class Segments:
     facet_weights: Floats  # (ms, k) integral of N_j over each whole slave facet, covered or not
 
 
-def projection_directions(x_s: Floats, n_s: Floats) -> Floats:
+def projection_directions(slave: Facets, n_s: Floats) -> Floats:
     """Return the directions (m, k, d) in which slave facets are projected, (m, 1, d) if it is one.
 
     Args:
-        x_s: Node coordinates (m, k, d) of the slave facets.
-        n_s: Unit averaged normals (m, k, d) at these nodes.
+        slave: Slave facets (m,).
+        n_s: Unit averaged normals (m, k, d) at their nodes.
     """
-    if x_s.shape[2] == 2:
+    if slave.x.shape[2] == 2:
         return n_s
-    return facet_normals(x_s)[:, None]
+    return facet_normals(slave)[:, None]
 
 
 def sliding_margins(x_s: Floats) -> Floats:
@@ -75,14 +75,14 @@ def are_facing(n_s: Floats, n_m: Floats, slack: float = 0.0) -> Bools:
 
 
 def find_candidates(
-    x_s: Floats, n_s: Floats, x_m: Floats, margin: Floats, *, moving: bool = True
+    slave: Facets, n_s: Floats, master: Facets, margin: Floats, *, moving: bool = True
 ) -> Ints:
     """Find the pairs of facets that can share a segment, at any distance from each other.
 
     Args:
-        x_s: Node coordinates (ms, k, d) of the slave facets.
-        n_s: Unit averaged normals (ms, k, d) at these nodes.
-        x_m: Node coordinates (mm, k', d) of the master facets.
+        slave: Slave facets (ms,).
+        n_s: Unit averaged normals (ms, k, d) at their nodes.
+        master: Master facets (mm,).
         margin: Lateral margin (ms,) for which to provide.
         moving: Provide for the rotations TURN and FACING_MARGIN as well.
 
@@ -90,33 +90,32 @@ def find_candidates(
         Pairs (p, 2) of slave and master facet, ordered by slave, then master. Without margins they
         are still a superset of the pairs that have segments.
     """
-    n_s, turn = projection_directions(x_s, n_s), TURN if moving else 0.0
-    pairs = find_meeting(create_cones(x_s, n_s, margin, turn), *bounding_balls(x_m))
-    if x_s.shape[2] == 3:
-        pairs = pairs[plane.are_near(x_s, x_m, pairs, margin, turn)]
-    n_m = facet_normals(x_m)
+    n_s, turn = projection_directions(slave, n_s), TURN if moving else 0.0
+    pairs = find_meeting(create_cones(slave.x, n_s, margin, turn), *bounding_balls(master.x))
+    if slave.x.shape[2] == 3:
+        pairs = pairs[plane.are_near(slave, master, pairs, margin, turn)]
+    n_m = facet_normals(master)
     return pairs[are_facing(n_s[pairs[:, 0]], n_m[pairs[:, 1]], FACING_MARGIN if moving else 0.0)]
 
 
-def create_segments(x_s: Floats, n_s: Floats, x_m: Floats, pairs: Ints) -> Segments:
+def create_segments(slave: Facets, n_s: Floats, master: Facets, pairs: Ints) -> Segments:
     """Project, clip, split and place quadrature points.
 
     Where several master facets lie behind each other, the one at the smallest distance covers the
     slave.
 
     Args:
-        x_s: Node coordinates (ms, k, d) of the slave facets.
-        n_s: Averaged normals (ms, k, d) at these nodes.
-        x_m: Node coordinates (mm, k', d) of the master facets.
+        slave: Slave facets (ms,).
+        n_s: Averaged normals (ms, k, d) at their nodes.
+        master: Master facets (mm,).
         pairs: Candidates (p, 2), ordered by slave facet.
     """
-    n_s = projection_directions(x_s, n_s)
-    n_m = facet_normals(x_m)
+    n_s, n_m = projection_directions(slave, n_s), facet_normals(master)
     facing = np.flatnonzero(are_facing(n_s[pairs[:, 0]], n_m[pairs[:, 1]]))
-    if x_s.shape[2] == 2:
-        which, xi_s, xi_m, weight = line.place_points(x_s, n_s, x_m, pairs[facing])
+    if slave.x.shape[2] == 2:
+        which, xi_s, xi_m, weight = line.place_points(slave, n_s, master, pairs[facing])
     else:
-        which, xi_s, xi_m, weight = area.place_points(x_s, x_m, pairs[facing])
+        which, xi_s, xi_m, weight = area.place_points(slave, master, pairs[facing])
     pair = facing[which].astype(np.int32)
-    slave, master = pairs[pair].T
-    return Segments(pair, slave, master, xi_s, xi_m, weight, tributary_weights(x_s))
+    s, m = pairs[pair].T
+    return Segments(pair, s, m, xi_s, xi_m, weight, tributary_weights(slave))

@@ -113,13 +113,13 @@ class Link:
         """Column of the frames in use (n, d) that is a prescribed Cartesian direction, else -1."""
         axes = np.arange(self.coupling.slot.shape[1], dtype=np.int32)
         left = np.where(self.sides.fixed[self.nodes], axes, -1)
-        bound = self.constrained.any(axis=1)[:, None]
+        bound = np.asarray(self.constrained.any(axis=1))[:, None]
         return np.where(bound, self.coupling.slot, left).astype(np.int32)
 
     @property
     def frames(self) -> Floats:
         """Frames in use (n, d, d): Cartesian ones where nothing is bound."""
-        bound = self.constrained.any(axis=1)[:, None, None]
+        bound = np.asarray(self.constrained.any(axis=1))[:, None, None]
         return np.where(bound, self.coupling.R, np.eye(self.coupling.R.shape[1]))
 
     def relative(self, v: PETSc.Vec) -> Floats:
@@ -160,16 +160,16 @@ def find_sides(interface: Interface, V: fem.FunctionSpace, fixed: Bools) -> Side
         V: the vector space of the displacement.
         fixed: (local nodes, d) True where a direction of a node is prescribed.
     """
-    surfaces = [
-        create_surface(V, interface.facet_tags, tag, name)
-        for name, tag in (("slave", interface.slave), ("master", interface.master))
-    ]
-    marks = []
-    for surface in surfaces:
-        owned = np.zeros(V.dofmap.index_map.size_local, dtype=bool)
-        owned[surface.nodes[: surface.owned]] = True
-        marks.append(share(V, owned))
-    return Sides(V, *surfaces, *marks, fixed)
+    slave = create_surface(V, interface.facet_tags, interface.slave, "slave")
+    master = create_surface(V, interface.facet_tags, interface.master, "master")
+    return Sides(V, slave, master, _mark(slave), _mark(master), fixed)
+
+
+def _mark(surface: Surface) -> Bools:
+    """Return which local nodes lie on a surface; collective."""
+    owned = np.zeros(surface.V.dofmap.index_map.size_local, dtype=bool)
+    owned[surface.nodes[: surface.owned]] = True
+    return share(surface.V, owned)
 
 
 def pair(sides: Sides, u: fem.Function | None) -> tuple[Pairing, Pattern]:
@@ -230,7 +230,8 @@ def couple(
     free = normals * ~sides.fixed[nodes]
     left = np.linalg.norm(free, axis=1)
     allowed = interface.may_carry(left, sides.fixed[nodes]) & ~banned[nodes, None]
-    P, weight = [], []
+    P: list[Floats] = []
+    weight: list[Floats] = []
     differ = any_rank(sides.V.mesh.comm, *(allowed != allowed[:, :1]).any(axis=0))
     for c in range(allowed.shape[1]):  # choices that keep the same nodes share one assembly
         if c > 0 and not differ[c]:

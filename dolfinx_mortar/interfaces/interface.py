@@ -15,7 +15,7 @@ from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import Constraints
-from dolfinx_mortar.mortar.surface import check_tags
+from dolfinx_mortar.mortar.surface import check_tag, check_tags
 
 
 class NoResult(RuntimeError, AttributeError):
@@ -77,8 +77,7 @@ class Interface:
         """Keep the description; surfaces are found when a problem takes the interface."""
         check_tags(facet_tags)
         for name, tag in (("slave", slave), ("master", master)):
-            if not isinstance(tag, int | np.integer):
-                raise ValueError(f"{name} is {tag!r}: give a tag of facet_tags, an integer")
+            check_tag(name, tag)
         if slave == master:
             raise ValueError(f"slave and master are both tag {slave}: give two different tags")
         self.facet_tags, self.slave, self.master = facet_tags, slave, master

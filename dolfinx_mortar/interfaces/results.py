@@ -29,7 +29,8 @@ def set_results(link: Link, reaction: Floats, gap: Floats, active: Bools, x: Flo
     """
     fields = link.interface.fields
     assert fields is not None
-    kept, D = link.coupling.kept.any(axis=1), link.coupling.weight
+    kept: Bools = np.asarray(link.coupling.kept.any(axis=1))
+    D = link.coupling.weight
     weight = np.broadcast_to(D, reaction.shape)
     multiplier = np.divide(reaction, weight, out=np.zeros_like(reaction), where=weight > 0)
     forces = np.einsum("nij,nj->ni", link.coupling.R, reaction)
@@ -61,7 +62,7 @@ def _resultants(link: Link, forces: Floats, multiplier: Floats, x: Floats) -> Re
         master_moment=total[1, 1],
         multiplier=multiplier[:, 0] if link.coupling.kept.shape[1] == 1 else multiplier,
         nodes=link.nodes,
-        carries=link.coupling.kept.any(axis=1),
+        carries=np.asarray(link.coupling.kept.any(axis=1)),
     )
 
 

@@ -142,3 +142,7 @@ def dual_values(N_s: Floats, weight: Floats, slave: Ints, keep: Bools) -> Floats
     """
     N_s, weight = np.ascontiguousarray(N_s), np.ascontiguousarray(weight)
     return _all_duals(N_s, weight, np.ascontiguousarray(slave), np.ascontiguousarray(keep))
+
+
+BASES = {"biorthogonal": dual_values}
+"""Values of the multiplier's basis by the kind that a FacetElement names."""

@@ -19,14 +19,14 @@ import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra import triplets
 from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.geometry.facets import shape_functions
 from dolfinx_mortar.geometry.segments import Segments, create_segments
-from dolfinx_mortar.mortar.dual import covered_weights, dual_values
+from dolfinx_mortar.mortar.dual import BASES, covered_weights
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
     Surface,
     accumulate,
     coordinates,
+    facets_at,
     nodal_normals,
 )
 
@@ -42,8 +42,8 @@ def find_segments(pairing: Pairing, u: dolfinx.fem.Function | None) -> tuple[Seg
     slave = pairing.slave
     x = coordinates(slave, u)
     normals = nodal_normals(slave, x)
-    x_m = received_facets(pairing, u)
-    segments = create_segments(x[slave.facets], normals[slave.facets], x_m, pairing.pairs)
+    master = received_facets(pairing, u)
+    segments = create_segments(facets_at(slave, x), normals[slave.facets], master, pairing.pairs)
     return segments, normals
 
 
@@ -57,7 +57,7 @@ def _sum_facets(surface: Surface, values: Floats) -> Floats:
 def node_weights(pairing: Pairing, segments: Segments) -> tuple[Floats, Floats]:
     """Return int N_j over the covered part and the whole slave side, (n,) each (collective)."""
     slave = pairing.slave
-    N_s = shape_functions(segments.xi_s, slave.facets.shape[1])
+    N_s = slave.element.shape_functions(segments.xi_s)
     covered = covered_weights(N_s, segments.weight, segments.slave, len(slave.facets))
     return _sum_facets(slave, covered), _sum_facets(slave, segments.facet_weights)
 
@@ -131,10 +131,12 @@ def assemble_node_matrices(
         not. Over the kept nodes D is diagonal (exactly: the other integrals vanish by construction
         and are not computed).
     """
-    N_s = shape_functions(segments.xi_s, pairing.slave.facets.shape[1])
-    N_m = shape_functions(segments.xi_m, pairing.master_facets.shape[1])
+    element = pairing.slave.element
+    N_s = element.shape_functions(segments.xi_s)
+    N_m = pairing.master.element.shape_functions(segments.xi_m)
     kept = keep[pairing.slave.facets]
-    Phi = dual_values(N_s, segments.weight, segments.slave, kept) * segments.weight[:, None]
+    Phi = BASES[element.multiplier](N_s, segments.weight, segments.slave, kept)
+    Phi *= segments.weight[:, None]
     paired = np.unique(pairing.pairs[:, 0])
     blocks_D = _integrate(Phi, N_s, segments.slave, len(kept))[paired]
     both = kept[paired][:, :, None] & kept[paired][:, None, :]

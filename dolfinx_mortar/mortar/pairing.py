@@ -17,8 +17,9 @@ import numpy as np
 import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra import triplets
+from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
-from dolfinx_mortar.geometry.facets import bounding_balls, facet_normals
+from dolfinx_mortar.geometry.facets import Facets, bounding_balls, facet_normals
 from dolfinx_mortar.geometry.search import Cones, create_cones, find_meeting
 from dolfinx_mortar.geometry.segments import (
     TURN,
@@ -27,7 +28,7 @@ from dolfinx_mortar.geometry.segments import (
     projection_directions,
     sliding_margins,
 )
-from dolfinx_mortar.mortar.surface import Surface, coordinates, nodal_normals
+from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, nodal_normals
 
 _GROUPS = 16  # cones by which a rank tells the others where it needs master facets
 
@@ -51,11 +52,11 @@ class Pairing:
     M: PETSc.Mat  # (nodes, nodes) of V: int Phi_j N_l^m, pattern of all candidate pairs
 
 
-def _facet_arrays(surface: Surface, u: dolfinx.fem.Function | None) -> tuple[Floats, Floats]:
-    """Return coordinates and directions of projection (m, k, d) of the facets (collective)."""
-    x = coordinates(surface, u)
-    x_f, n_f = x[surface.facets], nodal_normals(surface, x)[surface.facets]
-    return x_f, projection_directions(x_f, n_f)
+def _slave_facets(slave: Surface, u: dolfinx.fem.Function | None) -> tuple[Facets, Floats]:
+    """Return the facets and their directions of projection (m, k or 1, d) (collective)."""
+    x = coordinates(slave, u)
+    facets = facets_at(slave, x)
+    return facets, projection_directions(facets, nodal_normals(slave, x)[slave.facets])
 
 
 def _group(x: Floats) -> list[Ints]:
@@ -171,12 +172,21 @@ def _check_surfaces(
         )
 
 
-def _check_facing(pairs: Ints, slave: Surface, master: Surface, n_s: Floats, x_m: Floats) -> None:
+def _check_finite(u: dolfinx.fem.Function | None, *sides: Surface) -> None:
+    """Raise a ValueError on all ranks if X + u is not finite on a side (collective)."""
+    finite = all(np.isfinite(coordinates(side, u)).all() for side in sides)
+    if any_rank(sides[0].V.mesh.comm, not finite)[0]:
+        raise ValueError(
+            "u holds NaN or infinity at nodes of slave or master; check the displacement."
+        )
+
+
+def _check_facing(pairs: Ints, slave: Surface, master: Surface, n_s: Floats, n_m: Floats) -> None:
     """Raise a ValueError on all ranks if no slave facet faces any master facet (collective)."""
     comm = slave.V.mesh.comm
     if comm.allreduce(len(pairs)):
         return
-    n_m = np.concatenate(comm.allgather(facet_normals(x_m)))
+    n_m = np.concatenate(comm.allgather(n_m))
     facing = any(are_facing(np.broadcast_to(n, (len(n_m), *n.shape)), n_m).any() for n in n_s)
     if not comm.allreduce(int(facing)):
         raise ValueError(
@@ -200,24 +210,25 @@ def create_pairing(
     for small rotations; `outside_margin` tells when that is used up.
 
     Raises:
-        ValueError: On all ranks, if the sides share facets, belong to another space, or no slave
-            facet faces a master facet.
+        ValueError: On all ranks, if the sides share facets, belong to another space, u is not
+            finite there, or no slave facet faces a master facet.
     """
     _check_surfaces(V, slave, master, u)
+    _check_finite(u, slave, master)
     comm = V.mesh.comm
-    x_s, n_s = _facet_arrays(slave, u)
-    x_m = coordinates(master, u)[master.facets]
-    margin, groups = sliding_margins(x_s) * moving, _group(x_s)
-    receivers: Bools = np.ones((len(x_m), 1), dtype=bool)
+    slaves, n_s = _slave_facets(slave, u)
+    masters = facets_at(master, coordinates(master, u))
+    margin, groups = sliding_margins(slaves.x) * moving, _group(slaves.x)
+    receivers: Bools = np.ones((len(masters.x), 1), dtype=bool)
     if comm.size > 1:
         receivers = _find_receivers(
-            comm, _group_cones(x_s, n_s, groups, margin, TURN * moving), x_m
+            comm, _group_cones(slaves.x, n_s, groups, margin, TURN * moving), masters.x
         )
     nodes, facets, X = _send_facets(master, receivers)
     scatter, received = _create_scatter(V, nodes)
-    x_received = _master_coordinates(X, scatter, received, u)[facets]
-    pairs = find_candidates(x_s, n_s, x_received, margin, moving=moving)
-    _check_facing(pairs, slave, master, n_s, x_m)
+    copies = Facets(master.element, _master_coordinates(X, scatter, received, u)[facets])
+    pairs = find_candidates(slaves, n_s, copies, margin, moving=moving)
+    _check_facing(pairs, slave, master, n_s, facet_normals(masters))
     D, M = _create_matrices(slave, pairs, nodes, facets)
     return Pairing(
         slave, master, pairs, nodes, facets, X, margin, receivers, groups, scatter, received, D, M
@@ -234,10 +245,10 @@ def _master_coordinates(
     return X + received.array_r.reshape(X.shape)
 
 
-def received_facets(pairing: Pairing, u: dolfinx.fem.Function | None) -> Floats:
-    """Return the coordinates (mm, k, d) of the received master facets (collective)."""
+def received_facets(pairing: Pairing, u: dolfinx.fem.Function | None) -> Facets:
+    """Return the received master facets at X + u (collective)."""
     x = _master_coordinates(pairing.master_X, pairing.scatter, pairing.received, u)
-    return x[pairing.master_facets]
+    return Facets(pairing.master.element, x[pairing.master_facets])
 
 
 @timed("~Mortar: margin")
@@ -247,7 +258,8 @@ def outside_margin(
     """Tell whether a segment at X + u can belong to a pair that is not a candidate (collective).
 
     The broad phase without margin is repeated and must not find anything new, so the answer
-    depends on the relative motion of the two sides only, and False is always safe.
+    depends on the relative motion of the two sides only, and False is always safe. True where u is
+    not finite: the search that is due then names it.
 
     Args:
         pairing: The pair of surfaces.
@@ -255,19 +267,20 @@ def outside_margin(
         among: Slave facets of this rank (ms,) to look at; all if not given.
     """
     comm = pairing.slave.V.mesh.comm
-    x_s, n_s = _facet_arrays(pairing.slave, u)
-    x_m = received_facets(pairing, u)
-    none = np.zeros(len(x_s))
-    among = np.ones(len(x_s), dtype=bool) if among is None else among
+    slave, n_s = _slave_facets(pairing.slave, u)
+    master = received_facets(pairing, u)
+    none, count = np.zeros(len(slave.x)), len(master.x)
+    among = np.ones(len(none), dtype=bool) if among is None else among
     asked = np.flatnonzero(among)
-    pairs = find_candidates(x_s[asked], n_s[asked], x_m, none[asked], moving=False)
+    pairs = find_candidates(slave[asked], n_s[asked], master, none[asked], moving=False)
     pairs[:, 0] = asked[pairs[:, 0]]
-    fresh, known = (p[:, 0].astype(np.int64) * len(x_m) + p[:, 1] for p in (pairs, pairing.pairs))
+    fresh, known = (p[:, 0].astype(np.int64) * count + p[:, 1] for p in (pairs, pairing.pairs))
     missing = not np.isin(fresh, known, assume_unique=True).all()
+    missing = missing or not (np.isfinite(slave.x).all() and np.isfinite(master.x).all())
     if comm.size > 1:
         x_own = coordinates(pairing.master, u)[pairing.master.facets]
         groups = [group[among[group]] for group in pairing.groups]
-        cones = _group_cones(x_s, n_s, [group for group in groups if len(group)], none, 0.0)
+        cones = _group_cones(slave.x, n_s, [group for group in groups if len(group)], none, 0.0)
         receivers = _find_receivers(comm, cones, x_own)
         missing = missing or bool((receivers & ~pairing.sent).any())
     return bool(comm.allreduce(int(missing)))

@@ -10,22 +10,16 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+import basix
 import dolfinx
 from dolfinx_mortar import compat
 from dolfinx_mortar.arrays import Floats, Ints
-from dolfinx_mortar.geometry.facets import distortions, facet_normals
+from dolfinx_mortar.geometry.elements import FACETS_OF, FacetElement
+from dolfinx_mortar.geometry.facets import Facets, distortions, facet_normals
+from dolfinx_mortar.mortar.space import check_space
 
-_FACETS = {
-    "triangle": "interval",
-    "quadrilateral": "interval",
-    "tetrahedron": "triangle",
-    "hexahedron": "quadrilateral",
-}
-"""The supported cells and their facets."""
 _MOST_WARPED = 0.3
 """Smallest cosine between the normal at a corner of a quadrilateral and its mean normal."""
-_LOOPS = {"interval": [0, 1], "triangle": [0, 1, 2], "quadrilateral": [0, 1, 3, 2]}
-"""Order in which the nodes of a dolfinx facet are passed on the way around it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,46 +36,29 @@ class Surface:
     tag: int
     nodes: Ints  # (n,) local nodes, ascending: owned ones first, ghosts after them
     owned: int  # number of owned nodes
+    element: FacetElement
     facets: Ints  # (m, k) indices into nodes, such that the area vectors point outwards
     entities: Ints  # (m,) local facets of the mesh
-    cell: str  # "interval", "triangle" or "quadrilateral"
     X: Floats  # (n, d) reference coordinates of the nodes
     sums: PETSc.Vec  # one entry per node, ghosted: work vector of `accumulate`
-
-
-def _is_vector_p1(V: dolfinx.fem.FunctionSpace) -> bool:
-    """Tell whether V is made of continuous vector Lagrange elements of degree 1."""
-    if V.dofmap.index_map_bs != V.mesh.geometry.dim:
-        return False
-    element = V.ufl_element()
-    if element.family_name not in ("P", "Q", "Lagrange") or element.reference_value_size < 2:
-        return False
-    return not element.discontinuous and V.element.basix_element.degree == 1
-
-
-def _check_space(V: dolfinx.fem.FunctionSpace) -> None:
-    """Raise a ValueError, without communication, for spaces that are not supported."""
-    if np.issubdtype(PETSc.ScalarType, np.complexfloating):
-        raise ValueError("PETSc was built for complex numbers; use a build for real numbers.")
-    cell, d = V.mesh.topology.cell_name(), V.mesh.geometry.dim
-    if cell not in _FACETS or d != V.mesh.topology.dim:
-        raise ValueError(
-            f"V: cells of type {cell} in {d}D are not supported; use one of {sorted(_FACETS)}, "
-            "the same for all bodies."
-        )
-    if V.component():
-        raise ValueError("V is a part of a larger space; use V.collapse()[0].")
-    if not _is_vector_p1(V):
-        raise ValueError(
-            f"V: the element is {V.ufl_element()}; it has to be a continuous vector Lagrange "
-            f'element of degree 1, functionspace(mesh, ("Lagrange", 1, ({d},))).'
-        )
 
 
 def check_tags(facet_tags: Any) -> None:
     """Raise a ValueError unless the argument is a MeshTags."""
     if not isinstance(facet_tags, dolfinx.mesh.MeshTags):
         raise ValueError(f"facet_tags is {facet_tags!r}: give a dolfinx.mesh.MeshTags of facets.")
+
+
+def check_tag(name: str, tag: Any) -> None:
+    """Raise a ValueError unless the argument `name` is a value that MeshTags can hold."""
+    if isinstance(tag, bool) or not isinstance(tag, int | np.integer):
+        raise ValueError(f"{name} is {tag!r}: give a tag of facet_tags, an integer")
+    limits = np.iinfo(np.int32)
+    if not limits.min <= tag <= limits.max:
+        raise ValueError(
+            f"{name} is {tag}: tags lie between {limits.min} and {limits.max} (32 bits); give one "
+            "that facet_tags has"
+        )
 
 
 def _share_tags(facet_tags: dolfinx.mesh.MeshTags, tag: int) -> Ints:
@@ -99,6 +76,7 @@ def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str
     topology, comm = V.mesh.topology, V.mesh.comm
     fdim = topology.dim - 1
     check_tags(facet_tags)
+    check_tag(name, tag)
     if not compat.on_same_mesh(facet_tags, V.mesh):
         raise ValueError(f"facet_tags ({name}={tag}) belong to another mesh than V.")
     if facet_tags.dim != fdim:
@@ -129,21 +107,21 @@ def _facet_nodes(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, In
     facet_cells = topology.connectivity(tdim - 1, tdim)
     cells = facet_cells.array[facet_cells.offsets[entities]]
     assert (cells < topology.index_map(tdim).size_local).all()
-    count = len(topology.connectivity(tdim, tdim - 1).links(0))
+    count = len(basix.topology(V.mesh.basix_cell())[tdim - 1])  # ranks may have no cell to ask
     cell_facets = topology.connectivity(tdim, tdim - 1).array.reshape(-1, count)
     local = np.argmax(cell_facets[cells] == entities[:, None], axis=1)
-    loop = _LOOPS[_FACETS[topology.cell_name()]]
+    order = FACETS_OF[topology.cell_name()].order
     layout = V.dofmap.dof_layout
-    closure = np.array([layout.entity_closure_dofs(tdim - 1, i) for i in range(count)])[:, loop]
+    closure = np.array([layout.entity_closure_dofs(tdim - 1, i) for i in range(count)])[:, order]
     return V.dofmap.list[cells[:, None], closure[local]], cells
 
 
 def _order_outwards(X: Floats, nodes: Ints, cells: Ints, V: dolfinx.fem.FunctionSpace) -> Ints:
     """Reverse facets whose normal points into their cell."""
-    x = X[nodes]
-    inwards = x.mean(axis=1) - X[V.dofmap.list[cells]].mean(axis=1)
-    wrong = (facet_normals(x) * inwards).sum(axis=1) < 0
-    return np.where(wrong[:, None], nodes[:, ::-1], nodes)
+    element, x = FACETS_OF[V.mesh.topology.cell_name()], X[nodes]
+    outwards = x.mean(axis=1) - X[V.dofmap.list[cells]].mean(axis=1)
+    wrong = (facet_normals(Facets(element, x)) * outwards).sum(axis=1) < 0
+    return np.where(wrong[:, None], nodes[:, element.mirrored], nodes)
 
 
 def _create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, PETSc.Vec]:
@@ -163,10 +141,10 @@ def _create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, 
     return np.concatenate([owned, ghosts]).astype(np.int32), len(owned), sums
 
 
-def _check_shapes(x: Floats, comm: MPI.Comm, name: str) -> None:
-    """Raise a ValueError on all ranks for facets x (m, k, d) without a usable shape."""
-    finite = np.isfinite(x).all()
-    quality = distortions(x) if finite else np.zeros(0)
+def _check_shapes(facets: Facets, comm: MPI.Comm, name: str) -> None:
+    """Raise a ValueError on all ranks for facets without a usable shape."""
+    finite = np.isfinite(facets.x).all()
+    quality = distortions(facets) if finite else np.zeros(0)
     bad = comm.allreduce(np.array([not finite, (quality < _MOST_WARPED).sum()], dtype=int))
     if bad[0]:
         raise ValueError(f"{name}: coordinates of the mesh are not finite.")
@@ -191,26 +169,27 @@ def create_surface(
         name: Name of the argument, for messages.
 
     Raises:
-        ValueError: On all ranks, for a space that is not supported, tags of another mesh or
-            dimension, a tag that marks no or interior facets, coordinates that are not finite,
-            facets that are degenerate, inverted or badly warped.
+        ValueError: On all ranks, for a space that is not supported, curved cells, tags of another
+            mesh or dimension, a tag that is no 32 bit integer or marks no or interior facets,
+            coordinates that are not finite, facets that are degenerate, inverted or badly warped.
     """
-    _check_space(V)
+    check_space(V)
+    element = FACETS_OF[V.mesh.topology.cell_name()]
     entities = _marked_facets(V, facet_tags, tag, name)
     facet_nodes, cells = _facet_nodes(V, entities)
     X = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
     facet_nodes = _order_outwards(X, facet_nodes, cells, V)
     nodes, owned, sums = _create_sums(V, np.unique(facet_nodes))
-    _check_shapes(X[facet_nodes], V.mesh.comm, f"{name}={tag}")
+    _check_shapes(Facets(element, X[facet_nodes]), V.mesh.comm, f"{name}={tag}")
     return Surface(
         V=V,
         name=name,
         tag=tag,
         nodes=nodes,
         owned=owned,
+        element=element,
         facets=np.searchsorted(nodes, facet_nodes).astype(np.int32),
         entities=entities,
-        cell=_FACETS[V.mesh.topology.cell_name()],
         X=np.ascontiguousarray(X[nodes]),
         sums=sums,
     )
@@ -239,13 +218,18 @@ def coordinates(surface: Surface, u: dolfinx.fem.Function | None) -> Floats:
     return surface.X + u.x.array.reshape(-1, surface.X.shape[1])[surface.nodes]
 
 
+def facets_at(surface: Surface, x: Floats) -> Facets:
+    """Return the facets of a surface whose nodes have the coordinates x (n, d)."""
+    return Facets(surface.element, x[surface.facets])
+
+
 def nodal_normals(surface: Surface, x: Floats) -> Floats:
     """Return the averaged unit normals (n, d) of the nodes (collective).
 
     n_j is the normalised sum of the unit normals of all facets of this surface at node j, without
     weights; zero where they cancel.
     """
-    n_f = np.repeat(facet_normals(x[surface.facets]), surface.facets.shape[1], axis=0)
+    n_f = np.repeat(facet_normals(facets_at(surface, x)), surface.facets.shape[1], axis=0)
     where = surface.facets.ravel()
     local = np.stack([np.bincount(where, n, minlength=len(x)) for n in n_f.T], axis=1)
     total = accumulate(surface, local)
@@ -254,7 +238,8 @@ def nodal_normals(surface: Surface, x: Floats) -> Floats:
 
 def mean_facet_length(surface: Surface) -> float:
     """Return the mean length of the first edges of the facets at X (collective)."""
-    edges = surface.X[surface.facets[:, 1]] - surface.X[surface.facets[:, 0]]
+    first, second = surface.element.vertices[:2]
+    edges = surface.X[surface.facets[:, second]] - surface.X[surface.facets[:, first]]
     local = np.array([np.linalg.norm(edges, axis=1).sum(), len(edges)])
     total, count = surface.V.mesh.comm.allreduce(local)
     return float(total / count)

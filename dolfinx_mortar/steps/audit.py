@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.geometry.facets import facet_normals, facet_sizes
+from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
 from dolfinx_mortar.interfaces.coupling import Link
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.pairing import Pairing
@@ -200,5 +200,7 @@ def _count_facing_away(pairing: Pairing) -> int:
     if len(x_s) == 0 or len(x_m) == 0:
         return 0
     distance, nearest = cKDTree(x_m.mean(axis=1)).query(x_s.mean(axis=1))
-    opposed = np.einsum("mi,mi->m", facet_normals(x_s), facet_normals(x_m)[nearest])
+    n_s = facet_normals(Facets(pairing.slave.element, x_s))
+    n_m = facet_normals(Facets(pairing.master.element, x_m))
+    opposed = np.einsum("mi,mi->m", n_s, n_m[nearest])
     return int(((distance < facet_sizes(x_s)) & (opposed > BACK)).sum())

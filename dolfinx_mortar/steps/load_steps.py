@@ -7,8 +7,6 @@ import logging
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.steps.checks import check_load_steps, check_problem

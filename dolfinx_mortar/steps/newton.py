@@ -376,6 +376,8 @@ class _Step:
         """Set what the step has found."""
         problem, report = self.problem, self.report
         problem.committed.active = iterate.contacts.active
+        with problem.timings("results"):
+            problem.solid.evaluate()
         set_results(problem, iterate.balance, iterate.contacts)
         report.certificate = create_certificate(problem, report, iterate.balance)
         report.converged = True

@@ -196,9 +196,9 @@ class ContactProblem:
         """Read loads and Dirichlet values of a step, and move the bodies with them; collective.
 
         Every body, or tied group of bodies, is moved as a whole by the mean of its prescribed
-        increments. That strains nothing, and takes from the first QP what would be forty times the contact force in the
-        paper's problem; and a disc that is pressed down by many facet lengths meets other partners
-        than where it started.
+        increments. That strains nothing, and takes from the first QP what would be forty times the
+        contact force in the paper's problem; and a disc that is pressed down by many facet lengths
+        meets other partners than where it started.
 
         Raises:
             ValueError: on NaN or infinity in either, or in the displacement or the coordinates,
@@ -272,7 +272,6 @@ class ContactProblem:
     def commit(self) -> None:
         """Make the converged step the state from which the next one starts; collective."""
         with self.timings("commit"):
-            self.solid.evaluate()
             self.solid.commit()
 
     def output_fields(self) -> dict[str, fem.Function]:

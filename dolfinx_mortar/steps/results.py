@@ -38,6 +38,6 @@ def set_results(problem: ContactProblem, balance: Balance, contacts: Contacts) -
             link,
             np.where(on, forces[link.nodes], 0.0),
             gap[link.nodes] if one_sided else np.zeros(len(link.nodes)),
-            active & (on.any(axis=1) | (not one_sided)),
+            np.asarray(active & (on.any(axis=1) | (not one_sided))),
             problem.X if frozen else moved,  # where the forces act
         )

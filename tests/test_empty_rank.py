@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: MIT
+"""A rank without cells, or without a facet of the interface, takes part like any other."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx import fem
+from dolfinx_mortar.steps.bodies import find_bodies
+from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, RIGHT, TOP, TOP_OF_LOWER, two_blocks
+from tests.meshes_3d import two_boxes
+
+COMM = MPI.COMM_WORLD
+pytestmark = pytest.mark.mpi
+
+
+def pressed(comm, partition, d, kind, law):
+    """Return force, certificate and number of cells of each rank of two blocks pressed together."""
+    if d == 2:
+        mesh, cells, facets = two_blocks(comm, (5, 2), (7, 2), jitter=0.3, partition=partition)
+    else:
+        mesh, cells, facets = two_boxes(
+            comm, (2, 3, 1), (3, 2, 1), cell="hexahedron", jitter=0.3, partition=partition
+        )
+    V = fem.functionspace(mesh, ("Lagrange", 1, (d,)))
+    bcs = []
+    for tag, value in ((BOTTOM, 0.0), (TOP, -0.01)):
+        dofs = fem.locate_dofs_topological(V, d - 1, facets.find(tag))
+        bcs.append(fem.dirichletbc(np.append(np.zeros(d - 1), value), dofs, V))
+    solid = dm.Solid(fem.Function(V), {1: dm.Elastic(1000.0, 0.3), 2: law}, cells)
+    interface = kind(facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
+    problem = dm.ContactProblem(solid, [interface], bcs=bcs)
+    report = dm.newton(problem, rtol=1e-11)
+    problem.commit()
+    count = mesh.topology.index_map(d).size_local
+    return np.array(interface.force), report.certificate, comm.allgather(count)
+
+
+LAWS = [dm.Elastic(500.0, 0.2), dm.VonMises(E=1000.0, nu=0.3, Y=2.0, a=100.0)]
+
+
+@pytest.mark.parametrize("law", LAWS, ids=["elastic", "plastic"])
+@pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
+@pytest.mark.parametrize("d", [2, 3])
+def test_same_force_with_a_rank_that_has_nothing(d, kind, law):
+    alone, _, _ = pressed(MPI.COMM_SELF, "graph", d, kind, law)
+    force, certificate, cells = pressed(COMM, "empty", d, kind, law)
+    assert COMM.size == 1 or cells[-1] == 0
+    assert np.abs(force - alone).max() < 1e-9 * np.abs(alone).max()
+    assert certificate.force_balance < 1e-9
+
+
+def test_bodies_are_counted_without_the_empty_rank():
+    mesh, _, facets = two_blocks(COMM, (5, 2), (7, 2), gap=0.1, partition="empty")
+    bodies = find_bodies(fem.functionspace(mesh, ("Lagrange", 1, (2,))))
+    assert bodies.count == 2
+    assert np.abs(np.sort(bodies.centre[:, 1]) - [-0.5, 0.6]).max() < 1e-12
+    assert COMM.allreduce(len(facets.find(LEFT)) + len(facets.find(RIGHT))) == 8
+
+
+def test_operators_with_a_rank_that_has_nothing():
+    mesh, _, facets = two_blocks(COMM, (4, 2), (3, 2), partition="empty")
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    mortar = dm.assemble_mortar(V, facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
+    assert mortar.gap.getSize() == 5
+    assert len(mortar.nodes) == 0 or COMM.size == 1 or COMM.rank < COMM.size - 1
+    with pytest.raises(ValueError, match="can never meet"):
+        dm.assemble_mortar(V, facets, slave=TOP_OF_LOWER, master=TOP)
