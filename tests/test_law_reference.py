@@ -142,8 +142,9 @@ def test_all_steps(run: dict) -> None:
 def test_one_step_and_quadratic_tail(run: dict) -> None:
     """One step to the full load agrees, and the error is squared from one iteration to the next."""
     solid, load = create_solid(run)
-    history = create_driver(solid)(1.0)
-    computed = Observer(solid, load)()
+    solve, observe = create_driver(solid), Observer(solid, load)
+    history = solve(1.0)
+    computed = observe()
     for name, value in computed.items():
         assert np.isclose(value, run["one_step_to_zeta_1"][name], rtol=RTOL), name
     tail = [h for h in history if 1e-14 < h < 1e-2]

@@ -6,6 +6,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.interfaces.near import nodal_gaps
@@ -14,7 +15,6 @@ from dolfinx_mortar.steps.newton import solve_step
 from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.progress import progress as show_progress
 from dolfinx_mortar.steps.report import NewtonNotConverged, StepReport
-from dolfinx_mortar.steps.residuals import gap_round_off
 
 log = logging.getLogger(__name__)
 
@@ -114,7 +114,7 @@ def _walk(
     time: float,
     on_time: Callable[[float], None] | None,
     most: int,
-    options: dict[str, object],
+    options: dict[str, Any],
 ) -> list[StepReport]:
     """Go to a level, in parts where that fails; return the reports of the parts."""
     parts: list[StepReport] = []
@@ -124,11 +124,11 @@ def _walk(
         level = pending[-1]
         _set_loads(problem, on_time, level.time)
         try:
-            report = solve_step(problem, overlap=level.overlap, **options)  # type: ignore[arg-type]
+            report = solve_step(problem, overlap=level.overlap, **options)
         except NewtonNotConverged as error:
             failures += 1
             if not parts:
-                reached = Level(reached.time, find_overlap(problem))
+                reached = Level(reached.time, find_overlap(problem, options["rtol"]))
             way = level.time != reached.time and on_time is not None
             if level.cuts >= most or not (way or level.overlap != reached.overlap):
                 error.message = _describe(number, time, level, reached, most, error.message)
@@ -172,12 +172,15 @@ def _set_loads(
         raise RuntimeError(f"on_time({time:g}) failed on rank {failed[0][0]}: {failed[0][1]}")
 
 
-def find_overlap(problem: ContactProblem) -> float:
-    """Return how deep sides overlap at the present displacement, 0 for round-off; collective."""
+def find_overlap(problem: ContactProblem, rtol: float) -> float:
+    """Return how deep sides overlap at the present displacement; collective.
+
+    Less than rtol facet lengths is what a converged step leaves, and counts as nothing.
+    """
     x = problem.update_geometry(0.0, everywhere=True)
     gap = nodal_gaps(problem.system.links, x, problem.n)
     deepest = float(maximum(problem.comm, (-gap).max(initial=0.0))[0])
-    return deepest if deepest > gap_round_off(problem) else 0.0
+    return deepest if deepest > rtol * problem.system.facet_length else 0.0
 
 
 def _describe(

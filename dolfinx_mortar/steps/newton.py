@@ -33,7 +33,7 @@ from dolfinx_mortar.interfaces.near import predict_active
 from dolfinx_mortar.qp import QPSolution
 from dolfinx_mortar.steps import failures
 from dolfinx_mortar.steps.certificate import create_certificate
-from dolfinx_mortar.steps.checks import check_controls
+from dolfinx_mortar.steps.checks import check_controls, check_problem
 from dolfinx_mortar.steps.line_search import Energy, NoDescent, find_energy, move, search
 from dolfinx_mortar.steps.linearisation import (
     Balance,
@@ -82,6 +82,7 @@ def newton(
         NewtonNotConverged: with the report attached; u and the committed state are as before.
         ValueError: for an unknown backend or bad tolerance, or input that ``begin_step`` rejects.
     """
+    check_problem(problem, ContactProblem)
     return solve_step(problem, qp=qp, rtol=rtol, max_it=max_it)
 
 
@@ -90,7 +91,7 @@ def solve_step(
 ) -> StepReport:
     """Solve one load step, with an overlap that is left to later steps; see `newton`."""
     backends.check_name(qp)
-    check_controls(rtol, max_it)
+    check_controls(rtol, max_it, problem.comm)
     report = StepReport(backend=qp, geometry=problem.geometry, rtol=rtol)
     if overlap > 0.0:
         report.notes.append(f"the initial overlap is left {overlap:.3g} deep in this part")

@@ -28,6 +28,7 @@ from dolfinx_mortar.steps.bodies import Bodies, find_bodies, join_bodies
 from dolfinx_mortar.steps.checks import check_arguments, check_owned
 from dolfinx_mortar.steps.dirichlet import Dirichlet, create_dirichlet
 from dolfinx_mortar.steps.loads import Loads
+from dolfinx_mortar.steps.mesh_audit import check_mesh
 from dolfinx_mortar.steps.preconditioning import create_preconditioning
 from dolfinx_mortar.steps.report import Timings
 
@@ -240,6 +241,7 @@ class ContactProblem:
         return self._audited if self._audited is not None else self._audit(0.0)
 
     def _audit(self, increment: float) -> Audit:
+        check_mesh(self.V.mesh)
         x = self.update_geometry(increment, search=True)
         self._audited = create_audit(self.bodies, self.system, self.supports, x)
         return self._audited
