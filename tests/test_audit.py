@@ -51,7 +51,7 @@ def test_nothing_to_complain():
     (found,) = audit.interfaces
     assert (found.slave_facets, found.master_facets) == (4, 3)
     assert (found.slave_nodes, found.kept_nodes) == (5, 5)
-    assert found.uncovered_nodes == found.removed_nodes == found.dirichlet_directions == 0
+    assert found.uncovered_nodes == found.removed_nodes == found.dirichlet_nodes == 0
     assert found.facing_away == 0
     assert found.size_ratio == pytest.approx(0.75)
 
@@ -79,23 +79,24 @@ def test_log(caplog):
 
 
 @pytest.mark.parametrize(
-    ("supports", "kind", "directions", "kept"),
+    ("supports", "kind", "nodes", "kept"),
     [
-        (((11, None), (23, None), (14, 0)), dm.Contact, 1, 5),  # normal free: still kept
+        (((11, None), (23, None), (14, 0)), dm.Contact, 0, 5),  # normal free: nothing is lost
         (((11, None), (23, None), (14, 1)), dm.Contact, 1, 4),  # normal taken
-        (((11, None), (23, None), (14, None), (12, None)), dm.Contact, 4, 3),
-        (((11, None), (23, None), (14, 0)), dm.Tie, 1, 5),  # tied in y
-        (((11, None), (23, None), (14, None)), dm.Tie, 2, 4),
+        (((11, None), (23, None), (14, None), (12, None)), dm.Contact, 2, 3),
+        (((11, None), (23, None), (14, 0)), dm.Tie, 0, 5),  # tied in y
+        (((11, None), (23, None), (14, None)), dm.Tie, 1, 4),
     ],
 )
-def test_slave_nodes_with_dirichlet_data(supports, kind, directions, kept):
-    """Directions are dropped and counted; the rest of the interface still works."""
+def test_slave_nodes_with_dirichlet_data(supports, kind, nodes, kept):
+    """Nodes that lose their constraint are counted and told of; the others still work."""
     problem = create(supports=supports, kind=kind)
     audit = problem.audit()
-    assert audit.interfaces[0].dirichlet_directions == directions
+    assert audit.interfaces[0].dirichlet_nodes == nodes
     assert audit.interfaces[0].kept_nodes == kept
     assert audit.interfaces[0].removed_nodes == 5 - kept
-    assert any(f"{directions} directions" in w and "Dirichlet" in w for w in audit.warnings)
+    told = [w for w in audit.warnings if "Dirichlet" in w]
+    assert len(told) == (nodes > 0) and all(f"at {nodes} slave nodes" in w for w in told)
     assert dm.newton(problem).converged
 
 
@@ -227,3 +228,15 @@ def test_free_motions_by_simple_names(joins, kind, supports, expected):
         create(PILE, joins, supports, kind).audit()
     found = str(caught.value).partition("against ")[2].partition(". Prescribe")[0]
     assert sorted(found.split("; ")) == sorted(whole)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("gap", [0.02, -0.01])
+def test_range_of_gaps(gap):
+    """The audit shows the smallest and the largest gap, and names an overlap."""
+    boxes = [(0.0, 1.0, -1.0, 0.0, 4, 2), (0.0, 1.0, gap, 1.0, 3, 2)]
+    problem = create(boxes)
+    audit = problem.audit()
+    assert audit.interfaces[0].least_gap == pytest.approx(gap)
+    assert audit.interfaces[0].largest_gap == pytest.approx(gap)
+    assert ("overlap 0.01" in str(audit)) == (gap < 0)

@@ -23,6 +23,7 @@ from dolfinx import fem, la, mesh
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.arrays import Bools
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.solid.forms import create_forms, create_responses
 from dolfinx_mortar.solid.kinematics import Kinematics, kinematics_of_dimension
@@ -188,6 +189,20 @@ class Solid:
         """
         for name, staged in self._staged.items():
             self.state[name].x.array[:] = staged.x.array
+
+    def flowing(self) -> Bools:
+        """Return at which points (owned cells, points) `evaluate` has changed internal variables.
+
+        Laws leave the state of a point that does not flow exactly as it is.
+        """
+        points = self.fields.weights.shape
+        changed = np.zeros(points, dtype=bool)
+        for name, staged in self._staged.items():
+            dofmap = staged.function_space.dofmap
+            differs = staged.x.array != self.state[name].x.array
+            per_point = differs.reshape(-1, dofmap.bs).any(axis=1)
+            changed |= per_point[dofmap.list[: points[0]]]
+        return changed
 
     @cached_property
     def _evaluations(self) -> list[Evaluation]:

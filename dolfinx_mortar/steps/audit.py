@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
 from dolfinx_mortar.interfaces.coupling import Link
 from dolfinx_mortar.interfaces.system import InterfaceSystem
@@ -30,6 +31,8 @@ COARSE = 2.0
 BACK = 0.1
 # Sides with common nodes that overlap by this part of a body's radius face each other through it.
 DEEP = 0.5
+# Gaps below this share of the coordinates are printed as zero.
+EXACT = 1e-12
 
 
 @dataclass(frozen=True)
@@ -43,9 +46,22 @@ class InterfaceAudit:
     kept_nodes: int  # carry a multiplier
     uncovered_nodes: int  # face no master
     removed_nodes: int  # covered, but without a multiplier (little coverage, Dirichlet, claims)
-    dirichlet_directions: int  # directions of slave nodes left to Dirichlet data
+    dirichlet_nodes: int  # covered, but Dirichlet data leave no direction to act in
     facing_away: int  # slave facets that touch master facets, but do not face them
     size_ratio: float  # mean slave facet length over mean master facet length
+    least_gap: float  # smallest distance of a kept node to the master, negative in an overlap
+    largest_gap: float
+
+    def __str__(self) -> str:
+        """Return one line."""
+        gap = f"gaps from {self.least_gap:.3g} to {self.largest_gap:.3g}"
+        if self.least_gap < 0.0:
+            gap += f" (overlap {-self.least_gap:.3g})"
+        return (
+            f"{self.name}: {self.slave_facets} slave and {self.master_facets} master facets, "
+            f"{self.kept_nodes} of {self.slave_nodes} slave nodes carry a multiplier, "
+            f"{self.uncovered_nodes} face no master, {self.removed_nodes} removed, {gap}"
+        )
 
 
 @dataclass(frozen=True)
@@ -60,13 +76,7 @@ class Audit:
     def __str__(self) -> str:
         """Return one line per interface and warning."""
         lines = [f"{self.bodies} bodies, {len(self.interfaces)} interfaces"]
-        for i in self.interfaces:
-            lines.append(
-                f"{i.name}: {i.slave_facets} slave and {i.master_facets} master facets, "
-                f"{i.kept_nodes} of {i.slave_nodes} slave nodes carry a multiplier, "
-                f"{i.uncovered_nodes} face no master, {i.removed_nodes} removed, "
-                f"{i.dirichlet_directions} directions left to Dirichlet data"
-            )
+        lines += [str(i) for i in self.interfaces]
         return "\n".join(lines + [f"warning: {w}" for w in self.warnings])
 
 
@@ -97,7 +107,7 @@ def create_audit(
         )
     for link in links:
         _check_sides(link, bodies, x)
-    found = [_audit(link) for link in links]
+    found = [_audit(link, x) for link in links]
     by_contact = bool(contacts and free_motions(bodies, [*held, *ties]))
     warnings = list(system.notes)
     if by_contact:
@@ -106,7 +116,7 @@ def create_audit(
         warnings += _warnings(i)
     audit = Audit(bodies.count, found, by_contact, warnings)
     if bodies.V.mesh.comm.rank == 0:
-        log.info("%s", audit)
+        log.info("%s", "; ".join(map(str, found)) or "no interface")
         for warning in warnings:
             log.warning("%s", warning)
     return audit
@@ -130,10 +140,11 @@ def _warnings(i: InterfaceAudit) -> list[str]:
             f"{i.name}: {i.facing_away} slave facets turn their back on the master side; "
             "mark only facets that can touch"
         )
-    if i.dirichlet_directions:
+    if i.dirichlet_nodes:
         warnings.append(
-            f"{i.name}: {i.dirichlet_directions} directions of slave nodes have Dirichlet "
-            "data, which win over the interface"
+            f"{i.name}: at {i.dirichlet_nodes} slave nodes that face the master, Dirichlet data "
+            "prescribe the motion that the interface would constrain, and win; let the other side "
+            "be the slave, or prescribe less"
         )
     return warnings
 
@@ -146,8 +157,7 @@ def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec) -> None:
     a slave node lies that deep (faces of a crack share nodes, too, but do not overlap).
     """
     interface, kept = link.interface, link.coupling.kept.all(axis=1)
-    relative = np.einsum("nij,nj->ni", link.coupling.R, link.relative(x))
-    normal = np.einsum("ni,ni->n", link.coupling.normals, relative)
+    normal = -link_gaps(link, x)
     shallowest, deepest, some, joined = maximum(
         bodies.V.mesh.comm,
         (-normal[kept]).max(initial=-np.inf),
@@ -168,10 +178,15 @@ def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec) -> None:
         )
 
 
-def _audit(link: Link) -> InterfaceAudit:
+def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     """Count over the slave side of one interface; collective."""
     sides, kept = link.sides, link.coupling.kept.any(axis=1)
     covered = link.coupling.coverage.share > 0
+    gap = link_gaps(link, x)[kept]
+    least, largest = maximum(
+        sides.V.mesh.comm, (-gap).max(initial=-np.inf), gap.max(initial=-np.inf)
+    )
+    prescribed = covered & ~kept & sides.fixed[link.nodes].any(axis=1)
     counts = sides.V.mesh.comm.allreduce(
         np.array(
             [
@@ -180,14 +195,24 @@ def _audit(link: Link) -> InterfaceAudit:
                 kept.sum(),
                 (~covered).sum(),
                 (covered & ~kept).sum(),
-                sides.fixed[link.nodes].sum(),
+                (prescribed & ~link.banned[link.nodes]).sum(),
                 _count_facing_away(link.pairing),
             ]
         ),
         op=MPI.SUM,
     )
     lengths = [mean_facet_length(s) for s in (sides.slave, sides.master)]
-    return InterfaceAudit(repr(link.interface), *map(int, counts), float(lengths[0] / lengths[1]))  # type: ignore[call-arg]
+    ratio = float(lengths[0] / lengths[1])
+    # what is round-off of the coordinates is no gap
+    size = EXACT * max(float(lengths[0]), float(np.abs(sides.V.mesh.geometry.x).max(initial=0.0)))
+    ends = [0.0 if abs(end) < size or np.isinf(end) else float(end) for end in (-least, largest)]
+    return InterfaceAudit(repr(link.interface), *map(int, counts), ratio, *ends)  # type: ignore[call-arg]
+
+
+def link_gaps(link: Link, x: PETSc.Vec) -> Floats:
+    """Return the distances (n,) of the slave nodes to the master along the normals; collective."""
+    relative = np.einsum("nij,nj->ni", link.coupling.R, link.relative(x))
+    return -np.einsum("ni,ni->n", link.coupling.normals, relative)
 
 
 def _count_facing_away(pairing: Pairing) -> int:

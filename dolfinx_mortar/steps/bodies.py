@@ -147,7 +147,7 @@ def free_motions(bodies: Bodies, constraints: Sequence[Callable[[PETSc.Vec], Flo
     values, vectors = np.linalg.eigh(gram / scale)
     null = rest = vectors[:, values < HELD**2 * len(modes)]
     body = np.array([k for k, _, _ in modes])
-    named = [f"{name} of {_name(bodies, [k])}" for k, name, _ in modes]
+    named = [f"{name} of {name_of(bodies, [k])}" for k, name, _ in modes]
     rest, found = _take_out(null, rest, dict(zip(named, np.eye(len(modes)), strict=True)))
     for group in _groups(rest, body):
         rest, together = _take_out(null, rest, _common_motions(bodies, group))
@@ -158,7 +158,7 @@ def free_motions(bodies: Bodies, constraints: Sequence[Callable[[PETSc.Vec], Flo
     return found
 
 
-def _name(bodies: Bodies, group: list[int]) -> str:
+def name_of(bodies: Bodies, group: list[int]) -> str:
     """Return how a message calls a body, or several."""
     places = sorted([float(x) for x in row] for row in np.round(bodies.centre[group], 3) + 0.0)
     centres = ", ".join(map(str, places))
@@ -205,4 +205,4 @@ def _common_motions(bodies: Bodies, group: list[int]) -> dict[str, Floats]:
         turn[d + k, group, k] = bodies.radius[group]
         names.append(f"rotation about {'xyz'[3 - i - j]}")
     motions = np.concatenate([shift, turn], axis=2).reshape(len(names), -1)
-    return {f"{n} of {_name(bodies, group)}": m for n, m in zip(names, motions, strict=True)}
+    return {f"{n} of {name_of(bodies, group)}": m for n, m in zip(names, motions, strict=True)}

@@ -1,15 +1,31 @@
 # SPDX-License-Identifier: MIT
-"""Why a step has failed, as far as it can be told."""
+"""Why a step has failed, as far as it can be told: too large a load, or a body that floats."""
 
 from __future__ import annotations
 
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx import la
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.steps.bodies import name_of
 from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.report import NewtonNotConverged, StepReport
 
+# A body that floats off does not strain. One that flows in more than this share of its volume does.
+FLOWING = 0.1
+# A body whose tangent is softer than this share of its elasticity, along its own displacement, has
+# come to the end of what it carries; hardening laws of metals are ten times stiffer and more.
+SOFT = 0.01
+
 
 def not_converged(message: str, problem: ContactProblem, report: StepReport) -> NewtonNotConverged:
-    """Return the error, with what the audit knows about bodies that may move off; collective."""
-    if problem.audit().held_by_contact:
+    """Return the error of a step that has failed at the present displacement; collective."""
+    flowing = describe_flow(problem)
+    if flowing:
+        message = f"{flowing} ({message})"
+    elif problem.audit().held_by_contact:
         message += (
             ". A body held by contact alone may float away (do the loads press it on?), or slides "
             "or rolls freely (then prescribe that motion)"
@@ -19,3 +35,53 @@ def not_converged(message: str, problem: ContactProblem, report: StepReport) -> 
         "retry with a smaller one (dm.load_steps does)",
         report,
     )
+
+
+def describe_flow(problem: ContactProblem) -> str:
+    """Say which body flows, and how much of it; nothing where none flows much; collective."""
+    try:
+        problem.solid.evaluate()
+    except ValueError:  # not a number: the iterate says nothing
+        return ""
+    shares = flow_shares(problem)
+    body = int(np.argmax(shares))
+    if shares[body] <= FLOWING or stiffness_left(problem) > SOFT:
+        return ""
+    return (
+        f"limit load? {name_of(problem.bodies, [body])} flows in {100 * shares[body]:.0f} % of its "
+        "volume at the last iterate; without hardening a law carries no more than its limit load: "
+        "reduce the load, or give the law hardening"
+    )
+
+
+def stiffness_left(problem: ContactProblem) -> float:
+    """Return u.K u over u.K_e u, K_e the elastic stiffness; 1 where nothing is strained.
+
+    K is the tangent at the present displacement; collective.
+    """
+    problem.solid.assemble_tangent(problem.K)  # the next step assembles its own
+    u = problem.vector(problem.u.x.array[: problem.d * problem.n])
+    elastic = problem.solid.elastic_norm(problem.u) ** 2
+    return float(u.dot(problem.K * u) / elastic) if elastic > 0.0 else 1.0
+
+
+def flow_shares(problem: ContactProblem) -> Floats:
+    """Return the share (bodies,) of each body's volume whose internal variables change; collective.
+
+    Between the committed state and what `Solid.evaluate` has found last.
+    """
+    flowing, weights = problem.solid.flowing(), problem.solid.fields.weights
+    V, n = problem.V, problem.n
+    label = la.vector(V.dofmap.index_map, 1)
+    label.array[:n] = problem.bodies.label
+    label.scatter_forward()
+    body = label.array[V.dofmap.list[: len(weights), 0]].astype(np.int64)
+    count = problem.bodies.count
+    volumes = np.stack(
+        [
+            np.bincount(body, (weights * part).sum(axis=1), minlength=count)
+            for part in (flowing, np.ones_like(weights))
+        ]
+    )
+    flow, whole = problem.comm.allreduce(volumes, op=MPI.SUM)
+    return np.asarray(flow / whole)

@@ -189,6 +189,6 @@ def _describe(
     """Return the message of a step that has failed for good."""
     cuts = f"{level.cuts} of {most} cuts"
     return (
-        f"load step {number} to time {time:g} failed from {reached.time:g}, the last level that "
-        f"converged, to {level.time:g}, after {cuts}: {message}"
+        f"load step {number} to time {time:g} failed from {reached.time:g} to {level.time:g}, "
+        f"after {cuts} (the last level that converged is {reached.time:g}): {message}"
     )

@@ -43,7 +43,7 @@ from dolfinx_mortar.steps.linearisation import (
     to_displacement,
 )
 from dolfinx_mortar.steps.problem import ContactProblem, StepData
-from dolfinx_mortar.steps.report import Iteration, StepReport
+from dolfinx_mortar.steps.report import Iteration, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.residuals import Contacts, Residuals, Scales, measure
 from dolfinx_mortar.steps.results import set_results
 
@@ -107,18 +107,29 @@ def _undone_on_failure(problem: ContactProblem, report: StepReport) -> Iterator[
     before = problem.u.x.array.copy()
     earlier = dict(problem.timings.seconds)
     try:
-        with problem.timings("total"):
+        with problem.timings("total"), _named(problem, report):
             yield
-    except backends.QPNotSolved as error:
-        number, cause = len(report.iterations) + 1, str(error).rstrip(". ")
-        message = f"the QP of Newton iteration {number}: {cause}"
-        raise failures.not_converged(message, problem, report) from error
+    except NewtonNotConverged:
+        problem.u.x.array[:] = before
+        problem.solid.evaluate()  # what is shown is as before, too
+        raise
     finally:
         report.seconds = problem.timings.since(earlier)
         report.linear_solver = problem.linear.description
         report.notes += [note for note in problem.system.notes if note not in report.notes]
         if not report.converged:
             problem.u.x.array[:] = before
+
+
+@contextmanager
+def _named(problem: ContactProblem, report: StepReport) -> Iterator[None]:
+    """Turn the failure of a backend into that of the step."""
+    try:
+        yield
+    except backends.QPNotSolved as error:
+        number, cause = len(report.iterations) + 1, str(error).rstrip(". ")
+        message = f"the QP of Newton iteration {number}: {cause}"
+        raise failures.not_converged(message, problem, report) from error
 
 
 @dataclass(frozen=True)
