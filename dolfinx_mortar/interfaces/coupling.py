@@ -262,6 +262,23 @@ def couple(
     )
 
 
+def slipped(link: Link, u: PETSc.Vec) -> Floats:
+    """Return how far the slave nodes (n,) have moved along the master, tangentially; collective.
+
+    That is the tangential part of D^-1 (D - M) u, with the operators of the last update.
+    """
+    D, M, normals = link.pairing.D, link.pairing.M, link.coupling.normals
+    weight = D.getDiagonal().array_r[link.nodes]
+    inverse = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0)
+    v, columns = D.createVecRight(), []
+    for component in u.array_r.reshape(-1, normals.shape[1]).T:
+        v.array[:] = component
+        columns.append(((D * v).array_r - (M * v).array_r)[link.nodes] * inverse)
+    relative = np.stack(columns, axis=1)
+    along = np.einsum("ni,ni->n", relative, normals)[:, None]
+    return np.asarray(np.linalg.norm(relative - along * normals, axis=1))
+
+
 def measure_coverage(pairing: Pairing, u: fem.Function | None) -> Coverage:
     """Return how far the slave nodes face the master at X + u; collective."""
     segments, _ = find_segments(pairing, u)

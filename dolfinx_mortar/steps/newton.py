@@ -29,6 +29,7 @@ from dolfinx import fem
 from dolfinx_mortar import qp as backends
 from dolfinx_mortar.algebra.parallel import free_unused, maximum
 from dolfinx_mortar.arrays import Actives, Floats
+from dolfinx_mortar.interfaces.coupling import slipped
 from dolfinx_mortar.interfaces.near import predict_active
 from dolfinx_mortar.qp import QPSolution
 from dolfinx_mortar.steps import failures
@@ -54,6 +55,8 @@ log = logging.getLogger(__name__)
 FORCING = {"direct": 1e-3, "iterative": 1e-1}
 # The first QP of a nonlinear step has no contraction to go by.
 FIRST_QP = {"direct": 1e-4, "iterative": 1e-2}
+# A fixed point whose change grows so often, Newton converged in between, does not contract.
+MOST_RISES = 2
 # A QP need not be more accurate than this share of what the step allows.
 QP_SHARE = 0.1
 
@@ -151,10 +154,13 @@ class Watch:
     moving: bool
     held: bool = False
     change: float = np.inf  # work of the contact forces in the last change of the gaps
+    rises: int = 0  # successive changes that grew although Newton had converged between them
 
     def after(self, change: float) -> Watch:
         """Return the watch after an update with this change: held unless it shrinks."""
-        return replace(self, held=change >= self.change, change=change)
+        grows = change >= self.change
+        rises = self.rises + 1 if grows and self.held else 0
+        return Watch(self.moving, held=grows, change=change, rises=rises)
 
 
 class _Step:
@@ -373,7 +379,15 @@ class _Step:
         problem.update_geometry(self.data.increment)
         balance = self.balance()
         change, work = _change(problem, balance, contacts, predicted)
-        return balance, watch.after(work), change
+        watch = watch.after(work)
+        if watch.rises >= MOST_RISES:
+            raise failures.not_converged(
+                "the geometry does not settle: normals and gaps change more from one update to the "
+                "next, although the forces are in balance in between",
+                problem,
+                self.report,
+            )
+        return balance, watch, change
 
     def geometry_is_complete(self) -> bool:
         """Tell whether the whole surfaces agree: partners far away, and nodes outside T."""
@@ -388,6 +402,7 @@ class _Step:
         """Set what the step has found."""
         problem, report = self.problem, self.report
         problem.committed.active = iterate.contacts.active
+        report.notes += _notes_on_sliding(problem)
         with problem.timings("results"):
             problem.solid.evaluate()
         set_results(problem, iterate.balance, iterate.contacts)
@@ -404,6 +419,26 @@ class _Step:
                 self.report.notes[k] = f"{head}, {number}: {text}"
                 return
         self.report.notes.append(f"iteration {number}: {text}")
+
+
+def _notes_on_sliding(problem: ContactProblem) -> list[str]:
+    """Return a note for every contact that has slid too far for frozen geometry; collective."""
+    if problem.geometry == "updated":
+        return []
+    notes, length = [], problem.system.facet_length
+    for link in problem.system.links:
+        slip = slipped(link, problem.vector(problem.u.x.array[: problem.d * problem.n]))
+        slip[~problem.committed.active[link.nodes]] = 0.0
+        farthest = float(maximum(problem.comm, slip.max(initial=0.0))[0])
+        if link.interface.one_sided and farthest > length:
+            notes.append(
+                f"{link.interface} has slid {farthest:.3g}, {farthest / length:.1f} facet lengths, "
+                "with frozen geometry, which is for small sliding; choose geometry='updated'"
+            )
+    if problem.comm.rank == 0:
+        for note in notes:
+            log.warning("%s", note)
+    return notes
 
 
 def _elastic_norm(problem: ContactProblem, du: PETSc.Vec) -> float:
