@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -15,10 +16,15 @@ from scipy.spatial import cKDTree
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
-from dolfinx_mortar.interfaces.coupling import Link
+from dolfinx_mortar.interfaces.coupling import Link, slipped
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.pairing import Pairing
-from dolfinx_mortar.mortar.surface import mean_facet_length
+from dolfinx_mortar.mortar.surface import (
+    Surface,
+    facets_at,
+    mean_facet_length,
+    nodal_normals,
+)
 from dolfinx_mortar.steps.bodies import Bodies, free_motions
 from dolfinx_mortar.steps.dirichlet import Dirichlet
 
@@ -31,6 +37,7 @@ COARSE = 2.0
 BACK = 0.1
 # Sides with common nodes that overlap by this part of a body's radius face each other through it.
 DEEP = 0.5
+ROUND_OFF = 1e-14  # of the square of a sine
 # Gaps below this share of the coordinates are printed as zero.
 EXACT = 1e-12
 
@@ -96,9 +103,11 @@ def create_audit(
     """
     links = system.links
     ties = [link.constrained_motion for link in links if not link.interface.one_sided]
-    contacts = [link.constrained_motion for link in links if link.interface.one_sided]
+    one_sided = [link for link in links if link.interface.one_sided]
+    contacts = [link.constrained_motion for link in one_sided]
+    facets = [_facet_motion(link) for link in one_sided]
     held = [lambda v: v.array_r[supports.owned.ravel()]]
-    loose = free_motions(bodies, [*held, *ties, *contacts])
+    loose = free_motions(bodies, [*held, *ties, *contacts], facets)
     if loose:
         raise ValueError(
             "bcs, interfaces: nothing holds the bodies against "
@@ -120,6 +129,29 @@ def create_audit(
         for warning in warnings:
             log.warning("%s", warning)
     return audit
+
+
+def _facet_motion(link: Link) -> Callable[[PETSc.Vec], Floats]:
+    """Return the part of a relative motion that is as good as none on facets; collective.
+
+    Averaged normals of uneven facets are off those of the true side, at most by half the angle
+    between facet and nodal normal in the mean (a quarter of the facets' unevenness of it on a
+    circle): sliding along the side shows as much normal motion. Flat sides have no such part.
+    """
+    comm = link.sides.V.mesh.comm
+    angle = max(facet_angle(link.sides.slave, comm), facet_angle(link.sides.master, comm))
+    kept = link.coupling.directions[:, 0]
+    return lambda v: 0.5 * angle * slipped(link, v)[kept]
+
+
+def facet_angle(surface: Surface, comm: MPI.Comm) -> float:
+    """Return the root mean square angle between facet and nodal normals at X; collective."""
+    across = facet_normals(facets_at(surface, surface.X))[:, None]
+    at_nodes = nodal_normals(surface, surface.X)[surface.facets]
+    sine2 = np.clip(1.0 - np.einsum("mki,mki->mk", across + 0 * at_nodes, at_nodes) ** 2, 0.0, 1.0)
+    sine2[sine2 < ROUND_OFF] = 0.0
+    total = comm.allreduce(np.array([sine2.sum(), float(sine2.size)]), op=MPI.SUM)
+    return float(np.arcsin(np.sqrt(total[0] / max(total[1], 1.0))))
 
 
 def _warnings(i: InterfaceAudit) -> list[str]:

@@ -126,7 +126,11 @@ def rigid_motions(V: fem.FunctionSpace) -> list[PETSc.Vec]:
     return [motion for _, _, motion in _measure(V, 1, everything).rigid_modes()]
 
 
-def free_motions(bodies: Bodies, constraints: Sequence[Callable[[PETSc.Vec], Floats]]) -> list[str]:
+def free_motions(
+    bodies: Bodies,
+    constraints: Sequence[Callable[[PETSc.Vec], Floats]],
+    facets: Sequence[Callable[[PETSc.Vec], Floats]] = (),
+) -> list[str]:
     """Name the rigid motions that no constraint resists; collective.
 
     Args:
@@ -134,15 +138,22 @@ def free_motions(bodies: Bodies, constraints: Sequence[Callable[[PETSc.Vec], Flo
         constraints: functions that return the constrained displacements (any number on each rank)
             of a displacement vector: prescribed components, relative motions at interfaces. A
             contact counts as if it could also pull.
+        facets: functions that return a part of such constrained displacements that only shows that
+            a curved side is made of facets: a pin that spins in a hole runs against their angles.
 
     Returns:
         The motions in the null space by name: of single bodies where possible, then of several
         bodies together, then sums of motions; empty if all is held.
     """
     modes = bodies.rigid_modes()
-    columns = [np.concatenate([c(v).ravel() for c in constraints]) for _, _, v in modes]
-    rows = np.column_stack(columns)
-    gram = bodies.V.mesh.comm.allreduce(rows.T @ rows, op=MPI.SUM)
+    gram = np.zeros((len(modes), len(modes)))
+    for sign, functions in ((1.0, constraints), (-1.0, facets)):
+        columns = [
+            np.concatenate([f(v).ravel() for f in functions]) for _, _, v in modes if functions
+        ]
+        if columns:
+            rows = np.column_stack(columns)
+            gram += sign * bodies.V.mesh.comm.allreduce(rows.T @ rows, op=MPI.SUM)
     scale = max(float(gram.diagonal().max()), np.finfo(float).tiny)
     values, vectors = np.linalg.eigh(gram / scale)
     null = rest = vectors[:, values < HELD**2 * len(modes)]
