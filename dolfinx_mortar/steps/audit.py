@@ -88,7 +88,11 @@ class Audit:
 
 
 def create_audit(
-    bodies: Bodies, system: InterfaceSystem, supports: Dirichlet, x: PETSc.Vec
+    bodies: Bodies,
+    system: InterfaceSystem,
+    supports: Dirichlet,
+    x: PETSc.Vec,
+    springs: Callable[[PETSc.Vec], Floats],
 ) -> Audit:
     """Audit bodies and interfaces whose pairings exist; collective.
 
@@ -97,6 +101,7 @@ def create_audit(
         system: the interfaces.
         supports: the Dirichlet conditions.
         x: (n,) present coordinates X + u.
+        springs: resistance of the potential to a motion, relative to the stiffest.
 
     Raises:
         ValueError: if a body can move rigidly without any resistance.
@@ -106,7 +111,7 @@ def create_audit(
     one_sided = [link for link in links if link.interface.one_sided]
     contacts = [link.constrained_motion for link in one_sided]
     facets = [_facet_motion(link) for link in one_sided]
-    held = [lambda v: v.array_r[supports.owned.ravel()]]
+    held = [lambda v: v.array_r[supports.owned.ravel()], springs]
     loose = free_motions(bodies, [*held, *ties, *contacts], facets)
     if loose:
         raise ValueError(

@@ -23,8 +23,9 @@ SOFT = 0.01
 def not_converged(message: str, problem: ContactProblem, report: StepReport) -> NewtonNotConverged:
     """Return the error of a step that has failed at the present displacement; collective."""
     flowing = describe_flow(problem)
-    if flowing:
-        message = f"{flowing} ({message})"
+    if flowing:  # what the solver says of singular matrices would point to floating bodies
+        report.notes.append(message)
+        message = flowing
     elif problem.audit().held_by_contact:
         message += (
             ". A body held by contact alone may float away (do the loads press it on?), or slides "

@@ -100,23 +100,10 @@ def search(
     Raises:
         NoDescent: if 12 halvings do not suffice.
     """
-    bounds, own = lin.balance.bounds, du.local_size
-    # forces of contact and ties times the round-off of their gaps; what the QP has not balanced
-    held = lin.balance.reduced.array_r[lin.balance.equal.dofs]
-    local = np.abs(solved.z.array_r[bounds.dofs]).sum() + np.abs(held).sum()
-    touching = _sum(problem, float(local))
-    unbalanced = round_off(problem, lin.diagonal) + solved.kkt.unsolved
-    path = Direction(
-        start=problem.u.x.array[:own].copy(),
-        du=du.array_r.copy(),
-        motion=solved.x.array_r[bounds.dofs],
-        gap=bounds.upper + gap_round_off(problem),
-        penalty=2.0 * multiplier * bounds.weight,
-        noise=unbalanced * du.norm() + gap_round_off(problem) * touching,
-    )
+    path = create_path(problem, lin, solved, du, multiplier)
     cells = problem.V.mesh.topology.index_map(problem.V.mesh.topology.dim).size_global
-    first, last = _sum(problem, path.excess(0.0)), _sum(problem, path.excess(1.0))
-    promise = -lin.balance.r.dot(du) + last - first
+    first = _sum(problem, path.excess(0.0))
+    promise = first_slope(problem, lin, path)
     length = 1.0
     for halvings in range(MAX_HALVINGS + 1):
         move(problem, path.start + length * path.du)
@@ -129,7 +116,7 @@ def search(
             target = before.value + first + ARMIJO * length * min(promise, 0.0)
             accepted = after.value + penalty <= target + noise
         else:
-            slope = _slope(problem, data, path, length)
+            slope = find_slope(problem, data, path, length)
             accepted = slope <= (1.0 - 2.0 * ARMIJO) * abs(promise) + path.noise
         if accepted:
             return length, halvings, after
@@ -138,7 +125,41 @@ def search(
     raise NoDescent("the line search found no step that lowers the energy")
 
 
-def _slope(problem: ContactProblem, data: StepData, path: Direction, t: float) -> float:
+def create_path(
+    problem: ContactProblem,
+    lin: Linearisation,
+    solved: QPSolution,
+    du: PETSc.Vec,
+    multiplier: float,
+) -> Direction:
+    """Return the path from the present u along a step; collective."""
+    bounds, own = lin.balance.bounds, du.local_size
+    # forces of contact and ties times the round-off of their gaps; what the QP has not balanced
+    held = lin.balance.reduced.array_r[lin.balance.equal.dofs]
+    local = np.abs(solved.z.array_r[bounds.dofs]).sum() + np.abs(held).sum()
+    touching = _sum(problem, float(local))
+    unbalanced = round_off(problem, lin.diagonal) + solved.kkt.unsolved
+    return Direction(
+        start=problem.u.x.array[:own].copy(),
+        du=du.array_r.copy(),
+        motion=solved.x.array_r[bounds.dofs],
+        gap=bounds.upper + gap_round_off(problem),
+        penalty=2.0 * multiplier * bounds.weight,
+        noise=unbalanced * du.norm() + gap_round_off(problem) * touching,
+    )
+
+
+def first_slope(problem: ContactProblem, lin: Linearisation, path: Direction) -> float:
+    """Return what the start promises, phi'(0) with the whole gain of the penalty term; collective.
+
+    A step that solves the QP closes every violated gap in proportion, so that the gain over the
+    whole step is the derivative at its start.
+    """
+    local = -float(lin.balance.r.array_r @ path.du) + path.excess(1.0) - path.excess(0.0)
+    return _sum(problem, local)
+
+
+def find_slope(problem: ContactProblem, data: StepData, path: Direction, t: float) -> float:
     """Return the derivative of phi at u, which lies at t on the path; collective."""
     F = problem.vector()
     problem.solid.assemble_residual(F)

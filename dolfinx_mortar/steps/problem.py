@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -243,8 +243,21 @@ class ContactProblem:
     def _audit(self, increment: float) -> Audit:
         check_mesh(self.V.mesh)
         x = self.update_geometry(increment, search=True)
-        self._audited = create_audit(self.bodies, self.system, self.supports, x)
+        springs = self._resistance_of_potential()
+        self._audited = create_audit(self.bodies, self.system, self.supports, x, springs)
         return self._audited
+
+    def _resistance_of_potential(self) -> Callable[[PETSc.Vec], Floats]:
+        """Return the forces that a motion wakes in the potential, over its largest stiffness."""
+        if not self.loads.has_potential:
+            return lambda v: np.zeros(0)
+        springs = self.solid.create_matrix()
+        springs.zeroEntries()
+        self.loads.add_tangent(springs)
+        springs.assemble()
+        stiffest = np.abs(springs.getDiagonal().array_r).max(initial=0.0)
+        scale = max(float(maximum(self.comm, stiffest)[0]), np.finfo(float).tiny)
+        return lambda v: np.asarray((springs * v).array_r / scale)
 
     def update_geometry(
         self, increment: float, *, search: bool = False, everywhere: bool = False

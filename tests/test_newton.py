@@ -1,0 +1,466 @@
+# SPDX-License-Identifier: MIT
+"""Newton ends: without contact, at round-off, with moving geometry; each rule by what it does."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import default_scalar_type, fem
+from dolfinx_mortar.steps import line_search
+from dolfinx_mortar.steps import newton as newton_module
+from dolfinx_mortar.steps.linearisation import find_balance, linearise, to_displacement
+from dolfinx_mortar.steps.newton import Watch, solve_step
+from dolfinx_mortar.steps.residuals import Contacts, Scales, measure
+from tests.ball_case import create_problem
+from tests.block_piles import ABOVE, BELOW, EAST, PILE, WEST, Blocks
+from tests.hertz_case import ELASTIC, PLASTIC, create_case
+from tests.meshes import BOTTOM, TOP
+from tests.pressed_blocks import PressedBlocks, rejected
+
+COMM = MPI.COMM_WORLD
+
+
+# -- steps with nothing to solve -------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("geometry", ["updated", "reference"])
+@pytest.mark.parametrize("law", [ELASTIC, PLASTIC])
+def test_approach_and_separation_in_the_plane(geometry, law):
+    """Through a gap, into contact and back: every step without contact ends at once."""
+    case = create_case(dm.meshing.hertz(COMM, kind="paper", gap=0.06), law, geometry=geometry)
+    found = []
+    for depth in (0.02, 0.04, 0.1, 0.02, -0.3, -0.3):
+        case.press(depth)
+        report = dm.newton(case.problem)
+        case.problem.commit()
+        found.append((case.force, report.newton_iterations))
+    forces, iterations = zip(*found, strict=True)
+    assert forces[2] > 0.0 and all(abs(forces[k]) < 1e-9 for k in (0, 1, 3, 4, 5))
+    assert max(iterations[k] for k in (0, 1, 4, 5)) <= 2
+    if law is ELASTIC:  # the block keeps no dent: what was pressed comes back in one solve
+        assert iterations[3] <= 2
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("geometry", ["updated", "reference"])
+@pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron"])
+def test_approach_in_space(geometry, cell):
+    """The same with an iterative solver: no error of a loose QP may look like a load."""
+    mesh = dm.meshing.sphere(COMM, gap=0.06, h=0.5, core=1.0, cell=cell)
+    V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (3,)))
+    top = fem.Constant(mesh.mesh, 0.0)
+    zero = fem.Constant(mesh.mesh, 0.0)
+    held = [(1, i, zero) for i in range(3)] + [(2, 0, zero), (2, 1, zero), (2, 2, top)]
+    bcs = []
+    for tag, i, value in [*held, (5, 0, zero), (6, 1, zero)]:
+        dofs = fem.locate_dofs_topological(V.sub(i), 2, mesh.facet_tags.find(tag))
+        bcs.append(fem.dirichletbc(value, dofs, V.sub(i)))
+    contact = dm.Contact(mesh.facet_tags, slave=3, master=4)
+    solid = dm.Solid(fem.Function(V), PLASTIC)
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=geometry)
+    for depth in (0.02, 0.04):
+        top.value = -depth
+        assert dm.newton(problem).newton_iterations <= 2
+        problem.commit()
+        assert np.abs(contact.force).max() < 1e-9
+    assert problem.solid.max("von_mises") < 1e-6
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("geometry", ["updated", "reference"])
+def test_rigid_travel_ends_at_once(geometry):
+    """A block travels in many small steps without stress; what is left is round-off of K u."""
+    b = Blocks([(0.0, 3.0, 0.0, 0.5, 30, 5), (0.5, 1.5, 1.5, 2.0, 13, 6)])
+    down = fem.Constant(b.mesh, default_scalar_type(0.0))
+    contact = b.join(dm.Contact, (2, BELOW), (1, ABOVE))
+    bcs = [b.fix(1, BELOW), b.fix(2, ABOVE, component=0), b.fix(2, ABOVE, 1, down)]
+    problem = b.problem([contact], bcs, geometry=geometry)
+    for t in np.linspace(0.0, 0.9, 21)[1:]:
+        down.value = -t
+        assert dm.newton(problem).newton_iterations <= 2
+        problem.commit()
+    own = b.u.x.array.reshape(-1, 2)[b.V.tabulate_dof_coordinates()[:, 1] > 1.0]
+    assert np.abs(own - [0.0, -0.9]).max(initial=0.0) < 1e-12
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("gap", [0.0, 0.01])
+def test_a_load_that_vanishes(gap):
+    """A block rests on another one by contact alone; at zero load nothing moves."""
+    case = PressedBlocks(gap=gap, n_lower=(6, 3), n_upper=(8, 4))
+    ds = ufl.Measure("ds", case.mesh, subdomain_data=case.facets)
+    q = fem.Constant(case.mesh, default_scalar_type(0.0))
+    v = ufl.TestFunction(case.V)
+    guide = fem.locate_dofs_topological(case.V.sub(0), 1, case.facets.find(TOP))
+    bcs = [case.bc(BOTTOM), fem.dirichletbc(default_scalar_type(0), guide, case.V.sub(0))]
+    contact = case.contact()
+    problem = case.problem([contact], bcs=bcs, loads=-q * v[1] * ds(TOP))
+
+    def on_time(t):
+        q.value = 5.0 * t
+
+    forces = []
+    for step in dm.load_steps(problem, [0.0, 0.5, 1.0, 0.0], on_time=on_time):
+        assert len(step.parts) == 1
+        assert step.report.newton_iterations == 1 or step.time > 0.0
+        forces.append(contact.force[1])
+    assert forces == pytest.approx([0.0, -2.5, -5.0, 0.0], abs=1e-5)
+
+
+# -- the end of a step -----------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_no_confirming_solve():
+    """A linear problem on frozen surfaces is one QP, whatever it is asked for."""
+    case = create_case(dm.meshing.hertz(COMM, kind="paper"), ELASTIC, geometry="reference")
+    case.press(0.05)
+    for rtol in (1e-3, 1e-6, 1e-10):
+        case.problem.u.x.array[:] = 0.0
+        assert dm.newton(case.problem, rtol=rtol).newton_iterations == 1
+
+
+def judged(problem, contacts, data, lin):
+    """Return the excess of the present state over what 1e-6 allows."""
+    balance = find_balance(problem, data)
+    residual, _ = measure(problem, balance, contacts, lin.diagonal, Scales(1.0, 0.0, 1.0), 1e-6)
+    return residual
+
+
+@pytest.mark.mpi
+def test_what_is_out_of_balance_is_seen():
+    """Solved to round-off; then forces, a multiplier, a gap or a support are spoilt by a little."""
+    case = create_case(dm.meshing.hertz(COMM, kind="paper"), ELASTIC, geometry="reference")
+    case.press(0.05)
+    problem = case.problem
+    dm.newton(problem, rtol=1e-12)
+    data = problem.begin_step()
+    lin = linearise(problem, find_balance(problem, data))
+    nodes = problem.system.links[0].nodes
+    multipliers = np.zeros(problem.n)
+    multipliers[nodes] = case.contact.multiplier
+    right = Contacts(problem.committed.active, multipliers)
+    exact = problem.u.x.array.copy()
+    assert judged(problem, right, data, lin).forces < 1e-7
+
+    weaker = Contacts(right.active, 0.999 * multipliers)
+    assert judged(problem, weaker, data, lin).excess > 100.0
+    free = np.flatnonzero(~problem.fixed[: problem.n].any(axis=1))[:1]
+    for nodes in (free, np.flatnonzero(problem.supports.owned.all(axis=1))[:1]):
+        problem.u.x.array[2 * nodes + 1] += 1e-4
+        problem.u.x.scatter_forward()
+        assert judged(problem, right, data, lin).excess > 100.0
+        problem.u.x.array[:] = exact
+    # all of the disc moved down: the forces of its elements stay, the gaps do not
+    above = problem.V.tabulate_dof_coordinates()[:, 1] > 1e-9
+    problem.u.x.array[1::2][above] -= 1e-3
+    assert judged(problem, right, data, lin).contact > 1e-4
+    problem.u.x.array[:] = exact
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
+def test_a_start_displacement_of_the_users(kind):
+    """Sides that are apart at the start of a step are brought together, whatever u was set to."""
+    solutions = []
+    for start in (0.0, 0.02):
+        case = PressedBlocks(n_lower=(5, 3), n_upper=(4, 3))
+        interface = kind(case.facets, slave=3, master=4)
+        problem = case.problem([interface])
+        upper = case.V.tabulate_dof_coordinates()[:, 1] > 1e-9
+        case.u.x.array.reshape(-1, 2)[upper] += start
+        dm.newton(problem, rtol=1e-11)
+        solutions.append((case.u.x.array.copy(), interface.force.copy()))
+    (u, force), (other, same) = solutions
+    assert np.abs(u - other).max(initial=0.0) < 1e-10
+    assert force == pytest.approx(same, rel=1e-8, abs=1e-9)
+
+
+@pytest.mark.mpi
+def test_weak_changes_are_not_counted():
+    """Nodes that change sides count if they carry a force; at the edge they carry next to none."""
+    case = create_case(dm.meshing.hertz(COMM, kind="paper"), ELASTIC, geometry="reference")
+    case.press(0.05)
+    first = dm.newton(case.problem)
+    again = dm.newton(case.problem)
+    assert again.iterations[0].changed == 0
+    case.press(0.4)
+    wider = dm.newton(case.problem)
+    grown = wider.iterations[-1].active - first.iterations[-1].active
+    assert sum(i.changed for i in wider.iterations) >= grown > 0
+
+
+# -- the line search -------------------------------------------------------------------------------
+
+
+def test_a_step_too_long_is_halved():
+    """One step far into plasticity overshoots, and the energies tell."""
+    mesh = dm.meshing.hertz(COMM, kind="paper")
+    case = create_case(mesh, PLASTIC, slave="disc", geometry="reference")
+    case.press(0.6)
+    lengths = [i.step_length for i in dm.newton(case.problem).iterations]
+    assert set(lengths) == {1.0, 0.5}
+
+
+def overlapping():
+    """Return a case at equilibrium with half of its overlap left, and supports at rest."""
+    mesh = dm.meshing.hertz(COMM, kind="paper", gap=-0.1)
+    case = create_case(mesh, ELASTIC, geometry="reference")
+    solve_step(case.problem, qp="active-set", rtol=1e-9, max_it=20, overlap=0.05)
+    return case
+
+
+def test_the_merit_needs_its_penalty(monkeypatch):
+    """To close a violated gap the energy must rise; without the penalty no step is accepted."""
+    case = overlapping()
+    half = case.force
+    assert dm.newton(case.problem).converged and case.force > 2.0 * half > 0.0
+    case = overlapping()
+    monkeypatch.setattr(line_search.Direction, "excess", lambda self, t: 0.0)
+    with rejected("line search", error=dm.NewtonNotConverged):
+        dm.newton(case.problem)
+
+
+def test_the_slope_is_that_of_the_merit():
+    """Energy and penalty, at the start and on the way, against differences of their values."""
+    problem = overlapping().problem
+    data = problem.begin_step()
+    lin = linearise(problem, find_balance(problem, data))
+    solved = dm.qp.solve(lin.qp, linear=problem.linear, rtol=1e-12)
+    du = to_displacement(problem, solved.x)
+    multiplier = float(solved.z.max()[1] / lin.balance.bounds.weight.min())
+    path = line_search.create_path(problem, lin, solved, du, multiplier)
+
+    def merit(t):
+        line_search.move(problem, path.start + t * path.du)
+        return line_search.find_energy(problem, data).value + path.excess(t)
+
+    h = 1e-3  # quadratic between kinks, so that central differences are exact
+    for t in (0.3, 0.6):
+        slope = (merit(t + h) - merit(t - h)) / (2 * h)
+        merit(t)
+        assert line_search.find_slope(problem, data, path, t) == pytest.approx(slope, rel=1e-6)
+    first = line_search.first_slope(problem, lin, path)
+    assert first == pytest.approx(merit(1.0) - merit(0.0) - 0.5 * du.dot(problem.K * du), rel=1e-6)
+    assert first < 0.0 < -lin.balance.r.dot(du)  # the penalty alone makes it fall
+
+
+@pytest.mark.parametrize("backend", ["active-set", "tron"])
+def test_a_step_at_round_off_is_not_refused(backend):
+    """Asked for more than the round-off of energies allows, slopes decide, and the step ends."""
+    for geometry in ("reference", "updated"):
+        case = create_case(dm.meshing.hertz(COMM, kind="graded", h=0.3), geometry=geometry)
+        case.press(0.2)
+        report = dm.newton(case.problem, rtol=1e-12, qp=backend)
+        assert all(i.step_length == 1.0 for i in report.iterations[-3:])
+
+
+# -- moving geometry -------------------------------------------------------------------------------
+
+
+def test_the_watch():
+    """Held while the change does not shrink; given up if it grows twice at balanced forces."""
+    watch = Watch(moving=True)
+    for change, held, rises in (
+        (4.0, False, 0),  # the first change has nothing to shrink from
+        (2.0, False, 0),
+        (2.0, True, 0),
+        (3.0, True, 1),
+        (1.0, False, 0),
+        (1.5, True, 0),
+        (1.6, True, 1),
+        (1.7, True, 2),
+    ):
+        watch = watch.after(change)
+        assert (watch.held, watch.rises) == (held, rises)
+    assert newton_module.MOST_RISES == 2
+
+
+@pytest.mark.parametrize("slave", ["block", "disc"])
+@pytest.mark.parametrize("steps", [1, 10])
+def test_a_drag_beyond_the_search_margin(slave, steps):
+    """Pressed by 0.05 and dragged by 2 mm over many facets: the force is that of a disc at x = 2.
+
+    Measured with new pairings in every step, either side as slave and 1 to 40 steps: 2453 N/mm.
+    """
+    case = create_case(dm.meshing.hertz(COMM, kind="graded", h=0.2), ELASTIC, slave=slave)
+    case.press(0.05)
+    dm.newton(case.problem)
+    case.problem.commit()
+    for x in np.linspace(0.0, 2.0, steps + 1)[1:]:
+        case.top.value[:] = (x, -0.05)
+        dm.newton(case.problem)
+        case.problem.commit()
+    assert case.force == pytest.approx(2453.0, rel=5e-3)
+    assert abs(case.contact.force[0]) < 0.02 * case.force
+    assert case.problem.system.searches > 1
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("slave", ["block", "disc"])
+def test_moments_balance_where_the_forces_act(slave):
+    """Contact forces act at X + u: dragged by 1 mm, their moments about the origin balance.
+
+    Up to the angle between facets and normals times the gaps; at X they would be off by all of it.
+    """
+    case = create_case(dm.meshing.hertz(COMM, kind="paper"), ELASTIC, slave=slave)
+    case.press(0.2)
+    dm.newton(case.problem)
+    case.problem.commit()
+    case.top.value[:] = (1.0, -0.2)
+    certificate = dm.newton(case.problem, rtol=1e-9).certificate
+    assert certificate.moment_balance < 1e-4 and certificate.force_balance < 1e-12
+    # the disc presses near x = 1, where it has been dragged to
+    x = case.contact.moment[2] / case.contact.force[1]
+    assert x == pytest.approx(1.0, abs=0.1)
+
+
+def test_frozen_geometry_that_slides_is_noted():
+    """Beyond a facet the pairing of the start is another problem; within one it is fine."""
+    case = create_case(dm.meshing.hertz(COMM, kind="paper"), ELASTIC, geometry="reference")
+    for x, noted in ((0.1, False), (1.5, True)):
+        case.top.value[:] = (x, -0.05)
+        report = dm.newton(case.problem)
+        case.problem.commit()
+        assert any("has slid" in note for note in report.notes) == noted
+
+
+# -- load steps ------------------------------------------------------------------------------------
+
+
+def on_top(case, depth=0.05):
+    """Return the function that sets the level of the load."""
+
+    def on_time(t):
+        case.press(depth * t)
+
+    return on_time
+
+
+def test_cuts_can_be_forbidden_and_are_told():
+    case = create_case(dm.meshing.hertz(COMM, kind="paper"))
+    with rejected("from 0 to 4", "0 of 0 cuts", error=dm.NewtonNotConverged):
+        list(dm.load_steps(case.problem, [4.0], on_time=on_top(case), max_it=5, cuts="none"))
+    (step,) = dm.load_steps(case.problem, [4.0], on_time=on_top(case), max_it=5)
+    assert step.report.cuts > 0 and len(step.parts) > 1
+    assert any("cut" in note for note in step.report.notes)
+    assert f"in {len(step.parts)} parts" in str(step)
+    assert step.report.as_dict()["cuts"] == step.report.cuts
+
+
+def test_a_second_walk_starts_where_the_first_ended():
+    case, seen = create_case(dm.meshing.hertz(COMM, kind="paper")), []
+    list(dm.load_steps(case.problem, [1.0], on_time=on_top(case)))
+
+    def on_time(t):
+        seen.append(t)
+        on_top(case)(t)
+
+    with pytest.raises(dm.NewtonNotConverged):
+        list(dm.load_steps(case.problem, [3.0], on_time=on_time, max_it=1, max_cuts=1))
+    assert seen == [3.0, 2.0]
+
+
+def test_a_step_of_no_length_is_not_halved():
+    case, seen = create_case(dm.meshing.hertz(COMM, kind="paper")), []
+
+    def on_time(t):
+        seen.append(t)
+        case.press(0.3)  # whatever the level
+
+    with rejected("from 0 to 0", error=dm.NewtonNotConverged):
+        list(dm.load_steps(case.problem, [0.0], on_time=on_time, max_it=1))
+    assert seen == [0.0]
+
+
+@pytest.mark.mpi
+def test_an_error_of_the_users_function_reaches_all_ranks():
+    case = create_case(dm.meshing.hertz(COMM, kind="paper"))
+
+    def on_time(t):
+        if COMM.rank == COMM.size - 1:
+            raise KeyError("no such level")
+
+    error = KeyError if COMM.rank == COMM.size - 1 else RuntimeError
+    with pytest.raises(error, match="no such level"):
+        list(dm.load_steps(case.problem, [1.0], on_time=on_time))
+
+
+def test_an_overlap_is_reduced_in_parts():
+    """Two plastic bodies overlap by more than one step of few iterations can push apart."""
+    case = create_case(dm.meshing.hertz(COMM, kind="paper", gap=-0.2))
+    with pytest.raises(dm.NewtonNotConverged):
+        dm.newton(case.problem, max_it=5)
+    (step,) = dm.load_steps(case.problem, [1.0], max_it=5)
+    assert len(step.parts) > 1 and step.report.certificate.gap < 1e-5
+    assert any("overlap" in note for part in step.parts for note in part.notes)
+    # the same depth by pressing, in as many steps or so
+    pressed = create_case(dm.meshing.hertz(COMM, kind="paper"))
+    list(dm.load_steps(pressed.problem, np.linspace(1, 4, 4), on_time=on_top(pressed)))
+    assert case.force == pytest.approx(pressed.force, rel=0.05)
+
+
+def test_a_limit_load_is_named():
+    """A bar in tension without hardening carries its yield stress and no more."""
+    b = Blocks(PILE[:1])
+    law = dm.VonMises.from_uniaxial(1000.0, 0.3, 10.0, 0.0)
+    pull = fem.Constant(b.mesh, default_scalar_type((0.0, 0.0)))
+    ds = ufl.Measure("ds", b.mesh, subdomain_data=b.facets)
+    bcs = [b.fix(1, BELOW, component=1), b.fix(1, WEST, component=0)]
+    loads = ufl.inner(pull, ufl.TestFunction(b.V)) * ds(10 + ABOVE)
+    problem = b.problem([], bcs, law=law, loads=loads)
+
+    def on_time(t):
+        pull.value[1] = 10.0 * t  # plane strain: the limit is 10 times 2 / sqrt(3)
+
+    reached = []
+    with rejected(
+        "limit load", "flows in 100 %", "[0.5, 0.5]", error=dm.NewtonNotConverged
+    ) as caught:
+        for step in dm.load_steps(problem, [1.0, 2.0], on_time=on_time):
+            reached.append(step.time)
+    assert reached == [1.0] and "float" not in caught.value.message
+    level = problem.committed.level
+    assert 1.0 < level < 2 / np.sqrt(3) and f"converged is {level:g}" in caught.value.message
+
+
+# -- a potential of the displacement ---------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_a_body_on_springs():
+    """A block held by a bed of springs alone: p/k plus the compression, and a quadratic Newton."""
+    b = Blocks(PILE[:1])
+    ds = ufl.Measure("ds", b.mesh, subdomain_data=b.facets)
+    k, p = 1000.0, 5.0
+    springs = 0.5 * k * b.u[1] ** 2 * ds(10 + BELOW)
+    bcs = [b.fix(1, WEST, component=0), b.fix(1, EAST, component=0)]
+    law = dm.Elastic(1000.0, 0.0)
+    problem = b.problem([], bcs, law=law, loads=b.traction(1, ABOVE, (0.0, -p)), potential=springs)
+    assert dm.newton(problem).newton_iterations == 1
+    y = b.V.tabulate_dof_coordinates()[:, 1]
+    assert np.abs(b.u.x.array[1::2] + p / k + p / 1000.0 * y).max(initial=0.0) < 1e-12
+
+
+def test_loads_that_contain_the_displacement_are_refused():
+    b = Blocks(PILE[:1])
+    ds = ufl.Measure("ds", b.mesh, subdomain_data=b.facets)
+    v = ufl.TestFunction(b.V)
+    with rejected("loads", "potential"):
+        b.problem([], [b.fix(1, BELOW)], loads=-b.u[1] * v[1] * ds(10 + ABOVE))
+
+
+def test_ball_against_block_in_few_iterations():
+    """What the residual end needs in 3D: elastic 1 and 4, plastic 5 and 6."""
+    for law, geometry, most in (
+        (ELASTIC, "reference", 1),
+        (ELASTIC, "updated", 4),
+        (PLASTIC, "reference", 6),
+        (PLASTIC, "updated", 7),
+    ):
+        problem, _ = create_problem(depth=0.05, law=law, geometry=geometry)
+        assert dm.newton(problem).newton_iterations <= most
