@@ -106,7 +106,7 @@ def test_a_load_that_vanishes(gap):
     forces = []
     for step in dm.load_steps(problem, [0.0, 0.5, 1.0, 0.0], on_time=on_time):
         assert len(step.parts) == 1
-        assert step.report.newton_iterations == 1 or step.time > 0.0
+        assert step.report.newton_iterations <= 2 or step.time > 0.0
         forces.append(contact.force[1])
     assert forces == pytest.approx([0.0, -2.5, -5.0, 0.0], abs=1e-5)
 
