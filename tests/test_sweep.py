@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Newton on random cases: depth, radius, materials, element sizes, slave side, gap or overlap."""
+"""Random problems: discs by their own certificate, and the sweep, which judges from outside."""
+
+import json
 
 from mpi4py import MPI
 
@@ -8,8 +10,22 @@ import pytest
 
 import dolfinx_mortar as dm
 from tests.hertz_case import create_case
+from tests.sweep.__main__ import main, seeds, table
+from tests.sweep.draws import KINDS
+from tests.sweep.draws import draw as draw_of_sweep
+from tests.sweep.problems import create
+from tests.sweep.recheck import residuals
+from tests.sweep.run import TOLERANCE, Outcome, flows
+from tests.sweep.run import run as run_of_sweep
 
 CASES = 200
+SLOW_SEEDS = {
+    "hertz": range(15),
+    "sphere": range(15),
+    "pile": range(15),
+    "boxes3": range(15),
+}
+"""Of each kind fifteen, the ones that have been hard among them."""
 
 
 def draw(seed):
@@ -70,3 +86,105 @@ def test_random_cases():
         except Exception as error:
             failures[seed] = f"{draw(seed)}: {error}"
     assert not failures, "\n".join(f"{k}: {v}" for k, v in failures.items())
+
+
+# -- the sweep
+
+
+@pytest.mark.slow
+@pytest.mark.serial
+@pytest.mark.parametrize("kind", KINDS)
+def test_random_problems(kind):
+    """Fifteen problems, without a failure that is not a limit load."""
+    outcomes = [run_of_sweep(kind, seed) for seed in SLOW_SEEDS[kind]]
+    print(table(outcomes))
+    assert len(outcomes) == 15
+    assert not [o.seed for o in outcomes if o.failure and not o.limit_load]
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("hertz", 1), ("pile", 1), ("boxes3", 1)])
+def test_some_random_problems(kind, seed):
+    outcome = run_of_sweep(kind, seed)
+    assert not outcome.failure
+    assert 0.0 < max(outcome.residuals.values()) <= TOLERANCE
+
+
+@pytest.mark.mpi
+def test_a_random_problem_on_ranks():
+    outcome = run_of_sweep("pile", 7)
+    assert not outcome.failure
+    assert outcome.steps == 3
+
+
+def test_seeds_keep_their_problems():
+    """Numbers that are drawn last, or close to it, so that they hang on all draws before."""
+    found = {kind: draw_of_sweep(kind, 7) for kind in KINDS}
+    assert found["hertz"]["tilt"] == pytest.approx(-0.17081478105864062, rel=1e-14)
+    assert found["sphere"]["laws"][2].nu == pytest.approx(0.3836464734741321, rel=1e-14)
+    assert found["pile"]["tilt"] == pytest.approx(-0.161973928770342, rel=1e-14)
+    assert found["boxes3"]["depth"] == pytest.approx(0.002564446269926025, rel=1e-14)
+    assert [found[kind]["steps"] for kind in KINDS] == [1, 1, 3, 1]
+
+
+def solved(kind, seed):
+    case = create(kind, seed)
+    for _ in dm.load_steps(case.problem, case.levels, on_time=case.on_time):
+        pass
+    return case
+
+
+def test_the_check_sees_what_is_wrong():
+    """Each residual jumps when what it judges is spoilt, by far more than the tolerance."""
+    case = solved("hertz", 7)
+    contact, u = case.problem.contacts[0], case.problem.u.x.array
+    stress, pressure = case.problem.solid.stress.x.array, contact.pressure.x.array
+    assert max(residuals(case).values()) <= TOLERANCE
+    on, open_ = pressure > 0.0, (pressure == 0.0) & (contact.gap.x.array > 0.0)
+
+    def spoilt(array, where, value):
+        before = array.copy()
+        array[where] = value
+        result = residuals(case)
+        array[:] = before
+        return {name for name, value in result.items() if value > 100.0 * TOLERANCE}
+
+    assert spoilt(stress, slice(None), 1.01 * stress) == {"equilibrium"}
+    assert spoilt(pressure, on, 1.01 * pressure[on]) == {"equilibrium", "force"}
+    assert "sign" in spoilt(pressure, np.flatnonzero(on)[:1], -1.0 * pressure.max())
+    assert "complementarity" in spoilt(pressure, open_, pressure.max())
+    dofs = case.problem.V.dofmap.list[case.cell_tags.find(2)]
+    down = np.unique(2 * dofs + 1)
+    assert "gap" in spoilt(u, down, u[down] - 0.01)
+
+
+def test_a_limit_load_is_told_from_a_failure():
+    """The third block of this pile does not harden; in plane strain it carries sqrt(2) Y."""
+    case = create("pile", 10)
+    law, traction = case.data["laws"][3], 0.05 * min(m.E for m in case.data["laws"].values())
+    limit = np.sqrt(2.0) * law.Y / traction
+    for level, expected in ((0.9 * limit, False), (0.9995 * limit, True)):
+        assert law.a == 0.0
+        assert len(list(dm.load_steps(case.problem, [level], on_time=case.on_time))) == 1
+        assert flows(case) is expected
+
+
+def test_the_command_prints_a_table_and_writes_lines(tmp_path, capsys):
+    file = tmp_path / "sweep.jsonl"
+    assert main(["--kinds", "pile", "--seeds", "7", "--output", str(file)]) == 0
+    header, line = capsys.readouterr().out.splitlines()[:2]
+    assert header.startswith("kind") and "limit loads" in header
+    assert line.split()[:5] == ["pile", "1", "0", "0", "0"]
+    (record,) = map(json.loads, file.read_text().splitlines())
+    assert (record["kind"], record["seed"], record["steps"]) == ("pile", 7, 3)
+    assert seeds("3:5") == range(3, 5)
+
+
+def test_the_table_counts_limit_loads_apart():
+    outcomes = [
+        Outcome("pile", 1, {}, iterations=[2]),
+        Outcome("pile", 2, {}, failure="A\nB", limit_load=True),
+        Outcome("pile", 3, {}, failure="C"),
+    ]
+    lines = table(outcomes).splitlines()
+    assert lines[1].split()[:5] == ["pile", "3", "1", "1", "0"]
+    assert lines[2:] == ["limit load: pile 2, 0 steps done: A", "FAILED: pile 3, 0 steps done: C"]

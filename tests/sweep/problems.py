@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: MIT
+"""From the data of a random problem to the problem itself, by the public API."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import fem, mesh
+from tests.block_piles import ABOVE, BELOW, WEST, Blocks
+from tests.meshes_3d import two_boxes
+from tests.sweep.draws import Draw, draw
+
+COMM = MPI.COMM_WORLD
+
+
+@dataclass(frozen=True)
+class RandomProblem:
+    """A problem with its load levels, and what is needed to check it from outside."""
+
+    data: Draw
+    problem: dm.ContactProblem
+    cell_tags: mesh.MeshTags
+    facet_tags: mesh.MeshTags
+    sides: list[tuple[int, int]]  # slave and master tag of each contact
+    bcs: list[fem.DirichletBC]
+    loads: ufl.Form | None
+    on_time: Callable[[float], None]
+
+    @property
+    def levels(self) -> npt.NDArray[np.float64]:
+        """Equal load steps up to the depth."""
+        steps = self.data["steps"]
+        return np.asarray(self.data["depth"] * np.arange(1, steps + 1) / steps)
+
+
+def create(kind: str, seed: int) -> RandomProblem:
+    """Return a random problem; collective."""
+    return KINDS[kind](draw(kind, seed))
+
+
+def _hertz(data: Draw) -> RandomProblem:
+    m = dm.meshing.hertz(COMM, **data["mesh"])
+    return _two_bodies(data, *m)
+
+
+def _boxes3(data: Draw) -> RandomProblem:
+    def wavy(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        x = x.copy()
+        x[:, 2] += data["wave"] * np.sin(3 * x[:, 0]) * np.cos(2 * x[:, 1])
+        return x
+
+    return _two_bodies(data, *two_boxes(COMM, transform=wavy, **data["mesh"]))
+
+
+def _two_bodies(
+    data: Draw, domain: mesh.Mesh, cell_tags: mesh.MeshTags, facet_tags: mesh.MeshTags
+) -> RandomProblem:
+    """Clamp tag 1, push tag 2 down and aside, with contact between tags 3 and 4."""
+    d = domain.geometry.dim
+    V = fem.functionspace(domain, ("Lagrange", 1, (d,)))
+    values = [fem.Constant(domain, np.zeros(d)) for _ in range(2)]
+    bcs = [
+        fem.dirichletbc(value, fem.locate_dofs_topological(V, d - 1, facet_tags.find(tag)), V)
+        for value, tag in zip(values, (1, 2), strict=True)
+    ]
+    tilt = data["tilt"]
+    direction = np.array([tilt, -1.0] if d == 2 else [tilt, -tilt / 2, -1.0])
+
+    def on_time(t: float) -> None:
+        values[1].value[:] = t * direction
+
+    return _with_contact(data, fem.Function(V), (cell_tags, facet_tags), bcs, on_time)
+
+
+def _sphere(data: Draw) -> RandomProblem:
+    """Clamp the block's bottom, push the flat face down; two planes of symmetry."""
+    m = dm.meshing.sphere(COMM, **data["mesh"])
+    V = fem.functionspace(m.mesh, ("Lagrange", 1, (3,)))
+    top, rest = (fem.Constant(m.mesh, 0.0) for _ in range(2))
+    bcs = []
+    for tag, components in ((1, (0, 1, 2)), (2, (0, 1, 2)), (5, (0,)), (6, (1,))):
+        for i in components:
+            W = V.sub(i)
+            dofs = fem.locate_dofs_topological(W, 2, m.facet_tags.find(tag))
+            bcs.append(fem.dirichletbc(top if (tag, i) == (2, 2) else rest, dofs, W))
+
+    def on_time(t: float) -> None:
+        top.value = -t
+
+    return _with_contact(data, fem.Function(V), (m.cell_tags, m.facet_tags), bcs, on_time)
+
+
+def _with_contact(
+    data: Draw,
+    u: fem.Function,
+    tags: tuple[mesh.MeshTags, mesh.MeshTags],
+    bcs: list[fem.DirichletBC],
+    on_time: Callable[[float], None],
+) -> RandomProblem:
+    """Put one contact between the facet tags 3 and 4."""
+    sides = (data["slave"], 7 - data["slave"])
+    contact = dm.Contact(tags[1], slave=sides[0], master=sides[1])
+    solid = dm.Solid(u, data["laws"], tags[0])
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=data["geometry"])
+    return RandomProblem(data, problem, *tags, [sides], bcs, None, on_time)
+
+
+def _pile(data: Draw) -> RandomProblem:
+    """Clamp the lowest block, hold the others at their left sides, load the uppermost one."""
+    b = Blocks(data["boxes"], cell=data["cell"])
+    height, number = data["wave"]
+    x = b.mesh.geometry.x
+    x[:, 1] += height * np.sin(number * x[:, 0])
+    count, moved = len(data["boxes"]), data["load"] == "disp"
+    sides = []
+    for k, lower_is_slave in enumerate(data["lower_is_slave"], start=1):
+        below, above = 10 * k + ABOVE, 10 * (k + 1) + BELOW
+        sides.append((below, above) if lower_is_slave else (above, below))
+    contacts = [dm.Contact(b.facets, slave=s, master=m) for s, m in sides]
+    held = range(2, count if moved else count + 1) if data["lateral"] == "west" else []
+    value = fem.Constant(b.mesh, np.zeros(2))  # displacement or traction of the uppermost side
+    bcs = [b.fix(1, BELOW), *(b.fix(k, WEST, component=0) for k in held)]
+    loads = None
+    if moved:
+        bcs.append(b.fix(count, ABOVE, value=value))
+    else:
+        ds = ufl.Measure("ds", b.mesh, subdomain_data=b.facets)
+        loads = ufl.inner(value, ufl.TestFunction(b.V)) * ds(10 * count + ABOVE)
+    unit = _pile_load(data)
+
+    def on_time(t: float) -> None:
+        value.value[:] = t * unit
+
+    solid = dm.Solid(b.u, data["laws"], b.cells)
+    problem = dm.ContactProblem(solid, contacts, bcs=bcs, loads=loads, geometry=data["geometry"])
+    return RandomProblem(data, problem, b.cells, b.facets, sides, bcs, loads, on_time)
+
+
+def _pile_load(data: Draw) -> npt.NDArray[np.float64]:
+    """Return the displacement or traction per level; a displacement closes the gaps, too."""
+    if data["load"] == "disp":
+        open_gaps = sum(gap for gap in data["gaps"] if gap > 0)
+        return np.array([data["tilt"], -1.0 - open_gaps / data["depth"]])
+    return np.array([0.0, -0.05 * min(law.E for law in data["laws"].values())])
+
+
+KINDS = {"hertz": _hertz, "sphere": _sphere, "pile": _pile, "boxes3": _boxes3}

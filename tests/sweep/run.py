@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: MIT
+"""Solve one random problem and say what came of it."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+from mpi4py import MPI
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import fem
+from tests.sweep.draws import draw
+from tests.sweep.problems import COMM, RandomProblem, create
+from tests.sweep.recheck import at_points, residuals, stress_tensor
+
+TOLERANCE = 1e-5
+"""Largest residual of a step that was solved to rtol = 1e-6."""
+SECONDS = 180
+"""Longest time of a problem on one rank; none takes a fifth of it."""
+FLOWING = 0.9
+"""Share of a body that has to flow for a limit load."""
+
+
+@dataclass
+class Outcome:
+    """What came of a random problem."""
+
+    kind: str
+    seed: int
+    data: dict[str, Any]
+    failure: str = ""  # why it failed
+    limit_load: bool = False  # it failed because a body that does not harden flows
+    iterations: list[int] = field(default_factory=list)  # of Newton, one per committed part
+    steps: int = 0  # committed steps
+    cuts: int = 0  # parts in excess of the steps
+    residuals: dict[str, float] = field(default_factory=dict)  # worst over the steps
+    warnings: list[str] = field(default_factory=list)
+    seconds: float = 0.0
+
+
+class TooLong(Exception):
+    """A problem takes longer than it may."""
+
+
+def run(kind: str, seed: int) -> Outcome:
+    """Solve a random problem and check its steps; collective."""
+    data = draw(kind, seed)
+    outcome = Outcome(kind, seed, data | {"laws": {k: repr(v) for k, v in data["laws"].items()}})
+    start, case = time.perf_counter(), None
+    with warnings.catch_warnings(record=True) as caught, _time_limit(SECONDS):
+        warnings.simplefilter("always")
+        try:
+            case = create(kind, seed)
+            _solve(case, outcome)
+        except Exception as error:
+            outcome.failure = f"{type(error).__name__}: {error}"
+            stopped = isinstance(error, dm.NewtonNotConverged)
+            outcome.limit_load = stopped and case is not None and flows(case)
+    worst = max(outcome.residuals.values(), default=0.0, key=_badness)
+    if not outcome.failure and not worst <= TOLERANCE:
+        outcome.failure = f"the solution does not pass the check: {outcome.residuals}"
+    outcome.warnings = sorted({str(w.message) for w in caught})
+    outcome.seconds = time.perf_counter() - start
+    return outcome
+
+
+def _solve(case: RandomProblem, outcome: Outcome) -> None:
+    """Walk through the steps; record each after its check."""
+    for step in dm.load_steps(case.problem, case.levels, on_time=case.on_time):
+        outcome.iterations += [part.newton_iterations for part in step.parts]
+        outcome.steps += 1
+        outcome.cuts += len(step.parts) - 1
+        for name, value in residuals(case).items():
+            # not a number is the worst of all
+            outcome.residuals[name] = max(value, outcome.residuals.get(name, 0.0), key=_badness)
+
+
+def _badness(value: float) -> float:
+    return float("inf") if value != value else value
+
+
+def flows(case: RandomProblem) -> bool:
+    """Tell whether most of some body that does not harden is at its yield limit; collective.
+
+    |dev sigma| = Y there, in the Frobenius norm: a traction that needs more cannot be carried.
+    """
+    s, dx = case.problem.solid.stress, at_points(case)
+    out_of_plane = s[2] if case.problem.V.mesh.geometry.dim == 2 else 0
+    in_plane = stress_tensor(case)
+    mean = (ufl.tr(in_plane) + out_of_plane) / 3
+    square = ufl.inner(in_plane, in_plane) + out_of_plane**2 - 3 * mean**2
+    for tag, law in case.data["laws"].items():
+        if getattr(law, "a", None) != 0.0:
+            continue
+        yields = ufl.conditional(ufl.ge(square, (0.999 * law.Y) ** 2), 1.0, 0.0)
+        one = fem.Constant(case.problem.V.mesh, 1.0)
+        share = [COMM.allreduce(_integral(f * dx(tag)), op=MPI.SUM) for f in (yields, one)]
+        if share[0] >= FLOWING * share[1]:
+            return True
+    return False
+
+
+def _integral(form: ufl.Form) -> float:
+    return float(fem.assemble_scalar(fem.form(form)))
+
+
+@contextmanager
+def _time_limit(seconds: int) -> Iterator[None]:
+    """Raise TooLong after some time; on one rank, where nobody waits for this one."""
+    if COMM.size > 1 or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(*_: Any) -> None:
+        raise TooLong(f"not done in {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
