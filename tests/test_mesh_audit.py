@@ -59,7 +59,7 @@ def volumes(domain):
 @pytest.mark.parametrize("kind", KINDS)
 def test_sound_meshes_pass(kind):
     for partition in ("graph", "shared_facet", "bodies"):
-        check_mesh(create(kind, partition=partition))
+        assert check_mesh(create(kind, partition=partition)) == []
 
 
 @pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
@@ -119,6 +119,18 @@ def test_a_folded_surface(kind):
     start[-1] = -1.0
     move(domain, start, start + 0.3 * np.eye(d)[-1])
     with rejected("inverted or folded", "at the surface, which is folded there"):
+        check_mesh(domain)
+
+
+@pytest.mark.mpi
+def test_a_dart_is_noted():
+    """A quadrilateral with a corner pushed in a little is poor: its integrals are still right."""
+    domain = mesh.create_unit_square(COMM, 4, 4, mesh.CellType.quadrilateral)
+    move(domain, [1.0, 1.0], [0.86, 0.86])
+    (note,) = check_mesh(domain)
+    assert "mesh: 1 of 16 cells are turned inside out at a corner, around (0.84, 0.84)" in note
+    move(domain, [0.86, 0.86], [0.78, 0.78])
+    with rejected("mesh: 1 of 16 cells are inverted", "around (0.82, 0.82)"):
         check_mesh(domain)
 
 

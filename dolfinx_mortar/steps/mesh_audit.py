@@ -2,11 +2,12 @@
 """The audit of the mesh itself: coordinates that are none, cells collapsed, inverted or folded.
 
 The sign of one cell's Jacobian says nothing, because dolfinx numbers a cell's nodes as it likes. It
-is compared: within a quadrilateral or hexahedron, with the signs at the other corners; otherwise,
-with the neighbours'. Two cells that share a facet lie on opposite sides of it. So with the signs
-and the ways in which both go around the facet, their sum over a facet is 0 inside a sound mesh, +1
-or -1 on its surface, and +2 or -2 where both lie on the same side. (Then the sum of all cells'
-volumes is not what the surface encloses.) Of each body the fewer cells are to blame.
+is compared: within a quadrilateral or hexahedron, at the points of the Gauss rule with two points
+along each edge; otherwise, with the neighbours'. Two cells that share a facet lie on opposite sides
+of it. So with the signs and the ways in which both go around the facet, their sum over a facet is 0
+inside a sound mesh, +1 or -1 on its surface, and +2 or -2 where both lie on the same side. (Then
+the sum of all cells' volumes is not what the surface encloses.) Of each body the fewer cells are to
+blame. A Jacobian that changes its sign at a corner only is poor, but no integral sees it.
 """
 
 from __future__ import annotations
@@ -47,22 +48,25 @@ class _Cells:
     x: Floats  # (n, k, d) coordinates
 
 
-def check_mesh(mesh: Mesh) -> None:
-    """Raise a ValueError on all ranks unless every cell is sound; collective.
+def check_mesh(mesh: Mesh) -> list[str]:
+    """Return notes on poor cells; raise a ValueError on all ranks for unsound ones; collective.
 
-    Looked for: geometry of higher degree, coordinates that are NaN or infinite, cells without
-    volume, cells whose Jacobian changes sign, cells that overlap a neighbour. Bodies may overlap
-    each other. Cells that the package does not know at all are left to other checks.
+    Unsound: geometry of higher degree, coordinates that are NaN or infinite, cells without volume,
+    cells whose Jacobian changes sign, cells that overlap a neighbour. Bodies may overlap each
+    other. Cells that the package does not know at all are left to other checks.
 
     Args:
         mesh: the mesh of all bodies.
+
+    Returns:
+        What may be mended, but need not.
 
     Raises:
         ValueError: with what is wrong, how many cells, where the first ones are, and the remedy.
     """
     kind, d = mesh.topology.cell_name(), mesh.topology.dim
     if kind not in CELLS or mesh.geometry.dim != d:
-        return
+        return []
     if mesh.geometry.cmap.degree != 1:
         raise ValueError(
             f"mesh: the geometry has degree {mesh.geometry.cmap.degree}; make the mesh with "
@@ -72,14 +76,13 @@ def check_mesh(mesh: Mesh) -> None:
     bad = np.any(~np.isfinite(cells.x), axis=(1, 2))
     _reject(cells, bad, "have coordinates that are NaN or infinite", "check the mesh")
     with np.errstate(under="ignore"):
-        J = corner_jacobians(cells.x, kind)
         noise = _round_off(cells.x)[:, None]
+        J = jacobians(cells.x, kind, _points(kind))
     collapsed = (np.abs(J) <= noise).all(axis=1)
     _reject(cells, collapsed, "have collapsed, without volume", "mend the mesh there", bodies=True)
-    mixed = (J > noise).any(axis=1) & (J < -noise).any(axis=1)
     order = "the nodes of a cell are in dolfinx's order (a tensor product, not around it)"
     remedy = f"check that no node was moved too far, and that {order}"
-    _reject(cells, mixed, "are inverted: the Jacobian changes sign inside", remedy)
+    _reject(cells, _mixed(J, noise), "are inverted: the Jacobian changes sign inside", remedy)
     _reject(
         cells,
         _inverted(cells, np.sign(J.sum(axis=1))),
@@ -87,24 +90,36 @@ def check_mesh(mesh: Mesh) -> None:
         "check that no node was moved through a cell",
         surface=True,
     )
+    if kind in SIMPLICES:
+        return []
+    with np.errstate(under="ignore"):
+        corners = jacobians(cells.x, kind, np.asarray(basix.geometry(basix.CellType[kind])))
+    poor = _describe(cells, _mixed(corners, noise), "are turned inside out at a corner")
+    return [f"{poor}; move the nodes there"] if poor else []
 
 
-def corner_jacobians(x: Floats, kind: str) -> Floats:
-    """Return the Jacobians (n, c) at the corners of cells x (n, k, d); one for a simplex.
+def jacobians(x: Floats, kind: str, points: Floats) -> Floats:
+    """Return the Jacobians (n, q) of cells x (n, k, d) at reference points (q, d).
 
     >>> square = np.array([[[0.0, 0.0], [2.0, 0.0], [0.0, 1.0], [2.0, 1.0]]])
-    >>> corner_jacobians(square, "quadrilateral").tolist()
-    [[2.0, 2.0, 2.0, 2.0]]
+    >>> jacobians(square, "quadrilateral", np.array([[0.25, 0.5]])).round(12).tolist()
+    [[2.0]]
     """
-    d = x.shape[2]
-    if kind in SIMPLICES:
-        return _determinants([x[:, i + 1] - x[:, 0] for i in range(d)])[:, None]
-    corners = []
-    for i in range(2**d):
-        # the bits of i are the reference coordinates of corner i
-        ends = [(i | 1 << axis, i & ~(1 << axis)) for axis in range(d)]
-        corners.append(_determinants([x[:, high] - x[:, low] for high, low in ends]))
-    return np.stack(corners, axis=1)
+    element = basix.create_element(basix.ElementFamily.P, basix.CellType[kind], 1)
+    slopes = np.asarray(element.tabulate(1, points))[1:, :, :, 0]  # (d, q, k)
+    columns = [np.matmul(slope, x).reshape(-1, len(slopes)) for slope in slopes]
+    return _determinants(columns).reshape(len(x), len(points))
+
+
+def _points(kind: str) -> Floats:
+    """Return the reference points (q, d) at which signs are compared: two along each edge."""
+    points, _ = basix.make_quadrature(basix.CellType[kind], 1 if kind in SIMPLICES else 3)
+    return np.asarray(points)
+
+
+def _mixed(J: Floats, noise: Floats) -> Bools:
+    """Tell in which cells (n,) Jacobians (n, q) have both signs, beyond round-off."""
+    return np.asarray((J > noise).any(axis=1) & (J < -noise).any(axis=1))
 
 
 def _determinants(columns: list[Floats]) -> Floats:
@@ -229,7 +244,7 @@ def _reject(
     bodies: bool = False,
     surface: bool = False,
 ) -> None:
-    """Raise a ValueError on all ranks if any cell (n,) is bad; collective.
+    """Raise a ValueError on all ranks if any cell is bad; collective.
 
     Args:
         cells: the owned cells.
@@ -239,15 +254,19 @@ def _reject(
         bodies: name also the bodies all of whose cells are bad.
         surface: say if some are at the surface.
     """
-    comm = cells.mesh.comm
-    count, total = comm.allreduce(np.array([bad.sum(), len(bad)]), op=MPI.SUM)
+    said = _describe(cells, bad, what)
+    if said:
+        said += _whole_bodies(cells, bad) if bodies else ""
+        said += _at_surface(cells, bad) if surface else ""
+        raise ValueError(f"{said}; {remedy}")
+
+
+def _describe(cells: _Cells, bad: Any, what: str) -> str:
+    """Return how many cells are something, and where; nothing if none is; collective."""
+    count, total = cells.mesh.comm.allreduce(np.array([bad.sum(), len(bad)]), op=MPI.SUM)
     if count == 0:
-        return
-    more = _whole_bodies(cells, bad) if bodies else ""
-    more += _at_surface(cells, bad) if surface else ""
-    raise ValueError(
-        f"mesh: {count} of {total} cells {what}, around {_places(cells, bad)}{more}; {remedy}"
-    )
+        return ""
+    return f"mesh: {count} of {total} cells {what}, around {_places(cells, bad)}"
 
 
 def _places(cells: _Cells, bad: Bools) -> str:
