@@ -29,6 +29,24 @@ def test_what_is_no_problem(problem):
         checks.check_problem(problem, dm.ContactProblem)
 
 
+@pytest.mark.parametrize("problem", [None, "x"])
+def test_steps_of_no_problem(problem):
+    with rejected("problem is", "give a ContactProblem(solid"):
+        dm.newton(problem)
+    with rejected("problem is", "give a ContactProblem(solid"):
+        next(dm.load_steps(problem, [1.0]))
+
+
+@pytest.mark.parametrize(
+    "bad", [{"times": [True]}, {"start": np.nan}, {"max_cuts": -1}, {"cuts": "half"}]
+)
+def test_load_steps_check_their_arguments(bad):
+    case = PressedBlocks()
+    with rejected(next(iter(bad))):
+        next(dm.load_steps(case.problem(), **({"times": [1.0]} | bad)))
+    assert not case.u.x.array.any()
+
+
 def test_a_problem_is_one():
     checks.check_problem(PressedBlocks().problem(), dm.ContactProblem)
 
@@ -127,6 +145,17 @@ def test_arguments_of_a_problem_that_differ(name):
             dm.ContactProblem(solid, **given)
     else:
         dm.ContactProblem(solid, [contact], bcs=bcs)
+
+
+@pytest.mark.mpi
+def test_controls_of_a_step_that_differ():
+    problem = PressedBlocks().problem()
+    if COMM.size > 1:
+        with unequal("rtol"):
+            dm.newton(problem, rtol=1e-8 if COMM.rank == LAST else 1e-6)
+        with unequal("times"):
+            next(dm.load_steps(problem, [1.0] if COMM.rank == LAST else [2.0]))
+    assert dm.newton(problem).converged
 
 
 @pytest.mark.mpi

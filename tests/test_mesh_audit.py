@@ -11,7 +11,7 @@ from dolfinx_mortar.steps import mesh_audit
 from dolfinx_mortar.steps.mesh_audit import check_mesh
 from tests.meshes import two_blocks
 from tests.meshes_3d import rotation, two_boxes
-from tests.pressed_blocks import COMM, rejected
+from tests.pressed_blocks import COMM, PressedBlocks, rejected
 
 KINDS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
 PLANE = ["triangle", "quadrilateral"]
@@ -180,6 +180,15 @@ def test_refused_if_the_cells_do_not_fill_what_the_surface_encloses(kind):
         else:
             check_mesh(domain)
     assert 4 <= sum(refused) <= 14
+
+
+@pytest.mark.mpi
+def test_the_first_step_asks_for_the_audit():
+    case = PressedBlocks(n_lower=(4, 4))
+    problem = case.problem()
+    move(case.mesh, [0.5, -0.5], [0.95, -0.5])
+    with rejected("inverted or folded"):
+        dm.newton(problem)
 
 
 # -- collapsed

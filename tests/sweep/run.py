@@ -22,8 +22,8 @@ from tests.sweep.problems import COMM, RandomProblem, create
 from tests.sweep.recheck import at_points, residuals, stress_tensor
 
 TOLERANCE = 1e-4
-"""Largest residual of a step solved to rtol = 1e-6: these are largest entries over the largest nodal
-force, and Newton's are norms over the norm of all forces, those inside the elements included."""
+"""Largest residual of a step solved to rtol = 1e-6. These are largest entries over the largest
+nodal force; Newton takes norms, and its scale knows the forces inside the elements."""
 SECONDS = 180
 """Longest time of a problem on one rank; none takes a fifth of it."""
 FLOWING = 0.9
