@@ -20,12 +20,12 @@ from tests.sweep.run import run as run_of_sweep
 
 CASES = 200
 SLOW_SEEDS = {
-    "hertz": range(15),
-    "sphere": range(15),
-    "pile": range(15),
-    "boxes3": range(15),
+    "hertz": (0, 1, 11, 12, 15, 28, 35, 39, 40, 58, 59, 63, 68, 70, 76),
+    "sphere": (0, 5, 8, 10, 14, 15, 16, 17, 18, 23, 25, 27, 30, 35, 302),
+    "pile": (0, 2, 4, 10, 34, 39, 41, 49, 53, 65, 79, 80, 87, 95, 103),
+    "boxes3": (1, 2, 11, 18, 24, 26, 30, 36, 39, 47, 52, 54, 57, 225, 286),
 }
-"""Of each kind fifteen, the ones that have been hard among them."""
+"""Fifteen of each kind: failures, cuts, most iterations so far, cells turned out at a corner."""
 
 
 def draw(seed):
