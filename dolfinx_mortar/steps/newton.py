@@ -45,7 +45,14 @@ from dolfinx_mortar.steps.linearisation import (
 )
 from dolfinx_mortar.steps.problem import ContactProblem, StepData
 from dolfinx_mortar.steps.report import Iteration, NewtonNotConverged, StepReport
-from dolfinx_mortar.steps.residuals import Contacts, Residuals, Scales, measure
+from dolfinx_mortar.steps.residuals import (
+    Contacts,
+    Residuals,
+    Scales,
+    find_extent,
+    largest_force,
+    measure,
+)
 from dolfinx_mortar.steps.results import set_results
 
 log = logging.getLogger(__name__)
@@ -57,6 +64,8 @@ FORCING = {"direct": 1e-3, "iterative": 1e-1}
 FIRST_QP = {"direct": 1e-4, "iterative": 1e-2}
 # A fixed point whose change grows so often, Newton converged in between, does not contract.
 MOST_RISES = 2
+# A step that is longer than so many times the model is no step of a small strain.
+FARTHEST = 1e3
 # A QP need not be more accurate than this share of what the step allows.
 QP_SHARE = 0.1
 
@@ -202,7 +211,10 @@ class _Step:
         if problem.contacts and not problem.comm.allreduce(bool(start.any()), op=MPI.LOR):
             links, length = problem.system.links, problem.system.facet_length
             start = predict_active(links, problem.positions(), problem.n, balance.nodes, length)
-        return Iterate(balance, contacts, Scales(), energy, norm, 0.0), start
+        extent = find_extent(problem, self.data.target)
+        begun = largest_force(problem, balance, np.zeros(0))
+        scales = Scales(begun=begun, work=norm**2, extent=extent)
+        return Iterate(balance, contacts, scales, energy, norm, 0.0), start
 
     @property
     def has_energy(self) -> bool:
@@ -235,17 +247,17 @@ class _Step:
         contacts, largest = self.take_over(lin, solved, old.largest)
 
         du = to_displacement(problem, solved.x)
+        self.check_distance(du, scales.extent)
         length, halvings, energy = self.move(lin, solved, du, largest, old.energy)
         norm = problem.solid.elastic_norm(problem.u)
         increment = _elastic_norm(problem, du)
         increment = increment / (old.norm + norm) if old.norm + norm > 0.0 else 0.0
-        scales = replace(scales, work=max(scales.work, norm**2))
 
         predicted = _nodal(
             problem, lin.balance, lin.balance.bounds.upper - length * _motion(lin, solved)
         )
-        balance, watch, change = self.follow(watch, lin, contacts, scales, predicted)
-        residual, scales = measure(problem, balance, contacts, lin.diagonal, scales, report.rtol)
+        balance, watch, change = self.follow(watch, lin, contacts, scales, norm, predicted)
+        residual = measure(problem, balance, contacts, lin.diagonal, scales, norm, report.rtol)
         report.iterations.append(
             Iteration(
                 number=number,
@@ -332,6 +344,17 @@ class _Step:
         changed = ((start > 0) != (solved.active > 0)) & (force > residual.limit)
         return int(self.problem.comm.allreduce(int(changed.sum()), op=MPI.SUM))
 
+    def check_distance(self, du: PETSc.Vec, extent: float) -> None:
+        """Raise if a step leads out of the world: a singular tangent may solve to anything."""
+        farthest = du.norm(PETSc.NormType.INFINITY)
+        if not farthest <= FARTHEST * extent:
+            raise failures.not_converged(
+                f"a step goes {farthest:.1e} far, in a model of size {extent:.1e}: the tangent is "
+                "singular, so nothing holds a body, or nothing resists its flow",
+                self.problem,
+                self.report,
+            )
+
     def move(
         self,
         lin: Linearisation,
@@ -365,6 +388,7 @@ class _Step:
         lin: Linearisation,
         contacts: Contacts,
         scales: Scales,
+        norm: float,
         predicted: Floats,
     ) -> tuple[Balance, Watch, float]:
         """Rebuild the geometry at u unless it stands or is held; return the balance there."""
@@ -373,7 +397,7 @@ class _Step:
         if balance is not None:
             if not watch.moving:
                 return balance, watch, 0.0
-            residual, _ = measure(problem, balance, contacts, lin.diagonal, scales, rtol)
+            residual = measure(problem, balance, contacts, lin.diagonal, scales, norm, rtol)
             if residual.excess > 1.0:
                 return balance, watch, 0.0
         problem.update_geometry(self.data.increment)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -241,10 +241,11 @@ class ContactProblem:
         return self._audited if self._audited is not None else self._audit(0.0)
 
     def _audit(self, increment: float) -> Audit:
-        check_mesh(self.V.mesh)
+        notes = check_mesh(self.V.mesh)
         x = self.update_geometry(increment, search=True)
         springs = self._resistance_of_potential()
-        self._audited = create_audit(self.bodies, self.system, self.supports, x, springs)
+        audit = create_audit(self.bodies, self.system, self.supports, x, springs)
+        self._audited = replace(audit, warnings=audit.warnings + notes)
         return self._audited
 
     def _resistance_of_potential(self) -> Callable[[PETSc.Vec], Floats]:

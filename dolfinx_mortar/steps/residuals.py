@@ -8,7 +8,7 @@ this vanishes in rigid travel or after unloading, where an increment or an energ
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mpi4py import MPI
@@ -48,11 +48,12 @@ class Contacts:
 
 @dataclass(frozen=True)
 class Scales:
-    """The sizes that a step has shown so far; they only grow."""
+    """The sizes against which an iterate is measured; those of wild iterates count for nothing."""
 
-    force: float = 0.0  # largest norm of external, contact, support or element forces
+    begun: float = 0.0  # largest norm of external, support or element forces at the begin
     first: float = 0.0  # norm of the first QP's right-hand side
-    work: float = 0.0  # largest |u|_e^2
+    work: float = 0.0  # |u|_e^2 at the begin
+    extent: float = np.inf  # size of the mesh plus the largest prescribed displacement
 
 
 @dataclass(frozen=True)
@@ -73,13 +74,28 @@ def _ratio(value: float, scale: float) -> float:
     return 0.0 if value == 0.0 else value / scale if scale > 0.0 else np.inf
 
 
-def round_off(problem: ContactProblem, diagonal: PETSc.Vec) -> float:
-    """Return the round-off of K u, EPS times the norm of |K| |u|; collective."""
-    return (
-        ROW_SUM
-        * EPS
-        * _norm(problem.comm, diagonal.array_r * problem.u.x.array[: diagonal.local_size])
-    )
+def round_off(problem: ContactProblem, diagonal: PETSc.Vec, extent: float = np.inf) -> float:
+    """Return the round-off of K u, EPS times the norm of |K| |u|; collective.
+
+    What is farther away than the ``extent`` of mesh and supports counts as being there: a body that
+    a singular tangent has thrown away must not excuse the forces that it leaves.
+    """
+    u = np.clip(problem.u.x.array[: diagonal.local_size], -extent, extent)
+    return ROW_SUM * EPS * _norm(problem.comm, diagonal.array_r * u)
+
+
+def find_extent(problem: ContactProblem, target: Floats) -> float:
+    """Return the size of the mesh plus the largest prescribed displacement; collective."""
+    x = problem.V.mesh.geometry.x
+    sizes = maximum(problem.comm, np.abs(x).max(initial=0.0), np.abs(target).max(initial=0.0))
+    return float(sizes.sum())
+
+
+def largest_force(problem: ContactProblem, balance: Balance, z: Floats) -> float:
+    """Return the largest norm of external, contact, support and element forces; collective."""
+    supports = balance.reduced.array_r[balance.equal.dofs]
+    norms = _norm(problem.comm, z), _norm(problem.comm, supports)
+    return max(balance.external, balance.elements, *norms)
 
 
 def gap_round_off(problem: ContactProblem) -> float:
@@ -95,8 +111,9 @@ def measure(
     contacts: Contacts,
     diagonal: PETSc.Vec,
     scales: Scales,
+    norm: float,
     rtol: float,
-) -> tuple[Residuals, Scales]:
+) -> Residuals:
     """Judge an iterate, with the multipliers at hand; collective.
 
     Args:
@@ -104,22 +121,18 @@ def measure(
         balance: forces and constraints in the geometry that is to be judged.
         contacts: the multipliers of the last QP.
         diagonal: of the last K^, which turns a penetration into the force that undoes it.
-        scales: of the step so far.
+        scales: what else is measured against.
+        norm: |u|_e of the iterate.
         rtol: tolerance.
-
-    Returns:
-        The residuals, and the scales with this iterate's sizes.
     """
     comm, z = problem.comm, contacts.reactions(balance)
     free = balance.reduced.array_r.copy()
-    supports = free[balance.equal.dofs]
     free[balance.bounds.dofs] -= z
     free[balance.equal.dofs] = 0.0
     forces = _norm(comm, free)
-    largest = max(balance.external, balance.elements, _norm(comm, z), _norm(comm, supports))
-    scales = replace(scales, force=max(scales.force, largest))
-    floor = round_off(problem, diagonal)
-    limit = max(rtol * scales.force, FIRST_SHARE * rtol * scales.first, floor)
+    scale = max(scales.begun, largest_force(problem, balance, z))
+    floor = round_off(problem, diagonal, scales.extent)
+    limit = max(rtol * scale, FIRST_SHARE * rtol * scales.first, floor)
 
     length = gap_round_off(problem)
     active, gap = contacts.active[balance.nodes], balance.bounds.upper
@@ -133,6 +146,7 @@ def measure(
     )
     work = comm.allreduce(float(np.abs(z) @ off), op=MPI.SUM)
     shares = (forces / limit if forces > 0.0 else 0.0), _ratio(pull, limit)
-    excess = max(*shares, _ratio(work, rtol * scales.work))
-    relative = max(_ratio(pull, max(scales.force, limit)), _ratio(work, scales.work))
-    return Residuals(_ratio(forces, max(scales.force, limit)), relative, excess, limit), scales
+    whole = max(scales.work, norm**2)
+    excess = max(*shares, _ratio(work, rtol * whole))
+    relative = max(_ratio(pull, max(scale, limit)), _ratio(work, whole))
+    return Residuals(_ratio(forces, max(scale, limit)), relative, excess, limit)
