@@ -12,6 +12,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
+import dolfinx_mortar.output.files
 import ufl
 from basix.ufl import element
 from dolfinx import fem, mesh
@@ -325,3 +326,24 @@ def test_no_room_for_the_mesh(folder):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
     Writer(path, problem).close()
+
+
+@pytest.mark.parametrize("n", [4, 90])
+def test_the_room_asked_for_is_enough(folder, monkeypatch, n):
+    """No file grows by more than what was made sure of, for the mesh and for every step."""
+    asked, files = [], dolfinx_mortar.output.files
+    monkeypatch.setattr(files, "_try_to_grow", lambda file, size: asked.append(size))
+    m = mesh.create_rectangle(COMM, [[0.0, 0.0], [2.0, 1.0]], (n, n))
+    problem, path = Problem("triangle", 1), folder / "out.xdmf"
+    problem.solid = SimpleNamespace(V=fem.functionspace(m, ("Lagrange", 1, (2,))))
+    cells = {f"c{i}": fem.Function(fem.functionspace(m, ("DG", 0, (i,)))) for i in range(1, 9)}
+    problem.output_fields = lambda: {"u": fem.Function(problem.solid.V)} | cells
+    size = 0
+    with Writer(path, problem) as out:
+        for step in range(12):
+            files_now = [path.with_suffix(".h5"), path]
+            grown = sum(f.stat().st_size for f in files_now if f.exists()) - size
+            assert COMM.rank > 0 or grown <= asked[-1]
+            size += grown
+            COMM.Barrier()
+            out.write(float(step))
