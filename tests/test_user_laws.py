@@ -107,6 +107,7 @@ MISTAKES = {
     "state is a list": ({"state": ["alpha"]}, r"Variant: state is \['alpha'\]; give a dictionary"),
     "state shape": ({"state": {"w": (2,)}}, r"Variant: state 'w' has the shape \(2,\)"),
     "state hides": ({"state": {"stress": ()}}, r"Variant: state has the name 'stress'; choose"),
+    "state hides gap": ({"state": {"gap": ()}}, r"Variant: state has the name 'gap'; choose"),
     "forgotten": ({"updated_state": forgets_alpha}, r"updated_state does not return 'alpha'"),
     "unknown": ({"updated_state": one_too_many}, r"updated_state returns 'beta', but `state` decl"),
     "nothing": ({"updated_state": lambda e, s, p: None}, r"updated_state returns None; it must"),

@@ -116,14 +116,19 @@ def merge_results(
         claim = np.where(facing, 1 + _carries(interface, len(nodes)), 0)
         take = claim > best[nodes]
         best[nodes[take]] = claim[take]
-        if name == "facing":
-            values = np.full(len(nodes), float(interface.resultants is not None))
-        else:
-            values = _field(interface.fields, name).x.array[nodes]
+        values = _nodal(interface, name)[nodes]
         merged[nodes[take]] = np.where(facing, values, 0.0)[take]
     function.x.array[:n] = merged
     function.x.scatter_forward()
     return function
+
+
+def _nodal(interface: Interface, name: str) -> Floats:
+    """Return nodal values; "facing" is 1 everywhere once a step has found gaps."""
+    if name == "facing":
+        solved = float(interface.resultants is not None)
+        return np.full(len(_field(interface.fields, "gap").x.array), solved)
+    return np.asarray(_field(interface.fields, name).x.array)
 
 
 def _carries(interface: Interface, n: int) -> Bools:
