@@ -316,6 +316,13 @@ def test_a_full_disk_leaves_what_was_written(folder):
     check_step(path, 1, 1.0, 2)
 
 
+def test_asking_for_room_leaves_the_file_alone(tmp_path):
+    file = tmp_path / "out.h5"
+    file.write_bytes(b"numbers")
+    dolfinx_mortar.output.files._try_to_grow(file, 10**6)
+    assert file.read_bytes() == b"numbers"
+
+
 def test_no_room_for_the_mesh(folder):
     problem, path = Problem("triangle", 1), folder / "out.xdmf"
     unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
