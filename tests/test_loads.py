@@ -7,6 +7,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 
+import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem, mesh
 from dolfinx_mortar.materials import Elastic
@@ -243,3 +244,52 @@ def test_wrong_potentials_are_refused():
     for message, potential in cases.items():
         with pytest.raises(ValueError, match=rf"^potential.*{message}"):
             Loads(u.function_space, u, potential=potential)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_spring_bed_through_newton(d):
+    """The same bed in a ContactProblem: half of the way, at once and again, by two iterations."""
+    u, ds, _ = create_box(d)
+    V = u.function_space
+    zero, down = default_scalar_type(0.0), default_scalar_type(-0.01)
+    bcs = [fem.dirichletbc(down, held(u, d - 1, lambda x: np.isclose(x[d - 1], 1.0)), V.sub(d - 1))]
+    for i in range(d - 1):
+        bcs.append(
+            fem.dirichletbc(zero, held(u, i, lambda x, i=i: np.isclose(x[i], 0.0)), V.sub(i))
+        )
+    energy = 0.5 * 1000.0 * u[d - 1] ** 2 * ds(1)
+    problem = dm.ContactProblem(Solid(u, Elastic(1000.0, 0.0)), bcs=bcs, potential=energy)
+    for _ in range(2):
+        assert dm.newton(problem).newton_iterations <= 2
+        problem.commit()
+        bottom = u.x.array[held(u, d - 1, lambda x: np.isclose(x[d - 1], 0.0))]
+        assert np.allclose(bottom, -0.005, rtol=1e-9)
+
+
+def test_loads_that_contain_the_displacement_are_refused_by_the_problem():
+    u, ds, _ = create_box(2)
+    form = -1000.0 * u[1] * ufl.TestFunction(u.function_space)[1] * ds(1)
+    with pytest.raises(ValueError, match=r"^loads contain the displacement .*potential=\.\.\."):
+        dm.ContactProblem(Solid(u, Elastic(1.0, 0.3)), loads=form)
+
+
+def test_a_one_sided_bed_lets_go():
+    """Springs that only push: pulled away, the block is free of them; pressed, they take half."""
+    u, ds, _ = create_box(2)
+    V = u.function_space
+    move = fem.Constant(V.mesh, default_scalar_type(0.0))
+    bcs = [
+        fem.dirichletbc(move, held(u, 1, lambda x: np.isclose(x[1], 1.0)), V.sub(1)),
+        fem.dirichletbc(
+            default_scalar_type(0.0), held(u, 0, lambda x: np.isclose(x[0], 0.0)), V.sub(0)
+        ),
+    ]
+    energy = 0.5 * 1000.0 * ufl.min_value(u[1], 0.0) ** 2 * ds(1)
+    problem = dm.ContactProblem(Solid(u, Elastic(1000.0, 0.0)), bcs=bcs, potential=energy)
+    assert not problem.loads.linear
+    for value, expected in ((-0.01, -0.005), (0.01, 0.01), (-0.02, -0.01)):
+        move.value = value
+        dm.newton(problem)
+        problem.commit()
+        bottom = u.x.array[held(u, 1, lambda x: np.isclose(x[1], 0.0))]
+        assert np.allclose(bottom, expected, rtol=1e-6)

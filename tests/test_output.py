@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Round trips through the XDMF file: every field, every step, any number of ranks."""
 
+import json
+import resource
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,6 +12,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
+import dolfinx_mortar.output.files
 import ufl
 from basix.ufl import element
 from dolfinx import fem, mesh
@@ -182,3 +185,172 @@ def test_field_of_another_mesh_is_refused(folder):
         problem.fields = other.fields
         with pytest.raises(ValueError, match="another mesh"):
             out.write(0.0)
+
+
+def notes_of(path):
+    """Return the notes of a file by name."""
+    found = ET.parse(path).getroot().findall("Domain/Information")
+    return {note.attrib["Name"]: note.attrib["Value"] for note in found}
+
+
+def test_notes_of_any_json_type(folder):
+    """Texts are kept as they are, other values in JSON; what is neither is named."""
+    problem, path = Problem("triangle", 1), folder / "out.xdmf"
+    notes = {"E": 206900, "nu": 0.29, "laws": {"1": ["steel", None, True]}, "text": "1"}
+    with Writer(path, problem, notes=notes) as out:
+        out.write(0.0)
+    found = notes_of(path)
+    assert found.pop("text") == "1"
+    assert {name: json.loads(text) for name, text in found.items()} == {
+        name: notes[name] for name in found
+    }
+    for wrong in ({"a": np.zeros(2)}, {"a": float("nan")}, {"a": {1, 2}}, {3: "a"}, {"a": "\0"}):
+        with pytest.raises(ValueError, match=r"^notes"):
+            Writer(path, problem, notes=wrong)
+    with pytest.raises(ValueError, match=r"^notes is .*give a dictionary"):
+        Writer(path, problem, notes=["mm"])
+
+
+def test_wrong_arguments_are_named_at_construction(folder):
+    problem = Problem("triangle", 1)
+    for wrong in (None, 3, problem.solid, SimpleNamespace(solid=problem.solid)):
+        with pytest.raises(ValueError, match=r"^problem is .*give a ContactProblem"):
+            Writer(folder / "out.xdmf", wrong)
+    for path in (None, 3, folder / "out"):
+        with pytest.raises(ValueError, match=r"^path = .*\.xdmf"):
+            Writer(path, problem)
+
+
+def test_a_closed_writer_writes_no_more(folder):
+    problem, path = Problem("triangle", 1), folder / "out.xdmf"
+    with Writer(path, problem) as out:
+        out.write(0.0)
+    with pytest.raises(ValueError, match=r"out\.xdmf' is closed"):
+        out.write(1.0)
+    COMM.Barrier()
+    check_step(path, 0, 0.0, 1)
+
+
+def test_one_file_has_one_writer(folder, monkeypatch):
+    """A second one would spoil it, also by another path; once the first is closed it may start."""
+    problem, path = Problem("triangle", 1), folder / "out.xdmf"
+    first = Writer(path, problem)
+    first.write(0.0)
+    monkeypatch.chdir(folder)
+    for same in (path, "out.xdmf", folder / ".." / folder.name / "out.xdmf"):
+        with pytest.raises(ValueError, match="is open in another Writer: close it first"):
+            Writer(same, problem)
+    check_step(path, 0, 0.0, 1)
+    COMM.Barrier()
+    first.close()
+    with Writer(path, problem) as second:
+        problem.t = 2.0
+        second.write(2.0)
+    check_step(path, 0, 2.0, 1)
+    # an error ends the writing, too
+    with pytest.raises(ZeroDivisionError), Writer(path, problem):
+        raise ZeroDivisionError
+    Writer(path, problem).close()
+
+
+@pytest.mark.parametrize("names", [("von Mises", "von_mises"), ("p [MPa]", "p/MPa/"), ("A", "a")])
+def test_names_that_collide_are_refused(folder, names):
+    """In the file they would be one field."""
+    problem = Problem("triangle", 1)
+    with Writer(folder / "out.xdmf", problem) as out:
+        f = problem.fields["linear"]
+        problem.output_fields = lambda: dict.fromkeys(names, f)
+        with pytest.raises(ValueError, match="would have one name in the file"):
+            out.write(0.0)
+
+
+def test_an_error_on_one_rank_is_raised_on_all(folder, monkeypatch):
+    """Neither a bad argument nor a failing disk of one rank lets the others wait."""
+    problem, path = Problem("triangle", 1), folder / "out.xdmf"
+    last = COMM.rank == COMM.size - 1
+    with pytest.raises(ValueError, match="notes"):
+        Writer(path, problem, notes={"a": np.zeros(2) if last else 1})
+    with Writer(path, problem) as out:
+        out.write(0.0)
+        with pytest.raises(ValueError, match="t is 'now'"):
+            out.write("now" if last else 1.0)
+        draft = Path.open
+
+        def full(self, *arguments, **options):
+            if self.suffix == ".part":
+                raise OSError(28, "No space left on device", str(self))
+            return draft(self, *arguments, **options)
+
+        monkeypatch.setattr(Path, "open", full)  # only rank 0 writes it
+        with pytest.raises(OSError, match=r"No space left on device.*out\.xdmf"):
+            out.write(1.0)
+        monkeypatch.undo()
+        COMM.Barrier()
+        check_step(path, 0, 0.0, 1)
+        COMM.Barrier()
+        problem.t = 2.0
+        out.write(2.0)
+    check_step(path, 1, 2.0, 2)
+
+
+def test_a_full_disk_leaves_what_was_written(folder):
+    """The error names the file on all ranks; with room again, the step can be written."""
+    problem, path = Problem("triangle", 1), folder / "out.xdmf"
+    with Writer(path, problem) as out:
+        out.write(0.0)
+        size = COMM.bcast(path.with_suffix(".h5").stat().st_size)
+        unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
+        problem.t = 1.0
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size + 2**10, unlimited[1]))
+        try:
+            with pytest.raises(OSError, match=r"no room for \d+ bytes more.*out\.h5"):
+                out.write(1.0)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
+        COMM.Barrier()
+        assert path.with_suffix(".h5").stat().st_size == size
+        check_step(path, 0, 0.0, 1)
+        COMM.Barrier()
+        out.write(1.0)
+    check_step(path, 0, 0.0, 2)
+    check_step(path, 1, 1.0, 2)
+
+
+def test_asking_for_room_leaves_the_file_alone(tmp_path):
+    file = tmp_path / "out.h5"
+    file.write_bytes(b"numbers")
+    dolfinx_mortar.output.files._try_to_grow(file, 10**6)
+    assert file.read_bytes() == b"numbers"
+
+
+def test_no_room_for_the_mesh(folder):
+    problem, path = Problem("triangle", 1), folder / "out.xdmf"
+    unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2**10, unlimited[1]))
+    try:
+        with pytest.raises(OSError, match=r"no room for .*out\.h5"):
+            Writer(path, problem)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
+    Writer(path, problem).close()
+
+
+@pytest.mark.parametrize("n", [4, 90])
+def test_the_room_asked_for_is_enough(folder, monkeypatch, n):
+    """No file grows by more than what was made sure of, for the mesh and for every step."""
+    asked, files = [], dolfinx_mortar.output.files
+    monkeypatch.setattr(files, "_try_to_grow", lambda file, size: asked.append(size))
+    m = mesh.create_rectangle(COMM, [[0.0, 0.0], [2.0, 1.0]], (n, n))
+    problem, path = Problem("triangle", 1), folder / "out.xdmf"
+    problem.solid = SimpleNamespace(V=fem.functionspace(m, ("Lagrange", 1, (2,))))
+    cells = {f"c{i}": fem.Function(fem.functionspace(m, ("DG", 0, (i,)))) for i in range(1, 9)}
+    problem.output_fields = lambda: {"u": fem.Function(problem.solid.V)} | cells
+    size = 0
+    with Writer(path, problem) as out:
+        for step in range(12):
+            files_now = [path.with_suffix(".h5"), path]
+            grown = sum(f.stat().st_size for f in files_now if f.exists()) - size
+            assert COMM.rank > 0 or grown <= asked[-1]
+            size += grown
+            COMM.Barrier()
+            out.write(float(step))

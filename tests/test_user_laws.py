@@ -107,6 +107,7 @@ MISTAKES = {
     "state is a list": ({"state": ["alpha"]}, r"Variant: state is \['alpha'\]; give a dictionary"),
     "state shape": ({"state": {"w": (2,)}}, r"Variant: state 'w' has the shape \(2,\)"),
     "state hides": ({"state": {"stress": ()}}, r"Variant: state has the name 'stress'; choose"),
+    "state hides gap": ({"state": {"gap": ()}}, r"Variant: state has the name 'gap'; choose"),
     "forgotten": ({"updated_state": forgets_alpha}, r"updated_state does not return 'alpha'"),
     "unknown": ({"updated_state": one_too_many}, r"updated_state returns 'beta', but `state` decl"),
     "nothing": ({"updated_state": lambda e, s, p: None}, r"updated_state returns None; it must"),
@@ -186,6 +187,21 @@ def test_output_is_optional_and_so_is_every_parameter():
 
 
 @pytest.mark.mpi
+def test_an_internal_variable_may_be_a_number():
+    """Independent of strain and place, it is known at all points nevertheless; also zero."""
+    for number in (1.5, 0.0):
+
+        def numbers(e, s, p, number=number):
+            return {"plastic_strain": number * ufl.Identity(3), "alpha": number}
+
+        solid = create_solid(variant(updated_state=numbers))
+        solid.evaluate()
+        assert (solid.fields.values("alpha") == number).all()
+        expected = [number, number, number, 0]
+        assert (solid.fields.values("plastic_strain") == expected).all()
+
+
+@pytest.mark.mpi
 def test_an_error_of_a_law_on_one_rank_is_raised_on_all():
     """Rank 0 fails while the law is built, or when it is asked for output; nobody waits."""
     last = COMM.size - 1
@@ -238,6 +254,18 @@ def test_check_accepts_what_fits():
     assert "of the energy" in str(report)
     both = dm.materials.check(von_mises(stress=von_mises_stress))
     assert both.energy_error < 1e-8 and both.tangent_error < 1e-8
+
+
+def test_check_survives_an_energy_that_cancels():
+    """sqrt(1 + x) - 1 has few digits at small strains: no fault of the law."""
+
+    def energy(strain, state, p):
+        d = ufl.dev(strain)
+        bend = ufl.sqrt(1 + ufl.inner(d, d) / 9e-6) - 1
+        return p.E * (ufl.tr(strain) ** 2 + 9e-6 * bend)
+
+    report = dm.materials.check(von_mises(energy=energy, state={}, updated_state=None))
+    assert report.energy_error < 1e-5 and report.changed == 0
 
 
 class Slips:

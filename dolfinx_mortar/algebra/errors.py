@@ -13,8 +13,8 @@ from mpi4py import MPI
 def raised_together(comm: MPI.Comm) -> Iterator[None]:
     """Run a block without collective calls; if it fails on some ranks, raise on all; collective.
 
-    A rank that failed raises its own error. The others raise one that names the rank and the text:
-    an OSError for an OSError, a ValueError for a ValueError, otherwise a RuntimeError.
+    A rank that failed raises its own error. The others raise one with its text and its rank: an
+    OSError for an OSError, a ValueError for a ValueError, otherwise a RuntimeError.
 
     >>> with raised_together(MPI.COMM_SELF):
     ...     raise ValueError("E is -1")
@@ -36,17 +36,20 @@ def raise_together(comm: MPI.Comm, own: Exception | None) -> None:
         comm: communicator.
         own: the error of this rank, if any.
     """
-    found = comm.allgather(None if own is None else (_kind(own), f"{type(own).__name__}: {own}"))
+    found = comm.allgather(None if own is None else _kind_and_text(own))
     if own is not None:
         raise own
     for rank, other in enumerate(found):
         if other is not None:
-            raise _KINDS[other[0]](f"on rank {rank}, {other[1]}")
+            raise _KINDS[other[0]](f"{other[1]} (on rank {rank})")
 
 
 _KINDS = (OSError, ValueError, RuntimeError)
 
 
-def _kind(error: Exception) -> int:
-    """Return the index of the kind that other ranks raise."""
-    return next((i for i, kind in enumerate(_KINDS) if isinstance(error, kind)), 2)
+def _kind_and_text(error: Exception) -> tuple[int, str]:
+    """Return the index of the kind that other ranks raise, and the text."""
+    for index, kind in enumerate(_KINDS):
+        if isinstance(error, kind):
+            return index, str(error)
+    return len(_KINDS) - 1, f"{type(error).__name__}: {error}"

@@ -102,10 +102,11 @@ def _field(fields: Fields | None, name: str) -> fem.Function:
 def merge_results(
     sides: Sequence[Sides], interfaces: Sequence[Interface], name: str, function: fem.Function
 ) -> fem.Function:
-    """Fill a Function with "pressure", "gap" or "status" of all interfaces; collective.
+    """Fill a Function with "pressure", "gap", "status" or "facing" of all interfaces; collective.
 
     A node on several slave sides has the value of the interface that gave it a multiplier, then of
-    the first one in which it faces the master. Off the slave sides the value is 0.
+    the first one in which it faces the master. Off the slave sides, and where a node faces no
+    master, the value is 0: "facing" is 1 where a gap of 0 is one, and 0 where there is none.
     """
     n = sides[0].n_owned
     merged, best = np.zeros(n), np.full(n, -1)
@@ -115,11 +116,19 @@ def merge_results(
         claim = np.where(facing, 1 + _carries(interface, len(nodes)), 0)
         take = claim > best[nodes]
         best[nodes[take]] = claim[take]
-        values = _field(interface.fields, name).x.array
-        merged[nodes[take]] = values[nodes[take]]
+        values = _nodal(interface, name)[nodes]
+        merged[nodes[take]] = np.where(facing, values, 0.0)[take]
     function.x.array[:n] = merged
     function.x.scatter_forward()
     return function
+
+
+def _nodal(interface: Interface, name: str) -> Floats:
+    """Return nodal values; "facing" is 1 everywhere once a step has found gaps."""
+    if name == "facing":
+        solved = float(interface.resultants is not None)
+        return np.full(len(_field(interface.fields, "gap").x.array), solved)
+    return np.asarray(_field(interface.fields, name).x.array)
 
 
 def _carries(interface: Interface, n: int) -> Bools:

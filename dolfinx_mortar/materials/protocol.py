@@ -67,8 +67,11 @@ _REMEDIES = {
     "p)",
     "updated_state": "add updated_state(strain, state, p) for the internal variables of `state`",
 }
-# The solid's own fields, which a law must not hide.
-RESERVED = ("stress", "von_mises")
+# Fields that are written beside those of the laws; a law must not hide them.
+RESERVED = (
+    *("stress", "von_mises"),
+    *("displacement", "pressure", "gap", "facing", "status"),
+)
 
 
 def check_declaration(name: str, law: Any) -> None:
@@ -112,7 +115,7 @@ def _check_state(kind: type) -> None:
         if not isinstance(name, str) or name in RESERVED:
             raise ValueError(
                 f"{kind.__name__}: state has the name {name!r}; choose a text other than "
-                f"{' and '.join(RESERVED)}."
+                f"{', '.join(RESERVED)}."
             )
         if shape not in ((), (3, 3)):
             raise ValueError(

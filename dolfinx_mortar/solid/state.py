@@ -11,13 +11,15 @@ from mpi4py import MPI
 import numpy as np
 
 import basix.ufl
-from dolfinx import fem, mesh
+import ufl
+from dolfinx import default_scalar_type, fem, mesh
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Ints
 from dolfinx_mortar.materials.response import Response
 from dolfinx_mortar.materials.tensor import COMPONENTS, to_components
 from dolfinx_mortar.solid.laws import Region
+from ufl.core.expr import Expr
 
 
 @dataclass(frozen=True)
@@ -99,13 +101,26 @@ def create_evaluations(
     """
     points = compat.interpolation_points(stress.function_space)
     size = stress.function_space.dofmap.bs
+    zero = fem.Constant(stress.function_space.mesh, default_scalar_type(0.0))
     evaluations = []
     for region, response in zip(regions, responses, strict=True):
         given = [("stress", stress, response.stress)]
         given += [(name, staged[name], value) for name, value in response.updated.items()]
         for name, target, value in given:
             stored = to_components(value, size) if value.ufl_shape else value
-            compiled = fem.Expression(stored, points)
+            compiled = fem.Expression(_on_mesh(stored, zero), points)
             what = f"{region.law.__name__}: {name}"
             evaluations.append(Evaluation(what, target, region.cells, compiled))
     return evaluations
+
+
+def _on_mesh(value: Expr, zero: fem.Constant) -> Expr:
+    """Return a value as it is, or with a zero that lives on a mesh if a law returns mere numbers.
+
+    Without a mesh, dolfinx does not know where to evaluate it.
+    """
+    if ufl.domain.extract_domains(value):
+        return value
+    if not value.ufl_shape:
+        return value + zero
+    return ufl.as_vector([value[i] + zero for i in range(value.ufl_shape[0])])

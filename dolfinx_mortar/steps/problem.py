@@ -293,10 +293,11 @@ class ContactProblem:
     def output_fields(self) -> dict[str, fem.Function]:
         """Return the Functions worth writing, by name; collective.
 
-        The displacement, ``solid.output_fields()``, and the interfaces' pressure, gap and status.
+        The displacement, ``solid.output_fields()``, and the interfaces' pressure, gap and status
+        with "facing", 1 at slave nodes that face a master: elsewhere there is no gap, written as 0.
         """
         fields = {"displacement": self.u} | self.solid.output_fields()
-        for name in ("pressure", "gap", "status") if self.interfaces else ():
+        for name in ("pressure", "gap", "facing", "status") if self.interfaces else ():
             if name not in self._outputs:
                 space = self.interfaces[0].pressure.function_space
                 self._outputs[name] = fem.Function(space, name=name)

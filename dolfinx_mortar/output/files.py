@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: MIT
+"""The two files of a writer: who writes them, whether there is room, the XML that names all."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+from weakref import WeakValueDictionary
+
+from mpi4py import MPI
+
+from dolfinx_mortar.algebra.errors import raised_together
+
+# The writers that are open in this program, by path, on rank 0; a second one would spoil the file.
+_WRITERS: WeakValueDictionary[Path, Any] = WeakValueDictionary()
+# Characters that XML cannot hold.
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+# HDF5 keeps an index beside the numbers: bytes per file and per field.
+FILE_MARGIN, FIELD_MARGIN = 2**16, 2**13
+
+
+def claim_files(comm: MPI.Comm, path: Path, writer: Any) -> None:
+    """Make sure that both files can be created by this writer alone; collective.
+
+    What an earlier run left is removed.
+
+    Raises:
+        ValueError: on all ranks, if rank 0 cannot create them or another writer has them.
+    """
+    with raised_together(comm):
+        if comm.rank == 0:
+            if path.resolve() in _WRITERS:
+                raise ValueError(f"path = {str(path)!r} is open in another Writer: close it first.")
+            try:
+                path.unlink(missing_ok=True)
+                with path.with_suffix(".h5").open("wb"):
+                    pass
+            except OSError as error:
+                raise ValueError(
+                    f"path = {str(path)!r} cannot be written ({error.strerror}); choose an "
+                    "existing, writable folder."
+                ) from error
+            _WRITERS[path.resolve()] = writer
+
+
+def release_files(path: Path, writer: Any) -> None:
+    """Let another writer have the files."""
+    if _WRITERS.get(path.resolve()) is writer:
+        del _WRITERS[path.resolve()]
+
+
+def demand_room(comm: MPI.Comm, path: Path, size: int, fields: int) -> None:
+    """Raise on all ranks unless the HDF5 file can grow by what a step needs; collective.
+
+    A disk that fills while ranks write together would leave a broken file, and ranks that wait for
+    each other.
+
+    Args:
+        comm: communicator.
+        path: the XDMF file.
+        size: bytes of numbers of this rank.
+        fields: number of fields.
+
+    Raises:
+        OSError: if not, naming the file.
+    """
+    total = comm.allreduce(size) + FILE_MARGIN + FIELD_MARGIN * fields
+    with raised_together(comm):
+        if comm.rank == 0 and hasattr(os, "posix_fallocate"):
+            file = path.with_suffix(".h5")
+            total += path.stat().st_size if path.exists() else 0  # its next version
+            try:
+                _try_to_grow(file, total)
+            except OSError as error:
+                if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS):
+                    raise OSError(
+                        error.errno,
+                        f"{error.strerror}: no room for {total} bytes more; what was written "
+                        "before can be read",
+                        str(file),
+                    ) from error
+
+
+def _try_to_grow(file: Path, size: int) -> None:
+    """Allocate room at the end of a file and give it back."""
+    with file.open("r+b") as stream:
+        before = os.fstat(stream.fileno()).st_size
+        try:
+            os.posix_fallocate(stream.fileno(), before, size)
+        finally:
+            stream.truncate(before)
+
+
+def create_tree(notes: Mapping[str, Any]) -> tuple[ET.Element, ET.Element]:
+    """Return the XDMF document and its collection of steps.
+
+    Raises:
+        ValueError: for notes that are no texts and no JSON values.
+    """
+    root = ET.Element("Xdmf", Version="3.0")
+    domain = ET.SubElement(root, "Domain")
+    steps = ET.SubElement(domain, "Grid", Name="steps", GridType="Collection")
+    steps.set("CollectionType", "Temporal")
+    if not isinstance(notes, Mapping):
+        raise ValueError(f"notes is {notes!r}: give a dictionary, name -> text or JSON value.")
+    for name, note in notes.items():
+        ET.SubElement(domain, "Information", Name=_xml("notes", name), Value=_note(name, note))
+    return root, steps
+
+
+def _note(name: str, note: Any) -> str:
+    """Return a note as text: texts as they are, other values in JSON."""
+    if isinstance(note, str):
+        return _xml(f"notes[{name!r}]", note)
+    try:
+        return json.dumps(note, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"notes[{name!r}] = {note!r} is no text and no JSON value.") from error
+
+
+def _xml(what: str, text: Any) -> str:
+    """Return a text if XML can hold it."""
+    if not isinstance(text, str) or _NOT_XML.search(text):
+        raise ValueError(f"{what}: {text!r} is no text that XML can hold.")
+    return text
+
+
+def field_keys(names: Iterable[str]) -> dict[str, str]:
+    """Return the name of each field in the HDF5 file: letters, digits and underscores.
+
+    Raises:
+        ValueError: if two fields have names that differ only in other characters or in case.
+
+    >>> field_keys(["von Mises", "p [MPa]"])
+    {'von Mises': 'von_Mises', 'p [MPa]': 'p_MPa_'}
+    """
+    keys = {name: re.sub(r"[^A-Za-z0-9]+", "_", _xml("output fields", name)) for name in names}
+    first: dict[str, str] = {}
+    for name, key in keys.items():
+        other = first.setdefault(key.lower(), name)
+        if other != name:
+            raise ValueError(
+                f"output fields {other!r} and {name!r} would have one name in the file, {key!r}: "
+                "rename one so that they differ in letters or digits, whatever the case."
+            )
+    return keys
+
+
+def replace_tree(comm: MPI.Comm, path: Path, root: ET.Element) -> None:
+    """Rewrite the XDMF file; a reader finds the old or the new one, never a half; collective.
+
+    Raises:
+        OSError: on all ranks, naming the file.
+    """
+    with raised_together(comm):
+        if comm.rank == 0:
+            draft = path.with_suffix(".xdmf.part")
+            try:
+                with draft.open("wb") as file:
+                    ET.indent(root)
+                    ET.ElementTree(root).write(file, "utf-8", xml_declaration=True)
+                    file.flush()
+                    os.fsync(file.fileno())
+                draft.replace(path)
+            except OSError as error:
+                draft.unlink(missing_ok=True)
+                raise OSError(error.errno, error.strerror, str(path)) from error

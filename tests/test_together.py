@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: MIT
+"""An error on one rank is raised on all, with its text."""
+
+from mpi4py import MPI
+
+import pytest
+
+from dolfinx_mortar.algebra.errors import raised_together
+
+COMM = MPI.COMM_WORLD
+
+
+class Odd(Exception):
+    """An error that other ranks need not know."""
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("error", "elsewhere"),
+    [(ValueError, ValueError), (FileNotFoundError, OSError), (Odd, RuntimeError)],
+)
+@pytest.mark.parametrize("rank", [0, -1])
+def test_all_ranks_raise(error, elsewhere, rank):
+    failing = rank % COMM.size
+    expected = error if failing == COMM.rank else elsewhere
+    with pytest.raises(expected, match="no luck") as caught, raised_together(COMM):
+        if failing == COMM.rank:
+            raise error("no luck")
+    assert (f"on rank {failing}" in str(caught.value)) == (failing != COMM.rank)
+    assert COMM.allreduce(1) == COMM.size  # nobody is left in another call
+
+
+@pytest.mark.mpi
+def test_no_error_is_no_error():
+    with raised_together(COMM):
+        done = True
+    assert done
