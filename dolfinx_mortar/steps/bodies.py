@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from dolfinx import fem, la
 from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.solid.kinematics import translations_and_rotations
 
 # A rigid motion counts as held if the constraints resist it by more than this share of the motion
 # that they resist most.
@@ -42,12 +43,8 @@ class Bodies:
         for body in range(self.count):
             on = (self.label == body)[:, None]
             arm = (x - self.centre[body]) / self.radius[body]
-            motions = [(f"translation {'xyz'[i]}", np.eye(d)[i] * on) for i in range(d)]
-            for i, j in [(0, 1)] if d == 2 else [(1, 2), (2, 0), (0, 1)]:
-                spin = np.zeros((len(x), d))
-                spin[:, i], spin[:, j] = -arm[:, j], arm[:, i]
-                motions.append((f"rotation about {'xyz'[3 - i - j]}", spin * on))
-            modes += [(body, name, self._vector(motion)) for name, motion in motions]
+            motions = translations_and_rotations(arm)
+            modes += [(body, name, self._vector(m * on)) for name, m in motions.items()]
         return modes
 
     def _vector(self, values: Floats) -> PETSc.Vec:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.steps.checks import check_load_steps, check_problem
@@ -153,23 +154,9 @@ def _set_loads(
     problem: ContactProblem, on_time: Callable[[float], None] | None, time: float
 ) -> None:
     """Call the user's function; an error on one rank is raised on all of them; collective."""
-    if on_time is None:
-        return
-    error: Exception | None = None
-    try:
-        on_time(time)
-    except Exception as caught:  # whatever the user's code may raise
-        error = caught
-    if problem.comm.size == 1:
-        if error is not None:
-            raise error
-        return
-    told = problem.comm.allgather("" if error is None else f"{type(error).__name__}: {error}")
-    if error is not None:
-        raise error
-    failed = [(rank, text) for rank, text in enumerate(told) if text]
-    if failed:
-        raise RuntimeError(f"on_time({time:g}) failed on rank {failed[0][0]}: {failed[0][1]}")
+    if on_time is not None:
+        with raised_together(problem.comm):
+            on_time(time)
 
 
 def find_overlap(problem: ContactProblem, rtol: float) -> float:
