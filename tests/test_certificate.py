@@ -9,8 +9,15 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.steps.certificate import operator_errors
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.interfaces.near import nodal_gaps
+from dolfinx_mortar.steps.certificate import create_certificate, operator_errors
+from dolfinx_mortar.steps.linearisation import find_balance, linearise
+from dolfinx_mortar.steps.problem import StepData
+from dolfinx_mortar.steps.residuals import Contacts, Scales, measure
+from dolfinx_mortar.steps.results import set_results
 from tests.ball_case import STEEL, create_problem
+from tests.hertz_case import ELASTIC, create_case
 from tests.meshes_3d import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, rotation, two_boxes
 
 COMM = MPI.COMM_WORLD
@@ -30,6 +37,67 @@ def press_boxes(cell="hexahedron"):
     solid = dm.Solid(fem.Function(V), STEEL)
     problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry="reference")
     return dm.newton(problem).certificate, problem
+
+
+def create_wedge():
+    """Return a solved problem in which some slave nodes are closed and some are open."""
+    mesh = dm.meshing.hertz(COMM, kind="paper")
+    case = create_case(mesh, ELASTIC, geometry="reference")
+    case.press(0.05)
+    report = dm.newton(case.problem, rtol=1e-10)
+    return case.problem, report
+
+
+def judge(problem, report, active, multipliers):
+    """Return the certificate of the present displacement with some multipliers."""
+    data = StepData(problem.vector(), problem.supports.values(), np.zeros((problem.n, 2)), 0.0)
+    balance = find_balance(problem, data)
+    lin = linearise(problem, balance)
+    contacts = Contacts(active, multipliers)
+    set_results(problem, balance, contacts)
+    residual = measure(problem, balance, contacts, lin.diagonal, Scales(), 1.0, 1e-6)
+    return create_certificate(problem, report, residual)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("spoil", "fields"),
+    [
+        ("displacement", {"equilibrium"}),
+        ("approach", {"gap", "complementarity"}),
+        ("tension", {"sign", "equilibrium"}),
+        ("force in a gap", {"complementarity", "equilibrium"}),
+        ("Q", {"force_balance", "moment_balance"}),
+    ],
+)
+def test_every_field_jumps(spoil, fields):
+    """Exact to 1e-8 as solved; what is spoilt by a per mille is seen, and in its own field."""
+    problem, report = create_wedge()
+    (link,) = problem.system.links
+    active, multipliers = problem.committed.active.copy(), np.zeros(problem.n)
+    multipliers[link.nodes] = link.interface.multiplier
+    right = judge(problem, report, active, multipliers.copy())
+    names = ("equilibrium", "gap", "sign", "complementarity", "force_balance", "moment_balance")
+    assert all(getattr(right, name) < 1e-8 for name in names)
+
+    X = problem.V.tabulate_dof_coordinates()
+    strongest = multipliers >= maximum(COMM, multipliers.max(initial=0.0))[0]
+    if spoil == "displacement":
+        inside = (np.abs(X[:, 0]) < 5) & (X[:, 1] < -1) & (X[:, 1] > -9)
+        problem.u.x.array[1::2][inside] *= 1.01
+    elif spoil == "approach":
+        problem.u.x.array[1::2][X[:, 1] > 1e-9] -= 1e-3
+    elif spoil == "tension":
+        multipliers[strongest] *= -1e-3
+    elif spoil == "force in a gap":
+        gap = nodal_gaps(problem.system.links, problem.positions(), problem.n)
+        far = np.isfinite(gap) & (gap > 0.1)
+        multipliers[far] = 1e-3 * maximum(COMM, multipliers.max(initial=0.0))[0]
+        active = active | far
+    else:
+        link.pattern.blocks.fill(1.001 * link.coupling.blocks)
+    spoilt = judge(problem, report, active, multipliers)
+    assert all(getattr(spoilt, name) > 1e-5 for name in fields)
 
 
 def press_ball(slave, h):

@@ -19,6 +19,7 @@ from tests.block_piles import ABOVE, BELOW, EAST, PILE, WEST, Blocks
 from tests.hertz_case import ELASTIC, PLASTIC, create_case
 from tests.meshes import BOTTOM, TOP
 from tests.pressed_blocks import PressedBlocks, rejected
+from tests.sweep.problems import create
 
 COMM = MPI.COMM_WORLD
 
@@ -277,6 +278,23 @@ def test_the_watch():
         watch = watch.after(change)
         assert (watch.held, watch.rises) == (held, rises)
     assert newton_module.MOST_RISES == 2
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("pile", 10), ("pile", 4), ("hertz", 11)])
+def test_a_geometry_that_would_cycle_is_held(kind, seed, monkeypatch):
+    """Random problems in which new gaps after every step lend the energy that a cycle spends."""
+    first = {("pile", 10): 0.2}.get((kind, seed), 1.0)  # below the limit load of pile 10
+    problem = create(kind, seed)
+    for step in dm.load_steps(
+        problem.problem, [first * problem.levels[0]], on_time=problem.on_time, cuts="none"
+    ):
+        assert any(i.geometry_held for i in step.report.iterations)
+    monkeypatch.setattr(Watch, "after", lambda self, change: Watch(self.moving, change=change))
+    free = create(kind, seed)
+    with pytest.raises(dm.NewtonNotConverged):
+        list(
+            dm.load_steps(free.problem, [first * free.levels[0]], on_time=free.on_time, cuts="none")
+        )
 
 
 @pytest.mark.parametrize("slave", ["block", "disc"])

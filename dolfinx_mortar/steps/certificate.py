@@ -15,8 +15,8 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces.coupling import Link
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.near import nodal_gaps
-from dolfinx_mortar.steps.linearisation import Balance
 from dolfinx_mortar.steps.report import Certificate, StepReport
+from dolfinx_mortar.steps.residuals import Residuals
 
 if TYPE_CHECKING:
     from dolfinx_mortar.steps.problem import ContactProblem
@@ -73,9 +73,15 @@ def _balances(interfaces: list[Interface], facet_length: float) -> tuple[float, 
 
 
 def create_certificate(
-    problem: ContactProblem, report: StepReport, balance: Balance
+    problem: ContactProblem, report: StepReport, residual: Residuals
 ) -> Certificate:
-    """Judge the present state of a problem whose results are set; collective."""
+    """Judge the present state of a problem whose results are set; collective.
+
+    Args:
+        problem: the problem, in the geometry of the step's end.
+        report: iterations of the step.
+        residual: what is left of equilibrium there.
+    """
     links, length = problem.system.links, problem.system.facet_length
     gap: list[Floats] = [np.zeros(0)]
     multiplier: list[Floats] = [np.zeros(0)]
@@ -99,7 +105,7 @@ def create_certificate(
     counts = problem.comm.allreduce(np.array(counts), op=MPI.SUM)
     least = min((c[k].min(initial=1.0) for c, k in zip(covered, kept, strict=True)), default=1.0)
     return Certificate(
-        equilibrium=report.iterations[-1].force_residual,
+        equilibrium=residual.forces,
         gap=_share(deepest, length),
         sign=_share(tensile, pressure),
         complementarity=_share(product, pressure * length),

@@ -192,7 +192,7 @@ class _Step:
             residuals.append(residual)
             _log(problem, self.report)
             if residual.excess <= 1.0 and self.geometry_is_complete():
-                self.finish(iterate)
+                self.finish(iterate, residual)
                 return
             start = iterate.contacts.active[iterate.balance.nodes].astype(np.int8)
         raise failures.not_converged(
@@ -422,7 +422,7 @@ class _Step:
             problem.update_geometry(self.data.increment, everywhere=True)
         return complete
 
-    def finish(self, iterate: Iterate) -> None:
+    def finish(self, iterate: Iterate, residual: Residuals) -> None:
         """Set what the step has found."""
         problem, report = self.problem, self.report
         problem.committed.active = iterate.contacts.active
@@ -430,7 +430,7 @@ class _Step:
         with problem.timings("results"):
             problem.solid.evaluate()
         set_results(problem, iterate.balance, iterate.contacts)
-        report.certificate = create_certificate(problem, report, iterate.balance)
+        report.certificate = create_certificate(problem, report, residual)
         report.converged = True
 
     def note(self, number: int, text: str) -> None:
