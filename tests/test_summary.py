@@ -2,6 +2,7 @@
 """Rows of load steps and the file that holds them."""
 
 import json
+from dataclasses import fields
 from pathlib import Path
 
 from mpi4py import MPI
@@ -22,10 +23,9 @@ def folder(tmp_path):
 
 def part(*increments, **options):
     """Return a report with an iteration for each increment: 2 QP, 3 linear iterations, 1 set-up."""
-    iterations = [
-        Iteration(i, increment, 0.0, 0.0, 1, 0, 2, 3, 1, 1.0, 0, 0.0)
-        for i, increment in enumerate(increments, start=1)
-    ]
+    none = {field.name: 0 for field in fields(Iteration)}
+    counts = {"updates": 2, "linear_iterations": 3, "factorisations": 1}
+    iterations = [Iteration(**none | counts | {"increment": value}) for value in increments]
     return StepReport(iterations=iterations, **options)
 
 
