@@ -22,6 +22,7 @@ from dolfinx_mortar.steps.load_steps import LoadStep, load_steps
 from dolfinx_mortar.steps.newton import newton
 from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.report import NewtonNotConverged, StepReport
+from dolfinx_mortar.steps.summary import summarise, write_summary
 
 __version__ = "0.1.0"
 
@@ -45,4 +46,6 @@ __all__ = [
     "materials",
     "meshing",
     "newton",
+    "summarise",
+    "write_summary",
 ]

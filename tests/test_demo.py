@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The demo as a command."""
+"""The demos as commands."""
 
 import json
 import subprocess
@@ -8,19 +8,23 @@ from pathlib import Path
 
 import pytest
 
-HERTZ = Path(__file__).parent.parent / "demos" / "hertz" / "hertz.py"
+DEMOS = Path(__file__).parent.parent / "demos"
 
 
-def run(*options):
+def run(*options, demo="hertz"):
     return subprocess.run(
-        [sys.executable, str(HERTZ), *options], capture_output=True, text=True, check=False
+        [sys.executable, str(DEMOS / demo / f"{demo}.py"), *options],
+        capture_output=True,
+        text=True,
+        check=False,
     )
 
 
 @pytest.mark.serial
+@pytest.mark.parametrize("demo", ["hertz", "sphere"])
 @pytest.mark.parametrize("steps", ["0", "-3", "x"])
-def test_steps_are_counted_from_one(steps):
-    done = run("--steps", steps)
+def test_steps_are_counted_from_one(demo, steps):
+    done = run("--steps", steps, demo=demo)
     assert done.returncode == 2 and "--steps" in done.stderr and "Traceback" not in done.stderr
 
 

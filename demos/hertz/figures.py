@@ -44,21 +44,18 @@ def read(xdmf: Path) -> Result:
 
 
 def draw(
-    output: Path, xdmf: Path, summary: dict[str, Any], pressure: tuple[np.ndarray, np.ndarray]
-) -> list[Path]:
+    output: Path, xdmf: Path, step: dict[str, Any], pressure: tuple[np.ndarray, np.ndarray]
+) -> None:
     """Draw all pictures of the last step into a folder; call on one rank.
 
     Args:
         output: Existing folder for the PNG files.
         xdmf: File written by `dolfinx_mortar.Writer`, with the displacement and the cell fields
             stress, von_mises and hardening.
-        summary: The demo's summary; its last step gives the load, the force and Hertz' solution.
+        step: The demo's numbers of the last step: load, force and Hertz' solution.
         pressure: Positions x [mm] and contact pressures [MPa] of the slave nodes.
-
-    Returns:
-        The files written.
     """
-    result, step = read(xdmf), summary["steps"][-1]
+    result = read(xdmf)
     window = _contact_window(result, pressure)
     stress_y = result.fields["stress"][:, YY]
     von_mises = result.fields["von_mises"]
@@ -78,11 +75,8 @@ def draw(
         "deformed": _deformed(result, window, load),
         "pressure": _pressure(step, pressure),
     }
-    files = []
     for name, figure in figures.items():
-        files.append(output / f"{name}.png")
-        figure.savefig(files[-1], dpi=DPI)
-    return files
+        figure.savefig(output / f"{name}.png", dpi=DPI)
 
 
 def _contact_window(
@@ -197,26 +191,17 @@ def _deformed(result: Result, window: tuple[float, ...], load: str) -> Figure:
 
 def _pressure(step: dict[str, Any], pressure: tuple[np.ndarray, np.ndarray]) -> Figure:
     """Draw the nodal pressures and Hertz' elastic solution for the same force."""
-    order = np.argsort(pressure[0])
-    x, p = pressure[0][order], pressure[1][order]
-    figure = Figure(figsize=(7.2, 4.6), layout="constrained")
-    axes = figure.subplots()
-    half = np.abs(x[p > 0.0]).max(initial=0.0)
-    a, p0 = step.get("half_width_hertz"), step.get("peak_pressure_hertz")
-    if a and p0 and np.isfinite([a, p0]).all():
-        t = np.linspace(0.0, np.pi, 201)
-        label = f"Hertz, elastic: $p_0$ = {p0:.0f} MPa, $a$ = {a:.3f} mm"
-        axes.plot(a * np.cos(t), p0 * np.sin(t), "k--", lw=1.2, label=label)
-        half = max(half, a)
-    label = f"computed: largest {p.max(initial=0.0):.0f} MPa"
-    axes.plot(x, p, "o-", color="#c03a2b", ms=3.5, lw=1.0, label=label)
-    limit = 1.4 * half if half > 0.0 else None
-    axes.set(
-        title=f"Contact pressure at $P$ = {step['force']:.1f} N/mm",
-        xlabel="x [mm]",
-        ylabel="pressure [MPa]",
-        xlim=None if limit is None else (-limit, limit),
-    )
+    x, p = (values[np.argsort(pressure[0])] for values in pressure)
+    a, p0 = step["half_width_hertz"], step["peak_pressure_hertz"]
+    loaded = np.abs(x[p > 0.0])
+    half = max(a, loaded.max()) if loaded.size else 0.1 * np.ptp(x)
+    figure, axes = _axes(7.2, 4.6, f"Contact pressure at $P$ = {step['force']:.1f} N/mm")
+    axes.set(aspect="auto", ylabel="pressure [MPa]", xlim=(-1.4 * half, 1.4 * half))
+    t = np.linspace(0.0, np.pi, 201)
+    hertz = f"Hertz, elastic: $p_0$ = {p0:.0f} MPa, $a$ = {a:.3f} mm"
+    axes.plot(a * np.cos(t), p0 * np.sin(t), "k--", lw=1.2, label=hertz)
+    computed = f"computed: largest {p.max(initial=0.0):.0f} MPa"
+    axes.plot(x, p, "o-", color="#c03a2b", ms=3.5, lw=1.0, label=computed)
     axes.set_ylim(0.0, 1.25 * max(axes.get_ylim()[1], 1e-300))  # room for the legend
     axes.grid(alpha=0.3)
     axes.legend(loc="upper right", fontsize="small")

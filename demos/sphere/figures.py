@@ -34,36 +34,27 @@ COLOURS = "viridis"
 Pressure = tuple[np.ndarray, np.ndarray]  # positions (n, 2), pressures (n,)
 
 
-def draw(output: Path, xdmf: Path, summary: dict[str, Any], pressure: Pressure) -> list[Path]:
+def draw(output: Path, xdmf: Path, step: dict[str, Any], pressure: Pressure) -> None:
     """Draw all pictures of the last step into a folder; call on one rank.
 
     Args:
         output: Existing folder for the PNG files.
         xdmf: File written by `dolfinx_mortar.Writer`.
-        summary: The demo's summary; its last step gives the load, the force and Hertz' solution.
+        step: The demo's numbers of the last step: load, force and Hertz' solution.
         pressure: Positions (n, 2) [mm] and contact pressures (n,) [MPa] of the slave nodes.
-
-    Returns:
-        The files written.
     """
-    step = summary["steps"][-1]
-    files = []
-    for name, figure in (
-        ("pressure_map", _map(step, pressure)),
-        ("pressure", _curve(step, pressure)),
-    ):
-        files.append(output / f"{name}.png")
-        figure.savefig(files[-1], dpi=DPI)
+    _map(step, pressure).savefig(output / "pressure_map.png", dpi=DPI)
+    _curve(step, pressure).savefig(output / "pressure.png", dpi=DPI)
     try:
         import pyvista
     except ImportError:
         log.warning("pyvista is not installed: no pictures in perspective")
-        return files
+        return
     with _screen() as found:
-        if not found:
+        if found:
+            _perspectives(pyvista, output, xdmf, step, pressure)
+        else:
             log.warning("no screen and no Xvfb: no pictures in perspective")
-            return files
-        return files + _perspectives(pyvista, output, xdmf, step, pressure)
 
 
 @contextmanager
@@ -96,7 +87,7 @@ def _screen() -> Iterator[bool]:
 
 def _perspectives(
     pyvista: Any, output: Path, xdmf: Path, step: dict[str, Any], pressure: Pressure
-) -> list[Path]:
+) -> None:
     """Draw mesh and fields, whole and at the contact."""
     grid = _read(pyvista, xdmf)
     load = f"d = {step['displacement']:.4g} mm, P = {step['force']:.0f} N"
@@ -114,13 +105,9 @@ def _perspectives(
             f"Plastic strain (Frobenius norm), {load}",
             near,
         )
-    files = []
     for name, (field, title, size) in pictures.items():
-        files.append(output / f"{name}.png")
-        _framed(_photograph(pyvista, grid, field, size), grid, field, title).savefig(
-            files[-1], dpi=DPI
-        )
-    return files
+        pixels = _photograph(pyvista, grid, field, size)
+        _framed(pixels, grid, field, title).savefig(output / f"{name}.png", dpi=DPI)
 
 
 def _photograph(pyvista: Any, grid: Any, field: str | None, size: float | None) -> np.ndarray:

@@ -17,9 +17,7 @@
 # with $B_I = N^T (D - M)$ the weighted gap of the mortar method. Units: mm, MPa, N.
 
 import argparse
-import json
 import logging
-import time
 from pathlib import Path
 
 from mpi4py import MPI
@@ -31,8 +29,8 @@ import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
 
-RADIUS = 8.0
-PARTS = ("mortar", "assembly", "transform", "linear_solves", "commit")
+RADIUS = 8.0  # mm
+NOTHING = 1e-300  # N, where Hertz' formulas want a force and there is none
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--displacement", type=float, default=0.2, help="of the flat face, in mm")
@@ -47,11 +45,9 @@ parser.add_argument("--rtol", type=float, default=1e-6, help="tolerance of Newto
 parser.add_argument("--output", type=Path, default=Path("results/sphere"))
 
 
-def main(options: argparse.Namespace) -> dict:
-    """Solve the problem and return its summary."""
+def main(options: argparse.Namespace) -> None:
+    """Solve the problem, write its results."""
     comm = MPI.COMM_WORLD
-    seconds = {}
-    begin = lap = time.perf_counter()
 
     # ## Mesh
     #
@@ -62,7 +58,6 @@ def main(options: argparse.Namespace) -> dict:
     mesh, cell_tags, facet_tags = dm.meshing.sphere(
         comm, cell=options.cell, h=options.h, radius=RADIUS
     )
-    lap, seconds["mesh"] = time.perf_counter(), time.perf_counter() - lap
 
     # ## Bodies
     #
@@ -95,49 +90,28 @@ def main(options: argparse.Namespace) -> dict:
     # The linear systems are solved by conjugate gradients with algebraic multigrid. To choose
     # another solver, say `petsc_options={"pc_type": "cholesky"}`.
 
-    if comm.rank == 0:
-        options.output.mkdir(parents=True, exist_ok=True)
-    comm.barrier()
-    seconds["setup"] = time.perf_counter() - lap
-    levels = options.displacement * np.arange(1, options.steps + 1) / options.steps
+    options.output.mkdir(parents=True, exist_ok=True)
+    results = options.output / "sphere.xdmf"
+    levels = np.linspace(0.0, options.displacement, options.steps + 1)[1:]
     steps = []
-    output = 0.0
-    with dm.Writer(options.output / "sphere.xdmf", problem, notes={"units": "mm, MPa"}) as writer:
+    with dm.Writer(results, problem, notes={"units": "mm, MPa"}) as writer:
         for step in dm.load_steps(problem, levels, on_time=press, qp=options.qp, rtol=options.rtol):
-            steps.append(summarise(step, problem, contact, steel, options))
-            lap = time.perf_counter()
             writer.write(step.time)
-            output += time.perf_counter() - lap
-            if comm.rank == 0:
-                print(step.report)
-    nodes = contact.gather(u)
-    summary = {
-        "dofs": 3 * V.dofmap.index_map.size_global,
-        "cells": mesh.topology.index_map(3).size_global,
-        "ranks": comm.size,
-        "slave_nodes": len(nodes["X"]),
-        "linear_solver": problem.linear.description,
-        "options": {name: str(value) for name, value in vars(options).items()},
-        "steps": steps,
-        "seconds": seconds | {part: problem.timings.seconds.get(part, 0.0) for part in PARTS},
-    }
+            nodes = contact.gather(u)
+            x = nodes["X" if options.geometry == "reference" else "x"][:, :2]
+            steps.append(measure(step, problem, steel, x, nodes))
+    more = {"slave_nodes": len(x), "options": vars(options)}
+    dm.write_summary(options.output / "summary.json", problem, steps, **more)
 
     # ## Pictures
     #
     # The bodies in perspective, the contact pressure as a map and along the radius.
 
-    lap = time.perf_counter()
     if comm.rank == 0:
-        x = nodes["X" if options.geometry == "reference" else "x"][:, :2]
-        figures.draw(
-            options.output, options.output / "sphere.xdmf", summary, (x, nodes["pressure"])
-        )
-        now = time.perf_counter()
-        summary["seconds"] |= {"output": output + now - lap, "total": now - begin}
-        (options.output / "summary.json").write_text(json.dumps(summary, indent=1))
-        print("{force:.1f} N, peak pressure {peak_pressure:.0f} MPa".format(**steps[-1]))
-        print(f"results in {options.output}")
-    return summary
+        print(step.report)
+        figures.draw(options.output, results, steps[-1], (x, nodes["pressure"]))
+        line = "{force:.1f} N, peak pressure {peak_pressure:.0f} MPa, results in"
+        print(line.format(**steps[-1]), options.output)
 
 
 # ## Supports
@@ -161,59 +135,46 @@ def supports(
     return bcs
 
 
-# ## What a step is summarised by
+# ## What is measured in a step
 #
 # Forces are those of the whole ball, four times those of the quarter. Contact radius and peak
 # pressure come from a least-squares fit of Hertz' semi-ellipsoid, $p^2 = p_0^2 (1 - r^2/a^2)$; the
 # radius of the last node in contact is known to one element only.
 
 
-def summarise(
+def measure(
     step: dm.LoadStep,
     problem: dm.ContactProblem,
-    contact: dm.Contact,
     steel: dm.VonMises | dm.Elastic,
-    options: argparse.Namespace,
+    x: np.ndarray,
+    nodes: dict[str, np.ndarray],
 ) -> dict:
-    """Return the numbers of one load step."""
-    solid, report = problem.solid, step.report
-    nodes = contact.gather(problem.u)
-    x = nodes["X" if options.geometry == "reference" else "x"]
-    r, p, active = np.hypot(x[:, 0], x[:, 1]), nodes["pressure"], nodes["active"] > 0
-    force = 4.0 * float(abs(contact.force[2]))
+    """Return the step's cost, force and pressure beside Hertz, the largest stress and strain."""
+    r, p, active = np.hypot(*x.T), nodes["pressure"], nodes["active"] > 0
+    solid, contact = problem.solid, problem.interfaces[0]
+    force = 4.0 * abs(contact.force[2])
     peak, radius = dm.analytic.fit_pressure(r[active], p[active])
-    hertz = (
-        dm.analytic.hertz_point(force, RADIUS, steel.E, steel.nu, steel.E, steel.nu)
-        if force
-        else None
-    )
-    plastic = options.material == "plastic"
-    return {
+    hertz = dm.analytic.hertz_point(max(force, NOTHING), RADIUS, *(steel.E, steel.nu) * 2)
+    return dm.summarise(step) | {
         "displacement": step.time,
         "force": force,
-        "peak_pressure": float(p.max()),
-        "contact_radius_last_node": float(r[active].max(initial=0.0)),
-        # JSON has no not-a-number: a contact of one or two nodes cannot be fitted
-        "peak_pressure_fit": None if np.isnan(peak) else peak,
-        "contact_radius_fit": None if np.isnan(radius) else radius,
-        "peak_pressure_hertz": hertz.peak_pressure if hertz else 0.0,
-        "contact_radius_hertz": hertz.contact_radius if hertz else 0.0,
+        "peak_pressure": p.max(),
+        "peak_pressure_fit": peak,
+        "peak_pressure_hertz": hertz.peak_pressure,
+        "contact_radius_last_node": r[active].max(initial=0.0),
+        "contact_radius_fit": radius,
+        "contact_radius_hertz": hertz.contact_radius,
         "max_von_mises": solid.max("von_mises"),
-        "max_plastic_strain": solid.max("plastic_strain_norm") if plastic else 0.0,
-        "max_back_stress": solid.max("back_stress_norm") if plastic else 0.0,
+        "max_plastic_strain": solid.max("plastic_strain_norm"),
+        "max_back_stress": solid.max("back_stress_norm"),
         "plastic_volume": 4.0 * solid.plastic_area(),
-        "active_nodes": int(active.sum()),
-        "newton_iterations": sum(part.newton_iterations for part in step.parts),
-        "qp_iterations": sum(part.qp_iterations for part in step.parts),
-        "linear_iterations": sum(
-            i.linear_iterations for part in step.parts for i in part.iterations
-        ),
-        "factorisations": sum(part.factorisations for part in step.parts),
-        "residual_history": [v for part in step.parts for v in part.residual_history],
-        "certificate": report.as_dict()["certificate"],
+        "active_nodes": active.sum(),
     }
 
 
 if __name__ == "__main__":
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    main(parser.parse_args())
+    chosen = parser.parse_args()
+    if chosen.steps < 1:
+        parser.error(f"--steps {chosen.steps}: at least 1")
+    main(chosen)

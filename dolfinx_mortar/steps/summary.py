@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: MIT
+"""The numbers of load steps that belong into a table or a file."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dolfinx_mortar.steps.load_steps import LoadStep
+from dolfinx_mortar.steps.problem import ContactProblem
+
+
+def summarise(step: LoadStep) -> dict[str, Any]:
+    """Return what a load step cost and how well it is solved.
+
+        rows = [dm.summarise(step) | {"force": contact.force} for step in dm.load_steps(...)]
+
+    Args:
+        step: a committed load step.
+
+    Returns:
+        "time"; "parts", their number (more than one after cut-backs); over all parts the counts
+        "newton_iterations", "qp_iterations", "linear_iterations" and "factorisations", the
+        "residual_history", the "notes" and this rank's "seconds" by part of the work; of the last
+        part the "linear_solver" and the "certificate".
+    """
+    parts = step.parts
+    iterations = [iteration for part in parts for iteration in part.iterations]
+    work = sorted({name for part in parts for name in part.seconds})
+    return {
+        "time": step.time,
+        "parts": len(parts),
+        "newton_iterations": len(iterations),
+        "qp_iterations": sum(part.qp_iterations for part in parts),
+        "linear_iterations": sum(iteration.linear_iterations for iteration in iterations),
+        "factorisations": sum(part.factorisations for part in parts),
+        "residual_history": [r for part in parts for r in part.residual_history],
+        "notes": [note for part in parts for note in part.notes],
+        "seconds": {name: sum(part.seconds.get(name, 0.0) for part in parts) for name in work},
+        "linear_solver": step.report.linear_solver,
+        "certificate": step.report.as_dict()["certificate"],
+    }
+
+
+def write_summary(
+    path: str | os.PathLike[str],
+    problem: ContactProblem,
+    steps: Sequence[Mapping[str, Any]],
+    **more: Any,
+) -> None:
+    """Write the size of a problem and a row for every load step as JSON; collective.
+
+    Rank 0 writes. Arrays become lists; JSON knows no infinite and no undefined numbers, they become
+    null; whatever else JSON has no word for becomes its text.
+
+    Args:
+        path: file to write; its folder must exist.
+        problem: gives "dofs", "cells", "ranks", and rank 0's "seconds" by part of the work.
+        steps: rows such as those of ``summarise``.
+        more: further entries.
+
+    Raises:
+        OSError: if the file cannot be written (on all ranks).
+    """
+    V, comm = problem.solid.V, problem.comm
+    size = {
+        "dofs": V.dofmap.index_map.size_global * V.dofmap.index_map_bs,
+        "cells": V.mesh.topology.index_map(V.mesh.topology.dim).size_global,
+        "ranks": comm.size,
+        "seconds": problem.timings.seconds,
+    }
+    failed = ""
+    if comm.rank == 0:
+        try:
+            text = json.dumps(_plain(size | more | {"steps": steps}), indent=1, allow_nan=False)
+            Path(path).write_text(text)
+        except OSError as error:
+            failed = error.strerror or str(error)
+    failed = comm.bcast(failed)
+    if failed:
+        raise OSError(f"path is {os.fspath(path)!r}: {failed}")
+
+
+def _plain(value: Any) -> Any:
+    """Return what JSON can hold of a value.
+
+    >>> _plain({"x": np.array([1.0, np.nan]), "n": np.int32(2), "file": Path("a.xdmf"), 3: None})
+    {'x': [1.0, None], 'n': 2, 'file': 'a.xdmf', '3': None}
+    """
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, int | str) else str(value)
