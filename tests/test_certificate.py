@@ -95,7 +95,9 @@ def test_every_field_jumps(spoil, fields):
         multipliers[far] = 1e-3 * maximum(COMM, multipliers.max(initial=0.0))[0]
         active = active | far
     else:
-        link.pattern.blocks.fill(1.001 * link.coupling.blocks)
+        right_half = X[link.nodes[link.pattern.row], 0] > 0.0
+        factor = 1.0 + 1e-3 * right_half[:, None, None]
+        link.pattern.blocks.fill(factor * link.coupling.blocks)
     spoilt = judge(problem, report, active, multipliers)
     assert all(getattr(spoilt, name) > 1e-5 for name in fields)
 
