@@ -84,7 +84,7 @@ class LinearSolver:
         self._refactor_after = refactor_after
         self.max_iterations = MAX_ITERATIONS  # of one sweep
         self.counts = LinearCounts()
-        self.memory: dict[str, object] = {}  # what a backend has learnt about the matrices
+        self.memory: dict[str, Any] = {}  # what a backend has learnt about the matrices
         self._A: PETSc.Mat | None = None
         self._seen: tuple[int, int] = (-1, -1)  # object state of A: as masked, as factorised
         self._fixed: Ints | None = None  # mask of the operator
@@ -260,6 +260,14 @@ class LinearSolver:
         self._ksp.setOperators(self._masked)
         self.counts.symbolic += 1
         return True
+
+    def is_slow(self, norms: list[float], tolerance: float) -> bool:
+        """Tell."""
+        its = len(norms) - 1
+        if 2 * its < self.refactor_after or not norms[-1] > 0.0:
+            return False
+        rate = np.log(norms[-1] / norms[0]) / its
+        return bool(rate >= 0.0 or np.log(tolerance / norms[-1]) / rate > self.refactor_after)
 
     def apply(self, r: PETSc.Vec, x: PETSc.Vec) -> None:
         """Apply the factorisation (or preconditioner) at hand once: x = F^-1 r."""

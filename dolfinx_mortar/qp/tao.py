@@ -6,11 +6,12 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution, check, classify, reaction
+from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution, check, on_bounded, reaction
+from dolfinx_mortar.qp.held import HeldProblem
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
+from dolfinx_mortar.qp.updates import update
 
 MAX_ITERATIONS = 100
-POLISHING_SOLVES = 5
 # Far bounds of unknowns that have none, in units of the largest scaled unknown
 BOX = 1e3
 # TAO's own tests must not stop it before ours does.
@@ -136,24 +137,14 @@ class _Scaled:
 
 
 def _polish(qp: BoundQP, linear: LinearSolver, x: PETSc.Vec, rtol: float) -> QPSolution:
-    """Round by complementarity: solve once with the active set found, more often if it changes."""
+    """Round by complementarity: solve with the active set found, more often if it changes."""
     z = reaction(qp, x)
-    best = QPSolution(x, z, classify(qp, x, z), check(qp, x, z), 0, 0, 0, "")
-    lower, upper = qp.bounds()
-    y, active = x.copy(), best.active
-    for _ in range(POLISHING_SOLVES):
-        held = active != 0
-        y.array[qp.bounded[held]] = np.where(active > 0, upper, lower)[held]
-        force = max(qp.b.norm(), z.norm())
-        try:
-            linear.solve(qp.b, y, np.sort(qp.bounded[held]), atol=0.5 * rtol * force)
-        except LinearSolveFailed:
-            break
-        z = reaction(qp, y)
-        kkt, new = check(qp, y, z), classify(qp, y, z)
-        if kkt.worst < best.kkt.worst:
-            best = QPSolution(y.copy(), z, active, kkt, 0, 0, 0, "")
-        if not qp.comm.allreduce(int((new != active).sum())):
-            break
-        active = new
-    return best
+    active = on_bounded(qp, x, z).predicted()
+    found = QPSolution(x, z, active, check(qp, x, z), 0, 0, 0, "")
+    problem = HeldProblem(qp, linear, x.copy(), rtol)
+    try:
+        outcome = update(problem.hold, active, qp.comm)
+    except LinearSolveFailed:
+        return found
+    polished = problem.solution(outcome, "")
+    return polished if polished.kkt.worst < found.kkt.worst else found
