@@ -6,8 +6,9 @@ Knows matrices, vectors and options of PETSc; must not know meshes, forms or con
 """
 
 from dolfinx_mortar.qp.bound_qp import KKT, BoundQP, QPNotSolved, QPSolution, check
-from dolfinx_mortar.qp.linear import MULTIGRID, LinearSolveFailed, LinearSolver
+from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
 from dolfinx_mortar.qp.multigrid import Preconditioning
+from dolfinx_mortar.qp.options import MULTIGRID, check_options
 from dolfinx_mortar.qp.solver import available, check_name, solve
 
 __all__ = [
@@ -22,5 +23,6 @@ __all__ = [
     "available",
     "check",
     "check_name",
+    "check_options",
     "solve",
 ]

@@ -6,16 +6,21 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution, check, on_bounded, reaction
+from dolfinx_mortar.qp.bound_qp import (
+    LIMIT,
+    SHARE,
+    BoundQP,
+    QPSolution,
+    check,
+    on_bounded,
+    reaction,
+)
 from dolfinx_mortar.qp.held import HeldProblem
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
 from dolfinx_mortar.qp.updates import update
 
-MAX_ITERATIONS = 100
 # Far bounds of unknowns that have none, in units of the largest scaled unknown
 BOX = 1e3
-# TAO's own tests must not stop it before ours does.
-NEVER = 1e-50
 
 
 def run(
@@ -69,15 +74,15 @@ def _iterate(
         return float(0.5 * (y.dot(gradient) - y.dot(scaled.b)))
 
     def stop(tao: PETSc.TAO) -> None:
-        if check(qp, scaled.unscale(tao.getSolution())).satisfied(0.1 * rtol):
+        if check(qp, scaled.unscale(tao.getSolution())).satisfied(SHARE * rtol):
             tao.setConvergedReason(PETSc.TAO.Reason.CONVERGED_USER)
 
     y, gradient = scaled.start.copy(), scaled.b.duplicate()
     tao.setObjectiveGradient(objective, gradient)
     tao.setHessian(lambda *_: None, scaled.A)
     tao.setVariableBounds((scaled.lower, scaled.upper))
-    tao.setTolerances(gatol=NEVER, grtol=NEVER, gttol=NEVER)
-    tao.setMaximumIterations(MAX_ITERATIONS)
+    tao.setTolerances(gatol=0.0, grtol=0.0, gttol=0.0)  # it must not stop before our check does
+    tao.setMaximumIterations(LIMIT)
     tao.setMonitor(stop)
     with linear.database(f"{linear.prefix}tao_"):
         tao.setFromOptions()
@@ -105,7 +110,7 @@ class _Scaled:
         x.set(0.0)
         x.array[qp.bounded] = np.clip(0.0, lower, upper)
         force = max(qp.b.norm(), reaction(qp, x).norm())
-        linear.solve(qp.b, x, np.sort(qp.bounded), atol=1e-3 * force)
+        linear.solve(qp.b, x, np.sort(qp.bounded), atol=force / box)
         x.pointwiseDivide(x, self.s)
         self.length = x.norm(PETSc.NormType.INFINITY) or 1.0
         x.scale(1.0 / self.length)
@@ -133,7 +138,7 @@ class _Scaled:
         """Tell whether the far bounds are not far enough."""
         y = np.abs(x.array_r / (self.s.array_r * self.length))
         y[self.qp.bounded] = 0.0
-        return bool(self.qp.comm.allreduce(y.max(initial=0.0), op=MPI.MAX) > 0.1 * self.box)
+        return bool(self.qp.comm.allreduce(y.max(initial=0.0), op=MPI.MAX) > SHARE * self.box)
 
 
 def _polish(qp: BoundQP, linear: LinearSolver, x: PETSc.Vec, rtol: float) -> QPSolution:

