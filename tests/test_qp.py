@@ -2,6 +2,9 @@
 """Bound-constrained QPs: signs, the check, all backends against it, reuse, awkward cases."""
 
 from dataclasses import replace
+from importlib import import_module
+from pkgutil import walk_packages
+from types import ModuleType
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -14,6 +17,7 @@ from programs import from_arrays, gathered, membrane
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import lsq_linear
 
+from dolfinx_mortar import qp as qp_floor
 from dolfinx_mortar.qp import (
     LinearSolver,
     QPNotSolved,
@@ -21,13 +25,18 @@ from dolfinx_mortar.qp import (
     available,
     check,
     condensed,
+    dense,
     solve,
     solver,
+    updates,
 )
 from dolfinx_mortar.qp.backends import active_set
 from dolfinx_mortar.qp.bounded import Bounded
 from dolfinx_mortar.qp.condensed import SchurModel, half_laplacian, on_root
-from dolfinx_mortar.qp.updates import TIGHT, Held, came_back, update
+from dolfinx_mortar.qp.dense import solve_dense
+from dolfinx_mortar.qp.held import HeldProblem
+from dolfinx_mortar.qp.renewal import REFACTOR_AFTER
+from dolfinx_mortar.qp.updates import LOOSE, TIGHT, Held, Outcome, came_back, update
 
 COMM = MPI.COMM_WORLD
 INF = np.inf
@@ -220,6 +229,114 @@ def test_a_cycle_is_handed_to_the_interior_point(updates_only: None) -> None:
     assert solution.kkt.satisfied(1e-10)
 
 
+def sets(*values: int) -> np.ndarray:
+    return np.array(values, dtype=np.int8)
+
+
+def follow(*, settles_at: int, level: int) -> tuple[Outcome, list[int]]:
+    """Update between two sets that change places below a level; return the levels of the solves."""
+    levels = []
+
+    def hold(active: np.ndarray, level: int) -> Held:
+        levels.append(level)
+        other = active if level >= settles_at else 1 - active
+        return Held(other, int((other != active).sum()), satisfied=level >= TIGHT)
+
+    return update(hold, sets(0, 1), MPI.COMM_SELF, level=level), levels
+
+
+def test_a_cycle_of_tight_solves_ends_at_once() -> None:
+    outcome, levels = follow(settles_at=99, level=TIGHT)
+    assert "came back" in outcome.reason and len(levels) == 3
+
+
+def test_a_cycle_of_loose_solves_tightens_them() -> None:
+    outcome, levels = follow(settles_at=TIGHT, level=LOOSE)
+    assert outcome.reason == "" and levels[-1] == TIGHT and len(levels) < 10
+
+
+def test_a_set_that_stays_is_solved_tightly_before_it_is_taken() -> None:
+    outcome, levels = follow(settles_at=LOOSE, level=LOOSE)
+    assert outcome.reason == "" and outcome.updates == 1 and levels == [LOOSE, 1, TIGHT]
+
+
+@pytest.mark.mpi
+def test_sets_that_never_come_back_end_at_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(updates, "LIMIT", 7)
+    calls = iter(range(100))
+
+    def hold(active: np.ndarray, level: int) -> Held:
+        return Held(np.full(2, next(calls), dtype=np.int8), 2, satisfied=True)
+
+    assert "after 7 solves" in update(hold, sets(0, 0), COMM).reason
+    assert next(calls) == 7
+
+
+@pytest.mark.mpi
+def test_a_set_has_come_back_when_it_is_the_same_on_all_ranks() -> None:
+    seen: set[int] = set()
+    last = COMM.rank == COMM.size - 1
+    assert not came_back(sets(0, 1), seen, COMM)
+    assert not came_back(sets(1, 1) if last else sets(0, 1), seen, COMM)
+    assert came_back(sets(0, 1), seen, COMM)
+
+
+def test_the_dense_problem_leaves_a_cycle_after_each_set_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Three unknowns at or off one bound: eight sets; then the bounded least squares."""
+    solves = []
+    hold = dense._with_active
+    monkeypatch.setattr(dense, "_with_active", lambda *a: (solves.append(1), hold(*a))[1])
+    for first in np.ndindex(2, 2, 2):
+        solves.clear()
+        lower, upper = np.full(3, -INF), np.zeros(3)
+        d, _ = solve_dense(CYCLING, CYCLING_FORCE, lower, upper, sets(*first))
+        z = CYCLING_FORCE - CYCLING @ d
+        assert len(solves) <= 9 and d.max() <= 1e-12 and z.min() >= -1e-12
+        assert abs(z @ d) <= 1e-12
+
+
+@pytest.mark.mpi
+def test_the_large_problem_leaves_a_cycle_after_each_set_once(
+    updates_only: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    qp = from_arrays(CYCLING, CYCLING_FORCE, np.full(3, -INF), np.zeros(3), COMM)
+    sets_held = []
+    hold = HeldProblem.hold
+    monkeypatch.setattr(
+        HeldProblem, "hold", lambda self, *a: (sets_held.append(a[1]), hold(self, *a))[1]
+    )
+    assert "came back" in solve(qp).note
+    assert sets_held.count(TIGHT) <= 9 + 2  # and the last solve of the interior point
+
+
+def test_what_is_weakly_active() -> None:
+    """Reaction and distance, as forces, are together below the accuracy: either side is right."""
+    one = np.ones(4)
+    x, z = one - [0.0, 0.1, 0.0, 0.02], np.array([0.1, 0.0, 0.02, 0.02])
+    candidate = Bounded(x, z, -INF * one, one, 2.0 * one)
+    on, off = sets(1, 1, 1, 1), sets(0, 0, 0, 0)
+    for before, after in ((on, off), (off, on)):
+        assert candidate.strong(before, after, 0.05).tolist() == [True, True, False, True]
+    assert not candidate.strong(on, on, 0.05).any()
+    assert candidate.strong(on, off, 0.0).all()
+    never = replace(candidate, upper=INF * one)  # the reaction alone counts where no bound is
+    assert never.strong(sets(0, 0, 0, 0), sets(-1, -1, -1, -1), 0.05).tolist() == [
+        *(True, False, False, False)
+    ]
+
+
+def test_weakly_active_unknowns_end_the_updates(updates_only: None) -> None:
+    """Round-off puts such unknowns on either side by turns; that is no change."""
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        root = rng.standard_normal((6, 6))
+        A, free = root @ root.T + np.eye(6), rng.standard_normal(6)
+        solution = solve(from_arrays(A, A @ free, np.full(6, -INF), free, COMM))
+        assert solution.note == "" and solution.updates == 1
+
+
 def test_the_condensed_problem_does_not_cycle() -> None:
     qp = from_arrays(CYCLING, CYCLING_FORCE, np.full(3, -INF), np.zeros(3), COMM)
     assert solve(qp).note == ""
@@ -285,7 +402,9 @@ def test_a_neighbouring_active_set_costs_at_most_one_factorisation() -> None:
     second = solve(qp, linear=linear, start_active=first.active)
     assert active_everywhere(second) != active_everywhere(first)
     assert second.factorisations <= 1
-    assert second.linear_iterations < solve(qp).linear_iterations
+    cold = solve(qp)
+    costs = [q.linear_iterations + REFACTOR_AFTER * q.factorisations for q in (second, cold)]
+    assert costs[0] < costs[1]
 
 
 @pytest.mark.mpi
@@ -371,3 +490,55 @@ def _dense(A: PETSc.Mat) -> np.ndarray:
     dense = np.zeros(A.size)
     dense[np.repeat(np.arange(A.size[0]), np.diff(indptr)), columns] = values
     return dense
+
+
+# What the floor still has in numbers: all are costs, or units of round-off.
+NUMBERS = ["BOX", "LIMIT", "MAX_ITERATIONS", "REFACTOR_AFTER", "ROUND_OFF", "SHARE"]
+NUMBERS += ["SETUP_AFTER", "SINGULAR_LOSS"]
+
+
+def modules() -> list[ModuleType]:
+    found = walk_packages(qp_floor.__path__, f"{qp_floor.__name__}.")
+    return [import_module(module.name) for module in found]
+
+
+def test_the_numbers_are_all_known() -> None:
+    """EPS and what is no length, rate or count aside."""
+    names = {
+        name
+        for module in modules()
+        for name, value in vars(module).items()
+        if name.isupper() and isinstance(value, (int, float)) and name not in ("EPS", "T")
+    }
+    assert names - {"LOOSE", "TIGHT", "OUT_OF_MEMORY"} == set(NUMBERS)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+@pytest.mark.parametrize("name", NUMBERS)
+def test_no_number_changes_an_answer(
+    monkeypatch: pytest.MonkeyPatch, name: str, factor: float
+) -> None:
+    """Halved and doubled: for each backend, factorisation and multigrid, two tangents."""
+    expected = [two_tangents(backend, pc) for backend, pc in CASES]
+    for module in modules():
+        if hasattr(module, name):
+            value = getattr(module, name)
+            monkeypatch.setattr(module, name, type(value)(factor * value))
+    for (backend, pc), before in zip(CASES, expected, strict=True):
+        scale = np.abs(before).max()
+        np.testing.assert_allclose(two_tangents(backend, pc), before, atol=1e-8 * scale)
+
+
+CASES = [(name, "cholesky") for name in ("active-set", "interior-point", "tron")]
+CASES += [("active-set", "gamg")]
+
+
+def two_tangents(backend: str, pc: str) -> np.ndarray:
+    """Return the reactions of two neighbouring problems, from loose to tight."""
+    qp = membrane(14)
+    linear = LinearSolver(COMM, prefix="numbers_", options={"pc_type": pc})
+    first = solve(qp, backend, linear, rtol=1e-4)
+    diagonal = qp.A.getDiagonal()
+    diagonal.array[::5] *= 1.05
+    qp.A.setDiagonal(diagonal)
+    return gathered(solve(qp, backend, linear, start_active=first.active, rtol=1e-11).z)
