@@ -164,6 +164,25 @@ def test_a_singular_matrix_is_an_error(pc: str) -> None:
         solved(LinearSolver(COMM, prefix="singular_", options={"pc_type": pc}), qp, none())
 
 
+@pytest.mark.mpi
+def test_a_factorisation_that_is_far_off_is_not_tried(qp: BoundQP) -> None:
+    linear = LinearSolver(COMM, prefix="far_")
+    solved(linear, qp, qp.bounded)
+    before = linear.counts.iterations
+    assert solved(linear, qp, none()) <= RTOL  # 24 unknowns less
+    assert linear.counts.iterations - before == 1
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("options", [{"ksp_type": "preonly"}, {"ksp_type": "cg"}])
+def test_a_solver_that_comes_no_nearer_is_given_up(qp: BoundQP, options: dict[str, str]) -> None:
+    linear = LinearSolver(COMM, prefix="no_", options=options | {"pc_type": "none"})
+    linear.max_iterations = 5
+    with pytest.raises(LinearSolveFailed, match="the residual is"):
+        solved(linear, qp, none())
+    assert linear.counts.iterations <= 2 * linear.max_iterations
+
+
 # -- options
 
 

@@ -28,6 +28,7 @@ from dolfinx_mortar.qp import (
     dense,
     solve,
     solver,
+    tao,
     updates,
 )
 from dolfinx_mortar.qp.backends import active_set
@@ -255,6 +256,17 @@ def test_a_cycle_of_loose_solves_tightens_them() -> None:
     assert outcome.reason == "" and levels[-1] == TIGHT and len(levels) < 10
 
 
+def test_what_loose_solves_have_seen_is_no_cycle_of_tight_ones() -> None:
+    """They go by turns through two sets, of which one is right."""
+
+    def hold(active: np.ndarray, level: int) -> Held:
+        new = sets(1, 0) if level >= TIGHT else 1 - active
+        return Held(new, int((new != active).sum()), satisfied=level >= TIGHT)
+
+    outcome = update(hold, sets(0, 1), MPI.COMM_SELF, level=LOOSE)
+    assert outcome.reason == "" and outcome.active.tolist() == [1, 0]
+
+
 def test_a_set_that_stays_is_solved_tightly_before_it_is_taken() -> None:
     outcome, levels = follow(settles_at=LOOSE, level=LOOSE)
     assert outcome.reason == "" and outcome.updates == 1 and levels == [LOOSE, 1, TIGHT]
@@ -335,6 +347,92 @@ def test_weakly_active_unknowns_end_the_updates(updates_only: None) -> None:
         A, free = root @ root.T + np.eye(6), rng.standard_normal(6)
         solution = solve(from_arrays(A, A @ free, np.full(6, -INF), free, COMM))
         assert solution.note == "" and solution.updates == 1
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("level", [LOOSE, 1, TIGHT])
+def test_loose_solves_are_accurate_to_a_share_of_the_reactions(level: int) -> None:
+    """Those that come out, not those of a guess, which are 40 times as large."""
+    qp, rtol = membrane(24), 1e-8
+    linear = LinearSolver(COMM, prefix="share_", options={"pc_type": "jacobi"})
+    linear.attach(qp.A)
+    x = qp.b.duplicate()
+    x.set(0.0)
+    x.array[:] = 3.0 * np.cos(5.0 * np.arange(*x.getOwnershipRange()))
+    problem = HeldProblem(qp, linear, x, rtol)
+    problem.hold(np.ones(qp.bounded.size, dtype=np.int8), level)
+    z = gathered(problem.z)
+    own = COMM.allgather(qp.bounded + qp.b.getOwnershipRange()[0])
+    held = np.concatenate(own)
+    reactions = np.linalg.norm(z[held])
+    z[held] = 0.0
+    assert np.linalg.norm(z) <= rtol ** (2.0 ** (level - TIGHT)) * reactions
+
+
+@pytest.mark.mpi
+def test_a_small_step_under_large_forces() -> None:
+    """What is weak to the force on a stiff unknown is not to the length of the step."""
+    A, b = np.diag([1e12, 1.0]), np.array([1e6, 2e-6])
+    qp = from_arrays(A, b, np.full(2, -INF), np.array([INF, 1e-6]), COMM)
+    linear = LinearSolver(COMM, prefix="small_step_")
+    linear.attach(qp.A)
+    problem = HeldProblem(qp, linear, qp.b.duplicate(), 1e-4)
+    outcome = update(problem.hold, np.zeros(qp.bounded.size, dtype=np.int8), COMM)
+    solution = problem.solution(outcome, "")
+    assert outcome.reason == "" and active_everywhere(solution) == [1]
+    assert solution.kkt.satisfied(1e-4)
+
+
+@pytest.mark.mpi
+def test_a_step_that_would_raise_the_energy_ends_at_its_minimum() -> None:
+    qp, linear = membrane(12, force=1.0), LinearSolver(COMM, prefix="minimum_")
+    linear.attach(qp.A)
+    own = qp.bounded
+    surface = condensed.Surface(COMM, own, np.array(COMM.allgather(own.size)))
+    linear.factorise(own)
+    x = qp.b.duplicate()
+    x.set(0.0)
+    reduced = condensed._Reduced(qp, linear, surface, x)
+    w = np.zeros(12)
+    rho = reduced.force(w)
+    near = w + 0.01 * rho
+    w, rho = reduced.move(w, near, rho, None)
+    assert w is near  # a whole step that lowers the energy
+    far = w + 100.0 * rho
+    reached, after = reduced.move(w, far, rho, None)
+    assert abs(after @ (far - w)) < 1e-9 * abs(rho @ (far - w))
+    np.testing.assert_allclose(gathered(x)[-12:], reached, atol=1e-12 * np.abs(reached).max())
+
+
+@pytest.mark.mpi
+def test_pairs_that_make_a_model_indefinite_are_dropped() -> None:
+    """I - V (V'V)^-1 V' + W W' with W = 0 has no stiffness along V."""
+    model = SchurModel(np.eye(2), np.array([[2.0], [0.0]]), np.zeros((2, 1)))
+    problem = (np.array([3.0, 1.0]), np.full(2, -INF), np.array([2.0, 9.0]), sets(0, 0))
+    qp = membrane(4)
+    d, active = condensed._solve_model(qp, model if COMM.rank == 0 else None, problem)
+    assert d.tolist() == [2.0, 1.0] and active.tolist() == [1, 0]
+    assert model.V.shape[1] == (0 if COMM.rank == 0 else 1)
+
+
+@pytest.mark.parametrize("backend", ["interior-point", "tron"])
+def test_far_bounds_are_moved_where_they_are_reached(
+    monkeypatch: pytest.MonkeyPatch, backend: str
+) -> None:
+    """Held at its bound, the first unknown keeps the second in place; free, both go far."""
+    monkeypatch.setattr(
+        tao,
+        "_polish",
+        lambda qp, linear, x, rtol: QPSolution(
+            x, x, np.zeros(qp.bounded.size, dtype=np.int8), check(qp, x), 0, 0, 0, ""
+        ),
+    )
+    soft = 1e-5
+    A = np.array([[1.0 + soft, -1.0], [-1.0, 1.0 + soft]])
+    b = np.array([-1.0, 0.0])
+    qp = from_arrays(A, b, np.full(2, -INF), np.array([0.0, INF]), COMM)
+    found = gathered(solve(qp, backend, rtol=1e-6).x)
+    np.testing.assert_allclose(found, np.linalg.solve(A, b), rtol=1e-4)
 
 
 def test_the_condensed_problem_does_not_cycle() -> None:
