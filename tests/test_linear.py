@@ -2,6 +2,7 @@
 """Linear solves with held unknowns: options, reuse and renewal of factorisations, failures."""
 
 from collections.abc import Iterator
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -10,7 +11,8 @@ import numpy as np
 import pytest
 from programs import membrane
 
-from dolfinx_mortar.qp import BoundQP, LinearSolveFailed, LinearSolver
+from dolfinx_mortar.qp import MULTIGRID, BoundQP, LinearSolveFailed, LinearSolver, check_options
+from dolfinx_mortar.qp.renewal import Renewal
 
 COMM = MPI.COMM_WORLD
 RTOL = 1e-11
@@ -160,3 +162,124 @@ def test_a_singular_matrix_is_an_error(pc: str) -> None:
     qp.b.set(1.0)
     with pytest.raises(LinearSolveFailed, match="held by nothing"):
         solved(LinearSolver(COMM, prefix="singular_", options={"pc_type": pc}), qp, none())
+
+
+@pytest.mark.mpi
+def test_a_factorisation_that_is_far_off_is_not_tried(qp: BoundQP) -> None:
+    linear = LinearSolver(COMM, prefix="far_")
+    solved(linear, qp, qp.bounded)
+    before = linear.counts.iterations
+    assert solved(linear, qp, none()) <= RTOL  # 24 unknowns less
+    assert linear.counts.iterations - before == 1
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("options", [{"ksp_type": "preonly"}, {"ksp_type": "cg"}])
+def test_a_solver_that_comes_no_nearer_is_given_up(qp: BoundQP, options: dict[str, str]) -> None:
+    linear = LinearSolver(COMM, prefix="no_", options=options | {"pc_type": "none"})
+    linear.max_iterations = 5
+    with pytest.raises(LinearSolveFailed, match="the residual is"):
+        solved(linear, qp, none())
+    assert linear.counts.iterations <= 2 * linear.max_iterations
+
+
+# -- options
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"ksp_type": "nonsense"}, "nonsense"),
+        ({"pc_type": "no_such_type"}, "no_such_type"),
+        ({"pc_factor_mat_solver_type": "no_such_package"}, "no_such_package"),
+        ({"ksp_rtol": "small"}, "small"),
+        ({"ksp_max_it": [3]}, r"value \[3\] of 'ksp_max_it'"),
+        ({3: "cg"}, "key 3"),
+        ({"-pc_type": "lu"}, "no dash"),
+        ("pc_type lu", "str, not a dictionary"),
+        ([("pc_type", "lu")], "list, not a dictionary"),
+    ],
+)
+def test_options_that_cannot_work_are_refused_at_once(
+    options: Any, message: str, database: PETSc.Options
+) -> None:
+    before = database.getAll()
+    with pytest.raises(ValueError, match=f"petsc_options: .*{message}"):
+        LinearSolver(COMM, prefix="refused_", options=options)
+    assert database.getAll() == before
+
+
+@pytest.mark.mpi
+def test_options_wrong_on_one_rank_are_refused_on_all() -> None:
+    last = COMM.rank == COMM.size - 1
+    with pytest.raises(ValueError, match="no_such_type" if last else "another rank"):
+        check_options(COMM, "one_", {"pc_type": "no_such_type" if last else "lu"})
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("method", [{}, {"pc_type": "lu"}, MULTIGRID, {"pc_type": "jacobi"}])
+def test_options_that_nobody_asks_for_are_named(qp: BoundQP, method: dict[str, Any]) -> None:
+    typed = {"ksp_tipe": "cg", "mat_mumps_icnt_14": 30, "ksp_max_it": 77}
+    linear = LinearSolver(COMM, prefix="typed_", options=method | typed)
+    solved(linear, qp, none())
+    assert linear.unused_options() == ["ksp_tipe", "mat_mumps_icnt_14"]
+
+
+def test_options_of_methods_that_are_used_are_not_named(qp: BoundQP) -> None:
+    """Also those that PETSc reads at a set-up only; our own defaults are nobody's mistake."""
+    options = {"mat_mumps_icntl_14": 30, "mat_mumps_icntl_7": 2}
+    direct = LinearSolver(COMM, prefix="direct_", options=MULTIGRID | {"pc_type": "lu"} | options)
+    options = {"mg_levels_ksp_type": "chebyshev", "mg_levels_pc_type": "jacobi"}
+    multigrid = LinearSolver(COMM, prefix="levels_", options=MULTIGRID | options)
+    for linear in (direct, multigrid):
+        solved(linear, qp, none())
+        assert linear.unused_options() == []
+
+
+def test_an_option_that_the_database_overrides_is_not_named(
+    qp: BoundQP, database: PETSc.Options
+) -> None:
+    database["over_pc_type"] = "jacobi"
+    linear = LinearSolver(COMM, prefix="over_", options={"pc_type": "lu"})
+    solved(linear, qp, none())
+    assert linear.unused_options() == []
+
+
+# -- when to renew
+
+
+def test_a_rate_that_promises_more_than_a_new_one_costs_is_slow() -> None:
+    renewal = Renewal(6, direct=True)
+    assert not renewal.is_slow([1.0, 0.9, 0.8], 1e-9)  # too early to tell
+    assert renewal.is_slow([1.0, 0.1, 0.01, 0.001], 1e-10)  # seven more
+    assert not renewal.is_slow([1.0, 0.1, 0.01, 0.001], 1e-8)  # five more
+    assert renewal.is_slow([1.0, 2.0, 2.0, 2.0], 1e-1)
+    assert not renewal.is_slow([1.0, 0.1, 0.01, 0.001], 1e-2)  # done
+
+
+def test_a_factorisation_is_renewed_for_a_mask_that_differs_by_more_than_it_costs() -> None:
+    assert [Renewal(6, direct=True).is_far(n) for n in (6, 7)] == [False, True]
+
+
+def test_multigrid_is_renewed_for_the_sum_of_what_an_old_one_has_cost() -> None:
+    """A new one gains a digit with each iteration, the old one half a digit."""
+    renewal = Renewal(6, direct=False)
+    renewal.learn([1.0, 1e-1, 1e-2], stale=False)
+    for solves in (1, 2, 3):
+        assert not renewal.is_far(1000)
+        renewal.learn(10.0 ** np.arange(0.0, -2.6, -0.5), stale=True)
+        assert renewal.excess == pytest.approx(2.5 * solves)
+    assert renewal.is_far(0)
+    renewal.learn([1.0, 1e-1, 1e-2], stale=False)
+    assert not renewal.is_far(0)
+
+
+def test_a_class_is_small() -> None:
+    """At most twelve attributes."""
+    linear = LinearSolver(COMM, prefix="count_")
+    qp = membrane(6)
+    qp.b.set(1.0)
+    solved(linear, qp, none())
+    parts = (linear, linear.operator, linear.renewal, linear._preconditioner, linear._options)
+    assert max(len(vars(part)) for part in parts) <= 12

@@ -22,6 +22,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.qp.bound_qp import EPS
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
         for _ in range(2):  # twice is enough
             for other in basis:
                 vector.axpy(-other.dot(vector), other)
-        if vector.norm() > 1e-8 * whole:
+        if vector.norm() > np.sqrt(EPS) * whole:  # what is left has half of its digits
             vector.normalize()
             basis.append(vector)
     return basis

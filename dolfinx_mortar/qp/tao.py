@@ -6,15 +6,21 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution, check, classify, reaction
+from dolfinx_mortar.qp.bound_qp import (
+    LIMIT,
+    SHARE,
+    BoundQP,
+    QPSolution,
+    check,
+    on_bounded,
+    reaction,
+)
+from dolfinx_mortar.qp.held import HeldProblem
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
+from dolfinx_mortar.qp.updates import update
 
-MAX_ITERATIONS = 100
-POLISHING_SOLVES = 5
 # Far bounds of unknowns that have none, in units of the largest scaled unknown
 BOX = 1e3
-# TAO's own tests must not stop it before ours does.
-NEVER = 1e-50
 
 
 def run(
@@ -68,15 +74,15 @@ def _iterate(
         return float(0.5 * (y.dot(gradient) - y.dot(scaled.b)))
 
     def stop(tao: PETSc.TAO) -> None:
-        if check(qp, scaled.unscale(tao.getSolution())).satisfied(0.1 * rtol):
+        if check(qp, scaled.unscale(tao.getSolution())).satisfied(SHARE * rtol):
             tao.setConvergedReason(PETSc.TAO.Reason.CONVERGED_USER)
 
     y, gradient = scaled.start.copy(), scaled.b.duplicate()
     tao.setObjectiveGradient(objective, gradient)
     tao.setHessian(lambda *_: None, scaled.A)
     tao.setVariableBounds((scaled.lower, scaled.upper))
-    tao.setTolerances(gatol=NEVER, grtol=NEVER, gttol=NEVER)
-    tao.setMaximumIterations(MAX_ITERATIONS)
+    tao.setTolerances(gatol=0.0, grtol=0.0, gttol=0.0)  # it must not stop before our check does
+    tao.setMaximumIterations(LIMIT)
     tao.setMonitor(stop)
     with linear.database(f"{linear.prefix}tao_"):
         tao.setFromOptions()
@@ -104,7 +110,7 @@ class _Scaled:
         x.set(0.0)
         x.array[qp.bounded] = np.clip(0.0, lower, upper)
         force = max(qp.b.norm(), reaction(qp, x).norm())
-        linear.solve(qp.b, x, np.sort(qp.bounded), atol=1e-3 * force)
+        linear.solve(qp.b, x, np.sort(qp.bounded), atol=force / box)
         x.pointwiseDivide(x, self.s)
         self.length = x.norm(PETSc.NormType.INFINITY) or 1.0
         x.scale(1.0 / self.length)
@@ -132,28 +138,18 @@ class _Scaled:
         """Tell whether the far bounds are not far enough."""
         y = np.abs(x.array_r / (self.s.array_r * self.length))
         y[self.qp.bounded] = 0.0
-        return bool(self.qp.comm.allreduce(y.max(initial=0.0), op=MPI.MAX) > 0.1 * self.box)
+        return bool(self.qp.comm.allreduce(y.max(initial=0.0), op=MPI.MAX) > SHARE * self.box)
 
 
 def _polish(qp: BoundQP, linear: LinearSolver, x: PETSc.Vec, rtol: float) -> QPSolution:
-    """Round by complementarity: solve once with the active set found, more often if it changes."""
+    """Round by complementarity: solve with the active set found, more often if it changes."""
     z = reaction(qp, x)
-    best = QPSolution(x, z, classify(qp, x, z), check(qp, x, z), 0, 0, 0, "")
-    lower, upper = qp.bounds()
-    y, active = x.copy(), best.active
-    for _ in range(POLISHING_SOLVES):
-        held = active != 0
-        y.array[qp.bounded[held]] = np.where(active > 0, upper, lower)[held]
-        force = max(qp.b.norm(), z.norm())
-        try:
-            linear.solve(qp.b, y, np.sort(qp.bounded[held]), atol=0.5 * rtol * force)
-        except LinearSolveFailed:
-            break
-        z = reaction(qp, y)
-        kkt, new = check(qp, y, z), classify(qp, y, z)
-        if kkt.worst < best.kkt.worst:
-            best = QPSolution(y.copy(), z, active, kkt, 0, 0, 0, "")
-        if not qp.comm.allreduce(int((new != active).sum())):
-            break
-        active = new
-    return best
+    active = on_bounded(qp, x, z).predicted()
+    found = QPSolution(x, z, active, check(qp, x, z), 0, 0, 0, "")
+    problem = HeldProblem(qp, linear, x.copy(), rtol)
+    try:
+        outcome = update(problem.hold, active, qp.comm)
+    except LinearSolveFailed:
+        return found
+    polished = problem.solution(outcome, "")
+    return polished if polished.kkt.worst < found.kkt.worst else found

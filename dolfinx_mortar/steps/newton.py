@@ -304,17 +304,11 @@ class _Step:
                 self.problem.linear,
                 start_active=start,
                 rtol=rtol,
-                settled=self.settled(),
             )
         # An iterative solver comes near what supports and ties ask for; it is known exactly.
         equal = lin.balance.equal
         solved.x.array[equal.dofs] = equal.upper
         return solved
-
-    def settled(self) -> bool:
-        """Tell whether the contact set is expected to stay, up to a few nodes."""
-        last = self.report.iterations[-1:]
-        return bool(last) and last[0].changed <= 0.1 * last[0].active
 
     def take_over(
         self, lin: Linearisation, solved: QPSolution, largest: float

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Solvers of bound-constrained QPs: one file each, found by name.
+"""Solvers of bound-constrained QPs: one file each, named like the backend with underscores.
 
-A backend has ``solve(qp, linear, *, start, rtol, settled)`` and returns a `QPSolution`.
-Knows nothing of meshes, and is judged by `bound_qp.check` alone.
+Each has ``solve(qp, linear, *, start, rtol)`` and returns a `QPSolution`; nothing has to
+be registered. Knows nothing of meshes, and is judged by `bound_qp.check` alone.
 """

@@ -7,14 +7,7 @@ from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution
 from dolfinx_mortar.qp.linear import LinearSolver
 
 
-def solve(
-    qp: BoundQP,
-    linear: LinearSolver,
-    *,
-    start: Actives,
-    rtol: float,
-    settled: bool = False,
-) -> QPSolution:
+def solve(qp: BoundQP, linear: LinearSolver, *, start: Actives, rtol: float) -> QPSolution:
     """Solve a bound-constrained QP with TAO's bqpip (collective).
 
     Args:
@@ -22,7 +15,6 @@ def solve(
         linear: gives its options to the solver inside, and makes the last solve.
         start: (k,) unused; the method starts from the interior of the bounds.
         rtol: tolerance of the KKT check.
-        settled: unused, like the start.
     """
     solution = tao.run(qp, linear, "bqpip", rtol=rtol)
     solution.backend = "interior-point"

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: MIT
+"""The matrix of a linear system with some unknowns held: residuals, round-off, and its masks."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.qp.bound_qp import EPS, ROUND_OFF
+from dolfinx_mortar.qp.multigrid import FreePart
+
+
+def decouple(matrix: PETSc.Mat, held: Ints) -> None:
+    """Replace rows and columns by those of an identity, scaled like the matrix."""
+    diagonal = matrix.getDiagonal()
+    rows = (held + matrix.getOwnershipRange()[0]).astype(PETSc.IntType)
+    matrix.zeroRowsColumns(rows, diag=diagonal.sum() / diagonal.getSize())
+
+
+class Operator:
+    """A with unknowns held, as PETSc's linear solver sees it.
+
+    With a factorisation it is a copy of A whose rows and columns are zeroed with the pattern kept,
+    so that nothing is allocated and the symbolic factorisation lives as long as the pattern;
+    otherwise A itself is applied, and its rows at held unknowns are left out.
+
+    Attributes:
+        A: the matrix.
+        matrix: what is solved with.
+        held: owned local indices of held unknowns, ascending; None before the first.
+        r: the last residual.
+    """
+
+    def __init__(self, A: PETSc.Mat, *, direct: bool) -> None:
+        """Make what is solved with; nothing is held yet."""
+        self.A = A
+        self.held: Ints | None = None
+        self.r = A.createVecRight()
+        self._state = -1  # of A when it was masked last
+        self._free = None if direct else FreePart(A)
+        if self._free is None:
+            self.matrix = A.duplicate(copy=True)
+            self.matrix.setOption(PETSc.Mat.Option.SPD, True)
+            self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        else:
+            self.matrix = PETSc.Mat().createPython(A.getSizes(), self._free, A.comm)
+
+    @property
+    def state(self) -> int:
+        """A number that changes with the values of A."""
+        return int(self.A.stateGet())
+
+    @property
+    def diagonal(self) -> Floats:
+        """Owned diagonal of A."""
+        return np.asarray(self._diagonal.array_r)
+
+    def hold(self, held: Ints) -> None:
+        """Hold these unknowns, of the present A (collective)."""
+        same = self.held is not None and np.array_equal(self.held, held)
+        comm = self.A.comm.tompi4py()
+        if self._state == self.state and comm.allreduce(same, op=MPI.LAND):
+            return
+        self._diagonal = self.A.getDiagonal()
+        if self._free is None:
+            self.A.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+            decouple(self.matrix, held)
+        else:
+            self._free.held = held
+        self.held, self._state = held.copy(), self.state
+
+    def residual(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints) -> PETSc.Vec:
+        """Return b - A x with zeros at held unknowns; the next call reuses the vector."""
+        self.A.mult(x, self.r)
+        self.r.aypx(-1.0, b)
+        self.r.array[held] = 0.0
+        return self.r
+
+    def round_off(self, x: PETSc.Vec) -> float:
+        """Return the round-off of A x, the smallest residual that can be expected."""
+        scaled = x.duplicate()
+        scaled.pointwiseMult(self._diagonal, x)
+        return float(ROUND_OFF * EPS * scaled.norm())
+
+    def destroy(self) -> None:
+        """Free the copy."""
+        self.matrix.destroy()

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: MIT
+"""Options of a linear solver: kept out of PETSc's database, checked early, and seen to be read."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_mortar.algebra.parallel import any_rank
+
+DEFAULTS = {"ksp_type": "cg", "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
+# For three dimensions, where a factorisation takes too much time and memory.
+# The threshold drops entries that are zero up to round-off.
+MULTIGRID = {"pc_type": "gamg", "pc_gamg_threshold": 0.005}
+DIRECT = ("cholesky", "lu")
+VALUES = (str, int, float, bool, np.number, type(None))
+
+# Petsc4py 3.22 does not wrap PetscOptionsUsed; symbols are those that it is linked with.
+_lib = ctypes.CDLL(PETSc.__file__)
+
+
+def was_read(name: str) -> bool:
+    """Tell whether PETSc has asked for an option (with its prefix) since it was set."""
+    found = ctypes.c_int(0)
+    error = _lib.PetscOptionsUsed(None, name.encode(), ctypes.byref(found))
+    if error:
+        raise PETSc.Error(error)
+    return bool(found.value)
+
+
+class SolverOptions:
+    """PETSc options under a prefix; what the user's options database has there wins.
+
+    Attributes:
+        prefix: the prefix.
+        values: options without prefix.
+    """
+
+    def __init__(self, prefix: str, options: Mapping[str, Any] | None) -> None:
+        """Put the options over the defaults (CG with MUMPS Cholesky)."""
+        self.prefix = prefix
+        self.values: dict[str, Any] = DEFAULTS | dict(options or {})
+        ours = DEFAULTS | MULTIGRID
+        self._unread = {k for k, v in self.values.items() if k not in ours or v != ours[k]}
+
+    def __getitem__(self, key: str) -> str:
+        """Return the value that PETSc will see."""
+        return str(PETSc.Options(self.prefix).getString(key, str(self.values[key])))
+
+    @property
+    def direct(self) -> bool:
+        """Tell whether the preconditioner is a factorisation."""
+        return self["pc_type"] in DIRECT
+
+    @contextmanager
+    def database(self, prefix: str, more: Mapping[str, Any] | None = None) -> Iterator[None]:
+        """Hold the options in PETSc's database: they are read at set-up as well as at creation."""
+        opts = PETSc.Options()
+        mine = self.values | dict(more or {})
+        hidden = {k for k in mine if opts.hasName(f"{prefix}{k}")}
+        for key in mine.keys() - hidden:
+            opts.setValue(f"{prefix}{key}", mine[key])
+        try:
+            yield
+        finally:
+            self._unread -= hidden
+            for key in mine.keys() - hidden:
+                if was_read(f"{prefix}{key}"):
+                    self._unread.discard(key)
+                opts.delValue(f"{prefix}{key}")
+
+    def unread(self) -> list[str]:
+        """Return the options of the user that PETSc has not asked for so far."""
+        return sorted(self._unread)
+
+
+def check_options(comm: MPI.Comm, prefix: str, options: Mapping[str, Any] | None) -> None:
+    """Try options on a small matrix, on each rank alone (collective).
+
+    Args:
+        comm: communicator of the ranks that must agree.
+        prefix: prefix of the options.
+        options: options without prefix, over the defaults.
+
+    Raises:
+        ValueError: on all ranks, if they are no mapping of names to numbers and strings, or if
+            PETSc has no such method or cannot read a value.
+    """
+    wrong = _wrong_type(options)
+    if not wrong:
+        try:
+            _try_out(SolverOptions(prefix, options))
+        except PETSc.Error as error:
+            given = SolverOptions(prefix, options).values
+            wrong = f"PETSc refuses {given}: {str(error).strip().splitlines()[-1]}"
+    if any_rank(comm, bool(wrong))[0]:
+        raise ValueError(
+            f"petsc_options: {wrong or 'they are wrong on another rank'}. Choose methods that this "
+            "PETSc has; keys are those of PETSc without the prefix, values numbers or strings"
+        )
+
+
+def _wrong_type(options: Mapping[str, Any] | None) -> str:
+    """Say what is wrong with the types, if anything."""
+    if options is None:
+        return ""
+    if not isinstance(options, Mapping):
+        return f"{options!r} is {type(options).__name__}, not a dictionary"
+    for key, value in options.items():
+        if not isinstance(key, str) or not key.strip() or key.startswith("-"):
+            return f"the key {key!r} is no name of an option (no dash, no prefix)"
+        if not isinstance(value, VALUES):
+            return f"the value {value!r} of {key!r} is no number or string"
+    return ""
+
+
+def _try_out(options: SolverOptions) -> None:
+    """Set the method up for a small definite matrix."""
+    size = 8
+    A = PETSc.Mat().createAIJ((size, size), nnz=1, comm=MPI.COMM_SELF)
+    A.setUp()
+    one = A.createVecRight()
+    one.set(1.0)
+    A.setDiagonal(one)
+    A.assemble()
+    A.setOption(PETSc.Mat.Option.SPD, True)
+    ksp = PETSc.KSP().create(MPI.COMM_SELF)
+    ksp.setOptionsPrefix(options.prefix)
+    try:
+        with options.database(options.prefix):
+            ksp.setFromOptions()
+            ksp.setOperators(A)
+            ksp.setUp()
+    finally:
+        ksp.destroy()
+        A.destroy()

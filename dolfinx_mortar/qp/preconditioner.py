@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: MIT
+"""The factorisation or multigrid at hand, and what it is of."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_mortar.algebra.parallel import free_unused
+from dolfinx_mortar.arrays import Ints
+from dolfinx_mortar.qp import mumps
+from dolfinx_mortar.qp.bound_qp import LIMIT
+from dolfinx_mortar.qp.counts import LinearCounts
+from dolfinx_mortar.qp.multigrid import CreatePreconditioning, Multigrid, Preconditioning
+from dolfinx_mortar.qp.operator import Operator, decouple
+from dolfinx_mortar.qp.options import SolverOptions
+
+
+class Preconditioner:
+    """M^-1 of an operator as it was at some time, for a KSP.
+
+    Args:
+        operator: the operator.
+        ksp: its solver, which gets this preconditioner.
+        options: PETSc options of both.
+        create: returns the matrix for multigrid, given the held unknowns; by default the masked
+            matrix.
+    """
+
+    def __init__(
+        self,
+        operator: Operator,
+        ksp: PETSc.KSP,
+        options: SolverOptions,
+        create: CreatePreconditioning | None,
+    ) -> None:
+        """Create the PC; nothing is set up."""
+        self.operator, self.ksp, self.options = operator, ksp, options
+        self.create = create
+        self.held: Ints | None = None  # when it was set up
+        self._state = -1  # of A at that time
+        self.multigrid: Multigrid | None = None
+        self.pc = ksp.getPC()
+        if not options.direct:
+            self.multigrid = Multigrid(ksp.comm.tompi4py(), options.prefix)
+            self.pc = self.multigrid.inner
+            ksp.setPC(PETSc.PC().createPython(self.multigrid, comm=ksp.comm))
+
+    @property
+    def description(self) -> str:
+        """Name of the method."""
+        name = str(self.pc.getType())
+        return f"{name} ({self.pc.getFactorSolverType()})" if self.options.direct else name
+
+    def is_of(self, held: Ints) -> bool:
+        """Tell whether it is that of the present A with this mask (collective)."""
+        same = self.held is not None and np.array_equal(self.held, held)
+        comm = self.ksp.comm.tompi4py()
+        return self._state == self.operator.state and bool(comm.allreduce(same, op=MPI.LAND))
+
+    def differences(self, held: Ints) -> int | None:
+        """Return how many unknowns its mask differs by (collective); None if there is none."""
+        if self.held is None:
+            return None
+        return int(self.ksp.comm.tompi4py().allreduce(np.setxor1d(self.held, held).size))
+
+    def renew(self, held: Ints, counts: LinearCounts) -> str:
+        """Set up anew; return why it failed and what to do, or nothing (collective)."""
+        if self.multigrid is not None:
+            self.multigrid.release()  # two at a time would need twice the memory
+        free_unused(self.ksp.comm.tompi4py())
+        if self.multigrid is None:
+            self._factorise(counts)
+        else:
+            with self.options.database(self.options.prefix):
+                self.multigrid.renew(self._matrix(held), held)
+            counts.factorisations += 1
+        self.held, self._state = held.copy(), self.operator.state
+        if self.pc.getFailedReason() == 0:
+            return ""
+        self.held = None
+        return f"({mumps.reason(self.pc)}). {mumps.remedy(self.pc)}"
+
+    def _factorise(self, counts: LinearCounts) -> None:
+        """Factorise the masked matrix, with more workspace if there was too little."""
+        self.pc.setReusePreconditioner(False)
+        self.ksp.setOperators(self.operator.matrix)
+        for _ in range(LIMIT):
+            with self.options.database(self.options.prefix):
+                self.pc.setUp()
+            counts.factorisations += 1
+            enough = mumps.enough_workspace(self.pc)
+            if enough is None:
+                break
+            self.options.values["mat_mumps_icntl_14"] = enough
+            self.pc.reset()  # a failed factor cannot be used again
+            self.ksp.setOperators(self.operator.matrix)
+            counts.symbolic += 1
+        self.pc.setReusePreconditioner(True)
+
+    def _matrix(self, held: Ints) -> Preconditioning:
+        if self.create is not None:
+            return self.create(held)
+        B = self.operator.A.copy()
+        decouple(B, held)
+        return Preconditioning(B, None, [])

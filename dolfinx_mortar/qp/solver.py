@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: MIT
+"""Solve a bound-constrained QP with a backend chosen by name, and judge what it returns."""
+
+from functools import cache
+from importlib import import_module
+from pkgutil import iter_modules
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Actives
+from dolfinx_mortar.qp import backends
+from dolfinx_mortar.qp.bound_qp import BoundQP, QPNotSolved, QPSolution, check, validate
+from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
+
+# What a backend may end in without a fault of the code.
+FAILURES = (
+    LinearSolveFailed,
+    PETSc.Error,
+    np.linalg.LinAlgError,
+    FloatingPointError,
+    MemoryError,
+)
+
+
+@cache
+def available() -> list[str]:
+    """Return the names of the backends."""
+    names = [module.name for module in iter_modules(backends.__path__)]
+    return sorted(name.replace("_", "-") for name in names)
+
+
+def check_name(backend: str) -> None:
+    """Raise ValueError if there is no backend of this name."""
+    if backend not in available():
+        raise ValueError(f"qp is {backend!r}: choose one of {', '.join(map(repr, available()))}")
+
+
+def solve(
+    qp: BoundQP,
+    backend: str = "active-set",
+    linear: LinearSolver | None = None,
+    *,
+    start_active: Actives | None = None,
+    rtol: float = 1e-10,
+) -> QPSolution:
+    """Solve a bound-constrained QP (collective).
+
+    Args:
+        qp: the problem.
+        backend: "active-set", "interior-point" or "tron".
+        linear: linear solver, whose factorisation is reused if it was used before; a MUMPS
+            Cholesky factorisation by default.
+        start_active: (k,) guess of the active set on ``qp.bounded``: +1 upper, -1 lower, 0 free.
+            By default every unknown at its nearest bound, which holds every body.
+        rtol: tolerance of the KKT check, relative; round-off is the limit.
+
+    Returns:
+        The solution, which has passed the check.
+
+    Raises:
+        ValueError: for an unknown backend or data that have no solution.
+        QPNotSolved: if the backend fails, or if its result fails the check; then the exception
+            carries it.
+    """
+    check_name(backend)
+    validate(qp)
+    if (trivial := _nothing_to_do(qp, backend)) is not None:
+        return trivial
+    if linear is None:
+        linear = LinearSolver(qp.comm, prefix="dolfinx_mortar_qp_")
+    module = import_module(f"{backends.__name__}.{backend.replace('-', '_')}")
+    start = _nearest(qp) if start_active is None else np.asarray(start_active, dtype=np.int8)
+    start = _possible(qp, start)
+    before = (linear.counts.iterations, linear.counts.factorisations)
+    try:
+        linear.attach(qp.A)
+        solution: QPSolution = module.solve(qp, linear, start=start, rtol=rtol)
+    except FAILURES as error:
+        raise QPNotSolved(f"The backend {backend!r} stopped{_cause(error, linear)}") from error
+    solution.linear_iterations += linear.counts.iterations - before[0]
+    solution.factorisations += linear.counts.factorisations - before[1]
+    if not solution.kkt.satisfied(rtol):
+        raise QPNotSolved(
+            f"The solution of the backend {backend!r} fails the check at rtol={rtol:g}: "
+            f"{solution.kkt}. {solution.note}",
+            solution,
+        )
+    return solution
+
+
+def _cause(error: Exception, linear: LinearSolver) -> str:
+    """Say what stopped a backend, and what to do about it."""
+    if isinstance(error, PETSc.Error):
+        return f" in PETSc: {error}. Check the options of the linear solver, {linear.options}"
+    if isinstance(error, LinearSolveFailed):
+        return f": {error}"
+    name = type(error).__name__
+    return f": {name}, {error}. Check the material constants, and that every body is held"
+
+
+def _nothing_to_do(qp: BoundQP, backend: str) -> QPSolution | None:
+    """Return x = 0 if no force acts and no bound forbids it.
+
+    An iteration would only come near, and have nothing to measure its error against.
+    """
+    lower, upper = qp.bounds()
+    outside = bool((lower > 0.0).any() or (upper < 0.0).any())
+    if qp.comm.allreduce(outside or bool(qp.b.array_r.any()), op=MPI.LOR):
+        return None
+    x, z = qp.b.duplicate(), qp.b.duplicate()
+    x.set(0.0)
+    z.set(0.0)
+    active = np.zeros(qp.bounded.size, dtype=np.int8)
+    return QPSolution(x, z, active, check(qp, x, z), 0, 0, 0, backend)
+
+
+def _nearest(qp: BoundQP) -> Actives:
+    """Return every bounded unknown at the bound nearest to zero."""
+    lower, upper = qp.bounds()
+    return np.where(np.abs(upper) <= np.abs(lower), 1, -1).astype(np.int8)
+
+
+def _possible(qp: BoundQP, active: Actives) -> Actives:
+    """Return the set without unknowns at bounds that are infinitely far."""
+    lower, upper = qp.bounds()
+    active = np.where((active > 0) & np.isinf(upper), 0, active)
+    return np.where((active < 0) & np.isinf(lower), 0, active).astype(np.int8)

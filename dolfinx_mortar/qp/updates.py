@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: MIT
+"""The loop of all active-set methods: hold a set, solve, read off the next one, until it stays.
+
+What it means to solve is an argument: the large problem (`held.HeldProblem`), or a small dense
+model of it (`dense.solve_dense`).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from hashlib import blake2b
+
+from mpi4py import MPI
+
+from dolfinx_mortar.arrays import Actives
+from dolfinx_mortar.qp.bound_qp import LIMIT
+
+# Levels of accuracy: early sets are read off loose solves, the last one off a tight one.
+LOOSE, TIGHT = 0, 2
+
+
+@dataclass(frozen=True)
+class Held:
+    """What a solve with a set held has found."""
+
+    predicted: Actives  # (k,) the next set
+    changes: int  # unknowns on all ranks that differ by more than weak activity
+    satisfied: bool  # accurate enough to end with, if nothing changes
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How the updates ended."""
+
+    active: Actives  # (k,) the last set that was held
+    updates: int
+    reason: str  # why the set has not settled, or nothing
+
+
+def update(
+    hold: Callable[[Actives, int], Held], active: Actives, comm: MPI.Comm, *, level: int = TIGHT
+) -> Outcome:
+    """Update the set until it stays (collective).
+
+    A set that comes back is a cycle. If the solves were loose it may be their fault, and they
+    become tighter; if they were tight it would go on for ever.
+
+    Args:
+        hold: solves with a set held, to the accuracy of a level.
+        active: (k,) this rank's part of the first set.
+        comm: communicator of the ranks that share the set.
+        level: accuracy of the first solve.
+    """
+    seen: set[int] = set()
+    updates = 1
+    for _ in range(LIMIT):
+        found = hold(active, level)
+        if found.changes == 0 and found.satisfied:
+            return Outcome(active, updates, "")
+        if found.changes == 0:
+            level += 1  # look once more before the last solve
+        elif came_back(found.predicted, seen, comm):
+            if level >= TIGHT:
+                return Outcome(active, updates, "the active set came back to an earlier one")
+            level += 1
+            seen.clear()
+        updates += found.changes > 0
+        active = found.predicted
+    return Outcome(active, updates, f"the active set still changed after {LIMIT} solves")
+
+
+def came_back(active: Actives, seen: set[int], comm: MPI.Comm) -> bool:
+    """Tell whether this set, over all ranks, was there before; one number travels."""
+    part = blake2b(active.tobytes(), digest_size=7, salt=str(comm.rank).encode())
+    everywhere = comm.allreduce(int.from_bytes(part.digest()), op=MPI.SUM)
+    known = everywhere in seen
+    seen.add(everywhere)
+    return known
