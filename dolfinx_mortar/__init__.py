@@ -13,6 +13,7 @@ The theory is in Cermak, Svetlik, Varga, Pospisil (2024), doi 10.4203/ccc.9.10.3
 from dolfinx_mortar import analytic, materials, meshing
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.tie import Tie
+from dolfinx_mortar.log import add_last_resort
 from dolfinx_mortar.materials import Elastic, Material, VonMises
 from dolfinx_mortar.mortar.paper import Mortar, assemble_mortar
 from dolfinx_mortar.output import Writer
@@ -23,6 +24,8 @@ from dolfinx_mortar.steps.newton import newton
 from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.report import NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.summary import summarise, write_summary
+
+add_last_resort()
 
 __version__ = "0.1.0"
 

@@ -20,6 +20,7 @@ BELOW = {
     "steps": {"algebra", "geometry", "mortar", "materials", "solid", "interfaces", "qp"},
     "meshing": set(),
     "analytic": set(),
+    "log": set(),
     "output": {"algebra", "materials"},
 }
 OPEN = {"arrays", "compat"}
