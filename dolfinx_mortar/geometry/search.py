@@ -134,7 +134,8 @@ def _sort_in_space(x):  # type: ignore[no-untyped-def]
     """Return an order of points x (d, n) in which aligned blocks of 2^j points are compact.
 
     Ranges are halved across their longest side, again and again. The first half is always a power
-    of two, so that blocks never straddle a cut.
+    of two, so that blocks never straddle a cut. Those of scipy's cKDTree do, and the search in its
+    order takes two to six times as long; halving by numpy.argpartition costs up to a third more.
     """
     d, n = x.shape
     order = np.arange(n)

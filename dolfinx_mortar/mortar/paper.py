@@ -13,6 +13,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+from scipy.sparse import csr_array, kron
 
 import dolfinx
 from dolfinx_mortar.arrays import Floats, Ints, Longs
@@ -44,17 +45,11 @@ def _expand_rows(A: PETSc.Mat, rows: Ints, V: dolfinx.fem.FunctionSpace) -> PETS
     """Return the given owned rows of a node matrix with every entry times the d x d identity."""
     d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
     start, columns, values = A.getValuesCSR()
-    count = np.diff(start)[rows]
-    entries = np.repeat(start[rows] - np.append(0, np.cumsum(count)[:-1])[: len(rows)], count)
-    entries = (entries + np.arange(len(entries))).astype(np.int64)
-    at = np.repeat(np.arange(len(rows)), count)
-    order = np.argsort(at[:, None] * d + np.arange(d), axis=None, kind="stable")
-    all_columns = (columns[entries][:, None] * d + np.arange(d)).ravel()[order]
-    all_values = np.repeat(values[entries], d)[order]
-    new_start = np.append(0, np.cumsum(np.repeat(count, d)))
+    shape = (index_map.size_local, index_map.size_global)
+    expanded = kron(csr_array((values, columns, start), shape=shape)[rows], np.eye(d), "csr")
+    indices = (v.astype(PETSc.IntType) for v in (expanded.indptr, expanded.indices))
     sizes = ((d * len(rows), None), (d * index_map.size_local, d * index_map.size_global))
-    csr = (new_start.astype(PETSc.IntType), all_columns.astype(PETSc.IntType), all_values)
-    return PETSc.Mat().createAIJ(sizes, csr=csr, comm=V.mesh.comm)
+    return PETSc.Mat().createAIJ(sizes, csr=(*indices, expanded.data), comm=V.mesh.comm)
 
 
 def _create_normal_matrix(comm: MPI.Intracomm, normals: Floats) -> PETSc.Mat:
