@@ -11,8 +11,7 @@ import numba
 import numpy as np
 
 from dolfinx_mortar.arrays import Bools, Floats, Ints
-
-_DEPENDENT = 1e-13  # relative length below which a column counts as a combination of the others
+from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 
 def covered_weights(N_s: Floats, weight: Floats, slave: Ints, m: int) -> Floats:
@@ -57,7 +56,7 @@ def _orthonormalise(Q, R):  # type: ignore[no-untyped-def]
                 for q in range(Q.shape[0]):
                     Q[q, j] -= r * Q[q, i]
         R[j, j] = np.sqrt(_product(Q, j, Q, j))
-        if R[j, j] <= _DEPENDENT * length:
+        if R[j, j] <= ROUND_OFF * length:
             return False
         for q in range(Q.shape[0]):
             Q[q, j] /= R[j, j]
