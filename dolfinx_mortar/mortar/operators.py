@@ -3,6 +3,7 @@ r"""Mortar operators D and M of a pair of surfaces as PETSc matrices.
 
     D_jl = int Phi_j N_l^s,      M_jl = int Phi_j N_l^m      over the covered part of the slave side
 
+(eqs. 19 and 20 of the paper; the second function of eq. 20 has to be the master's)
 with the dual functions Phi_j of the kept slave nodes. D is diagonal over the kept nodes. Rows are
 integrated by the ranks that own the slave facets; copies of the master facets travel to them.
 """
@@ -55,7 +56,10 @@ def _sum_facets(surface: Surface, values: Floats) -> Floats:
 
 @timed("~Mortar: node weights")
 def node_weights(pairing: Pairing, segments: Segments) -> tuple[Floats, Floats]:
-    """Return int N_j over the covered part and the whole slave side, (n,) each (collective)."""
+    """Return int N_j over the covered part and the whole slave side, (n,) each (collective).
+
+    The former is D_jj of eq. 19 where all nodes carry a multiplier.
+    """
     slave = pairing.slave
     N_s = slave.element.shape_functions(segments.xi_s)
     covered = covered_weights(N_s, segments.weight, segments.slave, len(slave.facets))
@@ -131,7 +135,7 @@ def _best_nodes(coverage: Floats, X: Floats) -> Ints:
 def assemble_node_matrices(
     pairing: Pairing, segments: Segments, keep: Bools
 ) -> tuple[PETSc.Mat, PETSc.Mat]:
-    """Refill the matrices D and M of the pairing in place (collective).
+    """Refill the matrices D (eq. 19) and M (eq. 20) of the pairing in place (collective).
 
     Args:
         pairing: The pair of surfaces.

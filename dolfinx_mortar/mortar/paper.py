@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: MIT
-r"""The matrices D, M and N as the paper writes them (eqs. 17 to 20), for users and for tests.
+r"""The matrices D, M and N as the paper writes them (eqs. 16 to 20), for users and for tests.
+
+Eq. 16, B_I v <= c_I, with B_I = N^T (D - M) of eq. 17 and c_I = -N^T (D - M) X of eq. 18; the
+blocks of D and M are those of eqs. 19 and 20, times the identity.
 
 The solver does not take this way: it keeps one entry per pair of nodes (`operators`) and turns them
 into a change of basis (`interfaces.basis`).
@@ -42,7 +45,7 @@ class Mortar:
 
 
 def _expand_rows(A: PETSc.Mat, rows: Ints, V: dolfinx.fem.FunctionSpace) -> PETSc.Mat:
-    """Return the given owned rows of a node matrix with every entry times the d x d identity."""
+    """Return owned rows of a node matrix, every entry times the d x d identity (eqs. 19, 20)."""
     d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
     start, columns, values = A.getValuesCSR()
     shape = (index_map.size_local, index_map.size_global)
@@ -53,7 +56,7 @@ def _expand_rows(A: PETSc.Mat, rows: Ints, V: dolfinx.fem.FunctionSpace) -> PETS
 
 
 def _create_normal_matrix(comm: MPI.Intracomm, normals: Floats) -> PETSc.Mat:
-    """Return N (d * m, m), block diagonal of the normals (m of this rank, d)."""
+    """Return N (d * m, m) of eq. 17, block diagonal of the normals (m of this rank, d)."""
     m, d = normals.shape
     first = comm.exscan(m) or 0
     columns = (first + np.repeat(np.arange(m), d)).astype(PETSc.IntType)
@@ -72,8 +75,8 @@ def assemble_mortar(
 ) -> Mortar:
     """Assemble the paper's matrices D, M and N and the weighted gap (collective).
 
-    The constraint of frictionless contact is B_I v <= c_I for the displacement v with
-    B_I = N^T (D - M) and c_I = -N^T (D - M) X.
+    The constraint of frictionless contact is B_I v <= c_I (eq. 16) for the displacement v with
+    B_I = N^T (D - M) (eq. 17) and c_I = -N^T (D - M) X (eq. 18); the weighted gap is c_I - B_I u.
 
     Args:
         V: Vector Lagrange space of degree 1 on the mesh of all bodies.
