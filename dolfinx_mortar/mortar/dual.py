@@ -6,8 +6,8 @@ M = int_G N N^T, so that int_G Phi_i N_j = delta_ij int_G N_j and sum_j Phi_j = 
 as singular when little of the facet is covered, so it is never formed: with the weights w and
 sqrt(w) N = Q R it follows that sqrt(w) Phi = Q R^-T D.
 
-These are the Phi_j of the paper's eq. 20, and what makes D of eq. 19 diagonal. The closed form given
-there, (1 -+ 3 xi) / 2, is that of a straight facet with two nodes that is covered completely.
+These are the Phi_j of the paper's eq. 20, and what makes D of eq. 19 diagonal. The closed form
+given there, (1 -+ 3 xi) / 2, is that of a straight facet with two nodes, all of it covered.
 """
 
 import numba
