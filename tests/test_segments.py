@@ -209,7 +209,7 @@ def test_broad_phase_is_selective():
     grid = np.linspace(0, 1, 201)
     x_s, x_m = line(flat(grid)), line(flat(grid, -0.01, up=True))
     normals = np.broadcast_to([0.0, -1.0], x_s.x.shape)
-    pairs = segments.find_candidates(x_s, normals, x_m, np.zeros(200), moving=False)
+    pairs = segments.find_candidates(x_s, normals, x_m, np.zeros(200))
     assert np.bincount(pairs[:, 0], minlength=200).max() <= 3
     wide = segments.find_candidates(x_s, normals, x_m, np.full(200, 1 / 200))
     assert np.bincount(wide[:, 0], minlength=200).max() <= 7

@@ -263,7 +263,7 @@ def test_broad_phase_is_selective():
     s = np.linspace(0, 1, 21)
     slave, master = grid(s, s), grid(s, s).reversed().moved(shift=(0, 0, 0.01))
     slave, master, none = slave.geometry, master.geometry, np.zeros(slave.corners.shape)
-    pairs = segments.find_candidates(slave, none, master, np.zeros(400), moving=False)
+    pairs = segments.find_candidates(slave, none, master, np.zeros(400))
     assert np.bincount(pairs[:, 0]).max() == 9
     margin = segments.sliding_margins(slave.x)
     pairs = segments.find_candidates(slave, none, master, margin)
@@ -281,7 +281,7 @@ def test_margin_holds_while_the_master_slides(k):
     small = 0.9 * margin.min()
     for shift in ((small, 0, 0), (0, -small, 0), (0.7 * small, 0.7 * small, 0)):
         moved = master.moved(rotation((1, 1, 0), 0.01), shift).geometry
-        now = segments.find_candidates(x, none, moved, 0 * margin, moving=False)
+        now = segments.find_candidates(x, none, moved, 0 * margin)
         assert set(map(tuple, now)) <= known
 
 

@@ -7,6 +7,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import bsr_array
 
 from dolfinx import fem
 from dolfinx_mortar.arrays import Floats
@@ -14,6 +15,8 @@ from dolfinx_mortar.arrays import Floats
 
 class BlockMatrix:
     """AIJ matrix in V's layout; the pattern is found per node, not per entry (collective).
+
+    Scipy's BSR brings the blocks to their rows; PETSc's own block format has no product with AIJ.
 
     Args:
         V: space with d components per node.
@@ -33,33 +36,26 @@ class BlockMatrix:
         ascending = key[order]
         fresh = np.diff(ascending, prepend=-1) > 0
         places = ascending[fresh]
-        block = np.empty(len(key), dtype=np.int64)
-        block[order] = np.cumsum(fresh) - 1
+        self.places = np.empty(len(key), dtype=np.int64)
+        self.places[order] = np.cumsum(fresh) - 1
         self.repeats = len(places) < len(key)
         row, column = np.divmod(places, N)
-        count = np.bincount(row, minlength=n)
-        before = np.cumsum(count) - count  # blocks in earlier rows of nodes
-        component = np.arange(d, dtype=PETSc.IntType)
-        self.indptr = np.zeros(d * n + 1, dtype=PETSc.IntType)
-        np.cumsum(np.repeat(d * count, d), out=self.indptr[1:])
-        # entry (a, b) of a block stands in row a, among the blocks of its node
-        place = (d * (np.arange(len(row)) - before[row])).astype(PETSc.IntType)
-        starts = self.indptr[d * row[:, None] + component] + place[:, None]
-        entries = starts[:, :, None] + component
-        self.indices = np.empty(entries.size, dtype=PETSc.IntType)
-        self.indices[entries] = (d * column.astype(PETSc.IntType)[:, None] + component)[:, None, :]
-        self.entries = entries[block]
-        self.values = np.zeros(len(self.indices))
+        start = np.searchsorted(row, np.arange(n + 1))
+        zeros = np.zeros((len(places), d, d))
+        self.blocks = bsr_array((zeros, column, start), shape=(d * n, d * N))
+        csr = self.blocks.tocsr()
+        self.indptr, self.indices = (v.astype(PETSc.IntType) for v in (csr.indptr, csr.indices))
         self.matrix = PETSc.Mat().createAIJ(
-            [(d * n, d * N)] * 2, csr=(self.indptr, self.indices, self.values), comm=V.mesh.comm
+            [(d * n, d * N)] * 2, csr=(self.indptr, self.indices, csr.data), comm=V.mesh.comm
         )
 
     def fill(self, blocks: Floats) -> None:
         """Set the matrix to the blocks (p, d, d) (collective)."""
+        values = self.blocks.data
         if self.repeats:
-            self.values[:] = 0.0
-            np.add.at(self.values, self.entries, blocks)
+            values[:] = 0.0
+            np.add.at(values, self.places, blocks)
         else:
-            self.values[self.entries] = blocks
-        self.matrix.setValuesCSR(self.indptr, self.indices, self.values)
+            values[self.places] = blocks
+        self.matrix.setValuesCSR(self.indptr, self.indices, self.blocks.tocsr().data)
         self.matrix.assemble()

@@ -27,12 +27,13 @@ from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.geometry import polygons
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.geometry.plane import create_planes, height_at, inverse, project, stretch
-from dolfinx_mortar.geometry.polygons import TOUCHING, VERTICES
+from dolfinx_mortar.geometry.polygons import VERTICES
+from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
-NEGLIGIBLE = 1e-13
-"""Triangles that are smaller than this part of their polygon are dropped."""
-_HIGHEST = 24  # degree of quadrature
-_ACCURACY = np.log(1e-12)
+_HIGHEST = 24
+"""Degree of the finest quadrature."""
+_ACCURACY = 1e-12
+"""Relative error of the integrals of shape functions where the inverse map is no polynomial."""
 
 
 @cache
@@ -59,10 +60,10 @@ def _distance(S, M, bilinear, x, y):  # type: ignore[no-untyped-def]
 def _overlap(P, Q):  # type: ignore[no-untyped-def]
     """Tell whether two projected facets share more than a line."""
     p, q = P.shape[0], Q.shape[0]
-    # a negative distance: facets that overlap by round-off still count as beside each other
-    if polygons.is_beside(P, p, Q, q, polygons.orientation(P, p), -TOUCHING):
+    # a negative distance: facets that overlap by less than thin polygons are beside each other
+    if polygons.is_beside(P, p, Q, q, polygons.orientation(P, p), -64 * ROUND_OFF):
         return False
-    return not polygons.is_beside(Q, q, P, p, polygons.orientation(Q, q), -TOUCHING)
+    return not polygons.is_beside(Q, q, P, p, polygons.orientation(Q, q), -64 * ROUND_OFF)
 
 
 @numba.njit(cache=True)
@@ -199,7 +200,7 @@ def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
             more[i] = which[i]
             _copy(corners[i], 3, longer[i])
         which, corners = more, longer
-    least = NEGLIGIBLE * polygons.measure(P, n)[0]
+    least = ROUND_OFF * polygons.measure(P, n)[0]
     for v in range(1, n - 1):
         ux, uy = P[v, 0] - P[0, 0], P[v, 1] - P[0, 1]
         vx, vy = P[v + 1, 0] - P[0, 0], P[v + 1, 1] - P[0, 1]
@@ -269,7 +270,7 @@ def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners):  # t
         degree = 4.0
         if variation > 0.0:
             # the singularities of the inverse maps lie 1 / variation triangles away
-            degree = 2 + _ACCURACY / np.log(min(variation / 2, 0.9))
+            degree = 2 + np.log(_ACCURACY) / np.log(min(variation / 2, 0.9))
         rule[t] = min(max(np.ceil(degree / 2), 2.0), _HIGHEST // 2) - 1
     return rule
 

@@ -9,10 +9,7 @@ import numpy as np
 
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.elements import FacetElement
-
-FLATTEST = 1e-10
-"""A triangle is degenerate if its area is below this part of its squared radius."""
-_TINY = np.finfo(float).tiny
+from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +60,7 @@ def facet_normals(facets: Facets) -> Floats:
         array([[-4.,  3.]])
     """
     n = area_vectors(facets)
-    return n / np.maximum(np.linalg.norm(n, axis=1), _TINY)[:, None]
+    return n / np.maximum(np.linalg.norm(n, axis=1), TINY)[:, None]
 
 
 def bounding_balls(x: Floats) -> tuple[Floats, Floats]:
@@ -117,12 +114,13 @@ def distortions(facets: Facets) -> Floats:
         array([0.])
     """
     x = facets.x[:, facets.element.vertices]
-    size = np.maximum(bounding_balls(x)[1], _TINY)
-    large = np.linalg.norm(area_vectors(facets), axis=1) > FLATTEST * size ** (x.shape[2] - 1)
+    size = np.maximum(bounding_balls(x)[1], TINY)
+    # the normal of a narrow facet has as few digits as its height
+    large = np.linalg.norm(area_vectors(facets), axis=1) > HALF_OF_DIGITS * size ** (x.shape[2] - 1)
     if not facets.element.bilinear:
         return large.astype(float)
     ahead, behind = np.roll(x, -1, axis=1) - x, np.roll(x, 1, axis=1) - x
     corner = np.cross(ahead, behind)
-    length = np.maximum(np.linalg.norm(corner, axis=2), FLATTEST * size[:, None] ** 2)
+    length = np.maximum(np.linalg.norm(corner, axis=2), HALF_OF_DIGITS * size[:, None] ** 2)
     cosine = np.einsum("mki,mi->mk", corner, facet_normals(facets)) / length
     return np.where(large, cosine.min(axis=1, initial=1.0), 0.0)

@@ -14,9 +14,7 @@ import numpy.typing as npt
 
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.geometry.facets import Facets, facet_normals
-
-SHORTEST = 1e-12
-"""Segments that are shorter than this part of half a slave facet are dropped."""
+from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 
@@ -98,7 +96,7 @@ def _clip(x_s, n_s, x_m, n_m, pairs):  # type: ignore[no-untyped-def]
             y = x_m[pairs[r, 1]]
             # the two sides run against each other
             a, b = _project_node(x_s[s], n_s[s], y[1]), _project_node(x_s[s], n_s[s], y[0])
-            if b - a > SHORTEST:
+            if b - a > 8 * ROUND_OFF:
                 low[c], high[c], index[c], master[c] = a, b, r, pairs[r, 1]
                 _insert(cuts, 2 * c, a)
                 _insert(cuts, 2 * c + 1, b)
@@ -107,7 +105,7 @@ def _clip(x_s, n_s, x_m, n_m, pairs):  # type: ignore[no-untyped-def]
         start = q
         for i in range(2 * c - 1):
             a, b = cuts[i], cuts[i + 1]
-            if b - a <= SHORTEST:
+            if b - a <= 8 * ROUND_OFF:
                 continue
             best = _nearest(x_s[s], n_s[s], x_m, n_m, master[:c], low, high, a, b)
             if best < 0:

@@ -7,8 +7,7 @@ import numpy as np
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry import polygons
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls, facet_normals
-
-_ROUND_OFF = 1e-9  # part of a slave facet by which the search may be too generous
+from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
 
 
 def create_planes(slave: Facets) -> tuple[Floats, Floats, Floats]:
@@ -19,11 +18,11 @@ def create_planes(slave: Facets) -> tuple[Floats, Floats, Floats]:
     """
     x_s = slave.x
     centre, radius = bounding_balls(x_s)
-    radius = np.maximum(radius, np.finfo(float).tiny)
+    radius = np.maximum(radius, TINY)
     n = facet_normals(slave)
     t = x_s[:, 1] - x_s[:, 0]
     t = t - np.einsum("mi,mi->m", t, n)[:, None] * n
-    t /= np.maximum(np.linalg.norm(t, axis=1), np.finfo(float).tiny)[:, None]
+    t /= np.maximum(np.linalg.norm(t, axis=1), TINY)[:, None]
     axes = np.stack([t, np.cross(n, t), n], axis=1) / radius[:, None, None]
     return centre, axes, radius
 
@@ -107,7 +106,7 @@ def stretch(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _are_near(x_s, x_m, pairs, centre, axes, radius, margin, turn):  # type: ignore[no-untyped-def]
+def _are_near(x_s, x_m, pairs, centre, axes, radius, margin):  # type: ignore[no-untyped-def]
     """Tell (p,) whether the projections come closer than the margins."""
     near = np.ones(len(pairs), dtype=np.bool_)
     k, n = x_s.shape[1], x_m.shape[1]
@@ -118,10 +117,7 @@ def _are_near(x_s, x_m, pairs, centre, axes, radius, margin, turn):  # type: ign
             project(x_s[s], centre[s], axes[s], S)
             convex = polygons.orientation(S, k)
         project(x_m[pairs[p, 1]], centre[s], axes[s], M)
-        height = 0.0
-        for i in range(n):
-            height = max(height, abs(M[i, 2]))
-        reach = margin[s] / radius[s] + turn * (height + 2.0) + _ROUND_OFF
+        reach = margin[s] / radius[s] + HALF_OF_DIGITS
         sign = polygons.orientation(M, n)
         if convex != 0 and polygons.is_beside(S, k, M, n, convex, reach):
             near[p] = False
@@ -130,7 +126,7 @@ def _are_near(x_s, x_m, pairs, centre, axes, radius, margin, turn):  # type: ign
     return near
 
 
-def are_near(slave: Facets, master: Facets, pairs: Ints, margin: Floats, turn: float) -> Bools:
+def are_near(slave: Facets, master: Facets, pairs: Ints, margin: Floats) -> Bools:
     """Tell (p,) which pairs come closer than a margin when projected on the slave's plane.
 
     Args:
@@ -138,8 +134,7 @@ def are_near(slave: Facets, master: Facets, pairs: Ints, margin: Floats, turn: f
         master: Master facets (mm,).
         pairs: Pairs (p, 2), ordered by slave facet.
         margin: Lateral margin (ms,).
-        turn: Tangent of the rotation for which to provide.
     """
     planes = create_planes(slave)
-    near: Bools = _are_near(slave.linear, master.linear, pairs, *planes, margin, turn)
+    near: Bools = _are_near(slave.linear, master.linear, pairs, *planes, margin)
     return near

@@ -2,7 +2,8 @@
 """Convex polygons in the plane: clipping, overlap and difference (compiled kernels).
 
 A polygon is an array of vertices, anticlockwise, of which the first `n` count. Lengths are
-relative: the callers scale the plane so that a slave facet has radius 1.
+relative: the callers scale the plane so that a slave facet has radius 1. Vertices that are nearer
+to a line than ROUND_OFF are taken to lie on it.
 
 Numba's cache of a caller in another file does not notice changes here: touch that file, too.
 """
@@ -10,14 +11,10 @@ Numba's cache of a caller in another file does not notice changes here: touch th
 import numba
 import numpy as np
 
+from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, ROUND_OFF
+
 VERTICES = 32
 """Room for the vertices of a polygon; two quadrilaterals make 8, differences add one per cut."""
-THINNEST = 1e-12
-"""Polygons that are narrower than this are dropped."""
-SNAP = 1e-13
-"""Vertices that are nearer to a line are taken to lie on it."""
-TOUCHING = 1e-11
-"""Polygons that overlap by less than this width are taken to touch."""
 
 
 @numba.njit(cache=True)
@@ -31,12 +28,13 @@ def cut(P, n, ax, ay, bx, by, Q):  # type: ignore[no-untyped-def]
     d0 = dx * (P[before, 1] - ay) - dy * (P[before, 0] - ax)
     for i in range(n):
         d1 = dx * (P[i, 1] - ay) - dy * (P[i, 0] - ax)
-        if ((d0 < -SNAP and d1 > SNAP) or (d0 > SNAP and d1 < -SNAP)) and m < VERTICES:
+        apart = (d0 < -ROUND_OFF and d1 > ROUND_OFF) or (d0 > ROUND_OFF and d1 < -ROUND_OFF)
+        if apart and m < VERTICES:
             t = d0 / (d0 - d1)
             Q[m, 0] = P[before, 0] + t * (P[i, 0] - P[before, 0])
             Q[m, 1] = P[before, 1] + t * (P[i, 1] - P[before, 1])
             m += 1
-        if d1 >= -SNAP and m < VERTICES:
+        if d1 >= -ROUND_OFF and m < VERTICES:
             Q[m, 0], Q[m, 1] = P[i, 0], P[i, 1]
             m += 1
         before, d0 = i, d1
@@ -64,13 +62,13 @@ def measure(P, n):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def is_thin(P, n):  # type: ignore[no-untyped-def]
-    """Tell whether P is narrower than THINNEST, or no polygon at all."""
+    """Tell whether P is as narrow as the errors of some cuts, or no polygon at all."""
     if n < 3:
         return True
     square = 0.0
     for i in range(1, n):
         square = max(square, (P[i, 0] - P[0, 0]) ** 2 + (P[i, 1] - P[0, 1]) ** 2)
-    return measure(P, n)[0] <= THINNEST * np.sqrt(square)
+    return measure(P, n)[0] <= 8 * ROUND_OFF * np.sqrt(square)
 
 
 @numba.njit(cache=True)
@@ -82,7 +80,7 @@ def orientation(P, n):  # type: ignore[no-untyped-def]
         ux, uy = P[j, 0] - P[i, 0], P[j, 1] - P[i, 1]
         vx, vy = P[h, 0] - P[i, 0], P[h, 1] - P[i, 1]
         corner = ux * vy - uy * vx
-        tolerance = 1e-6 * (ux * ux + uy * uy + vx * vx + vy * vy) if n > 3 else 0.0
+        tolerance = HALF_OF_DIGITS * (ux * ux + uy * uy + vx * vx + vy * vy) if n > 3 else 0.0
         positive += corner > tolerance
         negative += corner < -tolerance
     return (1 if positive == n else 0) - (1 if negative == n else 0)

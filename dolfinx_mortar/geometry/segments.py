@@ -24,12 +24,13 @@ from dolfinx_mortar.geometry.facets import (
 from dolfinx_mortar.geometry.search import create_cones, find_meeting
 
 FACING = 0.2
-"""A master facet faces a slave facet if n_s . n_m < -FACING for all n_s of the slave facet."""
-TURN = 0.03
-"""Rotation (radians) after the search for which the margin of the candidate pairs provides."""
-FACING_MARGIN = 0.3
-"""Change of n_s . n_m after the search for which the candidate pairs provide."""
-_SLIDING = {2: 1.0, 3: 0.35}  # margin in parts of a slave facet's diameter, by dimension
+"""A master facet faces a slave facet if n_s . n_m < -FACING for all n_s of the slave facet.
+
+Projected on the slave it shrinks to that part of its size; what stands steeper is the flank of a
+body, whose nodes would get the forces of a point of the slave from far along the side.
+"""
+_SLIDING = {2: 1.0, 3: 0.35}
+"""Margin in parts of a slave facet's diameter, by dimension: candidates against new searches."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,14 +70,12 @@ def sliding_margins(x_s: Floats) -> Floats:
     return _SLIDING[x_s.shape[2]] * facet_sizes(x_s)
 
 
-def are_facing(n_s: Floats, n_m: Floats, slack: float = 0.0) -> Bools:
+def are_facing(n_s: Floats, n_m: Floats) -> Bools:
     """Tell (p,) whether facets with directions n_s (p, k, d) face those with n_m (p, d)."""
-    return np.einsum("pki,pi->pk", n_s, n_m).max(axis=1, initial=-1.0) < slack - FACING
+    return np.einsum("pki,pi->pk", n_s, n_m).max(axis=1, initial=-1.0) < -FACING
 
 
-def find_candidates(
-    slave: Facets, n_s: Floats, master: Facets, margin: Floats, *, moving: bool = True
-) -> Ints:
+def find_candidates(slave: Facets, n_s: Floats, master: Facets, margin: Floats) -> Ints:
     """Find the pairs of facets that can share a segment, at any distance from each other.
 
     Args:
@@ -84,18 +83,17 @@ def find_candidates(
         n_s: Unit averaged normals (ms, k, d) at their nodes.
         master: Master facets (mm,).
         margin: Lateral margin (ms,) for which to provide.
-        moving: Provide for the rotations TURN and FACING_MARGIN as well.
 
     Returns:
         Pairs (p, 2) of slave and master facet, ordered by slave, then master. Without margins they
         are still a superset of the pairs that have segments.
     """
-    n_s, turn = projection_directions(slave, n_s), TURN if moving else 0.0
-    pairs = find_meeting(create_cones(slave.x, n_s, margin, turn), *bounding_balls(master.x))
+    n_s = projection_directions(slave, n_s)
+    pairs = find_meeting(create_cones(slave.x, n_s, margin), *bounding_balls(master.x))
     if slave.x.shape[2] == 3:
-        pairs = pairs[plane.are_near(slave, master, pairs, margin, turn)]
+        pairs = pairs[plane.are_near(slave, master, pairs, margin)]
     n_m = facet_normals(master)
-    return pairs[are_facing(n_s[pairs[:, 0]], n_m[pairs[:, 1]], FACING_MARGIN if moving else 0.0)]
+    return pairs[are_facing(n_s[pairs[:, 0]], n_m[pairs[:, 1]])]
 
 
 def create_segments(slave: Facets, n_s: Floats, master: Facets, pairs: Ints) -> Segments:

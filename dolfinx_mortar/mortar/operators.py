@@ -3,6 +3,7 @@ r"""Mortar operators D and M of a pair of surfaces as PETSc matrices.
 
     D_jl = int Phi_j N_l^s,      M_jl = int Phi_j N_l^m      over the covered part of the slave side
 
+(eqs. 19 and 20 of the paper; the second function of eq. 20 has to be the master's)
 with the dual functions Phi_j of the kept slave nodes. D is diagonal over the kept nodes. Rows are
 integrated by the ranks that own the slave facets; copies of the master facets travel to them.
 """
@@ -19,7 +20,9 @@ import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra import triplets
 from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.geometry.facets import facet_sizes
 from dolfinx_mortar.geometry.segments import Segments, create_segments
+from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
 from dolfinx_mortar.mortar.dual import BASES, covered_weights
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
@@ -32,8 +35,6 @@ from dolfinx_mortar.mortar.surface import (
 
 LEAST_COVERAGE = 0.05
 """A slave node carries a multiplier if more than this part of its tributary weight is covered."""
-_SAME = 1e-9  # relative difference of coverages that is taken for round-off
-_DIRECTION = np.array([1.0, 0.55, 0.31])  # not normal to the edges of common meshes
 
 
 @timed("~Mortar: segments")
@@ -55,7 +56,10 @@ def _sum_facets(surface: Surface, values: Floats) -> Floats:
 
 @timed("~Mortar: node weights")
 def node_weights(pairing: Pairing, segments: Segments) -> tuple[Floats, Floats]:
-    """Return int N_j over the covered part and the whole slave side, (n,) each (collective)."""
+    """Return int N_j over the covered part and the whole slave side, (n,) each (collective).
+
+    The former is D_jj of eq. 19 where all nodes carry a multiplier.
+    """
     slave = pairing.slave
     N_s = slave.element.shape_functions(segments.xi_s)
     covered = covered_weights(N_s, segments.weight, segments.slave, len(slave.facets))
@@ -102,24 +106,36 @@ def default_keep(
         allowed: Nodes (n,) that may be kept; all if not given.
     """
     allowed = np.ones(len(covered), dtype=bool) if allowed is None else allowed
-    coverage = np.where(allowed, covered, 0.0) / np.maximum(tributary, np.finfo(float).tiny)
+    coverage = np.where(allowed, covered, 0.0) / np.maximum(tributary, TINY)
     keep = coverage > LEAST_COVERAGE
     facets = pairing.slave.facets[np.unique(segments.slave)]
     facets = facets[~keep[facets].any(axis=1) & (coverage[facets] > 0).any(axis=1)]
-    share = coverage[facets]
-    equal = share >= (1 - _SAME) * share.max(axis=1, initial=0.0)[:, None]
-    # the furthest of equals in some direction, whatever the numbers and the round-off
-    X = pairing.slave.X
-    best = np.argmax(np.where(equal, (X @ _DIRECTION[: X.shape[1]])[facets], -np.inf), axis=1)
+    best = _best_nodes(coverage[facets], pairing.slave.X[facets])
     rescued = np.bincount(facets[np.arange(len(facets)), best], minlength=len(covered))
     return keep | (accumulate(pairing.slave, rescued) > 0)
+
+
+def _best_nodes(coverage: Floats, X: Floats) -> Ints:
+    """Return (m,) which node of each facet is covered best; of equal ones the last in space.
+
+    That is the one at the largest x, then y, then z, whatever the numbers and the round-off.
+
+    Args:
+        coverage: Covered part (m, k) of the nodes.
+        X: Coordinates (m, k, d).
+    """
+    best = coverage >= (1 - HALF_OF_DIGITS) * coverage.max(axis=1, initial=0.0)[:, None]
+    for x in np.moveaxis(X, 2, 0):
+        furthest = np.where(best, x, -np.inf).max(axis=1, initial=-np.inf)
+        best &= x >= (furthest - HALF_OF_DIGITS * facet_sizes(X))[:, None]
+    return np.asarray(np.argmax(best, axis=1), dtype=np.int32)
 
 
 @timed("~Mortar: assemble D and M")
 def assemble_node_matrices(
     pairing: Pairing, segments: Segments, keep: Bools
 ) -> tuple[PETSc.Mat, PETSc.Mat]:
-    """Refill the matrices D and M of the pairing in place (collective).
+    """Refill the matrices D (eq. 19) and M (eq. 20) of the pairing in place (collective).
 
     Args:
         pairing: The pair of surfaces.

@@ -22,7 +22,6 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls, facet_normals
 from dolfinx_mortar.geometry.search import Cones, create_cones, find_meeting
 from dolfinx_mortar.geometry.segments import (
-    TURN,
     are_facing,
     find_candidates,
     projection_directions,
@@ -30,7 +29,8 @@ from dolfinx_mortar.geometry.segments import (
 )
 from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, nodal_normals
 
-_GROUPS = 16  # cones by which a rank tells the others where it needs master facets
+_GROUPS = 16
+"""Cones by which a rank tells the others where it needs master facets: message against copies."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +73,7 @@ def _group(x: Floats) -> list[Ints]:
     return [group for group in groups if len(group)]
 
 
-def _group_cones(
-    x_s: Floats, n_s: Floats, groups: list[Ints], margin: Floats, turn: float
-) -> Cones:
+def _group_cones(x_s: Floats, n_s: Floats, groups: list[Ints], margin: Floats) -> Cones:
     """Bound the projections of groups of slave facets with a lateral margin (m,) per facet."""
     d = x_s.shape[2]
     cones = [
@@ -83,7 +81,6 @@ def _group_cones(
             x_s[group].reshape(1, -1, d),
             n_s[group].reshape(1, -1, d),
             margin[group].max(keepdims=True),
-            turn,
         )
         for group in groups
     ]
@@ -206,8 +203,8 @@ def create_pairing(
 ) -> Pairing:
     """Find the candidate pairs at X + u and create the matrices for them (collective).
 
-    Where the surfaces move, the pairs provide for a relative sliding by half an edge or more and
-    for small rotations; `outside_margin` tells when that is used up.
+    Where the surfaces move, the pairs provide for a relative sliding by half an edge or more;
+    `outside_margin` tells when that is used up, by sliding or by turning.
 
     Raises:
         ValueError: On all ranks, if the sides share facets, belong to another space, u is not
@@ -221,13 +218,11 @@ def create_pairing(
     margin, groups = sliding_margins(slaves.x) * moving, _group(slaves.x)
     receivers: Bools = np.ones((len(masters.x), 1), dtype=bool)
     if comm.size > 1:
-        receivers = _find_receivers(
-            comm, _group_cones(slaves.x, n_s, groups, margin, TURN * moving), masters.x
-        )
+        receivers = _find_receivers(comm, _group_cones(slaves.x, n_s, groups, margin), masters.x)
     nodes, facets, X = _send_facets(master, receivers)
     scatter, received = _create_scatter(V, nodes)
     copies = Facets(master.element, _master_coordinates(X, scatter, received, u)[facets])
-    pairs = find_candidates(slaves, n_s, copies, margin, moving=moving)
+    pairs = find_candidates(slaves, n_s, copies, margin)
     _check_facing(pairs, slave, master, n_s, facet_normals(masters))
     D, M = _create_matrices(slave, pairs, nodes, facets)
     return Pairing(
@@ -272,7 +267,7 @@ def outside_margin(
     none, count = np.zeros(len(slave.x)), len(master.x)
     among = np.ones(len(none), dtype=bool) if among is None else among
     asked = np.flatnonzero(among)
-    pairs = find_candidates(slave[asked], n_s[asked], master, none[asked], moving=False)
+    pairs = find_candidates(slave[asked], n_s[asked], master, none[asked])
     pairs[:, 0] = asked[pairs[:, 0]]
     fresh, known = (p[:, 0].astype(np.int64) * count + p[:, 1] for p in (pairs, pairing.pairs))
     missing = not np.isin(fresh, known, assume_unique=True).all()
@@ -280,7 +275,7 @@ def outside_margin(
     if comm.size > 1:
         x_own = coordinates(pairing.master, u)[pairing.master.facets]
         groups = [group[among[group]] for group in pairing.groups]
-        cones = _group_cones(slave.x, n_s, [group for group in groups if len(group)], none, 0.0)
+        cones = _group_cones(slave.x, n_s, [group for group in groups if len(group)], none)
         receivers = _find_receivers(comm, cones, x_own)
         missing = missing or bool((receivers & ~pairing.sent).any())
     return bool(comm.allreduce(int(missing)))

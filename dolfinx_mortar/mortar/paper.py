@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: MIT
-r"""The matrices D, M and N as the paper writes them (eqs. 17 to 20), for users and for tests.
+r"""The matrices D, M and N as the paper writes them (eqs. 16 to 20), for users and for tests.
+
+Eq. 16, B_I v <= c_I, with B_I = N^T (D - M) of eq. 17 and c_I = -N^T (D - M) X of eq. 18; the
+blocks of D and M are those of eqs. 19 and 20, times the identity.
 
 The solver does not take this way: it keeps one entry per pair of nodes (`operators`) and turns them
 into a change of basis (`interfaces.basis`).
@@ -13,6 +16,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+from scipy.sparse import csr_array, kron
 
 import dolfinx
 from dolfinx_mortar.arrays import Floats, Ints, Longs
@@ -41,24 +45,18 @@ class Mortar:
 
 
 def _expand_rows(A: PETSc.Mat, rows: Ints, V: dolfinx.fem.FunctionSpace) -> PETSc.Mat:
-    """Return the given owned rows of a node matrix with every entry times the d x d identity."""
+    """Return owned rows of a node matrix, every entry times the d x d identity (eqs. 19, 20)."""
     d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
     start, columns, values = A.getValuesCSR()
-    count = np.diff(start)[rows]
-    entries = np.repeat(start[rows] - np.append(0, np.cumsum(count)[:-1])[: len(rows)], count)
-    entries = (entries + np.arange(len(entries))).astype(np.int64)
-    at = np.repeat(np.arange(len(rows)), count)
-    order = np.argsort(at[:, None] * d + np.arange(d), axis=None, kind="stable")
-    all_columns = (columns[entries][:, None] * d + np.arange(d)).ravel()[order]
-    all_values = np.repeat(values[entries], d)[order]
-    new_start = np.append(0, np.cumsum(np.repeat(count, d)))
+    shape = (index_map.size_local, index_map.size_global)
+    expanded = kron(csr_array((values, columns, start), shape=shape)[rows], np.eye(d), "csr")
+    indices = (v.astype(PETSc.IntType) for v in (expanded.indptr, expanded.indices))
     sizes = ((d * len(rows), None), (d * index_map.size_local, d * index_map.size_global))
-    csr = (new_start.astype(PETSc.IntType), all_columns.astype(PETSc.IntType), all_values)
-    return PETSc.Mat().createAIJ(sizes, csr=csr, comm=V.mesh.comm)
+    return PETSc.Mat().createAIJ(sizes, csr=(*indices, expanded.data), comm=V.mesh.comm)
 
 
 def _create_normal_matrix(comm: MPI.Intracomm, normals: Floats) -> PETSc.Mat:
-    """Return N (d * m, m), block diagonal of the normals (m of this rank, d)."""
+    """Return N (d * m, m) of eq. 17, block diagonal of the normals (m of this rank, d)."""
     m, d = normals.shape
     first = comm.exscan(m) or 0
     columns = (first + np.repeat(np.arange(m), d)).astype(PETSc.IntType)
@@ -77,8 +75,8 @@ def assemble_mortar(
 ) -> Mortar:
     """Assemble the paper's matrices D, M and N and the weighted gap (collective).
 
-    The constraint of frictionless contact is B_I v <= c_I for the displacement v with
-    B_I = N^T (D - M) and c_I = -N^T (D - M) X.
+    The constraint of frictionless contact is B_I v <= c_I (eq. 16) for the displacement v with
+    B_I = N^T (D - M) (eq. 17) and c_I = -N^T (D - M) X (eq. 18); the weighted gap is c_I - B_I u.
 
     Args:
         V: Vector Lagrange space of degree 1 on the mesh of all bodies.

@@ -16,10 +16,15 @@ from dolfinx_mortar import compat
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.geometry.elements import FACETS_OF, FacetElement
 from dolfinx_mortar.geometry.facets import Facets, distortions, facet_normals
+from dolfinx_mortar.geometry.tolerances import TINY
 from dolfinx_mortar.mortar.space import check_space
 
 _MOST_WARPED = 0.3
-"""Smallest cosine between the normal at a corner of a quadrilateral and its mean normal."""
+"""Smallest cosine between the normal at a corner of a quadrilateral and its mean normal.
+
+The facet is projected along the latter, so that it is stretched by more than three there; bodies
+deform, and at 0 it folds.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +238,7 @@ def nodal_normals(surface: Surface, x: Floats) -> Floats:
     where = surface.facets.ravel()
     local = np.stack([np.bincount(where, n, minlength=len(x)) for n in n_f.T], axis=1)
     total = accumulate(surface, local)
-    return total / np.maximum(np.linalg.norm(total, axis=1), np.finfo(float).tiny)[:, None]
+    return total / np.maximum(np.linalg.norm(total, axis=1), TINY)[:, None]
 
 
 def mean_facet_length(surface: Surface) -> float:

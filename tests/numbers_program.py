@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: MIT
+"""Halve and double each number of geometry and mortar; print how the operators change, as JSON.
+
+Run without compilation (NUMBA_DISABLE_JIT=1): compiled kernels would keep the number they had.
+"""
+
+import json
+import math
+import os
+import sys
+from importlib import import_module
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx import fem
+from dolfinx_mortar.geometry import area
+from dolfinx_mortar.mortar.operators import (
+    assemble_node_matrices,
+    default_keep,
+    find_segments,
+    node_weights,
+)
+from dolfinx_mortar.mortar.pairing import create_pairing
+from dolfinx_mortar.mortar.surface import create_surface
+from tests.meshes import two_blocks
+from tests.meshes_3d import two_boxes
+from tests.test_mortar import bend
+from tests.test_mortar_3d import curved
+
+ROOMS = [
+    import_module(f"dolfinx_mortar.{floor}.{file.stem}")
+    for floor in ("geometry", "mortar")
+    for file in sorted(Path(import_module(f"dolfinx_mortar.{floor}").__path__[0]).glob("[!_]*.py"))
+]
+
+
+def numbers():
+    """Return the names of all numbers that geometry and mortar define, with their values."""
+    found = {}
+    for room in ROOMS:
+        for name, value in vars(room).items():
+            table = isinstance(value, dict) and all(isinstance(v, float) for v in value.values())
+            if name.strip("_").isupper() and (isinstance(value, int | float) or table):
+                found[name] = value
+    return found
+
+
+def replace(name, value):
+    """Set a number wherever it is known."""
+    for room in ROOMS:
+        if name in vars(room):
+            setattr(room, name, value)
+    area._rules.cache_clear()
+
+
+def scaled(value, factor):
+    """Return a number, or all of a table, times a factor; whole numbers stay whole."""
+    if isinstance(value, dict):
+        return {key: scaled(v, factor) for key, v in value.items()}
+    return type(value)(value * factor)
+
+
+def pairs():
+    """Return pairs of surfaces in contact, all with curved sides and partly covered."""
+    plane = two_blocks(
+        MPI.COMM_SELF, (8, 1), (6, 1), x_lower=(-1, 1.1), x_upper=(-1.2, 0.9), gap=0.1,
+        jitter=0.5, transform=bend,
+    )  # fmt: skip
+    options = {"jitter": 0.4, "gap": 0.1, "transform": curved, "upper": (-0.3, 0.85, 0.2, 1.4)}
+    boxes = [
+        two_boxes(MPI.COMM_SELF, (2, 2, 1), (2, 3, 1), cell=cell, **options)
+        for cell in ("tetrahedron", "hexahedron")
+    ]
+    for mesh, _, tags in (plane, *boxes):
+        V = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
+        yield V, tags
+
+
+def operators(cases):
+    """Return nodes kept, D and M times fields, and the resultants of these, for all cases."""
+    kept, values, resultants = [], [], []
+    for V, tags in cases:
+        sides = [create_surface(V, tags, tag, name) for tag, name in ((3, "slave"), (4, "master"))]
+        pairing = create_pairing(V, *sides, None)
+        segments, _ = find_segments(pairing, None)
+        keep = default_keep(pairing, segments, *node_weights(pairing, segments))
+        f = pairing.D.createVecRight()
+        f.array[:] = np.cos(V.tabulate_dof_coordinates() @ [1.0, 2.0, 0.5])
+        kept.append(keep)
+        values += [(A * f).array.copy() for A in assemble_node_matrices(pairing, segments, keep)]
+        resultants += [v.sum() for v in values[-2:]]
+    return np.concatenate(kept), np.concatenate(values), np.array(resultants)
+
+
+def change(cases, expected):
+    """Return the largest change of operators, infinite if other nodes are kept, and resultants."""
+    try:
+        kept, values, resultants = operators(cases)
+    except ValueError:  # something is refused
+        return [math.inf, math.inf]
+    same = (kept == expected[0]).all()
+    nodal = float(np.abs(values - expected[1]).max()) if same else math.inf
+    return [nodal, float(np.abs(resultants - expected[2]).max())]
+
+
+def main():
+    """Print {name: [change if halved, if doubled]} and what an absurd round-off does."""
+    assert os.environ.get("NUMBA_DISABLE_JIT") == "1"
+    cases = list(pairs())
+    expected = operators(cases)
+    table = {}
+    for name, value in numbers().items():
+        table[name] = []
+        for factor in (0.5, 2):
+            replace(name, scaled(value, factor))
+            table[name].append(change(cases, expected))
+        replace(name, value)
+    value = numbers()["ROUND_OFF"]
+    replace("ROUND_OFF", 0.1)
+    table["absurd"] = [change(cases, expected)]
+    replace("ROUND_OFF", value)
+    table["again"] = [change(cases, expected)]
+    json.dump(table, sys.stdout)
+
+
+if __name__ == "__main__":
+    main()
