@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
@@ -208,7 +209,7 @@ class PointFields:
             element = basix.ufl.element("DG", self._mesh.basix_cell(), 0, shape=shape)
             self._averages[name] = fem.Function(fem.functionspace(self._mesh, element), name=name)
         average = self._averages[name]
-        flat = values.reshape(*weights.shape, -1)
+        flat = values.reshape(*values.shape[:2], math.prod(values.shape[2:]))
         means = np.einsum("cq,cqi->ci", weights, flat) / weights.sum(axis=1)[:, None]
         dofs = average.function_space.dofmap.list[: self._owned, 0]
         average.x.array.reshape(-1, flat.shape[2])[dofs] = means

@@ -21,7 +21,7 @@ from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.interfaces.tie import Tie
-from dolfinx_mortar.qp import MULTIGRID, LinearSolver
+from dolfinx_mortar.qp import MULTIGRID, LinearSolver, check_options
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.steps.audit import Audit, create_audit
 from dolfinx_mortar.steps.bodies import Bodies, find_bodies, join_bodies
@@ -89,6 +89,7 @@ class ContactProblem:
     ) -> None:
         """Check the arguments and create everything that later steps refill."""
         sides, conditions = check_arguments(solid, interfaces, bcs, loads, geometry)
+        check_options(solid.V.mesh.comm, petsc_options_prefix, petsc_options)
         self.solid, self.geometry = solid, geometry
         self.timings = Timings()
         self.loads = Loads(solid.V, solid.u, loads, potential)
