@@ -13,11 +13,13 @@ Nothing here is singular as long as the bounds, all active, hold the bodies.
 
 What it saves in a step of benchmarks/hertz_2d.py, over both slaves, frozen and updated geometry:
 
-    solves + factorisations (each as dear as 6 solves)    with          without
-    elastic, updated,  5 thousand unknowns                19..20 + 2    21..24 + 2
-    elastic, updated, 50 thousand unknowns                19..20 + 3    30..40 + 3
-    plastic,  5 thousand unknowns                         28..37 + 6    66..80 + 5..6
-    plastic, 50 thousand unknowns                         32..39 + 8    90..115 + 9..11
+    solves + factorisations (each as dear as 5 to 7 solves)    with           without
+    elastic, frozen,   5 thousand unknowns                      5 + 2          3 + 1
+    elastic, frozen,  50 thousand unknowns                      5 + 2          11 + 3
+    elastic, updated,  5 thousand unknowns                      13..14 + 2     14..17 + 2
+    elastic, updated, 50 thousand unknowns                      14..19 + 3..4  33..35 + 3
+    plastic,           5 thousand unknowns                      32..36 + 5     46..52 + 4..5
+    plastic,          50 thousand unknowns                      30..36 + 7..8  79..104 + 9
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ def _expects_few_changes(linear: LinearSolver) -> bool:
 
     Each may cost an iteration; more of them than a factorisation is worth are better predicted.
     Were all predicted, plastic steps of benchmarks/hertz_2d.py with 50 thousand unknowns would take
-    37 to 45 solves and 12 to 15 factorisations instead of 32 to 39 and 8.
+    31 to 37 solves and 10 to 11 factorisations instead of 30 to 36 and 7 to 8.
     """
     changes = linear.memory.get("changes")
     return isinstance(changes, int) and changes <= linear.refactor_after
