@@ -55,12 +55,21 @@ class Bodies:
         vector.array[:] = values.ravel()
         return vector
 
-    def mean(self, values: Floats, where: Bools) -> Floats:
-        """Return the mean over each body of (owned nodes, d) values where marked, else 0."""
+    def mean(self, values: Floats, where: Bools, group: Ints | None = None) -> Floats:
+        """Return the mean over each body of (owned nodes, d) values where marked, else 0.
+
+        Args:
+            values: nodal values.
+            where: (owned nodes, d) which of them count.
+            group: (count,) bodies with one number count as one.
+        """
         total = np.zeros((self.count, 2, values.shape[1]))
         np.add.at(total[:, 0], self.label, np.where(where, values, 0.0))
         np.add.at(total[:, 1], self.label, where.astype(float))
         total = self.V.mesh.comm.allreduce(total, op=MPI.SUM)
+        if group is not None:
+            for k in range(group.max() + 1):
+                total[group == k] = total[group == k].sum(axis=0)
         return np.asarray(total[:, 0] / np.maximum(total[:, 1], 1.0))
 
 
@@ -91,8 +100,8 @@ def find_bodies(V: fem.FunctionSpace) -> Bodies:
     return _measure(V, count, label)
 
 
-def join_bodies(bodies: Bodies, sides: Sequence[tuple[Bools, Bools]]) -> Bodies:
-    """Return the bodies with those as one that are tied; collective.
+def find_tied_groups(bodies: Bodies, sides: Sequence[tuple[Bools, Bools]]) -> Ints:
+    """Return a number (count,) for each body that tied bodies have in common; collective.
 
     Args:
         bodies: the connected parts of the mesh.
@@ -103,8 +112,8 @@ def join_bodies(bodies: Bodies, sides: Sequence[tuple[Bools, Bools]]) -> Bodies:
     for k, (slave, master) in enumerate(sides):
         touched[k, bodies.label[slave[:n] | master[:n]]] = 1.0
     touched = bodies.V.mesh.comm.allreduce(touched, op=MPI.SUM)  # arrays have no MAX
-    count, group = connected_components(touched.T @ touched, directed=False)
-    return _measure(bodies.V, count, group[bodies.label].astype(np.int32))
+    _, group = connected_components(touched.T @ touched, directed=False)
+    return np.asarray(group, dtype=np.int32)
 
 
 def _measure(V: fem.FunctionSpace, count: int, label: Ints) -> Bodies:

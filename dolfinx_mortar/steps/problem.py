@@ -24,7 +24,7 @@ from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.qp import MULTIGRID, LinearSolver, check_options
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.steps.audit import Audit, create_audit
-from dolfinx_mortar.steps.bodies import Bodies, find_bodies, join_bodies
+from dolfinx_mortar.steps.bodies import Bodies, find_bodies, find_tied_groups
 from dolfinx_mortar.steps.checks import check_arguments, check_owned
 from dolfinx_mortar.steps.dirichlet import Dirichlet, create_dirichlet
 from dolfinx_mortar.steps.loads import Loads
@@ -114,9 +114,8 @@ class ContactProblem:
             for side, interface in zip(self.system.sides, sides, strict=True)
             if not interface.one_sided
         ]
-        self.moved_together: Bodies = join_bodies(self.bodies, ties)
+        self.tied_groups = find_tied_groups(self.bodies, ties)
         self.committed = Committed(np.zeros(self.n, dtype=bool))
-        self._outputs: dict[str, fem.Function] = {}
         self._audited: Audit | None = None
 
     # -- names for what lies deeper --------------------------------------------------------------
@@ -221,10 +220,10 @@ class ContactProblem:
             if bad:
                 raise ValueError(f"{name}: {bad} values are NaN or infinite; {remedy}")
         asked = self.supports.increment(target, self.u.x.array)
-        together = self.moved_together
-        mean = together.mean(asked, self.supports.owned)[together.label]
-        self.u.x.array[: mean.size] += mean.ravel()
-        self.u.x.scatter_forward()
+        mean = self.bodies.mean(asked, self.supports.owned, self.tied_groups)[self.bodies.label]
+        u = self.u
+        u.x.array[: mean.size] += mean.ravel()
+        u.x.scatter_forward()
         largest = maximum(self.comm, np.abs(asked).max(initial=0.0))
         data = StepData(f, target, asked, float(largest[0]))
         if self._audited is None:
@@ -299,10 +298,6 @@ class ContactProblem:
         """
         fields = {"displacement": self.u} | self.solid.output_fields()
         for name in ("pressure", "gap", "facing", "status") if self.interfaces else ():
-            if name not in self._outputs:
-                space = self.interfaces[0].pressure.function_space
-                self._outputs[name] = fem.Function(space, name=name)
-            fields[name] = merge_results(
-                self.system.sides, self.interfaces, name, self._outputs[name]
-            )
+            merged = fem.Function(self.interfaces[0].pressure.function_space, name=name)
+            fields[name] = merge_results(self.system.sides, self.interfaces, name, merged)
         return fields
