@@ -11,6 +11,8 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem, mesh
+from dolfinx.mesh import compute_midpoints, exterior_facet_indices, meshtags
+from dolfinx_mortar.meshing.bodies import distribute
 from tests.block_piles import ABOVE, BELOW, EAST, PILE, WEST, create_blocks
 
 COMM = MPI.COMM_WORLD
@@ -240,3 +242,46 @@ def test_range_of_gaps(gap):
     assert audit.interfaces[0].least_gap == pytest.approx(gap)
     assert audit.interfaces[0].largest_gap == pytest.approx(gap)
     assert ("overlap 0.01" in str(audit)) == (gap < 0)
+
+
+def create_ring(inner, outer, angles, layers=2):
+    """Return nodes and quadrilaterals of a ring with nodes at given angles."""
+    radii = np.linspace(inner, outer, layers + 1)
+    r, angle = (a.ravel() for a in np.meshgrid(radii, angles, indexing="ij"))
+    n = len(angles)
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(layers), np.arange(n), indexing="ij"))
+    k = (j + 1) % n
+    cells = np.column_stack([i * n + j, (i + 1) * n + j, i * n + k, (i + 1) * n + k])
+    return np.column_stack([r * np.cos(angle), r * np.sin(angle)]), cells.astype(np.int64)
+
+
+def uneven_angles(rng, n):
+    """Return n angles around the circle, up to a quarter of a step off even ones."""
+    return 2 * np.pi * (np.arange(n) + rng.uniform(-0.25, 0.25, n)) / n
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("geometry", ["updated", "reference"])
+@pytest.mark.parametrize(("pin", "hole"), [(31, 24), (20, 37)])
+def test_a_pin_that_may_spin(pin, hole, geometry, rng):
+    """Uneven facets resist the spin of a pin in its hole a little; still nothing holds it."""
+    rings = (
+        create_ring(0.4, 0.98, uneven_angles(rng, pin)),
+        create_ring(1.0, 2.0, uneven_angles(rng, hole)),
+    )
+    domain, _ = distribute(COMM, lambda: rings, "quadrilateral")
+    domain.topology.create_connectivity(1, 2)
+    facets = exterior_facet_indices(domain.topology)
+    x = compute_midpoints(domain, 1, facets)
+    radius = np.linalg.norm(x, axis=1)
+    marks = np.select([radius > 1.5, radius > 0.985, radius > 0.7], [1, 3, 4], 2).astype(np.int32)
+    tags = meshtags(domain, 1, facets, marks)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    for slave, master in ((3, 4), (4, 3)):
+        contact = dm.Contact(tags, slave=slave, master=master)
+        solid = dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.3))
+        bcs = [condition(V, tags, 1)]
+        problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=geometry)
+        with pytest.raises(ValueError, match=r"nothing holds.*rotation about z") as caught:
+            problem.audit()
+        assert "translation" not in str(caught.value)

@@ -46,7 +46,7 @@ def test_released_basis_is_consistent(solved):
     problem = solved[0]
     held = (3 * np.flatnonzero(problem.committed.active)).astype(np.int32)
     motion = random_vector(problem)
-    B, E, motions = problem.system.transformation.release(problem.K, held, [motion])
+    B, E, motions = problem.system.transformation.uncouple(problem.K, held, [motion])
     A = problem.system.transformation.transform(problem.K)
     for v in (random_vector(problem), motions[0]):
         y = v.copy()

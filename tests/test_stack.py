@@ -183,3 +183,22 @@ def test_cycle(kind):
 
     problem, _ = press(mesh, tags, create)
     assert any("cycle" in note for note in problem.system.notes)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
+def test_one_slave_side_against_two_masters(kind):
+    """Each slave node belongs to the interface whose master it faces; the pressure stays exact."""
+    mesh, tags = beside(np.linspace(0, 1, 5), np.linspace(1, 2, 4))
+    values = np.where(tags.values == 21, 20, tags.values)  # the whole lower side
+    tags = meshtags(mesh, 1, tags.indices, values)
+
+    def create(tags):
+        return [kind(tags, slave=20, master=master) for master in (11, 12)]
+
+    problem, _ = press(mesh, tags, create)
+    for interface in problem.interfaces:
+        assert np.isclose(abs(interface.force[1]), P, rtol=0.35)
+    assert np.isclose(sum(abs(i.force[1]) for i in problem.interfaces), 2 * P, rtol=1e-9)
+    kept = sum(int(link.coupling.kept.any(axis=1).sum()) for link in problem.system.links)
+    assert COMM.allreduce(kept) == 7  # every node of the lower side once

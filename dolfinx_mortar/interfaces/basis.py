@@ -70,7 +70,7 @@ class Transformation:
             factor.S.multTranspose(g, change)
             g.axpy(1.0, change)
 
-    def release(
+    def uncouple(
         self, K: PETSc.Mat, held: Ints, motions: list[PETSc.Vec]
     ) -> tuple[PETSc.Mat, PETSc.Mat | None, list[PETSc.Vec]]:
         """Return a basis v in which sides that are not in contact know nothing of each other.
@@ -90,7 +90,7 @@ class Transformation:
             for factor in self.factors:
                 K = Congruence(K, factor.S).product
             return K, None, [self.inverse(motion) for motion in motions]
-        S, E = self.factors[0].release(self.links, held)
+        S, E = self.factors[0].uncouple(self.links, held)
         released = []
         for motion in motions:
             y = self.inverse(motion)
@@ -178,7 +178,7 @@ class _Factor:
             values += [turn, link.coupling.blocks[link.near[link.pattern.row]]]
         self._blocks.fill(np.concatenate(values))
 
-    def release(self, links: Sequence[Link], held: Ints) -> tuple[PETSc.Mat, PETSc.Mat]:
+    def uncouple(self, links: Sequence[Link], held: Ints) -> tuple[PETSc.Mat, PETSc.Mat]:
         """Return S of constraints at held unknowns only, without stored zeros, and E; collective.
 
         Only a constraint along the normal can let go: contact that is not held is open.

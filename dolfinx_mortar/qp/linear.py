@@ -125,7 +125,7 @@ class LinearSolver:
         """
         if self._operator is not None and A.handle == self._operator.A.handle:
             return
-        self.release()  # until all options have proved valid
+        self.clear()  # until all options have proved valid
         self._ksp = ksp = PETSc.KSP().create(self.comm)
         ksp.setOptionsPrefix(self.prefix)
         ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
@@ -143,7 +143,7 @@ class LinearSolver:
         self._operator = operator
         self.counts.symbolic += 1
 
-    def release(self) -> None:
+    def clear(self) -> None:
         """Free the matrix and the factorisation: two at a time would need twice the memory."""
         if self._operator is not None:
             self._ksp.destroy()

@@ -87,7 +87,7 @@ class Multigrid:
         self.held: Ints = self.held_by_B
         self.freed: Ints = self.held_by_B
 
-    def release(self) -> None:
+    def clear(self) -> None:
         """Free the matrices of the inner PC."""
         self.inner.reset()
         self.E = None

@@ -69,7 +69,7 @@ class Preconditioner:
     def renew(self, held: Ints, counts: LinearCounts) -> str:
         """Set up anew; return why it failed and what to do, or nothing (collective)."""
         if self.multigrid is not None:
-            self.multigrid.release()  # two at a time would need twice the memory
+            self.multigrid.clear()  # two at a time would need twice the memory
         free_unused(self.ksp.comm.tompi4py())
         if self.multigrid is None:
             self._factorise(counts)

@@ -21,7 +21,7 @@ def create_preconditioning(
 
     The near-null space are the rigid motions of the whole. In the unknowns of the QP they have
     w_n = 0 at all covered slave nodes, which is right only where contact is closed; where it is
-    open, the unknowns are changed back (`Transformation.release`).
+    open, the unknowns are changed back (`Transformation.uncouple`).
 
     Args:
         K: the tangent.
@@ -32,7 +32,7 @@ def create_preconditioning(
     V, motions = supports.V, rigid_motions(supports.V)
     decoupled = np.union1d(eliminated_dofs(system, supports), held).astype(np.int32)
     if system.transformation is not None:
-        B, E, motions = system.transformation.release(K, decoupled, motions)
+        B, E, motions = system.transformation.uncouple(K, decoupled, motions)
     else:
         B, E = K.copy(), None
     for motion in motions:

@@ -274,7 +274,7 @@ class ContactProblem:
         at = self.configuration
         with self.timings("mortar"):
             if self.system.update(at, x, increment, search=search, everywhere=everywhere):
-                self.linear.release()  # before the new product needs the memory
+                self.linear.clear()  # before the new product needs the memory
         return x
 
     def positions(self) -> PETSc.Vec:
