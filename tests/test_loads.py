@@ -227,7 +227,7 @@ def wrong_potentials():
     jump = ufl.inner(ufl.jump(u), ufl.jump(u))
     cases = {
         "is a float": 3.0,
-        "is a ListTensor": ufl.as_vector([u[0], u[1]]),
+        "is a Sum": u[0] + u[1],
         "compiled form": fem.form(u[0] ** 2 * ds),
         "has 1 test": ufl.inner(u, v) * ds,
         "has 2 test": ufl.inner(w, v) * ds,

@@ -22,7 +22,9 @@ NUMBERS = {
     "steps.bodies": ("HELD", "SAME"),
     "steps.failures": ("FLOWING", "SOFT"),
     "steps.line_search": ("ARMIJO", "MAX_HALVINGS"),
-    "steps.newton": ("FORCING", "FIRST_QP", "MOST_RISES", "FARTHEST", "QP_SHARE"),
+    "steps.forcing": ("FORCING", "FIRST_QP", "QP_SHARE"),
+    "steps.newton": ("FARTHEST",),
+    "steps.watch": ("MOST_RISES",),
     "steps.residuals": ("EPS", "ROW_SUM", "GAP_OPERATIONS", "FIRST_SHARE"),
 }
 OTHERS = {"steps.mesh_audit", "interfaces.contact"}  # judged in test_mesh_audit, and below

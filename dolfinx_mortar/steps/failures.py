@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from mpi4py import MPI
 
 import numpy as np
 
 from dolfinx import la
 from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.qp import QPNotSolved
 from dolfinx_mortar.steps.bodies import name_of
 from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.report import NewtonNotConverged, StepReport
@@ -18,6 +22,17 @@ FLOWING = 0.1
 # A body whose tangent is softer than this share of its elasticity, along its own displacement, has
 # come to the end of what it carries; hardening laws of metals are ten times stiffer and more.
 SOFT = 0.01
+
+
+@contextmanager
+def named(problem: ContactProblem, report: StepReport) -> Iterator[None]:
+    """Turn the failure of a backend into that of the step."""
+    try:
+        yield
+    except QPNotSolved as error:
+        number, cause = len(report.iterations) + 1, str(error).rstrip(". ")
+        message = f"the QP of Newton iteration {number}: {cause}"
+        raise not_converged(message, problem, report) from error
 
 
 def not_converged(message: str, problem: ContactProblem, report: StepReport) -> NewtonNotConverged:

@@ -10,13 +10,13 @@ One iteration, at u with contacts (active set, multipliers) and a geometry:
     5  done if all are within what is allowed
 
 The geometry is a fixed point that is watched: it is rebuilt after every iteration as long as its
-change shrinks; where it does not, it is held until Newton has converged in it.
+change or the residual shrinks; where neither does, it is held until Newton has converged in it.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
@@ -29,12 +29,12 @@ from dolfinx import fem
 from dolfinx_mortar import qp as backends
 from dolfinx_mortar.algebra.parallel import free_unused, maximum
 from dolfinx_mortar.arrays import Actives, Floats
-from dolfinx_mortar.interfaces.coupling import slipped
 from dolfinx_mortar.interfaces.near import predict_active
 from dolfinx_mortar.qp import QPSolution
 from dolfinx_mortar.steps import failures
 from dolfinx_mortar.steps.certificate import create_certificate
 from dolfinx_mortar.steps.checks import check_controls, check_problem
+from dolfinx_mortar.steps.forcing import next_tolerance, tightest
 from dolfinx_mortar.steps.line_search import Energy, NoDescent, find_energy, move, search
 from dolfinx_mortar.steps.linearisation import (
     Balance,
@@ -53,21 +53,13 @@ from dolfinx_mortar.steps.residuals import (
     largest_force,
     measure,
 )
-from dolfinx_mortar.steps.results import set_results
+from dolfinx_mortar.steps.results import notes_on_sliding, set_results
+from dolfinx_mortar.steps.watch import MOST_RISES, Watch, at_nodes, find_change
 
 log = logging.getLogger(__name__)
 
-# The error allowed to a QP, as a share of the residual that the contraction seen so far promises
-# for the next iterate (Eisenstat and Walker 1996). Digits are cheap with a factorisation only.
-FORCING = {"direct": 1e-3, "iterative": 1e-1}
-# The first QP of a nonlinear step has no contraction to go by.
-FIRST_QP = {"direct": 1e-4, "iterative": 1e-2}
-# A fixed point whose change grows so often, Newton converged in between, does not contract.
-MOST_RISES = 2
 # A step that is longer than so many times the model is no step of a small strain.
 FARTHEST = 1e3
-# A QP need not be more accurate than this share of what the step allows.
-QP_SHARE = 0.1
 
 
 def newton(
@@ -119,7 +111,7 @@ def _undone_on_failure(problem: ContactProblem, report: StepReport) -> Iterator[
     before = problem.u.x.array.copy()
     earlier = dict(problem.timings.seconds)
     try:
-        with problem.timings("total"), _named(problem, report):
+        with problem.timings("total"), failures.named(problem, report):
             yield
     except NewtonNotConverged:
         problem.u.x.array[:] = before
@@ -138,17 +130,6 @@ def _undone_on_failure(problem: ContactProblem, report: StepReport) -> Iterator[
             problem.u.x.array[:] = before
 
 
-@contextmanager
-def _named(problem: ContactProblem, report: StepReport) -> Iterator[None]:
-    """Turn the failure of a backend into that of the step."""
-    try:
-        yield
-    except backends.QPNotSolved as error:
-        number, cause = len(report.iterations) + 1, str(error).rstrip(". ")
-        message = f"the QP of Newton iteration {number}: {cause}"
-        raise failures.not_converged(message, problem, report) from error
-
-
 @dataclass(frozen=True)
 class Iterate:
     """What one iteration hands to the next."""
@@ -159,22 +140,6 @@ class Iterate:
     energy: Energy | None  # J(u), where a line search may need it
     norm: float  # |u|_e
     largest: float  # largest multiplier seen in the step
-
-
-@dataclass(frozen=True)
-class Watch:
-    """The geometry as a fixed point: whether it is held, and its last change."""
-
-    moving: bool
-    held: bool = False
-    change: float = np.inf  # work of the contact forces in the last change of the gaps
-    rises: int = 0  # successive changes that grew although Newton had converged between them
-
-    def after(self, change: float) -> Watch:
-        """Return the watch after an update with this change: held unless it shrinks."""
-        grows = change >= self.change
-        rises = self.rises + 1 if grows and self.held else 0
-        return Watch(self.moving, held=grows, change=change, rises=rises)
 
 
 class _Step:
@@ -195,7 +160,8 @@ class _Step:
         for number in range(1, max_it + 1):
             iterate, watch, residual = self.iterate(number, iterate, start, watch, residuals)
             residuals.append(residual)
-            _log(problem, self.report)
+            if problem.comm.rank == 0:
+                log.info("%s", self.report.iterations[-1])
             if residual.excess <= 1.0 and self.geometry_is_complete():
                 self.finish(iterate, residual)
                 return
@@ -258,11 +224,14 @@ class _Step:
         increment = _elastic_norm(problem, du)
         increment = increment / (old.norm + norm) if old.norm + norm > 0.0 else 0.0
 
-        predicted = _nodal(
+        predicted = at_nodes(
             problem, lin.balance, lin.balance.bounds.upper - length * _motion(lin, solved)
         )
-        balance, watch, change = self.follow(watch, lin, contacts, scales, norm, predicted)
-        residual = measure(problem, balance, contacts, lin.diagonal, scales, norm, report.rtol)
+
+        def judge(balance: Balance) -> Residuals:
+            return measure(problem, balance, contacts, lin.diagonal, scales, norm, report.rtol)
+
+        balance, residual, watch, change = self.follow(watch, judge, contacts, predicted)
         report.iterations.append(
             Iteration(
                 number=number,
@@ -286,19 +255,11 @@ class _Step:
     # -- the parts of an iteration ---------------------------------------------------------------
 
     def accuracy(self, lin: Linearisation, watch: Watch, residuals: list[Residuals]) -> float:
-        """Return the relative tolerance of the next QP: what the next residual can show."""
+        """Return the relative tolerance of the next QP."""
         kind = "direct" if self.problem.linear.direct else "iterative"
-        tight = max(1e-13, min(1e-10 if kind == "direct" else 1.0, 1e-3 * self.report.rtol))
         if self.linear and not watch.moving:
-            return tight  # one QP is the whole step
-        if not residuals:
-            return max(tight, FIRST_QP[kind])
-        last = residuals[-1]
-        before = residuals[-2].excess if len(residuals) > 1 else np.inf
-        contraction = min(1.0, last.excess / before) if np.isfinite(before) else 1.0
-        allowed = max(QP_SHARE, FORCING[kind] * contraction * last.excess) * last.limit
-        size = lin.qp.b.norm()
-        return float(max(tight, min(FIRST_QP[kind], allowed / size if size > 0.0 else 1.0)))
+            return tightest(kind, self.report.rtol)  # one QP is the whole step
+        return next_tolerance(kind, self.report.rtol, lin.qp.b.norm(), residuals)
 
     def solve(self, lin: Linearisation, start: Actives, rtol: float) -> QPSolution:
         """Solve the QP with the backend of the step."""
@@ -384,25 +345,22 @@ class _Step:
     def follow(
         self,
         watch: Watch,
-        lin: Linearisation,
+        judge: Callable[[Balance], Residuals],
         contacts: Contacts,
-        scales: Scales,
-        norm: float,
         predicted: Floats,
-    ) -> tuple[Balance, Watch, float]:
-        """Rebuild the geometry at u unless it stands or is held; return the balance there."""
-        problem, rtol = self.problem, self.report.rtol
-        balance = self.balance() if not watch.moving or watch.held else None
-        if balance is not None:
-            if not watch.moving:
-                return balance, watch, 0.0
-            residual = measure(problem, balance, contacts, lin.diagonal, scales, norm, rtol)
-            if residual.excess > 1.0:
-                return balance, watch, 0.0
+    ) -> tuple[Balance, Residuals, Watch, float]:
+        """Rebuild the geometry at u unless it stands or is held; return what is found there."""
+        problem = self.problem
+        if not watch.moving or watch.held:
+            balance = self.balance()
+            residual = judge(balance)
+            if not watch.moving or residual.excess > 1.0:
+                return balance, residual, watch, 0.0
         problem.update_geometry(self.data.increment)
         balance = self.balance()
-        change, work = _change(problem, balance, contacts, predicted)
-        watch = watch.after(work)
+        residual = judge(balance)
+        change, work = find_change(problem, balance, contacts, predicted)
+        watch = watch.after(work, residual.forces)
         if watch.rises >= MOST_RISES:
             raise failures.not_converged(
                 "the geometry does not settle: normals and gaps change more from one update to the "
@@ -410,7 +368,7 @@ class _Step:
                 problem,
                 self.report,
             )
-        return balance, watch, change
+        return balance, residual, watch, change
 
     def geometry_is_complete(self) -> bool:
         """Tell whether the whole surfaces agree: partners far away, and nodes outside T."""
@@ -425,7 +383,7 @@ class _Step:
         """Set what the step has found."""
         problem, report = self.problem, self.report
         problem.committed.active = iterate.contacts.active
-        report.notes += _notes_on_sliding(problem)
+        report.notes += notes_on_sliding(problem)
         with problem.timings("results"):
             problem.solid.evaluate()
         set_results(problem, iterate.balance, iterate.contacts)
@@ -444,26 +402,6 @@ class _Step:
         self.report.notes.append(f"iteration {number}: {text}")
 
 
-def _notes_on_sliding(problem: ContactProblem) -> list[str]:
-    """Return a note for every contact that has slid too far for frozen geometry; collective."""
-    if problem.geometry == "updated":
-        return []
-    notes, length = [], problem.system.facet_length
-    for link in problem.system.links:
-        slip = slipped(link, problem.vector(problem.u.x.array[: problem.d * problem.n]))
-        slip[~problem.committed.active[link.nodes]] = 0.0
-        farthest = float(maximum(problem.comm, slip.max(initial=0.0))[0])
-        if link.interface.one_sided and farthest > length:
-            notes.append(
-                f"{link.interface} has slid {farthest:.3g}, {farthest / length:.1f} facet lengths, "
-                "with frozen geometry, which is for small sliding; choose geometry='updated'"
-            )
-    if problem.comm.rank == 0:
-        for note in notes:
-            log.warning("%s", note)
-    return notes
-
-
 def _elastic_norm(problem: ContactProblem, du: PETSc.Vec) -> float:
     """Return |du|_e; collective."""
     v = fem.Function(problem.V)
@@ -475,38 +413,3 @@ def _elastic_norm(problem: ContactProblem, du: PETSc.Vec) -> float:
 def _motion(lin: Linearisation, solved: QPSolution) -> Floats:
     """Return the motion (k,) of the bounded unknowns."""
     return np.asarray(solved.x.array_r[lin.balance.bounds.dofs])
-
-
-def _nodal(problem: ContactProblem, balance: Balance, values: Floats) -> Floats:
-    """Return values (k,) of bounded unknowns at the owned nodes, nan where there is none."""
-    nodal = np.full(problem.n, np.nan)
-    nodal[balance.nodes] = values
-    return nodal
-
-
-def _change(
-    problem: ContactProblem, balance: Balance, contacts: Contacts, predicted: Floats
-) -> tuple[float, float]:
-    """Return how far the gaps of closed contacts are from their prediction.
-
-    The largest in facet lengths, and the work of the contact forces in all of them; collective.
-    """
-    nodes = balance.nodes
-    off = np.abs(balance.bounds.upper - predicted[nodes])
-    off[~contacts.active[nodes] | ~np.isfinite(off)] = 0.0
-    largest = float(maximum(problem.comm, off.max(initial=0.0))[0])
-    work = problem.comm.allreduce(float(np.abs(contacts.reactions(balance)) @ off), op=MPI.SUM)
-    return largest / problem.system.facet_length, float(work)
-
-
-def _log(problem: ContactProblem, report: StepReport) -> None:
-    """Log one line about the last iteration on rank 0."""
-    if problem.comm.rank == 0:
-        i = report.iterations[-1]
-        log.info(
-            "Newton %2d: increment %.2e, forces %.2e, contact %.2e, KKT %.1e, active %d (%+d), "
-            "QP %d, CG %d, factorisations %d, step %.3g%s",
-            *(i.number, i.increment, i.force_residual, i.contact_residual, i.kkt, i.active),
-            *(i.changed, i.updates, i.linear_iterations, i.factorisations, i.step_length),
-            ", geometry held" if i.geometry_held else "",
-        )

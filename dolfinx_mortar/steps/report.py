@@ -50,6 +50,16 @@ class Iteration:
     geometry_change: float  # gap minus its prediction by the last linearisation, in facet lengths
     geometry_held: bool  # the next iteration keeps the geometry, because its change does not shrink
 
+    def __str__(self) -> str:
+        """Return one line, for the log."""
+        return (
+            f"Newton {self.number:2d}: increment {self.increment:.2e}, "
+            f"forces {self.force_residual:.2e}, contact {self.contact_residual:.2e}, "
+            f"KKT {self.kkt:.1e}, active {self.active} ({self.changed:+d}), QP {self.updates}, "
+            f"CG {self.linear_iterations}, factorisations {self.factorisations}, "
+            f"step {self.step_length:.3g}{', geometry held' if self.geometry_held else ''}"
+        )
+
 
 @dataclass(frozen=True)
 class Certificate:

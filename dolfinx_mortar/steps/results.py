@@ -1,19 +1,24 @@
 # SPDX-License-Identifier: MIT
-"""From the last balance of a step to the results of its interfaces."""
+"""From the last balance of a step to the results of its interfaces, and what to say of them."""
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.interfaces import results
+from dolfinx_mortar.interfaces.coupling import slipped
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.steps.linearisation import Balance
 from dolfinx_mortar.steps.residuals import Contacts
 
 if TYPE_CHECKING:
     from dolfinx_mortar.steps.problem import ContactProblem
+
+log = logging.getLogger(__name__)
 
 
 def set_results(problem: ContactProblem, balance: Balance, contacts: Contacts) -> None:
@@ -41,3 +46,23 @@ def set_results(problem: ContactProblem, balance: Balance, contacts: Contacts) -
             np.asarray(active & (on.any(axis=1) | (not one_sided))),
             problem.X if frozen else moved,  # where the forces act
         )
+
+
+def notes_on_sliding(problem: ContactProblem) -> list[str]:
+    """Return a note for every contact that has slid too far for frozen geometry; collective."""
+    if problem.geometry == "updated":
+        return []
+    notes, length = [], problem.system.facet_length
+    for link in problem.system.links:
+        slip = slipped(link, problem.vector(problem.u.x.array[: problem.d * problem.n]))
+        slip[~problem.committed.active[link.nodes]] = 0.0
+        farthest = float(maximum(problem.comm, slip.max(initial=0.0))[0])
+        if link.interface.one_sided and farthest > length:
+            notes.append(
+                f"{link.interface} has slid {farthest:.3g}, {farthest / length:.1f} facet lengths, "
+                "with frozen geometry, which is for small sliding; choose geometry='updated'"
+            )
+    if problem.comm.rank == 0:
+        for note in notes:
+            log.warning("%s", note)
+    return notes

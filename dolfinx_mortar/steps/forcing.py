@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: MIT
+"""How accurate the next QP has to be: as the next residual can show, and no more."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dolfinx_mortar.steps.residuals import Residuals
+
+# The error allowed to a QP, as a share of the residual that the contraction seen so far promises
+# for the next iterate (Eisenstat and Walker 1996). Digits are cheap with a factorisation only.
+FORCING = {"direct": 1e-3, "iterative": 1e-1}
+# The first QP of a nonlinear step has no contraction to go by.
+FIRST_QP = {"direct": 1e-4, "iterative": 1e-2}
+# A QP need not be more accurate than this share of what the step allows.
+QP_SHARE = 0.1
+
+
+def tightest(kind: str, rtol: float) -> float:
+    """Return the smallest relative tolerance that makes sense in a step.
+
+    Args:
+        kind: "direct" or "iterative", the linear solver; digits are cheap with a factorisation.
+        rtol: tolerance of the step.
+    """
+    return max(1e-13, min(1e-10 if kind == "direct" else 1.0, 1e-3 * rtol))
+
+
+def next_tolerance(kind: str, rtol: float, size: float, residuals: Sequence[Residuals]) -> float:
+    """Return the relative tolerance of the next QP of a nonlinear step.
+
+    The error allowed is a share of the residual that the last contraction promises for the next
+    iterate, in a tail that gains one digit an iteration one digit and a bit.
+
+    Args:
+        kind: "direct" or "iterative".
+        rtol: tolerance of the step.
+        size: norm of the QP's right-hand side.
+        residuals: of the iterates so far.
+
+    >>> next_tolerance("iterative", 1e-6, 1.0, [])
+    0.01
+    """
+    if not residuals:
+        return max(tightest(kind, rtol), FIRST_QP[kind])
+    last = residuals[-1]
+    before = residuals[-2].excess if len(residuals) > 1 else np.inf
+    contraction = min(1.0, last.excess / before) if np.isfinite(before) else 1.0
+    allowed = max(QP_SHARE, FORCING[kind] * contraction * last.excess) * last.limit
+    relative = allowed / size if size > 0.0 else 1.0
+    return float(max(tightest(kind, rtol), min(FIRST_QP[kind], relative)))
