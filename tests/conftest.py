@@ -37,6 +37,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.skip(reason="for one rank only"))
 
 
+def pytest_collection_finish() -> None:
+    """Spare the collections after every test what is there to stay: modules, tests, libraries."""
+    if COMM.size > 1:
+        gc.collect()
+        gc.freeze()
+
+
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, None, None]:
     """Print at once what failed on a silent rank."""
