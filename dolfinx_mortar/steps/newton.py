@@ -162,9 +162,11 @@ class _Step:
             residuals.append(residual)
             if problem.comm.rank == 0:
                 log.info("%s", self.report.iterations[-1])
-            if residual.excess <= 1.0 and self.geometry_is_complete():
-                self.finish(iterate, residual)
-                return
+            if residual.excess <= 1.0:
+                if self.geometry_is_complete():
+                    self.finish(iterate, residual)
+                    return
+                iterate = replace(iterate, balance=self.balance())  # T is another one now
             start = iterate.contacts.active[iterate.balance.nodes].astype(np.int8)
         raise failures.not_converged(
             f"Newton did not converge in max_it={max_it} iterations", problem, self.report
@@ -176,7 +178,7 @@ class _Step:
         balance = self.balance()
         active = problem.committed.active
         contacts = Contacts(active, np.zeros(problem.n))
-        energy = find_energy(problem, self.data) if self.has_energy else None
+        energy = find_energy(problem, self.data) if problem.solid.has_energy else None
         norm = problem.solid.elastic_norm(problem.u)
         start = active[balance.nodes].astype(np.int8)
         if problem.contacts and not problem.comm.allreduce(bool(start.any()), op=MPI.LOR):
@@ -186,11 +188,6 @@ class _Step:
         begun = largest_force(problem, balance, np.zeros(0))
         scales = Scales(begun=begun, work=norm**2, extent=extent)
         return Iterate(balance, contacts, scales, energy, norm, 0.0), start
-
-    @property
-    def has_energy(self) -> bool:
-        """Whether there is a merit to search on."""
-        return self.problem.solid.has_energy
 
     def balance(self) -> Balance:
         """Return forces and constraints at u in the present geometry."""
@@ -214,7 +211,7 @@ class _Step:
             lifted.pointwiseMult(lifted, lin.diagonal)
             scales = replace(scales, first=max(lin.qp.b.norm(), lifted.norm()))
         solved = self.solve(lin, start, self.accuracy(lin, watch, residuals))
-        self.note(number, solved.note)
+        report.quote(number, solved.note)
         contacts, largest = self.take_over(lin, solved, old.largest)
 
         du = to_displacement(problem, solved.x)
@@ -224,9 +221,9 @@ class _Step:
         increment = _elastic_norm(problem, du)
         increment = increment / (old.norm + norm) if old.norm + norm > 0.0 else 0.0
 
-        predicted = at_nodes(
-            problem, lin.balance, lin.balance.bounds.upper - length * _motion(lin, solved)
-        )
+        bounds = lin.balance.bounds
+        left = bounds.upper - length * solved.x.array_r[bounds.dofs]
+        predicted = at_nodes(problem, lin.balance, left)
 
         def judge(balance: Balance) -> Residuals:
             return measure(problem, balance, contacts, lin.diagonal, scales, norm, report.rtol)
@@ -336,7 +333,7 @@ class _Step:
         with problem.timings("assembly"):
             if energy is None or moved or asked > 1e-14 * size:
                 move(problem, problem.u.x.array[:own] + du.array_r)
-                return 1.0, 0, find_energy(problem, self.data) if self.has_energy else None
+                return 1.0, 0, find_energy(problem, self.data) if problem.solid.has_energy else None
             try:
                 return search(problem, self.data, lin, solved, du, largest, energy)
             except NoDescent as error:
@@ -390,17 +387,6 @@ class _Step:
         report.certificate = create_certificate(problem, report, residual)
         report.converged = True
 
-    def note(self, number: int, text: str) -> None:
-        """Report what the QP backend says, once for all iterations that say the same."""
-        if not text:
-            return
-        for k, note in enumerate(self.report.notes):
-            head, _, said = note.partition(": ")
-            if said == text and head.startswith("iteration "):
-                self.report.notes[k] = f"{head}, {number}: {text}"
-                return
-        self.report.notes.append(f"iteration {number}: {text}")
-
 
 def _elastic_norm(problem: ContactProblem, du: PETSc.Vec) -> float:
     """Return |du|_e; collective."""
@@ -408,8 +394,3 @@ def _elastic_norm(problem: ContactProblem, du: PETSc.Vec) -> float:
     v.x.array[: du.local_size] = du.array_r
     v.x.scatter_forward()
     return problem.solid.elastic_norm(v)
-
-
-def _motion(lin: Linearisation, solved: QPSolution) -> Floats:
-    """Return the motion (k,) of the bounded unknowns."""
-    return np.asarray(solved.x.array_r[lin.balance.bounds.dofs])

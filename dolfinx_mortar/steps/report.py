@@ -123,6 +123,17 @@ class StepReport:
         """Energy-norm increments, one per Newton iteration."""
         return [it.increment for it in self.iterations]
 
+    def quote(self, number: int, text: str) -> None:
+        """Note what the QP backend says in an iteration, once for all that say the same."""
+        if not text:
+            return
+        for k, note in enumerate(self.notes):
+            head, _, said = note.partition(": ")
+            if said == text and head.startswith("iteration "):
+                self.notes[k] = f"{head}, {number}: {text}"
+                return
+        self.notes.append(f"iteration {number}: {text}")
+
     def as_dict(self) -> dict[str, Any]:
         """Return the report as plain numbers, strings, lists and dictionaries."""
         return asdict(self) | {
