@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """When a step is done: residuals of the nonlinear problem, each against what is allowed.
 
-Forces are measured against the largest that have acted in the step, a penetration by the force that
-would undo it, an open contact that carries a force by the work of that force in the gap. None of
-this vanishes in rigid travel or after unloading, where an increment or an energy says nothing.
+Forces are measured against the largest that act, a penetration by the force that would undo it, an
+open contact that carries a force by the work of that force in the gap, and both in facet lengths.
+None of this vanishes in rigid travel or after unloading, where increments and energies say nothing.
 """
 
 from __future__ import annotations
@@ -147,6 +147,7 @@ def measure(
     work = comm.allreduce(float(np.abs(z) @ off), op=MPI.SUM)
     shares = (forces / limit if forces > 0.0 else 0.0), _ratio(pull, limit)
     whole = max(scales.work, norm**2)
-    excess = max(*shares, _ratio(work, rtol * whole))
+    widest = float(maximum(comm, off.max(initial=0.0))[0]) / problem.system.facet_length
+    excess = max(*shares, _ratio(work, rtol * whole), widest / rtol)
     relative = max(_ratio(pull, max(scale, limit)), _ratio(work, whole))
     return Residuals(_ratio(forces, max(scale, limit)), relative, excess, limit)
