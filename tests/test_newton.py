@@ -225,6 +225,7 @@ def test_the_merit_needs_its_penalty(monkeypatch):
         dm.newton(case.problem)
 
 
+@pytest.mark.serial
 def test_the_slope_is_that_of_the_merit():
     """Energy and penalty, at the start and on the way, against differences of their values."""
     problem = overlapping().problem
