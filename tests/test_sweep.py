@@ -170,6 +170,7 @@ def test_a_limit_load_is_told_from_a_failure():
         assert flows(case) is expected
 
 
+@pytest.mark.serial
 def test_the_command_prints_a_table_and_writes_lines(tmp_path, capsys):
     file = tmp_path / "sweep.jsonl"
     assert main(["--kinds", "pile", "--seeds", "7", "--output", str(file)]) == 0
