@@ -150,6 +150,7 @@ class _Step:
     ) -> None:
         self.problem, self.report, self.data, self.overlap = problem, report, data, overlap
         self.linear = problem.solid.linear and problem.loads.linear
+        self.direction = fem.Function(problem.V)  # the step, for its norm
 
     def run(self, max_it: int) -> None:
         """Iterate until done; set the results and the certificate."""
@@ -218,7 +219,7 @@ class _Step:
         self.check_distance(du, scales.extent)
         length, halvings, energy = self.move(lin, solved, du, largest, old.energy)
         norm = problem.solid.elastic_norm(problem.u)
-        increment = _elastic_norm(problem, du)
+        increment = self.elastic_norm(du)
         increment = increment / (old.norm + norm) if old.norm + norm > 0.0 else 0.0
 
         bounds = lin.balance.bounds
@@ -387,10 +388,8 @@ class _Step:
         report.certificate = create_certificate(problem, report, residual)
         report.converged = True
 
-
-def _elastic_norm(problem: ContactProblem, du: PETSc.Vec) -> float:
-    """Return |du|_e; collective."""
-    v = fem.Function(problem.V)
-    v.x.array[: du.local_size] = du.array_r
-    v.x.scatter_forward()
-    return problem.solid.elastic_norm(v)
+    def elastic_norm(self, du: PETSc.Vec) -> float:
+        """Return |du|_e; collective."""
+        self.direction.x.array[: du.local_size] = du.array_r
+        self.direction.x.scatter_forward()
+        return self.problem.solid.elastic_norm(self.direction)
