@@ -8,7 +8,7 @@ import dolfinx_mortar
 
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 
-# Floor -> the floors it may import; "arrays" and "compat" are open to all.
+# Floor -> the floors it may import; "arrays", "compat" and "spaces" are open to all.
 BELOW = {
     "algebra": set(),
     "geometry": set(),
@@ -23,7 +23,7 @@ BELOW = {
     "log": set(),
     "output": {"algebra", "materials"},
 }
-OPEN = {"arrays", "compat"}
+OPEN = {"arrays", "compat", "spaces"}
 FOREIGN = {  # libraries that a floor must not know
     "geometry": {"dolfinx", "petsc4py", "mpi4py", "ufl"},
     "algebra": {"ufl", "basix"},

@@ -15,15 +15,35 @@ from dolfinx_mortar.arrays import Bools, Floats
 
 
 def maximum(comm: MPI.Comm, *values: float | np.bool_) -> Floats:
-    """Return the largest of each value over all ranks; collective.
+    """Return the largest of each value over all ranks; NaN wins, unlike in MPI_MAX; collective.
 
     >>> maximum(MPI.COMM_SELF, 1.0, 2.0).tolist()
     [1.0, 2.0]
     """
     local = np.array(values, dtype=float)
-    result = np.empty_like(local)
-    comm.Allreduce(local, result, op=MPI.MAX)
-    return result
+    undefined = np.isnan(local)
+    result = np.empty(2 * local.size)
+    comm.Allreduce(np.concatenate([np.where(undefined, 0.0, local), undefined]), result, op=MPI.MAX)
+    largest, undefined = np.split(result, 2)
+    return np.where(undefined > 0.0, np.nan, largest)
+
+
+def norm(comm: MPI.Comm, *parts: Floats) -> float:
+    """Return the Euclidean norm of arrays put together, over all ranks; collective.
+
+    >>> norm(MPI.COMM_SELF, np.array([3.0]), np.array([4.0]))
+    5.0
+    """
+    return float(np.sqrt(comm.allreduce(float(sum(p @ p for p in parts)), op=MPI.SUM)))
+
+
+def ratio(value: float, scale: float) -> float:
+    """Return value / scale, where 0 / 0 is 0: nothing is no larger than nothing.
+
+    >>> ratio(1.0, 2.0), ratio(-0.0, 0.0), ratio(1.0, 0.0)
+    (0.5, 0.0, inf)
+    """
+    return 0.0 if value == 0.0 else float(value / scale) if scale > 0.0 else float("inf")
 
 
 def any_rank(comm: MPI.Comm, *flags: bool | np.bool_) -> Bools:

@@ -17,7 +17,7 @@ from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.geometry.elements import FACETS_OF, FacetElement
 from dolfinx_mortar.geometry.facets import Facets, distortions, facet_normals
 from dolfinx_mortar.geometry.tolerances import TINY
-from dolfinx_mortar.mortar.space import check_space
+from dolfinx_mortar.spaces import check_space
 
 _MOST_WARPED = 0.3
 """Smallest cosine between the normal at a corner of a quadrilateral and its mean normal.

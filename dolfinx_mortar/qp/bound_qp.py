@@ -8,6 +8,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_mortar.algebra.parallel import maximum, ratio
 from dolfinx_mortar.arrays import Actives, Floats, Ints
 from dolfinx_mortar.qp.bounded import Bounded
 
@@ -110,11 +111,6 @@ class QPNotSolved(RuntimeError):
         self.solution = solution
 
 
-def _ratio(value: float, scale: float) -> float:
-    """Return value / scale, where 0 / 0 is 0 (nothing is exactly as large as nothing)."""
-    return 0.0 if value == 0.0 else float(value / scale) if scale > 0.0 else float("inf")
-
-
 def validate(qp: BoundQP) -> None:
     """Raise ValueError on all ranks if the data can have no solution.
 
@@ -192,8 +188,8 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     bound = np.maximum(np.where(over > 0, np.abs(upper), 0), np.where(under > 0, np.abs(lower), 0))
     largest = [np.abs(x.array_r), bound, np.maximum(over, under), pull]
     nearest = np.minimum(np.abs(lower), np.abs(upper)).min(initial=np.inf)
-    tops = np.array([a.max(initial=0.0) for a in largest] + [-nearest])
-    x_top, bound_top, gap_top, pull_top, nearest = _max_over_ranks(qp.comm, tops)
+    tops = [a.max(initial=0.0) for a in largest] + [-nearest]
+    x_top, bound_top, gap_top, pull_top, nearest = maximum(qp.comm, *tops)
     # Where nothing acts, x and z are the round-off of guesses that went to the nearest bound.
     moved = np.abs(x.array_r)
     if np.isfinite(nearest):
@@ -205,21 +201,13 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     # One of the two factors must vanish; a product would mix far bounds with round-off in z.
     tiny = np.finfo(float).tiny
     both = np.minimum(np.abs(zb) / max(force, tiny), distance / max(length, tiny))
-    both_top = _max_over_ranks(qp.comm, np.array([both.max(initial=0.0)]))[0]
+    both_top = maximum(qp.comm, both.max(initial=0.0))[0]
     return KKT(
-        stationarity=_ratio(free2, force),
-        feasibility=_ratio(gap_top, length),
-        sign=_ratio(pull_top, force),
+        stationarity=ratio(free2, force),
+        feasibility=ratio(gap_top, length),
+        sign=ratio(pull_top, force),
         complementarity=float(both_top),
-        force_floor=ROUND_OFF * EPS * _ratio(off2, force) if force > 0.0 else 0.0,
+        force_floor=ROUND_OFF * EPS * ratio(off2, force) if force > 0.0 else 0.0,
         length_floor=ROUND_OFF * EPS,
         unsolved=float(free2),
     )
-
-
-def _max_over_ranks(comm: MPI.Comm, values: Floats) -> Floats:
-    """Return the entry-wise maximum over all ranks; NaN wins, unlike in MPI_MAX."""
-    nan = comm.allreduce(bool(np.isnan(values).any()), op=MPI.LOR)
-    result = np.empty_like(values)
-    comm.Allreduce(np.where(np.isnan(values), 0.0, values), result, op=MPI.MAX)
-    return np.full_like(values, np.nan) if nan else result

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """The large problem with a set held at its bounds: a linear system, solved as well as needed."""
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_mortar.algebra.parallel import norm
 from dolfinx_mortar.arrays import Actives, Ints
 from dolfinx_mortar.qp.bound_qp import (
     EPS,
@@ -84,7 +84,7 @@ class HeldProblem:
             self.linear.solve(self.qp.b, self.x, fixed, atol=SHARE * atol)
             self.z = reaction(self.qp, self.x)
             zb = self.z.array_r[fixed]
-            self.reactions = float(np.sqrt(self.qp.comm.allreduce(zb @ zb, op=MPI.SUM)))
+            self.reactions = norm(self.qp.comm, zb)
             reached, atol = atol, self._tolerance(level)
             if SHARE * reached <= atol:
                 break

@@ -10,19 +10,15 @@ from types import SimpleNamespace
 from typing import Any
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 
-import basix
 import basix.ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar import compat
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.materials.protocol import RESERVED, check_declaration
-
-CELL_TYPES = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 
 
 @dataclass(frozen=True)
@@ -71,35 +67,6 @@ class Region:
                     f"must be ({q},) or ({q}, components)."
                 )
         return fields
-
-
-def check_displacement(u: fem.Function) -> None:
-    """Raise ValueError unless u is a degree 1 vector Lagrange Function on a supported cell."""
-    if np.issubdtype(PETSc.ScalarType, np.complexfloating):
-        raise ValueError("This PETSc is built with complex numbers; use a real build.")
-    if not isinstance(u, fem.Function):
-        raise ValueError(f"u must be a dolfinx.fem.Function (the displacement), not {type(u)}.")
-    V, domain = u.function_space, u.function_space.mesh
-    cell = domain.topology.cell_type.name
-    d = domain.geometry.dim
-    if cell not in CELL_TYPES or domain.topology.dim != d:
-        raise ValueError(
-            f"u is on a mesh of {cell} cells in {d}D; supported are {', '.join(CELL_TYPES)} "
-            "of the dimension of the space."
-        )
-    shape = V.ufl_element().reference_value_shape
-    if shape != (d,) or V.dofmap.index_map_bs != d:
-        raise ValueError(
-            f"u has values of shape {shape}; create its space by "
-            f'functionspace(mesh, ("Lagrange", 1, ({d},))).'
-        )
-    element = V.element.basix_element
-    lagrange = element.family == basix.ElementFamily.P and not element.discontinuous
-    if not lagrange or element.degree != 1:
-        raise ValueError(
-            f"u is in a {element.family.name} space of degree {element.degree}; only continuous "
-            "Lagrange elements of degree 1 are supported."
-        )
 
 
 def create_regions(

@@ -27,7 +27,7 @@ from dolfinx_mortar.arrays import Bools
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.solid.forms import create_forms, create_responses
 from dolfinx_mortar.solid.kinematics import Kinematics, kinematics_of_dimension
-from dolfinx_mortar.solid.laws import check_displacement, create_regions
+from dolfinx_mortar.solid.laws import create_regions
 from dolfinx_mortar.solid.points import PointFields
 from dolfinx_mortar.solid.state import (
     Evaluation,
@@ -36,6 +36,7 @@ from dolfinx_mortar.solid.state import (
     create_state,
     fill_all,
 )
+from dolfinx_mortar.spaces import check_space
 
 # Written first, and if a law has them; then all internal variables and what the laws put out.
 OUTPUT_FIELDS = (
@@ -85,7 +86,9 @@ class Solid:
                 quadrature degree is no integer from 0 on, or a law lacks a part, raises, or returns
                 something of the wrong name or shape; the message names the law and the part.
         """
-        check_displacement(u)
+        if not isinstance(u, fem.Function):
+            raise ValueError(f"u must be a dolfinx.fem.Function (the displacement), not {type(u)}.")
+        check_space(u.function_space, "u")
         self.u = u
         self.V = u.function_space
         self.kinematics = kinematics or kinematics_of_dimension(self.mesh.geometry.dim)

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
-from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.algebra.parallel import maximum, ratio
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces.coupling import Link
 from dolfinx_mortar.interfaces.interface import Interface
@@ -25,12 +24,6 @@ if TYPE_CHECKING:
 def _largest(problem: ContactProblem, *arrays: Floats) -> Floats:
     """Return the maxima of arrays over all ranks, 0 for empty ones."""
     return maximum(problem.comm, *(a.max(initial=0.0) for a in arrays))
-
-
-def _share(value: npt.ArrayLike, scale: npt.ArrayLike) -> float:
-    """Return value / scale, 0 where nothing acts at all."""
-    share = float(np.asarray(value) / scale) if np.asarray(scale) > 0 else 0.0
-    return share + 0.0  # no -0.0
 
 
 def operator_errors(link: Link, facet_length: float) -> tuple[float, float]:
@@ -67,8 +60,8 @@ def _balances(interfaces: list[Interface], facet_length: float) -> tuple[float, 
     for i in interfaces:
         scale = np.linalg.norm(i.force)
         arm = np.linalg.norm(i.moment) + scale * facet_length
-        force = max(force, _share(np.linalg.norm(i.force + i.master_force), scale))
-        moment = max(moment, _share(np.linalg.norm(i.moment + i.master_moment), arm))
+        force = max(force, ratio(np.linalg.norm(i.force + i.master_force), scale))
+        moment = max(moment, ratio(np.linalg.norm(i.moment + i.master_moment), arm))
     return force, moment
 
 
@@ -106,9 +99,9 @@ def create_certificate(
     least = min((c[k].min(initial=1.0) for c, k in zip(covered, kept, strict=True)), default=1.0)
     return Certificate(
         equilibrium=residual.forces,
-        gap=_share(deepest, length),
-        sign=_share(tensile, pressure),
-        complementarity=_share(product, pressure * length),
+        gap=ratio(deepest, length),
+        sign=ratio(tensile, pressure),
+        complementarity=ratio(product, pressure * length),
         force_balance=force,
         moment_balance=moment,
         linear_field_error=max(e[0] for e in errors),

@@ -18,7 +18,6 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.interfaces.interface import Interface
-from dolfinx_mortar.mortar.space import check_space
 from dolfinx_mortar.solid.solid import Solid
 
 GEOMETRIES = ("updated", "reference")
@@ -39,7 +38,6 @@ def check_arguments(
     """
     if not isinstance(solid, Solid):
         raise ValueError(f"solid is {solid!r}: give a Solid(u, materials, cell_tags)")
-    check_space(solid.V)
     given, conditions = _unrolled(interfaces), _unrolled(bcs)
     check_same_on_all_ranks(
         solid.V.mesh.comm,

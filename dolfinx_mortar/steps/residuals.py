@@ -16,7 +16,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.algebra.parallel import maximum, norm, ratio
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.steps.linearisation import Balance
 
@@ -66,14 +66,6 @@ class Residuals:
     limit: float  # norm of forces that is allowed
 
 
-def _norm(comm: MPI.Comm, *parts: Floats) -> float:
-    return float(np.sqrt(comm.allreduce(float(sum(p @ p for p in parts)), op=MPI.SUM)))
-
-
-def _ratio(value: float, scale: float) -> float:
-    return 0.0 if value == 0.0 else value / scale if scale > 0.0 else np.inf
-
-
 def round_off(problem: ContactProblem, diagonal: PETSc.Vec, extent: float = np.inf) -> float:
     """Return the round-off of K u, EPS times the norm of |K| |u|; collective.
 
@@ -81,7 +73,7 @@ def round_off(problem: ContactProblem, diagonal: PETSc.Vec, extent: float = np.i
     a singular tangent has thrown away must not excuse the forces that it leaves.
     """
     u = np.clip(problem.u.x.array[: diagonal.local_size], -extent, extent)
-    return ROW_SUM * EPS * _norm(problem.comm, diagonal.array_r * u)
+    return ROW_SUM * EPS * norm(problem.comm, diagonal.array_r * u)
 
 
 def find_extent(problem: ContactProblem, target: Floats) -> float:
@@ -94,7 +86,7 @@ def find_extent(problem: ContactProblem, target: Floats) -> float:
 def largest_force(problem: ContactProblem, balance: Balance, z: Floats) -> float:
     """Return the largest norm of external, contact, support and element forces; collective."""
     supports = balance.reduced.array_r[balance.equal.dofs]
-    norms = _norm(problem.comm, z), _norm(problem.comm, supports)
+    norms = norm(problem.comm, z), norm(problem.comm, supports)
     return max(balance.external, balance.elements, *norms)
 
 
@@ -111,7 +103,7 @@ def measure(
     contacts: Contacts,
     diagonal: PETSc.Vec,
     scales: Scales,
-    norm: float,
+    elastic_norm: float,
     rtol: float,
 ) -> Residuals:
     """Judge an iterate, with the multipliers at hand; collective.
@@ -122,14 +114,14 @@ def measure(
         contacts: the multipliers of the last QP.
         diagonal: of the last K^, which turns a penetration into the force that undoes it.
         scales: what else is measured against.
-        norm: |u|_e of the iterate.
+        elastic_norm: |u|_e of the iterate.
         rtol: tolerance.
     """
     comm, z = problem.comm, contacts.reactions(balance)
     free = balance.reduced.array_r.copy()
     free[balance.bounds.dofs] -= z
     free[balance.equal.dofs] = 0.0
-    forces = _norm(comm, free)
+    forces = norm(comm, free)
     scale = max(scales.begun, largest_force(problem, balance, z))
     floor = round_off(problem, diagonal, scales.extent)
     limit = max(rtol * scale, FIRST_SHARE * rtol * scales.first, floor)
@@ -139,15 +131,15 @@ def measure(
     off = np.maximum(np.where(active, np.abs(gap), np.maximum(-gap, 0.0)) - length, 0.0)
     missed = np.maximum(np.abs(balance.equal.upper) - length, 0.0)
     stiffness = diagonal.array_r
-    pull = _norm(
+    pull = norm(
         comm,
         np.where(active, 0.0, stiffness[balance.bounds.dofs] * off),
         stiffness[balance.equal.dofs] * missed,
     )
     work = comm.allreduce(float(np.abs(z) @ off), op=MPI.SUM)
-    shares = (forces / limit if forces > 0.0 else 0.0), _ratio(pull, limit)
-    whole = max(scales.work, norm**2)
+    shares = (forces / limit if forces > 0.0 else 0.0), ratio(pull, limit)
+    whole = max(scales.work, elastic_norm**2)
     widest = float(maximum(comm, off.max(initial=0.0))[0]) / problem.system.facet_length
-    excess = max(*shares, _ratio(work, rtol * whole), widest / rtol)
-    relative = max(_ratio(pull, max(scale, limit)), _ratio(work, whole))
-    return Residuals(_ratio(forces, max(scale, limit)), relative, excess, limit)
+    excess = max(*shares, ratio(work, rtol * whole), widest / rtol)
+    relative = max(ratio(pull, max(scale, limit)), ratio(work, whole))
+    return Residuals(ratio(forces, max(scale, limit)), relative, excess, limit)

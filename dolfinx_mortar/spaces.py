@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: MIT
+"""Which displacement spaces the package can work with: the one gatekeeper, for all floors."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+
+import dolfinx
+
+CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
+
+
+def check_space(V: dolfinx.fem.FunctionSpace, name: str = "V") -> None:
+    """Raise a ValueError, without communication, for spaces that are not supported.
+
+    Args:
+        V: a space of displacements.
+        name: the argument that it comes from, for messages.
+
+    Raises:
+        ValueError: For a complex PETSc, cells of other types or dimensions, curved cells, parts of
+            larger spaces, and other elements than vector Lagrange of degree 1.
+    """
+    if np.issubdtype(PETSc.ScalarType, np.complexfloating):
+        raise ValueError("PETSc was built for complex numbers; use a build for real numbers.")
+    cell, d = V.mesh.topology.cell_name(), V.mesh.geometry.dim
+    if cell not in CELLS or d != V.mesh.topology.dim:
+        raise ValueError(
+            f"{name}: cells of type {cell} in {d}D are not supported; use one of "
+            f"{', '.join(CELLS)}, the same for all bodies."
+        )
+    degree = V.mesh.geometry.cmap.degree
+    if degree != 1:
+        raise ValueError(
+            f"{name}: the cells of the mesh are of degree {degree}; only straight ones are "
+            "supported, make the mesh with degree 1 (in Gmsh: mesh.setOrder(1))."
+        )
+    if V.component():
+        raise ValueError(f"{name} is in a part of a larger space; use V.collapse()[0].")
+    element, bs = V.ufl_element(), V.dofmap.index_map_bs
+    lagrange = element.family_name == "P" and not element.discontinuous
+    degree = V.element.basix_element.degree if lagrange else None
+    if (element.reference_value_shape, bs, degree) != ((d,), d, 1):
+        found = f"Lagrange of degree {degree}" if lagrange else str(element)
+        raise ValueError(
+            f"{name} has the element {found} with values of shape {element.reference_value_shape}; "
+            "it has to be a continuous vector Lagrange element of degree 1, "
+            f'functionspace(mesh, ("Lagrange", 1, ({d},))).'
+        )
