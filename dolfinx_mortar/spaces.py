@@ -31,10 +31,10 @@ def check_space(V: dolfinx.fem.FunctionSpace, name: str = "V") -> None:
             f"{name}: cells of type {cell} in {d}D are not supported; use one of "
             f"{', '.join(CELLS)}, the same for all bodies."
         )
-    degree = V.mesh.geometry.cmap.degree
-    if degree != 1:
+    curved = V.mesh.geometry.cmap.degree
+    if curved != 1:
         raise ValueError(
-            f"{name}: the cells of the mesh are of degree {degree}; only straight ones are "
+            f"{name}: the cells of the mesh are of degree {curved}; only straight ones are "
             "supported, make the mesh with degree 1 (in Gmsh: mesh.setOrder(1))."
         )
     if V.component():

@@ -6,6 +6,8 @@ Mpi4py's lower-case ``allreduce`` compares whole objects, which arrays refuse.
 
 from __future__ import annotations
 
+from typing import Any
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -37,7 +39,7 @@ def norm(comm: MPI.Comm, *parts: Floats) -> float:
     return float(np.sqrt(comm.allreduce(float(sum(p @ p for p in parts)), op=MPI.SUM)))
 
 
-def ratio(value: float, scale: float) -> float:
+def ratio(value: float | np.floating[Any], scale: float | np.floating[Any]) -> float:
     """Return value / scale, where 0 / 0 is 0: nothing is no larger than nothing.
 
     >>> ratio(1.0, 2.0), ratio(-0.0, 0.0), ratio(1.0, 0.0)
