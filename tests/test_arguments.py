@@ -86,7 +86,7 @@ def test_load_steps_that_make_none(name, bad, remedy):
 @pytest.mark.parametrize(("name", "bad"), [("rtol", True), ("rtol", 1j), ("max_it", True)])
 def test_truth_values_are_no_numbers(name, bad):
     with rejected(f"{name} is {bad!r}"):
-        checks.check_controls(**({"rtol": 1e-6, "max_it": 50} | {name: bad}))
+        checks.check_controls(**({"qp": "active-set", "rtol": 1e-6, "max_it": 50} | {name: bad}))
 
 
 # -- the same on all ranks
@@ -165,7 +165,10 @@ def test_controls_that_differ():
         return
     for other in (1e-8, -1.0, None):
         with unequal("rtol"):
-            checks.check_controls(other if COMM.rank == LAST else 1e-6, 50, COMM)
+            checks.check_controls("tron", other if COMM.rank == LAST else 1e-6, 50, COMM)
+    for other in ("interior-point", "no backend", None):
+        with unequal("qp"):
+            checks.check_controls(other if COMM.rank == LAST else "tron", 1e-6, 50, COMM)
     with unequal("times"):
         times = [1.0] if COMM.rank == LAST else [1.0, 2.0]
         checks.check_load_steps(**(STEPS | {"times": times}), comm=COMM)

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+import ufl
 from dolfinx import fem
 from dolfinx_mortar.steps.bodies import find_bodies
+from dolfinx_mortar.steps.loads import check_loads
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, RIGHT, TOP, TOP_OF_LOWER, two_blocks
 from tests.meshes_3d import two_boxes
 
@@ -50,6 +52,16 @@ def test_same_force_with_a_rank_that_has_nothing(d, kind, law):
     assert COMM.size == 1 or cells[-1] == 0
     assert np.abs(force - alone).max() < 1e-9 * np.abs(alone).max()
     assert certificate.force_balance < 1e-9
+
+
+def test_loads_with_the_displacement_are_refused_also_where_a_rank_has_no_values():
+    mesh, _, facets = two_blocks(COMM, (5, 2), (7, 2), partition="empty")
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    u, v = fem.Function(V), ufl.TestFunction(V)
+    ds = ufl.Measure("ds", mesh, subdomain_data=facets)
+    for inside in (u[1], u.sub(1)):
+        with pytest.raises(ValueError, match="^loads contain the displacement"):
+            check_loads(u, -inside * v[1] * ds(TOP))
 
 
 def test_bodies_are_counted_without_the_empty_rank():

@@ -190,16 +190,19 @@ def test_a_failed_step_leaves_no_trace(case):
 
 
 def test_stop_by_the_user(case, monkeypatch):
-    """An interrupt inside a step leaves the displacement as it was."""
+    """An interrupt inside a step leaves all as it was, also what a commit would take."""
+    case.solid = dm.Solid(case.u, dm.VonMises(E=210_000.0, nu=0.3, Y=1.0, a=1000.0))
     problem = case.problem()
 
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(newton_module, "set_results", interrupt)
+    monkeypatch.setattr(newton_module, "create_certificate", interrupt)
     with pytest.raises(KeyboardInterrupt):
         dm.newton(problem)
-    assert not case.u.x.array.any()
+    problem.commit()
+    assert not case.u.x.array.any() and not case.solid.state["plastic_strain"].x.array.any()
+    assert not case.solid.stress.x.array.any() and not problem.committed.active.any()
 
 
 # -- where there is next to nothing to solve
@@ -251,6 +254,27 @@ def test_steps_are_cut_where_newton_fails(case, monkeypatch):
     assert [len(s.parts) for s in steps] == [1, 4, 4]
     assert all(part.converged for s in steps for part in s.parts)
     assert all(s.report is s.parts[-1] for s in steps)
+
+
+@pytest.mark.parametrize("solvable", [0.99, 0.6, 0.3])
+def test_no_part_is_shorter_than_the_cuts_allow(case, monkeypatch, solvable):
+    """A load that cannot go on is approached by parts of 1/8 at the least, in whatever order."""
+    problem, tried = plastic(case), []
+    solve = stepping.solve_step
+
+    def limited(problem, **options):
+        fails = tried[-1] > solvable
+        return solve(problem, **(options | {"max_it": 1, "rtol": 1e-12} if fails else options))
+
+    def on_time(t):
+        tried.append(t)
+        press(case)(t)
+
+    monkeypatch.setattr(stepping, "solve_step", limited)
+    with rejected("3 of 3 cuts", error=dm.NewtonNotConverged):
+        list(dm.load_steps(problem, [1.0], on_time=on_time, max_cuts=3))
+    assert set(tried) <= {k / 8 for k in range(1, 9)}
+    assert problem.committed.level == int(8 * solvable) / 8
 
 
 def test_steps_that_cannot_be_cut_further(case):

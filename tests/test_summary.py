@@ -67,3 +67,6 @@ def test_a_file_that_cannot_be_written_is_an_error_on_all_ranks(folder):
     problem = PressedBlocks().problem()
     with pytest.raises(OSError, match=r"path is '.*missing/summary.json': No such file"):
         dm.write_summary(folder / "missing" / "summary.json", problem, [])
+    for wrong in (None, "a\0b"):  # an error of one rank must not leave the others waiting
+        with pytest.raises((TypeError, ValueError, RuntimeError)):
+            dm.write_summary(wrong, problem, [])

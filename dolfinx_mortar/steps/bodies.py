@@ -23,6 +23,8 @@ from dolfinx_mortar.solid.kinematics import translations_and_rotations
 HELD = 1e-7
 # Two rigid motions that differ by less than this share have the same name.
 SAME = 1e-4
+# A coordinate of a body's centre that is less than this share of its radius is named 0.
+ORIGIN = 1e-3
 
 
 @dataclass(frozen=True)
@@ -177,7 +179,9 @@ def free_motions(
 
 def name_of(bodies: Bodies, group: list[int]) -> str:
     """Return how a message calls a body, or several."""
-    places = sorted([float(x) for x in row] for row in np.round(bodies.centre[group], 3) + 0.0)
+    size = bodies.radius[group].max()
+    centre = np.where(np.abs(bodies.centre[group]) < ORIGIN * size, 0.0, bodies.centre[group])
+    places = sorted([float(f"{x:.4g}") for x in row] for row in centre)
     centres = ", ".join(map(str, places))
     return (
         f"the bodies around {centres} together" if len(group) > 1 else f"the body around {centres}"

@@ -15,7 +15,7 @@ from dolfinx_mortar.interfaces.coupling import Link
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.steps.report import Certificate, StepReport
-from dolfinx_mortar.steps.residuals import Residuals
+from dolfinx_mortar.steps.residuals import Contacts, Residuals
 
 if TYPE_CHECKING:
     from dolfinx_mortar.steps.problem import ContactProblem
@@ -66,13 +66,14 @@ def _balances(interfaces: list[Interface], facet_length: float) -> tuple[float, 
 
 
 def create_certificate(
-    problem: ContactProblem, report: StepReport, residual: Residuals
+    problem: ContactProblem, report: StepReport, contacts: Contacts, residual: Residuals
 ) -> Certificate:
     """Judge the present state of a problem whose results are set; collective.
 
     Args:
         problem: the problem, in the geometry of the step's end.
         report: iterations of the step.
+        contacts: the contact set.
         residual: what is left of equilibrium there.
     """
     links, length = problem.system.links, problem.system.facet_length
@@ -93,7 +94,7 @@ def create_certificate(
     counts = [
         sum(int(k.sum()) for k in kept),
         sum(int(((c > 0) & ~k).sum()) for c, k in zip(covered, kept, strict=True)),
-        int(problem.committed.active.sum()),
+        int(contacts.active.sum()),
     ]
     counts = problem.comm.allreduce(np.array(counts), op=MPI.SUM)
     least = min((c[k].min(initial=1.0) for c, k in zip(covered, kept, strict=True)), default=1.0)

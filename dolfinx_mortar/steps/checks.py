@@ -16,6 +16,7 @@ import numpy as np
 
 import ufl
 from dolfinx import fem
+from dolfinx_mortar import qp as backends
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.solid.solid import Solid
@@ -29,6 +30,7 @@ def check_arguments(
     interfaces: Iterable[Interface],
     bcs: Iterable[fem.DirichletBC],
     loads: ufl.Form | None,
+    potential: ufl.Form | None,
     geometry: str,
 ) -> tuple[list[Interface], list[fem.DirichletBC]]:
     """Return interfaces and Dirichlet conditions as lists if a problem can be made; collective.
@@ -44,6 +46,7 @@ def check_arguments(
         interfaces=given,
         bcs=conditions,
         loads=None if loads is None else type(loads).__name__,
+        potential=None if potential is None else type(potential).__name__,
         geometry=geometry,
     )
     if geometry not in GEOMETRIES:
@@ -80,16 +83,18 @@ def check_problem(problem: Any, kind: type) -> None:
         )
 
 
-def check_controls(rtol: Any, max_it: Any, comm: MPI.Comm | None = None) -> None:
+def check_controls(qp: Any, rtol: Any, max_it: Any, comm: MPI.Comm | None = None) -> None:
     """Raise a ValueError unless the controls of Newton's method make sense; collective.
 
     Args:
+        qp: name of the QP backend.
         rtol: relative tolerance.
         max_it: largest number of iterations.
         comm: ranks that have to agree.
     """
     if comm is not None:
-        check_same_on_all_ranks(comm, rtol=rtol, max_it=max_it)
+        check_same_on_all_ranks(comm, qp=qp, rtol=rtol, max_it=max_it)
+    backends.check_name(qp)
     if not (_is_number(rtol) and 0.0 < float(rtol) < 1.0):
         raise ValueError(f"rtol is {rtol!r}: need a number, 0 < rtol < 1")
     if not _is_integer(max_it) or max_it < 1:

@@ -47,7 +47,7 @@ def next_tolerance(kind: str, rtol: float, size: float, residuals: Sequence[Resi
         return max(tightest(kind, rtol), FIRST_QP[kind])
     last = residuals[-1]
     before = residuals[-2].excess if len(residuals) > 1 else np.inf
-    contraction = min(1.0, last.excess / before) if np.isfinite(before) else 1.0
+    contraction = min(1.0, last.excess / before) if 0.0 < before < np.inf else 1.0
     allowed = max(QP_SHARE, FORCING[kind] * contraction * last.excess) * last.limit
     relative = allowed / size if size > 0.0 else 1.0
     return float(max(tightest(kind, rtol), min(FIRST_QP[kind], relative)))

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from dolfinx_mortar.algebra.errors import raised_together
@@ -47,13 +48,19 @@ class Level:
 
     time: float
     overlap: float = 0.0  # depth by which the sides may still overlap
-    cuts: int = 0  # halvings that have led to it
+    share: float = 1.0  # of the step that ends here, a binary fraction
 
     def between(self, reached: Level) -> Level:
         """Return the level halfway from where one is."""
         return Level(
-            (reached.time + self.time) / 2.0, (reached.overlap + self.overlap) / 2.0, self.cuts + 1
+            (reached.time + self.time) / 2.0,
+            (reached.overlap + self.overlap) / 2.0,
+            (reached.share + self.share) / 2.0,
         )
+
+    def cuts(self, reached: Level) -> int:
+        """Return how often the whole step has been halved to get the part from where one is."""
+        return round(-math.log2(self.share - reached.share))
 
 
 def load_steps(
@@ -119,7 +126,7 @@ def _walk(
 ) -> list[StepReport]:
     """Go to a level, in parts where that fails; return the reports of the parts."""
     parts: list[StepReport] = []
-    reached, pending = Level(problem.committed.level), [Level(time)]
+    reached, pending = Level(problem.committed.level, share=0.0), [Level(time)]
     failures = 0
     while pending:
         level = pending[-1]
@@ -129,9 +136,10 @@ def _walk(
         except NewtonNotConverged as error:
             failures += 1
             if not parts:
-                reached = Level(reached.time, find_overlap(problem, options["rtol"]))
+                overlap = find_overlap(problem, options["rtol"])
+                reached = replace(reached, overlap=overlap)
             way = level.time != reached.time and on_time is not None
-            if level.cuts >= most or not (way or level.overlap != reached.overlap):
+            if level.cuts(reached) >= most or not (way or level.overlap != reached.overlap):
                 error.message = _describe(number, time, level, reached, most, error.message)
                 raise
             if problem.comm.rank == 0:
@@ -174,7 +182,7 @@ def _describe(
     number: int, time: float, level: Level, reached: Level, most: int, message: str
 ) -> str:
     """Return the message of a step that has failed for good."""
-    cuts = f"{level.cuts} of {most} cuts"
+    cuts = f"{level.cuts(reached)} of {most} cuts"
     return (
         f"load step {number} to time {time:g} failed from {reached.time:g} to {level.time:g}, "
         f"after {cuts} (the last level that converged is {reached.time:g}): {message}"

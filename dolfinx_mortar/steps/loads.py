@@ -171,7 +171,7 @@ def _with_one_rule(potential: ufl.Form) -> ufl.Form:
 
 
 def _is_displacement(u: fem.Function, coefficient: Any) -> bool:
-    """Tell whether a coefficient is u or shares its values, as u.sub(i) does."""
-    return isinstance(coefficient, fem.Function) and np.may_share_memory(
-        coefficient.x.array, u.x.array
+    """Tell whether a coefficient is u or shares its values, as u.sub(i) does; also without any."""
+    return isinstance(coefficient, fem.Function) and (
+        coefficient.x._cpp_object is u.x._cpp_object
     )

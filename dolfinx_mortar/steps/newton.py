@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 
 from mpi4py import MPI
@@ -94,8 +94,7 @@ def solve_step(
     problem: ContactProblem, *, qp: str, rtol: float, max_it: int, overlap: float = 0.0
 ) -> StepReport:
     """Solve one load step, with an overlap that is left to later steps; see `newton`."""
-    backends.check_name(qp)
-    check_controls(rtol, max_it, problem.comm)
+    check_controls(qp, rtol, max_it, problem.comm)
     report = StepReport(backend=qp, geometry=problem.geometry, rtol=rtol)
     if overlap > 0.0:
         report.notes.append(f"the initial overlap is left {overlap:.3g} deep in this part")
@@ -113,9 +112,13 @@ def _undone_on_failure(problem: ContactProblem, report: StepReport) -> Iterator[
     try:
         with problem.timings("total"), failures.named(problem, report):
             yield
-    except NewtonNotConverged:
+    except BaseException as error:
         problem.u.x.array[:] = before
-        problem.solid.evaluate()  # what is shown is as before, too
+        # What is shown, and what a commit would take, is as before, too. An error that only one
+        # rank has must not wait for the others.
+        if isinstance(error, NewtonNotConverged | ValueError) or problem.comm.size == 1:
+            with suppress(ValueError):
+                problem.solid.evaluate()
         raise
     finally:
         report.seconds = problem.timings.since(earlier)
@@ -126,8 +129,6 @@ def _undone_on_failure(problem: ContactProblem, report: StepReport) -> Iterator[
                 "use to this method"
             )
         report.notes += [note for note in problem.system.notes if note not in report.notes]
-        if not report.converged:
-            problem.u.x.array[:] = before
 
 
 @dataclass(frozen=True)
@@ -380,12 +381,13 @@ class _Step:
     def finish(self, iterate: Iterate, residual: Residuals) -> None:
         """Set what the step has found."""
         problem, report = self.problem, self.report
-        problem.committed.active = iterate.contacts.active
-        report.notes += notes_on_sliding(problem)
+        contacts = iterate.contacts
+        report.notes += notes_on_sliding(problem, contacts)
         with problem.timings("results"):
             problem.solid.evaluate()
-        set_results(problem, iterate.balance, iterate.contacts)
-        report.certificate = create_certificate(problem, report, residual)
+        set_results(problem, iterate.balance, contacts)
+        report.certificate = create_certificate(problem, report, contacts, residual)
+        problem.committed.active = contacts.active
         report.converged = True
 
     def elastic_norm(self, du: PETSc.Vec) -> float:

@@ -48,14 +48,14 @@ def set_results(problem: ContactProblem, balance: Balance, contacts: Contacts) -
         )
 
 
-def notes_on_sliding(problem: ContactProblem) -> list[str]:
+def notes_on_sliding(problem: ContactProblem, contacts: Contacts) -> list[str]:
     """Return a note for every contact that has slid too far for frozen geometry; collective."""
     if problem.geometry == "updated":
         return []
     notes, length = [], problem.system.facet_length
     for link in problem.system.links:
         slip = slipped(link, problem.vector(problem.u.x.array[: problem.d * problem.n]))
-        slip[~problem.committed.active[link.nodes]] = 0.0
+        slip[~contacts.active[link.nodes]] = 0.0
         farthest = float(maximum(problem.comm, slip.max(initial=0.0))[0])
         if link.interface.one_sided and farthest > length:
             notes.append(

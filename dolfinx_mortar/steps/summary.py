@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.steps.load_steps import LoadStep
 from dolfinx_mortar.steps.problem import ContactProblem
 
@@ -75,16 +76,14 @@ def write_summary(
         "ranks": comm.size,
         "seconds": problem.timings.seconds,
     }
-    failed = ""
-    if comm.rank == 0:
-        try:
+    with raised_together(comm):
+        if comm.rank == 0:
             text = json.dumps(_plain(size | more | {"steps": steps}), indent=1, allow_nan=False)
-            Path(path).write_text(text)
-        except OSError as error:
-            failed = error.strerror or str(error)
-    failed = comm.bcast(failed)
-    if failed:
-        raise OSError(f"path is {os.fspath(path)!r}: {failed}")
+            try:
+                Path(path).write_text(text)
+            except OSError as error:
+                said = error.strerror or str(error)
+                raise OSError(f"path is {os.fspath(path)!r}: {said}") from error
 
 
 def _plain(value: Any) -> Any:
