@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Newton ends: without contact, at round-off, with moving geometry; each rule by what it does."""
 
+from dataclasses import replace
+
 from mpi4py import MPI
 
 import numpy as np
@@ -227,7 +229,7 @@ def test_the_merit_needs_its_penalty(monkeypatch):
 
 @pytest.mark.serial
 def test_the_slope_is_that_of_the_merit():
-    """Energy and penalty, at the start and on the way, against differences of their values."""
+    """Energy and penalty, at the start, against the difference of their values over the step."""
     problem = overlapping().problem
     data = problem.begin_step()
     lin = linearise(problem, find_balance(problem, data))
@@ -240,24 +242,29 @@ def test_the_slope_is_that_of_the_merit():
         line_search.move(problem, path.start + t * path.du)
         return line_search.find_energy(problem, data).value + path.excess(t)
 
-    h = 1e-3  # quadratic between kinks, so that central differences are exact
-    for t in (0.3, 0.6):
-        slope = (merit(t + h) - merit(t - h)) / (2 * h)
-        merit(t)
-        assert line_search.find_slope(problem, data, path, t) == pytest.approx(slope, rel=1e-6)
-    first = line_search.first_slope(problem, lin, path)
+    first = line_search.find_slope(problem, lin, path)
     assert first == pytest.approx(merit(1.0) - merit(0.0) - 0.5 * du.dot(problem.K * du), rel=1e-6)
     assert first < 0.0 < -lin.balance.r.dot(du)  # the penalty alone makes it fall
 
 
-@pytest.mark.parametrize("backend", ["active-set", "tron"])
-def test_a_step_at_round_off_is_not_refused(backend):
-    """Asked for more than the round-off of energies allows, slopes decide, and the step ends."""
-    for geometry in ("reference", "updated"):
-        case = create_case(dm.meshing.hertz(COMM, kind="graded", h=0.3), geometry=geometry)
-        case.press(0.2)
-        report = dm.newton(case.problem, rtol=1e-12, qp=backend)
-        assert all(i.step_length == 1.0 for i in report.iterations[-3:])
+def test_a_step_at_round_off_is_not_refused(monkeypatch):
+    """Asked for more than the round-off of energies allows, a step ends; by values alone it fails.
+
+    A random problem: round-off decides, so only some of them show it.
+    """
+
+    def walk():
+        case = create("hertz", 0)
+        options = {"on_time": case.on_time, "rtol": 1e-12, "cuts": "none"}
+        (step,) = dm.load_steps(case.problem, case.levels[:1], **options)
+        return step.report.iterations
+
+    assert all(i.step_length == 1.0 for i in walk()[-3:])
+    path = line_search.create_path
+    monkeypatch.setattr(line_search, "EPS", 0.0)
+    monkeypatch.setattr(line_search, "create_path", lambda *a: replace(path(*a), noise=0.0))
+    with pytest.raises(dm.NewtonNotConverged, match="line search"):
+        walk()
 
 
 # -- moving geometry -------------------------------------------------------------------------------
