@@ -12,10 +12,15 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.steps import line_search
-from dolfinx_mortar.steps.linearisation import find_balance, linearise, to_displacement
+from dolfinx_mortar.steps.linearisation import (
+    count_changes,
+    find_balance,
+    linearise,
+    to_displacement,
+)
 from dolfinx_mortar.steps.newton import solve_step
 from dolfinx_mortar.steps.residuals import Contacts, Scales, measure
-from dolfinx_mortar.steps.watch import MOST_RISES, Watch
+from dolfinx_mortar.steps.watch import Watch
 from tests.ball_case import create_problem
 from tests.block_piles import ABOVE, BELOW, EAST, PILE, WEST, Blocks
 from tests.hertz_case import ELASTIC, PLASTIC, create_case
@@ -84,7 +89,10 @@ def test_rigid_travel_ends_at_once(geometry):
     problem = b.problem([contact], bcs, geometry=geometry)
     for t in np.linspace(0.0, 0.9, 21)[1:]:
         down.value = -t
-        assert dm.newton(problem).newton_iterations <= 2
+        report = dm.newton(problem)
+        assert report.newton_iterations <= 2
+        # nothing acts, so forces are measured against K u
+        assert report.certificate.equilibrium < 1e-12 and report.certificate.complementarity == 0.0
         problem.commit()
     own = b.u.x.array.reshape(-1, 2)[b.V.tabulate_dof_coordinates()[:, 1] > 1.0]
     assert np.abs(own - [0.0, -0.9]).max(initial=0.0) < 1e-12
@@ -127,10 +135,11 @@ def test_no_confirming_solve():
         assert dm.newton(case.problem, rtol=rtol).newton_iterations == 1
 
 
-def judged(problem, contacts, data, lin):
-    """Return the excess of the present state over what 1e-6 allows."""
-    balance = find_balance(problem, data)
-    return measure(problem, balance, contacts, lin.diagonal, Scales(), 1.0, 1e-6)
+def judged(problem, contacts, data, lin, *, support=0.0):
+    """Return the residuals of the present state where rtol is 1e-6; supports may ask for more."""
+    balance, length = find_balance(problem, data), problem.system.facet_length
+    balance = replace(balance, equal=replace(balance.equal, upper=balance.equal.upper + support))
+    return measure(problem.u, balance, contacts, lin.diagonal, Scales(length), 1.0, 1e-6)
 
 
 @pytest.mark.mpi
@@ -149,14 +158,14 @@ def test_what_is_out_of_balance_is_seen():
     exact = problem.u.x.array.copy()
     assert judged(problem, right, data, lin).forces < 1e-7
 
+    assert judged(problem, right, data, lin, support=1e-4).excess > 100.0  # forces are exact
     weaker = Contacts(right.active, 0.999 * multipliers)
     assert judged(problem, weaker, data, lin).excess > 100.0
     free = np.flatnonzero(~problem.fixed[: problem.n].any(axis=1))[:1]
-    for nodes in (free, np.flatnonzero(problem.supports.owned.all(axis=1))[:1]):
-        problem.u.x.array[2 * nodes + 1] += 1e-4
-        problem.u.x.scatter_forward()
-        assert judged(problem, right, data, lin).excess > 100.0
-        problem.u.x.array[:] = exact
+    problem.u.x.array[2 * free + 1] += 1e-4
+    problem.u.x.scatter_forward()
+    assert judged(problem, right, data, lin).excess > 100.0
+    problem.u.x.array[:] = exact
     # all of the disc moved down: the forces of its elements stay, the gaps do not
     above = problem.V.tabulate_dof_coordinates()[:, 1] > 1e-9
     problem.u.x.array[1::2][above] -= 1e-3
@@ -194,6 +203,24 @@ def test_weak_changes_are_not_counted():
     wider = dm.newton(case.problem)
     grown = wider.iterations[-1].active - first.iterations[-1].active
     assert sum(i.changed for i in wider.iterations) >= grown > 0
+
+
+@pytest.mark.mpi
+def test_a_change_counts_from_a_force_on():
+    """Nodes that close carry their reaction; what is below the limit is left out."""
+    case = create_case(dm.meshing.hertz(COMM, kind="paper"), ELASTIC, geometry="reference")
+    case.press(0.05)
+    problem = case.problem
+    lin = linearise(problem, find_balance(problem, problem.begin_step()))
+    solved = dm.qp.solve(lin.qp, linear=problem.linear, rtol=1e-12)
+    z = solved.z.array_r[lin.balance.bounds.dofs]
+    every = np.sort(np.concatenate(COMM.allgather(z[solved.active > 0])))
+    none = np.zeros_like(solved.active)
+    limits = [0.0, *(every[:-1] + every[1:]) / 2, 2.0 * every[-1]]
+    counts = [count_changes(lin, solved, none, limit) for limit in limits]
+    assert counts == [int((every > limit).sum()) for limit in limits]
+    assert counts[0] == len(every) > 2 and counts[-1] == 0
+    assert count_changes(lin, solved, solved.active, 0.0) == 0
 
 
 # -- the line search -------------------------------------------------------------------------------
@@ -234,7 +261,7 @@ def test_the_slope_is_that_of_the_merit():
     data = problem.begin_step()
     lin = linearise(problem, find_balance(problem, data))
     solved = dm.qp.solve(lin.qp, linear=problem.linear, rtol=1e-12)
-    du = to_displacement(problem, solved.x)
+    du = to_displacement(problem.system.transformation, solved.x)
     multiplier = float(solved.z.max()[1] / lin.balance.bounds.weight.min())
     path = line_search.create_path(problem, lin, solved, du, multiplier)
 
@@ -286,7 +313,6 @@ def test_the_watch():
     ):
         watch = watch.after(change, forces)
         assert (watch.held, watch.rises) == (held, rises)
-    assert MOST_RISES == 2
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("pile", 4), ("hertz", 11)])
@@ -456,7 +482,7 @@ def test_a_limit_load_is_named():
 
 @pytest.mark.mpi
 def test_a_body_on_springs():
-    """A block held by a bed of springs alone: p/k plus the compression, and a quadratic Newton."""
+    """A block held by a bed of springs alone: p/k plus the compression, in one linear solve."""
     b = Blocks(PILE[:1])
     ds = ufl.Measure("ds", b.mesh, subdomain_data=b.facets)
     k, p = 1000.0, 5.0
@@ -469,16 +495,8 @@ def test_a_body_on_springs():
     assert np.abs(b.u.x.array[1::2] + p / k + p / 1000.0 * y).max(initial=0.0) < 1e-12
 
 
-def test_loads_that_contain_the_displacement_are_refused():
-    b = Blocks(PILE[:1])
-    ds = ufl.Measure("ds", b.mesh, subdomain_data=b.facets)
-    v = ufl.TestFunction(b.V)
-    with rejected("loads", "potential"):
-        b.problem([], [b.fix(1, BELOW)], loads=-b.u[1] * v[1] * ds(10 + ABOVE))
-
-
 def test_ball_against_block_in_few_iterations():
-    """What the residual end needs in 3D: elastic 1 and 4, plastic 5 and 6."""
+    """What the residual end needs in 3D: elastic 1 and 4, plastic 6 and 7."""
     for law, geometry, most in (
         (ELASTIC, "reference", 1),
         (ELASTIC, "updated", 4),

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from mpi4py import MPI
 
 import numpy as np
@@ -14,16 +12,14 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces.coupling import Link
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.near import nodal_gaps
+from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.report import Certificate, StepReport
 from dolfinx_mortar.steps.residuals import Contacts, Residuals
 
-if TYPE_CHECKING:
-    from dolfinx_mortar.steps.problem import ContactProblem
 
-
-def _largest(problem: ContactProblem, *arrays: Floats) -> Floats:
+def _largest(comm: MPI.Comm, *arrays: Floats) -> Floats:
     """Return the maxima of arrays over all ranks, 0 for empty ones."""
-    return maximum(problem.comm, *(a.max(initial=0.0) for a in arrays))
+    return maximum(comm, *(a.max(initial=0.0) for a in arrays))
 
 
 def operator_errors(link: Link, facet_length: float) -> tuple[float, float]:
@@ -86,7 +82,7 @@ def create_certificate(
             gap.append(nodal[link.nodes[on]])
             multiplier.append(link.interface.multiplier[on])
     g, p = np.concatenate(gap), np.concatenate(multiplier)
-    deepest, tensile, pressure, product = _largest(problem, -g, -p, np.abs(p), np.abs(g * p))
+    deepest, tensile, pressure, product = _largest(problem.comm, -g, -p, np.abs(p), np.abs(g * p))
     errors = [operator_errors(link, length) for link in links] or [(0.0, 0.0)]
     force, moment = _balances(problem.interfaces, length)
     kept = [link.coupling.kept.any(axis=1) for link in links]

@@ -9,8 +9,6 @@ than the round-off of its own terms: there the values say nothing, and the resid
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -19,11 +17,8 @@ import numpy as np
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.qp import QPSolution
 from dolfinx_mortar.steps.linearisation import Linearisation
-from dolfinx_mortar.steps.problem import StepData
+from dolfinx_mortar.steps.problem import ContactProblem, StepData
 from dolfinx_mortar.steps.residuals import EPS, gap_round_off, round_off
-
-if TYPE_CHECKING:
-    from dolfinx_mortar.steps.problem import ContactProblem
 
 ARMIJO = 1e-4
 MAX_HALVINGS = 12
@@ -94,12 +89,12 @@ def search(
     """
     path = create_path(problem, lin, solved, du, multiplier)
     cells = problem.V.mesh.topology.index_map(problem.V.mesh.topology.dim).size_global
-    first = _sum(problem, path.excess(0.0))
+    first = _sum(problem.comm, path.excess(0.0))
     promise = find_slope(problem, lin, path)
     length = 1.0
     for halvings in range(MAX_HALVINGS + 1):
         move(problem, path.start + length * path.du)
-        after, penalty = find_energy(problem, data), _sum(problem, path.excess(length))
+        after, penalty = find_energy(problem, data), _sum(problem.comm, path.excess(length))
         # a sum of n terms of one size loses about sqrt(n) units of round-off
         noise = EPS * np.sqrt(cells) * (before.terms + after.terms + first + penalty) + path.noise
         target = before.value + first + ARMIJO * length * min(promise, 0.0)
@@ -122,15 +117,16 @@ def create_path(
     # reactions times the round-off of gaps and supports; what the QP has not balanced
     held = lin.balance.reduced.array_r[lin.balance.equal.dofs]
     local = np.abs(solved.z.array_r[bounds.dofs]).sum() + np.abs(held).sum()
-    touching = _sum(problem, float(local))
-    unbalanced = round_off(problem, lin.diagonal) + solved.kkt.unsolved
+    touching = _sum(problem.comm, float(local))
+    unbalanced = round_off(problem.u, lin.diagonal) + solved.kkt.unsolved
+    lost = gap_round_off(problem.u)
     return Direction(
         start=problem.u.x.array[:own].copy(),
         du=du.array_r.copy(),
         motion=solved.x.array_r[bounds.dofs],
-        gap=bounds.upper + gap_round_off(problem),
+        gap=bounds.upper + lost,
         penalty=2.0 * multiplier * bounds.weight,
-        noise=unbalanced * du.norm() + gap_round_off(problem) * touching,
+        noise=unbalanced * du.norm() + lost * touching,
     )
 
 
@@ -141,11 +137,11 @@ def find_slope(problem: ContactProblem, lin: Linearisation, path: Direction) -> 
     whole step is the derivative at its start.
     """
     local = -float(lin.balance.r.array_r @ path.du) + path.excess(1.0) - path.excess(0.0)
-    return _sum(problem, local)
+    return _sum(problem.comm, local)
 
 
-def _sum(problem: ContactProblem, value: float) -> float:
-    return float(problem.comm.allreduce(value, op=MPI.SUM))
+def _sum(comm: MPI.Comm, value: float) -> float:
+    return float(comm.allreduce(value, op=MPI.SUM))
 
 
 def move(problem: ContactProblem, values: Floats) -> None:

@@ -9,19 +9,16 @@ both are made in one go and never changed.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
-
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.arrays import Actives, Floats, Ints
+from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.constraints import Constraints, equalities, join
-from dolfinx_mortar.qp import BoundQP
-from dolfinx_mortar.steps.problem import StepData
-
-if TYPE_CHECKING:
-    from dolfinx_mortar.steps.problem import ContactProblem
+from dolfinx_mortar.qp import BoundQP, QPSolution
+from dolfinx_mortar.steps.problem import ContactProblem, StepData
 
 
 @dataclass(frozen=True)
@@ -71,7 +68,7 @@ def find_balance(problem: ContactProblem, data: StepData, overlap: float = 0.0) 
         elements = problem.solid.element_force_norm()
     F.aypx(-1.0, data.f)
     with problem.timings("transform"):
-        reduced = to_reduced(problem, F)
+        reduced = to_reduced(problem.system.transformation, F)
         u = problem.vector(problem.u.x.array[: F.local_size])
         found = problem.system.constraints(problem.positions(), u)
         asked = _dirichlet_constraints(problem, data, u.array_r)
@@ -120,17 +117,31 @@ def linearise(problem: ContactProblem, balance: Balance, *, tangent: bool = True
     return Linearisation(BoundQP(A, b, lower, upper, bounds.dofs), balance, diagonal)
 
 
-def to_reduced(problem: ContactProblem, forces: PETSc.Vec) -> PETSc.Vec:
-    """Return T^T times a force vector; collective."""
+def count_changes(lin: Linearisation, solved: QPSolution, start: Actives, limit: float) -> int:
+    """Return how many nodes changed sides, weakly active ones left out; collective.
+
+    A node is weakly active if its reaction, and the force that would close its gap, are both
+    within a limit.
+    """
+    bounds = lin.balance.bounds
+    z = np.abs(solved.z.array_r[bounds.dofs])
+    opening = np.abs(bounds.upper - solved.x.array_r[bounds.dofs])
+    force = np.maximum(z, lin.diagonal.array_r[bounds.dofs] * opening)
+    changed = ((start > 0) != (solved.active > 0)) & (force > limit)
+    return int(lin.qp.comm.allreduce(int(changed.sum()), op=MPI.SUM))
+
+
+def to_reduced(T: Transformation | None, forces: PETSc.Vec) -> PETSc.Vec:
+    """Return T^T times a force vector; None is the identity; collective."""
     result = forces.copy()
-    if problem.system.transformation is not None:
-        problem.system.transformation.apply_transposed(forces, result)
+    if T is not None:
+        T.apply_transposed(forces, result)
     return result
 
 
-def to_displacement(problem: ContactProblem, dy: PETSc.Vec) -> PETSc.Vec:
-    """Return du = T dy; collective."""
+def to_displacement(T: Transformation | None, dy: PETSc.Vec) -> PETSc.Vec:
+    """Return du = T dy; None is the identity; collective."""
     du = dy.copy()
-    if problem.system.transformation is not None:
-        problem.system.transformation.apply(dy, du)
+    if T is not None:
+        T.apply(dy, du)
     return du

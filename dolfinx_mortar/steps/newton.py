@@ -39,6 +39,7 @@ from dolfinx_mortar.steps.line_search import Energy, NoDescent, find_energy, mov
 from dolfinx_mortar.steps.linearisation import (
     Balance,
     Linearisation,
+    count_changes,
     find_balance,
     linearise,
     to_displacement,
@@ -186,9 +187,10 @@ class _Step:
         if problem.contacts and not problem.comm.allreduce(bool(start.any()), op=MPI.LOR):
             links, length = problem.system.links, problem.system.facet_length
             start = predict_active(links, problem.positions(), problem.n, balance.nodes, length)
-        extent = find_extent(problem, self.data.target)
-        begun = largest_force(problem, balance, np.zeros(0))
-        scales = Scales(begun=begun, work=norm**2, extent=extent)
+        extent = find_extent(problem.V.mesh, self.data.target)
+        begun = largest_force(problem.comm, balance, np.zeros(0))
+        length = problem.system.facet_length
+        scales = Scales(length, begun=begun, work=norm**2, extent=extent)
         return Iterate(balance, contacts, scales, energy, norm, 0.0), start
 
     def balance(self) -> Balance:
@@ -216,7 +218,7 @@ class _Step:
         report.quote(number, solved.note)
         contacts, largest = self.take_over(lin, solved, old.largest)
 
-        du = to_displacement(problem, solved.x)
+        du = to_displacement(problem.system.transformation, solved.x)
         self.check_distance(du, scales.extent)
         length, halvings, energy = self.move(lin, solved, du, largest, old.energy)
         norm = problem.solid.elastic_norm(problem.u)
@@ -225,10 +227,10 @@ class _Step:
 
         bounds = lin.balance.bounds
         left = bounds.upper - length * solved.x.array_r[bounds.dofs]
-        predicted = at_nodes(problem, lin.balance, left)
+        predicted = at_nodes(problem.n, lin.balance, left)
 
         def judge(balance: Balance) -> Residuals:
-            return measure(problem, balance, contacts, lin.diagonal, scales, norm, report.rtol)
+            return measure(problem.u, balance, contacts, lin.diagonal, scales, norm, report.rtol)
 
         balance, residual, watch, change = self.follow(watch, judge, contacts, predicted)
         report.iterations.append(
@@ -239,7 +241,7 @@ class _Step:
                 contact_residual=residual.contact,
                 kkt=solved.kkt.worst,
                 active=problem.comm.allreduce(int(contacts.active.sum()), op=MPI.SUM),
-                changed=self.count_changes(lin, solved, start, residual),
+                changed=count_changes(lin, solved, start, residual.limit),
                 updates=solved.updates,
                 linear_iterations=solved.linear_iterations,
                 factorisations=solved.factorisations,
@@ -287,21 +289,6 @@ class _Step:
         multipliers[nodes[on]] = solved.z.array_r[bounds.dofs[on]] / bounds.weight[on]
         seen = float(maximum(self.problem.comm, multipliers.max(initial=0.0))[0])
         return Contacts(active, multipliers), max(largest, seen)
-
-    def count_changes(
-        self, lin: Linearisation, solved: QPSolution, start: Actives, residual: Residuals
-    ) -> int:
-        """Return how many nodes changed sides, weakly active ones left out.
-
-        A node is weakly active if its reaction, and the force that would close its gap, are both
-        within what the step allows.
-        """
-        bounds = lin.balance.bounds
-        z = np.abs(solved.z.array_r[bounds.dofs])
-        opening = np.abs(bounds.upper - solved.x.array_r[bounds.dofs])
-        force = np.maximum(z, lin.diagonal.array_r[bounds.dofs] * opening)
-        changed = ((start > 0) != (solved.active > 0)) & (force > residual.limit)
-        return int(self.problem.comm.allreduce(int(changed.sum()), op=MPI.SUM))
 
     def check_distance(self, du: PETSc.Vec, extent: float) -> None:
         """Raise if a step leads out of the world: a singular tangent may solve to anything."""
@@ -358,7 +345,7 @@ class _Step:
         problem.update_geometry(self.data.increment)
         balance = self.balance()
         residual = judge(balance)
-        change, work = find_change(problem, balance, contacts, predicted)
+        change, work = find_change(problem.comm, balance, contacts, predicted)
         watch = watch.after(work, residual.forces)
         if watch.rises >= MOST_RISES:
             raise failures.not_converged(
@@ -367,7 +354,7 @@ class _Step:
                 problem,
                 self.report,
             )
-        return balance, residual, watch, change
+        return balance, residual, watch, change / problem.system.facet_length
 
     def geometry_is_complete(self) -> bool:
         """Tell whether the whole surfaces agree: partners far away, and nodes outside T."""

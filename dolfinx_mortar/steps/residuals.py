@@ -3,25 +3,22 @@
 
 Forces are measured against the largest that act, a penetration by the force that would undo it, an
 open contact that carries a force by the work of that force in the gap, and both in facet lengths.
-None of this vanishes in rigid travel or after unloading, where increments and energies say nothing.
+In rigid travel or after unloading nothing acts: then against what the step began with, and K u.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx import fem
+from dolfinx.mesh import Mesh
 from dolfinx_mortar.algebra.parallel import maximum, norm, ratio
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.steps.linearisation import Balance
-
-if TYPE_CHECKING:
-    from dolfinx_mortar.steps.problem import ContactProblem
 
 EPS = float(np.finfo(float).eps)
 # A row of a stiffness matrix sums up, in absolute values, to 2 to 4 times its diagonal entry, so
@@ -50,6 +47,7 @@ class Contacts:
 class Scales:
     """The sizes against which an iterate is measured; those of wild iterates count for nothing."""
 
+    facet_length: float
     begun: float = 0.0  # largest norm of external, support or element forces at the begin
     first: float = 0.0  # norm of the first QP's right-hand side
     work: float = 0.0  # |u|_e^2 at the begin
@@ -66,39 +64,36 @@ class Residuals:
     limit: float  # norm of forces that is allowed
 
 
-def round_off(problem: ContactProblem, diagonal: PETSc.Vec, extent: float = np.inf) -> float:
+def round_off(u: fem.Function, diagonal: PETSc.Vec, extent: float = np.inf) -> float:
     """Return the round-off of K u, EPS times the norm of |K| |u|; collective.
 
     What is farther away than the ``extent`` of mesh and supports counts as being there: a body that
     a singular tangent has thrown away must not excuse the forces that it leaves.
     """
-    u = np.clip(problem.u.x.array[: diagonal.local_size], -extent, extent)
-    return ROW_SUM * EPS * norm(problem.comm, diagonal.array_r * u)
+    near = np.clip(u.x.array[: diagonal.local_size], -extent, extent)
+    return ROW_SUM * EPS * norm(u.function_space.mesh.comm, diagonal.array_r * near)
 
 
-def find_extent(problem: ContactProblem, target: Floats) -> float:
-    """Return the size of the mesh plus the largest prescribed displacement; collective."""
-    x = problem.V.mesh.geometry.x
-    sizes = maximum(problem.comm, np.abs(x).max(initial=0.0), np.abs(target).max(initial=0.0))
+def gap_round_off(u: fem.Function) -> float:
+    """Return the round-off of gaps, which are differences of coordinates; collective."""
+    return GAP_OPERATIONS * EPS * find_extent(u.function_space.mesh, u.x.array)
+
+
+def find_extent(mesh: Mesh, displacement: Floats) -> float:
+    """Return the largest coordinate of the mesh plus the largest displacement; collective."""
+    x = mesh.geometry.x
+    sizes = maximum(mesh.comm, np.abs(x).max(initial=0.0), np.abs(displacement).max(initial=0.0))
     return float(sizes.sum())
 
 
-def largest_force(problem: ContactProblem, balance: Balance, z: Floats) -> float:
+def largest_force(comm: MPI.Comm, balance: Balance, z: Floats) -> float:
     """Return the largest norm of external, contact, support and element forces; collective."""
     supports = balance.reduced.array_r[balance.equal.dofs]
-    norms = norm(problem.comm, z), norm(problem.comm, supports)
-    return max(balance.external, balance.elements, *norms)
-
-
-def gap_round_off(problem: ContactProblem) -> float:
-    """Return the round-off of gaps, which are differences of coordinates; collective."""
-    x, u = problem.V.mesh.geometry.x, problem.u.x.array
-    sizes = maximum(problem.comm, np.abs(x).max(initial=0.0), np.abs(u).max(initial=0.0))
-    return float(GAP_OPERATIONS * EPS * sizes.sum())
+    return max(balance.external, balance.elements, norm(comm, z), norm(comm, supports))
 
 
 def measure(
-    problem: ContactProblem,
+    u: fem.Function,
     balance: Balance,
     contacts: Contacts,
     diagonal: PETSc.Vec,
@@ -109,7 +104,7 @@ def measure(
     """Judge an iterate, with the multipliers at hand; collective.
 
     Args:
-        problem: the problem; its displacement is the iterate.
+        u: the iterate.
         balance: forces and constraints in the geometry that is to be judged.
         contacts: the multipliers of the last QP.
         diagonal: of the last K^, which turns a penetration into the force that undoes it.
@@ -117,19 +112,21 @@ def measure(
         elastic_norm: |u|_e of the iterate.
         rtol: tolerance.
     """
-    comm, z = problem.comm, contacts.reactions(balance)
+    comm, z = u.function_space.mesh.comm, contacts.reactions(balance)
     free = balance.reduced.array_r.copy()
     free[balance.bounds.dofs] -= z
     free[balance.equal.dofs] = 0.0
-    forces = norm(comm, free)
-    scale = max(scales.begun, largest_force(problem, balance, z))
-    floor = round_off(problem, diagonal, scales.extent)
-    limit = max(rtol * scale, FIRST_SHARE * rtol * scales.first, floor)
+    forces, floor = norm(comm, free), round_off(u, diagonal, scales.extent)
+    acting = max(scales.begun, largest_force(comm, balance, z))
+    scale = max(acting, FIRST_SHARE * scales.first)
+    limit = max(rtol * scale, floor)
+    if acting <= floor:  # nothing acts but the round-off of K u, which is a share of |K| |u|
+        scale = max(scale, floor / EPS)
 
-    length = gap_round_off(problem)
+    noise = gap_round_off(u)
     active, gap = contacts.active[balance.nodes], balance.bounds.upper
-    off = np.maximum(np.where(active, np.abs(gap), np.maximum(-gap, 0.0)) - length, 0.0)
-    missed = np.maximum(np.abs(balance.equal.upper) - length, 0.0)
+    off = np.maximum(np.where(active, np.abs(gap), np.maximum(-gap, 0.0)) - noise, 0.0)
+    missed = np.maximum(np.abs(balance.equal.upper) - noise, 0.0)
     stiffness = diagonal.array_r
     pull = norm(
         comm,
@@ -137,9 +134,10 @@ def measure(
         stiffness[balance.equal.dofs] * missed,
     )
     work = comm.allreduce(float(np.abs(z) @ off), op=MPI.SUM)
-    shares = (forces / limit if forces > 0.0 else 0.0), ratio(pull, limit)
-    whole = max(scales.work, elastic_norm**2)
-    widest = float(maximum(comm, off.max(initial=0.0))[0]) / problem.system.facet_length
-    excess = max(*shares, ratio(work, rtol * whole), widest / rtol)
-    relative = max(ratio(pull, max(scale, limit)), ratio(work, whole))
-    return Residuals(ratio(forces, max(scale, limit)), relative, excess, limit)
+    whole = max(scales.work, elastic_norm**2, limit * scales.facet_length)
+    widest = float(maximum(comm, off.max(initial=0.0))[0]) / scales.facet_length
+    excess = max(
+        ratio(forces, limit), ratio(pull, limit), ratio(work, rtol * whole), widest / rtol
+    )
+    contact = max(ratio(pull, scale), ratio(work, whole))
+    return Residuals(ratio(forces, scale), contact, excess, limit)

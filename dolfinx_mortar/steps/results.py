@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
@@ -13,10 +11,8 @@ from dolfinx_mortar.interfaces import results
 from dolfinx_mortar.interfaces.coupling import slipped
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.steps.linearisation import Balance
+from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.residuals import Contacts
-
-if TYPE_CHECKING:
-    from dolfinx_mortar.steps.problem import ContactProblem
 
 log = logging.getLogger(__name__)
 

@@ -12,7 +12,6 @@ import numpy as np
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.steps.linearisation import Balance
-from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.residuals import Contacts
 
 # A fixed point whose change grows so often, Newton converged in between, does not contract.
@@ -36,23 +35,23 @@ class Watch:
         return Watch(self.moving, held=grows, change=change, forces=forces, rises=rises)
 
 
-def at_nodes(problem: ContactProblem, balance: Balance, values: Floats) -> Floats:
-    """Return values (k,) of bounded unknowns at the owned nodes, nan where there is none."""
-    nodal = np.full(problem.n, np.nan)
+def at_nodes(count: int, balance: Balance, values: Floats) -> Floats:
+    """Return values (k,) of bounded unknowns at the owned nodes (count,), nan where is none."""
+    nodal = np.full(count, np.nan)
     nodal[balance.nodes] = values
     return nodal
 
 
 def find_change(
-    problem: ContactProblem, balance: Balance, contacts: Contacts, predicted: Floats
+    comm: MPI.Comm, balance: Balance, contacts: Contacts, predicted: Floats
 ) -> tuple[float, float]:
     """Return how far the gaps of closed contacts are from their prediction.
 
-    The largest in facet lengths, and the work of the contact forces in all of them; collective.
+    The largest, and the work of the contact forces in all of them; collective.
     """
     nodes = balance.nodes
     off = np.abs(balance.bounds.upper - predicted[nodes])
     off[~contacts.active[nodes] | ~np.isfinite(off)] = 0.0
-    largest = float(maximum(problem.comm, off.max(initial=0.0))[0])
-    work = problem.comm.allreduce(float(np.abs(contacts.reactions(balance)) @ off), op=MPI.SUM)
-    return largest / problem.system.facet_length, float(work)
+    largest = float(maximum(comm, off.max(initial=0.0))[0])
+    work = comm.allreduce(float(np.abs(contacts.reactions(balance)) @ off), op=MPI.SUM)
+    return largest, float(work)
