@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Bodies, problems of several interfaces and materials, results, reports."""
 
+import gc
 import json
+import weakref
 
 from mpi4py import MPI
 
@@ -13,6 +15,7 @@ import ufl
 from dolfinx import default_scalar_type, fem, la
 from dolfinx_mortar.steps.bodies import find_bodies
 from dolfinx_mortar.steps.linearisation import find_balance, to_displacement, to_reduced
+from tests.ball_case import create_problem as create_ball
 from tests.block_piles import (
     ABOVE,
     BELOW,
@@ -323,3 +326,18 @@ def test_moment_balances_the_loads(geometry):
     assert tie.force == pytest.approx([0.0, -1.5], abs=1e-10)
     assert tie.moment[2] == pytest.approx(-5.0 / 6.0, rel=1e-10)  # int x (1 + x) dx
     assert report.certificate.moment_balance < 1e-10
+
+
+@pytest.mark.serial
+def test_a_problem_that_is_let_go_is_freed_at_once():
+    """Also after a step with multigrid: a circle of references would keep all matrices."""
+    gc.collect()
+    gc.disable()
+    try:
+        problem, _ = create_ball(depth=0.05)
+        dm.newton(problem)
+        parts = [weakref.ref(part) for part in (problem, problem.linear, problem.solid)]
+        del problem
+        assert not any(part() for part in parts)
+    finally:
+        gc.enable()

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from mpi4py import MPI
@@ -96,20 +97,21 @@ class ContactProblem:
         self.timings = Timings()
         self.loads = Loads(solid.V, solid.u, loads, potential)
         self.supports: Dirichlet = create_dirichlet(solid.V, conditions)
+        with self.timings("mortar"):
+            self.system = InterfaceSystem(self.V, sides, self.supports.fixed)
+            for interface in sides:
+                interface.take(self.supports, self.V)
         with self.timings("setup"):
             self.K = solid.create_matrix()
             self.linear = LinearSolver(
                 self.comm,
                 prefix=petsc_options_prefix,
                 options=(MULTIGRID if self.d == 3 else {}) | dict(petsc_options or {}),
-                preconditioning=lambda held: create_preconditioning(
-                    self.K, self.system, self.supports, held
+                # not a method: a reference to the problem would keep its matrices alive
+                preconditioning=partial(
+                    create_preconditioning, self.K, self.system, self.supports
                 ),
             )
-        with self.timings("mortar"):
-            self.system = InterfaceSystem(self.V, sides, self.supports.fixed)
-            for interface in sides:
-                interface.take(self.supports, self.V)
         self.bodies: Bodies = find_bodies(self.V)
         ties = [
             (side.on_slave, side.on_master)
