@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar import meshing
+from dolfinx_mortar.meshing import bodies, plane
 
 COMM = MPI.COMM_WORLD
 CELLS = ["triangle", "quadrilateral"]
@@ -99,6 +100,33 @@ def test_graded_sizes(cell):
     area = 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
     longest = m.mesh.h(2, np.arange(len(cells), dtype=np.int32))
     assert (area / longest**2).min() > 0.1
+
+
+@pytest.mark.serial
+def test_a_running_gmsh_is_left_as_it_was(monkeypatch):
+    """Its options and its current model, also if the meshing fails; nothing of theirs is used."""
+    import gmsh
+
+    alone = meshing.hertz(COMM, kind="graded", h=0.6, cell="quadrilateral").mesh.geometry.x
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    try:
+        theirs = {"Mesh.MeshSizeMax": 0.3, "Mesh.Algorithm": 5.0, "General.Terminal": 0.0}
+        theirs |= {"Mesh.Algorithm3D": 4.0, "Mesh.MeshSizeFromCurvature": 12.0}
+        for name, value in theirs.items():
+            gmsh.option.setNumber(name, value)
+        gmsh.model.add("theirs")
+        for cell in ("quadrilateral", "triangle"):
+            found = meshing.hertz(COMM, kind="graded", h=0.6, cell=cell).mesh.geometry.x
+            assert cell == "triangle" or np.array_equal(found, alone)
+        meshing.sphere(COMM, h=1.0, cell="tetrahedron")
+        monkeypatch.setattr(bodies, "read_cells", lambda *_: 1 / 0)
+        monkeypatch.setattr(plane, "read_cells", lambda *_: 1 / 0)
+        with pytest.raises(RuntimeError, match="gmsh failed"):
+            meshing.hertz(COMM, kind="graded", h=0.6)
+        assert gmsh.model.getCurrent() == "theirs" and len(gmsh.model.list()) == 2  # and an empty
+        assert {name: gmsh.option.getNumber(name) for name in theirs} == theirs
+    finally:
+        gmsh.finalize()
 
 
 def test_meshing_is_deterministic_and_silent(capfd):

@@ -18,6 +18,19 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 
 Arrays = tuple[Floats, Longs]  # nodes (n, d), cells (m, k)
 
+# All options of gmsh that our meshes set, with gmsh's defaults for those that only some set.
+GMSH_OPTIONS = {
+    "General.Terminal": 0.0,
+    "Mesh.Algorithm": 6.0,
+    "Mesh.Algorithm3D": 1.0,
+    "Mesh.MeshSizeExtendFromBoundary": 0.0,
+    "Mesh.MeshSizeFromCurvature": 0.0,
+    "Mesh.MeshSizeFromPoints": 0.0,
+    "Mesh.MeshSizeMax": 1e22,
+    "Mesh.MeshSizeMin": 0.0,
+    "Mesh.RecombinationAlgorithm": 1.0,
+    "Mesh.RecombineAll": 0.0,
+}
 GMSH_TYPE = {"triangle": 2, "quadrilateral": 3, "tetrahedron": 4}
 NODES = {"triangle": 3, "quadrilateral": 4, "tetrahedron": 4, "hexahedron": 8}
 DIMENSION = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
@@ -32,16 +45,23 @@ def gmsh_model() -> Iterator[Any]:
     started = not gmsh.isInitialized()
     if started:
         gmsh.initialize(readConfigFiles=False, interruptible=False)
+    before = {name: gmsh.option.getNumber(name) for name in GMSH_OPTIONS}
+    model = gmsh.model.getCurrent()
     try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        for source in ("FromPoints", "FromCurvature", "ExtendFromBoundary"):
-            gmsh.option.setNumber(f"Mesh.MeshSize{source}", 0)
+        for name, value in GMSH_OPTIONS.items():
+            gmsh.option.setNumber(name, value)
         gmsh.model.add("dolfinx_mortar body")
-        yield gmsh
-        gmsh.model.remove()
+        try:
+            yield gmsh
+        finally:
+            gmsh.model.remove()
     finally:
         if started:
             gmsh.finalize()
+        else:
+            for name, value in before.items():
+                gmsh.option.setNumber(name, value)
+            gmsh.model.setCurrent(model)
 
 
 def set_graded_size(
@@ -58,8 +78,6 @@ def set_graded_size(
         beyond: length over which it is reached.
     """
     field = gmsh.model.mesh.field
-    gmsh.option.setNumber("Mesh.MeshSizeMin", 0.0)
-    gmsh.option.setNumber("Mesh.MeshSizeMax", 1e22)
     distance, size = field.add("Distance"), field.add("Threshold")
     field.setNumbers(distance, "PointsList", [origin])
     for name, value in (

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from dolfinx import fem
@@ -46,12 +48,20 @@ class Layout:
         self._rows: dict[str, tuple[fem.FunctionSpace, Ints]] = {}  # by name
         self._targets: dict[str, fem.Function] = {}  # for fields of another degree, by name
 
+    def check(self, fields: Mapping[str, fem.Function]) -> None:
+        """Raise a ValueError, without communication, for fields that cannot be written."""
+        for name, function in fields.items():
+            if function.function_space.mesh is not self.V.mesh:
+                raise ValueError(
+                    f"output field {name!r} lives on another mesh than the displacement."
+                )
+
     def values(self, name: str, function: fem.Function) -> tuple[Floats, str]:
-        """Return the owned values, padded, shape (n, components), and "Node" or "Cell"."""
-        space = function.function_space
-        if space.mesh is not self.V.mesh:
-            raise ValueError(f"output field {name!r} lives on another mesh than the displacement.")
-        degree = space.ufl_element().degree
+        """Return the owned values, padded, shape (n, components), and "Node" or "Cell"; collective.
+
+        What is of another degree than the displacement is interpolated in a space of its own.
+        """
+        degree = function.function_space.ufl_element().degree
         if degree != 0 and degree != self.element.degree:
             function = self._interpolate(name, function)
         rows = self._permutation(name, function.function_space)

@@ -105,7 +105,11 @@ class Writer:
         self.problem = problem
         self._layout = Layout(V)
         self._open = True
-        self._grid_head = self._write_mesh(V, TOPOLOGY[cell])
+        try:
+            self._grid_head = self._write_mesh(V, TOPOLOGY[cell])
+        except BaseException:
+            self._leave()
+            raise
 
     def write(self, t: float) -> None:
         """Add the problem's current fields as the step at time (or load) t.
@@ -123,7 +127,8 @@ class Writer:
         with raised_together(self.comm):
             ET.SubElement(grid, "Time", Value=repr(_time(t)))
             keys = field_keys(fields)
-            found = {name: self._layout.values(name, f) for name, f in fields.items()}
+            self._layout.check(fields)
+        found = {name: self._layout.values(name, f) for name, f in fields.items()}
         grid.extend(self._grid_head)
         demand_room(
             self.comm, self.path, sum(values.nbytes for values, _ in found.values()), len(found)

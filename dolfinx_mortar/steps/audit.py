@@ -241,7 +241,8 @@ def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     lengths = [mean_facet_length(s) for s in (sides.slave, sides.master)]
     ratio = float(lengths[0] / lengths[1])
     # what is round-off of the coordinates is no gap
-    size = EXACT * max(float(lengths[0]), float(np.abs(sides.V.mesh.geometry.x).max(initial=0.0)))
+    x = np.abs(sides.V.mesh.geometry.x).max(initial=0.0)
+    size = EXACT * max(float(lengths[0]), float(maximum(sides.V.mesh.comm, x)[0]))
     ends = [0.0 if abs(end) < size or np.isinf(end) else float(end) for end in (-least, largest)]
     return InterfaceAudit(repr(link.interface), *map(int, counts), ratio, *ends)  # type: ignore[call-arg]
 

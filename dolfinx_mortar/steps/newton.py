@@ -5,7 +5,8 @@ One iteration, at u with contacts (active set, multipliers) and a geometry:
 
     1  solve min 1/2 dy.K^ dy - r^.dy, lower <= dy <= upper          as accurate as 5 will show
     2  u <- u + t T dy, t by line search; the QP's reactions are the new multipliers
-    3  unless the geometry is held: rebuild normals, segments, D, M and T at u
+    3  rebuild normals, segments, D, M and T at u, unless the geometry is held and Newton has not
+       yet converged in it
     4  residuals of forces and contact at u, in that geometry, with these multipliers
     5  done if all are within what is allowed
 
@@ -66,7 +67,7 @@ FARTHEST = 1e3
 def newton(
     problem: ContactProblem, *, qp: str = "active-set", rtol: float = 1e-6, max_it: int = 50
 ) -> StepReport:
-    """Solve one load step from the committed state; collective.
+    """Solve one load step, from the present u and contacts and the committed state; collective.
 
     At the iterate u^k the energy is replaced by its quadratic model (paper, eq. 9) and the
     bound-constrained QP is solved (eq. 10), warm-started from the last contact set. The step is
