@@ -60,7 +60,7 @@ class PointContact:
 
 @dataclass(frozen=True)
 class FirstYield:
-    """Load at which a line contact first yields: on the axis of symmetry, at or below the surface."""
+    """Load at which a line contact first yields: on its axis, at or below the surface."""
 
     peak_pressure: float
     half_width: float

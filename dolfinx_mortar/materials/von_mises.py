@@ -21,8 +21,6 @@ from ufl.core.expr import Expr
 YIELD_TOLERANCE = 1e-10
 # Keeps |xi| differentiable at xi = 0; relative to Y, so independent of the units.
 NORM_GUARD = 1e-14
-# Plastic strains below this times Y/E are no plastic deformation.
-PLASTIC_STRAIN_FLOOR = 1e-12
 
 
 @dataclass(frozen=True)
@@ -120,8 +118,5 @@ class VonMises:
 
     @staticmethod
     def output(state: Mapping[str, np.ndarray], p: SimpleNamespace) -> dict[str, np.ndarray]:
-        """Return the back stress a ep (q, components) and the indicator of plastic points (q,)."""
-        ep = state["plastic_strain"]
-        largest = np.abs(ep).max(axis=-1)
-        plastic = (largest > PLASTIC_STRAIN_FLOOR * p.Y / p.E).astype(float)
-        return {"back_stress": p.a[:, None] * ep, "plastic": plastic}
+        """Return the back stress a ep (q, components)."""
+        return {"back_stress": p.a[:, None] * state["plastic_strain"]}

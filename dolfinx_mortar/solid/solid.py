@@ -240,7 +240,10 @@ class Solid:
         }
 
     def plastic_area(self) -> float:
-        """Return the area (volume in 3D) whose plastic strain is not zero."""
+        """Return the area (volume in 3D) whose plastic strain is not zero, whatever the law.
+
+        A law whose `output` has a field ``plastic``, one or zero, says itself where it is.
+        """
         return self.fields.integral("plastic") if "plastic" in self.fields.names else 0.0
 
 
