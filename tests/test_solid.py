@@ -266,6 +266,37 @@ def test_a_law_that_is_undefined_on_one_rank_is_an_error_on_all() -> None:
     assert not solid.state["wear"].x.array.any()
 
 
+@dataclass(frozen=True)
+class Stretched(Logarithmic):
+    """A law that is undefined where it is pressed together too much."""
+
+    @staticmethod
+    def updated_state(eps: Any, state: Any, p: SimpleNamespace) -> dict[str, Any]:
+        """Return ln(1 + c eps_xx)."""
+        return {"wear": ufl.ln(1 + p.c * eps[0, 0])}
+
+
+def test_an_evaluation_that_fails_changes_nothing() -> None:
+    """Neither what is shown nor what a later commit takes, on any rank, in any body."""
+    domain = create_domain("triangle", 6)
+    tags = create_tags(domain, lambda x: 1 + (x[:, 0] < 0.5))
+    solid = Solid(create_displacement(domain), {1: STEEL, 2: Stretched(1.0, 0.3, 5.0)}, tags)
+    set_wave(solid.u, 1e-2)
+    solid.evaluate()
+    names = ("stress", "wear", "plastic_strain", "plastic", "von_mises")
+    good = {name: solid.fields.values(name).copy() for name in names}
+    everywhere = solid.stress.x.array.copy()
+    solid.u.interpolate(lambda x: np.stack([-0.3 * x[0] * x[1], 0 * x[1]]))
+    with pytest.raises(ValueError, match="Stretched: wear is NaN or infinite"):
+        solid.evaluate()
+    assert np.array_equal(solid.stress.x.array, everywhere)
+    assert all(np.array_equal(solid.fields.values(name), good[name]) for name in names)
+    solid.commit()
+    taken = [f.x.array for f in solid.state.values()]
+    assert all(np.isfinite(values).all() for values in taken)
+    assert COMM.allreduce(sum(float(np.abs(values).sum()) for values in taken)) > 0.0
+
+
 def test_output_fields() -> None:
     """Norms, components, averages and the plastic area agree with the stored components."""
     solid = create_loaded("quadrilateral")

@@ -182,6 +182,7 @@ class Solid:
 
         Raises:
             ValueError: on all ranks, if a law gives NaN or infinity on any; the message names it.
+                All that is shown, and what `commit` would take, is then as before.
         """
         fill_all(self.mesh.comm, self._evaluations)
 
