@@ -12,6 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 
+import dolfinx.jit
 import ffcx.codegeneration.jit
 import ufl
 from dolfinx import fem, la, mesh
@@ -433,6 +434,25 @@ def test_nothing_is_compiled_for_other_numbers(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(ffcx.codegeneration.jit, "_compile_objects", refuse)
     for i in range(1, 4):
         use(4 + i, 10 * i, 10.0**i)
+
+
+def test_a_step_compiles_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All that it calls is there when the solid is made: even what is compiled costs a look-up."""
+    solid = Solid(create_displacement(create_domain("triangle")), STEEL)
+
+    def refuse(*_: Any, **__: Any) -> None:
+        raise AssertionError("a form or expression was created")
+
+    monkeypatch.setattr(dolfinx.jit, "ffcx_jit", refuse)
+    set_wave(solid.u, 1e-2)
+    residual(solid)
+    solid.assemble_tangent(solid.create_matrix())
+    assert min(solid.energy(), solid.elastic_norm(solid.u), solid.element_force_norm()) > 0.0
+    solid.evaluate()
+    solid.commit()
+    assert solid.max("plastic_strain_norm") > 0.0
+    with pytest.raises(AssertionError, match="was created"):
+        solid.plastic_area()  # the refusal works
 
 
 def test_units_of_length() -> None:
