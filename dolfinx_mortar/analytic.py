@@ -25,6 +25,8 @@ from dolfinx_mortar.arrays import Bools, Floats
 EDGE = 0.1
 # A fit without the edge needs that many nodes.
 ENOUGH = 5
+# Distances whose squares differ by less than this share of the largest are one: by round-off.
+SAME_DISTANCE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -305,7 +307,7 @@ def _leave_out(x: Floats, y: Floats, edge: Bools) -> tuple[Floats, Floats]:
 
 def _fit_line(x: Floats, y: Floats) -> tuple[float, float]:
     """Return (c0, c1) of the least-squares line y = c0 + c1 x; NaN for fewer than two x."""
-    if len(x) < 2 or np.ptp(x) <= 1e-12 * np.max(x):
+    if len(x) < 2 or np.ptp(x) <= SAME_DISTANCE * np.max(x):
         return np.nan, np.nan
     slope = float(np.sum((x - x.mean()) * (y - y.mean())) / np.sum((x - x.mean()) ** 2))
     return float(y.mean()) - slope * float(x.mean()), slope

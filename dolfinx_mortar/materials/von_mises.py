@@ -16,10 +16,12 @@ from dolfinx_mortar.materials.elastic import Elastic, shear_modulus
 from dolfinx_mortar.materials.protocol import check_parameters
 from ufl.core.expr import Expr
 
-# A committed plastic point lies on the yield surface up to round-off. Without a dead band, 12-20 %
-# of such points would count as plastic at the start of the next step. Relative to Y.
+# A committed plastic point lies on the yield surface up to round-off, which is that of 2 mu eps:
+# 1e-16 Y times the strain over the yield strain, so the band is wide enough for 1e5 of those.
+# Without it, 12-20 % of such points would count as plastic at the start of the next step.
 YIELD_TOLERANCE = 1e-10
-# Keeps |xi| differentiable at xi = 0; relative to Y, so independent of the units.
+# Keeps |xi| differentiable at xi = 0; relative to Y, so independent of the units. At |xi| = Y any
+# guard below 1e-8, the root of round-off, changes nothing; its square must not vanish beside zero.
 NORM_GUARD = 1e-14
 
 
