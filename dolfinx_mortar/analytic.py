@@ -25,6 +25,8 @@ from dolfinx_mortar.arrays import Bools, Floats
 EDGE = 0.1
 # A fit without the edge needs that many nodes.
 ENOUGH = 5
+# Distances whose squares differ by less than this share of the largest are one: by round-off.
+SAME_DISTANCE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -60,12 +62,12 @@ class PointContact:
 
 @dataclass(frozen=True)
 class FirstYield:
-    """Load at which a line contact first yields, below the surface on the axis of symmetry."""
+    """Load at which a line contact first yields: on its axis, at or below the surface."""
 
     peak_pressure: float
     half_width: float
     force: float  # per unit thickness
-    depth: float  # of the point that yields first
+    depth: float  # of the point that yields first, 0 at the surface
     ratio: float  # largest von Mises stress over peak pressure
 
 
@@ -221,8 +223,8 @@ def first_yield_line(
 ) -> FirstYield:
     """Find the load at which the first body of a line contact starts to yield (von Mises).
 
-    The von Mises stress on the axis is maximised over the depth; for common nu that is the
-    largest of the whole half-plane.
+    The von Mises stress is largest on the axis, and there either below the surface, at half to
+    0.8 half-widths, or for nu below about 0.194 at it, where it is (1 - 2 nu) p0.
 
     Args:
         yield_stress: Uniaxial yield stress of the first body (sqrt(3/2) Y for the Frobenius
@@ -251,10 +253,11 @@ def first_yield_line(
         return float(np.sqrt(0.5 * np.sum((s - np.roll(s, 1)) ** 2)))
 
     found = minimize_scalar(lambda z: -von_mises(z), bounds=(0.2, 2.0), options={"xatol": 1e-10})
-    ratio = -float(found.fun)
+    # From the surface it falls at first, for every nu: a second maximum, not the end of this one.
+    ratio, depth = max((-float(found.fun), float(found.x)), (von_mises(0.0), 0.0))
     p0 = yield_stress / ratio
     a = 2.0 * p0 * R / E_star  # from p0 = 2 F/(pi a) and a^2 = 4 F R/(pi E*)
-    return FirstYield(p0, a, 0.5 * np.pi * a * p0, float(found.x) * a, ratio)
+    return FirstYield(p0, a, 0.5 * np.pi * a * p0, depth * a, ratio)
 
 
 def fit_pressure(x: npt.ArrayLike, p: npt.ArrayLike) -> tuple[float, float]:
@@ -304,7 +307,7 @@ def _leave_out(x: Floats, y: Floats, edge: Bools) -> tuple[Floats, Floats]:
 
 def _fit_line(x: Floats, y: Floats) -> tuple[float, float]:
     """Return (c0, c1) of the least-squares line y = c0 + c1 x; NaN for fewer than two x."""
-    if len(x) < 2 or np.ptp(x) <= 1e-12 * np.max(x):
+    if len(x) < 2 or np.ptp(x) <= SAME_DISTANCE * np.max(x):
         return np.nan, np.nan
     slope = float(np.sum((x - x.mean()) * (y - y.mean())) / np.sum((x - x.mean()) ** 2))
     return float(y.mean()) - slope * float(x.mean()), slope

@@ -66,6 +66,38 @@ def test_first_yield_ratio_and_depth(nu, ratio, depth):
     assert y.depth / y.half_width == pytest.approx(depth, abs=1e-3)
 
 
+def sampled_von_mises(nu):
+    """Return where a line contact's von Mises stress is largest, (value, x, depth), over a grid.
+
+    Inside, the field of a line force is superposed; the surface of the contact is under the
+    pressure p(x) from both sides, the greatest in the middle.
+    """
+    k = np.arange(1, 401) * np.pi / 401  # Gauss-Chebyshev rule of the second kind
+    t, weight = np.cos(k), np.pi / 401 * np.sin(k) ** 2
+    x, z = np.meshgrid(np.linspace(0.0, 1.5, 31), np.linspace(0.04, 2.0, 99))
+    arm, depth = x[..., None] - t, z[..., None]
+    force = -2 / np.pi * weight / (arm**2 + depth**2) ** 2
+    parts = (arm**2 * depth, depth**3, arm * depth**2)
+    sx, sy, shear = ((force * part).sum(axis=-1) for part in parts)
+    sz = nu * (sx + sy)
+    squares = (sx - sy) ** 2 + (sy - sz) ** 2 + (sz - sx) ** 2
+    values = np.sqrt(0.5 * squares + 3 * shear**2)
+    inside = np.unravel_index(values.argmax(), values.shape)
+    found = tuple(float(a[inside]) for a in (values, x, z))
+    return max(found, (1 - 2 * nu, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("nu", [-0.5, 0.0, 0.15, 0.19, 0.2, 0.29, 0.499])
+def test_first_yield_is_where_the_half_plane_is_stressed_most(nu):
+    """At the surface for nu below about 0.194, else below it; on the axis."""
+    largest, x, depth = sampled_von_mises(nu)
+    y = analytic.first_yield_line(450.0, 8.0, 206_900.0, nu, 206_900.0, nu)
+    assert x == 0.0 and (depth == 0.0) == (nu < 0.194)
+    assert y.ratio == pytest.approx(largest, rel=1e-4)
+    assert y.depth / y.half_width == pytest.approx(depth, abs=0.02)
+    assert y.peak_pressure == pytest.approx(450.0 / largest, rel=1e-4)
+
+
 def test_first_yield_of_the_benchmark():
     y = analytic.first_yield_line(450.0, 8.0, *STEEL)
     numbers = (y.peak_pressure, y.half_width, y.force, y.depth)

@@ -9,11 +9,14 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
+import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.materials import Elastic
 from dolfinx_mortar.solid.kinematics import kinematics_of_dimension, plane_strain, spatial
 from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.steps.bodies import find_bodies, free_motions
+from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_blocks
 
 pytestmark = pytest.mark.mpi
 COMM = MPI.COMM_WORLD
@@ -107,9 +110,9 @@ def test_a_finite_rotation_is_no_finite_strain():
 
 def test_the_weight_is_in_every_integral():
     """With 2 pi r a plane cut stands for a ring: its volume, and each force and energy of it."""
-    ring = dataclasses.replace(plane_strain, name="ring", weight=lambda x: 2 * np.pi * x[0])
+    ring = weighing(lambda x: 2 * np.pi * x[0])
     u = create_displacement(2)
-    plain, weighted = Solid(u, LAW, quadrature_degree=2), None
+    plain = Solid(u, LAW, quadrature_degree=2)
     weighted = Solid(u, LAW, quadrature_degree=2, kinematics=ring)
     assert np.isclose(total(weighted.fields.weights), math.pi * (3.0**2 - 1.0**2), rtol=1e-13)
     # a uniform strain: energy per area times the volume
@@ -122,6 +125,61 @@ def test_the_weight_is_in_every_integral():
     power = total(forces(weighted) * u.x.array[: len(forces(weighted))])
     assert np.isclose(power, 2 * weighted.energy(), rtol=1e-12)
     assert weighted.element_force_norm() > 2 * math.pi * plain.element_force_norm()
+
+
+def weighing(weight):
+    """Return plane strain with another weight."""
+    return dataclasses.replace(plane_strain, name="ring", weight=weight)
+
+
+@pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
+@pytest.mark.parametrize(
+    ("weight", "written"), [(lambda x: 2 * x[0], r"2 \* x\[0\]"), (lambda x: 2.5, r"2\.5")]
+)
+def test_interfaces_refuse_a_weight(kind, weight, written):
+    """They integrate without it: pressures would be wrong by that factor, without a word."""
+    domain, _, tags = two_blocks(COMM, (2, 2), (3, 2))
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
+    interface = kind(tags, slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER)
+    solid = Solid(u, LAW, kinematics=weighing(weight))
+    dm.ContactProblem(solid)
+    message = rf"solid: its kinematics 'ring' have the weight .*{written}.*whose weight is 1"
+    with pytest.raises(ValueError, match=message):
+        dm.ContactProblem(solid, [interface])
+    for one in (1, 1.0):
+        dm.ContactProblem(Solid(u, LAW, kinematics=weighing(lambda x, w=one: w)), [interface])
+
+
+def along_the_axis(x):
+    """Return the only rigid motion of a ring."""
+    return {"shift along the axis": np.tile([0.0, 1.0], (len(x), 1))}
+
+
+def constraint(bodies, weights):
+    """Return a function of the sum of the bodies' mean displacements times weights (bodies, d)."""
+
+    def value(v):
+        motion = v.array_r.reshape(-1, 2)
+        mean = bodies.mean(motion, np.ones_like(motion, dtype=bool))
+        return np.atleast_1d(np.sum(mean * weights) * (COMM.rank == 0))
+
+    return value
+
+
+def test_motions_that_nothing_holds_are_those_of_the_kinematics():
+    """A ring has one only; a body of no rigid motion is held."""
+    domain, _, _ = two_blocks(COMM, (2, 2), (3, 2))
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    assert len(find_bodies(V).rigid_modes()) == 6
+    bodies = find_bodies(V, along_the_axis)
+    assert [name for _, name, _ in bodies.rigid_modes()] == 2 * ["shift along the axis"]
+    across, along = np.array([[0, 0], [0, 1.0]]), np.array([[0, 1.0], [0, -1.0]])
+    (free,) = free_motions(bodies, [constraint(bodies, across)])
+    assert free.startswith("shift along the axis of the body around [")
+    (free,) = free_motions(bodies, [constraint(bodies, along)])
+    assert free.startswith("shift along the axis of the bodies around [") and "together" in free
+    assert free_motions(bodies, [constraint(bodies, w) for w in (across, along)]) == []
+    assert free_motions(find_bodies(V, lambda x: {}), [constraint(bodies, along)]) == []
 
 
 @pytest.mark.parametrize("d", [2, 3])

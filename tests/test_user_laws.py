@@ -90,6 +90,10 @@ def forgets_alpha(e, s, p):
     return {"plastic_strain": s["plastic_strain"]}
 
 
+def same(e, s, p):
+    return dict(s)
+
+
 def one_too_many(e, s, p):
     return dict(s) | {"beta": s["alpha"]}
 
@@ -241,6 +245,60 @@ def test_own_fields_are_listed_and_can_be_asked_for():
     assert "alpha_norm" not in solid.fields.names
     with pytest.raises(ValueError, match="no field 'alpha_norm'"):
         solid.max("alpha_norm")
+
+
+def scalar_plasticity():
+    """Return a law whose plastic strain is a scalar, not zero where it is stretched."""
+
+    def update(strain, state, p):
+        return {"plastic_strain": ufl.conditional(ufl.gt(strain[0, 0], 0.01), strain[0, 0], 0.0)}
+
+    def stress(strain, state, p):
+        return dm.Elastic.elastic_stress(strain, p)
+
+    state = {"plastic_strain": ()}
+    return variant(state=state, updated_state=update, stress=stress, output=None)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("laws", "share"),
+    [
+        ((Isotropic(1000.0, 0.3, 1.0, 100.0),), 0.5),
+        ((dm.VonMises(1000.0, 0.3, 1.0, 100.0),), 0.5),
+        ((scalar_plasticity(),), 0.5),
+        ((Isotropic(1000.0, 0.3, 1.0, 100.0), dm.Elastic(1000.0, 0.3)), 0.5),
+        ((dm.Elastic(1000.0, 0.3), Isotropic(1000.0, 0.3, 1.0, 100.0)), 0.0),
+        ((dm.VonMises(1e3, 0.3, 1.0, 1e2),) * 2 + (Isotropic(1e3, 0.3, 1.0, 1e2),) * 4, 0.5),
+        ((Isotropic(1e3, 0.3, 1.0, 1e2),) * 2 + (dm.VonMises(1e3, 0.3, 1.0, 1e2),) * 4, 0.5),
+        ((variant(output=lambda s, p: {"plastic": s["alpha"] + 1.0}, updated_state=same),), 1.0),
+    ],
+)
+def test_the_plastic_area_is_that_of_every_law(laws, share):
+    """Laws by their plastic strain, tensor or scalar; one that says itself what is plastic wins."""
+    solid = create_solid(*laws)
+    solid.u.interpolate(lambda x: np.stack([0.02 * np.minimum(x[0], 0.5), 0 * x[1]]))
+    solid.evaluate()
+    assert solid.plastic_area() == pytest.approx(share, rel=1e-12)
+    assert solid.max("plastic") == (share > 0)
+    assert "plastic" in solid.output_fields()
+
+
+@pytest.mark.mpi
+def test_an_internal_variable_may_be_called_plastic():
+    """Then it is what the law says it is, here a tensor."""
+    state = {"plastic_strain": (3, 3), "plastic": (3, 3)}
+    update = {name: ufl.Identity(3) for name in state}
+    solid = create_solid(
+        variant(
+            state=state,
+            updated_state=lambda *_: update,
+            output=None,
+            stress=lambda e, s, p: dm.Elastic.elastic_stress(e, p),
+        )
+    )
+    solid.evaluate()
+    assert solid.max("plastic_xx") == 1.0
 
 
 def test_check_accepts_what_fits():

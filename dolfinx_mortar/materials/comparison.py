@@ -13,14 +13,13 @@ import numpy as np
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.compiled import CompiledLaw, Point
 from dolfinx_mortar.materials.protocol import check_declaration
-from dolfinx_mortar.materials.tensor import COMPONENTS
+from dolfinx_mortar.materials.tensor import COMPONENTS, INDEX
 
 PATHS, STRAINS = 8, 6  # random strain paths, and strains on each, over five decades
 # Of finite differences, relative to the strain; the better counts. The short one is nearly exact,
 # the long one survives the round-off of formulas that cancel at small strains.
 LENGTHS = (1e-5, 1e-3)
 RTOL = 1e-5  # errors of central differences are near LENGTH^2 and eps/LENGTH
-INDEX = [("xyz".index(name[0]), "xyz".index(name[1])) for name in COMPONENTS[3]]
 SHEAR = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])  # how often a stored component is in a tensor
 
 

@@ -18,7 +18,7 @@ import ffcx.codegeneration.jit
 import ufl
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.response import elastic_response, respond
-from dolfinx_mortar.materials.tensor import from_components
+from dolfinx_mortar.materials.tensor import from_components, to_components
 from ufl.core.expr import Expr
 
 
@@ -80,7 +80,8 @@ class CompiledLaw:
         scalars = [tensor[a, b] for tensor in tensors for a in range(3) for b in range(3)]
         scalars.append(ufl.as_ufl(0.0) if response.energy is None else response.energy)
         for name, shape in self.shapes.items():
-            scalars += _stored(response.updated[name]) if shape else [response.updated[name]]
+            new = response.updated[name]
+            scalars += to_components(new, 6) if shape else [new]
         self._kernel = _compile(ufl.as_vector(scalars))
         self._count = len(scalars)
 
@@ -101,11 +102,6 @@ class CompiledLaw:
         for name, shape in self.shapes.items():
             new[name], rest = (rest[:6], rest[6:]) if shape else (rest[0], rest[1:])
         return Point(stress, elastic, change, float(energy), new)
-
-
-def _stored(tensor: Expr) -> list[Expr]:
-    """Return the six stored components of a tensor."""
-    return [tensor[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))]
 
 
 def _compile(vector: Expr) -> Any:

@@ -21,7 +21,8 @@ import ufl
 from ufl.core.expr import Expr
 
 COMPONENTS = {2: ("xx", "yy", "zz", "xy"), 3: ("xx", "yy", "zz", "xy", "yz", "xz")}
-_ROW_COLUMN = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
+# Row and column of each stored component.
+INDEX = tuple(("xyz".index(name[0]), "xyz".index(name[1])) for name in COMPONENTS[3])
 
 
 def from_components(c: Expr) -> Expr:
@@ -33,7 +34,7 @@ def from_components(c: Expr) -> Expr:
 
 def to_components(tensor: Expr, size: int) -> Expr:
     """Return the vector of the first `size` (4 or 6) stored components of a 3x3 tensor."""
-    return ufl.as_vector([tensor[i, j] for i, j in _ROW_COLUMN[:size]])
+    return ufl.as_vector([tensor[i, j] for i, j in INDEX[:size]])
 
 
 def frobenius_norm(c: np.ndarray) -> np.ndarray:

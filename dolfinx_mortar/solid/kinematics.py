@@ -2,7 +2,8 @@
 """Kinematics: what makes a problem plane strain or spatial, in one frozen record.
 
 A law sees the 3x3 strain that the measure gives and nothing else; the integrals over the bodies see
-the weight; what asks for motions without strain sees the rigid motions.
+the weight, which those over interfaces do not know yet; what asks which motions nothing holds sees
+the rigid motions.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ class Kinematics:
     name: str
     measure: Callable[[Expr], Expr]  # displacement -> strain, 3x3
     weight: Callable[[Any], Any]  # coordinates -> volume per integrated area or volume, such as 1
-    rigid_motions: Callable[[Floats], dict[str, Floats]]  # (n, d) -> name: (n, d), no strain
+    # (n, d) -> name: (n, d), without strain and affine; about any other centre, and for other units
+    # of length, they have to be sums of each other
+    rigid_motions: Callable[[Floats], dict[str, Floats]]
 
     def virtual(self, u: Expr, v: Expr) -> Expr:
         """Return the strain that v causes at u, linear in v: d measure(u)/du [v]."""

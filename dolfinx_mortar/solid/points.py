@@ -96,7 +96,8 @@ class PointFields:
 
         Args:
             name: a stored field ("stress", "plastic_strain", or a law's own internal variable or
-                output such as "back_stress", "plastic"), "von_mises", a tensor's name followed by
+                output such as "back_stress"), "plastic" (one where there is plastic strain, zero
+                elsewhere), "von_mises", a tensor's name followed by
                 "_norm" (Frobenius), "_vector_norm" (stored components, shear once) or a component
                 ("stress_yy"), or "hardening", the vector norm of the back stress. What only
                 plasticity has is zero in elastic bodies.
@@ -151,12 +152,20 @@ class PointFields:
         return values[..., 0] if dofmap.bs == 1 else values
 
     def _output(self, region: Region, cells: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the derived fields of a region's law in some of its cells, cell by cell."""
+        """Return the derived fields of a region's law in some of its cells, cell by cell.
+
+        What is plastic follows from the plastic strain of any law, unless a law says it itself.
+        Laws leave the state of a point that does not flow exactly as it is, so zero means zero.
+        """
         state = {}
         for name in region.law.state:
             values = self._at_points(self._stored[name])[cells]
             state[name] = values.reshape(cells.size * self._points, *values.shape[2:])
-        return region.output(state, cells, self._points)
+        fields = region.output(state, cells, self._points)
+        if "plastic_strain" in state and "plastic" not in self._stored:
+            strain = np.atleast_2d(state["plastic_strain"].T)  # (components, q)
+            fields.setdefault("plastic", strain.any(axis=0).astype(float))
+        return fields
 
     @cached_property
     def weights(self) -> np.ndarray:

@@ -3,16 +3,16 @@
 
 A step ends with `evaluate`, which shows its results, and is accepted by `commit`.
 
-Everything is compiled and allocated when a `Solid` is made (what only serves output: when first
-asked for). The compiled code depends on the cell type and the laws, not on the mesh, the tags or
-the values of the parameters, which live in cell-wise constant Functions.
+Everything that a step needs is compiled and allocated when a `Solid` is made; only the weights of
+integration points and averages over cells, which serve output and messages, when first asked for.
+The compiled code depends on the cell type and the laws, not on the mesh, the tags or the values of
+the parameters, which live in cell-wise constant Functions.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import cached_property
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -30,7 +30,6 @@ from dolfinx_mortar.solid.kinematics import Kinematics, kinematics_of_dimension
 from dolfinx_mortar.solid.laws import create_regions
 from dolfinx_mortar.solid.points import PointFields
 from dolfinx_mortar.solid.state import (
-    Evaluation,
     create_evaluations,
     create_field,
     create_state,
@@ -97,7 +96,7 @@ class Solid:
         self.state = create_state(self.regions, self.mesh, self.quadrature_degree)
         self._staged = {name: f.copy() for name, f in self.state.items()}
         self.stress = create_field(self.mesh, self.quadrature_degree, (3, 3), "stress")
-        self._responses = create_responses(u, self.regions, self.state, self.kinematics)
+        responses = create_responses(u, self.regions, self.state, self.kinematics)
         weight = self.kinematics.weight
         self.fields = PointFields(
             self.stress, self._staged, self.regions, self.quadrature_degree, weight
@@ -105,8 +104,9 @@ class Solid:
         with raised_together(self.mesh.comm):
             self.fields.bases  # noqa: B018 - judges what the laws put out
         self._forms = create_forms(
-            u, self.regions, self._responses, self.kinematics, self.quadrature_degree
+            u, self.regions, responses, self.kinematics, self.quadrature_degree
         )
+        self._evaluations = create_evaluations(self.regions, responses, self._staged, self.stress)
 
     @property
     def mesh(self) -> mesh.Mesh:
@@ -182,6 +182,7 @@ class Solid:
 
         Raises:
             ValueError: on all ranks, if a law gives NaN or infinity on any; the message names it.
+                All that is shown, and what `commit` would take, is then as before.
         """
         fill_all(self.mesh.comm, self._evaluations)
 
@@ -206,11 +207,6 @@ class Solid:
             per_point = differs.reshape(-1, dofmap.bs).any(axis=1)
             changed |= per_point[dofmap.list[: points[0]]]
         return changed
-
-    @cached_property
-    def _evaluations(self) -> list[Evaluation]:
-        """Expressions of stress and internal variables per region, compiled at the first use."""
-        return create_evaluations(self.regions, self._responses, self._staged, self.stress)
 
     def max(self, name: str) -> float:
         """Return the largest value of a scalar field over all integration points (collective).
@@ -240,7 +236,10 @@ class Solid:
         }
 
     def plastic_area(self) -> float:
-        """Return the area (volume in 3D) whose plastic strain is not zero."""
+        """Return the area (volume in 3D) whose plastic strain is not zero, whatever the law.
+
+        A law whose `output` has a field ``plastic``, one or zero, says itself where it is.
+        """
         return self.fields.integral("plastic") if "plastic" in self.fields.names else 0.0
 
 

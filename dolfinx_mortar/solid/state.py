@@ -43,13 +43,24 @@ class Evaluation:
 
 
 def fill_all(comm: MPI.Comm, evaluations: Sequence[Evaluation]) -> None:
-    """Evaluate all expressions; collective.
+    """Evaluate all expressions; if that raises, the Functions are as before; collective.
 
     Raises:
         ValueError: on all ranks, if a law gives NaN or infinity on any, naming the law.
     """
-    for evaluation in evaluations:
-        evaluation.fill()
+    before = {f: f.x.array.copy() for f in {evaluation.target for evaluation in evaluations}}
+    try:
+        for evaluation in evaluations:
+            evaluation.fill()
+        _check_defined(comm, evaluations)
+    except BaseException:
+        for f, values in before.items():
+            f.x.array[:] = values
+        raise
+
+
+def _check_defined(comm: MPI.Comm, evaluations: Sequence[Evaluation]) -> None:
+    """Raise a ValueError on all ranks if a law has given NaN or infinity on any; collective."""
     counts = maximum(comm, *(float(evaluation.undefined()) for evaluation in evaluations))
     for evaluation, count in zip(evaluations, counts, strict=True):
         if count:

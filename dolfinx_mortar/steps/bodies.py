@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -36,6 +37,7 @@ class Bodies:
     label: Ints  # (owned nodes,) body of each node
     centre: Floats  # (count, d) mean of the nodes' coordinates
     radius: Floats  # (count,) root mean square distance of the nodes from the centre
+    motions: Callable[[Floats], dict[str, Floats]] = translations_and_rotations  # see `Kinematics`
 
     def rigid_modes(self) -> list[tuple[int, str, PETSc.Vec]]:
         """Return (body, name, displacement) of every rigid motion, rotations scaled by 1/radius."""
@@ -45,7 +47,7 @@ class Bodies:
         for body in range(self.count):
             on = (self.label == body)[:, None]
             arm = (x - self.centre[body]) / self.radius[body]
-            motions = translations_and_rotations(arm)
+            motions = self.motions(arm)
             modes += [(body, name, self._vector(m * on)) for name, m in motions.items()]
         return modes
 
@@ -75,8 +77,16 @@ class Bodies:
         return np.asarray(total[:, 0] / np.maximum(total[:, 1], 1.0))
 
 
-def find_bodies(V: fem.FunctionSpace) -> Bodies:
-    """Find the connected parts of the mesh through the nodes that cells share; collective."""
+def find_bodies(
+    V: fem.FunctionSpace,
+    motions: Callable[[Floats], dict[str, Floats]] = translations_and_rotations,
+) -> Bodies:
+    """Find the connected parts of the mesh through the nodes that cells share; collective.
+
+    Args:
+        V: space of the displacement.
+        motions: those without strain, the `rigid_motions` of the solid's kinematics.
+    """
     layout, comm = V.dofmap.index_map, V.mesh.comm
     n_owned, n_local = layout.size_local, layout.size_local + layout.num_ghosts
     cells = V.dofmap.list
@@ -99,7 +109,7 @@ def find_bodies(V: fem.FunctionSpace) -> Bodies:
     label = np.searchsorted(np.unique(used), label).astype(np.int32)
     count = len(np.unique(used))
 
-    return _measure(V, count, label)
+    return dataclasses.replace(_measure(V, count, label), motions=motions)
 
 
 def find_tied_groups(bodies: Bodies, sides: Sequence[tuple[Bools, Bools]]) -> Ints:
@@ -154,6 +164,8 @@ def free_motions(
         bodies together, then sums of motions; empty if all is held.
     """
     modes = bodies.rigid_modes()
+    if not modes:
+        return []
     gram = np.zeros((len(modes), len(modes)))
     for sign, functions in ((1.0, constraints), (-1.0, facets)):
         columns = [
@@ -211,19 +223,14 @@ def _groups(null: Floats, body: npt.NDArray[np.int_]) -> list[list[int]]:
 def _common_motions(bodies: Bodies, group: list[int]) -> dict[str, Floats]:
     """Return the rigid motions of a group of bodies as one, in terms of their rigid modes."""
     count, d = bodies.centre.shape
-    planes = [(0, 1)] if d == 2 else [(1, 2), (2, 0), (0, 1)]
-    arm = bodies.centre - bodies.centre[group].mean(axis=0)
-    shift, turn = (
-        np.zeros((d + len(planes), count, d)),
-        np.zeros((d + len(planes), count, len(planes))),
-    )
-    names = []
-    for i in range(d):
-        shift[i, group, i] = 1.0
-        names.append(f"translation {'xyz'[i]}")
-    for k, (i, j) in enumerate(planes):
-        shift[d + k, group, i], shift[d + k, group, j] = -arm[group, j], arm[group, i]
-        turn[d + k, group, k] = bodies.radius[group]
-        names.append(f"rotation about {'xyz'[3 - i - j]}")
-    motions = np.concatenate([shift, turn], axis=2).reshape(len(names), -1)
-    return {f"{n} of {name_of(bodies, group)}": m for n, m in zip(names, motions, strict=True)}
+    middle = bodies.centre[group].mean(axis=0)
+    probes = np.vstack([np.zeros(d), np.eye(d)])  # motions are affine: so many points tell them
+    own = bodies.motions(probes)
+    basis = np.stack([motion.ravel() for motion in own.values()])
+    motions = np.zeros((len(own), count, len(own)))
+    for body in group:
+        at = bodies.centre[body] + bodies.radius[body] * probes - middle
+        wanted = np.stack([motion.ravel() for motion in bodies.motions(at).values()])
+        motions[:, body] = np.linalg.lstsq(basis.T, wanted.T)[0].T
+    who = name_of(bodies, group)
+    return {f"{n} of {who}": m.ravel() for n, m in zip(own, motions, strict=True)}

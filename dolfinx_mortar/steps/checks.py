@@ -20,6 +20,7 @@ from dolfinx_mortar import qp as backends
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.solid.solid import Solid
+from ufl.constantvalue import ScalarValue
 
 GEOMETRIES = ("updated", "reference")
 CUTS = ("halve", "none")
@@ -52,6 +53,8 @@ def check_arguments(
     if geometry not in GEOMETRIES:
         raise ValueError(f"geometry is {geometry!r}: choose 'updated' or 'reference'")
     sides = _check_interfaces(_as_list("interfaces", given))
+    if sides:
+        _check_weight(solid)
     conditions = _check_conditions(_as_list("bcs", conditions), solid.V)
     if loads is not None:
         _check_loads(loads, solid.V)
@@ -211,6 +214,18 @@ def _check_interfaces(interfaces: list[Any]) -> list[Interface]:
         if any(interface is other for other in interfaces[:k]):
             raise ValueError(f"interfaces holds the same object {interface!r} twice: give it once")
     return interfaces
+
+
+def _check_weight(solid: Solid) -> None:
+    """Raise a ValueError unless the volume's weight is one, the only one that interfaces know."""
+    kinematics = solid.kinematics
+    weight = ufl.as_ufl(kinematics.weight(ufl.SpatialCoordinate(solid.mesh)))
+    if not (isinstance(weight, ScalarValue) and weight == 1):
+        raise ValueError(
+            f"solid: its kinematics {kinematics.name!r} have the weight "
+            f"{textwrap.shorten(str(weight), 60)}, which contact and ties do not take into account "
+            "(pressures would be wrong by it): give kinematics whose weight is 1, or interfaces=[]"
+        )
 
 
 def _check_conditions(bcs: Sequence[Any], V: fem.FunctionSpace) -> list[fem.DirichletBC]:

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: MIT
+"""Every number of laws, solids and closed solutions, halved and doubled: the answer stays the same.
+
+And by an absurd factor it changes, or something breaks: the comparison sees the number.
+"""
+
+import functools
+import importlib
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx_mortar import analytic
+from dolfinx_mortar.materials import comparison
+from dolfinx_mortar.materials.compiled import CompiledLaw
+from tests.test_numbers_of_steps import numbers_in
+from tests.test_user_laws import Isotropic, Slips, von_mises, von_mises_stress
+
+PACKAGE = Path(dm.__file__).parent
+# Number -> absurd factors, each of which must show.
+NUMBERS = {
+    "materials.von_mises": {"YIELD_TOLERANCE": (1e-10, 1e9), "NORM_GUARD": (0.0, 1e14)},
+    "materials.comparison": {
+        "PATHS": (0,),
+        "STRAINS": (1 / 6,),
+        "LENGTHS": (1e-8, 1e5),
+        "RTOL": (1e-10, 1e5),
+    },
+    "analytic": {"EDGE": (1e-6, 11.0), "ENOUGH": (100,), "SAME_DISTANCE": (1e-10, 1e12)},
+}
+TABLES = {"COMPONENTS", "INDEX", "SHEAR"}  # how tensors are stored
+STEEL = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
+pytestmark = pytest.mark.serial
+
+
+def test_no_number_is_left_out():
+    floors = [file for floor in ("materials", "solid") for file in (PACKAGE / floor).glob("*.py")]
+    for file in (*floors, PACKAGE / "analytic.py"):
+        module = ".".join(file.relative_to(PACKAGE).with_suffix("").parts)
+        assert set(numbers_in(file)) - TABLES == set(NUMBERS.get(module, ())), module
+
+
+def observe_law():
+    """Return a path beyond yield: what the law gives, and whether it gives it again.
+
+    After a commit at the same strain nothing may flow: committed points lie on the yield surface
+    up to round-off. The first point is the virgin one.
+    """
+    law, rng = CompiledLaw(STEEL), np.random.default_rng(3)
+    strain, state, numbers = np.zeros(6), {"plastic_strain": np.zeros(6)}, []
+    for size in np.repeat([0.0, 1e-4, 1e-3, 3e-3, 1e-2], [1, 4, 20, 20, 20]):
+        strain = strain + size * rng.standard_normal(6)
+        point = law(strain, rng.standard_normal(6), state)
+        state = point.state
+        again = law(strain, np.zeros(6), state).state["plastic_strain"]
+        results = (point.stress.ravel() / STEEL.Y, point.change.ravel() / STEEL.E)
+        flows = float((again != state["plastic_strain"]).any())
+        energy = point.energy * STEEL.E / STEEL.Y**2
+        numbers += [*np.concatenate(results), *state["plastic_strain"], energy, flows]
+    assert np.any(state["plastic_strain"])
+    return numbers
+
+
+@functools.cache
+def compiled(law):
+    """Return a compiled law, kept: the numbers of the comparison are not in the code."""
+    return CompiledLaw(law)
+
+
+@functools.cache
+def laws():
+    """Return laws that fit, then such that do not."""
+    wrong = (
+        {"stress": von_mises_stress, "energy": Slips.energy},
+        {"updated_state": Slips.slow},
+        {"stress": Slips.skew},
+        {"linear": True},
+    )
+    good = (dm.VonMises(1000.0, 0.3, 1.0, 100.0), Isotropic(1000.0, 0.3, 1.0, 100.0))
+    return (*good, *(von_mises(**changes) for changes in wrong))
+
+
+def observe_check():
+    """Return for each law whether it is said to fit, or what is said not to."""
+    verdicts = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(comparison, "CompiledLaw", compiled)
+        for law in laws():
+            try:
+                verdicts.append("not symmetric" in str(dm.materials.check(law)))
+            except ValueError as error:
+                verdicts.append(re.search("differences|mirrored|commit|zero|$", str(error)).group())
+    return verdicts
+
+
+def observe_fit():
+    """Return fits: without the edge, to two distances that differ by round-off, and to two."""
+    x = np.linspace(-0.49, 0.49, 29)
+    p = 10 * np.sqrt(1 - (x / 0.5) ** 2)
+    p[[0, -1]] *= 2
+    cases = [(x, p), ([0.3, 0.1 * 3], [2.0, 1.0]), ([0.3, 0.6], [2.0, 1.0])]
+    return [number for case in cases for number in analytic.fit_pressure(*case)]
+
+
+OBSERVE = {
+    "materials.von_mises": observe_law,
+    "materials.comparison": observe_check,
+    "analytic": observe_fit,
+}
+
+
+@functools.cache
+def usual(module):
+    return OBSERVE[module]()
+
+
+def same(module, name, factor):
+    """Tell whether a user would see the same with the number times a factor."""
+    expected, where = usual(module), importlib.import_module(f"dolfinx_mortar.{module}")
+    value = getattr(where, name)
+    scaled = tuple(factor * v for v in value) if isinstance(value, tuple) else factor * value
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(where, name, round(scaled) if isinstance(value, int) else scaled)
+        try:
+            found = OBSERVE[module]()
+        except ValueError:
+            return False
+    if module == "materials.comparison":
+        return found == expected
+    return bool(np.allclose(found, expected, rtol=1e-9, atol=1e-12, equal_nan=True))
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+@pytest.mark.parametrize(
+    ("module", "name"), [(module, name) for module, names in NUMBERS.items() for name in names]
+)
+def test_half_and_double(module, name, factor):
+    assert same(module, name, factor)
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "factor"),
+    [
+        (m, name, f)
+        for m, names in NUMBERS.items()
+        for name, absurd in names.items()
+        for f in absurd
+    ],
+)
+def test_an_absurd_factor_shows(module, name, factor):
+    assert not same(module, name, factor)
+
+
+def test_what_is_usual():
+    """Nothing flows twice; what fits is accepted, what does not is named; one x is no fit."""
+    assert usual("materials.comparison") == [
+        *(False, False),
+        *("differences", "commit", "mirrored", "zero"),
+    ]
+    fits = usual("analytic")
+    assert fits[:2] == pytest.approx([10.0, 0.5]) and np.isnan(fits[2:4]).all()
+    assert np.isfinite(fits[4:]).all() and np.isfinite(usual("materials.von_mises")).all()
+    assert not any(usual("materials.von_mises")[25::26])
