@@ -15,7 +15,7 @@ from dolfinx import fem, mesh
 from dolfinx_mortar.materials import Elastic
 from dolfinx_mortar.solid.kinematics import kinematics_of_dimension, plane_strain, spatial
 from dolfinx_mortar.solid.solid import Solid
-from dolfinx_mortar.steps.bodies import find_bodies, free_motions
+from dolfinx_mortar.steps.bodies import find_bodies, free_motions, rigid_motions
 from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_blocks
 
 pytestmark = pytest.mark.mpi
@@ -180,6 +180,16 @@ def test_motions_that_nothing_holds_are_those_of_the_kinematics():
     assert free.startswith("shift along the axis of the bodies around [") and "together" in free
     assert free_motions(bodies, [constraint(bodies, w) for w in (across, along)]) == []
     assert free_motions(find_bodies(V, lambda x: {}), [constraint(bodies, along)]) == []
+
+
+def test_a_problem_asks_for_the_motions_of_its_kinematics():
+    domain, _, _ = two_blocks(COMM, (2, 2), (3, 2))
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
+    ring = dataclasses.replace(plane_strain, name="ring", rigid_motions=along_the_axis)
+    problem = dm.ContactProblem(Solid(u, LAW, kinematics=ring))
+    with pytest.raises(ValueError, match=r"nothing holds .*shift along the axis of the body"):
+        problem.audit()
+    assert len(rigid_motions(problem.bodies)) == 1
 
 
 @pytest.mark.parametrize("d", [2, 3])

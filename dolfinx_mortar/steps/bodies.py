@@ -138,10 +138,11 @@ def _measure(V: fem.FunctionSpace, count: int, label: Ints) -> Bodies:
     return Bodies(V, count, label, centre, np.sqrt(square.sum(axis=1)))
 
 
-def rigid_motions(V: fem.FunctionSpace) -> list[PETSc.Vec]:
-    """Return the 3 or 6 rigid motions of the whole mesh as if it were one body; collective."""
-    everything = np.zeros(V.dofmap.index_map.size_local, dtype=np.int32)
-    return [motion for _, _, motion in _measure(V, 1, everything).rigid_modes()]
+def rigid_motions(bodies: Bodies) -> list[PETSc.Vec]:
+    """Return the rigid motions of the whole mesh as if it were one body; collective."""
+    everything = np.zeros_like(bodies.label)
+    whole = dataclasses.replace(_measure(bodies.V, 1, everything), motions=bodies.motions)
+    return [motion for _, _, motion in whole.rigid_modes()]
 
 
 def free_motions(

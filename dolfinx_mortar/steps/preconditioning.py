@@ -10,12 +10,12 @@ import numpy as np
 from dolfinx_mortar.arrays import Ints
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.qp import Preconditioning
-from dolfinx_mortar.steps.bodies import rigid_motions
+from dolfinx_mortar.steps.bodies import Bodies, rigid_motions
 from dolfinx_mortar.steps.dirichlet import Dirichlet
 
 
 def create_preconditioning(
-    K: PETSc.Mat, system: InterfaceSystem, supports: Dirichlet, held: Ints
+    K: PETSc.Mat, system: InterfaceSystem, supports: Dirichlet, bodies: Bodies, held: Ints
 ) -> Preconditioning:
     """Return the matrix of a preconditioner and its near-null space; collective.
 
@@ -27,9 +27,10 @@ def create_preconditioning(
         K: the tangent.
         system: the interfaces, with T up to date.
         supports: the Dirichlet conditions.
+        bodies: the connected parts of the mesh.
         held: owned unknowns of y that are held at their bounds.
     """
-    V, motions = supports.V, rigid_motions(supports.V)
+    V, motions = supports.V, rigid_motions(bodies)
     decoupled = np.union1d(eliminated_dofs(system, supports), held).astype(np.int32)
     if system.transformation is not None:
         B, E, motions = system.transformation.uncouple(K, decoupled, motions)

@@ -101,6 +101,7 @@ class ContactProblem:
             self.system = InterfaceSystem(self.V, sides, self.supports.fixed)
             for interface in sides:
                 interface.take(self.supports, self.V)
+        self.bodies: Bodies = find_bodies(self.V, solid.kinematics.rigid_motions)
         with self.timings("setup"):
             self.K = solid.create_matrix()
             self.linear = LinearSolver(
@@ -109,10 +110,9 @@ class ContactProblem:
                 options=(MULTIGRID if self.d == 3 else {}) | dict(petsc_options or {}),
                 # not a method: a reference to the problem would keep its matrices alive
                 preconditioning=partial(
-                    create_preconditioning, self.K, self.system, self.supports
+                    create_preconditioning, self.K, self.system, self.supports, self.bodies
                 ),
             )
-        self.bodies: Bodies = find_bodies(self.V)
         ties = [
             (side.on_slave, side.on_master)
             for side, interface in zip(self.system.sides, sides, strict=True)
