@@ -35,9 +35,10 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, eigh
 
 from dolfinx_mortar.arrays import Actives, Floats, Ints, Longs
-from dolfinx_mortar.qp.bound_qp import EPS, LIMIT, ROUND_OFF, SHARE, BoundQP
+from dolfinx_mortar.qp.bound_qp import BoundQP
 from dolfinx_mortar.qp.dense import solve_dense
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
+from dolfinx_mortar.qp.tolerances import EPS, LIMIT, ROUND_OFF, SHARE
 
 T = TypeVar("T")
 

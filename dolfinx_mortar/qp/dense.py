@@ -8,8 +8,8 @@ from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.optimize import lsq_linear
 
 from dolfinx_mortar.arrays import Actives, Floats
-from dolfinx_mortar.qp.bound_qp import EPS, ROUND_OFF
 from dolfinx_mortar.qp.bounded import Bounded
+from dolfinx_mortar.qp.tolerances import EPS, ROUND_OFF
 from dolfinx_mortar.qp.updates import Held, update
 
 

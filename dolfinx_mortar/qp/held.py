@@ -7,18 +7,9 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import norm
 from dolfinx_mortar.arrays import Actives, Ints
-from dolfinx_mortar.qp.bound_qp import (
-    EPS,
-    LIMIT,
-    ROUND_OFF,
-    SHARE,
-    BoundQP,
-    QPSolution,
-    check,
-    on_bounded,
-    reaction,
-)
+from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution, check, on_bounded, reaction
 from dolfinx_mortar.qp.linear import LinearSolver
+from dolfinx_mortar.qp.tolerances import EPS, LIMIT, ROUND_OFF, SHARE
 from dolfinx_mortar.qp.updates import TIGHT, Held, Outcome
 
 

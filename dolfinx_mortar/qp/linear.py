@@ -14,13 +14,13 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.arrays import Ints
-from dolfinx_mortar.qp.bound_qp import EPS, LIMIT, ROUND_OFF
 from dolfinx_mortar.qp.counts import LinearCounts
 from dolfinx_mortar.qp.multigrid import CreatePreconditioning
 from dolfinx_mortar.qp.operator import Operator
 from dolfinx_mortar.qp.options import SolverOptions, check_options
 from dolfinx_mortar.qp.preconditioner import Preconditioner
 from dolfinx_mortar.qp.renewal import REFACTOR_AFTER, SETUP_AFTER, Renewal, Watch
+from dolfinx_mortar.qp.tolerances import EPS, LIMIT, ROUND_OFF
 
 MAX_ITERATIONS = 500
 # A well-posed stiffness matrix loses up to 6 to 8 digits; one that loses 12 is singular.

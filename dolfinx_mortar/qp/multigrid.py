@@ -22,7 +22,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.arrays import Floats, Ints
-from dolfinx_mortar.qp.bound_qp import EPS
+from dolfinx_mortar.qp.tolerances import EPS
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.arrays import Floats, Ints
-from dolfinx_mortar.qp.bound_qp import EPS, ROUND_OFF
 from dolfinx_mortar.qp.multigrid import FreePart
+from dolfinx_mortar.qp.tolerances import EPS, ROUND_OFF
 
 
 def decouple(matrix: PETSc.Mat, held: Ints) -> None:

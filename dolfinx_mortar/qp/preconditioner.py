@@ -11,11 +11,11 @@ import numpy as np
 from dolfinx_mortar.algebra.parallel import free_unused
 from dolfinx_mortar.arrays import Ints
 from dolfinx_mortar.qp import mumps
-from dolfinx_mortar.qp.bound_qp import LIMIT
 from dolfinx_mortar.qp.counts import LinearCounts
 from dolfinx_mortar.qp.multigrid import CreatePreconditioning, Multigrid, Preconditioning
 from dolfinx_mortar.qp.operator import Operator, decouple
 from dolfinx_mortar.qp.options import SolverOptions
+from dolfinx_mortar.qp.tolerances import LIMIT
 
 
 class Preconditioner:

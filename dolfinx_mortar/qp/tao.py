@@ -6,17 +6,10 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.qp.bound_qp import (
-    LIMIT,
-    SHARE,
-    BoundQP,
-    QPSolution,
-    check,
-    on_bounded,
-    reaction,
-)
+from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution, check, on_bounded, reaction
 from dolfinx_mortar.qp.held import HeldProblem
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
+from dolfinx_mortar.qp.tolerances import LIMIT, SHARE
 from dolfinx_mortar.qp.updates import update
 
 # Far bounds of unknowns that have none, in units of the largest scaled unknown

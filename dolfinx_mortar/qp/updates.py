@@ -12,7 +12,7 @@ from hashlib import blake2b
 from mpi4py import MPI
 
 from dolfinx_mortar.arrays import Actives
-from dolfinx_mortar.qp.bound_qp import LIMIT
+from dolfinx_mortar.qp.tolerances import LIMIT
 
 # Levels of accuracy: early sets are read off loose solves, the last one off a tight one.
 LOOSE, TIGHT = 0, 2
