@@ -39,15 +39,15 @@ def none() -> np.ndarray:
     return np.zeros(0, dtype=np.int32)
 
 
-def solved(linear: LinearSolver, qp: BoundQP, fixed: np.ndarray) -> float:
+def solved(linear: LinearSolver, qp: BoundQP, held: np.ndarray) -> float:
     """Solve from zero; return the relative residual on the unknowns that are not held."""
     x = qp.b.duplicate()
     x.set(0.0)
     linear.attach(qp.A)
-    linear.solve(qp.b, x, fixed, atol=RTOL * qp.b.norm())
+    linear.solve(qp.b, x, held, atol=RTOL * qp.b.norm())
     r = qp.b - qp.A * x
-    r.array[fixed] = 0.0
-    assert np.abs(x.array_r[fixed]).max(initial=0.0) == 0.0
+    r.array[held] = 0.0
+    assert np.abs(x.array_r[held]).max(initial=0.0) == 0.0
     return float(r.norm() / qp.b.norm())
 
 

@@ -37,7 +37,7 @@ from dolfinx_mortar.qp.condensed import SchurModel, half_laplacian, on_root
 from dolfinx_mortar.qp.dense import solve_dense
 from dolfinx_mortar.qp.held import HeldProblem
 from dolfinx_mortar.qp.renewal import REFACTOR_AFTER
-from dolfinx_mortar.qp.updates import LOOSE, TIGHT, Held, Outcome, came_back, update
+from dolfinx_mortar.qp.updates import LOOSE, TIGHT, Found, Outcome, came_back, update
 
 COMM = MPI.COMM_WORLD
 INF = np.inf
@@ -238,10 +238,10 @@ def follow(*, settles_at: int, level: int) -> tuple[Outcome, list[int]]:
     """Update between two sets that change places below a level; return the levels of the solves."""
     levels = []
 
-    def hold(active: np.ndarray, level: int) -> Held:
+    def hold(active: np.ndarray, level: int) -> Found:
         levels.append(level)
         other = active if level >= settles_at else 1 - active
-        return Held(other, int((other != active).sum()), satisfied=level >= TIGHT)
+        return Found(other, int((other != active).sum()), satisfied=level >= TIGHT)
 
     return update(hold, sets(0, 1), MPI.COMM_SELF, level=level), levels
 
@@ -259,9 +259,9 @@ def test_a_cycle_of_loose_solves_tightens_them() -> None:
 def test_what_loose_solves_have_seen_is_no_cycle_of_tight_ones() -> None:
     """They go by turns through two sets, of which one is right."""
 
-    def hold(active: np.ndarray, level: int) -> Held:
+    def hold(active: np.ndarray, level: int) -> Found:
         new = sets(1, 0) if level >= TIGHT else 1 - active
-        return Held(new, int((new != active).sum()), satisfied=level >= TIGHT)
+        return Found(new, int((new != active).sum()), satisfied=level >= TIGHT)
 
     outcome = update(hold, sets(0, 1), MPI.COMM_SELF, level=LOOSE)
     assert outcome.reason == "" and outcome.active.tolist() == [1, 0]
@@ -277,8 +277,8 @@ def test_sets_that_never_come_back_end_at_the_limit(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(updates, "LIMIT", 7)
     calls = iter(range(100))
 
-    def hold(active: np.ndarray, level: int) -> Held:
-        return Held(np.full(2, next(calls), dtype=np.int8), 2, satisfied=True)
+    def hold(active: np.ndarray, level: int) -> Found:
+        return Found(np.full(2, next(calls), dtype=np.int8), 2, satisfied=True)
 
     assert "after 7 solves" in update(hold, sets(0, 0), COMM).reason
     assert next(calls) == 7
@@ -388,11 +388,11 @@ def test_a_step_that_would_raise_the_energy_ends_at_its_minimum() -> None:
     qp, linear = membrane(12, force=1.0), LinearSolver(COMM, prefix="minimum_")
     linear.attach(qp.A)
     own = qp.bounded
-    surface = condensed.Surface(COMM, own, np.array(COMM.allgather(own.size)))
+    everywhere = condensed.Everywhere(COMM, own, np.array(COMM.allgather(own.size)))
     linear.factorise(own)
     x = qp.b.duplicate()
     x.set(0.0)
-    reduced = condensed._Reduced(qp, linear, surface, x)
+    reduced = condensed._Reduced(qp, linear, everywhere, x)
     w = np.zeros(12)
     rho = reduced.force(w)
     near = w + 0.01 * rho

@@ -3,11 +3,11 @@
 
 Factorise A once with all bounded unknowns B held. Then x_I follows from x_B by one solve, and what
 is left is a QP for x_B with the Schur complement S = A_BB - A_BI A_II^-1 A_IB. Applying S costs one
-solve; forming it would cost one per bounded unknown. So a dense model of S is kept on every rank
-(it is data of a surface, not of a volume), the model's QP is solved to the end, and the solve that
-checks the result gives one exact pair (v, S v) that improves the model (block BFGS). The first
-model is the square root of a graph Laplacian, because S is a half-order operator like the
-Dirichlet-to-Neumann map; later ones start from what was learnt in the last Newton iteration.
+solve; forming it would cost one per bounded unknown. So a dense model of S is kept on rank 0 (few
+unknowns have bounds), the model's QP is solved to the end, and the solve that checks the result
+gives one exact pair (v, S v) that improves the model (block BFGS). The first model is the square
+root of a graph Laplacian, because S is a half-order operator like the Dirichlet-to-Neumann map;
+later ones start from what was learnt in the last Newton iteration.
 
 Nothing here is singular as long as the bounds, all active, hold the bodies.
 
@@ -85,7 +85,7 @@ class SchurModel:
 
 
 @dataclass(frozen=True)
-class Surface:
+class Everywhere:
     """The bounded unknowns of all ranks as one replicated vector, in rank order."""
 
     comm: MPI.Comm
@@ -131,7 +131,7 @@ def half_laplacian(block: Floats) -> Floats:
     edges = (np.abs(block) > ROUND_OFF * EPS * np.outer(diagonal, diagonal)).astype(np.float64)
     np.fill_diagonal(edges, 0.0)
     values, vectors = eigh(np.diag(edges.sum(axis=1)) - edges)
-    # the size of the body bounds the softest mode: one wavelength over the whole surface
+    # the size of the body bounds the softest mode: one wavelength over all bounded unknowns
     shift = max(values.max(initial=0.0), 1.0) / max(1, values.size) ** 2
     root = (vectors * np.sqrt(np.maximum(values, 0.0) + shift)) @ vectors.T
     return np.asarray(root * np.outer(diagonal, diagonal))
@@ -178,23 +178,24 @@ def predict(
         rtol: residual of the free bounded unknowns relative to the forces.
 
     Returns:
-        The active set (k,), the caller checks. Once it stays, and the residual falls so slowly that
-        a factorisation with it held costs less than the solves to come, the caller goes on.
+        The active set (k,), which the caller has to check. Once it stays, and the residual falls so
+        slowly that a factorisation with it held costs less than the solves to come, it is returned
+        as it is.
 
     Raises:
         LinearSolveFailed: if A is singular even with all bounded unknowns held.
     """
     order = np.argsort(qp.bounded)
-    surface = Surface(qp.comm, qp.bounded[order], np.array(qp.comm.allgather(order.size)))
-    lower, upper = (surface.gather(bound[order]) for bound in qp.bounds())
-    linear.factorise(surface.own)
-    reduced = _Reduced(qp, linear, surface, x)
-    active = np.sign(surface.gather(start[order].astype(np.float64))).astype(np.int8)
+    everywhere = Everywhere(qp.comm, qp.bounded[order], np.array(qp.comm.allgather(order.size)))
+    lower, upper = (everywhere.gather(bound[order]) for bound in qp.bounds())
+    linear.factorise(everywhere.own)
+    reduced = _Reduced(qp, linear, everywhere, x)
+    active = np.sign(everywhere.gather(start[order].astype(np.float64))).astype(np.int8)
     w = np.where(active > 0, upper, np.where(active < 0, lower, np.clip(0.0, lower, upper)))
     rho = reduced.force(w)
     if not np.isfinite(rho).all():
         raise LinearSolveFailed("The linear solver gave NaN or infinity: check its options.")
-    model = _create_model(qp, linear, surface)
+    model = _create_model(qp, linear, everywhere)
     b_norm, norms = qp.b.norm(), []
     for _ in range(LIMIT):
         before = active
@@ -213,27 +214,29 @@ def predict(
         if not np.isfinite(rho).all():
             break
     result = np.empty(order.size, dtype=np.int8)
-    result[order] = active[surface.own_part]
+    result[order] = active[everywhere.own_part]
     return result
 
 
 class _Reduced:
     """The energy as a function of x_B alone, with x kept up to date."""
 
-    def __init__(self, qp: BoundQP, linear: LinearSolver, surface: Surface, x: PETSc.Vec) -> None:
-        self.qp, self.linear, self.surface, self.x = qp, linear, surface, x
+    def __init__(
+        self, qp: BoundQP, linear: LinearSolver, everywhere: Everywhere, x: PETSc.Vec
+    ) -> None:
+        self.qp, self.linear, self.everywhere, self.x = qp, linear, everywhere, x
         self.z, self.dx, self.before = (x.duplicate() for _ in range(3))
 
     def force(self, w: Floats) -> Floats:
         """Set x_B = w, solve for x_I and return (b - A x)_B = minus the reduced gradient."""
-        own, x = self.surface.own, self.x
-        x.array[own] = w[self.surface.own_part]
+        own, x = self.everywhere.own, self.x
+        x.array[own] = w[self.everywhere.own_part]
         self.linear.apply(self.linear.residual(self.qp.b, x, own), self.dx)
         self.dx.array[own] = 0.0
         x.axpy(1.0, self.dx)
         self.qp.A.mult(x, self.z)
         self.z.aypx(-1.0, self.qp.b)
-        return self.surface.gather(self.z.array_r[own])
+        return self.everywhere.gather(self.z.array_r[own])
 
     def move(
         self, w: Floats, reached: Floats, rho: Floats, model: SchurModel | None
@@ -257,18 +260,18 @@ class _Reduced:
         return w + step * d, rho - step * Sd
 
 
-def _create_model(qp: BoundQP, linear: LinearSolver, surface: Surface) -> SchurModel | None:
+def _create_model(qp: BoundQP, linear: LinearSolver, everywhere: Everywhere) -> SchurModel | None:
     """Return, on rank 0, a model without pairs: what was learnt about an earlier A, or one of A."""
     unknowns, last = linear.memory.get("schur", (None, None))
-    fits = unknowns is not None and np.array_equal(unknowns, surface.own)
+    fits = unknowns is not None and np.array_equal(unknowns, everywhere.own)
     base = None
     if qp.comm.allreduce(fits, op=MPI.LAND) and last is not None:
         base = _learnt(last)
     if not qp.comm.bcast(base is not None):
-        block = surface.block(qp.A)
+        block = everywhere.block(qp.A)
         base = on_root(qp.comm, lambda: half_laplacian(block))
     model = None if base is None else SchurModel(base, *np.zeros((2, base.shape[0], 0)))
-    linear.memory["schur"] = (surface.own.copy(), model)
+    linear.memory["schur"] = (everywhere.own.copy(), model)
     return model
 
 

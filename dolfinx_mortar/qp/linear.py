@@ -19,7 +19,7 @@ from dolfinx_mortar.qp.multigrid import CreatePreconditioning
 from dolfinx_mortar.qp.operator import Operator
 from dolfinx_mortar.qp.options import SolverOptions, check_options
 from dolfinx_mortar.qp.preconditioner import Preconditioner
-from dolfinx_mortar.qp.renewal import REFACTOR_AFTER, SETUP_AFTER, Renewal, Watch
+from dolfinx_mortar.qp.renewal import REFACTOR_AFTER, SETUP_AFTER, Renewal, SlownessTest
 from dolfinx_mortar.qp.tolerances import EPS, LIMIT, ROUND_OFF
 
 MAX_ITERATIONS = 500
@@ -105,11 +105,9 @@ class LinearSolver:
             return "not used yet"
         return f"{self._ksp.getType()} + {self._preconditioner.description}"
 
-    def database(
-        self, prefix: str, more: Mapping[str, Any] | None = None
-    ) -> AbstractContextManager[None]:
+    def database(self, prefix: str) -> AbstractContextManager[None]:
         """Hold our options in PETSc's database for a while."""
-        return self._options.database(prefix, more)
+        return self._options.database(prefix)
 
     def unused_options(self) -> list[str]:
         """Return the user's options that PETSc has never asked for: misspelt, or of no use.
@@ -156,25 +154,25 @@ class LinearSolver:
         assert self._operator is not None, "no matrix is attached"
         return self._operator
 
-    def residual(self, b: PETSc.Vec, x: PETSc.Vec, fixed: Ints) -> PETSc.Vec:
-        """Return b - A x with zeros at `fixed`; the vector is reused by the next call."""
-        return self.operator.residual(b, x, fixed)
+    def residual(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints) -> PETSc.Vec:
+        """Return b - A x with zeros at `held`; the vector is reused by the next call."""
+        return self.operator.residual(b, x, held)
 
     def round_off(self, x: PETSc.Vec) -> float:
         """Return the round-off of A x, the smallest residual that can be expected."""
         return self.operator.round_off(x)
 
-    def factorise(self, fixed: Ints) -> None:
-        """Factorise A with `fixed` held, unless that is what the factorisation is of (collective).
+    def factorise(self, held: Ints) -> None:
+        """Factorise A with these held, unless that is what the factorisation is of (collective).
 
         Raises:
             LinearSolveFailed: for a singular matrix or one that does not fit into memory.
         """
-        self.operator.hold(fixed)
-        if self._preconditioner.is_of(fixed):
+        self.operator.hold(held)
+        if self._preconditioner.is_of(held):
             return
         begin = perf_counter()
-        failure = self._preconditioner.renew(fixed, self.counts)
+        failure = self._preconditioner.renew(held, self.counts)
         self.counts.seconds_factor += perf_counter() - begin
         if failure:
             order = self.operator.matrix.size[0]
@@ -189,13 +187,13 @@ class LinearSolver:
         self.counts.iterations += 1
         self.counts.seconds_solve += perf_counter() - begin
 
-    def solve(self, b: PETSc.Vec, x: PETSc.Vec, fixed: Ints, *, atol: float) -> int:
+    def solve(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, *, atol: float) -> int:
         """Solve for the unknowns that are not held, in place (collective).
 
         Args:
             b: (n,) right-hand side.
             x: (n,) in: values of the held unknowns and a guess for the others; out: solution.
-            fixed: owned local indices of held unknowns, ascending.
+            held: owned local indices of held unknowns, ascending.
             atol: largest 2-norm of b - A x over unknowns not held.
 
         Returns:
@@ -205,42 +203,42 @@ class LinearSolver:
             LinearSolveFailed: if the true residual stays above both atol and round-off, or if
                 the solution is so large that the matrix must be singular.
         """
-        self.operator.hold(fixed)
+        self.operator.hold(held)
         before = self.counts.iterations
         self.counts.solves += 1
-        first = norm = self.residual(b, x, fixed).norm()
+        first = norm = self.residual(b, x, held).norm()
         if not norm <= atol:
-            norm = self._correct(b, x, fixed, atol)
+            norm = self._correct(b, x, held, atol)
         self._judge(b, x, (first, norm, atol), self.counts.iterations - before)
         return self.counts.iterations - before
 
-    def _correct(self, b: PETSc.Vec, x: PETSc.Vec, fixed: Ints, atol: float) -> float:
+    def _correct(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, atol: float) -> float:
         """Correct x until its residual is below atol or round-off; return the residual.
 
         It ends as well where a new factorisation makes it no smaller.
         """
-        norm = self.residual(b, x, fixed).norm()
+        norm = self.residual(b, x, held).norm()
         for _ in range(LIMIT):
-            if self._is_far(fixed):
-                self.factorise(fixed)
-            fresh = self._preconditioner.is_of(fixed)
+            if self._is_far(held):
+                self.factorise(held)
+            fresh = self._preconditioner.is_of(held)
             target, before = max(atol, self.round_off(x) / ROUND_OFF), norm
             self._sweep(max(target / norm, EPS))
-            self._dx.array[fixed] = 0.0  # an old factorisation may not know that they are held
+            self._dx.array[held] = 0.0  # an old factorisation may not know that they are held
             x.axpy(1.0, self._dx)
-            norm = self.residual(b, x, fixed).norm()
+            norm = self.residual(b, x, held).norm()
             if norm <= max(atol, self.round_off(x)):
                 break
             exhausted = self._ksp.getIterationNumber() >= self.max_iterations
             if fresh and (exhausted or not norm < before):
                 break
             if not fresh:
-                self.factorise(fixed)
+                self.factorise(held)
         return float(norm)
 
-    def _is_far(self, fixed: Ints) -> bool:
+    def _is_far(self, held: Ints) -> bool:
         """Tell whether the factorisation, if there is one, is of no use for this mask."""
-        different = self._preconditioner.differences(fixed)
+        different = self._preconditioner.differences(held)
         return different is None or self.renewal.is_far(different)
 
     def _sweep(self, reduction: float) -> None:
@@ -251,13 +249,13 @@ class LinearSolver:
         if self._preconditioner.multigrid is not None:
             self._preconditioner.multigrid.hold(held, self.operator.diagonal)
         stale = not self._preconditioner.is_of(held)
-        watch = Watch(self.renewal, reduction, self.max_iterations, stale=stale)
+        test = SlownessTest(self.renewal, reduction, self.max_iterations, stale=stale)
         if self._ksp.getType() != "preonly":
-            self._ksp.setConvergenceTest(watch)
+            self._ksp.setConvergenceTest(test)
         self._ksp.setTolerances(max_it=self.max_iterations)
         self._ksp.solve(self.operator.r, self._dx)
         self.counts.iterations += max(1, self._ksp.getIterationNumber())
-        self.renewal.learn(watch.norms, stale=stale)
+        self.renewal.learn(test.norms, stale=stale)
         self.counts.seconds_solve += perf_counter() - begin
 
     def _judge(

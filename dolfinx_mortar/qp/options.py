@@ -60,18 +60,18 @@ class SolverOptions:
         return self["pc_type"] in DIRECT
 
     @contextmanager
-    def database(self, prefix: str, more: Mapping[str, Any] | None = None) -> Iterator[None]:
+    def database(self, prefix: str) -> Iterator[None]:
         """Hold the options in PETSc's database: they are read at set-up as well as at creation."""
         opts = PETSc.Options()
-        mine = self.values | dict(more or {})
-        hidden = {k for k in mine if opts.hasName(f"{prefix}{k}")}
-        for key in mine.keys() - hidden:
-            opts.setValue(f"{prefix}{key}", mine[key])
+        hidden = {k for k in self.values if opts.hasName(f"{prefix}{k}")}
+        mine = {k: v for k, v in self.values.items() if k not in hidden}
+        for key, value in mine.items():
+            opts.setValue(f"{prefix}{key}", value)
         try:
             yield
         finally:
             self._unread -= hidden
-            for key in mine.keys() - hidden:
+            for key in mine:
                 if was_read(f"{prefix}{key}"):
                     self._unread.discard(key)
                 opts.delValue(f"{prefix}{key}")

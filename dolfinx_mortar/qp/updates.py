@@ -19,7 +19,7 @@ LOOSE, TIGHT = 0, 2
 
 
 @dataclass(frozen=True)
-class Held:
+class Found:
     """What a solve with a set held has found."""
 
     predicted: Actives  # (k,) the next set
@@ -37,7 +37,7 @@ class Outcome:
 
 
 def update(
-    hold: Callable[[Actives, int], Held], active: Actives, comm: MPI.Comm, *, level: int = TIGHT
+    hold: Callable[[Actives, int], Found], active: Actives, comm: MPI.Comm, *, level: int = TIGHT
 ) -> Outcome:
     """Update the set until it stays (collective).
 
