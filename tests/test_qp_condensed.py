@@ -131,3 +131,14 @@ def _dense(A: PETSc.Mat) -> np.ndarray:
     dense = np.zeros(A.size)
     dense[np.repeat(np.arange(A.size[0]), np.diff(indptr)), columns] = values
     return dense
+
+
+@pytest.mark.mpi
+def test_residuals_have_a_rate_within_one_set_only() -> None:
+    """The first set holds all, so that nothing is left to balance; the next ones release a node."""
+    A = np.array([[11.0, 7.0, 7.0], [7.0, 7.0, 7.0], [7.0, 7.0, 23.0]])
+    b, upper = np.array([7.0, 0.0, -7.0]), np.array([0.75, 0.25, INF])
+    qp = from_arrays(A, b, np.full(3, -INF), upper, COMM)
+    linear = LinearSolver(COMM, prefix="rate_", refactor_after=2)
+    start = np.zeros(qp.bounded.size, dtype=np.int8)
+    assert solve(qp, linear=linear, start_active=start).note == ""

@@ -202,6 +202,8 @@ def predict(
         d, active = _solve_model(qp, model, (rho, lower - w, upper - w, active))
         force = max(float(np.linalg.norm(rho)), b_norm)
         tolerance = max(SHARE**2 * rtol * force, linear.round_off(x))
+        if not np.array_equal(active, before):
+            norms.clear()  # residuals of different sets have no rate
         reached, held = w + d, active != 0
         norms.append(float(np.linalg.norm(rho[~held])))
         stays = np.array_equal(reached[held], w[held])
