@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Linear solves with held unknowns: options, reuse and renewal of factorisations, failures."""
 
+import weakref
 from collections.abc import Iterator
 from typing import Any
 
@@ -142,7 +143,7 @@ def test_options_of_the_user_win_and_ours_leave_no_trace(
 def test_options_reach_mumps(qp: BoundQP) -> None:
     linear = LinearSolver(COMM, prefix="reach_", options={"mat_mumps_icntl_7": 2})
     solved(linear, qp, none())
-    factor = linear._ksp.getPC().getFactorMatrix()
+    factor = linear.attached.ksp.getPC().getFactorMatrix()
     assert factor.getMumpsIcntl(7) == 2
 
 
@@ -152,7 +153,7 @@ def test_too_small_a_workspace_is_enlarged() -> None:
     qp.b.set(1.0)
     linear = LinearSolver(COMM, prefix="small_", options={"mat_mumps_icntl_14": -70})
     assert solved(linear, qp, none()) <= RTOL
-    assert linear._ksp.getPC().getFactorMatrix().getMumpsIcntl(14) > 0
+    assert linear.attached.ksp.getPC().getFactorMatrix().getMumpsIcntl(14) > 0
 
 
 @pytest.mark.mpi
@@ -281,5 +282,41 @@ def test_a_class_is_small() -> None:
     qp = membrane(6)
     qp.b.set(1.0)
     solved(linear, qp, none())
-    parts = (linear, linear.operator, linear.renewal, linear._preconditioner, linear._options)
+    parts = (
+        linear,
+        linear.operator,
+        linear.renewal,
+        linear.attached.preconditioner,
+        linear._options,
+    )
     assert max(len(vars(part)) for part in parts) <= 12
+
+
+# -- what is left afterwards
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("pc", ["cholesky", "gamg"])
+def test_clear_frees_the_matrices_and_the_factorisation(qp: BoundQP, pc: str) -> None:
+    """Nobody but this test holds them afterwards: not the KSP's PC, nor that of multigrid."""
+    linear = LinearSolver(COMM, prefix="clear_", options={"pc_type": pc})
+    solved(linear, qp, qp.bounded)
+    preconditioner, operator = linear.attached.preconditioner, weakref.ref(linear.operator)
+    outer, inner = linear.attached.ksp.getPC(), preconditioner.pc
+    matrices = {
+        "cholesky": lambda: (inner.getFactorMatrix(), inner.getOperators()[1]),
+        "gamg": lambda: (outer.getOperators()[0], inner.getOperators()[1]),
+    }[pc]()
+    linear.clear()
+    assert [matrix.getRefCount() for matrix in matrices] == [1, 1]
+    del preconditioner
+    assert operator() is None
+
+
+def test_a_description_outlives_its_matrix(qp: BoundQP) -> None:
+    """A report may ask after a new search has cleared the solver."""
+    linear = LinearSolver(COMM, prefix="described_")
+    assert linear.description == "not used yet"
+    solved(linear, qp, none())
+    linear.clear()
+    assert linear.description == "cg + cholesky (mumps)"

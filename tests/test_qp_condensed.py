@@ -10,7 +10,8 @@ from programs import CYCLING, CYCLING_FORCE, from_arrays, gathered, membrane, se
 from scipy.linalg import cholesky
 
 from dolfinx_mortar.qp import LinearSolver, condensed, solve
-from dolfinx_mortar.qp.condensed import SchurModel, half_laplacian, on_root
+from dolfinx_mortar.qp.condensed import on_root
+from dolfinx_mortar.qp.schur import SchurModel, half_laplacian
 
 COMM = MPI.COMM_WORLD
 INF = np.inf
@@ -40,14 +41,14 @@ def test_what_was_learnt_is_dropped_where_round_off_has_spoilt_it() -> None:
     """An indefinite matrix of an earlier model is no start of the next one."""
     qp, linear = membrane(16), LinearSolver(COMM, prefix="spoilt_")
     first = solve(qp, linear=linear)
-    model = linear.memory["schur"][1]
+    model = linear.learnt.model
     if COMM.rank == 0:
         model.forget()
         model.base[0, 0] = -1.0
     second = solve(qp, linear=linear)
     np.testing.assert_allclose(gathered(second.x), gathered(first.x), atol=1e-9)
     if COMM.rank == 0:
-        assert np.linalg.eigvalsh(linear.memory["schur"][1].matrix())[0] > 0.0
+        assert np.linalg.eigvalsh(linear.learnt.model.matrix())[0] > 0.0
     assert second.linear_iterations <= first.linear_iterations
 
 

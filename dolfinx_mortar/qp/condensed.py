@@ -25,63 +25,23 @@ What it saves in a step of benchmarks/hertz_2d.py, over both slaves, frozen and 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, eigh
+from scipy.linalg import LinAlgError, cholesky
 
 from dolfinx_mortar.arrays import Actives, Floats, Ints, Longs
 from dolfinx_mortar.qp.bound_qp import BoundQP
 from dolfinx_mortar.qp.dense import solve_dense
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
-from dolfinx_mortar.qp.tolerances import EPS, LIMIT, ROUND_OFF, SHARE
+from dolfinx_mortar.qp.schur import SchurModel, half_laplacian
+from dolfinx_mortar.qp.tolerances import LIMIT, SHARE
 
 T = TypeVar("T")
-
-
-@dataclass
-class SchurModel:
-    """A symmetric positive definite model of the Schur complement on the bounded unknowns."""
-
-    base: Floats  # (k, k) before any pair is known: from A, or what was learnt about an earlier A
-    V: Floats  # (k, j) directions, conjugate: V' W = 1
-    W: Floats  # (k, j) S V
-
-    def matrix(self) -> Floats:
-        """Return base - base V (V' base V)^-1 V' base + W W', which maps V to W.
-
-        Raises:
-            LinAlgError: if round-off has made the base indefinite.
-        """
-        if self.V.shape[1] == 0:
-            return self.base
-        C = self.base @ self.V
-        M = self.base - C @ cho_solve(cho_factor(self.V.T @ C), C.T) + self.W @ self.W.T
-        return np.asarray(0.5 * (M + M.T))
-
-    def learn(self, v: Floats, w: Floats) -> None:
-        """Add the pair w = S v, made conjugate to the pairs at hand."""
-        whole = v @ w
-        for _ in range(2):  # twice is enough
-            c = self.W.T @ v
-            v, w = v - self.V @ c, w - self.W @ c
-        energy = v @ w
-        least = max(float(whole), float(np.linalg.norm(v) * np.linalg.norm(w)))
-        if not energy > np.sqrt(EPS) * least:
-            return  # half of the digits are gone: what is left of the pair is mostly its errors
-        if self.V.shape[1] == 0:  # the first pair knows the scale
-            self.base = self.base * (energy / (v @ self.base @ v))
-        scale = 1.0 / np.sqrt(energy)
-        self.V = np.column_stack([self.V, scale * v])
-        self.W = np.column_stack([self.W, scale * w])
-
-    def forget(self) -> None:
-        """Drop all pairs."""
-        self.V = self.W = np.zeros((self.base.shape[0], 0))
 
 
 @dataclass(frozen=True)
@@ -117,24 +77,6 @@ class Everywhere:
         for i, j, a in parts or []:
             dense[i, j] = a
         return dense
-
-
-def half_laplacian(block: Floats) -> Floats:
-    """Return diag^(1/2) sqrt(L) diag^(1/2), with L the Laplacian of the graph of A_BB.
-
-    For linear elements on a curve this is the energy of the Dirichlet-to-Neumann map up to a
-    factor, whatever the mesh sizes; diag(A) brings in the stiffness. All edges weigh the same: the
-    entries of A_BB reflect the angles of the elements, which S hardly feels (measured on a graded
-    mesh: condition number of M^-1 S 6 without weights, 17 with |a_ij| as weights).
-    """
-    diagonal = np.sqrt(np.diag(block))
-    edges = (np.abs(block) > ROUND_OFF * EPS * np.outer(diagonal, diagonal)).astype(np.float64)
-    np.fill_diagonal(edges, 0.0)
-    values, vectors = eigh(np.diag(edges.sum(axis=1)) - edges)
-    # the size of the body bounds the softest mode: one wavelength over all bounded unknowns
-    shift = max(values.max(initial=0.0), 1.0) / max(1, values.size) ** 2
-    root = (vectors * np.sqrt(np.maximum(values, 0.0) + shift)) @ vectors.T
-    return np.asarray(root * np.outer(diagonal, diagonal))
 
 
 def on_root(comm: MPI.Comm, function: Callable[[], T]) -> T | None:
@@ -196,7 +138,8 @@ def predict(
     if not np.isfinite(rho).all():
         raise LinearSolveFailed("The linear solver gave NaN or infinity: check its options.")
     model = _create_model(qp, linear, everywhere)
-    b_norm, norms = qp.b.norm(), []
+    b_norm = qp.b.norm()
+    norms: list[float] = []
     for _ in range(LIMIT):
         before = active
         d, active = _solve_model(qp, model, (rho, lower - w, upper - w, active))
@@ -264,7 +207,7 @@ class _Reduced:
 
 def _create_model(qp: BoundQP, linear: LinearSolver, everywhere: Everywhere) -> SchurModel | None:
     """Return, on rank 0, a model without pairs: what was learnt about an earlier A, or one of A."""
-    unknowns, last = linear.memory.get("schur", (None, None))
+    unknowns, last = linear.learnt.bounded, linear.learnt.model
     fits = unknowns is not None and np.array_equal(unknowns, everywhere.own)
     base = None
     if qp.comm.allreduce(fits, op=MPI.LAND) and last is not None:
@@ -273,7 +216,7 @@ def _create_model(qp: BoundQP, linear: LinearSolver, everywhere: Everywhere) -> 
         block = everywhere.block(qp.A)
         base = on_root(qp.comm, lambda: half_laplacian(block))
     model = None if base is None else SchurModel(base, *np.zeros((2, base.shape[0], 0)))
-    linear.memory["schur"] = (everywhere.own.copy(), model)
+    linear.learnt = replace(linear.learnt, bounded=everywhere.own.copy(), model=model)
     return model
 
 

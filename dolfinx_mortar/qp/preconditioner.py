@@ -44,7 +44,7 @@ class Preconditioner:
         self.multigrid: Multigrid | None = None
         self.pc = ksp.getPC()
         if not options.direct:
-            self.multigrid = Multigrid(ksp.comm.tompi4py(), options.prefix)
+            self.multigrid = Multigrid(operator.r, options.prefix)
             self.pc = self.multigrid.inner
             ksp.setPC(PETSc.PC().createPython(self.multigrid, comm=ksp.comm))
 
@@ -65,6 +65,15 @@ class Preconditioner:
         if self.held is None:
             return None
         return int(self.ksp.comm.tompi4py().allreduce(np.setxor1d(self.held, held).size))
+
+    def clear(self) -> None:
+        """Free the factorisation or the levels, and let go of the matrices; collective.
+
+        PETSc keeps them in a PC that somebody else knows, also when the KSP is destroyed.
+        """
+        self.ksp.getPC().reset()
+        if self.multigrid is not None:
+            self.multigrid.clear()
 
     def renew(self, held: Ints, counts: LinearCounts) -> str:
         """Set up anew; return why it failed and what to do, or nothing (collective)."""
