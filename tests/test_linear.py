@@ -12,7 +12,14 @@ import numpy as np
 import pytest
 from programs import membrane
 
-from dolfinx_mortar.qp import MULTIGRID, BoundQP, LinearSolveFailed, LinearSolver, check_options
+from dolfinx_mortar.qp import (
+    MULTIGRID,
+    BoundQP,
+    LinearSolveFailed,
+    LinearSolver,
+    check_options,
+    solve,
+)
 from dolfinx_mortar.qp.renewal import Renewal
 
 COMM = MPI.COMM_WORLD
@@ -221,10 +228,40 @@ def test_options_wrong_on_one_rank_are_refused_on_all() -> None:
 @pytest.mark.mpi
 @pytest.mark.parametrize("method", [{}, {"pc_type": "lu"}, MULTIGRID, {"pc_type": "jacobi"}])
 def test_options_that_nobody_asks_for_are_named(qp: BoundQP, method: dict[str, Any]) -> None:
-    typed = {"ksp_tipe": "cg", "mat_mumps_icnt_14": 30, "ksp_max_it": 77}
+    typed = {"ksp_tipe": "cg", "mat_mumps_icnt_14": 30, "ksp_max_it": 377}
     linear = LinearSolver(COMM, prefix="typed_", options=method | typed)
     solved(linear, qp, none())
     assert linear.unused_options() == ["ksp_tipe", "mat_mumps_icnt_14"]
+
+
+@pytest.mark.parametrize("typed", [True, False])
+def test_the_limit_of_iterations_is_an_option(
+    qp: BoundQP, database: PETSc.Options, typed: bool
+) -> None:
+    """Of the caller, or in the database, which wins."""
+    options = {"pc_type": "none", "ksp_max_it": 5 if typed else 400}
+    if not typed:
+        database["limit_ksp_max_it"] = 5
+    linear = LinearSolver(COMM, prefix="limit_", options=options)
+    with pytest.raises(LinearSolveFailed, match="the residual is"):
+        solved(linear, qp, none())
+    assert linear.max_iterations == 5 and linear.counts.iterations <= 10
+    assert linear.unused_options() == []
+
+
+def test_tolerances_of_the_iteration_are_of_no_use(qp: BoundQP, database: PETSc.Options) -> None:
+    """PETSc reads them, but the accuracy follows from that of the QP."""
+    database["loose_ksp_atol"] = 1e3
+    options = {"ksp_rtol": 0.5, "ksp_atol": 1e2, "ksp_divtol": 2.0}
+    linear = LinearSolver(COMM, prefix="loose_", options=options)
+    assert solved(linear, qp, none()) <= RTOL
+    assert linear.unused_options() == ["ksp_atol", "ksp_divtol", "ksp_rtol"]
+
+
+def test_tolerances_of_the_iteration_reach_tao(qp: BoundQP) -> None:
+    linear = LinearSolver(COMM, prefix="within_", options={"ksp_rtol": 1e-9})
+    solve(qp, "interior-point", linear)
+    assert linear.unused_options() == []
 
 
 def test_options_of_methods_that_are_used_are_not_named(qp: BoundQP) -> None:

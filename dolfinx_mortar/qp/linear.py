@@ -70,7 +70,7 @@ class LinearSolver:
         counts: what it has done so far.
         learnt: what a backend has learnt about the matrices.
         description: name of the last method in use, for reports.
-        max_iterations: limit of one run of the iteration.
+        max_iterations: limit of one run of the iteration; the option ksp_max_it wins.
 
     Raises:
         ValueError: for options that PETSc cannot use, on all ranks.
@@ -124,9 +124,10 @@ class LinearSolver:
         return self._options.database(prefix)
 
     def unused_options(self) -> list[str]:
-        """Return the user's options that PETSc has never asked for: misspelt, or of no use.
+        """Return the user's options that have no effect: misspelt, or of no use to the method.
 
-        Complete after the first solve.
+        Also ksp_rtol and the like, as the accuracy follows from the QP's. Complete after the first
+        solve.
         """
         return self._options.unread()
 
@@ -141,6 +142,7 @@ class LinearSolver:
         ksp = PETSc.KSP().create(self.comm)
         ksp.setOptionsPrefix(self.prefix)
         ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+        ksp.setTolerances(max_it=self.max_iterations)
         with self.database(self.prefix):
             ksp.setFromOptions()
             operator = Operator(A, direct=self.direct)
@@ -148,6 +150,7 @@ class LinearSolver:
         if ksp.getType() != "cg":
             ksp.setNormType(PETSc.KSP.NormType.DEFAULT)
         ksp.setOperators(operator.matrix)
+        self.max_iterations = ksp.getTolerances()[3]
         renewal = Renewal(self.refactor_after, direct=self.direct)
         self._attached = Attached(operator, ksp, preconditioner, renewal, A.createVecRight())
         self.description = f"{ksp.getType()} + {preconditioner.description}"

@@ -20,6 +20,8 @@ DEFAULTS = {"ksp_type": "cg", "pc_type": "cholesky", "pc_factor_mat_solver_type"
 # The threshold drops entries that are zero up to round-off.
 MULTIGRID = {"pc_type": "gamg", "pc_gamg_threshold": 0.005}
 DIRECT = ("cholesky", "lu")
+# PETSc reads them, but our own convergence test stops the iteration.
+OVERRULED = {"ksp_rtol", "ksp_atol", "ksp_divtol"}
 VALUES = (str, int, float, bool, np.number, type(None))
 
 # Petsc4py 3.22 does not wrap PetscOptionsUsed; symbols are those that it is linked with.
@@ -70,14 +72,13 @@ class SolverOptions:
         try:
             yield
         finally:
-            self._unread -= hidden
+            read = hidden | {key for key in mine if was_read(f"{prefix}{key}")}
+            self._unread -= read - OVERRULED if prefix == self.prefix else read
             for key in mine:
-                if was_read(f"{prefix}{key}"):
-                    self._unread.discard(key)
                 opts.delValue(f"{prefix}{key}")
 
     def unread(self) -> list[str]:
-        """Return the options of the user that PETSc has not asked for so far."""
+        """Return the options of the user that have had no effect so far."""
         return sorted(self._unread)
 
 
