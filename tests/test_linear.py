@@ -164,6 +164,17 @@ def test_too_small_a_workspace_is_enlarged() -> None:
 
 
 @pytest.mark.mpi
+def test_a_workspace_that_the_database_keeps_small_is_an_error(database: PETSc.Options) -> None:
+    qp = membrane(60)
+    qp.b.set(1.0)
+    database["kept_mat_mumps_icntl_14"] = -70
+    linear = LinearSolver(COMM, prefix="kept_")
+    with pytest.raises(LinearSolveFailed, match="database has -kept_mat_mumps_icntl_14"):
+        solved(linear, qp, none())
+    assert linear.counts.factorisations == 1
+
+
+@pytest.mark.mpi
 @pytest.mark.parametrize("pc", ["cholesky", "lu"])
 def test_a_singular_matrix_is_an_error(pc: str) -> None:
     qp = membrane(12, held=False)

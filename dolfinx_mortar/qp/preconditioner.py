@@ -103,7 +103,9 @@ class Preconditioner:
             enough = mumps.enough_workspace(self.pc)
             if enough is None:
                 break
-            self.options.values["mat_mumps_icntl_14"] = enough
+            self.options.values[mumps.WORKSPACE] = enough
+            if self.options[mumps.WORKSPACE] != str(enough):
+                break  # what the user's options database has wins, and cannot grow
             self.pc.reset()  # a failed factor cannot be used again
             self.ksp.setOperators(self.operator.matrix)
             counts.symbolic += 1
