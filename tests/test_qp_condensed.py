@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The QP of the bounded unknowns alone: the dense model, what it learns, where it breaks down."""
 
+from dataclasses import replace
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -9,7 +11,7 @@ import pytest
 from programs import CYCLING, CYCLING_FORCE, from_arrays, gathered, membrane, sets
 from scipy.linalg import cholesky
 
-from dolfinx_mortar.qp import LinearSolver, condensed, solve
+from dolfinx_mortar.qp import LinearSolver, QPNotSolved, condensed, solve
 from dolfinx_mortar.qp.condensed import on_root
 from dolfinx_mortar.qp.schur import SchurModel, half_laplacian
 
@@ -132,6 +134,24 @@ def _dense(A: PETSc.Mat) -> np.ndarray:
     dense = np.zeros(A.size)
     dense[np.repeat(np.arange(A.size[0]), np.diff(indptr)), columns] = values
     return dense
+
+
+@pytest.mark.mpi
+def test_memory_that_ends_on_the_first_rank_ends_the_solve_on_all(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Also where what was learnt is looked at again."""
+
+    def full(*_: object) -> None:
+        raise MemoryError("full")
+
+    qp, linear = membrane(16), LinearSolver(COMM, prefix="full_")
+    solve(qp, linear=linear)
+    linear.learnt = replace(linear.learnt, changes=None)  # predict again
+    if COMM.rank == 0:
+        monkeypatch.setattr(condensed, "cholesky", full)
+    with pytest.raises(QPNotSolved, match="MemoryError, full"):
+        solve(qp, linear=linear)
 
 
 @pytest.mark.mpi

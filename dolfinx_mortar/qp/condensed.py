@@ -210,8 +210,8 @@ def _create_model(qp: BoundQP, linear: LinearSolver, everywhere: Everywhere) -> 
     unknowns, last = linear.learnt.bounded, linear.learnt.model
     fits = unknowns is not None and np.array_equal(unknowns, everywhere.own)
     base = None
-    if qp.comm.allreduce(fits, op=MPI.LAND) and last is not None:
-        base = _learnt(last)
+    if qp.comm.allreduce(fits, op=MPI.LAND):
+        base = on_root(qp.comm, lambda: None if last is None else _learnt(last))
     if not qp.comm.bcast(base is not None):
         block = everywhere.block(qp.A)
         base = on_root(qp.comm, lambda: half_laplacian(block))
