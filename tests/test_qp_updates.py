@@ -87,7 +87,9 @@ def test_sets_that_never_come_back_end_at_the_limit(monkeypatch: pytest.MonkeyPa
     def hold(active: np.ndarray, level: int) -> Found:
         return Found(np.full(2, next(calls), dtype=np.int8), 2, satisfied=True)
 
-    assert "after 7 solves" in update(hold, sets(0, 0), COMM).reason
+    outcome = update(hold, sets(0, 0), COMM)
+    assert "after 7 solves" in outcome.reason
+    assert outcome.active.tolist() == [5, 5]  # held last; the next one is [6, 6]
     assert next(calls) == 7
 
 
