@@ -76,7 +76,7 @@ class KKT:
         return worst if finite else float("inf")
 
 
-@dataclass
+@dataclass(frozen=True)
 class QPSolution:
     """Solution of a BoundQP with what it took to find it."""
 

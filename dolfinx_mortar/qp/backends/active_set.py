@@ -95,5 +95,5 @@ def _hand_over(
             f"Active set: {reason}. The interior point failed as well ({error}). "
             "Most often a body can float away: add a support or a load that closes the contact."
         ) from error
-    solution.note = f"handed to the interior point: {reason}. {solution.note}".strip()
-    return solution
+    note = f"handed to the interior point: {reason}. {solution.note}".strip()
+    return replace(solution, note=note)
