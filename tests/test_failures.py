@@ -2,6 +2,7 @@
 """Steps that cannot be solved: floating bodies, useless solvers, too few iterations."""
 
 import json
+from dataclasses import replace
 from xml.etree import ElementTree
 
 from petsc4py import PETSc
@@ -303,9 +304,7 @@ def test_one_note_per_step(case, monkeypatch):
     solve = dm.qp.solve
 
     def talkative(*args, **options):
-        solution = solve(*args, **options)
-        solution.note = "hear"
-        return solution
+        return replace(solve(*args, **options), note="hear")
 
     monkeypatch.setattr(dm.qp, "solve", talkative)
     report = dm.newton(plastic(case))
