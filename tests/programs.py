@@ -7,9 +7,18 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.qp import BoundQP
+from dolfinx_mortar.qp import BoundQP, QPSolution
 
 Floats = npt.NDArray[np.float64]
+
+# three unknowns: from six of the eight active sets the updates never end
+CYCLING = np.array([[9.0, -13, 7], [-13, 22, -7], [7, -7, 9]])
+CYCLING_FORCE = np.array([-1.0, 2, 0])
+
+
+def sets(*values: int) -> npt.NDArray[np.int8]:
+    """Return an active set."""
+    return np.array(values, dtype=np.int8)
 
 
 def from_arrays(A: Floats, b: Floats, lower: Floats, upper: Floats, comm: MPI.Comm) -> BoundQP:
@@ -73,3 +82,9 @@ def membrane(
     for part in (A, b, upper):
         part.assemble()
     return BoundQP(A, b, lower, upper, np.array(bounded, dtype=np.int32))
+
+
+def active_everywhere(solution: QPSolution) -> list[int]:
+    """Return the active set of all ranks on every rank."""
+    parts = MPI.COMM_WORLD.allgather(solution.active)
+    return [int(a) for part in parts for a in part]

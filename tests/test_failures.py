@@ -2,6 +2,7 @@
 """Steps that cannot be solved: floating bodies, useless solvers, too few iterations."""
 
 import json
+from dataclasses import replace
 from xml.etree import ElementTree
 
 from petsc4py import PETSc
@@ -102,7 +103,7 @@ def test_linear_solver_that_returns_nonsense(case, monkeypatch, nonsense, qp):
     problem = case.problem()
 
     with monkeypatch.context() as patch:
-        patch.setattr(dm.qp.LinearSolver, "_sweep", lambda self, *_: self._dx.set(nonsense))
+        patch.setattr(dm.qp.LinearSolver, "_sweep", lambda self, *_: self.attached.dx.set(nonsense))
         patch.setattr(dm.qp.LinearSolver, "apply", lambda self, r, x: x.set(nonsense))
         with rejected("linear solver", error=dm.NewtonNotConverged):
             dm.newton(problem, qp=qp)
@@ -327,9 +328,7 @@ def test_one_note_per_step(case, monkeypatch):
     solve = dm.qp.solve
 
     def talkative(*args, **options):
-        solution = solve(*args, **options)
-        solution.note = "hear"
-        return solution
+        return replace(solve(*args, **options), note="hear")
 
     monkeypatch.setattr(dm.qp, "solve", talkative)
     report = dm.newton(plastic(case))

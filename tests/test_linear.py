@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Linear solves with held unknowns: options, reuse and renewal of factorisations, failures."""
 
+import weakref
 from collections.abc import Iterator
 from typing import Any
 
@@ -11,7 +12,14 @@ import numpy as np
 import pytest
 from programs import membrane
 
-from dolfinx_mortar.qp import MULTIGRID, BoundQP, LinearSolveFailed, LinearSolver, check_options
+from dolfinx_mortar.qp import (
+    MULTIGRID,
+    BoundQP,
+    LinearSolveFailed,
+    LinearSolver,
+    check_options,
+    solve,
+)
 from dolfinx_mortar.qp.renewal import Renewal
 
 COMM = MPI.COMM_WORLD
@@ -39,15 +47,15 @@ def none() -> np.ndarray:
     return np.zeros(0, dtype=np.int32)
 
 
-def solved(linear: LinearSolver, qp: BoundQP, fixed: np.ndarray) -> float:
+def solved(linear: LinearSolver, qp: BoundQP, held: np.ndarray) -> float:
     """Solve from zero; return the relative residual on the unknowns that are not held."""
     x = qp.b.duplicate()
     x.set(0.0)
     linear.attach(qp.A)
-    linear.solve(qp.b, x, fixed, atol=RTOL * qp.b.norm())
+    linear.solve(qp.b, x, held, atol=RTOL * qp.b.norm())
     r = qp.b - qp.A * x
-    r.array[fixed] = 0.0
-    assert np.abs(x.array_r[fixed]).max(initial=0.0) == 0.0
+    r.array[held] = 0.0
+    assert np.abs(x.array_r[held]).max(initial=0.0) == 0.0
     return float(r.norm() / qp.b.norm())
 
 
@@ -142,7 +150,7 @@ def test_options_of_the_user_win_and_ours_leave_no_trace(
 def test_options_reach_mumps(qp: BoundQP) -> None:
     linear = LinearSolver(COMM, prefix="reach_", options={"mat_mumps_icntl_7": 2})
     solved(linear, qp, none())
-    factor = linear._ksp.getPC().getFactorMatrix()
+    factor = linear.attached.ksp.getPC().getFactorMatrix()
     assert factor.getMumpsIcntl(7) == 2
 
 
@@ -152,7 +160,18 @@ def test_too_small_a_workspace_is_enlarged() -> None:
     qp.b.set(1.0)
     linear = LinearSolver(COMM, prefix="small_", options={"mat_mumps_icntl_14": -70})
     assert solved(linear, qp, none()) <= RTOL
-    assert linear._ksp.getPC().getFactorMatrix().getMumpsIcntl(14) > 0
+    assert linear.attached.ksp.getPC().getFactorMatrix().getMumpsIcntl(14) > 0
+
+
+@pytest.mark.mpi
+def test_a_workspace_that_the_database_keeps_small_is_an_error(database: PETSc.Options) -> None:
+    qp = membrane(60)
+    qp.b.set(1.0)
+    database["kept_mat_mumps_icntl_14"] = -70
+    linear = LinearSolver(COMM, prefix="kept_")
+    with pytest.raises(LinearSolveFailed, match="database has -kept_mat_mumps_icntl_14"):
+        solved(linear, qp, none())
+    assert linear.counts.factorisations == 1
 
 
 @pytest.mark.mpi
@@ -220,10 +239,40 @@ def test_options_wrong_on_one_rank_are_refused_on_all() -> None:
 @pytest.mark.mpi
 @pytest.mark.parametrize("method", [{}, {"pc_type": "lu"}, MULTIGRID, {"pc_type": "jacobi"}])
 def test_options_that_nobody_asks_for_are_named(qp: BoundQP, method: dict[str, Any]) -> None:
-    typed = {"ksp_tipe": "cg", "mat_mumps_icnt_14": 30, "ksp_max_it": 77}
+    typed = {"ksp_tipe": "cg", "mat_mumps_icnt_14": 30, "ksp_max_it": 377}
     linear = LinearSolver(COMM, prefix="typed_", options=method | typed)
     solved(linear, qp, none())
     assert linear.unused_options() == ["ksp_tipe", "mat_mumps_icnt_14"]
+
+
+@pytest.mark.parametrize("typed", [True, False])
+def test_the_limit_of_iterations_is_an_option(
+    qp: BoundQP, database: PETSc.Options, typed: bool
+) -> None:
+    """Of the caller, or in the database, which wins."""
+    options = {"pc_type": "none", "ksp_max_it": 5 if typed else 400}
+    if not typed:
+        database["limit_ksp_max_it"] = 5
+    linear = LinearSolver(COMM, prefix="limit_", options=options)
+    with pytest.raises(LinearSolveFailed, match="the residual is"):
+        solved(linear, qp, none())
+    assert linear.max_iterations == 5 and linear.counts.iterations <= 10
+    assert linear.unused_options() == []
+
+
+def test_tolerances_of_the_iteration_are_of_no_use(qp: BoundQP, database: PETSc.Options) -> None:
+    """PETSc reads them, but the accuracy follows from that of the QP."""
+    database["loose_ksp_atol"] = 1e3
+    options = {"ksp_rtol": 0.5, "ksp_atol": 1e2, "ksp_divtol": 2.0}
+    linear = LinearSolver(COMM, prefix="loose_", options=options)
+    assert solved(linear, qp, none()) <= RTOL
+    assert linear.unused_options() == ["ksp_atol", "ksp_divtol", "ksp_rtol"]
+
+
+def test_tolerances_of_the_iteration_reach_tao(qp: BoundQP) -> None:
+    linear = LinearSolver(COMM, prefix="within_", options={"ksp_rtol": 1e-9})
+    solve(qp, "interior-point", linear)
+    assert linear.unused_options() == []
 
 
 def test_options_of_methods_that_are_used_are_not_named(qp: BoundQP) -> None:
@@ -281,5 +330,41 @@ def test_a_class_is_small() -> None:
     qp = membrane(6)
     qp.b.set(1.0)
     solved(linear, qp, none())
-    parts = (linear, linear.operator, linear.renewal, linear._preconditioner, linear._options)
+    parts = (
+        linear,
+        linear.operator,
+        linear.renewal,
+        linear.attached.preconditioner,
+        linear._options,
+    )
     assert max(len(vars(part)) for part in parts) <= 12
+
+
+# -- what is left afterwards
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("pc", ["cholesky", "gamg"])
+def test_clear_frees_the_matrices_and_the_factorisation(qp: BoundQP, pc: str) -> None:
+    """Nobody but this test holds them afterwards: not the KSP's PC, nor that of multigrid."""
+    linear = LinearSolver(COMM, prefix="clear_", options={"pc_type": pc})
+    solved(linear, qp, qp.bounded)
+    preconditioner, operator = linear.attached.preconditioner, weakref.ref(linear.operator)
+    outer, inner = linear.attached.ksp.getPC(), preconditioner.pc
+    matrices = {
+        "cholesky": lambda: (inner.getFactorMatrix(), inner.getOperators()[1]),
+        "gamg": lambda: (outer.getOperators()[0], inner.getOperators()[1]),
+    }[pc]()
+    linear.clear()
+    assert [matrix.getRefCount() for matrix in matrices] == [1, 1]
+    del preconditioner
+    assert operator() is None
+
+
+def test_a_description_outlives_its_matrix(qp: BoundQP) -> None:
+    """A report may ask after a new search has cleared the solver."""
+    linear = LinearSolver(COMM, prefix="described_")
+    assert linear.description == "not used yet"
+    solved(linear, qp, none())
+    linear.clear()
+    assert linear.description == "cg + cholesky (mumps)"

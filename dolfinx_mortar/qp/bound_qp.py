@@ -11,14 +11,7 @@ import numpy as np
 from dolfinx_mortar.algebra.parallel import maximum, ratio
 from dolfinx_mortar.arrays import Actives, Floats, Ints
 from dolfinx_mortar.qp.bounded import Bounded
-
-EPS = float(np.finfo(np.float64).eps)
-# Round-off of A x in units of eps |diag(A) x|: rows of a stiffness matrix have 10 to 100 entries
-ROUND_OFF = 16.0
-# Rounds of anything that ends by a rule of its own; no problem met so far needs half as many.
-LIMIT = 100
-# Who works for a check takes this share of its tolerance: its scale may shrink meanwhile.
-SHARE = 0.5
+from dolfinx_mortar.qp.tolerances import EPS, ROUND_OFF
 
 
 @dataclass(frozen=True)
@@ -83,7 +76,7 @@ class KKT:
         return worst if finite else float("inf")
 
 
-@dataclass
+@dataclass(frozen=True)
 class QPSolution:
     """Solution of a BoundQP with what it took to find it."""
 

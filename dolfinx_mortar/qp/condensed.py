@@ -3,11 +3,11 @@
 
 Factorise A once with all bounded unknowns B held. Then x_I follows from x_B by one solve, and what
 is left is a QP for x_B with the Schur complement S = A_BB - A_BI A_II^-1 A_IB. Applying S costs one
-solve; forming it would cost one per bounded unknown. So a dense model of S is kept on every rank
-(it is data of a surface, not of a volume), the model's QP is solved to the end, and the solve that
-checks the result gives one exact pair (v, S v) that improves the model (block BFGS). The first
-model is the square root of a graph Laplacian, because S is a half-order operator like the
-Dirichlet-to-Neumann map; later ones start from what was learnt in the last Newton iteration.
+solve; forming it would cost one per bounded unknown. So a dense model of S is kept on rank 0 (few
+unknowns have bounds), the model's QP is solved to the end, and the solve that checks the result
+gives one exact pair (v, S v) that improves the model (block BFGS). The first model is the square
+root of a graph Laplacian, because S is a half-order operator like the Dirichlet-to-Neumann map;
+later ones start from what was learnt in the last Newton iteration.
 
 Nothing here is singular as long as the bounds, all active, hold the bodies.
 
@@ -25,66 +25,27 @@ What it saves in a step of benchmarks/hertz_2d.py, over both slaves, frozen and 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, eigh
+from scipy.linalg import LinAlgError, cholesky
 
 from dolfinx_mortar.arrays import Actives, Floats, Ints, Longs
-from dolfinx_mortar.qp.bound_qp import EPS, LIMIT, ROUND_OFF, SHARE, BoundQP
+from dolfinx_mortar.qp.bound_qp import BoundQP
 from dolfinx_mortar.qp.dense import solve_dense
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
+from dolfinx_mortar.qp.schur import SchurModel, half_laplacian
+from dolfinx_mortar.qp.tolerances import LIMIT, SHARE
 
 T = TypeVar("T")
 
 
-@dataclass
-class SchurModel:
-    """A symmetric positive definite model of the Schur complement on the bounded unknowns."""
-
-    base: Floats  # (k, k) before any pair is known: from A, or what was learnt about an earlier A
-    V: Floats  # (k, j) directions, conjugate: V' W = 1
-    W: Floats  # (k, j) S V
-
-    def matrix(self) -> Floats:
-        """Return base - base V (V' base V)^-1 V' base + W W', which maps V to W.
-
-        Raises:
-            LinAlgError: if round-off has made the base indefinite.
-        """
-        if self.V.shape[1] == 0:
-            return self.base
-        C = self.base @ self.V
-        M = self.base - C @ cho_solve(cho_factor(self.V.T @ C), C.T) + self.W @ self.W.T
-        return np.asarray(0.5 * (M + M.T))
-
-    def learn(self, v: Floats, w: Floats) -> None:
-        """Add the pair w = S v, made conjugate to the pairs at hand."""
-        whole = v @ w
-        for _ in range(2):  # twice is enough
-            c = self.W.T @ v
-            v, w = v - self.V @ c, w - self.W @ c
-        energy = v @ w
-        least = max(float(whole), float(np.linalg.norm(v) * np.linalg.norm(w)))
-        if not energy > np.sqrt(EPS) * least:
-            return  # half of the digits are gone: what is left of the pair is mostly its errors
-        if self.V.shape[1] == 0:  # the first pair knows the scale
-            self.base = self.base * (energy / (v @ self.base @ v))
-        scale = 1.0 / np.sqrt(energy)
-        self.V = np.column_stack([self.V, scale * v])
-        self.W = np.column_stack([self.W, scale * w])
-
-    def forget(self) -> None:
-        """Drop all pairs."""
-        self.V = self.W = np.zeros((self.base.shape[0], 0))
-
-
 @dataclass(frozen=True)
-class Surface:
+class Everywhere:
     """The bounded unknowns of all ranks as one replicated vector, in rank order."""
 
     comm: MPI.Comm
@@ -116,24 +77,6 @@ class Surface:
         for i, j, a in parts or []:
             dense[i, j] = a
         return dense
-
-
-def half_laplacian(block: Floats) -> Floats:
-    """Return diag^(1/2) sqrt(L) diag^(1/2), with L the Laplacian of the graph of A_BB.
-
-    For linear elements on a curve this is the energy of the Dirichlet-to-Neumann map up to a
-    factor, whatever the mesh sizes; diag(A) brings in the stiffness. All edges weigh the same: the
-    entries of A_BB reflect the angles of the elements, which S hardly feels (measured on a graded
-    mesh: condition number of M^-1 S 6 without weights, 17 with |a_ij| as weights).
-    """
-    diagonal = np.sqrt(np.diag(block))
-    edges = (np.abs(block) > ROUND_OFF * EPS * np.outer(diagonal, diagonal)).astype(np.float64)
-    np.fill_diagonal(edges, 0.0)
-    values, vectors = eigh(np.diag(edges.sum(axis=1)) - edges)
-    # the size of the body bounds the softest mode: one wavelength over the whole surface
-    shift = max(values.max(initial=0.0), 1.0) / max(1, values.size) ** 2
-    root = (vectors * np.sqrt(np.maximum(values, 0.0) + shift)) @ vectors.T
-    return np.asarray(root * np.outer(diagonal, diagonal))
 
 
 def on_root(comm: MPI.Comm, function: Callable[[], T]) -> T | None:
@@ -177,29 +120,33 @@ def predict(
         rtol: residual of the free bounded unknowns relative to the forces.
 
     Returns:
-        The active set (k,), the caller checks. Once it stays, and the residual falls so slowly that
-        a factorisation with it held costs less than the solves to come, the caller goes on.
+        The active set (k,), which the caller has to check. Once it stays, and the residual falls so
+        slowly that a factorisation with it held costs less than the solves to come, it is returned
+        as it is.
 
     Raises:
         LinearSolveFailed: if A is singular even with all bounded unknowns held.
     """
     order = np.argsort(qp.bounded)
-    surface = Surface(qp.comm, qp.bounded[order], np.array(qp.comm.allgather(order.size)))
-    lower, upper = (surface.gather(bound[order]) for bound in qp.bounds())
-    linear.factorise(surface.own)
-    reduced = _Reduced(qp, linear, surface, x)
-    active = np.sign(surface.gather(start[order].astype(np.float64))).astype(np.int8)
+    everywhere = Everywhere(qp.comm, qp.bounded[order], np.array(qp.comm.allgather(order.size)))
+    lower, upper = (everywhere.gather(bound[order]) for bound in qp.bounds())
+    linear.factorise(everywhere.own)
+    reduced = _Reduced(qp, linear, everywhere, x)
+    active = np.sign(everywhere.gather(start[order].astype(np.float64))).astype(np.int8)
     w = np.where(active > 0, upper, np.where(active < 0, lower, np.clip(0.0, lower, upper)))
     rho = reduced.force(w)
     if not np.isfinite(rho).all():
         raise LinearSolveFailed("The linear solver gave NaN or infinity: check its options.")
-    model = _create_model(qp, linear, surface)
-    b_norm, norms = qp.b.norm(), []
+    model = _create_model(qp, linear, everywhere)
+    b_norm = qp.b.norm()
+    norms: list[float] = []
     for _ in range(LIMIT):
         before = active
         d, active = _solve_model(qp, model, (rho, lower - w, upper - w, active))
         force = max(float(np.linalg.norm(rho)), b_norm)
         tolerance = max(SHARE**2 * rtol * force, linear.round_off(x))
+        if not np.array_equal(active, before):
+            norms.clear()  # residuals of different sets have no rate
         reached, held = w + d, active != 0
         norms.append(float(np.linalg.norm(rho[~held])))
         stays = np.array_equal(reached[held], w[held])
@@ -212,27 +159,29 @@ def predict(
         if not np.isfinite(rho).all():
             break
     result = np.empty(order.size, dtype=np.int8)
-    result[order] = active[surface.own_part]
+    result[order] = active[everywhere.own_part]
     return result
 
 
 class _Reduced:
     """The energy as a function of x_B alone, with x kept up to date."""
 
-    def __init__(self, qp: BoundQP, linear: LinearSolver, surface: Surface, x: PETSc.Vec) -> None:
-        self.qp, self.linear, self.surface, self.x = qp, linear, surface, x
+    def __init__(
+        self, qp: BoundQP, linear: LinearSolver, everywhere: Everywhere, x: PETSc.Vec
+    ) -> None:
+        self.qp, self.linear, self.everywhere, self.x = qp, linear, everywhere, x
         self.z, self.dx, self.before = (x.duplicate() for _ in range(3))
 
     def force(self, w: Floats) -> Floats:
         """Set x_B = w, solve for x_I and return (b - A x)_B = minus the reduced gradient."""
-        own, x = self.surface.own, self.x
-        x.array[own] = w[self.surface.own_part]
+        own, x = self.everywhere.own, self.x
+        x.array[own] = w[self.everywhere.own_part]
         self.linear.apply(self.linear.residual(self.qp.b, x, own), self.dx)
         self.dx.array[own] = 0.0
         x.axpy(1.0, self.dx)
         self.qp.A.mult(x, self.z)
         self.z.aypx(-1.0, self.qp.b)
-        return self.surface.gather(self.z.array_r[own])
+        return self.everywhere.gather(self.z.array_r[own])
 
     def move(
         self, w: Floats, reached: Floats, rho: Floats, model: SchurModel | None
@@ -256,18 +205,18 @@ class _Reduced:
         return w + step * d, rho - step * Sd
 
 
-def _create_model(qp: BoundQP, linear: LinearSolver, surface: Surface) -> SchurModel | None:
+def _create_model(qp: BoundQP, linear: LinearSolver, everywhere: Everywhere) -> SchurModel | None:
     """Return, on rank 0, a model without pairs: what was learnt about an earlier A, or one of A."""
-    unknowns, last = linear.memory.get("schur", (None, None))
-    fits = unknowns is not None and np.array_equal(unknowns, surface.own)
+    unknowns, last = linear.learnt.bounded, linear.learnt.model
+    fits = unknowns is not None and np.array_equal(unknowns, everywhere.own)
     base = None
-    if qp.comm.allreduce(fits, op=MPI.LAND) and last is not None:
-        base = _learnt(last)
+    if qp.comm.allreduce(fits, op=MPI.LAND):
+        base = on_root(qp.comm, lambda: None if last is None else _learnt(last))
     if not qp.comm.bcast(base is not None):
-        block = surface.block(qp.A)
+        block = everywhere.block(qp.A)
         base = on_root(qp.comm, lambda: half_laplacian(block))
     model = None if base is None else SchurModel(base, *np.zeros((2, base.shape[0], 0)))
-    linear.memory["schur"] = (surface.own.copy(), model)
+    linear.learnt = replace(linear.learnt, bounded=everywhere.own.copy(), model=model)
     return model
 
 

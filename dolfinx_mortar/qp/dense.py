@@ -8,9 +8,9 @@ from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.optimize import lsq_linear
 
 from dolfinx_mortar.arrays import Actives, Floats
-from dolfinx_mortar.qp.bound_qp import EPS, ROUND_OFF
 from dolfinx_mortar.qp.bounded import Bounded
-from dolfinx_mortar.qp.updates import Held, update
+from dolfinx_mortar.qp.tolerances import EPS, ROUND_OFF
+from dolfinx_mortar.qp.updates import Found, update
 
 
 def solve_dense(
@@ -40,12 +40,12 @@ def solve_dense(
     ([0.25, 0.5], [1, 0])
     """
 
-    def hold(active: Actives, level: int) -> Held:
+    def hold(active: Actives, level: int) -> Found:
         d, z = _with_active(M, b, np.where(active > 0, upper, lower), active)
         found = Bounded(d, z, lower, upper, np.diag(M))
         new = found.predicted()
         noise = ROUND_OFF * EPS * float(np.linalg.norm(np.diag(M) * d))
-        return Held(new, int(found.strong(active, new, noise).sum()), satisfied=True)
+        return Found(new, int(found.strong(active, new, noise).sum()), satisfied=True)
 
     outcome = update(hold, active, MPI.COMM_SELF)
     if outcome.reason:

@@ -7,19 +7,10 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import norm
 from dolfinx_mortar.arrays import Actives, Ints
-from dolfinx_mortar.qp.bound_qp import (
-    EPS,
-    LIMIT,
-    ROUND_OFF,
-    SHARE,
-    BoundQP,
-    QPSolution,
-    check,
-    on_bounded,
-    reaction,
-)
+from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution, check, on_bounded, reaction
 from dolfinx_mortar.qp.linear import LinearSolver
-from dolfinx_mortar.qp.updates import TIGHT, Held, Outcome
+from dolfinx_mortar.qp.tolerances import EPS, LIMIT, ROUND_OFF, SHARE
+from dolfinx_mortar.qp.updates import TIGHT, Found, Outcome
 
 
 class HeldProblem:
@@ -45,7 +36,7 @@ class HeldProblem:
         self.b_norm = qp.b.norm()
         self.reactions: float | None = None  # at the bounds; unknown before the first solve
 
-    def hold(self, active: Actives, level: int) -> Held:
+    def hold(self, active: Actives, level: int) -> Found:
         """Solve with a set held; x and z are the solution (collective).
 
         Raises:
@@ -60,7 +51,7 @@ class HeldProblem:
         strong = found.strong(active, new, max(atol, self.linear.round_off(self.x)))
         changes = int(self.qp.comm.allreduce(int(strong.sum())))
         satisfied = changes == 0 and level >= TIGHT and self._is_accurate(level)
-        return Held(new, changes, satisfied)
+        return Found(new, changes, satisfied)
 
     def solution(self, outcome: Outcome, name: str) -> QPSolution:
         """Return the last solution."""
@@ -75,15 +66,15 @@ class HeldProblem:
         finest = self._accuracy(level) <= ROUND_OFF * EPS
         return finest or check(self.qp, self.x, self.z).satisfied(self.rtol)
 
-    def _solve(self, fixed: Ints, level: int) -> float:
+    def _solve(self, held: Ints, level: int) -> float:
         """Solve until the accuracy holds with the reactions that come out; return the tolerance."""
         if self.reactions is None:
             self.reactions = max(self.z.norm(), reaction(self.qp, self.x).norm())
         atol = self._tolerance(level)
         for _ in range(LIMIT):
-            self.linear.solve(self.qp.b, self.x, fixed, atol=SHARE * atol)
+            self.linear.solve(self.qp.b, self.x, held, atol=SHARE * atol)
             self.z = reaction(self.qp, self.x)
-            zb = self.z.array_r[fixed]
+            zb = self.z.array_r[held]
             self.reactions = norm(self.qp.comm, zb)
             reached, atol = atol, self._tolerance(level)
             if SHARE * reached <= atol:

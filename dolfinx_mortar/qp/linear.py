@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
@@ -14,13 +15,14 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.arrays import Ints
-from dolfinx_mortar.qp.bound_qp import EPS, LIMIT, ROUND_OFF
 from dolfinx_mortar.qp.counts import LinearCounts
 from dolfinx_mortar.qp.multigrid import CreatePreconditioning
 from dolfinx_mortar.qp.operator import Operator
 from dolfinx_mortar.qp.options import SolverOptions, check_options
 from dolfinx_mortar.qp.preconditioner import Preconditioner
-from dolfinx_mortar.qp.renewal import REFACTOR_AFTER, SETUP_AFTER, Renewal, Watch
+from dolfinx_mortar.qp.renewal import REFACTOR_AFTER, SETUP_AFTER, Renewal, SlownessTest
+from dolfinx_mortar.qp.schur import Learnt
+from dolfinx_mortar.qp.tolerances import EPS, LIMIT, ROUND_OFF
 
 MAX_ITERATIONS = 500
 # A well-posed stiffness matrix loses up to 6 to 8 digits; one that loses 12 is singular.
@@ -29,6 +31,23 @@ SINGULAR_LOSS = 1e-4
 
 class LinearSolveFailed(RuntimeError):
     """A linear system could not be solved; the message has the reason and the remedy."""
+
+
+@dataclass(frozen=True)
+class Attached:
+    """What belongs to one matrix, and goes with it."""
+
+    operator: Operator
+    ksp: PETSc.KSP
+    preconditioner: Preconditioner
+    renewal: Renewal
+    dx: PETSc.Vec  # (n,) the last correction
+
+    def destroy(self) -> None:
+        """Free the matrices and the factorisation; collective."""
+        self.preconditioner.clear()
+        self.ksp.destroy()
+        self.operator.destroy()
 
 
 class LinearSolver:
@@ -49,8 +68,9 @@ class LinearSolver:
 
     Attributes:
         counts: what it has done so far.
-        memory: what a backend has learnt about the matrices.
-        max_iterations: limit of one run of the iteration.
+        learnt: what a backend has learnt about the matrices.
+        description: name of the last method in use, for reports.
+        max_iterations: limit of one run of the iteration; the option ksp_max_it wins.
 
     Raises:
         ValueError: for options that PETSc cannot use, on all ranks.
@@ -73,8 +93,9 @@ class LinearSolver:
         self._refactor_after = refactor_after
         self.max_iterations = MAX_ITERATIONS
         self.counts = LinearCounts()
-        self.memory: dict[str, Any] = {}
-        self._operator: Operator | None = None
+        self.learnt = Learnt()
+        self.description = "not used yet"
+        self._attached: Attached | None = None
 
     @property
     def prefix(self) -> str:
@@ -98,23 +119,15 @@ class LinearSolver:
             return self._refactor_after
         return REFACTOR_AFTER if self.direct else SETUP_AFTER
 
-    @property
-    def description(self) -> str:
-        """Name the method, for reports."""
-        if self._operator is None:
-            return "not used yet"
-        return f"{self._ksp.getType()} + {self._preconditioner.description}"
-
-    def database(
-        self, prefix: str, more: Mapping[str, Any] | None = None
-    ) -> AbstractContextManager[None]:
+    def database(self, prefix: str) -> AbstractContextManager[None]:
         """Hold our options in PETSc's database for a while."""
-        return self._options.database(prefix, more)
+        return self._options.database(prefix)
 
     def unused_options(self) -> list[str]:
-        """Return the user's options that PETSc has never asked for: misspelt, or of no use.
+        """Return the user's options that have no effect: misspelt, or of no use to the method.
 
-        Complete after the first solve.
+        Also ksp_rtol and the like, as the accuracy follows from the QP's. Complete after the first
+        solve.
         """
         return self._options.unread()
 
@@ -123,58 +136,67 @@ class LinearSolver:
 
         The factorisation at hand stays as preconditioner if A is the object seen before.
         """
-        if self._operator is not None and A.handle == self._operator.A.handle:
+        if self._attached is not None and A.handle == self.operator.A.handle:
             return
-        self.clear()  # until all options have proved valid
-        self._ksp = ksp = PETSc.KSP().create(self.comm)
+        self.clear()  # and nothing is attached should an option prove wrong
+        ksp = PETSc.KSP().create(self.comm)
         ksp.setOptionsPrefix(self.prefix)
         ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+        ksp.setTolerances(max_it=self.max_iterations)
         with self.database(self.prefix):
             ksp.setFromOptions()
             operator = Operator(A, direct=self.direct)
-            self._preconditioner = Preconditioner(
-                operator, ksp, self._options, self.preconditioning
-            )
+            preconditioner = Preconditioner(operator, ksp, self._options, self.preconditioning)
         if ksp.getType() != "cg":
             ksp.setNormType(PETSc.KSP.NormType.DEFAULT)
         ksp.setOperators(operator.matrix)
-        self.renewal = Renewal(self.refactor_after, direct=self.direct)
-        self._dx = A.createVecRight()
-        self._operator = operator
+        self.max_iterations = ksp.getTolerances()[3]
+        renewal = Renewal(self.refactor_after, direct=self.direct)
+        self._attached = Attached(operator, ksp, preconditioner, renewal, A.createVecRight())
+        self.description = f"{ksp.getType()} + {preconditioner.description}"
         self.counts.symbolic += 1
 
     def clear(self) -> None:
         """Free the matrix and the factorisation: two at a time would need twice the memory."""
-        if self._operator is not None:
-            self._ksp.destroy()
-            self._operator.destroy()
-        self._operator = None
+        if self._attached is not None:
+            self._attached.destroy()
+        self._attached = None
+
+    @property
+    def attached(self) -> Attached:
+        """What belongs to the attached matrix."""
+        assert self._attached is not None, "no matrix is attached"
+        return self._attached
 
     @property
     def operator(self) -> Operator:
         """The operator of the attached matrix."""
-        assert self._operator is not None, "no matrix is attached"
-        return self._operator
+        return self.attached.operator
 
-    def residual(self, b: PETSc.Vec, x: PETSc.Vec, fixed: Ints) -> PETSc.Vec:
-        """Return b - A x with zeros at `fixed`; the vector is reused by the next call."""
-        return self.operator.residual(b, x, fixed)
+    @property
+    def renewal(self) -> Renewal:
+        """What is known of the factorisation at hand."""
+        return self.attached.renewal
+
+    def residual(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints) -> PETSc.Vec:
+        """Return b - A x with zeros at `held`; the vector is reused by the next call."""
+        return self.operator.residual(b, x, held)
 
     def round_off(self, x: PETSc.Vec) -> float:
         """Return the round-off of A x, the smallest residual that can be expected."""
         return self.operator.round_off(x)
 
-    def factorise(self, fixed: Ints) -> None:
-        """Factorise A with `fixed` held, unless that is what the factorisation is of (collective).
+    def factorise(self, held: Ints) -> None:
+        """Factorise A with these held, unless that is what the factorisation is of (collective).
 
         Raises:
             LinearSolveFailed: for a singular matrix or one that does not fit into memory.
         """
-        self.operator.hold(fixed)
-        if self._preconditioner.is_of(fixed):
+        self.operator.hold(held)
+        if self.attached.preconditioner.is_of(held):
             return
         begin = perf_counter()
-        failure = self._preconditioner.renew(fixed, self.counts)
+        failure = self.attached.preconditioner.renew(held, self.counts)
         self.counts.seconds_factor += perf_counter() - begin
         if failure:
             order = self.operator.matrix.size[0]
@@ -185,17 +207,17 @@ class LinearSolver:
     def apply(self, r: PETSc.Vec, x: PETSc.Vec) -> None:
         """Apply the factorisation (or preconditioner) at hand once: x = F^-1 r."""
         begin = perf_counter()
-        self._ksp.getPC().apply(r, x)
+        self.attached.ksp.getPC().apply(r, x)
         self.counts.iterations += 1
         self.counts.seconds_solve += perf_counter() - begin
 
-    def solve(self, b: PETSc.Vec, x: PETSc.Vec, fixed: Ints, *, atol: float) -> int:
+    def solve(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, *, atol: float) -> int:
         """Solve for the unknowns that are not held, in place (collective).
 
         Args:
             b: (n,) right-hand side.
             x: (n,) in: values of the held unknowns and a guess for the others; out: solution.
-            fixed: owned local indices of held unknowns, ascending.
+            held: owned local indices of held unknowns, ascending.
             atol: largest 2-norm of b - A x over unknowns not held.
 
         Returns:
@@ -205,42 +227,44 @@ class LinearSolver:
             LinearSolveFailed: if the true residual stays above both atol and round-off, or if
                 the solution is so large that the matrix must be singular.
         """
-        self.operator.hold(fixed)
+        self.operator.hold(held)
         before = self.counts.iterations
         self.counts.solves += 1
-        first = norm = self.residual(b, x, fixed).norm()
+        first = norm = self.residual(b, x, held).norm()
         if not norm <= atol:
-            norm = self._correct(b, x, fixed, atol)
+            norm = self._correct(b, x, held, atol)
         self._judge(b, x, (first, norm, atol), self.counts.iterations - before)
         return self.counts.iterations - before
 
-    def _correct(self, b: PETSc.Vec, x: PETSc.Vec, fixed: Ints, atol: float) -> float:
+    def _correct(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, atol: float) -> float:
         """Correct x until its residual is below atol or round-off; return the residual.
 
         It ends as well where a new factorisation makes it no smaller.
         """
-        norm = self.residual(b, x, fixed).norm()
+        norm = self.residual(b, x, held).norm()
         for _ in range(LIMIT):
-            if self._is_far(fixed):
-                self.factorise(fixed)
-            fresh = self._preconditioner.is_of(fixed)
+            if self._is_far(held):
+                self.factorise(held)
+            fresh = self.attached.preconditioner.is_of(held)
             target, before = max(atol, self.round_off(x) / ROUND_OFF), norm
             self._sweep(max(target / norm, EPS))
-            self._dx.array[fixed] = 0.0  # an old factorisation may not know that they are held
-            x.axpy(1.0, self._dx)
-            norm = self.residual(b, x, fixed).norm()
+            self.attached.dx.array[held] = (
+                0.0  # an old factorisation may not know that they are held
+            )
+            x.axpy(1.0, self.attached.dx)
+            norm = self.residual(b, x, held).norm()
             if norm <= max(atol, self.round_off(x)):
                 break
-            exhausted = self._ksp.getIterationNumber() >= self.max_iterations
+            exhausted = self.attached.ksp.getIterationNumber() >= self.max_iterations
             if fresh and (exhausted or not norm < before):
                 break
             if not fresh:
-                self.factorise(fixed)
+                self.factorise(held)
         return float(norm)
 
-    def _is_far(self, fixed: Ints) -> bool:
+    def _is_far(self, held: Ints) -> bool:
         """Tell whether the factorisation, if there is one, is of no use for this mask."""
-        different = self._preconditioner.differences(fixed)
+        different = self.attached.preconditioner.differences(held)
         return different is None or self.renewal.is_far(different)
 
     def _sweep(self, reduction: float) -> None:
@@ -248,16 +272,16 @@ class LinearSolver:
         begin = perf_counter()
         held = self.operator.held
         assert held is not None
-        if self._preconditioner.multigrid is not None:
-            self._preconditioner.multigrid.hold(held, self.operator.diagonal)
-        stale = not self._preconditioner.is_of(held)
-        watch = Watch(self.renewal, reduction, self.max_iterations, stale=stale)
-        if self._ksp.getType() != "preonly":
-            self._ksp.setConvergenceTest(watch)
-        self._ksp.setTolerances(max_it=self.max_iterations)
-        self._ksp.solve(self.operator.r, self._dx)
-        self.counts.iterations += max(1, self._ksp.getIterationNumber())
-        self.renewal.learn(watch.norms, stale=stale)
+        if self.attached.preconditioner.multigrid is not None:
+            self.attached.preconditioner.multigrid.hold(held, self.operator.diagonal)
+        stale = not self.attached.preconditioner.is_of(held)
+        test = SlownessTest(self.renewal, reduction, self.max_iterations, stale=stale)
+        if self.attached.ksp.getType() != "preonly":
+            self.attached.ksp.setConvergenceTest(test)
+        self.attached.ksp.setTolerances(max_it=self.max_iterations)
+        self.attached.ksp.solve(self.operator.r, self.attached.dx)
+        self.counts.iterations += max(1, self.attached.ksp.getIterationNumber())
+        self.renewal.learn(test.norms, stale=stale)
         self.counts.seconds_solve += perf_counter() - begin
 
     def _judge(
@@ -278,8 +302,9 @@ class LinearSolver:
         remedy = "Otherwise choose a direct solver (pc_type cholesky) or a better preconditioner."
         if not self.direct:
             cause += f" after {iterations} iterations"
+        reason = self.attached.ksp.getConvergedReason()
         raise LinearSolveFailed(
             f"The linear solver, {self.description}, gave no solution: {cause} (PETSc reason "
-            f"{self._ksp.getConvergedReason()}). A solution with large round-off comes from a "
+            f"{reason}). A solution with large round-off comes from a "
             f"singular matrix: a body is held by nothing. {remedy}"
         )

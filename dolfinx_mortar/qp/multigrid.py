@@ -16,13 +16,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx_mortar.arrays import Floats, Ints
-from dolfinx_mortar.qp.bound_qp import EPS
+from dolfinx_mortar.qp.tolerances import EPS
 
 
 @dataclass(frozen=True)
@@ -74,18 +73,21 @@ class Multigrid:
     """Context of a PETSc PC of type python: M^-1 above, with any PC for B^-1.
 
     Args:
-        comm: communicator of the matrices.
+        like: (n,) a vector of the size of the matrices.
         prefix: prefix of the options of the PC for B^-1.
     """
 
-    def __init__(self, comm: MPI.Comm, prefix: str) -> None:
+    def __init__(self, like: PETSc.Vec, prefix: str) -> None:
         """Create the inner PC; its options are read at every set-up."""
-        self.inner = PETSc.PC().create(comm)
+        self.inner = PETSc.PC().create(like.comm)
         self.inner.setOptionsPrefix(prefix)
         self.inner.setFromOptions()
+        self.E: PETSc.Mat | None = None
         self.held_by_B: Ints = np.empty(0, dtype=np.int32)
         self.held: Ints = self.held_by_B
         self.freed: Ints = self.held_by_B
+        self.freed_diagonal: Floats = np.empty(0)
+        self._r, self._v = like.duplicate(), like.duplicate()
 
     def clear(self) -> None:
         """Free the matrices of the inner PC."""
@@ -102,8 +104,6 @@ class Multigrid:
         self.inner.setOperators(data.B)
         self.inner.setFromOptions()
         self.inner.setUp()
-        self._r = data.B.createVecRight()
-        self._v = data.B.createVecRight()
 
     def hold(self, held: Ints, diagonal: Floats) -> None:
         """Say which unknowns are held now, and the diagonal of the QP's matrix."""

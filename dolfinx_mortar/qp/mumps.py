@@ -5,6 +5,7 @@ from petsc4py import PETSc
 
 # INFOG(1): workspace too small; ICNTL(14) is the percentage by which it exceeds the estimate.
 WORKSPACE_ERRORS = (-8, -9)
+WORKSPACE = "mat_mumps_icntl_14"
 # INFOG(1): could not allocate, or not within its limit; and PETSc's PC_FACTOR_OUTMEMORY.
 MEMORY_ERRORS, OUT_OF_MEMORY = (-7, -13, -18, -19, -20), 3
 
@@ -34,6 +35,11 @@ def remedy(pc: PETSc.PC) -> str:
     """Say what to do about a failure."""
     factor = mumps_factor(pc)
     code = 0 if factor is None else factor.getMumpsInfog(1)
+    if code in WORKSPACE_ERRORS:
+        return (
+            f"PETSc's options database has -{pc.getOptionsPrefix()}{WORKSPACE}, which keeps the "
+            "workspace too small: raise it, or leave it out."
+        )
     if code in MEMORY_ERRORS or pc.getFailedReason() == OUT_OF_MEMORY:
         return (
             "It does not fit into memory. Use an iterative solver, as is the default in 3D: "

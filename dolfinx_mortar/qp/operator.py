@@ -9,8 +9,8 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.arrays import Floats, Ints
-from dolfinx_mortar.qp.bound_qp import EPS, ROUND_OFF
 from dolfinx_mortar.qp.multigrid import FreePart
+from dolfinx_mortar.qp.tolerances import EPS, ROUND_OFF
 
 
 def decouple(matrix: PETSc.Mat, held: Ints) -> None:
@@ -39,6 +39,7 @@ class Operator:
         self.A = A
         self.held: Ints | None = None
         self.r = A.createVecRight()
+        self._diagonal = A.getDiagonal()
         self._state = -1  # of A when it was masked last
         self._free = None if direct else FreePart(A)
         if self._free is None:
@@ -64,7 +65,7 @@ class Operator:
         comm = self.A.comm.tompi4py()
         if self._state == self.state and comm.allreduce(same, op=MPI.LAND):
             return
-        self._diagonal = self.A.getDiagonal()
+        self.A.getDiagonal(self._diagonal)
         if self._free is None:
             self.A.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
             decouple(self.matrix, held)

@@ -20,6 +20,8 @@ DEFAULTS = {"ksp_type": "cg", "pc_type": "cholesky", "pc_factor_mat_solver_type"
 # The threshold drops entries that are zero up to round-off.
 MULTIGRID = {"pc_type": "gamg", "pc_gamg_threshold": 0.005}
 DIRECT = ("cholesky", "lu")
+# PETSc reads them, but our own convergence test stops the iteration.
+OVERRULED = {"ksp_rtol", "ksp_atol", "ksp_divtol"}
 VALUES = (str, int, float, bool, np.number, type(None))
 
 # Petsc4py 3.22 does not wrap PetscOptionsUsed; symbols are those that it is linked with.
@@ -60,24 +62,23 @@ class SolverOptions:
         return self["pc_type"] in DIRECT
 
     @contextmanager
-    def database(self, prefix: str, more: Mapping[str, Any] | None = None) -> Iterator[None]:
+    def database(self, prefix: str) -> Iterator[None]:
         """Hold the options in PETSc's database: they are read at set-up as well as at creation."""
         opts = PETSc.Options()
-        mine = self.values | dict(more or {})
-        hidden = {k for k in mine if opts.hasName(f"{prefix}{k}")}
-        for key in mine.keys() - hidden:
-            opts.setValue(f"{prefix}{key}", mine[key])
+        hidden = {k for k in self.values if opts.hasName(f"{prefix}{k}")}
+        mine = {k: v for k, v in self.values.items() if k not in hidden}
+        for key, value in mine.items():
+            opts.setValue(f"{prefix}{key}", value)
         try:
             yield
         finally:
-            self._unread -= hidden
-            for key in mine.keys() - hidden:
-                if was_read(f"{prefix}{key}"):
-                    self._unread.discard(key)
+            read = hidden | {key for key in mine if was_read(f"{prefix}{key}")}
+            self._unread -= read - OVERRULED if prefix == self.prefix else read
+            for key in mine:
                 opts.delValue(f"{prefix}{key}")
 
     def unread(self) -> list[str]:
-        """Return the options of the user that PETSc has not asked for so far."""
+        """Return the options of the user that have had no effect so far."""
         return sorted(self._unread)
 
 

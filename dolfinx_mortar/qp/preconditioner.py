@@ -11,11 +11,11 @@ import numpy as np
 from dolfinx_mortar.algebra.parallel import free_unused
 from dolfinx_mortar.arrays import Ints
 from dolfinx_mortar.qp import mumps
-from dolfinx_mortar.qp.bound_qp import LIMIT
 from dolfinx_mortar.qp.counts import LinearCounts
 from dolfinx_mortar.qp.multigrid import CreatePreconditioning, Multigrid, Preconditioning
 from dolfinx_mortar.qp.operator import Operator, decouple
 from dolfinx_mortar.qp.options import SolverOptions
+from dolfinx_mortar.qp.tolerances import LIMIT
 
 
 class Preconditioner:
@@ -44,7 +44,7 @@ class Preconditioner:
         self.multigrid: Multigrid | None = None
         self.pc = ksp.getPC()
         if not options.direct:
-            self.multigrid = Multigrid(ksp.comm.tompi4py(), options.prefix)
+            self.multigrid = Multigrid(operator.r, options.prefix)
             self.pc = self.multigrid.inner
             ksp.setPC(PETSc.PC().createPython(self.multigrid, comm=ksp.comm))
 
@@ -65,6 +65,15 @@ class Preconditioner:
         if self.held is None:
             return None
         return int(self.ksp.comm.tompi4py().allreduce(np.setxor1d(self.held, held).size))
+
+    def clear(self) -> None:
+        """Free the factorisation or the levels, and let go of the matrices; collective.
+
+        PETSc keeps them in a PC that somebody else knows, also when the KSP is destroyed.
+        """
+        self.ksp.getPC().reset()
+        if self.multigrid is not None:
+            self.multigrid.clear()
 
     def renew(self, held: Ints, counts: LinearCounts) -> str:
         """Set up anew; return why it failed and what to do, or nothing (collective)."""
@@ -94,7 +103,9 @@ class Preconditioner:
             enough = mumps.enough_workspace(self.pc)
             if enough is None:
                 break
-            self.options.values["mat_mumps_icntl_14"] = enough
+            self.options.values[mumps.WORKSPACE] = enough
+            if self.options[mumps.WORKSPACE] != str(enough):
+                break  # what the user's options database has wins, and cannot grow
             self.pc.reset()  # a failed factor cannot be used again
             self.ksp.setOperators(self.operator.matrix)
             counts.symbolic += 1

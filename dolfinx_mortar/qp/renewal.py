@@ -61,7 +61,7 @@ class Renewal:
             self.excess += its - reached / self.fresh_rate
 
 
-class Watch:
+class SlownessTest:
     """A convergence test of PETSc: at the tolerance, or when an old operator is too slow."""
 
     def __init__(self, renewal: Renewal, reduction: float, limit: int, *, stale: bool) -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Solve a bound-constrained QP with a backend chosen by name, and judge what it returns."""
 
+from dataclasses import replace
 from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules
@@ -80,8 +81,11 @@ def solve(
         solution: QPSolution = module.solve(qp, linear, start=start, rtol=rtol)
     except FAILURES as error:
         raise QPNotSolved(f"The backend {backend!r} stopped{_cause(error, linear)}") from error
-    solution.linear_iterations += linear.counts.iterations - before[0]
-    solution.factorisations += linear.counts.factorisations - before[1]
+    solution = replace(
+        solution,
+        linear_iterations=solution.linear_iterations + linear.counts.iterations - before[0],
+        factorisations=solution.factorisations + linear.counts.factorisations - before[1],
+    )
     if not solution.kkt.satisfied(rtol):
         raise QPNotSolved(
             f"The solution of the backend {backend!r} fails the check at rtol={rtol:g}: "

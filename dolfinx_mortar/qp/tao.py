@@ -1,22 +1,17 @@
 # SPDX-License-Identifier: MIT
 """PETSc's TAO on a scaled bound-constrained QP, stopped and judged by the check on the data."""
 
+from dataclasses import replace
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.qp.bound_qp import (
-    LIMIT,
-    SHARE,
-    BoundQP,
-    QPSolution,
-    check,
-    on_bounded,
-    reaction,
-)
+from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution, check, on_bounded, reaction
 from dolfinx_mortar.qp.held import HeldProblem
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
+from dolfinx_mortar.qp.tolerances import LIMIT, SHARE
 from dolfinx_mortar.qp.updates import update
 
 # Far bounds of unknowns that have none, in units of the largest scaled unknown
@@ -28,6 +23,7 @@ def run(
     linear: LinearSolver,
     method: str,
     *,
+    name: str,
     rtol: float,
 ) -> QPSolution:
     """Solve with one of TAO's methods, then once more with the active set that it has found.
@@ -39,31 +35,35 @@ def run(
         qp: the problem.
         linear: its options go to the linear solver inside TAO; it makes the last solve.
         method: "bqpip" or "tron".
+        name: name of the backend.
         rtol: tolerance of the KKT check that stops the iteration.
 
     Returns:
         The solution before or after the last solve, whichever passes the check better.
     """
-    box, iterations = BOX, 0
-    for _ in range(2):
-        scaled = _Scaled(qp, linear, box)
-        x, its, reason = _iterate(qp, linear, scaled, method, rtol)
-        iterations += its
-        if not scaled.touches_box(x):
-            break
-        box *= BOX
-    solution = _polish(qp, linear, x, rtol)
-    solution.updates += iterations
-    solution.factorisations += iterations
-    if reason != PETSc.TAO.Reason.CONVERGED_USER:
-        solution.note = f"TAO {method} did not reach the tolerance itself, reason {reason}"
-    return solution
+    scaled = _Scaled(qp, linear)
+    try:
+        x, iterations, reason = _iterate(qp, linear, scaled, BOX, method, rtol)
+        if scaled.touches(BOX, x):
+            x, more, reason = _iterate(qp, linear, scaled, BOX**2, method, rtol)
+            iterations += more
+    finally:
+        scaled.destroy()
+    polished = _polish(qp, linear, x, rtol)
+    note = f"TAO {method} did not reach the tolerance itself, reason {reason}"
+    return replace(
+        polished,
+        backend=name,
+        updates=polished.updates + iterations,
+        factorisations=iterations,
+        note="" if reason == PETSc.TAO.Reason.CONVERGED_USER else note,
+    )
 
 
 def _iterate(
-    qp: BoundQP, linear: LinearSolver, scaled: "_Scaled", method: str, rtol: float
+    qp: BoundQP, linear: LinearSolver, scaled: "_Scaled", box: float, method: str, rtol: float
 ) -> tuple[PETSc.Vec, int, int]:
-    """Run TAO; return x, the iterations and TAO's reason to stop."""
+    """Run TAO within a box; return x, the iterations and TAO's reason to stop."""
     tao = PETSc.TAO().create(qp.A.comm)
     tao.setOptionsPrefix(f"{linear.prefix}tao_")
     tao.setType(method)
@@ -80,16 +80,17 @@ def _iterate(
     y, gradient = scaled.start.copy(), scaled.b.duplicate()
     tao.setObjectiveGradient(objective, gradient)
     tao.setHessian(lambda *_: None, scaled.A)
-    tao.setVariableBounds((scaled.lower, scaled.upper))
+    tao.setVariableBounds(scaled.bounds(box))
     tao.setTolerances(gatol=0.0, grtol=0.0, gttol=0.0)  # it must not stop before our check does
     tao.setMaximumIterations(LIMIT)
     tao.setMonitor(stop)
-    with linear.database(f"{linear.prefix}tao_"):
-        tao.setFromOptions()
-        tao.solve(y)
-    result = scaled.unscale(y), tao.getIterationNumber(), int(tao.getConvergedReason())
-    tao.destroy()
-    return result
+    try:
+        with linear.database(f"{linear.prefix}tao_"):
+            tao.setFromOptions()
+            tao.solve(y)
+        return scaled.unscale(y), tao.getIterationNumber(), int(tao.getConvergedReason())
+    finally:
+        tao.destroy()
 
 
 class _Scaled:
@@ -100,8 +101,8 @@ class _Scaled:
     point averages its complementarity over all bounds, and one at infinity spoils it.
     """
 
-    def __init__(self, qp: BoundQP, linear: LinearSolver, box: float) -> None:
-        self.qp, self.box = qp, box
+    def __init__(self, qp: BoundQP, linear: LinearSolver) -> None:
+        self.qp = qp
         self.s = qp.A.getDiagonal()
         self.s.sqrtabs()
         self.s.reciprocal()
@@ -110,7 +111,7 @@ class _Scaled:
         x.set(0.0)
         x.array[qp.bounded] = np.clip(0.0, lower, upper)
         force = max(qp.b.norm(), reaction(qp, x).norm())
-        linear.solve(qp.b, x, np.sort(qp.bounded), atol=force / box)
+        linear.solve(qp.b, x, np.sort(qp.bounded), atol=force / BOX)
         x.pointwiseDivide(x, self.s)
         self.length = x.norm(PETSc.NormType.INFINITY) or 1.0
         x.scale(1.0 / self.length)
@@ -118,14 +119,19 @@ class _Scaled:
         self.A = qp.A.copy()
         self.A.diagonalScale(self.s, self.s)
         self.A.setOption(PETSc.Mat.Option.SPD, True)
-        self.b, self.lower, self.upper = (qp.b.duplicate() for _ in range(3))
+        self.b = qp.b.duplicate()
         self.b.pointwiseMult(qp.b, self.s)
         self.b.scale(1.0 / self.length)
-        s = self.s.array_r[qp.bounded]
-        for bound, values, far in ((self.lower, lower, -box), (self.upper, upper, box)):
-            bound.set(far)
-            scaled = values / (s * self.length)
-            bound.array[qp.bounded] = np.where(np.isfinite(scaled), scaled, far)
+
+    def bounds(self, box: float) -> tuple[PETSc.Vec, PETSc.Vec]:
+        """Return the bounds of y, which are far away in a box where there are none."""
+        own = self.qp.bounded
+        sides = self.b.duplicate(), self.b.duplicate()
+        for side, values, far in zip(sides, self.qp.bounds(), (-box, box), strict=True):
+            side.set(far)
+            scaled = values / (self.s.array_r[own] * self.length)
+            side.array[own] = np.where(np.isfinite(scaled), scaled, far)
+        return sides
 
     def unscale(self, y: PETSc.Vec) -> PETSc.Vec:
         """Return x."""
@@ -134,11 +140,15 @@ class _Scaled:
         x.scale(self.length)
         return x
 
-    def touches_box(self, x: PETSc.Vec) -> bool:
+    def touches(self, box: float, x: PETSc.Vec) -> bool:
         """Tell whether the far bounds are not far enough."""
         y = np.abs(x.array_r / (self.s.array_r * self.length))
         y[self.qp.bounded] = 0.0
-        return bool(self.qp.comm.allreduce(y.max(initial=0.0), op=MPI.MAX) > SHARE * self.box)
+        return bool(self.qp.comm.allreduce(y.max(initial=0.0), op=MPI.MAX) > SHARE * box)
+
+    def destroy(self) -> None:
+        """Free the scaled matrix, which is as large as A; collective."""
+        self.A.destroy()
 
 
 def _polish(qp: BoundQP, linear: LinearSolver, x: PETSc.Vec, rtol: float) -> QPSolution:

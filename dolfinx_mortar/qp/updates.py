@@ -12,14 +12,14 @@ from hashlib import blake2b
 from mpi4py import MPI
 
 from dolfinx_mortar.arrays import Actives
-from dolfinx_mortar.qp.bound_qp import LIMIT
+from dolfinx_mortar.qp.tolerances import LIMIT
 
 # Levels of accuracy: early sets are read off loose solves, the last one off a tight one.
 LOOSE, TIGHT = 0, 2
 
 
 @dataclass(frozen=True)
-class Held:
+class Found:
     """What a solve with a set held has found."""
 
     predicted: Actives  # (k,) the next set
@@ -37,7 +37,7 @@ class Outcome:
 
 
 def update(
-    hold: Callable[[Actives, int], Held], active: Actives, comm: MPI.Comm, *, level: int = TIGHT
+    hold: Callable[[Actives, int], Found], active: Actives, comm: MPI.Comm, *, level: int = TIGHT
 ) -> Outcome:
     """Update the set until it stays (collective).
 
@@ -51,21 +51,22 @@ def update(
         level: accuracy of the first solve.
     """
     seen: set[int] = set()
-    updates = 1
+    updates, held = 1, active
     for _ in range(LIMIT):
-        found = hold(active, level)
+        held = active
+        found = hold(held, level)
         if found.changes == 0 and found.satisfied:
-            return Outcome(active, updates, "")
+            return Outcome(held, updates, "")
         if found.changes == 0:
             level += 1  # look once more before the last solve
         elif came_back(found.predicted, seen, comm):
             if level >= TIGHT:
-                return Outcome(active, updates, "the active set came back to an earlier one")
+                return Outcome(held, updates, "the active set came back to an earlier one")
             level += 1
             seen.clear()
         updates += found.changes > 0
         active = found.predicted
-    return Outcome(active, updates, f"the active set still changed after {LIMIT} solves")
+    return Outcome(held, updates, f"the active set still changed after {LIMIT} solves")
 
 
 def came_back(active: Actives, seen: set[int], comm: MPI.Comm) -> bool:

@@ -5,6 +5,8 @@ Where the bounded unknowns are few, `condensed` finds the set first, and the upd
 A cycle, and a set that leaves a body free, are handed to the interior point.
 """
 
+from dataclasses import replace
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -70,15 +72,16 @@ def _expects_few_changes(linear: LinearSolver) -> bool:
     Were all predicted, plastic steps of benchmarks/hertz_2d.py with 50 thousand unknowns would take
     31 to 37 solves and 10 to 11 factorisations instead of 30 to 36 and 7 to 8.
     """
-    changes = linear.memory.get("changes")
-    return isinstance(changes, int) and changes <= linear.refactor_after
+    changes = linear.learnt.changes
+    return changes is not None and changes <= linear.refactor_after
 
 
 def _remember_changes(problem: HeldProblem, start: Actives, outcome: Outcome) -> None:
     found = on_bounded(problem.qp, problem.x, problem.z)
     noise = problem.rtol * problem.z.norm()
     strong = found.strong(start, outcome.active, noise)
-    problem.linear.memory["changes"] = int(problem.qp.comm.allreduce(int(strong.sum())))
+    changes = int(problem.qp.comm.allreduce(int(strong.sum())))
+    problem.linear.learnt = replace(problem.linear.learnt, changes=changes)
 
 
 def _hand_over(
@@ -92,5 +95,5 @@ def _hand_over(
             f"Active set: {reason}. The interior point failed as well ({error}). "
             "Most often a body can float away: add a support or a load that closes the contact."
         ) from error
-    solution.note = f"handed to the interior point: {reason}. {solution.note}".strip()
-    return solution
+    note = f"handed to the interior point: {reason}. {solution.note}".strip()
+    return replace(solution, note=note)

@@ -16,6 +16,4 @@ def solve(qp: BoundQP, linear: LinearSolver, *, start: Actives, rtol: float) -> 
         start: (k,) unused; the method starts from the interior of the bounds.
         rtol: tolerance of the KKT check.
     """
-    solution = tao.run(qp, linear, "bqpip", rtol=rtol)
-    solution.backend = "interior-point"
-    return solution
+    return tao.run(qp, linear, "bqpip", name="interior-point", rtol=rtol)

@@ -16,6 +16,4 @@ def solve(qp: BoundQP, linear: LinearSolver, *, start: Actives, rtol: float) -> 
         start: (k,) unused; the method starts from the point of the box nearest to zero.
         rtol: tolerance of the KKT check.
     """
-    solution = tao.run(qp, linear, "tron", rtol=rtol)
-    solution.backend = "tron"
-    return solution
+    return tao.run(qp, linear, "tron", name="tron", rtol=rtol)

@@ -1,0 +1,12 @@
+# SPDX-License-Identifier: MIT
+"""The numbers that all of the floor shares: round-off, a limit of rounds, a share of tolerances."""
+
+import numpy as np
+
+EPS = float(np.finfo(np.float64).eps)
+ROUND_OFF = 16.0
+"""Round-off of A x, in units of eps |diag(A) x|: rows of a stiffness have 10 to 100 entries."""
+LIMIT = 100
+"""Rounds of anything that ends by a rule of its own; no problem met so far needs half as many."""
+SHARE = 0.5
+"""Who works for a check takes this share of its tolerance: its scale may shrink meanwhile."""

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: MIT
+"""The QP of the bounded unknowns alone: the dense model, what it learns, where it breaks down."""
+
+from dataclasses import replace
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from programs import CYCLING, CYCLING_FORCE, from_arrays, gathered, membrane, sets
+from scipy.linalg import cholesky
+
+from dolfinx_mortar.qp import LinearSolver, QPNotSolved, condensed, solve
+from dolfinx_mortar.qp.condensed import on_root
+from dolfinx_mortar.qp.schur import SchurModel, half_laplacian
+
+COMM = MPI.COMM_WORLD
+INF = np.inf
+
+
+@pytest.mark.mpi
+def test_all_ranks_raise_what_the_first_one_raises() -> None:
+    with pytest.raises(np.linalg.LinAlgError, match="Singular"):
+        on_root(COMM, lambda: np.linalg.inv(np.zeros((2, 2))))
+    assert on_root(COMM, lambda: 3) == (3 if COMM.rank == 0 else None)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("name", ["half_laplacian", "solve_dense"])
+def test_a_model_that_breaks_down_is_only_a_lost_guess(
+    monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    qp = membrane(16)
+    expected = gathered(solve(qp).x)
+    if COMM.rank == 0:
+        monkeypatch.setattr(condensed, name, lambda *_: np.linalg.inv(np.zeros((2, 2))))
+    np.testing.assert_allclose(gathered(solve(qp).x), expected, atol=1e-9)
+
+
+@pytest.mark.mpi
+def test_what_was_learnt_is_dropped_where_round_off_has_spoilt_it() -> None:
+    """An indefinite matrix of an earlier model is no start of the next one."""
+    qp, linear = membrane(16), LinearSolver(COMM, prefix="spoilt_")
+    first = solve(qp, linear=linear)
+    model = linear.learnt.model
+    if COMM.rank == 0:
+        model.forget()
+        model.base[0, 0] = -1.0
+    second = solve(qp, linear=linear)
+    np.testing.assert_allclose(gathered(second.x), gathered(first.x), atol=1e-9)
+    if COMM.rank == 0:
+        assert np.linalg.eigvalsh(linear.learnt.model.matrix())[0] > 0.0
+    assert second.linear_iterations <= first.linear_iterations
+
+
+@pytest.mark.mpi
+def test_a_step_that_would_raise_the_energy_ends_at_its_minimum() -> None:
+    qp, linear = membrane(12, force=1.0), LinearSolver(COMM, prefix="minimum_")
+    linear.attach(qp.A)
+    own = qp.bounded
+    everywhere = condensed.Everywhere(COMM, own, np.array(COMM.allgather(own.size)))
+    linear.factorise(own)
+    x = qp.b.duplicate()
+    x.set(0.0)
+    reduced = condensed._Reduced(qp, linear, everywhere, x)
+    w = np.zeros(12)
+    rho = reduced.force(w)
+    near = w + 0.01 * rho
+    w, rho = reduced.move(w, near, rho, None)
+    assert w is near  # a whole step that lowers the energy
+    far = w + 100.0 * rho
+    reached, after = reduced.move(w, far, rho, None)
+    assert abs(after @ (far - w)) < 1e-9 * abs(rho @ (far - w))
+    np.testing.assert_allclose(gathered(x)[-12:], reached, atol=1e-12 * np.abs(reached).max())
+
+
+@pytest.mark.mpi
+def test_pairs_that_make_a_model_indefinite_are_dropped() -> None:
+    """I - V (V'V)^-1 V' + W W' with W = 0 has no stiffness along V."""
+    model = SchurModel(np.eye(2), np.array([[2.0], [0.0]]), np.zeros((2, 1)))
+    problem = (np.array([3.0, 1.0]), np.full(2, -INF), np.array([2.0, 9.0]), sets(0, 0))
+    qp = membrane(4)
+    d, active = condensed._solve_model(qp, model if COMM.rank == 0 else None, problem)
+    assert d.tolist() == [2.0, 1.0] and active.tolist() == [1, 0]
+    assert model.V.shape[1] == (0 if COMM.rank == 0 else 1)
+
+
+def test_the_condensed_problem_does_not_cycle() -> None:
+    qp = from_arrays(CYCLING, CYCLING_FORCE, np.full(3, -INF), np.zeros(3), COMM)
+    assert solve(qp).note == ""
+
+
+@pytest.mark.mpi
+def test_all_updates_cost_two_factorisations() -> None:
+    linear = LinearSolver(COMM, prefix="one_")
+    qp = membrane(48)
+    solution = solve(qp, linear=linear)
+    assert solution.factorisations <= 2
+    assert solution.linear_iterations <= 12
+
+
+def test_model_reproduces_what_it_has_seen(rng: np.random.Generator) -> None:
+    S = np.cov(rng.standard_normal((6, 30)))
+    empty = np.zeros((6, 0))
+    model = SchurModel(np.eye(6), empty, empty)
+    seen = rng.standard_normal((6, 4))
+    for v in seen.T:
+        model.learn(v, S @ v)
+    M = model.matrix()
+    np.testing.assert_allclose(M @ seen, S @ seen, rtol=1e-10)
+    assert np.linalg.eigvalsh(M)[0] > 0.0
+    model.learn(seen[:, 0], S @ seen[:, 0])  # nothing new
+    assert model.V.shape == (6, 4)
+
+
+def test_first_model_is_close_to_the_schur_complement_on_any_mesh() -> None:
+    """The ratio of the two stays within a factor of six, two octaves of the mesh size apart."""
+    for n in (12, 48):
+        qp = membrane(n, comm=MPI.COMM_SELF)
+        A = _dense(qp.A)
+        B, rest = np.arange(n * (n - 1), n * n), np.arange(n * (n - 1))
+        S = A[np.ix_(B, B)] - A[np.ix_(B, rest)] @ np.linalg.solve(
+            A[np.ix_(rest, rest)], A[np.ix_(rest, B)]
+        )
+        M = half_laplacian(A[np.ix_(B, B)])
+        L = cholesky(M, lower=True)
+        ratio = np.linalg.eigvalsh(np.linalg.solve(L, np.linalg.solve(L, S).T))
+        assert ratio[-1] / ratio[0] < 6.0
+
+
+def _dense(A: PETSc.Mat) -> np.ndarray:
+    indptr, columns, values = A.getValuesCSR()
+    dense = np.zeros(A.size)
+    dense[np.repeat(np.arange(A.size[0]), np.diff(indptr)), columns] = values
+    return dense
+
+
+@pytest.mark.mpi
+def test_memory_that_ends_on_the_first_rank_ends_the_solve_on_all(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Also where what was learnt is looked at again."""
+
+    def full(*_: object) -> None:
+        raise MemoryError("full")
+
+    qp, linear = membrane(16), LinearSolver(COMM, prefix="full_")
+    solve(qp, linear=linear)
+    linear.learnt = replace(linear.learnt, changes=None)  # predict again
+    if COMM.rank == 0:
+        monkeypatch.setattr(condensed, "cholesky", full)
+    with pytest.raises(QPNotSolved, match="MemoryError, full"):
+        solve(qp, linear=linear)
+
+
+@pytest.mark.mpi
+def test_residuals_have_a_rate_within_one_set_only() -> None:
+    """The first set holds all, so that nothing is left to balance; the next ones release a node."""
+    A = np.array([[11.0, 7.0, 7.0], [7.0, 7.0, 7.0], [7.0, 7.0, 23.0]])
+    b, upper = np.array([7.0, 0.0, -7.0]), np.array([0.75, 0.25, INF])
+    qp = from_arrays(A, b, np.full(3, -INF), upper, COMM)
+    linear = LinearSolver(COMM, prefix="rate_", refactor_after=2)
+    start = np.zeros(qp.bounded.size, dtype=np.int8)
+    assert solve(qp, linear=linear, start_active=start).note == ""

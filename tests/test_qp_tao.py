@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: MIT
+"""What TAO is given, and what is left of it."""
+
+from types import ModuleType
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from programs import from_arrays, gathered, membrane
+
+from dolfinx_mortar.qp import QPNotSolved, QPSolution, check, solve, tao
+
+COMM = MPI.COMM_WORLD
+INF = np.inf
+
+
+def recorded(monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str) -> list[Any]:
+    """Return a list that fills with the objects of a class."""
+    found = []
+
+    def __init__(self: Any, *args: Any, **options: Any) -> None:
+        found.append(self)
+        cls.__init__(self, *args, **options)
+
+    cls = getattr(module, name)
+    monkeypatch.setattr(module, name, type(name, (cls,), {"__init__": __init__}))
+    return found
+
+
+@pytest.mark.parametrize("backend", ["interior-point", "tron"])
+def test_far_bounds_are_moved_where_they_are_reached(
+    monkeypatch: pytest.MonkeyPatch, backend: str
+) -> None:
+    """Held at its bound, the first unknown keeps the second in place; free, both go far."""
+    monkeypatch.setattr(
+        tao,
+        "_polish",
+        lambda qp, linear, x, rtol: QPSolution(
+            x, x, np.zeros(qp.bounded.size, dtype=np.int8), check(qp, x), 0, 0, 0, ""
+        ),
+    )
+    scaled = recorded(monkeypatch, tao, "_Scaled")
+    soft = 1e-5
+    A = np.array([[1.0 + soft, -1.0], [-1.0, 1.0 + soft]])
+    b = np.array([-1.0, 0.0])
+    qp = from_arrays(A, b, np.full(2, -INF), np.array([0.0, INF]), COMM)
+    found = gathered(solve(qp, backend, rtol=1e-6).x)
+    np.testing.assert_allclose(found, np.linalg.solve(A, b), rtol=1e-4)
+    assert len(scaled) == 1 and not scaled[0].A  # both boxes share one copy of A
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("backend", ["interior-point", "tron"])
+def test_what_is_lent_to_tao_is_freed_when_it_fails(
+    monkeypatch: pytest.MonkeyPatch, backend: str
+) -> None:
+    def failing(*_: object) -> None:
+        raise FloatingPointError("no luck")
+
+    scaled, runs = recorded(monkeypatch, tao, "_Scaled"), recorded(monkeypatch, PETSc, "TAO")
+    monkeypatch.setattr(tao, "check", failing)
+    with pytest.raises(QPNotSolved, match="stopped in PETSc"):
+        solve(membrane(6), backend)
+    assert len(runs) == len(scaled) == 1
+    assert not runs[0] and not scaled[0].A
