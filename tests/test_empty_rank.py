@@ -60,7 +60,7 @@ def test_loads_with_the_displacement_are_refused_also_where_a_rank_has_no_values
     u, v = fem.Function(V), ufl.TestFunction(V)
     ds = ufl.Measure("ds", mesh, subdomain_data=facets)
     for inside in (u[1], u.sub(1)):
-        with pytest.raises(ValueError, match="^loads contain the displacement"):
+        with pytest.raises(ValueError, match=r"^loads contain the displacement"):
             check_loads(u, -inside * v[1] * ds(TOP))
 
 

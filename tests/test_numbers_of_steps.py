@@ -3,6 +3,8 @@
 
 import ast
 import importlib
+import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 from mpi4py import MPI
@@ -12,14 +14,21 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.hertz_case import PLASTIC, create_case
+from dolfinx_mortar.interfaces.near import predict_active
+from dolfinx_mortar.steps.linearisation import find_balance
+from tests import test_audit, test_mortar_3d, test_newton
+from tests.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
+from tests.hertz_case import ELASTIC, PLASTIC, create_case
+from tests.meshes import TOP
+from tests.pressed_blocks import PressedBlocks
+from tests.sweep.problems import create
 
 COMM = MPI.COMM_WORLD
 PACKAGE = Path(dm.__file__).parent
 NUMBERS = {
     "interfaces.near": ("INCREMENT_SHARE", "FACETS", "ROOM", "OVERLAP"),
     "steps.audit": ("COARSE", "BACK", "DEEP", "ROUND_OFF", "EXACT"),
-    "steps.bodies": ("HELD", "SAME"),
+    "steps.bodies": ("HELD", "SAME", "ORIGIN"),
     "steps.failures": ("FLOWING", "SOFT"),
     "steps.line_search": ("ARMIJO", "MAX_HALVINGS"),
     "steps.forcing": ("FORCING", "FIRST_QP", "QP_SHARE"),
@@ -55,16 +64,77 @@ def test_no_number_is_left_out():
                 assert set(numbers_in(file)) == set(NUMBERS.get(module, ())), module
 
 
+@dataclass(frozen=True)
+class Seen:
+    """What a user would look at."""
+
+    numbers: np.ndarray  # forces, moments, stresses
+    texts: tuple[str, ...]  # what is said of problems that cannot be solved
+    counts: tuple[int, ...]  # what the solution cost
+
+
 def observe():
-    """Return what a user would look at: an audit and two plastic steps, the second with sliding."""
+    """Return what comes of an audit, of two plastic steps, the second with sliding, of failures."""
     case = create_case(dm.meshing.hertz(COMM, kind="graded", h=0.6), PLASTIC, slave="disc")
-    numbers = [len(case.problem.audit().warnings)]
+    numbers, counts = [len(case.problem.audit().warnings)], []
     for x, depth in ((0.0, 0.2), (0.3, 0.25)):
         case.top.value[:] = (x, -depth)
-        dm.newton(case.problem, rtol=1e-10)
+        report = dm.newton(case.problem, rtol=1e-10)
         case.problem.commit()
         numbers += [case.force, *case.contact.moment, case.problem.solid.max("von_mises")]
-    return np.array(numbers)
+        counts += [(i.updates, i.linear_iterations, i.line_search_steps) for i in report.iterations]
+    links = case.problem.system.links
+    counts.append((*(int(link.constrained.sum()) for link in links), guess_at_an_overlap()))
+    return Seen(np.array(numbers), (floating(), pulled()), tuple(counts))
+
+
+def guess_at_an_overlap():
+    """Return how many nodes are guessed to be in contact where the sides overlap."""
+    mesh = dm.meshing.hertz(COMM, kind="graded", h=0.1, gap=-0.1)
+    case = create_case(mesh, ELASTIC, geometry="reference")
+    problem = case.problem
+    problem.audit()
+    system, n = problem.system, problem.n
+    balance = find_balance(problem, problem.begin_step())
+    x, length = problem.positions(), system.facet_length
+    return int(predict_active(system.links, x, n, balance.nodes, length).sum())
+
+
+def message_of(step):
+    """Return the error of a step that fails, or that there was none."""
+    try:
+        step()
+    except (ValueError, dm.NewtonNotConverged) as error:
+        return getattr(error, "message", str(error))
+    return "no error"
+
+
+def floating():
+    """Return what is said of two blocks of which one is held."""
+    case = PressedBlocks()
+    return message_of(lambda: dm.newton(case.problem(bcs=[case.bc(TOP)])))
+
+
+def pulled():
+    """Return what is said of a bar that is pulled beyond what it carries."""
+    b = Blocks(PILE[:1])
+    law = dm.VonMises.from_uniaxial(1000.0, 0.3, 10.0, 0.0)
+    bcs = [b.fix(1, BELOW, component=1), b.fix(1, WEST, component=0)]
+    problem = b.problem([], bcs, law=law, loads=b.traction(1, ABOVE, (0.0, 13.0)))
+    return message_of(lambda: dm.newton(problem))
+
+
+def set_everywhere(monkeypatch, module, name, factor):
+    """Multiply a number in all modules that know it, also those that imported it by name."""
+    where = importlib.import_module(f"dolfinx_mortar.{module}")
+    value = getattr(where, name)
+    if isinstance(value, dict):
+        changed = {key: factor * number for key, number in value.items()}
+    else:
+        changed = type(value)(factor * value)
+    for known, room in list(sys.modules.items()):
+        if known.startswith("dolfinx_mortar") and vars(room).get(name) is value:
+            monkeypatch.setattr(room, name, changed)
 
 
 @pytest.fixture(scope="module")
@@ -72,19 +142,68 @@ def usual():
     return observe()
 
 
+ALL = [(module, name) for module, names in NUMBERS.items() for name in names]
+
+
 @pytest.mark.parametrize("factor", [0.5, 2.0])
-@pytest.mark.parametrize(
-    ("module", "name"), [(module, name) for module, names in NUMBERS.items() for name in names]
-)
+@pytest.mark.parametrize(("module", "name"), ALL)
 def test_half_and_double(module, name, factor, usual, monkeypatch):
-    where = importlib.import_module(f"dolfinx_mortar.{module}")
-    value = getattr(where, name)
-    if isinstance(value, dict):
-        changed = {key: factor * number for key, number in value.items()}
-    else:
-        changed = type(value)(factor * value)
-    monkeypatch.setattr(where, name, changed)
-    assert observe() == pytest.approx(usual, rel=1e-8, abs=1e-6)
+    set_everywhere(monkeypatch, module, name, factor)
+    seen = observe()
+    assert seen.numbers == pytest.approx(usual.numbers, rel=1e-8, abs=1e-6)
+    assert seen.texts == usual.texts
+    if name in PROBES:
+        PROBES[name]()
+
+
+# -- numbers that the above does not read: tests that do, and fail where they are absurd -----------
+
+
+def closed_round_off():
+    """Asked for all digits, a step ends although its gaps are none better than coordinates."""
+    case = create("pile", 13)
+    options = {"on_time": case.on_time, "rtol": 1e-12, "cuts": "none"}
+    (step,) = dm.load_steps(case.problem, case.levels[:1], **options)
+    assert step.report.newton_iterations <= 3
+
+
+ROWS = (((13, 21), (23, 31)), dm.Tie, (), f"xyz of the bodies around {test_audit.ALL} together")
+PROBES = {
+    "BACK": test_audit.test_facets_that_turn_their_back,
+    "DEEP": test_mortar_3d.test_closed_surface_in_contact_with_itself,
+    "ROUND_OFF": lambda: test_audit.test_a_pin_that_may_spin(
+        31, 24, "updated", np.random.default_rng(1)
+    ),
+    "EXACT": lambda: test_audit.test_range_of_gaps(-0.01),
+    "SAME": lambda: test_audit.test_free_motions_by_simple_names(*ROWS),
+    "MAX_HALVINGS": test_newton.test_a_step_too_long_is_halved,
+    "GAP_OPERATIONS": closed_round_off,
+}
+LARGE = (
+    "FLOWING",
+    "DEEP",
+    "INCREMENT_SHARE",
+    "ORIGIN",
+    "ARMIJO",
+    "EPS",
+    "ROW_SUM",
+    "FIRST_SHARE",
+    "BACK",
+)
+ABSURD = dict.fromkeys(LARGE, 1e12) | {"ROUND_OFF": 1e14, "EXACT": 1e14}  # 0 for the others
+
+
+@pytest.mark.parametrize(("module", "name"), ALL)
+def test_an_absurd_number_is_felt(module, name, usual, monkeypatch):
+    """By what a user sees, by what it costs, or because nothing works any more."""
+    set_everywhere(monkeypatch, module, name, ABSURD.get(name, 0.0))
+    try:
+        seen = observe()
+        PROBES.get(name, lambda: None)()
+    except (AssertionError, ValueError, dm.NewtonNotConverged, pytest.fail.Exception):
+        return
+    same = seen.numbers == pytest.approx(usual.numbers, rel=1e-8, abs=1e-6)
+    assert not same or (seen.texts, seen.counts) != (usual.texts, usual.counts)
 
 
 # -- the one number that is a decision -------------------------------------------------------------

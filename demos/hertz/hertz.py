@@ -31,7 +31,9 @@ from dolfinx import fem
 RADIUS = 8.0  # mm
 NOTHING = 1e-300  # N/mm, where Hertz' formulas want a force and there is none
 
-parser = argparse.ArgumentParser(description="A half disc pressed into a block, both elasto-plastic.")
+parser = argparse.ArgumentParser(
+    description="A half disc pressed into a block, both elasto-plastic."
+)
 parser.add_argument("--displacement", type=float, default=0.2, help="of the flat face, in mm")
 parser.add_argument("--steps", type=int, default=1, help="number of equal load steps")
 parser.add_argument("--material", choices=["plastic", "elastic"], default="plastic")

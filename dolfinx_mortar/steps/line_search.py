@@ -9,6 +9,7 @@ than the round-off of its own terms: there the values say nothing, and the resid
 from __future__ import annotations
 
 from dataclasses import dataclass
+
 from mpi4py import MPI
 from petsc4py import PETSc
 

@@ -9,6 +9,7 @@ both are made in one go and never changed.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+
 from mpi4py import MPI
 from petsc4py import PETSc
 

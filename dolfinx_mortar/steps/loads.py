@@ -172,6 +172,4 @@ def _with_one_rule(potential: ufl.Form) -> ufl.Form:
 
 def _is_displacement(u: fem.Function, coefficient: Any) -> bool:
     """Tell whether a coefficient is u or shares its values, as u.sub(i) does; also without any."""
-    return isinstance(coefficient, fem.Function) and (
-        coefficient.x._cpp_object is u.x._cpp_object
-    )
+    return isinstance(coefficient, fem.Function) and (coefficient.x._cpp_object is u.x._cpp_object)

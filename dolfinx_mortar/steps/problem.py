@@ -89,9 +89,7 @@ class ContactProblem:
         petsc_options: Mapping[str, Any] | None = None,
     ) -> None:
         """Check the arguments and create everything that later steps refill."""
-        sides, conditions = check_arguments(
-            solid, interfaces, bcs, loads, potential, geometry
-        )
+        sides, conditions = check_arguments(solid, interfaces, bcs, loads, potential, geometry)
         check_options(solid.V.mesh.comm, petsc_options_prefix, petsc_options)
         self.solid, self.geometry = solid, geometry
         self.timings = Timings()

@@ -9,6 +9,7 @@ In rigid travel or after unloading nothing acts: then against what the step bega
 from __future__ import annotations
 
 from dataclasses import dataclass
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -136,8 +137,6 @@ def measure(
     work = comm.allreduce(float(np.abs(z) @ off), op=MPI.SUM)
     whole = max(scales.work, elastic_norm**2, limit * scales.facet_length)
     widest = float(maximum(comm, off.max(initial=0.0))[0]) / scales.facet_length
-    excess = max(
-        ratio(forces, limit), ratio(pull, limit), ratio(work, rtol * whole), widest / rtol
-    )
+    excess = max(ratio(forces, limit), ratio(pull, limit), ratio(work, rtol * whole), widest / rtol)
     contact = max(ratio(pull, scale), ratio(work, whole))
     return Residuals(ratio(forces, scale), contact, excess, limit)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import logging
+
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
