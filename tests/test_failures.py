@@ -2,7 +2,8 @@
 """Steps that cannot be solved: floating bodies, useless solvers, too few iterations."""
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 from xml.etree import ElementTree
 
 from petsc4py import PETSc
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.steps import load_steps as stepping
 from dolfinx_mortar.steps import newton as newton_module
@@ -276,6 +278,32 @@ def test_no_part_is_shorter_than_the_cuts_allow(case, monkeypatch, solvable):
         list(dm.load_steps(problem, [1.0], on_time=on_time, max_cuts=3))
     assert set(tried) <= {k / 8 for k in range(1, 9)}
     assert problem.committed.level == int(8 * solvable) / 8
+
+
+@dataclass(frozen=True)
+class Brittle:
+    """A law that says nothing beyond a strain of 0.1."""
+
+    E: float
+    nu: float
+    state: ClassVar = {}
+    linear: ClassVar = False
+    elastic_stress = staticmethod(dm.Elastic.elastic_stress)
+
+    @staticmethod
+    def stress(strain, state, p):
+        left = ufl.sqrt(1.0 - 100.0 * ufl.inner(strain, strain))
+        return left * dm.Elastic.elastic_stress(strain, p)
+
+
+def test_a_law_that_becomes_no_number_is_approached(case):
+    """NaN in the forces is a step that was too long: it is halved, and what fits is committed."""
+    case.solid = dm.Solid(case.u, Brittle(1000.0, 0.0))
+    problem = dm.ContactProblem(case.solid, [case.contact()], bcs=case.bcs())
+    with rejected("cannot be used", "last level that converged", error=dm.NewtonNotConverged):
+        list(dm.load_steps(problem, [0.05, 0.5], on_time=press(case, depth=1.0), max_cuts=4))
+    assert problem.committed.level >= 0.05 + 0.45 / 16
+    assert np.isfinite(case.u.x.array).all() and np.isfinite(case.solid.stress.x.array).all()
 
 
 def test_steps_that_cannot_be_cut_further(case):

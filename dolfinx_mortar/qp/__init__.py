@@ -5,7 +5,7 @@ For the convex problem min 1/2 x'Ax - b'x over lower <= x <= upper, and the line
 Knows matrices, vectors and options of PETSc; must not know meshes, forms or contact.
 """
 
-from dolfinx_mortar.qp.bound_qp import KKT, BoundQP, QPNotSolved, QPSolution, check
+from dolfinx_mortar.qp.bound_qp import KKT, BoundQP, QPNotSolved, QPSolution, UnusableQP, check
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
 from dolfinx_mortar.qp.multigrid import Preconditioning
 from dolfinx_mortar.qp.options import MULTIGRID, check_options
@@ -20,6 +20,7 @@ __all__ = [
     "Preconditioning",
     "QPNotSolved",
     "QPSolution",
+    "UnusableQP",
     "available",
     "check",
     "check_name",

@@ -104,11 +104,15 @@ class QPNotSolved(RuntimeError):
         self.solution = solution
 
 
+class UnusableQP(ValueError):
+    """The data of a quadratic program have no solution."""
+
+
 def validate(qp: BoundQP) -> None:
-    """Raise ValueError on all ranks if the data can have no solution.
+    """Raise an error on all ranks if the data can have no solution.
 
     Raises:
-        ValueError: a lower bound above its upper bound, an infinite bound of the wrong sign,
+        UnusableQP: a lower bound above its upper bound, an infinite bound of the wrong sign,
             a number that is not finite in b or A, or indices out of range.
     """
     lower, upper = qp.lower.array_r, qp.upper.array_r
@@ -138,7 +142,7 @@ def validate(qp: BoundQP) -> None:
     qp.comm.Allreduce(found, anywhere, op=MPI.LOR)
     for (name, text, _), bad in zip(verdicts, anywhere, strict=True):
         if bad:
-            raise ValueError(f"The {name} of the quadratic program cannot be used: {text}.")
+            raise UnusableQP(f"The {name} of the quadratic program cannot be used: {text}.")
 
 
 def reaction(qp: BoundQP, x: PETSc.Vec) -> PETSc.Vec:

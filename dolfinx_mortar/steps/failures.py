@@ -12,7 +12,7 @@ import numpy as np
 
 from dolfinx import la
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.qp import QPNotSolved
+from dolfinx_mortar.qp import QPNotSolved, UnusableQP
 from dolfinx_mortar.steps.bodies import name_of
 from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.report import NewtonNotConverged, StepReport
@@ -26,10 +26,10 @@ SOFT = 0.01
 
 @contextmanager
 def named(problem: ContactProblem, report: StepReport) -> Iterator[None]:
-    """Turn the failure of a backend into that of the step."""
+    """Turn the failure of a backend, or a QP that has no solution, into that of the step."""
     try:
         yield
-    except QPNotSolved as error:
+    except (QPNotSolved, UnusableQP) as error:
         number, cause = len(report.iterations) + 1, str(error).rstrip(". ")
         message = f"the QP of Newton iteration {number}: {cause}"
         raise not_converged(message, problem, report) from error
