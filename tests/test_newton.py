@@ -11,21 +11,18 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
-from dolfinx_mortar.steps import line_search
 from dolfinx_mortar.steps.linearisation import (
     count_changes,
     find_balance,
     linearise,
-    to_displacement,
 )
-from dolfinx_mortar.steps.newton import solve_step
 from dolfinx_mortar.steps.residuals import Contacts, Scales, measure
 from dolfinx_mortar.steps.watch import Watch
 from tests.ball_case import create_problem
 from tests.block_piles import ABOVE, BELOW, EAST, PILE, WEST, Blocks
 from tests.hertz_case import ELASTIC, PLASTIC, create_case
 from tests.meshes import BOTTOM, TOP
-from tests.pressed_blocks import PressedBlocks, rejected
+from tests.pressed_blocks import PressedBlocks
 from tests.sweep.problems import create
 
 COMM = MPI.COMM_WORLD
@@ -223,77 +220,6 @@ def test_a_change_counts_from_a_force_on():
     assert count_changes(lin, solved, solved.active, 0.0) == 0
 
 
-# -- the line search -------------------------------------------------------------------------------
-
-
-def test_a_step_too_long_is_halved():
-    """One step far into plasticity overshoots, and the energies tell."""
-    mesh = dm.meshing.hertz(COMM, kind="paper")
-    case = create_case(mesh, PLASTIC, slave="disc", geometry="reference")
-    case.press(0.6)
-    lengths = [i.step_length for i in dm.newton(case.problem).iterations]
-    assert set(lengths) == {1.0, 0.5}
-
-
-def overlapping():
-    """Return a case at equilibrium with half of its overlap left, and supports at rest."""
-    mesh = dm.meshing.hertz(COMM, kind="paper", gap=-0.1)
-    case = create_case(mesh, ELASTIC, geometry="reference")
-    solve_step(case.problem, qp="active-set", rtol=1e-9, max_it=20, overlap=0.05)
-    return case
-
-
-def test_the_merit_needs_its_penalty(monkeypatch):
-    """To close a violated gap the energy must rise; without the penalty no step is accepted."""
-    case = overlapping()
-    half = case.force
-    assert dm.newton(case.problem).converged and case.force > 2.0 * half > 0.0
-    case = overlapping()
-    monkeypatch.setattr(line_search.Direction, "excess", lambda self, t: 0.0)
-    with rejected("line search", error=dm.NewtonNotConverged):
-        dm.newton(case.problem)
-
-
-@pytest.mark.serial
-def test_the_slope_is_that_of_the_merit():
-    """Energy and penalty, at the start, against the difference of their values over the step."""
-    problem = overlapping().problem
-    data = problem.begin_step()
-    lin = linearise(problem, find_balance(problem, data))
-    solved = dm.qp.solve(lin.qp, linear=problem.linear, rtol=1e-12)
-    du = to_displacement(problem.system.transformation, solved.x)
-    multiplier = float(solved.z.max()[1] / lin.balance.bounds.weight.min())
-    path = line_search.create_path(problem, lin, solved, du, multiplier)
-
-    def merit(t):
-        line_search.move(problem, path.start + t * path.du)
-        return line_search.find_energy(problem, data).value + path.excess(t)
-
-    first = line_search.find_slope(problem, lin, path)
-    assert first == pytest.approx(merit(1.0) - merit(0.0) - 0.5 * du.dot(problem.K * du), rel=1e-6)
-    assert first < 0.0 < -lin.balance.r.dot(du)  # the penalty alone makes it fall
-
-
-def test_a_step_at_round_off_is_not_refused(monkeypatch):
-    """Asked for more than the round-off of energies allows, a step ends; by values alone it fails.
-
-    A random problem: round-off decides, so only some of them show it.
-    """
-
-    def walk():
-        case = create("hertz", 0)
-        options = {"on_time": case.on_time, "rtol": 1e-12, "cuts": "none"}
-        (step,) = dm.load_steps(case.problem, case.levels[:1], **options)
-        return step.report.iterations
-
-    assert all(i.step_length == 1.0 for i in walk()[-3:])
-    path = line_search.create_path
-    monkeypatch.setattr(line_search, "EPS", 0.0)
-    monkeypatch.setattr(line_search, "create_path", lambda *a: replace(path(*a), noise=0.0))
-    with pytest.raises(dm.NewtonNotConverged, match="line search"):
-        walk()
-
-
 # -- moving geometry -------------------------------------------------------------------------------
 
 
@@ -376,105 +302,6 @@ def test_frozen_geometry_that_slides_is_noted():
         report = dm.newton(case.problem)
         case.problem.commit()
         assert any("has slid" in note for note in report.notes) == noted
-
-
-# -- load steps ------------------------------------------------------------------------------------
-
-
-def on_top(case, depth=0.05):
-    """Return the function that sets the level of the load."""
-
-    def on_time(t):
-        case.press(depth * t)
-
-    return on_time
-
-
-def test_cuts_can_be_forbidden_and_are_told():
-    case = create_case(dm.meshing.hertz(COMM, kind="paper"))
-    with rejected("from 0 to 4", "0 of 0 cuts", error=dm.NewtonNotConverged):
-        list(dm.load_steps(case.problem, [4.0], on_time=on_top(case), max_it=5, cuts="none"))
-    (step,) = dm.load_steps(case.problem, [4.0], on_time=on_top(case), max_it=5)
-    assert step.report.cuts > 0 and len(step.parts) > 1
-    assert any("cut" in note for note in step.report.notes)
-    assert f"in {len(step.parts)} parts" in str(step)
-    assert step.report.as_dict()["cuts"] == step.report.cuts
-
-
-def test_a_second_walk_starts_where_the_first_ended():
-    case, seen = create_case(dm.meshing.hertz(COMM, kind="paper")), []
-    list(dm.load_steps(case.problem, [1.0], on_time=on_top(case)))
-
-    def on_time(t):
-        seen.append(t)
-        on_top(case)(t)
-
-    with pytest.raises(dm.NewtonNotConverged):
-        list(dm.load_steps(case.problem, [3.0], on_time=on_time, max_it=1, max_cuts=1))
-    assert seen == [3.0, 2.0]
-
-
-def test_a_step_of_no_length_is_not_halved():
-    case, seen = create_case(dm.meshing.hertz(COMM, kind="paper")), []
-
-    def on_time(t):
-        seen.append(t)
-        case.press(0.3)  # whatever the level
-
-    with rejected("from 0 to 0", error=dm.NewtonNotConverged):
-        list(dm.load_steps(case.problem, [0.0], on_time=on_time, max_it=1))
-    assert seen == [0.0]
-
-
-@pytest.mark.mpi
-def test_an_error_of_the_users_function_reaches_all_ranks():
-    case = create_case(dm.meshing.hertz(COMM, kind="paper"))
-
-    def on_time(t):
-        if COMM.rank == COMM.size - 1:
-            raise KeyError("no such level")
-
-    error = KeyError if COMM.rank == COMM.size - 1 else RuntimeError
-    with pytest.raises(error, match="no such level"):
-        list(dm.load_steps(case.problem, [1.0], on_time=on_time))
-
-
-def test_an_overlap_is_reduced_in_parts():
-    """Two plastic bodies overlap by more than one step of few iterations can push apart."""
-    case = create_case(dm.meshing.hertz(COMM, kind="paper", gap=-0.2))
-    with pytest.raises(dm.NewtonNotConverged):
-        dm.newton(case.problem, max_it=5)
-    (step,) = dm.load_steps(case.problem, [1.0], max_it=5)
-    assert len(step.parts) > 1 and step.report.certificate.gap < 1e-5
-    assert any("overlap" in note for part in step.parts for note in part.notes)
-    # the same depth by pressing, in as many steps or so
-    pressed = create_case(dm.meshing.hertz(COMM, kind="paper"))
-    list(dm.load_steps(pressed.problem, np.linspace(1, 4, 4), on_time=on_top(pressed)))
-    assert case.force == pytest.approx(pressed.force, rel=0.05)
-
-
-def test_a_limit_load_is_named():
-    """A bar in tension without hardening carries its yield stress and no more."""
-    b = Blocks(PILE[:1])
-    law = dm.VonMises.from_uniaxial(1000.0, 0.3, 10.0, 0.0)
-    pull = fem.Constant(b.mesh, default_scalar_type((0.0, 0.0)))
-    ds = ufl.Measure("ds", b.mesh, subdomain_data=b.facets)
-    bcs = [b.fix(1, BELOW, component=1), b.fix(1, WEST, component=0)]
-    loads = ufl.inner(pull, ufl.TestFunction(b.V)) * ds(10 + ABOVE)
-    problem = b.problem([], bcs, law=law, loads=loads)
-
-    def on_time(t):
-        pull.value[1] = 10.0 * t  # plane strain: the limit is 10 times 2 / sqrt(3)
-
-    reached = []
-    with rejected(
-        "limit load", "flows in 100 %", "[0.5, 0.5]", error=dm.NewtonNotConverged
-    ) as caught:
-        for step in dm.load_steps(problem, [1.0, 2.0], on_time=on_time):
-            reached.append(step.time)
-    assert reached == [1.0] and "float" not in caught.value.message
-    level = problem.committed.level
-    assert 1.0 < level < 2 / np.sqrt(3) and f"converged is {level:g}" in caught.value.message
 
 
 # -- a potential of the displacement ---------------------------------------------------------------

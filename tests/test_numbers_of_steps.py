@@ -16,7 +16,7 @@ import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.interfaces.near import predict_active
 from dolfinx_mortar.steps.linearisation import find_balance
-from tests import test_audit, test_mortar_3d, test_newton
+from tests import test_audit, test_line_search, test_mortar_3d
 from tests.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
 from tests.hertz_case import ELASTIC, PLASTIC, create_case
 from tests.meshes import TOP
@@ -176,7 +176,7 @@ PROBES = {
     ),
     "EXACT": lambda: test_audit.test_range_of_gaps(-0.01),
     "SAME": lambda: test_audit.test_free_motions_by_simple_names(*ROWS),
-    "MAX_HALVINGS": test_newton.test_a_step_too_long_is_halved,
+    "MAX_HALVINGS": test_line_search.test_a_step_too_long_is_halved,
     "GAP_OPERATIONS": closed_round_off,
 }
 LARGE = (

@@ -127,8 +127,7 @@ def _undone_on_failure(problem: ContactProblem, report: StepReport) -> Iterator[
         report.linear_solver = problem.linear.description
         if report.converged and (unread := problem.linear.unused_options()):
             report.notes.append(
-                f"petsc_options without effect: {', '.join(unread)}; misspelt, or of no use to this "
-                "method"
+                f"petsc_options without effect: {', '.join(unread)}; misspelt, or of no use here"
             )
         report.notes += [note for note in problem.system.notes if note not in report.notes]
 

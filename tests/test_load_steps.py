@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: MIT
+"""Walks through load levels: cuts, starts, overlaps in parts, limit loads."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import default_scalar_type, fem
+from tests.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
+from tests.hertz_case import create_case
+from tests.pressed_blocks import rejected
+
+COMM = MPI.COMM_WORLD
+
+
+def on_top(case, depth=0.05):
+    """Return the function that sets the level of the load."""
+
+    def on_time(t):
+        case.press(depth * t)
+
+    return on_time
+
+
+def test_cuts_can_be_forbidden_and_are_told():
+    case = create_case(dm.meshing.hertz(COMM, kind="paper"))
+    with rejected("from 0 to 4", "0 of 0 cuts", error=dm.NewtonNotConverged):
+        list(dm.load_steps(case.problem, [4.0], on_time=on_top(case), max_it=5, cuts="none"))
+    (step,) = dm.load_steps(case.problem, [4.0], on_time=on_top(case), max_it=5)
+    assert step.report.cuts > 0 and len(step.parts) > 1
+    assert any("cut" in note for note in step.report.notes)
+    assert f"in {len(step.parts)} parts" in str(step)
+    assert step.report.as_dict()["cuts"] == step.report.cuts
+
+
+def test_a_second_walk_starts_where_the_first_ended():
+    case, seen = create_case(dm.meshing.hertz(COMM, kind="paper")), []
+    list(dm.load_steps(case.problem, [1.0], on_time=on_top(case)))
+
+    def on_time(t):
+        seen.append(t)
+        on_top(case)(t)
+
+    with pytest.raises(dm.NewtonNotConverged):
+        list(dm.load_steps(case.problem, [3.0], on_time=on_time, max_it=1, max_cuts=1))
+    assert seen == [3.0, 2.0]
+
+
+def test_a_step_of_no_length_is_not_halved():
+    case, seen = create_case(dm.meshing.hertz(COMM, kind="paper")), []
+
+    def on_time(t):
+        seen.append(t)
+        case.press(0.3)  # whatever the level
+
+    with rejected("from 0 to 0", error=dm.NewtonNotConverged):
+        list(dm.load_steps(case.problem, [0.0], on_time=on_time, max_it=1))
+    assert seen == [0.0]
+
+
+@pytest.mark.mpi
+def test_an_error_of_the_users_function_reaches_all_ranks():
+    case = create_case(dm.meshing.hertz(COMM, kind="paper"))
+
+    def on_time(t):
+        if COMM.rank == COMM.size - 1:
+            raise KeyError("no such level")
+
+    error = KeyError if COMM.rank == COMM.size - 1 else RuntimeError
+    with pytest.raises(error, match="no such level"):
+        list(dm.load_steps(case.problem, [1.0], on_time=on_time))
+
+
+def test_an_overlap_is_reduced_in_parts():
+    """Two plastic bodies overlap by more than one step of few iterations can push apart."""
+    case = create_case(dm.meshing.hertz(COMM, kind="paper", gap=-0.2))
+    with pytest.raises(dm.NewtonNotConverged):
+        dm.newton(case.problem, max_it=5)
+    (step,) = dm.load_steps(case.problem, [1.0], max_it=5)
+    assert len(step.parts) > 1 and step.report.certificate.gap < 1e-5
+    assert any("overlap" in note for part in step.parts for note in part.notes)
+    # the same depth by pressing, in as many steps or so
+    pressed = create_case(dm.meshing.hertz(COMM, kind="paper"))
+    list(dm.load_steps(pressed.problem, np.linspace(1, 4, 4), on_time=on_top(pressed)))
+    assert case.force == pytest.approx(pressed.force, rel=0.05)
+
+
+def test_a_limit_load_is_named():
+    """A bar in tension without hardening carries its yield stress and no more."""
+    b = Blocks(PILE[:1])
+    law = dm.VonMises.from_uniaxial(1000.0, 0.3, 10.0, 0.0)
+    pull = fem.Constant(b.mesh, default_scalar_type((0.0, 0.0)))
+    ds = ufl.Measure("ds", b.mesh, subdomain_data=b.facets)
+    bcs = [b.fix(1, BELOW, component=1), b.fix(1, WEST, component=0)]
+    loads = ufl.inner(pull, ufl.TestFunction(b.V)) * ds(10 + ABOVE)
+    problem = b.problem([], bcs, law=law, loads=loads)
+
+    def on_time(t):
+        pull.value[1] = 10.0 * t  # plane strain: the limit is 10 times 2 / sqrt(3)
+
+    reached = []
+    with rejected(
+        "limit load", "flows in 100 %", "[0.5, 0.5]", error=dm.NewtonNotConverged
+    ) as caught:
+        for step in dm.load_steps(problem, [1.0, 2.0], on_time=on_time):
+            reached.append(step.time)
+    assert reached == [1.0] and "float" not in caught.value.message
+    level = problem.committed.level
+    assert 1.0 < level < 2 / np.sqrt(3) and f"converged is {level:g}" in caught.value.message
