@@ -133,7 +133,7 @@ def test_relative_and_transpose_are_adjoint(rng):
     for i in problem.system.links:
         f = mine[i.nodes, 2:]
         left = np.sum(f * i.relative(v))
-        right = v.array_r @ i.transpose(np.einsum("nij,nj->ni", i.coupling.R, f)).ravel()
+        right = v.array_r @ sum(i.transpose(np.einsum("nij,nj->ni", i.coupling.R, f))).ravel()
         left, right = COMM.allreduce(np.array([left, right]))
         assert left == pytest.approx(right, rel=ROUND_OFF)
 

@@ -135,13 +135,24 @@ class Link:
         """Return the constrained components of the relative motion, near or far; collective."""
         return np.asarray(self.relative(v)[self.coupling.directions])
 
-    def transpose(self, forces: Floats) -> Floats:
-        """Return the owned nodal forces (I - Q)^T v of slave forces v (n, d); collective."""
-        Q = self.coupling.Q
-        v, moved = Q.createVecLeft(), Q.createVecRight()
-        v.array.reshape(-1, forces.shape[1])[self.nodes] = forces
-        Q.multTranspose(v, moved)
-        return np.asarray((v.array_r - moved.array_r).reshape(-1, forces.shape[1]))
+    def transpose(self, forces: Floats) -> tuple[Floats, Floats]:
+        """Return the owned nodal forces (I - Q)^T v of slave forces v (n, d); collective.
+
+        Those on the slave side (of I and D) and those on the master side (of M), which meet at
+        nodes of both. Their sum is (I - Q)^T v.
+        """
+        p, blocks, d = self.pattern, self.coupling.blocks, forces.shape[1]
+        v = self.coupling.Q.createVecLeft()
+        v.array.reshape(-1, d)[self.nodes] = forces
+        of_D, of_M = slice(None, p.from_D.size), slice(p.from_D.size, None)
+        moved = []
+        for part in (of_D, of_M):
+            Q = BlockMatrix(self.sides.V, self.nodes[p.row[part]], p.column[part])
+            Q.fill(blocks[part])
+            moved.append(Q.matrix.createVecRight())
+            Q.matrix.multTranspose(v, moved[-1])
+        slave, master = v.array_r - moved[0].array_r, -moved[1].array_r
+        return slave.reshape(-1, d), master.reshape(-1, d)
 
 
 def share(V: fem.FunctionSpace, owned: Bools) -> Bools:

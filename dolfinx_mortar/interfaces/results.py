@@ -48,12 +48,9 @@ def set_results(link: Link, reaction: Floats, gap: Floats, active: Bools, x: Flo
 def _resultants(link: Link, forces: Floats, multiplier: Floats, x: Floats) -> Resultants:
     """Return the resultants of the forces (n, d) that the slave nodes exert; collective."""
     n, d = link.sides.n_owned, forces.shape[1]
-    f, points = np.zeros((n, 3)), np.zeros((n, 3))
-    f[:, :d], points[:, :d] = link.transpose(forces), x
-    sides = [
-        np.where(side[:n, None], -f, 0.0) for side in (link.sides.on_slave, link.sides.on_master)
-    ]
-    local = np.array([[s.sum(axis=0), np.cross(points, s).sum(axis=0)] for s in sides])
+    f, points = np.zeros((2, n, 3)), np.zeros((n, 3))
+    f[:, :, :d], points[:, :d] = link.transpose(forces), x
+    local = np.array([[-s.sum(axis=0), -np.cross(points, s).sum(axis=0)] for s in f])
     total = link.sides.V.mesh.comm.allreduce(local, op=MPI.SUM)
     return Resultants(
         force=total[0, 0, :d],
