@@ -175,6 +175,7 @@ def test_removed_nodes_come_back_when_the_cycle_is_gone():
         problem.update_geometry(0.0, search=True)
         banned = problem.system.link(down).banned
         assert banned[everywhere].any() != gone or everywhere.size == 0
+        assert any("cycle" in note for note in problem.system.notes) != gone
 
 
 @pytest.mark.mpi
