@@ -179,6 +179,26 @@ def test_removed_nodes_come_back_when_the_cycle_is_gone():
 
 
 @pytest.mark.mpi
+def test_sides_that_turn_away_have_no_pairs_for_a_while():
+    """No error in a search that another interface calls for: nothing is constrained meanwhile."""
+    b = Blocks(PILE[:2])
+    contact = b.join(dm.Contact, (1, ABOVE), (2, BELOW))
+    problem = b.problem([contact], [b.fix(1, BELOW), b.fix(2, ABOVE)])
+    problem.audit()
+    upper = fem.locate_dofs_topological(b.V, 2, b.cells.find(2))
+    x = b.V.tabulate_dof_coordinates()[upper, :2]
+    for turned in (True, False):
+        b.u.x.array.reshape(-1, 2)[upper] = turned * 2 * (np.array([0.5, 1.0]) - x)  # half a turn
+        problem.update_geometry(0.0, search=True)
+        (link,) = problem.system.links
+        kept = COMM.allreduce(int(link.coupling.kept.sum()))
+        assert kept == (0 if turned else 4)
+        T = dense_transformation(problem)
+        assert np.abs(T - expected_transformation(problem)).max() < ROUND_OFF
+        assert (np.abs(T - np.eye(len(T))).max() > 0.1) != turned
+
+
+@pytest.mark.mpi
 @pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
 def test_prescribed_components_of_slave_nodes(kind):
     """Dirichlet data on slave nodes with inclined normals hold exactly, in every component."""

@@ -183,9 +183,13 @@ def _mark(surface: Surface) -> Bools:
     return share(surface.V, owned)
 
 
-def pair(sides: Sides, u: fem.Function | None) -> tuple[Pairing, Pattern]:
-    """Pair slave and master facets at X + u and fix the coupling pattern; collective."""
-    pairing = create_pairing(sides.V, sides.slave, sides.master, u, moving=u is not None)
+def pair(sides: Sides, u: fem.Function | None, *, again: bool) -> tuple[Pairing, Pattern]:
+    """Pair slave and master facets at X + u and fix the coupling pattern; collective.
+
+    At first the sides have to face each other somewhere; later, ``again``, they may turn away.
+    """
+    surfaces = sides.slave, sides.master
+    pairing = create_pairing(sides.V, *surfaces, u, moving=u is not None, again=again)
     nodes = sides.nodes
     position = np.full(sides.n_owned, -1, dtype=np.int32)
     position[nodes] = np.arange(len(nodes), dtype=np.int32)

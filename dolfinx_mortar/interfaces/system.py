@@ -132,7 +132,8 @@ class InterfaceSystem:
         self.searches += 1
         self.transformation = None
         configurations = [i.configuration(at) for i in self.interfaces]
-        found = [pair(s, u) for s, u in zip(self.sides, configurations, strict=True)]
+        again = bool(self.links)
+        found = [pair(s, u, again=again) for s, u in zip(self.sides, configurations, strict=True)]
         pairings, patterns = zip(*found, strict=True)
         if len(self.sides) > 1:
             coverage = [
