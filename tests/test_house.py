@@ -26,7 +26,7 @@ BELOW = {
 OPEN = {"arrays", "compat", "spaces"}
 FOREIGN = {  # libraries that a floor must not know
     "geometry": {"dolfinx", "petsc4py", "mpi4py", "ufl"},
-    "algebra": {"ufl", "basix"},
+    "algebra": {"dolfinx", "ufl", "basix"},
     "qp": {"dolfinx", "ufl", "basix"},
     "materials": {"dolfinx", "petsc4py", "mpi4py"},
 }

@@ -147,12 +147,23 @@ class Link:
         of_D, of_M = slice(None, p.from_D.size), slice(p.from_D.size, None)
         moved = []
         for part in (of_D, of_M):
-            Q = BlockMatrix(self.sides.V, self.nodes[p.row[part]], p.column[part])
+            Q = create_blocks(self.sides.V, self.nodes[p.row[part]], p.column[part])
             Q.fill(blocks[part])
             moved.append(Q.matrix.createVecRight())
             Q.matrix.multTranspose(v, moved[-1])
         slave, master = v.array_r - moved[0].array_r, -moved[1].array_r
         return slave.reshape(-1, d), master.reshape(-1, d)
+
+
+def create_blocks(V: fem.FunctionSpace, rows: Ints, columns: Longs) -> BlockMatrix:
+    """Return a matrix of d x d blocks between nodes of V; collective.
+
+    Args:
+        V: the vector space of the displacement.
+        rows: owned node (p,) of each block, local number.
+        columns: node (p,) of each block, global number.
+    """
+    return BlockMatrix(V.mesh.comm, V.dofmap.index_map, V.dofmap.index_map_bs, rows, columns)
 
 
 def share(V: fem.FunctionSpace, owned: Bools) -> Bools:
@@ -200,7 +211,7 @@ def pair(sides: Sides, u: fem.Function | None, *, again: bool) -> tuple[Pairing,
     from_M = np.flatnonzero(position[row_M] >= 0)
     row = np.concatenate([position[row_D[from_D]], position[row_M[from_M]]])
     column = np.concatenate([column_D[from_D], column_M[from_M]])
-    blocks = BlockMatrix(sides.V, nodes[row], column)
+    blocks = create_blocks(sides.V, nodes[row], column)
     return pairing, Pattern(row, column, from_D.astype(np.int32), from_M.astype(np.int32), blocks)
 
 
