@@ -7,6 +7,12 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.interfaces.frames import create_frames
+from dolfinx_mortar.mortar.operators import (
+    assemble_node_matrices,
+    default_keep,
+    find_segments,
+    node_weights,
+)
 from dolfinx_mortar.steps.linearisation import find_balance
 from tests.block_piles import (
     ABOVE,
@@ -48,19 +54,38 @@ def test_frames_are_orthonormal(d, rng):
 # -- the change of basis
 
 
+def choices(link):
+    """Return D and M for each choice of nodes, assembled anew where there are several."""
+    if isinstance(link.interface, dm.Contact):
+        return [(to_dense(link.pairing.D), to_dense(link.pairing.M))]
+    points, _ = find_segments(link.pairing, None)
+    weights, slave = node_weights(link.pairing, points), link.sides.slave
+    found = []
+    for c in range(link.coupling.R.shape[1]):
+        allowed = ~link.sides.fixed[slave.nodes, c] & ~link.banned[slave.nodes]
+        keep = default_keep(link.pairing, points, *weights, allowed)
+        assembled = assemble_node_matrices(link.pairing, points, keep)
+        found.append([to_dense(A) for A in assembled])
+    return found
+
+
 def expected_transformation(problem):
-    """Return T = (I - Q)^-1 W from D, M, R and S, gathered, without the interfaces' products."""
+    """Return T = (I - Q)^-1 W from D, M, R and S, gathered, without the interfaces' products.
+
+    Column a of R_j is constrained by the choice a of nodes; contact, which has one, by that.
+    """
     N, d = problem.V.dofmap.index_map.size_global, problem.d
     Q, W = np.zeros((N, d, N, d)), np.einsum("ij,ab->iajb", np.eye(N), np.eye(d))
     for i in problem.system.links:
-        D, M = to_dense(i.pairing.D), to_dense(i.pairing.M)
         nodes = to_global(COMM, i.nodes + problem.V.dofmap.index_map.local_range[0])
         kept = i.coupling.kept.any(axis=1)
         kept, R, S = (to_global(COMM, a) for a in (kept, i.coupling.R, i.constrained))
-        for j, node in zip(np.flatnonzero(kept), nodes[kept], strict=True):
-            P = (M[node] - D[node] * (np.arange(N) != node)) / D[node, node]
-            Q[node] = np.einsum("ab,l->alb", R[j] @ np.diag(S[j]) @ R[j].T, P)
-            W[node, :, node] = R[j]
+        for a, (D, M) in enumerate(choices(i)):
+            for j in np.flatnonzero(S[:, a]):
+                node, r = nodes[j], R[j][:, a]
+                P = (M[node] - D[node] * (np.arange(N) != node)) / D[node, node]
+                Q[node] += np.einsum("a,b,l->alb", r, r, P)
+        W[nodes[kept], :, nodes[kept]] = R[kept]
     size = d * N
     return np.linalg.solve(np.eye(size) - Q.reshape(size, size), W.reshape(size, size))
 
@@ -82,6 +107,23 @@ def test_transformation_of_a_chain(kinds):
         assert np.abs(transformed - T.T @ K @ T).max() < ROUND_OFF * np.abs(K).max()
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize("component", [0, 1])
+def test_transformation_of_a_tie_with_one_prescribed_component(component):
+    """Its nodes carry multipliers in some directions only: D and M differ by direction."""
+    b = Blocks(PILE[:2])
+    tie = b.join(dm.Tie, (1, ABOVE), (2, BELOW))
+    fixed = b.fix(1, WEST, component=component)
+    problem = b.problem([tie], [b.fix(1, BELOW), b.fix(2, ABOVE), fixed])
+    problem.audit()
+    (link,) = problem.system.links
+    counts = COMM.allreduce(link.coupling.kept.sum(axis=0))
+    assert counts.tolist() == [4 - (component == 0), 4 - (component == 1)]
+    T = dense_transformation(problem)
+    assert np.abs(T - expected_transformation(problem)).max() < ROUND_OFF
+
+
+@pytest.mark.mpi
 @pytest.mark.parametrize("partition", ["graph", "stripes", "bodies"])
 def test_transformation_follows_the_geometry(partition, rng):
     """Inclined normals, on any partition, in place."""
