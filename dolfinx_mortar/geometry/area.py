@@ -96,17 +96,23 @@ def _any_overlap(M, count):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _is_hidden(S, M, bilinear, i, j, piece, size, common, spare):  # type: ignore[no-untyped-def]
-    """Tell whether facet j is nearer to the slave than facet i, behind the same part of it."""
-    if i == j or not _overlap(M[i], M[j]):
+def _is_hidden(S, M, bilinear, i, j, pieces, sizes, common, spare):  # type: ignore[no-untyped-def]
+    """Tell whether facet j is nearer to the slave than facet i, behind the same part of it.
+
+    Both orders look at the same point: facets that coincide or cross would else hide each other,
+    or neither the other, by round-off.
+    """
+    a, b = min(i, j), max(i, j)
+    if a == b or not _overlap(M[a], M[b]):
         return False
     n = M.shape[1]
-    size = polygons.intersect(piece, size, M[j], n, polygons.orientation(M[j], n), common, spare)
+    sign = polygons.orientation(M[b], n)
+    size = polygons.intersect(pieces[a], sizes[a], M[b], n, sign, common, spare)
     if polygons.is_thin(common, size):
         return False
     _, x, y = polygons.measure(common, size)
-    one, other = _distance(S, M[i], bilinear, x, y), _distance(S, M[j], bilinear, x, y)
-    return other < one or (other == one and j < i)
+    behind = _distance(S, M[b], bilinear, x, y) < _distance(S, M[a], bilinear, x, y)
+    return behind if i == a else not behind
 
 
 # Loops in place of slices: array assignments take a second each to compile.
@@ -154,7 +160,7 @@ def _keep_nearest(S, M, bilinear, given, given_sizes, n):  # type: ignore[no-unt
         _copy(given[i], given_sizes[i], pieces[count])
         count += 1
         for j in range(n):
-            if not _is_hidden(S, M, bilinear, i, j, given[i], given_sizes[i], common, spare):
+            if not _is_hidden(S, M, bilinear, i, j, given, given_sizes, common, spare):
                 continue
             for k in range(first, count):
                 pieces, sizes, owner = _make_room(pieces, sizes, owner, count)
