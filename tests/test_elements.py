@@ -2,6 +2,7 @@
 """Types of facets: what one says about itself is consistent, and nobody else knows it."""
 
 import ast
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ import dolfinx
 import dolfinx_mortar
 from dolfinx_mortar.geometry.elements import FACETS_OF, LINE2, QUAD4, TRI3
 from dolfinx_mortar.geometry.facets import Facets, area_vectors, facet_normals, tributary_weights
+from dolfinx_mortar.geometry.segments import create_segments
 from dolfinx_mortar.mortar.dual import BASES
+from dolfinx_mortar.spaces import CELLS
 
 ELEMENTS = pytest.mark.parametrize("element", [LINE2, TRI3, QUAD4], ids=lambda e: e.cell)
 PACKAGE = Path(dolfinx_mortar.__file__).parent
@@ -87,6 +90,20 @@ def test_every_cell_has_the_facets_of_dolfinx(cell):
     kind = dolfinx.mesh.to_type(cell)
     facet = dolfinx.cpp.mesh.cell_entity_type(kind, dolfinx.cpp.mesh.cell_dim(kind) - 1, 0)
     assert facet.name == FACETS_OF[cell].cell
+
+
+def test_every_cell_that_u_may_have_has_facets():
+    assert set(CELLS) == FACETS_OF.keys()
+
+
+def test_facets_of_several_linear_ones_are_refused():
+    """Their operators would be those of other facets: segments carry the number of the facet."""
+    line3 = replace(LINE2, nodes=3, sub_facets=((0, 2), (2, 1)))
+    facets = Facets(line3, np.array([[[0.0, 0.0], [2.0, 0.0], [1.0, 0.1]]]))
+    normals = np.tile([0.0, -1.0], (1, 3, 1))
+    pairs = np.zeros((1, 2), dtype=np.int32)
+    with pytest.raises(NotImplementedError, match="2 linear ones"):
+        create_segments(facets, normals, facets, pairs)
 
 
 def counts(tree):
