@@ -131,7 +131,7 @@ def forms(comm, partition, sides, cell):
 def test_same_operators_on_any_number_of_ranks(partition, sides, cell):
     alone = forms(MPI.COMM_SELF, "graph", sides, cell)
     together = forms(COMM, partition, sides, cell)
-    assert np.abs(together - alone).max() < (1e-7 if cell == "hexahedron" else 1e-12)
+    assert np.abs(together - alone).max() < 1e-12
 
 
 def test_normals_of_a_box():

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_mortar.geometry import facets, segments
+from dolfinx_mortar.geometry.elements import QUAD4
 from tests.meshes_3d import rotation
 from tests.surfaces import Side, assemble, grid, triangles
 
@@ -188,6 +189,21 @@ def test_back_of_a_thin_master_is_ignored():
 def curved(side, bend):
     """Return a side on the surface z = bend(x, y)."""
     return Side(np.column_stack([side.x[:, :2], bend(*side.x[:, :2].T)]), side.facets)
+
+
+@pytest.mark.parametrize("warp", [0.02, 0.1, 0.2])
+@pytest.mark.parametrize("shift", [0.0, 0.1])
+def test_integrals_over_warped_quadrilaterals(warp, shift):
+    """Phi_j N_l against many Gauss points on a facet that is as good as square from above."""
+    x = np.array([[0.0, 0, warp], [1 + shift, 0, -warp], [1, 1, warp], [0, 1, -warp]])
+    slave = Side(x, np.arange(4, dtype=np.int32)[None])
+    o = assemble(slave, grid([-3, 4], [-3, 4], k=4).reversed().moved(shift=(0, 0, 0.5)))
+    points, weights = np.polynomial.legendre.leggauss(30)
+    xi = np.stack(np.meshgrid(points, points), axis=-1).reshape(-1, 2)
+    J = facets._jacobians(slave.geometry, xi)[0] * np.outer(weights, weights).ravel() / 4
+    N, N_q = (QUAD4.shape_functions(v) for v in (xi, o.points.xi_s))
+    expected, found = (N.T * J) @ N, (N_q.T * o.points.weight) @ N_q
+    assert np.abs(found - expected).max() < 0.1 * EXACT
 
 
 def saddle(x, y):

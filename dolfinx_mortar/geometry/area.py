@@ -10,9 +10,12 @@ quadrilaterals. The weight of a point is its area in the plane over the cosine b
 and the slave facet, which is 1 for plane facets.
 
 On triangles the points integrate Phi_j N_l exactly, and so they do on parallelograms. The inverse
-map of other quadrilaterals is not a polynomial; there the degree of the quadrature grows with the
-change of the Jacobian over a triangle until the integrals of the shape functions are exact to
-about 1e-12, so that the two sides still exchange a constant pressure without loss.
+map of other quadrilaterals is not a polynomial, nor is the cosine on warped ones; there the degree
+of the quadrature grows with the change of the Jacobian and of the slopes over a triangle, so that
+the two sides still exchange a constant pressure without loss. Measured on random pairs, in parts of
+the facet: 1e-14 where no corner of a quadrilateral has a quality (`facets.distortions`) below 0.6.
+Where one has less, the degree may end at the highest there is, and the error is 1e-10 or so, 1e-8
+at 0.1.
 """
 
 from functools import cache
@@ -26,7 +29,14 @@ import basix
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.geometry import polygons
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.plane import create_planes, height_at, inverse, project, stretch
+from dolfinx_mortar.geometry.plane import (
+    create_planes,
+    height_at,
+    inverse,
+    project,
+    slopes,
+    stretch,
+)
 from dolfinx_mortar.geometry.polygons import VERTICES
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
@@ -261,6 +271,18 @@ def _variation(P, bilinear, corners):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
+def _turn(P, bilinear, corners):  # type: ignore[no-untyped-def]
+    """Return how far the slopes of a projected facet differ between the corners of a triangle."""
+    s0, s1, turn = np.empty(3), np.empty(3), 0.0
+    for v in range(3):
+        xi, eta, _ = inverse(P, bilinear, corners[v, 0], corners[v, 1])
+        s0[v], s1[v] = slopes(P, bilinear, xi, eta)
+    for v in range(3):
+        turn = max(turn, (s0[v] - s0[v - 1]) ** 2 + (s1[v] - s1[v - 1]) ** 2)
+    return np.sqrt(turn)
+
+
+@numba.njit(cache=True)
 def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners):  # type: ignore[no-untyped-def]
     """Return the number (t,) of the quadrature rule of each triangle."""
     rule = np.zeros(len(which), dtype=np.int64)
@@ -273,6 +295,8 @@ def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners):  # t
         project(x_m[m], centre[s], axes[s], M)
         variation = _variation(S, bilinear[0], corners[t])
         variation += _variation(M, bilinear[1], corners[t])
+        # the weight holds sqrt(1 + slope^2)
+        variation = max(variation, _turn(S, bilinear[0], corners[t]) ** 2 / 2)
         degree = 4.0
         if variation > 0.0:
             # the singularities of the inverse maps lie 1 / variation triangles away
