@@ -107,14 +107,26 @@ def test_facets_of_several_linear_ones_are_refused():
 
 
 def counts(tree):
-    """Yield the comparisons of a size with a number of nodes, such as x.shape[1] == 3."""
+    """Yield comparisons that tell a type from a count, such as x.shape[1] == 3 or n > 3.
+
+    Fewer than three vertices are no polygon: that is no type.
+    """
     for node in ast.walk(tree):
         if isinstance(node, ast.Compare):
             sides = [node.left, *node.comparators]
-            number = any(isinstance(s, ast.Constant) and s.value in (3, 4, 6, 8) for s in sides)
-            size = any(".shape[0]" in (t := ast.unparse(s)) or ".shape[1]" in t for s in sides)
-            if number and size:
+            texts = [ast.unparse(side) for side in sides]
+            size = any(".shape[0]" in text or ".shape[1]" in text for text in texts)
+            name = any(isinstance(side, ast.Name) for side in sides)
+            empty = isinstance(node.ops[0], ast.Lt) and texts[1] == "3"
+            if (size and {"1", "3", "4", "6", "8"} & set(texts)) or (
+                name and not empty and {"3", "4", "6", "8"} & set(texts)
+            ):
                 yield ast.unparse(node)
+
+
+def test_types_told_from_counts_are_found():
+    text = "x.shape[1] == 3; kept.shape[1] == 1; n > 3; k == 4; n < 3; len(x) > 0; x.shape[2] == 2"
+    assert list(counts(ast.parse(text))) == text.split("; ")[:4]
 
 
 @pytest.mark.parametrize("floor", ["geometry", "mortar", "interfaces"])

@@ -57,7 +57,7 @@ def _resultants(link: Link, forces: Floats, multiplier: Floats, x: Floats) -> Re
         moment=total[0, 1],
         master_force=total[1, 0, :d],
         master_moment=total[1, 1],
-        multiplier=multiplier[:, 0] if link.coupling.kept.shape[1] == 1 else multiplier,
+        multiplier=multiplier[:, 0] if link.interface.one_sided else multiplier,
         nodes=link.nodes,
         carries=np.asarray(link.coupling.kept.any(axis=1)),
     )
