@@ -133,6 +133,15 @@ class Link:
         local = difference.reshape(-1, self.coupling.R.shape[1])[self.nodes]
         return np.asarray(np.einsum("nij,ni->nj", self.coupling.R, local))
 
+    def gaps(self, v: PETSc.Vec) -> Floats:
+        """Return n_j.(P v - v_j) at the owned slave nodes (n,); collective.
+
+        For v = X + u that is the distance to the master along the normal.
+        """
+        normals = self.coupling.normals
+        moved = (self.coupling.Q * v).array_r - v.array_r
+        return np.asarray((moved.reshape(-1, normals.shape[1])[self.nodes] * normals).sum(axis=1))
+
     def constrained_motion(self, v: PETSc.Vec) -> Floats:
         """Return the constrained components of the relative motion, near or far; collective."""
         return np.asarray(self.relative(v)[self.coupling.directions])

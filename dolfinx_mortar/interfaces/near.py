@@ -38,7 +38,7 @@ def nodal_gaps(links: Sequence[Link], v: PETSc.Vec, n: int) -> Floats:
     for link in links:
         if link.interface.one_sided:
             normal = link.coupling.directions[:, 0]
-            gap[link.nodes[normal]] = -link.relative(v)[normal, 0]
+            gap[link.nodes[normal]] = link.gaps(v)[normal]
     return gap
 
 

@@ -13,7 +13,6 @@ from dolfinx import fem, la
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.interfaces.coupling import Link, Sides, share
 from dolfinx_mortar.interfaces.interface import Fields, Interface, Resultants
-from dolfinx_mortar.mortar.operators import LEAST_COVERAGE
 
 
 def set_results(link: Link, reaction: Floats, gap: Floats, active: Bools, x: Floats) -> None:
@@ -78,7 +77,7 @@ def _fill(function: fem.Function, link: Link, values: Floats, kept: Bools) -> No
     vector.scatter_forward()
     known = array.copy()
     covered = np.zeros(sides.n_owned, dtype=bool)
-    covered[link.nodes] = link.coupling.coverage.share > LEAST_COVERAGE
+    covered[link.nodes] = link.coupling.coverage.faces
     facets = sides.slave.nodes[sides.slave.facets]
     array[:] = 0.0
     np.add.at(array, facets, known[facets].sum(axis=1, keepdims=True))

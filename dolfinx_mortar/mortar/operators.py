@@ -73,6 +73,11 @@ class Coverage:
     share: Floats  # (n,) covered share of the tributary weight
     reached: Bools  # (n,) on a facet of which some part is covered
 
+    @property
+    def faces(self) -> Bools:
+        """Which nodes (n,) face the master: enough is covered to carry a multiplier."""
+        return np.asarray(self.share > LEAST_COVERAGE)
+
 
 def find_coverage(
     pairing: Pairing, segments: Segments, covered: Floats, tributary: Floats
