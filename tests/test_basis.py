@@ -51,6 +51,20 @@ def test_frames_are_orthonormal(d, rng):
         assert R[j, :, slot[j, i]] == pytest.approx(np.eye(d)[i], abs=ROUND_OFF)
 
 
+def test_nodes_without_multiplier_keep_the_axes():
+    """Contact makes frames for kept nodes; at the others every prescribed axis is itself."""
+    contact = Blocks(PILE[:2]).join(dm.Contact, (1, ABOVE), (2, BELOW))
+    normals, fixed = np.array([[0.0, 1.0], [1.0, 0.0]]), np.array([[True, False], [True, False]])
+    frame = contact.frame(normals, np.array([[True], [False]]), fixed)
+    assert frame.slot.tolist() == [[1, -1], [0, -1]]
+    assert (frame.R[1] == np.eye(2)).all() and frame.directions.tolist() == [
+        [True, False],
+        [False] * 2,
+    ]
+    for R, slot in zip(frame.R, frame.slot, strict=True):
+        assert (np.abs(R[:, slot[0]]) == np.eye(2)[0]).all()
+
+
 # -- the change of basis
 
 

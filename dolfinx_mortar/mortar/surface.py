@@ -37,7 +37,6 @@ class Surface:
     """
 
     V: dolfinx.fem.FunctionSpace
-    name: str  # "slave" or "master", for messages
     tag: int
     nodes: Ints  # (n,) local nodes, ascending: owned ones first, ghosts after them
     owned: int  # number of owned nodes
@@ -188,7 +187,6 @@ def create_surface(
     _check_shapes(Facets(element, X[facet_nodes]), V.mesh.comm, f"{name}={tag}")
     return Surface(
         V=V,
-        name=name,
         tag=tag,
         nodes=nodes,
         owned=owned,
