@@ -79,7 +79,7 @@ class Coupling:
     Q: PETSc.Mat
     blocks: Floats  # (e, d, d) its entries on the pattern
     P: Floats  # (e, c) D^-1 (M - D_removed) on the pattern, for each of c choices of direction
-    R: Floats  # (n, d, d) frames, normal first; columns are the directions
+    R: Floats  # (n, d, d) frames; columns are the directions, which the interface chooses
     slot: Ints  # (n, d) column of R that is a prescribed Cartesian direction, else -1
     directions: Bools  # (n, d) which directions of the frame the interface constrains
     kept: Bools  # (n, c) nodes that carry a multiplier

@@ -149,8 +149,8 @@ def assemble_node_matrices(
 
     Returns:
         D and M in the numbering of V's nodes. Rows of removed nodes vanish; their columns in D do
-        not. Over the kept nodes D is diagonal (exactly: the other integrals vanish by construction
-        and are not computed).
+        not. Over the kept nodes D is diagonal (exactly: the other integrals vanish by construction,
+        and their round-off is set to zero).
     """
     element = pairing.slave.element
     N_s = element.shape_functions(segments.xi_s)

@@ -45,7 +45,7 @@ class Pairing:
     master_X: Floats  # (nm, d) their reference coordinates
     margin: Floats  # (ms,) lateral margin of each slave facet at the search
     sent: Bools  # (own master facets, ranks): which ranks have received them
-    groups: list[Ints]  # slave facets of this rank in up to 16 groups of neighbours
+    groups: list[Ints]  # slave facets of this rank in up to _GROUPS groups of neighbours
     scatter: PETSc.Scatter  # from a vector of V to the displacements of master_nodes
     received: PETSc.Vec  # (d * nm) on this rank alone: target of the scatter
     D: PETSc.Mat  # (nodes, nodes) of V: int Phi_j N_l^s, pattern of all candidate pairs
