@@ -178,6 +178,27 @@ def test_one_of_two_coincident_masters_covers(k_s, k_m, rng):
         assert o.covered.sum() == pytest.approx(0.7 * 0.9, abs=EXACT)
 
 
+@pytest.mark.parametrize("count", [8, 40, 100])
+@pytest.mark.parametrize("k_s", [3, 4])
+def test_polygons_of_many_corners(k_s, count):
+    """A ring of small masters leaves a disc of the large one behind them, a polygon of as many."""
+    angle, radius = 2 * np.pi * np.arange(count) / count, 0.3
+    out = np.column_stack([np.cos(angle), np.sin(angle)])
+    along = np.column_stack([-out[:, 1], out[:, 0]]) * radius * np.tan(np.pi / count)
+    corners = np.stack([radius * out + along, radius * out - along, 1.2 * radius * out], axis=1)
+    x = np.column_stack([corners.reshape(-1, 2) + 0.5, np.full(3 * count, 0.1)])
+    ring = Side(x, np.arange(3 * count, dtype=np.int32).reshape(-1, 3))
+    ring = (
+        ring
+        if facets.area_vectors(ring.geometry)[0, 2] < 0
+        else ring.moved(np.diag([1, -1, 1]), (0, 1, 0))
+    )
+    far = triangles(3 * CORNERS - 1).reversed().moved(shift=(0, 0, 0.5))
+    o = assemble(grid([0, 1], [0, 1], k=k_s), joined(far, ring))
+    assert o.covered.sum() == pytest.approx(1.0, abs=EXACT)
+    assert o.used[len(far.facets) :].sum() == pytest.approx(areas(ring).sum(), abs=EXACT)
+
+
 def test_back_of_a_thin_master_is_ignored():
     front = grid([-1, 2], [-1, 2]).reversed().moved(shift=(0, 0, 0.1))
     back = grid([-1, 2], [-1, 2]).moved(shift=(0, 0, 0.05))

@@ -172,6 +172,15 @@ def _keep_nearest(S, M, bilinear, given, given_sizes, n):  # type: ignore[no-unt
         for j in range(n):
             if not _is_hidden(S, M, bilinear, i, j, given, given_sizes, common, spare):
                 continue
+            k = first
+            while k < count:  # room for one more corner per cut
+                pieces, sizes, owner = _make_room(pieces, sizes, owner, count)
+                if sizes[k] + 2 * M.shape[1] > VERTICES:
+                    sizes[k], sizes[count] = polygons.halve(pieces[k], sizes[k], pieces[count])
+                    owner[count] = i
+                    count += 1
+                else:
+                    k += 1
             for k in range(first, count):
                 pieces, sizes, owner = _make_room(pieces, sizes, owner, count)
                 sign = polygons.orientation(M[j], M.shape[1])
@@ -300,7 +309,9 @@ def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners):  # t
         degree = 4.0
         if variation > 0.0:
             # the singularities of the inverse maps lie 1 / variation triangles away
-            degree = 2 + np.log(_ACCURACY) / np.log(min(variation / 2, 0.9))
+            degree = _HIGHEST
+            if variation < 2.0:
+                degree = min(2 + np.log(_ACCURACY) / np.log(variation / 2), degree)
         rule[t] = min(max(np.ceil(degree / 2), 2.0), _HIGHEST // 2) - 1
     return rule
 

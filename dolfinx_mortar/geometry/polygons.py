@@ -14,7 +14,10 @@ import numpy as np
 from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, ROUND_OFF
 
 VERTICES = 32
-"""Room for the vertices of a polygon; two quadrilaterals make 8, differences add one per cut."""
+"""Room for the vertices of a polygon; two quadrilaterals make 8, differences add one per cut.
+
+A cut of a convex polygon adds one vertex. Callers halve polygons before the room is used up.
+"""
 
 
 @numba.njit(cache=True)
@@ -39,6 +42,16 @@ def cut(P, n, ax, ay, bx, by, Q):  # type: ignore[no-untyped-def]
             m += 1
         before, d0 = i, d1
     return m
+
+
+@numba.njit(cache=True)
+def halve(P, n, Q):  # type: ignore[no-untyped-def]
+    """Leave one half of P on this side of a diagonal, write the other into Q; return the sizes."""
+    half = n // 2
+    for k in range(half, n):
+        Q[k - half, 0], Q[k - half, 1] = P[k, 0], P[k, 1]
+    Q[n - half, 0], Q[n - half, 1] = P[0, 0], P[0, 1]
+    return half + 1, n - half + 1
 
 
 @numba.njit(cache=True)
