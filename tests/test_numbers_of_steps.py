@@ -17,7 +17,7 @@ from tests.hertz_case import PLASTIC, create_case
 COMM = MPI.COMM_WORLD
 PACKAGE = Path(dm.__file__).parent
 NUMBERS = {
-    "interfaces.near": ("INCREMENT_SHARE", "FACETS", "ROOM", "OVERLAP"),
+    "interfaces.near": ("INCREMENT_SHARE", "FACETS", "ROOM", "OVERLAP", "SAME_DEPTH"),
     "steps.audit": ("COARSE", "BACK", "DEEP", "ROUND_OFF", "EXACT"),
     "steps.bodies": ("HELD", "SAME"),
     "steps.failures": ("FLOWING", "SOFT"),

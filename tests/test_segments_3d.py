@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from dolfinx_mortar.geometry import facets, polygons, segments
 from dolfinx_mortar.geometry.elements import QUAD4
 from tests.meshes_3d import rotation
-from tests.surfaces import Side, assemble, grid, triangles
+from tests.surfaces import Side, assemble, grid, joined, ring, triangles
 
 EXACT = 1e-12
 TURN = rotation((0.3, -1.0, 0.7), 1.1)
@@ -129,13 +129,6 @@ def test_touching_edges_share_nothing():
     assert len(o.points.weight) == 0
 
 
-def joined(*sides):
-    """Return several sides as one."""
-    first = np.cumsum([0] + [len(side.x) for side in sides])
-    facets = [side.facets + a for side, a in zip(sides, first, strict=False)]
-    return Side(np.concatenate([side.x for side in sides]), np.concatenate(facets))
-
-
 @PAIRS
 @pytest.mark.parametrize("seed", range(4))
 def test_nearest_of_several_masters_covers(k_s, k_m, seed):
@@ -182,21 +175,19 @@ def test_one_of_two_coincident_masters_covers(k_s, k_m, rng):
 @pytest.mark.parametrize("k_s", [3, 4])
 def test_polygons_of_many_corners(k_s, count):
     """A ring of small masters leaves a disc of the large one behind them, a polygon of as many."""
-    angle, radius = 2 * np.pi * np.arange(count) / count, 0.3
-    out = np.column_stack([np.cos(angle), np.sin(angle)])
-    along = np.column_stack([-out[:, 1], out[:, 0]]) * radius * np.tan(np.pi / count)
-    corners = np.stack([radius * out + along, radius * out - along, 1.2 * radius * out], axis=1)
-    x = np.column_stack([corners.reshape(-1, 2) + 0.5, np.full(3 * count, 0.1)])
-    ring = Side(x, np.arange(3 * count, dtype=np.int32).reshape(-1, 3))
-    ring = (
-        ring
-        if facets.area_vectors(ring.geometry)[0, 2] < 0
-        else ring.moved(np.diag([1, -1, 1]), (0, 1, 0))
-    )
-    far = triangles(3 * CORNERS - 1).reversed().moved(shift=(0, 0, 0.5))
-    o = assemble(grid([0, 1], [0, 1], k=k_s), joined(far, ring))
+    near, far = ring(count)
+    o = assemble(grid([0, 1], [0, 1], k=k_s), joined(far, near))
     assert o.covered.sum() == pytest.approx(1.0, abs=EXACT)
-    assert o.used[len(far.facets) :].sum() == pytest.approx(areas(ring).sum(), abs=EXACT)
+    assert o.used[len(far.facets) :].sum() == pytest.approx(areas(near).sum(), abs=EXACT)
+
+
+@pytest.mark.parametrize("cosine", [0.18, 0.22])
+def test_what_stands_steeper_than_a_fifth_does_not_face(cosine):
+    """A decision: a master plane whose normal has less than that against the slave is a flank."""
+    slope = np.sqrt(1 / cosine**2 - 1)
+    steep = grid([-1, 2], [-1, 2]).reversed().moved([[1, 0, 0], [0, 1, 0], [slope, 0, 1]])
+    o = assemble(grid([0, 1], [0, 1]), steep.moved(shift=(0, 0, 0.1)))
+    assert o.covered.sum() == pytest.approx(1.0 if cosine > 0.2 else 0.0, abs=EXACT)
 
 
 def test_back_of_a_thin_master_is_ignored():
@@ -212,10 +203,15 @@ def curved(side, bend):
     return Side(np.column_stack([side.x[:, :2], bend(*side.x[:, :2].T)]), side.facets)
 
 
-@pytest.mark.parametrize("warp", [0.02, 0.1, 0.2])
+@pytest.mark.parametrize(
+    ("warp", "tolerance"), [(0.02, 1e-13), (0.1, 1e-13), (0.2, 1e-13), (0.5, 1e-11), (1.0, 1e-7)]
+)
 @pytest.mark.parametrize("shift", [0.0, 0.1])
-def test_integrals_over_warped_quadrilaterals(warp, shift):
-    """Phi_j N_l against many Gauss points on a facet that is as good as square from above."""
+def test_integrals_over_warped_quadrilaterals(warp, tolerance, shift):
+    """Phi_j N_l against many Gauss points on a facet that is as good as square from above.
+
+    In the last two cases, of quality 0.6 and 0.3, the degree ends at the highest.
+    """
     x = np.array([[0.0, 0, warp], [1 + shift, 0, -warp], [1, 1, warp], [0, 1, -warp]])
     slave = Side(x, np.arange(4, dtype=np.int32)[None])
     o = assemble(slave, grid([-3, 4], [-3, 4], k=4).reversed().moved(shift=(0, 0, 0.5)))
@@ -224,7 +220,7 @@ def test_integrals_over_warped_quadrilaterals(warp, shift):
     J = facets._jacobians(slave.geometry, xi)[0] * np.outer(weights, weights).ravel() / 4
     N, N_q = (QUAD4.shape_functions(v) for v in (xi, o.points.xi_s))
     expected, found = (N.T * J) @ N, (N_q.T * o.points.weight) @ N_q
-    assert np.abs(found - expected).max() < 0.1 * EXACT
+    assert np.abs(found - expected).max() < tolerance
 
 
 def saddle(x, y):

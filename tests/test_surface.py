@@ -9,8 +9,10 @@ import pytest
 import basix.ufl
 import dolfinx
 import dolfinx_mortar as dm
-from dolfinx_mortar.geometry.facets import facet_normals
+from dolfinx_mortar.geometry.elements import QUAD4
+from dolfinx_mortar.geometry.facets import Facets, distortions, facet_normals
 from dolfinx_mortar.mortar.surface import (
+    _check_shapes,
     accumulate,
     coordinates,
     create_surface,
@@ -249,3 +251,18 @@ def test_tags_that_no_mesh_can_hold(tag):
 def test_tags_of_numpy():
     mesh, _, tags = two_blocks(COMM, (4, 2), (3, 2))
     assert create_surface(space(mesh), tags, np.int64(3), "slave").tag == 3
+
+
+@pytest.mark.parametrize("cosine", [0.29, 0.31])
+def test_how_far_a_facet_may_be_warped(cosine):
+    """A decision: corners whose normal has less than 0.3 along the mean normal are refused."""
+    # over a square of side 1, corners at +-w have normals (+-2 w, +-2 w, 1)
+    w = np.sqrt((1 / cosine**2 - 1) / 8)
+    x = np.array([[[0.0, 0, w], [1, 0, -w], [1, 1, w], [0, 1, -w]]])
+    facets = Facets(QUAD4, x)
+    assert distortions(facets) == pytest.approx([cosine])
+    if cosine < 0.3:
+        with pytest.raises(ValueError, match="badly warped"):
+            _check_shapes(facets, COMM, "slave=3")
+    else:
+        _check_shapes(facets, COMM, "slave=3")
