@@ -27,6 +27,7 @@ from dolfinx_mortar.mortar.pairing import create_pairing
 from dolfinx_mortar.mortar.surface import create_surface
 from tests.meshes import two_blocks
 from tests.meshes_3d import two_boxes
+from tests.surfaces import assemble, grid, joined, ring
 from tests.test_mortar import bend
 from tests.test_mortar_3d import curved
 
@@ -92,6 +93,8 @@ def operators(cases):
         kept.append(keep)
         values += [(A * f).array.copy() for A in assemble_node_matrices(pairing, segments, keep)]
         resultants += [v.sum() for v in values[-2:]]
+    near, far = ring(20)  # polygons of many corners
+    values.append(assemble(grid([0, 1], [0, 1], k=4), joined(far, near)).used)
     return np.concatenate(kept), np.concatenate(values), np.array(resultants)
 
 

@@ -52,6 +52,31 @@ class Side:
         return Side(self.x[order], np.take_along_axis(facets, columns, axis=1).astype(np.int32))
 
 
+def joined(*sides: Side) -> Side:
+    """Return several sides as one."""
+    first = np.cumsum([0] + [len(side.x) for side in sides])
+    facets = [side.facets + a for side, a in zip(sides, first, strict=False)]
+    return Side(np.concatenate([side.x for side in sides]), np.concatenate(facets))
+
+
+def ring(count: int) -> tuple[Side, Side]:
+    """Return small triangles around a disc over the unit square, and a large one behind them.
+
+    The first edge of each is a tangent of the disc, so that the difference is a disc of that many
+    corners.
+    """
+    angle, radius = 2 * np.pi * np.arange(count) / count, 0.3
+    out = np.column_stack([np.cos(angle), np.sin(angle)])
+    along = np.column_stack([-out[:, 1], out[:, 0]]) * radius * np.tan(np.pi / count)
+    corners = np.stack([radius * out + along, radius * out - along, 1.2 * radius * out], axis=1)
+    x = np.column_stack([corners.reshape(-1, 2) + 0.5, np.full(3 * count, 0.1)])
+    near = Side(x, np.arange(3 * count, dtype=np.int32).reshape(-1, 3)).moved(
+        np.diag([1, -1, 1]), (0, 1, 0)
+    )
+    far = triangles([[-3.0, -1.0], [4.0, -1.0], [0.5, 5.0]])
+    return near, far.reversed().moved(shift=(0, 0, 0.5))
+
+
 def triangles(points: npt.ArrayLike) -> Side:
     """Return the Delaunay triangulation of points (n, 2) in z = 0, the normal up."""
     points = np.asarray(points, dtype=float)

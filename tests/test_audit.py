@@ -139,10 +139,24 @@ def test_facets_that_turn_their_back():
 
 
 @pytest.mark.mpi
-def test_uncovered_nodes():
-    boxes = [(0.0, 1.0, -1.0, 0.0, 4, 3), (0.5, 1.0, 0.0, 1.0, 3, 3)]
-    found = create(boxes).audit().interfaces[0]
-    assert found.uncovered_nodes == 2 and found.kept_nodes == 3
+@pytest.mark.parametrize("beyond", [0.0, 0.005])
+def test_uncovered_nodes(beyond):
+    """As many as have no gap in the results, also where a trace of their weight is covered."""
+    boxes = [(0.0, 1.0, -1.0, 0.0, 4, 3), (0.5 - beyond, 1.0, 0.0, 1.0, 3, 3)]
+    problem = create(boxes)
+    (found,) = problem.audit().interfaces
+    assert found.uncovered_nodes == 2 and found.kept_nodes == 3 and found.removed_nodes == 0
+    dm.newton(problem)
+    gap = problem.contacts[0].gap.x.array[: problem.n]
+    assert COMM.allreduce(int(np.isnan(gap).sum())) == found.uncovered_nodes
+
+
+@pytest.mark.mpi
+def test_the_one_node_that_carries_what_little_is_covered():
+    """A multiplier needs somebody even there; who has one faces the master."""
+    boxes = [(0.0, 1.0, -1.0, 0.0, 4, 3), (0.999, 1.0, 0.0, 1.0, 1, 3)]
+    (found,) = create(boxes).audit().interfaces
+    assert (found.kept_nodes, found.uncovered_nodes, found.removed_nodes) == (1, 4, 0)
 
 
 @pytest.mark.mpi

@@ -7,6 +7,12 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.interfaces.frames import create_frames
+from dolfinx_mortar.mortar.operators import (
+    assemble_node_matrices,
+    default_keep,
+    find_segments,
+    node_weights,
+)
 from dolfinx_mortar.steps.linearisation import find_balance
 from tests.block_piles import (
     ABOVE,
@@ -45,22 +51,55 @@ def test_frames_are_orthonormal(d, rng):
         assert R[j, :, slot[j, i]] == pytest.approx(np.eye(d)[i], abs=ROUND_OFF)
 
 
+def test_nodes_without_multiplier_keep_the_axes():
+    """Contact makes frames for kept nodes; at the others every prescribed axis is itself."""
+    contact = Blocks(PILE[:2]).join(dm.Contact, (1, ABOVE), (2, BELOW))
+    normals, fixed = np.array([[0.0, 1.0], [1.0, 0.0]]), np.array([[True, False], [True, False]])
+    frame = contact.frame(normals, np.array([[True], [False]]), fixed)
+    assert frame.slot.tolist() == [[1, -1], [0, -1]]
+    assert (frame.R[1] == np.eye(2)).all() and frame.directions.tolist() == [
+        [True, False],
+        [False] * 2,
+    ]
+    for R, slot in zip(frame.R, frame.slot, strict=True):
+        assert (np.abs(R[:, slot[0]]) == np.eye(2)[0]).all()
+
+
 # -- the change of basis
 
 
+def choices(link):
+    """Return D and M for each choice of nodes, assembled anew where there are several."""
+    if isinstance(link.interface, dm.Contact):
+        return [(to_dense(link.pairing.D), to_dense(link.pairing.M))]
+    points, _ = find_segments(link.pairing, None)
+    weights, slave = node_weights(link.pairing, points), link.sides.slave
+    found = []
+    for c in range(link.coupling.R.shape[1]):
+        allowed = ~link.sides.fixed[slave.nodes, c] & ~link.banned[slave.nodes]
+        keep = default_keep(link.pairing, points, *weights, allowed)
+        assembled = assemble_node_matrices(link.pairing, points, keep)
+        found.append([to_dense(A) for A in assembled])
+    return found
+
+
 def expected_transformation(problem):
-    """Return T = (I - Q)^-1 W from D, M, R and S, gathered, without the interfaces' products."""
+    """Return T = (I - Q)^-1 W from D, M, R and S, gathered, without the interfaces' products.
+
+    Column a of R_j is constrained by the choice a of nodes; contact, which has one, by that.
+    """
     N, d = problem.V.dofmap.index_map.size_global, problem.d
     Q, W = np.zeros((N, d, N, d)), np.einsum("ij,ab->iajb", np.eye(N), np.eye(d))
     for i in problem.system.links:
-        D, M = to_dense(i.pairing.D), to_dense(i.pairing.M)
         nodes = to_global(COMM, i.nodes + problem.V.dofmap.index_map.local_range[0])
         kept = i.coupling.kept.any(axis=1)
         kept, R, S = (to_global(COMM, a) for a in (kept, i.coupling.R, i.constrained))
-        for j, node in zip(np.flatnonzero(kept), nodes[kept], strict=True):
-            P = (M[node] - D[node] * (np.arange(N) != node)) / D[node, node]
-            Q[node] = np.einsum("ab,l->alb", R[j] @ np.diag(S[j]) @ R[j].T, P)
-            W[node, :, node] = R[j]
+        for a, (D, M) in enumerate(choices(i)):
+            for j in np.flatnonzero(S[:, a]):
+                node, r = nodes[j], R[j][:, a]
+                P = (M[node] - D[node] * (np.arange(N) != node)) / D[node, node]
+                Q[node] += np.einsum("a,b,l->alb", r, r, P)
+        W[nodes[kept], :, nodes[kept]] = R[kept]
     size = d * N
     return np.linalg.solve(np.eye(size) - Q.reshape(size, size), W.reshape(size, size))
 
@@ -82,6 +121,23 @@ def test_transformation_of_a_chain(kinds):
         assert np.abs(transformed - T.T @ K @ T).max() < ROUND_OFF * np.abs(K).max()
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize("component", [0, 1])
+def test_transformation_of_a_tie_with_one_prescribed_component(component):
+    """Its nodes carry multipliers in some directions only: D and M differ by direction."""
+    b = Blocks(PILE[:2])
+    tie = b.join(dm.Tie, (1, ABOVE), (2, BELOW))
+    fixed = b.fix(1, WEST, component=component)
+    problem = b.problem([tie], [b.fix(1, BELOW), b.fix(2, ABOVE), fixed])
+    problem.audit()
+    (link,) = problem.system.links
+    counts = COMM.allreduce(link.coupling.kept.sum(axis=0))
+    assert counts.tolist() == [4 - (component == 0), 4 - (component == 1)]
+    T = dense_transformation(problem)
+    assert np.abs(T - expected_transformation(problem)).max() < ROUND_OFF
+
+
+@pytest.mark.mpi
 @pytest.mark.parametrize("partition", ["graph", "stripes", "bodies"])
 def test_transformation_follows_the_geometry(partition, rng):
     """Inclined normals, on any partition, in place."""
@@ -133,7 +189,7 @@ def test_relative_and_transpose_are_adjoint(rng):
     for i in problem.system.links:
         f = mine[i.nodes, 2:]
         left = np.sum(f * i.relative(v))
-        right = v.array_r @ i.transpose(np.einsum("nij,nj->ni", i.coupling.R, f)).ravel()
+        right = v.array_r @ sum(i.transpose(np.einsum("nij,nj->ni", i.coupling.R, f))).ravel()
         left, right = COMM.allreduce(np.array([left, right]))
         assert left == pytest.approx(right, rel=ROUND_OFF)
 
@@ -175,6 +231,27 @@ def test_removed_nodes_come_back_when_the_cycle_is_gone():
         problem.update_geometry(0.0, search=True)
         banned = problem.system.link(down).banned
         assert banned[everywhere].any() != gone or everywhere.size == 0
+        assert any("cycle" in note for note in problem.system.notes) != gone
+
+
+@pytest.mark.mpi
+def test_sides_that_turn_away_have_no_pairs_for_a_while():
+    """No error in a search that another interface calls for: nothing is constrained meanwhile."""
+    b = Blocks(PILE[:2])
+    contact = b.join(dm.Contact, (1, ABOVE), (2, BELOW))
+    problem = b.problem([contact], [b.fix(1, BELOW), b.fix(2, ABOVE)])
+    problem.audit()
+    upper = fem.locate_dofs_topological(b.V, 2, b.cells.find(2))
+    x = b.V.tabulate_dof_coordinates()[upper, :2]
+    for turned in (True, False):
+        b.u.x.array.reshape(-1, 2)[upper] = turned * 2 * (np.array([0.5, 1.0]) - x)  # half a turn
+        problem.update_geometry(0.0, search=True)
+        (link,) = problem.system.links
+        kept = COMM.allreduce(int(link.coupling.kept.sum()))
+        assert kept == (0 if turned else 4)
+        T = dense_transformation(problem)
+        assert np.abs(T - expected_transformation(problem)).max() < ROUND_OFF
+        assert (np.abs(T - np.eye(len(T))).max() > 0.1) != turned
 
 
 @pytest.mark.mpi

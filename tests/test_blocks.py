@@ -34,7 +34,7 @@ def test_blocks_stand_at_their_nodes(d, repeats, partition, rng):
     rows, columns = np.divmod(rng.permutation(n * N)[: 3 * n], N)
     if repeats:
         rows, columns = np.tile(rows, 2), np.tile(columns, 2)
-    A = BlockMatrix(V, rows, columns)
+    A = BlockMatrix(COMM, V.dofmap.index_map, d, rows, columns)
     assert A.matrix.getSize() == (d * N, d * N)
     for _ in range(2):
         blocks = rng.normal(size=(len(rows), d, d))
@@ -52,7 +52,7 @@ def test_columns_ascend_and_zeros_stay():
     """Products refill patterns in place, which must not depend on the values."""
     V = space(2, "stripes")
     n = V.dofmap.index_map.size_local
-    A = BlockMatrix(V, np.repeat(np.arange(n), 2), np.tile([1, 0], n))
+    A = BlockMatrix(COMM, V.dofmap.index_map, 2, np.repeat(np.arange(n), 2), np.tile([1, 0], n))
     A.fill(np.zeros((2 * n, 2, 2)))
     start, j, values = A.matrix.getValuesCSR()
     assert (np.diff(start) == 4).all()

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """What the certificate says of the mortar operators."""
 
+from dataclasses import replace
+
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from dolfinx_mortar.steps.problem import StepData
 from dolfinx_mortar.steps.residuals import Contacts, Scales, measure
 from dolfinx_mortar.steps.results import set_results
 from tests.ball_case import STEEL, create_problem
+from tests.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
 from tests.hertz_case import ELASTIC, create_case
 from tests.meshes_3d import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, rotation, two_boxes
 
@@ -98,7 +100,8 @@ def test_every_field_jumps(spoil, fields):
     else:
         right_half = X[link.nodes[link.pattern.row], 0] > 0.0
         factor = 1.0 + 1e-3 * right_half[:, None, None]
-        link.pattern.blocks.fill(factor * link.coupling.blocks)
+        link.coupling.blocks[:] *= factor
+        link.pattern.blocks.fill(link.coupling.blocks)
     spoilt = judge(problem, report, active, multipliers)
     assert all(getattr(spoilt, name) > 1e-5 for name in fields)
 
@@ -123,17 +126,39 @@ def test_a_curved_slave_shows_the_angle_of_its_facets():
     assert errors[1] < 0.75 * errors[0]
 
 
+def broken(link, choice):
+    """Return the link with a tenth of D_jj moved to another master node, at one slave node."""
+    P, p = link.coupling.P.copy(), link.pattern
+    of_M = np.arange(len(p.row)) >= p.from_D.size
+    for j in np.flatnonzero(link.coupling.kept[:, choice])[:1]:
+        P[np.flatnonzero(of_M & (p.row == j))[[0, -1]], choice] += [0.1, -0.1]
+    return replace(link, coupling=replace(link.coupling, P=P))
+
+
 def test_a_broken_operator_is_seen():
-    """A tenth of D_jj moved to another master node keeps the row sums, not linear fields."""
+    """The row sums do not change, linear fields do."""
     problem = press_boxes()[1]
-    link = problem.system.links[0]
-    D, M = link.pairing.D, link.pairing.M
-    first = M.getOwnershipRange()[0]
-    for row in link.nodes[link.coupling.kept[:, 0]][:1] + first:
-        columns = M.getRow(row)[0][[0, -1]]
-        moved = 0.1 * D.getDiagonal().array_r[row - first]
-        M.setValues(row, columns.astype(np.int32), [moved, -moved], addv=PETSc.InsertMode.ADD)
-    M.assemble()
-    linear, sums = operator_errors(link, problem.system.facet_length)
+    linear, sums = operator_errors(broken(problem.system.links[0], 0), problem.system.facet_length)
     assert linear > 0.01
     assert sums < 1e-12
+
+
+@pytest.mark.parametrize("component", [0, 1])
+def test_the_operators_of_every_direction_are_judged(component):
+    """Where Dirichlet data leave a tied node one direction, each direction has operators.
+
+    The sides are apart; where the normal is taken, nobody can tell which part of that is a gap.
+    """
+    b = Blocks([PILE[0], (0.0, 1.0, 1.05, 2.0, 4, 2)])
+    tie = b.join(dm.Tie, (1, ABOVE), (2, BELOW))
+    fixed = b.fix(1, WEST, component=component)
+    problem = b.problem([tie], [b.fix(1, BELOW), b.fix(2, ABOVE), fixed])
+    problem.audit()
+    (link,), length = problem.system.links, problem.system.facet_length
+    counts = COMM.allreduce(link.coupling.kept.sum(axis=0))
+    assert counts.tolist() == [4 - (component == 0), 4 - (component == 1)]
+    assert max(operator_errors(link, length)) < 1e-12
+    for choice in (0, 1):
+        linear, sums = operator_errors(broken(link, choice), length)
+        assert linear > 0.01
+        assert sums < 1e-12

@@ -2,6 +2,7 @@
 """Types of facets: what one says about itself is consistent, and nobody else knows it."""
 
 import ast
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ import dolfinx
 import dolfinx_mortar
 from dolfinx_mortar.geometry.elements import FACETS_OF, LINE2, QUAD4, TRI3
 from dolfinx_mortar.geometry.facets import Facets, area_vectors, facet_normals, tributary_weights
+from dolfinx_mortar.geometry.segments import create_segments
 from dolfinx_mortar.mortar.dual import BASES
+from dolfinx_mortar.spaces import CELLS
 
 ELEMENTS = pytest.mark.parametrize("element", [LINE2, TRI3, QUAD4], ids=lambda e: e.cell)
 PACKAGE = Path(dolfinx_mortar.__file__).parent
@@ -89,15 +92,41 @@ def test_every_cell_has_the_facets_of_dolfinx(cell):
     assert facet.name == FACETS_OF[cell].cell
 
 
+def test_every_cell_that_u_may_have_has_facets():
+    assert set(CELLS) == FACETS_OF.keys()
+
+
+def test_facets_of_several_linear_ones_are_refused():
+    """Their operators would be those of other facets: segments carry the number of the facet."""
+    line3 = replace(LINE2, nodes=3, sub_facets=((0, 2), (2, 1)))
+    facets = Facets(line3, np.array([[[0.0, 0.0], [2.0, 0.0], [1.0, 0.1]]]))
+    normals = np.tile([0.0, -1.0], (1, 3, 1))
+    pairs = np.zeros((1, 2), dtype=np.int32)
+    with pytest.raises(NotImplementedError, match="2 linear ones"):
+        create_segments(facets, normals, facets, pairs)
+
+
 def counts(tree):
-    """Yield the comparisons of a size with a number of nodes, such as x.shape[1] == 3."""
+    """Yield comparisons that tell a type from a count, such as x.shape[1] == 3 or n > 3.
+
+    Fewer than three vertices are no polygon: that is no type.
+    """
     for node in ast.walk(tree):
         if isinstance(node, ast.Compare):
             sides = [node.left, *node.comparators]
-            number = any(isinstance(s, ast.Constant) and s.value in (3, 4, 6, 8) for s in sides)
-            size = any(".shape[0]" in (t := ast.unparse(s)) or ".shape[1]" in t for s in sides)
-            if number and size:
+            texts = [ast.unparse(side) for side in sides]
+            size = any(".shape[0]" in text or ".shape[1]" in text for text in texts)
+            name = any(isinstance(side, ast.Name) for side in sides)
+            empty = isinstance(node.ops[0], ast.Lt) and texts[1] == "3"
+            if (size and {"1", "3", "4", "6", "8"} & set(texts)) or (
+                name and not empty and {"3", "4", "6", "8"} & set(texts)
+            ):
                 yield ast.unparse(node)
+
+
+def test_types_told_from_counts_are_found():
+    text = "x.shape[1] == 3; kept.shape[1] == 1; n > 3; k == 4; n < 3; len(x) > 0; x.shape[2] == 2"
+    assert list(counts(ast.parse(text))) == text.split("; ")[:4]
 
 
 @pytest.mark.parametrize("floor", ["geometry", "mortar", "interfaces"])

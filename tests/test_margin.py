@@ -16,9 +16,15 @@ from dolfinx_mortar.mortar.pairing import create_pairing, outside_margin
 from dolfinx_mortar.mortar.surface import create_surface
 from tests.meshes import TOP_OF_LOWER, UPPER, two_blocks
 from tests.meshes_3d import BOTTOM_OF_UPPER, two_boxes
+from tests.test_mortar import PARTITIONS, moving, operators
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi
+
+
+def pair_sides(V, tags):
+    sides = [create_surface(V, tags, t, "side") for t in (TOP_OF_LOWER, BOTTOM_OF_UPPER)]
+    return create_pairing(V, *sides, None)
 
 
 def pair_up(cell, partition="stripes"):
@@ -31,8 +37,7 @@ def pair_up(cell, partition="stripes"):
         )
     d = mesh.geometry.dim
     V = fem.functionspace(mesh, ("Lagrange", 1, (d,)))
-    sides = [create_surface(V, tags, t, "side") for t in (TOP_OF_LOWER, BOTTOM_OF_UPPER)]
-    return create_pairing(V, *sides, None), fem.locate_dofs_topological(V, d, cells.find(UPPER))
+    return pair_sides(V, tags), fem.locate_dofs_topological(V, d, cells.find(UPPER))
 
 
 def slide(pairing, nodes, shift):
@@ -87,6 +92,70 @@ def test_one_missing_candidate_is_noticed(cell):
         if COMM.rank == rank:
             left[used[k]] = False
         assert outside_margin(replace(pairing, pairs=pairing.pairs[left]), None)
+
+
+@pytest.mark.parametrize("partition", PARTITIONS)
+def test_margin_of_sliding(partition):
+    """Half a facet of sliding is within the margin, several are not; a new search has a new one."""
+    V, pairing, upper = moving(partition)
+    assert not outside_margin(pairing, None)
+    for amount in (0.0, 0.08, -0.08, 1.0, -1.0):
+        u = slide(pairing, upper, (amount, 0.0))
+        assert outside_margin(pairing, u) == (abs(amount) > 0.5)
+        assert not outside_margin(create_pairing(V, pairing.slave, pairing.master, u), u)
+
+
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+@pytest.mark.parametrize("partition", ["stripes", "bodies"])
+def test_margin_of_sliding_in_space(cell, partition):
+    """Within the margin the pattern still holds all segments; beyond it, the search is due."""
+    mesh, cells, tags = two_boxes(
+        COMM, (5, 4, 1), (6, 5, 2), cell=cell, partition=partition, gap=0.01, jitter=0.3
+    )
+    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    pairing, upper = pair_sides(V, tags), fem.locate_dofs_topological(V, 3, cells.find(UPPER))
+    h = 1 / 5
+    for distance, outside in ((0.25, False), (0.45, None), (3.0, True)):
+        u = slide(pairing, upper, distance * h * np.array([0.8, 0.6, 0.0]))
+        if outside is not None:
+            assert outside_margin(pairing, u) == outside
+        if not outside_margin(pairing, u):
+            fresh = create_pairing(V, pairing.slave, pairing.master, u)
+            for A, B in zip(operators(pairing, u)[:2], operators(fresh, u)[:2], strict=True):
+                assert (A - B).norm() < 1e-12
+
+
+def test_margin_where_a_rank_has_no_master_facet():
+    """The upper block jumps over slave facets whose rank has not received any of its facets."""
+    mesh, cells, tags = two_blocks(
+        COMM, (16, 1), (3, 1), x_lower=(0, 4), x_upper=(3.5, 4), gap=0.1, partition="stripes"
+    )
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    pairing = pair_sides(V, tags)
+    upper = fem.locate_dofs_topological(V, 2, cells.find(UPPER))
+    assert outside_margin(pairing, slide(pairing, upper, (-3.3, 0.0)))
+    assert not outside_margin(pairing, slide(pairing, upper, (3.0, 0.0)))  # apart for good
+
+
+@pytest.mark.parametrize("partition", ["graph", "stripes"])
+def test_margin_is_conservative(partition):
+    """Whenever the margin holds, a new search gives the same matrices; both cases occur."""
+    V, pairing, top = moving(partition, (20, 17))
+    rng = np.random.default_rng(5)
+    held = 0
+    for size in np.repeat([0.01, 0.03, 0.08], 4):
+        a, b, c, d = size * rng.uniform(-1, 1, 4)
+        u = fem.Function(V)
+        u.interpolate(lambda x, a=a, b=b: np.stack([a * np.sin(4 * x[1]), b * np.sin(5 * x[0])]))
+        u.x.array.reshape(-1, 2)[top] += (3 * c, d)
+        u.x.scatter_forward()
+        if outside_margin(pairing, u):
+            continue
+        held += 1
+        again = create_pairing(V, pairing.slave, pairing.master, u)
+        for A, B in zip(operators(pairing, u)[:2], operators(again, u)[:2], strict=True):
+            assert (A - B).norm() < 1e-14
+    assert 0 < held < 12
 
 
 @CELLS

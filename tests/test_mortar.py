@@ -276,30 +276,6 @@ def shift(V, nodes, by):
     return u
 
 
-@pytest.mark.parametrize("partition", PARTITIONS)
-def test_margin_of_sliding(partition):
-    """Half a facet of sliding is within the margin, several are not; in no case is one missed."""
-    V, pairing, top = moving(partition)
-    assert not outside_margin(pairing, None)
-    for amount in (0.0, 0.08, -0.08, 1.0, -1.0):
-        u = shift(V, top, (amount, 0.0))
-        expected = abs(amount) > 0.5
-        assert outside_margin(pairing, u) == expected
-        assert not outside_margin(create_pairing(V, pairing.slave, pairing.master, u), u)
-
-
-def test_margin_where_a_rank_has_no_master_facet():
-    """The upper block jumps over slave facets whose rank has not received any of its facets."""
-    mesh, cells, tags = two_blocks(
-        COMM, (16, 1), (3, 1), x_lower=(0, 4), x_upper=(3.5, 4), gap=0.1, partition="stripes"
-    )
-    V = space(mesh)
-    pairing = pair_up(V, tags, 3, 4)
-    top = dolfinx.fem.locate_dofs_topological(V, 2, cells.find(2))
-    assert outside_margin(pairing, shift(V, top, (-3.3, 0.0)))
-    assert not outside_margin(pairing, shift(V, top, (3.0, 0.0)))  # apart for good
-
-
 def test_rigid_motion_of_both_bodies_is_no_sliding():
     V, pairing, _ = moving()
     before = [A.copy() for A in operators(pairing)[:2]]
@@ -309,27 +285,6 @@ def test_rigid_motion_of_both_bodies_is_no_sliding():
     assert not outside_margin(pairing, u)
     for A, B in zip(before, operators(pairing, u)[:2], strict=True):
         assert (A - B).norm() < 1e-13
-
-
-@pytest.mark.parametrize("partition", ["graph", "stripes"])
-def test_margin_is_conservative(partition):
-    """Whenever the margin holds, a new search gives the same matrices; both cases occur."""
-    V, pairing, top = moving(partition, (20, 17))
-    rng = np.random.default_rng(5)
-    held = 0
-    for size in np.repeat([0.01, 0.03, 0.08], 4):
-        a, b, c, d = size * rng.uniform(-1, 1, 4)
-        u = dolfinx.fem.Function(V)
-        u.interpolate(lambda x, a=a, b=b: np.stack([a * np.sin(4 * x[1]), b * np.sin(5 * x[0])]))
-        u.x.array.reshape(-1, 2)[top] += (3 * c, d)
-        u.x.scatter_forward()
-        if outside_margin(pairing, u):
-            continue
-        held += 1
-        again = create_pairing(V, pairing.slave, pairing.master, u)
-        for A, B in zip(operators(pairing, u)[:2], operators(again, u)[:2], strict=True):
-            assert (A - B).norm() < 1e-14
-    assert 0 < held < 12
 
 
 def test_matrices_are_refilled_in_place():

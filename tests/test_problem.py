@@ -72,7 +72,7 @@ def support_force(problem):
     for contact in problem.contacts:
         link = problem.system.link(contact)
         reaction = link.coupling.weight * contact.multiplier[:, None]
-        r = r + link.transpose(reaction * link.coupling.normals)
+        r = r + sum(link.transpose(reaction * link.coupling.normals))
     return COMM.allreduce(np.where(problem.fixed[: problem.n], r, 0.0).sum(axis=0))
 
 

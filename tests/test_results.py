@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: MIT
-"""Results of interfaces: none before a step, nodal values of ties, slave sides that share nodes."""
+"""Results of interfaces: none before a step, nodal values of ties, sides that share nodes."""
 
 import numpy as np
 import pytest
 
+import basix.ufl
 import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem
+from dolfinx.mesh import create_mesh
 from dolfinx_mortar.algebra.parallel import ratio
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP_OF_LOWER
+from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP_OF_LOWER, _block
 from tests.pressed_blocks import COMM, ELASTIC, PressedBlocks, rejected
-from tests.test_stack import BESIDE, P, beside, press
+from tests.test_stack import BESIDE, P, at, beside, press, tag_facets
 
 RESULTANTS = ("force", "moment", "master_force", "master_moment", "multiplier")
 
@@ -108,6 +110,52 @@ def test_gap_of_a_node_that_faces_only_the_second_master():
     assert np.isfinite(fields["gap"].x.array).all()
     assert (fields["pressure"].x.array[shared] > 0.0).all()
     assert COMM.allreduce(int(shared.sum())) > 0
+
+
+TIP = 0.5
+
+
+def cracked():
+    """Return a block with a closed crack from its left side to x = TIP, and the tags.
+
+    20 and 11 are the lower and the upper face; their nodes match at the tip only, which they share.
+    """
+    ahead = [TIP, 0.75, 1.0]
+    lower = _block(np.array([0.0, 0.2, 0.35, *ahead]), np.linspace(-1, 0, 4), "triangle")
+    upper = _block(np.array([0.0, 0.1, 0.2, 0.4, *ahead]), np.linspace(0, 1, 4), "triangle")
+    points = np.concatenate([lower[0], upper[0]])
+    number = np.arange(len(points))
+    joined = np.flatnonzero((upper[0][:, 1] == 0.0) & (upper[0][:, 0] >= TIP))
+    number[len(lower[0]) + joined] = len(lower[0]) - len(joined) + np.arange(len(joined))
+    kept, number = np.unique(number, return_inverse=True)
+    cells = number[np.concatenate([lower[1], upper[1] + len(lower[0])])]
+    if COMM.rank > 0:  # the first rank has all, dolfinx distributes
+        cells, kept = cells[:0], kept[:0]
+    element = basix.ufl.element("Lagrange", "triangle", 1, shape=(2,))
+    mesh = create_mesh(COMM, cells, x=points[kept], e=element)
+    block = (mesh.topology.original_cell_index >= len(lower[1])).astype(int)
+    marks = {1: (None, at(-1.0)), 2: (None, at(1.0)), 5: (None, lambda x: np.isclose(x[0], 0))}
+    marks |= {20: (0, at(0.0, 0, TIP)), 11: (1, at(0.0, 0, TIP))}
+    return mesh, tag_facets(mesh, block, marks)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
+@pytest.mark.parametrize("sides", [(20, 11), (11, 20)])
+def test_forces_on_the_faces_of_a_crack(sides, kind):
+    """The tip is on both faces and gets a force on each; the whole of a face has P times TIP."""
+    mesh, tags = cracked()
+    problem, _ = press(mesh, tags, lambda t: [kind(t, slave=sides[0], master=sides[1])])
+    (interface,) = problem.interfaces
+    (side,) = problem.system.sides
+    assert COMM.allreduce(int((side.on_slave & side.on_master)[: side.n_owned].sum())) == 1
+    down = -1.0 if sides[0] == 20 else 1.0
+    force, moment = down * P * TIP, down * P * TIP**2 / 2
+    moved = abs(problem.u.x.array).max(initial=0.0)  # forces act where the nodes are now
+    assert interface.force == pytest.approx([0.0, force], abs=1e-9)
+    assert interface.master_force == pytest.approx([0.0, -force], abs=1e-9)
+    assert interface.moment == pytest.approx([0.0, 0.0, moment], abs=P * COMM.allreduce(moved))
+    assert interface.master_moment == pytest.approx(-interface.moment, abs=1e-9)
 
 
 def test_certificates_have_no_negative_zero():

@@ -6,9 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dolfinx_mortar.geometry import facets, segments
+from dolfinx_mortar.geometry import facets, polygons, segments
+from dolfinx_mortar.geometry.elements import QUAD4
 from tests.meshes_3d import rotation
-from tests.surfaces import Side, assemble, grid, triangles
+from tests.surfaces import Side, assemble, grid, joined, ring, triangles
 
 EXACT = 1e-12
 TURN = rotation((0.3, -1.0, 0.7), 1.1)
@@ -128,13 +129,6 @@ def test_touching_edges_share_nothing():
     assert len(o.points.weight) == 0
 
 
-def joined(*sides):
-    """Return several sides as one."""
-    first = np.cumsum([0] + [len(side.x) for side in sides])
-    facets = [side.facets + a for side, a in zip(sides, first, strict=False)]
-    return Side(np.concatenate([side.x for side in sides]), np.concatenate(facets))
-
-
 @PAIRS
 @pytest.mark.parametrize("seed", range(4))
 def test_nearest_of_several_masters_covers(k_s, k_m, seed):
@@ -164,6 +158,38 @@ def test_crossing_masters_cover_once(k_s, k_m):
     assert np.abs(assemble(slave, master).covered - areas(slave)).max() < EXACT
 
 
+@PAIRS
+def test_one_of_two_coincident_masters_covers(k_s, k_m, rng):
+    """Facets that differ in the order of their nodes alone are one of them behind the other."""
+    slave = grid([0, 1], [0, 1], k=k_s)
+    one = grid([-0.2, 0.7], [0.1, 1.3], k=k_m).reversed().moved(shift=(0, 0, 0.1))
+    for _ in range(50):
+        other = Side(one.x, np.roll(one.facets, rng.integers(k_m), axis=1))
+        tilt = np.array([[1, 0, 0], [0, 1, 0], rng.uniform(-0.3, 0.3, 3)])
+        turn = rotation(rng.normal(size=3), rng.uniform(0, 7))
+        o = assemble(slave.moved(turn), joined(one, other).moved(turn @ tilt))
+        assert o.covered.sum() == pytest.approx(0.7 * 0.9, abs=EXACT)
+
+
+@pytest.mark.parametrize("count", [8, 40, 100])
+@pytest.mark.parametrize("k_s", [3, 4])
+def test_polygons_of_many_corners(k_s, count):
+    """A ring of small masters leaves a disc of the large one behind them, a polygon of as many."""
+    near, far = ring(count)
+    o = assemble(grid([0, 1], [0, 1], k=k_s), joined(far, near))
+    assert o.covered.sum() == pytest.approx(1.0, abs=EXACT)
+    assert o.used[len(far.facets) :].sum() == pytest.approx(areas(near).sum(), abs=EXACT)
+
+
+@pytest.mark.parametrize("cosine", [0.18, 0.22])
+def test_what_stands_steeper_than_a_fifth_does_not_face(cosine):
+    """A decision: a master plane whose normal has less than that against the slave is a flank."""
+    slope = np.sqrt(1 / cosine**2 - 1)
+    steep = grid([-1, 2], [-1, 2]).reversed().moved([[1, 0, 0], [0, 1, 0], [slope, 0, 1]])
+    o = assemble(grid([0, 1], [0, 1]), steep.moved(shift=(0, 0, 0.1)))
+    assert o.covered.sum() == pytest.approx(1.0 if cosine > 0.2 else 0.0, abs=EXACT)
+
+
 def test_back_of_a_thin_master_is_ignored():
     front = grid([-1, 2], [-1, 2]).reversed().moved(shift=(0, 0, 0.1))
     back = grid([-1, 2], [-1, 2]).moved(shift=(0, 0, 0.05))
@@ -175,6 +201,26 @@ def test_back_of_a_thin_master_is_ignored():
 def curved(side, bend):
     """Return a side on the surface z = bend(x, y)."""
     return Side(np.column_stack([side.x[:, :2], bend(*side.x[:, :2].T)]), side.facets)
+
+
+@pytest.mark.parametrize(
+    ("warp", "tolerance"), [(0.02, 1e-13), (0.1, 1e-13), (0.2, 1e-13), (0.5, 1e-11), (1.0, 1e-7)]
+)
+@pytest.mark.parametrize("shift", [0.0, 0.1])
+def test_integrals_over_warped_quadrilaterals(warp, tolerance, shift):
+    """Phi_j N_l against many Gauss points on a facet that is as good as square from above.
+
+    In the last two cases, of quality 0.6 and 0.3, the degree ends at the highest.
+    """
+    x = np.array([[0.0, 0, warp], [1 + shift, 0, -warp], [1, 1, warp], [0, 1, -warp]])
+    slave = Side(x, np.arange(4, dtype=np.int32)[None])
+    o = assemble(slave, grid([-3, 4], [-3, 4], k=4).reversed().moved(shift=(0, 0, 0.5)))
+    points, weights = np.polynomial.legendre.leggauss(30)
+    xi = np.stack(np.meshgrid(points, points), axis=-1).reshape(-1, 2)
+    J = facets._jacobians(slave.geometry, xi)[0] * np.outer(weights, weights).ravel() / 4
+    N, N_q = (QUAD4.shape_functions(v) for v in (xi, o.points.xi_s))
+    expected, found = (N.T * J) @ N, (N_q.T * o.points.weight) @ N_q
+    assert np.abs(found - expected).max() < tolerance
 
 
 def saddle(x, y):
@@ -313,6 +359,16 @@ def test_folded_facets_cover_nothing():
     pairs = np.zeros((1, 2), dtype=np.int32)
     assert len(assemble(folded, whole.reversed(), pairs=pairs).points.weight) == 0
     assert len(assemble(whole, folded.reversed(), pairs=pairs).points.weight) == 0
+
+
+def test_corners_that_are_straight_are_no_corners():
+    """A quadrilateral with one is refused; a sliver of a triangle has none, and is not."""
+    straight = np.array([[0.0, 0], [1, 0], [0.5, 0.5 + 1e-12], [0, 1]])
+    sliver = np.array([[0.0, 0], [1, 0], [0.3, 1e-12]])
+    assert polygons.orientation(straight, 4) == 0
+    assert polygons.orientation(sliver, 3) == 1
+    assert polygons.orientation(sliver[::-1].copy(), 3) == -1
+    assert polygons.orientation(1e-6 * CORNERS[[0, 1, 3, 2]], 4) == 1
 
 
 def test_inverse_map_takes_the_root_inside():

@@ -9,8 +9,10 @@ import pytest
 import basix.ufl
 import dolfinx
 import dolfinx_mortar as dm
-from dolfinx_mortar.geometry.facets import facet_normals
+from dolfinx_mortar.geometry.elements import QUAD4
+from dolfinx_mortar.geometry.facets import Facets, distortions, facet_normals
 from dolfinx_mortar.mortar.surface import (
+    _check_shapes,
     accumulate,
     coordinates,
     create_surface,
@@ -18,6 +20,7 @@ from dolfinx_mortar.mortar.surface import (
     nodal_normals,
 )
 from tests.meshes import two_blocks
+from tests.test_results import TIP, cracked
 
 COMM = MPI.COMM_WORLD
 PARTITIONS = ["graph", "shared_facet", "stripes", "bodies", "empty"]
@@ -116,6 +119,22 @@ def test_nodal_normals_of_the_deformed_surface(partition):
     where = np.searchsorted(lines, surface.X[:, 0] - 1e-9)
     assert np.abs(x - line[where]).max(initial=0) < 1e-14
     assert np.abs(nodal_normals(surface, x) - total[where]).max(initial=0) < 1e-13
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.1, 0.4, 0.7, 1.1])
+def test_normals_that_cancel_are_zero(angle):
+    """At the tip of a crack of which both faces are marked the rest is round-off, no direction."""
+    mesh, tags = cracked()
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    mesh.geometry.x[:, :2] = (mesh.geometry.x[:, :2] + [3.0, 7.0]) @ turn.T
+    both = np.sort(np.concatenate([tags.find(20), tags.find(11)]))
+    tags = dolfinx.mesh.meshtags(mesh, 1, both, np.full(len(both), 3, dtype=np.int32))
+    surface = create_surface(space(mesh), tags, 3, "slave")
+    tip = np.linalg.norm(surface.X - turn @ [3.0 + TIP, 7.0], axis=1) < 1e-9
+    length = np.linalg.norm(nodal_normals(surface, surface.X), axis=1)
+    assert (length[tip] == 0.0).all()
+    assert np.abs(length[~tip] - 1.0).max(initial=0.0) < 1e-14
+    assert COMM.allreduce(int(tip[: surface.owned].sum())) == 1
 
 
 def test_tags_given_by_one_rank_only():
@@ -232,3 +251,18 @@ def test_tags_that_no_mesh_can_hold(tag):
 def test_tags_of_numpy():
     mesh, _, tags = two_blocks(COMM, (4, 2), (3, 2))
     assert create_surface(space(mesh), tags, np.int64(3), "slave").tag == 3
+
+
+@pytest.mark.parametrize("cosine", [0.29, 0.31])
+def test_how_far_a_facet_may_be_warped(cosine):
+    """A decision: corners whose normal has less than 0.3 along the mean normal are refused."""
+    # over a square of side 1, corners at +-w have normals (+-2 w, +-2 w, 1)
+    w = np.sqrt((1 / cosine**2 - 1) / 8)
+    x = np.array([[[0.0, 0, w], [1, 0, -w], [1, 1, w], [0, 1, -w]]])
+    facets = Facets(QUAD4, x)
+    assert distortions(facets) == pytest.approx([cosine])
+    if cosine < 0.3:
+        with pytest.raises(ValueError, match="badly warped"):
+            _check_shapes(facets, COMM, "slave=3")
+    else:
+        _check_shapes(facets, COMM, "slave=3")

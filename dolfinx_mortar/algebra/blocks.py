@@ -3,23 +3,39 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import bsr_array
 
-from dolfinx import fem
 from dolfinx_mortar.arrays import Floats
 
 
+class Layout(Protocol):
+    """How nodes are divided among ranks; dolfinx's IndexMap is one."""
+
+    @property
+    def size_local(self) -> int:
+        """How many nodes this rank owns."""
+
+    @property
+    def size_global(self) -> int:
+        """How many nodes there are."""
+
+
 class BlockMatrix:
-    """AIJ matrix in V's layout; the pattern is found per node, not per entry (collective).
+    """AIJ matrix with d rows per node; the pattern is found per node, not per entry (collective).
 
     Scipy's BSR brings the blocks to their rows; PETSc's own block format has no product with AIJ.
 
     Args:
-        V: space with d components per node.
+        comm: communicator.
+        layout: how the nodes are divided among its ranks.
+        d: rows and columns of a block.
         rows: owned node (p,) of each block, local number.
         columns: node (p,) of each block, global number; places may repeat, values then add up.
 
@@ -27,9 +43,15 @@ class BlockMatrix:
         matrix: the PETSc matrix, zero until ``fill``.
     """
 
-    def __init__(self, V: fem.FunctionSpace, rows: npt.ArrayLike, columns: npt.ArrayLike) -> None:
+    def __init__(
+        self,
+        comm: MPI.Comm,
+        layout: Layout,
+        d: int,
+        rows: npt.ArrayLike,
+        columns: npt.ArrayLike,
+    ) -> None:
         """Fix the pattern."""
-        layout, d = V.dofmap.index_map, V.dofmap.index_map_bs
         n, N = layout.size_local, layout.size_global
         key = np.asarray(rows, dtype=np.int64) * N + np.asarray(columns, dtype=np.int64)
         order = np.argsort(key, kind="stable")  # fast for keys that are ascending in parts
@@ -46,7 +68,7 @@ class BlockMatrix:
         csr = self.blocks.tocsr()
         self.indptr, self.indices = (v.astype(PETSc.IntType) for v in (csr.indptr, csr.indices))
         self.matrix = PETSc.Mat().createAIJ(
-            [(d * n, d * N)] * 2, csr=(self.indptr, self.indices, csr.data), comm=V.mesh.comm
+            [(d * n, d * N)] * 2, csr=(self.indptr, self.indices, csr.data), comm=comm
         )
 
     def fill(self, blocks: Floats) -> None:

@@ -25,9 +25,18 @@ class Facets:
 
     @property
     def linear(self) -> Floats:
-        """Coordinates (m, k', d) of the linear sub-facets, those of a facet in succession."""
-        x = self.x[:, self.element.sub_facets]
-        return np.ascontiguousarray(x.reshape(-1, *x.shape[2:]))
+        """Coordinates (m, k', d) of the linear facets that clipping sees, one for each facet.
+
+        Clipping takes their numbers for those of the facets. Elements with several need the number
+        of the parent carried along, so they are refused here.
+        """
+        parts = self.element.sub_facets
+        if len(parts) > 1:
+            raise NotImplementedError(
+                f"facets of {self.element.nodes} nodes on a {self.element.cell} consist of "
+                f"{len(parts)} linear ones; clipping numbers facets with one only"
+            )
+        return np.ascontiguousarray(self.x[:, parts[0]])
 
 
 def area_vectors(facets: Facets) -> Floats:

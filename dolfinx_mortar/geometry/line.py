@@ -136,7 +136,7 @@ def place_points(
 ) -> tuple[npt.NDArray[Any], Floats, Floats, Floats]:
     """Project, clip and place three Gauss points on every segment.
 
-    On flat facets the points integrate Phi_j N_l and Phi_j N_l (quadratic) exactly.
+    On flat facets the points integrate Phi_j N_l of both sides exactly.
 
     Args:
         slave: Slave facets (ms,).

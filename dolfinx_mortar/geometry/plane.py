@@ -92,17 +92,32 @@ def height_at(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def stretch(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
-    """Return the area of a facet per area in the plane at (xi, eta)."""
-    if not bilinear:
-        return 1.0
+def _normal(P, xi, eta):  # type: ignore[no-untyped-def]
+    """Return a normal of a bilinear facet at (xi, eta), of any length."""
     a, b = np.empty(3), np.empty(3)
     for i in range(3):
         a[i] = (1 - eta) * (P[1, i] - P[0, i]) + (1 + eta) * (P[2, i] - P[3, i])
         b[i] = (1 - xi) * (P[3, i] - P[0, i]) + (1 + xi) * (P[2, i] - P[1, i])
     n0, n1 = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2]
-    n2 = a[0] * b[1] - a[1] * b[0]
+    return n0, n1, a[0] * b[1] - a[1] * b[0]
+
+
+@numba.njit(cache=True)
+def stretch(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
+    """Return the area of a facet per area in the plane at (xi, eta)."""
+    if not bilinear:
+        return 1.0
+    n0, n1, n2 = _normal(P, xi, eta)
     return np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) / abs(n2)
+
+
+@numba.njit(cache=True)
+def slopes(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
+    """Return the two slopes of a facet against the plane at (xi, eta)."""
+    if not bilinear:
+        return 0.0, 0.0
+    n0, n1, n2 = _normal(P, xi, eta)
+    return -n0 / n2, -n1 / n2
 
 
 @numba.njit(cache=True)

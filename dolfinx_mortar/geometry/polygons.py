@@ -14,7 +14,10 @@ import numpy as np
 from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, ROUND_OFF
 
 VERTICES = 32
-"""Room for the vertices of a polygon; two quadrilaterals make 8, differences add one per cut."""
+"""Room for the vertices of a polygon; two quadrilaterals make 8, differences add one per cut.
+
+A cut of a convex polygon adds one vertex. Callers halve polygons before the room is used up.
+"""
 
 
 @numba.njit(cache=True)
@@ -39,6 +42,16 @@ def cut(P, n, ax, ay, bx, by, Q):  # type: ignore[no-untyped-def]
             m += 1
         before, d0 = i, d1
     return m
+
+
+@numba.njit(cache=True)
+def halve(P, n, Q):  # type: ignore[no-untyped-def]
+    """Leave one half of P on this side of a diagonal, write the other into Q; return the sizes."""
+    half = n // 2
+    for k in range(half, n):
+        Q[k - half, 0], Q[k - half, 1] = P[k, 0], P[k, 1]
+    Q[n - half, 0], Q[n - half, 1] = P[0, 0], P[0, 1]
+    return half + 1, n - half + 1
 
 
 @numba.njit(cache=True)
@@ -73,17 +86,21 @@ def is_thin(P, n):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def orientation(P, n):  # type: ignore[no-untyped-def]
-    """Return 1 or -1 for an anticlockwise or clockwise convex polygon, 0 for anything else."""
-    positive, negative = 0, 0
+    """Return 1 or -1 for an anticlockwise or clockwise convex polygon, 0 for anything else.
+
+    A corner is straight if it has less than half of the digits of the area at all corners: the
+    inverse map of a quadrilateral ends there. Corners of a triangle have equal areas.
+    """
+    least, most, whole = np.inf, -np.inf, 0.0
     for i in range(n):
         j, h = (i + 1) % n, (i + n - 1) % n
         ux, uy = P[j, 0] - P[i, 0], P[j, 1] - P[i, 1]
         vx, vy = P[h, 0] - P[i, 0], P[h, 1] - P[i, 1]
         corner = ux * vy - uy * vx
-        tolerance = HALF_OF_DIGITS * (ux * ux + uy * uy + vx * vx + vy * vy) if n > 3 else 0.0
-        positive += corner > tolerance
-        negative += corner < -tolerance
-    return (1 if positive == n else 0) - (1 if negative == n else 0)
+        least, most, whole = min(least, corner), max(most, corner), whole + abs(corner)
+    if least > HALF_OF_DIGITS * whole:
+        return 1
+    return -1 if most < -HALF_OF_DIGITS * whole else 0
 
 
 @numba.njit(cache=True)

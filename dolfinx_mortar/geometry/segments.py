@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 r"""Which part of a slave facet lies over which master facet, and quadrature points there.
 
-Everything that depends on the space dimension is chosen here: the directions of projection,
-clipping and splitting (`line`, `area`).
+What depends on the space dimension, apart from the area vector of a facet, is chosen here: the
+directions of projection, clipping and splitting (`line`, `area`).
 
 A slave facet is projected along the interpolated averaged nodal normals in 2D, along its own mean
 normal in 3D.

@@ -16,11 +16,10 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.blocks import BlockMatrix
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.interfaces.claims import find_leant_on
-from dolfinx_mortar.interfaces.coupling import Link
+from dolfinx_mortar.interfaces.coupling import Link, create_blocks
 
 
 class Transformation:
@@ -166,7 +165,7 @@ class _Factor:
             rows += [link.nodes[mine], link.nodes[p.row[near]]]
             columns += [link.nodes[mine].astype(np.int64) + first, p.column[near]]
         self.V = V
-        self._blocks = BlockMatrix(V, np.concatenate(rows), np.concatenate(columns))
+        self._blocks = create_blocks(V, np.concatenate(rows), np.concatenate(columns))
         self.S = self._blocks.matrix
 
     def update(self, links: Sequence[Link]) -> None:
@@ -221,7 +220,7 @@ class _Factor:
 def _create(V: fem.FunctionSpace, parts: Sequence[tuple[Ints, Longs, Floats]]) -> PETSc.Mat:
     """Return the matrix of parts (rows, columns, blocks); collective."""
     rows, columns, values = (np.concatenate([part[k] for part in parts]) for k in range(3))
-    blocks = BlockMatrix(V, rows, columns)
+    blocks = create_blocks(V, rows, columns)
     blocks.fill(values)
     return blocks.matrix
 

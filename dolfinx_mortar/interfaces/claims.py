@@ -15,7 +15,7 @@ from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Ints
 from dolfinx_mortar.interfaces.coupling import Pattern, Sides, share
 from dolfinx_mortar.interfaces.interface import Interface
-from dolfinx_mortar.mortar.operators import LEAST_COVERAGE, Coverage
+from dolfinx_mortar.mortar.operators import Coverage
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def choose_owners(sides: Sequence[Sides], coverage: Sequence[Coverage]) -> Ints:
     owner, best = np.zeros(n, dtype=np.int32), np.full(n, -1)
     for k, (side, found) in enumerate(zip(sides, coverage, strict=True)):
         level = np.full(n, -1)
-        level[side.nodes] = 1 * (found.share > 0.0) + (found.share > LEAST_COVERAGE)
+        level[side.nodes] = 1 * (found.share > 0.0) + found.faces
         owner[level > best] = k
         best = np.maximum(best, level)
     return owner
@@ -106,7 +106,7 @@ def resolve_claims(
 
     for k in range(len(sides)):
         lost = np.zeros(n, dtype=bool)
-        lost[sides[k].nodes] = coverage[k].share > LEAST_COVERAGE
+        lost[sides[k].nodes] = coverage[k].faces
         note(
             k,
             lost & banned[k],
@@ -144,7 +144,7 @@ def are_outdated(
     best = choose_owners(sides, coverage)
     faces = np.zeros((len(sides), n), dtype=bool)
     for k, (side, found) in enumerate(zip(sides, coverage, strict=True)):
-        faces[k, side.nodes] = found.share > LEAST_COVERAGE
+        faces[k, side.nodes] = found.faces
     own = np.arange(n)
     outdated = [bool((~faces[claims.owner, own] & faces[best, own]).any())]
     for i, (side, pattern) in enumerate(zip(sides, patterns, strict=True)):

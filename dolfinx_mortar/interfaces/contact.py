@@ -25,7 +25,6 @@ class Contact(Interface):
     the slave side. ``force`` is the resultant exerted on the slave side, -sum_j D_jj lambda_j n_j.
     """
 
-    kind = "contact"
     one_sided = True
 
     def may_carry(self, left: Floats, fixed: Bools) -> Bools:
@@ -33,12 +32,14 @@ class Contact(Interface):
         return np.asarray((left >= MIN_FREE_NORMAL)[:, None])
 
     def frame(self, normals: Floats, kept: Bools, fixed: Bools) -> Frame:
-        """Return frames with the normal first, of which the normal is constrained."""
-        d = normals.shape[1]
-        some = kept[:, :1]
-        frames, slots = create_frames(np.where(some, normals, np.eye(d)[0]), fixed)
-        R = np.where(some[:, :, None], frames, np.eye(d))
-        return Frame(R, slots, some & (np.arange(d) == 0), np.where(some, normals, 0.0))
+        """Return frames with the normal first, which is constrained; Cartesian where not kept."""
+        n, d = normals.shape
+        some = kept[:, 0]
+        R, axes = np.tile(np.eye(d), (n, 1, 1)), np.arange(d, dtype=np.int32)
+        slot = np.where(fixed, axes, -1).astype(np.int32)
+        R[some], slot[some] = create_frames(normals[some], fixed[some])
+        on = some[:, None]
+        return Frame(R, slot, on & (axes == 0), np.where(on, normals, 0.0))
 
     def blocks(self, P: Floats, normals: Floats) -> Floats:
         """Return P_jl n_j n_j^T."""

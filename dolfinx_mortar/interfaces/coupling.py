@@ -22,6 +22,7 @@ from dolfinx_mortar.algebra import triplets
 from dolfinx_mortar.algebra.blocks import BlockMatrix
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.mortar.operators import (
     Coverage,
@@ -77,12 +78,13 @@ class Coupling:
 
     Q: PETSc.Mat
     blocks: Floats  # (e, d, d) its entries on the pattern
-    R: Floats  # (n, d, d) frames, normal first; columns are the directions
+    P: Floats  # (e, c) D^-1 (M - D_removed) on the pattern, for each of c choices of direction
+    R: Floats  # (n, d, d) frames; columns are the directions, which the interface chooses
     slot: Ints  # (n, d) column of R that is a prescribed Cartesian direction, else -1
     directions: Bools  # (n, d) which directions of the frame the interface constrains
-    kept: Bools  # (n, c) nodes that carry a multiplier, for each of c choices of direction
+    kept: Bools  # (n, c) nodes that carry a multiplier
     weight: Floats  # (n, c) D_jj, 0 where not kept
-    normals: Floats  # (n, d) outward, without prescribed directions
+    normals: Floats  # (n, d) outward, without prescribed directions; 0 if nothing else is left
     coverage: Coverage  # how far the nodes face the master
 
 
@@ -131,17 +133,48 @@ class Link:
         local = difference.reshape(-1, self.coupling.R.shape[1])[self.nodes]
         return np.asarray(np.einsum("nij,ni->nj", self.coupling.R, local))
 
+    def gaps(self, v: PETSc.Vec) -> Floats:
+        """Return n_j.(P v - v_j) at the owned slave nodes (n,); collective.
+
+        For v = X + u that is the distance to the master along the normal.
+        """
+        normals = self.coupling.normals
+        moved = (self.coupling.Q * v).array_r - v.array_r
+        return np.asarray((moved.reshape(-1, normals.shape[1])[self.nodes] * normals).sum(axis=1))
+
     def constrained_motion(self, v: PETSc.Vec) -> Floats:
         """Return the constrained components of the relative motion, near or far; collective."""
         return np.asarray(self.relative(v)[self.coupling.directions])
 
-    def transpose(self, forces: Floats) -> Floats:
-        """Return the owned nodal forces (I - Q)^T v of slave forces v (n, d); collective."""
-        Q = self.coupling.Q
-        v, moved = Q.createVecLeft(), Q.createVecRight()
-        v.array.reshape(-1, forces.shape[1])[self.nodes] = forces
-        Q.multTranspose(v, moved)
-        return np.asarray((v.array_r - moved.array_r).reshape(-1, forces.shape[1]))
+    def transpose(self, forces: Floats) -> tuple[Floats, Floats]:
+        """Return the owned nodal forces (I - Q)^T v of slave forces v (n, d); collective.
+
+        Those on the slave side (of I and D) and those on the master side (of M), which meet at
+        nodes of both. Their sum is (I - Q)^T v.
+        """
+        p, blocks, d = self.pattern, self.coupling.blocks, forces.shape[1]
+        v = self.coupling.Q.createVecLeft()
+        v.array.reshape(-1, d)[self.nodes] = forces
+        of_D, of_M = slice(None, p.from_D.size), slice(p.from_D.size, None)
+        moved = []
+        for part in (of_D, of_M):
+            Q = create_blocks(self.sides.V, self.nodes[p.row[part]], p.column[part])
+            Q.fill(blocks[part])
+            moved.append(Q.matrix.createVecRight())
+            Q.matrix.multTranspose(v, moved[-1])
+        slave, master = v.array_r - moved[0].array_r, -moved[1].array_r
+        return slave.reshape(-1, d), master.reshape(-1, d)
+
+
+def create_blocks(V: fem.FunctionSpace, rows: Ints, columns: Longs) -> BlockMatrix:
+    """Return a matrix of d x d blocks between nodes of V; collective.
+
+    Args:
+        V: the vector space of the displacement.
+        rows: owned node (p,) of each block, local number.
+        columns: node (p,) of each block, global number.
+    """
+    return BlockMatrix(V.mesh.comm, V.dofmap.index_map, V.dofmap.index_map_bs, rows, columns)
 
 
 def share(V: fem.FunctionSpace, owned: Bools) -> Bools:
@@ -172,9 +205,13 @@ def _mark(surface: Surface) -> Bools:
     return share(surface.V, owned)
 
 
-def pair(sides: Sides, u: fem.Function | None) -> tuple[Pairing, Pattern]:
-    """Pair slave and master facets at X + u and fix the coupling pattern; collective."""
-    pairing = create_pairing(sides.V, sides.slave, sides.master, u, moving=u is not None)
+def pair(sides: Sides, u: fem.Function | None, *, again: bool) -> tuple[Pairing, Pattern]:
+    """Pair slave and master facets at X + u and fix the coupling pattern; collective.
+
+    At first the sides have to face each other somewhere; later, ``again``, they may turn away.
+    """
+    surfaces = sides.slave, sides.master
+    pairing = create_pairing(sides.V, *surfaces, u, moving=u is not None, again=again)
     nodes = sides.nodes
     position = np.full(sides.n_owned, -1, dtype=np.int32)
     position[nodes] = np.arange(len(nodes), dtype=np.int32)
@@ -185,7 +222,7 @@ def pair(sides: Sides, u: fem.Function | None) -> tuple[Pairing, Pattern]:
     from_M = np.flatnonzero(position[row_M] >= 0)
     row = np.concatenate([position[row_D[from_D]], position[row_M[from_M]]])
     column = np.concatenate([column_D[from_D], column_M[from_M]])
-    blocks = BlockMatrix(sides.V, nodes[row], column)
+    blocks = create_blocks(sides.V, nodes[row], column)
     return pairing, Pattern(row, column, from_D.astype(np.int32), from_M.astype(np.int32), blocks)
 
 
@@ -245,13 +282,16 @@ def couple(
         inverse = np.divide(1.0, weight[c], out=np.zeros_like(weight[c]), where=weight[c] > 0)
         P.append(np.concatenate(values) * inverse[pattern.row])
     weights = np.column_stack(weight)
-    direction = (free / np.maximum(left, np.finfo(float).tiny)[:, None])[own]
-    frame = interface.frame(direction, weights > 0, sides.fixed[sides.nodes])
-    blocks = interface.blocks(np.column_stack(P), frame.normals[pattern.row])
+    some = (left > ROUND_OFF)[:, None]  # of less only round-off has a direction
+    direction = np.where(some, free / np.maximum(left, TINY)[:, None], 0.0)
+    frame = interface.frame(direction[own], weights > 0, sides.fixed[sides.nodes])
+    columns = np.column_stack(P)
+    blocks = interface.blocks(columns, frame.normals[pattern.row])
     pattern.blocks.fill(blocks)
     return Coupling(
         Q=pattern.blocks.matrix,
         blocks=blocks,
+        P=columns,
         R=frame.R,
         slot=frame.slot,
         directions=frame.directions,
@@ -262,21 +302,41 @@ def couple(
     )
 
 
+def relative_motions(link: Link, v: PETSc.Vec) -> Floats:
+    """Return D^-1 (D - M) v (c, n, d) at the slave nodes for each choice of nodes; collective.
+
+    With the D and M of the last update that belong to the choice, zero at nodes that it leaves out.
+    """
+    p, coupling = link.pattern, link.coupling
+    V, (n, d) = link.sides.V, coupling.normals.shape
+    layout = V.dofmap.index_map
+    P = BlockMatrix(V.mesh.comm, layout, 1, link.nodes[p.row], p.column)
+    w, result = P.matrix.createVecRight(), np.zeros((coupling.P.shape[1], n, d))
+    for c in range(len(result)):
+        P.fill(coupling.P[:, c, None, None])
+        for i in range(d):
+            w.array[:] = v.array_r[i::d]
+            result[c, :, i] = (w.array_r - (P.matrix * w).array_r)[link.nodes]
+    return np.where(coupling.kept.T[:, :, None], result, 0.0)
+
+
+def along_and_across(relative: Floats, normals: Floats) -> tuple[Floats, Floats]:
+    """Return the normal part and the length of the tangential part of motions (.., d).
+
+    >>> along_and_across(np.array([[3.0, -2.0]]), np.array([[0.0, 1.0]]))
+    (array([-2.]), array([3.]))
+    """
+    along = (relative * normals).sum(axis=-1)
+    return along, np.linalg.norm(relative - along[..., None] * normals, axis=-1)
+
+
 def slipped(link: Link, u: PETSc.Vec) -> Floats:
     """Return how far the slave nodes (n,) have moved along the master, tangentially; collective.
 
-    That is the tangential part of D^-1 (D - M) u, with the operators of the last update.
+    That is the tangential part of D^-1 (D - M) u, of the choice in which it is largest.
     """
-    D, M, normals = link.pairing.D, link.pairing.M, link.coupling.normals
-    weight = D.getDiagonal().array_r[link.nodes]
-    inverse = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0)
-    v, columns = D.createVecRight(), []
-    for component in u.array_r.reshape(-1, normals.shape[1]).T:
-        v.array[:] = component
-        columns.append(((D * v).array_r - (M * v).array_r)[link.nodes] * inverse)
-    relative = np.stack(columns, axis=1)
-    along = np.einsum("ni,ni->n", relative, normals)[:, None]
-    return np.asarray(np.linalg.norm(relative - along * normals, axis=1))
+    _, across = along_and_across(relative_motions(link, u), link.coupling.normals)
+    return np.asarray(across.max(axis=0))
 
 
 def measure_coverage(pairing: Pairing, u: fem.Function | None) -> Coverage:

@@ -70,7 +70,6 @@ class Interface:
     ``active``.
     """
 
-    kind: ClassVar[str] = "interface"
     one_sided: ClassVar[bool] = False  # can open: bounds on one side
 
     def __init__(self, facet_tags: MeshTags, *, slave: int, master: int) -> None:
@@ -86,7 +85,7 @@ class Interface:
         self.resultants: Resultants | None = None
 
     def __repr__(self) -> str:
-        """Name the kind and the tags."""
+        """Name the class and the tags."""
         return f"{type(self).__name__}(slave={self.slave}, master={self.master})"
 
     def take(self, owner: object, V: fem.FunctionSpace) -> None:

@@ -27,6 +27,8 @@ ROOM = 2.0
 # Two round bodies that overlap by delta touch where they would overlap by half of it (Hertz: a^2 =
 # R delta, while the overlap ends at 2 R delta).
 OVERLAP = 0.5
+# Gaps that differ by less than so many facet lengths are equally near.
+SAME_DEPTH = 1e-6
 
 
 def nodal_gaps(links: Sequence[Link], v: PETSc.Vec, n: int) -> Floats:
@@ -38,7 +40,7 @@ def nodal_gaps(links: Sequence[Link], v: PETSc.Vec, n: int) -> Floats:
     for link in links:
         if link.interface.one_sided:
             normal = link.coupling.directions[:, 0]
-            gap[link.nodes[normal]] = -link.relative(v)[normal, 0]
+            gap[link.nodes[normal]] = link.gaps(v)[normal]
     return gap
 
 
@@ -94,4 +96,4 @@ def predict_active(
     gap = nodal_gaps(links, x, n)
     nearest = -float(maximum(comm, -gap.min(initial=np.inf))[0])
     depth = nearest if nearest > 0.0 else OVERLAP * nearest
-    return np.asarray(gap[bounded] <= depth + 1e-6 * facet_length).astype(np.int8)
+    return np.asarray(gap[bounded] <= depth + SAME_DEPTH * facet_length).astype(np.int8)

@@ -13,7 +13,6 @@ from dolfinx import fem, la
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.interfaces.coupling import Link, Sides, share
 from dolfinx_mortar.interfaces.interface import Fields, Interface, Resultants
-from dolfinx_mortar.mortar.operators import LEAST_COVERAGE
 
 
 def set_results(link: Link, reaction: Floats, gap: Floats, active: Bools, x: Floats) -> None:
@@ -48,19 +47,16 @@ def set_results(link: Link, reaction: Floats, gap: Floats, active: Bools, x: Flo
 def _resultants(link: Link, forces: Floats, multiplier: Floats, x: Floats) -> Resultants:
     """Return the resultants of the forces (n, d) that the slave nodes exert; collective."""
     n, d = link.sides.n_owned, forces.shape[1]
-    f, points = np.zeros((n, 3)), np.zeros((n, 3))
-    f[:, :d], points[:, :d] = link.transpose(forces), x
-    sides = [
-        np.where(side[:n, None], -f, 0.0) for side in (link.sides.on_slave, link.sides.on_master)
-    ]
-    local = np.array([[s.sum(axis=0), np.cross(points, s).sum(axis=0)] for s in sides])
+    f, points = np.zeros((2, n, 3)), np.zeros((n, 3))
+    f[:, :, :d], points[:, :d] = link.transpose(forces), x
+    local = np.array([[-s.sum(axis=0), -np.cross(points, s).sum(axis=0)] for s in f])
     total = link.sides.V.mesh.comm.allreduce(local, op=MPI.SUM)
     return Resultants(
         force=total[0, 0, :d],
         moment=total[0, 1],
         master_force=total[1, 0, :d],
         master_moment=total[1, 1],
-        multiplier=multiplier[:, 0] if link.coupling.kept.shape[1] == 1 else multiplier,
+        multiplier=multiplier[:, 0] if link.interface.one_sided else multiplier,
         nodes=link.nodes,
         carries=np.asarray(link.coupling.kept.any(axis=1)),
     )
@@ -81,7 +77,7 @@ def _fill(function: fem.Function, link: Link, values: Floats, kept: Bools) -> No
     vector.scatter_forward()
     known = array.copy()
     covered = np.zeros(sides.n_owned, dtype=bool)
-    covered[link.nodes] = link.coupling.coverage.share > LEAST_COVERAGE
+    covered[link.nodes] = link.coupling.coverage.faces
     facets = sides.slave.nodes[sides.slave.facets]
     array[:] = 0.0
     np.add.at(array, facets, known[facets].sum(axis=1, keepdims=True))

@@ -43,7 +43,6 @@ class InterfaceSystem:
     Attributes:
         links: the interfaces with their pairings and couplings.
         transformation: T; None without interfaces.
-        notes: what claims have removed.
         searches: how often the surfaces were paired.
         facet_length: largest mean slave facet of the interfaces, 1 without interfaces.
     """
@@ -56,13 +55,17 @@ class InterfaceSystem:
         self.links: list[Link] = []
         self.claims: Claims | None = None
         self.transformation: Transformation | None = None
-        self.notes: list[str] = []
         self.searches = 0
 
     @property
     def n(self) -> int:
         """How many nodes this rank owns."""
         return int(self.V.dofmap.index_map.size_local)
+
+    @property
+    def notes(self) -> list[str]:
+        """What the present claims have removed."""
+        return [] if self.claims is None else list(self.claims.notes)
 
     def link(self, interface: Interface) -> Link:
         """Return what the last update has found for an interface."""
@@ -129,7 +132,8 @@ class InterfaceSystem:
         self.searches += 1
         self.transformation = None
         configurations = [i.configuration(at) for i in self.interfaces]
-        found = [pair(s, u) for s, u in zip(self.sides, configurations, strict=True)]
+        again = bool(self.links)
+        found = [pair(s, u, again=again) for s, u in zip(self.sides, configurations, strict=True)]
         pairings, patterns = zip(*found, strict=True)
         if len(self.sides) > 1:
             coverage = [
@@ -139,7 +143,6 @@ class InterfaceSystem:
             nodes = len(self.sides[0].nodes)
             coverage = [Coverage(np.ones(nodes), np.ones(nodes, dtype=bool))]
         self.claims = resolve_claims(self.interfaces, self.sides, patterns, coverage)
-        self.notes += [note for note in self.claims.notes if note not in self.notes]
         self.links = []
         parts = zip(
             self.interfaces,

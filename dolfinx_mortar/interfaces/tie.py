@@ -21,8 +21,6 @@ class Tie(Interface):
     slave side; ``pressure`` the normal traction, positive in compression.
     """
 
-    kind = "tie"
-
     def configuration(self, u: fem.Function | None) -> None:
         """Return None: D and M do not follow the deformation."""
         return None

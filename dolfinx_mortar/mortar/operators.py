@@ -73,6 +73,11 @@ class Coverage:
     share: Floats  # (n,) covered share of the tributary weight
     reached: Bools  # (n,) on a facet of which some part is covered
 
+    @property
+    def faces(self) -> Bools:
+        """Which nodes (n,) face the master: enough is covered to carry a multiplier."""
+        return np.asarray(self.share > LEAST_COVERAGE)
+
 
 def find_coverage(
     pairing: Pairing, segments: Segments, covered: Floats, tributary: Floats
@@ -144,8 +149,8 @@ def assemble_node_matrices(
 
     Returns:
         D and M in the numbering of V's nodes. Rows of removed nodes vanish; their columns in D do
-        not. Over the kept nodes D is diagonal (exactly: the other integrals vanish by construction
-        and are not computed).
+        not. Over the kept nodes D is diagonal (exactly: the other integrals vanish by construction,
+        and their round-off is set to zero).
     """
     element = pairing.slave.element
     N_s = element.shape_functions(segments.xi_s)

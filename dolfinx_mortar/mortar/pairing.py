@@ -45,7 +45,7 @@ class Pairing:
     master_X: Floats  # (nm, d) their reference coordinates
     margin: Floats  # (ms,) lateral margin of each slave facet at the search
     sent: Bools  # (own master facets, ranks): which ranks have received them
-    groups: list[Ints]  # slave facets of this rank in up to 16 groups of neighbours
+    groups: list[Ints]  # slave facets of this rank in up to _GROUPS groups of neighbours
     scatter: PETSc.Scatter  # from a vector of V to the displacements of master_nodes
     received: PETSc.Vec  # (d * nm) on this rank alone: target of the scatter
     D: PETSc.Mat  # (nodes, nodes) of V: int Phi_j N_l^s, pattern of all candidate pairs
@@ -200,15 +200,25 @@ def create_pairing(
     u: dolfinx.fem.Function | None,
     *,
     moving: bool = True,
+    again: bool = False,
 ) -> Pairing:
     """Find the candidate pairs at X + u and create the matrices for them (collective).
 
     Where the surfaces move, the pairs provide for a relative sliding by half an edge or more;
     `outside_margin` tells when that is used up, by sliding or by turning.
 
+    Args:
+        V: Vector space of the displacement.
+        slave: Its slave surface.
+        master: Its master surface.
+        u: Displacement, None for X.
+        moving: Whether the surfaces move.
+        again: Whether this is a later search. Sides that faced each other once may turn away: then
+            there are no pairs. At first that is a mistake of tags.
+
     Raises:
         ValueError: On all ranks, if the sides share facets, belong to another space, u is not
-            finite there, or no slave facet faces a master facet.
+            finite there, or no slave facet faces a master facet at the first search.
     """
     _check_surfaces(V, slave, master, u)
     _check_finite(u, slave, master)
@@ -223,7 +233,8 @@ def create_pairing(
     scatter, received = _create_scatter(V, nodes)
     copies = Facets(master.element, _master_coordinates(X, scatter, received, u)[facets])
     pairs = find_candidates(slaves, n_s, copies, margin)
-    _check_facing(pairs, slave, master, n_s, facet_normals(masters))
+    if not again:
+        _check_facing(pairs, slave, master, n_s, facet_normals(masters))
     D, M = _create_matrices(slave, pairs, nodes, facets)
     return Pairing(
         slave, master, pairs, nodes, facets, X, margin, receivers, groups, scatter, received, D, M

@@ -16,7 +16,7 @@ from dolfinx_mortar import compat
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.geometry.elements import FACETS_OF, FacetElement
 from dolfinx_mortar.geometry.facets import Facets, distortions, facet_normals
-from dolfinx_mortar.geometry.tolerances import TINY
+from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
 from dolfinx_mortar.spaces import check_space
 
 _MOST_WARPED = 0.3
@@ -37,7 +37,6 @@ class Surface:
     """
 
     V: dolfinx.fem.FunctionSpace
-    name: str  # "slave" or "master", for messages
     tag: int
     nodes: Ints  # (n,) local nodes, ascending: owned ones first, ghosts after them
     owned: int  # number of owned nodes
@@ -188,7 +187,6 @@ def create_surface(
     _check_shapes(Facets(element, X[facet_nodes]), V.mesh.comm, f"{name}={tag}")
     return Surface(
         V=V,
-        name=name,
         tag=tag,
         nodes=nodes,
         owned=owned,
@@ -232,13 +230,14 @@ def nodal_normals(surface: Surface, x: Floats) -> Floats:
     """Return the averaged unit normals (n, d) of the nodes (collective).
 
     n_j is the normalised sum of the unit normals of all facets of this surface at node j, without
-    weights; zero where they cancel.
+    weights; zero where they cancel up to round-off, which has no direction.
     """
     n_f = np.repeat(facet_normals(facets_at(surface, x)), surface.facets.shape[1], axis=0)
     where = surface.facets.ravel()
     local = np.stack([np.bincount(where, n, minlength=len(x)) for n in n_f.T], axis=1)
     total = accumulate(surface, local)
-    return total / np.maximum(np.linalg.norm(total, axis=1), TINY)[:, None]
+    length = np.linalg.norm(total, axis=1)[:, None]
+    return np.where(length > 8 * ROUND_OFF, total / np.maximum(length, TINY), 0.0)
 
 
 def mean_facet_length(surface: Surface) -> float:

@@ -51,9 +51,9 @@ class InterfaceAudit:
     master_facets: int
     slave_nodes: int
     kept_nodes: int  # carry a multiplier
-    uncovered_nodes: int  # face no master
-    removed_nodes: int  # covered, but without a multiplier (little coverage, Dirichlet, claims)
-    dirichlet_nodes: int  # covered, but Dirichlet data leave no direction to act in
+    uncovered_nodes: int  # face no master: gap not-a-number, "facing" 0
+    removed_nodes: int  # face one, but without a multiplier (Dirichlet, claims)
+    dirichlet_nodes: int  # face one, but Dirichlet data leave no direction to act in
     facing_away: int  # slave facets that touch master facets, but do not face them
     size_ratio: float  # mean slave facet length over mean master facet length
     least_gap: float  # smallest distance of a kept node to the master, negative in an overlap
@@ -194,7 +194,7 @@ def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec) -> None:
     a slave node lies that deep (faces of a crack share nodes, too, but do not overlap).
     """
     interface, kept = link.interface, link.coupling.kept.all(axis=1)
-    normal = -link_gaps(link, x)
+    normal = -link.gaps(x)
     shallowest, deepest, some, joined = maximum(
         bodies.V.mesh.comm,
         (-normal[kept]).max(initial=-np.inf),
@@ -218,8 +218,8 @@ def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec) -> None:
 def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     """Count over the slave side of one interface; collective."""
     sides, kept = link.sides, link.coupling.kept.any(axis=1)
-    covered = link.coupling.coverage.share > 0
-    gap = link_gaps(link, x)[kept]
+    covered = link.coupling.coverage.faces | kept
+    gap = link.gaps(x)[kept]
     least, largest = maximum(
         sides.V.mesh.comm, (-gap).max(initial=-np.inf), gap.max(initial=-np.inf)
     )
@@ -245,12 +245,6 @@ def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     size = EXACT * max(float(lengths[0]), float(maximum(sides.V.mesh.comm, x)[0]))
     ends = [0.0 if abs(end) < size or np.isinf(end) else float(end) for end in (-least, largest)]
     return InterfaceAudit(repr(link.interface), *map(int, counts), ratio, *ends)  # type: ignore[call-arg]
-
-
-def link_gaps(link: Link, x: PETSc.Vec) -> Floats:
-    """Return the distances (n,) of the slave nodes to the master along the normals; collective."""
-    relative = np.einsum("nij,nj->ni", link.coupling.R, link.relative(x))
-    return -np.einsum("ni,ni->n", link.coupling.normals, relative)
 
 
 def _count_facing_away(pairing: Pairing) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum, ratio
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.interfaces.coupling import Link
+from dolfinx_mortar.interfaces.coupling import Link, along_and_across, relative_motions
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.steps.problem import ContactProblem
@@ -27,25 +27,18 @@ def operator_errors(link: Link, facet_length: float) -> tuple[float, float]:
 
     On a flat interface (D - M) X has no tangential part, whatever the gap; on a curved one it has
     the angle between the projections and the nodal normals, times the gap. Rows of D - M sum to
-    zero on every interface. Both per D_jj, the first in parts of gap plus facet length.
+    zero on every interface. Both per D_jj, the first in parts of gap plus facet length. Where
+    Dirichlet data make the directions of a tie differ in their nodes, that holds for each of them.
     """
-    D, M, sides = link.pairing.D, link.pairing.M, link.sides
-    weight = D.getDiagonal().array_r[link.nodes]
-    kept = weight > 0
-    normals = link.coupling.normals[kept]
-    X = sides.V.tabulate_dof_coordinates()[: sides.n_owned, : normals.shape[1]]
-    v = D.createVecRight()
-
-    def apply(values: Floats) -> Floats:
-        v.array[:] = values
-        relative = (D * v).array_r - (M * v).array_r
-        return np.asarray(relative[link.nodes][kept] / weight[kept])
-
-    sums = np.abs(apply(np.ones(sides.n_owned))).max(initial=0.0)
-    gap = np.column_stack([apply(x) for x in X.T])
-    along = np.einsum("ni,ni->n", gap, normals)
-    tangential = np.linalg.norm(gap - along[:, None] * normals, axis=1)
-    linear = (tangential / (np.abs(along) + facet_length)).max(initial=0.0)
+    sides, normals = link.sides, link.coupling.normals
+    judged = link.coupling.kept.T & normals.any(axis=1)  # Dirichlet data may leave no normal
+    v = link.coupling.Q.createVecRight()
+    v.set(1.0)
+    sums = np.abs(relative_motions(link, v)).max(initial=0.0)
+    d = normals.shape[1]
+    v.array[:] = sides.V.tabulate_dof_coordinates()[: sides.n_owned, :d].ravel()
+    along, across = along_and_across(relative_motions(link, v), normals)
+    linear = (across / (np.abs(along) + facet_length))[judged].max(initial=0.0)
     linear, sums = maximum(sides.V.mesh.comm, linear, sums)
     return float(linear), float(sums)
 
