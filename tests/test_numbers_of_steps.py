@@ -189,6 +189,7 @@ LARGE = (
     "ROW_SUM",
     "FIRST_SHARE",
     "BACK",
+    "SAME_DEPTH",
 )
 ABSURD = dict.fromkeys(LARGE, 1e12) | {"ROUND_OFF": 1e14, "EXACT": 1e14}  # 0 for the others
 
