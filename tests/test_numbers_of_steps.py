@@ -75,7 +75,7 @@ class Seen:
 
 def observe():
     """Return what comes of an audit, of two plastic steps, the second with sliding, of failures."""
-    case = create_case(dm.meshing.hertz(COMM, kind="graded", h=0.6), PLASTIC, slave="disc")
+    case = create_case(dm.meshing.hertz(COMM, kind="graded", h=1.2), PLASTIC, slave="disc")
     numbers, counts = [len(case.problem.audit().warnings)], []
     for x, depth in ((0.0, 0.2), (0.3, 0.25)):
         case.top.value[:] = (x, -depth)
@@ -90,7 +90,7 @@ def observe():
 
 def guess_at_an_overlap():
     """Return how many nodes are guessed to be in contact where the sides overlap."""
-    mesh = dm.meshing.hertz(COMM, kind="graded", h=0.1, gap=-0.1)
+    mesh = dm.meshing.hertz(COMM, kind="graded", h=0.3, gap=-0.1)
     case = create_case(mesh, ELASTIC, geometry="reference")
     problem = case.problem
     problem.audit()
