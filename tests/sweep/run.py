@@ -28,6 +28,8 @@ SECONDS = 180
 """Longest time of a problem on one rank; none takes a fifth of it."""
 FLOWING = 0.9
 """Share of a body that has to flow for a limit load."""
+CUTS = 10
+"""Halvings of a step, more than by default: so near to its limit load does such a body flow."""
 
 
 @dataclass
@@ -75,7 +77,7 @@ def run(kind: str, seed: int) -> Outcome:
 
 def _solve(case: RandomProblem, outcome: Outcome) -> None:
     """Walk through the steps; record each after its check."""
-    for step in dm.load_steps(case.problem, case.levels, on_time=case.on_time):
+    for step in dm.load_steps(case.problem, case.levels, on_time=case.on_time, max_cuts=CUTS):
         outcome.iterations += [part.newton_iterations for part in step.parts]
         outcome.steps += 1
         outcome.cuts += len(step.parts) - 1
