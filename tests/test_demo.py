@@ -11,9 +11,10 @@ import pytest
 DEMOS = Path(__file__).parent.parent / "demos"
 
 
-def run(*options, demo="hertz"):
+def run(*options, demo="hertz", ranks=1):
+    launcher = [] if ranks == 1 else ["mpirun", "-n", str(ranks)]
     return subprocess.run(
-        [sys.executable, str(DEMOS / demo / f"{demo}.py"), *options],
+        [*launcher, sys.executable, str(DEMOS / demo / f"{demo}.py"), *options],
         capture_output=True,
         text=True,
         check=False,
@@ -36,3 +37,23 @@ def test_elastic_bodies_have_no_plastic_numbers(tmp_path):
     assert step["max_plastic_strain"] == step["max_back_stress"] == step["plastic_area"] == 0.0
     assert step["force"] == pytest.approx(2425.0, rel=0.05)  # on a coarse mesh
     assert step["certificate"]["equilibrium"] < 1e-6
+
+
+@pytest.mark.serial
+@pytest.mark.slow
+@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("demo", ["hertz", "sphere"])
+def test_demos_run_to_their_pictures(demo, ranks, tmp_path):
+    """As a user calls them, on coarse meshes; elastic, they come near Hertz."""
+    options = ["--h", "0.25", "--displacement", "0.05", "--steps", "2", "--material", "elastic"]
+    options += ["--mesh", "graded"] if demo == "hertz" else []
+    done = run(*options, "--output", str(tmp_path), demo=demo, ranks=ranks)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["ranks"] == ranks and len(summary["steps"]) == 2
+    last = summary["steps"][-1]
+    assert last["peak_pressure_fit"] == pytest.approx(last["peak_pressure_hertz"], rel=0.05)
+    assert last["certificate"]["equilibrium"] < 1e-6
+    pictures = list(tmp_path.glob("*.png"))
+    assert len(pictures) >= 3 and all(p.stat().st_size > 5000 for p in pictures)
+    assert (tmp_path / f"{demo}.xdmf").exists()
