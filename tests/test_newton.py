@@ -77,9 +77,10 @@ def test_approach_in_space(geometry, cell):
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("geometry", ["updated", "reference"])
-def test_rigid_travel_ends_at_once(geometry):
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])  # no round-off in triangles
+def test_rigid_travel_ends_at_once(cell, geometry):
     """A block travels in many small steps without stress; what is left is round-off of K u."""
-    b = Blocks([(0.0, 3.0, 0.0, 0.5, 30, 5), (0.5, 1.5, 1.5, 2.0, 13, 6)])
+    b = Blocks([(0.0, 3.0, 0.0, 0.5, 30, 5), (0.5, 1.5, 1.5, 2.0, 13, 6)], cell=cell)
     down = fem.Constant(b.mesh, default_scalar_type(0.0))
     contact = b.join(dm.Contact, (2, BELOW), (1, ABOVE))
     bcs = [b.fix(1, BELOW), b.fix(2, ABOVE, component=0), b.fix(2, ABOVE, 1, down)]
@@ -89,7 +90,7 @@ def test_rigid_travel_ends_at_once(geometry):
         report = dm.newton(problem)
         assert report.newton_iterations <= 2
         # nothing acts, so forces are measured against K u
-        assert report.certificate.equilibrium < 1e-12 and report.certificate.complementarity == 0.0
+        assert report.certificate.equilibrium < 1e-15 and report.certificate.complementarity == 0.0
         problem.commit()
     own = b.u.x.array.reshape(-1, 2)[b.V.tabulate_dof_coordinates()[:, 1] > 1.0]
     assert np.abs(own - [0.0, -0.9]).max(initial=0.0) < 1e-12
