@@ -201,6 +201,14 @@ def test_weak_changes_are_not_counted():
     wider = dm.newton(case.problem)
     grown = wider.iterations[-1].active - first.iterations[-1].active
     assert sum(i.changed for i in wider.iterations) >= grown > 0
+    # from the strongest node alone, all the others close; a large rtol makes them weak
+    strongest = np.zeros_like(case.problem.committed.active)
+    own = case.contact.multiplier
+    peak = COMM.allreduce(own.max(initial=0.0), op=MPI.MAX)
+    strongest[case.problem.system.links[0].nodes] = own == peak
+    for rtol, changed in ((1e-6, wider.iterations[-1].active - 1), (0.5, 0)):
+        case.problem.committed.active = strongest
+        assert dm.newton(case.problem, rtol=rtol).iterations[0].changed == changed
 
 
 @pytest.mark.mpi
