@@ -194,8 +194,7 @@ def test_a_failed_step_leaves_no_trace(case):
 
 def test_stop_by_the_user(case, monkeypatch):
     """An interrupt inside a step leaves all as it was, also what a commit would take."""
-    case.solid = dm.Solid(case.u, dm.VonMises(E=210_000.0, nu=0.3, Y=1.0, a=1000.0))
-    problem = case.problem()
+    problem = plastic(case)
 
     def interrupt(*_):
         raise KeyboardInterrupt
@@ -204,8 +203,9 @@ def test_stop_by_the_user(case, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         dm.newton(problem)
     problem.commit()
-    assert not case.u.x.array.any() and not case.solid.state["plastic_strain"].x.array.any()
-    assert not case.solid.stress.x.array.any() and not problem.committed.active.any()
+    solid = problem.solid
+    assert not case.u.x.array.any() and not solid.state["plastic_strain"].x.array.any()
+    assert not solid.stress.x.array.any() and not problem.committed.active.any()
 
 
 # -- where there is next to nothing to solve
