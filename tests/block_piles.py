@@ -69,7 +69,7 @@ def to_dense(A: PETSc.Mat) -> npt.NDArray[np.float64]:
 
 def dense_transformation(problem: dm.ContactProblem) -> npt.NDArray[np.float64]:
     """Return T, the product of the factors I + S, on every rank."""
-    factors = [to_dense(factor.S) for factor in problem.system.transformation.factors]
+    factors = [to_dense(factor.C) for factor in problem.system.transformation.factors]
     T = np.eye(len(factors[0]))
     for S in factors:
         T = T + T @ S

@@ -59,14 +59,14 @@ class Transformation:
         """Set u = T y; collective."""
         y.copy(u)
         for factor in reversed(self.factors):
-            u.axpy(1.0, factor.S * u)
+            u.axpy(1.0, factor.C * u)
 
     def apply_transposed(self, f: PETSc.Vec, g: PETSc.Vec) -> None:
         """Set g = T^T f; collective."""
         f.copy(g)
         change = f.duplicate()
         for factor in self.factors:
-            factor.S.multTranspose(g, change)
+            factor.C.multTranspose(g, change)
             g.axpy(1.0, change)
 
     def uncouple(
@@ -87,16 +87,16 @@ class Transformation:
         """
         if len(self.factors) > 1:
             for factor in self.factors:
-                K = Congruence(K, factor.S).product
+                K = Congruence(K, factor.C).product
             return K, None, [self.inverse(motion) for motion in motions]
-        S, E = self.factors[0].uncouple(self.links, held)
+        C, E = self.factors[0].uncouple(self.links, held)
         released = []
         for motion in motions:
             y = self.inverse(motion)
             v = y.copy()
             E.multAdd(y, y, v)  # (I - E)^-1 = I + E: no column of E is released
             released.append(v)
-        return Congruence(K, S).product, E, released
+        return Congruence(K, C).product, E, released
 
     def inverse(self, u: PETSc.Vec) -> PETSc.Vec:
         """Return y with T y = u; collective."""
@@ -109,45 +109,45 @@ class Transformation:
         fresh = not self._congruences
         for k, factor in enumerate(self.factors):
             if fresh:
-                self._congruences.append(Congruence(K, factor.S))
+                self._congruences.append(Congruence(K, factor.C))
                 self._congruences[k].product.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
             else:
-                self._congruences[k].update(K, factor.S)
+                self._congruences[k].update(K, factor.C)
             K = self._congruences[k].product
         return K
 
 
 class Congruence:
-    """(I + S)^T K (I + S) = K + K S + (K S)^T + S^T K S of a symmetric K, on a fixed pattern.
+    """(I + C)^T K (I + C) = K + K C + (K C)^T + C^T K C of a symmetric K, on a fixed pattern.
 
-    S has few rows, so that all but K itself is small. PETSc's product of three matrices takes three
+    C has few rows, so that all but K itself is small. PETSc's product of three matrices takes three
     to five times as long and more memory (measured at 39k unknowns in 3D, 1 and 2 ranks).
     """
 
-    def __init__(self, K: PETSc.Mat, S: PETSc.Mat) -> None:
+    def __init__(self, K: PETSc.Mat, C: PETSc.Mat) -> None:
         """Analyse the patterns; collective."""
         other = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
-        self.St = S.transpose(PETSc.Mat())
-        self.KS = K.matMult(S)
-        self.StKS = self.St.matMult(self.KS)
-        self.product = self.KS.duplicate(copy=True)
-        for part in (self.KS.transpose(PETSc.Mat()), self.StKS, K):  # K last: copied once
+        self.Ct = C.transpose(PETSc.Mat())
+        self.KC = K.matMult(C)
+        self.CtKC = self.Ct.matMult(self.KC)
+        self.product = self.KC.duplicate(copy=True)
+        for part in (self.KC.transpose(PETSc.Mat()), self.CtKC, K):  # K last: copied once
             self.product.axpy(1.0, part, other)
 
-    def update(self, K: PETSc.Mat, S: PETSc.Mat) -> None:
+    def update(self, K: PETSc.Mat, C: PETSc.Mat) -> None:
         """Refill the product from new values on the same patterns; collective."""
-        S.transpose(self.St)
-        K.matMult(S, result=self.KS)
-        KSt = self.KS.transpose(PETSc.Mat())
-        self.St.matMult(self.KS, result=self.StKS)
+        C.transpose(self.Ct)
+        K.matMult(C, result=self.KC)
+        KCt = self.KC.transpose(PETSc.Mat())
+        self.Ct.matMult(self.KC, result=self.CtKC)
         self.product.zeroEntries()
-        for part in (K, self.KS, KSt, self.StKS):
+        for part in (K, self.KC, KCt, self.CtKC):
             self.product.axpy(1.0, part, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
-        KSt.destroy()
+        KCt.destroy()
 
 
 class _Factor:
-    """T = I + S of interfaces that do not lean on each other's slave nodes."""
+    """T = I + C of interfaces that do not lean on each other's slave nodes."""
 
     def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], members: list[int]) -> None:
         first, n = V.dofmap.index_map.local_range[0], V.dofmap.index_map.size_local
@@ -166,7 +166,7 @@ class _Factor:
             columns += [link.nodes[mine].astype(np.int64) + first, p.column[near]]
         self.V = V
         self._blocks = create_blocks(V, np.concatenate(rows), np.concatenate(columns))
-        self.S = self._blocks.matrix
+        self.C = self._blocks.matrix
 
     def update(self, links: Sequence[Link]) -> None:
         """Refill the matrix from the interfaces' frames and couplings; collective."""
@@ -178,7 +178,7 @@ class _Factor:
         self._blocks.fill(np.concatenate(values))
 
     def uncouple(self, links: Sequence[Link], held: Ints) -> tuple[PETSc.Mat, PETSc.Mat]:
-        """Return S of constraints at held unknowns only, without stored zeros, and E; collective.
+        """Return C of constraints at held unknowns only, without stored zeros, and E; collective.
 
         Only a constraint along the normal can let go: contact that is not held is open.
         """
@@ -187,20 +187,20 @@ class _Factor:
         d = V.dofmap.index_map_bs
         is_held = np.zeros(d * n, dtype=bool)
         is_held[held] = True
-        S: list[tuple[Ints, Longs, Floats]] = []
+        C: list[tuple[Ints, Longs, Floats]] = []
         E: list[tuple[Ints, Longs, Floats]] = []
         for k, mine in self.parts:
             link, p, blocks = links[k], links[k].pattern, links[k].coupling.blocks
             nodes = link.nodes[mine]
-            S.append((nodes, nodes.astype(np.int64) + first, link.frames[mine] - np.eye(d)))
+            C.append((nodes, nodes.astype(np.int64) + first, link.frames[mine] - np.eye(d)))
             open_ = link.constrained[:, 0] & ~is_held[d * link.nodes]
             used = blocks.any(axis=(1, 2)) & link.near[p.row]
             on, off = used & ~open_[p.row], used & open_[p.row]
-            S.append((link.nodes[p.row[on]], p.column[on], blocks[on]))
+            C.append((link.nodes[p.row[on]], p.column[on], blocks[on]))
             normal = np.zeros((int(off.sum()), d, d))
             normal[:, 0] = np.einsum("ea,eab->eb", link.coupling.normals[p.row[off]], blocks[off])
             E.append((link.nodes[p.row[off]], p.column[off], normal))
-        return _create(V, S), _create(V, E)
+        return _create(V, C), _create(V, E)
 
     def inverse(self, links: Sequence[Link], u: PETSc.Vec) -> PETSc.Vec:
         """Return y with T y = u: w_j = R_j^T (u_j - sum_l Q_jl u_l) at slave nodes; collective."""
