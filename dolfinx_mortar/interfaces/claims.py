@@ -13,7 +13,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Ints
-from dolfinx_mortar.interfaces.coupling import Pattern, Sides, share
+from dolfinx_mortar.interfaces.coupling import Pattern, Sides, with_ghosts
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.mortar.operators import Coverage
 
@@ -123,7 +123,7 @@ def resolve_claims(
                 remove(k, hit, f"they would close a cycle with {interfaces[i]}")
             else:
                 leans.add((i, k))
-    shared = [share(s.V, b) for s, b in zip(sides, banned, strict=True)]
+    shared = [with_ghosts(s.V, b) for s, b in zip(sides, banned, strict=True)]
     return Claims(owner, shared, frozenset(leans), _topological(len(sides), leans), notes)
 
 

@@ -177,7 +177,7 @@ def create_blocks(V: fem.FunctionSpace, rows: Ints, columns: Longs) -> BlockMatr
     return BlockMatrix(V.mesh.comm, V.dofmap.index_map, V.dofmap.index_map_bs, rows, columns)
 
 
-def share(V: fem.FunctionSpace, owned: Bools) -> Bools:
+def with_ghosts(V: fem.FunctionSpace, owned: Bools) -> Bools:
     """Return marks of this rank's own nodes, (owned nodes,), on its ghosts, too; collective."""
     vector = la.vector(V.dofmap.index_map, 1)
     vector.array[: len(owned)] = owned
@@ -202,7 +202,7 @@ def _mark(surface: Surface) -> Bools:
     """Return which local nodes lie on a surface; collective."""
     owned = np.zeros(surface.V.dofmap.index_map.size_local, dtype=bool)
     owned[surface.nodes[: surface.owned]] = True
-    return share(surface.V, owned)
+    return with_ghosts(surface.V, owned)
 
 
 def pair(sides: Sides, u: fem.Function | None, *, again: bool) -> tuple[Pairing, Pattern]:
@@ -239,7 +239,7 @@ def has_slid(link: Link, u: fem.Function | None, *, everywhere: bool) -> bool:
     near = np.zeros(link.sides.n_owned, dtype=bool)
     near[link.nodes] = link.near
     surface = link.sides.slave
-    among = share(link.sides.V, near)[surface.nodes][surface.facets].any(axis=1)
+    among = with_ghosts(link.sides.V, near)[surface.nodes][surface.facets].any(axis=1)
     return outside_margin(link.pairing, u, among)
 
 

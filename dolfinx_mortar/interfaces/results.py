@@ -11,7 +11,7 @@ import numpy as np
 
 from dolfinx import fem, la
 from dolfinx_mortar.arrays import Bools, Floats
-from dolfinx_mortar.interfaces.coupling import Link, Sides, share
+from dolfinx_mortar.interfaces.coupling import Link, Sides, with_ghosts
 from dolfinx_mortar.interfaces.interface import Fields, Interface, Resultants
 
 
@@ -84,7 +84,7 @@ def _fill(function: fem.Function, link: Link, values: Floats, kept: Bools) -> No
     vector.scatter_reverse(la.InsertMode.add)
     vector.scatter_forward()
     with np.errstate(invalid="ignore"):
-        extended = np.where(share(sides.V, covered), array[:, 0] / array[:, 1], np.nan)
+        extended = np.where(with_ghosts(sides.V, covered), array[:, 0] / array[:, 1], np.nan)
     result = np.where(known[:, 1] > 0, known[:, 0], extended)
     function.x.array[:] = np.where(sides.on_slave, result, 0.0)
 

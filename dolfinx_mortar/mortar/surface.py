@@ -65,7 +65,7 @@ def check_tag(name: str, tag: Any) -> None:
         )
 
 
-def _share_tags(facet_tags: dolfinx.mesh.MeshTags, tag: int) -> Ints:
+def _owned_facets_with(facet_tags: dolfinx.mesh.MeshTags, tag: int) -> Ints:
     """Return the owned facets that any rank has marked with `tag`."""
     facet_map = facet_tags.topology.index_map(facet_tags.dim)
     mark = dolfinx.la.vector(facet_map)
@@ -90,7 +90,7 @@ def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str
         )
     for pair in ((fdim, topology.dim), (topology.dim, fdim)):
         topology.create_connectivity(*pair)
-    facets = _share_tags(facet_tags, tag)
+    facets = _owned_facets_with(facet_tags, tag)
     exterior = dolfinx.mesh.exterior_facet_indices(topology)
     inside = np.setdiff1d(facets, exterior)
     total, interior = comm.allreduce(np.array([len(facets), len(inside)]))
