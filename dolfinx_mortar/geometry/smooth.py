@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: MIT
+r"""Smooth surfaces through the nodes of facets: their normals, and how high they stand above these.
+
+Facets stand off the surface that they stand for by their sagittas; where two curved sides fit
+closely, these are as large as the gap. With unit normals n_a at the nodes x_a the height is
+
+    h = 1/2 sum_{a<b} N_a N_b c_ab,     c_ab = (n_b - n_a).(x_b - x_a)
+
+over all pairs of nodes. On a sphere of radius R, c_ab = |x_b - x_a|^2 / R, and by Lagrange's
+identity h is exact to leading order wherever the nodes lie; on plane sides it vanishes.
+
+The normals are those of Max (J. Graphics Tools 4, 1999), n_a ~ sum (e_1 x e_2) / (|e_1|^2 |e_2|^2)
+over the facets at the node, with e_1 and e_2 its edges there; in the plane the chords' normals over
+their lengths. They are exact on spheres and circles whatever the mesh, if facets lie all around the
+node.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.geometry.facets import Facets, area_vectors
+from dolfinx_mortar.geometry.tolerances import TINY
+
+
+@dataclass(frozen=True)
+class NodeNormals:
+    """Normals of a smooth surface at nodes."""
+
+    n: Floats  # (n, d) unit vectors
+    open: Bools  # (n,) facets lie on one side only, so that the normal may lean
+    sharp: Bools  # (n,) on an edge: there is no normal
+
+    @property
+    def regular(self) -> Bools:
+        """Nodes (n,) with facets all around, on a smooth surface."""
+        return np.asarray(~self.open & ~self.sharp)
+
+
+def fan_sums(facets: Facets) -> tuple[Floats, Floats]:
+    """Return what each facet (m,) adds to the sums over the fans of its nodes.
+
+    Returns:
+        The parts (m, k, d) of the normals, and parts (m, k, c) of a sum that vanishes where facets
+        lie all around the node: each edge of the fan adds to it on the one side what it takes on
+        the other.
+
+    >>> from dolfinx_mortar.geometry.elements import LINE2
+    >>> n, around = fan_sums(Facets(LINE2, np.array([[[2.0, 0.0], [0.0, 0.0]]])))
+    >>> n.tolist(), around.tolist()
+    ([[[0.0, 0.5], [0.0, 0.5]]], [[[-1.0], [1.0]]])
+    """
+    x = facets.x[:, facets.element.vertices]
+    if x.shape[2] == 2:
+        area = area_vectors(facets)
+        n = (area / np.maximum((area**2).sum(axis=1), TINY)[:, None])[:, None]
+        around = np.array([[[-1.0], [1.0]]])
+        return np.repeat(n, 2, axis=1), np.repeat(around, len(x), axis=0)
+    ahead, behind = (_inverted(np.roll(x, turn, axis=1) - x) for turn in (-1, 1))
+    return np.asarray(np.cross(ahead, behind), dtype=np.float64), ahead - behind
+
+
+def _inverted(e: Floats) -> Floats:
+    """Return e / |e|^2: spheres through the origin become planes, which is why the sum is exact."""
+    return np.asarray(e / np.maximum((e**2).sum(axis=-1), TINY)[..., None])
+
+
+def rises(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
+    """Return c_ab (m, e) for the pairs of nodes of facets.
+
+    Where one end has no normal or may have a leaning one, the surface keeps the curvature of the
+    other end, c_ab = 2 n_b.(x_b - x_a), exact on spheres and cylinders. Between two open nodes, on
+    the rim, their difference counts, in which what leans cancels; between two nodes of which one
+    lies on a sharp edge and none is regular, the edge is straight.
+
+    Args:
+        facets: the facets (m,).
+        normals: of all nodes.
+        nodes: (m, k) which of them are the facets'.
+    """
+    a, b = node_pairs(facets)
+    along = facets.x[:, b] - facets.x[:, a]
+    at_a, at_b = (np.einsum("mei,mei->me", normals.n[nodes[:, end]], along) for end in (a, b))
+    regular, sharp = normals.regular[nodes], normals.sharp[nodes]
+    result = at_b - at_a
+    result = np.where(regular[:, a] & ~regular[:, b], -2.0 * at_a, result)
+    result = np.where(regular[:, b] & ~regular[:, a], 2.0 * at_b, result)
+    neither = ~regular[:, a] & ~regular[:, b] & (sharp[:, a] | sharp[:, b])
+    return np.asarray(np.where(neither, 0.0, result))
+
+
+def heights(facets: Facets, rise: Floats, which: Ints, xi: Floats) -> Floats:
+    """Return how far (q,) the smooth surface stands above points of facets, along their normals.
+
+    Args:
+        facets: the facets (m,).
+        rise: c_ab (m, e) of `rises`.
+        which: (q,) facet of each point.
+        xi: (q, d-1) reference coordinates.
+    """
+    a, b = node_pairs(facets)
+    N = facets.element.shape_functions(xi)
+    return np.asarray(0.5 * (N[:, a] * N[:, b] * rise[which]).sum(axis=1))
+
+
+def node_pairs(facets: Facets) -> tuple[list[int], list[int]]:
+    """Return the first and the second nodes of all pairs of nodes of a facet.
+
+    >>> from dolfinx_mortar.geometry.elements import TRI3
+    >>> node_pairs(Facets(TRI3, np.zeros((0, 3, 3))))
+    ([0, 0, 1], [1, 2, 2])
+    """
+    pairs = list(combinations(facets.element.vertices, 2))
+    return [a for a, _ in pairs], [b for _, b in pairs]
