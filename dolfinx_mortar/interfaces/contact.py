@@ -3,18 +3,25 @@
 
 from __future__ import annotations
 
+from numbers import Real
+
 from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx.mesh import MeshTags
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import Constraints
 from dolfinx_mortar.interfaces.frames import create_frames
 from dolfinx_mortar.interfaces.interface import Frame, Interface
+from dolfinx_mortar.mortar.smooth import FEATURE_ANGLE
 
 # A slave normal that loses more than this share of its length to Dirichlet data has no direction
 # left in which contact could act.
 MIN_FREE_NORMAL = 0.5
+
+
+SURFACES = ("smooth", "facets")
 
 
 class Contact(Interface):
@@ -23,9 +30,42 @@ class Contact(Interface):
     ``pressure`` (traction, >= 0 in compression), ``gap`` (>= 0 when open; not-a-number at slave
     nodes that face no master) and ``active`` (1 in contact, else 0) are Functions that vanish off
     the slave side. ``force`` is the resultant exerted on the slave side, -sum_j D_jj lambda_j n_j.
+
+    Args:
+        facet_tags: facet markers on the mesh of the displacement.
+        slave: tag of the side that carries the multipliers.
+        master: tag of the other side.
+        surface: "facets" measures the gap between the facets, as the paper does; "smooth" between
+            the smooth surfaces through their nodes, g_j - sum_q w Phi_j (h_s + h_m) with the
+            heights h of `dolfinx_mortar.geometry.smooth`. D, M and N are the same.
+        feature_angle: degrees between two facets from which on they meet in an edge, which stays
+            one; for smooth surfaces.
+
+    Raises:
+        ValueError: for tags that are none, and an unknown surface or angle.
     """
 
     one_sided = True
+
+    def __init__(
+        self,
+        facet_tags: MeshTags,
+        *,
+        slave: int,
+        master: int,
+        surface: str = "facets",
+        feature_angle: float = FEATURE_ANGLE,
+    ) -> None:
+        """Keep the description; surfaces are found when a problem takes the interface."""
+        super().__init__(facet_tags, slave=slave, master=master)
+        if not isinstance(surface, str) or surface not in SURFACES:
+            raise ValueError(f"surface is {surface!r}: choose 'smooth' or 'facets'")
+        number = isinstance(feature_angle, Real) and not isinstance(feature_angle, bool)
+        if not number or not 0.0 < feature_angle <= 180.0:
+            raise ValueError(
+                f"feature_angle is {feature_angle!r}: give degrees, 0 < feature_angle <= 180"
+            )
+        self.smooth, self.feature_angle = surface == "smooth", float(feature_angle)
 
     def may_carry(self, left: Floats, fixed: Bools) -> Bools:
         """Return (n, 1): nodes whose normal is not taken by Dirichlet data."""

@@ -30,9 +30,12 @@ from dolfinx_mortar.mortar.operators import (
     default_keep,
     find_coverage,
     find_segments,
+    integrate_values,
     node_weights,
+    weighted_duals,
 )
 from dolfinx_mortar.mortar.pairing import Pairing, create_pairing, outside_margin
+from dolfinx_mortar.mortar.smooth import point_heights
 from dolfinx_mortar.mortar.surface import Surface, create_surface
 
 
@@ -85,6 +88,7 @@ class Coupling:
     kept: Bools  # (n, c) nodes that carry a multiplier
     weight: Floats  # (n, c) D_jj, 0 where not kept
     normals: Floats  # (n, d) outward, without prescribed directions; 0 if nothing else is left
+    heights: Floats  # (n,) by how much the smooth surfaces are nearer than the facets; 0 for these
     coverage: Coverage  # how far the nodes face the master
 
 
@@ -134,13 +138,14 @@ class Link:
         return np.asarray(np.einsum("nij,ni->nj", self.coupling.R, local))
 
     def gaps(self, v: PETSc.Vec) -> Floats:
-        """Return n_j.(P v - v_j) at the owned slave nodes (n,); collective.
+        """Return n_j.(P v - v_j) - h_j at the owned slave nodes (n,) for v = X + u; collective.
 
-        For v = X + u that is the distance to the master along the normal.
+        The distance to the master along the normal; h_j the mean height of smooth surfaces.
         """
         normals = self.coupling.normals
         moved = (self.coupling.Q * v).array_r - v.array_r
-        return np.asarray((moved.reshape(-1, normals.shape[1])[self.nodes] * normals).sum(axis=1))
+        along = (moved.reshape(-1, normals.shape[1])[self.nodes] * normals).sum(axis=1)
+        return np.asarray(along - self.coupling.heights)
 
     def constrained_motion(self, v: PETSc.Vec) -> Floats:
         """Return the constrained components of the relative motion, near or far; collective."""
@@ -269,6 +274,7 @@ def couple(
     allowed = interface.may_carry(left, sides.fixed[nodes]) & ~banned[nodes, None]
     P: list[Floats] = []
     weight: list[Floats] = []
+    heights = np.zeros(sides.slave.owned)
     differ = any_rank(sides.V.mesh.comm, *(allowed != allowed[:, :1]).any(axis=0))
     for c in range(allowed.shape[1]):  # choices that keep the same nodes share one assembly
         if c > 0 and not differ[c]:
@@ -276,11 +282,15 @@ def couple(
             weight.append(weight[0])
             continue
         keep = default_keep(pairing, segments, covered, tributary, allowed[:, c])
-        D, M = assemble_node_matrices(pairing, segments, keep)
+        Phi = weighted_duals(pairing, segments, keep)
+        D, M = assemble_node_matrices(pairing, segments, keep, Phi)
         weight.append(D.getDiagonal().array[sides.nodes])
         values = -D.getValuesCSR()[2][pattern.from_D], M.getValuesCSR()[2][pattern.from_M]
         inverse = np.divide(1.0, weight[c], out=np.zeros_like(weight[c]), where=weight[c] > 0)
         P.append(np.concatenate(values) * inverse[pattern.row])
+        if c == 0 and interface.smooth:
+            at_points = point_heights(pairing, segments, u, sides.fixed, interface.feature_angle)
+            heights = integrate_values(pairing, segments, Phi, at_points)[own] * inverse
     weights = np.column_stack(weight)
     some = (left > ROUND_OFF)[:, None]  # of less only round-off has a direction
     direction = np.where(some, free / np.maximum(left, TINY)[:, None], 0.0)
@@ -298,6 +308,7 @@ def couple(
         kept=weights > 0,
         weight=weights,
         normals=frame.normals,
+        heights=heights,
         coverage=find_coverage(pairing, segments, covered, tributary),
     )
 

@@ -15,6 +15,7 @@ from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import Constraints
+from dolfinx_mortar.mortar.smooth import FEATURE_ANGLE
 from dolfinx_mortar.mortar.surface import check_tag, check_tags
 
 
@@ -71,6 +72,8 @@ class Interface:
     """
 
     one_sided: ClassVar[bool] = False  # can open: bounds on one side
+    smooth: bool = False  # whether facets stand for smooth surfaces
+    feature_angle: float = FEATURE_ANGLE  # degrees between facets that meet in an edge of these
 
     def __init__(self, facet_tags: MeshTags, *, slave: int, master: int) -> None:
         """Keep the description; surfaces are found when a problem takes the interface."""
@@ -85,8 +88,9 @@ class Interface:
         self.resultants: Resultants | None = None
 
     def __repr__(self) -> str:
-        """Name the class and the tags."""
-        return f"{type(self).__name__}(slave={self.slave}, master={self.master})"
+        """Name the class, the tags, and what is not as in the paper."""
+        smooth = f", surface='smooth', feature_angle={self.feature_angle:g}" if self.smooth else ""
+        return f"{type(self).__name__}(slave={self.slave}, master={self.master}{smooth})"
 
     def take(self, owner: object, V: fem.FunctionSpace) -> None:
         """Belong to a problem from now on, with fields on V and without results; collective."""

@@ -187,6 +187,7 @@ class InterfaceSystem:
         parts = []
         for link in self.links:
             slip = link.relative(link.interface.measured(x, u))
+            slip[:, 0] += link.coupling.heights
             directions = link.constrained
             parts.append(
                 link.interface.constraints(link.nodes, directions, slip, link.coupling.weight)

@@ -136,9 +136,38 @@ def _best_nodes(coverage: Floats, X: Floats) -> Ints:
     return np.asarray(np.argmax(best, axis=1), dtype=np.int32)
 
 
+def weighted_duals(pairing: Pairing, segments: Segments, keep: Bools) -> Floats:
+    """Return w Phi_j (q, k) at the points of the segments, w their weights.
+
+    Args:
+        pairing: The pair of surfaces.
+        segments: Its segments.
+        keep: Slave nodes (n,) that carry a multiplier; a node has the same value on all ranks.
+    """
+    element = pairing.slave.element
+    N_s, kept = element.shape_functions(segments.xi_s), keep[pairing.slave.facets]
+    Phi = BASES[element.multiplier](N_s, segments.weight, segments.slave, kept)
+    return np.asarray(Phi * segments.weight[:, None])
+
+
+def integrate_values(pairing: Pairing, segments: Segments, Phi: Floats, values: Floats) -> Floats:
+    """Return int Phi_j f (n,) at the slave nodes for values f (q,) at the points (collective).
+
+    Args:
+        pairing: The pair of surfaces.
+        segments: Its segments.
+        Phi: Weighted dual functions (q, k) of `weighted_duals`.
+        values: f.
+    """
+    slave = pairing.slave
+    count = len(slave.facets)
+    parts = [np.bincount(segments.slave, P * values, minlength=count) for P in Phi.T]
+    return _sum_facets(slave, np.stack(parts, axis=1))
+
+
 @timed("~Mortar: assemble D and M")
 def assemble_node_matrices(
-    pairing: Pairing, segments: Segments, keep: Bools
+    pairing: Pairing, segments: Segments, keep: Bools, Phi: Floats | None = None
 ) -> tuple[PETSc.Mat, PETSc.Mat]:
     """Refill the matrices D (eq. 19) and M (eq. 20) of the pairing in place (collective).
 
@@ -146,18 +175,17 @@ def assemble_node_matrices(
         pairing: The pair of surfaces.
         segments: Its segments.
         keep: Slave nodes (n,) that carry a multiplier; a node has the same value on all ranks.
+        Phi: Their weighted functions of `weighted_duals`, if they are at hand.
 
     Returns:
         D and M in the numbering of V's nodes. Rows of removed nodes vanish; their columns in D do
         not. Over the kept nodes D is diagonal (exactly: the other integrals vanish by construction,
         and their round-off is set to zero).
     """
-    element = pairing.slave.element
-    N_s = element.shape_functions(segments.xi_s)
+    N_s = pairing.slave.element.shape_functions(segments.xi_s)
     N_m = pairing.master.element.shape_functions(segments.xi_m)
     kept = keep[pairing.slave.facets]
-    Phi = BASES[element.multiplier](N_s, segments.weight, segments.slave, kept)
-    Phi *= segments.weight[:, None]
+    Phi = weighted_duals(pairing, segments, keep) if Phi is None else Phi
     paired = np.unique(pairing.pairs[:, 0])
     blocks_D = _integrate(Phi, N_s, segments.slave, len(kept))[paired]
     both = kept[paired][:, :, None] & kept[paired][:, None, :]

@@ -251,6 +251,22 @@ def _master_coordinates(
     return X + received.array_r.reshape(X.shape)
 
 
+def receive(pairing: Pairing, values: Floats) -> Floats:
+    """Return values (n, d) of the master's nodes at the received master nodes (nm, d) (collective).
+
+    Those of its owner count at each node.
+    """
+    V, master = pairing.master.V, pairing.master
+    index_map, d = V.dofmap.index_map, values.shape[1]
+    size = (d * index_map.size_local, d * index_map.size_global)
+    source = PETSc.Vec().createMPI(size, comm=V.mesh.comm)
+    own = slice(None, master.owned)
+    source.array.reshape(-1, d)[master.nodes[own]] = values[own]
+    pairing.scatter.scatter(source, pairing.received)
+    source.destroy()
+    return np.array(pairing.received.array_r).reshape(-1, d)
+
+
 def received_facets(pairing: Pairing, u: dolfinx.fem.Function | None) -> Facets:
     """Return the received master facets at X + u (collective)."""
     x = _master_coordinates(pairing.master_X, pairing.scatter, pairing.received, u)
