@@ -14,14 +14,13 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import Constraints
 from dolfinx_mortar.interfaces.frames import create_frames
 from dolfinx_mortar.interfaces.interface import Frame, Interface
-from dolfinx_mortar.mortar.smooth import FEATURE_ANGLE
 
 # A slave normal that loses more than this share of its length to Dirichlet data has no direction
 # left in which contact could act.
 MIN_FREE_NORMAL = 0.5
-
-
 SURFACES = ("smooth", "facets")
+# Facets whose normals differ by more degrees meet in an edge, unless the user says otherwise.
+FEATURE_ANGLE = 40.0
 
 
 class Contact(Interface):

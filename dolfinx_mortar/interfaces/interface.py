@@ -15,7 +15,6 @@ from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import Constraints
-from dolfinx_mortar.mortar.smooth import FEATURE_ANGLE
 from dolfinx_mortar.mortar.surface import check_tag, check_tags
 
 
@@ -73,7 +72,7 @@ class Interface:
 
     one_sided: ClassVar[bool] = False  # can open: bounds on one side
     smooth: bool = False  # whether facets stand for smooth surfaces
-    feature_angle: float = FEATURE_ANGLE  # degrees between facets that meet in an edge of these
+    feature_angle: float = 0.0  # degrees between facets that meet in an edge, where smooth
 
     def __init__(self, facet_tags: MeshTags, *, slave: int, master: int) -> None:
         """Keep the description; surfaces are found when a problem takes the interface."""

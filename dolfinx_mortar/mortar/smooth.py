@@ -15,13 +15,8 @@ from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
 from dolfinx_mortar.mortar.pairing import Pairing, receive, received_facets
 from dolfinx_mortar.mortar.surface import Surface, accumulate, coordinates, facets_at
 
-FEATURE_ANGLE = 40.0
-"""Facets whose normals differ by more degrees meet in an edge, unless the user says otherwise."""
 
-
-def smooth_normals(
-    surface: Surface, x: Floats, fixed: Bools, feature_angle: float = FEATURE_ANGLE
-) -> NodeNormals:
+def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: float) -> NodeNormals:
     """Return the normals of the smooth surface at the nodes; collective.
 
     On a plane of symmetry the facets are completed by their mirror images, which takes from the
@@ -72,7 +67,7 @@ def point_heights(
     segments: Segments,
     u: dolfinx.fem.Function | None,
     fixed: Bools,
-    feature_angle: float = FEATURE_ANGLE,
+    feature_angle: float,
 ) -> Floats:
     """Return by how much (q,) the smooth surfaces are nearer than the facets; collective.
 
