@@ -36,7 +36,7 @@ from dolfinx_mortar.mortar.operators import (
 )
 from dolfinx_mortar.mortar.pairing import Pairing, create_pairing, outside_margin
 from dolfinx_mortar.mortar.smooth import point_heights
-from dolfinx_mortar.mortar.surface import Surface, create_surface
+from dolfinx_mortar.mortar.surface import Surface, accumulate, create_surface
 
 
 @dataclass(frozen=True)
@@ -348,6 +348,27 @@ def slipped(link: Link, u: PETSc.Vec) -> Floats:
     """
     _, across = along_and_across(relative_motions(link, u), link.coupling.normals)
     return np.asarray(across.max(axis=0))
+
+
+def stand_off(link: Link, u: fem.Function | None, feature_angle: float) -> Floats:
+    """Return the heights (n,) that smooth surfaces would have at the slave nodes; collective.
+
+    By so much the gap between the facets is too large (or, where sides are hollow, too small).
+
+    Args:
+        link: the interface, coupled at X + u.
+        u: displacement, None for X.
+        feature_angle: degrees between facets from which on they meet in an edge.
+    """
+    pairing, own = link.pairing, slice(None, link.sides.slave.owned)
+    segments, _ = find_segments(pairing, u)
+    keep = np.zeros(len(link.sides.slave.nodes))
+    keep[own] = link.coupling.kept[:, 0]
+    Phi = weighted_duals(pairing, segments, accumulate(link.sides.slave, keep) > 0)
+    at_points = point_heights(pairing, segments, u, link.sides.fixed, feature_angle)
+    total = integrate_values(pairing, segments, Phi, at_points)[own]
+    weight = link.coupling.weight[:, 0]
+    return np.asarray(np.divide(total, weight, out=np.zeros_like(total), where=weight > 0))
 
 
 def measure_coverage(pairing: Pairing, u: fem.Function | None) -> Coverage:

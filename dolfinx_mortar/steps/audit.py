@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -27,6 +27,7 @@ from dolfinx_mortar.mortar.surface import (
 )
 from dolfinx_mortar.steps.bodies import Bodies, free_motions
 from dolfinx_mortar.steps.dirichlet import Dirichlet
+from dolfinx_mortar.steps.stand_off import StandOff
 
 log = logging.getLogger(__name__)
 
@@ -79,6 +80,7 @@ class Audit:
     interfaces: list[InterfaceAudit]
     held_by_contact: bool  # some body is held by contact alone
     warnings: list[str]
+    stand_offs: list[StandOff] = field(default_factory=list)  # of contacts between facets
 
     def __str__(self) -> str:
         """Return one line per interface and warning."""

@@ -56,6 +56,7 @@ from dolfinx_mortar.steps.residuals import (
     measure,
 )
 from dolfinx_mortar.steps.results import notes_on_sliding, set_results
+from dolfinx_mortar.steps.stand_off import notes_on_facets
 from dolfinx_mortar.steps.watch import MOST_RISES, Watch, at_nodes, find_change
 
 log = logging.getLogger(__name__)
@@ -142,6 +143,7 @@ class Iterate:
     energy: Energy | None  # J(u), where a line search may need it
     norm: float  # |u|_e
     largest: float  # largest multiplier seen in the step
+    stiffness: PETSc.Vec  # diagonal of the last K^
 
 
 class _Step:
@@ -191,7 +193,7 @@ class _Step:
         begun = largest_force(problem.comm, balance, np.zeros(0))
         length = problem.system.facet_length
         scales = Scales(length, begun=begun, work=norm**2, extent=extent)
-        return Iterate(balance, contacts, scales, energy, norm, 0.0), start
+        return Iterate(balance, contacts, scales, energy, norm, 0.0, problem.vector()), start
 
     def balance(self) -> Balance:
         """Return forces and constraints at u in the present geometry."""
@@ -251,7 +253,8 @@ class _Step:
                 geometry_held=watch.held,
             )
         )
-        return Iterate(balance, contacts, scales, energy, norm, largest), watch, residual
+        iterate = Iterate(balance, contacts, scales, energy, norm, largest, lin.diagonal)
+        return iterate, watch, residual
 
     # -- the parts of an iteration ---------------------------------------------------------------
 
@@ -370,6 +373,12 @@ class _Step:
         problem, report = self.problem, self.report
         contacts = iterate.contacts
         report.notes += notes_on_sliding(problem, contacts)
+        forces, stiffness = np.zeros(problem.n), np.zeros(problem.n)
+        nodes = iterate.balance.nodes
+        forces[nodes] = contacts.reactions(iterate.balance)
+        stiffness[nodes] = iterate.stiffness.array_r[iterate.balance.bounds.dofs]
+        found, links = problem.audit().stand_offs, problem.system.links
+        report.notes += notes_on_facets(found, links, forces, stiffness)
         with problem.timings("results"):
             problem.solid.evaluate()
         set_results(problem, iterate.balance, contacts)

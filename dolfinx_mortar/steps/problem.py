@@ -32,6 +32,7 @@ from dolfinx_mortar.steps.loads import Loads
 from dolfinx_mortar.steps.mesh_audit import check_mesh
 from dolfinx_mortar.steps.preconditioning import create_preconditioning
 from dolfinx_mortar.steps.report import Timings
+from dolfinx_mortar.steps.stand_off import find_stand_offs
 
 
 @dataclass
@@ -247,7 +248,8 @@ class ContactProblem:
         x = self.update_geometry(increment, search=True)
         springs = self._resistance_of_potential()
         audit = create_audit(self.bodies, self.system, self.supports, x, springs)
-        self._audited = replace(audit, warnings=audit.warnings + notes)
+        stand_offs = find_stand_offs(self.system.links, self.configuration)
+        self._audited = replace(audit, warnings=audit.warnings + notes, stand_offs=stand_offs)
         return self._audited
 
     def _resistance_of_potential(self) -> Callable[[PETSc.Vec], Floats]:
