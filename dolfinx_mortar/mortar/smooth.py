@@ -39,7 +39,7 @@ def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: flo
     mirrored = _unit(np.where(fixed, 0.0, n))
     turn = np.einsum("ni,ni->n", mirrored, n)
     completed = is_open & fixed.any(axis=1) & (turn > np.cos(np.radians(feature_angle / 2)))
-    if d == 3:  # one mirror closes a fan that begins and ends on it
+    if d > 2:  # one mirror closes a fan that begins and ends on it; in the plane any does
         off_plane = np.linalg.norm(np.where(fixed, gap, 0.0), axis=1) > HALF_OF_DIGITS * size
         completed &= (fixed.sum(axis=1) > 1) | ~off_plane
     n = np.where(completed[:, None], mirrored, n)
