@@ -11,6 +11,7 @@ in those directions, and every constraint is a bound on w.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from petsc4py import PETSc
@@ -313,22 +314,27 @@ def couple(
     )
 
 
-def relative_motions(link: Link, v: PETSc.Vec) -> Floats:
-    """Return D^-1 (D - M) v (c, n, d) at the slave nodes for each choice of nodes; collective.
+def relative_motion(link: Link) -> Callable[[PETSc.Vec], Floats]:
+    """Return the function that gives D^-1 (D - M) v (c, n, d) at the slave nodes; collective.
 
-    With the D and M of the last update that belong to the choice, zero at nodes that it leaves out.
+    For each choice of nodes with the D and M of the last update that belong to it, zero at nodes
+    that it leaves out.
     """
     p, coupling = link.pattern, link.coupling
     V, (n, d) = link.sides.V, coupling.normals.shape
-    layout = V.dofmap.index_map
-    P = BlockMatrix(V.mesh.comm, layout, 1, link.nodes[p.row], p.column)
-    w, result = P.matrix.createVecRight(), np.zeros((coupling.P.shape[1], n, d))
-    for c in range(len(result)):
-        P.fill(coupling.P[:, c, None, None])
-        for i in range(d):
-            w.array[:] = v.array_r[i::d]
-            result[c, :, i] = (w.array_r - (P.matrix * w).array_r)[link.nodes]
-    return np.where(coupling.kept.T[:, :, None], result, 0.0)
+    P = BlockMatrix(V.mesh.comm, V.dofmap.index_map, 1, link.nodes[p.row], p.column)
+    w = P.matrix.createVecRight()
+
+    def motion(v: PETSc.Vec) -> Floats:
+        result = np.zeros((coupling.P.shape[1], n, d))
+        for c in range(len(result)):
+            P.fill(coupling.P[:, c, None, None])
+            for i in range(d):
+                w.array[:] = v.array_r[i::d]
+                result[c, :, i] = (w.array_r - (P.matrix * w).array_r)[link.nodes]
+        return np.where(coupling.kept.T[:, :, None], result, 0.0)
+
+    return motion
 
 
 def along_and_across(relative: Floats, normals: Floats) -> tuple[Floats, Floats]:
@@ -341,13 +347,18 @@ def along_and_across(relative: Floats, normals: Floats) -> tuple[Floats, Floats]
     return along, np.linalg.norm(relative - along[..., None] * normals, axis=-1)
 
 
-def slipped(link: Link, u: PETSc.Vec) -> Floats:
-    """Return how far the slave nodes (n,) have moved along the master, tangentially; collective.
+def slip_of(link: Link) -> Callable[[PETSc.Vec], Floats]:
+    """Return the function that gives how far slave nodes (n,) move along the master; collective.
 
     That is the tangential part of D^-1 (D - M) u, of the choice in which it is largest.
     """
-    _, across = along_and_across(relative_motions(link, u), link.coupling.normals)
-    return np.asarray(across.max(axis=0))
+    motion = relative_motion(link)
+
+    def slip(u: PETSc.Vec) -> Floats:
+        _, across = along_and_across(motion(u), link.coupling.normals)
+        return np.asarray(across.max(axis=0))
+
+    return slip
 
 
 def stand_off(link: Link, u: fem.Function | None, feature_angle: float) -> Floats:
