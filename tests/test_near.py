@@ -60,12 +60,12 @@ def test_nodes_left_out_too_many_are_taken_back(monkeypatch, geometry, slave):
 @pytest.mark.parametrize("slave", ["block", "disc"])
 def test_a_step_of_many_facets_needs_one_search(slave):
     """Partners are taken where the supports move the body, not where it starts."""
-    mesh = create_mesh("graded", 0.05, gap=0.5)
+    mesh = create_mesh("graded", 0.1, gap=0.5)
     case = create_case(mesh, slave=slave)
     case.press(0.7)
     newton(case.problem)
     assert case.problem.system.searches == 1
-    touching = create_case(create_mesh("graded", 0.05), slave=slave)
+    touching = create_case(create_mesh("graded", 0.1), slave=slave)
     touching.press(0.2)
     newton(touching.problem)
     assert case.force == pytest.approx(touching.force, rel=1e-3)
