@@ -192,6 +192,7 @@ def test_a_failed_step_leaves_no_trace(case):
     assert problem.contacts[0].force == pytest.approx(fresh.contacts[0].force, rel=1e-9)
 
 
+@pytest.mark.mpi
 def test_stop_by_the_user(case, monkeypatch):
     """An interrupt inside a step leaves all as it was, also what a commit would take."""
     problem = plastic(case)

@@ -186,6 +186,11 @@ class Solid:
         """
         fill_all(self.mesh.comm, self._evaluations)
 
+    def evaluate_again(self) -> None:
+        """Evaluate at a displacement that was judged before; without communication."""
+        for evaluation in self._evaluations:
+            evaluation.fill()
+
     def commit(self) -> None:
         """Make the internal variables that `evaluate` found last those of the next step's start.
 

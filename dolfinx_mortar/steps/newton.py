@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 from mpi4py import MPI
@@ -46,7 +46,7 @@ from dolfinx_mortar.steps.linearisation import (
     to_displacement,
 )
 from dolfinx_mortar.steps.problem import ContactProblem, StepData
-from dolfinx_mortar.steps.report import Iteration, NewtonNotConverged, StepReport
+from dolfinx_mortar.steps.report import Iteration, StepReport
 from dolfinx_mortar.steps.residuals import (
     Contacts,
     Residuals,
@@ -115,13 +115,9 @@ def _undone_on_failure(problem: ContactProblem, report: StepReport) -> Iterator[
     try:
         with problem.timings("total"), failures.named(problem, report):
             yield
-    except BaseException as error:
+    except BaseException:  # perhaps of this rank only, which must not wait for the others
         problem.u.x.array[:] = before
-        # What is shown, and what a commit would take, is as before, too. An error that only one
-        # rank has must not wait for the others.
-        if isinstance(error, NewtonNotConverged | ValueError) or problem.comm.size == 1:
-            with suppress(ValueError):
-                problem.solid.evaluate()
+        problem.solid.evaluate_again()  # what is shown, and what a commit takes, is as before, too
         raise
     finally:
         report.seconds = problem.timings.since(earlier)
