@@ -195,6 +195,7 @@ LARGE = (
 ABSURD = dict.fromkeys(LARGE, 1e12) | {"ROUND_OFF": 1e14, "EXACT": 1e14}  # 0 for the others
 
 
+@pytest.mark.serial  # the counts are those of one rank
 @pytest.mark.parametrize(("module", "name"), ALL)
 def test_an_absurd_number_is_felt(module, name, usual, monkeypatch):
     """By what a user sees, by what it costs, or because nothing works any more."""
