@@ -11,7 +11,6 @@ in those directions, and every constraint is a bound on w.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from petsc4py import PETSc
@@ -23,6 +22,7 @@ from dolfinx_mortar.algebra import triplets
 from dolfinx_mortar.algebra.blocks import BlockMatrix
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.mortar.operators import (
@@ -71,6 +71,7 @@ class Pattern:
     from_D: Ints  # positions in D's values of the leading entries (off-diagonal of D)
     from_M: Ints  # positions in M's values of the remaining entries
     blocks: BlockMatrix  # room for Q
+    scalars: BlockMatrix  # room for P
 
 
 @dataclass(frozen=True)
@@ -158,18 +159,18 @@ class Link:
         Those on the slave side (of I and D) and those on the master side (of M), which meet at
         nodes of both. Their sum is (I - Q)^T v.
         """
-        p, blocks, d = self.pattern, self.coupling.blocks, forces.shape[1]
-        v = self.coupling.Q.createVecLeft()
-        v.array.reshape(-1, d)[self.nodes] = forces
-        of_D, of_M = slice(None, p.from_D.size), slice(p.from_D.size, None)
-        moved = []
-        for part in (of_D, of_M):
-            Q = create_blocks(self.sides.V, self.nodes[p.row[part]], p.column[part])
-            Q.fill(blocks[part])
-            moved.append(Q.matrix.createVecRight())
-            Q.matrix.multTranspose(v, moved[-1])
-        slave, master = v.array_r - moved[0].array_r, -moved[1].array_r
-        return slave.reshape(-1, d), master.reshape(-1, d)
+        p, d = self.pattern, forces.shape[1]
+        dofs = (d * p.column[:, None] + np.arange(d)).astype(PETSc.IntType)
+        moved = -np.einsum("eij,ei->ej", self.coupling.blocks, forces[p.row])
+        sides = []
+        for part in (slice(None, p.from_D.size), slice(p.from_D.size, None)):
+            side = self.coupling.Q.createVecRight()
+            side.setValues(dofs[part].ravel(), moved[part].ravel(), PETSc.InsertMode.ADD_VALUES)
+            side.assemble()
+            sides.append(np.array(side.array_r).reshape(-1, d))
+        slave, master = sides
+        slave[self.nodes] += forces
+        return slave, master
 
 
 def create_blocks(V: fem.FunctionSpace, rows: Ints, columns: Longs) -> BlockMatrix:
@@ -229,7 +230,9 @@ def pair(sides: Sides, u: fem.Function | None, *, again: bool) -> tuple[Pairing,
     row = np.concatenate([position[row_D[from_D]], position[row_M[from_M]]])
     column = np.concatenate([column_D[from_D], column_M[from_M]])
     blocks = create_blocks(sides.V, nodes[row], column)
-    return pairing, Pattern(row, column, from_D.astype(np.int32), from_M.astype(np.int32), blocks)
+    scalars = BlockMatrix(sides.V.mesh.comm, sides.V.dofmap.index_map, 1, nodes[row], column)
+    parts = from_D.astype(np.int32), from_M.astype(np.int32)
+    return pairing, Pattern(row, column, *parts, blocks, scalars)
 
 
 def has_slid(link: Link, u: fem.Function | None, *, everywhere: bool) -> bool:
@@ -275,7 +278,7 @@ def couple(
     allowed = interface.may_carry(left, sides.fixed[nodes]) & ~banned[nodes, None]
     P: list[Floats] = []
     weight: list[Floats] = []
-    heights = np.zeros(sides.slave.owned)
+    heights: Floats = np.zeros(sides.slave.owned)
     differ = any_rank(sides.V.mesh.comm, *(allowed != allowed[:, :1]).any(axis=0))
     for c in range(allowed.shape[1]):  # choices that keep the same nodes share one assembly
         if c > 0 and not differ[c]:
@@ -290,8 +293,7 @@ def couple(
         inverse = np.divide(1.0, weight[c], out=np.zeros_like(weight[c]), where=weight[c] > 0)
         P.append(np.concatenate(values) * inverse[pattern.row])
         if c == 0 and interface.smooth:
-            at_points = point_heights(pairing, segments, u, sides.fixed, interface.feature_angle)
-            heights = integrate_values(pairing, segments, Phi, at_points)[own] * inverse
+            heights = _heights(interface, sides, pairing, segments, Phi, weight[0], u)
     weights = np.column_stack(weight)
     some = (left > ROUND_OFF)[:, None]  # of less only round-off has a direction
     direction = np.where(some, free / np.maximum(left, TINY)[:, None], 0.0)
@@ -314,27 +316,20 @@ def couple(
     )
 
 
-def relative_motion(link: Link) -> Callable[[PETSc.Vec], Floats]:
-    """Return the function that gives D^-1 (D - M) v (c, n, d) at the slave nodes; collective.
+def relative_motions(link: Link, v: PETSc.Vec) -> Floats:
+    """Return D^-1 (D - M) v (c, n, d) at the slave nodes for each choice of nodes; collective.
 
-    For each choice of nodes with the D and M of the last update that belong to it, zero at nodes
-    that it leaves out.
+    With the D and M of the last update that belong to the choice, zero at nodes that it leaves out.
     """
-    p, coupling = link.pattern, link.coupling
-    V, (n, d) = link.sides.V, coupling.normals.shape
-    P = BlockMatrix(V.mesh.comm, V.dofmap.index_map, 1, link.nodes[p.row], p.column)
-    w = P.matrix.createVecRight()
-
-    def motion(v: PETSc.Vec) -> Floats:
-        result = np.zeros((coupling.P.shape[1], n, d))
-        for c in range(len(result)):
-            P.fill(coupling.P[:, c, None, None])
-            for i in range(d):
-                w.array[:] = v.array_r[i::d]
-                result[c, :, i] = (w.array_r - (P.matrix * w).array_r)[link.nodes]
-        return np.where(coupling.kept.T[:, :, None], result, 0.0)
-
-    return motion
+    P, coupling = link.pattern.scalars, link.coupling
+    n, d = coupling.normals.shape
+    w, result = P.matrix.createVecRight(), np.zeros((coupling.P.shape[1], n, d))
+    for c in range(len(result)):
+        P.fill(coupling.P[:, c, None, None])
+        for i in range(d):
+            w.array[:] = v.array_r[i::d]
+            result[c, :, i] = (w.array_r - (P.matrix * w).array_r)[link.nodes]
+    return np.where(coupling.kept.T[:, :, None], result, 0.0)
 
 
 def along_and_across(relative: Floats, normals: Floats) -> tuple[Floats, Floats]:
@@ -347,21 +342,16 @@ def along_and_across(relative: Floats, normals: Floats) -> tuple[Floats, Floats]
     return along, np.linalg.norm(relative - along[..., None] * normals, axis=-1)
 
 
-def slip_of(link: Link) -> Callable[[PETSc.Vec], Floats]:
-    """Return the function that gives how far slave nodes (n,) move along the master; collective.
+def slipped(link: Link, u: PETSc.Vec) -> Floats:
+    """Return how far the slave nodes (n,) have moved along the master, tangentially; collective.
 
     That is the tangential part of D^-1 (D - M) u, of the choice in which it is largest.
     """
-    motion = relative_motion(link)
-
-    def slip(u: PETSc.Vec) -> Floats:
-        _, across = along_and_across(motion(u), link.coupling.normals)
-        return np.asarray(across.max(axis=0))
-
-    return slip
+    _, across = along_and_across(relative_motions(link, u), link.coupling.normals)
+    return np.asarray(across.max(axis=0))
 
 
-def stand_off(link: Link, u: fem.Function | None, feature_angle: float) -> Floats:
+def stand_off(link: Link, u: fem.Function | None) -> Floats:
     """Return the heights (n,) that smooth surfaces would have at the slave nodes; collective.
 
     By so much the gap between the facets is too large (or, where sides are hollow, too small).
@@ -369,16 +359,31 @@ def stand_off(link: Link, u: fem.Function | None, feature_angle: float) -> Float
     Args:
         link: the interface, coupled at X + u.
         u: displacement, None for X.
-        feature_angle: degrees between facets from which on they meet in an edge.
     """
-    pairing, own = link.pairing, slice(None, link.sides.slave.owned)
+    pairing, slave = link.pairing, link.sides.slave
     segments, _ = find_segments(pairing, u)
-    keep = np.zeros(len(link.sides.slave.nodes))
-    keep[own] = link.coupling.kept[:, 0]
-    Phi = weighted_duals(pairing, segments, accumulate(link.sides.slave, keep) > 0)
-    at_points = point_heights(pairing, segments, u, link.sides.fixed, feature_angle)
-    total = integrate_values(pairing, segments, Phi, at_points)[own]
+    kept = np.zeros(len(slave.nodes))
+    kept[: slave.owned] = link.coupling.kept[:, 0]
+    Phi = weighted_duals(pairing, segments, accumulate(slave, kept) > 0)
     weight = link.coupling.weight[:, 0]
+    return _heights(link.interface, link.sides, pairing, segments, Phi, weight, u)
+
+
+def _heights(
+    interface: Interface,
+    sides: Sides,
+    pairing: Pairing,
+    segments: Segments,
+    Phi: Floats,
+    weight: Floats,
+    u: fem.Function | None,
+) -> Floats:
+    """Return int Phi_j (h_s + h_m) / D_jj (n,) at the owned slave nodes; collective.
+
+    With D_jj in ``weight`` (n,), zero where that is.
+    """
+    at_points = point_heights(pairing, segments, u, sides.fixed, interface.feature_angle)
+    total = integrate_values(pairing, segments, Phi, at_points)[: sides.slave.owned]
     return np.asarray(np.divide(total, weight, out=np.zeros_like(total), where=weight > 0))
 
 

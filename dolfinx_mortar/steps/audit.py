@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
-from dolfinx_mortar.interfaces.coupling import Link, slip_of
+from dolfinx_mortar.interfaces.coupling import Link, slipped
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import (
@@ -148,8 +148,7 @@ def _facet_motion(link: Link) -> Callable[[PETSc.Vec], Floats]:
     comm = link.sides.V.mesh.comm
     angle = max(facet_angle(link.sides.slave, comm), facet_angle(link.sides.master, comm))
     kept = link.coupling.directions[:, 0]
-    slip = slip_of(link)
-    return lambda v: 0.5 * angle * slip(v)[kept]
+    return lambda v: 0.5 * angle * slipped(link, v)[kept]
 
 
 def facet_angle(surface: Surface, comm: MPI.Comm) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.interfaces import results
-from dolfinx_mortar.interfaces.coupling import slip_of
+from dolfinx_mortar.interfaces.coupling import slipped
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.steps.linearisation import Balance
 from dolfinx_mortar.steps.problem import ContactProblem
@@ -51,7 +51,7 @@ def notes_on_sliding(problem: ContactProblem, contacts: Contacts) -> list[str]:
         return []
     notes, length = [], problem.system.facet_length
     for link in problem.system.links:
-        slip = slip_of(link)(problem.vector(problem.u.x.array[: problem.d * problem.n]))
+        slip = slipped(link, problem.vector(problem.u.x.array[: problem.d * problem.n]))
         slip[~contacts.active[link.nodes]] = 0.0
         farthest = float(maximum(problem.comm, slip.max(initial=0.0))[0])
         if link.interface.one_sided and farthest > length:

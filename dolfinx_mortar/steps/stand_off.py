@@ -16,7 +16,6 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum, norm, ratio
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.interfaces.contact import FEATURE_ANGLE
 from dolfinx_mortar.interfaces.coupling import Link, stand_off
 from dolfinx_mortar.interfaces.interface import Interface
 
@@ -42,7 +41,7 @@ def find_stand_offs(links: Sequence[Link], u: fem.Function | None) -> list[Stand
         u: displacement, None for X.
     """
     return [
-        StandOff(link.interface, stand_off(link, u, FEATURE_ANGLE))
+        StandOff(link.interface, stand_off(link, u))
         for link in links
         if link.interface.one_sided and not link.interface.smooth
     ]
