@@ -26,11 +26,11 @@ from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
 from dolfinx_mortar.mortar.dual import BASES, covered_weights
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
-    Surface,
     accumulate,
     coordinates,
     facets_at,
     nodal_normals,
+    sum_at_nodes,
 )
 
 LEAST_COVERAGE = 0.05
@@ -48,12 +48,6 @@ def find_segments(pairing: Pairing, u: dolfinx.fem.Function | None) -> tuple[Seg
     return segments, normals
 
 
-def _sum_facets(surface: Surface, values: Floats) -> Floats:
-    """Sum values (m, k) of facets and their nodes over facets and ranks: (n,) (collective)."""
-    local = np.bincount(surface.facets.ravel(), values.ravel(), minlength=len(surface.nodes))
-    return accumulate(surface, local)
-
-
 @timed("~Mortar: node weights")
 def node_weights(pairing: Pairing, segments: Segments) -> tuple[Floats, Floats]:
     """Return int N_j over the covered part and the whole slave side, (n,) each (collective).
@@ -63,7 +57,8 @@ def node_weights(pairing: Pairing, segments: Segments) -> tuple[Floats, Floats]:
     slave = pairing.slave
     N_s = slave.element.shape_functions(segments.xi_s)
     covered = covered_weights(N_s, segments.weight, segments.slave, len(slave.facets))
-    return _sum_facets(slave, covered), _sum_facets(slave, segments.facet_weights)
+    both = sum_at_nodes(slave, np.stack([covered, segments.facet_weights], axis=2))
+    return both[:, 0], both[:, 1]
 
 
 @dataclass(frozen=True)
@@ -162,7 +157,7 @@ def integrate_values(pairing: Pairing, segments: Segments, Phi: Floats, values: 
     slave = pairing.slave
     count = len(slave.facets)
     parts = [np.bincount(segments.slave, P * values, minlength=count) for P in Phi.T]
-    return _sum_facets(slave, np.stack(parts, axis=1))
+    return sum_at_nodes(slave, np.stack(parts, axis=1)[:, :, None])[:, 0]
 
 
 @timed("~Mortar: assemble D and M")

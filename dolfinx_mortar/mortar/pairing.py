@@ -47,6 +47,7 @@ class Pairing:
     sent: Bools  # (own master facets, ranks): which ranks have received them
     groups: list[Ints]  # slave facets of this rank in up to _GROUPS groups of neighbours
     scatter: PETSc.Scatter  # from a vector of V to the displacements of master_nodes
+    source: PETSc.Vec  # a vector of V: from where `receive` scatters
     received: PETSc.Vec  # (d * nm) on this rank alone: target of the scatter
     D: PETSc.Mat  # (nodes, nodes) of V: int Phi_j N_l^s, pattern of all candidate pairs
     M: PETSc.Mat  # (nodes, nodes) of V: int Phi_j N_l^m, pattern of all candidate pairs
@@ -119,14 +120,16 @@ def _send_facets(master: Surface, receivers: Bools) -> tuple[Longs, Ints, Floats
     return nodes.astype(np.int64), facets, X.reshape(-1, X.shape[2])[first]
 
 
-def _create_scatter(V: dolfinx.fem.FunctionSpace, nodes: Longs) -> tuple[PETSc.Scatter, PETSc.Vec]:
+def _create_scatter(
+    V: dolfinx.fem.FunctionSpace, nodes: Longs
+) -> tuple[PETSc.Scatter, PETSc.Vec, PETSc.Vec]:
     """Create the scatter that brings values of V at global nodes to this rank (collective)."""
     d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
     size = (d * index_map.size_local, d * index_map.size_global)
     source = PETSc.Vec().createMPI(size, comm=V.mesh.comm)
     target = PETSc.Vec().createSeq(d * len(nodes), comm=PETSc.COMM_SELF)
     where = PETSc.IS().createBlock(d, nodes.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
-    return PETSc.Scatter().create(source, where, target, None), target
+    return PETSc.Scatter().create(source, where, target, None), source, target
 
 
 def _create_matrices(
@@ -230,14 +233,27 @@ def create_pairing(
     if comm.size > 1:
         receivers = _find_receivers(comm, _group_cones(slaves.x, n_s, groups, margin), masters.x)
     nodes, facets, X = _send_facets(master, receivers)
-    scatter, received = _create_scatter(V, nodes)
+    scatter, source, received = _create_scatter(V, nodes)
     copies = Facets(master.element, _master_coordinates(X, scatter, received, u)[facets])
     pairs = find_candidates(slaves, n_s, copies, margin)
     if not again:
         _check_facing(pairs, slave, master, n_s, facet_normals(masters))
     D, M = _create_matrices(slave, pairs, nodes, facets)
     return Pairing(
-        slave, master, pairs, nodes, facets, X, margin, receivers, groups, scatter, received, D, M
+        slave=slave,
+        master=master,
+        pairs=pairs,
+        master_nodes=nodes,
+        master_facets=facets,
+        master_X=X,
+        margin=margin,
+        sent=receivers,
+        groups=groups,
+        scatter=scatter,
+        source=source,
+        received=received,
+        D=D,
+        M=M,
     )
 
 
@@ -256,14 +272,10 @@ def receive(pairing: Pairing, values: Floats) -> Floats:
 
     Those of its owner count at each node.
     """
-    V, master = pairing.master.V, pairing.master
-    index_map, d = V.dofmap.index_map, values.shape[1]
-    size = (d * index_map.size_local, d * index_map.size_global)
-    source = PETSc.Vec().createMPI(size, comm=V.mesh.comm)
+    master, d = pairing.master, values.shape[1]
     own = slice(None, master.owned)
-    source.array.reshape(-1, d)[master.nodes[own]] = values[own]
-    pairing.scatter.scatter(source, pairing.received)
-    source.destroy()
+    pairing.source.array_w.reshape(-1, d)[master.nodes[own]] = values[own]
+    pairing.scatter.scatter(pairing.source, pairing.received)
     return np.array(pairing.received.array_r).reshape(-1, d)
 
 

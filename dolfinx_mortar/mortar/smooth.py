@@ -13,7 +13,7 @@ from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.geometry.smooth import NodeNormals, fan_sums, heights, rises
 from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
 from dolfinx_mortar.mortar.pairing import Pairing, receive, received_facets
-from dolfinx_mortar.mortar.surface import Surface, accumulate, coordinates, facets_at
+from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, sum_at_nodes
 
 
 def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: float) -> NodeNormals:
@@ -32,7 +32,7 @@ def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: flo
     facets = facets_at(surface, x)
     parts, around = fan_sums(facets)
     columns = np.concatenate([parts, around, np.abs(around).sum(axis=2, keepdims=True)], axis=2)
-    total = accumulate(surface, _sums(surface, columns))
+    total = sum_at_nodes(surface, columns)
     d = x.shape[1]
     n, gap, size = _unit(total[:, :d]), total[:, d:-1], total[:, -1]
     is_open = np.linalg.norm(gap, axis=1) > HALF_OF_DIGITS * size
@@ -45,15 +45,8 @@ def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: flo
     n = np.where(completed[:, None], mirrored, n)
     apart = np.einsum("mki,mi->mk", n[surface.facets], facet_normals(facets))
     beyond = apart < np.cos(np.radians(feature_angle / 2))
-    sharp = accumulate(surface, _sums(surface, beyond[:, :, None])[:, 0]) > 0
+    sharp = sum_at_nodes(surface, beyond[:, :, None])[:, 0] > 0
     return NodeNormals(n, np.asarray(is_open & ~completed), np.asarray(sharp))
-
-
-def _sums(surface: Surface, values: Floats | Bools) -> Floats:
-    """Return the sums (n, c) of values (m, k, c) at the corners of facets; on this rank."""
-    where, flat = surface.facets.ravel(), values.reshape(-1, values.shape[2]).T
-    sums = [np.bincount(where, column, minlength=len(surface.nodes)) for column in flat]
-    return np.stack(sums, axis=1)
 
 
 def _unit(v: Floats) -> Floats:

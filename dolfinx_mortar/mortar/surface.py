@@ -214,6 +214,16 @@ def accumulate(surface: Surface, values: npt.NDArray[Any]) -> Floats:
     return result
 
 
+def sum_at_nodes(surface: Surface, values: npt.NDArray[Any]) -> Floats:
+    """Return the sums (n, c) of values (m, k, c) of facets and their nodes (collective).
+
+    Over all facets at a node, those of other ranks included.
+    """
+    where, columns = surface.facets.ravel(), values.reshape(-1, values.shape[2]).T
+    sums = [np.bincount(where, column, minlength=len(surface.nodes)) for column in columns]
+    return accumulate(surface, np.stack(sums, axis=1))
+
+
 def coordinates(surface: Surface, u: dolfinx.fem.Function | None) -> Floats:
     """Return the coordinates X + u (n, d) of the nodes; the ghosts of u are up to date."""
     if u is None:
@@ -232,10 +242,8 @@ def nodal_normals(surface: Surface, x: Floats) -> Floats:
     n_j is the normalised sum of the unit normals of all facets of this surface at node j, without
     weights; zero where they cancel up to round-off, which has no direction.
     """
-    n_f = np.repeat(facet_normals(facets_at(surface, x)), surface.facets.shape[1], axis=0)
-    where = surface.facets.ravel()
-    local = np.stack([np.bincount(where, n, minlength=len(x)) for n in n_f.T], axis=1)
-    total = accumulate(surface, local)
+    n_f = facet_normals(facets_at(surface, x))[:, None]
+    total = sum_at_nodes(surface, np.repeat(n_f, surface.facets.shape[1], axis=1))
     length = np.linalg.norm(total, axis=1)[:, None]
     return np.where(length > 8 * ROUND_OFF, total / np.maximum(length, TINY), 0.0)
 
