@@ -31,7 +31,7 @@ NUMBERS = {
     "steps.bodies": ("HELD", "SAME", "ORIGIN"),
     "steps.failures": ("FLOWING", "SOFT"),
     "steps.line_search": ("ARMIJO", "MAX_HALVINGS"),
-    "steps.forcing": ("FORCING", "FIRST_QP", "QP_SHARE"),
+    "steps.forcing": ("FORCING", "FIRST_QP", "QP_SHARE", "FINEST", "STEP_SHARE"),
     "steps.newton": ("FARTHEST",),
     "steps.watch": ("MOST_RISES",),
     "steps.residuals": ("EPS", "ROW_SUM", "GAP_OPERATIONS", "FIRST_SHARE"),
@@ -191,6 +191,8 @@ LARGE = (
     "FIRST_SHARE",
     "BACK",
     "SAME_DEPTH",
+    "FINEST",
+    "STEP_SHARE",
 )
 ABSURD = dict.fromkeys(LARGE, 1e12) | {"ROUND_OFF": 1e14, "EXACT": 1e14}  # 0 for the others
 

@@ -248,9 +248,8 @@ class LinearSolver:
             fresh = self.attached.preconditioner.is_of(held)
             target, before = max(atol, self.round_off(x) / ROUND_OFF), norm
             self._sweep(max(target / norm, EPS))
-            self.attached.dx.array[held] = (
-                0.0  # an old factorisation may not know that they are held
-            )
+            # an old factorisation may not know that these are held
+            self.attached.dx.array[held] = 0.0
             x.axpy(1.0, self.attached.dx)
             norm = self.residual(b, x, held).norm()
             if norm <= max(atol, self.round_off(x)):

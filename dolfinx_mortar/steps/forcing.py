@@ -16,16 +16,19 @@ FORCING = {"direct": 1e-3, "iterative": 1e-1}
 FIRST_QP = {"direct": 1e-4, "iterative": 1e-2}
 # A QP need not be more accurate than this share of what the step allows.
 QP_SHARE = 0.1
+# Beyond these digits there is only round-off, whatever the step asks.
+FINEST = 1e-13
+# A linear law is solved by one QP per contact state, whose error is that of the step.
+STEP_SHARE = 1e-3
 
 
-def tightest(kind: str, rtol: float) -> float:
-    """Return the smallest relative tolerance that makes sense in a step.
+def tightest(rtol: float) -> float:
+    """Return the smallest relative tolerance of a QP that makes sense in a step of tolerance rtol.
 
-    Args:
-        kind: "direct" or "iterative", the linear solver; digits are cheap with a factorisation.
-        rtol: tolerance of the step.
+    >>> tightest(1e-6)
+    1e-09
     """
-    return max(1e-13, min(1e-10 if kind == "direct" else 1.0, 1e-3 * rtol))
+    return max(FINEST, STEP_SHARE * rtol)
 
 
 def next_tolerance(kind: str, rtol: float, size: float, residuals: Sequence[Residuals]) -> float:
@@ -44,10 +47,10 @@ def next_tolerance(kind: str, rtol: float, size: float, residuals: Sequence[Resi
     0.01
     """
     if not residuals:
-        return max(tightest(kind, rtol), FIRST_QP[kind])
+        return max(tightest(rtol), FIRST_QP[kind])
     last = residuals[-1]
     before = residuals[-2].excess if len(residuals) > 1 else np.inf
     contraction = min(1.0, last.excess / before) if 0.0 < before < np.inf else 1.0
     allowed = max(QP_SHARE, FORCING[kind] * contraction * last.excess) * last.limit
     relative = allowed / size if size > 0.0 else 1.0
-    return float(max(tightest(kind, rtol), min(FIRST_QP[kind], relative)))
+    return float(max(tightest(rtol), min(FIRST_QP[kind], relative)))

@@ -52,6 +52,7 @@ from dolfinx_mortar.steps.residuals import (
     Residuals,
     Scales,
     find_extent,
+    gap_round_off,
     largest_force,
     measure,
 )
@@ -258,7 +259,7 @@ class _Step:
         """Return the relative tolerance of the next QP."""
         kind = "direct" if self.problem.linear.direct else "iterative"
         if self.linear and not watch.moving:
-            return tightest(kind, self.report.rtol)  # one QP is the whole step
+            return tightest(self.report.rtol)  # one QP is the whole step
         return next_tolerance(kind, self.report.rtol, lin.qp.b.norm(), residuals)
 
     def solve(self, lin: Linearisation, start: Actives, rtol: float) -> QPSolution:
@@ -315,11 +316,11 @@ class _Step:
         """
         problem = self.problem
         own = du.local_size
-        scale = np.abs(problem.u.x.array).max(initial=0.0)
-        asked, size = maximum(problem.comm, lin.balance.equal.scale, scale)
-        moved = self.data.increment > 0.0 and not self.report.iterations
+        lost = gap_round_off(problem.u)
+        asked = float(maximum(problem.comm, lin.balance.equal.scale)[0])
+        moved = self.data.increment > lost and not self.report.iterations
         with problem.timings("assembly"):
-            if energy is None or moved or asked > 1e-14 * size:
+            if energy is None or moved or asked > lost:
                 move(problem, problem.u.x.array[:own] + du.array_r)
                 return 1.0, 0, find_energy(problem, self.data) if problem.solid.has_energy else None
             try:

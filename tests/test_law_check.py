@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: MIT
+"""`materials.check` compares a user's law with finite differences and says where they differ."""
+
+import re
+from dataclasses import make_dataclass
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+import ufl
+from tests.test_user_laws import Isotropic, variant
+
+
+def test_check_accepts_what_fits():
+    """Of the laws here, the errors are those of finite differences."""
+    report = dm.materials.check(Isotropic(1000.0, 0.3, 1.0, 100.0))
+    assert report.changed > 10 and np.isnan(report.energy_error)
+    assert report.tangent_error < 1e-8 and report.state_error < 1e-12 and report.skew < 1e-12
+    assert "Isotropic: consistent at 48" in str(report)
+    report = dm.materials.check(dm.VonMises(1000.0, 0.3, 1.0, 100.0))
+    assert report.changed > 10 and report.energy_error < 1e-8
+    assert "of the energy" in str(report)
+    both = dm.materials.check(von_mises(stress=von_mises_stress))
+    assert both.energy_error < 1e-8 and both.tangent_error < 1e-8
+
+
+def test_check_survives_an_energy_that_cancels():
+    """sqrt(1 + x) - 1 has few digits at small strains: no fault of the law."""
+
+    def energy(strain, state, p):
+        d = ufl.dev(strain)
+        bend = ufl.sqrt(1 + ufl.inner(d, d) / 9e-6) - 1
+        return p.E * (ufl.tr(strain) ** 2 + 9e-6 * bend)
+
+    report = dm.materials.check(von_mises(energy=energy, state={}, updated_state=None))
+    assert report.energy_error < 1e-5 and report.changed == 0
+
+
+class Slips:
+    """Mistakes that the shapes do not show, by the method that has them."""
+
+    @staticmethod
+    def energy(strain, state, p):
+        return 1.001 * dm.VonMises.energy(strain, state, p)
+
+    @staticmethod
+    def slow(strain, state, p):
+        ep = state["plastic_strain"]
+        new = dm.VonMises.updated_state(strain, state, p)["plastic_strain"]
+        return {"plastic_strain": ep + 0.9 * (new - ep)}
+
+    @staticmethod
+    def skew(strain, state, p):
+        C = dm.Elastic.elastic_stress(strain, p)
+        return C + ufl.as_tensor([[0, 0.1 * C[0, 1], 0], [0, 0, 0], [0, 0, 0]])
+
+    @staticmethod
+    def root(strain, state, p):
+        return ufl.sqrt(0.01 - ufl.inner(strain, strain) * 2) * strain
+
+
+def von_mises(**changes):
+    """Return a von Mises law with parts replaced."""
+    names = ("state", "linear", "elastic_stress", "updated_state", "energy")
+    methods = {name: getattr(dm.VonMises, name) for name in names} | changes
+    methods = {name: part for name, part in methods.items() if part is not None}
+    parts = {name: staticmethod(p) if callable(p) else p for name, p in methods.items()}
+    fields = [(name, float) for name in ("E", "nu", "Y", "a")]
+    law = make_dataclass("Slip", fields, namespace=parts, frozen=True)
+    return law(1000.0, 0.3, 1.0, 100.0)
+
+
+def von_mises_stress(strain, state, p):
+    """Return the stress of the law in closed form."""
+    ep = dm.VonMises.updated_state(strain, state, p)["plastic_strain"]
+    return dm.Elastic.elastic_stress(strain - ep, p)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"stress": von_mises_stress, "energy": Slips.energy}, "the stress [xyz]{2} is .*, but "),
+        ({"updated_state": Slips.slow}, "after a commit at the same strain it is"),
+        ({"stress": Slips.skew}, "mirrored it is"),
+        ({"linear": True}, "linear is True, but the tangent .*at zero strain it is"),
+        ({"stress": Slips.root, "energy": None}, "gives NaN or infinity at strain"),
+    ],
+)
+def test_check_finds_what_does_not_fit(changes, message):
+    with pytest.raises(ValueError, match=f"Slip.*{message}"):
+        dm.materials.check(von_mises(**changes))
+
+
+def test_check_says_where_the_values_differ():
+    """Component, both values and the strain allow the user to repeat it by hand."""
+    with pytest.raises(ValueError, match="the stress") as caught:
+        dm.materials.check(von_mises(stress=von_mises_stress, energy=Slips.energy))
+    given, wanted = map(float, re.findall(r"is (\S+), but .* give (\S+),", str(caught.value))[0])
+    assert wanted / given == pytest.approx(1.001, rel=1e-6)
+
+
+def test_an_unsymmetric_tangent_is_reported():
+    def stress(strain, state, p):
+        C = dm.Elastic.elastic_stress(strain, p)
+        return C + 0.1 * p.E * strain[1, 1] * ufl.as_tensor([[1, 0, 0], [0, 0, 0], [0, 0, 0]])
+
+    report = dm.materials.check(variant(stress=stress), rate_independent=False)
+    assert report.skew > 1e-3 and "not symmetric" in str(report)
