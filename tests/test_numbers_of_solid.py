@@ -16,8 +16,9 @@ import dolfinx_mortar as dm
 from dolfinx_mortar import analytic
 from dolfinx_mortar.materials import comparison
 from dolfinx_mortar.materials.compiled import CompiledLaw
+from tests.test_law_check import Slips, von_mises, von_mises_stress
 from tests.test_numbers_of_steps import numbers_in
-from tests.test_user_laws import Isotropic, Slips, von_mises, von_mises_stress
+from tests.test_user_laws import Isotropic
 
 PACKAGE = Path(dm.__file__).parent
 # Number -> absurd factors, each of which must show.
