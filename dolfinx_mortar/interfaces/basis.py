@@ -16,6 +16,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem
+from dolfinx_mortar.algebra.congruence import Congruence
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.interfaces.claims import find_leant_on
@@ -69,34 +70,40 @@ class Transformation:
             factor.C.multTranspose(g, change)
             g.axpy(1.0, change)
 
-    def uncouple(
-        self, K: PETSc.Mat, held: Ints, motions: list[PETSc.Vec]
-    ) -> tuple[PETSc.Mat, PETSc.Mat | None, list[PETSc.Vec]]:
-        """Return a basis v in which sides that are not in contact know nothing of each other.
+    @property
+    def change(self) -> PETSc.Mat:
+        """C of T = I + C, which has rows at slave nodes only; collective."""
+        total = self.factors[0].C
+        for factor in self.factors[1:]:  # (I + A) (I + B) = I + A + B + A B
+            both = total.matMult(factor.C)
+            for part in (total, factor.C):
+                both.axpy(1.0, part, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+            total = both
+        return total
 
-        It differs from y at slave nodes whose contact is open: v_n = n_j.u_j there instead of
-        w_n = n_j.(u_j - P u), so that y = (I - E) v. For chains of interfaces it is y itself.
+    # -- the basis v of multigrid ----------------------------------------------------------------
+
+    # In it sides that are not in contact know nothing of each other. It differs from y at slave
+    # nodes whose contact is open: v_n = n_j.u_j there instead of w_n = n_j.(u_j - P u), so that
+    # y = (I - E) v. For chains of interfaces it is y itself.
+
+    def uncouple(self, held: Ints) -> tuple[PETSc.Mat, PETSc.Mat | None]:
+        """Return C of u = (I + C) v, without stored zeros, and E, None if it is zero; collective.
 
         Args:
-            K: matrix in u.
             held: owned unknowns of y that are held, by bounds or for good.
-            motions: displacements.
-
-        Returns:
-            K in v (a new matrix), E (None if it is zero), the motions in v.
         """
         if len(self.factors) > 1:
-            for factor in self.factors:
-                K = Congruence(K, factor.C).product
-            return K, None, [self.inverse(motion) for motion in motions]
-        C, E = self.factors[0].uncouple(self.links, held)
-        released = []
-        for motion in motions:
-            y = self.inverse(motion)
-            v = y.copy()
+            return self.change, None
+        return self.factors[0].uncouple(self.links, held)
+
+    def uncoupled(self, u: PETSc.Vec, E: PETSc.Mat | None) -> PETSc.Vec:
+        """Return v with T (I - E) v = u; collective."""
+        y = self.inverse(u)
+        v = y.copy()
+        if E is not None:
             E.multAdd(y, y, v)  # (I - E)^-1 = I + E: no column of E is released
-            released.append(v)
-        return Congruence(K, C).product, E, released
+        return v
 
     def inverse(self, u: PETSc.Vec) -> PETSc.Vec:
         """Return y with T y = u; collective."""
@@ -115,35 +122,6 @@ class Transformation:
                 self._congruences[k].update(K, factor.C)
             K = self._congruences[k].product
         return K
-
-
-class Congruence:
-    """(I + C)^T K (I + C) = K + K C + (K C)^T + C^T K C of a symmetric K, on a fixed pattern.
-
-    C has few rows, so that all but K itself is small. PETSc's product of three matrices takes three
-    to five times as long and more memory (measured at 39k unknowns in 3D, 1 and 2 ranks).
-    """
-
-    def __init__(self, K: PETSc.Mat, C: PETSc.Mat) -> None:
-        """Analyse the patterns; collective."""
-        other = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
-        self.Ct = C.transpose(PETSc.Mat())
-        self.KC = K.matMult(C)
-        self.CtKC = self.Ct.matMult(self.KC)
-        self.product = self.KC.duplicate(copy=True)
-        for part in (self.KC.transpose(PETSc.Mat()), self.CtKC, K):  # K last: copied once
-            self.product.axpy(1.0, part, other)
-
-    def update(self, K: PETSc.Mat, C: PETSc.Mat) -> None:
-        """Refill the product from new values on the same patterns; collective."""
-        C.transpose(self.Ct)
-        K.matMult(C, result=self.KC)
-        KCt = self.KC.transpose(PETSc.Mat())
-        self.Ct.matMult(self.KC, result=self.CtKC)
-        self.product.zeroEntries()
-        for part in (K, self.KC, KCt, self.CtKC):
-            self.product.axpy(1.0, part, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
-        KCt.destroy()
 
 
 class _Factor:
@@ -182,9 +160,8 @@ class _Factor:
 
         Only a constraint along the normal can let go: contact that is not held is open.
         """
-        V = self.V
+        V, d = self.V, self.V.dofmap.index_map_bs
         first, n = V.dofmap.index_map.local_range[0], V.dofmap.index_map.size_local
-        d = V.dofmap.index_map_bs
         is_held = np.zeros(d * n, dtype=bool)
         is_held[held] = True
         C: list[tuple[Ints, Longs, Floats]] = []

@@ -7,7 +7,7 @@ Knows matrices, vectors and options of PETSc; must not know meshes, forms or con
 
 from dolfinx_mortar.qp.bound_qp import KKT, BoundQP, QPNotSolved, QPSolution, UnusableQP, check
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
-from dolfinx_mortar.qp.multigrid import Preconditioning
+from dolfinx_mortar.qp.multigrid import Change, Preconditioning, Unknowns
 from dolfinx_mortar.qp.options import MULTIGRID, check_options
 from dolfinx_mortar.qp.solver import available, check_name, solve
 
@@ -15,11 +15,13 @@ __all__ = [
     "KKT",
     "MULTIGRID",
     "BoundQP",
+    "Change",
     "LinearSolveFailed",
     "LinearSolver",
     "Preconditioning",
     "QPNotSolved",
     "QPSolution",
+    "Unknowns",
     "UnusableQP",
     "available",
     "check",

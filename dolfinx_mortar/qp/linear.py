@@ -16,7 +16,7 @@ import numpy as np
 
 from dolfinx_mortar.arrays import Ints
 from dolfinx_mortar.qp.counts import LinearCounts
-from dolfinx_mortar.qp.multigrid import CreatePreconditioning
+from dolfinx_mortar.qp.multigrid import Unknowns
 from dolfinx_mortar.qp.operator import Operator
 from dolfinx_mortar.qp.options import SolverOptions, check_options
 from dolfinx_mortar.qp.preconditioner import Preconditioner
@@ -61,8 +61,8 @@ class LinearSolver:
         prefix: prefix of all PETSc options of this solver.
         options: PETSc options without prefix over the defaults (CG with MUMPS Cholesky); what the
             user's options database has under the prefix wins.
-        preconditioning: for solvers that are not direct: returns the matrix to precondition with,
-            given the held unknowns. It is asked at every set-up; by default the masked matrix.
+        unknowns: those in which multigrid works, for solvers that are not direct; by default those
+            of the matrix.
         refactor_after: iterations that cost as much as a new factorisation or set-up; measured
             values by default.
 
@@ -82,13 +82,13 @@ class LinearSolver:
         *,
         prefix: str,
         options: Mapping[str, Any] | None = None,
-        preconditioning: CreatePreconditioning | None = None,
+        unknowns: Unknowns | None = None,
         refactor_after: int | None = None,
     ) -> None:
         """Try the options; the large PETSc objects follow with the first matrix."""
         check_options(comm, prefix, options)
         self.comm = comm
-        self.preconditioning = preconditioning
+        self.unknowns = unknowns
         self._options = SolverOptions(prefix, options)
         self._refactor_after = refactor_after
         self.max_iterations = MAX_ITERATIONS
@@ -146,7 +146,7 @@ class LinearSolver:
         with self.database(self.prefix):
             ksp.setFromOptions()
             operator = Operator(A, direct=self.direct)
-            preconditioner = Preconditioner(operator, ksp, self._options, self.preconditioning)
+            preconditioner = Preconditioner(operator, ksp, self._options, self.unknowns)
         if ksp.getType() != "cg":
             ksp.setNormType(PETSc.KSP.NormType.DEFAULT)
         ksp.setOperators(operator.matrix)
@@ -271,8 +271,7 @@ class LinearSolver:
         begin = perf_counter()
         held = self.operator.held
         assert held is not None
-        if self.attached.preconditioner.multigrid is not None:
-            self.attached.preconditioner.multigrid.hold(held, self.operator.diagonal)
+        self.attached.preconditioner.follow(held)
         stale = not self.attached.preconditioner.is_of(held)
         test = SlownessTest(self.renewal, reduction, self.max_iterations, stale=stale)
         if self.attached.ksp.getType() != "preonly":

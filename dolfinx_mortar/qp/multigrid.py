@@ -8,32 +8,72 @@ and 23, in 3D 43 instead of 18). So the caller may give a matrix B in unknowns v
 
     x = (I - E) v,      M^-1 = (I - E) B^-1 (I - E)^T on unknowns that are not held now.
 
-B may be that of an earlier set of held unknowns.
+B is that of an earlier set of held unknowns, earlier geometry and tangent. Each unknown that has
+changed sides since costs an iteration or so, unless the finest level knows: there, residuals and
+smoother have the matrix of the moment; only the coarse levels are B's.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.qp.tolerances import EPS
+
+
+@dataclass(frozen=True)
+class Change:
+    """The unknowns v of multigrid for one set of held unknowns."""
+
+    E: PETSc.Mat | None  # (n, n) x = (I - E) v; None for E = 0
+    matrix: PETSc.Mat  # (n, n) of the QP in v, held unknowns decoupled; perhaps of type python
 
 
 @dataclass(frozen=True)
 class Preconditioning:
     """The matrix to precondition with for one set of held unknowns."""
 
-    B: PETSc.Mat  # (n, n) symmetric positive definite, held unknowns decoupled
-    E: PETSc.Mat | None  # (n, n) x = (I - E) v; None for E = 0
+    B: PETSc.Mat  # (n, n) explicit: the matrix of the change
+    change: Change
     motions: list[PETSc.Vec]  # v that strain next to nothing, zero at held unknowns
 
 
-CreatePreconditioning = Callable[[Ints], Preconditioning]
+class Unknowns(Protocol):
+    """Unknowns v that suit multigrid, for each set of held unknowns of the QP."""
+
+    def preconditioning(self, held: Ints) -> Preconditioning:
+        """Return what is needed for a set-up; collective."""
+
+    def change(self, held: Ints) -> Change:
+        """Return v for the present geometry; collective."""
+
+
+class OwnUnknowns:
+    """The unknowns of the QP themselves.
+
+    Args:
+        A: matrix of the QP.
+    """
+
+    def __init__(self, A: PETSc.Mat) -> None:
+        """Hold nothing."""
+        self.operator = CongruentOperator(A)
+
+    def preconditioning(self, held: Ints) -> Preconditioning:
+        """Return A with held unknowns decoupled; collective."""
+        change = self.change(held)
+        return Preconditioning(change.matrix.copy(), change, [])
+
+    def change(self, held: Ints) -> Change:
+        """Return v = x; collective."""
+        self.operator.follow(None, held)
+        return Change(None, self.operator.matrix)
 
 
 def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
@@ -72,38 +112,62 @@ class FreePart:
 class Multigrid:
     """Context of a PETSc PC of type python: M^-1 above, with any PC for B^-1.
 
+    PETSc's GAMG follows the set, the geometry and the tangent on its finest level; of other PCs,
+    unknowns that are free but were held at the set-up get their diagonal.
+
     Args:
-        like: (n,) a vector of the size of the matrices.
+        A: (n, n) matrix of the QP.
         prefix: prefix of the options of the PC for B^-1.
     """
 
-    def __init__(self, like: PETSc.Vec, prefix: str) -> None:
+    def __init__(self, A: PETSc.Mat, prefix: str) -> None:
         """Create the inner PC; its options are read at every set-up."""
-        self.inner = PETSc.PC().create(like.comm)
+        self.inner = PETSc.PC().create(A.comm)
         self.inner.setOptionsPrefix(prefix)
         self.inner.setFromOptions()
+        self.B: PETSc.Mat | None = None
         self.E: PETSc.Mat | None = None
-        self.held_by_B: Ints = np.empty(0, dtype=np.int32)
-        self.held: Ints = self.held_by_B
-        self.freed: Ints = self.held_by_B
+        self.held: Ints = np.empty(0, dtype=np.int32)  # now
+        self.held_by_B: Ints = self.held
+        self.freed: Ints = self.held
         self.freed_diagonal: Floats = np.empty(0)
-        self._r, self._v = like.duplicate(), like.duplicate()
+        self._r, self._v = A.createVecRight(), A.createVecRight()
+
+    @property
+    def follows(self) -> bool:
+        """Tell whether the finest level has the matrix of the moment."""
+        return bool(self.inner.getType() == PETSc.PC.Type.GAMG)
 
     def clear(self) -> None:
         """Free the matrices of the inner PC."""
         self.inner.reset()
-        self.E = None
+        self.B = self.E = None
 
     def renew(self, data: Preconditioning, held: Ints) -> None:
         """Take another matrix; collective."""
-        self.E, self.held_by_B = data.E, held
+        self.B, self.E, self.held_by_B = data.B, data.change.E, held
         basis = orthonormal(data.motions)
         if basis:
             data.B.setBlockSize(basis[0].getBlockSize())
             data.B.setNearNullSpace(PETSc.NullSpace().create(vectors=basis))
-        self.inner.setOperators(data.B)
         self.inner.setFromOptions()
+        if self.follows:
+            self.inner.setUseAmat(True)
+            self.inner.setOperators(data.change.matrix, data.B)
+        else:
+            self.inner.setOperators(data.B)
+        self.inner.setReusePreconditioner(False)
         self.inner.setUp()
+        self.inner.setReusePreconditioner(True)  # values of B change, the coarse levels stay
+
+    def follow(self, change: Change, held: Ints) -> None:
+        """Say which unknowns are held now, and what v is; collective.
+
+        The matrix of the change is the object that the set-up was given, with other values.
+        """
+        assert self.B is not None, "not set up"
+        self.E, self.held = change.E, held
+        self.B.setDiagonal(change.matrix.getDiagonal())  # the smoother reads nothing else of it
 
     def hold(self, held: Ints, diagonal: Floats) -> None:
         """Say which unknowns are held now, and the diagonal of the QP's matrix."""

@@ -8,16 +8,10 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_mortar.algebra.congruence import decouple
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.qp.multigrid import FreePart
 from dolfinx_mortar.qp.tolerances import EPS, ROUND_OFF
-
-
-def decouple(matrix: PETSc.Mat, held: Ints) -> None:
-    """Replace rows and columns by those of an identity, scaled like the matrix."""
-    diagonal = matrix.getDiagonal()
-    rows = (held + matrix.getOwnershipRange()[0]).astype(PETSc.IntType)
-    matrix.zeroRowsColumns(rows, diag=diagonal.sum() / diagonal.getSize())
 
 
 class Operator:

@@ -12,8 +12,8 @@ from dolfinx_mortar.algebra.parallel import free_unused
 from dolfinx_mortar.arrays import Ints
 from dolfinx_mortar.qp import mumps
 from dolfinx_mortar.qp.counts import LinearCounts
-from dolfinx_mortar.qp.multigrid import CreatePreconditioning, Multigrid, Preconditioning
-from dolfinx_mortar.qp.operator import Operator, decouple
+from dolfinx_mortar.qp.multigrid import Multigrid, OwnUnknowns, Unknowns
+from dolfinx_mortar.qp.operator import Operator
 from dolfinx_mortar.qp.options import SolverOptions
 from dolfinx_mortar.qp.tolerances import LIMIT
 
@@ -25,8 +25,7 @@ class Preconditioner:
         operator: the operator.
         ksp: its solver, which gets this preconditioner.
         options: PETSc options of both.
-        create: returns the matrix for multigrid, given the held unknowns; by default the masked
-            matrix.
+        unknowns: in which multigrid works; by default those of the operator.
     """
 
     def __init__(
@@ -34,17 +33,19 @@ class Preconditioner:
         operator: Operator,
         ksp: PETSc.KSP,
         options: SolverOptions,
-        create: CreatePreconditioning | None,
+        unknowns: Unknowns | None,
     ) -> None:
         """Create the PC; nothing is set up."""
         self.operator, self.ksp, self.options = operator, ksp, options
-        self.create = create
+        self.unknowns = OwnUnknowns(operator.A) if unknowns is None else unknowns
         self.held: Ints | None = None  # when it was set up
         self._state = -1  # of A at that time
+        # state of A, and held unknowns, that multigrid's finest level is of
+        self._followed: tuple[int, Ints] = (-1, np.empty(0, dtype=np.int32))
         self.multigrid: Multigrid | None = None
         self.pc = ksp.getPC()
         if not options.direct:
-            self.multigrid = Multigrid(operator.r, options.prefix)
+            self.multigrid = Multigrid(operator.A, options.prefix)
             self.pc = self.multigrid.inner
             ksp.setPC(PETSc.PC().createPython(self.multigrid, comm=ksp.comm))
 
@@ -84,13 +85,27 @@ class Preconditioner:
             self._factorise(counts)
         else:
             with self.options.database(self.options.prefix):
-                self.multigrid.renew(self._matrix(held), held)
+                self.multigrid.renew(self.unknowns.preconditioning(held), held)
+                self._followed = -1, held
             counts.factorisations += 1
         self.held, self._state = held.copy(), self.operator.state
         if self.pc.getFailedReason() == 0:
             return ""
         self.held = None
         return f"({mumps.reason(self.pc)}). {mumps.remedy(self.pc)}"
+
+    def follow(self, held: Ints) -> None:
+        """Let multigrid know what is held now; collective."""
+        if self.multigrid is None:
+            return
+        if not self.multigrid.follows:
+            self.multigrid.hold(held, self.operator.diagonal)
+            return
+        now = self.operator.state
+        same = self._followed[0] == now and np.array_equal(self._followed[1], held)
+        if not self.ksp.comm.tompi4py().allreduce(same, op=MPI.LAND):
+            self.multigrid.follow(self.unknowns.change(held), held)
+            self._followed = now, held.copy()
 
     def _factorise(self, counts: LinearCounts) -> None:
         """Factorise the masked matrix, with more workspace if there was too little."""
@@ -110,10 +125,3 @@ class Preconditioner:
             self.ksp.setOperators(self.operator.matrix)
             counts.symbolic += 1
         self.pc.setReusePreconditioner(True)
-
-    def _matrix(self, held: Ints) -> Preconditioning:
-        if self.create is not None:
-            return self.create(held)
-        B = self.operator.A.copy()
-        decouple(B, held)
-        return Preconditioning(B, None, [])

@@ -96,26 +96,48 @@ def linearise(problem: ContactProblem, balance: Balance, *, tangent: bool = True
         tangent: assemble K anew; a linear law needs it once in a step.
     """
     T = problem.system.transformation
-    if tangent or T is None:  # without T the elimination below spoils K itself
+    formed = problem.operator is None
+    if tangent or (formed and T is None):  # the elimination below spoils K itself then
         with problem.timings("assembly"):
             problem.solid.assemble_tangent(problem.K)
             problem.loads.add_tangent(problem.K)
     with problem.timings("transform"):
-        A = problem.K if T is None else T.transform(problem.K)
-        b, dy = balance.reduced.copy(), problem.vector()
-        dy.array[balance.equal.dofs] = balance.equal.upper
-        diagonal = A.getDiagonal()
-        rows = (balance.eliminated + problem.first_dof).astype(PETSc.IntType)
-        A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        A.zeroRowsColumns(rows, diag=diagonal.sum() / diagonal.getSize(), x=dy, b=b)
-        A.setOption(PETSc.Mat.Option.SPD, True)
+        reduced = _form(problem, balance) if formed else _follow(problem, balance)
         lower, upper = problem.vector(), problem.vector()
         lower.set(PETSc.NINFINITY)
         upper.set(PETSc.INFINITY)
         bounds = balance.bounds
         lower.array[bounds.dofs] = np.maximum(bounds.lower, PETSc.NINFINITY)
         upper.array[bounds.dofs] = np.minimum(bounds.upper, PETSc.INFINITY)
+    A, b, diagonal = reduced
     return Linearisation(BoundQP(A, b, lower, upper, bounds.dofs), balance, diagonal)
+
+
+def _form(problem: ContactProblem, balance: Balance) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
+    """Return K^ = T^T K T and r^ after, and the diagonal of K^ before the elimination."""
+    T = problem.system.transformation
+    A = problem.K if T is None else T.transform(problem.K)
+    b, dy = balance.reduced.copy(), problem.vector()
+    dy.array[balance.equal.dofs] = balance.equal.upper
+    diagonal = A.getDiagonal()
+    rows = (balance.eliminated + problem.first_dof).astype(PETSc.IntType)
+    A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+    A.zeroRowsColumns(rows, diag=diagonal.sum() / diagonal.getSize(), x=dy, b=b)
+    A.setOption(PETSc.Mat.Option.SPD, True)
+    return A, b, diagonal
+
+
+def _follow(problem: ContactProblem, balance: Balance) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
+    """Return the same, K^ as an operator that is not formed."""
+    operator, T = problem.operator, problem.system.transformation
+    assert operator is not None
+    operator.follow(None if T is None else T.change, balance.eliminated)
+    dy, b = problem.vector(), problem.vector()
+    dy.array[balance.equal.dofs] = balance.equal.upper
+    operator.product(dy, b)
+    b.aypx(-1.0, balance.reduced)
+    b.array[balance.equal.dofs] = operator.scale * balance.equal.upper
+    return operator.matrix, b, operator.diagonal.copy()
 
 
 def count_changes(lin: Linearisation, solved: QPSolution, start: Actives, limit: float) -> int:

@@ -7,17 +7,16 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.arrays import Ints
 from dolfinx_mortar.interfaces.system import InterfaceSystem
-from dolfinx_mortar.qp import Preconditioning
+from dolfinx_mortar.qp import Change, Preconditioning
 from dolfinx_mortar.steps.bodies import Bodies, rigid_motions
 from dolfinx_mortar.steps.dirichlet import Dirichlet
 
 
-def create_preconditioning(
-    K: PETSc.Mat, system: InterfaceSystem, supports: Dirichlet, bodies: Bodies, held: Ints
-) -> Preconditioning:
-    """Return the matrix of a preconditioner and its near-null space; collective.
+class UnknownsOfBodies:
+    """The unknowns of multigrid: those of the QP, changed back where contact is open.
 
     The near-null space are the rigid motions of the whole. In the unknowns of the QP they have
     w_n = 0 at all covered slave nodes, which is right only where contact is closed; where it is
@@ -28,22 +27,39 @@ def create_preconditioning(
         system: the interfaces, with T up to date.
         supports: the Dirichlet conditions.
         bodies: the connected parts of the mesh.
-        held: owned unknowns of y that are held at their bounds.
     """
-    V, motions = supports.V, rigid_motions(bodies)
-    decoupled = np.union1d(eliminated_dofs(system, supports), held).astype(np.int32)
-    if system.transformation is not None:
-        B, E, motions = system.transformation.uncouple(K, decoupled, motions)
-    else:
-        B, E = K.copy(), None
-    for motion in motions:
-        motion.array[decoupled] = 0.0
-    diagonal = B.getDiagonal()
-    first = V.dofmap.index_map_bs * V.dofmap.index_map.local_range[0]
-    rows = (decoupled + first).astype(PETSc.IntType)
-    B.zeroRowsColumns(rows, diag=diagonal.sum() / diagonal.getSize())
-    B.setOption(PETSc.Mat.Option.SPD, True)
-    return Preconditioning(B, E, motions)
+
+    def __init__(
+        self, K: PETSc.Mat, system: InterfaceSystem, supports: Dirichlet, bodies: Bodies
+    ) -> None:
+        """Keep what changes by itself."""
+        self.system, self.supports, self.bodies = system, supports, bodies
+        self.operator = CongruentOperator(K)
+
+    def preconditioning(self, held: Ints) -> Preconditioning:
+        """Return what is needed for a set-up; collective.
+
+        Args:
+            held: owned unknowns of y that are held at their bounds.
+        """
+        T, change = self.system.transformation, self.change(held)
+        motions = rigid_motions(self.bodies)
+        if T is not None:
+            motions = [T.uncoupled(motion, change.E) for motion in motions]
+        for motion in motions:
+            motion.array[self.operator.decoupled] = 0.0
+        B = change.matrix.copy()
+        B.setOption(PETSc.Mat.Option.SPD, True)
+        return Preconditioning(B, change, motions)
+
+    def change(self, held: Ints) -> Change:
+        """Return v for the present geometry, contacts and tangent; collective."""
+        T = self.system.transformation
+        eliminated = eliminated_dofs(self.system, self.supports)
+        decoupled = np.union1d(eliminated, held).astype(np.int32)
+        C, E = (None, None) if T is None else T.uncouple(decoupled)
+        self.operator.follow(C, decoupled)
+        return Change(E, self.operator.matrix)
 
 
 def eliminated_dofs(system: InterfaceSystem, supports: Dirichlet) -> Ints:

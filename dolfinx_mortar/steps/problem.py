@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 from mpi4py import MPI
@@ -15,6 +14,7 @@ import numpy as np
 
 import ufl
 from dolfinx import fem
+from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.interfaces.contact import Contact
@@ -30,7 +30,7 @@ from dolfinx_mortar.steps.checks import check_arguments, check_owned
 from dolfinx_mortar.steps.dirichlet import Dirichlet, create_dirichlet
 from dolfinx_mortar.steps.loads import Loads
 from dolfinx_mortar.steps.mesh_audit import check_mesh
-from dolfinx_mortar.steps.preconditioning import create_preconditioning
+from dolfinx_mortar.steps.preconditioning import UnknownsOfBodies
 from dolfinx_mortar.steps.report import Timings
 from dolfinx_mortar.steps.stand_off import find_stand_offs
 
@@ -107,11 +107,11 @@ class ContactProblem:
                 self.comm,
                 prefix=petsc_options_prefix,
                 options=(MULTIGRID if self.d == 3 else {}) | dict(petsc_options or {}),
-                # not a method: a reference to the problem would keep its matrices alive
-                preconditioning=partial(
-                    create_preconditioning, self.K, self.system, self.supports, self.bodies
-                ),
+                # not the problem: a reference to it would keep its matrices alive
+                unknowns=UnknownsOfBodies(self.K, self.system, self.supports, self.bodies),
             )
+            # a factorisation needs the matrix, an iteration its products
+            self.operator = None if self.linear.direct else CongruentOperator(self.K)
         ties = [
             (side.on_slave, side.on_master)
             for side, interface in zip(self.system.sides, sides, strict=True)

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: MIT
+"""(I + C)^T K (I + C): the operator that is never formed against the matrix, on any ranks."""
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+
+from dolfinx import fem
+from dolfinx_mortar.algebra.blocks import BlockMatrix
+from dolfinx_mortar.algebra.congruence import CongruentOperator
+from tests.meshes import two_blocks
+
+COMM = MPI.COMM_WORLD
+pytestmark = pytest.mark.mpi
+
+
+@pytest.fixture
+def matrices(rng):
+    """A symmetric K, and C with blocks in every third row, on nodes of all ranks."""
+    V = fem.functionspace(two_blocks(COMM)[0], ("Lagrange", 1, (2,)))
+    layout = V.dofmap.index_map
+    n, N = layout.size_local, layout.size_global
+    some = np.arange(0, n, 3)
+    rows, columns = np.repeat(some, 4), rng.integers(0, N, 4 * len(some))
+    C = BlockMatrix(COMM, layout, 2, rows, columns)
+    C.fill(rng.normal(size=(len(rows), 2, 2)))
+    half = BlockMatrix(COMM, layout, 2, np.arange(n), rng.integers(0, N, n))
+    half.fill(rng.normal(size=(n, 2, 2)))
+    K = half.matrix.copy()
+    K.axpy(1.0, half.matrix.transpose(PETSc.Mat()))
+    K.shift(10.0)
+    return K, C.matrix
+
+
+def decoupled(K):
+    return np.arange(1, K.getLocalSize()[0], 5, dtype=np.int32)
+
+
+def random_vector(K, rng):
+    x = K.createVecRight()
+    x.array[:] = rng.normal(size=x.local_size)
+    return x
+
+
+@pytest.mark.parametrize("coupled", [True, False])
+def test_operator_is_the_matrix(matrices, coupled, rng):
+    """Product, transposed product, diagonal; the copy is explicit."""
+    K, C = matrices
+    C = C if coupled else None
+    operator = CongruentOperator(K)
+    operator.follow(C, decoupled(K))
+    explicit = operator.matrix.copy()
+    assert explicit.getType() != "python"
+    x = random_vector(K, rng)
+    for product in ("mult", "multTranspose"):
+        y, z = x.duplicate(), x.duplicate()
+        getattr(operator.matrix, product)(x, y)
+        getattr(explicit, product)(x, z)
+        assert y.norm() > 1.0
+        assert (y - z).norm() < 1e-13 * y.norm()
+    diagonal = operator.matrix.getDiagonal()
+    assert (diagonal - explicit.getDiagonal()).norm() < 1e-13 * diagonal.norm()
+    assert (diagonal.array_r[decoupled(K)] == operator.scale).all()
+    mean = operator.diagonal.sum() / operator.diagonal.getSize()
+    assert operator.scale == pytest.approx(mean, rel=1e-14)
+
+
+def test_nothing_is_decoupled_in_product(matrices, rng):
+    """(I + C)^T K (I + C) x by hand; the diagonal before decoupling."""
+    K, C = matrices
+    operator = CongruentOperator(K)
+    operator.follow(C, decoupled(K))
+    x, y = random_vector(K, rng), K.createVecRight()
+    operator.product(x, y)
+    moved = K * (x + C * x)
+    expected = moved.copy()
+    C.multTransposeAdd(moved, moved, expected)
+    assert (y - expected).norm() < 1e-14 * y.norm()
+    operator.follow(C, np.empty(0, dtype=np.int32))
+    free = operator.matrix.copy()
+    assert (operator.diagonal - free.getDiagonal()).norm() < 1e-13 * operator.diagonal.norm()
+
+
+def test_new_values_are_followed(matrices, rng):
+    """Those of K, C and the decoupled unknowns; PETSc sees that the matrix is another one."""
+    K, C = matrices
+    operator = CongruentOperator(K)
+    operator.follow(C, decoupled(K))
+    state = operator.matrix.stateGet()
+    K.scale(2.0)
+    C.scale(-0.5)
+    operator.follow(C, decoupled(K)[1:])
+    assert operator.matrix.stateGet() > state
+    x, y = random_vector(K, rng), K.createVecRight()
+    operator.matrix.mult(x, y)
+    assert (y - operator.matrix.copy() * x).norm() < 1e-13 * y.norm()
