@@ -232,16 +232,15 @@ class LinearSolver:
         self.counts.solves += 1
         first = norm = self.residual(b, x, held).norm()
         if not norm <= atol:
-            norm = self._correct(b, x, held, atol)
+            norm = self._correct(b, x, held, atol, norm)
         self._judge(b, x, (first, norm, atol), self.counts.iterations - before)
         return self.counts.iterations - before
 
-    def _correct(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, atol: float) -> float:
-        """Correct x until its residual is below atol or round-off; return the residual.
+    def _correct(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, atol: float, norm: float) -> float:
+        """Correct x until its residual, at first norm, is below atol or round-off; return it.
 
         It ends as well where a new factorisation makes it no smaller.
         """
-        norm = self.residual(b, x, held).norm()
         for _ in range(LIMIT):
             if self._is_far(held):
                 self.factorise(held)
@@ -290,8 +289,11 @@ class LinearSolver:
         round_off = self.round_off(x)
         tolerance = max(atol, round_off)
         if np.isfinite(norm) and norm <= tolerance:
+            force = max(first, norm, b.norm())
+            if round_off <= SINGULAR_LOSS * force:
+                return
             reactions = self.residual(b, x, np.empty(0, dtype=np.int32)).norm()
-            force = max(first, norm, b.norm(), reactions)
+            force = max(force, reactions)
             if round_off <= SINGULAR_LOSS * force or force == 0.0:
                 return
             cause = f"its round-off {round_off:.1e} is near the forces {force:.1e}"

@@ -93,11 +93,12 @@ def linearise(problem: ContactProblem, balance: Balance, *, tangent: bool = True
     Args:
         problem: the problem, in the geometry of the balance.
         balance: forces and constraints.
-        tangent: assemble K anew; a linear law needs it once in a step.
+        tangent: assemble K anew; a linear law needs it once.
     """
     T = problem.system.transformation
     formed = problem.operator is None
-    if tangent or (formed and T is None):  # the elimination below spoils K itself then
+    spoilt = formed and T is None  # by the elimination, then in K itself
+    if tangent or spoilt or not problem.K.isAssembled():
         with problem.timings("assembly"):
             problem.solid.assemble_tangent(problem.K)
             problem.loads.add_tangent(problem.K)

@@ -207,7 +207,9 @@ class _Step:
         """Solve a QP, step, follow the geometry, judge and record."""
         problem, report = self.problem, self.report
         free_unused(problem.comm)
-        lin = linearise(problem, old.balance, tangent=number == 1 or not self.linear)
+        # a potential may have constants that the user changes between steps; a law has none
+        tangent = not self.linear or (number == 1 and problem.loads.has_potential)
+        lin = linearise(problem, old.balance, tangent=tangent)
         scales = old.scales
         if number == 1:
             lifted = problem.vector(self.data.asked)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -153,7 +154,7 @@ class ContactProblem:
         """Global number of this rank's first dof."""
         return int(self.d * self.V.dofmap.index_map.local_range[0])
 
-    @property
+    @cached_property
     def X(self) -> Floats:
         """Reference coordinates (owned nodes, d)."""
         return np.asarray(self.V.tabulate_dof_coordinates()[: self.n, : self.d])
