@@ -8,6 +8,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx_mortar.algebra.congruence import Congruence
+from dolfinx_mortar.qp.multigrid import Multigrid
 from tests.ball_case import create_problem
 
 COMM = MPI.COMM_WORLD
@@ -103,3 +104,74 @@ def test_stagnating_solver_is_named():
     with pytest.raises(dm.NewtonNotConverged, match=r"residual is .* iterations"):
         dm.newton(problem)
     assert np.abs(problem.u.x.array).max(initial=0.0) == 0.0
+
+
+# -- one set-up for a step -------------------------------------------------------------------------
+
+
+def moving_problem(**options):
+    """The ball in contact with moving geometry: a linear law, several sets and geometries."""
+    return create_problem(h=0.25, geometry="updated", **options)
+
+
+@pytest.fixture(scope="module")
+def moved():
+    problem, contact = moving_problem()
+    return problem, contact, dm.newton(problem)
+
+
+def test_one_set_up_serves_all_geometries(moved, monkeypatch):
+    """It follows the contact set and the geometry; one that does not is renewed or slow."""
+    report = moved[2]
+    assert report.newton_iterations > 2 and report.factorisations == 1
+    iterations = sum(i.linear_iterations for i in report.iterations)
+    monkeypatch.setattr(Multigrid, "follows", False)
+    problem, contact = moving_problem()
+    stays = dm.newton(problem)
+    assert sum(i.linear_iterations for i in stays.iterations) > 1.2 * iterations
+    assert contact.force == pytest.approx(moved[1].force, rel=1e-6, abs=1e-5)
+
+
+def test_the_finest_level_is_the_matrix_of_the_moment(moved):
+    """(I - E)^T A (I - E) of the last set and geometry, not of the set-up; so its diagonal."""
+    linear = moved[0].linear.attached
+    multigrid, held = linear.preconditioner.multigrid, linear.operator.held
+    assert not linear.preconditioner.is_of(held)  # it is an old set-up
+    E, (finest, B) = multigrid.E, multigrid.inner.getOperators()
+    v = random_vector(moved[0])
+    v.array[moved[0].linear.unknowns.operator.decoupled] = 0.0
+    y = v - E * v
+    product = linear.operator.A * y
+    expected = product.copy()
+    E.multTranspose(product, expected)
+    expected.aypx(-1.0, product)
+    expected.array[moved[0].linear.unknowns.operator.decoupled] = 0.0
+    found = finest * v
+    assert (found - expected).norm() < 1e-12 * found.norm()
+    assert (B.getDiagonal() - finest.getDiagonal()).norm() == 0.0
+
+
+def test_the_set_up_survives_load_steps_and_searches():
+    """Ten small steps; no unknowns are renumbered, so that nothing has to be set up for them."""
+    problem, _ = moving_problem()
+    steps = list(dm.load_steps(problem, np.linspace(0.1, 1.0, 10)))
+    assert sum(step.report.factorisations for step in steps) <= 2
+    assert problem.linear.counts.symbolic == 1
+
+
+def test_a_preconditioner_that_breaks_down_is_set_up_anew(moved, monkeypatch):
+    """With a diagonal of the wrong sign conjugate gradients cannot go on; the report says so."""
+    follow = Multigrid.follow
+
+    def spoilt(self, change, held):
+        follow(self, change, held)
+        if not np.array_equal(held, self.held_by_B):
+            self.B.setDiagonal(-change.matrix.getDiagonal())
+
+    monkeypatch.setattr(Multigrid, "follow", spoilt)
+    problem, contact = moving_problem()
+    report = dm.newton(problem)
+    assert problem.linear.counts.breakdowns > 0
+    assert report.factorisations > moved[2].factorisations
+    assert "broke down and was set up anew" in " ".join(report.notes)
+    assert contact.force == pytest.approx(moved[1].force, rel=1e-6, abs=1e-5)

@@ -72,8 +72,8 @@ class Transformation:
 
     @property
     def change(self) -> PETSc.Mat:
-        """C of T = I + C, which has rows at slave nodes only; collective."""
-        total = self.factors[0].C
+        """C of T = I + C, which has rows at slave nodes only: a copy; collective."""
+        total = self.factors[0].C.copy()
         for factor in self.factors[1:]:  # (I + A) (I + B) = I + A + B + A B
             both = total.matMult(factor.C)
             for part in (total, factor.C):

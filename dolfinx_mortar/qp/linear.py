@@ -247,16 +247,19 @@ class LinearSolver:
             fresh = self.attached.preconditioner.is_of(held)
             target, before = max(atol, self.round_off(x) / ROUND_OFF), norm
             self._sweep(max(target / norm, EPS))
-            # an old factorisation may not know that these are held
-            self.attached.dx.array[held] = 0.0
-            x.axpy(1.0, self.attached.dx)
-            norm = self.residual(b, x, held).norm()
+            dx = self.attached.dx
+            dx.array[held] = 0.0  # an old factorisation may not know that they are held
+            if np.isfinite(dx.norm()):
+                x.axpy(1.0, dx)
+                norm = self.residual(b, x, held).norm()
             if norm <= max(atol, self.round_off(x)):
                 break
             exhausted = self.attached.ksp.getIterationNumber() >= self.max_iterations
             if fresh and (exhausted or not norm < before):
                 break
             if not fresh:
+                diverged = self.attached.ksp.getConvergedReason() < 0
+                self.counts.breakdowns += int(diverged or not norm < before)
                 self.factorise(held)
         return float(norm)
 

@@ -75,7 +75,7 @@ def solve(
     module = import_module(f"{backends.__name__}.{backend.replace('-', '_')}")
     start = _nearest(qp) if start_active is None else np.asarray(start_active, dtype=np.int8)
     start = _possible(qp, start)
-    before = (linear.counts.iterations, linear.counts.factorisations)
+    before = replace(linear.counts)
     try:
         linear.attach(qp.A)
         solution: QPSolution = module.solve(qp, linear, start=start, rtol=rtol)
@@ -83,9 +83,14 @@ def solve(
         raise QPNotSolved(f"The backend {backend!r} stopped{_cause(error, linear)}") from error
     solution = replace(
         solution,
-        linear_iterations=solution.linear_iterations + linear.counts.iterations - before[0],
-        factorisations=solution.factorisations + linear.counts.factorisations - before[1],
+        linear_iterations=solution.linear_iterations + linear.counts.iterations - before.iterations,
+        factorisations=solution.factorisations
+        + linear.counts.factorisations
+        - before.factorisations,
     )
+    if linear.counts.breakdowns > before.breakdowns:
+        said = "the preconditioner at hand broke down and was set up anew"
+        solution = replace(solution, note=f"{said}. {solution.note}".strip(". "))
     if not solution.kkt.satisfied(rtol):
         raise QPNotSolved(
             f"The solution of the backend {backend!r} fails the check at rtol={rtol:g}: "
