@@ -37,11 +37,13 @@ def work(h: float, log: str) -> None:
     from sphere_3d import create
 
     comm = MPI.COMM_WORLD
-    newton(create(meshing.sphere(comm, cell="hexahedron", h=0.5), "plastic", "contact"))  # compiles
+    newton(
+        create(meshing.sphere(comm, cell="hexahedron", h=0.5), "plastic", "contact")[0]
+    )  # compiles
     mesh = meshing.sphere(comm, cell="hexahedron", h=h)
     comm.barrier()
     begin = perf_counter(), process_time()
-    problem = create(mesh, "plastic", "contact")
+    problem, _ = create(mesh, "plastic", "contact")
     report = newton(problem)
     wall, cpu = perf_counter() - begin[0], process_time() - begin[1]
     pairing = problem.system.links[0].pairing
