@@ -140,7 +140,8 @@ def show(rows: list[dict[str, Any]]) -> None:
         print(
             f"{r['unknowns']:10d} {r['tied']['seconds']:7.2f}"
             f" {e['seconds']:10.2f} {r['contact_over_tied']:5.2f} {e['krylov']:3d}"
-            f" {u['seconds']:10.2f} {r['updated_over_tied']:5.2f} {u['krylov']:3d} {u['set_ups']:8d}"
+            f" {u['seconds']:10.2f} {r['updated_over_tied']:5.2f} {u['krylov']:3d}"
+            f" {u['set_ups']:8d}"
             f" {p['seconds']:10.2f} {p['newton']:7d} {p['krylov']:3d} {r['plastic_over_warm']:6.2f}"
             f" {e['force_of_the_ball']:8.1f} {r['peak_memory_gib']:5.2f}"
         )

@@ -96,21 +96,20 @@ def linearise(problem: ContactProblem, balance: Balance, *, tangent: bool = True
         tangent: assemble K anew; a linear law needs it once.
     """
     T = problem.system.transformation
-    formed = problem.operator is None
+    formed = problem.linear.direct  # a factorisation needs the matrix, an iteration its products
     spoilt = formed and T is None  # by the elimination, then in K itself
     if tangent or spoilt or not problem.K.isAssembled():
         with problem.timings("assembly"):
             problem.solid.assemble_tangent(problem.K)
             problem.loads.add_tangent(problem.K)
     with problem.timings("transform"):
-        reduced = _form(problem, balance) if formed else _follow(problem, balance)
+        A, b, diagonal = (_form if formed else _follow)(problem, balance)
         lower, upper = problem.vector(), problem.vector()
         lower.set(PETSc.NINFINITY)
         upper.set(PETSc.INFINITY)
         bounds = balance.bounds
         lower.array[bounds.dofs] = np.maximum(bounds.lower, PETSc.NINFINITY)
         upper.array[bounds.dofs] = np.minimum(bounds.upper, PETSc.INFINITY)
-    A, b, diagonal = reduced
     return Linearisation(BoundQP(A, b, lower, upper, bounds.dofs), balance, diagonal)
 
 
@@ -131,7 +130,6 @@ def _form(problem: ContactProblem, balance: Balance) -> tuple[PETSc.Mat, PETSc.V
 def _follow(problem: ContactProblem, balance: Balance) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
     """Return the same, K^ as an operator that is not formed."""
     operator, T = problem.operator, problem.system.transformation
-    assert operator is not None
     operator.follow(None if T is None else T.change, balance.eliminated)
     dy, b = problem.vector(), problem.vector()
     dy.array[balance.equal.dofs] = balance.equal.upper

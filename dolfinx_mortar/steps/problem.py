@@ -103,7 +103,7 @@ class ContactProblem:
                 interface.take(self.supports, self.V)
         self.bodies: Bodies = find_bodies(self.V, solid.kinematics.rigid_motions)
         with self.timings("setup"):
-            self.K = solid.create_matrix()
+            self.operator = CongruentOperator(solid.create_matrix())
             self.linear = LinearSolver(
                 self.comm,
                 prefix=petsc_options_prefix,
@@ -111,8 +111,6 @@ class ContactProblem:
                 # not the problem: a reference to it would keep its matrices alive
                 unknowns=UnknownsOfBodies(self.K, self.system, self.supports, self.bodies),
             )
-            # a factorisation needs the matrix, an iteration its products
-            self.operator = None if self.linear.direct else CongruentOperator(self.K)
         ties = [
             (side.on_slave, side.on_master)
             for side, interface in zip(self.system.sides, sides, strict=True)
@@ -128,6 +126,11 @@ class ContactProblem:
     def u(self) -> fem.Function:
         """The displacement."""
         return self.solid.u
+
+    @property
+    def K(self) -> PETSc.Mat:
+        """The tangent, in u."""
+        return self.operator.K
 
     @property
     def V(self) -> fem.FunctionSpace:
