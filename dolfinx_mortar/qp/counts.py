@@ -12,6 +12,6 @@ class LinearCounts:
     factorisations: int = 0  # numeric factorisations or preconditioner set-ups
     iterations: int = 0  # applications of the factorisation or preconditioner
     solves: int = 0
-    breakdowns: int = 0  # old factorisations or set-ups with which an iteration failed
+    breakdowns: int = 0  # old set-ups with which an iteration failed
     seconds_factor: float = 0.0
     seconds_solve: float = 0.0

@@ -258,8 +258,8 @@ class LinearSolver:
             if fresh and (exhausted or not norm < before):
                 break
             if not fresh:
-                diverged = self.attached.ksp.getConvergedReason() < 0
-                self.counts.breakdowns += int(diverged or not norm < before)
+                diverged = self.attached.ksp.getConvergedReason() < 0 or not norm < before
+                self.counts.breakdowns += int(diverged and not self.direct)
                 self.factorise(held)
         return float(norm)
 
