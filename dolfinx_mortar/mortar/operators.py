@@ -190,6 +190,26 @@ def assemble_node_matrices(
     return pairing.D, pairing.M
 
 
+@timed("~Mortar: assemble motions")
+def assemble_motions(pairing: Pairing, segments: Segments, Phi: Floats, A: Floats) -> Floats:
+    """Return int Phi_j A_l (e, c) at the entries of M for values A_l (q, k, c) (collective).
+
+    M serves as the room in which ranks add up, and has to be refilled.
+
+    Args:
+        pairing: The pair of surfaces.
+        segments: Its segments.
+        Phi: Weighted dual functions (q, k) of `weighted_duals`.
+        A: Values at the points for each node of their master facets.
+    """
+    columns = []
+    for values in np.moveaxis(A, 2, 0):
+        blocks = _integrate(Phi, values, segments.pair, len(pairing.pairs))
+        triplets.set_values(pairing.M, blocks)
+        columns.append(pairing.M.getValuesCSR()[2])
+    return np.stack(columns, axis=1)
+
+
 def _integrate(Phi: Floats, N: Floats, where: Ints, size: int) -> Floats:
     """Return the sums (size, k, l) of weighted Phi (q, k) times N (q, l) over points by `where`."""
     blocks = np.empty((size, Phi.shape[1], N.shape[1]))
