@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 from petsc4py import PETSc
 
+import numba
 import numpy as np
 
 import dolfinx
@@ -202,18 +203,26 @@ def assemble_motions(pairing: Pairing, segments: Segments, Phi: Floats, A: Float
         Phi: Weighted dual functions (q, k) of `weighted_duals`.
         A: Values at the points for each node of their master facets.
     """
+    k, c = A.shape[1:]
+    blocks = _integrate(Phi, A.reshape(-1, k * c), segments.pair, len(pairing.pairs))
     columns = []
-    for values in np.moveaxis(A, 2, 0):
-        blocks = _integrate(Phi, values, segments.pair, len(pairing.pairs))
-        triplets.set_values(pairing.M, blocks)
+    for values in np.moveaxis(blocks.reshape(*blocks.shape[:2], k, c), 3, 0):
+        triplets.set_values(pairing.M, values)
         columns.append(pairing.M.getValuesCSR()[2])
     return np.stack(columns, axis=1)
 
 
 def _integrate(Phi: Floats, N: Floats, where: Ints, size: int) -> Floats:
     """Return the sums (size, k, l) of weighted Phi (q, k) times N (q, l) over points by `where`."""
-    blocks = np.empty((size, Phi.shape[1], N.shape[1]))
-    for i in range(Phi.shape[1]):
-        for j in range(N.shape[1]):
-            blocks[:, i, j] = np.bincount(where, Phi[:, i] * N[:, j], minlength=size)
+    blocks = np.zeros((size, Phi.shape[1], N.shape[1]))
+    _add_products(blocks, np.ascontiguousarray(Phi), np.ascontiguousarray(N), where)
     return blocks
+
+
+@numba.njit(cache=True)
+def _add_products(blocks, Phi, N, where):  # type: ignore[no-untyped-def]
+    """Add Phi (q, k) times N (q, l) of all points to blocks (size, k, l)."""
+    for q in range(len(where)):
+        for i in range(Phi.shape[1]):
+            for j in range(N.shape[1]):
+                blocks[where[q], i, j] += Phi[q, i] * N[q, j]
