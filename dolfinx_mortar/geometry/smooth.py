@@ -23,7 +23,7 @@ from itertools import combinations
 import numpy as np
 
 from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.geometry.facets import Facets, area_vectors
+from dolfinx_mortar.geometry.facets import Facets, area_vectors, facet_normals
 from dolfinx_mortar.geometry.tolerances import TINY
 
 
@@ -100,9 +100,12 @@ def rises(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
 def rise_tensors(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
     """Return C_ab (m, e, d, d), the symmetric part of m_ab (x_b - x_a)^T; its trace is c_ab.
 
-    Where the surface is stretched by a strain E, c_ab grows by C_ab : E.
+    Where the surface is stretched by a strain E, c_ab grows by C_ab : E. Of m_ab the part in the
+    facet counts: what is left of a normal would have another one in a facet of the other side.
     """
-    product = turns(facets, normals, nodes)[..., :, None] * _edges(facets)[..., None, :]
+    turn, n = turns(facets, normals, nodes), facet_normals(facets)[:, None]
+    turn -= (turn * n).sum(axis=2, keepdims=True) * n
+    product = turn[..., :, None] * _edges(facets)[..., None, :]
     return np.asarray((product + np.swapaxes(product, 2, 3)) / 2)
 
 
