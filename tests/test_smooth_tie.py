@@ -10,6 +10,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.mortar import operators
 from tests.meshes import two_blocks
 from tests.meshes_3d import two_boxes
 from tests.shells import INNER, OUTER, lame_pressure, octants
@@ -152,6 +153,14 @@ def test_facets_are_the_papers_on_curved_sides():
     mesh, tags = sides(COMM, "hexahedron", to_sphere)
     coupling = couple(mesh, tags, surface="facets").coupling
     assert (coupling.blocks == coupling.P[:, :, None] * np.eye(3)).all()
+
+
+def test_points_in_parts_add_up_to_the_same(monkeypatch):
+    """To the last digit: each sum is made in the same order."""
+    mesh, tags = sides(COMM, "tetrahedron", to_sphere)
+    whole = couple(mesh, tags).coupling.blocks
+    monkeypatch.setattr(operators, "_CHUNK", 7)
+    assert (couple(mesh, tags).coupling.blocks == whole).all()
 
 
 @pytest.mark.mpi

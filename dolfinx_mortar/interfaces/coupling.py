@@ -303,11 +303,9 @@ def couple(
     heights: Floats = np.zeros(sides.slave.owned)
     motions: Floats | None = None
     if interface.smooth and not interface.one_sided:
-        A = point_motions(pairing, segments, u, sides.fixed, interface.feature_angle)
-        rows = [
-            assemble_motions(pairing, segments, Phi[c], A[:, :, i]) for i, c in enumerate(choices)
-        ]
-        motions = np.stack(rows, axis=1)[pattern.from_M]
+        at = point_motions(pairing, segments, u, sides.fixed, interface.feature_angle)
+        rows = [Phi[c] for c in choices]
+        motions = assemble_motions(pairing, segments, rows, at)[pattern.from_M]
     found = {c: _integrate(pairing, pattern, segments, keep[c], Phi[c]) for c in keep}
     P, weights = (np.column_stack([found[c][i] for c in choices]) for i in range(2))
     if interface.smooth and interface.one_sided:

@@ -10,6 +10,7 @@ integrated by the ranks that own the slave facets; copies of the master facets t
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from petsc4py import PETSc
@@ -34,6 +35,8 @@ from dolfinx_mortar.mortar.surface import (
     sum_at_nodes,
 )
 
+_CHUNK = 2**14
+"""Points at which the motions of arms are known at a time: 5 MB in 3D, against calls."""
 LEAST_COVERAGE = 0.05
 """A slave node carries a multiplier if more than this part of its tributary weight is covered."""
 
@@ -192,24 +195,35 @@ def assemble_node_matrices(
 
 
 @timed("~Mortar: assemble motions")
-def assemble_motions(pairing: Pairing, segments: Segments, Phi: Floats, A: Floats) -> Floats:
-    """Return int Phi_j A_l (e, c) at the entries of M for values A_l (q, k, c) (collective).
+def assemble_motions(
+    pairing: Pairing,
+    segments: Segments,
+    Phi: Sequence[Floats],
+    motions: Callable[[slice], Floats],
+) -> Floats:
+    """Return int Phi_j A_l (e, d, d) at the entries of M (collective).
 
     M serves as the room in which ranks add up, and has to be refilled.
 
     Args:
         pairing: The pair of surfaces.
         segments: Its segments.
-        Phi: Weighted dual functions (q, k) of `weighted_duals`.
-        A: Values at the points for each node of their master facets.
+        Phi: Weighted dual functions (q, k) of `weighted_duals` for each row of A_l.
+        motions: A_l (q, k, d, d) at a part of the points for each node of their master facets.
     """
-    k, c = A.shape[1:]
-    blocks = _integrate(Phi, A.reshape(-1, k * c), segments.pair, len(pairing.pairs))
+    d, k, m = len(Phi), pairing.slave.element.nodes, pairing.master.element.nodes
+    blocks = np.zeros((d, len(pairing.pairs), k, m * d))
+    for first in range(0, len(segments.pair), _CHUNK):
+        part = slice(first, first + _CHUNK)
+        A = motions(part)
+        for i, P in enumerate(Phi):
+            rows = np.ascontiguousarray(A[:, :, i].reshape(len(A), -1))
+            _add_products(blocks[i], np.ascontiguousarray(P[part]), rows, segments.pair[part])
     columns = []
-    for values in np.moveaxis(blocks.reshape(*blocks.shape[:2], k, c), 3, 0):
+    for values in np.moveaxis(blocks.reshape(d, -1, k, m, d), 4, 1).reshape(d * d, -1, k, m):
         triplets.set_values(pairing.M, values)
         columns.append(pairing.M.getValuesCSR()[2])
-    return np.stack(columns, axis=1)
+    return np.stack(columns, axis=1).reshape(-1, d, d)
 
 
 def _integrate(Phi: Floats, N: Floats, where: Ints, size: int) -> Floats:

@@ -75,26 +75,35 @@ def point_heights(
         fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
         feature_angle: see `smooth_normals`.
     """
-    slave, master = _smooth_sides(pairing, segments, u, fixed, feature_angle)
-    return slave.heights(rises) + master.heights(rises)
+    result = np.zeros(len(segments.slave))
+    for s in _smooth_sides(pairing, segments, u, fixed, feature_angle):
+        result += heights(s.facets, rises(s.facets, s.normals, s.nodes), s.which, s.xi)
+    return result
 
 
-@timed("~Mortar: arms")
 def point_motions(
     pairing: Pairing,
     segments: Segments,
     u: dolfinx.fem.Function | None,
     fixed: Bools,
     feature_angle: float,
-) -> Floats:
-    """Return A_l (q, k, d, d) by which the arms from master to slave move; collective.
+) -> Callable[[slice], Floats]:
+    """Return a function that gives A_l (q, k, d, d) at a part of the points; collective.
 
-    See `dolfinx_mortar.geometry.arms`; the arguments are those of `point_heights`.
+    By these the arms from master to slave move, see `dolfinx_mortar.geometry.arms`. The arguments
+    are those of `point_heights`.
     """
     slave, master = _smooth_sides(pairing, segments, u, fixed, feature_angle)
-    H = slave.heights(rise_tensors) + master.heights(rise_tensors)
-    arms = slave.points - master.points
-    return arm_motions(master.facets, master.which, master.xi, arms, H)
+    rises_s, rises_m = (rise_tensors(s.facets, s.normals, s.nodes) for s in (slave, master))
+
+    def at(part: slice) -> Floats:
+        s, m = slave.which[part], master.which[part]
+        xi_s, xi_m = slave.xi[part], master.xi[part]
+        H = heights(slave.facets, rises_s, s, xi_s) + heights(master.facets, rises_m, m, xi_m)
+        arms = points_of(slave.facets, s, xi_s) - points_of(master.facets, m, xi_m)
+        return arm_motions(master.facets, m, xi_m, arms, H)
+
+    return at
 
 
 @dataclass(frozen=True)
@@ -106,16 +115,6 @@ class _SmoothSide:
     nodes: Ints  # (m, k) which normals are a facet's
     which: Ints  # (q,) facet of each point
     xi: Floats  # (q, d-1)
-
-    @property
-    def points(self) -> Floats:
-        """Return the points (q, d)."""
-        return points_of(self.facets, self.which, self.xi)
-
-    def heights(self, rises: Callable[[Facets, NodeNormals, Ints], Floats]) -> Floats:
-        """Return the heights (q,) or their tensors (q, d, d) at the points."""
-        rise = rises(self.facets, self.normals, self.nodes)
-        return heights(self.facets, rise, self.which, self.xi)
 
 
 def _smooth_sides(
