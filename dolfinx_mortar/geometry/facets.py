@@ -99,15 +99,16 @@ def surface_gradients(facets: Facets, which: Ints, xi: Floats) -> tuple[Floats, 
     ([[[3.0, 4.0], [-3.0, -4.0]]], [[-4.0, 3.0]])
     """
     dN, x = facets.element.derivatives(xi), facets.x[which]
-    a = np.einsum("qla,qli->qai", dN, x)
+    a = np.swapaxes(dN, 1, 2) @ x
     if x.shape[2] == 2:
         t = a[:, 0]
         normal, dual = np.stack([t[:, 1], -t[:, 0]], axis=1), a
     else:
-        normal = np.cross(a[:, 0], a[:, 1])
-        dual = np.stack([np.cross(a[:, 1], normal), np.cross(normal, a[:, 0])], axis=1)
+        normal = np.asarray(np.cross(a[:, 0], a[:, 1]), dtype=np.float64)
+        turned = np.stack([a[:, 1], -a[:, 0]], axis=1)
+        dual = np.asarray(np.cross(turned, normal[:, None]), dtype=np.float64)
     size = np.maximum((normal**2).sum(axis=1), TINY)
-    gradients = np.einsum("qla,qai->qli", dN, dual / size[:, None, None])
+    gradients = dN @ (dual / size[:, None, None])
     return np.asarray(gradients), np.asarray(normal / np.sqrt(size)[:, None])
 
 

@@ -5,8 +5,9 @@ At a kept slave node j with frame R_j = (n_j, t_j, ..) the displacement is writt
 
     u_j = R_j w_j + sum_l Q_jl u_l,      Q_jl = R_j S_j R_j^T P_jl,      P = D^-1 (M - D_removed)
 
-where S_j = diag(1 in constrained directions). Then w is the relative displacement of the two sides
-in those directions, and every constraint is a bound on w.
+where S_j = diag(1 in constrained directions); for ties of smooth surfaces P_jl I is completed by
+the motions D_jj^-1 int Phi_j A_l of `dolfinx_mortar.geometry.arms`. Then w is the relative
+displacement of the two sides in those directions, and every constraint is a bound on w.
 """
 
 from __future__ import annotations
