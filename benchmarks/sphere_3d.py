@@ -55,7 +55,8 @@ def create(
         dofs = fem.locate_dofs_topological(W, 2, mesh.facet_tags.find(tag))
         bcs.append(fem.dirichletbc(value, dofs, W))
     interface = {"contact": dm.Contact, "tie": dm.Tie}[kind]
-    side = interface(mesh.facet_tags, slave=3, master=4)
+    # facets: the arms between a ball and the block beside it would be as long as the ball
+    side = interface(mesh.facet_tags, slave=3, master=4, surface="facets")
     return dm.ContactProblem(solid, [side], bcs=bcs, geometry=geometry), down
 
 

@@ -18,12 +18,15 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar.geometry import area
 from dolfinx_mortar.mortar.operators import (
+    assemble_motions,
     assemble_node_matrices,
     default_keep,
     find_segments,
     node_weights,
+    weighted_duals,
 )
 from dolfinx_mortar.mortar.pairing import create_pairing
+from dolfinx_mortar.mortar.smooth import point_motions
 from dolfinx_mortar.mortar.surface import create_surface
 from tests.meshes import two_blocks
 from tests.meshes_3d import two_boxes
@@ -81,7 +84,7 @@ def pairs():
 
 
 def operators(cases):
-    """Return nodes kept, D and M times fields, and the resultants of these, for all cases."""
+    """Return nodes kept, D and M times fields, motions of arms, and resultants, for all cases."""
     kept, values, resultants = [], [], []
     for V, tags in cases:
         sides = [create_surface(V, tags, tag, name) for tag, name in ((3, "slave"), (4, "master"))]
@@ -93,6 +96,10 @@ def operators(cases):
         kept.append(keep)
         values += [(A * f).array.copy() for A in assemble_node_matrices(pairing, segments, keep)]
         resultants += [v.sum() for v in values[-2:]]
+        Phi, d = weighted_duals(pairing, segments, keep), V.dofmap.index_map_bs
+        at = point_motions(pairing, segments, None, np.zeros((len(f.array), d), dtype=bool), 40.0)
+        assemble_motions(pairing, segments, d * [Phi], at)
+        values.append((pairing.M * f).array.copy())  # of the last component
     near, far = ring(20)  # polygons of many corners
     values.append(assemble(grid([0, 1], [0, 1], k=4), joined(far, near)).used)
     return np.concatenate(kept), np.concatenate(values), np.array(resultants)

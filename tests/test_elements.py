@@ -12,7 +12,13 @@ import basix
 import dolfinx
 import dolfinx_mortar
 from dolfinx_mortar.geometry.elements import FACETS_OF, LINE2, QUAD4, TRI3
-from dolfinx_mortar.geometry.facets import Facets, area_vectors, facet_normals, tributary_weights
+from dolfinx_mortar.geometry.facets import (
+    Facets,
+    area_vectors,
+    facet_normals,
+    surface_gradients,
+    tributary_weights,
+)
 from dolfinx_mortar.geometry.segments import create_segments
 from dolfinx_mortar.mortar.dual import BASES
 from dolfinx_mortar.spaces import CELLS
@@ -42,6 +48,30 @@ def test_partition_of_unity_and_linear_fields(element):
     N = element.shape_functions(xi)
     assert np.abs(N.sum(axis=1) - 1).max() < 1e-15
     assert np.abs(N @ nodes(element) - xi).max() < 1e-15
+
+
+@ELEMENTS
+def test_derivatives(element):
+    """Of first order, so that differences over any step in one direction are exact."""
+    xi = np.random.default_rng(3).uniform(0, 0.4, (7, len(nodes(element)[0])))
+    for a, step in enumerate(0.5 * np.eye(xi.shape[1])):
+        up, down = (element.shape_functions(xi + s * step) for s in (1, -1))
+        assert np.abs(element.derivatives(xi)[:, :, a] - (up - down)).max() < 1e-15
+
+
+@ELEMENTS
+def test_surface_gradients(element):
+    """They have no normal part, and those of the position are the tangents' projection."""
+    rng = np.random.default_rng(4)
+    d = nodes(element).shape[1] + 1
+    x = np.concatenate([nodes(element), np.zeros((element.nodes, 1))], axis=1)
+    facets = Facets(element, x + rng.uniform(-0.2, 0.2, (5, element.nodes, d)))
+    which, xi = np.arange(5, dtype=np.int32), rng.uniform(0, 0.4, (5, d - 1))
+    g, n = surface_gradients(facets, which, xi)
+    tangents = np.eye(d) - n[:, :, None] * n[:, None]
+    assert np.abs(np.einsum("qli,qlj->qij", facets.x, g) - tangents).max() < 1e-13
+    assert np.abs(g.sum(axis=1)).max() < 1e-13
+    assert ((n * facet_normals(facets)).sum(axis=1) > 0.5).all()
 
 
 @ELEMENTS

@@ -201,16 +201,18 @@ def test_an_edge_of_either_side_is_none_of_a_curve(swap):
     assert np.abs(heights).max(initial=0.0) < 1e-14
 
 
+@pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
 @pytest.mark.parametrize("bad", ["spline", None, 1])
-def test_bad_surface(bad):
+def test_bad_surface(bad, kind):
     with rejected("surface is", "'smooth' or 'facets'"):
-        dm.Contact(polygon_tags(), slave=1, master=2, surface=bad)
+        kind(polygon_tags(), slave=1, master=2, surface=bad)
 
 
+@pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
 @pytest.mark.parametrize("bad", [0.0, -1.0, 181.0, np.nan, "40", True, None])
-def test_bad_feature_angle(bad):
+def test_bad_feature_angle(bad, kind):
     with rejected("feature_angle is", "degrees"):
-        dm.Contact(polygon_tags(), slave=1, master=2, feature_angle=bad)
+        kind(polygon_tags(), slave=1, master=2, feature_angle=bad)
 
 
 def polygon_tags():

@@ -20,6 +20,7 @@ class FacetElement:
     cell: str  # the reference facet in dolfinx's words
     nodes: int  # k
     shape_functions: Callable[[Floats], Floats]  # xi (q, d-1) -> N (q, k)
+    derivatives: Callable[[Floats], Floats]  # xi (q, d-1) -> dN_i / dxi_a (q, k, d-1)
     bilinear: bool  # the map from the reference facet is bilinear, otherwise it is affine
     rule: tuple[Floats, Floats]  # points (q, d-1) and weights (q,), sum 1, of an integral over it
     vertices: tuple[int, ...]  # the nodes at the corners
@@ -59,6 +60,28 @@ def _square(xi: Floats) -> Floats:
     return N
 
 
+def _interval_derivatives(xi: Floats) -> Floats:
+    """Return the derivatives of `_interval` (q, 2, 1)."""
+    return np.broadcast_to(np.array([[-0.5], [0.5]]), (len(xi), 2, 1))
+
+
+def _triangle_derivatives(xi: Floats) -> Floats:
+    """Return the derivatives of `_triangle` (q, 3, 2)."""
+    return np.broadcast_to(np.array([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]]), (len(xi), 3, 2))
+
+
+def _square_derivatives(xi: Floats) -> Floats:
+    """Return the derivatives of `_square` (q, 4, 2).
+
+    >>> _square_derivatives(np.array([[0.0, 0.5]]))[0].T
+    array([[-0.125,  0.125,  0.375, -0.375],
+           [-0.25 , -0.25 ,  0.25 ,  0.25 ]])
+    """
+    corner = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    factors = (1 + xi[:, None] * corner) / 2  # of N_i, one for each direction
+    return np.asarray(corner / 2 * factors[:, :, ::-1])
+
+
 def _gauss_square(n: int) -> tuple[Floats, Floats]:
     """Return points and weights of n x n Gauss points on the square."""
     points, weights = np.polynomial.legendre.leggauss(n)
@@ -70,6 +93,7 @@ LINE2 = FacetElement(
     cell="interval",
     nodes=2,
     shape_functions=_interval,
+    derivatives=_interval_derivatives,
     bilinear=False,
     rule=(np.zeros((1, 1)), np.ones(1)),
     vertices=(0, 1),
@@ -82,6 +106,7 @@ TRI3 = FacetElement(
     cell="triangle",
     nodes=3,
     shape_functions=_triangle,
+    derivatives=_triangle_derivatives,
     bilinear=False,
     rule=(np.full((1, 2), 1 / 3), np.ones(1)),
     vertices=(0, 1, 2),
@@ -94,6 +119,7 @@ QUAD4 = FacetElement(
     cell="quadrilateral",
     nodes=4,
     shape_functions=_square,
+    derivatives=_square_derivatives,
     bilinear=True,
     rule=_gauss_square(3),
     vertices=(0, 1, 2, 3),

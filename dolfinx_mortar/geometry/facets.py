@@ -72,6 +72,46 @@ def facet_normals(facets: Facets) -> Floats:
     return n / np.maximum(np.linalg.norm(n, axis=1), TINY)[:, None]
 
 
+def points_of(facets: Facets, which: Ints, xi: Floats) -> Floats:
+    """Return points x = sum_l N_l x_l (q, d) of facets `which` (q,) at xi (q, d-1)."""
+    N = facets.element.shape_functions(xi)
+    return np.asarray(np.einsum("ql,qli->qi", N, facets.x[which]))
+
+
+def surface_gradients(facets: Facets, which: Ints, xi: Floats) -> tuple[Floats, Floats]:
+    """Return the surface gradients of the shape functions and the normals at points of facets.
+
+    grad N_l = sum_a dN_l/dxi_a a^a with a^a dual to the tangents a_a = sum_l dN_l/dxi_a x_l. It has
+    no normal part, and sum_l x_l grad N_l^T is the projection on the tangents.
+
+    Args:
+        facets: the facets (m,).
+        which: (q,) facet of each point.
+        xi: (q, d-1) reference coordinates.
+
+    Returns:
+        Gradients (q, k, d) and outward unit normals (q, d).
+
+    >>> from dolfinx_mortar.geometry.elements import LINE2
+    >>> line = Facets(LINE2, np.array([[[7.0, 7.0], [4.0, 3.0]]]))
+    >>> g, n = surface_gradients(line, np.zeros(1, dtype=np.int32), np.zeros((1, 1)))
+    >>> (25 * g).tolist(), (5 * n).tolist()
+    ([[[3.0, 4.0], [-3.0, -4.0]]], [[-4.0, 3.0]])
+    """
+    dN, x = facets.element.derivatives(xi), facets.x[which]
+    a = np.swapaxes(dN, 1, 2) @ x
+    if x.shape[2] == 2:
+        t = a[:, 0]
+        normal, dual = np.stack([t[:, 1], -t[:, 0]], axis=1), a
+    else:
+        normal = np.asarray(np.cross(a[:, 0], a[:, 1]), dtype=np.float64)
+        turned = np.stack([a[:, 1], -a[:, 0]], axis=1)
+        dual = np.asarray(np.cross(turned, normal[:, None]), dtype=np.float64)
+    size = np.maximum((normal**2).sum(axis=1), TINY)
+    gradients = dN @ (dual / size[:, None, None])
+    return np.asarray(gradients), np.asarray(normal / np.sqrt(size)[:, None])
+
+
 def bounding_balls(x: Floats) -> tuple[Floats, Floats]:
     """Return centre (m, d) and radius (m,) of balls around facets x (m, k, d)."""
     centre = x.mean(axis=1)

@@ -23,7 +23,7 @@ from itertools import combinations
 import numpy as np
 
 from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.geometry.facets import Facets, area_vectors
+from dolfinx_mortar.geometry.facets import Facets, area_vectors, facet_normals
 from dolfinx_mortar.geometry.tolerances import TINY
 
 
@@ -69,13 +69,13 @@ def _inverted(e: Floats) -> Floats:
     return np.asarray(e / np.maximum((e**2).sum(axis=-1), TINY)[..., None])
 
 
-def rises(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
-    """Return c_ab (m, e) for the pairs of nodes of facets.
+def turns(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
+    """Return by how much normals turn, m_ab (m, e, d), for the pairs of nodes of facets.
 
     Where one end has no normal or may have a leaning one, the surface keeps the curvature of the
-    other end, c_ab = 2 n_b.(x_b - x_a), exact on spheres and cylinders. Between two open nodes, on
-    the rim, their difference counts, in which what leans cancels; between two nodes of which one
-    lies on a sharp edge and none is regular, the edge is straight.
+    other end, m_ab = 2 n_b, exact on spheres and cylinders. Between two open nodes, on the rim,
+    their difference counts, in which what leans cancels; between two nodes of which one lies on a
+    sharp edge and none is regular, the edge is straight.
 
     Args:
         facets: the facets (m,).
@@ -83,9 +83,8 @@ def rises(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
         nodes: (m, k) which of them are the facets'.
     """
     a, b = node_pairs(facets)
-    along = facets.x[:, b] - facets.x[:, a]
-    at_a, at_b = (np.einsum("mei,mei->me", normals.n[nodes[:, end]], along) for end in (a, b))
-    regular, sharp = normals.regular[nodes], normals.sharp[nodes]
+    at_a, at_b = (normals.n[nodes[:, end]] for end in (a, b))
+    regular, sharp = normals.regular[nodes][..., None], normals.sharp[nodes][..., None]
     result = at_b - at_a
     result = np.where(regular[:, a] & ~regular[:, b], -2.0 * at_a, result)
     result = np.where(regular[:, b] & ~regular[:, a], 2.0 * at_b, result)
@@ -93,18 +92,41 @@ def rises(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
     return np.asarray(np.where(neither, 0.0, result))
 
 
+def rises(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
+    """Return c_ab = m_ab.(x_b - x_a) (m, e) for the pairs of nodes of facets; see `turns`."""
+    return np.einsum("mei,mei->me", turns(facets, normals, nodes), _edges(facets))
+
+
+def rise_tensors(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
+    """Return C_ab (m, e, d, d), the symmetric part of m_ab (x_b - x_a)^T; its trace is c_ab.
+
+    Where the surface is stretched by a strain E, c_ab grows by C_ab : E. Of m_ab the part in the
+    facet counts: what is left of a normal would have another one in a facet of the other side.
+    """
+    turn, n = turns(facets, normals, nodes), facet_normals(facets)[:, None]
+    turn -= (turn * n).sum(axis=2, keepdims=True) * n
+    product = turn[..., :, None] * _edges(facets)[..., None, :]
+    return np.asarray((product + np.swapaxes(product, 2, 3)) / 2)
+
+
+def _edges(facets: Facets) -> Floats:
+    """Return x_b - x_a (m, e, d) for the pairs of nodes of facets."""
+    a, b = node_pairs(facets)
+    return np.asarray(facets.x[:, b] - facets.x[:, a])
+
+
 def heights(facets: Facets, rise: Floats, which: Ints, xi: Floats) -> Floats:
     """Return how far (q,) the smooth surface stands above points of facets, along their normals.
 
     Args:
         facets: the facets (m,).
-        rise: c_ab (m, e) of `rises`.
+        rise: c_ab (m, e) of `rises`; of tensors C_ab (m, e, d, d), the same sums are tensors.
         which: (q,) facet of each point.
         xi: (q, d-1) reference coordinates.
     """
     a, b = node_pairs(facets)
     N = facets.element.shape_functions(xi)
-    return np.asarray(0.5 * (N[:, a] * N[:, b] * rise[which]).sum(axis=1))
+    return np.asarray(0.5 * np.einsum("qe,qe...->q...", N[:, a] * N[:, b], rise[which]))
 
 
 def node_pairs(facets: Facets) -> tuple[list[int], list[int]]:

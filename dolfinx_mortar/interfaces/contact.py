@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from numbers import Real
-
 from petsc4py import PETSc
 
 import numpy as np
@@ -13,14 +11,11 @@ from dolfinx.mesh import MeshTags
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import Constraints
 from dolfinx_mortar.interfaces.frames import create_frames
-from dolfinx_mortar.interfaces.interface import Frame, Interface
+from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Frame, Interface
 
 # A slave normal that loses more than this share of its length to Dirichlet data has no direction
 # left in which contact could act.
 MIN_FREE_NORMAL = 0.5
-SURFACES = ("smooth", "facets")
-# Facets whose normals differ by more degrees meet in an edge, unless the user says otherwise.
-FEATURE_ANGLE = 40.0
 
 
 class Contact(Interface):
@@ -56,15 +51,8 @@ class Contact(Interface):
         feature_angle: float = FEATURE_ANGLE,
     ) -> None:
         """Keep the description; surfaces are found when a problem takes the interface."""
-        super().__init__(facet_tags, slave=slave, master=master)
-        if not isinstance(surface, str) or surface not in SURFACES:
-            raise ValueError(f"surface is {surface!r}: choose 'smooth' or 'facets'")
-        number = isinstance(feature_angle, Real) and not isinstance(feature_angle, bool)
-        if not number or not 0.0 < feature_angle <= 180.0:
-            raise ValueError(
-                f"feature_angle is {feature_angle!r}: give degrees, 0 < feature_angle <= 180"
-            )
-        self.smooth, self.feature_angle = surface == "smooth", float(feature_angle)
+        sides = {"slave": slave, "master": master}
+        super().__init__(facet_tags, **sides, surface=surface, feature_angle=feature_angle)
 
     def may_carry(self, left: Floats, fixed: Bools) -> Bools:
         """Return (n, 1): nodes whose normal is not taken by Dirichlet data."""

@@ -5,8 +5,9 @@ At a kept slave node j with frame R_j = (n_j, t_j, ..) the displacement is writt
 
     u_j = R_j w_j + sum_l Q_jl u_l,      Q_jl = R_j S_j R_j^T P_jl,      P = D^-1 (M - D_removed)
 
-where S_j = diag(1 in constrained directions). Then w is the relative displacement of the two sides
-in those directions, and every constraint is a bound on w.
+where S_j = diag(1 in constrained directions); for ties of smooth surfaces P_jl I is completed by
+the motions D_jj^-1 int Phi_j A_l of `dolfinx_mortar.geometry.arms`. Then w is the relative
+displacement of the two sides in those directions, and every constraint is a bound on w.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.mortar.operators import (
     Coverage,
+    assemble_motions,
     assemble_node_matrices,
     default_keep,
     find_coverage,
@@ -36,7 +38,7 @@ from dolfinx_mortar.mortar.operators import (
     weighted_duals,
 )
 from dolfinx_mortar.mortar.pairing import Pairing, create_pairing, outside_margin
-from dolfinx_mortar.mortar.smooth import point_heights
+from dolfinx_mortar.mortar.smooth import point_heights, point_motions
 from dolfinx_mortar.mortar.surface import Surface, accumulate, create_surface
 
 
@@ -252,6 +254,21 @@ def has_slid(link: Link, u: fem.Function | None, *, everywhere: bool) -> bool:
     return outside_margin(link.pairing, u, among)
 
 
+def _integrate(
+    pairing: Pairing, pattern: Pattern, segments: Segments, keep: Bools, Phi: Floats
+) -> tuple[Floats, Floats]:
+    """Return P (e,) = D^-1 (M - D_removed) on the pattern and the weights D_jj (n,); collective."""
+    D, M = assemble_node_matrices(pairing, segments, keep, Phi)
+    weight = D.getDiagonal().array[pairing.slave.nodes[: pairing.slave.owned]]
+    values = -D.getValuesCSR()[2][pattern.from_D], M.getValuesCSR()[2][pattern.from_M]
+    return np.concatenate(values) * _inverse(weight)[pattern.row], weight
+
+
+def _inverse(weight: Floats) -> Floats:
+    """Return 1 / D_jj, zero where that is: at nodes without multiplier."""
+    return np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0)
+
+
 def couple(
     interface: Interface,
     sides: Sides,
@@ -276,35 +293,36 @@ def couple(
     free = normals * ~sides.fixed[nodes]
     left = np.linalg.norm(free, axis=1)
     allowed = interface.may_carry(left, sides.fixed[nodes]) & ~banned[nodes, None]
-    P: list[Floats] = []
-    weight: list[Floats] = []
-    heights: Floats = np.zeros(sides.slave.owned)
     differ = any_rank(sides.V.mesh.comm, *(allowed != allowed[:, :1]).any(axis=0))
-    for c in range(allowed.shape[1]):  # choices that keep the same nodes share one assembly
-        if c > 0 and not differ[c]:
-            P.append(P[0])
-            weight.append(weight[0])
-            continue
-        keep = default_keep(pairing, segments, covered, tributary, allowed[:, c])
-        Phi = weighted_duals(pairing, segments, keep)
-        D, M = assemble_node_matrices(pairing, segments, keep, Phi)
-        weight.append(D.getDiagonal().array[sides.nodes])
-        values = -D.getValuesCSR()[2][pattern.from_D], M.getValuesCSR()[2][pattern.from_M]
-        inverse = np.divide(1.0, weight[c], out=np.zeros_like(weight[c]), where=weight[c] > 0)
-        P.append(np.concatenate(values) * inverse[pattern.row])
-        if c == 0 and interface.smooth:
-            heights = _heights(interface, sides, pairing, segments, Phi, weight[0], u)
-    weights = np.column_stack(weight)
+    # choices that keep the same nodes share one assembly
+    choices = [c if differ[c] else 0 for c in range(allowed.shape[1])]
+    keep = {
+        c: default_keep(pairing, segments, covered, tributary, allowed[:, c])
+        for c in sorted(set(choices))
+    }
+    Phi = {c: weighted_duals(pairing, segments, keep[c]) for c in keep}
+    heights: Floats = np.zeros(sides.slave.owned)
+    motions: Floats | None = None
+    if interface.smooth and not interface.one_sided:
+        at = point_motions(pairing, segments, u, sides.fixed, interface.feature_angle)
+        rows = [Phi[c] for c in choices]
+        motions = assemble_motions(pairing, segments, rows, at)[pattern.from_M]
+    found = {c: _integrate(pairing, pattern, segments, keep[c], Phi[c]) for c in keep}
+    P, weights = (np.column_stack([found[c][i] for c in choices]) for i in range(2))
+    if interface.smooth and interface.one_sided:
+        heights = _heights(interface, sides, pairing, segments, Phi[0], weights[:, 0], u)
     some = (left > ROUND_OFF)[:, None]  # of less only round-off has a direction
     direction = np.where(some, free / np.maximum(left, TINY)[:, None], 0.0)
     frame = interface.frame(direction[own], weights > 0, sides.fixed[sides.nodes])
-    columns = np.column_stack(P)
-    blocks = interface.blocks(columns, frame.normals[pattern.row])
+    blocks = interface.blocks(P, frame.normals[pattern.row])
+    if motions is not None:
+        of_master = slice(pattern.from_D.size, None)
+        blocks[of_master] += motions * _inverse(weights)[pattern.row[of_master], :, None]
     pattern.blocks.fill(blocks)
     return Coupling(
         Q=pattern.blocks.matrix,
         blocks=blocks,
-        P=columns,
+        P=P,
         R=frame.R,
         slot=frame.slot,
         directions=frame.directions,
@@ -314,41 +332,6 @@ def couple(
         heights=heights,
         coverage=find_coverage(pairing, segments, covered, tributary),
     )
-
-
-def relative_motions(link: Link, v: PETSc.Vec) -> Floats:
-    """Return D^-1 (D - M) v (c, n, d) at the slave nodes for each choice of nodes; collective.
-
-    With the D and M of the last update that belong to the choice, zero at nodes that it leaves out.
-    """
-    P, coupling = link.pattern.scalars, link.coupling
-    n, d = coupling.normals.shape
-    w, result = P.matrix.createVecRight(), np.zeros((coupling.P.shape[1], n, d))
-    for c in range(len(result)):
-        P.fill(coupling.P[:, c, None, None])
-        for i in range(d):
-            w.array[:] = v.array_r[i::d]
-            result[c, :, i] = (w.array_r - (P.matrix * w).array_r)[link.nodes]
-    return np.where(coupling.kept.T[:, :, None], result, 0.0)
-
-
-def along_and_across(relative: Floats, normals: Floats) -> tuple[Floats, Floats]:
-    """Return the normal part and the length of the tangential part of motions (.., d).
-
-    >>> along_and_across(np.array([[3.0, -2.0]]), np.array([[0.0, 1.0]]))
-    (array([-2.]), array([3.]))
-    """
-    along = (relative * normals).sum(axis=-1)
-    return along, np.linalg.norm(relative - along[..., None] * normals, axis=-1)
-
-
-def slipped(link: Link, u: PETSc.Vec) -> Floats:
-    """Return how far the slave nodes (n,) have moved along the master, tangentially; collective.
-
-    That is the tangential part of D^-1 (D - M) u, of the choice in which it is largest.
-    """
-    _, across = along_and_across(relative_motions(link, u), link.coupling.normals)
-    return np.asarray(across.max(axis=0))
 
 
 def stand_off(link: Link, u: fem.Function | None) -> Floats:
@@ -384,7 +367,7 @@ def _heights(
     """
     at_points = point_heights(pairing, segments, u, sides.fixed, interface.feature_angle)
     total = integrate_values(pairing, segments, Phi, at_points)[: sides.slave.owned]
-    return np.asarray(np.divide(total, weight, out=np.zeros_like(total), where=weight > 0))
+    return np.asarray(total * _inverse(weight))
 
 
 def measure_coverage(pairing: Pairing, u: fem.Function | None) -> Coverage:

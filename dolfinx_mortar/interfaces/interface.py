@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any, ClassVar
 
 from petsc4py import PETSc
@@ -58,6 +59,11 @@ class Resultants:
     carries: Bools  # (n,) which of them have a multiplier
 
 
+SURFACES = ("smooth", "facets")
+# Facets whose normals differ by more degrees meet in an edge, unless the user says otherwise.
+FEATURE_ANGLE = 40.0
+
+
 class Interface:
     """One pair of slave and master surfaces, marked in facet tags.
 
@@ -65,22 +71,36 @@ class Interface:
         facet_tags: facet markers on the mesh of the displacement.
         slave: tag of the side that carries the multipliers and the integration (nonmortar side).
         master: tag of the other side (mortar side).
+        surface: "facets", or "smooth" where they stand for smooth surfaces.
+        feature_angle: degrees between two facets from which on they meet in an edge, which stays
+            one; for smooth surfaces.
+
+    Raises:
+        ValueError: for tags that are none, and an unknown surface or angle.
 
     After a step (see the subclasses for signs): ``force``, ``moment``, ``pressure``, ``gap`` and
     ``active``.
     """
 
     one_sided: ClassVar[bool] = False  # can open: bounds on one side
-    smooth: bool = False  # whether facets stand for smooth surfaces
-    feature_angle: float = 0.0  # degrees between facets that meet in an edge, where smooth
 
-    def __init__(self, facet_tags: MeshTags, *, slave: int, master: int) -> None:
+    def __init__(
+        self, facet_tags: MeshTags, *, slave: int, master: int, surface: str, feature_angle: float
+    ) -> None:
         """Keep the description; surfaces are found when a problem takes the interface."""
         check_tags(facet_tags)
         for name, tag in (("slave", slave), ("master", master)):
             check_tag(name, tag)
         if slave == master:
             raise ValueError(f"slave and master are both tag {slave}: give two different tags")
+        if not isinstance(surface, str) or surface not in SURFACES:
+            raise ValueError(f"surface is {surface!r}: choose 'smooth' or 'facets'")
+        number = isinstance(feature_angle, Real) and not isinstance(feature_angle, bool)
+        if not number or not 0.0 < feature_angle <= 180.0:
+            raise ValueError(
+                f"feature_angle is {feature_angle!r}: give degrees, 0 < feature_angle <= 180"
+            )
+        self.smooth, self.feature_angle = surface == "smooth", float(feature_angle)
         self.facet_tags, self.slave, self.master = facet_tags, slave, master
         self.owner: object = None  # the problem that has taken the interface
         self.fields: Fields | None = None

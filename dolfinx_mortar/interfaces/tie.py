@@ -8,18 +8,45 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem
+from dolfinx.mesh import MeshTags
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import Constraints, equalities
-from dolfinx_mortar.interfaces.interface import Frame, Interface
+from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Frame, Interface
 
 
 class Tie(Interface):
-    """Mesh tying ("glue"): both sides move together in all directions, u_s = P u_m.
+    """Mesh tying ("glue"): both sides move together in all directions.
 
     Always at X, as in the paper: tied sides keep the partners that they had at the start.
     Directions with Dirichlet data are left to those data. ``force`` is the resultant exerted on the
     slave side; ``pressure`` the normal traction, positive in compression.
+
+    Args:
+        facet_tags: facet markers on the mesh of the displacement.
+        slave: tag of the side that carries the multipliers.
+        master: tag of the other side.
+        surface: "facets" ties points of facets, u_s = P u_m as in the paper; "smooth" the surfaces
+            for which they stand: where facets are apart, u_s = P u_m + (motion of the arm between
+            them), see `dolfinx_mortar.geometry.arms`. D and M are the same.
+        feature_angle: degrees between two facets from which on they meet in an edge, which stays
+            one; for smooth surfaces.
+
+    Raises:
+        ValueError: for tags that are none, and an unknown surface or angle.
     """
+
+    def __init__(
+        self,
+        facet_tags: MeshTags,
+        *,
+        slave: int,
+        master: int,
+        surface: str = "smooth",
+        feature_angle: float = FEATURE_ANGLE,
+    ) -> None:
+        """Keep the description; surfaces are found when a problem takes the interface."""
+        sides = {"slave": slave, "master": master}
+        super().__init__(facet_tags, **sides, surface=surface, feature_angle=feature_angle)
 
     def configuration(self, u: fem.Function | None) -> None:
         """Return None: D and M do not follow the deformation."""

@@ -10,10 +10,12 @@ integrated by the ranks that own the slave facets; copies of the master facets t
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from petsc4py import PETSc
 
+import numba
 import numpy as np
 
 import dolfinx
@@ -33,6 +35,8 @@ from dolfinx_mortar.mortar.surface import (
     sum_at_nodes,
 )
 
+_CHUNK = 2**14
+"""Points at which the motions of arms are known at a time: 5 MB in 3D, against calls."""
 LEAST_COVERAGE = 0.05
 """A slave node carries a multiplier if more than this part of its tributary weight is covered."""
 
@@ -190,10 +194,49 @@ def assemble_node_matrices(
     return pairing.D, pairing.M
 
 
+@timed("~Mortar: assemble motions")
+def assemble_motions(
+    pairing: Pairing,
+    segments: Segments,
+    Phi: Sequence[Floats],
+    motions: Callable[[slice], Floats],
+) -> Floats:
+    """Return int Phi_j A_l (e, d, d) at the entries of M (collective).
+
+    M serves as the room in which ranks add up, and has to be refilled.
+
+    Args:
+        pairing: The pair of surfaces.
+        segments: Its segments.
+        Phi: Weighted dual functions (q, k) of `weighted_duals` for each row of A_l.
+        motions: A_l (q, k, d, d) at a part of the points for each node of their master facets.
+    """
+    d, k, m = len(Phi), pairing.slave.element.nodes, pairing.master.element.nodes
+    blocks = np.zeros((d, len(pairing.pairs), k, m * d))
+    for first in range(0, len(segments.pair), _CHUNK):
+        part = slice(first, first + _CHUNK)
+        A = motions(part)
+        for i, P in enumerate(Phi):
+            rows = np.ascontiguousarray(A[:, :, i].reshape(len(A), -1))
+            _add_products(blocks[i], np.ascontiguousarray(P[part]), rows, segments.pair[part])
+    columns = []
+    for values in np.moveaxis(blocks.reshape(d, -1, k, m, d), 4, 1).reshape(d * d, -1, k, m):
+        triplets.set_values(pairing.M, values)
+        columns.append(pairing.M.getValuesCSR()[2])
+    return np.stack(columns, axis=1).reshape(-1, d, d)
+
+
 def _integrate(Phi: Floats, N: Floats, where: Ints, size: int) -> Floats:
     """Return the sums (size, k, l) of weighted Phi (q, k) times N (q, l) over points by `where`."""
-    blocks = np.empty((size, Phi.shape[1], N.shape[1]))
-    for i in range(Phi.shape[1]):
-        for j in range(N.shape[1]):
-            blocks[:, i, j] = np.bincount(where, Phi[:, i] * N[:, j], minlength=size)
+    blocks = np.zeros((size, Phi.shape[1], N.shape[1]))
+    _add_products(blocks, np.ascontiguousarray(Phi), np.ascontiguousarray(N), where)
     return blocks
+
+
+@numba.njit(cache=True)
+def _add_products(blocks, Phi, N, where):  # type: ignore[no-untyped-def]
+    """Add Phi (q, k) times N (q, l) of all points to blocks (size, k, l)."""
+    for q in range(len(where)):
+        for i in range(Phi.shape[1]):
+            for j in range(N.shape[1]):
+                blocks[where[q], i, j] += Phi[q, i] * N[q, j]

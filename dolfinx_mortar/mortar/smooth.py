@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: MIT
-"""The gap between the smooth surfaces that facets stand for, instead of that between facets."""
+"""The smooth surfaces that facets stand for: the gap between them, and how they are tied."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 import dolfinx
 from dolfinx.common import timed
-from dolfinx_mortar.arrays import Bools, Floats
-from dolfinx_mortar.geometry.facets import facet_normals
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.geometry.arms import arm_motions
+from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.geometry.smooth import NodeNormals, fan_sums, heights, rises
+from dolfinx_mortar.geometry.smooth import NodeNormals, fan_sums, heights, rise_tensors, rises
 from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
 from dolfinx_mortar.mortar.pairing import Pairing, receive, received_facets
 from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, sum_at_nodes
@@ -71,19 +75,66 @@ def point_heights(
         fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
         feature_angle: see `smooth_normals`.
     """
+    result = np.zeros(len(segments.slave))
+    for s in _smooth_sides(pairing, segments, u, fixed, feature_angle):
+        result += heights(s.facets, rises(s.facets, s.normals, s.nodes), s.which, s.xi)
+    return result
+
+
+def point_motions(
+    pairing: Pairing,
+    segments: Segments,
+    u: dolfinx.fem.Function | None,
+    fixed: Bools,
+    feature_angle: float,
+) -> Callable[[slice], Floats]:
+    """Return a function that gives A_l (q, k, d, d) at a part of the points; collective.
+
+    By these the arms from master to slave move, see `dolfinx_mortar.geometry.arms`. The arguments
+    are those of `point_heights`.
+    """
+    slave, master = _smooth_sides(pairing, segments, u, fixed, feature_angle)
+    rises_s, rises_m = (rise_tensors(s.facets, s.normals, s.nodes) for s in (slave, master))
+
+    def at(part: slice) -> Floats:
+        s, m = slave.which[part], master.which[part]
+        xi_s, xi_m = slave.xi[part], master.xi[part]
+        H = heights(slave.facets, rises_s, s, xi_s) + heights(master.facets, rises_m, m, xi_m)
+        arms = points_of(slave.facets, s, xi_s) - points_of(master.facets, m, xi_m)
+        return arm_motions(master.facets, m, xi_m, arms, H)
+
+    return at
+
+
+@dataclass(frozen=True)
+class _SmoothSide:
+    """The points of segments on one side, and the normals of its smooth surface."""
+
+    facets: Facets
+    normals: NodeNormals
+    nodes: Ints  # (m, k) which normals are a facet's
+    which: Ints  # (q,) facet of each point
+    xi: Floats  # (q, d-1)
+
+
+def _smooth_sides(
+    pairing: Pairing,
+    segments: Segments,
+    u: dolfinx.fem.Function | None,
+    fixed: Bools,
+    feature_angle: float,
+) -> tuple[_SmoothSide, _SmoothSide]:
+    """Return the slave and the master side at X + u; collective."""
     slave, master = pairing.slave, pairing.master
     x_s, x_m = coordinates(slave, u), coordinates(master, u)
     n_s = smooth_normals(slave, x_s, fixed[slave.nodes], feature_angle)
     own = smooth_normals(master, x_m, fixed[master.nodes], feature_angle)
     n_m = _received(pairing, own)
-    result = np.zeros(len(segments.slave))
-    sides = (
-        (facets_at(slave, x_s), n_s, slave.facets, segments.slave, segments.xi_s),
-        (received_facets(pairing, u), n_m, pairing.master_facets, segments.master, segments.xi_m),
+    facets = facets_at(slave, x_s), received_facets(pairing, u)
+    return (
+        _SmoothSide(facets[0], n_s, slave.facets, segments.slave, segments.xi_s),
+        _SmoothSide(facets[1], n_m, pairing.master_facets, segments.master, segments.xi_m),
     )
-    for facets, normals, nodes, which, xi in sides:
-        result += heights(facets, rises(facets, normals, nodes), which, xi)
-    return result
 
 
 def _received(pairing: Pairing, own: NodeNormals) -> NodeNormals:

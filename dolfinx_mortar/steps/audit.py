@@ -16,7 +16,8 @@ from scipy.spatial import cKDTree
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
-from dolfinx_mortar.interfaces.coupling import Link, slipped
+from dolfinx_mortar.interfaces.coupling import Link
+from dolfinx_mortar.interfaces.motions import slipped
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import (

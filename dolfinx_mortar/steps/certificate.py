@@ -9,8 +9,9 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum, ratio
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.interfaces.coupling import Link, along_and_across, relative_motions
+from dolfinx_mortar.interfaces.coupling import Link
 from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.interfaces.motions import along_and_across, relative_motions
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.report import Certificate, StepReport

@@ -9,7 +9,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.interfaces import results
-from dolfinx_mortar.interfaces.coupling import slipped
+from dolfinx_mortar.interfaces.motions import slipped
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.steps.linearisation import Balance
 from dolfinx_mortar.steps.problem import ContactProblem

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: MIT
+"""Two tied shells: octants of spheres, and rings, with different numbers of facets."""
+
+from itertools import permutations
+
+import numpy as np
+
+from dolfinx import mesh as dmesh
+from dolfinx_mortar.meshing.bodies import distribute, exterior_facets
+
+INNER, SLAVE, MASTER, OUTER = 1, 2, 3, 4  # circles or spheres from inside; 5, 6, 7: x, y, z = 0
+
+
+def _octant(n):
+    """Return points on an octant of the unit sphere and its 3 n^2 quadrilaterals."""
+    t = np.tan(np.linspace(0, np.pi / 4, n + 1))
+    a, b = (v.ravel() for v in np.meshgrid(t, t, indexing="ij"))
+    one = np.ones_like(a)
+    x = np.concatenate([np.column_stack(c) for c in ((one, a, b), (b, one, a), (a, b, one))])
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    first = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    quads = first[:, None] + np.array([0, n + 1, 1, n + 2])
+    quads = np.concatenate([quads + k * (n + 1) ** 2 for k in range(3)])
+    _, index, inverse = np.unique(
+        np.round(x, 9) + 0.0, axis=0, return_index=True, return_inverse=True
+    )
+    return x[index], inverse.ravel()[quads]
+
+
+def _shell(radii, n, layers, cell):
+    """Return nodes and cells between two radii; six tetrahedra per hexahedron."""
+    x, quads = _octant(n)
+    points = np.concatenate([r * x for r in np.linspace(*radii, layers + 1)])
+    cells = [np.hstack([quads + k * len(x), quads + (k + 1) * len(x)]) for k in range(layers)]
+    cells = np.concatenate(cells)
+    if cell == "tetrahedron":
+        paths = [np.cumsum([0] + [1 << i for i in order]) for order in permutations(range(3))]
+        cells = np.concatenate([cells[:, path] for path in paths])
+    return points, cells
+
+
+def octants(comm, radii, counts, layers, cell):
+    """Return the mesh of two shells, radii[0] to radii[1] to radii[2], and its facet tags."""
+    bounds = radii[:2], radii[1:]
+    parts = [_shell(b, n, layers, cell) for b, n in zip(bounds, counts, strict=True)]
+    domain, first = distribute(comm, lambda: parts, cell)
+    local = np.arange(domain.topology.index_map(3).size_local, dtype=np.int32)
+    in_first = np.asarray(domain.topology.original_cell_index)[local] < first
+    facets, first, x = exterior_facets(domain, in_first)
+    radius = np.linalg.norm(x, axis=2)
+    on = [(np.abs(radius - r) < 1e-9).all(axis=1) for r in radii]
+    marks = [on[0], on[1] & first, on[1] & ~first, on[2]]
+    marks += [(np.abs(x[:, :, i]) < 1e-9).all(axis=1) for i in range(3)]
+    values = np.select(marks, np.arange(1, 8, dtype=np.int32), 0).astype(np.int32)
+    return domain, dmesh.meshtags(domain, 2, facets[values > 0], values[values > 0])
+
+
+def lame_pressure(radii, d):
+    """Return the pressure at radii[1] of one material under 1 from outside, nothing inside.
+
+    Of cylinders (d = 2) in plane strain and of spheres (d = 3): sigma_r = A - B / r^d.
+    """
+    a, b, c = radii
+    return (1 - (a / b) ** d) / (1 - (a / c) ** d)

@@ -1,0 +1,314 @@
+# SPDX-License-Identifier: MIT
+"""Ties of smooth surfaces: rigid motions, pressures and moments are right where facets' are not."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import fem
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.mortar import operators
+from tests.meshes import two_blocks
+from tests.meshes_3d import two_boxes
+from tests.shells import INNER, OUTER, lame_pressure, octants
+from tests.test_smooth_contact import hold, rings
+
+COMM = MPI.COMM_WORLD
+CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
+RADIUS = 2.0
+RADII = (1.0, 2.0, 3.0)
+ROUND_OFF = 1e-12
+SPIN = np.array([[0.0, -1.0, 0.5], [1.0, 0.0, 0.7], [-0.5, -0.7, 0.0]])  # W: u = W x
+
+
+# -- the operator: u_s = Q u_m ---------------------------------------------------------------------
+
+
+def to_sphere(x):
+    """Map (a, b, radius - 2), with a and b from 0 to 1, to a sector of a spherical shell."""
+    direction = np.column_stack([0.8 * (x[:, :2] - 0.5), np.ones(len(x))])
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return (RADIUS + x[:, 2:]) * direction
+
+
+def to_arc(x):
+    """Map (a, .., radius - 2) to a sector of a ring, or of a tube."""
+    angle, radius = 0.8 * (x[:, 0] - 0.5), RADIUS + x[:, -1]
+    return np.column_stack([radius * np.sin(angle), *x[:, 1:-1].T, radius * np.cos(angle)])
+
+
+def sides(comm, cell, transform, n=3, **options):
+    """Return the mesh of two bodies whose sides have 2 n and 3 n facets along, and its tags."""
+    options = {"jitter": 0.4} | options | {"cell": cell, "transform": transform}
+    if cell in CELLS[:2]:
+        found = two_blocks(comm, (2 * n, 2), (3 * n, 2), **options)
+    else:
+        found = two_boxes(comm, (2 * n, 2 * n, 1), (3 * n, 3 * n, 1), **options)
+    return found[0], found[2]
+
+
+def couple(mesh, tags, *, swap=False, bcs=None, **options):
+    """Return the link of a tie with the first or the second body's side as slave."""
+    V = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
+    slave, master = (4, 3) if swap else (3, 4)
+    tie = dm.Tie(tags, slave=slave, master=master, **options)
+    solid = dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3))
+    problem = dm.ContactProblem(solid, [tie], bcs=bcs(V) if bcs else [])
+    problem.update_geometry(0.0)
+    return problem.system.links[0]
+
+
+def jumps(link, field):
+    """Return what the tie takes for a slip (n, d) at the slave nodes, and these (n, 3)."""
+    V, n = link.sides.V, link.sides.n_owned
+    x = V.tabulate_dof_coordinates()[:n]
+    v = link.coupling.Q.createVecRight()
+    v.array[:] = field(x)[:, : link.coupling.R.shape[1]].ravel()
+    return np.where(link.constrained, link.relative(v), 0.0), x[link.nodes]
+
+
+def largest(comm, values):
+    """Return the largest absolute value on any rank."""
+    return float(maximum(comm, np.abs(values).max(initial=0.0))[0])
+
+
+def spin(x):
+    """Return a rotation and a translation."""
+    return x @ SPIN.T + [0.3, -0.2, 0.1]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("swap", [False, True])
+@pytest.mark.parametrize("gap", [0.0, 0.3])
+@pytest.mark.parametrize("cell", CELLS)
+def test_rigid_motions_are_no_slip(cell, gap, swap):
+    """Exactly, on uneven meshes of curved sides, also of such that are far apart."""
+    mesh, tags = sides(COMM, cell, to_arc if cell in CELLS[:2] else to_sphere, gap=gap)
+    slip, _ = jumps(couple(mesh, tags, swap=swap), spin)
+    assert largest(COMM, slip) < ROUND_OFF
+    slip, _ = jumps(couple(mesh, tags, swap=swap, surface="facets"), spin)
+    assert largest(COMM, slip) > 1e-3
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("cell", CELLS)
+def test_rigid_motions_are_no_slip_where_directions_differ_in_their_nodes(cell):
+    """Some nodes have Dirichlet data for x alone, and their functions are others'."""
+    mesh, tags = sides(COMM, cell, to_arc if cell in CELLS[:2] else to_sphere, gap=0.1)
+    d = mesh.geometry.dim
+
+    def held(V):
+        dofs = fem.locate_dofs_topological(V.sub(0), d - 1, tags.find(5))
+        return [fem.dirichletbc(fem.Constant(mesh, 0.0), dofs, V.sub(0))]
+
+    link = couple(mesh, tags, bcs=held)
+    kept = COMM.allreduce(link.coupling.kept.sum(axis=0))
+    assert kept[0] < kept[1] and largest(COMM, jumps(link, spin)[0]) < ROUND_OFF
+
+
+@pytest.mark.parametrize("surface", ["facets", "smooth"])
+@pytest.mark.parametrize("cell", CELLS)
+def test_orders_of_a_dilatation(cell, surface):
+    """Sides that widen stay one surface: of second order in h for facets, of fourth for smooth."""
+    errors = []
+    for n in (3, 6):
+        mesh, tags = sides(COMM, cell, to_arc if cell in CELLS[:2] else to_sphere, n, jitter=0.0)
+        slip, x = jumps(couple(mesh, tags, surface=surface), lambda x: x)
+        across = np.abs(x[:, : mesh.geometry.dim - 1]).max(axis=1)
+        errors.append(largest(COMM, slip[across < 0.16 * RADIUS]))  # normals lean at the rims
+    order = np.log2(errors[0] / errors[1])
+    assert order == pytest.approx(2.0 if surface == "facets" else 4.0, abs=0.15)
+
+
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_tubes_grow_in_radius_alone(cell):
+    """A stretch along the axis leaves the heights as they are, one across lets them grow."""
+    errors = []
+    for n in (3, 6):
+        mesh, tags = sides(COMM, cell, to_arc, n, jitter=0.0)
+        link = couple(mesh, tags)
+        for factors in ([0.0, 1.0, 0.0], [1.0, 0.0, 1.0]):
+            slip, x = jumps(link, lambda x, factors=factors: x * factors)
+            inner = (np.abs(x[:, 0]) < 0.16 * RADIUS) & (np.abs(x[:, 1] - 0.5) < 0.2)
+            errors.append(largest(COMM, slip[inner]))
+    along, across = errors[::2], errors[1::2]
+    assert max(along) < ROUND_OFF
+    assert np.log2(across[0] / across[1]) == pytest.approx(4.0, abs=0.15)
+
+
+@pytest.mark.parametrize("surface", ["facets", "smooth"])
+@pytest.mark.parametrize("cell", CELLS)
+def test_flat_sides_have_the_operator_of_the_paper(cell, surface):
+    """Q = P I: to the last digit for facets, to round-off for smooth surfaces."""
+    mesh, tags = sides(COMM, cell, None)
+    coupling = couple(mesh, tags, surface=surface).coupling
+    scalar = coupling.P[:, :, None] * np.eye(coupling.R.shape[1])
+    assert largest(COMM, coupling.blocks - scalar) <= (0.0 if surface == "facets" else 1e-14)
+
+
+def test_facets_are_the_papers_on_curved_sides():
+    mesh, tags = sides(COMM, "hexahedron", to_sphere)
+    coupling = couple(mesh, tags, surface="facets").coupling
+    assert (coupling.blocks == coupling.P[:, :, None] * np.eye(3)).all()
+
+
+def test_points_in_parts_add_up_to_the_same(monkeypatch):
+    """To the last digit: each sum is made in the same order."""
+    mesh, tags = sides(COMM, "tetrahedron", to_sphere)
+    whole = couple(mesh, tags).coupling.blocks
+    monkeypatch.setattr(operators, "_CHUNK", 7)
+    assert (couple(mesh, tags).coupling.blocks == whole).all()
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("partition", ["stripes", "bodies", "shared_facet"])
+@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
+def test_the_operator_does_not_depend_on_the_ranks(cell, partition):
+    found = []
+    for comm in (COMM, MPI.COMM_SELF):
+        transform = to_arc if cell == "triangle" else to_sphere
+        mesh, tags = sides(comm, cell, transform, partition=partition)
+        slip, x = jumps(couple(mesh, tags), lambda x: np.sin(3 * x + x[:, ::-1] ** 2))
+        rows = np.concatenate(comm.allgather(np.column_stack([x, slip])))
+        found.append(rows[np.lexsort(np.round(rows[:, :3], 9).T)])
+    assert found[0] == pytest.approx(found[1], abs=1e-12)
+
+
+# -- what it mends ---------------------------------------------------------------------------------
+
+
+def create_shells(cell, k):
+    """Return two rings, or octants of two spherical shells, with different numbers of facets."""
+    if cell == "quadrilateral":
+        return rings(COMM, RADII[:2], RADII[1:], (24 * k, 36 * k), (4 * k, 4 * k))
+    return octants(COMM, RADII, (4 * k, 5 * k), 2 * k, cell)
+
+
+def create_problem(domain, tags, *, slave, surface, bcs, pressure=0.0):
+    """Return the problem of two tied shells of the same steel, and the tie."""
+    V = fem.functionspace(domain, ("Lagrange", 1, (domain.geometry.dim,)))
+    tie = dm.Tie(tags, slave=slave, master={2: 3, 3: 2}[slave], surface=surface)
+    ds = ufl.Measure("ds", domain, subdomain_data=tags)
+    push = -pressure * ufl.dot(ufl.FacetNormal(domain), ufl.TestFunction(V)) * ds(OUTER)
+    solid = dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.3))
+    return dm.ContactProblem(solid, [tie], bcs=bcs(V), loads=push if pressure else None), tie
+
+
+def turned_strain(cell, k, surface, slave):
+    """Return the L2 norm of the strain of tied shells, of which the inner end is turned by 1e-3."""
+    domain, tags = create_shells(cell, k)
+    d = domain.geometry.dim
+
+    def turned(V):
+        given = fem.Function(V)
+        given.interpolate(lambda x: 1e-3 * SPIN[:d, :d] @ x[:d])
+        return [fem.dirichletbc(given, fem.locate_dofs_topological(V, d - 1, tags.find(INNER)))]
+
+    problem, _ = create_problem(domain, tags, slave=slave, surface=surface, bcs=turned)
+    dm.newton(problem, rtol=1e-10)
+    strain = ufl.sym(ufl.grad(problem.u))
+    square = COMM.allreduce(fem.assemble_scalar(fem.form(ufl.inner(strain, strain) * ufl.dx)))
+    return np.sqrt(square)
+
+
+@pytest.mark.parametrize("slave", [2, 3])
+@pytest.mark.parametrize("cell", ["quadrilateral", "tetrahedron", "hexahedron"])
+def test_a_rotation_strains_nothing(cell, slave):
+    assert turned_strain(cell, 1, "smooth", slave) < 1e-12
+
+
+@pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron"])
+def test_facets_resist_a_rotation(cell):
+    """By a strain of the sagitta over the width of the layer that it reaches: order 1.5 in h."""
+    strains = [turned_strain(cell, k, "facets", 3) for k in (1, 2)]
+    assert np.log2(strains[0] / strains[1]) == pytest.approx(1.5, abs=0.2) and strains[1] > 1e-7
+
+
+def pressure_errors(cell, sizes, surface, slave):
+    """Return the largest errors of the pressure, relative to Lame's, and its spreads."""
+    found = []
+    for k in sizes:
+        domain, tags = create_shells(cell, k)
+        d = domain.geometry.dim
+
+        def supports(V, d=d, tags=tags, domain=domain):
+            if d == 2:
+                return hold(V, RADII[2])
+            at = [fem.locate_dofs_topological(V.sub(i), 2, tags.find(5 + i)) for i in range(3)]
+            zero = fem.Constant(domain, 0.0)
+            return [fem.dirichletbc(zero, dofs, V.sub(i)) for i, dofs in enumerate(at)]
+
+        problem, tie = create_problem(
+            domain, tags, slave=slave, surface=surface, bcs=supports, pressure=1.0
+        )
+        dm.newton(problem, rtol=1e-10)
+        pressure = tie.gather(problem.u)["pressure"] / lame_pressure(RADII, d)
+        found.append([np.abs(pressure - 1.0).max(), pressure.std()])
+    return np.array(found)
+
+
+@pytest.mark.parametrize("slave", [2, 3])
+def test_the_pressure_of_tied_rings_is_lames(slave):
+    """Uniform and right, both of second order, whatever the slave."""
+    errors = pressure_errors("quadrilateral", (1, 2, 4), "smooth", slave)
+    orders = np.log2(errors[:-1] / errors[1:])
+    assert orders[-1].min() > 1.8 and errors[-1, 0] < 4e-4
+
+
+def test_the_pressure_of_tied_facets_is_of_first_order():
+    """With the finer side as slave; ten times less right than that of smooth sides."""
+    errors = pressure_errors("quadrilateral", (2, 4), "facets", 3)
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(1.0, abs=0.2)
+    assert errors[1, 0] > 8 * pressure_errors("quadrilateral", (4,), "smooth", 3)[0, 0]
+
+
+@pytest.mark.parametrize("slave", [2, 3])
+def test_the_pressure_of_tied_spheres_is_lames(slave):
+    errors = pressure_errors("hexahedron", (1, 2), "smooth", slave)
+    assert np.log2(errors[0] / errors[1]).min() > 1.6 and errors[1, 0] < 9e-4
+    facets = pressure_errors("hexahedron", (2,), "facets", slave)
+    assert (errors[1] < facets[0]).all()
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("cell", CELLS)
+def test_moments_balance_across_a_gap(cell):
+    """A body that is sheared and pressed, far above the one to which it is tied."""
+    mesh, tags = sides(COMM, cell, None, gap=0.3)
+    d = mesh.geometry.dim
+    imbalance = []
+    for surface in ("smooth", "facets"):
+        V = fem.functionspace(mesh, ("Lagrange", 1, (d,)))
+        ds, v = ufl.Measure("ds", mesh, subdomain_data=tags), ufl.TestFunction(V)
+        bottom = fem.locate_dofs_topological(V, d - 1, tags.find(1))
+        problem = dm.ContactProblem(
+            dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.3)),
+            [dm.Tie(tags, slave=3, master=4, surface=surface)],
+            bcs=[fem.dirichletbc(np.zeros(d), bottom, V)],
+            loads=(v[0] - v[d - 1]) * ds(2),
+        )
+        imbalance.append(dm.newton(problem).certificate.moment_balance)
+    assert imbalance[0] < 1e-12 and imbalance[1] > 0.05
+
+
+def test_a_tie_says_what_is_tied():
+    """Smooth surfaces if not told otherwise; the audit names them and their edges."""
+    _, tags = sides(COMM, "triangle", None)
+    shown = [repr(dm.Tie(tags, slave=3, master=4, **o)) for o in ({}, {"surface": "facets"})]
+    assert shown == [
+        "Tie(slave=3, master=4, surface='smooth', feature_angle=40)",
+        "Tie(slave=3, master=4)",
+    ]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("angle", [40.0, 10.0])
+def test_edges_of_tied_sides_keep_their_facets(angle):
+    """Facets that meet in 46 / 6 and 46 / 9 degrees are a curve, unless the angle says less."""
+    mesh, tags = sides(COMM, "quadrilateral", to_arc, jitter=0.0)
+    curved = jumps(couple(mesh, tags, feature_angle=angle), lambda x: x)[0]
+    sharp = jumps(couple(mesh, tags, feature_angle=5.0), lambda x: x)[0]
+    assert largest(COMM, sharp) > 50 * largest(COMM, curved)
