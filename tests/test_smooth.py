@@ -10,7 +10,14 @@ import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar.geometry.elements import LINE2, QUAD4, TRI3
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.smooth import NodeNormals, heights, rises
+from dolfinx_mortar.geometry.smooth import (
+    NodeNormals,
+    common_rises,
+    curvatures,
+    edges,
+    heights,
+    rises,
+)
 from dolfinx_mortar.meshing.bodies import distribute
 from dolfinx_mortar.mortar.smooth import smooth_normals
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
@@ -69,13 +76,11 @@ def test_normals_are_exact_on_a_sphere(cell):
 def test_heights_over_a_sphere_are_of_fourth_order(element, rng):
     """Facets of any shape, with the sphere's normals at their nodes."""
     d = 2 if element is LINE2 else 3
-    corners = {LINE2: [[-1.0], [1.0]], TRI3: [[0, 0], [1, 0], [0, 1]]}
-    corners[QUAD4] = [[-1, -1], [1, -1], [1, 1], [-1, 1]]
-    flat = np.array(corners[element]) + rng.uniform(-0.3, 0.3, (20, element.nodes, d - 1))
+    flat = scattered(element, rng, 1.0)
     xi = np.array([[0.2] * (d - 1), [0.3, 0.1][: d - 1], [0.6, 0.2][: d - 1]])
     errors = []
     for size in (0.2, 0.1):
-        x = np.concatenate([size * flat, np.ones((*flat.shape[:2], 1))], axis=2)
+        x = size * flat + np.eye(d)[-1]
         x /= np.linalg.norm(x, axis=2, keepdims=True)
         no = np.zeros(20 * element.nodes, dtype=bool)
         normals = NodeNormals(x.reshape(-1, d), no, no)
@@ -84,6 +89,56 @@ def test_heights_over_a_sphere_are_of_fourth_order(element, rng):
         errors.append(np.abs(found_heights(facets, normals, nodes, xi) - true).max())
         assert errors[-1] < 0.1 * true.max()
     assert 10.0 < errors[0] / errors[1] < 24.0
+
+
+def scattered(element, rng, size):
+    """Return facets (20,) near the origin of the plane, with their nodes off any grid."""
+    d = 2 if element is LINE2 else 3
+    corners = {LINE2: [[-1.0], [1.0]], TRI3: [[0, 0], [1, 0], [0, 1]]}
+    corners[QUAD4] = [[-1, -1], [1, -1], [1, 1], [-1, 1]]
+    flat = np.array(corners[element]) + rng.uniform(-0.3, 0.3, (20, element.nodes, d - 1))
+    return size * np.concatenate([flat, np.zeros((*flat.shape[:2], 1))], axis=2)
+
+
+@pytest.mark.parametrize("element", [LINE2, TRI3, QUAD4])
+def test_curvatures_are_those_of_the_surface(element, rng):
+    """Over z = -x.H x / 2 they are H, whatever the facets and the units."""
+    H = np.array([[0.7, 0.2, 0.0], [0.2, -0.3, 0.0], [0.0, 0.0, 0.0]])
+    if element is LINE2:
+        H = np.diag([0.7, 0.0])
+    for size in (1e-3, 1e3):
+        x = scattered(element, rng, 1e-3 * size)
+        x[..., -1] = -0.5 * np.einsum("mki,ij,mkj->mk", x, H / size, x)
+        n = x @ (H / size) + np.eye(len(H))[-1]
+        n /= np.linalg.norm(n, axis=2, keepdims=True)
+        no = np.zeros(20 * element.nodes, dtype=bool)
+        facets, nodes = Facets(element, x), np.arange(len(no)).reshape(x.shape[:2])
+        c = rises(facets, NodeNormals(n.reshape(-1, len(H)), no, no), nodes)
+        found = size * curvatures(facets, c)
+        assert found == pytest.approx(np.broadcast_to(H, found.shape), abs=5e-3)
+        assert np.linalg.eigvalsh(found)[:, 0].max() < 1e-3  # tangential
+
+
+@pytest.mark.parametrize("element", [LINE2, TRI3, QUAD4])
+def test_the_common_surface_lies_between_its_sides(element, rng):
+    """Of a surface and its counterpart it is that one, of a ball on a plane half the ball."""
+    facets = Facets(element, scattered(element, rng, 0.1))
+    c = (edges(facets) ** 2).sum(axis=2) / RADIUS
+    K = curvatures(facets, c)
+    assert common_rises(facets, c, -K) == pytest.approx(c, rel=1e-10)
+    assert common_rises(facets, c, 0.0 * K) == pytest.approx(c / 2, rel=1e-10)
+    assert common_rises(facets, c, K) == pytest.approx(0.0 * c, abs=1e-10 * c.max())
+
+
+@pytest.mark.parametrize("element", [TRI3, QUAD4])
+def test_needles_and_collapsed_facets_have_a_curvature(element, rng):
+    """What they cannot tell is left out."""
+    x = scattered(element, rng, 1.0)
+    for width in (1e-3, 1e-12, 0.0):
+        x[..., 1] *= width
+        facets = Facets(element, x)
+        c = (edges(facets) ** 2).sum(axis=2) / RADIUS
+        assert np.abs(curvatures(facets, c)).max() < 10.0 / RADIUS
 
 
 @pytest.mark.parametrize("cell", CELLS)

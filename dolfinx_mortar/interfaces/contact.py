@@ -35,8 +35,8 @@ class Contact(Interface):
         slave: tag of the side that carries the multipliers.
         master: tag of the other side.
         surface: "facets" measures the gap between the facets, as the paper does; "smooth" between
-            the smooth surfaces through their nodes, g_j - sum_q w Phi_j (h_s + h_m) with the
-            heights h of `dolfinx_mortar.geometry.smooth`. D, M and N are the same.
+            the smooth surfaces through their nodes, g_j - sum_q w Phi_j (h_s + h_m) / D_jj with
+            the heights h of `dolfinx_mortar.geometry.smooth`. D, M and N are the same.
         feature_angle: degrees between two facets from which on they meet in an edge, which stays
             one; for smooth surfaces.
 

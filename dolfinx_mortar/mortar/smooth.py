@@ -10,8 +10,16 @@ from dolfinx.common import timed
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.geometry.facets import facet_normals
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.geometry.smooth import NodeNormals, fan_sums, heights, rises
-from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
+from dolfinx_mortar.geometry.smooth import (
+    NodeNormals,
+    common_rises,
+    curvatures,
+    fan_sums,
+    heights,
+    rises,
+    unit,
+)
+from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS
 from dolfinx_mortar.mortar.pairing import Pairing, receive, received_facets
 from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, sum_at_nodes
 
@@ -34,9 +42,9 @@ def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: flo
     columns = np.concatenate([parts, around, np.abs(around).sum(axis=2, keepdims=True)], axis=2)
     total = sum_at_nodes(surface, columns)
     d = x.shape[1]
-    n, gap, size = _unit(total[:, :d]), total[:, d:-1], total[:, -1]
+    n, gap, size = unit(total[:, :d]), total[:, d:-1], total[:, -1]
     is_open = np.linalg.norm(gap, axis=1) > HALF_OF_DIGITS * size
-    mirrored = _unit(np.where(fixed, 0.0, n))
+    mirrored = unit(np.where(fixed, 0.0, n))
     turn = np.einsum("ni,ni->n", mirrored, n)
     completed = is_open & fixed.any(axis=1) & (turn > np.cos(np.radians(feature_angle / 2)))
     if d > 2:  # one mirror closes a fan that begins and ends on it; in the plane any does
@@ -49,11 +57,6 @@ def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: flo
     return NodeNormals(n, np.asarray(is_open & ~completed), np.asarray(sharp))
 
 
-def _unit(v: Floats) -> Floats:
-    """Return vectors (n, d) of length one, zero for zero."""
-    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=1), TINY)[:, None])
-
-
 @timed("~Mortar: heights")
 def point_heights(
     pairing: Pairing,
@@ -63,6 +66,8 @@ def point_heights(
     feature_angle: float,
 ) -> Floats:
     """Return by how much (q,) the smooth surfaces are nearer than the facets; collective.
+
+    The facets of both sides stand off the surface that these share where they touch.
 
     Args:
         pairing: the pair of surfaces.
@@ -76,14 +81,13 @@ def point_heights(
     n_s = smooth_normals(slave, x_s, fixed[slave.nodes], feature_angle)
     own = smooth_normals(master, x_m, fixed[master.nodes], feature_angle)
     n_m = _received(pairing, own)
-    result = np.zeros(len(segments.slave))
-    sides = (
-        (facets_at(slave, x_s), n_s, slave.facets, segments.slave, segments.xi_s),
-        (received_facets(pairing, u), n_m, pairing.master_facets, segments.master, segments.xi_m),
-    )
-    for facets, normals, nodes, which, xi in sides:
-        result += heights(facets, rises(facets, normals, nodes), which, xi)
-    return result
+    f_s, f_m = facets_at(slave, x_s), received_facets(pairing, u)
+    c_s, c_m = rises(f_s, n_s, slave.facets), rises(f_m, n_m, pairing.master_facets)
+    s, m = pairing.pairs.T
+    at_s = common_rises(f_s[s], c_s[s], curvatures(f_m, c_m)[m])
+    at_m = common_rises(f_m[m], c_m[m], curvatures(f_s, c_s)[s])
+    h_s = heights(f_s, at_s, segments.pair, segments.xi_s)
+    return h_s + heights(f_m, at_m, segments.pair, segments.xi_m)
 
 
 def _received(pairing: Pairing, own: NodeNormals) -> NodeNormals:
