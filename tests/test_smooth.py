@@ -19,9 +19,9 @@ from dolfinx_mortar.geometry.smooth import (
     rises,
 )
 from dolfinx_mortar.meshing.bodies import distribute
-from dolfinx_mortar.mortar.smooth import smooth_normals
+from dolfinx_mortar.mortar.smooth import count_edges, smooth_normals
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
-from tests.test_audit import create_ring
+from tests.close_fits import create_ring
 
 COMM = MPI.COMM_WORLD
 RADIUS = 8.0
@@ -265,3 +265,67 @@ def test_only_what_may_be_a_symmetry_completes_the_normal(components, completed)
     top = int(np.argmax(surface.X[:, 1]))
     assert found.open[top] != completed
     assert not completed or found.n[top] == pytest.approx([0.0, 1.0], abs=1e-14)
+
+
+# -- where there is no normal ----------------------------------------------------------------------
+
+
+def slit(cell):
+    """Return the two lips of a slit that ends inside a block, as one surface."""
+    k = 4
+    x, y, z = (a.ravel() for a in np.meshgrid(*(np.arange(k + 1.0),) * 3, indexing="ij"))
+    if cell == "quadrilateral":
+        x, y, z = x[z == 0], y[z == 0], None
+    X = np.column_stack([x, y] if z is None else [x, y, z])
+    corners = np.array(list(np.ndindex(*(2,) * X.shape[1])))
+    number = {tuple(p): i for i, p in enumerate(X)}
+    first = X[(X < k).all(axis=1)]
+    cells = np.array([[number[tuple(p + c)] for c in corners] for p in first])
+    doubled = np.flatnonzero((X[:, 1] == 2) & (X[:, 0] > 2))
+    twin = np.arange(len(X))
+    twin[doubled] = len(X) + np.arange(len(doubled))
+    above = first[:, 1] >= 2
+    cells[above] = twin[cells[above]]
+    X = np.concatenate([X, X[doubled]])
+    domain, _ = distribute(MPI.COMM_SELF, lambda: [(X, cells), (X + 9.0, cells)], cell)
+    d = X.shape[1]
+    domain.topology.create_connectivity(d - 1, d)
+    facets = mesh.exterior_facet_indices(domain.topology)
+    middle = mesh.compute_midpoints(domain, d - 1, facets)
+    lips = facets[(np.abs(middle[:, 1] - 2.0) < 1e-9) & (middle[:, 0] > 2.0) & (middle[:, 0] < k)]
+    tags = mesh.meshtags(domain, d - 1, lips, np.full(len(lips), 3, dtype=np.int32))
+    return create_surface(fem.functionspace(domain, ("Lagrange", 1, (d,))), tags, 3, "slave")
+
+
+@pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron"])
+def test_opposite_facets_have_no_normal(cell):
+    """At the end of a slit the fan of a node cancels: its facets count, and the audit is told."""
+    surface = slit(cell)
+    fixed = np.zeros(surface.X.shape, dtype=bool)
+    found = smooth_normals(surface, surface.X, fixed, 180.0)
+    end = np.abs(surface.X[:, 0] - 2.0) < 1e-9
+    assert np.array_equal(found.sharp, end) and 0 < end.sum() < len(end)
+    assert np.abs(found.n[end]).max() == 0.0
+    assert np.abs(np.linalg.norm(found.n[~end], axis=1) - 1.0).max() < 1e-14
+    c = rises(facets_at(surface, surface.X), found, surface.facets)
+    assert np.abs(c).max() < 1e-14
+    fixed = np.zeros((len(surface.V.mesh.geometry.x), fixed.shape[1]), dtype=bool)
+    assert count_edges(surface, None, fixed, 180.0).tolist() == [end.sum()] * 2
+
+
+@pytest.mark.parametrize(("second", "none"), [((1.0, 1e-9), True), ((0.8, 0.6), False)])
+def test_a_cusp_has_no_normal(second, none):
+    """Two sides of a wedge of no angle; with an angle, the edge has one."""
+    X = np.array([[0.0, 0.0], second, [1.0, 1.0], [0.0, 1.0]])
+    X = np.concatenate([X, [[1.0, 0.0], [1.0, -1.0], [0.0, -1.0]]])
+    cells = np.array([[3, 2, 0, 1], [6, 5, 0, 4]])
+    bodies = (X, cells), (X + 9.0, cells)
+    domain, _ = distribute(MPI.COMM_SELF, lambda: bodies, "quadrilateral")
+    domain.topology.create_connectivity(1, 2)
+    facets = mesh.exterior_facet_indices(domain.topology)
+    middle = mesh.compute_midpoints(domain, 1, facets)
+    lips = facets[(np.abs(middle[:, 0] - 0.45) < 0.1) & (np.abs(middle[:, 1]) < 0.45)]
+    tags = mesh.meshtags(domain, 1, lips, np.full(2, 3, dtype=np.int32))
+    surface = create_surface(fem.functionspace(domain, ("Lagrange", 1, (2,))), tags, 3, "slave")
+    fixed = np.zeros((len(surface.V.mesh.geometry.x), 2), dtype=bool)
+    assert count_edges(surface, None, fixed, 40.0).tolist() == [1, int(none)]

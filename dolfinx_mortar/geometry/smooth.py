@@ -40,9 +40,9 @@ from dolfinx_mortar.geometry.tolerances import EPS, TINY
 class NodeNormals:
     """Normals of a smooth surface at nodes."""
 
-    n: Floats  # (n, d) unit vectors
+    n: Floats  # (n, d) unit vectors, zero where there is none
     open: Bools  # (n,) facets lie on one side only, so that the normal may lean
-    sharp: Bools  # (n,) on an edge: there is no normal
+    sharp: Bools  # (n,) on an edge: no normal of it is one of a smooth surface
 
     @property
     def regular(self) -> Bools:

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 import dolfinx
 from dolfinx.common import timed
-from dolfinx_mortar.arrays import Bools, Floats
-from dolfinx_mortar.geometry.facets import facet_normals
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.geometry.facets import Facets, facet_normals
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.geometry.smooth import (
     NodeNormals,
@@ -27,9 +29,11 @@ from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, sum_a
 def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: float) -> NodeNormals:
     """Return the normals of the smooth surface at the nodes; collective.
 
-    On a plane of symmetry the facets are completed by their mirror images, which takes from the
-    normal the components with Dirichlet data; but not where that turns it by more than half of the
-    feature angle: what holds the end of a surface need not be its symmetry.
+    There is none, and n = 0, where a facet looks away from the sum over all: at a cusp, between
+    opposite facets, and where a fan closes so that it cancels. On a plane of symmetry the facets
+    are completed by their mirror images, which takes from the normal the components with
+    Dirichlet data; but not where that turns it by more than half of the feature angle: what holds
+    the end of a surface need not be its symmetry.
 
     Args:
         surface: the surface.
@@ -51,10 +55,48 @@ def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: flo
         off_plane = np.linalg.norm(np.where(fixed, gap, 0.0), axis=1) > HALF_OF_DIGITS * size
         completed &= (fixed.sum(axis=1) > 1) | ~off_plane
     n = np.where(completed[:, None], mirrored, n)
-    apart = np.einsum("mki,mi->mk", n[surface.facets], facet_normals(facets))
-    beyond = apart < np.cos(np.radians(feature_angle / 2))
-    sharp = sum_at_nodes(surface, beyond[:, :, None])[:, 0] > 0
+    along = np.einsum("mki,mi->mk", n[surface.facets], facet_normals(facets))
+    limits = np.cos(np.radians(feature_angle / 2)), HALF_OF_DIGITS
+    beyond = sum_at_nodes(surface, np.stack([along < limit for limit in limits], axis=2)) > 0
+    sharp, none = beyond.any(axis=1), beyond[:, 1]
+    n = np.where(none[:, None], 0.0, n)
     return NodeNormals(n, np.asarray(is_open & ~completed), np.asarray(sharp))
+
+
+@dataclass(frozen=True)
+class Curved:
+    """The facets of one side, and the smooth surface over them."""
+
+    facets: Facets  # (m,)
+    rise: Floats  # (m, e) c_ab of `rises`
+    K: Floats  # (m, d, d) their curvatures
+
+
+def find_curved(
+    pairing: Pairing, u: dolfinx.fem.Function | None, fixed: Bools, feature_angle: float
+) -> tuple[Curved, Curved]:
+    """Return the slave's and the received master's facets with their curvatures; collective.
+
+    Args:
+        pairing: the pair of surfaces.
+        u: displacement, None for X.
+        fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
+        feature_angle: see `smooth_normals`.
+    """
+    slave, master = pairing.slave, pairing.master
+    x_s, x_m = coordinates(slave, u), coordinates(master, u)
+    n_s = smooth_normals(slave, x_s, fixed[slave.nodes], feature_angle)
+    own = smooth_normals(master, x_m, fixed[master.nodes], feature_angle)
+    n_m = _received(pairing, own)
+    return (
+        _curved(facets_at(slave, x_s), n_s, slave.facets),
+        _curved(received_facets(pairing, u), n_m, pairing.master_facets),
+    )
+
+
+def _curved(facets: Facets, normals: NodeNormals, nodes: Ints) -> Curved:
+    rise = rises(facets, normals, nodes)
+    return Curved(facets, rise, curvatures(facets, rise))
 
 
 @timed("~Mortar: heights")
@@ -76,18 +118,45 @@ def point_heights(
         fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
         feature_angle: see `smooth_normals`.
     """
-    slave, master = pairing.slave, pairing.master
-    x_s, x_m = coordinates(slave, u), coordinates(master, u)
-    n_s = smooth_normals(slave, x_s, fixed[slave.nodes], feature_angle)
-    own = smooth_normals(master, x_m, fixed[master.nodes], feature_angle)
-    n_m = _received(pairing, own)
-    f_s, f_m = facets_at(slave, x_s), received_facets(pairing, u)
-    c_s, c_m = rises(f_s, n_s, slave.facets), rises(f_m, n_m, pairing.master_facets)
+    a, b = find_curved(pairing, u, fixed, feature_angle)
     s, m = pairing.pairs.T
-    at_s = common_rises(f_s[s], c_s[s], curvatures(f_m, c_m)[m])
-    at_m = common_rises(f_m[m], c_m[m], curvatures(f_s, c_s)[s])
-    h_s = heights(f_s, at_s, segments.pair, segments.xi_s)
-    return h_s + heights(f_m, at_m, segments.pair, segments.xi_m)
+    at_s = common_rises(a.facets[s], a.rise[s], b.K[m])
+    at_m = common_rises(b.facets[m], b.rise[m], a.K[s])
+    h_s = heights(a.facets, at_s, segments.pair, segments.xi_s)
+    return h_s + heights(b.facets, at_m, segments.pair, segments.xi_m)
+
+
+def find_parting(sides: tuple[Curved, Curved], pairing: Pairing, segments: Segments) -> float:
+    """Return the mean of |k_s + k_m| over that of the larger of |k_s|, |k_m|, k = tr K; collective.
+
+    Over the area where the sides face each other: 1 for a ball on a plane, c / R for a pin in a
+    hole of radius R with the clearance c, infinite for planes, which have no facets to speak of.
+    """
+    size = np.bincount(segments.pair, segments.weight, minlength=len(pairing.pairs))
+    k_s, k_m = (
+        np.trace(side.K, axis1=1, axis2=2)[of]
+        for side, of in zip(sides, pairing.pairs.T, strict=True)
+    )
+    local = np.array([size @ np.abs(k_s + k_m), size @ np.maximum(np.abs(k_s), np.abs(k_m))])
+    apart, curved = pairing.slave.V.mesh.comm.allreduce(local)
+    return float(apart / curved) if curved > 0.0 else np.inf
+
+
+def count_edges(
+    surface: Surface, u: dolfinx.fem.Function | None, fixed: Bools, feature_angle: float
+) -> Ints:
+    """Return how many nodes lie on an edge, and how many of them have no normal; collective.
+
+    Args:
+        surface: the surface.
+        u: displacement, None for X.
+        fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
+        feature_angle: see `smooth_normals`.
+    """
+    normals = smooth_normals(surface, coordinates(surface, u), fixed[surface.nodes], feature_angle)
+    none = np.abs(normals.n).max(axis=1) == 0.0
+    local = [marks[: surface.owned].sum() for marks in (normals.sharp, none)]
+    return np.asarray(surface.V.mesh.comm.allreduce(np.array(local, dtype=np.int32)))
 
 
 def _received(pairing: Pairing, own: NodeNormals) -> NodeNormals:
