@@ -22,7 +22,7 @@ CELLS = ["tetrahedron", "hexahedron"]
 @pytest.mark.parametrize("counts", [(192, 144), (144, 192), (160, 160)])
 def test_shrink_fit_is_lames(counts, swap, geometry):
     """Uniform to 3 % and right to 1 %, whatever the numbers of facets and the slave."""
-    case = create_shrink_fit(counts, swap, geometry=geometry, surface="smooth")
+    case = create_shrink_fit(counts, swap, geometry=geometry)
     dm.newton(case.problem)
     nodes = case.contact.gather(case.problem.u)
     assert np.abs(nodes["gap"]).max() < 1e-5 * OVERLAP
@@ -35,7 +35,7 @@ def test_shrink_fit_is_lames(counts, swap, geometry):
 @pytest.mark.parametrize("counts", [(64, 96), (96, 64)])
 def test_a_pin_in_its_hole(counts, swap):
     """Clearance of 1 %: the peak is that of a fine mesh, and no node stays falsely open."""
-    report, found = create_pin(counts, swap, surface="smooth").solve()
+    report, found = create_pin(counts, swap).solve()
     assert report.newton_iterations <= 6 and not report.notes
     on = np.degrees(np.abs(np.arctan2(found["X"][:, 0], -found["X"][:, 1]))) < 20.0
     assert found["active"][on].all()
@@ -79,7 +79,9 @@ def test_the_audit_shows_the_choice():
         for surface in ("smooth", "facets")
     ]
     shown = [str(case.problem([contact]).audit()) for contact in contacts]
-    assert "surface='smooth', feature_angle=30" in shown[0] and "surface" not in shown[1]
+    assert "feature_angle=30" in shown[0] and "surface" not in shown[0]
+    assert "surface='facets'" in shown[1] and "feature_angle" not in shown[1]
+    assert repr(dm.Contact(case.facets, slave=3, master=4)) == "Contact(slave=3, master=4)"
 
 
 def test_flat_sides_are_the_same_either_way():

@@ -34,9 +34,10 @@ class Contact(Interface):
         facet_tags: facet markers on the mesh of the displacement.
         slave: tag of the side that carries the multipliers.
         master: tag of the other side.
-        surface: "facets" measures the gap between the facets, as the paper does; "smooth" between
-            the smooth surfaces through their nodes, g_j - sum_q w Phi_j (h_s + h_m) / D_jj with
-            the heights h of `dolfinx_mortar.geometry.smooth`. D, M and N are the same.
+        surface: "smooth" measures the gap between the smooth surfaces through the nodes of the
+            facets, g_j - sum_q w Phi_j (h_s + h_m) / D_jj with the heights h of
+            `dolfinx_mortar.geometry.smooth`; "facets" between the facets, as the paper does. D, M
+            and N are the same.
         feature_angle: degrees between two facets from which on they meet in an edge, which stays
             one; for smooth surfaces.
 
@@ -52,7 +53,7 @@ class Contact(Interface):
         *,
         slave: int,
         master: int,
-        surface: str = "facets",
+        surface: str = "smooth",
         feature_angle: float = FEATURE_ANGLE,
     ) -> None:
         """Keep the description; surfaces are found when a problem takes the interface."""
@@ -65,6 +66,13 @@ class Contact(Interface):
                 f"feature_angle is {feature_angle!r}: give degrees, 0 < feature_angle <= 180"
             )
         self.smooth, self.feature_angle = surface == "smooth", float(feature_angle)
+
+    def __repr__(self) -> str:
+        """Name the tags, and what is not the default."""
+        said = "" if self.smooth else ", surface='facets'"
+        if self.smooth and self.feature_angle != FEATURE_ANGLE:
+            said = f", feature_angle={self.feature_angle:g}"
+        return f"Contact(slave={self.slave}, master={self.master}{said})"
 
     def may_carry(self, left: Floats, fixed: Bools) -> Bools:
         """Return (n, 1): nodes whose normal is not taken by Dirichlet data."""
