@@ -50,11 +50,12 @@ def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: flo
     is_open = np.linalg.norm(gap, axis=1) > HALF_OF_DIGITS * size
     mirrored = unit(np.where(fixed, 0.0, n))
     turn = np.einsum("ni,ni->n", mirrored, n)
-    completed = is_open & fixed.any(axis=1) & (turn > np.cos(np.radians(feature_angle / 2)))
+    straightened = is_open & fixed.any(axis=1) & (turn > np.cos(np.radians(feature_angle / 2)))
+    completed = straightened
     if d > 2:  # one mirror closes a fan that begins and ends on it; in the plane any does
         off_plane = np.linalg.norm(np.where(fixed, gap, 0.0), axis=1) > HALF_OF_DIGITS * size
-        completed &= (fixed.sum(axis=1) > 1) | ~off_plane
-    n = np.where(completed[:, None], mirrored, n)
+        completed = straightened & ((fixed.sum(axis=1) > 1) | ~off_plane)
+    n = np.where(straightened[:, None], mirrored, n)  # where a rim meets the plane, too
     along = np.einsum("mki,mi->mk", n[surface.facets], facet_normals(facets))
     limits = np.cos(np.radians(feature_angle / 2)), HALF_OF_DIGITS
     beyond = sum_at_nodes(surface, np.stack([along < limit for limit in limits], axis=2)) > 0
