@@ -32,8 +32,10 @@ def hexahedra(inner, outer, h):
     grid = np.meshgrid(r, angle, np.linspace(0.0, THICKNESS, layers + 1), indexing="ij")
     r, angle, z = (a.ravel() for a in grid)
     number = np.arange(len(r)).reshape(m + 1, n + 1, layers + 1)
-    corners = [(slice(a, a + k) for a, k in zip(c, (m, n, layers))) for c in np.ndindex(2, 2, 2)]
-    cells = np.stack([number[tuple(c)].ravel() for c in corners], axis=1)
+    cells = np.stack(
+        [number[a : a + m, b : b + n, c : c + layers].ravel() for a, b, c in np.ndindex(2, 2, 2)],
+        axis=1,
+    )
     return np.column_stack([r * np.cos(angle), r * np.sin(angle), z]), cells
 
 

@@ -170,7 +170,7 @@ def cylinder(cell, cells, bend=0.0):
 @pytest.mark.parametrize("cell", CELLS)
 @pytest.mark.parametrize("bend", [0.0, 1.0])
 def test_heights_over_a_cylinder_with_free_ends(cell, bend):
-    surface = cylinder(cell, (1, 16, 10), bend)
+    surface = cylinder(cell, (1, 32, 20), bend)
     facets = facets_at(surface, surface.X)
     found = smooth_normals(surface, surface.X, np.zeros(surface.X.shape, dtype=bool), 40.0)
     xi = facets.element.rule[0]

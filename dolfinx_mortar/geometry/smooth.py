@@ -50,8 +50,15 @@ class NodeNormals:
         return np.asarray(~self.open & ~self.sharp)
 
 
-def fan_sums(facets: Facets) -> tuple[Floats, Floats]:
+def fan_sums(
+    facets: Facets, n: Floats | None = None, K: Floats | None = None
+) -> tuple[Floats, Floats]:
     """Return what each facet (m,) adds to the sums over the fans of its nodes.
+
+    Args:
+        facets: the facets.
+        n: normals (m, k, d) at their nodes as known so far.
+        K: curvatures (m, k, d, d) there, by which edges are bent back into the tangent plane.
 
     Returns:
         The parts (m, k, d) of the normals, and parts (m, k, c) of a sum that vanishes where facets
@@ -66,11 +73,24 @@ def fan_sums(facets: Facets) -> tuple[Floats, Floats]:
     x = facets.x[:, facets.element.vertices]
     if x.shape[2] == 2:
         area = area_vectors(facets)
-        n = (area / np.maximum((area**2).sum(axis=1), TINY)[:, None])[:, None]
+        chord = (area / np.maximum((area**2).sum(axis=1), TINY)[:, None])[:, None]
         around = np.array([[[-1.0], [1.0]]])
-        return np.repeat(n, 2, axis=1), np.repeat(around, len(x), axis=0)
-    ahead, behind = (_inverted(np.roll(x, turn, axis=1) - x) for turn in (-1, 1))
+        return np.repeat(chord, 2, axis=1), np.repeat(around, len(x), axis=0)
+    ahead, behind = (np.roll(x, turn, axis=1) - x for turn in (-1, 1))
+    if n is not None and K is not None:
+        ahead, behind = (_bent_back(e, n, K) for e in (ahead, behind))
+    ahead, behind = _inverted(ahead), _inverted(behind)
     return np.asarray(np.cross(ahead, behind), dtype=np.float64), ahead - behind
+
+
+def _bent_back(e: Floats, n: Floats, K: Floats) -> Floats:
+    """Return edges (m, k, d) without what curvature takes them below the tangent plane.
+
+    e + 1/2 |e|^2 (t.K t) n with the direction t of e in the plane.
+    """
+    t = unit(e - np.einsum("mki,mki->mk", e, n)[..., None] * n)
+    below = 0.5 * (e**2).sum(axis=2) * np.einsum("mki,mkij,mkj->mk", t, K, t)
+    return np.asarray(e + below[..., None] * n)
 
 
 def _inverted(e: Floats) -> Floats:
@@ -115,11 +135,13 @@ def curvatures(facets: Facets, rise: Floats) -> Floats:
     """
     e = edges(facets)
     d = e.shape[2]
-    B = unit(e[:, :1])
+    n = facet_normals(facets)[:, None]
+    B = unit(e[:, :1] - (e[:, :1] * n).sum(axis=2, keepdims=True) * n)
     if d > 2:
-        B = np.concatenate([B, np.cross(facet_normals(facets)[:, None], B)], axis=1)
+        B = np.concatenate([B, np.cross(n, B)], axis=1)
     i, j = np.triu_indices(d - 1)
     p = np.einsum("mki,mei->mek", B, e)
+    p = unit(p) * np.linalg.norm(e, axis=2)[:, :, None]  # on spheres, c_ab is |e|^2 / R
     A = p[:, :, i] * p[:, :, j] * np.where(i == j, 1.0, 2.0)
     normal = np.einsum("mea,meb->mab", A, A)
     size = EPS * np.trace(normal, axis1=1, axis2=2) + TINY  # needles say nothing across themselves
@@ -128,6 +150,13 @@ def curvatures(facets: Facets, rise: Floats) -> Floats:
     K = np.empty((len(e), d - 1, d - 1))
     K[:, i, j] = K[:, j, i] = k
     return np.asarray(np.einsum("mki,mkl,mlj->mij", B, K, B))
+
+
+def isotropic(facets: Facets, K: Floats) -> Floats:
+    """Return tr K / 2 (I - n n^T) (m, 3, 3): the part of curvatures that is that of a sphere."""
+    n = facet_normals(facets)
+    plane = np.eye(n.shape[1]) - n[:, :, None] * n[:, None, :]
+    return np.asarray(0.5 * np.trace(K, axis1=1, axis2=2)[:, None, None] * plane)
 
 
 def common_rises(facets: Facets, rise: Floats, K_other: Floats) -> Floats:

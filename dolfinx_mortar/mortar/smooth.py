@@ -18,6 +18,7 @@ from dolfinx_mortar.geometry.smooth import (
     curvatures,
     fan_sums,
     heights,
+    isotropic,
     rises,
     unit,
 )
@@ -25,15 +26,23 @@ from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS
 from dolfinx_mortar.mortar.pairing import Pairing, receive, received_facets
 from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, sum_at_nodes
 
+# How often edges are bent back in 3D. On a cylinder with uneven triangles, a tenth of its radius
+# long, normals are off by 4e-3 without (rms; 0.04 of the angle between facets), 3e-4 after one
+# time, 1e-4 after two and three; with half the size by 1.4e-3, 7e-5, 1.6e-5 and 1.3e-5.
+BENDS = 2
+
 
 def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: float) -> NodeNormals:
     """Return the normals of the smooth surface at the nodes; collective.
 
     There is none, and n = 0, where a facet looks away from the sum over all: at a cusp, between
     opposite facets, and where a fan closes so that it cancels. On a plane of symmetry the facets
-    are completed by their mirror images, which takes from the normal the components with
-    Dirichlet data; but not where that turns it by more than half of the feature angle: what holds
-    the end of a surface need not be its symmetry.
+    are completed by their mirror images, which takes from the normal the components with Dirichlet
+    data; but not where that turns it by more than half of the feature angle: what holds the end of
+    a surface need not be its symmetry.
+
+    In space the sums of `fan_sums` are exact on spheres only. So edges are bent back by what the
+    curvatures that these normals give differ from a sphere's, and summed anew.
 
     Args:
         surface: the surface.
@@ -42,10 +51,40 @@ def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: flo
         feature_angle: degrees between facets from which on they meet in an edge.
     """
     facets = facets_at(surface, x)
-    parts, around = fan_sums(facets)
-    columns = np.concatenate([parts, around, np.abs(around).sum(axis=2, keepdims=True)], axis=2)
+    normals = _judge(surface, facets, fan_sums(facets), fixed, feature_angle)
+    for _ in range(BENDS if x.shape[1] > 2 else 0):
+        K = _bends(surface, facets, normals)[surface.facets]
+        parts = fan_sums(facets, normals.n[surface.facets], K)
+        normals = _judge(surface, facets, parts, fixed, feature_angle)
+    return normals
+
+
+def _bends(surface: Surface, facets: Facets, normals: NodeNormals) -> Floats:
+    """Return by which curvatures (n, d, d) at the nodes edges are to be bent back; collective.
+
+    The means over the facets of a fan that have no other normals than regular ones, without what is
+    that of a sphere, for which the sums are exact.
+    """
+    K = curvatures(facets, rises(facets, normals, surface.facets))
+    known = np.asarray(normals.regular[surface.facets].all(axis=1))
+    K = (K - isotropic(facets, K)) * known[:, None, None]
+    columns = np.column_stack([K.reshape(-1, 9), known])[:, None]
+    total = sum_at_nodes(surface, np.repeat(columns, surface.facets.shape[1], axis=1))
+    return np.asarray((total[:, :-1] / np.maximum(total[:, -1:], 1.0)).reshape(-1, 3, 3))
+
+
+def _judge(
+    surface: Surface,
+    facets: Facets,
+    parts: tuple[Floats, Floats],
+    fixed: Bools,
+    feature_angle: float,
+) -> NodeNormals:
+    """Return the normals of sums over fans, and what they are good for; collective."""
+    n, around = parts
+    columns = np.concatenate([n, around, np.abs(around).sum(axis=2, keepdims=True)], axis=2)
     total = sum_at_nodes(surface, columns)
-    d = x.shape[1]
+    d = fixed.shape[1]
     n, gap, size = unit(total[:, :d]), total[:, d:-1], total[:, -1]
     is_open = np.linalg.norm(gap, axis=1) > HALF_OF_DIGITS * size
     mirrored = unit(np.where(fixed, 0.0, n))
@@ -58,9 +97,10 @@ def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: flo
     n = np.where(straightened[:, None], mirrored, n)  # where a rim meets the plane, too
     along = np.einsum("mki,mi->mk", n[surface.facets], facet_normals(facets))
     limits = np.cos(np.radians(feature_angle / 2)), HALF_OF_DIGITS
-    beyond = sum_at_nodes(surface, np.stack([along < limit for limit in limits], axis=2)) > 0
-    sharp, none = beyond.any(axis=1), beyond[:, 1]
-    n = np.where(none[:, None], 0.0, n)
+    beyond = np.stack([along < limit for limit in limits], axis=2)
+    counts = sum_at_nodes(surface, beyond)
+    n = np.where(counts[:, 1:] > 0, 0.0, n)
+    sharp = counts.max(axis=1) > 0
     return NodeNormals(n, np.asarray(is_open & ~completed), np.asarray(sharp))
 
 
