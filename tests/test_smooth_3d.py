@@ -87,6 +87,9 @@ def test_normals_of_a_cylinder_on_uneven_triangles(monkeypatch):
             monkeypatch.setattr(smooth, "BENDS", bends)
             found = smooth.smooth_normals(surface, surface.X, fixed, 40.0)
             monkeypatch.undo()
+            rim = fixed[:, 0] & found.open  # where it meets the plane of symmetry, within that
+            assert np.abs(found.n[rim, 0]).max(initial=0.0) == 0.0
+            assert MPI.COMM_WORLD.allreduce(rim.sum()) == 2
             square = ((found.n - exact)[found.regular] ** 2).sum()
             count = MPI.COMM_WORLD.allreduce(found.regular.sum())
             error[h, bends] = np.sqrt(MPI.COMM_WORLD.allreduce(square) / count)
