@@ -31,6 +31,7 @@ def create_problem(*, h=0.5, slave="block", cell="hexahedron", depth=0.2, **opti
         dofs = fem.locate_dofs_topological(W, 2, m.facet_tags.find(tag))
         bcs.append(fem.dirichletbc(fem.Constant(m.mesh, value), dofs, W))
     tags = (3, 4) if slave == "block" else (4, 3)
-    contact = dm.Contact(m.facet_tags, slave=tags[0], master=tags[1])
+    surface = options.pop("surface", "smooth")
+    contact = dm.Contact(m.facet_tags, slave=tags[0], master=tags[1], surface=surface)
     options = {"geometry": "reference"} | options
     return dm.ContactProblem(solid, [contact], bcs=bcs, **options), contact

@@ -59,8 +59,12 @@ def create_case(
     *,
     slave: str = "block",
     geometry: str = "updated",
+    **options,
 ) -> HertzCase:
-    """Clamp the block's bottom, prescribe the disc's flat face, put contact in between."""
+    """Clamp the block's bottom, prescribe the disc's flat face, put contact in between.
+
+    The options are those of the contact.
+    """
     V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (2,)))
     solid = dm.Solid(fem.Function(V, name="u"), materials, mesh.cell_tags)
     values = [fem.Constant(mesh.mesh, np.zeros(2)) for _ in range(2)]
@@ -69,6 +73,7 @@ def create_case(
         fem.dirichletbc(value, fem.locate_dofs_topological(V, 1, mesh.facet_tags.find(tag)), V)
         for value, tag in zip(values, tags, strict=True)
     ]
-    contact = dm.Contact(mesh.facet_tags, slave=SIDES[slave][0], master=SIDES[slave][1])
+    sides = dict(zip(("slave", "master"), SIDES[slave], strict=True))
+    contact = dm.Contact(mesh.facet_tags, **sides, **options)
     problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=geometry)
     return HertzCase(problem, contact, values[1])

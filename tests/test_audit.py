@@ -14,6 +14,7 @@ from dolfinx import default_scalar_type, fem, mesh
 from dolfinx.mesh import compute_midpoints, exterior_facet_indices, meshtags
 from dolfinx_mortar.meshing.bodies import distribute
 from tests.block_piles import ABOVE, BELOW, EAST, PILE, WEST, create_blocks
+from tests.close_fits import create_ring
 
 COMM = MPI.COMM_WORLD
 PAIR = [(0.0, 1.0, -1.0, 0.0, 4, 3), (0.0, 1.0, 0.0, 1.0, 3, 3)]
@@ -256,17 +257,6 @@ def test_range_of_gaps(gap):
     assert audit.interfaces[0].least_gap == pytest.approx(gap)
     assert audit.interfaces[0].largest_gap == pytest.approx(gap)
     assert ("overlap 0.01" in str(audit)) == (gap < 0)
-
-
-def create_ring(inner, outer, angles, layers=2):
-    """Return nodes and quadrilaterals of a ring with nodes at given angles."""
-    radii = np.linspace(inner, outer, layers + 1)
-    r, angle = (a.ravel() for a in np.meshgrid(radii, angles, indexing="ij"))
-    n = len(angles)
-    i, j = (a.ravel() for a in np.meshgrid(np.arange(layers), np.arange(n), indexing="ij"))
-    k = (j + 1) % n
-    cells = np.column_stack([i * n + j, (i + 1) * n + j, i * n + k, (i + 1) * n + k])
-    return np.column_stack([r * np.cos(angle), r * np.sin(angle)]), cells.astype(np.int64)
 
 
 def uneven_angles(rng, n):

@@ -50,7 +50,8 @@ def test_a_second_walk_starts_where_the_first_ended():
 
 
 def test_a_step_of_no_length_is_not_halved():
-    case, seen = create_case(dm.meshing.hertz(COMM, kind="paper")), []
+    # of smooth surfaces the weighted gap of what touches in a point is an overlap of some 1e-6
+    case, seen = create_case(dm.meshing.hertz(COMM, kind="paper"), surface="facets"), []
 
     def on_time(t):
         seen.append(t)

@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 NUMBERS = [
-    "EPS", "FACING", "HALF_OF_DIGITS", "LEAST_COVERAGE", "ROUND_OFF", "TINY", "VERTICES",
+    "BENDS", "EPS", "FACING", "HALF_OF_DIGITS", "LEAST_COVERAGE", "ROUND_OFF", "TINY", "VERTICES",
     "_ACCURACY", "_BRANCHES", "_CHUNK", "_GROUPS", "_HIGHEST", "_MOST_WARPED", "_SLIDING",
 ]  # fmt: skip
 SAME = 1e-12

@@ -10,11 +10,18 @@ import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar.geometry.elements import LINE2, QUAD4, TRI3
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.smooth import NodeNormals, heights, rises
+from dolfinx_mortar.geometry.smooth import (
+    NodeNormals,
+    common_rises,
+    curvatures,
+    edges,
+    heights,
+    rises,
+)
 from dolfinx_mortar.meshing.bodies import distribute
-from dolfinx_mortar.mortar.smooth import smooth_normals
+from dolfinx_mortar.mortar.smooth import count_edges, smooth_normals
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
-from tests.test_audit import create_ring
+from tests.close_fits import create_ring
 
 COMM = MPI.COMM_WORLD
 RADIUS = 8.0
@@ -69,13 +76,11 @@ def test_normals_are_exact_on_a_sphere(cell):
 def test_heights_over_a_sphere_are_of_fourth_order(element, rng):
     """Facets of any shape, with the sphere's normals at their nodes."""
     d = 2 if element is LINE2 else 3
-    corners = {LINE2: [[-1.0], [1.0]], TRI3: [[0, 0], [1, 0], [0, 1]]}
-    corners[QUAD4] = [[-1, -1], [1, -1], [1, 1], [-1, 1]]
-    flat = np.array(corners[element]) + rng.uniform(-0.3, 0.3, (20, element.nodes, d - 1))
+    flat = scattered(element, rng, 1.0)
     xi = np.array([[0.2] * (d - 1), [0.3, 0.1][: d - 1], [0.6, 0.2][: d - 1]])
     errors = []
     for size in (0.2, 0.1):
-        x = np.concatenate([size * flat, np.ones((*flat.shape[:2], 1))], axis=2)
+        x = size * flat + np.eye(d)[-1]
         x /= np.linalg.norm(x, axis=2, keepdims=True)
         no = np.zeros(20 * element.nodes, dtype=bool)
         normals = NodeNormals(x.reshape(-1, d), no, no)
@@ -84,6 +89,56 @@ def test_heights_over_a_sphere_are_of_fourth_order(element, rng):
         errors.append(np.abs(found_heights(facets, normals, nodes, xi) - true).max())
         assert errors[-1] < 0.1 * true.max()
     assert 10.0 < errors[0] / errors[1] < 24.0
+
+
+def scattered(element, rng, size):
+    """Return facets (20,) near the origin of the plane, with their nodes off any grid."""
+    d = 2 if element is LINE2 else 3
+    corners = {LINE2: [[-1.0], [1.0]], TRI3: [[0, 0], [1, 0], [0, 1]]}
+    corners[QUAD4] = [[-1, -1], [1, -1], [1, 1], [-1, 1]]
+    flat = np.array(corners[element]) + rng.uniform(-0.3, 0.3, (20, element.nodes, d - 1))
+    return size * np.concatenate([flat, np.zeros((*flat.shape[:2], 1))], axis=2)
+
+
+@pytest.mark.parametrize("element", [LINE2, TRI3, QUAD4])
+def test_curvatures_are_those_of_the_surface(element, rng):
+    """Over z = -x.H x / 2 they are H, whatever the facets and the units."""
+    H = np.array([[0.7, 0.2, 0.0], [0.2, -0.3, 0.0], [0.0, 0.0, 0.0]])
+    if element is LINE2:
+        H = np.diag([0.7, 0.0])
+    for size in (1e-3, 1e3):
+        x = scattered(element, rng, 1e-3 * size)
+        x[..., -1] = -0.5 * np.einsum("mki,ij,mkj->mk", x, H / size, x)
+        n = x @ (H / size) + np.eye(len(H))[-1]
+        n /= np.linalg.norm(n, axis=2, keepdims=True)
+        no = np.zeros(20 * element.nodes, dtype=bool)
+        facets, nodes = Facets(element, x), np.arange(len(no)).reshape(x.shape[:2])
+        c = rises(facets, NodeNormals(n.reshape(-1, len(H)), no, no), nodes)
+        found = size * curvatures(facets, c)
+        assert found == pytest.approx(np.broadcast_to(H, found.shape), abs=5e-3)
+        assert np.linalg.eigvalsh(found)[:, 0].max() < 1e-3  # tangential
+
+
+@pytest.mark.parametrize("element", [LINE2, TRI3, QUAD4])
+def test_the_common_surface_lies_between_its_sides(element, rng):
+    """Of a surface and its counterpart it is that one, of a ball on a plane half the ball."""
+    facets = Facets(element, scattered(element, rng, 0.1))
+    c = (edges(facets) ** 2).sum(axis=2) / RADIUS
+    K = curvatures(facets, c)
+    assert common_rises(facets, c, -K) == pytest.approx(c, rel=1e-10)
+    assert common_rises(facets, c, 0.0 * K) == pytest.approx(c / 2, rel=1e-10)
+    assert common_rises(facets, c, K) == pytest.approx(0.0 * c, abs=1e-10 * c.max())
+
+
+@pytest.mark.parametrize("element", [TRI3, QUAD4])
+def test_needles_and_collapsed_facets_have_a_curvature(element, rng):
+    """What they cannot tell is left out."""
+    x = scattered(element, rng, 1.0)
+    for width in (1e-3, 1e-12, 0.0):
+        x[..., 1] *= width
+        facets = Facets(element, x)
+        c = (edges(facets) ** 2).sum(axis=2) / RADIUS
+        assert np.abs(curvatures(facets, c)).max() < 10.0 / RADIUS
 
 
 @pytest.mark.parametrize("cell", CELLS)
@@ -115,7 +170,7 @@ def cylinder(cell, cells, bend=0.0):
 @pytest.mark.parametrize("cell", CELLS)
 @pytest.mark.parametrize("bend", [0.0, 1.0])
 def test_heights_over_a_cylinder_with_free_ends(cell, bend):
-    surface = cylinder(cell, (1, 16, 10), bend)
+    surface = cylinder(cell, (1, 32, 20), bend)
     facets = facets_at(surface, surface.X)
     found = smooth_normals(surface, surface.X, np.zeros(surface.X.shape, dtype=bool), 40.0)
     xi = facets.element.rule[0]
@@ -210,3 +265,67 @@ def test_only_what_may_be_a_symmetry_completes_the_normal(components, completed)
     top = int(np.argmax(surface.X[:, 1]))
     assert found.open[top] != completed
     assert not completed or found.n[top] == pytest.approx([0.0, 1.0], abs=1e-14)
+
+
+# -- where there is no normal ----------------------------------------------------------------------
+
+
+def slit(cell):
+    """Return the two lips of a slit that ends inside a block, as one surface."""
+    k = 4
+    x, y, z = (a.ravel() for a in np.meshgrid(*(np.arange(k + 1.0),) * 3, indexing="ij"))
+    if cell == "quadrilateral":
+        x, y, z = x[z == 0], y[z == 0], None
+    X = np.column_stack([x, y] if z is None else [x, y, z])
+    corners = np.array(list(np.ndindex(*(2,) * X.shape[1])))
+    number = {tuple(p): i for i, p in enumerate(X)}
+    first = X[(X < k).all(axis=1)]
+    cells = np.array([[number[tuple(p + c)] for c in corners] for p in first])
+    doubled = np.flatnonzero((X[:, 1] == 2) & (X[:, 0] > 2))
+    twin = np.arange(len(X))
+    twin[doubled] = len(X) + np.arange(len(doubled))
+    above = first[:, 1] >= 2
+    cells[above] = twin[cells[above]]
+    X = np.concatenate([X, X[doubled]])
+    domain, _ = distribute(MPI.COMM_SELF, lambda: [(X, cells), (X + 9.0, cells)], cell)
+    d = X.shape[1]
+    domain.topology.create_connectivity(d - 1, d)
+    facets = mesh.exterior_facet_indices(domain.topology)
+    middle = mesh.compute_midpoints(domain, d - 1, facets)
+    lips = facets[(np.abs(middle[:, 1] - 2.0) < 1e-9) & (middle[:, 0] > 2.0) & (middle[:, 0] < k)]
+    tags = mesh.meshtags(domain, d - 1, lips, np.full(len(lips), 3, dtype=np.int32))
+    return create_surface(fem.functionspace(domain, ("Lagrange", 1, (d,))), tags, 3, "slave")
+
+
+@pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron"])
+def test_opposite_facets_have_no_normal(cell):
+    """At the end of a slit the fan of a node cancels: its facets count, and the audit is told."""
+    surface = slit(cell)
+    fixed = np.zeros(surface.X.shape, dtype=bool)
+    found = smooth_normals(surface, surface.X, fixed, 180.0)
+    end = np.abs(surface.X[:, 0] - 2.0) < 1e-9
+    assert np.array_equal(found.sharp, end) and 0 < end.sum() < len(end)
+    assert np.abs(found.n[end]).max() == 0.0
+    assert np.abs(np.linalg.norm(found.n[~end], axis=1) - 1.0).max() < 1e-14
+    c = rises(facets_at(surface, surface.X), found, surface.facets)
+    assert np.abs(c).max() < 1e-14
+    fixed = np.zeros((len(surface.V.mesh.geometry.x), fixed.shape[1]), dtype=bool)
+    assert count_edges(surface, None, fixed, 180.0).tolist() == [end.sum()] * 2
+
+
+@pytest.mark.parametrize(("second", "none"), [((1.0, 1e-9), True), ((0.8, 0.6), False)])
+def test_a_cusp_has_no_normal(second, none):
+    """Two sides of a wedge of no angle; with an angle, the edge has one."""
+    X = np.array([[0.0, 0.0], second, [1.0, 1.0], [0.0, 1.0]])
+    X = np.concatenate([X, [[1.0, 0.0], [1.0, -1.0], [0.0, -1.0]]])
+    cells = np.array([[3, 2, 0, 1], [6, 5, 0, 4]])
+    bodies = (X, cells), (X + 9.0, cells)
+    domain, _ = distribute(MPI.COMM_SELF, lambda: bodies, "quadrilateral")
+    domain.topology.create_connectivity(1, 2)
+    facets = mesh.exterior_facet_indices(domain.topology)
+    middle = mesh.compute_midpoints(domain, 1, facets)
+    lips = facets[(np.abs(middle[:, 0] - 0.45) < 0.1) & (np.abs(middle[:, 1]) < 0.45)]
+    tags = mesh.meshtags(domain, 1, lips, np.full(2, 3, dtype=np.int32))
+    surface = create_surface(fem.functionspace(domain, ("Lagrange", 1, (2,))), tags, 3, "slave")
+    fixed = np.zeros((len(surface.V.mesh.geometry.x), 2), dtype=bool)
+    assert count_edges(surface, None, fixed, 40.0).tolist() == [1, int(none)]

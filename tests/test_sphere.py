@@ -42,10 +42,15 @@ def hertz(force):
 
 
 @pytest.mark.slow
-def test_convergence_to_hertz():
-    """Force within 1 % of its limit, radius 2 %, pressure 3 % with 8 facets across the radius."""
+@pytest.mark.parametrize("surface", ["smooth", "facets"])
+def test_convergence_to_hertz(surface):
+    """Force within 1 % of its limit, radius 2 %, pressure 3 % with 8 facets across the radius.
+
+    The order is seen with facets. With smooth surfaces the forces are nearer to the limit on every
+    mesh, but the coarsest is so already: 5077, 5049, 5040 N instead of 5111, 5054, 5041.
+    """
     h = np.array([0.25, 0.125, 0.0625])
-    found = [solve(size) for size in h]
+    found = [solve(size, surface=surface) for size in h]
     F = np.array([force for force, _, _ in found])
     order = np.log2((F[0] - F[1]) / (F[1] - F[2]))
     limit = F[2] + (F[2] - F[1]) / 3.0
@@ -54,7 +59,11 @@ def test_convergence_to_hertz():
     print(f"forces {F.tolist()}, order {order:.2f}, limit {limit:.1f}")
     print(f"radius {radius:.4f} ({contact_radius:.4f}), peak {peak:.0f} ({peak_pressure:.0f})")
     assert contact_radius > 8.0 * h[-1]
-    assert 1.7 < order < 2.4
+    if surface == "facets":
+        assert 1.7 < order < 2.4
+    else:
+        error = F / LIMITS["reference", "block"] - 1.0
+        assert np.all(np.abs(error) < [0.0149, 0.0036, 0.00093])  # those of facets
     assert force == pytest.approx(limit, rel=0.01)
     assert limit == pytest.approx(LIMITS["reference", "block"], rel=1e-3)
     assert radius == pytest.approx(contact_radius, rel=0.02)

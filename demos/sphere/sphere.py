@@ -42,6 +42,7 @@ parser.add_argument("--cell", choices=["tetrahedron", "hexahedron"], default="he
 parser.add_argument("--slave", choices=["block", "ball"], default="block")
 parser.add_argument("--h", type=float, default=0.125, help="element size at the contact, in mm")
 parser.add_argument("--geometry", choices=["reference", "updated"], default="updated")
+parser.add_argument("--surface", choices=["smooth", "facets"], default="smooth")
 parser.add_argument("--qp", default="active-set", help="active-set, interior-point or tron")
 parser.add_argument("--rtol", type=float, default=1e-6, help="tolerance of Newton's method")
 parser.add_argument("--output", type=Path, default=Path("results/sphere"))
@@ -74,12 +75,13 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Supports and contact
     #
-    # The slave side carries the multipliers (the pressures); either side may be the slave.
+    # The slave side carries the multipliers (the pressures); either side may be the slave. The gap
+    # is that of smooth surfaces through the nodes, or of the facets, as in the paper.
 
     push = fem.Constant(mesh, 0.0)
     bcs = supports(V, facet_tags, push)
     slave, master = (3, 4) if options.slave == "block" else (4, 3)
-    contact = dm.Contact(facet_tags, slave=slave, master=master)
+    contact = dm.Contact(facet_tags, slave=slave, master=master, surface=options.surface)
     problem = dm.ContactProblem(
         solid, [contact], bcs=bcs, geometry=options.geometry, petsc_options_prefix="sphere_"
     )

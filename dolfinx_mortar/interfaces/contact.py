@@ -29,9 +29,10 @@ class Contact(Interface):
         facet_tags: facet markers on the mesh of the displacement.
         slave: tag of the side that carries the multipliers.
         master: tag of the other side.
-        surface: "facets" measures the gap between the facets, as the paper does; "smooth" between
-            the smooth surfaces through their nodes, g_j - sum_q w Phi_j (h_s + h_m) with the
-            heights h of `dolfinx_mortar.geometry.smooth`. D, M and N are the same.
+        surface: "smooth" measures the gap between the smooth surfaces through the nodes of the
+            facets, g_j - sum_q w Phi_j (h_s + h_m) / D_jj with the heights h of
+            `dolfinx_mortar.geometry.smooth`; "facets" between the facets, as the paper does. D, M
+            and N are the same.
         feature_angle: degrees between two facets from which on they meet in an edge, which stays
             one; for smooth surfaces.
 
@@ -47,7 +48,7 @@ class Contact(Interface):
         *,
         slave: int,
         master: int,
-        surface: str = "facets",
+        surface: str = "smooth",
         feature_angle: float = FEATURE_ANGLE,
     ) -> None:
         """Keep the description; surfaces are found when a problem takes the interface."""

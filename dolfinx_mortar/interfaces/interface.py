@@ -107,9 +107,11 @@ class Interface:
         self.resultants: Resultants | None = None
 
     def __repr__(self) -> str:
-        """Name the class, the tags, and what is not as in the paper."""
-        smooth = f", surface='smooth', feature_angle={self.feature_angle:g}" if self.smooth else ""
-        return f"{type(self).__name__}(slave={self.slave}, master={self.master}{smooth})"
+        """Name the class, the tags, and what is not the default."""
+        said = "" if self.smooth else ", surface='facets'"
+        if self.smooth and self.feature_angle != FEATURE_ANGLE:
+            said = f", feature_angle={self.feature_angle:g}"
+        return f"{type(self).__name__}(slave={self.slave}, master={self.master}{said})"
 
     def take(self, owner: object, V: fem.FunctionSpace) -> None:
         """Belong to a problem from now on, with fields on V and without results; collective."""

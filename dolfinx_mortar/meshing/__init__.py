@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Meshes for the demos and tests: two bodies, one above the other, in one distributed mesh."""
+"""Meshes for the demos and tests: two bodies that touch, in one distributed mesh."""
 
 from dolfinx_mortar.meshing.plane import ARC, BLOCK, BOTTOM, DISC, FLAT, TOP, HertzMesh, hertz
+from dolfinx_mortar.meshing.socket import socket
 from dolfinx_mortar.meshing.sphere import BALL, SPHERE, SYMMETRY_X, SYMMETRY_Y, SphereMesh, sphere
 
 __all__ = [
@@ -18,5 +19,6 @@ __all__ = [
     "HertzMesh",
     "SphereMesh",
     "hertz",
+    "socket",
     "sphere",
 ]

@@ -13,6 +13,7 @@ from petsc4py import PETSc
 import numpy as np
 from scipy.spatial import cKDTree
 
+from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
@@ -20,6 +21,7 @@ from dolfinx_mortar.interfaces.coupling import Link
 from dolfinx_mortar.interfaces.motions import slipped
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.pairing import Pairing
+from dolfinx_mortar.mortar.smooth import count_edges
 from dolfinx_mortar.mortar.surface import (
     Surface,
     facets_at,
@@ -28,7 +30,7 @@ from dolfinx_mortar.mortar.surface import (
 )
 from dolfinx_mortar.steps.bodies import Bodies, free_motions
 from dolfinx_mortar.steps.dirichlet import Dirichlet
-from dolfinx_mortar.steps.stand_off import StandOff
+from dolfinx_mortar.steps.stand_off import StandOff, find_stand_offs, warning_on_facets
 
 log = logging.getLogger(__name__)
 
@@ -42,6 +44,19 @@ DEEP = 0.5
 ROUND_OFF = 1e-14  # of the square of a sine
 # Gaps below this share of the coordinates are printed as zero.
 EXACT = 1e-12
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Where smooth surfaces keep their facets: nodes of both sides, all ranks."""
+
+    feature_angle: float  # degrees between facets from which on they meet in an edge
+    nodes: int  # on edges
+    without_normal: int  # of these: at a cusp, or between opposite facets
+
+    def __str__(self) -> str:
+        """Return a part of a line."""
+        return f"{self.nodes} nodes on edges of {self.feature_angle:g} degrees or more"
 
 
 @dataclass(frozen=True)
@@ -60,6 +75,7 @@ class InterfaceAudit:
     size_ratio: float  # mean slave facet length over mean master facet length
     least_gap: float  # smallest distance of a kept node to the master, negative in an overlap
     largest_gap: float
+    edges: Edges | None = None  # of smooth surfaces
 
     def __str__(self) -> str:
         """Return one line."""
@@ -70,6 +86,7 @@ class InterfaceAudit:
             f"{self.name}: {self.slave_facets} slave and {self.master_facets} master facets, "
             f"{self.kept_nodes} of {self.slave_nodes} slave nodes carry a multiplier, "
             f"{self.uncovered_nodes} face no master, {self.removed_nodes} removed, {gap}"
+            + (f", {self.edges}" if self.edges else "")
         )
 
 
@@ -96,6 +113,9 @@ def create_audit(
     supports: Dirichlet,
     x: PETSc.Vec,
     springs: Callable[[PETSc.Vec], Floats],
+    *,
+    at: fem.Function | None,
+    increment: float,
 ) -> Audit:
     """Audit bodies and interfaces whose pairings exist; collective.
 
@@ -105,6 +125,8 @@ def create_audit(
         supports: the Dirichlet conditions.
         x: (n,) present coordinates X + u.
         springs: resistance of the potential to a motion, relative to the stiffest.
+        at: displacement at which contacts are taken, None for X.
+        increment: largest prescribed increment of the step that follows, 0 if not known.
 
     Raises:
         ValueError: if a body can move rigidly without any resistance.
@@ -124,14 +146,17 @@ def create_audit(
         )
     for link in links:
         _check_sides(link, bodies, x)
-    found = [_audit(link, x) for link in links]
+    found = [_audit(link, x, at) for link in links]
+    stand_offs = find_stand_offs(links, at)
     by_contact = bool(contacts and free_motions(bodies, [*held, *ties]))
     warnings = list(system.notes)
     if by_contact:
         warnings.append("a body is held by contact alone: the loads must press it on")
-    for i in found:
-        warnings += _warnings(i)
-    audit = Audit(bodies.count, found, by_contact, warnings)
+    for link, i in zip(links, found, strict=True):
+        of_facets = next((s for s in stand_offs if s.interface is link.interface), None)
+        pressed = max(increment, -i.least_gap) / float(bodies.radius.max())
+        warnings += _warnings(i, of_facets, pressed)
+    audit = Audit(bodies.count, found, by_contact, warnings, stand_offs)
     if bodies.V.mesh.comm.rank == 0:
         log.info("%s", "; ".join(map(str, found)) or "no interface")
         for warning in warnings:
@@ -162,15 +187,28 @@ def facet_angle(surface: Surface, comm: MPI.Comm) -> float:
     return float(np.arcsin(np.sqrt(total[0] / max(total[1], 1.0))))
 
 
-def _warnings(i: InterfaceAudit) -> list[str]:
-    """Return what to say about an interface."""
+def _warnings(i: InterfaceAudit, facets: StandOff | None, pressed: float) -> list[str]:
+    """Return what to say about an interface.
+
+    Args:
+        i: the counts.
+        facets: how they stand for curved sides, if they do.
+        pressed: overlap or increment over the size of a body.
+    """
     warnings = []
     if i.kept_nodes == 0:
         warnings.append(
             f"{i.name}: no slave node carries a multiplier, so it does nothing; check the "
             "tags, or let the other side be the slave if this one has Dirichlet data"
         )
-    if i.size_ratio > COARSE:
+    if facets is not None and facets.matters(pressed):
+        warnings.append(warning_on_facets(facets, finer=i.size_ratio < 1.0))
+    if i.edges is not None and i.edges.without_normal:
+        warnings.append(
+            f"{i.name}: {i.edges.without_normal} nodes have no normal, because facets there look "
+            "away from each other; the facets count there, not the smooth surface"
+        )
+    if i.size_ratio > COARSE and not (facets is not None and facets.close):
         warnings.append(
             f"{i.name}: slave facets are {i.size_ratio:.1f} times as long as master facets; "
             "let the finer side be the slave"
@@ -218,7 +256,7 @@ def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec) -> None:
         )
 
 
-def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
+def _audit(link: Link, x: PETSc.Vec, at: fem.Function | None) -> InterfaceAudit:
     """Count over the slave side of one interface; collective."""
     sides, kept = link.sides, link.coupling.kept.any(axis=1)
     covered = link.coupling.coverage.faces | kept
@@ -247,7 +285,20 @@ def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     x = np.abs(sides.V.mesh.geometry.x).max(initial=0.0)
     size = EXACT * max(float(lengths[0]), float(maximum(sides.V.mesh.comm, x)[0]))
     ends = [0.0 if abs(end) < size or np.isinf(end) else float(end) for end in (-least, largest)]
-    return InterfaceAudit(repr(link.interface), *map(int, counts), ratio, *ends)  # type: ignore[call-arg]
+    edges = _edges(link, at) if link.interface.smooth else None
+    row = *map(int, counts), ratio, *ends, edges
+    return InterfaceAudit(repr(link.interface), *row)  # type: ignore[arg-type]
+
+
+def _edges(link: Link, at: fem.Function | None) -> Edges:
+    """Count where smooth surfaces keep their facets; collective."""
+    sides, angle = link.sides, link.interface.feature_angle
+    u = link.interface.configuration(at)
+    on_slave, on_master = (
+        count_edges(side, u, sides.fixed, angle) for side in (sides.slave, sides.master)
+    )
+    nodes, without = on_slave + on_master
+    return Edges(angle, int(nodes), int(without))
 
 
 def _count_facing_away(pairing: Pairing) -> int:

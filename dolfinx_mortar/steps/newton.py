@@ -56,6 +56,7 @@ from dolfinx_mortar.steps.residuals import (
     largest_force,
     measure,
 )
+from dolfinx_mortar.steps.resolution import notes_on_few_nodes
 from dolfinx_mortar.steps.results import notes_on_sliding, set_results
 from dolfinx_mortar.steps.stand_off import notes_on_facets
 from dolfinx_mortar.steps.watch import MOST_RISES, Watch, at_nodes, find_change
@@ -378,6 +379,7 @@ class _Step:
         stiffness[nodes] = iterate.stiffness.array_r[iterate.balance.bounds.dofs]
         found, links = problem.audit().stand_offs, problem.system.links
         report.notes += notes_on_facets(found, links, forces, stiffness)
+        report.notes += notes_on_few_nodes(links, contacts)
         with problem.timings("results"):
             problem.solid.evaluate()
         set_results(problem, iterate.balance, contacts)

@@ -33,7 +33,6 @@ from dolfinx_mortar.steps.loads import Loads
 from dolfinx_mortar.steps.mesh_audit import check_mesh
 from dolfinx_mortar.steps.preconditioning import UnknownsOfBodies
 from dolfinx_mortar.steps.report import Timings
-from dolfinx_mortar.steps.stand_off import find_stand_offs
 
 
 @dataclass
@@ -251,9 +250,9 @@ class ContactProblem:
         notes = check_mesh(self.V.mesh)
         x = self.update_geometry(increment, search=True)
         springs = self._resistance_of_potential()
-        audit = create_audit(self.bodies, self.system, self.supports, x, springs)
-        stand_offs = find_stand_offs(self.system.links, self.configuration)
-        self._audited = replace(audit, warnings=audit.warnings + notes, stand_offs=stand_offs)
+        at, parts = self.configuration, (self.bodies, self.system, self.supports)
+        audit = create_audit(*parts, x, springs, at=at, increment=increment)
+        self._audited = replace(audit, warnings=audit.warnings + notes)
         return self._audited
 
     def _resistance_of_potential(self) -> Callable[[PETSc.Vec], Floats]:

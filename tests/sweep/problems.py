@@ -41,9 +41,9 @@ class RandomProblem:
         return np.asarray(self.data["depth"] * np.arange(1, steps + 1) / steps)
 
 
-def create(kind: str, seed: int) -> RandomProblem:
+def create(kind: str, seed: int, surface: str = "smooth") -> RandomProblem:
     """Return a random problem; collective."""
-    return KINDS[kind](draw(kind, seed))
+    return KINDS[kind](draw(kind, seed) | {"surface": surface})
 
 
 def _hertz(data: Draw) -> RandomProblem:
@@ -107,7 +107,7 @@ def _with_contact(
 ) -> RandomProblem:
     """Put one contact between the facet tags 3 and 4."""
     sides = (data["slave"], 7 - data["slave"])
-    contact = dm.Contact(tags[1], slave=sides[0], master=sides[1])
+    contact = dm.Contact(tags[1], slave=sides[0], master=sides[1], surface=data["surface"])
     solid = dm.Solid(u, data["laws"], tags[0])
     problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=data["geometry"])
     return RandomProblem(data, problem, *tags, [sides], bcs, None, on_time)
@@ -124,7 +124,8 @@ def _pile(data: Draw) -> RandomProblem:
     for k, lower_is_slave in enumerate(data["lower_is_slave"], start=1):
         below, above = 10 * k + ABOVE, 10 * (k + 1) + BELOW
         sides.append((below, above) if lower_is_slave else (above, below))
-    contacts = [dm.Contact(b.facets, slave=s, master=m) for s, m in sides]
+    surface = data["surface"]
+    contacts = [dm.Contact(b.facets, slave=s, master=m, surface=surface) for s, m in sides]
     held = range(2, count if moved else count + 1) if data["lateral"] == "west" else []
     value = fem.Constant(b.mesh, np.zeros(2))  # displacement or traction of the uppermost side
     bcs = [b.fix(1, BELOW), *(b.fix(k, WEST, component=0) for k in held)]

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: MIT
+# ruff: noqa: D100
+
+# # A ball in its socket: facets beside smooth surfaces
+#
+# A steel ball of radius 9.9 mm is pressed by 0.05 mm into a socket of radius 10 mm. Facets of a
+# millimetre stand off such spheres by 0.01 to 0.03 mm, which is what the bodies are pressed in. So
+# the gap between facets says little of that between the spheres, and force and pressure become
+# those of the mesh. With `surface="smooth"`, the default, the gap is that of the smooth surfaces
+# through the nodes:
+#
+# $$g_j - \int \Phi_j (h_s + h_m), \qquad h = \tfrac12 \sum_{a<b} N_a N_b\, c_{ab},$$
+#
+# with heights $h$ of the surface that both sides share, over the facets of either. D and M stay.
+# Units: mm, MPa, N.
+
+import argparse
+from pathlib import Path
+
+from mpi4py import MPI
+
+from matplotlib.figure import Figure
+from matplotlib.tri import Triangulation
+
+import dolfinx_mortar as dm
+from dolfinx import fem
+
+DEPTH = 0.05  # mm
+SIZES = [(1.5, 1.0), (1.0, 1.5), (1.0, 0.7), (0.7, 1.0)]  # mm, of facets in the socket, on the ball
+SIDES = {"socket": (3, 4), "ball": (4, 3)}
+SURFACES = ("facets", "smooth")
+SHOWN = "ball"  # the slave side of the picture
+TOP_OF_SCALE = 1600.0  # MPa, twice the right peak
+
+parser = argparse.ArgumentParser(description="A ball in its socket, with facets and without.")
+parser.add_argument("--cell", choices=["tetrahedron", "hexahedron"], default="tetrahedron")
+parser.add_argument("--surface", choices=SURFACES, nargs="+", default=list(SURFACES))
+parser.add_argument("--meshes", type=int, default=len(SIZES), help="how many of the four meshes")
+parser.add_argument("--output", type=Path, default=Path("results/ball_joint"))
+
+
+def press(mesh: dm.meshing.SphereMesh, slave: str, surface: str) -> dict:
+    """Press the ball in; return the force on the whole ball and the nodes of the slave side."""
+    V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (3,)))
+    bcs = []
+    for tag, component, value in ((1, 2, 0.0), (2, 2, -DEPTH), (5, 0, 0.0), (6, 1, 0.0)):
+        W = V.sub(component)
+        dofs = fem.locate_dofs_topological(W, 2, mesh.facet_tags.find(tag))
+        bcs.append(fem.dirichletbc(fem.Constant(mesh.mesh, value), dofs, W))
+    side, other = SIDES[slave]
+    contact = dm.Contact(mesh.facet_tags, slave=side, master=other, surface=surface)
+    solid = dm.Solid(fem.Function(V), dm.Elastic(E=200e3, nu=0.3))
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs)
+    report = dm.newton(problem)
+    nodes = contact.gather(problem.u)
+    force, peak = 4.0 * abs(contact.force[2]), nodes["pressure"].max()
+    unknowns = 3 * V.dofmap.index_map.size_global
+    return {"force": force, "peak": peak, "nodes": nodes, "unknowns": unknowns, "report": report}
+
+
+# ## The table, and the picture
+
+
+def main(options: argparse.Namespace) -> None:
+    """Solve on all meshes with either slave; print a table, draw the first two."""
+    found = {}
+    for h in SIZES[: options.meshes]:
+        mesh = dm.meshing.socket(MPI.COMM_WORLD, cell=options.cell, h=h)
+        for surface in options.surface:
+            for slave in SIDES:
+                one = found[h, slave, surface] = press(mesh, slave, surface)
+                if MPI.COMM_WORLD.rank == 0:
+                    print(
+                        f"h = {h[0]}, {h[1]}, {one['unknowns']} unknowns, slave {slave}, {surface}:"
+                        f" {one['force']:.0f} N, {one['peak']:.0f} MPa,"
+                        f" {one['report'].newton_iterations} iterations",
+                        flush=True,
+                    )
+    if MPI.COMM_WORLD.rank == 0:
+        options.output.mkdir(parents=True, exist_ok=True)
+        draw(found, options).savefig(options.output / "pressure.png", dpi=100)
+
+
+def draw(found: dict, options: argparse.Namespace) -> Figure:
+    """Draw the pressure on the ball, seen along its axis: a row a mesh, a column a surface."""
+    rows, columns = SIZES[: min(2, options.meshes)], options.surface
+    shape = (len(rows), len(columns))
+    figure = Figure(figsize=(3.1 * shape[1] + 1.0, 2.9 * shape[0]), layout="constrained")
+    axes = figure.subplots(*shape, squeeze=False, sharex=True, sharey=True)
+    for ax, (h, surface) in zip(axes.flat, ((h, s) for h in rows for s in columns), strict=True):
+        one = found[h, SHOWN, surface]
+        x, p = one["nodes"]["X"][:, :2], one["nodes"]["pressure"]
+        low = one["nodes"]["X"][:, 2] < -5.0  # further up there is no contact
+        drawn = ax.tripcolor(
+            Triangulation(*x[low].T), p[low], shading="gouraud", vmin=0.0, vmax=TOP_OF_SCALE
+        )
+        ax.plot(*x[low].T, ".", color="white", ms=1.5)
+        ax.set_title(f"{surface}: {one['force'] / 1e3:.1f} kN, {one['peak']:.0f} MPa", fontsize=10)
+        ax.set(aspect="equal", xlim=(0.0, 7.5), ylim=(0.0, 7.5))
+    for ax, h in zip(axes[:, 0], rows, strict=True):
+        ax.set_ylabel(f"socket {h[0]} mm, ball {h[1]} mm\ny [mm]")
+    for ax in axes[-1]:
+        ax.set_xlabel("x [mm]")
+    figure.colorbar(drawn, ax=axes, label="pressure [MPa]", extend="max", shrink=0.8)
+    return figure
+
+
+if __name__ == "__main__":
+    chosen = parser.parse_args()
+    if not 1 <= chosen.meshes <= len(SIZES):
+        parser.error(f"--meshes {chosen.meshes}: 1 to {len(SIZES)}")
+    main(chosen)

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: MIT
+"""Rings that fit into each other, for the tests of curved sides: shrink fits, and pins in holes."""
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import fem, mesh
+from dolfinx_mortar.meshing.bodies import distribute
+
+COMM = MPI.COMM_WORLD
+
+
+def create_ring(inner, outer, angles, layers=2):
+    """Return nodes and quadrilaterals of a ring with nodes at given angles."""
+    radii = np.linspace(inner, outer, layers + 1)
+    r, angle = (a.ravel() for a in np.meshgrid(radii, angles, indexing="ij"))
+    n = len(angles)
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(layers), np.arange(n), indexing="ij"))
+    k = (j + 1) % n
+    cells = np.column_stack([i * n + j, (i + 1) * n + j, i * n + k, (i + 1) * n + k])
+    return np.column_stack([r * np.cos(angle), r * np.sin(angle)]), cells.astype(np.int64)
+
+
+def rings(comm, inner, outer, counts, layers):
+    """Return two rings, the mesh, tags 1 to 4 of its circles from inside, and its space."""
+    parts = [
+        create_ring(*radii, 2 * np.pi * np.arange(n) / n, layers=k)
+        for radii, n, k in zip((inner, outer), counts, layers, strict=True)
+    ]
+    domain, _ = distribute(comm, lambda: parts, "quadrilateral")
+    domain.topology.create_connectivity(1, 2)
+    facets = mesh.exterior_facet_indices(domain.topology)
+    to_cell = domain.topology.connectivity(1, 2)
+    cells = np.array([to_cell.links(f)[0] for f in facets], dtype=np.int32)
+    x = mesh.compute_midpoints(domain, 1, facets)
+    away = np.einsum("mi,mi->m", x, x - mesh.compute_midpoints(domain, 2, cells)) > 0
+    first = np.linalg.norm(mesh.compute_midpoints(domain, 2, cells), axis=1) < inner[1]
+    values = np.where(first, 1, 3) + away
+    return domain, mesh.meshtags(domain, 1, facets, values.astype(np.int32))
+
+
+def hold(V, radius):
+    """Return conditions that keep a circle from moving as a whole, and nothing else."""
+    bcs = []
+    for angle, component in ((0.0, 1), (np.pi, 1), (np.pi / 2, 0)):
+        at = radius * np.array([np.cos(angle), np.sin(angle)])
+        W = V.sub(component)
+        dofs = fem.locate_dofs_geometrical(
+            (W, W.collapse()[0]), lambda x, at=at: np.linalg.norm(x[:2].T - at, axis=1) < 1e-6
+        )
+        bcs.append(fem.dirichletbc(fem.Function(W.collapse()[0]), dofs, W))
+    return bcs
+
+
+def lame_pressure(a, b, c, overlap, inner, outer):
+    """Return the pressure between two rings a to b and b to c, in plane strain (Lame)."""
+    give = 0.0
+    for (E, nu), sign, r in ((inner, -1, a), (outer, 1, c)):
+        ratio = (b**2 + r**2) / abs(b**2 - r**2)
+        give += b * (1 - nu**2) / E * (ratio + sign * nu / (1 - nu))
+    return overlap / give
+
+
+@dataclass
+class Pin:
+    """A pin in a hole of radius 10 that touches it at the bottom and is pressed down."""
+
+    problem: dm.ContactProblem
+    contact: dm.Contact
+
+    def solve(self):
+        """Return the report and the slave nodes."""
+        return dm.newton(self.problem), self.contact.gather(self.problem.u)
+
+
+def create_pin(counts, swap, *, clearance=0.1, force=5000.0, comm=COMM, **options):
+    """Create a pin with a clearance, by default of 1 % of the radius.
+
+    Args:
+        counts: numbers of facets of the pin and the hole.
+        swap: the hole is the slave, not the pin.
+        clearance: radius of the hole less that of the pin.
+        force: on the pin.
+        comm: communicator of the mesh.
+        options: of the contact.
+    """
+    R = 10.0
+    domain, tags = rings(comm, (1.0, R - clearance), (R, 25.0), counts, (8, 12))
+    pin = np.hypot(*domain.geometry.x[:, :2].T) < R - clearance / 2
+    domain.geometry.x[pin, 1] -= clearance
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    slave, master = (3, 2) if swap else (2, 3)
+    contact = dm.Contact(tags, slave=slave, master=master, **options)
+    ds, v = ufl.Measure("ds", domain, subdomain_data=tags), ufl.TestFunction(V)
+    length = comm.allreduce(fem.assemble_scalar(fem.form(fem.Constant(domain, 1.0) * ds(1))))
+    outer = fem.locate_dofs_topological(V, 1, tags.find(4))
+    W = V.sub(0)
+    axis = fem.locate_dofs_geometrical(
+        (W, W.collapse()[0]), lambda x: (np.abs(x[0]) < 1e-9) & (np.abs(x[1]) < R / 2)
+    )
+    bcs = [
+        fem.dirichletbc(np.zeros(2), outer, V),
+        fem.dirichletbc(fem.Function(W.collapse()[0]), axis, W),
+    ]
+    solid = dm.Solid(fem.Function(V), dm.Elastic(200e3, 0.3))
+    loads = -force / length * v[1] * ds(1)
+    return Pin(dm.ContactProblem(solid, [contact], bcs=bcs, loads=loads), contact)
+
+
+OVERLAP = 0.02
+STEELS = ((200e3, 0.3), (100e3, 0.33))  # of the inner and the outer ring
+
+
+@dataclass
+class ShrinkFit:
+    """A ring in a ring that is too narrow."""
+
+    problem: dm.ContactProblem
+    contact: dm.Contact
+    pressure: float  # Lame's
+
+
+def create_shrink_fit(counts, swap, *, overlap=OVERLAP, geometry="updated", comm=COMM, **options):
+    """Create the rings 10 to 20 and 20 to 30, with facets in such numbers where they meet.
+
+    Args:
+        counts: numbers of facets of the inner and the outer ring.
+        swap: the outer ring is the slave, not the inner one.
+        overlap: of the radii.
+        geometry: of the problem.
+        comm: communicator of the mesh.
+        options: of the contact.
+    """
+    a, b, c = 10.0, 20.0, 30.0
+    domain, tags = rings(comm, (a, b + overlap), (b, c), counts, (16, 16))
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    inside = mesh.locate_entities(domain, 2, lambda x: np.hypot(x[0], x[1]) < b + overlap / 2)
+    values = np.full(domain.topology.index_map(2).size_local, 2, dtype=np.int32)
+    values[inside[inside < len(values)]] = 1
+    cells = mesh.meshtags(domain, 2, np.arange(len(values), dtype=np.int32), values)
+    solid = dm.Solid(fem.Function(V), {k + 1: dm.Elastic(*s) for k, s in enumerate(STEELS)}, cells)
+    slave, master = (3, 2) if swap else (2, 3)
+    contact = dm.Contact(tags, slave=slave, master=master, **options)
+    bcs = [*hold(V, a), *hold(V, c)]
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=geometry)
+    return ShrinkFit(problem, contact, lame_pressure(a, b, c, overlap, *STEELS))

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: MIT
+"""What is said of contacts with too few nodes: the largest pressure is not resolved."""
+
+import re
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx_mortar.steps.resolution import _measure
+from tests.ball_case import create_problem
+from tests.close_fits import create_pin, create_shrink_fit
+from tests.hertz_case import ELASTIC, create_case, create_mesh
+from tests.pressed_blocks import PressedBlocks
+
+COMM = MPI.COMM_WORLD
+
+
+def said(report):
+    """Return the number of nodes in the note on too few, if there is one."""
+    found = [re.search(r"largest pressure is that of (\d+) nodes", note) for note in report.notes]
+    return [int(match[1]) for match in found if match]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("depth", "few"), [(1e-3, True), (0.02, False)])
+def test_few_nodes_of_a_disc(depth, few):
+    """As many as are active, which is what the error of the peak goes by."""
+    case = create_case(create_mesh("graded", 0.1), ELASTIC)
+    case.press(depth)
+    report = dm.newton(case.problem)
+    active = report.certificate.active_nodes
+    assert said(report) == ([active] if few else []) and (active < 7) == few
+    hertz = dm.analytic.hertz_line(case.force, 8.0, 206_900.0, 0.29, 206_900.0, 0.29)
+    found = case.contact.gather(case.problem.u)
+    assert (abs(found["pressure"].max() / hertz.peak_pressure - 1.0) < 0.03) != few
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("cell", "few"), [("hexahedron", 13), ("tetrahedron", 9)])
+def test_a_quarter_stands_for_the_whole(cell, few):
+    """Nodes on no plane of symmetry count four times, on one twice."""
+    problem, contact = create_problem(h=0.25, cell=cell, depth=0.017 if few < 10 else 0.0294)
+    report = dm.newton(problem)
+    found = contact.gather(problem.u)
+    x = found["X"][found["active"] > 0]
+    whole = (2 ** (np.abs(x[:, :2]) > 1e-9).sum(axis=1)).sum()
+    assert said(report) == [whole] == [few]
+    problem, _ = create_problem(h=0.25, cell=cell, depth=0.05)
+    assert not said(dm.newton(problem))
+
+
+def test_a_pin():
+    assert said(create_pin((16, 24), False, force=500.0).solve()[0])
+    assert not said(create_pin((64, 96), False).solve()[0])
+
+
+def test_only_the_patch_with_the_peak_counts():
+    """Numbers, multipliers, prescribed components, open neighbours: 1-2-3 and 10-11 are apart."""
+    table = np.array(
+        [[10, 1.0, 0, 1], [1, 2.0, 1, 0], [3, 2.5, 1, 0], [2, 3.0, 0, 0], [11, 0.5, 0, 1]]
+    )
+    pairs = np.array([[2, 1], [3, 2], [10, 11], [1, 2]])
+    assert _measure(table, pairs) == (4, False)
+    table[4, 1] = 9.0
+    assert _measure(table, pairs) == (2, True)
+    assert _measure(table, pairs[:2]) == (1, True)
+
+
+@pytest.mark.mpi
+def test_sides_that_touch_altogether_have_nothing_to_resolve():
+    """Five nodes over the whole width of a block, and all nodes of a coarse ring."""
+    assert not said(dm.newton(PressedBlocks().problem()))
+    assert not said(dm.newton(create_shrink_fit((48, 40), True).problem))
