@@ -159,8 +159,8 @@ def test_the_set_up_survives_load_steps_and_searches():
     assert problem.linear.counts.symbolic == 1
 
 
-def test_a_preconditioner_that_breaks_down_is_set_up_anew(moved, monkeypatch):
-    """With a diagonal of the wrong sign conjugate gradients cannot go on; the report says so."""
+def test_a_preconditioner_that_breaks_down_is_set_up_anew(moved, monkeypatch, caplog):
+    """With a diagonal of the wrong sign conjugate gradients cannot go on; the log says so."""
     follow = Multigrid.follow
 
     def spoilt(self, change, held):
@@ -170,8 +170,9 @@ def test_a_preconditioner_that_breaks_down_is_set_up_anew(moved, monkeypatch):
 
     monkeypatch.setattr(Multigrid, "follow", spoilt)
     problem, contact = moving_problem()
-    report = dm.newton(problem)
+    with caplog.at_level("INFO", logger="dolfinx_mortar"):
+        report = dm.newton(problem)
     assert problem.linear.counts.breakdowns > 0
     assert report.factorisations > moved[2].factorisations
-    assert "broke down and was set up anew" in " ".join(report.notes)
+    assert COMM.rank > 0 or "an old preconditioner failed and is set up anew" in caplog.text
     assert contact.force == pytest.approx(moved[1].force, rel=1e-6, abs=1e-5)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -23,6 +24,8 @@ from dolfinx_mortar.qp.preconditioner import Preconditioner
 from dolfinx_mortar.qp.renewal import REFACTOR_AFTER, SETUP_AFTER, Renewal, SlownessTest
 from dolfinx_mortar.qp.schur import Learnt
 from dolfinx_mortar.qp.tolerances import EPS, LIMIT, ROUND_OFF
+
+log = logging.getLogger(__name__)
 
 MAX_ITERATIONS = 500
 # A well-posed stiffness matrix loses up to 6 to 8 digits; one that loses 12 is singular.
@@ -258,10 +261,16 @@ class LinearSolver:
             if fresh and (exhausted or not norm < before):
                 break
             if not fresh:
-                diverged = self.attached.ksp.getConvergedReason() < 0 or not norm < before
-                self.counts.breakdowns += int(diverged and not self.direct)
+                if not self.direct and (self._diverged() or not norm < before):
+                    self.counts.breakdowns += 1
+                    if self.comm.rank == 0:
+                        log.info("an old preconditioner failed and is set up anew")
                 self.factorise(held)
         return float(norm)
+
+    def _diverged(self) -> bool:
+        """Tell whether the last iteration broke down: an old set-up need not be definite."""
+        return bool(self.attached.ksp.getConvergedReason() < 0)
 
     def _is_far(self, held: Ints) -> bool:
         """Tell whether the factorisation, if there is one, is of no use for this mask."""

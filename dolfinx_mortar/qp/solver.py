@@ -88,9 +88,6 @@ def solve(
         + linear.counts.factorisations
         - before.factorisations,
     )
-    if linear.counts.breakdowns > before.breakdowns:
-        said = "the preconditioner at hand broke down and was set up anew"
-        solution = replace(solution, note=f"{said}. {solution.note}".strip(". "))
     if not solution.kkt.satisfied(rtol):
         raise QPNotSolved(
             f"The solution of the backend {backend!r} fails the check at rtol={rtol:g}: "
