@@ -152,7 +152,8 @@ def curvatures(facets: Facets, rise: Floats) -> Floats:
         rise: c_ab (m, e) of `rises`.
 
     >>> from dolfinx_mortar.geometry.elements import LINE2
-    >>> curvatures(Facets(LINE2, np.array([[[2.0, 0.0], [0.0, 0.0]]])), np.array([[1.0]])).tolist()
+    >>> facet = Facets(LINE2, np.array([[[2.0, 0.0], [0.0, 0.0]]]))
+    >>> curvatures(facet, np.array([[1.0]])).round(12).tolist()
     [[[0.25, 0.0], [0.0, 0.0]]]
     """
     e = edges(facets)
