@@ -271,7 +271,7 @@ def test_a_geometry_that_would_cycle_is_held(kind, seed, monkeypatch):
     """Random problems in which new gaps after every step lend the energy that a cycle spends."""
 
     def walk():
-        case = create(kind, seed, surface="facets")  # smooth surfaces do not cycle here
+        case = create(kind, seed)
         return list(dm.load_steps(case.problem, case.levels[:1], on_time=case.on_time, cuts="none"))
 
     assert any(i.geometry_held for i in walk()[0].report.iterations)

@@ -310,7 +310,7 @@ def test_opposite_facets_have_no_normal(cell):
     c = rises(facets_at(surface, surface.X), found, surface.facets)
     assert np.abs(c).max() < 1e-14
     fixed = np.zeros((len(surface.V.mesh.geometry.x), fixed.shape[1]), dtype=bool)
-    assert count_edges(surface, None, fixed, 180.0).tolist() == [end.sum()] * 2
+    assert count_edges(surface, fixed, 180.0).tolist() == [end.sum()] * 2
 
 
 @pytest.mark.parametrize(("second", "none"), [((1.0, 1e-9), True), ((0.8, 0.6), False)])
@@ -328,4 +328,4 @@ def test_a_cusp_has_no_normal(second, none):
     tags = mesh.meshtags(domain, 1, lips, np.full(2, 3, dtype=np.int32))
     surface = create_surface(fem.functionspace(domain, ("Lagrange", 1, (2,))), tags, 3, "slave")
     fixed = np.zeros((len(surface.V.mesh.geometry.x), 2), dtype=bool)
-    assert count_edges(surface, None, fixed, 40.0).tolist() == [1, int(none)]
+    assert count_edges(surface, fixed, 40.0).tolist() == [1, int(none)]

@@ -9,19 +9,24 @@ closely, these are as large as the gap. With unit normals n_a at the nodes x_a t
 over all pairs of nodes. On a sphere of radius R, c_ab = |x_b - x_a|^2 / R, and by Lagrange's
 identity h is exact to leading order wherever the nodes lie; on plane sides it vanishes.
 
-Where two sides touch they are one surface, and the facets of both stand off that one. Bodies of
-one stiffness bend each other to the mean of their curvatures, K = (K_s - K_m) / 2 with e_ab.K e_ab
-= c_ab and each sign for its own outward normal; sides that fit closely have it from the begin, and
-updated geometry finds it in any case. So c_ab is the mean of a side's own and of what the other
-one's curvature would make of its edges. (With its own alone, a ball on a block, frozen, has to be
-flattened by its sagittas: forces of Hertz' contact are 1 to 10 % too large, Newton needs one or two
-iterations more. With the mean both are as with facets, which suit it, and closely fitting sides
-have the same answers to 0.5 %.)
+Where two sides touch they are one surface, and the facets of both stand off that one. Bodies of one
+stiffness bend each other to the mean of their curvatures, K = (K_s - K_m) / 2 with e_ab.K e_ab =
+c_ab and each sign for its own outward normal; sides that fit closely have it from the begin. So
+c_ab is the mean of a side's own and of what the other one's curvature would make of its edges.
+(With its own alone, a ball on a block, frozen, has to be flattened by its sagittas: forces of
+Hertz' contact are 1 to 10 % too large. With the mean they are as with facets, which suit it, and
+closely fitting sides have the same answers to 0.5 %.)
+
+The rises are those at X. At X + u they follow every node that comes into contact, and Newton these:
+7 % more iterations than with facets over 79 random problems, and one that fails; with X 7 % fewer,
+none that fails, and the same answers to 0.1 % where sides fit closely.
 
 The normals are those of Max (J. Graphics Tools 4, 1999), n_a ~ sum (e_1 x e_2) / (|e_1|^2 |e_2|^2)
 over the facets at the node, with e_1 and e_2 its edges there; in the plane the chords' normals over
 their lengths. They are exact on spheres and circles whatever the mesh, if facets lie all around the
-node.
+node. Elsewhere in space they lean where the fan is uneven, by a share of the angle between facets,
+which spoils pressures: so edges are first bent back into the tangent plane, by half of |e|^2 times
+the curvature along them, as found with the sums before, without the part that is a sphere's.
 """
 
 from __future__ import annotations
@@ -152,7 +157,8 @@ def curvatures(facets: Facets, rise: Floats) -> Floats:
         rise: c_ab (m, e) of `rises`.
 
     >>> from dolfinx_mortar.geometry.elements import LINE2
-    >>> curvatures(Facets(LINE2, np.array([[[2.0, 0.0], [0.0, 0.0]]])), np.array([[1.0]])).tolist()
+    >>> facet = Facets(LINE2, np.array([[[2.0, 0.0], [0.0, 0.0]]]))
+    >>> curvatures(facet, np.array([[1.0]])).round(12).tolist()
     [[[0.25, 0.0], [0.0, 0.0]]]
     """
     e = edges(facets)

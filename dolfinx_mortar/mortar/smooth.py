@@ -130,19 +130,26 @@ def find_curved(
 ) -> tuple[Curved, Curved]:
     """Return the slave's and the received master's facets with their curvatures; collective.
 
+    The facets are those at X + u, the rises those at X, which rigid motions keep: normals of
+    deformed facets would follow every node that comes into contact, and Newton these.
+
     Args:
         pairing: the pair of surfaces.
         u: displacement, None for X.
         fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
         feature_angle: see `smooth_normals`.
     """
-    slave, master = _find_sides(pairing, u, fixed, feature_angle)
-    return _curved(slave), _curved(master)
+    slave, master = _find_sides(pairing, None, fixed, feature_angle)
+    x = coordinates(pairing.slave, u)
+    return (
+        _curved(slave, facets_at(pairing.slave, x)),
+        _curved(master, received_facets(pairing, u)),
+    )
 
 
-def _curved(side: _Side) -> Curved:
+def _curved(side: _Side, moved: Facets) -> Curved:
     rise = rises(side.facets, side.normals, side.nodes)
-    return Curved(side.facets, rise, curvatures(side.facets, rise))
+    return Curved(moved, rise, curvatures(moved, rise))
 
 
 def _find_sides(
@@ -228,18 +235,15 @@ def find_parting(sides: tuple[Curved, Curved], pairing: Pairing, segments: Segme
     return float(apart / curved) if curved > 0.0 else np.inf
 
 
-def count_edges(
-    surface: Surface, u: dolfinx.fem.Function | None, fixed: Bools, feature_angle: float
-) -> Ints:
-    """Return how many nodes lie on an edge, and how many of them have no normal; collective.
+def count_edges(surface: Surface, fixed: Bools, feature_angle: float) -> Ints:
+    """Return how many nodes lie on an edge at X, and how many of them have no normal; collective.
 
     Args:
         surface: the surface.
-        u: displacement, None for X.
         fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
         feature_angle: see `smooth_normals`.
     """
-    normals = smooth_normals(surface, coordinates(surface, u), fixed[surface.nodes], feature_angle)
+    normals = smooth_normals(surface, surface.X, fixed[surface.nodes], feature_angle)
     none = np.abs(normals.n).max(axis=1) == 0.0
     local = [marks[: surface.owned].sum() for marks in (normals.sharp, none)]
     return np.asarray(surface.V.mesh.comm.allreduce(np.array(local, dtype=np.int32)))

@@ -146,7 +146,7 @@ def create_audit(
         )
     for link in links:
         _check_sides(link, bodies, x)
-    found = [_audit(link, x, at) for link in links]
+    found = [_audit(link, x) for link in links]
     stand_offs = find_stand_offs(links, at)
     by_contact = bool(contacts and free_motions(bodies, [*held, *ties]))
     warnings = list(system.notes)
@@ -256,7 +256,7 @@ def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec) -> None:
         )
 
 
-def _audit(link: Link, x: PETSc.Vec, at: fem.Function | None) -> InterfaceAudit:
+def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     """Count over the slave side of one interface; collective."""
     sides, kept = link.sides, link.coupling.kept.any(axis=1)
     covered = link.coupling.coverage.faces | kept
@@ -285,17 +285,16 @@ def _audit(link: Link, x: PETSc.Vec, at: fem.Function | None) -> InterfaceAudit:
     x = np.abs(sides.V.mesh.geometry.x).max(initial=0.0)
     size = EXACT * max(float(lengths[0]), float(maximum(sides.V.mesh.comm, x)[0]))
     ends = [0.0 if abs(end) < size or np.isinf(end) else float(end) for end in (-least, largest)]
-    edges = _edges(link, at) if link.interface.smooth else None
+    edges = _edges(link) if link.interface.smooth else None
     row = *map(int, counts), ratio, *ends, edges
     return InterfaceAudit(repr(link.interface), *row)  # type: ignore[arg-type]
 
 
-def _edges(link: Link, at: fem.Function | None) -> Edges:
+def _edges(link: Link) -> Edges:
     """Count where smooth surfaces keep their facets; collective."""
     sides, angle = link.sides, link.interface.feature_angle
-    u = link.interface.configuration(at)
     on_slave, on_master = (
-        count_edges(side, u, sides.fixed, angle) for side in (sides.slave, sides.master)
+        count_edges(side, sides.fixed, angle) for side in (sides.slave, sides.master)
     )
     nodes, without = on_slave + on_master
     return Edges(angle, int(nodes), int(without))

@@ -41,8 +41,11 @@ class RandomProblem:
         return np.asarray(self.data["depth"] * np.arange(1, steps + 1) / steps)
 
 
-def create(kind: str, seed: int, surface: str = "smooth") -> RandomProblem:
-    """Return a random problem; collective."""
+def create(kind: str, seed: int, surface: str = "facets") -> RandomProblem:
+    """Return a random problem; collective.
+
+    With facets, because `recheck` knows the gap from the paper's matrices.
+    """
     return KINDS[kind](draw(kind, seed) | {"surface": surface})
 
 
