@@ -26,7 +26,7 @@ from dolfinx_mortar.mortar.operators import (
     weighted_duals,
 )
 from dolfinx_mortar.mortar.pairing import create_pairing
-from dolfinx_mortar.mortar.smooth import point_motions
+from dolfinx_mortar.mortar.smooth import find_smooth_sides, point_motions
 from dolfinx_mortar.mortar.surface import create_surface
 from tests.meshes import two_blocks
 from tests.meshes_3d import two_boxes
@@ -97,7 +97,8 @@ def operators(cases):
         values += [(A * f).array.copy() for A in assemble_node_matrices(pairing, segments, keep)]
         resultants += [v.sum() for v in values[-2:]]
         Phi, d = weighted_duals(pairing, segments, keep), V.dofmap.index_map_bs
-        at = point_motions(pairing, segments, None, np.zeros((len(f.array), d), dtype=bool), 40.0)
+        free = np.zeros((len(f.array), d), dtype=bool)
+        at = point_motions(segments, find_smooth_sides(pairing, free, 40.0))
         assemble_motions(pairing, segments, d * [Phi], at)
         values.append((pairing.M * f).array.copy())  # of the last component
     near, far = ring(20)  # polygons of many corners

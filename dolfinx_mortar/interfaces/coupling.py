@@ -38,7 +38,7 @@ from dolfinx_mortar.mortar.operators import (
     weighted_duals,
 )
 from dolfinx_mortar.mortar.pairing import Pairing, create_pairing, outside_margin
-from dolfinx_mortar.mortar.smooth import point_heights, point_motions
+from dolfinx_mortar.mortar.smooth import SmoothSide, find_smooth_sides, point_heights, point_motions
 from dolfinx_mortar.mortar.surface import Surface, accumulate, create_surface
 
 
@@ -74,6 +74,7 @@ class Pattern:
     from_M: Ints  # positions in M's values of the remaining entries
     blocks: BlockMatrix  # room for Q
     scalars: BlockMatrix  # room for P
+    smooth: tuple[SmoothSide, SmoothSide] | None  # where facets stand for them
 
 
 @dataclass(frozen=True)
@@ -214,7 +215,9 @@ def _mark(surface: Surface) -> Bools:
     return with_ghosts(surface.V, owned)
 
 
-def pair(sides: Sides, u: fem.Function | None, *, again: bool) -> tuple[Pairing, Pattern]:
+def pair(
+    interface: Interface, sides: Sides, u: fem.Function | None, *, again: bool
+) -> tuple[Pairing, Pattern]:
     """Pair slave and master facets at X + u and fix the coupling pattern; collective.
 
     At first the sides have to face each other somewhere; later, ``again``, they may turn away.
@@ -234,7 +237,15 @@ def pair(sides: Sides, u: fem.Function | None, *, again: bool) -> tuple[Pairing,
     blocks = create_blocks(sides.V, nodes[row], column)
     scalars = BlockMatrix(sides.V.mesh.comm, sides.V.dofmap.index_map, 1, nodes[row], column)
     parts = from_D.astype(np.int32), from_M.astype(np.int32)
-    return pairing, Pattern(row, column, *parts, blocks, scalars)
+    smooth = find_smooth(interface, sides, pairing) if interface.smooth else None
+    return pairing, Pattern(row, column, *parts, blocks, scalars, smooth)
+
+
+def find_smooth(
+    interface: Interface, sides: Sides, pairing: Pairing
+) -> tuple[SmoothSide, SmoothSide]:
+    """Return the smooth surfaces for which the facets of the two sides stand; collective."""
+    return find_smooth_sides(pairing, sides.fixed, interface.feature_angle)
 
 
 def has_slid(link: Link, u: fem.Function | None, *, everywhere: bool) -> bool:
@@ -303,14 +314,15 @@ def couple(
     Phi = {c: weighted_duals(pairing, segments, keep[c]) for c in keep}
     heights: Floats = np.zeros(sides.slave.owned)
     motions: Floats | None = None
-    if interface.smooth and not interface.one_sided:
-        at = point_motions(pairing, segments, u, sides.fixed, interface.feature_angle)
+    if pattern.smooth is not None and not interface.one_sided:
+        at = point_motions(segments, pattern.smooth)
         rows = [Phi[c] for c in choices]
         motions = assemble_motions(pairing, segments, rows, at)[pattern.from_M]
     found = {c: _integrate(pairing, pattern, segments, keep[c], Phi[c]) for c in keep}
     P, weights = (np.column_stack([found[c][i] for c in choices]) for i in range(2))
-    if interface.smooth and interface.one_sided:
-        heights = _heights(interface, sides, pairing, segments, Phi[0], weights[:, 0], u)
+    if pattern.smooth is not None and interface.one_sided:
+        at_points = point_heights(pairing, segments, u, pattern.smooth)
+        heights = _heights(pairing, segments, Phi[0], weights[:, 0], at_points)
     some = (left > ROUND_OFF)[:, None]  # of less only round-off has a direction
     direction = np.where(some, free / np.maximum(left, TINY)[:, None], 0.0)
     frame = interface.frame(direction[own], weights > 0, sides.fixed[sides.nodes])
@@ -334,39 +346,35 @@ def couple(
     )
 
 
-def stand_off(link: Link, u: fem.Function | None) -> Floats:
+def stand_off(
+    link: Link, segments: Segments, u: fem.Function | None, smooth: tuple[SmoothSide, SmoothSide]
+) -> Floats:
     """Return the heights (n,) that smooth surfaces would have at the slave nodes; collective.
 
     By so much the gap between the facets is too large (or, where sides are hollow, too small).
 
     Args:
         link: the interface, coupled at X + u.
+        segments: its segments there.
         u: displacement, None for X.
+        smooth: the smooth surfaces at X.
     """
     pairing, slave = link.pairing, link.sides.slave
-    segments, _ = find_segments(pairing, u)
     kept = np.zeros(len(slave.nodes))
     kept[: slave.owned] = link.coupling.kept[:, 0]
     Phi = weighted_duals(pairing, segments, accumulate(slave, kept) > 0)
-    weight = link.coupling.weight[:, 0]
-    return _heights(link.interface, link.sides, pairing, segments, Phi, weight, u)
+    at_points = point_heights(pairing, segments, u, smooth)
+    return _heights(pairing, segments, Phi, link.coupling.weight[:, 0], at_points)
 
 
 def _heights(
-    interface: Interface,
-    sides: Sides,
-    pairing: Pairing,
-    segments: Segments,
-    Phi: Floats,
-    weight: Floats,
-    u: fem.Function | None,
+    pairing: Pairing, segments: Segments, Phi: Floats, weight: Floats, at_points: Floats
 ) -> Floats:
-    """Return int Phi_j (h_s + h_m) / D_jj (n,) at the owned slave nodes; collective.
+    """Return int Phi_j h / D_jj (n,) at the owned slave nodes, of h (q,); collective.
 
     With D_jj in ``weight`` (n,), zero where that is.
     """
-    at_points = point_heights(pairing, segments, u, sides.fixed, interface.feature_angle)
-    total = integrate_values(pairing, segments, Phi, at_points)[: sides.slave.owned]
+    total = integrate_values(pairing, segments, Phi, at_points)[: pairing.slave.owned]
     return np.asarray(total * _inverse(weight))
 
 

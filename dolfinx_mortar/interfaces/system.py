@@ -133,7 +133,10 @@ class InterfaceSystem:
         self.transformation = None
         configurations = [i.configuration(at) for i in self.interfaces]
         again = bool(self.links)
-        found = [pair(s, u, again=again) for s, u in zip(self.sides, configurations, strict=True)]
+        found = [
+            pair(interface, sides, u, again=again)
+            for interface, sides, u in zip(self.interfaces, self.sides, configurations, strict=True)
+        ]
         pairings, patterns = zip(*found, strict=True)
         if len(self.sides) > 1:
             coverage = [

@@ -108,17 +108,43 @@ def _judge(
 
 
 @dataclass(frozen=True)
-class _Side:
-    """The facets of one side, and the normals of its smooth surface."""
+class SmoothSide:
+    """The smooth surface over the facets of one side, at X."""
 
     facets: Facets  # (m,)
     normals: NodeNormals  # of all nodes
     nodes: Ints  # (m, k) which of them are the facets'
+    rise: Floats  # (m, e) c_ab of `rises`
+
+
+@timed("~Mortar: smooth surfaces")
+def find_smooth_sides(
+    pairing: Pairing, fixed: Bools, feature_angle: float
+) -> tuple[SmoothSide, SmoothSide]:
+    """Return the smooth surfaces of the slave and of the received master facets; collective.
+
+    Args:
+        pairing: the pair of surfaces.
+        fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
+        feature_angle: see `smooth_normals`.
+    """
+    slave, master = pairing.slave, pairing.master
+    n_s = smooth_normals(slave, slave.X, fixed[slave.nodes], feature_angle)
+    own = smooth_normals(master, master.X, fixed[master.nodes], feature_angle)
+    n_m = _received(pairing, own)
+    return (
+        _smooth_side(facets_at(slave, slave.X), n_s, slave.facets),
+        _smooth_side(received_facets(pairing, None), n_m, pairing.master_facets),
+    )
+
+
+def _smooth_side(facets: Facets, normals: NodeNormals, nodes: Ints) -> SmoothSide:
+    return SmoothSide(facets, normals, nodes, rises(facets, normals, nodes))
 
 
 @dataclass(frozen=True)
 class Curved:
-    """The facets of one side, and the smooth surface over them."""
+    """Facets of one side where they are now, and the smooth surface over them."""
 
     facets: Facets  # (m,)
     rise: Floats  # (m, e) c_ab of `rises`
@@ -126,9 +152,12 @@ class Curved:
 
 
 def find_curved(
-    pairing: Pairing, u: dolfinx.fem.Function | None, fixed: Bools, feature_angle: float
+    pairing: Pairing,
+    u: dolfinx.fem.Function | None,
+    sides: tuple[SmoothSide, SmoothSide],
+    pairs: Ints,
 ) -> tuple[Curved, Curved]:
-    """Return the slave's and the received master's facets with their curvatures; collective.
+    """Return the slave's and the master's facets of pairs, with their curvatures; collective.
 
     The facets are those at X + u, the rises those at X, which rigid motions keep: normals of
     deformed facets would follow every node that comes into contact, and Newton these.
@@ -136,35 +165,25 @@ def find_curved(
     Args:
         pairing: the pair of surfaces.
         u: displacement, None for X.
-        fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
-        feature_angle: see `smooth_normals`.
+        sides: their smooth surfaces at X.
+        pairs: (p,) which of the candidate pairs.
     """
-    slave, master = _find_sides(pairing, None, fixed, feature_angle)
-    x = coordinates(pairing.slave, u)
-    return (
-        _curved(slave, facets_at(pairing.slave, x)),
-        _curved(master, received_facets(pairing, u)),
-    )
+    s, m = pairing.pairs[pairs, 0], pairing.pairs[pairs, 1]
+    slave = facets_at(pairing.slave, coordinates(pairing.slave, u))
+    return _curved(sides[0], slave, s), _curved(sides[1], received_facets(pairing, u), m)
 
 
-def _curved(side: _Side, moved: Facets) -> Curved:
-    rise = rises(side.facets, side.normals, side.nodes)
-    return Curved(moved, rise, curvatures(moved, rise))
+def _curved(side: SmoothSide, moved: Facets, which: Ints) -> Curved:
+    once, again = np.unique(which, return_inverse=True)  # a facet is in several pairs
+    facets, rise = moved[once.astype(np.int32)], side.rise[once]
+    K = curvatures(facets, rise)
+    return Curved(moved[which], rise[again], K[again])
 
 
-def _find_sides(
-    pairing: Pairing, u: dolfinx.fem.Function | None, fixed: Bools, feature_angle: float
-) -> tuple[_Side, _Side]:
-    """Return the slave's and the received master's facets with normals at X + u; collective."""
-    slave, master = pairing.slave, pairing.master
-    x_s, x_m = coordinates(slave, u), coordinates(master, u)
-    n_s = smooth_normals(slave, x_s, fixed[slave.nodes], feature_angle)
-    own = smooth_normals(master, x_m, fixed[master.nodes], feature_angle)
-    n_m = _received(pairing, own)
-    return (
-        _Side(facets_at(slave, x_s), n_s, slave.facets),
-        _Side(received_facets(pairing, u), n_m, pairing.master_facets),
-    )
+def _meeting(segments: Segments) -> tuple[Ints, Ints]:
+    """Return the pairs that meet (p,), and which of them each point belongs to (q,)."""
+    pairs, of = np.unique(segments.pair, return_inverse=True)
+    return pairs.astype(np.int32), of.astype(np.int32)
 
 
 @timed("~Mortar: heights")
@@ -172,8 +191,7 @@ def point_heights(
     pairing: Pairing,
     segments: Segments,
     u: dolfinx.fem.Function | None,
-    fixed: Bools,
-    feature_angle: float,
+    sides: tuple[SmoothSide, SmoothSide],
 ) -> Floats:
     """Return by how much (q,) the smooth surfaces are nearer than the facets; collective.
 
@@ -183,31 +201,28 @@ def point_heights(
         pairing: the pair of surfaces.
         segments: its segments at X + u.
         u: displacement, None for X.
-        fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
-        feature_angle: see `smooth_normals`.
+        sides: the smooth surfaces at X.
     """
-    a, b = find_curved(pairing, u, fixed, feature_angle)
-    s, m = pairing.pairs.T
-    at_s = common_rises(a.facets[s], a.rise[s], b.K[m])
-    at_m = common_rises(b.facets[m], b.rise[m], a.K[s])
-    h_s = heights(a.facets, at_s, segments.pair, segments.xi_s)
-    return h_s + heights(b.facets, at_m, segments.pair, segments.xi_m)
+    pairs, of = _meeting(segments)
+    a, b = find_curved(pairing, u, sides, pairs)
+    h_s = heights(a.facets, common_rises(a.facets, a.rise, b.K), of, segments.xi_s)
+    h_m = heights(b.facets, common_rises(b.facets, b.rise, a.K), of, segments.xi_m)
+    return np.asarray(h_s + h_m)
 
 
 def point_motions(
-    pairing: Pairing,
-    segments: Segments,
-    u: dolfinx.fem.Function | None,
-    fixed: Bools,
-    feature_angle: float,
+    segments: Segments, sides: tuple[SmoothSide, SmoothSide]
 ) -> Callable[[slice], Floats]:
-    """Return a function that gives A_l (q, k, d, d) at a part of the points; collective.
+    """Return a function that gives A_l (q, k, d, d) at a part of the points.
 
-    By these the arms from master to slave move, see `dolfinx_mortar.geometry.arms`. The arguments
-    are those of `point_heights`.
+    By these the arms from master to slave move, see `dolfinx_mortar.geometry.arms`.
+
+    Args:
+        segments: the segments at X.
+        sides: the smooth surfaces at X.
     """
-    slave, master = _find_sides(pairing, u, fixed, feature_angle)
-    rises_s, rises_m = (rise_tensors(s.facets, s.normals, s.nodes) for s in (slave, master))
+    slave, master = sides
+    rises_s, rises_m = (rise_tensors(s.facets, s.normals, s.nodes) for s in sides)
 
     def at(part: slice) -> Floats:
         s, m = segments.slave[part], segments.master[part]
@@ -219,16 +234,22 @@ def point_motions(
     return at
 
 
-def find_parting(sides: tuple[Curved, Curved], pairing: Pairing, segments: Segments) -> float:
+def find_parting(
+    pairing: Pairing,
+    segments: Segments,
+    u: dolfinx.fem.Function | None,
+    sides: tuple[SmoothSide, SmoothSide],
+) -> float:
     """Return the mean of |k_s + k_m| over that of the larger of |k_s|, |k_m|, k = tr K; collective.
 
     Over the area where the sides face each other: 1 for a ball on a plane, c / R for a pin in a
     hole of radius R with the clearance c, infinite for planes, which have no facets to speak of.
+    The arguments are those of `point_heights`.
     """
-    size = np.bincount(segments.pair, segments.weight, minlength=len(pairing.pairs))
+    pairs, of = _meeting(segments)
+    size = np.bincount(of, segments.weight, minlength=len(pairs))
     k_s, k_m = (
-        np.trace(side.K, axis1=1, axis2=2)[of]
-        for side, of in zip(sides, pairing.pairs.T, strict=True)
+        np.trace(side.K, axis1=1, axis2=2) for side in find_curved(pairing, u, sides, pairs)
     )
     local = np.array([size @ np.abs(k_s + k_m), size @ np.maximum(np.abs(k_s), np.abs(k_m))])
     apart, curved = pairing.slave.V.mesh.comm.allreduce(local)
