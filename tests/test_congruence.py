@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """(I + C)^T K (I + C): the operator that is never formed against the matrix, on any ranks."""
 
+import weakref
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -96,3 +98,14 @@ def test_new_values_are_followed(matrices, rng):
     x, y = random_vector(K, rng), K.createVecRight()
     operator.matrix.mult(x, y)
     assert (y - operator.matrix.copy() * x).norm() < 1e-13 * y.norm()
+
+
+def test_nothing_is_kept_alive(matrices):
+    """Neither Python nor PETSc counts references in a circle; so a problem is freed at once."""
+    K, C = matrices
+    operator = CongruentOperator(K)
+    operator.follow(C, decoupled(K))
+    context = weakref.ref(operator.matrix.getPythonContext())
+    assert context() is not None
+    del operator
+    assert context() is None

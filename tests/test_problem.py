@@ -336,7 +336,15 @@ def test_a_problem_that_is_let_go_is_freed_at_once():
     try:
         problem, _ = create_ball(depth=0.05)
         dm.newton(problem)
-        parts = [weakref.ref(part) for part in (problem, problem.linear, problem.solid)]
+        parts = [
+            weakref.ref(part)
+            for part in (
+                problem,
+                problem.linear,
+                problem.solid,
+                problem.operator.matrix.getPythonContext(),
+            )
+        ]
         del problem
         assert not any(part() for part in parts)
     finally:

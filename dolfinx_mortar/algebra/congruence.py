@@ -56,31 +56,62 @@ class CongruentOperator:
 
     Attributes:
         matrix: a PETSc Mat of type python; its copy is an explicit matrix.
-        diagonal: (n,) before decoupling.
-        scale: the entry at decoupled unknowns, the mean of the diagonal.
     """
 
     def __init__(self, K: PETSc.Mat) -> None:
         """Begin with C = 0 and nothing decoupled."""
+        self._product = _Product(K)
+        self.matrix = PETSc.Mat().createPython(K.getSizes(), self._product, comm=K.comm)
+        self.matrix.setUp()
+
+    @property
+    def K(self) -> PETSc.Mat:
+        """The matrix in the middle."""
+        return self._product.K
+
+    @property
+    def decoupled(self) -> Ints:
+        """Owned unknowns that are decoupled."""
+        return self._product.decoupled
+
+    @property
+    def diagonal(self) -> PETSc.Vec:
+        """The diagonal (n,) before decoupling."""
+        return self._product.diagonal
+
+    @property
+    def scale(self) -> float:
+        """The entry at decoupled unknowns, the mean of the diagonal."""
+        return self._product.scale
+
+    def follow(self, C: PETSc.Mat | None, decoupled: Ints) -> None:
+        """Take over C (None for 0), decoupled owned unknowns, and the values of K; collective."""
+        self._product.follow(C, decoupled)
+        self.matrix.stateIncrease()
+
+    def product(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Set y to the product with x, nothing decoupled; collective."""
+        self._product.whole(x, y)
+
+
+class _Product:
+    """Context of the operator's Mat, which must not know that Mat: PETSc could not free the two."""
+
+    def __init__(self, K: PETSc.Mat) -> None:
         self.K = K
         self.C: PETSc.Mat | None = None
         self.decoupled: Ints = np.empty(0, dtype=np.int32)
         self.diagonal, self.scale = K.createVecRight(), 1.0
         self._x, self._moved = K.createVecRight(), K.createVecRight()
-        self.matrix = PETSc.Mat().createPython(K.getSizes(), self, comm=K.comm)
-        self.matrix.setUp()
 
     def follow(self, C: PETSc.Mat | None, decoupled: Ints) -> None:
-        """Take over C (None for 0), decoupled owned unknowns, and the values of K; collective."""
         self.C, self.decoupled = C, decoupled
         self.K.getDiagonal(self.diagonal)
         if C is not None:
             self.diagonal.axpy(1.0, _diagonal_change(self.K, C))
         self.scale = self.diagonal.sum() / self.diagonal.getSize()
-        self.matrix.stateIncrease()
 
-    def product(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to the product with x, nothing decoupled; collective."""
+    def whole(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         if self.C is None:
             self.K.mult(x, y)
             return
@@ -92,16 +123,14 @@ class CongruentOperator:
     # -- called by PETSc -------------------------------------------------------------------------
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to the product with x."""
         x.copy(self._x)
         self._x.array[self.decoupled] = 0.0
-        self.product(self._x, y)
+        self.whole(self._x, y)
         y.array[self.decoupled] = self.scale * x.array_r[self.decoupled]
 
     multTranspose = mult  # K is symmetric
 
     def getDiagonal(self, mat: PETSc.Mat, d: PETSc.Vec) -> None:
-        """Set d to the diagonal."""
         self.diagonal.copy(d)
         d.array[self.decoupled] = self.scale
 
