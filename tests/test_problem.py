@@ -336,16 +336,10 @@ def test_a_problem_that_is_let_go_is_freed_at_once():
     try:
         problem, _ = create_ball(depth=0.05)
         dm.newton(problem)
-        parts = [
-            weakref.ref(part)
-            for part in (
-                problem,
-                problem.linear,
-                problem.solid,
-                problem.operator.matrix.getPythonContext(),
-            )
-        ]
-        del problem
+        product = problem.operator.matrix.getPythonContext()
+        whole = (problem, problem.linear, problem.solid, product)
+        parts = [weakref.ref(part) for part in whole]
+        del problem, product, whole
         assert not any(part() for part in parts)
     finally:
         gc.enable()
