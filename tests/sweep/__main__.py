@@ -57,13 +57,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="tests.sweep", description=__doc__)
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
     parser.add_argument("--seeds", type=seeds, default=range(10), help="first:end, as in 0:100")
+    parser.add_argument("--surface", choices=["smooth", "facets"], default="smooth")
     parser.add_argument("--output", type=Path, help="a file to which JSON lines are added")
     options = parser.parse_args(arguments)
     logging.getLogger("dolfinx_mortar").setLevel(logging.CRITICAL)
     outcomes = []
     for kind in options.kinds:
         for seed in options.seeds:
-            outcomes.append(run(kind, seed))
+            outcomes.append(run(kind, seed, options.surface))
             if options.output and COMM.rank == 0:
                 with options.output.open("a") as file:
                     file.write(json.dumps(dataclasses.asdict(outcomes[-1])) + "\n")

@@ -42,10 +42,7 @@ class RandomProblem:
 
 
 def create(kind: str, seed: int, surface: str = "facets") -> RandomProblem:
-    """Return a random problem; collective.
-
-    With facets, because `recheck` knows the gap from the paper's matrices.
-    """
+    """Return a random problem; collective."""
     return KINDS[kind](draw(kind, seed) | {"surface": surface})
 
 

@@ -53,7 +53,7 @@ class TooLong(Exception):
     """A problem takes longer than it may."""
 
 
-def run(kind: str, seed: int) -> Outcome:
+def run(kind: str, seed: int, surface: str = "smooth") -> Outcome:
     """Solve a random problem and check its steps; collective."""
     data = draw(kind, seed)
     outcome = Outcome(kind, seed, data | {"laws": {k: repr(v) for k, v in data["laws"].items()}})
@@ -61,7 +61,7 @@ def run(kind: str, seed: int) -> Outcome:
     with warnings.catch_warnings(record=True) as caught, _time_limit(SECONDS):
         warnings.simplefilter("always")
         try:
-            case = create(kind, seed)
+            case = create(kind, seed, surface)
             _solve(case, outcome)
         except Exception as error:
             outcome.failure = f"{type(error).__name__}: {error}"
