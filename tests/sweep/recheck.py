@@ -125,8 +125,8 @@ def _contact(
     normals = normals / np.maximum(length, TINY)[:, None]
     pressure = np.where(acts, contact.pressure.x.array[nodes], 0.0)
     weight = _row_norms(mortar.D)[::d]
-    gap = -(normals * _apply(B, _current(case)).reshape(-1, d)).sum(axis=1) / weight
-    gap -= _heights(case, contact)[nodes]
+    apart = -(normals * _apply(B, _current(case)).reshape(-1, d)).sum(axis=1)
+    gap = (apart - _heights(case, contact)[nodes]) / weight
     tractions = (normals * pressure[:, None]).ravel()
     worst = _complementarity(V.mesh.comm, pressure[acts], gap[acts], weight, d)
     resultant = -_apply(mortar.D, tractions, transposed=True).reshape(-1, d).sum(axis=0)
@@ -137,11 +137,11 @@ def _contact(
 
 
 def _heights(case: RandomProblem, contact: dm.Contact) -> Floats:
-    """Return by how much smooth surfaces are nearer than facets, at the owned nodes."""
+    """Return int Phi_j (h_s + h_m), by which smooth surfaces are nearer, at the owned nodes."""
     result = np.zeros(case.problem.n)
     for link in case.problem.system.links:
         if link.interface is contact:
-            result[link.nodes] = link.coupling.heights
+            result[link.nodes] = link.coupling.weight[:, 0] * link.coupling.heights
     return result
 
 
