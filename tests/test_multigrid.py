@@ -165,7 +165,7 @@ def test_a_preconditioner_that_breaks_down_is_set_up_anew(moved, monkeypatch, ca
 
     def spoilt(self, change, held):
         follow(self, change, held)
-        if not np.array_equal(held, self.held_by_B):
+        if COMM.allreduce(not np.array_equal(held, self.held_by_B), op=MPI.LOR):
             self.B.setDiagonal(-change.matrix.getDiagonal())
 
     monkeypatch.setattr(Multigrid, "follow", spoilt)
