@@ -12,6 +12,7 @@ import pytest
 from dolfinx import fem
 from dolfinx_mortar.algebra.blocks import BlockMatrix
 from dolfinx_mortar.algebra.congruence import CongruentOperator
+from dolfinx_mortar.algebra.parallel import free_unused
 from tests.meshes import two_blocks
 
 COMM = MPI.COMM_WORLD
@@ -108,4 +109,5 @@ def test_nothing_is_kept_alive(matrices):
     context = weakref.ref(operator.matrix.getPythonContext())
     assert context() is not None
     del operator
+    free_unused(COMM)  # on several ranks PETSc waits until all have let go
     assert context() is None
