@@ -19,7 +19,7 @@ LAUNCHER = ("OMPI_COMM_", "OMPI_APP_", "OMPI_FIRST_", "PMIX_", "PRTE_JOB", "PRTE
 
 RANKS = "DOLFINX_MORTAR_TEST_RANKS"
 # What these do to a rank does not hang on their number: two will do by default, three when slow.
-ON_TWO = ("arguments", "loads", "mesh_audit", "output", "summary", "user_laws")
+ON_TWO = ("arguments", "loads", "mesh_audit", "output", "smooth_tie", "summary", "user_laws")
 
 
 def run_on_ranks(ranks: int, selection: str, seconds: float, without: Iterable[str] = ()) -> None:
