@@ -7,11 +7,10 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx.mesh import MeshTags
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import Constraints
 from dolfinx_mortar.interfaces.frames import create_frames
-from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Frame, Interface
+from dolfinx_mortar.interfaces.interface import Frame, Interface
 
 # A slave normal that loses more than this share of its length to Dirichlet data has no direction
 # left in which contact could act.
@@ -41,19 +40,6 @@ class Contact(Interface):
     """
 
     one_sided = True
-
-    def __init__(
-        self,
-        facet_tags: MeshTags,
-        *,
-        slave: int,
-        master: int,
-        surface: str = "smooth",
-        feature_angle: float = FEATURE_ANGLE,
-    ) -> None:
-        """Keep the description; surfaces are found when a problem takes the interface."""
-        sides = {"slave": slave, "master": master}
-        super().__init__(facet_tags, **sides, surface=surface, feature_angle=feature_angle)
 
     def may_carry(self, left: Floats, fixed: Bools) -> Bools:
         """Return (n, 1): nodes whose normal is not taken by Dirichlet data."""

@@ -237,15 +237,10 @@ def pair(
     blocks = create_blocks(sides.V, nodes[row], column)
     scalars = BlockMatrix(sides.V.mesh.comm, sides.V.dofmap.index_map, 1, nodes[row], column)
     parts = from_D.astype(np.int32), from_M.astype(np.int32)
-    smooth = find_smooth(interface, sides, pairing) if interface.smooth else None
+    smooth = None
+    if interface.smooth:
+        smooth = find_smooth_sides(pairing, sides.fixed, interface.feature_angle)
     return pairing, Pattern(row, column, *parts, blocks, scalars, smooth)
-
-
-def find_smooth(
-    interface: Interface, sides: Sides, pairing: Pairing
-) -> tuple[SmoothSide, SmoothSide]:
-    """Return the smooth surfaces for which the facets of the two sides stand; collective."""
-    return find_smooth_sides(pairing, sides.fixed, interface.feature_angle)
 
 
 def has_slid(link: Link, u: fem.Function | None, *, everywhere: bool) -> bool:

@@ -85,7 +85,13 @@ class Interface:
     one_sided: ClassVar[bool] = False  # can open: bounds on one side
 
     def __init__(
-        self, facet_tags: MeshTags, *, slave: int, master: int, surface: str, feature_angle: float
+        self,
+        facet_tags: MeshTags,
+        *,
+        slave: int,
+        master: int,
+        surface: str = "smooth",
+        feature_angle: float = FEATURE_ANGLE,
     ) -> None:
         """Keep the description; surfaces are found when a problem takes the interface."""
         check_tags(facet_tags)

@@ -8,10 +8,9 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem
-from dolfinx.mesh import MeshTags
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import Constraints, equalities
-from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Frame, Interface
+from dolfinx_mortar.interfaces.interface import Frame, Interface
 
 
 class Tie(Interface):
@@ -34,19 +33,6 @@ class Tie(Interface):
     Raises:
         ValueError: for tags that are none, and an unknown surface or angle.
     """
-
-    def __init__(
-        self,
-        facet_tags: MeshTags,
-        *,
-        slave: int,
-        master: int,
-        surface: str = "smooth",
-        feature_angle: float = FEATURE_ANGLE,
-    ) -> None:
-        """Keep the description; surfaces are found when a problem takes the interface."""
-        sides = {"slave": slave, "master": master}
-        super().__init__(facet_tags, **sides, surface=surface, feature_angle=feature_angle)
 
     def configuration(self, u: fem.Function | None) -> None:
         """Return None: D and M do not follow the deformation."""

@@ -18,10 +18,10 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum, norm, ratio
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.interfaces.coupling import Link, find_smooth, stand_off
+from dolfinx_mortar.interfaces.coupling import Link, stand_off
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.mortar.operators import find_segments
-from dolfinx_mortar.mortar.smooth import find_parting
+from dolfinx_mortar.mortar.smooth import find_parting, find_smooth_sides
 from dolfinx_mortar.mortar.surface import mean_facet_length
 
 # Facets whose unevenness is worth this share of the contact forces spoil pressures. A pin in its
@@ -69,7 +69,8 @@ def find_stand_offs(links: Sequence[Link], u: fem.Function | None) -> list[Stand
 
 def _find_stand_off(link: Link, u: fem.Function | None) -> StandOff:
     pairing, sides = link.pairing, link.sides
-    smooth, (segments, _) = find_smooth(link.interface, sides, pairing), find_segments(pairing, u)
+    smooth = find_smooth_sides(pairing, sides.fixed, link.interface.feature_angle)
+    segments, _ = find_segments(pairing, u)
     heights = stand_off(link, segments, u, smooth)
     uneven = _uneven(sides.V.mesh.comm, heights[link.coupling.kept[:, 0]])
     highest = float(maximum(sides.V.mesh.comm, np.abs(uneven).max(initial=0.0))[0])
