@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: MIT
+"""The QP of an iterate: the same in either form; a constant tangent is not assembled again."""
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import default_scalar_type, fem
+from dolfinx_mortar.steps.linearisation import find_balance, linearise
+from tests.meshes import TOP
+from tests.pressed_blocks import PressedBlocks
+
+pytestmark = pytest.mark.mpi
+SOLVERS = {"direct": {}, "iterative": {"pc_type": "gamg"}}
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("springs", [False, True])
+def test_a_linear_tangent_is_assembled_once(solver, springs, monkeypatch):
+    """Over all steps; with a potential once a step, because a user may change its constants."""
+    case, calls = PressedBlocks(), []
+    assemble = dm.Solid.assemble_tangent
+    monkeypatch.setattr(
+        dm.Solid, "assemble_tangent", lambda self, K: (calls.append(K), assemble(self, K))
+    )
+    k = fem.Constant(case.mesh, default_scalar_type(1.0))
+    ds = ufl.Measure("ds", case.mesh, subdomain_data=case.facets)
+    options = {"potential": 0.5 * k * ufl.inner(case.u, case.u) * ds(TOP)} if springs else {}
+    problem = case.problem(petsc_options=SOLVERS[solver], **options)
+    forces = []
+    for step in range(3):
+        k.value = 1.0 + 100.0 * step
+        dm.newton(problem, rtol=1e-10)
+        problem.commit()
+        forces.append(problem.contacts[0].force[1])
+    assert len(calls) == (3 if springs else 1)
+    assert forces == pytest.approx([forces[0]] * 3, rel=1e-9)
+
+
+def test_both_forms_are_one_program():
+    """T^T K T formed, and applied: products, right-hand side, diagonal, with what is eliminated."""
+    found = []
+    for options in SOLVERS.values():
+        case = PressedBlocks()
+        problem = case.problem(petsc_options=options)
+        data = problem.begin_step()
+        case.u.interpolate(lambda x: 1e-3 * np.sin(np.stack([x[0], x[0] + 1.0])))
+        problem.update_geometry(data.increment)
+        lin = linearise(problem, find_balance(problem, data))
+        x = problem.vector(np.cos(problem.X))
+        found.append([lin.qp.A * x, lin.qp.b, lin.diagonal, lin.qp.A.getDiagonal()])
+    for formed, applied in zip(*found, strict=True):
+        assert formed.norm() > 0.0
+        assert (formed - applied).norm() < 1e-12 * formed.norm()
