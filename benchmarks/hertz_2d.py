@@ -42,9 +42,12 @@ import numpy as np
 import dolfinx_mortar as dm
 from dolfinx import fem
 
-SIZES: dict[str, float] = {"5k": 0.15, "50k": 0.044, "200k": 0.0218}
-"""Element size of the graded mesh by number of unknowns."""
-MORTAR_LIMITS = {"5k": None, "50k": 0.10, "200k": 0.05}
+SIZES: dict[str, tuple[float, int]] = {
+    **{"5k": (0.15, 1), "50k": (0.044, 1), "200k": (0.0218, 1)},
+    **{"50kP2": (0.088, 2), "200kP2": (0.0436, 2)},
+}
+"""Element size of the graded mesh, and degree, by number of unknowns."""
+MORTAR_LIMITS = {"5k": None, "50k": 0.10, "200k": 0.05, "50kP2": 0.10, "200kP2": 0.05}
 MEMORY_LIMIT, COLD_LIMIT, WARM_LIMIT = 1.3, 20.0, 15.0
 PATTERN_EVENTS = ("MatPreallCOO", "MatMatMultSym", "MatCholFctrSym")
 ROOT = Path(__file__).resolve().parents[1]
@@ -92,12 +95,15 @@ class Clock:
         return statistics.median(self(call) for _ in range(3))
 
 
-def create_problem(h: float, material: str, geometry: str, slave: str) -> dm.ContactProblem:
+def create_problem(
+    size: tuple[float, int], material: str, geometry: str, slave: str
+) -> dm.ContactProblem:
     """Set up the paper's problem at d = 0.2 mm; geometry "none" leaves the contact out."""
+    h, degree = size
     mesh, _, facet_tags = dm.meshing.hertz(MPI.COMM_WORLD, kind="graded", h=h)
     steel = dm.VonMises(E=206_900.0, nu=0.29, Y=450.0 * np.sqrt(2.0 / 3.0), a=10_000.0)
     law = steel if material == "plastic" else dm.Elastic(E=steel.E, nu=steel.nu)
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
     solid = dm.Solid(fem.Function(V), law)
     nodes = [fem.locate_dofs_topological(V, 1, facet_tags.find(tag)) for tag in (1, 2)]
     motions = (np.zeros(2), np.array([0.0, -0.2]))
@@ -161,15 +167,18 @@ def peak_memory() -> float:
     return MPI.COMM_WORLD.allreduce(peak, op=MPI.SUM)
 
 
-def run_case(h: float, material: str, geometry: str, slave: str, kind: str) -> dict[str, Any]:
+def run_case(
+    size: tuple[float, int], material: str, geometry: str, slave: str, kind: str
+) -> dict[str, Any]:
     """Measure one case (collective)."""
     clock = Clock(kind)
     PETSc.Log.begin()
     if geometry == "none":
-        problem = create_problem(h, material, geometry, slave)
+        problem = create_problem(size, material, geometry, slave)
         return measure_reference(problem, clock) | {"memory": peak_memory()}
-    dm.newton(create_problem(0.6, material, geometry, slave))  # loads all compiled code
-    problem = create_problem(h, material, geometry, slave)
+    # loads all compiled code
+    dm.newton(create_problem((0.6, size[1]), material, geometry, slave))
+    problem = create_problem(size, material, geometry, slave)
     patterns, compiled = count_patterns(), count_compiled()
     reports: list[dm.StepReport] = []
     step = clock(lambda: reports.append(dm.newton(problem)))
@@ -254,7 +263,7 @@ def main(options: argparse.Namespace) -> None:
     options.output.mkdir(parents=True, exist_ok=True)
     results: dict[str, Any] = {}
     head = ("ranks", "size", "case", "its", "solves", "fact", "mortar", "step", "memory", "rebuilt")
-    line = "{:>5} {:>5} {:<24}" + " {:>7}" * 7 + " {}"
+    line = "{:>5} {:>6} {:<24}" + " {:>7}" * 7 + " {}"
     print(line.format(*head, "missed"))
     for ranks in options.ranks:
         for size in options.sizes:

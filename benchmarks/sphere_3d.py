@@ -41,10 +41,10 @@ PARTS = ("mortar", "assembly", "transform", "linear_solves", "total")
 
 
 def create(
-    mesh: dm.meshing.SphereMesh, law: str, kind: str, geometry: str = "reference"
+    mesh: dm.meshing.SphereMesh, law: str, kind: str, geometry: str = "reference", degree: int = 1
 ) -> tuple[dm.ContactProblem, fem.Constant]:
     """Return the problem with its interface in contact or tied, and what pushes the ball down."""
-    V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (3,)))
+    V = fem.functionspace(mesh.mesh, ("Lagrange", degree, (3,)))
     solid = dm.Solid(fem.Function(V, name="u"), LAWS[law])
     down, zero = fem.Constant(mesh.mesh, -DEPTH[law]), fem.Constant(mesh.mesh, 0.0)
     held = [(1, 0, zero), (1, 1, zero), (1, 2, zero), (2, 0, zero), (2, 1, zero)]
@@ -61,12 +61,12 @@ def create(
 
 
 def measure(
-    mesh: dm.meshing.SphereMesh, law: str, kind: str, geometry: str = "reference"
+    mesh: dm.meshing.SphereMesh, law: str, kind: str, geometry: str = "reference", degree: int = 1
 ) -> dict[str, Any]:
     """Solve one step and return its numbers."""
     COMM.barrier()
     begin = perf_counter()
-    problem, _ = create(mesh, law, kind, geometry)
+    problem, _ = create(mesh, law, kind, geometry, degree)
     report = dm.newton(problem)
     seconds = COMM.allreduce(perf_counter() - begin, op=MPI.MAX)
     linear = problem.linear.counts
@@ -84,9 +84,9 @@ def measure(
     }
 
 
-def measure_history(mesh: dm.meshing.SphereMesh) -> dict[str, Any]:
+def measure_history(mesh: dm.meshing.SphereMesh, degree: int) -> dict[str, Any]:
     """Press the ball in ten equal elastic steps, with updated geometry."""
-    problem, down = create(mesh, "elastic", "contact", "updated")
+    problem, down = create(mesh, "elastic", "contact", "updated", degree)
     seconds, krylov = [], 0
     for k in range(1, STEPS + 1):
         down.value = -DEPTH["elastic"] * k / STEPS
@@ -103,16 +103,16 @@ def measure_history(mesh: dm.meshing.SphereMesh) -> dict[str, Any]:
     }
 
 
-def row(cell: str, h: float) -> dict[str, Any]:
+def row(cell: str, h: float, degree: int) -> dict[str, Any]:
     """Return all numbers of one mesh."""
     mesh = dm.meshing.sphere(COMM, cell=cell, h=h)
-    nodes = fem.functionspace(mesh.mesh, ("Lagrange", 1)).dofmap.index_map.size_global
+    nodes = fem.functionspace(mesh.mesh, ("Lagrange", degree)).dofmap.index_map.size_global
     found = {
-        "elastic": measure(mesh, "elastic", "contact"),
-        "updated": measure(mesh, "elastic", "contact", "updated"),
-        "history": measure_history(mesh),
-        "tied": measure(mesh, "elastic", "tie"),
-        "plastic": measure(mesh, "plastic", "contact"),
+        "elastic": measure(mesh, "elastic", "contact", degree=degree),
+        "updated": measure(mesh, "elastic", "contact", "updated", degree),
+        "history": measure_history(mesh, degree),
+        "tied": measure(mesh, "elastic", "tie", degree=degree),
+        "plastic": measure(mesh, "plastic", "contact", degree=degree),
     }
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     elastic, plastic = found["elastic"], found["plastic"]
@@ -121,6 +121,7 @@ def row(cell: str, h: float) -> dict[str, Any]:
     return {
         "cell": cell,
         "h": h,
+        "degree": degree,
         "unknowns": 3 * nodes,
         "ranks": COMM.size,
         "contact_over_tied": elastic["seconds"] / found["tied"]["seconds"],
@@ -179,10 +180,11 @@ def main() -> None:
         "--h", type=float, nargs="+", default=[0.125, 0.105, 0.0884, 0.0743, 0.0625]
     )
     parser.add_argument("--cell", choices=["hexahedron", "tetrahedron"], default="hexahedron")
+    parser.add_argument("--degree", type=int, choices=[1, 2], default=1)
     parser.add_argument("--output", type=Path)
     options = parser.parse_args()
-    row(options.cell, 0.5)  # compiles
-    rows = [row(options.cell, h) for h in options.h]
+    row(options.cell, 0.5, options.degree)  # compiles
+    rows = [row(options.cell, h, options.degree) for h in options.h]
     if COMM.rank == 0:
         show(rows)
         if options.output:

@@ -10,20 +10,29 @@
 The theory is in Cermak, Svetlik, Varga, Pospisil (2024), doi 10.4203/ccc.9.10.3.
 """
 
-from dolfinx_mortar import analytic, materials, meshing
+from dolfinx_mortar import analytic, materials, meshing, plotting
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.log import add_last_resort
-from dolfinx_mortar.materials import Elastic, Material, VonMises
+from dolfinx_mortar.materials import (
+    DruckerPrager,
+    Elastic,
+    Material,
+    Orthotropic,
+    VonMises,
+    VonMisesVoce,
+)
 from dolfinx_mortar.mortar.paper import Mortar, assemble_mortar
 from dolfinx_mortar.output import Writer
 from dolfinx_mortar.qp import QPNotSolved
 from dolfinx_mortar.solid.solid import Solid
-from dolfinx_mortar.steps.load_steps import LoadStep, load_steps
+from dolfinx_mortar.steps.load_steps import load_steps
 from dolfinx_mortar.steps.newton import newton
+from dolfinx_mortar.steps.preload import Preload, PreloadNotReached, preload
 from dolfinx_mortar.steps.problem import ContactProblem
-from dolfinx_mortar.steps.report import NewtonNotConverged, StepReport
+from dolfinx_mortar.steps.report import LoadStep, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.summary import summarise, write_summary
+from dolfinx_mortar.tags import Tags
 
 add_last_resort()
 
@@ -32,16 +41,22 @@ __version__ = "0.1.0"
 __all__ = [
     "Contact",
     "ContactProblem",
+    "DruckerPrager",
     "Elastic",
     "LoadStep",
     "Material",
     "Mortar",
     "NewtonNotConverged",
+    "Orthotropic",
+    "Preload",
+    "PreloadNotReached",
     "QPNotSolved",
     "Solid",
     "StepReport",
+    "Tags",
     "Tie",
     "VonMises",
+    "VonMisesVoce",
     "Writer",
     "analytic",
     "assemble_mortar",
@@ -49,6 +64,8 @@ __all__ = [
     "materials",
     "meshing",
     "newton",
+    "plotting",
+    "preload",
     "summarise",
     "write_summary",
 ]

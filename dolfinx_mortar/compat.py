@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from dolfinx import fem, mesh
 
@@ -31,3 +32,36 @@ def cell_partitioner(ghosts: mesh.GhostMode) -> Any:
         return mesh.create_cell_partitioner(ghosts, 2)
     except TypeError:
         return mesh.create_cell_partitioner(ghosts)
+
+
+def cell_degree(domain: mesh.Mesh) -> int:
+    """Return the degree of the cells' geometry (0.11 has a list of maps, one per cell type)."""
+    geometry: Any = domain.geometry
+    maps = getattr(geometry, "cmaps", None)
+    return int((maps[0] if maps is not None else geometry.cmap).degree)
+
+
+def cell_nodes(domain: mesh.Mesh) -> npt.NDArray[np.int32]:
+    """Return the nodes (cells, n) of the cells' geometry (0.11 has a list, one per cell type)."""
+    geometry: Any = domain.geometry
+    lists = getattr(geometry, "dofmaps", None)
+    return np.asarray(lists[0] if isinstance(lists, list | tuple) else geometry.dofmap)
+
+
+def mesh_from_gmsh(
+    model: Any, comm: Any, dim: int
+) -> tuple[mesh.Mesh, mesh.MeshTags, mesh.MeshTags]:
+    """Return mesh, cell tags and facet tags of the Gmsh model on rank 0; collective.
+
+    The module has another name since 0.10, and tags that a model does not have are None there.
+    """
+    try:
+        from dolfinx.io.gmsh import model_to_mesh
+    except ImportError:
+        from dolfinx.io.gmshio import model_to_mesh
+    domain, *tags = model_to_mesh(model, comm, 0, gdim=dim)[:3]
+    for codim, found in enumerate(tags):
+        if found is None:
+            none = np.empty(0, dtype=np.int32)
+            tags[codim] = mesh.meshtags(domain, dim - codim, none, none)
+    return domain, tags[0], tags[1]

@@ -23,9 +23,15 @@ class LastResort(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print a record unless the program has a handler of its own."""
-        others = [h for h in logging.getLogger(NAME).handlers if h is not self]
-        if not others and not logging.getLogger().handlers:
+        if not is_configured():
             print(self.format(record), file=sys.stderr)
+
+
+def is_configured() -> bool:
+    """Tell whether the program has a handler of its own, on the root or this package's logger."""
+    own = logging.getLogger(NAME).handlers
+    others = [handler for handler in own if not isinstance(handler, LastResort)]
+    return bool(others or logging.getLogger().handlers)
 
 
 def add_last_resort() -> None:

@@ -8,8 +8,11 @@ from petsc4py import PETSc
 import numpy as np
 
 import dolfinx
+from dolfinx_mortar import compat
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
+HIGHEST = 2
+"""Highest degree of the displacement, and of the cells themselves."""
 
 
 def check_space(V: dolfinx.fem.FunctionSpace, name: str = "V") -> None:
@@ -20,8 +23,9 @@ def check_space(V: dolfinx.fem.FunctionSpace, name: str = "V") -> None:
         name: the argument that it comes from, for messages.
 
     Raises:
-        ValueError: For a complex PETSc, cells of other types or dimensions, curved cells, parts of
-            larger spaces, and other elements than vector Lagrange of degree 1.
+        ValueError: For a complex PETSc, cells of other types or dimensions, parts of larger spaces,
+            other elements than vector Lagrange of degree 1 or 2, and cells of a higher degree than
+            the displacement.
     """
     if np.issubdtype(PETSc.ScalarType, np.complexfloating):
         raise ValueError("PETSc was built for complex numbers; use a build for real numbers.")
@@ -31,21 +35,24 @@ def check_space(V: dolfinx.fem.FunctionSpace, name: str = "V") -> None:
             f"{name}: cells of type {cell} in {d}D are not supported; use one of "
             f"{', '.join(CELLS)}, the same for all bodies."
         )
-    curved = V.mesh.geometry.cmap.degree
-    if curved != 1:
-        raise ValueError(
-            f"{name}: the cells of the mesh are of degree {curved}; only straight ones are "
-            "supported, make the mesh with degree 1 (in Gmsh: mesh.setOrder(1))."
-        )
     if V.component():
         raise ValueError(f"{name} is in a part of a larger space; use V.collapse()[0].")
     element, bs = V.ufl_element(), V.dofmap.index_map_bs
     lagrange = element.family_name == "P" and not element.discontinuous
-    degree = V.element.basix_element.degree if lagrange else None
-    if (element.reference_value_shape, bs, degree) != ((d,), d, 1):
+    degree = V.element.basix_element.degree if lagrange else 0
+    if (element.reference_value_shape, bs) != ((d,), d) or not 1 <= degree <= HIGHEST:
         found = f"Lagrange of degree {degree}" if lagrange else str(element)
         raise ValueError(
             f"{name} has the element {found} with values of shape {element.reference_value_shape}; "
-            "it has to be a continuous vector Lagrange element of degree 1, "
+            "it has to be a continuous vector Lagrange element of degree 1 or 2, "
             f'functionspace(mesh, ("Lagrange", 1, ({d},))).'
+        )
+    curved = compat.cell_degree(V.mesh)
+    if curved > degree:
+        remedy = f"make the mesh with degree {degree} (in Gmsh: mesh.setOrder({degree}))"
+        if curved <= HIGHEST:
+            remedy = f"give {name} the degree {curved}, or {remedy}"
+        raise ValueError(
+            f"{name}: the cells of the mesh are of degree {curved}, the displacement of degree "
+            f"{degree}; facets would not lie on the cells: {remedy}."
         )

@@ -17,10 +17,10 @@ def create_mesh(h, cell):
     return dm.meshing.sphere(MPI.COMM_WORLD, h=h, cell=cell)
 
 
-def create_problem(*, h=0.5, slave="block", cell="hexahedron", depth=0.2, **options):
+def create_problem(*, h=0.5, slave="block", cell="hexahedron", degree=1, depth=0.2, **options):
     """Return the quarter of a half ball on a block, its flat face pushed down, and the contact."""
     m = create_mesh(h, cell)
-    V = fem.functionspace(m.mesh, ("Lagrange", 1, (3,)))
+    V = fem.functionspace(m.mesh, ("Lagrange", degree, (3,)))
     solid = dm.Solid(fem.Function(V, name="u"), options.pop("law", STEEL))
     bcs = []
     for tag, component, value in (

@@ -15,31 +15,39 @@ from dolfinx_mortar.meshing.bodies import distribute
 COMM = MPI.COMM_WORLD
 
 
-def create_ring(inner, outer, angles, layers=2):
-    """Return nodes and quadrilaterals of a ring with nodes at given angles."""
-    radii = np.linspace(inner, outer, layers + 1)
+def create_ring(inner, outer, angles, layers=2, order=1):
+    """Return nodes and quadrilaterals, of degree `order`, of a ring with vertices at angles."""
+    if order > 1:
+        turns = np.append(angles, angles[0] + 2 * np.pi)
+        angles = np.ravel([turns[:-1], (turns[:-1] + turns[1:]) / 2], order="F")
+    radii = np.linspace(inner, outer, order * layers + 1)
     r, angle = (a.ravel() for a in np.meshgrid(radii, angles, indexing="ij"))
     n = len(angles)
+    if order > 1:
+        i, j = (a.ravel() for a in np.meshgrid(2 * np.arange(layers), 2 * np.arange(n // 2)))
+        out, along = np.array([[0, 2, 0, 2, 1, 0, 2, 1, 1], [0, 0, 2, 2, 0, 1, 1, 2, 1]])
+        cells = (i[:, None] + out) * n + (j[:, None] + along) % n
+        return np.column_stack([r * np.cos(angle), r * np.sin(angle)]), cells.astype(np.int64)
     i, j = (a.ravel() for a in np.meshgrid(np.arange(layers), np.arange(n), indexing="ij"))
     k = (j + 1) % n
     cells = np.column_stack([i * n + j, (i + 1) * n + j, i * n + k, (i + 1) * n + k])
     return np.column_stack([r * np.cos(angle), r * np.sin(angle)]), cells.astype(np.int64)
 
 
-def rings(comm, inner, outer, counts, layers):
-    """Return two rings, the mesh, tags 1 to 4 of its circles from inside, and its space."""
+def rings(comm, inner, outer, counts, layers, order=1):
+    """Return the mesh of two rings, its cells of degree `order`; tags 1 to 4 of its circles."""
     parts = [
-        create_ring(*radii, 2 * np.pi * np.arange(n) / n, layers=k)
+        create_ring(*radii, 2 * np.pi * np.arange(n) / n, layers=k, order=order)
         for radii, n, k in zip((inner, outer), counts, layers, strict=True)
     ]
-    domain, _ = distribute(comm, lambda: parts, "quadrilateral")
+    domain, size = distribute(comm, lambda: parts, "quadrilateral", order)
     domain.topology.create_connectivity(1, 2)
     facets = mesh.exterior_facet_indices(domain.topology)
     to_cell = domain.topology.connectivity(1, 2)
     cells = np.array([to_cell.links(f)[0] for f in facets], dtype=np.int32)
     x = mesh.compute_midpoints(domain, 1, facets)
     away = np.einsum("mi,mi->m", x, x - mesh.compute_midpoints(domain, 2, cells)) > 0
-    first = np.linalg.norm(mesh.compute_midpoints(domain, 2, cells), axis=1) < inner[1]
+    first = domain.topology.original_cell_index[cells] < size
     values = np.where(first, 1, 3) + away
     return domain, mesh.meshtags(domain, 1, facets, values.astype(np.int32))
 
@@ -78,7 +86,9 @@ class Pin:
         return dm.newton(self.problem), self.contact.gather(self.problem.u)
 
 
-def create_pin(counts, swap, *, clearance=0.1, force=5000.0, comm=COMM, **options):
+def create_pin(
+    counts, swap, *, clearance=0.1, force=5000.0, comm=COMM, degree=1, order=1, **options
+):
     """Create a pin with a clearance, by default of 1 % of the radius.
 
     Args:
@@ -87,13 +97,15 @@ def create_pin(counts, swap, *, clearance=0.1, force=5000.0, comm=COMM, **option
         clearance: radius of the hole less that of the pin.
         force: on the pin.
         comm: communicator of the mesh.
+        degree: of the displacement.
+        order: degree of the cells.
         options: of the contact.
     """
     R = 10.0
-    domain, tags = rings(comm, (1.0, R - clearance), (R, 25.0), counts, (8, 12))
+    domain, tags = rings(comm, (1.0, R - clearance), (R, 25.0), counts, (8, 12), order)
     pin = np.hypot(*domain.geometry.x[:, :2].T) < R - clearance / 2
     domain.geometry.x[pin, 1] -= clearance
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    V = fem.functionspace(domain, ("Lagrange", degree, (2,)))
     slave, master = (3, 2) if swap else (2, 3)
     contact = dm.Contact(tags, slave=slave, master=master, **options)
     ds, v = ufl.Measure("ds", domain, subdomain_data=tags), ufl.TestFunction(V)
@@ -125,7 +137,9 @@ class ShrinkFit:
     pressure: float  # Lame's
 
 
-def create_shrink_fit(counts, swap, *, overlap=OVERLAP, geometry="updated", comm=COMM, **options):
+def create_shrink_fit(
+    counts, swap, *, overlap=OVERLAP, geometry="updated", comm=COMM, degree=1, order=1, **options
+):
     """Create the rings 10 to 20 and 20 to 30, with facets in such numbers where they meet.
 
     Args:
@@ -134,11 +148,13 @@ def create_shrink_fit(counts, swap, *, overlap=OVERLAP, geometry="updated", comm
         overlap: of the radii.
         geometry: of the problem.
         comm: communicator of the mesh.
+        degree: of the displacement.
+        order: degree of the cells.
         options: of the contact.
     """
     a, b, c = 10.0, 20.0, 30.0
-    domain, tags = rings(comm, (a, b + overlap), (b, c), counts, (16, 16))
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    domain, tags = rings(comm, (a, b + overlap), (b, c), counts, (16, 16), order)
+    V = fem.functionspace(domain, ("Lagrange", degree, (2,)))
     inside = mesh.locate_entities(domain, 2, lambda x: np.hypot(x[0], x[1]) < b + overlap / 2)
     values = np.full(domain.topology.index_map(2).size_local, 2, dtype=np.int32)
     values[inside[inside < len(values)]] = 1

@@ -38,8 +38,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Spare the collections after every test what is there to stay: modules, tests, libraries."""
+    """Collect garbage after tests only, at the same time on all ranks, and spare what stays.
+
+    What stays are modules, tests and libraries.
+    """
     if COMM.size > 1:
+        gc.disable()
         gc.collect()
         gc.freeze()
 

@@ -59,13 +59,14 @@ def create_case(
     *,
     slave: str = "block",
     geometry: str = "updated",
+    degree: int = 1,
     **options,
 ) -> HertzCase:
     """Clamp the block's bottom, prescribe the disc's flat face, put contact in between.
 
     The options are those of the contact.
     """
-    V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (2,)))
+    V = fem.functionspace(mesh.mesh, ("Lagrange", degree, (2,)))
     solid = dm.Solid(fem.Function(V, name="u"), materials, mesh.cell_tags)
     values = [fem.Constant(mesh.mesh, np.zeros(2)) for _ in range(2)]
     tags = (dm.meshing.BOTTOM, dm.meshing.FLAT)

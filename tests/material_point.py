@@ -17,8 +17,8 @@ INDEX = {c: ("xyz".index(c[0]), "xyz".index(c[1])) for c in COMPONENTS[3]}
 class MaterialPoint:
     """A law at one integration point, on each rank for itself."""
 
-    def __init__(self, law: Any, d: int = 3) -> None:
-        """Create a triangle (d = 2, plane strain) or a tetrahedron (d = 3)."""
+    def __init__(self, law: Any, d: int = 3, kinematics: str | None = None) -> None:
+        """Create a triangle (d = 2, by default plane strain) or a tetrahedron (d = 3)."""
         if d == 2:
             domain = mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
         else:
@@ -26,7 +26,7 @@ class MaterialPoint:
         V = fem.functionspace(domain, ("Lagrange", 1, (d,)))
         self.d = d
         self.x = V.tabulate_dof_coordinates()[:, :d]
-        self.solid = Solid(fem.Function(V), law)
+        self.solid = Solid(fem.Function(V), law, kinematics=kinematics)
 
     def reset(self) -> None:
         """Return to the virgin state."""

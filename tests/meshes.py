@@ -28,8 +28,35 @@ def _columns(n: int, x: tuple[float, float], splits, jitter: float, seed: int) -
     return lines
 
 
-def _block(lines: Array, rows: Array, cell: str) -> tuple[Array, npt.NDArray[np.int64]]:
+SECOND = {  # cells of degree two among the three by three nodes of a square, dolfinx's order
+    "triangle": ([0, 2, 8, 5, 4, 1], [0, 8, 6, 7, 3, 4]),
+    "quadrilateral": ([0, 2, 6, 8, 1, 3, 5, 7, 4],),
+}
+
+
+def _halved(lines: Array) -> Array:
+    """Return the lines with others half way between them."""
+    return np.interp(np.arange(2 * len(lines) - 1) / 2, np.arange(len(lines)), lines)
+
+
+def _second_order_block(
+    lines: Array, rows: Array, cell: str
+) -> tuple[Array, npt.NDArray[np.int64]]:
+    """Return points, numbered row by row, and cells of degree two of a structured block."""
+    nx, ny = len(lines) - 1, len(rows) - 1
+    width = 2 * nx + 1
+    points = np.stack([a.ravel() for a in np.meshgrid(_halved(lines), _halved(rows))], axis=1)
+    first = (2 * np.arange(ny)[:, None] * width + 2 * np.arange(nx)).ravel()
+    grid = (np.arange(3)[:, None] * width + np.arange(3)).ravel()
+    return points, np.concatenate([first[:, None] + grid[nodes] for nodes in SECOND[cell]])
+
+
+def _block(
+    lines: Array, rows: Array, cell: str, order: int = 1
+) -> tuple[Array, npt.NDArray[np.int64]]:
     """Return points, numbered row by row, and cells of a structured block."""
+    if order > 1:
+        return _second_order_block(lines, rows, cell)
     nx, ny = len(lines) - 1, len(rows) - 1
     points = np.stack([np.tile(lines, ny + 1), np.repeat(rows, nx + 1)], axis=1)
     first = (np.arange(ny)[:, None] * (nx + 1) + np.arange(nx)).ravel()
@@ -95,6 +122,7 @@ def two_blocks(
     seed: int = 0,
     transform: Callable[[Array], Array] | None = None,
     partition: str = "graph",
+    order: int = 1,
 ) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags, dolfinx.mesh.MeshTags]:
     """Create a mesh of two disconnected blocks, one above the other.
 
@@ -121,6 +149,7 @@ def two_blocks(
             "bodies" (the first rank has the lower block, the others layers of the upper one: all
             but two ranks have no facet of the interface), "empty" (stripes, and nothing for the
             last rank).
+        order: Degree of the cells; `transform` bends those of degree 2.
 
     Returns:
         Mesh; cell tags (1 lower, 2 upper); facet tags (1 bottom of the lower block, 2 top of the
@@ -128,9 +157,11 @@ def two_blocks(
     """
     lower = _columns(n_lower[0], x_lower, splits_lower, jitter, seed)
     upper = _columns(n_upper[0], x_upper, splits_upper, jitter, seed + 1)
-    points_l, cells_l = _block(lower, np.linspace(-heights[0], 0, n_lower[1] + 1), cell)
-    points_u, cells_u = _block(upper, np.linspace(gap, gap + heights[1], n_upper[1] + 1), cell)
-    n_l, n_u, c_l, c_u = len(points_l), len(points_u), len(lower), len(upper)
+    points_l, cells_l = _block(lower, np.linspace(-heights[0], 0, n_lower[1] + 1), cell, order)
+    rows = np.linspace(gap, gap + heights[1], n_upper[1] + 1)
+    points_u, cells_u = _block(upper, rows, cell, order)
+    n_l, n_u = len(points_l), len(points_u)
+    c_l, c_u = (order * (len(lines) - 1) + 1 for lines in (lower, upper))
     points = np.concatenate([points_l, points_u])
     cells = np.concatenate([cells_l, cells_u + n_l])
 
@@ -151,7 +182,7 @@ def two_blocks(
         comm,
         cells[mine],
         x=np.ascontiguousarray(points[own]),
-        e=basix.ufl.element("Lagrange", cell, 1, shape=(2,)),
+        e=basix.ufl.element("Lagrange", cell, order, shape=(2,)),
         partitioner=_partitioner(partition, comm, ranks[mine]),
     )
     cell_tags = _tag(mesh, 2, [(LOWER, lambda i: i < n_l), (UPPER, lambda i: i >= n_l)])

@@ -41,16 +41,33 @@ def box_points(lines: list[Array], jitter: float, seed: int) -> Array:
     return (grid + shift).transpose(2, 1, 0, 3).reshape(-1, 3)
 
 
-def box_cells(n: tuple[int, int, int], cell: str) -> Ints:
-    """Return the cells of a grid with n cells per direction; six tetrahedra per hexahedron."""
-    strides = np.array([1, n[0] + 1, (n[0] + 1) * (n[1] + 1)])
-    i, j, k = (a.ravel() for a in np.meshgrid(*map(np.arange, n), indexing="ij"))
+def box_cells(n: tuple[int, int, int], cell: str, order: int = 1) -> Ints:
+    """Return the cells of a grid with n cells per direction; six tetrahedra per hexahedron.
+
+    Those of degree two have a node half way between any two of the grid.
+    """
+    strides = np.array([1, order * n[0] + 1, (order * n[0] + 1) * (order * n[1] + 1)])
+    i, j, k = (order * a.ravel() for a in np.meshgrid(*map(np.arange, n), indexing="ij"))
     first = i * strides[0] + j * strides[1] + k * strides[2]
+    kind, variant = basix.CellType[cell], basix.LagrangeVariant.equispaced
+    nodes = basix.create_element(basix.ElementFamily.P, kind, order, variant).points
     if cell == "hexahedron":
-        corner = np.array([[a, b, c] for c in (0, 1) for b in (0, 1) for a in (0, 1)])
-        return first[:, None] + corner @ strides
-    paths = [np.cumsum([0, *strides[list(order)]]) for order in permutations(range(3))]
-    return np.concatenate([first[:, None] + path for path in paths])
+        corners = [strides]
+    else:
+        corners = [np.cumsum(strides[list(way)]) for way in permutations(range(3))]
+    steps = [np.rint(order * nodes @ c).astype(np.int64) for c in corners]
+    return np.concatenate([first[:, None] + step for step in steps])
+
+
+def _halved(points: Array, shape: list[int]) -> Array:
+    """Return the points of a grid (x fastest) of such a shape, with others half way between."""
+    grid = points.reshape(*shape[::-1], 3)
+    for axis in range(3):
+        grid = np.moveaxis(grid, axis, 0)
+        fine = np.empty((2 * len(grid) - 1, *grid.shape[1:]))
+        fine[::2], fine[1::2] = grid, (grid[:-1] + grid[1:]) / 2
+        grid = np.moveaxis(fine, 0, axis)
+    return grid.reshape(-1, 3)
 
 
 def two_boxes(
@@ -70,6 +87,7 @@ def two_boxes(
     seed: int = 0,
     transform: Callable[[Array], Array] | None = None,
     partition: str = "graph",
+    order: int = 1,
 ) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags, dolfinx.mesh.MeshTags]:
     """Create a mesh of two disconnected boxes, one above the other.
 
@@ -91,6 +109,7 @@ def two_boxes(
         seed: Seed of the shift.
         transform: Map of the (n, 3) points, applied after the rotation.
         partition: As for `tests.meshes.two_blocks`.
+        order: Degree of the cells; `transform` bends those of degree 2.
 
     Returns:
         Mesh; cell tags (1 lower, 2 upper); facet tags (1 bottom of the lower box, 2 top of the
@@ -106,9 +125,15 @@ def two_boxes(
         lines.append([*(np.asarray(s, dtype=float) for s in plane), np.linspace(*z, n[2] + 1)])
     sizes = [tuple(len(line) - 1 for line in box) for box in lines]
     parts = [box_points(box, jitter, seed + i) for i, box in enumerate(lines)]
+    if order > 1:
+        parts = [
+            _halved(x, [len(line) for line in box]) for x, box in zip(parts, lines, strict=True)
+        ]
     n_l = len(parts[0])
     points = np.concatenate(parts)
-    cells = np.concatenate([box_cells(sizes[0], cell), box_cells(sizes[1], cell) + n_l])
+    cells = np.concatenate(
+        [box_cells(sizes[0], cell, order), box_cells(sizes[1], cell, order) + n_l]
+    )
 
     middle = points[cells, 0].mean(axis=1)
     position = (middle - middle.min()) / (np.ptp(middle) * (1 + 1e-9))
@@ -126,11 +151,15 @@ def two_boxes(
         comm,
         cells[mine],
         x=np.ascontiguousarray(points[own]),
-        e=basix.ufl.element("Lagrange", cell, 1, shape=(3,)),
+        e=basix.ufl.element("Lagrange", cell, order, shape=(3,)),
         partitioner=_partitioner(partition, comm, ranks[mine]),
     )
     cell_tags = _tag(mesh, 3, [(LOWER, lambda i: i < n_l), (UPPER, lambda i: i >= n_l)])
-    return mesh, cell_tags, _tag(mesh, 2, _marks(sizes, n_l))
+    return (
+        mesh,
+        cell_tags,
+        _tag(mesh, 2, _marks([tuple(order * n for n in size) for size in sizes], n_l)),
+    )
 
 
 def _marks(sizes: list[tuple[int, ...]], n_l: int) -> list[tuple[int, Callable]]:

@@ -39,8 +39,8 @@ class PressedBlocks:
     def contact(self, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER, facets=None):
         return dm.Contact(self.facets if facets is None else facets, slave=slave, master=master)
 
-    def problem(self, interfaces=None, bcs=None, **options):
-        solid = dm.Solid(self.u, ELASTIC)
+    def problem(self, interfaces=None, bcs=None, law=ELASTIC, **options):
+        solid = dm.Solid(self.u, law)
         interfaces = [self.contact()] if interfaces is None else interfaces
         return dm.ContactProblem(
             solid, interfaces, bcs=self.bcs() if bcs is None else bcs, **options

@@ -10,6 +10,7 @@ import numpy as np
 
 import dolfinx_mortar as dm
 from dolfinx import fem
+from tests import friction_case
 from tests.hertz_case import create_case
 from tests.meshes import BOTTOM, TOP, two_blocks
 
@@ -17,11 +18,12 @@ STEEL = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
 
 
 def gather(problem) -> list:
-    """Return the displacements (n, 4) of all nodes with their coordinates, ordered."""
+    """Return the displacements (n, 2 d) of all nodes with their coordinates, ordered."""
     V = problem.V
     n = V.dofmap.index_map.size_local
-    X = V.tabulate_dof_coordinates()[:n, :2]
-    u = problem.u.x.array[: 2 * n].reshape(-1, 2)
+    d = V.mesh.geometry.dim
+    X = V.tabulate_dof_coordinates()[:n, :d]
+    u = problem.u.x.array[: d * n].reshape(-1, d)
     # nodes of the two bodies may lie at one place: the displacement tells them apart
     table = np.concatenate(V.mesh.comm.allgather(np.hstack([X, u])))
     return table[np.lexsort(np.round(table, 9).T[::-1])].tolist()
@@ -65,10 +67,34 @@ def blocks(partition: str) -> dict:
     }
 
 
+def friction(cell: str, partition: str) -> dict:
+    """Press a block and push it, until some of it slips, with updated geometry."""
+    case = friction_case.create(
+        cell, friction=0.3, geometry="updated", mesh_options={"partition": partition}
+    )
+    rest = (0.002,) if cell == "hexahedron" else ()
+    for way in (0.0, 0.02, 0.003):
+        case.solve(way, *rest, -0.01, rtol=1e-11)
+    nodes = case.contact.gather(case.problem.u)
+    # tabulated coordinates differ by round-off, which must not change the order
+    order = np.lexsort(np.round(nodes["X"], 9).T[::-1])
+    return {
+        "force": case.contact.force.tolist(),
+        "moment": case.contact.moment.tolist(),
+        "displacement": gather(case.problem),
+        "dissipation": case.contact.dissipation,
+        **{name: nodes[name][order].tolist() for name in FRICTION},
+    }
+
+
+FRICTION = ("pressure", "traction", "step_slip", "slip", "status")
+
 if __name__ == "__main__":
     # on one rank all partitions are the same
     results = {"hertz": hertz()}
     results |= {name: blocks(name) for name in ("graph", "shared_facet", "stripes", "bodies")}
+    for cell, names in (("triangle", ("graph", "empty")), ("hexahedron", ("stripes",))):
+        results |= {f"{cell} {name} friction": friction(cell, name) for name in names}
     if MPI.COMM_WORLD.rank == 0:
         with open(sys.argv[1], "w") as file:
             json.dump(results, file)

@@ -20,6 +20,7 @@ from tests.block_piles import (
     COMM,
     EAST,
     PILE,
+    STEEL,
     WEST,
     Blocks,
     chain,
@@ -27,6 +28,7 @@ from tests.block_piles import (
     to_dense,
     to_global,
 )
+from tests.meshes_3d import two_boxes
 
 ROUND_OFF = 1e-12
 
@@ -150,6 +152,31 @@ def test_transformation_follows_the_geometry(partition, rng):
     T = dense_transformation(problem)
     assert np.abs(T - expected_transformation(problem)).max() < ROUND_OFF
     assert np.abs(T - before).max() > 1e-3
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
+@pytest.mark.parametrize("cell, factors", [("tetrahedron", 2), ("hexahedron", 1)])
+def test_transformation_of_second_order_in_space(cell, factors, kind, rng):
+    """Middles of six-node facets lean on their ends; some nodes are removed, some held."""
+    mesh, _, tags = two_boxes(COMM, (1, 1, 1), (2, 1, 1), upper=(0.0, 1.3, 0.0, 0.8), cell=cell)
+    V = fem.functionspace(mesh, ("Lagrange", 2, (3,)))
+    bcs = []
+    for tag, components in ((1, (0, 1, 2)), (2, (0, 1, 2)), (5, (0,))):
+        for i in components:
+            dofs = fem.locate_dofs_topological(V.sub(i), 2, tags.find(tag))
+            bcs.append(fem.dirichletbc(fem.Constant(mesh, 0.0), dofs, V.sub(i)))
+    solid = dm.Solid(fem.Function(V), STEEL)
+    problem = dm.ContactProblem(solid, [kind(tags, slave=3, master=4)], bcs=bcs)
+    problem.audit()
+    T, basis = dense_transformation(problem), problem.system.transformation
+    assert len(basis.factors) == factors
+    assert np.abs(T - expected_transformation(problem)).max() < ROUND_OFF
+    y, u = (problem.K.createVecRight() for _ in range(2))
+    y.array[:] = rng.normal(size=len(T))[slice(*y.owner_range)]
+    basis.apply(y, u)
+    assert np.abs((basis.inverse(u) - y).array).max(initial=0.0) < ROUND_OFF
+    assert np.abs((u - y - basis.change * y).array).max(initial=0.0) < ROUND_OFF
 
 
 @pytest.mark.mpi

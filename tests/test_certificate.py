@@ -13,10 +13,11 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.steps.certificate import create_certificate, operator_errors
+from dolfinx_mortar.steps.contacts import Contacts
 from dolfinx_mortar.steps.linearisation import find_balance, linearise
-from dolfinx_mortar.steps.problem import StepData
-from dolfinx_mortar.steps.residuals import Contacts, Scales, measure
+from dolfinx_mortar.steps.residuals import Scales, measure
 from dolfinx_mortar.steps.results import set_results
+from dolfinx_mortar.steps.step_data import StepData
 from tests.ball_case import STEEL, create_problem
 from tests.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
 from tests.hertz_case import ELASTIC, create_case

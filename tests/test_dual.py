@@ -6,7 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dolfinx_mortar.mortar.dual import covered_weights, dual_values
+from dolfinx_mortar.geometry.elements import QUAD9, TRI6
+from dolfinx_mortar.geometry.facets import Facets, tributary_weights
+from dolfinx_mortar.mortar.dual import ALPHA, absorbed, covered_weights, dual_values
 from tests.polylines import assemble
 from tests.test_segments import flat, split
 
@@ -105,14 +107,32 @@ def test_removed_functions_are_shared_out(removed):
 
 
 def test_shared_out_in_equal_parts_on_larger_facets():
-    """Three nodes, one of them removed: both others take half of its function."""
+    """Three nodes, one of them removed: both others take half of what theirs miss of 1."""
     N, weight = gauss(-1, 0.3, 3)
-    slave = np.zeros(len(weight), dtype=np.int32)
-    full = dual_values(N, weight, slave, np.ones((1, 3), dtype=bool))
-    Phi = dual_values(N, weight, slave, np.array([[True, False, True]]))
+    slave, keep = np.zeros(len(weight), dtype=np.int32), np.array([[True, False, True]])
+    Phi = dual_values(N, weight, slave, keep)
     assert (Phi[:, 1] == 0).all()
-    assert np.abs(Phi[:, 0] - full[:, 0] - full[:, 1] / 2).max() < 1e-13
     assert np.abs(Phi.sum(axis=1) - 1).max() < 1e-12
+    kept = N[:, [0, 2]]
+    D = weight @ kept
+    own = kept @ np.linalg.inv(kept.T @ (weight[:, None] * kept)) * D
+    missing = 1 - own.sum(axis=1)
+    assert np.abs(missing).max() > 0.1
+    assert np.abs(Phi[:, [0, 2]] - own - missing[:, None] / 2).max() < 1e-13
+    assert np.abs(kept.T @ (weight[:, None] * Phi[:, [0, 2]]) - np.diag(D)).max() < 1e-14
+
+
+@pytest.mark.parametrize("t", [0.5, 0.2, 1e-2, 1e-4])
+@pytest.mark.parametrize("far", [0, 2])
+def test_functions_stay_bounded_where_the_far_vertex_is_removed(t, far):
+    """Its function has a negative integral there; shared out, those of the whole basis grow."""
+    a, b = (1 - 2 * t, 1) if far == 0 else (-1, -1 + 2 * t)
+    N, weight = gauss(a, b, 3)
+    assert weight @ N[:, far] < 1e-15
+    slave, keep = np.zeros(len(weight), dtype=np.int32), np.arange(3)[None] != far
+    Phi = dual_values(N, weight, slave, keep)
+    assert np.abs(Phi).max() < 4.0
+    assert np.abs(Phi.sum(axis=1) - 1).max() < 1e-13
 
 
 def test_facet_without_kept_node():
@@ -155,3 +175,57 @@ def test_swap_and_renumbering():
     facets = place[np.stack([np.arange(3), np.arange(1, 4)], axis=1)][[2, 0, 1]]
     mixed = assemble(flat(a), flat(b, up=True)[order], facets_m=facets)
     assert np.abs(mixed.M - one.M[:, order]).max() < 1e-15
+
+
+# -- facets of second order in space
+
+
+def test_vertices_of_six_node_facets_are_the_centres_of_their_functions():
+    """Which are positive in the mean; those of middles lie off their edges, on either side."""
+    points, weight = TRI6.rule
+    N = absorbed(TRI6.shares, TRI6.shape_functions(points))
+    mean, first = weight @ N, (weight[:, None] * N).T @ points
+    assert mean == pytest.approx([1 / 18] * 3 + [5 / 18] * 3, abs=1e-14)
+    centres = first / mean[:, None]
+    assert centres[:3] == pytest.approx(TRI6.points[:3], abs=1e-13)
+    assert centres[3] == pytest.approx([2 / 5, 1 / 5], abs=1e-13)
+    assert np.abs(N.sum(axis=1) - 1).max() < 1e-14
+
+
+def test_middles_without_multiplier_give_nothing_away():
+    N = TRI6.shape_functions(np.array([[0.3, 0.2], [0.1, 0.1]]))
+    kept = np.array([[True] * 6, [True, True, True, False, True, True]])
+    found = absorbed(TRI6.shares, N, kept)
+    assert np.abs(found.sum(axis=1) - 1).max() < 1e-15
+    assert found[1, 3] == N[1, 3]
+    assert found[1, 0] == pytest.approx(N[1, 0] + ALPHA * N[1, 5], abs=1e-15)
+    assert found[0, 3] == pytest.approx((1 - 2 * ALPHA) * N[0, 3], abs=1e-15)
+
+
+@pytest.mark.parametrize("element", [TRI6, QUAD9], ids=["six", "nine"])
+@pytest.mark.parametrize("removed", [[], [1], [4], [0, 3]])
+def test_six_and_nine_nodes_are_biorthogonal(element, removed):
+    """D has its diagonal and what middles lean on; rows of removed nodes vanish."""
+    points, weight = element.rule
+    keep = np.ones((1, element.nodes), dtype=bool)
+    keep[0, removed] = False
+    slave, N = np.zeros(len(weight), dtype=np.int32), element.shape_functions(points)
+    mine = absorbed(element.shares, N, keep[slave])
+    Phi = dual_values(mine, weight, slave, keep)
+    D = (weight[:, None] * Phi).T @ N
+    expected = np.diag(np.diag(D))
+    for middle, *ends in element.shares:
+        expected[middle, ends] = -ALPHA * D[middle, middle]
+    k = keep[0]
+    assert np.abs(D - expected)[np.ix_(k, k)].max() < 1e-14
+    assert (np.diag(D)[k] > 0.01).all() and np.abs(D[~k]).max(initial=0.0) == 0.0
+    assert np.abs(Phi.sum(axis=1) - 1).max() < 1e-12
+
+
+def test_coordinates_are_in_the_space_of_nine_node_facets():
+    """Weighted means of x over each N_j are the nodes: linears are multipliers."""
+    points, weight = QUAD9.rule
+    N = QUAD9.shape_functions(points)
+    means = (weight[:, None] * N).T @ points / (weight @ N)[:, None]
+    assert means == pytest.approx(QUAD9.points, abs=1e-14)
+    assert tributary_weights(Facets(QUAD9, np.pad(QUAD9.points, ((0, 0), (0, 1)))[None])).min() > 0

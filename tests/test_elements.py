@@ -2,7 +2,6 @@
 """Types of facets: what one says about itself is consistent, and nobody else knows it."""
 
 import ast
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,32 +10,52 @@ import pytest
 import basix
 import dolfinx
 import dolfinx_mortar
-from dolfinx_mortar.geometry.elements import FACETS_OF, LINE2, QUAD4, TRI3
+from dolfinx_mortar.geometry.elements import FACETS_OF, LINE2, LINE3, QUAD4, QUAD9, TRI3, TRI6
 from dolfinx_mortar.geometry.facets import (
     Facets,
     area_vectors,
+    distortions,
     facet_normals,
+    normals_at_nodes,
+    points_of,
     surface_gradients,
     tributary_weights,
 )
-from dolfinx_mortar.geometry.segments import create_segments
-from dolfinx_mortar.mortar.dual import BASES
-from dolfinx_mortar.spaces import CELLS
+from dolfinx_mortar.geometry.parts import (
+    count,
+    pairs_of_parts,
+    parts_of,
+    stretches,
+    to_facets,
+)
+from dolfinx_mortar.geometry.polynomials import meet
+from dolfinx_mortar.spaces import CELLS, HIGHEST
 
-ELEMENTS = pytest.mark.parametrize("element", [LINE2, TRI3, QUAD4], ids=lambda e: e.cell)
+FIRST_ORDER, SECOND_ORDER = [LINE2, TRI3, QUAD4], [LINE3, TRI6, QUAD9]
+
+
+def parametrize(elements):
+    return pytest.mark.parametrize("element", elements, ids=lambda e: f"{e.cell}{e.nodes}")
+
+
+ELEMENTS = parametrize(FIRST_ORDER + SECOND_ORDER)
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 
 
 def nodes(element):
     """Return the reference points of the nodes (k, d-1): where the functions are 0 and 1."""
     cell = getattr(basix.CellType, element.cell)
-    points = basix.geometry(cell)[list(element.order)]
+    lagrange = basix.create_element(
+        basix.ElementFamily.P, cell, element.degree, basix.LagrangeVariant.equispaced
+    )
+    points = lagrange.points[list(element.order)]
     return points if element.cell == "triangle" else 2 * points - 1
 
 
 @ELEMENTS
 def test_functions_are_nodal_in_dolfinx_order(element):
     """N_i(xi_j) = delta_ij where node i on the way around is dolfinx's node order[i]."""
+    assert np.abs(element.points - nodes(element)).max() < 1e-15
     assert np.abs(element.shape_functions(nodes(element)) - np.eye(element.nodes)).max() < 1e-15
 
 
@@ -52,7 +71,7 @@ def test_partition_of_unity_and_linear_fields(element):
 
 @ELEMENTS
 def test_derivatives(element):
-    """Of first order, so that differences over any step in one direction are exact."""
+    """Of degree two at most: central differences over any step in one direction are exact."""
     xi = np.random.default_rng(3).uniform(0, 0.4, (7, len(nodes(element)[0])))
     for a, step in enumerate(0.5 * np.eye(xi.shape[1])):
         up, down = (element.shape_functions(xi + s * step) for s in (1, -1))
@@ -79,18 +98,34 @@ def test_rule_integrates_the_functions(element):
     """First-order functions have the same integral each; the weights add up to one."""
     points, weights = element.rule
     assert weights.sum() == pytest.approx(1.0, abs=1e-15)
-    assert weights @ element.shape_functions(points) == pytest.approx(1 / element.nodes, abs=1e-15)
+    expected = MEANS.get(element, 1 / element.nodes)
+    assert weights @ element.shape_functions(points) == pytest.approx(expected, abs=1e-15)
+
+
+MEANS = {  # Simpson's, and nothing at the vertices of a triangle
+    LINE3: np.array([1, 1, 4]) / 6,
+    TRI6: np.array([0, 0, 0, 1, 1, 1]) / 3,
+    QUAD9: np.array([1, 1, 1, 1, 4, 4, 4, 4, 16]) / 36,
+}
 
 
 @ELEMENTS
+def test_vertices_come_first_and_their_functions_are_nodal(element):
+    v = list(element.vertices)
+    assert v == list(range(len(v)))
+    assert np.abs(element.vertex_functions(nodes(element)[v]) - np.eye(len(v))).max() < 1e-15
+    size = {"interval": 2.0, "triangle": 0.5, "quadrilateral": 4.0}[element.cell]
+    assert element.size == size
+
+
+@parametrize(FIRST_ORDER)
 def test_vertices_and_linear_parts(element):
     """First-order facets are clipped as they are."""
     assert element.vertices == tuple(range(element.nodes))
     assert element.sub_facets == (element.vertices,)
     x = np.random.default_rng(1).uniform(-1, 1, (5, element.nodes, 3))
-    assert (Facets(element, x).linear == x).all()
-    assert Facets(element, x[:0]).linear.shape == (0, element.nodes, 3)
-    assert element.multiplier in BASES
+    assert (parts_of(Facets(element, x)).x == x).all()
+    assert parts_of(Facets(element, x[:0])).x.shape == (0, element.nodes, 3)
 
 
 @ELEMENTS
@@ -101,7 +136,7 @@ def test_mirrored_facets_have_the_opposite_normal(element):
     assert np.abs(facet_normals(Facets(element, x[:, element.mirrored])) + normals).max() < 1e-14
 
 
-@ELEMENTS
+@parametrize(FIRST_ORDER)
 def test_weights_add_up_to_the_area(element):
     """On plane convex facets; on the bilinear one, each N_j by its closed form."""
     plane = nodes(element) * [1.0, 0.5][: nodes(element).shape[1]]
@@ -115,25 +150,80 @@ def test_weights_add_up_to_the_area(element):
         assert tributary_weights(Facets(element, x))[0] == pytest.approx(expected, abs=1e-14)
 
 
-@pytest.mark.parametrize("cell", sorted(FACETS_OF))
-def test_every_cell_has_the_facets_of_dolfinx(cell):
+def test_curved_facets_have_the_normals_and_the_length_of_the_parabola():
+    """Y = x^2 / 2 on [0, 1]: slopes at the nodes, and the arc length (closed form)."""
+    facets = Facets(LINE3, np.array([[[0.0, 0.0], [1.0, 0.5], [0.5, 0.125]]]))
+    slope = np.array([0.0, 1.0, 0.5])
+    expected = np.stack([slope, -np.ones(3)], axis=1) / np.sqrt(1 + slope**2)[:, None]
+    assert np.abs(normals_at_nodes(facets)[0] - expected).max() < 1e-15
+    length = (np.sqrt(2) + np.arcsinh(1.0)) / 2
+    assert tributary_weights(facets).sum() == pytest.approx(length, abs=1e-8)
+    assert (area_vectors(facets) == [[0.5, -1.0]]).all()
+
+
+@pytest.mark.parametrize("at, quality", [(0.5, 1.0), (0.4, 0.6), (0.25, 0.0), (0.1, -0.6)])
+def test_nodes_off_the_middle_spoil_a_facet(at, quality):
+    """Its length at the nearer end falls to zero at a quarter, beyond which it is folded."""
+    facets = Facets(LINE3, np.array([[[0.0, 0.0], [3.0, 0.0], [3 * at, 0.0]]]))
+    found = distortions(facets)[0]
+    assert found == pytest.approx(quality, abs=1e-14) if quality >= 0 else found < 0
+
+
+@pytest.mark.parametrize("cell, degree", sorted(FACETS_OF))
+def test_every_cell_has_the_facets_of_dolfinx(cell, degree):
     kind = dolfinx.mesh.to_type(cell)
     facet = dolfinx.cpp.mesh.cell_entity_type(kind, dolfinx.cpp.mesh.cell_dim(kind) - 1, 0)
-    assert facet.name == FACETS_OF[cell].cell
+    assert facet.name == FACETS_OF[cell, degree].cell
+    assert degree == FACETS_OF[cell, degree].degree
 
 
 def test_every_cell_that_u_may_have_has_facets():
-    assert set(CELLS) == FACETS_OF.keys()
+    expected = {(cell, degree) for cell in CELLS for degree in range(1, HIGHEST + 1)}
+    assert expected == FACETS_OF.keys()
 
 
-def test_facets_of_several_linear_ones_are_refused():
-    """Their operators would be those of other facets: segments carry the number of the facet."""
-    line3 = replace(LINE2, nodes=3, sub_facets=((0, 2), (2, 1)))
-    facets = Facets(line3, np.array([[[0.0, 0.0], [2.0, 0.0], [1.0, 0.1]]]))
-    normals = np.tile([0.0, -1.0], (1, 3, 1))
-    pairs = np.zeros((1, 2), dtype=np.int32)
-    with pytest.raises(NotImplementedError, match="2 linear ones"):
-        create_segments(facets, normals, facets, pairs)
+@parametrize([TRI3, QUAD4, TRI6, QUAD9])
+def test_parts_tile_their_facet(element):
+    """On straight facets a point of a part is that point of the facet; areas add up."""
+    rng = np.random.default_rng(7)
+    corners = rng.uniform(-1, 1, (3, 4 if element.bilinear else 3, 3))
+    x = element.vertex_functions(element.points) @ corners
+    facets, parts = Facets(element, x), parts_of(Facets(element, x))
+    s = count(element)
+    assert len(parts.x) == s * len(x) and parts.element.degree == 1
+    part = np.arange(3 * s, dtype=np.int32)
+    xi = rng.uniform(0.0, 0.5, (3 * s, 2))
+    on = to_facets(element, part, xi)
+    assert np.abs(points_of(facets, part // s, on) - points_of(parts, part, xi)).max() < 1e-14
+    assert np.abs(stretches(facets, part // s, on, part, xi) - 1).max() < 1e-12
+    areas = tributary_weights(parts).sum(axis=1).reshape(3, s).sum(axis=1)
+    smooth = 1e-2 if element.bilinear else 1e-14  # the area of warped ones is no polynomial
+    assert tributary_weights(facets).sum(axis=1) == pytest.approx(areas, rel=smooth)
+
+
+@parametrize([TRI6, QUAD9])
+def test_lines_meet_curved_facets(element):
+    """The point above (x, y) on a paraboloid over a flat grid of nodes is known."""
+    xi = element.points if element.bilinear else element.points - 0.3
+    height = 0.1 * xi[:, 0] ** 2 - 0.07 * xi[:, 0] * xi[:, 1]
+    facets = Facets(element, np.column_stack([xi, height])[None])
+    at = np.random.default_rng(8).uniform(0.0, 0.3, (6, 2))
+    shift = 0.0 if element.bilinear else 0.3
+    x = np.column_stack([at - shift, np.full(6, -2.0)])
+    which, n = np.zeros(6, dtype=np.int32), np.array([[0.0, 0.0, 1.0]])
+    assert np.abs(meet(facets, which, at + 0.05, x, n, which) - at).max() < 1e-13
+    slanted = x + np.array([0.3, 0.0, 0.0])
+    n = slanted - points_of(facets, which, at)
+    found = meet(facets, which, at, slanted, n, np.arange(6, dtype=np.int32))
+    assert np.abs(found - at).max() < 1e-13
+
+
+def test_pairs_of_parts_are_ordered_and_complete():
+    pairs = np.array([[0, 1], [0, 2], [3, 2]], dtype=np.int32)
+    of_parts, of = pairs_of_parts(pairs, QUAD9, TRI6)
+    assert (np.diff(of_parts[:, 0]) >= 0).all()
+    assert (of_parts // 4 == pairs[of]).all()
+    assert len(np.unique(of_parts, axis=0)) == 16 * 3
 
 
 def counts(tree):

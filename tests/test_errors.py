@@ -107,7 +107,7 @@ def test_sides_beyond_each_other(case, kind):
     ("element", "words"),
     [
         (("Lagrange", 1), ("shape ()", '("Lagrange", 1, (2,))')),
-        (("Lagrange", 2, (2,)), ("degree 2", "degree 1")),
+        (("Lagrange", 3, (2,)), ("degree 3", "degree 1 or 2")),
         (("DG", 1, (2,)), ("u ", "continuous vector Lagrange")),
         (("Lagrange", 1, (3,)), ("shape (3,)", '("Lagrange", 1, (2,))')),
     ],

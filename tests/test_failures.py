@@ -307,6 +307,15 @@ def test_a_law_that_becomes_no_number_is_approached(case):
     assert np.isfinite(case.u.x.array).all() and np.isfinite(case.solid.stress.x.array).all()
 
 
+@pytest.mark.mpi
+def test_geometry_that_does_not_settle_has_a_remedy(case, monkeypatch):
+    """Here no update is allowed to be the first."""
+    monkeypatch.setattr(newton_module, "MOST_RISES", 0)
+    words = ("does not settle", "little hardening", "geometry='reference'")
+    with rejected(*words, error=dm.NewtonNotConverged):
+        dm.newton(case.problem())
+
+
 def test_steps_that_cannot_be_cut_further(case):
     """After `max_cuts` the exception comes out, with what was committed before in place."""
     problem, tried = plastic(case), []

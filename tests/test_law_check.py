@@ -100,6 +100,26 @@ def test_check_says_where_the_values_differ():
     assert wanted / given == pytest.approx(1.001, rel=1e-6)
 
 
+def test_a_potential_that_is_not_convex_is_reported():
+    """Softening: the energy bends down beyond a strain; by how much is known."""
+
+    def energy(strain, state, p):
+        d = ufl.dev(strain)
+        size = ufl.inner(d, d)
+        return p.E * (ufl.tr(strain) ** 2 + size - 0.5 * size**2 / 0.01**2)
+
+    law = von_mises(energy=energy, state={}, updated_state=None)
+    report = dm.materials.check(law, size=0.01)
+    # along d at |d|^2 = s: E (2 - 6 s / 0.01^2), and the largest modulus is 6 E, of the volume
+    assert -4 / 6 < report.lowest < -0.1 and "not convex" in str(report)
+    report = dm.materials.check(law, size=0.002)
+    assert report.lowest > 0.0 and "convex" not in str(report)
+    for sound in (dm.VonMises(1000.0, 0.3, 1.0, 100.0), dm.Elastic(1000.0, 0.3)):
+        assert dm.materials.check(sound).lowest > 0.0
+    perfect = dm.materials.check(dm.VonMises(1000.0, 0.3, 1.0, 0.0))
+    assert abs(perfect.lowest) < 1e-12 and "convex" not in str(perfect)
+
+
 def test_an_unsymmetric_tangent_is_reported():
     def stress(strain, state, p):
         C = dm.Elastic.elastic_stress(strain, p)

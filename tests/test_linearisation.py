@@ -16,25 +16,29 @@ SOLVERS = {"direct": {}, "iterative": {"pc_type": "gamg"}}
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("springs", [False, True])
-def test_a_linear_tangent_is_assembled_once(solver, springs, monkeypatch):
-    """Over all steps; with a potential once a step, because a user may change its constants."""
+@pytest.mark.parametrize("what", ["nothing", "springs", "modulus"])
+def test_a_linear_tangent_is_assembled_once(solver, what, monkeypatch):
+    """Over all steps; once a step where a user may change values: of a potential, of parameters."""
     case, calls = PressedBlocks(), []
     assemble = dm.Solid.assemble_tangent
     monkeypatch.setattr(
         dm.Solid, "assemble_tangent", lambda self, K: (calls.append(K), assemble(self, K))
     )
-    k = fem.Constant(case.mesh, default_scalar_type(1.0))
+    k, E = (fem.Constant(case.mesh, default_scalar_type(1.0)) for _ in range(2))
     ds = ufl.Measure("ds", case.mesh, subdomain_data=case.facets)
-    options = {"potential": 0.5 * k * ufl.inner(case.u, case.u) * ds(TOP)} if springs else {}
+    options = {
+        "nothing": {},
+        "springs": {"potential": 0.5 * k * ufl.inner(case.u, case.u) * ds(TOP)},
+        "modulus": {"law": dm.Elastic(E, 0.3)},
+    }[what]
     problem = case.problem(petsc_options=SOLVERS[solver], **options)
     forces = []
     for step in range(3):
-        k.value = 1.0 + 100.0 * step
+        k.value = E.value = 1.0 + 100.0 * step
         dm.newton(problem, rtol=1e-10)
         problem.commit()
-        forces.append(problem.contacts[0].force[1])
-    assert len(calls) == (3 if springs else 1)
+        forces.append(problem.contacts[0].force[1] / (E.value if what == "modulus" else 1.0))
+    assert len(calls) == (1 if what == "nothing" else 3)
     assert forces == pytest.approx([forces[0]] * 3, rel=1e-9)
 
 

@@ -43,6 +43,18 @@ def test_level_and_name_of_warnings(configure, expected):
     assert stderr_of(configure) == expected
 
 
+@pytest.mark.parametrize("logger", [None, "dolfinx_mortar"])
+def test_who_has_configured_logging(monkeypatch, logger):
+    from dolfinx_mortar.log import LastResort, is_configured
+
+    root, own = logging.getLogger(), logging.getLogger("dolfinx_mortar")
+    monkeypatch.setattr(root, "handlers", [])
+    monkeypatch.setattr(own, "handlers", [LastResort()])
+    assert not is_configured()
+    logging.getLogger(logger).handlers.append(logging.NullHandler())
+    assert is_configured()
+
+
 def test_one_handler_however_often_imported():
     from dolfinx_mortar.log import LastResort, add_last_resort
 

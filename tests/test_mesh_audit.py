@@ -7,6 +7,7 @@ import pytest
 import basix.ufl
 import dolfinx_mortar as dm
 from dolfinx import mesh
+from dolfinx_mortar import compat
 from dolfinx_mortar.steps import mesh_audit
 from dolfinx_mortar.steps.mesh_audit import check_mesh
 from tests.meshes import two_blocks
@@ -41,7 +42,7 @@ def volumes(domain):
     domain.topology.create_connectivity(d - 1, d)
     domain.topology.create_connectivity(d - 1, 0)
     owned = domain.topology.index_map(d).size_local
-    x = domain.geometry.x[domain.geometry.dofmap[:owned], :d]
+    x = domain.geometry.x[compat.cell_nodes(domain)[:owned], :d]
     size = {2: 2.0, 3: 6.0}[d]
     total = np.abs(np.linalg.det(x[:, 1:] - x[:, :1])).sum() / size
     enclosed = 0.0
@@ -49,7 +50,7 @@ def volumes(domain):
         cell = domain.topology.connectivity(d - 1, d).links(facet)[0]
         on = mesh.entities_to_geometry(domain, d - 1, np.array([facet], dtype=np.int32))[0]
         f = domain.geometry.x[on, :d]
-        middle = domain.geometry.x[domain.geometry.dofmap[cell], :d].mean(axis=0)
+        middle = domain.geometry.x[compat.cell_nodes(domain)[cell], :d].mean(axis=0)
         outwards = np.sign(np.linalg.det([f[0] - middle, *(f[1:] - f[0])]))
         enclosed += outwards * np.linalg.det(f) / size
     return COMM.allreduce(total), COMM.allreduce(enclosed)
@@ -252,11 +253,37 @@ def test_coordinates_that_are_none():
             check_mesh(domain)
 
 
-def test_geometry_of_degree_two():
-    element = basix.ufl.element("Lagrange", "triangle", 2, shape=(2,))
-    points = np.array([[0, 0], [1, 0], [0, 1], [0.5, 0.5], [0, 0.5], [0.5, 0]], dtype=float)
-    first = COMM.rank == 0
-    cells = np.arange(6)[None] if first else np.empty((0, 6), dtype=np.int64)
-    domain = mesh.create_mesh(COMM, cells, x=points if first else np.empty((0, 2)), e=element)
-    with rejected("mesh", "degree 2", "degree 1"):
-        check_mesh(domain)
+def one_cell(kind, degree, at=None, to=None):
+    """Return a mesh of one cell of higher degree, one of its nodes moved."""
+    cell, variant = basix.CellType[kind], basix.LagrangeVariant.equispaced
+    points = basix.create_element(basix.ElementFamily.P, cell, degree, variant).points.copy()
+    if at is not None:
+        points[np.abs(points - at).max(axis=1) < 1e-9] = to
+    first, d = COMM.rank == 0, points.shape[1]
+    cells = np.arange(len(points))[None] if first else np.empty((0, len(points)), dtype=np.int64)
+    element = basix.ufl.element("Lagrange", kind, degree, shape=(d,))
+    return mesh.create_mesh(COMM, cells, x=points if first else np.empty((0, d)), e=element)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_geometry_of_degree_two(kind):
+    """Sound; beyond, it is refused."""
+    d = 2 if kind in PLANE else 3
+    assert check_mesh(one_cell(kind, 2)) == []
+    assert check_mesh(one_cell(kind, 2, [0.5, 0.0, 0.0][:d], [0.5, -0.1, 0.0][:d])) == []
+    with rejected("mesh", "degree 3", "degree 1 or 2"):
+        check_mesh(one_cell(kind, 3))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_middle_nodes_off_the_middle(kind):
+    """A quarter of the edge off it is the limit; far off it, and inside out, the cell is folded."""
+    d = 2 if kind in PLANE else 3
+
+    def moved(x, y):
+        return one_cell(kind, 2, [0.5, 0.0, 0.0][:d], [x, y, 0.0][:d])
+
+    assert check_mesh(moved(0.3, 0.0)) == []
+    assert "inside out" in check_mesh(moved(0.22, 0.0))[0]
+    with rejected("mesh: 1 of 1 cells are inverted", "changes sign"):
+        check_mesh(moved(0.5, 0.9))

@@ -81,15 +81,34 @@ def test_mesh_is_symmetric(cell):
 
 
 @pytest.mark.parametrize("cell", CELLS)
-def test_graded_sizes(cell):
+def test_half_is_half_of_the_whole(cell):
+    options = {"kind": "graded", "h": 0.3, "radius": 6.0, "block": (20.0, 8.0), "gap": 0.25}
+    m = meshing.hertz(COMM, half=True, cell=cell, **options)
+    one, ds = fem.Constant(m.mesh, 1.0), ufl.Measure("ds", m.mesh, subdomain_data=m.facet_tags)
+    lengths = [integral(one * ds(tag)) for tag in (1, 2, 3, 5)]
+    assert lengths == pytest.approx([10.0, 6.0, 10.0, 14.0], rel=1e-12)
+    assert integral(one * ds(4)) == pytest.approx(np.pi * 3.0, rel=1e-2)
+    (x, cells), (whole, all_cells) = (
+        nodes_and_cells(meshing.hertz(MPI.COMM_SELF, half=half, cell=cell, **options))
+        for half in (True, False)
+    )
+    assert m.mesh.geometry.x[:, 0].min(initial=0.0) == 0.0
+    assert 2 * len(cells) == len(all_cells)
+    assert len(x) == np.sum(whole[:, 0] > -1e-12)
+    assert cKDTree(whole).query(x)[0].max() < 1e-12
+
+
+@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize("limit", [10.0, 4.0])
+def test_graded_sizes(cell, limit):
     h = 0.1
-    m = meshing.hertz(MPI.COMM_SELF, kind="graded", h=h, cell=cell)
+    m = meshing.hertz(MPI.COMM_SELF, kind="graded", h=h, cell=cell, limit=limit)
     m.mesh.topology.create_entities(1)
     edges = np.arange(m.mesh.topology.index_map(1).size_local, dtype=np.int32)
     ends = m.mesh.geometry.x[mesh.entities_to_geometry(m.mesh, 1, edges)]
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     r = np.linalg.norm(ends.mean(axis=1), axis=1)
-    size = h * np.clip(1 + r - 2.5, 1.0, 10.0)
+    size = h * np.clip(1 + r - 2.5, 1.0, limit)
     assert np.median(length / size) == pytest.approx(1.0, abs=0.1)
     near = r < 2.5
     assert length[near].max() < 1.6 * h
@@ -163,6 +182,9 @@ def test_meshing_is_deterministic_and_silent(capfd):
         ({"block": 30.0}, "block"),
         ({"block": (30.0, 30.0, 10.0)}, "block"),
         ({"block": (30.0, "10")}, "block"),
+        ({"limit": 1.0}, "limit"),
+        ({"limit": np.inf}, "limit"),
+        ({"limit": "10"}, "limit"),
         ({"gap": np.inf}, "gap"),
         ({"gap": np.nan}, "gap"),
         ({"gap": None}, "gap"),

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import entities_to_geometry
-from dolfinx_mortar import meshing
+from dolfinx_mortar import compat, meshing
 
 COMM = MPI.COMM_WORLD
 CELLS = ["hexahedron", "tetrahedron"]
@@ -44,6 +44,27 @@ def test_volumes_areas_and_flux_of_tagged_parts(cell):
 
 
 @pytest.mark.parametrize("cell", CELLS)
+def test_the_half_is_the_quarter_and_its_image(cell):
+    options = {"cell": cell, "h": 0.25, "radius": 6.0, "block": (24.0, 20.0, 8.0), "gap": 0.25}
+    quarter, half = (meshing.sphere(COMM, **options, half=half) for half in (False, True))
+    sizes, moments = [], []
+    for m in (quarter, half):
+        one, n = fem.Constant(m.mesh, 1.0), ufl.FacetNormal(m.mesh)
+        dx = ufl.Measure("dx", m.mesh, subdomain_data=m.cell_tags)
+        ds = ufl.Measure("ds", m.mesh, subdomain_data=m.facet_tags)
+        volumes = [integral(one * dx(tag)) for tag in (meshing.BLOCK, meshing.BALL)]
+        sizes.append([*volumes, *(integral(one * ds(tag)) for tag in TAGS)])
+        x = ufl.SpatialCoordinate(m.mesh)
+        moments.append([integral(x[0] * dx), integral(n[0] * ds), integral(n[2] * ds(4))])
+    expected = 2.0 * np.array(sizes[0])
+    expected[2 + TAGS.index(5)] = 0.0
+    assert sizes[1] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    assert moments[1] == pytest.approx([0.0, 0.0, 2.0 * moments[0][2]], abs=1e-8)
+    cells = [m.mesh.topology.index_map(3).size_global for m in (quarter, half)]
+    assert cells[1] == 2 * cells[0]
+
+
+@pytest.mark.parametrize("cell", CELLS)
 def test_bodies_share_no_node_and_both_have_the_contact_point(cell):
     m = meshing.sphere(COMM, cell=cell, h=0.25)
     V = fem.functionspace(m.mesh, ("Lagrange", 1))
@@ -68,7 +89,7 @@ def test_hexahedra_are_nearly_cubes_everywhere():
     """Volume of a cell over the cube of its mean edge, and growth in proportion to distance."""
     m = meshing.sphere(COMM, h=0.25)
     owned = m.mesh.topology.index_map(3).size_local
-    x = m.mesh.geometry.x[m.mesh.geometry.dofmap[:owned]]
+    x = m.mesh.geometry.x[compat.cell_nodes(m.mesh)[:owned]]
     edges = np.stack([x[:, 1] - x[:, 0], x[:, 2] - x[:, 0], x[:, 4] - x[:, 0]], axis=1)
     lengths = np.linalg.norm(edges, axis=2)
     shape = np.abs(np.linalg.det(edges)) / lengths.max(axis=1) ** 3

@@ -13,42 +13,16 @@ from dolfinx_mortar.mortar.operators import (
     find_segments,
     node_weights,
 )
-from dolfinx_mortar.mortar.pairing import create_pairing, outside_margin
+from dolfinx_mortar.mortar.pairing import outside_margin
 from dolfinx_mortar.mortar.paper import assemble_mortar
 from dolfinx_mortar.mortar.surface import create_surface
 from tests.meshes import two_blocks
+from tests.mortar_case import operators, owned_coordinates, pair_up, space, vector_of
 
 COMM = MPI.COMM_WORLD
 PARTITIONS = ["graph", "shared_facet", "stripes", "bodies", "empty"]
 EXACT = 1e-12
 pytestmark = pytest.mark.mpi
-
-
-def space(mesh):
-    return dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-
-
-def owned_coordinates(V):
-    return V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local, :2]
-
-
-def vector_of(A, values):
-    """Return a vector that A can be applied to."""
-    v = A.createVecRight()
-    v.array[:] = np.ravel(values)
-    return v
-
-
-def pair_up(V, tags, slave, master, u=None):
-    surfaces = create_surface(V, tags, slave, "slave"), create_surface(V, tags, master, "master")
-    return create_pairing(V, *surfaces, u)
-
-
-def operators(pairing, u=None):
-    """Return D and M of the nodes that are kept by default, and what was kept."""
-    points, _ = find_segments(pairing, u)
-    keep = default_keep(pairing, points, *node_weights(pairing, points))
-    return *assemble_node_matrices(pairing, points, keep), keep
 
 
 def bend(points):

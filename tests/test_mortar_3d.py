@@ -12,8 +12,10 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.geometry.facets import facet_normals
+from dolfinx_mortar.mortar.operators import default_keep, find_segments, node_weights
+from dolfinx_mortar.mortar.pairing import create_pairing
 from dolfinx_mortar.mortar.paper import assemble_mortar
-from dolfinx_mortar.mortar.surface import create_surface, facets_at, nodal_normals
+from dolfinx_mortar.mortar.surface import accumulate, create_surface, facets_at, nodal_normals
 from tests.meshes_3d import (
     BACK,
     BOTTOM,
@@ -39,8 +41,8 @@ PARTITIONS = pytest.mark.parametrize(
 )
 
 
-def space(mesh):
-    return fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+def space(mesh, degree=1):
+    return fem.functionspace(mesh, ("Lagrange", degree, (3,)))
 
 
 def owned_coordinates(V):
@@ -62,14 +64,15 @@ def largest(values):
 @PARTITIONS
 @SIDES
 @CELLS
-def test_inclined_flat_interface(partition, sides, cell):
+@pytest.mark.parametrize("degree", [1, 2])
+def test_inclined_flat_interface(partition, sides, cell, degree):
     """Row sums, linear fields, diagonal D, gap and covered area across an open flat gap."""
     gap = 0.1
     mesh, _, tags = two_boxes(
         COMM, (3, 4, 2), (4, 3, 2), cell=cell, turn=TILTED, jitter=0.4, gap=gap,
         upper=(-0.3, 0.85, 0.2, 1.4), partition=partition,
     )  # fmt: skip
-    V = space(mesh)
+    V = space(mesh, degree)
     mortar = assemble_mortar(V, tags, slave=sides[0], master=sides[1])
     x, ones = (
         field(mortar.D, owned_coordinates(V)),
@@ -199,6 +202,20 @@ def test_folded_and_warped_facets(to):
 
 
 @pytest.mark.mpi
+@CELLS
+@pytest.mark.parametrize("to", [(0.38, 0.5, 0.0), (0.55, 0.5, 0.0), (0.25, 0.5, 0.6)])
+def test_middle_nodes_off_the_middle(cell, to):
+    """Near an end of its edge, beyond it, or far above it: the two facets beside it are counted."""
+    mesh, _, tags = two_boxes(
+        COMM, (2, 2, 1), (2, 2, 1), cell=cell, gap=3.0, order=2,
+        transform=one_hexahedron_moved((0.25, 0.5, 0.0), to),
+    )  # fmt: skip
+    words = r"slave=3: 2 facets are .* or its middle node lies .*, such as the one around \(0\.\d"
+    with pytest.raises(ValueError, match=words):
+        create_surface(space(mesh, 2), tags, 3, "slave")
+
+
+@pytest.mark.mpi
 def test_degenerate_triangles():
     mesh, _, tags = two_boxes(
         COMM, (2, 2, 1), (2, 2, 1), gap=3.0,
@@ -230,3 +247,24 @@ def test_closed_surface_in_contact_with_itself():
     problem = dm.ContactProblem(solid, [dm.Contact(tags, slave=1, master=2)], bcs=[bc])
     with pytest.raises(ValueError, match="parts of one surface"):
         dm.newton(problem)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_vertices_of_triangles_are_kept_with_the_middles_beside_them_only(cell):
+    """Their own functions integrate to nothing: alone they could carry no multiplier."""
+    mesh, _, tags = two_boxes(COMM, (2, 2, 1), (3, 3, 1), cell=cell)
+    V = space(mesh, 2)
+    slave = create_surface(V, tags, TOP_OF_LOWER, "slave")
+    master = create_surface(V, tags, BOTTOM_OF_UPPER, "master")
+    pairing = create_pairing(V, slave, master, None, moving=False)
+    points, _ = find_segments(pairing, None)
+    weights = node_weights(pairing, points)
+    count = np.zeros(len(slave.nodes))
+    count[slave.facets[:, list(slave.element.vertices)]] = 1.0
+    vertices = accumulate(slave, count) > 0
+    kept = default_keep(pairing, points, *weights, vertices)
+    expected = vertices if cell == "hexahedron" else np.zeros_like(vertices)
+    assert (kept == expected).all()
+    assert (default_keep(pairing, points, *weights, ~vertices) == ~vertices).all()
+    assert default_keep(pairing, points, *weights).all()

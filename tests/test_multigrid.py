@@ -21,6 +21,13 @@ def solved():
     return problem, contact, dm.newton(problem)
 
 
+@pytest.fixture(scope="module", params=[("hexahedron", 1), ("tetrahedron", 2)])
+def released(request):
+    """The same, also with middles of facets that lean on their ends."""
+    problem, contact = create_problem(cell=request.param[0], degree=request.param[1])
+    return problem, contact, dm.newton(problem)
+
+
 def random_vector(problem):
     v = problem.K.createVecRight()
     v.array[:] = np.random.default_rng(COMM.rank).standard_normal(v.local_size)
@@ -33,8 +40,8 @@ def test_default_is_multigrid_and_the_report_says_so(solved):
     assert report.factorisations == 1
 
 
-def test_change_of_basis_is_undone(solved):
-    problem = solved[0]
+def test_change_of_basis_is_undone(released):
+    problem = released[0]
     y = random_vector(problem)
     u = y.duplicate()
     problem.system.transformation.apply(y, u)
@@ -43,9 +50,9 @@ def test_change_of_basis_is_undone(solved):
     assert back.norm() < 1e-12 * y.norm()
 
 
-def test_released_basis_is_consistent(solved):
+def test_released_basis_is_consistent(released):
     """Energies in both unknowns agree for y = (I - E) v; motions are the same displacements."""
-    problem = solved[0]
+    problem = released[0]
     held = (3 * np.flatnonzero(problem.committed.active)).astype(np.int32)
     motion = random_vector(problem)
     T = problem.system.transformation
@@ -59,6 +66,27 @@ def test_released_basis_is_consistent(solved):
     T.apply(y, back)
     back.axpy(-1.0, motion)
     assert back.norm() < 1e-12 * motion.norm()
+
+
+def test_near_null_space_strains_nothing(released):
+    """Rigid motions have no force in v at unknowns away from those that are held."""
+    problem = released[0]
+    unknowns = problem.linear.unknowns
+    T, held = problem.system.transformation, np.zeros(0, dtype=np.int32)  # all contacts are open
+    data = unknowns.preconditioning(held)
+    decoupled = unknowns.operator.decoupled
+    A = Congruence(problem.K, T.uncouple(decoupled)[0]).product
+    mark = random_vector(problem)
+    mark.array[np.setdiff1d(np.arange(mark.local_size), decoupled)] = 0.0
+    far = (A * mark).array_r == 0.0
+    contact = problem.contacts[0]
+    slave = 3 * problem.system.link(contact).nodes[problem.system.link(contact).near]
+    assert COMM.allreduce(int(far[slave].sum())) > 0
+    assert len(data.motions) == 6
+    for motion in data.motions:
+        force = A * motion
+        assert np.abs(force.array_r[far]).max(initial=0.0) < 1e-12 * A.norm() * motion.norm()
+        assert not motion.array_r[decoupled].any()
 
 
 @pytest.mark.parametrize("slave", ["block", "ball"])
@@ -149,6 +177,16 @@ def test_the_finest_level_is_the_matrix_of_the_moment(moved):
     found = finest * v
     assert (found - expected).norm() < 1e-12 * found.norm()
     assert (B.getDiagonal() - finest.getDiagonal()).norm() == 0.0
+
+
+def test_the_same_matrix_is_followed_once(moved, monkeypatch):
+    linear, asked = moved[0].linear, []
+    change = linear.unknowns.change
+    monkeypatch.setattr(linear.unknowns, "change", lambda held: asked.append(held) or change(held))
+    held = linear.operator.held
+    for now in (held, held, held[:0], held[:0], held):
+        linear.attached.preconditioner.follow(now)
+    assert len(asked) == 2  # the last solve was of this set
 
 
 def test_the_set_up_survives_load_steps_and_searches():

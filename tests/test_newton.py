@@ -11,12 +11,13 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
+from dolfinx_mortar.steps.contacts import Contacts
 from dolfinx_mortar.steps.linearisation import (
     count_changes,
     find_balance,
     linearise,
 )
-from dolfinx_mortar.steps.residuals import Contacts, Scales, measure
+from dolfinx_mortar.steps.residuals import Scales, measure
 from dolfinx_mortar.steps.watch import Watch
 from tests.ball_case import create_problem
 from tests.block_piles import ABOVE, BELOW, EAST, PILE, WEST, Blocks

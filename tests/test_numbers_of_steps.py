@@ -36,13 +36,17 @@ NUMBERS = {
     "steps.watch": ("MOST_RISES",),
     "steps.residuals": ("EPS", "ROW_SUM", "GAP_OPERATIONS", "FIRST_SHARE"),
 }
-# judged in test_mesh_audit, below, in test_smooth_contact, test_stand_off and test_resolution
+# judged in test_mesh_audit, below, in test_smooth_contact, test_stand_off, test_resolution, in
+# those of checkpoints, and in test_preload
 OTHERS = {
     "steps.mesh_audit",
     "interfaces.contact",
     "interfaces.interface",
     "steps.stand_off",
     "steps.resolution",
+    "steps.identity",
+    "steps.load_steps",
+    "steps.preload",
 }
 
 
@@ -152,6 +156,7 @@ def usual():
 ALL = [(module, name) for module, names in NUMBERS.items() for name in names]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 @pytest.mark.parametrize(("module", "name"), ALL)
 def test_half_and_double(module, name, factor, usual, monkeypatch):
@@ -203,6 +208,7 @@ LARGE = (
 ABSURD = dict.fromkeys(LARGE, 1e12) | {"ROUND_OFF": 1e14, "EXACT": 1e14}  # 0 for the others
 
 
+@pytest.mark.slow
 @pytest.mark.serial  # the counts are those of one rank
 @pytest.mark.parametrize(("module", "name"), ALL)
 def test_an_absurd_number_is_felt(module, name, usual, monkeypatch):

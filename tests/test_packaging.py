@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """What a release holds and needs: the version, the folders of its archive, the libraries."""
 
+import json
 import re
 import subprocess
 import sys
@@ -27,18 +28,94 @@ def test_the_citation_names_this_version():
     assert cited == dm.__version__
 
 
+def included():
+    """Return what the archive of the sources holds, beside pyproject.toml."""
+    return set(PROJECT["tool"]["hatch"]["build"]["targets"]["sdist"]["include"])
+
+
+HIDDEN = {"/.ci", "/.github", "/.zenodo.json"}
+
+
 def test_the_archive_holds_all_that_the_repository_shows():
     ignored = {line.strip("/") for line in (ROOT / ".gitignore").read_text().splitlines()}
     shown = {p.name for p in ROOT.iterdir() if p.name[0] not in "._"} - ignored
-    included = PROJECT["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
-    assert {f"/{name}" for name in shown} - {"/pyproject.toml"} == set(included)
+    assert {f"/{name}" for name in shown} - {"/pyproject.toml"} == included() - HIDDEN
+    assert HIDDEN <= included()
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        *("CHANGELOG.md", "CITATION.cff", "CODE_OF_CONDUCT.md", "CONTRIBUTING.md", "LICENSE"),
+        *("README.md", "ARCHITECTURE.md", ".zenodo.json", ".github/ISSUE_TEMPLATE/bug.yml"),
+        *(".github/workflows/docs.yml", ".github/workflows/test.yml", ".ci/run"),
+        *("paper/paper.md", "paper/paper.bib", "conda/meta.yaml"),
+        *("containers/packages.txt", "containers/dolfinx_mortar.def", "containers/slurm.sh"),
+        *("docs/build", "docs/conf.py", "docs/verification.json", "docs/tools/gallery.py"),
+        *("demos/hertz/hertz.py", "tests/test_packaging.py", "benchmarks/measured/elements.json"),
+    ],
+)
+def test_the_archive_holds(path):
+    assert (ROOT / path).is_file()
+    assert any(f"/{path}" == entry or f"/{path}".startswith(f"{entry}/") for entry in included())
+
+
+def test_the_changelog_tells_of_this_version_in_the_form_that_tools_read():
+    text = (ROOT / "CHANGELOG.md").read_text()
+    headings = re.findall(r"^## \[(.*?)\]", text, re.MULTILINE)
+    assert headings[0] == "Unreleased" and dm.__version__ in headings
+    kinds = set(re.findall(r"^### (.*)$", text, re.MULTILINE))
+    assert kinds <= {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
+
+
+def test_no_other_file_states_a_version_of_its_own():
+    """Zenodo takes that of the release; the recipe reads the package's file, with this pattern."""
+    assert "version" not in json.loads((ROOT / ".zenodo.json").read_text())
+    recipe = (ROOT / "conda" / "meta.yaml").read_text()
+    (pattern,) = re.findall(r"regex_pattern='(.*?)'", recipe)
+    assert re.search(pattern, Path(dm.__file__).read_text())[1] == dm.__version__
+    assert dm.__version__ not in recipe
+
+
+def test_every_environment_is_of_one_list_of_packages():
+    """Docker and Apptainer read it in the same way; what pip installs is what conda asks for."""
+    lines = "sed 's/#.*//' /packages.txt"
+    for file in ("Dockerfile", "dolfinx_mortar.def"):
+        text = (ROOT / "containers" / file).read_text()
+        assert lines in text and "packages.txt /" in text and "python3-dolfinx" not in text
+    recipe = (ROOT / "conda" / "meta.yaml").read_text()
+    run = recipe.partition("  run:\n")[2].partition("run_constrained")[0]
+    for name in PROJECT["project"]["dependencies"]:
+        assert f"- {name}\n" in run
+    assert f"python {PROJECT['project']['requires-python']}" in run
 
 
 @pytest.mark.serial
-def test_rich_is_not_needed():
-    code = "import sys; sys.modules['rich'] = None; import dolfinx_mortar"
+def test_the_job_says_what_it_needs(tmp_path):
+    job = ROOT / "containers" / "slurm.sh"
+    for arguments, said in ((), "usage"), (("x.py",), "apptainer build"):
+        done = subprocess.run(
+            [str(job), *arguments], cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 2 and said in done.stderr
+
+
+def test_the_paper_cites_what_it_lists():
+    text = (ROOT / "paper" / "paper.md").read_text()
+    listed = re.findall(r"^@\w+\{(\w+),", (ROOT / "paper" / "paper.bib").read_text(), re.MULTILINE)
+    assert set(re.findall(r"@(\w+)", text)) == set(listed) and len(listed) == len(set(listed))
+    for part in ("title:", "authors:", "affiliations:", "# Summary", "# Statement of need"):
+        assert part in text
+    assert 250 < len(text.split()) < 1000
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("extra", "library"), [("progress", "rich"), ("checkpoint", "h5py"), ("jax", "jax")]
+)
+def test_extras_are_not_needed(extra, library):
+    code = f"import sys; sys.modules['{library}'] = None; import dolfinx_mortar"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
     needed = {re.split(r"[<>=~ ]", line)[0] for line in PROJECT["project"]["dependencies"]}
-    assert (
-        "rich" not in needed and "rich" in PROJECT["project"]["optional-dependencies"]["progress"]
-    )
+    assert library not in needed
+    assert library in PROJECT["project"]["optional-dependencies"][extra]

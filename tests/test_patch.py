@@ -30,28 +30,35 @@ def exact_displacement(angle):
     return lambda x: strain @ x[:2]
 
 
-def beyond(mesh, x, cut, lines):
+def beyond(mesh, x, cut, lines, degree):
     """Return a traction share with the moments of the indicator of x > ``cut``.
 
     It is 1 on facets wholly beyond and 0 on those wholly before; on the facet that holds the cut
-    the linear function has the same integrals against both shape functions as the indicator. All
-    numbers are Constants, so that one form is compiled for all.
+    the polynomial has the same integrals against all shape functions as the indicator. All numbers
+    are Constants, so that one form is compiled for all.
     """
     k = int(np.searchsorted(lines, cut)) - 1
     a = b = cut
-    alpha = beta = 1.0
+    share = np.array([1.0, 0.0, 0.0])  # of 1, s and s^2, with s from 0 to 1 along the facet
     if 0 <= k < len(lines) - 1 and not np.isclose(cut, lines[k + 1], rtol=0, atol=1e-14):
         a, b = lines[k], lines[k + 1]
-        h, s = b - a, (cut - a) / (b - a)
-        moments = h * np.array([(1 - s) ** 2 / 2, (1 - s**2) / 2])
-        alpha, beta = np.linalg.solve(h / 6 * np.array([[2.0, 1.0], [1.0, 2.0]]), moments)
-    slope = (beta - alpha) / (b - a) if b > a else 0.0
-    a, b, alpha, slope = (fem.Constant(mesh, default_scalar_type(c)) for c in (a, b, alpha, slope))
-    inside = alpha + slope * (x - a)
-    return ufl.conditional(x > b, 1.0, ufl.conditional(x > a, inside, 0.0))
+        power, s = np.arange(degree + 1), (cut - a) / (b - a)
+        hilbert = 1 / (1.0 + power[:, None] + power)
+        share[: degree + 1] = np.linalg.solve(hilbert, (1 - s ** (power + 1)) / (power + 1))
+    length = b - a if b > a else 1.0
+    c = [
+        fem.Constant(mesh, default_scalar_type(v)) for v in (a, b, *share / length ** np.arange(3))
+    ]
+    inside = c[2] + (c[3] + c[4] * (x - c[0])) * (x - c[0])
+    return ufl.conditional(x > c[1], 1.0, ufl.conditional(x > c[0], inside, 0.0))
 
 
-def solve_patch(slave="lower", lower=None, upper=None, *, angle=0.0, cell="triangle", hold="edge"):
+DEGREES = pytest.mark.parametrize("degree", [1, 2])
+
+
+def solve_patch(
+    slave="lower", lower=None, upper=None, *, angle=0.0, cell="triangle", hold="edge", degree=1
+):
     """Press the upper block on the lower one; return problem, contact and the exact solution."""
     lower = np.linspace(0, 1, 4) if lower is None else np.asarray(lower)
     upper = np.linspace(0, 1, 5) if upper is None else np.asarray(upper)
@@ -64,7 +71,7 @@ def solve_patch(slave="lower", lower=None, upper=None, *, angle=0.0, cell="trian
         angle=angle,
         cell=cell,
     )
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
     u, exact = fem.Function(V), fem.Function(V)
     exact.interpolate(exact_displacement(angle))
     solid = dm.Solid(u, dm.Elastic(E, NU))
@@ -75,7 +82,7 @@ def solve_patch(slave="lower", lower=None, upper=None, *, angle=0.0, cell="trian
     loads = -P * ufl.dot(n, v) * ds(2)
     # Where one block sticks out beyond the other, the pressure acts on it directly.
     for tag, lines, end, sign in ((3, lower, upper[-1], 1.0), (4, upper, lower[-1], -1.0)):
-        loads += -sign * P * beyond(mesh, x, end, lines) * ufl.dot(n, v) * ds(tag)
+        loads += -sign * P * beyond(mesh, x, end, lines, degree) * ufl.dot(n, v) * ds(tag)
     fixed = []
     bottom = fem.locate_dofs_topological(V, 1, facets.find(1))
     if hold == "edge":  # slave ends on a Dirichlet edge; nothing holds the upper block vertically
@@ -118,9 +125,10 @@ def check(problem, contact, exact):
 @pytest.mark.parametrize("slave", ["lower", "upper"])
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
 @pytest.mark.parametrize("hold", ["edge", "node"])
-def test_equal_lengths(slave, cell, hold):
+@DEGREES
+def test_equal_lengths(slave, cell, hold, degree):
     """Both blocks end together, slave ends on a Dirichlet edge or free."""
-    check(*solve_patch(slave, cell=cell, hold=hold))
+    check(*solve_patch(slave, cell=cell, hold=hold, degree=degree))
 
 
 LENGTHS = {
@@ -133,38 +141,44 @@ LENGTHS = {
 @pytest.mark.parametrize("slave", ["lower", "upper"])
 @pytest.mark.parametrize("lengths", LENGTHS)
 @pytest.mark.parametrize("hold", ["edge", "node"])
-def test_unequal_lengths(slave, lengths, hold):
+@DEGREES
+def test_unequal_lengths(slave, lengths, hold, degree):
     """The slave side is longer or shorter than the master side."""
-    check(*solve_patch(slave, *LENGTHS[lengths], hold=hold))
+    check(*solve_patch(slave, *LENGTHS[lengths], hold=hold, degree=degree))
 
 
 @pytest.mark.parametrize("slave", ["lower", "upper"])
 @pytest.mark.parametrize(
     "covered", [0.5, 0.1, 0.05, 0.01, 1e-3, pytest.param(1e-6, marks=pytest.mark.mpi)]
 )
-def test_little_coverage(slave, covered):
+@DEGREES
+def test_little_coverage(slave, covered, degree):
     """The last facet of the slave side is covered by a small part of its length."""
     h = 0.4
     end = 1 - covered * h
     short = np.array([0, 0.21, 0.5, 0.77, 1.0])
     long = np.array([0, 0.35, 0.7, end, end + h])
     lines = (long, short) if slave == "lower" else (short, long)
-    problem, contact, exact = solve_patch(slave, *lines, hold="edge")
+    problem, contact, exact = solve_patch(slave, *lines, hold="edge", degree=degree)
     check(problem, contact, exact)
     # a node that too little faces has no multiplier of its own: a neighbour has its share
     kept = MPI.COMM_WORLD.allreduce(
         int(np.sum(problem.system.link(contact).coupling.kept)), op=MPI.SUM
     )
-    assert kept == len(long) - (covered**2 <= 0.05)
+    c = covered  # shares of the integrals of the end's function, and of the middle's
+    shares = [c**2] if degree == 1 else [4 * c**3 - 3 * c**2, 3 * c**2 - 2 * c**3]
+    assert kept == degree * (len(long) - 1) + 1 - sum(share <= 0.05 for share in shares)
 
 
 @pytest.mark.parametrize("slave", ["lower", "upper"])
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
 @pytest.mark.parametrize("lengths", LENGTHS)
-def test_inclined(slave, cell, lengths):
+@DEGREES
+def test_inclined(slave, cell, lengths, degree):
     """The interface is inclined by 30 degrees."""
     lower, upper = LENGTHS[lengths]
-    check(*solve_patch(slave, lower, upper, angle=np.pi / 6, cell=cell, hold="node"))
+    kind = {"angle": np.pi / 6, "cell": cell, "hold": "node", "degree": degree}
+    check(*solve_patch(slave, lower, upper, **kind))
 
 
 widths = st.lists(st.floats(0.2, 1.0), min_size=1, max_size=5)
@@ -177,9 +191,10 @@ widths = st.lists(st.floats(0.2, 1.0), min_size=1, max_size=5)
     length=st.floats(0.7, 1.4),
     slave=st.sampled_from(["lower", "upper"]),
     angle=st.sampled_from([0.0, 0.4, np.pi / 6, 2.0]),
+    degree=st.sampled_from([1, 2]),
 )
-def test_random_splits(lower, upper, length, slave, angle):
+def test_random_splits(lower, upper, length, slave, angle, degree):
     """Random non-matching sides of random lengths."""
     lines = [np.concatenate([[0.0], np.cumsum(w)]) / np.sum(w) for w in (lower, upper)]
     lines[1] = lines[1] * length
-    check(*solve_patch(slave, *lines, angle=angle, hold="node"))
+    check(*solve_patch(slave, *lines, angle=angle, hold="node", degree=degree))

@@ -9,6 +9,7 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 
+import basix
 import dolfinx.fem.petsc
 import dolfinx_mortar as dm
 import ufl
@@ -51,24 +52,20 @@ def clip(polygon, rectangle):
     return polygon
 
 
-def covered_integrals(x, rectangle):
+def covered_integrals(element, x, rectangle):
     """Return the integrals (k,) of N_j over the part of a triangle or rectangle x in another."""
+    corners = x[list(element.vertices)]
+    edges = (corners[[1, -1]] - corners[0]).T
+    if element.bilinear:
+        assert np.isclose(corners[2], corners[1] + corners[3] - corners[0], atol=1e-13).all()
     result = np.zeros(len(x))
-    part = clip(x, rectangle)
+    part = clip(corners, rectangle)
+    r, weights = basix.make_quadrature(basix.CellType.triangle, 4)
     for b in range(1, len(part) - 1):
-        corners = part[[0, b, b + 1]]
-        edges = corners[1:] - corners[0]
-        area = abs(np.linalg.det(edges)) / 2
-        points = corners.mean(axis=0) + (corners - corners.mean(axis=0)) / 2  # exact to degree 2
-        if len(x) == 3:
-            r = np.linalg.solve((x[1:] - x[0]).T, (points - x[0]).T)
-            N = np.stack([1 - r.sum(axis=0), *r])
-        else:
-            low, high = x.min(axis=0), x.max(axis=0)
-            assert np.isclose(x, np.where(x < (low + high) / 2, low, high), atol=1e-13).all()
-            r = (points - low) / (high - low)
-            N = np.prod(np.where((x > (low + high) / 2)[:, None], r, 1 - r), axis=2)
-        result += area / 3 * N.sum(axis=1)
+        sides = (part[[b, b + 1]] - part[0]).T
+        xi = np.linalg.solve(edges, sides @ r.T + (part[0] - corners[0])[:, None]).T
+        N = element.shape_functions(2 * xi - 1 if element.bilinear else xi)
+        result += abs(np.linalg.det(sides)) * weights @ N
     return result
 
 
@@ -79,8 +76,11 @@ def uncovered_pressure(V, facets, tag, R, rectangle):
     local = np.zeros(len(surface.nodes))
     for nodes, corners in zip(surface.facets, x, strict=True):
         everything = (-9.0, 9.0, -9.0, 9.0)
-        part = covered_integrals(corners, everything) - covered_integrals(corners, rectangle)
-        local[nodes] += part
+        whole, part = (
+            covered_integrals(surface.element, corners, window)
+            for window in (everything, rectangle)
+        )
+        local[nodes] += whole - part
     total = accumulate(surface, local)
     Q = V.sub(0).collapse()[0]
     p, q = ufl.TrialFunction(Q), ufl.TestFunction(Q)
@@ -110,7 +110,9 @@ def zero(mesh):
     return fem.Constant(mesh, default_scalar_type(0))
 
 
-def solve_patch(slave="lower", *, cell="tetrahedron", turn=None, hold="planes", **options):
+def solve_patch(
+    slave="lower", *, cell="tetrahedron", turn=None, hold="planes", degree=1, **options
+):
     """Press the upper box on the lower one; return problem, contact and the exact solution.
 
     Args:
@@ -119,11 +121,12 @@ def solve_patch(slave="lower", *, cell="tetrahedron", turn=None, hold="planes", 
         turn: Rotation of everything.
         hold: "planes" (the symmetry planes x = 0 and y = 0 cut through the contact) or "nodes"
             (the bottom and an edge on top are held). Only the contact holds the upper box down.
+        degree: Of the displacement.
         options: Of `two_boxes`.
     """
     R = np.eye(3) if turn is None else turn
     mesh, _, facets = two_boxes(COMM, cell=cell, turn=turn, **options)
-    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
     u, exact = fem.Function(V), fem.Function(V)
     strain = R @ STRAIN @ R.T
     exact.interpolate(lambda x: strain @ x[:3])
@@ -177,7 +180,8 @@ def check(problem, contact, exact):
     return report
 
 
-CELLS = pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+KINDS = [(cell, degree) for cell in ("tetrahedron", "hexahedron") for degree in (1, 2)]
+CELLS = pytest.mark.parametrize("cell, degree", KINDS)
 SLAVES = pytest.mark.parametrize("slave", ["lower", "upper"])
 
 
@@ -185,17 +189,21 @@ SLAVES = pytest.mark.parametrize("slave", ["lower", "upper"])
 @SLAVES
 @CELLS
 @pytest.mark.parametrize("hold", ["planes", "nodes"])
-def test_equal_sizes(slave, cell, hold):
+def test_equal_sizes(slave, cell, degree, hold):
     """Symmetry planes cut through the contact, or nothing holds its edges."""
-    check(*solve_patch(slave, cell=cell, hold=hold))
+    check(*solve_patch(slave, cell=cell, degree=degree, hold=hold))
 
 
 @SLAVES
 @CELLS
 @pytest.mark.parametrize("seed", range(3))
-def test_jittered_and_inclined(slave, cell, seed):
+def test_jittered_and_inclined(slave, cell, degree, seed):
     """Facets of any shape on an inclined plane."""
-    check(*solve_patch(slave, cell=cell, hold="nodes", turn=TILTED, jitter=0.4, seed=seed))
+    check(
+        *solve_patch(
+            slave, cell=cell, degree=degree, hold="nodes", turn=TILTED, jitter=0.4, seed=seed
+        )
+    )
 
 
 SIZES = {
@@ -210,11 +218,15 @@ SIZES = {
 @CELLS
 @pytest.mark.parametrize("sizes", SIZES)
 @pytest.mark.parametrize("turn", [None, TILTED])
-def test_unequal_sizes(slave, cell, sizes, turn):
+def test_unequal_sizes(slave, cell, degree, sizes, turn):
     """The slave side is larger or smaller than the master side, straight or inclined."""
     lower, upper = SIZES[sizes]
     hold = "planes" if turn is None else "nodes"
-    check(*solve_patch(slave, cell=cell, hold=hold, turn=turn, lower=lower, upper=upper))
+    check(
+        *solve_patch(
+            slave, cell=cell, degree=degree, hold=hold, turn=turn, lower=lower, upper=upper
+        )
+    )
 
 
 @SLAVES
@@ -222,14 +234,16 @@ def test_unequal_sizes(slave, cell, sizes, turn):
 @pytest.mark.parametrize(
     "covered", [0.5, 0.1, 0.05, 0.01, 1e-3, pytest.param(1e-6, marks=pytest.mark.mpi)]
 )
-def test_little_coverage(slave, cell, covered):
+def test_little_coverage(slave, cell, degree, covered):
     """The last rows of facets of the slave side are covered by a small part of their length."""
     h = 0.4
     end = 1 - covered * h
     short = (np.array([0, 0.31, 0.77, 1.0]),) * 2
     long = (np.array([0, 0.35, 0.7, end, end + h]), np.array([0, 0.4, end, end + h]))
     lines = (long, short) if slave == "lower" else (short, long)
-    check(*solve_patch(slave, cell=cell, splits_lower=lines[0], splits_upper=lines[1]))
+    check(
+        *solve_patch(slave, cell=cell, degree=degree, splits_lower=lines[0], splits_upper=lines[1])
+    )
 
 
 widths = st.lists(st.floats(0.2, 1.0), min_size=1, max_size=4)
@@ -240,12 +254,13 @@ widths = st.lists(st.floats(0.2, 1.0), min_size=1, max_size=4)
     splits=st.tuples(widths, widths, widths, widths),
     sizes=st.tuples(st.floats(0.7, 1.4), st.floats(0.7, 1.4)),
     slave=st.sampled_from(["lower", "upper"]),
-    cell=st.sampled_from(["tetrahedron", "hexahedron"]),
+    kind=st.sampled_from(KINDS),
     turn=st.sampled_from([None, TILTED]),
 )
-def test_random_splits(splits, sizes, slave, cell, turn):
+def test_random_splits(splits, sizes, slave, kind, turn):
     """Random non-matching sides of random sizes."""
     lines = [np.concatenate([[0.0], np.cumsum(w)]) / np.sum(w) for w in splits]
     upper = (lines[2] * sizes[0], lines[3] * sizes[1])
     grids = {"splits_lower": (lines[0], lines[1]), "splits_upper": upper}
-    check(*solve_patch(slave, cell=cell, hold="nodes", turn=turn, **grids))
+    cell, degree = kind
+    check(*solve_patch(slave, cell=cell, degree=degree, hold="nodes", turn=turn, **grids))

@@ -29,7 +29,8 @@ from tests.block_piles import (
     chain,
     dense_transformation,
 )
-from tests.meshes import two_blocks
+from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_blocks
+from tests.pressed_blocks import PressedBlocks
 
 ROUND_OFF = 1e-12
 
@@ -191,6 +192,22 @@ def test_values_that_change_in_time():
     for t, u, force in found[1:]:
         assert np.abs(u - t * found[0][1]).max(initial=0.0) < 1e-12
         assert force == pytest.approx(t * found[0][2], rel=1e-8)
+
+
+@pytest.mark.mpi
+def test_no_vector_of_petsc_is_made_of_a_displacement(monkeypatch):
+    """It would be destroyed where Python lets go of u, which ranks do at different times.
+
+    The next one of its space, as of a second problem on the same mesh, would then wait for ever.
+    """
+
+    def refuse(_):
+        raise AssertionError("u.x.petsc_vec was asked for")
+
+    monkeypatch.setattr(la.Vector, "petsc_vec", property(refuse))
+    case = PressedBlocks()
+    assert dm.newton(case.problem()).converged
+    dm.assemble_mortar(case.V, case.facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER, u=case.u)
 
 
 def test_frozen_geometry_is_that_of_the_mesh(rng):

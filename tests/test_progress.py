@@ -12,10 +12,18 @@ from mpi4py import MPI
 import pytest
 
 from dolfinx_mortar.steps.progress import progress
+from dolfinx_mortar.steps.report import LoadStep, StepReport
 
 ERASE, UP = "\x1b[2K", "\x1b[1A"
 HIDE, BACK = "\x1b[?25l", "\x1b[?25h"  # the cursor
-LINES = "load step 1 of 2 done\nload step 2 of 2 done\n"
+LINES = "".join(
+    f"load step {i} of 2 to 0.{i}: 0 Newton iterations, 0 nodes in contact\n" for i in (1, 2)
+)
+
+
+def step(number):
+    """Return a step that has cost nothing."""
+    return LoadStep(number, number / 10, StepReport(), [StepReport()])
 
 
 class Screen(io.StringIO):
@@ -62,20 +70,70 @@ def no_rich(monkeypatch):
         monkeypatch.setitem(sys.modules, name, None)
 
 
-def walk(total=2, wanted=None, comm=MPI.COMM_SELF):
-    with progress(comm, total, wanted) as advance:
-        for _ in range(total):
-            advance()
+@pytest.fixture
+def nobody_logs(monkeypatch):
+    """Hide the handlers that the tests have."""
+    monkeypatch.setattr("dolfinx_mortar.steps.progress.is_configured", lambda: False)
 
 
-@pytest.mark.parametrize(
-    ("out", "err", "total"),
-    [(True, False, 2), (False, True, 2), (False, False, 2), (True, True, 1)],
-)
-def test_nothing_shows_unasked_without_two_terminals_and_two_steps(streams, out, err, total):
+def walk(total=2, wanted=None, comm=MPI.COMM_SELF, done=0):
+    with progress(comm, total, wanted, done=done) as advance:
+        for number in range(done + 1, total + 1):
+            advance(step(number))
+
+
+@pytest.mark.usefixtures("nobody_logs")
+@pytest.mark.parametrize(("out", "err"), [(True, False), (False, True), (False, False)])
+def test_a_file_gets_a_line_for_each_step(streams, out, err):
+    """Also under a scheduler, and where one of the streams goes through a pipe."""
     both = streams(out, err)
-    walk(total)
+    walk()
+    assert [stream.getvalue() for stream in both] == ["", LINES]
+
+
+@pytest.mark.usefixtures("nobody_logs")
+@pytest.mark.parametrize("out", [True, False])
+def test_one_step_needs_no_line(streams, out):
+    both = streams(out, out)
+    walk(1)
     assert [stream.getvalue() for stream in both] == ["", ""]
+
+
+@pytest.mark.usefixtures("nobody_logs")
+@pytest.mark.parametrize(("wanted", "shown"), [(None, ""), (True, LINES)])
+def test_a_notebook_stays_clean_unless_asked(streams, monkeypatch, wanted, shown):
+    streams(False, False)
+    cell = type("OutStream", (io.StringIO,), {"__module__": "ipykernel.iostream"})()
+    monkeypatch.setattr(sys, "stderr", cell)
+    walk(wanted=wanted)
+    assert cell.getvalue() == shown
+
+
+@pytest.mark.parametrize("wanted", [None, True])
+def test_where_logging_is_configured_lines_are_records(streams, monkeypatch, caplog, wanted):
+    """They are not written twice, and not at all where the user's level is higher."""
+    _, err = streams(False, False)
+    with caplog.at_level(logging.INFO, logger="dolfinx_mortar"):
+        walk(wanted=wanted)
+    assert [record.getMessage() for record in caplog.records] == LINES.splitlines()
+    assert {record.levelname for record in caplog.records} == {"INFO"} and err.getvalue() == ""
+    caplog.clear()
+    with caplog.at_level(logging.WARNING, logger="dolfinx_mortar"):
+        walk(wanted=wanted)
+    assert not caplog.records and err.getvalue() == (LINES if wanted else "")
+
+
+def test_the_log_has_the_steps_of_a_bar(streams, caplog):
+    streams()
+    with caplog.at_level(logging.INFO, logger="dolfinx_mortar"):
+        walk()
+    assert [record.getMessage() for record in caplog.records] == LINES.splitlines()
+
+
+def test_steps_of_an_earlier_run_are_done(streams):
+    _, err = streams()
+    walk(5, done=3)
+    assert "3/5" in err.getvalue() and "4/5" in err.getvalue() and "0/5" not in err.getvalue()
 
 
 def test_two_terminals_show_a_bar_and_lose_it(streams):
@@ -95,11 +153,11 @@ def test_a_bar_leaves_lines_streams_and_handlers_alone(streams, monkeypatch, wan
     monkeypatch.setattr(logger, "level", logging.INFO)
     told = [f"iteration {i}" for i in range(6)]
     with progress(MPI.COMM_SELF, 3, wanted) as advance:
-        for step in range(3):
-            logger.info(told[2 * step])
+        for number in range(3):
+            logger.info(told[2 * number])
             assert handler.stream is err and (sys.stdout, sys.stderr) == (out, err)
-            advance()
-            logger.info(told[2 * step + 1])
+            advance(step(number + 1))
+            logger.info(told[2 * number + 1])
     assert "load steps" in err.getvalue()
     lines = [line for line in err.shown() if "iteration" in line]
     assert [line[-len(told[0]) :] for line in lines] == told
@@ -108,7 +166,7 @@ def test_a_bar_leaves_lines_streams_and_handlers_alone(streams, monkeypatch, wan
 def test_an_error_gives_the_terminal_back(streams):
     _, err = streams()
     with suppress(ZeroDivisionError), progress(MPI.COMM_SELF, 2, True) as advance:
-        advance()
+        advance(step(1))
         raise ZeroDivisionError
     assert err.getvalue().rindex(HIDE) < err.getvalue().rindex(BACK)
     assert not any(err.shown())
@@ -142,5 +200,8 @@ def test_only_rank_0_shows(streams):
 
 @pytest.mark.mpi
 def test_what_is_neither_wanted_nor_not_is_an_error():
+    comm = MPI.COMM_WORLD
     with pytest.raises(ValueError, match=r"progress is 'yes': choose True, False or None"):
-        progress(MPI.COMM_WORLD, 2, "yes")
+        progress(comm, 2, "yes")
+    with pytest.raises(ValueError, match=r"progress is 'yes': choose True, False or None"):
+        progress(comm, 2, "yes" if comm.rank == comm.size - 1 else None)

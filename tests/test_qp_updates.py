@@ -21,6 +21,7 @@ from dolfinx_mortar.qp import LinearSolver, condensed, dense, solve, updates
 from dolfinx_mortar.qp.bounded import Bounded
 from dolfinx_mortar.qp.dense import solve_dense
 from dolfinx_mortar.qp.held import HeldProblem
+from dolfinx_mortar.qp.state import State
 from dolfinx_mortar.qp.updates import LOOSE, TIGHT, Found, Outcome, came_back, update
 
 COMM = MPI.COMM_WORLD
@@ -71,7 +72,7 @@ def test_what_loose_solves_have_seen_is_no_cycle_of_tight_ones() -> None:
         return Found(new, int((new != active).sum()), satisfied=level >= TIGHT)
 
     outcome = update(hold, sets(0, 1), MPI.COMM_SELF, level=LOOSE)
-    assert outcome.reason == "" and outcome.active.tolist() == [1, 0]
+    assert outcome.reason == "" and outcome.state.tolist() == [1, 0]
 
 
 def test_a_set_that_stays_is_solved_tightly_before_it_is_taken() -> None:
@@ -89,7 +90,7 @@ def test_sets_that_never_come_back_end_at_the_limit(monkeypatch: pytest.MonkeyPa
 
     outcome = update(hold, sets(0, 0), COMM)
     assert "after 7 solves" in outcome.reason
-    assert outcome.active.tolist() == [5, 5]  # held last; the next one is [6, 6]
+    assert outcome.state.tolist() == [5, 5]  # held last; the next one is [6, 6]
     assert next(calls) == 7
 
 
@@ -169,7 +170,7 @@ def test_loose_solves_are_accurate_to_a_share_of_the_reactions(level: int) -> No
     x.set(0.0)
     x.array[:] = 3.0 * np.cos(5.0 * np.arange(*x.getOwnershipRange()))
     problem = HeldProblem(qp, linear, x, rtol)
-    problem.hold(np.ones(qp.bounded.size, dtype=np.int8), level)
+    problem.hold(State.create(qp, np.ones(qp.bounded.size, dtype=np.int8)), level)
     z = gathered(problem.z)
     own = COMM.allgather(qp.bounded + qp.b.getOwnershipRange()[0])
     held = np.concatenate(own)
@@ -186,7 +187,8 @@ def test_a_small_step_under_large_forces() -> None:
     linear = LinearSolver(COMM, prefix="small_step_")
     linear.attach(qp.A)
     problem = HeldProblem(qp, linear, qp.b.duplicate(), 1e-4)
-    outcome = update(problem.hold, np.zeros(qp.bounded.size, dtype=np.int8), COMM)
+    first = State.create(qp, np.zeros(qp.bounded.size, dtype=np.int8))
+    outcome = update(problem.hold, first, COMM)
     solution = problem.solution(outcome, "")
     assert outcome.reason == "" and active_everywhere(solution) == [1]
     assert solution.kkt.satisfied(1e-4)

@@ -55,7 +55,7 @@ def wrong_spaces() -> list[tuple[str, Any]]:
     return [
         (r"shape \(\)", fem.Function(fem.functionspace(domain, ("Lagrange", 1)))),
         (r"shape \(3,\)", fem.Function(fem.functionspace(domain, ("Lagrange", 1, (3,))))),
-        ("degree 2", fem.Function(fem.functionspace(domain, ("Lagrange", 2, (2,))))),
+        ("degree 3", fem.Function(fem.functionspace(domain, ("Lagrange", 3, (2,))))),
         ("continuous", fem.Function(fem.functionspace(domain, ("DG", 1, (2,))))),
         ("dolfinx.fem.Function", 3.0),
     ]

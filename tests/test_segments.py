@@ -6,9 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dolfinx_mortar.geometry import segments
-from dolfinx_mortar.geometry.elements import LINE2
-from dolfinx_mortar.geometry.facets import Facets
+from dolfinx_mortar.geometry import line, segments
+from dolfinx_mortar.geometry.elements import LINE2, LINE3
+from dolfinx_mortar.geometry.facets import Facets, normals_at_nodes
+from dolfinx_mortar.geometry.search import create_cones
 from tests.polylines import assemble, chain, nodal_normals
 
 EXACT = 1e-12
@@ -21,7 +22,7 @@ def flat(splits, y=0.0, angle=0.0, up=False):
     return np.stack([x, np.full_like(x, y)], axis=1) @ np.array([[c, s], [-s, c]])
 
 
-def line(x):
+def polyline(x):
     """Return the facets of a polyline."""
     return Facets(LINE2, x[chain(len(x))])
 
@@ -207,7 +208,7 @@ def test_candidates_contain_all_segments(seed, n, m):
 def test_broad_phase_is_selective():
     """Flat sides with equal facets: at most three masters per slave without margin."""
     grid = np.linspace(0, 1, 201)
-    x_s, x_m = line(flat(grid)), line(flat(grid, -0.01, up=True))
+    x_s, x_m = polyline(flat(grid)), polyline(flat(grid, -0.01, up=True))
     normals = np.broadcast_to([0.0, -1.0], x_s.x.shape)
     pairs = segments.find_candidates(x_s, normals, x_m, np.zeros(200))
     assert np.bincount(pairs[:, 0], minlength=200).max() <= 3
@@ -218,7 +219,7 @@ def test_broad_phase_is_selective():
 def test_every_facet_may_be_a_candidate_of_every_other():
     """Far away and provided for rotation: more pairs than the first allocation holds."""
     grid = np.linspace(0, 1, 61)
-    x_s, x_m = line(flat(grid)), line(flat(grid, -99, up=True))
+    x_s, x_m = polyline(flat(grid)), polyline(flat(grid, -99, up=True))
     pairs = segments.find_candidates(x_s, np.full_like(x_s.x, (0, -1)), x_m, np.ones(60))
     assert (pairs == np.stack(np.divmod(np.arange(3600), 60), axis=1)).all()
 
@@ -237,3 +238,51 @@ def test_no_pairs_at_all():
     assert len(o.points.weight) == 0
     assert (o.D == 0).all()
     assert o.points.facet_weights.sum() == pytest.approx(1.0)
+
+
+# -- facets of three nodes
+
+
+def bent(rng, m):
+    """Return facets (m, 3, 2) along x, of any shape that the audit lets pass, and their normals."""
+    x = np.zeros((m, 3, 2))
+    x[:, 1, 0] = 1.0
+    x[:, 2] = [0.5, 0.0] + rng.uniform(-1, 1, (m, 2)) * [0.15, 0.3]
+    facets = Facets(LINE3, x)
+    n = normals_at_nodes(facets) + rng.uniform(-0.3, 0.3, x.shape)
+    return facets, n / np.linalg.norm(n, axis=2, keepdims=True)
+
+
+def test_normals_of_bent_facets_meet_the_point_that_is_projected(rng):
+    """Whatever Newton does: the root lies where the sign changes."""
+    facets, n = bent(rng, 500)
+    x, n = (line_of_xi(facets, v) for v in (facets.x, n))
+    found = 0
+    for a, b, y in zip(x, n, rng.uniform(-0.6, 1.6, (500, 2)), strict=True):
+        ends = [line._moment(a, b, *y, xi)[0] for xi in (-1.0, 1.0)]
+        xi = line._project_node(a, b, *y)
+        if ends[0] > 0 > ends[1]:
+            found += 1
+            assert -1 <= xi <= 1
+            assert abs(line._moment(a, b, *y, xi)[0]) < 1e-13
+        elif ends[0] <= 0 <= ends[1]:
+            assert np.isnan(xi)
+        else:
+            assert xi == (-1.0 if ends[0] <= 0 else 1.0)
+    assert found > 100
+
+
+def line_of_xi(facets, v):
+    return line._polynomials(facets.element, v)
+
+
+def test_cones_hold_the_normals_between_the_nodes(rng):
+    """Those of three nodes turn further than any of these; the facet stays near its nodes."""
+    facets, n = bent(rng, 200)
+    cones = create_cones(facets.x, segments.bounding_directions(facets, n), np.zeros(len(facets.x)))
+    xi = np.linspace(-1, 1, 41)[:, None]
+    N = LINE3.shape_functions(xi)
+    x, between = (np.einsum("qk,mki->mqi", N, v) for v in (facets.x, n))
+    cosine = np.einsum("mqi,mi->mq", between, cones.axis) / np.linalg.norm(between, axis=2)
+    assert (np.sqrt(1 - np.minimum(cosine, 1) ** 2) / cosine <= cones.slope[:, None] + 1e-9).all()
+    assert (np.linalg.norm(x - cones.centre[:, None], axis=2) <= cones.radius[:, None]).all()

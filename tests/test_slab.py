@@ -11,6 +11,7 @@ import basix.ufl
 import dolfinx
 import dolfinx_mortar as dm
 from dolfinx import fem
+from dolfinx_mortar import compat
 from dolfinx_mortar.geometry import segments
 from dolfinx_mortar.geometry.facets import facet_normals
 from tests.hertz_case import ELASTIC, PLASTIC, SIDES, create_mesh
@@ -23,7 +24,7 @@ DEPTH = {ELASTIC: 0.05, PLASTIC: 0.2}
 def extrude(section):
     """Return the slab of one layer of cells on a section, with its facet tags."""
     mesh = section.mesh
-    x, cells = mesh.geometry.x.copy(), mesh.geometry.dofmap.astype(np.int64)
+    x, cells = mesh.geometry.x.copy(), compat.cell_nodes(mesh).astype(np.int64)
     top = len(x)
     points = np.concatenate([x, x + np.array([0.0, 0.0, THICKNESS])])
     if mesh.topology.cell_name() == "quadrilateral":

@@ -22,6 +22,8 @@ from dolfinx_mortar.meshing.bodies import distribute
 from dolfinx_mortar.mortar.smooth import count_edges, smooth_normals
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
 from tests.close_fits import create_ring
+from tests.meshes import two_blocks
+from tests.meshes_3d import two_boxes
 
 COMM = MPI.COMM_WORLD
 RADIUS = 8.0
@@ -329,3 +331,29 @@ def test_a_cusp_has_no_normal(second, none):
     surface = create_surface(fem.functionspace(domain, ("Lagrange", 1, (2,))), tags, 3, "slave")
     fixed = np.zeros((len(surface.V.mesh.geometry.x), 2), dtype=bool)
     assert count_edges(surface, fixed, 40.0).tolist() == [1, int(none)]
+
+
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral", "tetrahedron", "hexahedron"])
+def test_second_order_has_the_same_smooth_surface(cell):
+    """Normals of the vertices and what these are good for; middles lie on no edge."""
+    d = 2 if cell in ("triangle", "quadrilateral") else 3
+    create, n = (two_blocks, (5, 2)) if d == 2 else (two_boxes, (4, 3, 1))
+    domain, _, tags = create(MPI.COMM_SELF, n, n, cell=cell, jitter=0.3, transform=dome)
+    found = []
+    for degree in (1, 2):
+        V = fem.functionspace(domain, ("Lagrange", degree, (d,)))
+        surface = create_surface(V, tags, 3, "slave")
+        fixed = np.zeros((V.dofmap.index_map.size_local, d), dtype=bool)
+        assert (count_edges(surface, fixed, 40.0) == 0).all()
+        normals = smooth_normals(surface, surface.X, fixed[surface.nodes], 40.0)
+        vertices = np.unique(surface.facets[:, list(surface.element.vertices)])
+        order = vertices[np.lexsort(np.round(surface.X[vertices], 9).T)]
+        found.append((surface.X[order], normals.n[order], normals.open[order]))
+        assert np.linalg.norm(normals.n, axis=1) == pytest.approx(1.0, abs=1e-14)
+    for first, second in zip(*found, strict=True):
+        assert np.abs(first.astype(float) - second).max() < 1e-13
+
+
+def dome(x):
+    """Bend blocks upwards."""
+    return x - 0.2 * np.eye(x.shape[1])[-1] * ((x[:, :-1] - 0.5) ** 2).sum(axis=1)[:, None]

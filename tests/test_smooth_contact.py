@@ -48,6 +48,39 @@ def test_a_pin_in_its_hole(counts, swap):
     assert found["pressure"].max() == pytest.approx(PEAK, rel=0.015)
 
 
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("swap", [False, True])
+@pytest.mark.parametrize("counts", [(30, 44), (44, 30), (60, 88), (88, 60)])
+def test_a_pin_of_second_order_in_its_hole(counts, swap, order):
+    """On straight cells with heights, on curved ones without; half as many facets do as well."""
+    report, found = create_pin(counts, swap, degree=2, order=order).solve()
+    assert report.newton_iterations <= 4 and not report.notes
+    on = np.degrees(np.abs(np.arctan2(found["X"][:, 0], -found["X"][:, 1]))) < 20.0
+    assert found["active"][on].all()
+    assert found["pressure"].max() == pytest.approx(PEAK, rel=0.01 if order == 2 else 0.025)
+
+
+@pytest.mark.parametrize("order, spread", [(1, 0.04), (2, 0.01)])
+@pytest.mark.parametrize("geometry", ["updated", "reference"])
+@pytest.mark.parametrize("swap", [False, True])
+def test_shrink_fit_of_second_order(swap, geometry, order, spread):
+    """As above with half the facets."""
+    case = create_shrink_fit((96, 72), swap, geometry=geometry, degree=2, order=order)
+    dm.newton(case.problem)
+    pressure = case.contact.gather(case.problem.u)["pressure"] / case.pressure
+    assert 0.99 < pressure.mean() < 1.01
+    assert np.ptp(pressure) < spread
+
+
+@pytest.mark.parametrize("surface", ["smooth", "facets"])
+def test_curved_cells_are_the_surface(surface):
+    """Nothing is added to their gap, nor does the audit look for edges or for facets that show."""
+    case = create_shrink_fit((24, 16), False, degree=2, order=2, surface=surface)
+    audit = case.problem.audit()
+    assert not audit.stand_offs and audit.interfaces[0].edges is None
+    assert not case.problem.system.links[0].coupling.heights.any()
+
+
 # with 384 and 512 facets, either slave; between 530.2 and 531.4 on five pairs of meshes, on which
 # facets give 531 to 954
 PEAK = 531.4

@@ -156,11 +156,12 @@ def test_facets_are_the_papers_on_curved_sides():
 
 
 def test_points_in_parts_add_up_to_the_same(monkeypatch):
-    """To the last digit: each sum is made in the same order."""
+    """To round-off: points of one part are summed in any order, parts one after the other."""
     mesh, tags = sides(COMM, "tetrahedron", to_sphere)
     whole = couple(mesh, tags).coupling.blocks
     monkeypatch.setattr(operators, "_CHUNK", 7)
-    assert (couple(mesh, tags).coupling.blocks == whole).all()
+    scale = np.abs(whole).max(initial=0.0)  # of this rank, which may have none
+    assert np.allclose(couple(mesh, tags).coupling.blocks, whole, rtol=0.0, atol=1e-14 * scale)
 
 
 @pytest.mark.mpi

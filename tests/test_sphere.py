@@ -6,12 +6,16 @@ from an independent axisymmetric solver of second order with elements down to 0.
 pressure are Hertz' at the force found.
 """
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+from dolfinx import fem
 from tests.ball_case import STEEL, create_problem
 
+COMM = MPI.COMM_WORLD
 DEPTH, RADIUS = 0.05, 8.0
 # N, by geometry and slave side
 LIMITS = {
@@ -106,3 +110,61 @@ def test_coarse_contact_is_near_hertz(cell):
     contact_radius, peak_pressure = hertz(force)
     assert radius == pytest.approx(contact_radius, rel=0.1)
     assert peak == pytest.approx(peak_pressure, rel=0.1)
+
+
+# -- second order
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slave", ["block", "ball"])
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_second_order_on_coarse_meshes(cell, slave):
+    """Two to three facets across the contact radius: the force to 0.3 %."""
+    force, radius, peak = solve(0.25, slave, cell=cell, degree=2)
+    contact_radius, peak_pressure = hertz(force)
+    print(f"force {force:.1f}, radius {radius:.4f} ({contact_radius:.4f}), peak {peak:.0f}")
+    assert force == pytest.approx(LIMITS["reference", slave], rel=3e-3)
+    assert radius == pytest.approx(contact_radius, rel=0.015)
+    assert peak == pytest.approx(peak_pressure, rel=0.015)
+
+
+@pytest.mark.slow
+def test_second_order_tetrahedra():
+    force, radius, peak = solve(0.125, cell="tetrahedron", degree=2)
+    contact_radius, peak_pressure = hertz(force)
+    assert force == pytest.approx(LIMITS["reference", "block"], rel=5e-4)
+    assert radius == pytest.approx(contact_radius, rel=0.01)
+    assert peak == pytest.approx(peak_pressure, rel=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize(("geometry", "slave"), LIMITS)
+def test_sections_of_second_order(cell, geometry, slave):
+    """The section of the ball and a round block: the force to 0.05 %.
+
+    The node on the axis has no weight, so no multiplier: its pressure is that of its facet.
+    """
+    m = dm.meshing.hertz(COMM, kind="graded", h=0.05, half=True, block=(36.0, 10.0), cell=cell)
+    V = fem.functionspace(m.mesh, ("Lagrange", 2, (2,)))
+    solid = dm.Solid(fem.Function(V), STEEL, kinematics="axisymmetric")
+    bcs = []
+    for tag, i, value in ((1, 0, 0.0), (1, 1, 0.0), (2, 0, 0.0), (2, 1, -DEPTH), (5, 0, 0.0)):
+        dofs = fem.locate_dofs_topological(V.sub(i), 1, m.facet_tags.find(tag))
+        bcs.append(fem.dirichletbc(fem.Constant(m.mesh, value), dofs, V.sub(i)))
+    tags = (3, 4) if slave == "block" else (4, 3)
+    contact = dm.Contact(m.facet_tags, slave=tags[0], master=tags[1])
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=geometry)
+    dm.newton(problem)
+    found = contact.gather(problem.u)
+    print(f"force {contact.force[1]:.2f}, pressures {found['pressure'][:3]}")
+    assert abs(contact.force[1]) == pytest.approx(LIMITS[geometry, slave], rel=5e-4)
+    order = np.argsort(np.abs(found["X"][:, 0]))
+    assert found["active"][order[0]] == 0.0
+    near = found["pressure"][order[:3]]
+    assert near[0] == pytest.approx(near[1:].mean(), rel=1e-12)
+    on = found["active"] > 0
+    peak, _ = dm.analytic.fit_pressure(
+        found["x" if geometry == "updated" else "X"][on, 0], found["pressure"][on]
+    )
+    assert peak == pytest.approx(hertz(abs(contact.force[1]))[1], rel=0.01)

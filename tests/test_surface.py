@@ -190,7 +190,7 @@ def test_bad_spaces():
     P1 = basix.ufl.element("Lagrange", "triangle", 1)
     elements = [
         ("Lagrange", 1),
-        ("Lagrange", 2, (2,)),
+        ("Lagrange", 3, (2,)),
         ("Lagrange", 1, (3,)),
         ("DG", 1, (2,)),
         ("N1curl", 1),

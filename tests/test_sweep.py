@@ -24,6 +24,12 @@ SLOW_SEEDS = {
     "sphere": (0, 5, 8, 10, 14, 15, 16, 17, 18, 23, 25, 27, 30, 35, 302),
     "pile": (0, 2, 4, 10, 34, 39, 41, 49, 53, 65, 79, 80, 87, 95, 103),
     "boxes3": (1, 2, 11, 18, 24, 26, 30, 36, 39, 47, 52, 54, 57, 225, 286),
+    "ring": tuple(range(15)),
+    "heated": tuple(range(15)),
+    "second": tuple(range(15)),
+    "second3": tuple(range(15)),
+    "mixed": tuple(range(15)),
+    "friction": (5, 6, 7, 8, 18, 28, 31, 33, 37, 79, 83, 94, 96, 105, 131),
 }
 """Fifteen of each kind: failures, cuts, most iterations so far, cells turned out at a corner."""
 
@@ -101,7 +107,14 @@ def test_random_problems(kind):
     assert not [o.seed for o in outcomes if o.failure and not o.limit_load]
 
 
-@pytest.mark.parametrize(("kind", "seed"), [("hertz", 1), ("pile", 1), ("boxes3", 1)])
+@pytest.mark.parametrize(
+    ("kind", "seed"),
+    [
+        *(("hertz", 1), ("pile", 1), ("boxes3", 1), ("ring", 1), ("heated", 3)),
+        *(("second", 1), ("second3", 2), ("mixed", 1)),
+        *(("friction", 9), ("friction", 10), ("friction", 16), ("friction", 17)),
+    ],
+)
 def test_some_random_problems(kind, seed):
     outcome = run_of_sweep(kind, seed)
     assert not outcome.failure
@@ -122,7 +135,13 @@ def test_seeds_keep_their_problems():
     assert found["sphere"]["laws"][2].nu == pytest.approx(0.3836464734741321, rel=1e-14)
     assert found["pile"]["tilt"] == pytest.approx(-0.161973928770342, rel=1e-14)
     assert found["boxes3"]["depth"] == pytest.approx(0.002564446269926025, rel=1e-14)
-    assert [found[kind]["steps"] for kind in KINDS] == [1, 1, 3, 1]
+    assert found["heated"]["heat"][1] == pytest.approx(0.0006099436086263139, rel=1e-14)
+    assert found["ring"]["mesh"]["radius"] == pytest.approx(6.475964915480901, rel=1e-14)
+    assert found["second"]["laws"][2].a == pytest.approx(122.241633358829, rel=1e-14)
+    assert found["second3"]["laws"][1].Y == pytest.approx(4.2045726938571795, rel=1e-14)
+    assert found["mixed"]["laws"][2].yaw == pytest.approx(0.40989490828375985, rel=1e-14)
+    assert found["friction"]["path"][-1][2] == pytest.approx(1.0, rel=1e-14)
+    assert [found[kind]["steps"] for kind in KINDS] == [1, 1, 3, 1, 1, 3, 1, 3, 1, 7]
 
 
 def solved(kind, seed):
@@ -156,6 +175,38 @@ def test_the_check_sees_what_is_wrong():
     assert "gap" in spoilt(u, down, u[down] - 0.01)
     stress *= 1.01  # the displacement of a body that has flown away is no excuse
     assert "equilibrium" in spoilt(u, down, u[down] - 1e12)
+
+
+@pytest.mark.parametrize("seed", [9, 10])
+def test_the_check_sees_friction_that_is_wrong(seed):
+    """Frozen in space, and updated in the plane: a limit, a direction, a slip or a state is off."""
+    case = create("friction", seed, "smooth")
+    for _ in dm.load_steps(case.problem, case.levels[:-1], on_time=case.on_time):
+        pass
+    before = case.problem.u.x.array[: case.problem.d * case.problem.n].copy()
+    assert len(list(dm.load_steps(case.problem, case.levels[-1:], on_time=case.on_time))) == 1
+    contact = case.problem.contacts[0]
+
+    def off():
+        return {k for k, v in residuals(case, before).items() if v > 10.0 * TOLERANCE}
+
+    assert not off()
+    assert 0 < np.count_nonzero(contact.status.x.array == 2.0)
+    traction, status = contact.traction.x.array, contact.status.x.array
+    traction *= 1.01
+    assert off() >= {"limit", "equilibrium"}
+    traction /= -1.01
+    assert off() >= {"slip", "equilibrium"}
+    traction *= -0.99
+    assert off() >= {"slip", "status"}
+    traction /= 0.99
+    assert not off()
+    kept = status.copy()
+    status[status == 2.0] = 1.0
+    assert off() == {"status"}
+    status[:] = kept
+    case.limit.x.array[:] *= 0.99
+    assert off() >= {"limit", "status"}
 
 
 def test_a_limit_load_is_told_from_a_failure():

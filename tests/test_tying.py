@@ -35,10 +35,11 @@ def create_tie(facets, slave):
 @pytest.mark.parametrize("slave", ["lower", "upper"])
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
 @pytest.mark.parametrize("angle", [0.0, np.pi / 6])
-def test_linear_field(slave, cell, angle):
+@pytest.mark.parametrize("degree", [1, 2])
+def test_linear_field(slave, cell, angle, degree):
     """A linear field with shear passes through a non-matching interface exactly."""
     mesh, _, facets = two_blocks(COMM, (3, 3), (4, 3), cell=cell, angle=angle, jitter=0.5)
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
     strain = np.array([[1e-3, 4e-4], [-2e-4, 2e-3]])
     # the interface's ends have no Dirichlet data but bottom and top have
     exact, bc = boundary_condition(V, facets, lambda x: strain @ x[:2], tags=(1, 2))
@@ -67,10 +68,16 @@ def test_linear_field(slave, cell, angle):
     assert np.allclose(tie.force, expected, rtol=1e-8, atol=1e-10)
 
 
-def solve_smooth(n, slave, cell):
+def bend(x):
+    """Bend the interface into a wave, with the blocks."""
+    return x + np.column_stack([0.05 * x[:, 1], 0.15 * np.sin(2.5 * x[:, 0] + 0.4)])
+
+
+def solve_smooth(n, slave, cell, degree=1, transform=None, order=1):
     """Return the errors of a manufactured smooth solution in L2 and H1."""
-    mesh, _, facets = two_blocks(COMM, (2 * n, 2 * n), (3 * n, 3 * n), cell=cell)
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    shape = {"cell": cell, "transform": transform, "order": order}
+    mesh, _, facets = two_blocks(COMM, (2 * n, 2 * n), (3 * n, 3 * n), **shape)
+    V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
 
     def field(x, m):
         return m.sin(2 * x[0] + x[1]), m.cos(x[0]) * m.exp(0.5 * x[1])
@@ -88,13 +95,13 @@ def solve_smooth(n, slave, cell):
         dm.Solid(u, dm.Elastic(E, NU)),
         [create_tie(facets, slave)],
         bcs=[bc],
-        loads=-ufl.dot(ufl.div(stress), v) * ufl.dx(degree=4),
+        loads=-ufl.dot(ufl.div(stress), v) * ufl.dx(degree=2 + 2 * degree),
         geometry="reference",
     )
     dm.newton(problem)
     e = u - exact
     squares = [ufl.dot(e, e), ufl.inner(ufl.grad(e), ufl.grad(e))]
-    dx = ufl.dx(degree=5)
+    dx = ufl.dx(degree=3 + 2 * degree)
     return [np.sqrt(COMM.allreduce(fem.assemble_scalar(fem.form(s * dx)))) for s in squares]
 
 
@@ -106,3 +113,15 @@ def test_orders(slave, cell):
     order = np.log2(errors[:-1] / errors[1:])
     print(f"{cell}, slave {slave}: orders {order.tolist()}")
     assert np.all(order[-1] > np.array([2.0, 1.0]) - MARGIN)
+
+
+@pytest.mark.parametrize("slave", ["lower", "upper"])
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize("curved", [False, True], ids=["straight", "curved"])
+def test_orders_of_second_order(slave, cell, curved):
+    """L2 order 3 and H1 order 2, on a straight interface and on isoparametric cells of a wave."""
+    kind = {"transform": bend, "order": 2} if curved else {}
+    errors = np.array([solve_smooth(n, slave, cell, 2, **kind) for n in (2, 4, 8)])
+    order = np.log2(errors[:-1] / errors[1:])
+    print(f"{cell}, slave {slave}: orders {order.tolist()}")
+    assert np.all(order[-1] > np.array([3.0, 2.0]) - MARGIN)

@@ -1,169 +1,100 @@
 # SPDX-License-Identifier: MIT
 """The pictures of the sphere demo: bodies in perspective, contact pressure as a map and a curve.
 
-They are drawn on one rank from the XDMF file, so they look the same on any number of ranks. Fields
-are constant per cell, as computed, and drawn on the deformed bodies at true scale.
+Fields are constant per cell, as computed, and drawn on the deformed bodies at true scale.
 """
 
 from __future__ import annotations
 
 import logging
-import os
-import shutil
-import subprocess
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import meshio
 import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
+import dolfinx_mortar as dm
+
 log = logging.getLogger(__name__)
 
-ZZ = 8  # place of the zz component among the nine of a tensor
 DPI = 150
-SIZE = (1200, 900)  # pixels of the pictures in perspective
 VIEW = (-1.0, -1.1, 0.75)  # from where the symmetry planes are seen
-COLOURS = "viridis"
 
 Pressure = tuple[np.ndarray, np.ndarray]  # positions (n, 2), pressures (n,)
 
 
-def draw(output: Path, xdmf: Path, step: dict[str, Any], pressure: Pressure) -> None:
-    """Draw all pictures of the last step into a folder; call on one rank.
+def draw(
+    output: Path,
+    problem: dm.ContactProblem,
+    bodies: dm.Tags,
+    step: dict[str, Any],
+    pressure: Pressure,
+) -> None:
+    """Draw all pictures of the last step into a folder; collective.
 
     Args:
         output: Existing folder for the PNG files.
-        xdmf: File written by `dolfinx_mortar.Writer`.
+        problem: The problem after its last step.
+        bodies: Its cell tags.
         step: The demo's numbers of the last step: load, force and Hertz' solution.
         pressure: Positions (n, 2) [mm] and contact pressures (n,) [MPa] of the slave nodes.
     """
-    _map(step, pressure).savefig(output / "pressure_map.png", dpi=DPI)
-    _curve(step, pressure).savefig(output / "pressure.png", dpi=DPI)
+    if problem.comm.rank == 0:
+        _map(step, pressure).savefig(output / "pressure_map.png", dpi=DPI)
+        _curve(step, pressure).savefig(output / "pressure.png", dpi=DPI)
     try:
-        import pyvista
-    except ImportError:
-        log.warning("pyvista is not installed: no pictures in perspective")
-        return
-    with _screen() as found:
-        if found:
-            _perspectives(pyvista, output, xdmf, step, pressure)
-        else:
-            log.warning("no screen and no Xvfb: no pictures in perspective")
-
-
-@contextmanager
-def _screen() -> Iterator[bool]:
-    """Provide an X server of our own if there is no screen; tell whether there is one."""
-    if os.environ.get("DISPLAY"):
-        yield True
-        return
-    if shutil.which("Xvfb") is None:
-        yield False
-        return
-    read, write = os.pipe()
-    server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1600x1200x24", "-nolisten", "tcp"],
-        pass_fds=[write],
-        stderr=subprocess.DEVNULL,
-    )
-    os.close(write)
-    with os.fdopen(read) as pipe:
-        number = pipe.readline().strip()
-    try:
-        if number:
-            os.environ["DISPLAY"] = f":{number}"
-        yield bool(number)
-    finally:
-        os.environ.pop("DISPLAY", None)
-        server.terminate()
-        server.wait()
+        _perspectives(output, problem, bodies, step, _near(pressure))
+    except (ImportError, RuntimeError) as error:
+        log.warning("no pictures in perspective: %s", error)
 
 
 def _perspectives(
-    pyvista: Any, output: Path, xdmf: Path, step: dict[str, Any], pressure: Pressure
+    output: Path, problem: dm.ContactProblem, bodies: dm.Tags, step: dict[str, Any], near: float
 ) -> None:
-    """Draw mesh and fields, whole and at the contact."""
-    grid = _read(pyvista, xdmf)
+    """Draw mesh and fields, whole and at the contact, so that both symmetry planes show."""
     load = f"d = {step['displacement']:.4g} mm, P = {step['force']:.0f} N"
-    near = _near(pressure)
+    plotter = dm.plotting.mesh(problem.solid.mesh, bodies, view=VIEW)
+    _photograph(plotter, output / "mesh.png", "Quarter model", None)
     pictures = {
-        "mesh": (None, f"Quarter model: {grid.n_cells} cells, {grid.n_points} nodes", None),
         "von_mises": ("von_mises", f"Von Mises stress [MPa], {load}", None),
         "von_mises_zoom": ("von_mises", f"Von Mises stress [MPa], {load}", near),
-        "stress_z_zoom": ("stress_z", f"Vertical stress [MPa], {load}", near),
-        "deformed": ("u_z", f"Vertical displacement [mm], {load}", None),
+        "stress_z_zoom": ("stress_zz", f"Vertical stress [MPa], {load}", near),
+        "deformed": ("displacement_z", f"Vertical displacement [mm], {load}", None),
     }
     if step["plastic_volume"] > 0.0:
-        pictures["plastic_strain_zoom"] = (
-            "plastic_strain_norm",
-            f"Plastic strain (Frobenius norm), {load}",
-            near,
-        )
+        title = f"Plastic strain (Frobenius norm), {load}"
+        pictures["plastic_strain_zoom"] = ("plastic_strain_norm", title, near)
     for name, (field, title, size) in pictures.items():
-        pixels = _photograph(pyvista, grid, field, size)
-        _framed(pixels, grid, field, title).savefig(output / f"{name}.png", dpi=DPI)
+        plotter = dm.plotting.field(problem, field, view=VIEW)
+        _photograph(plotter, output / f"{name}.png", title, size)
 
 
-def _photograph(pyvista: Any, grid: Any, field: str | None, size: float | None) -> np.ndarray:
-    """Return the pixels of the bodies, seen so that both symmetry planes show."""
-    plotter = pyvista.Plotter(off_screen=True, window_size=SIZE)
-    plotter.set_background("white")
-    style = {"show_edges": True, "line_width": 1, "edge_color": "#404040", "edge_opacity": 0.4}
-    if field is None:
-        plotter.add_mesh(grid, scalars="body", cmap=["#b9cfe4", "#e4c9a8"], **style)
-    else:
-        plotter.add_mesh(grid, scalars=field, cmap=COLOURS, lighting=False, **style)
-    plotter.remove_scalar_bar()
-    plotter.add_axes(color="black")
+def _photograph(plotter: Any, file: Path, title: str, size: float | None) -> None:
+    """Write a picture, or what is near the contact; only rank 0 has a plotter."""
+    if plotter is None:
+        return
     plotter.enable_parallel_projection()
-    plotter.view_vector(VIEW, viewup=(0, 0, 1))
     if size is not None:
         plotter.camera.focal_point = (0.0, 0.0, 0.0)
         plotter.camera.position = tuple(100.0 * c for c in VIEW)
         plotter.camera.parallel_scale = size
-    pixels = plotter.screenshot(return_img=True)
-    plotter.close()
-    return np.asarray(pixels)
-
-
-def _framed(pixels: np.ndarray, grid: Any, field: str | None, title: str) -> Figure:
-    """Put a picture below its title and beside its colour bar."""
+    # a title and a scale beside the bodies can be read whatever is behind them
+    scale = None
+    if plotter.scalar_bars:
+        scale = Normalize(*plotter.scalar_bar.GetLookupTable().GetRange())
+        plotter.remove_scalar_bar()
     figure = Figure(figsize=(8.0, 5.8), layout="constrained")
     axes = figure.subplots()
-    axes.imshow(pixels)
+    axes.imshow(plotter.screenshot(return_img=True))
+    plotter.close()
     axes.set_axis_off()
     axes.set_title(title)
-    if field is not None:
-        values = grid[field]
-        norm = Normalize(float(values.min()), float(values.max()))
-        figure.colorbar(ScalarMappable(norm, COLOURS), ax=axes, shrink=0.8)
-    return figure
-
-
-def _read(pyvista: Any, xdmf: Path) -> Any:
-    """Return the last step that the file holds, on the deformed bodies."""
-    with meshio.xdmf.TimeSeriesReader(xdmf) as reader:
-        points, (block,) = reader.read_points_cells()
-        _, node, cell = reader.read_data(reader.num_steps - 1)
-    kinds = {"hexahedron": pyvista.CellType.HEXAHEDRON, "tetra": pyvista.CellType.TETRA}
-    grid = pyvista.UnstructuredGrid(
-        {kinds[block.type]: np.asarray(block.data)}, points + node["displacement"]
-    )
-    # the bodies are told apart before they are deformed
-    middle = points[block.data][:, :, 2].mean(axis=1)
-    grid.cell_data["body"] = (middle > 0.0).astype(float)
-    grid.cell_data["stress_z"] = cell["stress"][0][:, ZZ]
-    for name in ("von_mises", "plastic_strain_norm"):
-        if name in cell:
-            grid.cell_data[name] = cell[name][0]
-    grid.point_data["u_z"] = node["displacement"][:, 2]
-    return grid
+    if scale is not None:
+        figure.colorbar(ScalarMappable(scale), ax=axes, shrink=0.8)
+    figure.savefig(file, dpi=DPI)
 
 
 def _near(pressure: Pressure) -> float:
@@ -192,7 +123,7 @@ def _map(step: dict[str, Any], pressure: Pressure) -> Figure:
         xlim=(0.0, limit),
         ylim=(0.0, limit),
     )
-    axes.legend(loc="upper right", fontsize="small", facecolor="#808080")
+    axes.legend(loc="upper right", fontsize="small", facecolor="#303030", labelcolor="white")
     figure.colorbar(drawn, ax=axes, label="pressure [MPa]")
     return figure
 

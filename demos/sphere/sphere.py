@@ -27,7 +27,6 @@ import numpy as np
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx.mesh import MeshTags
 
 RADIUS = 8.0  # mm
 NOTHING = 1e-300  # N, where Hertz' formulas want a force and there is none
@@ -39,6 +38,7 @@ parser.add_argument("--displacement", type=float, default=0.2, help="of the flat
 parser.add_argument("--steps", type=int, default=1, help="number of equal load steps")
 parser.add_argument("--material", choices=["plastic", "elastic"], default="plastic")
 parser.add_argument("--cell", choices=["tetrahedron", "hexahedron"], default="hexahedron")
+parser.add_argument("--degree", type=int, choices=[1, 2], default=1, help="of the displacement")
 parser.add_argument("--slave", choices=["block", "ball"], default="block")
 parser.add_argument("--h", type=float, default=0.125, help="element size at the contact, in mm")
 parser.add_argument("--geometry", choices=["reference", "updated"], default="updated")
@@ -55,8 +55,8 @@ def main(options: argparse.Namespace) -> None:
     # ## Mesh
     #
     # A quarter of both bodies, in one mesh with two disconnected parts, graded towards the contact.
-    # Cell tags: 1 block, 2 ball. Facet tags: 1 bottom, 2 flat face, 3 top of the block, 4 round
-    # surface of the ball, 5 and 6 the symmetry planes $x = 0$ and $y = 0$.
+    # The bodies are called block and ball, their sides bottom and top (of the block), flat and
+    # sphere (of the ball), symmetry_x and symmetry_y (the planes $x = 0$ and $y = 0$).
 
     mesh, cell_tags, facet_tags = dm.meshing.sphere(
         comm, cell=options.cell, h=options.h, radius=RADIUS
@@ -69,9 +69,9 @@ def main(options: argparse.Namespace) -> None:
     steel = dm.VonMises(E=206_900.0, nu=0.29, Y=450.0 * np.sqrt(2.0 / 3.0), a=10_000.0)
     if options.material == "elastic":
         steel = dm.Elastic(E=steel.E, nu=steel.nu)
-    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    V = fem.functionspace(mesh, ("Lagrange", options.degree, (3,)))
     u = fem.Function(V, name="displacement")
-    solid = dm.Solid(u, {1: steel, 2: steel}, cell_tags)
+    solid = dm.Solid(u, {"block": steel, "ball": steel}, cell_tags)
 
     # ## Supports and contact
     #
@@ -80,7 +80,7 @@ def main(options: argparse.Namespace) -> None:
 
     push = fem.Constant(mesh, 0.0)
     bcs = supports(V, facet_tags, push)
-    slave, master = (3, 4) if options.slave == "block" else (4, 3)
+    slave, master = ("top", "sphere") if options.slave == "block" else ("sphere", "top")
     contact = dm.Contact(facet_tags, slave=slave, master=master, surface=options.surface)
     problem = dm.ContactProblem(
         solid, [contact], bcs=bcs, geometry=options.geometry, petsc_options_prefix="sphere_"
@@ -95,10 +95,9 @@ def main(options: argparse.Namespace) -> None:
     # another solver, say `petsc_options={"pc_type": "cholesky"}`.
 
     options.output.mkdir(parents=True, exist_ok=True)
-    results = options.output / "sphere.xdmf"
     levels = np.linspace(0.0, options.displacement, options.steps + 1)[1:]
     steps = []
-    with dm.Writer(results, problem, notes={"units": "mm, MPa"}) as writer:
+    with dm.Writer(options.output / "sphere.xdmf", problem, notes={"units": "mm, MPa"}) as writer:
         for step in dm.load_steps(problem, levels, on_time=press, qp=options.qp, rtol=options.rtol):
             writer.write(step.time)
             nodes = contact.gather(u)
@@ -111,9 +110,9 @@ def main(options: argparse.Namespace) -> None:
     #
     # The bodies in perspective, the contact pressure as a map and along the radius.
 
+    figures.draw(options.output, problem, cell_tags, steps[-1], (x, nodes["pressure"]))
     if comm.rank == 0:
         print(step.report)
-        figures.draw(options.output, results, steps[-1], (x, nodes["pressure"]))
         line = "{force:.1f} N, peak pressure {peak_pressure:.0f} MPa, results in"
         print(line.format(**steps[-1]), options.output)
 
@@ -125,16 +124,17 @@ def main(options: argparse.Namespace) -> None:
 
 
 def supports(
-    V: fem.FunctionSpace, facet_tags: MeshTags, push: fem.Constant
+    V: fem.FunctionSpace, facet_tags: dm.Tags, push: fem.Constant
 ) -> list[fem.DirichletBC]:
     """Clamp the bottom, push the flat face, hold the symmetry planes."""
     zero = fem.Constant(V.mesh, 0.0)
-    prescribed = [(1, 0, zero), (1, 1, zero), (1, 2, zero), (2, 0, zero), (2, 1, zero)]
-    prescribed += [(2, 2, push), (5, 0, zero), (6, 1, zero)]
+    prescribed = [("bottom", 0, zero), ("bottom", 1, zero), ("bottom", 2, zero)]
+    prescribed += [("flat", 0, zero), ("flat", 1, zero), ("flat", 2, push)]
+    prescribed += [("symmetry_x", 0, zero), ("symmetry_y", 1, zero)]
     bcs = []
-    for tag, component, value in prescribed:
+    for side, component, value in prescribed:
         W = V.sub(component)
-        dofs = fem.locate_dofs_topological(W, 2, facet_tags.find(tag))
+        dofs = fem.locate_dofs_topological(W, 2, facet_tags.find(side))
         bcs.append(fem.dirichletbc(value, dofs, W))
     return bcs
 

@@ -28,7 +28,9 @@ import numpy.typing as npt
 import basix
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.geometry import polygons
+from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
+from dolfinx_mortar.geometry.parts import PartPoints, on_facets, pairs_of_parts, parts_of
 from dolfinx_mortar.geometry.plane import (
     create_planes,
     height_at,
@@ -292,9 +294,12 @@ def _turn(P, bilinear, corners):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners):  # type: ignore[no-untyped-def]
-    """Return the number (t,) of the quadrature rule of each triangle."""
-    rule = np.zeros(len(which), dtype=np.int64)
+def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners, least):  # type: ignore[no-untyped-def]
+    """Return the number (t,) of the quadrature rule of each triangle.
+
+    `least` is the degree of the product of two functions.
+    """
+    rule = np.full(len(which), least // 2 - 1)
     if not (bilinear[0] or bilinear[1]):
         return rule
     S, M = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3))
@@ -306,13 +311,13 @@ def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners):  # t
         variation += _variation(M, bilinear[1], corners[t])
         # the weight holds sqrt(1 + slope^2)
         variation = max(variation, _turn(S, bilinear[0], corners[t]) ** 2 / 2)
-        degree = 4.0
+        degree = float(least)
         if variation > 0.0:
             # the singularities of the inverse maps lie 1 / variation triangles away
             degree = _HIGHEST
             if variation < 2.0:
-                degree = min(2 + np.log(_ACCURACY) / np.log(variation / 2), degree)
-        rule[t] = min(max(np.ceil(degree / 2), 2.0), _HIGHEST // 2) - 1
+                degree = min(least - 2 + np.log(_ACCURACY) / np.log(variation / 2), degree)
+        rule[t] = min(max(np.ceil(degree / 2), least / 2), _HIGHEST // 2) - 1
     return rule
 
 
@@ -363,9 +368,26 @@ def place_points(
     Returns:
         Index into the pairs (q,), xi_s (q, 2), xi_m (q, 2) and weight (q,) of the points.
     """
-    centre, axes, radius = create_planes(slave)
-    sides = slave.linear, master.linear, (slave.element.bilinear, master.element.bilinear), pairs
+    parts_s, parts_m = parts_of(slave), parts_of(master)
+    of_parts, of = pairs_of_parts(pairs, slave.element, master.element)
+    centre, axes, radius = create_planes(parts_s)
+    bilinear = parts_s.element.bilinear, parts_m.element.bilinear
+    sides = parts_s.x, parts_m.x, bilinear, of_parts
     which, corners = _triangulate(*sides, centre, axes)
-    rule = _choose_rules(*sides, centre, axes, which, corners)
+    least = _least_degree(slave.element, master.element)
+    rule = _choose_rules(*sides, centre, axes, which, corners, least)
     pair, xi_s, xi_m, weight = _place(*sides, centre, axes, radius, which, corners, rule, *_rules())
-    return pair, xi_s, xi_m, weight
+    if slave.element.part is None and master.element.part is None:
+        return pair, xi_s, xi_m, weight
+    part_s, part_m = of_parts[pair].T
+    return of[pair], *on_facets(slave, master, PartPoints(part_s, part_m, xi_s, xi_m, weight))
+
+
+def _least_degree(slave: FacetElement, master: FacetElement) -> int:
+    """Return the degree on a triangle of the product of two functions, where maps are affine.
+
+    That is 2 and 4 for first-order triangles and quadrilaterals. For those of second order it is 4
+    and 8; 6 in place of 4, since maps and weights of curved triangles are no polynomials.
+    """
+    degree = max(slave.degree, master.degree)
+    return 4 * degree - 2 + 2 * int(slave.bilinear or master.bilinear)

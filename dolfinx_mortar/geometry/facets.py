@@ -23,21 +23,6 @@ class Facets:
         """Return some of the facets."""
         return Facets(self.element, self.x[which])
 
-    @property
-    def linear(self) -> Floats:
-        """Coordinates (m, k', d) of the linear facets that clipping sees, one for each facet.
-
-        Clipping takes their numbers for those of the facets. Elements with several need the number
-        of the parent carried along, so they are refused here.
-        """
-        parts = self.element.sub_facets
-        if len(parts) > 1:
-            raise NotImplementedError(
-                f"facets of {self.element.nodes} nodes on a {self.element.cell} consist of "
-                f"{len(parts)} linear ones; clipping numbers facets with one only"
-            )
-        return np.ascontiguousarray(self.x[:, parts[0]])
-
 
 def area_vectors(facets: Facets) -> Floats:
     """Return the integral (m, d) of the outward unit normal over facets.
@@ -72,6 +57,19 @@ def facet_normals(facets: Facets) -> Floats:
     return n / np.maximum(np.linalg.norm(n, axis=1), TINY)[:, None]
 
 
+def normals_at_nodes(facets: Facets) -> Floats:
+    """Return the outward unit normals (m, k, d) that facets have at their nodes.
+
+    First-order facets have their mean normal everywhere, warped ones too.
+    """
+    element, m = facets.element, len(facets.x)
+    if element.degree == 1:
+        return np.repeat(facet_normals(facets)[:, None], element.nodes, axis=1)
+    which = np.repeat(np.arange(m, dtype=np.int32), element.nodes)
+    _, n = surface_gradients(facets, which, np.tile(element.points, (m, 1)))
+    return n.reshape(facets.x.shape)
+
+
 def points_of(facets: Facets, which: Ints, xi: Floats) -> Floats:
     """Return points x = sum_l N_l x_l (q, d) of facets `which` (q,) at xi (q, d-1)."""
     N = facets.element.shape_functions(xi)
@@ -100,11 +98,10 @@ def surface_gradients(facets: Facets, which: Ints, xi: Floats) -> tuple[Floats, 
     """
     dN, x = facets.element.derivatives(xi), facets.x[which]
     a = np.swapaxes(dN, 1, 2) @ x
+    normal = _normals(a)
     if x.shape[2] == 2:
-        t = a[:, 0]
-        normal, dual = np.stack([t[:, 1], -t[:, 0]], axis=1), a
+        dual = a
     else:
-        normal = np.asarray(np.cross(a[:, 0], a[:, 1]), dtype=np.float64)
         turned = np.stack([a[:, 1], -a[:, 0]], axis=1)
         dual = np.asarray(np.cross(turned, normal[:, None]), dtype=np.float64)
     size = np.maximum((normal**2).sum(axis=1), TINY)
@@ -112,8 +109,19 @@ def surface_gradients(facets: Facets, which: Ints, xi: Floats) -> tuple[Floats, 
     return np.asarray(gradients), np.asarray(normal / np.sqrt(size)[:, None])
 
 
+def _normals(a: Floats) -> Floats:
+    """Return normals (.., d) to tangents a (.., d-1, d), as long as their length or area."""
+    if a.shape[-1] == 2:
+        return np.stack([a[..., 0, 1], -a[..., 0, 0]], axis=-1)
+    return np.asarray(np.cross(a[..., 0, :], a[..., 1, :]), dtype=np.float64)
+
+
 def bounding_balls(x: Floats) -> tuple[Floats, Floats]:
-    """Return centre (m, d) and radius (m,) of balls around facets x (m, k, d)."""
+    """Return centre (m, d) and radius (m,) of balls around the nodes x (m, k, d) of facets.
+
+    They hold the facets: second-order ones leave the hull of their nodes, but not the ball, unless
+    they are so bent or uneven that the audit refuses them.
+    """
     centre = x.mean(axis=1)
     return centre, np.sqrt(((x - centre[:, None]) ** 2).sum(axis=2).max(axis=1, initial=0.0))
 
@@ -123,22 +131,21 @@ def facet_sizes(x: Floats) -> Floats:
     return 2 * bounding_balls(x)[1]
 
 
-def _jacobians(facets: Facets, xi: Floats) -> Floats:
-    """Return (m, q) the area of facets at xi (q, d-1) per part of the reference facet."""
-    if not facets.element.bilinear:
-        area = np.linalg.norm(area_vectors(facets), axis=1)
-        return np.repeat(area[:, None], len(xi), axis=1)
-    # of the bilinear map centre + r a + s b + r s c
-    a, b, c = (np.einsum("k,mki->mi", np.array(v) / 4, facets.x) for v in _BILINEAR)
-    normal = np.cross(a[:, None] + xi[:, 1:] * c[:, None], b[:, None] + xi[:, :1] * c[:, None])
-    return 4 * np.linalg.norm(normal, axis=2)
+def scaled_normals(facets: Facets, xi: Floats) -> Floats:
+    """Return normals (m, q, d) of facets at xi (q, d-1), as long as the facet is there.
+
+    That is the length or area per part of the reference facet.
+    """
+    dN = facets.element.derivatives(xi)
+    return facets.element.size * _normals(np.einsum("qka,mki->mqai", dN, facets.x))
 
 
-_BILINEAR = ([-1, 1, 1, -1], [-1, -1, 1, 1], [1, -1, 1, -1])
+def tributary_weights(facets: Facets, factor: Floats | None = None) -> Floats:
+    """Return the integrals (m, k) of N_j, or of a factor times N_j, over whole facets.
 
-
-def tributary_weights(facets: Facets) -> Floats:
-    """Return the integrals (m, k) of N_j over whole facets.
+    Args:
+        facets: Facets (m,).
+        factor: Its values (m, q) at the points of the element's rule.
 
     Example:
         >>> from dolfinx_mortar.geometry.elements import LINE2
@@ -147,14 +154,17 @@ def tributary_weights(facets: Facets) -> Floats:
     """
     points, weights = facets.element.rule
     N = facets.element.shape_functions(points)
-    return np.asarray(_jacobians(facets, points) * weights @ N)
+    jacobians = np.linalg.norm(scaled_normals(facets, points), axis=2)
+    weights = jacobians * weights
+    return np.asarray((weights if factor is None else weights * factor) @ N)
 
 
 def distortions(facets: Facets) -> Floats:
-    """Return the quality (m,) of the worst corner of facets: 1 is perfect, 0 or less is useless.
+    """Return the quality (m,) of the worst node of facets: 1 is perfect, 0 or less is useless.
 
-    It is the cosine between the normal at a corner of a quadrilateral and the mean normal; negative
-    where the facet is folded or inverted there. Degenerate facets have 0.
+    It is the cosine between the normal there and the mean normal; on second-order facets, or that
+    part of their mean length or area that they have there, whichever is less, so that nodes off the
+    middle count. It is negative where the facet is folded or inverted. Degenerate facets have 0.
 
     Example:
         >>> from dolfinx_mortar.geometry.elements import QUAD4
@@ -162,14 +172,19 @@ def distortions(facets: Facets) -> Floats:
         >>> distortions(Facets(QUAD4, x))
         array([0.])
     """
-    x = facets.x[:, facets.element.vertices]
+    element = facets.element
+    x = facets.x[:, element.vertices]
     size = np.maximum(bounding_balls(x)[1], TINY)
     # the normal of a narrow facet has as few digits as its height
-    large = np.linalg.norm(area_vectors(facets), axis=1) > HALF_OF_DIGITS * size ** (x.shape[2] - 1)
-    if not facets.element.bilinear:
+    area = np.linalg.norm(area_vectors(facets), axis=1)
+    least = HALF_OF_DIGITS * size ** (x.shape[2] - 1)
+    large = area > least
+    if not element.bilinear and element.degree == 1:
         return large.astype(float)
-    ahead, behind = np.roll(x, -1, axis=1) - x, np.roll(x, 1, axis=1) - x
-    corner = np.cross(ahead, behind)
-    length = np.maximum(np.linalg.norm(corner, axis=2), HALF_OF_DIGITS * size[:, None] ** 2)
-    cosine = np.einsum("mki,mi->mk", corner, facet_normals(facets)) / length
-    return np.where(large, cosine.min(axis=1, initial=1.0), 0.0)
+    normal = scaled_normals(facets, element.points)
+    length = np.maximum(np.linalg.norm(normal, axis=2), least[:, None])
+    along = np.einsum("mki,mi->mk", normal, facet_normals(facets))
+    quality = along / length
+    if element.degree > 1:
+        quality = np.minimum(quality, along / np.maximum(area, TINY)[:, None])
+    return np.where(large, quality.min(axis=1, initial=1.0), 0.0)

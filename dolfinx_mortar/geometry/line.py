@@ -1,9 +1,15 @@
 # SPDX-License-Identifier: MIT
-r"""Segments in 2D: intervals of straight slave facets.
+r"""Segments in 2D: intervals of slave facets, straight or curved.
 
-A slave facet is x_s(xi) = N_1(xi) x_1 + N_2(xi) x_2 with xi in [-1, 1], and it is projected
-along the interpolated averaged nodal normals n(xi) = N_1 n_1 + N_2 n_2 (not normalised). The
-point of the master line that belongs to xi solves (x_s(xi) - x_m) x n(xi) = 0.
+A slave facet is x_s(xi) = sum_i N_i(xi) x_i with xi in [-1, 1], and it is projected along the
+interpolated averaged nodal normals n(xi) = sum_i N_i n_i (not normalised). The point x_m(eta) of
+the master facet that belongs to xi solves (x_s(xi) - x_m(eta)) x n(xi) = 0.
+
+Second-order facets are taken as they are, not as two chords: the ends of a segment are where the
+normals of the curved slave facet meet the ends of the curved master facet, so that no function has
+a kink inside a segment. With chords, ends and normals are off by a share of the sagitta, and the
+master's function is continued beyond its ends. The kernels see the polynomials a + b xi + c xi^2,
+in which straight facets have c = 0.
 """
 
 from typing import Any
@@ -13,59 +19,96 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_mortar.arrays import Floats, Ints
-from dolfinx_mortar.geometry.facets import Facets, facet_normals
-from dolfinx_mortar.geometry.tolerances import ROUND_OFF
+from dolfinx_mortar.geometry.elements import FacetElement
+from dolfinx_mortar.geometry.facets import Facets
+from dolfinx_mortar.geometry.tolerances import EPS, ROUND_OFF
 
-_POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(3)
-
-
-@numba.njit(cache=True)
-def _moment(x, i, y, n):  # type: ignore[no-untyped-def]
-    """Return (x_i - y) x n_i."""
-    return (x[i, 0] - y[0]) * n[i, 1] - (x[i, 1] - y[1]) * n[i, 0]
+_STEPS = 64
+"""Most steps of the search for a root: halving alone would need 53."""
 
 
 @numba.njit(cache=True)
-def _project_node(x, n, y):  # type: ignore[no-untyped-def]
+def _at(v, xi, i):  # type: ignore[no-untyped-def]
+    """Return component i of the polynomial v (3, 2) at xi."""
+    return v[0, i] + xi * (v[1, i] + xi * v[2, i])
+
+
+@numba.njit(cache=True)
+def _moment(x, n, y0, y1, xi):  # type: ignore[no-untyped-def]
+    """Return (x(xi) - y) x n(xi) and its derivative."""
+    p0, p1 = _at(x, xi, 0) - y0, _at(x, xi, 1) - y1
+    n0, n1 = _at(n, xi, 0), _at(n, xi, 1)
+    dx0, dx1 = x[1, 0] + 2 * xi * x[2, 0], x[1, 1] + 2 * xi * x[2, 1]
+    dn0, dn1 = n[1, 0] + 2 * xi * n[2, 0], n[1, 1] + 2 * xi * n[2, 1]
+    return p0 * n1 - p1 * n0, dx0 * n1 - dx1 * n0 + p0 * dn1 - p1 * dn0
+
+
+@numba.njit(cache=True)
+def _project_node(x, n, y0, y1):  # type: ignore[no-untyped-def]
     """Return xi in [-1, 1] of the slave facet whose normal meets y; beyond an end, that end.
 
     f(xi) = (x(xi) - y) x n(xi) falls along the facet as long as y is nearer than the point where
-    the normals of a concave facet meet; there is no answer (nan) behind that point.
+    the normals of a concave facet meet; there is no answer (nan) behind that point. Newton's steps
+    find the root, and halving where they leave the interval in which it is known to lie.
     """
-    first, last = _moment(x, 0, y, n), _moment(x, 1, y, n)
+    first, last = _moment(x, n, y0, y1, -1.0)[0], _moment(x, n, y0, y1, 1.0)[0]
     if first <= 0.0 or last >= 0.0:
         if first <= 0.0 and last >= 0.0:
             return np.nan
         return -1.0 if first <= 0.0 else 1.0
-    h0, h1 = (x[1, 0] - x[0, 0]) / 2, (x[1, 1] - x[0, 1]) / 2
-    d0, d1 = (n[1, 0] - n[0, 0]) / 2, (n[1, 1] - n[0, 1]) / 2
-    # f = A + B xi + C xi^2 with f(-1) > 0 > f(1); the root in the form that does not cancel
-    C = h0 * d1 - h1 * d0
-    A, B = (first + last) / 2 - C, (last - first) / 2
-    return min(max(2 * A / (np.sqrt(max(B * B - 4 * A * C, 0.0)) - B), -1.0), 1.0)
+    low, high = -1.0, 1.0
+    xi = (first + last) / (first - last)  # of the chord of f
+    for _ in range(_STEPS):
+        f, slope = _moment(x, n, y0, y1, xi)
+        if f > 0.0:
+            low = xi
+        else:
+            high = xi
+        new = xi - f / slope if slope < 0.0 else np.inf
+        if not low <= new <= high:
+            new = (low + high) / 2
+        if abs(new - xi) <= 2 * EPS:
+            return new
+        xi = new
+    return xi
 
 
 @numba.njit(cache=True)
-def _distance(x, n, y, normal, xi):  # type: ignore[no-untyped-def]
-    """Return the distance along n(xi) from the slave facet to the master line through y[0]."""
-    height, slope, square = 0.0, 0.0, 0.0
+def _meet(y, p0, p1, n0, n1):  # type: ignore[no-untyped-def]
+    """Return eta where the master y (3, 2) meets the line through p along n.
+
+    Of the two roots of a curved facet that one which the facet without curvature has.
+    """
+    C = (y[0, 0] - p0) * n1 - (y[0, 1] - p1) * n0
+    B = y[1, 0] * n1 - y[1, 1] * n0
+    A = y[2, 0] * n1 - y[2, 1] * n0
+    root = np.sqrt(max(B * B - 4 * A * C, 0.0))  # the form that does not cancel
+    return -2 * C / (B + root) if B > 0.0 else -2 * C / (B - root)
+
+
+@numba.njit(cache=True)
+def _opposite(x, n, y, xi):  # type: ignore[no-untyped-def]
+    """Return eta on the master facet y that the normal of the slave facet meets at xi."""
+    return _meet(y, _at(x, xi, 0), _at(x, xi, 1), _at(n, xi, 0), _at(n, xi, 1))
+
+
+@numba.njit(cache=True)
+def _distance(x, n, y, xi):  # type: ignore[no-untyped-def]
+    """Return the distance along n(xi) from the slave facet to the master facet y."""
+    eta = _opposite(x, n, y, xi)
+    square = 0.0
     for i in range(2):
-        p = (1 - xi) / 2 * (x[0, i] - y[0, i]) + (1 + xi) / 2 * (x[1, i] - y[0, i])
-        m = (1 - xi) / 2 * n[0, i] + (1 + xi) / 2 * n[1, i]
-        height += p * normal[i]
-        slope += m * normal[i]
-        square += m * m
-    return abs(height / slope) * np.sqrt(square)
+        square += (_at(x, xi, i) - _at(y, eta, i)) ** 2
+    return np.sqrt(square)
 
 
 @numba.njit(cache=True)
-def _nearest(x, n, x_m, n_m, master, low, high, a, b):  # type: ignore[no-untyped-def]
+def _nearest(x, n, x_m, master, low, high, a, b):  # type: ignore[no-untyped-def]
     """Return the candidate that covers [a, b] at the smallest distance, -1 if there is none."""
     best, least = -1, np.inf
     for c in range(len(master)):
         if low[c] <= a and high[c] >= b:
-            m = master[c]
-            distance = _distance(x, n, x_m[m], n_m[m], (a + b) / 2)
+            distance = _distance(x, n, x_m[master[c]], (a + b) / 2)
             if distance < least:
                 best, least = c, distance
     return best
@@ -81,7 +124,7 @@ def _insert(cuts, count, value):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _clip(x_s, n_s, x_m, n_m, pairs):  # type: ignore[no-untyped-def]
+def _clip(x_s, n_s, x_m, ends_m, pairs):  # type: ignore[no-untyped-def]
     """Return the pair and the ends in xi of all segments; no part of a slave facet occurs twice."""
     p = len(pairs)
     which, ends = np.empty(2 * p, dtype=np.int32), np.empty((2 * p, 2))
@@ -93,9 +136,10 @@ def _clip(x_s, n_s, x_m, n_m, pairs):  # type: ignore[no-untyped-def]
         s = pairs[r, 0]
         c = 0
         while r < p and pairs[r, 0] == s:
-            y = x_m[pairs[r, 1]]
+            y = ends_m[pairs[r, 1]]
             # the two sides run against each other
-            a, b = _project_node(x_s[s], n_s[s], y[1]), _project_node(x_s[s], n_s[s], y[0])
+            a = _project_node(x_s[s], n_s[s], y[1, 0], y[1, 1])
+            b = _project_node(x_s[s], n_s[s], y[0, 0], y[0, 1])
             if b - a > 8 * ROUND_OFF:
                 low[c], high[c], index[c], master[c] = a, b, r, pairs[r, 1]
                 _insert(cuts, 2 * c, a)
@@ -107,7 +151,7 @@ def _clip(x_s, n_s, x_m, n_m, pairs):  # type: ignore[no-untyped-def]
             a, b = cuts[i], cuts[i + 1]
             if b - a <= 8 * ROUND_OFF:
                 continue
-            best = _nearest(x_s[s], n_s[s], x_m, n_m, master[:c], low, high, a, b)
+            best = _nearest(x_s[s], n_s[s], x_m, master[:c], low, high, a, b)
             if best < 0:
                 continue
             if q > start and which[q - 1] == index[best] and ends[q - 1, 1] == a:
@@ -118,42 +162,60 @@ def _clip(x_s, n_s, x_m, n_m, pairs):  # type: ignore[no-untyped-def]
     return which[:q], ends[:q]
 
 
-def _opposite(x_s: Floats, n_s: Floats, x_m: Floats, xi: Floats) -> Floats:
-    """Return xi_m (s, q) on the master lines x_m (s, 2, 2) met by the normals at xi (s, q)."""
+@numba.njit(cache=True)
+def _place(x_s, n_s, x_m, pairs, which, ends, points, weights):  # type: ignore[no-untyped-def]
+    """Return xi_s, xi_m and weight of all quadrature points, those of a segment together."""
+    k = len(points)
+    xi_s, xi_m = np.empty(len(which) * k), np.empty(len(which) * k)
+    weight = np.empty(len(which) * k)
+    for i in range(len(which)):
+        s, m = pairs[which[i]]
+        half = (ends[i, 1] - ends[i, 0]) / 2
+        for j in range(k):
+            q = i * k + j
+            xi = (ends[i, 0] + ends[i, 1]) / 2 + half * points[j]
+            dx0 = x_s[s, 1, 0] + 2 * xi * x_s[s, 2, 0]
+            dx1 = x_s[s, 1, 1] + 2 * xi * x_s[s, 2, 1]
+            xi_s[q], xi_m[q] = xi, _opposite(x_s[s], n_s[s], x_m[m], xi)
+            weight[q] = half * weights[j] * np.sqrt(dx0 * dx0 + dx1 * dx1)
+    return xi_s, xi_m, weight
 
-    def at(v: Floats, xi: Floats) -> Floats:
-        return (1 - xi[..., None]) / 2 * v[:, None, 0] + (1 + xi[..., None]) / 2 * v[:, None, 1]
 
-    n = at(n_s, xi)
-    p = at(x_s - x_m.mean(axis=1, keepdims=True), xi)
-    h = (x_m[:, 1] - x_m[:, 0])[:, None] / 2
-    numerator = p[..., 0] * n[..., 1] - p[..., 1] * n[..., 0]
-    return numerator / (h[..., 0] * n[..., 1] - h[..., 1] * n[..., 0])
+def _polynomials(element: FacetElement, v: Floats) -> Floats:
+    """Return the coefficients (m, 3, 2) of 1, xi and xi^2 of fields with nodal values v (m, k, 2).
+
+    >>> from dolfinx_mortar.geometry.elements import LINE3
+    >>> _polynomials(LINE3, np.array([[[0.0, 1.0], [2.0, 1.0], [1.0, 3.0]]])).tolist()
+    [[[1.0, 3.0], [1.0, 0.0], [0.0, -2.0]]]
+    """
+    N = element.shape_functions(np.array([[-1.0], [0.0], [1.0]]))
+    a, b, c = np.moveaxis(N @ v, 1, 0)
+    bend = (a + c) / 2 - b if element.degree > 1 else np.zeros_like(b)
+    return np.ascontiguousarray(np.stack([b, (c - a) / 2, bend], axis=1))
 
 
 def place_points(
     slave: Facets, n_s: Floats, master: Facets, pairs: Ints
 ) -> tuple[npt.NDArray[Any], Floats, Floats, Floats]:
-    """Project, clip and place three Gauss points on every segment.
+    """Project, clip and place Gauss points on every segment: three, on facets of degree two five.
 
-    On flat facets the points integrate Phi_j N_l of both sides exactly.
+    On straight parallel facets they integrate Phi_j N_l of both sides exactly. On others the map
+    between them is no polynomial, nor is the length of a curved one.
 
     Args:
         slave: Slave facets (ms,).
-        n_s: Averaged normals (ms, 2, 2) at their nodes.
+        n_s: Averaged normals (ms, k, 2) at their nodes.
         master: Master facets (mm,).
         pairs: Pairs (p, 2) that face each other, ordered by slave facet.
 
     Returns:
         Index into the pairs (q,), xi_s (q, 1), xi_m (q, 1) and weight (q,) of the points.
     """
-    x_s, x_m = slave.linear, master.linear
-    which, ends = _clip(x_s, n_s, x_m, facet_normals(master), pairs)
-    s, m = pairs[which].T
-    half = (ends[:, 1] - ends[:, 0]) / 2
-    xi = (ends[:, 0] + ends[:, 1])[:, None] / 2 + half[:, None] * _POINTS
-    length = np.linalg.norm(x_s[:, 1] - x_s[:, 0], axis=1)
-    weight = (half * length[s] / 2)[:, None] * _WEIGHTS
-    xi_m = _opposite(x_s[s], n_s[s], x_m[m], xi)
-    which = np.repeat(which, len(_POINTS))
-    return which, xi.reshape(-1, 1), xi_m.reshape(-1, 1), weight.ravel()
+    x_s, n = (_polynomials(slave.element, v) for v in (slave.x, n_s))
+    x_m = _polynomials(master.element, master.x)
+    corners = np.ascontiguousarray(master.x[:, master.element.vertices])
+    which, ends = _clip(x_s, n, x_m, corners, pairs)
+    degree = max(slave.element.degree, master.element.degree)
+    points, weights = np.polynomial.legendre.leggauss(2 * degree + 1)
+    xi_s, xi_m, weight = _place(x_s, n, x_m, pairs, which, ends, points, weights)
+    return np.repeat(which, len(points)), xi_s[:, None], xi_m[:, None], weight

@@ -7,6 +7,7 @@ import numpy as np
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry import polygons
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls, facet_normals
+from dolfinx_mortar.geometry.parts import count, pairs_of_parts, parts_of
 from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
 
 
@@ -150,6 +151,8 @@ def are_near(slave: Facets, master: Facets, pairs: Ints, margin: Floats) -> Bool
         pairs: Pairs (p, 2), ordered by slave facet.
         margin: Lateral margin (ms,).
     """
-    planes = create_planes(slave)
-    near: Bools = _are_near(slave.linear, master.linear, pairs, *planes, margin)
-    return near
+    a, b = parts_of(slave), parts_of(master)
+    of_parts, of = pairs_of_parts(pairs, slave.element, master.element)
+    margins = np.repeat(margin, count(slave.element))
+    near = _are_near(a.x, b.x, of_parts, *create_planes(a), margins)
+    return np.asarray(np.bincount(of, near, minlength=len(pairs)) > 0)

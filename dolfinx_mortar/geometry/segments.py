@@ -21,7 +21,9 @@ from dolfinx_mortar.geometry.facets import (
     facet_sizes,
     tributary_weights,
 )
+from dolfinx_mortar.geometry.parts import count, parts_of
 from dolfinx_mortar.geometry.search import create_cones, find_meeting
+from dolfinx_mortar.geometry.tolerances import TINY
 
 FACING = 0.2
 """A master facet faces a slave facet if n_s . n_m < -FACING for all n_s of the slave facet.
@@ -49,6 +51,11 @@ class Segments:
     weight: Floats  # (q,) quadrature weight times Jacobian, positive
     facet_weights: Floats  # (ms, k) integral of N_j over each whole slave facet, covered or not
 
+    @property
+    def covered(self) -> Ints:
+        """Slave facets (c,), ascending, of which some part is covered."""
+        return self.slave[np.diff(self.slave, prepend=-1) > 0]
+
 
 def projection_directions(slave: Facets, n_s: Floats) -> Floats:
     """Return the directions (m, k, d) in which slave facets are projected, (m, 1, d) if it is one.
@@ -60,6 +67,24 @@ def projection_directions(slave: Facets, n_s: Floats) -> Floats:
     if slave.x.shape[2] == 2:
         return n_s
     return facet_normals(slave)[:, None]
+
+
+def bounding_directions(slave: Facets, n_s: Floats) -> Floats:
+    """Return unit vectors (m, k or 1, d) whose cone holds all directions of projection.
+
+    Args:
+        slave: Slave facets (m,).
+        n_s: Unit averaged normals (m, k, d) at their nodes.
+    """
+    if slave.x.shape[2] > 2:
+        n = facet_normals(parts_of(slave))
+        return n.reshape(len(slave.x), count(slave.element), 3)
+    if slave.element.degree == 1:
+        return n_s
+    v = len(slave.element.vertices)  # between them vectors leave the cone: Bezier's point bounds it
+    bow = 2 * n_s[:, v:] - n_s[:, :v].mean(axis=1, keepdims=True)
+    n_s = np.concatenate([n_s[:, :v], bow], axis=1)
+    return np.asarray(n_s / np.maximum(np.linalg.norm(n_s, axis=2, keepdims=True), TINY))
 
 
 def sliding_margins(x_s: Floats) -> Floats:
@@ -88,11 +113,11 @@ def find_candidates(slave: Facets, n_s: Floats, master: Facets, margin: Floats) 
         Pairs (p, 2) of slave and master facet, ordered by slave, then master. Without margins they
         are still a superset of the pairs that have segments.
     """
-    n_s = projection_directions(slave, n_s)
-    pairs = find_meeting(create_cones(slave.x, n_s, margin), *bounding_balls(master.x))
+    cones = create_cones(slave.x, bounding_directions(slave, n_s), margin)
+    pairs = find_meeting(cones, *bounding_balls(master.x))
     if slave.x.shape[2] == 3:
         pairs = pairs[plane.are_near(slave, master, pairs, margin)]
-    n_m = facet_normals(master)
+    n_s, n_m = projection_directions(slave, n_s), facet_normals(master)
     return pairs[are_facing(n_s[pairs[:, 0]], n_m[pairs[:, 1]])]
 
 

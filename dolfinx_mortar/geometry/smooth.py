@@ -21,6 +21,10 @@ The rises are those at X. At X + u they follow every node that comes into contac
 7 % more iterations than with facets over 79 random problems, and one that fails; with X 7 % fewer,
 none that fails, and the same answers to 0.1 % where sides fit closely.
 
+Second-order facets that are straight at X stand off likewise, by functions of their vertices, but
+they bend with u: what is left of the sagittas is that of X, and each side has its own c_ab. Facets
+of a curved mesh are that surface themselves, to higher order, and have no heights.
+
 The normals are those of Max (J. Graphics Tools 4, 1999), n_a ~ sum (e_1 x e_2) / (|e_1|^2 |e_2|^2)
 over the facets at the node, with e_1 and e_2 its edges there; in the plane the chords' normals over
 their lengths. They are exact on spheres and circles whatever the mesh, if facets lie all around the
@@ -79,13 +83,19 @@ def fan_sums(
     if x.shape[2] == 2:
         area = area_vectors(facets)
         chord = (area / np.maximum((area**2).sum(axis=1), TINY)[:, None])[:, None]
-        around = np.array([[[-1.0], [1.0]]])
-        return np.repeat(chord, 2, axis=1), np.repeat(around, len(x), axis=0)
+        ends = np.zeros((1, facets.element.nodes, 1))  # facets lie on both sides of a middle
+        ends[0, :2, 0] = -1.0, 1.0
+        return np.repeat(chord, facets.element.nodes, axis=1), np.repeat(ends, len(x), axis=0)
     ahead, behind = (np.roll(x, turn, axis=1) - x for turn in (-1, 1))
     if n is not None and K is not None:
-        ahead, behind = (_bent_back(e, n, K) for e in (ahead, behind))
+        corners = np.array(facets.element.vertices)
+        ahead, behind = (_bent_back(e, n[:, corners], K[:, corners]) for e in (ahead, behind))
     ahead, behind = _inverted(ahead), _inverted(behind)
-    return np.asarray(np.cross(ahead, behind), dtype=np.float64), ahead - behind
+    normals = np.asarray(np.cross(ahead, behind), dtype=np.float64)
+    middles = facets.element.nodes - x.shape[1]  # flat there, as far as the fan of a node tells
+    flat = np.repeat(facet_normals(facets)[:, None], middles, axis=1)
+    around = np.concatenate([ahead - behind, np.zeros_like(flat)], axis=1)
+    return np.concatenate([normals, flat], axis=1), around
 
 
 def _bent_back(e: Floats, n: Floats, K: Floats) -> Floats:
@@ -210,7 +220,7 @@ def heights(facets: Facets, rise: Floats, which: Ints, xi: Floats) -> Floats:
         xi: (q, d-1) reference coordinates.
     """
     a, b = node_pairs(facets)
-    N = facets.element.shape_functions(xi)
+    N = facets.element.vertex_functions(xi)
     return np.asarray(0.5 * np.einsum("qe,qe...->q...", N[:, a] * N[:, b], rise[which]))
 
 
@@ -226,7 +236,7 @@ def unit(v: Floats) -> Floats:
 
 
 def node_pairs(facets: Facets) -> tuple[list[int], list[int]]:
-    """Return the first and the second nodes of all pairs of nodes of a facet.
+    """Return the first and the second nodes of all pairs of vertices of a facet.
 
     >>> from dolfinx_mortar.geometry.elements import TRI3
     >>> node_pairs(Facets(TRI3, np.zeros((0, 3, 3))))

@@ -4,7 +4,8 @@
 Off the slave nodes T is the identity. At slave node j, u_j = R_j w_j + sum_l Q_jl u_l, so that
 T = (I - Q)^-1 W with W = blockdiag(R_j). Where no slave node leans on another, T = W + Q; where an
 interface leans on slave nodes of another one (bodies in a stack), T is the product of the
-interfaces' own matrices in topological order.
+interfaces' own matrices in topological order. Where the middles of a side's edges lean on their
+ends (six-node triangles), that side has two matrices, the middles' own on the left.
 """
 
 from __future__ import annotations
@@ -45,9 +46,13 @@ class Transformation:
             for position, i in enumerate(order)
             for k in order[position + 1 :]
         )
-        groups = [[i] for i in order] if any_rank(V.mesh.comm, chained)[0] else [order]
+        self.chained = bool(any_rank(V.mesh.comm, chained)[0])
+        groups = [[i] for i in order] if self.chained else [order]
         self.links = links
-        self.factors = [_Factor(V, links, group) for group in groups]  # T is their product
+        leaning = any_rank(V.mesh.comm, any(link.sides.leaning.any() for link in links))[0]
+        levels = (True, False) if leaning else (None,)
+        # T is their product
+        self.factors = [_Factor(V, links, group, level) for group in groups for level in levels]
         self._congruences: list[Congruence] = []
 
     def update(self, links: Sequence[Link]) -> None:
@@ -73,13 +78,8 @@ class Transformation:
     @property
     def change(self) -> PETSc.Mat:
         """C of T = I + C, which has rows at slave nodes only: a copy; collective."""
-        total = self.factors[0].C.copy()
-        for factor in self.factors[1:]:  # (I + A) (I + B) = I + A + B + A B
-            both = total.matMult(factor.C)
-            for part in (total, factor.C):
-                both.axpy(1.0, part, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-            total = both
-        return total
+        C = _product([factor.C for factor in self.factors])
+        return C.copy() if len(self.factors) == 1 else C
 
     # -- the basis v of multigrid ----------------------------------------------------------------
 
@@ -93,16 +93,24 @@ class Transformation:
         Args:
             held: owned unknowns of y that are held, by bounds or for good.
         """
-        if len(self.factors) > 1:
+        if self.chained:
             return self.change, None
-        return self.factors[0].uncouple(self.links, held)
+        Cs, Es = zip(*(factor.uncouple(self.links, held) for factor in self.factors), strict=True)
+        C, E = _product(Cs), Es[0]
+        for other in Es[1:]:
+            E.axpy(1.0, other, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+        if len(Es) > 1:  # v of the ends on which middles lean is not their u
+            E.axpy(1.0, E.matMult(C), PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+        return C, E
 
     def uncoupled(self, u: PETSc.Vec, E: PETSc.Mat | None) -> PETSc.Vec:
         """Return v with T (I - E) v = u; collective."""
         y = self.inverse(u)
-        v = y.copy()
-        if E is not None:
-            E.multAdd(y, y, v)  # (I - E)^-1 = I + E: no column of E is released
+        if E is None:
+            return y
+        once, v = y.duplicate(), y.duplicate()
+        E.multAdd(y, y, once)
+        E.multAdd(once, y, v)  # (I - E)^-1 = I + E + E^2: ends of middles may be released, too
         return v
 
     def inverse(self, u: PETSc.Vec) -> PETSc.Vec:
@@ -125,23 +133,34 @@ class Transformation:
 
 
 class _Factor:
-    """T = I + C of interfaces that do not lean on each other's slave nodes."""
+    """T = I + C of interfaces that do not lean on each other's slave nodes.
 
-    def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], members: list[int]) -> None:
+    Of all their slave nodes, or of those alone that lean on other ones of their side, or do not.
+    """
+
+    def __init__(
+        self,
+        V: fem.FunctionSpace,
+        links: Sequence[Link],
+        members: list[int],
+        leaning: bool | None = None,
+    ) -> None:
         first, n = V.dofmap.index_map.local_range[0], V.dofmap.index_map.size_local
         taken = np.zeros(n, dtype=bool)
         rows, columns = [], []
-        self.parts: list[tuple[int, Bools]] = []
+        self.parts: list[tuple[int, Bools, Bools]] = []  # link, nodes with frames, rows of Q
         # A node on several slave sides takes its frame from the interface that may keep it.
         for k in members:
             link, p = links[k], links[k].pattern
             others = [links[i] for i in members if i != k]
             mine = ~taken[link.nodes] & ~(link.banned[link.nodes] & _kept_by(others, link.nodes))
             taken[link.nodes[mine]] = True
-            self.parts.append((k, mine))
-            near = link.near[p.row]
-            rows += [link.nodes[mine], link.nodes[p.row[near]]]
-            columns += [link.nodes[mine].astype(np.int64) + first, p.column[near]]
+            here = np.ones_like(mine) if leaning is None else link.sides.leaning == leaning
+            mine, near = mine & here, link.near & here
+            self.parts.append((k, mine, near))
+            on = near[p.row]
+            rows += [link.nodes[mine], link.nodes[p.row[on]]]
+            columns += [link.nodes[mine].astype(np.int64) + first, p.column[on]]
         self.V = V
         self._blocks = create_blocks(V, np.concatenate(rows), np.concatenate(columns))
         self.C = self._blocks.matrix
@@ -149,16 +168,16 @@ class _Factor:
     def update(self, links: Sequence[Link]) -> None:
         """Refill the matrix from the interfaces' frames and couplings; collective."""
         values = []
-        for k, mine in self.parts:
+        for k, mine, near in self.parts:
             link = links[k]
             turn = link.frames[mine] - np.eye(link.frames.shape[1])
-            values += [turn, link.coupling.blocks[link.near[link.pattern.row]]]
+            values += [turn, link.coupling.blocks[near[link.pattern.row]]]
         self._blocks.fill(np.concatenate(values))
 
     def uncouple(self, links: Sequence[Link], held: Ints) -> tuple[PETSc.Mat, PETSc.Mat]:
         """Return C of constraints at held unknowns only, without stored zeros, and E; collective.
 
-        Only a constraint along the normal can let go: contact that is not held is open.
+        A direction that is not held lets go: contact is open, or slips.
         """
         V, d = self.V, self.V.dofmap.index_map_bs
         first, n = V.dofmap.index_map.local_range[0], V.dofmap.index_map.size_local
@@ -166,32 +185,48 @@ class _Factor:
         is_held[held] = True
         C: list[tuple[Ints, Longs, Floats]] = []
         E: list[tuple[Ints, Longs, Floats]] = []
-        for k, mine in self.parts:
+        for k, mine, near in self.parts:
             link, p, blocks = links[k], links[k].pattern, links[k].coupling.blocks
             nodes = link.nodes[mine]
             C.append((nodes, nodes.astype(np.int64) + first, link.frames[mine] - np.eye(d)))
-            open_ = link.constrained[:, 0] & ~is_held[d * link.nodes]
-            used = blocks.any(axis=(1, 2)) & link.near[p.row]
-            on, off = used & ~open_[p.row], used & open_[p.row]
-            C.append((link.nodes[p.row[on]], p.column[on], blocks[on]))
-            normal = np.zeros((int(off.sum()), d, d))
-            normal[:, 0] = np.einsum("ea,eab->eb", link.coupling.normals[p.row[off]], blocks[off])
-            E.append((link.nodes[p.row[off]], p.column[off], normal))
+            dofs = d * link.nodes[:, None] + np.arange(d)
+            lets_go = link.constrained & ~is_held[dofs]
+            used = blocks.any(axis=(1, 2)) & near[p.row]
+            off = used & lets_go[p.row].any(axis=1)
+            R, free = link.coupling.R[p.row[off]], lets_go[p.row[off]]
+            in_frame = np.where(free[:, :, None], np.swapaxes(R, 1, 2) @ blocks[off], 0.0)
+            kept = blocks.copy()
+            kept[off] -= R @ in_frame
+            kept[off & (link.constrained == lets_go)[p.row].all(axis=1)] = 0.0  # not round-off
+            on = used & kept.any(axis=(1, 2))
+            C.append((link.nodes[p.row[on]], p.column[on], kept[on]))
+            E.append((link.nodes[p.row[off]], p.column[off], in_frame))
         return _create(V, C), _create(V, E)
 
     def inverse(self, links: Sequence[Link], u: PETSc.Vec) -> PETSc.Vec:
         """Return y with T y = u: w_j = R_j^T (u_j - sum_l Q_jl u_l) at slave nodes; collective."""
         difference, d = u.copy(), self.V.dofmap.index_map_bs
-        for k, _ in self.parts:
+        for k, _, near in self.parts:
             moved = (links[k].coupling.Q * u).array_r.reshape(-1, d)
-            nodes = links[k].nodes[links[k].near]  # the others know nothing of the master
+            nodes = links[k].nodes[near]  # the others know nothing of the master
             difference.array.reshape(-1, d)[nodes] -= moved[nodes]
         y = u.copy()
-        for k, mine in self.parts:
+        for k, mine, _ in self.parts:
             nodes = links[k].nodes[mine]
             slip = difference.array_r.reshape(-1, d)[nodes]
             y.array.reshape(-1, d)[nodes] = np.einsum("nij,ni->nj", links[k].frames[mine], slip)
         return y
+
+
+def _product(Cs: Sequence[PETSc.Mat]) -> PETSc.Mat:
+    """Return C of the product I + C of factors I + C_k, of one factor itself; collective."""
+    total = Cs[0]
+    for C in Cs[1:]:  # (I + A) (I + B) = I + A + B + A B
+        both = total.matMult(C)
+        for part in (total, C):
+            both.axpy(1.0, part, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+        total = both
+    return total
 
 
 def _create(V: fem.FunctionSpace, parts: Sequence[tuple[Ints, Longs, Floats]]) -> PETSc.Mat:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""What an interface, or a support, asks of unknowns of y: bounds on single unknowns."""
+"""What an interface, or a support, asks of unknowns of y: bounds on them, limits of reactions."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -54,3 +54,39 @@ def join(parts: Sequence[Constraints]) -> Constraints:
     columns = ([p.dofs, p.lower, p.upper, p.weight] for p in parts)
     dofs, lower, upper, weight = (np.concatenate(c) for c in zip(*columns, strict=True))
     return Constraints(dofs.astype(np.int32), lower, upper, weight)
+
+
+@dataclass(frozen=True)
+class SlipLimits:
+    """Limits of the tangential reactions at nodes of contacts with friction.
+
+    |z_t| <= coefficient z_n + cohesion where the contact is closed, in this rank's numbering.
+    """
+
+    nodes: Ints  # (m,) owned
+    normal: Ints  # (m,) unknown w_n of y, which has a bound
+    tangential: Ints  # (m, d - 1) unknowns of y, -1 where Dirichlet data leave none
+    axes: Floats  # (m, d - 1, d) their directions in space
+    slip: Floats  # (m, d - 1) tangential motion of the slave side since the last commit
+    coefficient: Floats  # (m,) mu
+    cohesion: Floats  # (m,) force, D_jj times a traction
+    weight: Floats  # (m,) D_jj
+
+    @property
+    def some(self) -> Bools:
+        """Which tangential unknowns (m, d - 1) there are."""
+        return np.asarray(self.tangential >= 0)
+
+    def along(self, vectors: Floats) -> Floats:
+        """Return the tangential components (m, d - 1) of vectors (m, d)."""
+        return np.asarray(np.where(self.some, np.einsum("mti,mi->mt", self.axes, vectors), 0.0))
+
+    def vectors(self, parts: Floats) -> Floats:
+        """Return vectors (m, d) of tangential components (m, d - 1)."""
+        return np.asarray(np.einsum("mti,mt->mi", self.axes, parts))
+
+
+def join_limits(parts: Sequence[SlipLimits]) -> SlipLimits:
+    """Return the limits of all parts, of one at least."""
+    columns = (tuple(getattr(p, field.name) for field in fields(SlipLimits)) for p in parts)
+    return SlipLimits(*(np.concatenate(c) for c in zip(*columns, strict=True)))

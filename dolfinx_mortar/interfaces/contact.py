@@ -1,63 +1,191 @@
 # SPDX-License-Identifier: MIT
-"""Frictionless unilateral contact."""
+"""Unilateral contact, without and with friction."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
 
 from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx import fem
+from dolfinx.mesh import MeshTags
 from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.interfaces.constraints import Constraints
+from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits
 from dolfinx_mortar.interfaces.frames import create_frames
-from dolfinx_mortar.interfaces.interface import Frame, Interface
+from dolfinx_mortar.interfaces.friction import Limit, create_law
+from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Frame, Interface, NoResult
 
 # A slave normal that loses more than this share of its length to Dirichlet data has no direction
 # left in which contact could act.
 MIN_FREE_NORMAL = 0.5
 
 
+@dataclass(frozen=True)
+class SlidingFields:
+    """Nodal results of friction as Functions; zero until the first step."""
+
+    traction: fem.Function
+    step_slip: fem.Function
+    slip: fem.Function
+    status: fem.Function
+    energy: fem.Function  # that friction has taken at a node since the start
+
+    @property
+    def functions(self) -> list[fem.Function]:
+        """All of them."""
+        return [self.traction, self.step_slip, self.slip, self.status, self.energy]
+
+
 class Contact(Interface):
-    """Frictionless unilateral contact: w_n <= gap, pressure >= 0, pressure * opening = 0.
+    """Unilateral contact: w_n <= gap, pressure >= 0, pressure * opening = 0; perhaps with friction.
 
     ``pressure`` (traction, >= 0 in compression), ``gap`` (>= 0 when open; not-a-number at slave
     nodes that face no master) and ``active`` (1 in contact, else 0) are Functions that vanish off
-    the slave side. ``force`` is the resultant exerted on the slave side, -sum_j D_jj lambda_j n_j.
+    the slave side. ``force`` is the resultant exerted on the slave side, -sum_j D_jj lambda_j n_j,
+    friction included.
+
+    With friction, |tau| <= mu p, and where it slips tau = mu p against
+    the slip of the step: the tangential motion of the slave side relative to the master since the
+    last commit, R_t^T (D^-1 (D - M) (u - u_committed)). Then there are, as Functions that vanish
+    off the slave side, ``traction`` (tangential, exerted on the slave side), ``step_slip`` (of the
+    last step), ``slip`` (length of the way that each node has slipped since the start), ``status``
+    (0 open, 1 stick, 2 slip), and ``dissipation``, the energy that friction has taken since the
+    start. Directions with Dirichlet data are left to those data.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
-        slave: tag of the side that carries the multipliers.
-        master: tag of the other side.
+        slave: tag of the side that carries the multipliers, or its name, see `Tags`.
+        master: tag or name of the other side.
         surface: "smooth" measures the gap between the smooth surfaces through the nodes of the
             facets, g_j - sum_q w Phi_j (h_s + h_m) / D_jj with the heights h of
             `dolfinx_mortar.geometry.smooth`; "facets" between the facets, as the paper does. D, M
             and N are the same.
         feature_angle: degrees between two facets from which on they meet in an edge, which stays
             one; for smooth surfaces.
+        friction: coefficient mu of Coulomb's law: a number, a scalar Constant, or a scalar
+            Function on the mesh of the displacement; read anew at every step. 0 is no friction.
+        tresca: limit of the tangential traction instead, of the same kinds: given friction, which
+            acts at every slave node that faces the master, whatever the pressure, also where there
+            is none (let a Function be 0 there). Then a step is a convex minimisation.
 
     Raises:
-        ValueError: for tags that are none, and an unknown surface or angle.
+        ValueError: for tags that are none, unknown names, an unknown surface or angle, negative
+            or infinite limits, and both ``friction`` and ``tresca``.
     """
 
     one_sided = True
+
+    def __init__(
+        self,
+        facet_tags: MeshTags,
+        *,
+        slave: int | str,
+        master: int | str,
+        surface: str = "smooth",
+        feature_angle: float = FEATURE_ANGLE,
+        friction: Limit | None = None,
+        tresca: Limit | None = None,
+    ) -> None:
+        """Keep the description; surfaces are found when a problem takes the contact."""
+        tags = {"slave": slave, "master": master}
+        super().__init__(facet_tags, **tags, surface=surface, feature_angle=feature_angle)
+        self.law = create_law(friction, tresca)
+        self.sliding: SlidingFields | None = None
+        self.dissipated = 0.0  # sum of the energies, all ranks
+
+    def __repr__(self) -> str:
+        """Name the class, the tags, and what is not the default."""
+        name = super().__repr__()
+        if self.law is None:
+            return name
+        value = self.law.value
+        said = f"{value:g}" if isinstance(value, float) else type(value).__name__
+        return f"{name[:-1]}, {self.law.name}={said})"
+
+    def take(self, owner: object, V: fem.FunctionSpace) -> None:
+        """Belong to a problem from now on, with fields on V and without results; collective."""
+        if self.law is not None:
+            self.law.check_mesh(V)
+        super().take(owner, V)
+        assert self.fields is not None
+        self.sliding, self.dissipated = None, 0.0
+        if self.law is not None:
+            scalar = self.fields.pressure.function_space
+            self.sliding = SlidingFields(
+                fem.Function(V, name="traction"),
+                fem.Function(V, name="step_slip"),
+                fem.Function(scalar, name="slip"),
+                fem.Function(scalar, name="status"),
+                fem.Function(scalar, name="energy"),
+            )
+
+    @property
+    def functions(self) -> list[fem.Function]:
+        """All nodal results."""
+        return super().functions + ([] if self.sliding is None else self.sliding.functions)
+
+    def keep(self) -> Any:
+        """Return copies of the results, for `put_back`."""
+        return super().keep(), self.dissipated
+
+    def put_back(self, kept: Any) -> None:
+        """Show what `keep` has returned; without communication."""
+        shown, self.dissipated = kept
+        super().put_back(shown)
+
+    @property
+    def rough(self) -> bool:
+        """Whether it has friction."""
+        return self.law is not None
+
+    @property
+    def acts_openly(self) -> bool:
+        """Whether given friction acts at open nodes, too."""
+        return self.law is not None and self.law.name == "tresca"
+
+    def limits(self) -> Floats | None:
+        """Return mu or s at the owned nodes, None without friction; collective.
+
+        Raises:
+            ValueError: on all ranks, for values that are negative or not finite.
+        """
+        if self.law is None:
+            return None
+        assert self.fields is not None
+        return self.law.values(self.fields.pressure.function_space)
 
     def may_carry(self, left: Floats, fixed: Bools) -> Bools:
         """Return (n, 1): nodes whose normal is not taken by Dirichlet data."""
         return np.asarray((left >= MIN_FREE_NORMAL)[:, None])
 
     def frame(self, normals: Floats, kept: Bools, fixed: Bools) -> Frame:
-        """Return frames with the normal first, which is constrained; Cartesian where not kept."""
+        """Return frames with the normal first, which is constrained; Cartesian where not kept.
+
+        With friction the tangents are constrained, too, but for prescribed ones.
+        """
         n, d = normals.shape
         some = kept[:, 0]
         R, axes = np.tile(np.eye(d), (n, 1, 1)), np.arange(d, dtype=np.int32)
         slot = np.where(fixed, axes, -1).astype(np.int32)
         R[some], slot[some] = create_frames(normals[some], fixed[some])
         on = some[:, None]
-        return Frame(R, slot, on & (axes == 0), np.where(on, normals, 0.0))
+        directions = on & (axes == 0)
+        if self.law is not None:
+            prescribed = (slot[:, :, None] == axes).any(axis=1)
+            directions = on & ~prescribed
+        return Frame(R, slot, directions, np.where(on, normals, 0.0))
 
-    def blocks(self, P: Floats, normals: Floats) -> Floats:
-        """Return P_jl n_j n_j^T."""
-        return np.asarray(P[:, 0, None, None] * normals[:, :, None] * normals[:, None, :])
+    def blocks(self, P: Floats, frame: Frame, row: Ints) -> Floats:
+        """Return P_jl n_j n_j^T, with friction P_jl R_j S_j R_j^T."""
+        if self.law is None:
+            n = frame.normals[row]
+            return np.asarray(P[:, 0, None, None] * n[:, :, None] * n[:, None, :])
+        R = frame.R * frame.directions[:, None, :]
+        return np.asarray(P[:, 0, None, None] * (R @ np.swapaxes(frame.R, 1, 2))[row])
 
     def measured(self, x: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:
         """Return the positions."""
@@ -69,3 +197,78 @@ class Contact(Interface):
         gap = -slip[on, 0]
         dofs = (directions.shape[1] * nodes[on]).astype(np.int32)
         return Constraints(dofs, np.full(len(gap), -np.inf), gap, D[on, 0])
+
+    def slip_limits(
+        self, nodes: Ints, directions: Bools, frames: Floats, slip: Floats, D: Floats, limit: Floats
+    ) -> SlipLimits:
+        """Return the limits of tangential reactions.
+
+        Args:
+            nodes: (n,) owned slave nodes.
+            directions: (n, d) which directions of the frames are constrained.
+            frames: (n, d, d).
+            slip: (n, d) relative motion since the last commit, in the frames.
+            D: (n, c) weights.
+            limit: (owned nodes,) mu or s.
+        """
+        on = directions[:, 0]
+        some, d = directions[on, 1:], directions.shape[1]
+        normal = (d * nodes[on]).astype(np.int32)
+        tangential = np.where(some, normal[:, None] + np.arange(1, d), -1).astype(np.int32)
+        values, weight = limit[nodes[on]], D[on, 0]
+        coulomb = self.law is not None and self.law.name == "friction"
+        return SlipLimits(
+            nodes=nodes[on],
+            normal=normal,
+            tangential=tangential,
+            axes=np.swapaxes(frames[on, :, 1:], 1, 2),
+            slip=np.where(some, slip[on, 1:], 0.0),
+            coefficient=values if coulomb else np.zeros_like(values),
+            cohesion=np.zeros_like(values) if coulomb else values * weight,
+            weight=weight,
+        )
+
+    # -- results ---------------------------------------------------------------------------------
+
+    def _of_friction(self, name: str) -> Any:
+        if self.law is None:
+            raise NoResult(self, name, "it has no friction: give friction= or tresca=")
+        return self._result(self.sliding, name)
+
+    @property
+    def traction(self) -> fem.Function:
+        """Tangential traction (d,) exerted on the slave side."""
+        return self._of_friction("traction")
+
+    @property
+    def step_slip(self) -> fem.Function:
+        """Tangential motion (d,) of the slave side along the master in the last step."""
+        return self._of_friction("step_slip")
+
+    @property
+    def slip(self) -> fem.Function:
+        """Length of the way that the nodes have slipped since the start, the last step included."""
+        return self._of_friction("slip")
+
+    @property
+    def status(self) -> fem.Function:
+        """0 open, 1 stick, 2 slip."""
+        return self._of_friction("status")
+
+    @property
+    def dissipation(self) -> float:
+        """Energy that friction has taken since the start, the last step included."""
+        self._of_friction("status")
+        return self.dissipated
+
+    def gather(self, u: fem.Function) -> Mapping[str, Floats]:
+        """Return the slave nodes of all ranks on every rank; collective.
+
+        Returns:
+            What `Interface.gather` does; with friction also "traction" (n, d), "step_slip" (n, d),
+            "slip" and "status" (n,).
+        """
+        if self.sliding is None:
+            return super().gather(u)
+        names = ("traction", "step_slip", "slip", "status")
+        return self.gather_functions(u, {name: getattr(self.sliding, name) for name in names})

@@ -3,11 +3,13 @@
 
 At a kept slave node j with frame R_j = (n_j, t_j, ..) the displacement is written
 
-    u_j = R_j w_j + sum_l Q_jl u_l,      Q_jl = R_j S_j R_j^T P_jl,      P = D^-1 (M - D_removed)
+    u_j = R_j w_j + sum_l Q_jl u_l,      Q_jl = R_j S_j R_j^T P_jl,      P = D^-1 (M - D_other)
 
-where S_j = diag(1 in constrained directions); for ties of smooth surfaces P_jl I is completed by
-the motions D_jj^-1 int Phi_j A_l of `dolfinx_mortar.geometry.arms`. Then w is the relative
-displacement of the two sides in those directions, and every constraint is a bound on w.
+with D on the diagonal, and D_other what it has besides: columns of removed nodes, and of the ends
+on which the middles of six-node triangles lean (`dolfinx_mortar.mortar.dual`). Here S_j = diag(1 in
+constrained directions); for ties of smooth surfaces P_jl I is completed by the motions
+D_jj^-1 int Phi_j A_l of `dolfinx_mortar.geometry.arms`. Then w is the relative displacement of the
+two sides in those directions, and every constraint is a bound on w.
 """
 
 from __future__ import annotations
@@ -37,9 +39,9 @@ from dolfinx_mortar.mortar.operators import (
     node_weights,
     weighted_duals,
 )
-from dolfinx_mortar.mortar.pairing import Pairing, create_pairing, outside_margin
+from dolfinx_mortar.mortar.pairing import Pairing, Weight, create_pairing, outside_margin
 from dolfinx_mortar.mortar.smooth import SmoothSide, find_smooth_sides, point_heights, point_motions
-from dolfinx_mortar.mortar.surface import Surface, accumulate, create_surface
+from dolfinx_mortar.mortar.surface import Surface, accumulate, create_surface, leaning_nodes
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,8 @@ class Sides:
     on_slave: Bools  # (local nodes,)
     on_master: Bools  # (local nodes,)
     fixed: Bools  # (local nodes, d) directions with Dirichlet data
+    leaning: Bools  # (n,) owned slave nodes that lean on other ones, which may be kept
+    weight: Weight | None = None  # of all integrals over the interface; None for 1
 
     @property
     def nodes(self) -> Ints:
@@ -86,7 +90,7 @@ class Coupling:
 
     Q: PETSc.Mat
     blocks: Floats  # (e, d, d) its entries on the pattern
-    P: Floats  # (e, c) D^-1 (M - D_removed) on the pattern, for each of c choices of direction
+    P: Floats  # (e, c) D^-1 (M - D_other) on the pattern, for each of c choices of direction
     R: Floats  # (n, d, d) frames; columns are the directions, which the interface chooses
     slot: Ints  # (n, d) column of R that is a prescribed Cartesian direction, else -1
     directions: Bools  # (n, d) which directions of the frame the interface constrains
@@ -195,17 +199,21 @@ def with_ghosts(V: fem.FunctionSpace, owned: Bools) -> Bools:
     return np.asarray(vector.array > 0)
 
 
-def find_sides(interface: Interface, V: fem.FunctionSpace, fixed: Bools) -> Sides:
+def find_sides(
+    interface: Interface, V: fem.FunctionSpace, fixed: Bools, weight: Weight | None = None
+) -> Sides:
     """Find the surfaces of an interface in V; collective.
 
     Args:
         interface: the description.
         V: the vector space of the displacement.
         fixed: (local nodes, d) True where a direction of a node is prescribed.
+        weight: factor of all integrals over the interface, 1 if not given.
     """
     slave = create_surface(V, interface.facet_tags, interface.slave, "slave")
     master = create_surface(V, interface.facet_tags, interface.master, "master")
-    return Sides(V, slave, master, _mark(slave), _mark(master), fixed)
+    leaning = leaning_nodes(slave)[: slave.owned]
+    return Sides(V, slave, master, _mark(slave), _mark(master), fixed, leaning, weight)
 
 
 def _mark(surface: Surface) -> Bools:
@@ -223,7 +231,9 @@ def pair(
     At first the sides have to face each other somewhere; later, ``again``, they may turn away.
     """
     surfaces = sides.slave, sides.master
-    pairing = create_pairing(sides.V, *surfaces, u, moving=u is not None, again=again)
+    pairing = create_pairing(
+        sides.V, *surfaces, u, moving=u is not None, again=again, weight=sides.weight
+    )
     nodes = sides.nodes
     position = np.full(sides.n_owned, -1, dtype=np.int32)
     position[nodes] = np.arange(len(nodes), dtype=np.int32)
@@ -238,7 +248,7 @@ def pair(
     scalars = BlockMatrix(sides.V.mesh.comm, sides.V.dofmap.index_map, 1, nodes[row], column)
     parts = from_D.astype(np.int32), from_M.astype(np.int32)
     smooth = None
-    if interface.smooth:
+    if interface.smooth and not sides.slave.curved:
         smooth = find_smooth_sides(pairing, sides.fixed, interface.feature_angle)
     return pairing, Pattern(row, column, *parts, blocks, scalars, smooth)
 
@@ -263,7 +273,7 @@ def has_slid(link: Link, u: fem.Function | None, *, everywhere: bool) -> bool:
 def _integrate(
     pairing: Pairing, pattern: Pattern, segments: Segments, keep: Bools, Phi: Floats
 ) -> tuple[Floats, Floats]:
-    """Return P (e,) = D^-1 (M - D_removed) on the pattern and the weights D_jj (n,); collective."""
+    """Return P (e,) = D^-1 (M - D_other) on the pattern and the weights D_jj (n,); collective."""
     D, M = assemble_node_matrices(pairing, segments, keep, Phi)
     weight = D.getDiagonal().array[pairing.slave.nodes[: pairing.slave.owned]]
     values = -D.getValuesCSR()[2][pattern.from_D], M.getValuesCSR()[2][pattern.from_M]
@@ -321,7 +331,7 @@ def couple(
     some = (left > ROUND_OFF)[:, None]  # of less only round-off has a direction
     direction = np.where(some, free / np.maximum(left, TINY)[:, None], 0.0)
     frame = interface.frame(direction[own], weights > 0, sides.fixed[sides.nodes])
-    blocks = interface.blocks(P, frame.normals[pattern.row])
+    blocks = interface.blocks(P, frame, pattern.row)
     if motions is not None:
         of_master = slice(pattern.from_D.size, None)
         blocks[of_master] += motions * _inverse(weights)[pattern.row[of_master], :, None]

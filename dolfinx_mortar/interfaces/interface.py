@@ -17,14 +17,16 @@ from dolfinx.mesh import MeshTags
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import Constraints
 from dolfinx_mortar.mortar.surface import check_tag, check_tags
+from dolfinx_mortar.tags import label, tag_of
 
 
 class NoResult(RuntimeError, AttributeError):
     """A result was asked for before the first step; also an AttributeError, for ``hasattr``."""
 
-    def __init__(self, interface: Interface, name: str) -> None:
+    def __init__(self, interface: Interface, name: str, why: str = "") -> None:
         """Say what is missing, and what to do."""
-        super().__init__(f"{interface} has no {name} yet: solve a step first, newton(problem)")
+        why = f": {why}" if why else " yet: solve a step first, newton(problem)"
+        super().__init__(f"{interface} has no {name}{why}")
 
 
 @dataclass(frozen=True)
@@ -69,14 +71,15 @@ class Interface:
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
-        slave: tag of the side that carries the multipliers and the integration (nonmortar side).
-        master: tag of the other side (mortar side).
+        slave: tag, or name if the tags have names (see `Tags`), of the side that carries the
+            multipliers and the integration (nonmortar side).
+        master: tag or name of the other side (mortar side).
         surface: "facets", or "smooth" where they stand for smooth surfaces.
         feature_angle: degrees between two facets from which on they meet in an edge, which stays
             one; for smooth surfaces.
 
     Raises:
-        ValueError: for tags that are none, and an unknown surface or angle.
+        ValueError: for tags that are none, unknown names, and an unknown surface or angle.
 
     After a step (see the subclasses for signs): ``force``, ``moment``, ``pressure``, ``gap`` and
     ``active``.
@@ -84,21 +87,36 @@ class Interface:
 
     one_sided: ClassVar[bool] = False  # can open: bounds on one side
 
+    @property
+    def rough(self) -> bool:
+        """Whether it has friction."""
+        return False
+
+    @property
+    def acts_openly(self) -> bool:
+        """Whether it acts at slave nodes that are not closed, too."""
+        return not self.one_sided
+
     def __init__(
         self,
         facet_tags: MeshTags,
         *,
-        slave: int,
-        master: int,
+        slave: int | str,
+        master: int | str,
         surface: str = "smooth",
         feature_angle: float = FEATURE_ANGLE,
     ) -> None:
         """Keep the description; surfaces are found when a problem takes the interface."""
         check_tags(facet_tags)
-        for name, tag in (("slave", slave), ("master", master)):
+        self.slave: int = tag_of(facet_tags, slave, "slave")
+        self.master: int = tag_of(facet_tags, master, "master")
+        for name, tag in (("slave", self.slave), ("master", self.master)):
             check_tag(name, tag)
-        if slave == master:
-            raise ValueError(f"slave and master are both tag {slave}: give two different tags")
+        if self.slave == self.master:
+            raise ValueError(
+                f"slave and master are both tag {label(facet_tags, self.slave)}: give two "
+                "different tags"
+            )
         if not isinstance(surface, str) or surface not in SURFACES:
             raise ValueError(f"surface is {surface!r}: choose 'smooth' or 'facets'")
         number = isinstance(feature_angle, Real) and not isinstance(feature_angle, bool)
@@ -107,7 +125,7 @@ class Interface:
                 f"feature_angle is {feature_angle!r}: give degrees, 0 < feature_angle <= 180"
             )
         self.smooth, self.feature_angle = surface == "smooth", float(feature_angle)
-        self.facet_tags, self.slave, self.master = facet_tags, slave, master
+        self.facet_tags = facet_tags
         self.owner: object = None  # the problem that has taken the interface
         self.fields: Fields | None = None
         self.resultants: Resultants | None = None
@@ -117,7 +135,13 @@ class Interface:
         said = "" if self.smooth else ", surface='facets'"
         if self.smooth and self.feature_angle != FEATURE_ANGLE:
             said = f", feature_angle={self.feature_angle:g}"
-        return f"{type(self).__name__}(slave={self.slave}, master={self.master}{said})"
+        return f"{type(self).__name__}({self.sides}{said})"
+
+    @property
+    def sides(self) -> str:
+        """How messages call the two sides."""
+        slave, master = (label(self.facet_tags, tag) for tag in (self.slave, self.master))
+        return f"slave={slave}, master={master}"
 
     def take(self, owner: object, V: fem.FunctionSpace) -> None:
         """Belong to a problem from now on, with fields on V and without results; collective."""
@@ -146,8 +170,8 @@ class Interface:
         """Return the frames for unit normals (n, d), kept nodes (n, c), Dirichlet data (n, d)."""
         raise NotImplementedError
 
-    def blocks(self, P: Floats, normals: Floats) -> Floats:
-        """Return the entries (e, d, d) of Q for P (e, c) and the normals (e, d) of their rows."""
+    def blocks(self, P: Floats, frame: Frame, row: Ints) -> Floats:
+        """Return the entries (e, d, d) of Q for P (e, c) in rows (e,) of the frame."""
         raise NotImplementedError
 
     def measured(self, x: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:
@@ -167,6 +191,22 @@ class Interface:
 
     # -- results ---------------------------------------------------------------------------------
 
+    @property
+    def functions(self) -> list[fem.Function]:
+        """All nodal results, of an interface that a problem has taken."""
+        assert self.fields is not None
+        return [self.fields.pressure, self.fields.gap, self.fields.active]
+
+    def keep(self) -> Any:
+        """Return copies of the results, for `put_back`."""
+        return self.resultants, [(f, f.x.array.copy()) for f in self.functions]
+
+    def put_back(self, kept: Any) -> None:
+        """Show what `keep` has returned; without communication."""
+        self.resultants, functions = kept
+        for f, values in functions:
+            f.x.array[:] = values
+
     def _result(self, record: Any, name: str) -> Any:
         if record is None:
             raise NoResult(self, name)
@@ -174,12 +214,20 @@ class Interface:
 
     @property
     def force(self) -> Floats:
-        """Resultant (d,) exerted on the slave side."""
+        """Resultant (d,) exerted on the slave side.
+
+        Of rings, (radial, axial): the sum of what pushes outwards all around, which no force on
+        the whole balances, and the force along the axis.
+        """
         return self._result(self.resultants, "force")
 
     @property
     def moment(self) -> Floats:
-        """Moment (3,) about the origin of the forces on the slave side."""
+        """Moment (3,) about the origin of the forces on the slave side.
+
+        Of rings that of these sums in the plane of the section: it tells whether the two sides
+        balance, and is no moment on the whole, which is zero.
+        """
         return self._result(self.resultants, "moment")
 
     @property
@@ -222,14 +270,25 @@ class Interface:
         Raises:
             NoResult: before the first step.
         """
+        return self.gather_functions(u, {})
+
+    def gather_functions(
+        self, u: fem.Function, more: Mapping[str, fem.Function]
+    ) -> Mapping[str, Floats]:
+        """Return the same with more Functions; collective."""
         if self.resultants is None or self.fields is None:
             raise NoResult(self, "nodal results")
         V, own, d = u.function_space, self.resultants.nodes, len(self.force)
         X = V.tabulate_dof_coordinates()[own, :d]
+        functions = {name: getattr(self.fields, name) for name in ("pressure", "gap", "active")}
+        functions |= more
+        sizes = {name: f.function_space.dofmap.index_map_bs for name, f in functions.items()}
         columns = [X, X + u.x.array.reshape(-1, d)[own]]
-        names = ("pressure", "gap", "active")
-        columns += [getattr(self, name).x.array[own, None] for name in names]
+        columns += [f.x.array.reshape(-1, sizes[name])[own] for name, f in functions.items()]
         table = np.concatenate(V.mesh.comm.allgather(np.hstack(columns)))
         table = table[np.lexsort(table[:, :d].T[::-1])]
-        parts = np.split(table, [d, 2 * d], axis=1)
-        return {"X": parts[0], "x": parts[1]} | dict(zip(names, parts[2].T, strict=True))
+        ends = np.cumsum([d, d, *sizes.values()])[:-1]
+        parts = dict(zip(("X", "x", *sizes), np.split(table, ends, axis=1), strict=True))
+        return {
+            name: part if sizes.get(name, d) > 1 else part[:, 0] for name, part in parts.items()
+        }

@@ -17,14 +17,21 @@ def relative_motions(link: Link, v: PETSc.Vec) -> Floats:
     With the D and M of the last update that belong to the choice, zero at nodes that it leaves out.
     """
     P, coupling = link.pattern.scalars, link.coupling
-    n, d = coupling.normals.shape
-    w, result = P.matrix.createVecRight(), np.zeros((coupling.P.shape[1], n, d))
+    result = np.zeros((coupling.P.shape[1], *coupling.normals.shape))
     for c in range(len(result)):
         P.fill(coupling.P[:, c, None, None])
-        for i in range(d):
-            w.array[:] = v.array_r[i::d]
-            result[c, :, i] = (w.array_r - (P.matrix * w).array_r)[link.nodes]
+        result[c] = node_motions(link, P.matrix, v)
     return np.where(coupling.kept.T[:, :, None], result, 0.0)
+
+
+def node_motions(link: Link, P: PETSc.Mat, v: PETSc.Vec) -> Floats:
+    """Return v_j - sum_l P_jl v_l (n, d) at the slave nodes, of a P between nodes; collective."""
+    d = link.coupling.normals.shape[1]
+    w, result = P.createVecRight(), np.zeros((len(link.nodes), d))
+    for i in range(d):
+        w.array[:] = v.array_r[i::d]
+        result[:, i] = (w.array_r - (P * w).array_r)[link.nodes]
+    return result
 
 
 def along_and_across(relative: Floats, normals: Floats) -> tuple[Floats, Floats]:

@@ -58,8 +58,8 @@ class Reach:
         return any(close[link.nodes[~link.near]].any() for link in links)
 
     def near(self, link: Link) -> Bools:
-        """Return which slave nodes (n,) of an interface T shall hold; all where nothing opens."""
-        if not link.interface.one_sided:
+        """Return which slave nodes (n,) of an interface T shall hold; all where it acts openly."""
+        if link.interface.acts_openly:
             return np.ones(len(link.nodes), dtype=bool)
         close = (self.beyond <= ROOM * self.distance) | (self.gap <= 0.0)
         return np.asarray(close[link.nodes])

@@ -11,8 +11,9 @@ import numpy as np
 
 from dolfinx import fem, la
 from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.coupling import Link, Sides, with_ghosts
-from dolfinx_mortar.interfaces.interface import Fields, Interface, Resultants
+from dolfinx_mortar.interfaces.interface import Interface, Resultants
 
 
 def set_results(link: Link, reaction: Floats, gap: Floats, active: Bools, x: Floats) -> None:
@@ -22,7 +23,7 @@ def set_results(link: Link, reaction: Floats, gap: Floats, active: Bools, x: Flo
         link: the interface in its present configuration.
         reaction: (n, d) D_jj lambda_j in the frames, at the owned slave nodes; zero in directions
             that are not constrained.
-        gap: (n,) nodal gaps that may still close; zero for a tie.
+        gap: (n,) nodal gaps that may still close; how far a jump opens a tie.
         active: (n,) nodes on which the interface acts.
         x: (owned nodes, d) coordinates at which the forces act.
     """
@@ -42,6 +43,21 @@ def set_results(link: Link, reaction: Floats, gap: Floats, active: Bools, x: Flo
     fields.active.x.array[:] = 0.0
     fields.active.x.array[link.nodes] = active
     fields.active.x.scatter_forward()
+
+
+def set_sliding(
+    link: Link, traction: Floats, step_slip: Floats, slip: Floats, status: Floats, energy: Floats
+) -> None:
+    """Set the results of friction at the owned slave nodes, (n, d) and (n,); collective."""
+    contact = link.interface
+    assert isinstance(contact, Contact) and contact.sliding is not None
+    shown = contact.sliding
+    values = traction, step_slip, slip[:, None], status[:, None], energy[:, None]
+    for function, at_nodes in zip(shown.functions, values, strict=True):
+        function.x.array[:] = 0.0
+        function.x.array.reshape(-1, at_nodes.shape[1])[link.nodes] = at_nodes
+        function.x.scatter_forward()
+    contact.dissipated = link.sides.V.mesh.comm.allreduce(float(energy.sum()), op=MPI.SUM)
 
 
 def _resultants(link: Link, forces: Floats, multiplier: Floats, x: Floats) -> Resultants:
@@ -89,42 +105,52 @@ def _fill(function: fem.Function, link: Link, values: Floats, kept: Bools) -> No
     function.x.array[:] = np.where(sides.on_slave, result, 0.0)
 
 
-def _field(fields: Fields | None, name: str) -> fem.Function:
-    assert fields is not None
-    function: fem.Function = getattr(fields, "active" if name == "status" else name)
-    return function
+def _field(interface: Interface, name: str) -> fem.Function | None:
+    """Return a field by the name under which it is written, None if there is none."""
+    assert interface.fields is not None
+    sliding = interface.sliding if isinstance(interface, Contact) else None
+    if name == "status" and sliding is None:
+        return interface.fields.active
+    source = sliding if name in ("status", "traction", "slip") else interface.fields
+    return getattr(source, name, None)
 
 
 def merge_results(
     sides: Sequence[Sides], interfaces: Sequence[Interface], name: str, function: fem.Function
 ) -> fem.Function:
-    """Fill a Function with "pressure", "gap", "status" or "facing" of all interfaces; collective.
+    """Fill a Function with results of all interfaces; collective.
+
+    "pressure", "gap", "status", "facing", or of those with friction "traction" and "slip".
 
     A node on several slave sides has the value of the interface that gave it a multiplier, then of
     the first one in which it faces the master. Off the slave sides, and where a node faces no
     master, the value is 0: "facing" is 1 where a gap of 0 is one, and 0 where there is none.
     """
-    n = sides[0].n_owned
-    merged, best = np.zeros(n), np.full(n, -1)
+    n, size = sides[0].n_owned, function.function_space.dofmap.index_map_bs
+    merged, best = np.zeros((n, size)), np.full(n, -1)
     for side, interface in zip(sides, interfaces, strict=True):
         nodes = side.nodes
-        facing = ~np.isnan(_field(interface.fields, "gap").x.array[nodes])
+        facing = ~np.isnan(_nodal(interface, "gap", 1)[nodes, 0])
         claim = np.where(facing, 1 + _carries(interface, len(nodes)), 0)
         take = claim > best[nodes]
         best[nodes[take]] = claim[take]
-        values = _nodal(interface, name)[nodes]
-        merged[nodes[take]] = np.where(facing, values, 0.0)[take]
-    function.x.array[:n] = merged
+        values = _nodal(interface, name, size)[nodes]
+        merged[nodes[take]] = np.where(facing[:, None], values, 0.0)[take]
+    function.x.array[: n * size] = merged.ravel()
     function.x.scatter_forward()
     return function
 
 
-def _nodal(interface: Interface, name: str) -> Floats:
-    """Return nodal values; "facing" is 1 everywhere once a step has found gaps."""
+def _nodal(interface: Interface, name: str, size: int) -> Floats:
+    """Return nodal values (.., size); "facing" is 1 everywhere once a step has found gaps."""
+    assert interface.fields is not None
+    gap = interface.fields.gap.x.array
     if name == "facing":
-        solved = float(interface.resultants is not None)
-        return np.full(len(_field(interface.fields, "gap").x.array), solved)
-    return np.asarray(_field(interface.fields, name).x.array)
+        return np.full((len(gap), 1), float(interface.resultants is not None))
+    field = _field(interface, name)
+    if field is None:
+        return np.zeros((len(gap), size))
+    return np.asarray(field.x.array.reshape(-1, size))
 
 
 def _carries(interface: Interface, n: int) -> Bools:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from petsc4py import PETSc
@@ -11,11 +11,12 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.claims import Claims, are_outdated, resolve_claims
-from dolfinx_mortar.interfaces.constraints import Constraints, join
+from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, join, join_limits
+from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.coupling import (
     Link,
     Sides,
@@ -28,7 +29,9 @@ from dolfinx_mortar.interfaces.coupling import (
 )
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.near import find_reach, touches_far_nodes
+from dolfinx_mortar.interfaces.partners import Partners, find_partners
 from dolfinx_mortar.mortar.operators import Coverage
+from dolfinx_mortar.mortar.pairing import Weight
 from dolfinx_mortar.mortar.surface import mean_facet_length
 
 
@@ -39,23 +42,32 @@ class InterfaceSystem:
         V: the vector space of the displacement.
         interfaces: in the order in which they claim slave nodes.
         fixed: (local nodes, d) True where a direction of a node is prescribed.
+        weight: factor of all integrals over interfaces, 1 if not given.
 
     Attributes:
         links: the interfaces with their pairings and couplings.
         transformation: T; None without interfaces.
         searches: how often the surfaces were paired.
+        faced: whether the sides have faced each other at some time, so that they may turn away.
         facet_length: largest mean slave facet of the interfaces, 1 without interfaces.
     """
 
-    def __init__(self, V: fem.FunctionSpace, interfaces: Sequence[Interface], fixed: Bools) -> None:
+    def __init__(
+        self,
+        V: fem.FunctionSpace,
+        interfaces: Sequence[Interface],
+        fixed: Bools,
+        weight: Weight | None = None,
+    ) -> None:
         """Find the surfaces; collective."""
         self.V, self.interfaces = V, list(interfaces)
-        self.sides: list[Sides] = [find_sides(i, V, fixed) for i in interfaces]
+        self.sides: list[Sides] = [find_sides(i, V, fixed, weight) for i in interfaces]
         self.facet_length = max((mean_facet_length(s.slave) for s in self.sides), default=1.0)
         self.links: list[Link] = []
         self.claims: Claims | None = None
         self.transformation: Transformation | None = None
         self.searches = 0
+        self.faced = False
 
     @property
     def n(self) -> int:
@@ -132,11 +144,11 @@ class InterfaceSystem:
         self.searches += 1
         self.transformation = None
         configurations = [i.configuration(at) for i in self.interfaces]
-        again = bool(self.links)
         found = [
-            pair(interface, sides, u, again=again)
+            pair(interface, sides, u, again=self.faced)
             for interface, sides, u in zip(self.interfaces, self.sides, configurations, strict=True)
         ]
+        self.faced = True
         pairings, patterns = zip(*found, strict=True)
         if len(self.sides) > 1:
             coverage = [
@@ -144,7 +156,8 @@ class InterfaceSystem:
             ]
         else:  # nobody to share with
             nodes = len(self.sides[0].nodes)
-            coverage = [Coverage(np.ones(nodes), np.ones(nodes, dtype=bool))]
+            faces = np.ones(nodes, dtype=bool)
+            coverage = [Coverage(np.ones(nodes), faces, ~faces)]
         self.claims = resolve_claims(self.interfaces, self.sides, patterns, coverage)
         self.links = []
         parts = zip(
@@ -180,16 +193,20 @@ class InterfaceSystem:
 
     # -- what the QP needs -----------------------------------------------------------------------
 
-    def constraints(self, x: PETSc.Vec, u: PETSc.Vec) -> Constraints:
+    def constraints(
+        self, x: PETSc.Vec, u: PETSc.Vec, jumps: Mapping[int, PETSc.Vec] | None = None
+    ) -> Constraints:
         """Return the bounds of all interfaces on increments of y; collective.
 
         Args:
             x: (n,) coordinates X + u (also with frozen geometry: the gap is linear in u).
             u: (n,) displacement.
+            jumps: (n,) by the number of an interface: a displacement of its slave side that is no
+                relative motion; none if not given.
         """
         parts = []
-        for link in self.links:
-            slip = link.relative(link.interface.measured(x, u))
+        for k, link in enumerate(self.links):
+            slip = link.relative(_without(link.interface.measured(x, u), jumps, k))
             slip[:, 0] += link.coupling.heights
             directions = link.constrained
             parts.append(
@@ -197,6 +214,59 @@ class InterfaceSystem:
             )
         none: Floats = np.zeros(0)
         return join([*parts, Constraints(np.zeros(0, dtype=np.int32), none, none, none)])
+
+    @property
+    def has_friction(self) -> bool:
+        """Tell whether some contact has."""
+        return any(interface.rough for interface in self.interfaces)
+
+    def partners(self, x: PETSc.Vec) -> list[Partners | None]:
+        """Return where the nodes of contacts with friction are on their masters; collective.
+
+        Args:
+            x: (n,) positions at the last commit.
+        """
+        return [find_partners(link, x) if link.interface.rough else None for link in self.links]
+
+    def slip_limits(
+        self,
+        moved: PETSc.Vec,
+        limits: Sequence[Floats | None],
+        partners: Sequence[Partners | None],
+    ) -> SlipLimits | None:
+        """Return the limits of friction, None if there is none; collective.
+
+        Args:
+            moved: (n,) displacement since the last commit.
+            limits: (owned nodes,) coefficients or tractions, for each interface that has them.
+            partners: of each interface when the step began, None for those of the moment.
+        """
+        parts = []
+        for link, limit, partner in zip(self.links, limits, partners, strict=True):
+            if limit is not None and isinstance(link.interface, Contact):
+                slip = link.relative(moved) if partner is None else partner.slip(link, moved)
+                weight = link.coupling.weight
+                at = link.nodes, link.constrained, link.frames
+                parts.append(link.interface.slip_limits(*at, slip, weight, limit))
+        return join_limits(parts) if parts else None
+
+    def largest_slip(self, u: PETSc.Vec, jumps: Mapping[int, PETSc.Vec]) -> float:
+        """Return by how much tied sides miss their jumps at most; collective.
+
+        Before the first pairing nobody knows: then how large the jumps are.
+
+        Args:
+            u: (n,) displacement.
+            jumps: as for `constraints`.
+        """
+        if not self.links:
+            return max((v.norm(PETSc.NormType.INFINITY) for v in jumps.values()), default=0.0)
+        missed: list[Floats] = [np.zeros(0)]
+        for k, link in enumerate(self.links):
+            if not link.interface.one_sided:
+                missed.append(link.relative(_without(u, jumps, k))[link.constrained])
+        largest = np.abs(np.concatenate(missed)).max(initial=0.0)
+        return float(maximum(self.V.mesh.comm, largest)[0])
 
     def slots(self) -> Ints:
         """Return (owned nodes, d): the unknown of each node that is a Cartesian component."""
@@ -207,3 +277,8 @@ class InterfaceSystem:
             nodes, own = link.nodes[carries], link.slot[carries]
             slot[nodes] = np.where(own >= 0, own, slot[nodes])
         return slot
+
+
+def _without(v: PETSc.Vec, jumps: Mapping[int, PETSc.Vec] | None, k: int) -> PETSc.Vec:
+    """Return v less the jump of interface k, v itself where it has none."""
+    return v if not jumps or k not in jumps else v - jumps[k]

@@ -3,27 +3,39 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx import fem
+from dolfinx.mesh import MeshTags
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import Constraints, equalities
-from dolfinx_mortar.interfaces.interface import Frame, Interface
+from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Frame, Interface
+from dolfinx_mortar.interfaces.jump import Jump, check_jump
 
 
 class Tie(Interface):
-    """Mesh tying ("glue"): both sides move together in all directions.
+    """Mesh tying ("glue"): both sides move together in all directions, or a given jump apart.
 
-    Always at X, as in the paper: tied sides keep the partners that they had at the start.
-    Directions with Dirichlet data are left to those data. ``force`` is the resultant exerted on the
-    slave side; ``pressure`` the normal traction, positive in compression.
+    The constraint is u_slave - P u_master = jump. Always at X, as in the paper: tied sides keep the
+    partners that they had at the start. Directions with Dirichlet data are left to those data.
+    ``force`` is the resultant exerted on the slave side; ``pressure`` the normal traction, positive
+    in compression; ``gap`` the part of the jump that opens the sides along their normal, negative
+    where they overlap, zero without a jump.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
-        slave: tag of the side that carries the multipliers.
-        master: tag of the other side.
+        slave: tag of the side that carries the multipliers, or its name, see `Tags`.
+        master: tag or name of the other side.
+        jump: displacement of the slave side relative to the master side, a length in Cartesian
+            components: d numbers, a Constant, a Function on the displacement's mesh, or a function
+            of points x (3, n) that returns (d, n), all taken at the slave nodes. It is read at the
+            begin of every step, like loads, and may be set anew; None is no jump. A vector that
+            points from the slave side into the master side lets them overlap, which pulls a bolt
+            that is cut by the tie; the opposite one opens a slit.
         surface: "facets" ties points of facets, u_s = P u_m as in the paper; "smooth" the surfaces
             for which they stand: where facets are apart, u_s = P u_m + (motion of the arm between
             them), see `dolfinx_mortar.geometry.arms`. D and M are the same.
@@ -31,8 +43,62 @@ class Tie(Interface):
             one; for smooth surfaces.
 
     Raises:
-        ValueError: for tags that are none, and an unknown surface or angle.
+        ValueError: for tags that are none, unknown names, an unknown surface or angle, and a jump
+            that has not d finite components.
+        TypeError: for friction.
+
+    Attributes:
+        jump: as given; setting it checks it.
+        tightening: (d,) what is added to the jump everywhere, zero until `preload` has found how
+            far a bolt has to be tightened.
     """
+
+    def __init__(
+        self,
+        facet_tags: MeshTags,
+        *,
+        slave: int | str,
+        master: int | str,
+        jump: Jump = None,
+        surface: str = "smooth",
+        feature_angle: float = FEATURE_ANGLE,
+        **others: Any,
+    ) -> None:
+        """Keep the description; surfaces are found when a problem takes the tie."""
+        for name in ("friction", "tresca"):
+            if name in others:
+                raise TypeError(
+                    f"{name} is {others[name]!r}, but a Tie has no friction, as its sides do not "
+                    f"slip: leave it out, or give Contact(.., {name}=..)"
+                )
+        if others:
+            raise TypeError(f"a Tie has no {', '.join(others)}: see its documentation")
+        tags = {"slave": slave, "master": master}
+        super().__init__(facet_tags, **tags, surface=surface, feature_angle=feature_angle)
+        self.jump = jump
+        self.tightening: Floats = np.zeros(self._components)
+
+    @property
+    def _components(self) -> int:
+        return int(self.facet_tags.topology.dim)
+
+    @property
+    def jump(self) -> Jump:
+        """Displacement of the slave side relative to the master side, without the tightening."""
+        return self._jump
+
+    @jump.setter
+    def jump(self, value: Jump) -> None:
+        self._jump: Jump = check_jump(value, self._components)
+
+    @property
+    def tightening(self) -> Floats:
+        """Vector (d,) that is added to the jump everywhere."""
+        return self._tightening
+
+    @tightening.setter
+    def tightening(self, value: Floats) -> None:
+        self._tightening: Floats = check_jump(np.asarray(value), self._components)
 
     def configuration(self, u: fem.Function | None) -> None:
         """Return None: D and M do not follow the deformation."""
@@ -48,7 +114,7 @@ class Tie(Interface):
         slot = np.where(fixed, np.arange(d, dtype=np.int32), -1).astype(np.int32)
         return Frame(np.broadcast_to(np.eye(d), (n, d, d)), slot, kept, normals)
 
-    def blocks(self, P: Floats, normals: Floats) -> Floats:
+    def blocks(self, P: Floats, frame: Frame, row: Ints) -> Floats:
         """Return P_jl I."""
         return np.asarray(P[:, :, None] * np.eye(P.shape[1]))
 
@@ -57,7 +123,7 @@ class Tie(Interface):
         return u
 
     def constraints(self, nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
-        """Return w = 0: what has slipped is taken back."""
+        """Return w = 0: what has slipped, the jump taken off, is taken back."""
         node, axis = np.nonzero(directions)
         dofs = (directions.shape[1] * nodes[node] + axis).astype(np.int32)
         return equalities(dofs, -slip[node, axis], D[node, axis])

@@ -6,8 +6,21 @@ It must not know of meshes, functions or contact; `check` tries a law out withou
 """
 
 from dolfinx_mortar.materials.comparison import check
+from dolfinx_mortar.materials.drucker_prager import DruckerPrager
 from dolfinx_mortar.materials.elastic import Elastic
+from dolfinx_mortar.materials.orthotropic import Orthotropic
+from dolfinx_mortar.materials.pointwise import PointwiseLaw
 from dolfinx_mortar.materials.protocol import Material
+from dolfinx_mortar.materials.voce import VonMisesVoce
 from dolfinx_mortar.materials.von_mises import VonMises
 
-__all__ = ["Elastic", "Material", "VonMises", "check"]
+__all__ = [
+    "DruckerPrager",
+    "Elastic",
+    "Material",
+    "Orthotropic",
+    "PointwiseLaw",
+    "VonMises",
+    "VonMisesVoce",
+    "check",
+]

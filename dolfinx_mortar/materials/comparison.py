@@ -12,7 +12,9 @@ import numpy as np
 
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.compiled import CompiledLaw, Point
-from dolfinx_mortar.materials.protocol import check_declaration
+from dolfinx_mortar.materials.plane_stress import plane_stress_law
+from dolfinx_mortar.materials.pointwise import PointwiseNumbers
+from dolfinx_mortar.materials.protocol import check_declaration, is_pointwise, law_of
 from dolfinx_mortar.materials.tensor import COMPONENTS, INDEX
 
 PATHS, STRAINS = 8, 6  # random strain paths, and strains on each, over five decades
@@ -34,6 +36,7 @@ class LawReport:
     tangent_error: float  # tangent against differences of the stress
     state_error: float  # stress at the end of a step against that at the start of the next
     skew: float  # largest unsymmetric part of the tangent
+    lowest: float  # smallest eigenvalue of the tangent, relative to the largest one anywhere
 
     def __str__(self) -> str:
         """Return a few lines to read."""
@@ -50,6 +53,12 @@ class LawReport:
                 f"  the tangent is not symmetric ({self.skew:.1e}): the linear solvers of this "
                 "package need a symmetric one"
             )
+        if self.lowest < -RTOL:
+            lines.append(
+                f"  the potential is not convex: the tangent has an eigenvalue {self.lowest:.1e} "
+                "times the largest one; steps may have several solutions or none, and the solvers "
+                "of this package need a definite tangent"
+            )
         return "\n".join(lines)
 
 
@@ -57,7 +66,7 @@ class LawReport:
 class _Sample:
     """A law at a strain and state, and how messages call the place."""
 
-    law: CompiledLaw
+    law: CompiledLaw | PointwiseNumbers
     name: str
     strain: Floats  # (6,)
     state: Mapping[str, Floats]
@@ -93,7 +102,12 @@ class _Sample:
 
 
 def check(
-    law: Any, *, size: float = 0.1, seed: int = 1, rate_independent: bool = True
+    law: Any,
+    *,
+    size: float = 0.1,
+    seed: int = 1,
+    rate_independent: bool = True,
+    plane_stress: bool = False,
 ) -> LawReport:
     """Compare stress, energy, tangent and state of a law at random strains and states.
 
@@ -103,6 +117,7 @@ def check(
     * d energy / d strain by central differences must be the stress, where there is an energy;
     * d stress / d strain by central differences must be the tangent that UFL derives;
     * with `linear`, the tangent must be the same everywhere;
+    * the tangent should be positive, or the potential of the step is not convex (told, no error);
     * the internal variables at the end of the step, committed, must give the same stress at the
       same strain, and stay as they are (not for laws that go on with time).
 
@@ -111,6 +126,7 @@ def check(
         size: Frobenius norm of the largest strain.
         seed: of the random strains.
         rate_independent: False leaves out the last comparison.
+        plane_stress: judge what the law does in plane stress.
 
     Returns:
         The largest errors found; ``print`` it.
@@ -120,7 +136,9 @@ def check(
     """
     check_declaration("law", law)
     rng = np.random.default_rng(seed)
-    compiled, name = CompiledLaw(law), type(law).__name__
+    kind = plane_stress_law(law_of(law)) if plane_stress else law_of(law)
+    compiled = PointwiseNumbers(law, kind) if is_pointwise(kind) else CompiledLaw(law, kind)
+    name = kind.__name__
     virgin = {n: np.zeros(shape) for n, shape in compiled.shapes.items()}
     start = _Sample(compiled, name, np.zeros(6), virgin)
     found = []
@@ -129,16 +147,17 @@ def check(
         for norm in np.geomspace(1e-5 * size, size, STRAINS):
             strain, first, second = (_unit(rng) for _ in range(3))
             sample = _Sample(compiled, name, norm * strain, state)
-            if type(law).linear:
+            if kind.linear:
                 _compare_with_start(sample, start, first)
             state = sample.at(sample.strain, first).state
             errors = _compare(sample, first, second)
             kept = _compare_state(sample, state) if rate_independent else 0.0
             changed = any(np.any(state[n] != sample.state[n]) for n in state)
-            found.append((changed, *errors, kept))
-    changed_, energy, tangent, skew, kept_ = np.array(found, dtype=float).T
-    errors_ = (float(e.max()) for e in (energy, tangent, kept_, skew))
-    return LawReport(name, len(found), int(changed_.sum()), *errors_)
+            found.append((changed, *errors, kept, *_extreme_moduli(sample)))
+    changed_, energy, tangent, skew, kept_, low, high = np.array(found, dtype=float).T
+    lowest = low.min() / high.max() if high.max() > 0.0 else 0.0
+    errors_ = (energy.max(), tangent.max(), kept_.max(), skew.max(), lowest)
+    return LawReport(name, len(found), int(changed_.sum()), *map(float, errors_))
 
 
 def _compare(sample: _Sample, first: Floats, second: Floats) -> tuple[float, float, float]:
@@ -165,6 +184,15 @@ def _compare(sample: _Sample, first: Floats, second: Floats) -> tuple[float, flo
     across = sample.at(sample.strain, second)
     skew = _work(here.change, second) - _work(across.change, first)
     return energy_error, tangent_error, abs(skew) / (scale / norm)
+
+
+def _extreme_moduli(sample: _Sample) -> tuple[float, float]:
+    """Return the smallest eigenvalue of the symmetric part of the tangent, and the largest size."""
+    root = np.sqrt(SHEAR)  # orthonormal components: products are those of the tensors
+    columns = [root * _components(sample.at(sample.strain, e).change) for e in np.diag(1 / root)]
+    matrix = np.array(columns)
+    values = np.linalg.eigvalsh((matrix + matrix.T) / 2)
+    return float(values[0]), float(np.abs(values).max())
 
 
 def _energy_slopes(sample: _Sample, t: float) -> Floats:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,7 +17,8 @@ import basix.ufl
 import ffcx.codegeneration.jit
 import ufl
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.materials.response import elastic_response, respond
+from dolfinx_mortar.materials.protocol import law_of
+from dolfinx_mortar.materials.response import Response, elastic_response, respond
 from dolfinx_mortar.materials.tensor import from_components, to_components
 from ufl.core.expr import Expr
 
@@ -47,20 +48,23 @@ class CompiledLaw:
         has_energy: whether the law has a potential.
     """
 
-    def __init__(self, law: Any) -> None:
+    def __init__(self, law: Any, kind: Any = None) -> None:
         """Compile the law.
+
+        Args:
+            law: the material.
+            kind: the class with its methods; None is the material's own.
 
         Raises:
             ValueError: if a method of the law raises or returns something wrong.
         """
-        kind = type(law)
+        kind = law_of(law) if kind is None else kind
         self.shapes = {name: (6,) if shape else () for name, shape in kind.state.items()}
-        self._parameters = [float(getattr(law, f.name)) for f in dataclasses.fields(law)]
+        self._parameters = [number(law, field.name) for field in dataclasses.fields(law)]
         names = [f.name for f in dataclasses.fields(law)]
-        size = 12 + sum(6 if shape else 1 for shape in self.shapes.values()) + len(names)
-        domain = ufl.Mesh(basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,)))
-        numbers = ufl.Constant(domain, shape=(size,))
-        rest = iter(range(12, size))
+        count = 12 + sum(6 if shape else 1 for shape in self.shapes.values()) + len(names)
+        numbers = constants(count)
+        rest = iter(range(12, count))
 
         def take(shape: tuple[int, ...]) -> Expr:
             if not shape:
@@ -73,17 +77,14 @@ class CompiledLaw:
         p = SimpleNamespace(**{name: take(()) for name in names})
         response = respond(kind, strain, state, p)
         self.has_energy = response.energy is not None
-        i, j, k, m = ufl.indices(4)
-        tangent = ufl.diff(response.stress, strain)
-        change = ufl.as_tensor(tangent[i, j, k, m] * along[k, m], (i, j))
-        tensors = [response.stress, elastic_response(kind, strain, p), change]
-        scalars = [tensor[a, b] for tensor in tensors for a in range(3) for b in range(3)]
-        scalars.append(ufl.as_ufl(0.0) if response.energy is None else response.energy)
+        change = _change(response, strain, along)
+        # One by one: UFL compares equal parts of what is compiled together, tree by tree.
+        parts = [entries(t) for t in (response.stress, elastic_response(kind, strain, p), change)]
+        parts.append([ufl.as_ufl(0.0) if response.energy is None else response.energy])
         for name, shape in self.shapes.items():
             new = response.updated[name]
-            scalars += to_components(new, 6) if shape else [new]
-        self._kernel = _compile(ufl.as_vector(scalars))
-        self._count = len(scalars)
+            parts.append(to_components(new, 6) if shape else [new])
+        self._kernels = compile_vectors([ufl.as_vector(list(part)) for part in parts])
 
     def __call__(self, strain: Floats, direction: Floats, state: Mapping[str, Floats]) -> Point:
         """Evaluate the law.
@@ -95,7 +96,7 @@ class CompiledLaw:
         """
         stored = [np.atleast_1d(state[name]) for name in self.shapes]
         numbers = np.concatenate([strain, direction, *stored, self._parameters])
-        values = self._kernel(numbers, self._count)
+        values = np.concatenate([kernel(numbers) for kernel in self._kernels])
         stress, elastic, change = values[:27].reshape(3, 3, 3)
         energy, rest = values[27] if self.has_energy else np.nan, values[28:]
         new = {}
@@ -104,22 +105,70 @@ class CompiledLaw:
         return Point(stress, elastic, change, float(energy), new)
 
 
-def _compile(vector: Expr) -> Any:
-    """Return a function of the constants (n,) that gives the values (count,) of an expression."""
+def _change(response: Response, strain: Expr, along: Expr) -> Expr:
+    """Return d stress / d strain : along, 3x3; the strain is a UFL variable."""
+    if response.change is not None:
+        return response.change(along)
+    i, j, k, m = ufl.indices(4)
+    tangent = ufl.diff(response.stress, strain)
+    return ufl.as_tensor(tangent[i, j, k, m] * along[k, m], (i, j))
+
+
+def number(law: Any, name: str) -> float:
+    """Return a parameter as a number.
+
+    Raises:
+        ValueError: if it depends on place.
+    """
+    value = getattr(law, name)
+    if isinstance(value, ufl.Constant):
+        return float(value.value)
+    if isinstance(value, Expr):
+        raise ValueError(
+            f"{type(law).__name__}: {name} = {value} depends on place; try the law out with "
+            f"numbers, dataclasses.replace(law, {name}=...)."
+        )
+    return float(value)
+
+
+def entries(tensor: Expr) -> list[Expr]:
+    """Return the nine entries of a tensor, row by row."""
+    return [tensor[i, j] for i in range(3) for j in range(3)]
+
+
+def constants(count: int) -> ufl.Constant:
+    """Return numbers of which `compile_vectors` makes the argument of functions."""
+    domain = ufl.Mesh(basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,)))
+    return ufl.Constant(domain, shape=(count,))
+
+
+def compile_vectors(vectors: list[Expr]) -> list[Callable[[Floats], Floats]]:
+    """Return for each expression a function of the constants (n,) that gives its values."""
     where = np.full((1, 3), 0.25)
+    # A number of its own tells each from its equals, whose code would have the same name.
+    told = [ufl.as_vector([*vector, ufl.as_ufl(k + 1.0)]) for k, vector in enumerate(vectors)]
     # In a folder of its own, so that ranks that compile at the same time do not meet.
     with tempfile.TemporaryDirectory() as folder:
-        (compiled,), module, _ = ffcx.codegeneration.jit.compile_expressions(
-            [(vector, where)], cache_dir=Path(folder), cffi_extra_compile_args=["-O1"]
+        compiled, module, _ = ffcx.codegeneration.jit.compile_expressions(
+            [(vector, where) for vector in told],
+            cache_dir=Path(folder),
+            cffi_extra_compile_args=["-O1"],
         )
-    ffi, kernel = module.ffi, compiled.tabulate_tensor_float64
+    return [
+        _evaluation(module.ffi, one.tabulate_tensor_float64, vector.ufl_shape[0])
+        for one, vector in zip(compiled, vectors, strict=True)
+    ]
+
+
+def _evaluation(ffi: Any, kernel: Any, count: int) -> Callable[[Floats], Floats]:
+    """Return a compiled expression as a function of its constants."""
     corners = np.vstack([np.zeros(3), np.eye(3)])
     nothing = [ffi.NULL] * (len(ffi.typeof(kernel).args) - 4)  # newer kernels take more
 
-    def evaluate(numbers: Floats, count: int) -> Floats:
-        values, none = np.zeros(count), np.zeros(1)
+    def evaluate(numbers: Floats) -> Floats:
+        values, none = np.zeros(count + 1), np.zeros(1)
         arrays = (values, none, np.ascontiguousarray(numbers), corners)
         kernel(*(ffi.cast("double *", ffi.from_buffer(a)) for a in arrays), *nothing)
-        return values
+        return values[:count]
 
     return evaluate

@@ -6,13 +6,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any, ClassVar
 
-import numpy as np
-
 import ufl
-from dolfinx_mortar.materials.protocol import check_parameters
+from dolfinx_mortar.materials.parameters import Parameter, Range, check_fields
+from dolfinx_mortar.materials.protocol import Material
 from ufl.core.expr import Expr
 
 
@@ -26,25 +24,33 @@ def lame_modulus(p: Any) -> Any:
     return p.E * p.nu / ((1 + p.nu) * (1 - 2 * p.nu))
 
 
+def bulk_modulus(p: Any) -> Any:
+    """Return K = E / (3 (1 - 2 nu)), of numbers, arrays or UFL."""
+    return p.E / (3 * (1 - 2 * p.nu))
+
+
 @dataclass(frozen=True)
-class Elastic:
+class Elastic(Material):
     """Hooke's law, sigma = lambda tr(eps) I + 2 mu eps.
 
     Raises:
         ValueError: if E <= 0, nu is outside (-1, 0.5) or a number is not finite.
     """
 
-    E: float  # Young's modulus
-    nu: float  # Poisson's ratio
+    E: Parameter  # Young's modulus
+    nu: Parameter  # Poisson's ratio
 
     state: ClassVar[Mapping[str, tuple[int, ...]]] = {}
     linear: ClassVar[bool] = True
+    splits: ClassVar[bool] = True
+    ranges: ClassVar[Mapping[str, Range]] = {
+        "E": (0.0, math.inf, False),
+        "nu": (-1.0, 0.5, False),
+    }
 
     def __post_init__(self) -> None:
         """Check the parameters."""
-        check_parameters(
-            "Elastic", E=(self.E, 0.0, math.inf, False), nu=(self.nu, -1.0, 0.5, False)
-        )
+        check_fields(self)
 
     @staticmethod
     def elastic_stress(strain: Expr, p: Any) -> Expr:
@@ -57,13 +63,3 @@ class Elastic:
         return lame_modulus(p) / 2 * ufl.tr(strain) ** 2 + shear_modulus(p) * ufl.inner(
             strain, strain
         )
-
-    @staticmethod
-    def updated_state(strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
-        """Return nothing: elasticity has no memory."""
-        return {}
-
-    @staticmethod
-    def output(state: Mapping[str, np.ndarray], p: SimpleNamespace) -> dict[str, np.ndarray]:
-        """Return nothing beyond the stress."""
-        return {}

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,8 @@ class Response:
     stress: Expr  # (3, 3)
     energy: Expr | None  # the incremental potential, if the law has one
     updated: dict[str, Expr]  # internal variables at the end of the step, () or (3, 3)
+    # direction, 3x3 -> d stress / d strain : direction; None leaves it to UFL
+    change: Callable[[Expr], Expr] | None = None
 
 
 def respond(law: type, strain: Expr, state: Mapping[str, Expr], p: Any) -> Response:
@@ -44,7 +46,13 @@ def respond(law: type, strain: Expr, state: Mapping[str, Expr], p: Any) -> Respo
         # Not ufl.variable: its running number would get into the signature of the compiled code.
         variable = Variable(strain, Label(-1))
         stress = ufl.diff(_call(law, "energy", (), variable, state, p), variable)
-    return Response(stress, energy, _updated_state(law, strain, state, p))
+    change = None
+    if callable(getattr(law, "tangent", None)):
+
+        def change(direction: Expr) -> Expr:
+            return _call(law, "tangent", (3, 3), strain, state, p, direction)
+
+    return Response(stress, energy, _updated_state(law, strain, state, p), change)
 
 
 def elastic_response(law: type, strain: Expr, p: Any) -> Expr:
@@ -85,11 +93,14 @@ def _guarded(law: type, method: str, *arguments: Any) -> Any:
     try:
         return getattr(law, method)(*arguments)
     except Exception as error:
-        wanted = "(strain, p)" if method == "elastic_stress" else "(strain, state, p)"
+        wanted = _ARGUMENTS.get(method, "(strain, state, p)")
         raise ValueError(
             f"{law.__name__}.{method} raised {type(error).__name__}: {error} (it is called as a "
             f"static method, {method}{wanted}, with UFL)"
         ) from error
+
+
+_ARGUMENTS = {"elastic_stress": "(strain, p)", "tangent": "(strain, state, p, direction)"}
 
 
 def _shaped(what: str, value: Any, shape: tuple[int, ...]) -> Expr:

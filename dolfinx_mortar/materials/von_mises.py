@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Von Mises plasticity with linear kinematic hardening (Prager's rule)."""
+"""Von Mises plasticity with linear kinematic (Prager's rule) and isotropic hardening."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from numbers import Real
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
@@ -13,7 +14,8 @@ import numpy as np
 
 import ufl
 from dolfinx_mortar.materials.elastic import Elastic, shear_modulus
-from dolfinx_mortar.materials.protocol import check_parameters
+from dolfinx_mortar.materials.parameters import Parameter, Range, check_fields, check_parameters
+from dolfinx_mortar.materials.protocol import Material
 from ufl.core.expr import Expr
 
 # A committed plastic point lies on the yield surface up to round-off, which is that of 2 mu eps:
@@ -25,53 +27,80 @@ YIELD_TOLERANCE = 1e-10
 NORM_GUARD = 1e-14
 
 
+def shifted_stress(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, Expr]:
+    """Return xi = 2 mu dev(eps) - (2 mu + a) ep_n, 3x3, and |xi|, differentiable also at xi = 0."""
+    mu = shear_modulus(p)
+    xi = 2 * mu * ufl.dev(strain) - (2 * mu + p.a) * state["plastic_strain"]
+    return xi, ufl.sqrt(ufl.inner(xi, xi) + (NORM_GUARD * p.Y) ** 2)
+
+
 @dataclass(frozen=True)
-class VonMises:
-    r"""Small-strain von Mises plasticity with linear kinematic hardening.
+class VonMises(Material):
+    r"""Small-strain von Mises plasticity with linear kinematic and isotropic hardening.
 
     With the committed plastic strain ep_n and the trial shifted stress
 
         xi = 2 mu dev(eps) - (2 mu + a) ep_n          (deviatoric stress minus back stress a ep_n)
 
-    a point yields when |xi| > Y in the Frobenius norm, and then (radial return)
+    and the accumulated plastic strain k_n = int |dep|, a point yields when |xi| > Y + H k_n in the
+    Frobenius norm, and then (radial return)
 
-        dgam  = (|xi| - Y)_+ / (2 mu + a),      n = xi / |xi|
+        dgam  = (|xi| - Y - H k_n)_+ / (2 mu + a + H),   n = xi / |xi|,   k = k_n + dgam
         sigma = C (eps - ep_n) - 2 mu dgam n,   ep = ep_n + dgam n,   back stress = a ep.
 
     Time-discrete normality makes this the gradient of an incremental potential,
 
-        psi = 1/2 (eps - ep_n):C:(eps - ep_n) + a/2 |ep_n|^2 - (|xi| - Y)_+^2 / (2 (2 mu + a)).
+        psi = 1/2 (eps - ep_n):C:(eps - ep_n) + a/2 |ep_n|^2 + H/2 k_n^2
+              - (|xi| - Y - H k_n)_+^2 / (2 (2 mu + a + H)).
+
+    In tension, plastic strain p = sqrt(2/3) k, the stress at first loading is
+    sqrt(3/2) Y + 3/2 (a + H) p. Only with H is there an internal variable
+    ``accumulated_plastic_strain``, k; times sqrt(2/3) it is the equivalent plastic strain.
 
     Source: M. Cermak, S. Sysala, J. Valdman, "Efficient and flexible MATLAB implementation of 2D
     and 3D elastoplastic problems", Appl. Math. Comput. 355 (2019) 595-614, for the law; psi is
     the stored energy plus dissipation of the step, minimised over the plastic strain.
 
     Raises:
-        ValueError: if E <= 0, nu is outside (-1, 0.5), Y <= 0, a < 0 or a number is not finite.
+        ValueError: if E <= 0, nu is outside (-1, 0.5), Y <= 0, a < 0, H < 0 or a number is not
+            finite.
     """
 
-    E: float  # Young's modulus
-    nu: float  # Poisson's ratio
-    Y: float  # yield radius in the Frobenius norm of the deviator: sqrt(2/3) x uniaxial yield
-    a: float  # kinematic modulus, back stress per plastic strain: 2/3 x uniaxial plastic modulus
+    E: Parameter  # Young's modulus
+    nu: Parameter  # Poisson's ratio
+    Y: Parameter  # yield radius, Frobenius norm of the deviator: sqrt(2/3) x uniaxial yield stress
+    a: Parameter  # kinematic modulus, back stress per plastic strain: 2/3 x uniaxial one
+    H: Parameter = 0.0  # isotropic modulus, yield radius per k: 2/3 x uniaxial one
 
     state: ClassVar[Mapping[str, tuple[int, ...]]] = {"plastic_strain": (3, 3)}
     linear: ClassVar[bool] = False
+    splits: ClassVar[bool] = True
     elastic_stress = staticmethod(Elastic.elastic_stress)
+    ranges: ClassVar[Mapping[str, Range]] = {
+        **Elastic.ranges,
+        "Y": (0.0, math.inf, False),
+        "a": (0.0, math.inf, True),
+        "H": (0.0, math.inf, True),
+    }
 
     def __post_init__(self) -> None:
         """Check the parameters."""
-        check_parameters(
-            "VonMises",
-            E=(self.E, 0.0, math.inf, False),
-            nu=(self.nu, -1.0, 0.5, False),
-            Y=(self.Y, 0.0, math.inf, False),
-            a=(self.a, 0.0, math.inf, True),
-        )
+        check_fields(self)
+
+    @property
+    def law(self) -> type:
+        """The class whose methods hold: without isotropic hardening there is no k."""
+        return VonMises if isinstance(self.H, Real) and self.H == 0 else MixedVonMises
 
     @classmethod
     def from_uniaxial(
-        cls, E: float, nu: float, yield_stress: float, plastic_modulus: float
+        cls,
+        E: Parameter,
+        nu: Parameter,
+        yield_stress: Parameter,
+        plastic_modulus: Parameter,
+        *,
+        isotropic: float = 0.0,
     ) -> VonMises:
         """Create the law from a tension test.
 
@@ -79,8 +108,11 @@ class VonMises:
             E: Young's modulus.
             nu: Poisson's ratio.
             yield_stress: uniaxial yield stress; Y = sqrt(2/3) yield_stress.
-            plastic_modulus: d sigma / d (plastic strain) in tension; a = 2/3 plastic_modulus. A
+            plastic_modulus: d sigma / d (plastic strain) in tension; a + H = 2/3 plastic_modulus. A
                 test's tangent modulus E_t gives plastic_modulus = E E_t / (E - E_t).
+            isotropic: share of the hardening that is isotropic, from 0 (all of it moves the yield
+                surface) to 1 (all of it widens it). Loading in one direction does not tell; after
+                reversal the bar yields 2 (yield_stress + isotropic (stress - yield_stress)) lower.
 
         Raises:
             ValueError: for the same ranges, naming these arguments.
@@ -89,15 +121,17 @@ class VonMises:
             "VonMises.from_uniaxial",
             yield_stress=(yield_stress, 0.0, math.inf, False),
             plastic_modulus=(plastic_modulus, 0.0, math.inf, True),
+            isotropic=(isotropic, 0.0, math.nextafter(1.0, 2.0), True),
         )
-        return cls(E, nu, math.sqrt(2 / 3) * yield_stress, 2 / 3 * plastic_modulus)
+        modulus = 2 / 3 * plastic_modulus
+        # not 0 * modulus, which in UFL is no number: there would be a k that nothing reads
+        a, H = ((1 - isotropic) * modulus, isotropic * modulus) if isotropic else (modulus, 0.0)
+        return cls(E, nu, math.sqrt(2 / 3) * yield_stress, a, H)
 
     @staticmethod
     def _trial(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, Expr, Expr]:
         """Return xi, |xi| and (|xi| - Y)_+ with the dead band at zero."""
-        mu = shear_modulus(p)
-        xi = 2 * mu * ufl.dev(strain) - (2 * mu + p.a) * state["plastic_strain"]
-        norm = ufl.sqrt(ufl.inner(xi, xi) + (NORM_GUARD * p.Y) ** 2)
+        xi, norm = shifted_stress(strain, state, p)
         excess = norm - p.Y
         yields = ufl.gt(excess, YIELD_TOLERANCE * p.Y)
         return xi, norm, ufl.conditional(yields, excess, 0.0)
@@ -122,3 +156,39 @@ class VonMises:
     def output(state: Mapping[str, np.ndarray], p: SimpleNamespace) -> dict[str, np.ndarray]:
         """Return the back stress a ep (q, components)."""
         return {"back_stress": p.a[:, None] * state["plastic_strain"]}
+
+
+class MixedVonMises(VonMises):
+    """`VonMises` with isotropic hardening, which remembers the accumulated plastic strain."""
+
+    state: ClassVar[Mapping[str, tuple[int, ...]]] = {
+        **VonMises.state,
+        "accumulated_plastic_strain": (),
+    }
+
+    @staticmethod
+    def _trial(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, Expr, Expr]:
+        """Return xi, |xi| and (|xi| - Y - H k_n)_+ with the dead band at zero."""
+        xi, norm = shifted_stress(strain, state, p)
+        radius = p.Y + p.H * state["accumulated_plastic_strain"]
+        yields = ufl.gt(norm - radius, YIELD_TOLERANCE * radius)
+        return xi, norm, ufl.conditional(yields, norm - radius, 0.0)
+
+    @staticmethod
+    def energy(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
+        """Return the incremental potential psi."""
+        ep, k = state["plastic_strain"], state["accumulated_plastic_strain"]
+        _, _, excess = MixedVonMises._trial(strain, state, p)
+        stored = p.a / 2 * ufl.inner(ep, ep) + p.H / 2 * k**2
+        relaxation = excess**2 / (2 * (2 * shear_modulus(p) + p.a + p.H))
+        return Elastic.energy(strain - ep, {}, p) + stored - relaxation
+
+    @staticmethod
+    def updated_state(strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
+        """Return plastic strain and accumulated plastic strain at the end of the step."""
+        xi, norm, excess = MixedVonMises._trial(strain, state, p)
+        growth = excess / (2 * shear_modulus(p) + p.a + p.H)
+        return {
+            "plastic_strain": state["plastic_strain"] + growth / norm * xi,
+            "accumulated_plastic_strain": state["accumulated_plastic_strain"] + growth,
+        }

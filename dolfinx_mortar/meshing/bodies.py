@@ -106,16 +106,18 @@ def read_cells(gmsh: Any, cell: str) -> Arrays:
 
 
 def distribute(
-    comm: MPI.Intracomm, create: Callable[[], tuple[Arrays, Arrays]], cell: str
+    comm: MPI.Intracomm, create: Callable[[], tuple[Arrays, Arrays]], cell: str, degree: int = 1
 ) -> tuple[dmesh.Mesh, int]:
     """Join the two bodies that ``create`` makes on rank 0; also return the first body's size.
 
-    The nodes of a cell are in the order of dolfinx.
+    The nodes of a cell, of the given degree, are in the order of dolfinx.
 
     Raises:
         RuntimeError: If gmsh is missing or fails (on all ranks).
     """
-    k, d = NODES[cell], DIMENSION[cell]
+    d = DIMENSION[cell]
+    element = basix.ufl.element("Lagrange", cell, degree, shape=(d,))
+    k = element.dim // d
     x: Floats = np.empty((0, d))
     cells: Longs = np.empty((0, k), dtype=np.int64)
     first, problem = 0, ""
@@ -131,7 +133,7 @@ def distribute(
     first, problem = comm.bcast((first, problem))
     if problem:
         raise RuntimeError(problem)
-    domain = ufl.Mesh(basix.ufl.element("Lagrange", cell, 1, shape=(d,)))
+    domain = ufl.Mesh(element)
     return dmesh.create_mesh(comm, cells=np.ascontiguousarray(cells), x=x, e=domain), first
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from dolfinx import mesh as dmesh
 from dolfinx_mortar.arrays import Bools, Floats, Longs
-from dolfinx_mortar.meshing.arguments import check_gap, check_on_all_ranks, choose, positive
+from dolfinx_mortar.meshing.arguments import check_gap, check_on_all_ranks, choose, finite, positive
 from dolfinx_mortar.meshing.bodies import (
     ON_PLANE,
     Arrays,
@@ -27,21 +27,26 @@ from dolfinx_mortar.meshing.bodies import (
     read_cells,
     set_graded_size,
 )
+from dolfinx_mortar.tags import Tags
 
 BLOCK, DISC = 1, 2  # cell tags
-BOTTOM, FLAT, TOP, ARC = 1, 2, 3, 4  # facet tags
+BOTTOM, FLAT, TOP, ARC, AXIS = 1, 2, 3, 4, 5  # facet tags
+BODIES = {"block": BLOCK, "disc": DISC}
+SIDES = {"bottom": BOTTOM, "flat": FLAT, "top": TOP, "arc": ARC, "axis": AXIS}
 PAPER_DIVISIONS = (34, 20)  # half block: 34 x 20 rectangles, 2720 triangles in the whole block
 PAPER_DISC_SIZE = 0.45 / 8.0  # element size over radius that gives about 1200 triangles
+Graded = tuple[float, float] | None  # size at the contact point, largest one over it
 GRADED_CORE = 2.5  # mm, distance from the contact point within which the size is h
-GRADED_LIMIT = 10.0  # largest size of a graded mesh over h
 
 
 class HertzMesh(NamedTuple):
     """Mesh of the half disc on the block, with its tags."""
 
     mesh: dmesh.Mesh
-    cell_tags: dmesh.MeshTags  # 1 block, 2 disc
-    facet_tags: dmesh.MeshTags  # 1 bottom of block, 2 flat face of disc, 3 top of block, 4 arc
+    cell_tags: Tags  # 1 block, 2 disc
+    # 1 bottom of block, 2 flat face of disc, 3 top of block, 4 arc, 5 axis, the line of symmetry of
+    # the half
+    facet_tags: Tags
 
 
 def hertz(
@@ -53,24 +58,30 @@ def hertz(
     block: tuple[float, float] = (30.0, 10.0),
     gap: float = 0.0,
     cell: str = "triangle",
+    half: bool = False,
+    limit: float = 10.0,
 ) -> HertzMesh:
     """Mesh a half disc above a block, non-matching where they touch (collective).
 
     The block is [-w/2, w/2] x [-t, 0] with (w, t) = ``block``. The disc has its lowest point at
     (0, ``gap``) and its flat face on top at y = ``radius + gap``. The mesh is symmetric in x and
     (0, 0), (0, ``gap``) are nodes. Cell tags: 1 block, 2 disc. Facet tags: 1 bottom of the block,
-    2 flat face of the disc, 3 top of the block, 4 arc of the disc.
+    2 flat face of the disc, 3 top of the block, 4 arc of the disc; the half that is x >= 0 alone,
+    which is also the section of a ball on a round plate, has 5 on x = 0. Their names are "block"
+    and "disc", "bottom", "flat", "top", "arc" and "axis".
 
     Args:
         comm: Communicator of the mesh; gmsh runs on its rank 0 only.
         kind: "paper": about 1200 cells in the disc and 2720 in the block (as triangles, for any
             ``radius`` and ``block``); "graded": element size ``h`` within 2.5 mm of the first
-            contact point and h (1 + r - 2.5), at most 10 h, at distance r mm.
+            contact point and h (1 + r - 2.5), at most ``limit`` h, at distance r mm.
         h: Element size of the graded mesh [mm]; a pair gives (block, disc) separately.
         radius: Radius of the disc [mm].
         block: Width and thickness of the block [mm].
         gap: Initial vertical gap between the bodies [mm]; negative for an overlap.
         cell: "triangle" or "quadrilateral".
+        half: Whether to leave out x < 0.
+        limit: Largest size of the graded mesh over h, greater than 1.
 
     Returns:
         The mesh, its cell tags and its facet tags.
@@ -80,12 +91,15 @@ def hertz(
         RuntimeError: If gmsh is missing or fails (on all ranks).
     """
     given = {"kind": kind, "cell": cell, "h": h, "radius": radius, "block": block, "gap": gap}
-    sizes, radius, block, gap = check_on_all_ranks(comm, _check, **given)
+    given["limit"] = limit
+    sizes, radius, block, gap, limit = check_on_all_ranks(comm, _check, **given)
+    graded = [(size, limit) if kind == "graded" else None for size in sizes]
 
     def create() -> tuple[Arrays, Arrays]:
+        whole = _on_axis if half else _mirror
         return (
-            _half_block(block, kind, sizes[0], cell),
-            _half_disc(radius, gap, kind, sizes[1], cell),
+            whole(*_half_block(block, graded[0], cell)),
+            whole(*_half_disc(radius, gap, graded[1], cell)),
         )
 
     mesh, first = distribute(comm, create, cell)
@@ -96,13 +110,13 @@ def hertz(
     cell_tags.name = "bodies"
     facet_tags = _tag_boundary(mesh, in_block, thickness=block[1], radius=radius, gap=gap)
     facet_tags.name = "boundary"
-    return HertzMesh(mesh, cell_tags, facet_tags)
+    return HertzMesh(mesh, Tags(cell_tags, BODIES), Tags(facet_tags, SIDES))
 
 
 def _check(
-    *, kind: Any, cell: Any, h: Any, radius: Any, block: Any, gap: Any
-) -> tuple[tuple[float, ...], float, tuple[float, float], float]:
-    """Return sizes (block, disc), radius, block and gap as numbers, or raise a ValueError."""
+    *, kind: Any, cell: Any, h: Any, radius: Any, block: Any, gap: Any, limit: Any
+) -> tuple[tuple[float, ...], float, tuple[float, float], float, float]:
+    """Return sizes (block, disc), radius, block, gap, limit as numbers, or raise a ValueError."""
     choose("kind", kind, ("paper", "graded"))
     choose("cell", cell, ("triangle", "quadrilateral"))
     sizes = positive("h", h, "block, disc", one=True)
@@ -110,29 +124,32 @@ def _check(
     width, thickness = positive("block", block, "width, thickness")
     if kind == "graded" and max(sizes) > R / 2:
         raise ValueError(f"h = {h!r} must be at most half the radius, {R / 2:g}.")
-    return sizes, R, (width, thickness), check_gap(gap, R, thickness)
+    largest = finite("limit", limit, "use 10 for the largest size over h")
+    if not largest > 1.0:
+        raise ValueError(f"limit = {limit!r} must be greater than 1, the largest size over h.")
+    return sizes, R, (width, thickness), check_gap(gap, R, thickness), largest
 
 
-def _half_block(block: tuple[float, float], kind: str, h: float, cell: str) -> Arrays:
-    """Mesh [0, w/2] x [-t, 0] and mirror it."""
+def _half_block(block: tuple[float, float], graded: Graded, cell: str) -> Arrays:
+    """Mesh [0, w/2] x [-t, 0]."""
 
     def draw(geo: Any) -> int:
         w, t = 0.5 * block[0], block[1]
         p = [geo.addPoint(x, y, 0.0) for x, y in ((0, 0), (0, -t), (w, -t), (w, 0))]
         lines = [geo.addLine(p[i], p[(i + 1) % 4]) for i in range(4)]
         surface = geo.addPlaneSurface([geo.addCurveLoop(lines)])
-        if kind == "paper":
+        if graded is None:
             nx, ny = PAPER_DIVISIONS
             for line, n in zip(lines, (ny, nx, ny, nx), strict=True):
                 geo.mesh.setTransfiniteCurve(line, n + 1)
             geo.mesh.setTransfiniteSurface(surface)
         return p[0]
 
-    return _mirror(*_mesh_half(draw, h if kind == "graded" else None, block[1], cell))
+    return _mesh_half(draw, graded, block[1], cell)
 
 
-def _half_disc(radius: float, gap: float, kind: str, h: float, cell: str) -> Arrays:
-    """Mesh the quarter disc x >= 0 and mirror it."""
+def _half_disc(radius: float, gap: float, graded: Graded, cell: str) -> Arrays:
+    """Mesh the quarter disc x >= 0."""
 
     def draw(geo: Any) -> int:
         p = [geo.addPoint(x, y + gap, 0.0) for x, y in ((0, 0), (radius, radius), (0, radius))]
@@ -141,13 +158,10 @@ def _half_disc(radius: float, gap: float, kind: str, h: float, cell: str) -> Arr
         geo.addPlaneSurface([geo.addCurveLoop(lines)])
         return p[0]
 
-    graded = h if kind == "graded" else None
-    return _mirror(*_mesh_half(draw, graded, PAPER_DISC_SIZE * radius, cell))
+    return _mesh_half(draw, graded, PAPER_DISC_SIZE * radius, cell)
 
 
-def _mesh_half(
-    draw: Callable[[Any], int], graded: float | None, uniform: float, cell: str
-) -> Arrays:
+def _mesh_half(draw: Callable[[Any], int], graded: Graded, uniform: float, cell: str) -> Arrays:
     """Mesh one plane surface; sizes are graded from the point that ``draw`` returns, or uniform."""
     with gmsh_model() as gmsh:
         origin = draw(gmsh.model.geo)
@@ -156,8 +170,8 @@ def _mesh_half(
             gmsh.option.setNumber("Mesh.MeshSizeMin", uniform)
             gmsh.option.setNumber("Mesh.MeshSizeMax", uniform)
         else:
-            growth = {"core": GRADED_CORE, "limit": GRADED_LIMIT, "beyond": GRADED_LIMIT - 1.0}
-            set_graded_size(gmsh, origin, graded, **growth)
+            h, limit = graded
+            set_graded_size(gmsh, origin, h, core=GRADED_CORE, limit=limit, beyond=limit - 1.0)
         # 6 = frontal Delaunay; 8 and 3 = its variant and blossom-full-quad recombination
         gmsh.option.setNumber("Mesh.Algorithm", 6 if cell == "triangle" else 8)
         gmsh.option.setNumber("Mesh.RecombineAll", int(cell == "quadrilateral"))
@@ -165,6 +179,12 @@ def _mesh_half(
         gmsh.model.mesh.generate(2)
         x, cells = read_cells(gmsh, cell)
     return x[:, :2], cells
+
+
+def _on_axis(x: Floats, cells: Longs) -> Arrays:
+    """Put nodes that are on x = 0 up to round-off there."""
+    near = np.abs(x[:, 0]) < 1e-10 * np.ptp(x[:, 0])
+    return np.where(near[:, None], [[0.0, 1.0]], [[1.0, 1.0]]) * x, cells
 
 
 def _mirror(x: Floats, cells: Longs) -> Arrays:
@@ -175,8 +195,8 @@ def _mirror(x: Floats, cells: Longs) -> Arrays:
     >>> nodes[:, 0].tolist(), cells.tolist()
     ([0.0, 1.0, 0.0, -1.0], [[0, 1, 2], [3, 0, 2]])
     """
-    on_axis = np.abs(x[:, 0]) < 1e-10 * np.ptp(x[:, 0])
-    x = np.where(on_axis[:, None], [[0.0, 1.0]], [[1.0, 1.0]]) * x
+    x, cells = _on_axis(x, cells)
+    on_axis = x[:, 0] == 0.0
     image = np.arange(len(x))
     image[~on_axis] = len(x) + np.arange(np.count_nonzero(~on_axis))
     # the image of a cell has the two nodes of each edge along x the other way round
@@ -203,5 +223,6 @@ def _tag_boundary(
     values[block_side & at(0.0)] = TOP
     values[~block_side] = ARC
     values[~block_side & at(radius + gap)] = FLAT
+    values[(x[:, :, 0] == 0.0).all(axis=1)] = AXIS  # exterior in the half only
     tagged = values > 0
     return dmesh.meshtags(mesh, 1, facets[tagged], values[tagged])

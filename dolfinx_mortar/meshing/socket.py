@@ -30,14 +30,17 @@ from dolfinx_mortar.meshing.hexahedra import graded_octant
 from dolfinx_mortar.meshing.sphere import (
     BALL,
     BLOCK,
+    BODIES,
     BOTTOM,
     FLAT,
+    SIDES,
     SPHERE,
     SYMMETRY_X,
     SYMMETRY_Y,
     TOP,
     SphereMesh,
 )
+from dolfinx_mortar.tags import Tags
 
 BLOCK_SIZE = 2.5  # half the edge of the block over the socket's radius
 CORE = 0.5  # edge of the cube in the ball, and extent of the finest tetrahedra, over the radius
@@ -58,7 +61,8 @@ def socket(
     [-2.5 R, 2.5 R]^2 x [-2.5 R, 0]. The lower half of a ball of the radius ``radius - clearance``
     touches it at (0, 0, -R). The quarter x, y >= 0 of both is meshed. Cell tags: 1 block, 2 ball.
     Facet tags: 1 bottom of the block, 2 flat face of the ball, 3 socket, 4 round surface of the
-    ball, 5 symmetry plane x = 0, 6 symmetry plane y = 0.
+    ball, 5 symmetry plane x = 0, 6 symmetry plane y = 0. Their names are those of `sphere`, but
+    "socket" for "top".
 
     Args:
         comm: Communicator of the mesh; it is created on rank 0 and distributed.
@@ -88,7 +92,9 @@ def socket(
     in_block = mesh.topology.original_cell_index < first
     values = np.where(in_block, BLOCK, BALL).astype(np.int32)
     cell_tags = dmesh.meshtags(mesh, 3, np.arange(len(values), dtype=np.int32), values)
-    return SphereMesh(mesh, cell_tags, _tag_boundary(mesh, in_block, R, r))
+    sides = {"socket" if tag == TOP else name: tag for name, tag in SIDES.items()}
+    facet_tags = _tag_boundary(mesh, in_block, R, r)
+    return SphereMesh(mesh, Tags(cell_tags, BODIES), Tags(facet_tags, sides))
 
 
 def _check(

@@ -17,7 +17,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx import mesh as dmesh
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.arrays import Bools, Floats, Longs
 from dolfinx_mortar.meshing.arguments import check_gap, check_on_all_ranks, choose, positive
 from dolfinx_mortar.meshing.bodies import (
     ON_PLANE,
@@ -29,9 +29,19 @@ from dolfinx_mortar.meshing.bodies import (
     set_graded_size,
 )
 from dolfinx_mortar.meshing.hexahedra import graded_octant
+from dolfinx_mortar.tags import Tags
 
 BLOCK, BALL = 1, 2  # cell tags
 BOTTOM, FLAT, TOP, SPHERE, SYMMETRY_X, SYMMETRY_Y = 1, 2, 3, 4, 5, 6  # facet tags
+BODIES = {"block": BLOCK, "ball": BALL}
+SIDES = {
+    "bottom": BOTTOM,
+    "flat": FLAT,
+    "top": TOP,
+    "sphere": SPHERE,
+    "symmetry_x": SYMMETRY_X,
+    "symmetry_y": SYMMETRY_Y,
+}
 CORE = 0.125  # radius of the finest part over the radius of the ball
 HXT = 10  # gmsh's number of its fast Delaunay algorithm
 
@@ -40,8 +50,8 @@ class SphereMesh(NamedTuple):
     """Quarter of the half ball on the block, with its tags."""
 
     mesh: dmesh.Mesh
-    cell_tags: dmesh.MeshTags  # 1 block, 2 ball
-    facet_tags: dmesh.MeshTags  # 1 bottom, 2 flat face, 3 block top, 4 ball, 5 x = 0, 6 y = 0
+    cell_tags: Tags  # 1 block, 2 ball
+    facet_tags: Tags  # 1 bottom, 2 flat face, 3 block top, 4 ball, 5 x = 0, 6 y = 0
 
 
 def sphere(
@@ -53,6 +63,7 @@ def sphere(
     block: tuple[float, float, float] = (30.0, 30.0, 10.0),
     gap: float = 0.0,
     core: float | None = None,
+    half: bool = False,
 ) -> SphereMesh:
     """Mesh a quarter of a half ball above a block, non-matching where they touch (collective).
 
@@ -60,7 +71,8 @@ def sphere(
     has its lowest point at (0, 0, ``gap``) and its flat face on top at z = ``radius + gap``. The
     quarter x, y >= 0 of both is meshed; (0, 0, 0) and (0, 0, ``gap``) are nodes. Cell tags: 1
     block, 2 ball. Facet tags: 1 bottom of the block, 2 flat face of the ball, 3 top of the block, 4
-    round surface of the ball, 5 symmetry plane x = 0, 6 symmetry plane y = 0.
+    round surface of the ball, 5 symmetry plane x = 0, 6 symmetry plane y = 0. Their names are
+    "block" and "ball", "bottom", "flat", "top", "sphere", "symmetry_x" and "symmetry_y".
 
     Args:
         comm: Communicator of the mesh; it is created on rank 0 and distributed.
@@ -72,6 +84,8 @@ def sphere(
         gap: Initial vertical gap between the bodies [mm]; negative for an overlap.
         core: Distance from the contact point within which the size is ``h`` [mm], by default an
             eighth of the radius; beyond, sizes grow in proportion to the distance.
+        half: Whether to mesh the half y >= 0 of both instead, for loads along x; the part x < 0 is
+            the mirror image of the quarter, and no facet has the tag 5 then.
 
     Raises:
         ValueError: If an argument is out of range (on all ranks).
@@ -83,14 +97,16 @@ def sphere(
 
     def create() -> tuple[Arrays, Arrays]:
         if cell == "hexahedron":
-            return (
+            bodies = (
                 _block_of_hexahedra(corner, core, sizes[0]),
                 _ball_of_hexahedra(radius, gap, core, sizes[1]),
             )
-        return (
-            _block_of_tetrahedra(corner, core, sizes[0]),
-            _ball_of_tetrahedra(radius, gap, core, sizes[1]),
-        )
+        else:
+            bodies = (
+                _block_of_tetrahedra(corner, core, sizes[0]),
+                _ball_of_tetrahedra(radius, gap, core, sizes[1]),
+            )
+        return (_mirrored(*bodies[0]), _mirrored(*bodies[1])) if half else bodies
 
     mesh, first = distribute(comm, create, cell)
     mesh.name = "sphere"
@@ -100,7 +116,7 @@ def sphere(
     cell_tags.name = "bodies"
     facet_tags = _tag_boundary(mesh, in_block, thickness=block[2], radius=radius, gap=gap)
     facet_tags.name = "boundary"
-    return SphereMesh(mesh, cell_tags, facet_tags)
+    return SphereMesh(mesh, Tags(cell_tags, BODIES), Tags(facet_tags, SIDES))
 
 
 def _check(
@@ -179,6 +195,25 @@ def _tetrahedra(
     return read_cells(gmsh, "tetrahedron")
 
 
+def _mirrored(x: Floats, cells: Longs) -> Arrays:
+    """Add the mirror image in x = 0, whose nodes are shared.
+
+    >>> nodes, cells = _mirrored(np.eye(4, 3), np.array([[0, 1, 2, 3]]))
+    >>> nodes[:, 0].tolist(), cells.tolist()
+    ([1.0, 0.0, 0.0, 0.0, -1.0], [[0, 1, 2, 3], [1, 4, 2, 3]])
+    """
+    near = np.abs(x[:, 0]) < ON_PLANE * np.ptp(x[:, 0])
+    x = np.where(near[:, None], [[0.0, 1.0, 1.0]], [[1.0, 1.0, 1.0]]) * x
+    image = np.arange(len(x))
+    image[~near] = len(x) + np.arange(np.count_nonzero(~near))
+    # an image is turned inside out; other orders of its nodes turn it back
+    turn = [1, 0, 2, 3] if cells.shape[1] == 4 else [4, 5, 6, 7, 0, 1, 2, 3]
+    return (
+        np.concatenate([x, x[~near] * [-1.0, 1.0, 1.0]]),
+        np.concatenate([cells, image[cells][:, turn]]),
+    )
+
+
 def _tag_boundary(
     mesh: dmesh.Mesh, in_block: Bools, *, thickness: float, radius: float, gap: float
 ) -> dmesh.MeshTags:
@@ -195,7 +230,7 @@ def _tag_boundary(
     values[block_side & at(2, -thickness)] = BOTTOM
     values[block_side & at(2, 0.0)] = TOP
     values[~block_side & at(2, radius + gap)] = FLAT
-    values[at(0, 0.0)] = SYMMETRY_X
+    values[at(0, 0.0)] = SYMMETRY_X  # exterior in the quarter only
     values[at(1, 0.0)] = SYMMETRY_Y
     tagged = values > 0
     return dmesh.meshtags(mesh, 2, facets[tagged], values[tagged])

@@ -6,26 +6,29 @@ r"""Mortar operators D and M of a pair of surfaces as PETSc matrices.
 (eqs. 19 and 20 of the paper; the second function of eq. 20 has to be the master's)
 with the dual functions Phi_j of the kept slave nodes. D is diagonal over the kept nodes. Rows are
 integrated by the ranks that own the slave facets; copies of the master facets travel to them.
+
+The weight of a pairing, such as 2 pi r, is a factor of all these integrals. It is taken at the
+points of the slave side where they are at X: there it stays what it was, and positive.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from petsc4py import PETSc
 
-import numba
 import numpy as np
 
 import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra import triplets
 from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.geometry.facets import facet_sizes
+from dolfinx_mortar.geometry.elements import FacetElement
+from dolfinx_mortar.geometry.facets import Facets, facet_sizes, points_of, tributary_weights
 from dolfinx_mortar.geometry.segments import Segments, create_segments
 from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
-from dolfinx_mortar.mortar.dual import BASES, covered_weights
+from dolfinx_mortar.mortar.dual import absorbed, covered_weights, dual_values, sums_of_products
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
     accumulate,
@@ -40,28 +43,62 @@ _CHUNK = 2**14
 LEAST_COVERAGE = 0.05
 """A slave node carries a multiplier if more than this part of its tributary weight is covered."""
 
+LEAST_WEIGHT = 0.01
+"""A node has a weight if it is more than this part of the area of its facets: those of straight
+facets have 1/36 or more, those on an axis phi^2/120, phi being the angle by which a facet bends."""
+
 
 @timed("~Mortar: segments")
 def find_segments(pairing: Pairing, u: dolfinx.fem.Function | None) -> tuple[Segments, Floats]:
-    """Find the segments and the averaged slave normals (n, d) at X + u (collective)."""
+    """Find the segments and the averaged slave normals (n, d) at X + u (collective).
+
+    Their weights contain that of the pairing.
+    """
     slave = pairing.slave
     x = coordinates(slave, u)
     normals = nodal_normals(slave, x)
     master = received_facets(pairing, u)
-    segments = create_segments(facets_at(slave, x), normals[slave.facets], master, pairing.pairs)
-    return segments, normals
+    facets = facets_at(slave, x)
+    segments = create_segments(facets, normals[slave.facets], master, pairing.pairs)
+    return _weigh(pairing, segments, facets), normals
+
+
+def _weigh(pairing: Pairing, segments: Segments, facets: Facets) -> Segments:
+    """Return segments on the slave facets (m,) at X + u with the weight of the pairing."""
+    if pairing.weight is None:
+        return segments
+    at_X, xi = facets_at(pairing.slave, pairing.slave.X), facets.element.rule[0]
+    which = np.repeat(np.arange(len(facets.x), dtype=np.int32), len(xi))
+    points = points_of(at_X, which, np.tile(xi, (len(facets.x), 1)))
+    whole = pairing.weight(points).reshape(len(facets.x), len(xi))
+    at_points = pairing.weight(points_of(at_X, segments.slave, segments.xi_s))
+    return replace(
+        segments,
+        weight=segments.weight * at_points,
+        facet_weights=tributary_weights(facets, whole),
+    )
 
 
 @timed("~Mortar: node weights")
-def node_weights(pairing: Pairing, segments: Segments) -> tuple[Floats, Floats]:
-    """Return int N_j over the covered part and the whole slave side, (n,) each (collective).
+def node_weights(
+    pairing: Pairing, segments: Segments, keep: Bools | None = None
+) -> tuple[Floats, Floats]:
+    """Return int N~_j over the covered part and the whole slave side, (n,) each (collective).
 
-    The former is D_jj of eq. 19 where all nodes carry a multiplier.
+    The former is D_jj of eq. 19 where all nodes carry a multiplier and N~ is N, see `absorbed`.
+
+    Args:
+        pairing: The pair of surfaces.
+        segments: Its segments.
+        keep: Slave nodes (n,) that carry a multiplier; all if not given.
     """
     slave = pairing.slave
+    shares, kept = slave.element.shares, None if keep is None else keep[slave.facets]
     N_s = slave.element.shape_functions(segments.xi_s)
+    N_s = absorbed(shares, N_s, None if kept is None else kept[segments.slave])
     covered = covered_weights(N_s, segments.weight, segments.slave, len(slave.facets))
-    both = sum_at_nodes(slave, np.stack([covered, segments.facet_weights], axis=2))
+    whole = absorbed(shares, segments.facet_weights, kept)
+    both = sum_at_nodes(slave, np.stack([covered, whole], axis=2))
     return both[:, 0], both[:, 1]
 
 
@@ -71,6 +108,7 @@ class Coverage:
 
     share: Floats  # (n,) covered share of the tributary weight
     reached: Bools  # (n,) on a facet of which some part is covered
+    weightless: Bools  # (n,) without tributary weight: no multiplier, whatever is covered
 
     @property
     def faces(self) -> Bools:
@@ -83,10 +121,28 @@ def find_coverage(
 ) -> Coverage:
     """Return the coverage of the owned slave nodes; the weights are of `node_weights`."""
     slave = pairing.slave
-    nodes = slave.facets[np.unique(segments.slave)].ravel()
+    nodes = slave.facets[segments.covered].ravel()
     reached = accumulate(slave, np.bincount(nodes, minlength=len(slave.nodes))) > 0
-    own = slice(None, slave.owned)
-    return Coverage(np.asarray(covered[own] / tributary[own]), np.asarray(reached[own]))
+    own, (none, facets) = slice(None, slave.owned), _find_weightless(pairing, segments)
+    share = np.where(none, facets, covered / np.where(none, 1.0, tributary))
+    return Coverage(np.asarray(share[own]), np.asarray(reached[own]), none[own])
+
+
+def _find_weightless(pairing: Pairing, segments: Segments) -> tuple[Bools, Floats]:
+    """Return the slave nodes (n,) without weight, and the covered share of nodes' facets (n,).
+
+    Of second order, with a weight 2 pi r, the functions of nodes on the axis integrate to nothing
+    but what the curvature of their facet leaves, of either sign: these have no D_jj. Collective.
+    """
+    slave = pairing.slave
+    if slave.element.degree == 1:  # positive functions
+        return np.zeros(len(slave.nodes), dtype=bool), np.zeros(len(slave.nodes))
+    whole = absorbed(slave.element.shares, segments.facet_weights)
+    covered = np.bincount(segments.slave, segments.weight, minlength=len(whole))
+    sizes = np.repeat(np.stack([whole.sum(axis=1), covered], axis=1)[:, None], whole.shape[1], 1)
+    sums = sum_at_nodes(slave, np.concatenate([whole[:, :, None], sizes], axis=2))
+    none = sums[:, 0] <= LEAST_WEIGHT * sums[:, 1]
+    return np.asarray(none), np.asarray(sums[:, 2] / np.maximum(sums[:, 1], TINY))
 
 
 def default_keep(
@@ -98,7 +154,7 @@ def default_keep(
 ) -> Bools:
     """Choose the slave nodes that carry a multiplier, the same on any number of ranks (collective).
 
-    A node is kept if more than 5 % of its tributary weight is covered. Where that leaves a covered
+    A node is kept if it has a weight of which more than 5 % is covered. Where that leaves a covered
     facet without a kept node, the facet's best covered node is kept, so that no covered part of
     the slave side is without multiplier.
 
@@ -110,9 +166,14 @@ def default_keep(
         allowed: Nodes (n,) that may be kept; all if not given.
     """
     allowed = np.ones(len(covered), dtype=bool) if allowed is None else allowed
-    coverage = np.where(allowed, covered, 0.0) / np.maximum(tributary, TINY)
+    none, _ = _find_weightless(pairing, segments)
+    coverage = np.where(allowed & ~none, covered, 0.0) / np.where(none, 1.0, tributary)
     keep = coverage > LEAST_COVERAGE
-    facets = pairing.slave.facets[np.unique(segments.slave)]
+    if pairing.slave.element.shares:  # vertices live on middles that have a function to give away
+        left = node_weights(pairing, segments, keep)[0] / np.where(none, 1.0, tributary)
+        coverage = np.where(left > HALF_OF_DIGITS * coverage, coverage, 0.0)
+        keep &= left > LEAST_COVERAGE
+    facets = pairing.slave.facets[segments.covered]
     facets = facets[~keep[facets].any(axis=1) & (coverage[facets] > 0).any(axis=1)]
     best = _best_nodes(coverage[facets], pairing.slave.X[facets])
     rescued = np.bincount(facets[np.arange(len(facets)), best], minlength=len(covered))
@@ -145,7 +206,8 @@ def weighted_duals(pairing: Pairing, segments: Segments, keep: Bools) -> Floats:
     """
     element = pairing.slave.element
     N_s, kept = element.shape_functions(segments.xi_s), keep[pairing.slave.facets]
-    Phi = BASES[element.multiplier](N_s, segments.weight, segments.slave, kept)
+    N_s = absorbed(element.shares, N_s, kept[segments.slave])
+    Phi = dual_values(N_s, segments.weight, segments.slave, kept)
     return np.asarray(Phi * segments.weight[:, None])
 
 
@@ -178,20 +240,29 @@ def assemble_node_matrices(
 
     Returns:
         D and M in the numbering of V's nodes. Rows of removed nodes vanish; their columns in D do
-        not. Over the kept nodes D is diagonal (exactly: the other integrals vanish by construction,
-        and their round-off is set to zero).
+        not. Over the kept nodes D is diagonal, but for middles that lean on the ends of their edges
+        (exactly: the other integrals vanish by construction, and their round-off is set to zero).
     """
     N_s = pairing.slave.element.shape_functions(segments.xi_s)
     N_m = pairing.master.element.shape_functions(segments.xi_m)
     kept = keep[pairing.slave.facets]
     Phi = weighted_duals(pairing, segments, keep) if Phi is None else Phi
     paired = np.unique(pairing.pairs[:, 0])
-    blocks_D = _integrate(Phi, N_s, segments.slave, len(kept))[paired]
+    blocks_D = sums_of_products(Phi, N_s, segments.slave, len(kept))[paired]
     both = kept[paired][:, :, None] & kept[paired][:, None, :]
-    blocks_D[both & ~np.eye(kept.shape[1], dtype=bool)] = 0.0
+    blocks_D[both & ~_in_D(pairing.slave.element)] = 0.0
     triplets.set_values(pairing.D, blocks_D)
-    triplets.set_values(pairing.M, _integrate(Phi, N_m, segments.pair, len(pairing.pairs)))
+    blocks_M = sums_of_products(Phi, N_m, segments.pair, len(pairing.pairs))
+    triplets.set_values(pairing.M, blocks_M)
     return pairing.D, pairing.M
+
+
+def _in_D(element: FacetElement) -> Bools:
+    """Return (k, k) where D has entries between kept nodes of a facet."""
+    found = np.eye(element.nodes, dtype=bool)
+    for middle, *ends in element.shares:
+        found[middle, ends] = True
+    return found
 
 
 @timed("~Mortar: assemble motions")
@@ -217,26 +288,10 @@ def assemble_motions(
         part = slice(first, first + _CHUNK)
         A = motions(part)
         for i, P in enumerate(Phi):
-            rows = np.ascontiguousarray(A[:, :, i].reshape(len(A), -1))
-            _add_products(blocks[i], np.ascontiguousarray(P[part]), rows, segments.pair[part])
+            rows = A[:, :, i].reshape(len(A), -1)
+            blocks[i] += sums_of_products(P[part], rows, segments.pair[part], len(pairing.pairs))
     columns = []
     for values in np.moveaxis(blocks.reshape(d, -1, k, m, d), 4, 1).reshape(d * d, -1, k, m):
         triplets.set_values(pairing.M, values)
         columns.append(pairing.M.getValuesCSR()[2])
     return np.stack(columns, axis=1).reshape(-1, d, d)
-
-
-def _integrate(Phi: Floats, N: Floats, where: Ints, size: int) -> Floats:
-    """Return the sums (size, k, l) of weighted Phi (q, k) times N (q, l) over points by `where`."""
-    blocks = np.zeros((size, Phi.shape[1], N.shape[1]))
-    _add_products(blocks, np.ascontiguousarray(Phi), np.ascontiguousarray(N), where)
-    return blocks
-
-
-@numba.njit(cache=True)
-def _add_products(blocks, Phi, N, where):  # type: ignore[no-untyped-def]
-    """Add Phi (q, k) times N (q, l) of all points to blocks (size, k, l)."""
-    for q in range(len(where)):
-        for i in range(Phi.shape[1]):
-            for j in range(N.shape[1]):
-                blocks[where[q], i, j] += Phi[q, i] * N[q, j]

@@ -7,6 +7,7 @@ that rank. Only surfaces communicate, the volume mesh stays where it is.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -23,12 +24,15 @@ from dolfinx_mortar.geometry.facets import Facets, bounding_balls, facet_normals
 from dolfinx_mortar.geometry.search import Cones, create_cones, find_meeting
 from dolfinx_mortar.geometry.segments import (
     are_facing,
+    bounding_directions,
     find_candidates,
     projection_directions,
     sliding_margins,
 )
 from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, nodal_normals
 
+Weight = Callable[[Floats], Floats]
+"""Points (q, d) at X -> factor (q,) of integrals over a surface, such as 2 pi r; positive."""
 _GROUPS = 16
 """Cones by which a rank tells the others where it needs master facets: message against copies."""
 
@@ -51,6 +55,7 @@ class Pairing:
     received: PETSc.Vec  # (d * nm) on this rank alone: target of the scatter
     D: PETSc.Mat  # (nodes, nodes) of V: int Phi_j N_l^s, pattern of all candidate pairs
     M: PETSc.Mat  # (nodes, nodes) of V: int Phi_j N_l^m, pattern of all candidate pairs
+    weight: Weight | None = None  # of all integrals over the slave side; None for 1
 
 
 def _slave_facets(slave: Surface, u: dolfinx.fem.Function | None) -> tuple[Facets, Floats]:
@@ -74,8 +79,9 @@ def _group(x: Floats) -> list[Ints]:
     return [group for group in groups if len(group)]
 
 
-def _group_cones(x_s: Floats, n_s: Floats, groups: list[Ints], margin: Floats) -> Cones:
+def _group_cones(slave: Facets, n_s: Floats, groups: list[Ints], margin: Floats) -> Cones:
     """Bound the projections of groups of slave facets with a lateral margin (m,) per facet."""
+    x_s, n_s = slave.x, bounding_directions(slave, n_s)
     d = x_s.shape[2]
     cones = [
         create_cones(
@@ -95,10 +101,10 @@ def _group_cones(x_s: Floats, n_s: Floats, groups: list[Ints], margin: Floats) -
     )
 
 
-def _find_receivers(comm: MPI.Intracomm, cones: Cones, x_m: Floats) -> Bools:
+def _find_receivers(comm: MPI.Intracomm, cones: Cones, master: Facets) -> Bools:
     """Return (own master facets, ranks): which ranks can need them (collective)."""
-    needed = np.zeros((len(x_m), comm.size), dtype=bool)
-    balls = bounding_balls(x_m)
+    needed = np.zeros((len(master.x), comm.size), dtype=bool)
+    balls = bounding_balls(master.x)
     for rank, others in enumerate(comm.allgather(cones)):
         needed[find_meeting(others, *balls)[:, 1], rank] = True
     return needed
@@ -167,7 +173,7 @@ def _check_surfaces(
     common = V.mesh.comm.allreduce(len(np.intersect1d(slave.entities, master.entities)))
     if common:
         raise ValueError(
-            f"slave={slave.tag} and master={master.tag} share {common} facets; "
+            f"slave={slave.label} and master={master.label} share {common} facets; "
             "mark each side of the interface with a tag of its own."
         )
 
@@ -190,7 +196,7 @@ def _check_facing(pairs: Ints, slave: Surface, master: Surface, n_s: Floats, n_m
     facing = any(are_facing(np.broadcast_to(n, (len(n_m), *n.shape)), n_m).any() for n in n_s)
     if not comm.allreduce(int(facing)):
         raise ValueError(
-            f"slave={slave.tag} and master={master.tag} can never meet: no two of their facets "
+            f"slave={slave.label} and master={master.label} can never meet: no two of their facets "
             "face each other; check the tags."
         )
 
@@ -204,6 +210,7 @@ def create_pairing(
     *,
     moving: bool = True,
     again: bool = False,
+    weight: Weight | None = None,
 ) -> Pairing:
     """Find the candidate pairs at X + u and create the matrices for them (collective).
 
@@ -218,6 +225,8 @@ def create_pairing(
         moving: Whether the surfaces move.
         again: Whether this is a later search. Sides that faced each other once may turn away: then
             there are no pairs. At first that is a mistake of tags.
+        weight: Factor of all integrals over the slave side, 1 if not given. With 2 pi r those over
+            a line are those over the surface that it sweeps.
 
     Raises:
         ValueError: On all ranks, if the sides share facets, belong to another space, u is not
@@ -231,10 +240,10 @@ def create_pairing(
     margin, groups = sliding_margins(slaves.x) * moving, _group(slaves.x)
     receivers: Bools = np.ones((len(masters.x), 1), dtype=bool)
     if comm.size > 1:
-        receivers = _find_receivers(comm, _group_cones(slaves.x, n_s, groups, margin), masters.x)
+        receivers = _find_receivers(comm, _group_cones(slaves, n_s, groups, margin), masters)
     nodes, facets, X = _send_facets(master, receivers)
     scatter, source, received = _create_scatter(V, nodes)
-    copies = Facets(master.element, _master_coordinates(X, scatter, received, u)[facets])
+    copies = Facets(master.element, _master_coordinates(X, scatter, source, received, u)[facets])
     pairs = find_candidates(slaves, n_s, copies, margin)
     if not again:
         _check_facing(pairs, slave, master, n_s, facet_normals(masters))
@@ -254,16 +263,24 @@ def create_pairing(
         received=received,
         D=D,
         M=M,
+        weight=weight,
     )
 
 
 def _master_coordinates(
-    X: Floats, scatter: PETSc.Scatter, received: PETSc.Vec, u: dolfinx.fem.Function | None
+    X: Floats,
+    scatter: PETSc.Scatter,
+    source: PETSc.Vec,
+    received: PETSc.Vec,
+    u: dolfinx.fem.Function | None,
 ) -> Floats:
     """Return the coordinates X + u (nm, d) of the received master nodes (collective)."""
     if u is None:
         return X
-    scatter.scatter(u.x.petsc_vec, received)
+    # Not from u.x.petsc_vec: dolfinx destroys that when Python lets go of u, which ranks do at
+    # different times, and the next such vector of the space would then wait for ever.
+    source.array_w[:] = u.x.array[: source.local_size]
+    scatter.scatter(source, received)
     return X + received.array_r.reshape(X.shape)
 
 
@@ -281,7 +298,8 @@ def receive(pairing: Pairing, values: Floats) -> Floats:
 
 def received_facets(pairing: Pairing, u: dolfinx.fem.Function | None) -> Facets:
     """Return the received master facets at X + u (collective)."""
-    x = _master_coordinates(pairing.master_X, pairing.scatter, pairing.received, u)
+    vectors = pairing.scatter, pairing.source, pairing.received
+    x = _master_coordinates(pairing.master_X, *vectors, u)
     return Facets(pairing.master.element, x[pairing.master_facets])
 
 
@@ -312,9 +330,9 @@ def outside_margin(
     missing = not np.isin(fresh, known, assume_unique=True).all()
     missing = missing or not (np.isfinite(slave.x).all() and np.isfinite(master.x).all())
     if comm.size > 1:
-        x_own = coordinates(pairing.master, u)[pairing.master.facets]
+        own = facets_at(pairing.master, coordinates(pairing.master, u))
         groups = [group[among[group]] for group in pairing.groups]
-        cones = _group_cones(slave.x, n_s, [group for group in groups if len(group)], none)
-        receivers = _find_receivers(comm, cones, x_own)
+        cones = _group_cones(slave, n_s, [group for group in groups if len(group)], none)
+        receivers = _find_receivers(comm, cones, own)
         missing = missing or bool((receivers & ~pairing.sent).any())
     return bool(comm.allreduce(int(missing)))

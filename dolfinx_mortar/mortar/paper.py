@@ -26,7 +26,7 @@ from dolfinx_mortar.mortar.operators import (
     find_segments,
     node_weights,
 )
-from dolfinx_mortar.mortar.pairing import create_pairing
+from dolfinx_mortar.mortar.pairing import Weight, create_pairing
 from dolfinx_mortar.mortar.surface import create_surface
 
 
@@ -69,9 +69,10 @@ def assemble_mortar(
     V: dolfinx.fem.FunctionSpace,
     facet_tags: dolfinx.mesh.MeshTags,
     *,
-    slave: int,
-    master: int,
+    slave: int | str,
+    master: int | str,
     u: dolfinx.fem.Function | None = None,
+    weight: Weight | None = None,
 ) -> Mortar:
     """Assemble the paper's matrices D, M and N and the weighted gap (collective).
 
@@ -81,16 +82,18 @@ def assemble_mortar(
     Args:
         V: Vector Lagrange space of degree 1 on the mesh of all bodies.
         facet_tags: Facet tags of the same mesh.
-        slave: Tag of the side that carries the multipliers.
-        master: Tag of the other side.
+        slave: Tag, or name if the tags have names, of the side that carries the multipliers.
+        master: Tag or name of the other side.
         u: Displacement; segments, normals and gap belong to X + u.
+        weight: Factor of all integrals at points X of the slave side, (q, d) -> (q,), such as
+            2 pi r; 1 if not given.
 
     Raises:
         ValueError: On all ranks, for tags or spaces that make no sense.
     """
     surfaces = [create_surface(V, facet_tags, slave, "slave")]
     surfaces.append(create_surface(V, facet_tags, master, "master"))
-    pairing = create_pairing(V, *surfaces, u, moving=False)
+    pairing = create_pairing(V, *surfaces, u, moving=False, weight=weight)
     segments, normals = find_segments(pairing, u)
     keep = default_keep(pairing, segments, *node_weights(pairing, segments))
     node_D, node_M = assemble_node_matrices(pairing, segments, keep)
@@ -102,7 +105,7 @@ def assemble_mortar(
     d = V.dofmap.index_map_bs
     x.array[:] = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local, :d].ravel()
     if u is not None:
-        x.axpy(1.0, u.x.petsc_vec)
+        x.array[:] += u.x.array[: x.local_size]
     (M - D).mult(x, relative)
     N.multTranspose(relative, gap)
     nodes = V.dofmap.index_map.local_to_global(own[kept])

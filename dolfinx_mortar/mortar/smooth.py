@@ -195,7 +195,8 @@ def point_heights(
 ) -> Floats:
     """Return by how much (q,) the smooth surfaces are nearer than the facets; collective.
 
-    The facets of both sides stand off the surface that these share where they touch.
+    The facets of both sides stand off the surface that these share where they touch; those of
+    second order, which bend, each off its own.
 
     Args:
         pairing: the pair of surfaces.
@@ -205,8 +206,11 @@ def point_heights(
     """
     pairs, of = _meeting(segments)
     a, b = find_curved(pairing, u, sides, pairs)
-    h_s = heights(a.facets, common_rises(a.facets, a.rise, b.K), of, segments.xi_s)
-    h_m = heights(b.facets, common_rises(b.facets, b.rise, a.K), of, segments.xi_m)
+    rise_s, rise_m = a.rise, b.rise
+    if pairing.slave.element.degree == 1:
+        rise_s, rise_m = common_rises(a.facets, rise_s, b.K), common_rises(b.facets, rise_m, a.K)
+    h_s = heights(a.facets, rise_s, of, segments.xi_s)
+    h_m = heights(b.facets, rise_m, of, segments.xi_m)
     return np.asarray(h_s + h_m)
 
 

@@ -13,11 +13,17 @@ import numpy.typing as npt
 import basix
 import dolfinx
 from dolfinx_mortar import compat
-from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.elements import FACETS_OF, FacetElement
-from dolfinx_mortar.geometry.facets import Facets, distortions, facet_normals
+from dolfinx_mortar.geometry.facets import (
+    Facets,
+    distortions,
+    facet_normals,
+    normals_at_nodes,
+)
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
 from dolfinx_mortar.spaces import check_space
+from dolfinx_mortar.tags import label, labels, tag_of
 
 _MOST_WARPED = 0.3
 """Smallest cosine between the normal at a corner of a quadrilateral and its mean normal.
@@ -38,6 +44,7 @@ class Surface:
 
     V: dolfinx.fem.FunctionSpace
     tag: int
+    label: str  # how messages call it
     nodes: Ints  # (n,) local nodes, ascending: owned ones first, ghosts after them
     owned: int  # number of owned nodes
     element: FacetElement
@@ -45,6 +52,11 @@ class Surface:
     entities: Ints  # (m,) local facets of the mesh
     X: Floats  # (n, d) reference coordinates of the nodes
     sums: PETSc.Vec  # one entry per node, ghosted: work vector of `accumulate`
+
+    @property
+    def curved(self) -> bool:
+        """Whether the mesh is of higher degree: its facets do not stand for a surface, they are."""
+        return compat.cell_degree(self.V.mesh) > 1
 
 
 def check_tags(facet_tags: Any) -> None:
@@ -82,11 +94,13 @@ def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str
     check_tags(facet_tags)
     check_tag(name, tag)
     if not compat.on_same_mesh(facet_tags, V.mesh):
-        raise ValueError(f"facet_tags ({name}={tag}) belong to another mesh than V.")
+        raise ValueError(
+            f"facet_tags ({name}={label(facet_tags, tag)}) belong to another mesh than V."
+        )
     if facet_tags.dim != fdim:
         raise ValueError(
-            f"facet_tags ({name}={tag}) mark entities of dimension {facet_tags.dim}; "
-            f"facets have dimension {fdim}."
+            f"facet_tags ({name}={label(facet_tags, tag)}) mark entities of dimension "
+            f"{facet_tags.dim}; facets have dimension {fdim}."
         )
     for pair in ((fdim, topology.dim), (topology.dim, fdim)):
         topology.create_connectivity(*pair)
@@ -96,12 +110,22 @@ def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str
     total, interior = comm.allreduce(np.array([len(facets), len(inside)]))
     if total == 0:
         known = sorted(set().union(*comm.allgather(set(facet_tags.values.tolist()))))
-        raise ValueError(f"{name}={tag} marks no facet; facet_tags has the values {known}.")
+        raise ValueError(
+            f"{name}={label(facet_tags, tag)} marks no facet; facet_tags has the values "
+            f"[{labels(facet_tags, known)}]."
+        )
     if interior > 0:
         raise ValueError(
-            f"{name}={tag} marks {interior} facets inside the mesh; mark exterior facets only."
+            f"{name}={label(facet_tags, tag)} marks {interior} facets inside the mesh; mark "
+            "exterior facets only. Where bodies touch, each needs nodes of its own (in Gmsh, do "
+            "not fragment them)."
         )
     return facets
+
+
+def _element(V: dolfinx.fem.FunctionSpace) -> FacetElement:
+    """Return the type of the facets of a space that is supported."""
+    return FACETS_OF[V.mesh.topology.cell_name(), V.element.basix_element.degree]
 
 
 def _facet_nodes(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, Ints]:
@@ -114,15 +138,14 @@ def _facet_nodes(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, In
     count = len(basix.topology(V.mesh.basix_cell())[tdim - 1])  # ranks may have no cell to ask
     cell_facets = topology.connectivity(tdim, tdim - 1).array.reshape(-1, count)
     local = np.argmax(cell_facets[cells] == entities[:, None], axis=1)
-    order = FACETS_OF[topology.cell_name()].order
-    layout = V.dofmap.dof_layout
+    order, layout = _element(V).order, V.dofmap.dof_layout
     closure = np.array([layout.entity_closure_dofs(tdim - 1, i) for i in range(count)])[:, order]
     return V.dofmap.list[cells[:, None], closure[local]], cells
 
 
 def _order_outwards(X: Floats, nodes: Ints, cells: Ints, V: dolfinx.fem.FunctionSpace) -> Ints:
     """Reverse facets whose normal points into their cell."""
-    element, x = FACETS_OF[V.mesh.topology.cell_name()], X[nodes]
+    element, x = _element(V), X[nodes]
     outwards = x.mean(axis=1) - X[V.dofmap.list[cells]].mean(axis=1)
     wrong = (facet_normals(Facets(element, x)) * outwards).sum(axis=1) < 0
     return np.where(wrong[:, None], nodes[:, element.mirrored], nodes)
@@ -148,46 +171,55 @@ def _create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, 
 def _check_shapes(facets: Facets, comm: MPI.Comm, name: str) -> None:
     """Raise a ValueError on all ranks for facets without a usable shape."""
     finite = np.isfinite(facets.x).all()
-    quality = distortions(facets) if finite else np.zeros(0)
-    bad = comm.allreduce(np.array([not finite, (quality < _MOST_WARPED).sum()], dtype=int))
+    quality = distortions(facets) if finite else np.ones(len(facets.x))
+    unusable = np.flatnonzero(quality < _MOST_WARPED)
+    bad = comm.allreduce(np.array([not finite, len(unusable)], dtype=int))
     if bad[0]:
         raise ValueError(f"{name}: coordinates of the mesh are not finite.")
     if bad[1]:
+        places = comm.allgather(facets.x[unusable[:1]].mean(axis=1))
+        place = ", ".join(f"{x:.4g}" for x in np.concatenate(places)[0])
+        middles = ", or its middle node lies near an end or off its edge"
         raise ValueError(
             f"{name}: {bad[1]} facets are degenerate (no length or area), inverted or badly warped "
-            "(the normal at a corner is far from the mean normal); mend the mesh there."
+            "(the normal at a corner is far from the mean normal"
+            f"{middles if facets.element.degree > 1 else ''}), such as the one around ({place}); "
+            "mend the mesh there."
         )
 
 
 def create_surface(
-    V: dolfinx.fem.FunctionSpace, facet_tags: dolfinx.mesh.MeshTags, tag: int, name: str
+    V: dolfinx.fem.FunctionSpace, facet_tags: dolfinx.mesh.MeshTags, tag: int | str, name: str
 ) -> Surface:
     """Collect the exterior facets marked with `tag` (collective).
 
     Tags may be given on any rank that has the facet, as owner or ghost.
 
     Args:
-        V: Vector Lagrange space of degree 1 on the mesh of all bodies.
+        V: Vector Lagrange space on the mesh of all bodies.
         facet_tags: Facet tags of the same mesh.
-        tag: Value that marks the surface.
+        tag: Value that marks the surface, or its name if the tags have names.
         name: Name of the argument, for messages.
 
     Raises:
-        ValueError: On all ranks, for a space that is not supported, curved cells, tags of another
-            mesh or dimension, a tag that is no 32 bit integer or marks no or interior facets,
-            coordinates that are not finite, facets that are degenerate, inverted or badly warped.
+        ValueError: On all ranks, for a space that is not supported, tags of another mesh or
+            dimension, a tag that is no 32 bit integer or marks no or interior facets, coordinates
+            that are not finite, facets that are degenerate, inverted or badly warped.
     """
     check_space(V)
-    element = FACETS_OF[V.mesh.topology.cell_name()]
-    entities = _marked_facets(V, facet_tags, tag, name)
+    element = _element(V)
+    value: int = tag_of(facet_tags, tag, name)
+    entities = _marked_facets(V, facet_tags, value, name)
     facet_nodes, cells = _facet_nodes(V, entities)
     X = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
     facet_nodes = _order_outwards(X, facet_nodes, cells, V)
     nodes, owned, sums = _create_sums(V, np.unique(facet_nodes))
-    _check_shapes(Facets(element, X[facet_nodes]), V.mesh.comm, f"{name}={tag}")
+    called = label(facet_tags, value)
+    _check_shapes(Facets(element, X[facet_nodes]), V.mesh.comm, f"{name}={called}")
     return Surface(
         V=V,
-        tag=tag,
+        tag=value,
+        label=called,
         nodes=nodes,
         owned=owned,
         element=element,
@@ -224,6 +256,14 @@ def sum_at_nodes(surface: Surface, values: npt.NDArray[Any]) -> Floats:
     return accumulate(surface, np.stack(sums, axis=1))
 
 
+def leaning_nodes(surface: Surface) -> Bools:
+    """Return the nodes (n,) whose rows of D lean on other kept ones (collective)."""
+    count = np.zeros(len(surface.nodes))
+    for middle, *_ in surface.element.shares:
+        count[surface.facets[:, middle]] = 1.0
+    return np.asarray(accumulate(surface, count) > 0)
+
+
 def coordinates(surface: Surface, u: dolfinx.fem.Function | None) -> Floats:
     """Return the coordinates X + u (n, d) of the nodes; the ghosts of u are up to date."""
     if u is None:
@@ -242,8 +282,7 @@ def nodal_normals(surface: Surface, x: Floats) -> Floats:
     n_j is the normalised sum of the unit normals of all facets of this surface at node j, without
     weights; zero where they cancel up to round-off, which has no direction.
     """
-    n_f = facet_normals(facets_at(surface, x))[:, None]
-    total = sum_at_nodes(surface, np.repeat(n_f, surface.facets.shape[1], axis=1))
+    total = sum_at_nodes(surface, normals_at_nodes(facets_at(surface, x)))
     length = np.linalg.norm(total, axis=1)[:, None]
     return np.where(length > 8 * ROUND_OFF, total / np.maximum(length, TINY), 0.0)
 

@@ -6,25 +6,29 @@ Knows matrices, vectors and options of PETSc; must not know meshes, forms or con
 """
 
 from dolfinx_mortar.qp.bound_qp import KKT, BoundQP, QPNotSolved, QPSolution, UnusableQP, check
+from dolfinx_mortar.qp.friction import Friction, Sliders
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
 from dolfinx_mortar.qp.multigrid import Change, Preconditioning, Unknowns
 from dolfinx_mortar.qp.options import MULTIGRID, check_options
-from dolfinx_mortar.qp.solver import available, check_name, solve
+from dolfinx_mortar.qp.solver import available, check_friction, check_name, solve
 
 __all__ = [
     "KKT",
     "MULTIGRID",
     "BoundQP",
     "Change",
+    "Friction",
     "LinearSolveFailed",
     "LinearSolver",
     "Preconditioning",
     "QPNotSolved",
     "QPSolution",
+    "Sliders",
     "Unknowns",
     "UnusableQP",
     "available",
     "check",
+    "check_friction",
     "check_name",
     "check_options",
     "solve",

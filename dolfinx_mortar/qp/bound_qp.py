@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A convex quadratic program with bounds, its solution, and the check that judges every backend."""
+"""A quadratic program with bounds, and friction, its solution, and the check that judges it."""
 
 from dataclasses import dataclass, fields
 
@@ -11,6 +11,7 @@ import numpy as np
 from dolfinx_mortar.algebra.parallel import maximum, ratio
 from dolfinx_mortar.arrays import Actives, Floats, Ints
 from dolfinx_mortar.qp.bounded import Bounded
+from dolfinx_mortar.qp.friction import Friction, Sliders
 from dolfinx_mortar.qp.tolerances import EPS, ROUND_OFF
 
 
@@ -19,7 +20,8 @@ class BoundQP:
     """The problem min 1/2 x'Ax - b'x subject to lower <= x <= upper.
 
     The reaction is z = b - A x: z >= 0 at an active upper bound, z <= 0 at an active lower bound
-    and z = 0 at a free unknown.
+    and z = 0 at a free unknown. With friction it has tangential parts, see `qp.friction`; with
+    limits that follow the pressure it is no minimisation any more.
     """
 
     A: PETSc.Mat  # (n, n) symmetric, positive definite on the unknowns that no bound can hold
@@ -27,6 +29,7 @@ class BoundQP:
     lower: PETSc.Vec  # (n,) PETSC_NINFINITY where there is none
     upper: PETSc.Vec  # (n,) PETSC_INFINITY where there is none
     bounded: Ints  # (k,) owned local indices of unknowns with a finite bound
+    friction: Friction | None = None  # on all ranks or on none
 
     @property
     def comm(self) -> MPI.Comm:
@@ -57,6 +60,7 @@ class KKT:
     force_floor: float
     length_floor: float
     unsolved: float = 0.0  # |z| over free unknowns, a force
+    friction: float = 0.0  # what tangential reactions miss of the law
 
     def satisfied(self, rtol: float) -> bool:
         """Tell whether every residual is below rtol or below its round-off floor."""
@@ -64,14 +68,16 @@ class KKT:
         return bool(
             self.stationarity <= force
             and self.sign <= force
+            and self.friction <= force
             and self.feasibility <= length
             and self.complementarity <= max(force, length)
         )
 
     @property
     def worst(self) -> float:
-        """Return the largest of the four residuals (inf if one is not a number)."""
-        worst = max(self.stationarity, self.feasibility, self.sign, self.complementarity)
+        """Return the largest of the residuals (inf if one is not a number)."""
+        normal = max(self.stationarity, self.feasibility, self.sign, self.complementarity)
+        worst = max(normal, self.friction)
         finite = all(np.isfinite(getattr(self, f.name)) for f in fields(self))
         return worst if finite else float("inf")
 
@@ -89,6 +95,8 @@ class QPSolution:
     factorisations: int
     backend: str
     note: str = ""
+    sliding: Floats | None = None  # (m, t) directions of slipping nodes, zero at others
+    linearisation: str = ""  # of friction
 
 
 class QPNotSolved(RuntimeError):
@@ -160,6 +168,25 @@ def on_bounded(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec) -> Bounded:
     return Bounded(x.array_r[own], z.array_r[own], *qp.bounds(), stiffness)
 
 
+def on_friction(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec, found: Bounded) -> Sliders:
+    """Return a candidate on this rank's nodes with friction.
+
+    Args:
+        qp: the problem, with friction.
+        x: (n,) candidate.
+        z: (n,) b - A x.
+        found: the same on the bounded unknowns. The limit belongs to the reaction that closes what
+            overlaps, too: in a solution there is no overlap.
+    """
+    law = qp.friction
+    assert law is not None
+    n = law.normal
+    pressing = found.z[n] + found.stiffness[n] * (found.x[n] - found.upper[n])
+    limit = law.limit(pressing)
+    slip, stiffness = law.pick(x.array_r) - law.rest, law.means(qp.A.getDiagonal().array_r)
+    return Sliders(law, slip, law.pick(z.array_r), limit, stiffness)
+
+
 def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     """Measure how well x satisfies the optimality conditions, from the data alone (collective).
 
@@ -169,7 +196,7 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
         z: b - A x if it is at hand; computed otherwise.
 
     Returns:
-        The four residuals; they are zero for the exact solution, whatever backend found it.
+        The residuals; they are zero for the exact solution, whatever backend found it.
     """
     z = reaction(qp, x) if z is None else z
     bounded = on_bounded(qp, x, z)
@@ -177,6 +204,12 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     active = bounded.predicted()
     free = np.ones(x.local_size, dtype=bool)
     free[qp.bounded[active != 0]] = False
+    wrong: Floats = np.zeros(0)
+    zt: Floats = np.zeros(0)
+    if qp.friction is not None:
+        sliders = on_friction(qp, x, z, bounded)
+        wrong, zt = sliders.error().ravel(), sliders.reaction.ravel()
+        free[qp.friction.tangential[qp.friction.some]] = False
     over, under = np.maximum(xb - upper, 0.0), np.maximum(lower - xb, 0.0)
     pull = np.where(active == 0, 0.0, np.maximum(-active * zb, 0.0))
     # the bound that a reaction belongs to follows from its sign; without one it is stationarity's
@@ -192,9 +225,10 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     if np.isfinite(nearest):
         moved[qp.bounded] = np.maximum(moved[qp.bounded], -nearest)
     round_off = qp.A.getDiagonal().array_r * moved
-    parts = (qp.b.array_r, zb, z.array_r[free], round_off)
-    b2, zb2, free2, off2 = np.sqrt(qp.comm.allreduce(np.array([v @ v for v in parts])))
-    force, length = b2 + zb2, max(x_top, bound_top)
+    parts = (qp.b.array_r, zb, z.array_r[free], round_off, wrong, zt)
+    squares = qp.comm.allreduce(np.array([v @ v for v in parts]))
+    b2, zb2, free2, off2, wrong2, zt2 = np.sqrt(squares)
+    force, length = b2 + np.hypot(zb2, zt2), max(x_top, bound_top)
     # One of the two factors must vanish; a product would mix far bounds with round-off in z.
     tiny = np.finfo(float).tiny
     both = np.minimum(np.abs(zb) / max(force, tiny), distance / max(length, tiny))
@@ -207,4 +241,5 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
         force_floor=ROUND_OFF * EPS * ratio(off2, force) if force > 0.0 else 0.0,
         length_floor=ROUND_OFF * EPS,
         unsolved=float(free2),
+        friction=ratio(wrong2, force),
     )

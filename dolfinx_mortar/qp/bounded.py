@@ -42,7 +42,11 @@ class Bounded:
         An unknown is weakly active if its reaction and its distance to the bound, times the
         stiffness, are together below that accuracy: then either side is right.
         """
+        return np.asarray(self.strength(active, new) > atol)
+
+    def strength(self, active: Actives, new: Actives) -> Floats:
+        """Return the forces by which unknowns differ between two sets, 0 where they do not."""
         side = np.where((active > 0) | (new > 0), self.upper, self.lower)
         side = np.where(np.isfinite(side), side, self.x)
         strength = np.abs(self.z) + self.stiffness * np.abs(self.x - side)
-        return np.asarray((active != new) & (strength > atol))
+        return np.asarray(np.where(active != new, strength, 0.0))

@@ -40,7 +40,7 @@ def solve_dense(
     ([0.25, 0.5], [1, 0])
     """
 
-    def hold(active: Actives, level: int) -> Found:
+    def hold(active: Actives, level: int) -> Found[Actives]:
         d, z = _with_active(M, b, np.where(active > 0, upper, lower), active)
         found = Bounded(d, z, lower, upper, np.diag(M))
         new = found.predicted()
@@ -50,8 +50,8 @@ def solve_dense(
     outcome = update(hold, active, MPI.COMM_SELF)
     if outcome.reason:
         return _least_squares(M, b, lower, upper)
-    d, _ = _with_active(M, b, np.where(outcome.active > 0, upper, lower), outcome.active)
-    return d, outcome.active
+    d, _ = _with_active(M, b, np.where(outcome.state > 0, upper, lower), outcome.state)
+    return d, outcome.state
 
 
 def _least_squares(M: Floats, b: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Actives]:

@@ -1,14 +1,29 @@
 # SPDX-License-Identifier: MIT
-"""The large problem with a set held at its bounds: a linear system, solved as well as needed."""
+"""The large problem with a set held at its bounds: a linear system, solved as well as needed.
+
+With friction, tangential unknowns of sticking nodes are held, too, and those of slipping nodes have
+the law's reaction.
+"""
+
+from __future__ import annotations
 
 from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.parallel import norm
-from dolfinx_mortar.arrays import Actives, Ints
-from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution, check, on_bounded, reaction
+from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm
+from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.qp.bound_qp import (
+    BoundQP,
+    QPSolution,
+    check,
+    on_bounded,
+    on_friction,
+    reaction,
+)
+from dolfinx_mortar.qp.friction import Friction, Sliding
 from dolfinx_mortar.qp.linear import LinearSolver
+from dolfinx_mortar.qp.state import State
 from dolfinx_mortar.qp.tolerances import EPS, LIMIT, ROUND_OFF, SHARE
 from dolfinx_mortar.qp.updates import TIGHT, Found, Outcome
 
@@ -33,30 +48,96 @@ class HeldProblem:
         self.qp, self.linear, self.x, self.rtol = qp, linear, x, rtol
         self.lower, self.upper = qp.bounds()
         self.z = reaction(qp, x)
-        self.b_norm = qp.b.norm()
+        self.b_norm, self.guessed = qp.b.norm(), self.z.norm()
         self.reactions: float | None = None  # at the bounds; unknown before the first solve
+        self.best: State | None = None  # the one that has come nearest to the law
+        self.least = np.inf  # by how much, a force
 
-    def hold(self, active: Actives, level: int) -> Found:
-        """Solve with a set held; x and z are the solution (collective).
+    def forget(self) -> None:
+        """Begin anew from x = 0, after a solve that has failed."""
+        self.x.set(0.0)
+        self.z = self.qp.b.copy()
+
+    def hold(self, state: State, level: int, share: float = 0.0) -> Found[State]:
+        """Solve in a state; x and z are the solution (collective).
+
+        Args:
+            state: what is held, and how the rest slips.
+            level: accuracy.
+            share: nodes change sides whose error is at least this part of the largest.
 
         Raises:
-            LinearSolveFailed: if the set leaves a body free.
+            LinearSolveFailed: if the state leaves a body free.
         """
-        held = active != 0
-        bounded = self.qp.bounded[held]
-        self.x.array[bounded] = np.where(active > 0, self.upper, self.lower)[held]
-        atol = self._solve(np.sort(bounded), level)
+        active = state.active
+        on = active != 0
+        held, values = self.qp.bounded[on], np.where(active > 0, self.upper, self.lower)[on]
+        sliding = None
+        if (law := self.qp.friction) is not None:
+            stuck = state.sticks(law)
+            held = np.concatenate([held, law.tangential[stuck]])
+            values = np.concatenate([values, law.rest[stuck]])
+            sliding = self._sliding(law, state)
+        if any_rank(self.qp.comm, (self.x.array_r[held] != values).any())[0]:
+            self.x.array[held] = values
+            self.z = reaction(self.qp, self.x)
+        atol = self._solve(np.sort(held), level, sliding)
         found = on_bounded(self.qp, self.x, self.z)
-        new = found.predicted()
-        strong = found.strong(active, new, max(atol, self.linear.round_off(self.x)))
-        changes = int(self.qp.comm.allreduce(int(strong.sum())))
+        atol = max(atol, self.linear.round_off(self.x))
+        new = State(found.predicted(), state.directions, state.stiffness)
+        strength = found.strength(active, new.active)
+        changes = int((strength > atol).sum())
+        if law is not None:
+            sliders = on_friction(self.qp, self.x, self.z, found)
+            missing = np.linalg.norm(sliders.error(), axis=1)
+            changes += int((missing > atol).sum())
+            new = State(new.active, *sliders.directions(state.directions))
+            new = self._next(law, (state, new), strength, missing, share)
+        changes = int(self.qp.comm.allreduce(changes))
         satisfied = changes == 0 and level >= TIGHT and self._is_accurate(level)
         return Found(new, changes, satisfied)
 
-    def solution(self, outcome: Outcome, name: str) -> QPSolution:
+    def _next(
+        self,
+        law: Friction,
+        states: tuple[State, State],
+        strength: Floats,
+        missing: Floats,
+        share: float,
+    ) -> State:
+        """Return the next state, in which only the worst nodes change sides; collective.
+
+        Args:
+            law: of friction.
+            states: the one that has been solved, and the one that it predicts.
+            strength: (k,) forces by which bounded unknowns differ between the two.
+            missing: (m,) forces that are missing of the law.
+            share: of the largest of these forces, from which on nodes change.
+        """
+        old, new = states
+        missing = np.where(old.slips(law) != new.slips(law), missing, 0.0)
+        tops = maximum(self.qp.comm, strength.max(initial=0.0), missing.max(initial=0.0))
+        largest = float(tops.max())
+        if largest < self.least:
+            self.best, self.least = old, largest
+        return old.towards(new, strength >= share * largest, missing >= share * largest)
+
+    def _sliding(self, law: Friction, state: State) -> Sliding | None:
+        """Return the law of what slips, None if nothing does on any rank; collective."""
+        slips = state.slips(law)
+        if not any_rank(self.qp.comm, slips.any())[0]:
+            return None
+        parts = law.select(slips)
+        normal = self.qp.bounded[parts.normal]
+        return Sliding(normal, parts, state.directions[slips], state.stiffness[slips])
+
+    def solution(self, outcome: Outcome[State], name: str) -> QPSolution:
         """Return the last solution."""
-        kkt = check(self.qp, self.x, self.z)
-        return QPSolution(self.x, self.z, outcome.active, kkt, outcome.updates, 0, 0, name)
+        kkt, state = check(self.qp, self.x, self.z), outcome.state
+        counts = outcome.updates, 0, 0
+        law = self.qp.friction
+        directions = None if law is None else state.sliding(law)
+        return QPSolution(self.x, self.z, state.active, kkt, *counts, name, sliding=directions)
 
     def _accuracy(self, level: int) -> float:
         return float(max(self.rtol ** (2.0 ** (level - TIGHT)), ROUND_OFF * EPS))
@@ -66,14 +147,16 @@ class HeldProblem:
         finest = self._accuracy(level) <= ROUND_OFF * EPS
         return finest or check(self.qp, self.x, self.z).satisfied(self.rtol)
 
-    def _solve(self, held: Ints, level: int) -> float:
+    def _solve(self, held: Ints, level: int, sliding: Sliding | None) -> float:
         """Solve until the accuracy holds with the reactions that come out; return the tolerance."""
         if self.reactions is None:
-            self.reactions = max(self.z.norm(), reaction(self.qp, self.x).norm())
+            self.reactions = max(self.guessed, self.z.norm())
         atol = self._tolerance(level)
         for _ in range(LIMIT):
-            self.linear.solve(self.qp.b, self.x, held, atol=SHARE * atol)
-            self.z = reaction(self.qp, self.x)
+            found = self.linear.solve(
+                self.qp.b, self.x, held, atol=SHARE * atol, z=self.z, sliding=sliding
+            )
+            self.z = found.copy()
             zb = self.z.array_r[held]
             self.reactions = norm(self.qp.comm, zb)
             reached, atol = atol, self._tolerance(level)

@@ -17,6 +17,7 @@ import numpy as np
 
 from dolfinx_mortar.arrays import Ints
 from dolfinx_mortar.qp.counts import LinearCounts
+from dolfinx_mortar.qp.friction import Sliding
 from dolfinx_mortar.qp.multigrid import Unknowns
 from dolfinx_mortar.qp.operator import Operator
 from dolfinx_mortar.qp.options import SolverOptions, check_options
@@ -42,6 +43,7 @@ class Attached:
 
     operator: Operator
     ksp: PETSc.KSP
+    sliding_ksp: PETSc.KSP  # of matrices that friction makes unsymmetric
     preconditioner: Preconditioner
     renewal: Renewal
     dx: PETSc.Vec  # (n,) the last correction
@@ -50,6 +52,7 @@ class Attached:
         """Free the matrices and the factorisation; collective."""
         self.preconditioner.clear()
         self.ksp.destroy()
+        self.sliding_ksp.destroy()
         self.operator.destroy()
 
 
@@ -155,7 +158,9 @@ class LinearSolver:
         ksp.setOperators(operator.matrix)
         self.max_iterations = ksp.getTolerances()[3]
         renewal = Renewal(self.refactor_after, direct=self.direct)
-        self._attached = Attached(operator, ksp, preconditioner, renewal, A.createVecRight())
+        sliding = _create_sliding_ksp(operator, ksp)
+        dx = A.createVecRight()
+        self._attached = Attached(operator, ksp, sliding, preconditioner, renewal, dx)
         self.description = f"{ksp.getType()} + {preconditioner.description}"
         self.counts.symbolic += 1
 
@@ -182,7 +187,10 @@ class LinearSolver:
         return self.attached.renewal
 
     def residual(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints) -> PETSc.Vec:
-        """Return b - A x with zeros at `held`; the vector is reused by the next call."""
+        """Return b - A x with zeros at `held`; the vector is reused by the next call.
+
+        At nodes that slip, what it misses of their law.
+        """
         return self.operator.residual(b, x, held)
 
     def round_off(self, x: PETSc.Vec) -> float:
@@ -214,7 +222,16 @@ class LinearSolver:
         self.counts.iterations += 1
         self.counts.seconds_solve += perf_counter() - begin
 
-    def solve(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, *, atol: float) -> int:
+    def solve(
+        self,
+        b: PETSc.Vec,
+        x: PETSc.Vec,
+        held: Ints,
+        *,
+        atol: float,
+        z: PETSc.Vec | None = None,
+        sliding: Sliding | None = None,
+    ) -> PETSc.Vec:
         """Solve for the unknowns that are not held, in place (collective).
 
         Args:
@@ -222,22 +239,27 @@ class LinearSolver:
             x: (n,) in: values of the held unknowns and a guess for the others; out: solution.
             held: owned local indices of held unknowns, ascending.
             atol: largest 2-norm of b - A x over unknowns not held.
+            z: (n,) b - A x of the given x, if it is at hand.
+            sliding: nodes that slip, on all ranks or on none: there the reaction of their law
+                replaces 0 on the right.
 
         Returns:
-            The number of iterations.
+            (n,) b - A x, also at held unknowns; the next call reuses the vector.
 
         Raises:
             LinearSolveFailed: if the true residual stays above both atol and round-off, or if
                 the solution is so large that the matrix must be singular.
         """
+        self.operator.slide(sliding)
         self.operator.hold(held)
         before = self.counts.iterations
         self.counts.solves += 1
-        first = norm = self.residual(b, x, held).norm()
+        known = z is not None
+        first = norm = (self.operator.take(z, x) if known else self.residual(b, x, held)).norm()
         if not norm <= atol:
             norm = self._correct(b, x, held, atol, norm)
         self._judge(b, x, (first, norm, atol), self.counts.iterations - before)
-        return self.counts.iterations - before
+        return self.operator.z
 
     def _correct(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, atol: float, norm: float) -> float:
         """Correct x until its residual, at first norm, is below atol or round-off; return it.
@@ -257,7 +279,7 @@ class LinearSolver:
                 norm = self.residual(b, x, held).norm()
             if norm <= max(atol, self.round_off(x)):
                 break
-            exhausted = self.attached.ksp.getIterationNumber() >= self.max_iterations
+            exhausted = self._ksp.getIterationNumber() >= self.max_iterations
             if fresh and (exhausted or not norm < before):
                 break
             if not fresh:
@@ -270,7 +292,13 @@ class LinearSolver:
 
     def _diverged(self) -> bool:
         """Tell whether the last iteration broke down: an old set-up need not be definite."""
-        return bool(self.attached.ksp.getConvergedReason() < 0)
+        return bool(self._ksp.getConvergedReason() < 0)
+
+    @property
+    def _ksp(self) -> PETSc.KSP:
+        """The solver for the matrix at hand."""
+        sliding = self.operator.sliding
+        return self.attached.ksp if sliding is None else self.attached.sliding_ksp
 
     def _is_far(self, held: Ints) -> bool:
         """Tell whether the factorisation, if there is one, is of no use for this mask."""
@@ -285,11 +313,12 @@ class LinearSolver:
         self.attached.preconditioner.follow(held)
         stale = not self.attached.preconditioner.is_of(held)
         test = SlownessTest(self.renewal, reduction, self.max_iterations, stale=stale)
-        if self.attached.ksp.getType() != "preonly":
-            self.attached.ksp.setConvergenceTest(test)
-        self.attached.ksp.setTolerances(max_it=self.max_iterations)
-        self.attached.ksp.solve(self.operator.r, self.attached.dx)
-        self.counts.iterations += max(1, self.attached.ksp.getIterationNumber())
+        ksp = self._ksp
+        if ksp.getType() != "preonly":
+            ksp.setConvergenceTest(test)
+        ksp.setTolerances(max_it=self.max_iterations)
+        ksp.solve(self.operator.r, self.attached.dx)
+        self.counts.iterations += max(1, ksp.getIterationNumber())
         self.renewal.learn(test.norms, stale=stale)
         self.counts.seconds_solve += perf_counter() - begin
 
@@ -314,9 +343,31 @@ class LinearSolver:
         remedy = "Otherwise choose a direct solver (pc_type cholesky) or a better preconditioner."
         if not self.direct:
             cause += f" after {iterations} iterations"
-        reason = self.attached.ksp.getConvergedReason()
+        reason = self._ksp.getConvergedReason()
         raise LinearSolveFailed(
             f"The linear solver, {self.description}, gave no solution: {cause} (PETSc reason "
             f"{reason}). A solution with large round-off comes from a "
             f"singular matrix: a body is held by nothing. {remedy}"
         )
+
+
+class Applied:
+    """Context of a PETSc PC of type python: that of another solver."""
+
+    def __init__(self, pc: PETSc.PC) -> None:
+        """Keep it."""
+        self.pc = pc
+
+    def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
+        """Set z = M^-1 r (called by PETSc)."""
+        self.pc.apply(r, z)
+
+
+def _create_sliding_ksp(operator: Operator, ksp: PETSc.KSP) -> PETSc.KSP:
+    """Return a solver for slipping nodes, with the preconditioner of another one."""
+    sliding = PETSc.KSP().create(ksp.comm)
+    sliding.setType(PETSc.KSP.Type.GMRES)
+    sliding.setPCSide(PETSc.PC.Side.RIGHT)  # so that its residuals are the true ones
+    sliding.setPC(PETSc.PC().createPython(Applied(ksp.getPC()), comm=ksp.comm))
+    sliding.setOperators(operator.sliding_matrix)
+    return sliding

@@ -11,10 +11,11 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Actives
+from dolfinx_mortar.arrays import Actives, Floats
 from dolfinx_mortar.qp import backends
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPNotSolved, QPSolution, check, validate
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
+from dolfinx_mortar.qp.state import State, nearest
 
 # What a backend may end in without a fault of the code.
 FAILURES = (
@@ -24,6 +25,9 @@ FAILURES = (
     FloatingPointError,
     MemoryError,
 )
+
+# The backend that takes friction
+WITH_FRICTION = "active-set"
 
 
 @cache
@@ -39,12 +43,24 @@ def check_name(backend: str) -> None:
         raise ValueError(f"qp is {backend!r}: choose one of {', '.join(map(repr, available()))}")
 
 
+def check_friction(backend: str, friction: bool) -> None:
+    """Raise ValueError if there is friction, and a backend that cannot take it.
+
+    TAO's methods know bounds, no limits of reactions that follow the pressure.
+    """
+    if friction and backend != WITH_FRICTION:
+        raise ValueError(
+            f"qp is {backend!r}, which knows bounds only: with friction choose {WITH_FRICTION!r}"
+        )
+
+
 def solve(
     qp: BoundQP,
     backend: str = "active-set",
     linear: LinearSolver | None = None,
     *,
     start_active: Actives | None = None,
+    start_sliding: Floats | None = None,
     rtol: float = 1e-10,
 ) -> QPSolution:
     """Solve a bound-constrained QP (collective).
@@ -56,6 +72,8 @@ def solve(
             Cholesky factorisation by default.
         start_active: (k,) guess of the active set on ``qp.bounded``: +1 upper, -1 lower, 0 free.
             By default every unknown at its nearest bound, which holds every body.
+        start_sliding: (m, t) guess of the directions of slip on ``qp.friction``, zero where it
+            sticks; by default everywhere.
         rtol: tolerance of the KKT check, relative; round-off is the limit.
 
     Returns:
@@ -67,18 +85,20 @@ def solve(
             carries it.
     """
     check_name(backend)
+    check_friction(backend, qp.friction is not None)
     validate(qp)
     if (trivial := _nothing_to_do(qp, backend)) is not None:
         return trivial
     if linear is None:
         linear = LinearSolver(qp.comm, prefix="dolfinx_mortar_qp_")
     module = import_module(f"{backends.__name__}.{backend.replace('-', '_')}")
-    start = _nearest(qp) if start_active is None else np.asarray(start_active, dtype=np.int8)
+    start = nearest(qp) if start_active is None else np.asarray(start_active, dtype=np.int8)
     start = _possible(qp, start)
     before = replace(linear.counts)
     try:
         linear.attach(qp.A)
-        solution: QPSolution = module.solve(qp, linear, start=start, rtol=rtol)
+        first = State.create(qp, start, start_sliding)
+        solution: QPSolution = module.solve(qp, linear, start=first, rtol=rtol)
     except FAILURES as error:
         raise QPNotSolved(f"The backend {backend!r} stopped{_cause(error, linear)}") from error
     solution = replace(
@@ -114,19 +134,16 @@ def _nothing_to_do(qp: BoundQP, backend: str) -> QPSolution | None:
     """
     lower, upper = qp.bounds()
     outside = bool((lower > 0.0).any() or (upper < 0.0).any())
+    sliding = None
+    if qp.friction is not None:
+        outside, sliding = outside or bool(qp.friction.rest.any()), 0.0 * qp.friction.rest
     if qp.comm.allreduce(outside or bool(qp.b.array_r.any()), op=MPI.LOR):
         return None
     x, z = qp.b.duplicate(), qp.b.duplicate()
     x.set(0.0)
     z.set(0.0)
     active = np.zeros(qp.bounded.size, dtype=np.int8)
-    return QPSolution(x, z, active, check(qp, x, z), 0, 0, 0, backend)
-
-
-def _nearest(qp: BoundQP) -> Actives:
-    """Return every bounded unknown at the bound nearest to zero."""
-    lower, upper = qp.bounds()
-    return np.where(np.abs(upper) <= np.abs(lower), 1, -1).astype(np.int8)
+    return QPSolution(x, z, active, check(qp, x, z), 0, 0, 0, backend, sliding=sliding)
 
 
 def _possible(qp: BoundQP, active: Actives) -> Actives:

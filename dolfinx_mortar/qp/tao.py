@@ -11,6 +11,7 @@ import numpy as np
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution, check, on_bounded, reaction
 from dolfinx_mortar.qp.held import HeldProblem
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
+from dolfinx_mortar.qp.state import State
 from dolfinx_mortar.qp.tolerances import LIMIT, SHARE
 from dolfinx_mortar.qp.updates import update
 
@@ -158,7 +159,7 @@ def _polish(qp: BoundQP, linear: LinearSolver, x: PETSc.Vec, rtol: float) -> QPS
     found = QPSolution(x, z, active, check(qp, x, z), 0, 0, 0, "")
     problem = HeldProblem(qp, linear, x.copy(), rtol)
     try:
-        outcome = update(problem.hold, active, qp.comm)
+        outcome = update(problem.hold, State.create(qp, active), qp.comm)
     except LinearSolveFailed:
         return found
     polished = problem.solution(outcome, "")

@@ -8,37 +8,47 @@ model of it (`dense.solve_dense`).
 from collections.abc import Callable
 from dataclasses import dataclass
 from hashlib import blake2b
+from typing import Generic, Protocol, TypeVar
 
 from mpi4py import MPI
 
-from dolfinx_mortar.arrays import Actives
 from dolfinx_mortar.qp.tolerances import LIMIT
 
 # Levels of accuracy: early sets are read off loose solves, the last one off a tight one.
 LOOSE, TIGHT = 0, 2
 
 
+class Set(Protocol):
+    """What is held: an array of the bounds, or more."""
+
+    def tobytes(self) -> bytes:
+        """Return what tells it from others."""
+
+
+S = TypeVar("S", bound=Set)
+
+
 @dataclass(frozen=True)
-class Found:
+class Found(Generic[S]):
     """What a solve with a set held has found."""
 
-    predicted: Actives  # (k,) the next set
+    predicted: S  # the next set
     changes: int  # unknowns on all ranks that differ by more than weak activity
     satisfied: bool  # accurate enough to end with, if nothing changes
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Outcome(Generic[S]):
     """How the updates ended."""
 
-    active: Actives  # (k,) the last set that was held
+    state: S  # the last set that was held
     updates: int
     reason: str  # why the set has not settled, or nothing
 
 
 def update(
-    hold: Callable[[Actives, int], Found], active: Actives, comm: MPI.Comm, *, level: int = TIGHT
-) -> Outcome:
+    hold: Callable[[S, int], Found[S]], active: S, comm: MPI.Comm, *, level: int = TIGHT
+) -> Outcome[S]:
     """Update the set until it stays (collective).
 
     A set that comes back is a cycle. If the solves were loose it may be their fault, and they
@@ -46,7 +56,7 @@ def update(
 
     Args:
         hold: solves with a set held, to the accuracy of a level.
-        active: (k,) this rank's part of the first set.
+        active: this rank's part of the first set.
         comm: communicator of the ranks that share the set.
         level: accuracy of the first solve.
     """
@@ -69,7 +79,7 @@ def update(
     return Outcome(held, updates, f"the active set still changed after {LIMIT} solves")
 
 
-def came_back(active: Actives, seen: set[int], comm: MPI.Comm) -> bool:
+def came_back(active: Set, seen: set[int], comm: MPI.Comm) -> bool:
     """Tell whether this set, over all ranks, was there before; one number travels."""
     part = blake2b(active.tobytes(), digest_size=7, salt=str(comm.rank).encode())
     everywhere = comm.allreduce(int.from_bytes(part.digest()), op=MPI.SUM)

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from operator import add
@@ -18,8 +19,10 @@ from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.response import Response, elastic_response, respond
 from dolfinx_mortar.materials.tensor import from_components
+from dolfinx_mortar.solid.dilatation import MeanDilatation
 from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.laws import Region
+from dolfinx_mortar.solid.pointwise import PointwiseFields
 from ufl.core.expr import Expr
 
 
@@ -34,29 +37,57 @@ class Forms:
     energy: fem.Form | None  # Psi, if all laws have a potential
     direction: fem.Function  # argument of elastic_norm
     force: la.Vector  # the residual with its ghosts
+    dilatation: MeanDilatation | None  # what tangent, elastic_norm and energy leave out
 
 
 def create_responses(
-    u: fem.Function,
+    strain: Expr,
     regions: Sequence[Region],
     state: Mapping[str, fem.Function],
-    kinematics: Kinematics,
+    pointwise: Mapping[type, PointwiseFields],
+    mean_stress: fem.Function | None = None,
 ) -> list[Response]:
-    """Return what the law of each region makes of the strain of u, as UFL; collective.
+    """Return what the law of each region makes of a strain, as UFL; collective.
+
+    Args:
+        strain: 3x3, what the laws see; with a mean stress the deviator.
+        regions: laws on cells.
+        state: committed internal variables.
+        pointwise: values of those laws that are functions of numbers.
+        mean_stress: of each cell, if that is known otherwise; the energies leave out what belongs
+            to it.
 
     Raises:
         ValueError: on all ranks, if a law raises or returns something wrong on any.
     """
-    strain = kinematics.measure(u)
     responses = []
-    with raised_together(u.function_space.mesh.comm):
+    with raised_together(regions[0].parameters.function.function_space.mesh.comm):
         for region in regions:
-            committed = {
-                name: from_components(state[name]) if shape else state[name]
-                for name, shape in region.law.state.items()
-            }
-            responses.append(respond(region.law, strain, committed, region.symbols))
+            if region.law in pointwise:
+                response = pointwise[region.law].response
+            else:
+                committed = {
+                    name: from_components(state[name]) if shape else state[name]
+                    for name, shape in region.law.state.items()
+                }
+                response = respond(region.law, strain, committed, region.symbols)
+            responses.append(response if mean_stress is None else _split(response, mean_stress))
     return responses
+
+
+def _split(response: Response, mean_stress: fem.Function) -> Response:
+    """Return the response to a deviator, with the mean stress and a tangent that sees no trace."""
+    own = response.change
+
+    def change(direction: Expr) -> Expr:
+        assert own is not None
+        return own(ufl.dev(direction))
+
+    return dataclasses.replace(
+        response,
+        stress=response.stress + mean_stress * ufl.Identity(3),
+        change=None if own is None else change,
+    )
 
 
 def create_forms(
@@ -65,19 +96,33 @@ def create_forms(
     responses: Sequence[Response],
     kinematics: Kinematics,
     degree: int,
+    *,
+    dilatation: MeanDilatation | None = None,
 ) -> Forms:
-    """Compile all forms that a Newton step needs; collective."""
+    """Compile all forms that a Newton step needs; collective.
+
+    Args:
+        u: displacement.
+        regions: laws on cells.
+        responses: of the laws.
+        kinematics: measure and weight.
+        degree: of the quadrature.
+        dilatation: what takes the volumetric part in the mean over each cell, if the forms are to
+            leave that out.
+    """
     V = u.function_space
     measures = _measures(V, regions, degree)
     weight = ufl.as_ufl(kinematics.weight(ufl.SpatialCoordinate(V.mesh)))
-    v, w, direction = ufl.TestFunction(V), ufl.TrialFunction(V), fem.Function(V)
+    v, direction = ufl.TestFunction(V), fem.Function(V)
     virtual, along = kinematics.virtual(u, v), kinematics.virtual(u, direction)
+    along = along if dilatation is None else ufl.dev(along)
 
     def integral(densities: Sequence[Expr]) -> ufl.Form:
         pairs = zip(densities, measures, strict=True)
         return reduce(add, (weight * density * dx for density, dx in pairs))
 
     residual = integral([ufl.inner(r.stress, virtual) for r in responses])
+    tangent = _tangent(u, responses, kinematics, integral)
     with raised_together(V.mesh.comm):
         elastic = [ufl.inner(elastic_response(r.law, along, r.symbols), along) for r in regions]
     gram = _gradient_gram(V)
@@ -85,13 +130,38 @@ def create_forms(
     energies = [r.energy for r in responses if r.energy is not None]
     return Forms(
         residual=fem.form(residual),
-        tangent=fem.form(ufl.derivative(residual, u, w)),
+        tangent=fem.form(tangent),
         elastic_norm=fem.form(integral(elastic)),
         element_force=fem.form(element_force),
         energy=fem.form(integral(energies)) if len(energies) == len(regions) else None,
         direction=direction,
         force=la.vector(V.dofmap.index_map, V.dofmap.bs),
+        dilatation=dilatation,
     )
+
+
+def _tangent(
+    u: fem.Function,
+    responses: Sequence[Response],
+    kinematics: Kinematics,
+    integral: Callable[[Sequence[Expr]], ufl.Form],
+) -> ufl.Form:
+    """Return the derivative of the residual, with the tangents that laws state themselves.
+
+    The virtual strain does not depend on u where a law does so: strains are small.
+    """
+    V = u.function_space
+    v, w = ufl.TestFunction(V), ufl.TrialFunction(V)
+    virtual, along = kinematics.virtual(u, v), kinematics.virtual(u, w)
+    densities = []
+    with raised_together(V.mesh.comm):
+        for response in responses:
+            if response.change is None:
+                change = ufl.derivative(ufl.inner(response.stress, virtual), u, w)
+            else:
+                change = ufl.inner(response.change(along), virtual)
+            densities.append(change)
+    return integral(densities)
 
 
 def _measures(V: fem.FunctionSpace, regions: Sequence[Region], degree: int) -> list[ufl.Measure]:

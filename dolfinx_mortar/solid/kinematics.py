@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""Kinematics: what makes a problem plane strain or spatial, in one frozen record.
+"""Kinematics: what makes a problem plane, axisymmetric or spatial, in one frozen record.
 
-A law sees the 3x3 strain that the measure gives and nothing else; the integrals over the bodies see
-the weight, which those over interfaces do not know yet; what asks which motions nothing holds sees
-the rigid motions.
+A law sees the 3x3 strain that the measure gives and nothing else; all integrals, over bodies, their
+surfaces and interfaces, see the weight; what asks which motions nothing holds sees the rigid
+motions.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -15,8 +16,15 @@ from typing import Any
 import numpy as np
 
 import ufl
-from dolfinx_mortar.arrays import Floats
+from dolfinx.mesh import Mesh
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arrays import Bools, Floats
+from ufl.algorithms import expand_derivatives
+from ufl.algorithms.analysis import extract_coefficients
 from ufl.core.expr import Expr
+
+# Coordinates below this share of the largest one are those of points on the axis.
+ON_AXIS = 32.0 * np.finfo(float).eps
 
 
 @dataclass(frozen=True)
@@ -29,14 +37,57 @@ class Kinematics:
 
     name: str
     measure: Callable[[Expr], Expr]  # displacement -> strain, 3x3
-    weight: Callable[[Any], Any]  # coordinates -> volume per integrated area or volume, such as 1
+    # coordinates -> volume per integrated area or volume, such as 1; of UFL and of NumPy (d, q)
+    weight: Callable[[Any], Any]
     # (n, d) -> name: (n, d), without strain and affine; about any other centre, and for other units
     # of length, they have to be sums of each other
     rigid_motions: Callable[[Floats], dict[str, Floats]]
+    dimension: int | None = None  # of the meshes that it is for, None for any
+    # the coordinate that is a distance from an axis: never negative, and where it is zero, the
+    # displacement in its direction has to be prescribed
+    radius: int | None = None
+    # whether the laws find the strain out of the plane themselves, by no stress there
+    plane_stress: bool = False
+    # as `rigid_motions`: what strains a small piece little, for multigrid; None for just these
+    nearly_rigid: Callable[[Floats], dict[str, Floats]] | None = None
 
     def virtual(self, u: Expr, v: Expr) -> Expr:
         """Return the strain that v causes at u, linear in v: d measure(u)/du [v]."""
         return ufl.derivative(self.measure(u), u, v)
+
+    def linear_in(self, u: Expr) -> bool:
+        """Tell whether the strain is linear in u, so that the virtual strain does not depend on it.
+
+        Nor does the tangent of a linear law then.
+        """
+        virtual = self.virtual(u, ufl.TestFunction(u.function_space))
+        return u not in extract_coefficients(expand_derivatives(virtual))
+
+    @property
+    def unweighted(self) -> bool:
+        """Whether the weight is known to be 1, so that integrals need not ask for it."""
+        return self.weight is _unit
+
+    def weights_at(self, points: Floats) -> Floats:
+        """Return the weight (q,) at points (q, d).
+
+        Raises:
+            ValueError: if the weight does not work with NumPy arrays, or is negative or NaN.
+        """
+        try:
+            values = np.asarray(self.weight(points.T), dtype=np.float64)
+            weights = np.array(np.broadcast_to(values, len(points)))
+        except Exception as error:
+            raise ValueError(
+                f"kinematics {self.name!r}: the weight raised {type(error).__name__}; it has to "
+                "work with UFL and with NumPy coordinates (d, q), such as 2 * pi * x[0]"
+            ) from error
+        if not (weights >= 0.0).all():
+            raise ValueError(
+                f"kinematics {self.name!r}: the weight is negative or NaN at "
+                f"{int((~(weights >= 0.0)).sum())} of {len(points)} points; it is a volume"
+            )
+        return weights
 
 
 def _symmetric_gradient(u: Expr) -> Expr:
@@ -48,6 +99,26 @@ def _padded_symmetric_gradient(u: Expr) -> Expr:
     """Return the small strain of a displacement in the plane, with zeros out of the plane."""
     g = ufl.sym(ufl.grad(u))
     return ufl.as_tensor([[g[0, 0], g[0, 1], 0], [g[1, 0], g[1, 1], 0], [0, 0, 0]])
+
+
+def _meridian_strain(u: Expr) -> Expr:
+    """Return the small strain of a ring by the displacement (u_r, u_z) of its section.
+
+    In the order r, z, theta, with u_r / r along the ring.
+    """
+    g = ufl.sym(ufl.grad(u))
+    r = ufl.SpatialCoordinate(ufl.domain.extract_unique_domain(u))[0]
+    return ufl.as_tensor([[g[0, 0], g[0, 1], 0], [g[1, 0], g[1, 1], 0], [0, 0, u[0] / r]])
+
+
+def _circumference(x: Any) -> Any:
+    """Return 2 pi r: forces are those of the whole ring."""
+    return 2 * np.pi * x[0]
+
+
+def _along_the_axis(x: Floats) -> dict[str, Floats]:
+    """Return the only motion of a ring without strain."""
+    return {"translation along the axis": np.tile([0.0, 1.0], (len(x), 1))}
 
 
 def _unit(x: Any) -> int:
@@ -76,11 +147,73 @@ def translations_and_rotations(x: Floats) -> dict[str, Floats]:
 
 
 plane_strain = Kinematics(
-    "plane strain", _padded_symmetric_gradient, _unit, translations_and_rotations
+    "plane strain", _padded_symmetric_gradient, _unit, translations_and_rotations, dimension=2
 )
-spatial = Kinematics("spatial", _symmetric_gradient, _unit, translations_and_rotations)
+plane_stress = dataclasses.replace(plane_strain, name="plane stress", plane_stress=True)
+axisymmetric = Kinematics(
+    "axisymmetric",
+    _meridian_strain,
+    _circumference,
+    _along_the_axis,
+    dimension=2,
+    radius=0,
+    # u_r / r is small beside the gradients; without these, iterations grow with the mesh
+    nearly_rigid=translations_and_rotations,
+)
+spatial = Kinematics("spatial", _symmetric_gradient, _unit, translations_and_rotations, dimension=3)
+KINEMATICS = {
+    "plane_strain": plane_strain,
+    "plane_stress": plane_stress,
+    "axisymmetric": axisymmetric,
+    "spatial": spatial,
+}
+"""What users may choose by name."""
 
 
 def kinematics_of_dimension(d: int) -> Kinematics:
     """Return plane strain for d = 2 and the spatial kinematics for d = 3."""
     return plane_strain if d == 2 else spatial
+
+
+def choose_kinematics(given: Any, d: int) -> Kinematics:
+    """Return the kinematics that a user means, None being those of the dimension d.
+
+    Raises:
+        ValueError: for an unknown name, or kinematics of another dimension.
+    """
+    if given is None:
+        return kinematics_of_dimension(d)
+    names = [name for name, k in KINEMATICS.items() if k.dimension == d]
+    choices = f"choose {' or '.join(map(repr, names))}, or give a Kinematics"
+    chosen = KINEMATICS.get(given) if isinstance(given, str) else given
+    if not isinstance(chosen, Kinematics):
+        raise ValueError(f"kinematics is {given!r}: on a mesh in {d}D {choices}")
+    if chosen.dimension not in (None, d):
+        raise ValueError(
+            f"kinematics is {given if isinstance(given, str) else chosen.name!r}, which is for "
+            f"meshes in {chosen.dimension}D: this one is in {d}D, so {choices}"
+        )
+    return chosen
+
+
+def on_axis(kinematics: Kinematics, mesh: Mesh, x: Floats) -> Bools:
+    """Return which points (n, d) lie on the axis, if there is one; collective."""
+    if kinematics.radius is None:
+        return np.zeros(len(x), dtype=bool)
+    size = float(maximum(mesh.comm, np.abs(mesh.geometry.x).max(initial=0.0))[0])
+    return np.asarray(np.abs(x[:, kinematics.radius]) <= ON_AXIS * size)
+
+
+def check_radius(kinematics: Kinematics, mesh: Mesh) -> None:
+    """Raise a ValueError on all ranks if a mesh lies beyond the axis; collective."""
+    if kinematics.radius is None:
+        return
+    x, i = np.asarray(mesh.geometry.x, dtype=np.float64), kinematics.radius
+    beyond = (x[:, i] < 0.0) & ~on_axis(kinematics, mesh, x)
+    farthest = float(maximum(mesh.comm, -x[beyond, i].min(initial=0.0))[0])
+    if farthest > 0.0:
+        raise ValueError(
+            f"kinematics {kinematics.name!r}: the mesh has nodes at r = x[{i}] < 0, down to "
+            f"{-farthest:.4g}; it must be the half of the section on which r >= 0, with the axis "
+            f"at x[{i}] = 0"
+        )

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -13,12 +12,16 @@ from mpi4py import MPI
 
 import numpy as np
 
-import basix.ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar import compat
-from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.materials import Material
-from dolfinx_mortar.materials.protocol import RESERVED, check_declaration
+from dolfinx_mortar.materials.plane_stress import plane_stress_law
+from dolfinx_mortar.materials.protocol import RESERVED, check_declaration, law_of
+from dolfinx_mortar.solid.parameters import ParameterTable, create_table
+from dolfinx_mortar.tags import by_tag, label, labels
+
+UNTAGGED = int(np.iinfo(np.int32).min)
 
 
 @dataclass(frozen=True)
@@ -27,15 +30,13 @@ class Region:
 
     law: Any  # the class of the material
     cells: np.ndarray  # int32 (m,), local cells, ghosts included
-    parameters: fem.Function  # DG0, one component per parameter of the law
-    symbols: SimpleNamespace  # the parameters by name, as UFL
+    parameters: ParameterTable
+    parts: tuple[tuple[Any, Ints], ...] = ()  # the materials, each with its own of these cells
 
-    def parameter_values(self, cells: np.ndarray) -> SimpleNamespace:
-        """Return the parameters by name, each (len(cells),)."""
-        dofs = self.parameters.function_space.dofmap.list[cells, 0]
-        names = vars(self.symbols)
-        values = self.parameters.x.array.reshape(-1, max(len(names), 1))[dofs]
-        return SimpleNamespace(**{name: values[:, i] for i, name in enumerate(names)})
+    @property
+    def symbols(self) -> SimpleNamespace:
+        """The parameters by name, as UFL."""
+        return self.parameters.symbols
 
     def output(self, state: Mapping[str, Floats], cells: Ints, points: int) -> dict[str, Floats]:
         """Return the further fields of the law, (q,) or (q, components), q points cell by cell.
@@ -52,7 +53,7 @@ class Region:
             return {}
         where, q = f"{self.law.__name__}.output", len(cells) * points
         try:
-            found = self.law.output(state, self.parameter_values(np.repeat(cells, points)))
+            found = self.law.output(state, self.parameters.values(cells, points))
             fields = {name: np.asarray(f, dtype=float) for name, f in dict(found or {}).items()}
         except Exception as error:
             raise ValueError(
@@ -70,52 +71,48 @@ class Region:
 
 
 def create_regions(
-    domain: mesh.Mesh,
-    materials: Material | Mapping[int, Material],
+    u: fem.Function,
+    materials: Material | Mapping[int | str, Material],
     cell_tags: mesh.MeshTags | None,
+    degree: int,
+    plane_stress: bool = False,
 ) -> list[Region]:
-    """Group the cells by law and store the parameters cell by cell (collective).
-
-    Raises:
-        ValueError: if tags and materials do not cover the cells exactly.
-    """
-    laws, choice = _material_of_cells(domain, materials, cell_tags)
-    # Sorted by name so that the same laws make the same forms in any order of the dictionary.
-    classes = sorted(dict.fromkeys(type(law) for law in laws), key=lambda c: c.__qualname__)
-    index = np.array([classes.index(type(law)) for law in laws])
-    return [_create_region(domain, laws, choice, index == i) for i in range(len(classes))]
-
-
-def _create_region(
-    domain: mesh.Mesh, laws: list[Any], choice: np.ndarray, chosen: np.ndarray
-) -> Region:
-    """Create the region of the chosen laws, all of one class.
+    """Group the cells by law and store the parameters (collective).
 
     Args:
-        domain: the mesh.
-        laws: all materials.
-        choice: (cells,) index into laws per local cell.
-        chosen: (len(laws),) bool, those of this region.
+        u: displacement, on which no parameter may depend.
+        materials: one law for all cells, or a law per cell tag.
+        cell_tags: tags of the cells; needed with a law per tag.
+        degree: of the quadrature.
+        plane_stress: whether the laws leave no stress out of the plane.
+
+    Raises:
+        ValueError: if a law does not know plane stress, tags and materials do not cover the cells
+            exactly, or a parameter is out of its range, belongs to another mesh or depends on u.
     """
-    law = type(laws[int(np.flatnonzero(chosen)[0])])
-    names = [field.name for field in dataclasses.fields(law)]
-    width = max(len(names), 1)  # a law may have no parameter at all
-    element = basix.ufl.element("DG", domain.basix_cell(), 0, shape=(width,))
-    parameters = fem.Function(fem.functionspace(domain, element))
-    cells = np.flatnonzero(chosen[choice]).astype(np.int32)
-    table = np.array(
-        [[getattr(m, n) if c else 0.0 for n in names] for m, c in zip(laws, chosen, strict=True)]
-    )
-    dofs = parameters.function_space.dofmap.list[:, 0]
-    if names:
-        parameters.x.array.reshape(-1, width)[dofs[cells]] = table[choice[cells]]
-    symbols = SimpleNamespace(**{name: parameters[i] for i, name in enumerate(names)})
-    return Region(law, cells, parameters, symbols)
+    laws, choice = _material_of_cells(u.function_space.mesh, materials, cell_tags)
+    # Sorted by name so that the same laws make the same forms in any order of the dictionary.
+    classes = sorted(dict.fromkeys(map(law_of, laws)), key=lambda c: c.__qualname__)
+    regions = []
+    for kind in classes:
+        chosen = [i for i, law in enumerate(laws) if law_of(law) is kind]
+        cells = [np.flatnonzero(choice == i).astype(np.int32) for i in chosen]
+        table = create_table(u, [laws[i] for i in chosen], cells, degree)
+        law = plane_stress_law(kind) if plane_stress else kind
+        table.follow()
+        region = Region(
+            law,
+            np.sort(np.concatenate(cells)),
+            table,
+            tuple((laws[i], on) for i, on in zip(chosen, cells, strict=True)),
+        )
+        regions.append(region)
+    return regions
 
 
 def _material_of_cells(
     domain: mesh.Mesh,
-    materials: Material | Mapping[int, Material],
+    materials: Material | Mapping[int | str, Material],
     cell_tags: mesh.MeshTags | None,
 ) -> tuple[list[Any], np.ndarray]:
     """Return the materials and, per local cell (ghosts included), the index of its material."""
@@ -125,36 +122,49 @@ def _material_of_cells(
         check_declaration("materials", materials)
         return [materials], np.zeros(count, dtype=np.int32)
     for tag, law in materials.items():
-        if not isinstance(tag, int | np.integer):
-            raise ValueError(f"materials has the key {tag!r}: its keys are cell tags, integers.")
-        check_declaration(f"materials[{tag}]", law)
+        if not isinstance(tag, int | np.integer | str):
+            raise ValueError(
+                f"materials has the key {tag!r}: its keys are cell tags, integers, or their names."
+            )
+        check_declaration(f"materials[{tag!r}]", law)
     if not materials or cell_tags is None:
         raise ValueError(
             "materials is a dictionary by cell tag: give at least one material, and cell_tags."
         )
-    if cell_tags.dim != domain.topology.dim or not compat.on_same_mesh(cell_tags, domain):
-        raise ValueError("cell_tags must tag the cells of the mesh of u, not of another mesh.")
-    tags = np.array(sorted(materials), dtype=np.int64)
-    # Through a DG0 Function, so that ghost cells get their owner's tag.
-    marker = fem.Function(fem.functionspace(domain, ("DG", 0)))
-    dofs = marker.function_space.dofmap.list[:, 0]
-    untagged = float(np.iinfo(np.int32).min)
-    marker.x.array[:] = untagged
-    marker.x.array[dofs[cell_tags.indices]] = cell_tags.values
-    marker.x.scatter_forward()
-    values = marker.x.array[dofs[:count]].astype(np.int64)
-    _check_cover(domain.comm, values[: imap.size_local], tags, int(untagged))
-    laws = [materials[int(tag)] for tag in tags]
+    given = by_tag(cell_tags, materials, "materials")
+    tags = np.array(sorted(given), dtype=np.int64)
+    values = tags_of_cells(domain, cell_tags)
+    _check_cover(domain, cell_tags, values[: imap.size_local], tags)
+    laws = [given[int(tag)] for tag in tags]
     return laws, np.searchsorted(tags, values).astype(np.int32)
 
 
-def _check_cover(comm: MPI.Comm, values: np.ndarray, tags: np.ndarray, untagged: int) -> None:
-    """Raise ValueError on all ranks unless the tags of the owned cells and `tags` are the same."""
+def tags_of_cells(domain: mesh.Mesh, cell_tags: mesh.MeshTags) -> Longs:
+    """Return the tags of the local cells, ghosts included, UNTAGGED without one; collective.
+
+    Raises:
+        ValueError: if the tags are not those of the cells of the mesh.
+    """
+    if cell_tags.dim != domain.topology.dim or not compat.on_same_mesh(cell_tags, domain):
+        raise ValueError("cell_tags must tag the cells of the mesh of u, not of another mesh.")
+    imap = domain.topology.index_map(domain.topology.dim)
+    # Through a DG0 Function, so that ghost cells get their owner's tag.
+    marker = fem.Function(fem.functionspace(domain, ("DG", 0)))
+    dofs = marker.function_space.dofmap.list[:, 0]
+    marker.x.array[:] = float(UNTAGGED)
+    marker.x.array[dofs[cell_tags.indices]] = cell_tags.values
+    marker.x.scatter_forward()
+    return np.asarray(marker.x.array[dofs[: imap.size_local + imap.num_ghosts]].astype(np.int64))
+
+
+def _check_cover(domain: mesh.Mesh, cell_tags: mesh.MeshTags, values: Longs, tags: Longs) -> None:
+    """Raise ValueError on all ranks unless the values of the owned cells are the tags."""
+    comm = domain.comm
     found = np.unique(np.concatenate(comm.allgather(np.unique(values))))
     missing = np.setdiff1d(found, tags)
     if missing.size:
         cells = comm.allreduce(int(np.isin(values, missing).sum()), op=MPI.SUM)
-        named = ["no tag" if tag == untagged else f"tag {tag}" for tag in missing]
+        named = ["no tag" if t == UNTAGGED else f"tag {label(cell_tags, t)}" for t in missing]
         raise ValueError(
             f"materials: {cells} cells have no material ({', '.join(named)}); "
             "add a material for each tag, and tag all cells."
@@ -162,6 +172,6 @@ def _check_cover(comm: MPI.Comm, values: np.ndarray, tags: np.ndarray, untagged:
     empty = np.setdiff1d(tags, found)
     if empty.size:
         raise ValueError(
-            f"materials: tag {', '.join(map(str, empty))} marks no cell; cell_tags has "
-            f"{', '.join(map(str, found))}."
+            f"materials: tag {labels(cell_tags, empty)} marks no cell; cell_tags has "
+            f"{labels(cell_tags, found)}."
         )

@@ -50,7 +50,7 @@ class PointFields:
         """
         self._stored = {"stress": stress, **state}
         self._regions = regions
-        self._degree = degree
+        self.degree = degree
         self._weight = weight
         self._mesh = stress.function_space.mesh
         self._components = COMPONENTS[self._mesh.geometry.dim]
@@ -173,9 +173,9 @@ class PointFields:
 
         The volume is that of the kinematics, weight included.
         """
-        metadata = {"quadrature_degree": self._degree, "quadrature_scheme": "default"}
+        metadata = {"quadrature_degree": self.degree, "quadrature_scheme": "default"}
         element = basix.ufl.quadrature_element(
-            self._mesh.basix_cell(), scheme="default", degree=self._degree
+            self._mesh.basix_cell(), scheme="default", degree=self.degree
         )
         Q = fem.functionspace(self._mesh, element)
         dx = ufl.Measure("dx", self._mesh, metadata=metadata)

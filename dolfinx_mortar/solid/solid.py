@@ -6,29 +6,36 @@ A step ends with `evaluate`, which shows its results, and is accepted by `commit
 Everything that a step needs is compiled and allocated when a `Solid` is made; only the weights of
 integration points and averages over cells, which serve output and messages, when first asked for.
 The compiled code depends on the cell type and the laws, not on the mesh, the tags or the values of
-the parameters, which live in cell-wise constant Functions.
+the parameters, which live in Functions. Parameters that the user changes are followed by whatever
+is assembled or evaluated next.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
+import ufl
 from dolfinx import fem, la, mesh
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arrays import Bools
+from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.materials import Material
+from dolfinx_mortar.solid.dilatation import create_dilatation
+from dolfinx_mortar.solid.eigenstrain import create_eigenstrain
 from dolfinx_mortar.solid.forms import create_forms, create_responses
-from dolfinx_mortar.solid.kinematics import Kinematics, kinematics_of_dimension
+from dolfinx_mortar.solid.kinematics import Kinematics, check_radius, choose_kinematics
 from dolfinx_mortar.solid.laws import create_regions
 from dolfinx_mortar.solid.points import PointFields
+from dolfinx_mortar.solid.pointwise import create_pointwise, fill_pointwise
+from dolfinx_mortar.solid.sources import Followed, follow_changed
 from dolfinx_mortar.solid.state import (
     create_evaluations,
     create_field,
@@ -49,14 +56,14 @@ class Solid:
 
     Attributes:
         u: displacement; its ghosts must be up to date in every call.
-        V: space of u.
         kinematics: strain measure, weight and rigid motions; plane strain in 2D.
         state: committed internal variables by name, quadrature Functions: those from which the
             next step starts. What `fields` and `max` show is the state that `evaluate` found,
-            committed or not. Tensors are stored as (xx, yy, zz, xy) in 2D (plane strain) and
-            (xx, yy, zz, xy, yz, xz) in 3D, the shear being the tensor component.
+            committed or not. Tensors are stored as (xx, yy, zz, xy) in 2D, which are (rr, zz,
+            theta theta, rz) of a ring, and (xx, yy, zz, xy, yz, xz) in 3D, the shear being the
+            tensor component.
+        eigenstrain: the strain that the laws do not see, at the integration points, or None.
         stress: quadrature Function of the same components, filled by `evaluate`.
-        quadrature_degree: degree of the cell integrals.
         regions: the cells of each law, with its parameters.
         fields: what `evaluate` found, at the integration points.
     """
@@ -64,49 +71,82 @@ class Solid:
     def __init__(
         self,
         u: fem.Function,
-        materials: Material | Mapping[int, Material],
+        materials: Material | Mapping[int | str, Material],
         cell_tags: mesh.MeshTags | None = None,
         *,
         quadrature_degree: int | None = None,
-        kinematics: Kinematics | None = None,
+        kinematics: str | Kinematics | None = None,
+        eigenstrain: Any = None,
+        volumetric: str = "full",
     ) -> None:
         """Create the bodies and compile their forms (collective).
 
         Args:
-            u: displacement, a vector Lagrange Function of degree 1.
-            materials: one law for all cells, or a law per cell tag.
-            cell_tags: tags of the cells; needed with a law per tag.
+            u: displacement, a vector Lagrange Function of degree 1 or 2.
+            materials: one law for all cells, or a law per cell tag, or its name.
+            cell_tags: tags of the cells, see `Tags` for names; needed with a law per tag.
             quadrature_degree: None means 2(p - 1), at least 1, on simplices and 2p on
                 quadrilaterals and hexahedra, p the degree of u.
-            kinematics: None means plane strain in 2D, spatial in 3D.
+            kinematics: "plane_strain" (the default in 2D), "plane_stress" (thin plates, forces per
+                thickness; `Elastic` and `VonMises` know it), "axisymmetric" (x[0] is the radius r,
+                x[1] the axis z; strains, stresses and loads are in the order r, z, theta, forces,
+                energies and volumes those of the whole ring), "spatial" (the only choice in 3D), or
+                a `Kinematics`.
+            eigenstrain: strain without stress (thermal, of a fit, initial), of which the laws see
+                nothing: a scalar (the same in all three directions, also out of the plane) or a 3x3
+                tensor, as a number, an array, a Constant, a Function or UFL of these and of the
+                coordinates; or a dictionary of such by cell tag or name, zero at other tags.
+                What it depends on may change between steps, as loads do: in ``on_time`` of
+                `load_steps`.
+            volumetric: "full", or "reduced" for quadrilaterals and hexahedra that do not lock when
+                their volume hardly changes: the trace of the strain is then its mean over the cell,
+                and so is the mean stress that is shown. For laws that split into a deviator and a
+                trace, see `Material`.
 
         Raises:
             ValueError: if u is in another kind of space, materials and tags do not match, the
-                quadrature degree is no integer from 0 on, or a law lacks a part, raises, or returns
-                something of the wrong name or shape; the message names the law and the part.
+                quadrature degree is no integer from 0 on, the kinematics are unknown, for another
+                dimension, or the mesh lies beyond their axis, the eigenstrain has another shape, an
+                unknown tag or undefined values, there is no volumetric part to reduce, or a law
+                lacks a part, raises, or returns something of the wrong name or shape; the message
+                names the law and the part.
         """
         if not isinstance(u, fem.Function):
             raise ValueError(f"u must be a dolfinx.fem.Function (the displacement), not {type(u)}.")
         check_space(u.function_space, "u")
         self.u = u
-        self.V = u.function_space
-        self.kinematics = kinematics or kinematics_of_dimension(self.mesh.geometry.dim)
-        self.quadrature_degree = _degree(self.V, quadrature_degree)
-        self.regions = create_regions(self.mesh, materials, cell_tags)
-        self.state = create_state(self.regions, self.mesh, self.quadrature_degree)
+        self.kinematics = choose_kinematics(kinematics, self.mesh.geometry.dim)
+        check_radius(self.kinematics, self.mesh)
+        degree = _degree(self.V, quadrature_degree)
+        self.regions = create_regions(u, materials, cell_tags, degree, self.kinematics.plane_stress)
+        self.state = create_state(self.regions, self.mesh, degree)
         self._staged = {name: f.copy() for name, f in self.state.items()}
-        self.stress = create_field(self.mesh, self.quadrature_degree, (3, 3), "stress")
-        responses = create_responses(u, self.regions, self.state, self.kinematics)
-        weight = self.kinematics.weight
-        self.fields = PointFields(
-            self.stress, self._staged, self.regions, self.quadrature_degree, weight
+        self.stress = create_field(self.mesh, degree, (3, 3), "stress")
+        self.eigenstrain = create_eigenstrain(u, eigenstrain, cell_tags, degree)
+        dilatation = create_dilatation(
+            u, volumetric, self.regions, self.kinematics, degree, eigenstrain=self.eigenstrain
         )
+        strain = self.kinematics.measure(u)
+        strain = strain if self.eigenstrain is None else strain - self.eigenstrain.tensor
+        mean_stress = None
+        if dilatation is not None:  # the laws, pointwise ones too, see the deviator only
+            strain, mean_stress = ufl.dev(strain), dilatation.mean_stress
+        inputs = [u] if self.eigenstrain is None else [u, self.eigenstrain.function]
+        self._pointwise = create_pointwise(self.regions, strain, self.state, inputs, degree)
+        responses = create_responses(strain, self.regions, self.state, self._pointwise, mean_stress)
+        weight = self.kinematics.weight
+        self.fields = PointFields(self.stress, self._staged, self.regions, degree, weight)
         with raised_together(self.mesh.comm):
             self.fields.bases  # noqa: B018 - judges what the laws put out
         self._forms = create_forms(
-            u, self.regions, responses, self.kinematics, self.quadrature_degree
+            u, self.regions, responses, self.kinematics, degree, dilatation=dilatation
         )
         self._evaluations = create_evaluations(self.regions, responses, self._staged, self.stress)
+
+    @property
+    def V(self) -> fem.FunctionSpace:
+        """The space of u."""
+        return self.u.function_space
 
     @property
     def mesh(self) -> mesh.Mesh:
@@ -114,9 +154,25 @@ class Solid:
         return self.V.mesh
 
     @property
+    def quadrature_degree(self) -> int:
+        """The degree of the cell integrals."""
+        return self.fields.degree
+
+    @property
     def linear(self) -> bool:
-        """Whether all laws are linear, so that the tangent is constant."""
-        return all(region.law.linear for region in self.regions)
+        """Whether all laws and the strain are linear: a constant tangent while parameters are."""
+        laws = all(region.law.linear for region in self.regions)
+        return laws and self.kinematics.linear_in(self.u)
+
+    @property
+    def varying(self) -> bool:
+        """Whether a parameter is a Constant, a Function or UFL, whose values may change."""
+        return any(region.parameters.varying for region in self.regions)
+
+    @property
+    def volumetric(self) -> str:
+        """How the volumetric part is integrated, "full" or "reduced"."""
+        return "full" if self._forms.dilatation is None else "reduced"
 
     @property
     def has_energy(self) -> bool:
@@ -133,12 +189,16 @@ class Solid:
 
     def assemble_tangent(self, K: PETSc.Mat) -> None:
         """Fill K with the consistent tangent dF/du at u, symmetric, without boundary conditions."""
+        self.follow()
         K.zeroEntries()
         fem_petsc.assemble_matrix(K, self._forms.tangent)
         K.assemble()
+        if self._forms.dilatation is not None:
+            self._forms.dilatation.add_tangent(K)
 
     def assemble_residual(self, r: PETSc.Vec) -> None:
         """Fill the owned part of r with the internal forces F(u)_i = int sigma : eps(phi_i)."""
+        self.follow()
         force = self._forms.force
         force.array[:] = 0.0
         fem.assemble_vector(force.array, self._forms.residual)
@@ -153,23 +213,28 @@ class Solid:
         """
         if self._forms.energy is None:
             raise ValueError("Solid.energy: a material gives a stress but no energy.")
-        return self._sum(self._forms.energy)
+        energy, dilatation = self._sum(self._forms.energy), self._forms.dilatation
+        return energy + (0.0 if dilatation is None else dilatation.energy())
 
     def elastic_norm(self, v: fem.Function) -> float:
         """Return the energy norm sqrt(int eps(v) : C : eps(v)) of a Function of V."""
         self._forms.direction.x.array[:] = v.x.array
-        return math.sqrt(max(self._sum(self._forms.elastic_norm), 0.0))
+        square = self._sum(self._forms.elastic_norm)
+        square += 0.0 if self._forms.dilatation is None else self._forms.dilatation.norm_squared(v)
+        return math.sqrt(max(square, 0.0))
 
     def element_force_norm(self) -> float:
         """Return the norm of the unassembled element forces at u, sqrt(sum_e sum_a |f_ea|^2).
 
         This is the scale of round-off in F(u), and does not vanish with residual stresses. Exact
-        for degree 1 on simplices; on other cells the gradients at the midpoint are used.
+        for degree 1 on simplices; on other cells the gradients at the midpoint are used, and of
+        rings the forces of the stress along them, which are never larger than the others, left out.
         """
         return math.sqrt(max(self._sum(self._forms.element_force), 0.0))
 
     def _sum(self, form: fem.Form) -> float:
         """Assemble a scalar over all ranks."""
+        self.follow()
         return self.mesh.comm.allreduce(fem.assemble_scalar(form), op=MPI.SUM)
 
     # -- results and committed state ------------------------------------------------------------
@@ -184,12 +249,42 @@ class Solid:
             ValueError: on all ranks, if a law gives NaN or infinity on any; the message names it.
                 All that is shown, and what `commit` would take, is then as before.
         """
+        self.follow()
         fill_all(self.mesh.comm, self._evaluations)
 
-    def evaluate_again(self) -> None:
-        """Evaluate at a displacement that was judged before; without communication."""
-        for evaluation in self._evaluations:
-            evaluation.fill()
+    def keep(self) -> list[tuple[fem.Function, Floats]]:
+        """Return copies of what is shown and of the parameters behind it, for `put_back`.
+
+        A second evaluation would not do: u may have been set since, or nothing evaluated yet, and
+        a law that depends on the size of a step flows on.
+        """
+        shown = [self.stress, *self._staged.values()]
+        functions = shown + [followed.function for followed in self._followed()]
+        return [(f, f.x.array.copy()) for f in functions]
+
+    def put_back(self, kept: list[tuple[fem.Function, Floats]]) -> None:
+        """Show what `keep` has returned, and let `commit` take it; without communication."""
+        for f, values in kept:
+            f.x.array[:] = values
+        for followed in self._followed():
+            followed.forget()
+
+    def _followed(self) -> list[Followed]:
+        """Return the parameters of the laws and the eigenstrain."""
+        parameters: list[Followed] = [region.parameters for region in self.regions]
+        return parameters if self.eigenstrain is None else [*parameters, self.eigenstrain]
+
+    def follow(self) -> None:
+        """Take over what the forms read and has changed, ask pointwise laws; collective.
+
+        Raises:
+            ValueError: on all ranks, if parameters are out of range, the eigenstrain is undefined,
+                or a pointwise law fails.
+        """
+        follow_changed(self.mesh.comm, self._followed())
+        if self._forms.dilatation is not None:
+            self._forms.dilatation.follow()
+        fill_pointwise(self.mesh.comm, self._pointwise)
 
     def commit(self) -> None:
         """Make the internal variables that `evaluate` found last those of the next step's start.
@@ -198,6 +293,17 @@ class Solid:
         """
         for name, staged in self._staged.items():
             self.state[name].x.array[:] = staged.x.array
+
+    def lasting_fields(self) -> dict[str, fem.Function]:
+        """Return what lasts from step to step at the integration points, by name.
+
+        The stress, the internal variables that are committed, and those that `evaluate` found last,
+        which are what is shown.
+        """
+        committed = {f"committed/{name}": f for name, f in self.state.items()}
+        return (
+            {"stress": self.stress} | committed | {f"shown/{n}": f for n, f in self._staged.items()}
+        )
 
     def flowing(self) -> Bools:
         """Return at which points (owned cells, points) `evaluate` has changed internal variables.
@@ -241,7 +347,7 @@ class Solid:
         }
 
     def plastic_area(self) -> float:
-        """Return the area (volume in 3D) whose plastic strain is not zero, whatever the law.
+        """Return the area (volume of spatial bodies and rings) whose plastic strain is not zero.
 
         A law whose `output` has a field ``plastic``, one or zero, says itself where it is.
         """

@@ -16,7 +16,8 @@ from scipy.spatial import cKDTree
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
+from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes, normals_at_nodes
+from dolfinx_mortar.html import items, table
 from dolfinx_mortar.interfaces.coupling import Link
 from dolfinx_mortar.interfaces.motions import slipped
 from dolfinx_mortar.interfaces.system import InterfaceSystem
@@ -106,6 +107,24 @@ class Audit:
         lines += [str(i) for i in self.interfaces]
         return "\n".join(lines + [f"warning: {w}" for w in self.warnings])
 
+    def _repr_html_(self) -> str:
+        """Return tables for a notebook: a row per interface, and the warnings."""
+        columns = {
+            "slave facets": "slave_facets",
+            "master facets": "master_facets",
+            "slave nodes": "slave_nodes",
+            "with multiplier": "kept_nodes",
+            "face no master": "uncovered_nodes",
+            "removed": "removed_nodes",
+            "least gap": "least_gap",
+            "largest gap": "largest_gap",
+        }
+        rows = [(i.name, *(getattr(i, name) for name in columns.values())) for i in self.interfaces]
+        title = f"{self.bodies} bodies, {len(self.interfaces)} interfaces"
+        return table(title, rows, ("interface", *columns)) + items(
+            f"warning: {warning}" for warning in self.warnings
+        )
+
 
 def create_audit(
     bodies: Bodies,
@@ -179,9 +198,9 @@ def _facet_motion(link: Link) -> Callable[[PETSc.Vec], Floats]:
 
 def facet_angle(surface: Surface, comm: MPI.Comm) -> float:
     """Return the root mean square angle between facet and nodal normals at X; collective."""
-    across = facet_normals(facets_at(surface, surface.X))[:, None]
+    across = normals_at_nodes(facets_at(surface, surface.X))
     at_nodes = nodal_normals(surface, surface.X)[surface.facets]
-    sine2 = np.clip(1.0 - np.einsum("mki,mki->mk", across + 0 * at_nodes, at_nodes) ** 2, 0.0, 1.0)
+    sine2 = np.clip(1.0 - np.einsum("mki,mki->mk", across, at_nodes) ** 2, 0.0, 1.0)
     sine2[sine2 < ROUND_OFF] = 0.0
     total = comm.allreduce(np.array([sine2.sum(), float(sine2.size)]), op=MPI.SUM)
     return float(np.arcsin(np.sqrt(total[0] / max(total[1], 1.0))))
@@ -245,13 +264,13 @@ def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec) -> None:
     )
     if joined and deepest > DEEP * bodies.radius.max():
         raise ValueError(
-            f"slave={interface.slave} and master={interface.master} are parts of one surface "
+            f"{interface.sides} are parts of one surface "
             f"that meets itself through its body, {deepest:.3g} deep; mark only the parts that "
             "can touch"
         )
     if some and -shallowest > bodies.radius.max():
         raise ValueError(
-            f"slave={interface.slave} and master={interface.master} can never meet: all slave "
+            f"{interface.sides} can never meet: all slave "
             f"nodes lie at least {-shallowest:.3g} beyond the master side; check the tags"
         )
 
@@ -264,7 +283,8 @@ def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     least, largest = maximum(
         sides.V.mesh.comm, (-gap).max(initial=-np.inf), gap.max(initial=-np.inf)
     )
-    prescribed = covered & ~kept & sides.fixed[link.nodes].any(axis=1)
+    left_out = covered & ~kept & ~link.coupling.coverage.weightless
+    prescribed = left_out & sides.fixed[link.nodes].any(axis=1)
     counts = sides.V.mesh.comm.allreduce(
         np.array(
             [
@@ -285,7 +305,7 @@ def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     x = np.abs(sides.V.mesh.geometry.x).max(initial=0.0)
     size = EXACT * max(float(lengths[0]), float(maximum(sides.V.mesh.comm, x)[0]))
     ends = [0.0 if abs(end) < size or np.isinf(end) else float(end) for end in (-least, largest)]
-    edges = _edges(link) if link.interface.smooth else None
+    edges = _edges(link) if link.pattern.smooth else None
     row = *map(int, counts), ratio, *ends, edges
     return InterfaceAudit(repr(link.interface), *row)  # type: ignore[arg-type]
 

@@ -51,6 +51,18 @@ class Bodies:
             modes += [(body, name, self._vector(m * on)) for name, m in motions.items()]
         return modes
 
+    @property
+    def shifts(self) -> Bools:
+        """Which directions (d,) all points can move in together without strain."""
+        d = self.V.dofmap.index_map_bs
+        probes = np.vstack([np.zeros(d), np.eye(d)])  # motions are affine: so many points tell them
+        motions = [motion.ravel() for motion in self.motions(probes).values()]
+        if not motions:
+            return np.zeros(d, dtype=bool)
+        basis, shifts = np.stack(motions, axis=1), np.tile(np.eye(d), (d + 1, 1))
+        left = shifts - basis @ np.linalg.lstsq(basis, shifts)[0]
+        return np.asarray(np.abs(left).max(axis=0) < SAME)
+
     def _vector(self, values: Floats) -> PETSc.Vec:
         layout, d = self.V.dofmap.index_map, self.V.dofmap.index_map_bs
         vector = PETSc.Vec().createMPI(

@@ -13,9 +13,11 @@ from dolfinx_mortar.interfaces.coupling import Link
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.motions import along_and_across, relative_motions
 from dolfinx_mortar.interfaces.near import nodal_gaps
+from dolfinx_mortar.qp import Sliders
+from dolfinx_mortar.steps.contacts import Contacts
 from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.report import Certificate, StepReport
-from dolfinx_mortar.steps.residuals import Contacts, Residuals
+from dolfinx_mortar.steps.residuals import Residuals
 
 
 def _largest(comm: MPI.Comm, *arrays: Floats) -> Floats:
@@ -56,7 +58,11 @@ def _balances(interfaces: list[Interface], facet_length: float) -> tuple[float, 
 
 
 def create_certificate(
-    problem: ContactProblem, report: StepReport, contacts: Contacts, residual: Residuals
+    problem: ContactProblem,
+    report: StepReport,
+    contacts: Contacts,
+    residual: Residuals,
+    sliders: Sliders | None = None,
 ) -> Certificate:
     """Judge the present state of a problem whose results are set; collective.
 
@@ -65,6 +71,7 @@ def create_certificate(
         report: iterations of the step.
         contacts: the contact set.
         residual: what is left of equilibrium there.
+        sliders: slips and tangential reactions, with friction.
     """
     links, length = problem.system.links, problem.system.facet_length
     gap: list[Floats] = [np.zeros(0)]
@@ -106,4 +113,20 @@ def create_certificate(
         qp_iterations=report.qp_iterations,
         line_search_steps=sum(i.line_search_steps for i in report.iterations),
         geometry_change=report.iterations[-1].geometry_change,
+        **({} if sliders is None else _friction(problem.comm, sliders, length)),
     )
+
+
+def _friction(comm: MPI.Comm, sliders: Sliders, facet_length: float) -> dict[str, float]:
+    """Return the residuals of friction by name; collective."""
+    size, way = (np.linalg.norm(v, axis=1) for v in (sliders.reaction, sliders.slip))
+    most, work = sliders.limit, (sliders.reaction * sliders.slip).sum(axis=1)
+    sticks = (most > 0.0) & ~sliders.directions()[0].any(axis=1)
+    beyond, limit, stuck, gain = _largest(comm, size - most, most, way[sticks], -work)
+    whole, taken = comm.allreduce(np.array([most @ way, work.sum()]), op=MPI.SUM)
+    return {
+        "friction_cone": ratio(beyond, limit),
+        "friction_stick": ratio(stuck, facet_length),
+        "friction_work": ratio(max(whole - taken, 0.0), whole),
+        "friction_gain": ratio(gain, whole),
+    }

@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
 import textwrap
 from collections.abc import Iterable, Sequence
 from numbers import Integral, Real
+from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
@@ -17,10 +19,10 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx_mortar import qp as backends
+from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.solid.solid import Solid
-from ufl.constantvalue import ScalarValue
 
 GEOMETRIES = ("updated", "reference")
 CUTS = ("halve", "none")
@@ -139,6 +141,33 @@ def check_load_steps(
     return [float(level) for level in levels]
 
 
+def check_path(comm: MPI.Comm, path: Any, name: str = "path") -> Path:
+    """Return a file name as a path if it is one, the same on all ranks; collective."""
+    known = isinstance(path, str | os.PathLike)
+    check_same_on_all_ranks(comm, **{name: os.fspath(path) if known else path})
+    if not known or not os.fspath(path):
+        raise ValueError(f"{name} is {path!r}: give the name of a file")
+    return Path(os.fsdecode(path))
+
+
+def check_every(comm: MPI.Comm, checkpoint: Any, every: Any) -> Path | None:
+    """Return where checkpoints go, None for nowhere, if how often makes sense; collective.
+
+    Raises:
+        ValueError: if not, naming the argument.
+    """
+    check_same_on_all_ranks(comm, every=every)
+    if not _is_integer(every) or every < 1:
+        raise ValueError(f"every is {every!r}: need an integer, every >= 1")
+    given = comm.allgather(checkpoint is None)
+    if any(given) and every != 1:
+        raise ValueError(f"every is {every!r}, but there is no checkpoint: give its file")
+    if any(given):
+        check_same_on_all_ranks(comm, checkpoint=checkpoint)
+        return None
+    return check_path(comm, checkpoint, "checkpoint")
+
+
 def check_same_on_all_ranks(comm: MPI.Comm, **named_values: Any) -> None:
     """Raise a ValueError on all ranks where a value is not the same on all of them; collective.
 
@@ -217,15 +246,13 @@ def _check_interfaces(interfaces: list[Any]) -> list[Interface]:
 
 
 def _check_weight(solid: Solid) -> None:
-    """Raise a ValueError unless the volume's weight is one, the only one that interfaces know."""
-    kinematics = solid.kinematics
-    weight = ufl.as_ufl(kinematics.weight(ufl.SpatialCoordinate(solid.mesh)))
-    if not (isinstance(weight, ScalarValue) and weight == 1):
-        raise ValueError(
-            f"solid: its kinematics {kinematics.name!r} have the weight "
-            f"{textwrap.shorten(str(weight), 60)}, which contact and ties do not take into account "
-            "(pressures would be wrong by it): give kinematics whose weight is 1, or interfaces=[]"
-        )
+    """Raise a ValueError on all ranks unless the weight is one that interfaces can evaluate."""
+    x = np.array(solid.mesh.geometry.x[:, : solid.mesh.geometry.dim], dtype=np.float64)
+    i = solid.kinematics.radius
+    if i is not None:
+        x[:, i] = np.abs(x[:, i])  # on an axis the radius may be -1e-17
+    with raised_together(solid.mesh.comm):
+        solid.kinematics.weights_at(x)
 
 
 def _check_conditions(bcs: Sequence[Any], V: fem.FunctionSpace) -> list[fem.DirichletBC]:

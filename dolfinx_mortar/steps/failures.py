@@ -46,10 +46,24 @@ def not_converged(message: str, problem: ContactProblem, report: StepReport) -> 
             ". A body held by contact alone may float away (do the loads press it on?), or slides "
             "or rolls freely (then prescribe that motion)"
         )
+    message += _describe_own_laws(problem)
     return NewtonNotConverged(
         f"{message}. The displacement and the committed state are as before the step: "
         "retry with a smaller one (dm.load_steps does)",
         report,
+    )
+
+
+def _describe_own_laws(problem: ContactProblem) -> str:
+    """Say how laws that are not of this package are judged; nothing where there are none."""
+    package = __name__.partition(".")[0]
+    laws = [region.law for region in problem.solid.regions]
+    own = [law.__name__ for law in laws if not law.__module__.startswith(f"{package}.")]
+    if not own:
+        return ""
+    return (
+        f". {', '.join(own)}: {package}.materials.check tells whether the potential of a law is "
+        "convex and its tangent the derivative of its stress"
     )
 
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The length of a Newton step: whole, a half, a quarter .., until the merit falls.
 
-The merit is phi(t) = J(u + t du) + s sum_j D_jj (t w_j - gap_j)_+ with the gaps of one geometry. A
+The merit is phi(t) = J(u + t du) + s sum_j D_jj (t w_j - gap_j)_+ with the gaps of one geometry,
+with friction also + sum_j s_j |slip_j + t dw_j|, s_j the limits of the QP's solution. A
 step is accepted if phi falls by a share of what its slope promises (Armijo), or rises by no more
 than the round-off of its own terms: there the values say nothing, and the residuals judge.
 """
@@ -18,8 +19,9 @@ import numpy as np
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.qp import QPSolution
 from dolfinx_mortar.steps.linearisation import Linearisation
-from dolfinx_mortar.steps.problem import ContactProblem, StepData
+from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.residuals import EPS, gap_round_off, round_off
+from dolfinx_mortar.steps.step_data import StepData
 
 ARMIJO = 1e-4
 MAX_HALVINGS = 12
@@ -56,10 +58,15 @@ class Direction:
     gap: Floats  # (k,) beyond which they are penalised, round-off of gaps included
     penalty: Floats  # (k,) s D_jj
     noise: float  # error of r.du: round-off of forces and gaps, and what the QP has left
+    slip: Floats  # (m, d - 1) of nodes with friction, at the start
+    slide: Floats  # (m, d - 1) by how much they slip in the step
+    limits: Floats  # (m,) what resists
 
     def excess(self, t: float) -> float:
-        """Return the penalty term at t; on this rank."""
-        return float(self.penalty @ np.maximum(t * self.motion - self.gap, 0.0))
+        """Return the terms of penalty and friction at t; on this rank."""
+        slips = np.linalg.norm(self.slip + t * self.slide, axis=1)
+        over = np.maximum(t * self.motion - self.gap, 0.0)
+        return float(self.penalty @ over + self.limits @ slips)
 
 
 def search(
@@ -117,7 +124,8 @@ def create_path(
     bounds, own = lin.balance.bounds, du.local_size
     # reactions times the round-off of gaps and supports; what the QP has not balanced
     held = lin.balance.reduced.array_r[lin.balance.equal.dofs]
-    local = np.abs(solved.z.array_r[bounds.dofs]).sum() + np.abs(held).sum()
+    slip, slide, limits = _friction(lin, solved)
+    local = np.abs(solved.z.array_r[bounds.dofs]).sum() + np.abs(held).sum() + limits.sum()
     touching = _sum(problem.comm, float(local))
     unbalanced = round_off(problem.u, lin.diagonal) + solved.kkt.unsolved
     lost = gap_round_off(problem.u)
@@ -128,7 +136,24 @@ def create_path(
         gap=bounds.upper + lost,
         penalty=2.0 * multiplier * bounds.weight,
         noise=unbalanced * du.norm() + lost * touching,
+        slip=slip,
+        slide=slide,
+        limits=limits,
     )
+
+
+def _friction(lin: Linearisation, solved: QPSolution) -> tuple[Floats, Floats, Floats]:
+    """Return slip, its change, and the limits at the nodes with friction.
+
+    For these limits the QP's solution minimises the convex energy with the term of friction, so
+    that it is a direction of descent.
+    """
+    law, bounds = lin.qp.friction, lin.balance.bounds
+    if law is None:
+        return np.zeros((0, 1)), np.zeros((0, 1)), np.zeros(0)
+    closed = solved.active[law.normal] > 0
+    pressing = np.where(closed, solved.z.array_r[bounds.dofs][law.normal], 0.0)
+    return -law.rest, law.pick(solved.x.array_r), law.limit(pressing)
 
 
 def find_slope(problem: ContactProblem, lin: Linearisation, path: Direction) -> float:

@@ -17,9 +17,10 @@ import numpy as np
 
 from dolfinx_mortar.arrays import Actives, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
-from dolfinx_mortar.interfaces.constraints import Constraints, equalities, join
-from dolfinx_mortar.qp import BoundQP, QPSolution
-from dolfinx_mortar.steps.problem import ContactProblem, StepData
+from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, equalities, join
+from dolfinx_mortar.qp import BoundQP, Friction, QPSolution
+from dolfinx_mortar.steps.problem import ContactProblem
+from dolfinx_mortar.steps.step_data import StepData
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,7 @@ class Balance:
     bounds: Constraints  # what contact allows
     elements: float  # norm of the unassembled element forces
     external: float  # norm of the external forces
+    limits: SlipLimits | None = None  # of friction
 
     @property
     def nodes(self) -> Ints:
@@ -71,12 +73,17 @@ def find_balance(problem: ContactProblem, data: StepData, overlap: float = 0.0) 
     with problem.timings("transform"):
         reduced = to_reduced(problem.system.transformation, F)
         u = problem.vector(problem.u.x.array[: F.local_size])
-        found = problem.system.constraints(problem.positions(), u)
+        found = problem.system.constraints(problem.positions(), u, data.jumps)
         asked = _dirichlet_constraints(problem, data, u.array_r)
+        limits = None
+        if data.limits:
+            u.array[:] -= problem.committed.displacement
+            limits = problem.system.slip_limits(u, data.limits, data.partners)
     equal, bounds = found.select(found.equal), found.select(~found.equal)
     if overlap > 0.0:
         bounds = replace(bounds, upper=bounds.upper + overlap)
-    return Balance(F, reduced, join([asked, equal]), bounds, elements, data.f.norm())
+    supported = join([asked, equal])
+    return Balance(F, reduced, supported, bounds, elements, data.f.norm(), limits)
 
 
 def _dirichlet_constraints(problem: ContactProblem, data: StepData, u: Floats) -> Constraints:
@@ -110,7 +117,17 @@ def linearise(problem: ContactProblem, balance: Balance, *, tangent: bool = True
         bounds = balance.bounds
         lower.array[bounds.dofs] = np.maximum(bounds.lower, PETSc.NINFINITY)
         upper.array[bounds.dofs] = np.minimum(bounds.upper, PETSc.INFINITY)
-    return Linearisation(BoundQP(A, b, lower, upper, bounds.dofs), balance, diagonal)
+        law = None if balance.limits is None else _law(balance.limits, bounds, b.local_size)
+    return Linearisation(BoundQP(A, b, lower, upper, bounds.dofs, law), balance, diagonal)
+
+
+def _law(limits: SlipLimits, bounds: Constraints, n: int) -> Friction:
+    """Return the limits as the QP knows them; its increment of slip starts at what has slipped."""
+    position = np.zeros(n, dtype=np.int32)
+    position[bounds.dofs] = np.arange(len(bounds.dofs))
+    rest = -limits.slip
+    normal = position[limits.normal]
+    return Friction(normal, limits.tangential, rest, limits.coefficient, limits.cohesion)
 
 
 def _form(problem: ContactProblem, balance: Balance) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:

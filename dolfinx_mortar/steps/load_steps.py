@@ -5,41 +5,27 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.checkpoint import check_folder
 from dolfinx_mortar.interfaces.near import nodal_gaps
-from dolfinx_mortar.steps.checks import check_load_steps, check_problem
+from dolfinx_mortar.steps.checkpoint import read
+from dolfinx_mortar.steps.checks import check_every, check_load_steps, check_problem
 from dolfinx_mortar.steps.newton import solve_step
 from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.progress import progress as show_progress
-from dolfinx_mortar.steps.report import NewtonNotConverged, StepReport
+from dolfinx_mortar.steps.report import LoadStep, NewtonNotConverged, StepReport
 
 log = logging.getLogger(__name__)
 
-
-@dataclass(frozen=True)
-class LoadStep:
-    """A committed load step."""
-
-    number: int  # 1, 2, ...
-    time: float
-    report: StepReport  # of the last part
-    parts: list[StepReport] = field(default_factory=list)  # one, or several after cut-backs
-
-    def __str__(self) -> str:
-        """Return one line."""
-        iterations = sum(part.newton_iterations for part in self.parts)
-        cut = f" in {len(self.parts)} parts" if len(self.parts) > 1 else ""
-        certificate = self.report.certificate
-        active = certificate.active_nodes if certificate is not None else 0
-        return (
-            f"step {self.number} to {self.time:g}{cut}: {iterations} Newton iterations, "
-            f"{active} nodes in contact"
-        )
+# Of the largest level: levels that are calculated in another way differ by round-off.
+SAME_LEVEL = 1e-12
 
 
 @dataclass(frozen=True)
@@ -63,6 +49,21 @@ class Level:
         return round(-math.log2(self.share - reached.share))
 
 
+@dataclass
+class Keeper:
+    """Writes the checkpoints of a walk, if it has any, where there is something new."""
+
+    problem: ContactProblem
+    file: Path | None
+    new: bool = False  # something has been committed since the last file
+
+    def write(self) -> None:
+        """Write the committed state; collective."""
+        if self.file is not None and self.new:
+            self.problem.save(self.file)
+            self.new = False
+
+
 def load_steps(
     problem: ContactProblem,
     times: Iterable[float],
@@ -75,6 +76,8 @@ def load_steps(
     cuts: str = "halve",
     max_cuts: int = 6,
     progress: bool | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    every: int = 1,
 ) -> Iterator[LoadStep]:
     """Walk through load levels: set the loads, solve, commit, yield; collective.
 
@@ -93,27 +96,107 @@ def load_steps(
         max_it: as in ``newton``.
         cuts: "halve", or "none" to fail where a step does not converge as it is.
         max_cuts: largest number of halvings of one step.
-        progress: show how far the walk has come; None does if both standard streams are terminals
-            and there is more than one step.
+        progress: show how far the walk has come; None does if there is more than one step, as a
+            bar on a terminal and as lines in files and batch jobs, but not in notebooks. Where
+            logging is configured, lines are records of level INFO.
+        checkpoint: file, see below; a walk of its own has a file of its own.
+        every: write it after so many steps, and after the last one.
+
+    With ``checkpoint`` a program that was killed goes on where it was when it is run again. If the
+    file is there, the state of the problem becomes that of the checkpoint, ``on_time`` is called
+    with its level, and only the steps that are left are made and yielded, with their numbers; the
+    log says so. Of a walk that was finished none are left. The steps before are in
+    ``problem.history``. ``times`` has to begin with the levels that were reached, up to round-off;
+    more may follow than at first. The file is written when the body of the loop is done with a
+    step, so what the body does may be done twice, but is never left out; a loop that is left by
+    ``break`` does not write the last step. A step that fails for good writes what has been
+    committed since the last file, whatever ``every``: the steps before it, and those of its parts
+    that have converged. To begin anew, delete the file.
 
     Yields:
-        One ``LoadStep`` for every entry of ``times``.
+        One ``LoadStep`` for every entry of ``times`` that is not yet done.
 
     Raises:
-        ValueError: for arguments that make no sense, on all ranks.
+        ValueError: for arguments that make no sense, and for a checkpoint of another problem, with
+            other levels, cut off or of another version, on all ranks.
+        OSError: if a checkpoint cannot be written or read, on all ranks; after a step that has
+            failed, too, whose error is then the ``__context__``.
         NewtonNotConverged: when the smallest step fails, too. Steps yielded before are committed.
     """
     check_problem(problem, ContactProblem)
     levels = check_load_steps(times, start, max_cuts, cuts, problem.comm)
+    file = check_every(problem.comm, checkpoint, every)
     most = max_cuts if cuts == "halve" else 0
     options = {"qp": qp, "rtol": rtol, "max_it": max_it}
+    committed = problem.committed
     if start is not None:
-        problem.committed.level = float(start)
-    with show_progress(problem.comm, len(levels), progress) as advance:
-        for number, time in enumerate(levels, start=1):
-            parts = _walk(problem, number, time, on_time, most, options)
-            advance()
-            yield LoadStep(number, time, parts[-1], parts)
+        committed.level = float(start)
+    committed.walked = 0
+    if file is not None:
+        _go_on(problem, file, levels, on_time)
+    done, keeper = committed.walked, Keeper(problem, file)
+    with show_progress(problem.comm, len(levels), progress, done=done) as advance:
+        for number, time in enumerate(levels[done:], start=done + 1):
+            parts = _walk(problem, number, time, on_time, most, options, keeper)
+            step = LoadStep(number, time, parts[-1], parts, _forces(problem))
+            committed.history.append(step)
+            committed.walked = number
+            advance(step)
+            yield step
+            if number % every == 0 or number == len(levels):
+                keeper.write()
+
+
+def _forces(problem: ContactProblem) -> list[list[float]]:
+    """Return the resultants on the slave sides."""
+    return [list(map(float, interface.force)) for interface in problem.interfaces]
+
+
+def _go_on(
+    problem: ContactProblem,
+    file: Path,
+    levels: list[float],
+    on_time: Callable[[float], None] | None,
+) -> None:
+    """Restore a checkpoint if there is one, and see that the next can be written; collective.
+
+    Raises:
+        ValueError: on all ranks, if the levels do not begin with those that it has reached.
+        OSError: on all ranks, if no file can be written there.
+    """
+    there = False
+    with raised_together(problem.comm):
+        there = problem.comm.rank == 0 and file.exists()  # the others may not reach the folder
+    if not problem.comm.bcast(there):
+        check_folder(problem.comm, file)
+        return
+    saved = read(problem.lasting, file)
+    walk = saved.walk
+    _check_walked(levels, walk, file)
+    if len(walk) < len(levels):  # told now, not after the next step
+        check_folder(problem.comm, file)
+    saved.put()
+    _set_loads(problem, on_time, problem.committed.level)
+    problem.solid.follow()  # what laws put out rests on parameters, too
+    if problem.comm.rank == 0:
+        left = "nothing is left to do" if len(walk) == len(levels) else "going on from there"
+        log.warning(
+            "checkpoint %s: %d of %d steps are done, to %g; %s",
+            *(file, len(walk), len(levels), problem.committed.level, left),
+        )
+
+
+def _check_walked(levels: list[float], walk: list[float], file: Path) -> None:
+    """Raise a ValueError unless levels begin with those that were walked, up to round-off."""
+    size = max(map(abs, walk), default=0.0)
+    for k, reached in enumerate(walk):
+        if k == len(levels) or abs(levels[k] - reached) > SAME_LEVEL * size:
+            given = levels[k] if k < len(levels) else "missing"
+            raise ValueError(
+                f"times: level {k + 1} is {given}, but the checkpoint {str(file)!r} has walked "
+                f"{len(walk)} levels, and there to {reached}: give times that begin so, give this "
+                "walk a file of its own, or delete the file to begin anew"
+            )
 
 
 def _walk(
@@ -123,8 +206,9 @@ def _walk(
     on_time: Callable[[float], None] | None,
     most: int,
     options: dict[str, Any],
+    keeper: Keeper,
 ) -> list[StepReport]:
-    """Go to a level, in parts where that fails; return the reports of the parts."""
+    """Go to a level, in parts where that fails; return the reports of the parts; collective."""
     parts: list[StepReport] = []
     reached, pending = Level(problem.committed.level, share=0.0), [Level(time)]
     failures = 0
@@ -141,13 +225,14 @@ def _walk(
             way = level.time != reached.time and on_time is not None
             if level.cuts(reached) >= most or not (way or level.overlap != reached.overlap):
                 error.message = _describe(number, time, level, reached, most, error.message)
+                keeper.write()  # all ranks are here, and the failure has left no trace
                 raise
             if problem.comm.rank == 0:
                 log.warning("no convergence at %g, trying half the step", level.time)
             pending.append(level.between(reached))
             continue
         problem.commit()
-        problem.committed.level = level.time
+        keeper.new, problem.committed.level = True, level.time
         reached = level
         parts.append(report)
         pending.pop()

@@ -4,10 +4,15 @@
 One step minimises J(v) = Psi(v) + Pi(v) - f.v. Forces f that do not depend on the displacement are
 the linear form `loads`; what depends on it (springs, elastic foundations, conservative pressure) is
 the potential Pi, whose derivatives UFL takes, so that forces and tangent always fit.
+
+Both get the weight of the kinematics, as do the integrals over the bodies: t in inner(t, v) * ds is
+a traction whatever the kinematics, and the forces are those of the whole ring where these are
+axisymmetric.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from mpi4py import MPI
@@ -38,6 +43,7 @@ class Loads:
         u: fem.Function,
         loads: ufl.Form | None = None,
         potential: ufl.Form | None = None,
+        weight: Callable[[Any], Any] | None = None,
     ) -> None:
         """Check the arguments and compile all forms; collective.
 
@@ -47,12 +53,14 @@ class Loads:
             loads: linear form of the external virtual work, without u.
             potential: functional of u in energy, for example ``0.5 * k * inner(u, u) * ds(3)``
                 for a bed of springs; integrals over cells and exterior facets.
+            weight: factor of all their integrals by the coordinates, 1 if not given.
 
         Raises:
             ValueError: if one of the forms cannot work, with the remedy.
         """
         check_loads(u, loads)
         check_potential(u, potential)
+        loads, potential = (_weighted(form, V, weight) for form in (loads, potential))
         potential = None if potential is None else _with_one_rule(potential)
         self.V = V
         self.has_potential = potential is not None
@@ -152,6 +160,16 @@ def _check_spaces(u: fem.Function, potential: ufl.Form) -> None:
             "potential does not contain the displacement solid.u, so it exerts no force: write it "
             "with that very Function"
         )
+
+
+def _weighted(
+    form: ufl.Form | None, V: fem.FunctionSpace, weight: Callable[[Any], Any] | None
+) -> ufl.Form | None:
+    """Return a form with a factor in all integrals."""
+    if form is None or weight is None:
+        return form
+    factor = ufl.as_ufl(weight(ufl.SpatialCoordinate(V.mesh)))
+    return ufl.Form([i.reconstruct(integrand=factor * i.integrand()) for i in form.integrals()])
 
 
 def _with_one_rule(potential: ufl.Form) -> ufl.Form:

@@ -7,7 +7,10 @@ along each edge; otherwise, with the neighbours'. Two cells that share a facet l
 of it. So with the signs and the ways in which both go around the facet, their sum over a facet is 0
 inside a sound mesh, +1 or -1 on its surface, and +2 or -2 where both lie on the same side. (Then
 the sum of all cells' volumes is not what the surface encloses.) Of each body the fewer cells are to
-blame. A Jacobian that changes its sign at a corner only is poor, but no integral sees it.
+blame. A Jacobian that changes its sign at a corner only is poor, but no integral sees it. Cells of
+degree two are judged likewise, triangles as well: inside at the points of a rule exact for their
+mass, and at their nodes, where the Jacobian vanishes as soon as a node is a quarter of its edge off
+the middle.
 """
 
 from __future__ import annotations
@@ -25,8 +28,10 @@ from scipy.sparse.csgraph import connected_components
 import basix
 from dolfinx import fem, la
 from dolfinx.mesh import Mesh, exterior_facet_indices
+from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Floats, Longs
+from dolfinx_mortar.spaces import HIGHEST
 from dolfinx_mortar.steps.bodies import find_bodies
 
 SIMPLICES = ("triangle", "tetrahedron")
@@ -51,9 +56,9 @@ class _Cells:
 def check_mesh(mesh: Mesh) -> list[str]:
     """Return notes on poor cells; raise a ValueError on all ranks for unsound ones; collective.
 
-    Unsound: geometry of higher degree, coordinates that are NaN or infinite, cells without volume,
-    cells whose Jacobian changes sign, cells that overlap a neighbour. Bodies may overlap each
-    other. Cells that the package does not know at all are left to other checks.
+    Unsound: geometry of a degree that is not supported, coordinates that are NaN or infinite, cells
+    without volume, cells whose Jacobian changes sign, cells that overlap a neighbour. Bodies may
+    overlap each other. Cells that the package does not know at all are left to other checks.
 
     Args:
         mesh: the mesh of all bodies.
@@ -67,17 +72,17 @@ def check_mesh(mesh: Mesh) -> list[str]:
     kind, d = mesh.topology.cell_name(), mesh.topology.dim
     if kind not in CELLS or mesh.geometry.dim != d:
         return []
-    if mesh.geometry.cmap.degree != 1:
+    degree = compat.cell_degree(mesh)
+    if degree > HIGHEST:
         raise ValueError(
-            f"mesh: the geometry has degree {mesh.geometry.cmap.degree}; make the mesh with "
-            "straight edges, of degree 1"
+            f"mesh: the geometry has degree {degree}; make the mesh with degree 1 or {HIGHEST}"
         )
     cells = _own_cells(mesh, kind)
     bad = np.any(~np.isfinite(cells.x), axis=(1, 2))
     _reject(cells, bad, "have coordinates that are NaN or infinite", "check the mesh")
     with np.errstate(under="ignore"):
         noise = _round_off(cells.x)[:, None]
-        J = jacobians(cells.x, kind, _points(kind))
+        J = jacobians(cells.x, kind, _points(kind, degree), degree)
     collapsed = (np.abs(J) <= noise).all(axis=1)
     _reject(cells, collapsed, "have collapsed, without volume", "mend the mesh there", bodies=True)
     order = "the nodes of a cell are in dolfinx's order (a tensor product, not around it)"
@@ -90,30 +95,43 @@ def check_mesh(mesh: Mesh) -> list[str]:
         "check that no node was moved through a cell",
         surface=True,
     )
-    if kind in SIMPLICES:
+    if kind in SIMPLICES and degree == 1:
         return []
     with np.errstate(under="ignore"):
-        corners = jacobians(cells.x, kind, np.asarray(basix.geometry(basix.CellType[kind])))
-    poor = _describe(cells, _mixed(corners, noise), "are turned inside out at a corner")
+        corners = jacobians(cells.x, kind, np.asarray(_lagrange(kind, degree).points), degree)
+    where = (
+        "at a corner" if degree == 1 else "at a node: a middle node is far off its edge's middle"
+    )
+    poor = _describe(cells, _mixed(corners, noise), f"are turned inside out {where}")
     return [f"{poor}; move the nodes there"] if poor else []
 
 
-def jacobians(x: Floats, kind: str, points: Floats) -> Floats:
+def _lagrange(kind: str, degree: int) -> Any:
+    """Return the element of the geometry."""
+    cell, variant = basix.CellType[kind], basix.LagrangeVariant.equispaced
+    return basix.create_element(basix.ElementFamily.P, cell, degree, variant)
+
+
+def jacobians(x: Floats, kind: str, points: Floats, degree: int = 1) -> Floats:
     """Return the Jacobians (n, q) of cells x (n, k, d) at reference points (q, d).
 
     >>> square = np.array([[[0.0, 0.0], [2.0, 0.0], [0.0, 1.0], [2.0, 1.0]]])
     >>> jacobians(square, "quadrilateral", np.array([[0.25, 0.5]])).round(12).tolist()
     [[2.0]]
     """
-    element = basix.create_element(basix.ElementFamily.P, basix.CellType[kind], 1)
-    slopes = np.asarray(element.tabulate(1, points))[1:, :, :, 0]  # (d, q, k)
+    slopes = np.asarray(_lagrange(kind, degree).tabulate(1, points))[1:, :, :, 0]  # (d, q, k)
     columns = [np.matmul(slope, x).reshape(-1, len(slopes)) for slope in slopes]
     return _determinants(columns).reshape(len(x), len(points))
 
 
-def _points(kind: str) -> Floats:
-    """Return the reference points (q, d) at which signs are compared: two along each edge."""
-    points, _ = basix.make_quadrature(basix.CellType[kind], 1 if kind in SIMPLICES else 3)
+def _points(kind: str, degree: int) -> Floats:
+    """Return the reference points (q, d) at which signs are compared.
+
+    Two along each edge of quadrilaterals and hexahedra, of degree two three; one in simplices, of
+    degree two those of a rule of degree four.
+    """
+    exact = 3 * degree - 2 if kind in SIMPLICES else 2 * degree + 1
+    points, _ = basix.make_quadrature(basix.CellType[kind], exact)
     return np.asarray(points)
 
 
@@ -140,7 +158,7 @@ def _round_off(x: Floats) -> Floats:
 def _own_cells(mesh: Mesh, kind: str) -> _Cells:
     """Collect numbers and coordinates of the owned cells' nodes."""
     d, geometry = mesh.topology.dim, mesh.geometry
-    dofs = geometry.dofmap[: mesh.topology.index_map(d).size_local]
+    dofs = compat.cell_nodes(mesh)[: mesh.topology.index_map(d).size_local]
     nodes = geometry.index_map().local_to_global(dofs.ravel().astype(np.int32))
     x = np.asarray(geometry.x[:, :d], dtype=np.float64)[dofs]
     return _Cells(mesh, kind, np.asarray(nodes, dtype=np.int64).reshape(dofs.shape), x)

@@ -35,6 +35,7 @@ from dolfinx_mortar.qp import QPSolution
 from dolfinx_mortar.steps import failures
 from dolfinx_mortar.steps.certificate import create_certificate
 from dolfinx_mortar.steps.checks import check_controls, check_problem
+from dolfinx_mortar.steps.contacts import Contacts, find_sliders, found_by
 from dolfinx_mortar.steps.forcing import next_tolerance, tightest
 from dolfinx_mortar.steps.line_search import Energy, NoDescent, find_energy, move, search
 from dolfinx_mortar.steps.linearisation import (
@@ -45,10 +46,9 @@ from dolfinx_mortar.steps.linearisation import (
     linearise,
     to_displacement,
 )
-from dolfinx_mortar.steps.problem import ContactProblem, StepData
+from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.report import Iteration, StepReport
 from dolfinx_mortar.steps.residuals import (
-    Contacts,
     Residuals,
     Scales,
     find_extent,
@@ -59,6 +59,7 @@ from dolfinx_mortar.steps.residuals import (
 from dolfinx_mortar.steps.resolution import notes_on_few_nodes
 from dolfinx_mortar.steps.results import notes_on_sliding, set_results
 from dolfinx_mortar.steps.stand_off import notes_on_facets
+from dolfinx_mortar.steps.step_data import StepData
 from dolfinx_mortar.steps.watch import MOST_RISES, Watch, at_nodes, find_change
 
 log = logging.getLogger(__name__)
@@ -111,15 +112,15 @@ def solve_step(
 
 @contextmanager
 def _undone_on_failure(problem: ContactProblem, report: StepReport) -> Iterator[None]:
-    """Put the displacement back if the step fails; complete the report in any case."""
-    before = problem.u.x.array.copy()
+    """Put the displacement and the results back if the step fails; complete the report anyway."""
+    before, shown = problem.u.x.array.copy(), problem.solid.keep()
     earlier = dict(problem.timings.seconds)
     try:
         with problem.timings("total"), failures.named(problem, report):
             yield
     except BaseException:  # perhaps of this rank only, which must not wait for the others
         problem.u.x.array[:] = before
-        problem.solid.evaluate_again()  # what is shown, and what a commit takes, is as before, too
+        problem.solid.put_back(shown)
         raise
     finally:
         report.seconds = problem.timings.since(earlier)
@@ -187,7 +188,7 @@ class _Step:
         if problem.contacts and not problem.comm.allreduce(bool(start.any()), op=MPI.LOR):
             links, length = problem.system.links, problem.system.facet_length
             start = predict_active(links, problem.positions(), problem.n, balance.nodes, length)
-        extent = find_extent(problem.V.mesh, self.data.target)
+        extent = find_extent(problem.V.mesh, np.append(self.data.target, self.data.increment))
         begun = largest_force(problem.comm, balance, np.zeros(0))
         length = problem.system.facet_length
         scales = Scales(length, begun=begun, work=norm**2, extent=extent)
@@ -208,17 +209,21 @@ class _Step:
         """Solve a QP, step, follow the geometry, judge and record."""
         problem, report = self.problem, self.report
         free_unused(problem.comm)
-        # a potential may have constants that the user changes between steps; a law has none
-        tangent = not self.linear or (number == 1 and problem.loads.has_potential)
+        # values that the user may change between steps
+        varying = problem.loads.has_potential or problem.solid.varying
+        tangent = not self.linear or (number == 1 and varying)
         lin = linearise(problem, old.balance, tangent=tangent)
         scales = old.scales
         if number == 1:
             lifted = problem.vector(self.data.asked)
             lifted.pointwiseMult(lifted, lin.diagonal)
             scales = replace(scales, first=max(lin.qp.b.norm(), lifted.norm()))
-        solved = self.solve(lin, start, self.accuracy(lin, watch, residuals))
+        sliding = old.contacts.directions(old.balance.limits)
+        solved = self.solve(lin, start, sliding, self.accuracy(lin, watch, residuals))
         report.quote(number, solved.note)
-        contacts, largest = self.take_over(lin, solved, old.largest)
+        report.note_friction(number, solved.linearisation)
+        contacts = found_by(lin, solved, problem.n)
+        largest = max(old.largest, contacts.largest(problem.comm))
 
         du = to_displacement(problem.system.transformation, solved.x)
         self.check_distance(du, scales.extent)
@@ -265,7 +270,9 @@ class _Step:
             return tightest(self.report.rtol)  # one QP is the whole step
         return next_tolerance(kind, self.report.rtol, lin.qp.b.norm(), residuals)
 
-    def solve(self, lin: Linearisation, start: Actives, rtol: float) -> QPSolution:
+    def solve(
+        self, lin: Linearisation, start: Actives, sliding: Floats | None, rtol: float
+    ) -> QPSolution:
         """Solve the QP with the backend of the step."""
         with self.problem.timings("linear_solves"):
             solved = backends.solve(
@@ -273,25 +280,13 @@ class _Step:
                 self.report.backend,
                 self.problem.linear,
                 start_active=start,
+                start_sliding=sliding,
                 rtol=rtol,
             )
         # An iterative solver comes near what supports and ties ask for; it is known exactly.
         equal = lin.balance.equal
         solved.x.array[equal.dofs] = equal.upper
         return solved
-
-    def take_over(
-        self, lin: Linearisation, solved: QPSolution, largest: float
-    ) -> tuple[Contacts, float]:
-        """Return the contacts of a QP's solution, and the largest multiplier so far."""
-        n, bounds, nodes = self.problem.n, lin.balance.bounds, lin.balance.nodes
-        on = solved.active > 0
-        active, multipliers = np.zeros(n, dtype=bool), np.zeros(n)
-        active[nodes] = on
-        # What b - A x leaves off the active set is residual, not contact force.
-        multipliers[nodes[on]] = solved.z.array_r[bounds.dofs[on]] / bounds.weight[on]
-        seen = float(maximum(self.problem.comm, multipliers.max(initial=0.0))[0])
-        return Contacts(active, multipliers), max(largest, seen)
 
     def check_distance(self, du: PETSc.Vec, extent: float) -> None:
         """Raise if a step leads out of the world: a singular tangent may solve to anything."""
@@ -353,7 +348,9 @@ class _Step:
         if watch.rises >= MOST_RISES:
             raise failures.not_converged(
                 "the geometry does not settle: normals and gaps change more from one update to the "
-                "next, although the forces are in balance in between",
+                "next, although the forces are in balance in between. Contact forces that turn "
+                "with the surfaces may be stiffer than a body that flows with little hardening: "
+                "give it more, or hold the surfaces, geometry='reference'",
                 problem,
                 self.report,
             )
@@ -382,8 +379,12 @@ class _Step:
         report.notes += notes_on_few_nodes(links, contacts)
         with problem.timings("results"):
             problem.solid.evaluate()
-        set_results(problem, iterate.balance, contacts)
-        report.certificate = create_certificate(problem, report, contacts, residual)
+        set_results(problem, iterate.balance, contacts, self.data.jumps)
+        sliders = None
+        if (limits := iterate.balance.limits) is not None:
+            noise = gap_round_off(problem.u)
+            sliders = find_sliders(limits, contacts, iterate.stiffness, noise)
+        report.certificate = create_certificate(problem, report, contacts, residual, sliders)
         problem.committed.active = contacts.active
         report.converged = True
 

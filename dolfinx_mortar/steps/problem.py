@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -20,37 +21,25 @@ from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.interfaces.partners import Partners
 from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.qp import MULTIGRID, LinearSolver, check_options
 from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.steps import checkpoint
 from dolfinx_mortar.steps.audit import Audit, create_audit
+from dolfinx_mortar.steps.axis import check_axis, check_targets
 from dolfinx_mortar.steps.bodies import Bodies, find_bodies, find_tied_groups
 from dolfinx_mortar.steps.checks import check_arguments, check_owned
 from dolfinx_mortar.steps.dirichlet import Dirichlet, create_dirichlet
+from dolfinx_mortar.steps.jumps import check_jump_of, read_jumps
+from dolfinx_mortar.steps.lasting import Committed, Lasting
 from dolfinx_mortar.steps.loads import Loads
 from dolfinx_mortar.steps.mesh_audit import check_mesh
 from dolfinx_mortar.steps.preconditioning import UnknownsOfBodies
-from dolfinx_mortar.steps.report import Timings
-
-
-@dataclass
-class Committed:
-    """What the next step starts from, beside the displacement and the internal variables."""
-
-    active: Bools  # (owned nodes,) closed contacts
-    level: float = 0.0  # load level, of the last step of `load_steps`
-
-
-@dataclass(frozen=True)
-class StepData:
-    """Loads and Dirichlet values of a step, read at its begin."""
-
-    f: PETSc.Vec  # (n,) external forces
-    target: Floats  # (n,) prescribed displacements, 0 where there is none
-    asked: Floats  # (owned nodes, d) prescribed minus present values at the begin
-    increment: float  # the largest of them, all ranks
+from dolfinx_mortar.steps.report import LoadStep, Timings
+from dolfinx_mortar.steps.step_data import StepData
 
 
 class ContactProblem:
@@ -66,7 +55,8 @@ class ContactProblem:
             read anew at every step.
         loads: linear form of the external virtual work, assembled anew at every step.
         potential: functional of ``solid.u`` added to Psi (springs, elastic foundations,
-            conservative pressure); its derivatives are taken by UFL.
+            conservative pressure); its derivatives are taken by UFL. Both get the weight of the
+            solid's kinematics as a factor: with "axisymmetric" write tractions, not 2 pi r of them.
         geometry: "updated" rebuilds normals, segments, D, M and gaps from X + u in every Newton
             iteration, "reference" freezes them at X.
         petsc_options_prefix: prefix of the linear solver's PETSc options.
@@ -91,16 +81,23 @@ class ContactProblem:
     ) -> None:
         """Check the arguments and create everything that later steps refill."""
         sides, conditions = check_arguments(solid, interfaces, bcs, loads, potential, geometry)
+        for side in sides:
+            if isinstance(side, Tie):
+                check_jump_of(side, solid.V)
         check_options(solid.V.mesh.comm, petsc_options_prefix, petsc_options)
         self.solid, self.geometry = solid, geometry
         self.timings = Timings()
-        self.loads = Loads(solid.V, solid.u, loads, potential)
+        kinematics = solid.kinematics
+        weight = None if kinematics.unweighted else kinematics.weight
+        self.loads = Loads(solid.V, solid.u, loads, potential, weight)
         self.supports: Dirichlet = create_dirichlet(solid.V, conditions)
         with self.timings("mortar"):
-            self.system = InterfaceSystem(self.V, sides, self.supports.fixed)
+            at_points = None if kinematics.unweighted else kinematics.weights_at
+            self.system = InterfaceSystem(self.V, sides, self.supports.fixed, at_points)
             for interface in sides:
                 interface.take(self.supports, self.V)
-        self.bodies: Bodies = find_bodies(self.V, solid.kinematics.rigid_motions)
+        self.bodies: Bodies = find_bodies(self.V, kinematics.rigid_motions)
+        motions = kinematics.nearly_rigid or kinematics.rigid_motions
         with self.timings("setup"):
             self.operator = CongruentOperator(solid.create_matrix())
             self.linear = LinearSolver(
@@ -108,7 +105,9 @@ class ContactProblem:
                 prefix=petsc_options_prefix,
                 options=(MULTIGRID if self.d == 3 else {}) | dict(petsc_options or {}),
                 # not the problem: a reference to it would keep its matrices alive
-                unknowns=UnknownsOfBodies(self.K, self.system, self.supports, self.bodies),
+                unknowns=UnknownsOfBodies(
+                    self.K, self.system, self.supports, replace(self.bodies, motions=motions)
+                ),
             )
         ties = [
             (side.on_slave, side.on_master)
@@ -116,7 +115,11 @@ class ContactProblem:
             if not interface.one_sided
         ]
         self.tied_groups = find_tied_groups(self.bodies, ties)
-        self.committed = Committed(np.zeros(self.n, dtype=bool))
+        self.committed = Committed(
+            np.zeros(self.n, dtype=bool),
+            self.u.x.array[: self.d * self.n].copy(),
+            *np.zeros((2, len(sides), self.n)),
+        )
         self._audited: Audit | None = None
 
     # -- names for what lies deeper --------------------------------------------------------------
@@ -200,7 +203,7 @@ class ContactProblem:
     # -- a step ----------------------------------------------------------------------------------
 
     def begin_step(self) -> StepData:
-        """Read loads and Dirichlet values of a step, and move the bodies with them; collective.
+        """Read loads, Dirichlet values and jumps, and move the bodies with them; collective.
 
         Every body, or tied group of bodies, is moved as a whole by the mean of its prescribed
         increments. That strains nothing, and takes from the first QP what would be forty times the
@@ -208,13 +211,16 @@ class ContactProblem:
         meets other partners than where it started.
 
         Raises:
-            ValueError: on NaN or infinity in either, or in the displacement or the coordinates,
-                and if another problem has taken over an interface.
+            ValueError: on NaN or infinity in one of them, or in the displacement or the
+                coordinates, if limits of friction are negative or not finite, if points of an axis
+                shall leave it, if a jump cannot be, and if another problem has taken over an
+                interface.
         """
         check_owned(self.interfaces, self.supports)
         with self.timings("assembly"):
             f = self.vector()
             self.loads.assemble(f)
+        limits = [i.limits() if isinstance(i, Contact) else None for i in self.interfaces]
         target = self.supports.values()
         for name, array, remedy in (
             ("loads", f.array_r, "check the coefficients of the linear form"),
@@ -225,18 +231,38 @@ class ContactProblem:
             bad = self.comm.allreduce(int(np.sum(~np.isfinite(array))), op=MPI.SUM)
             if bad:
                 raise ValueError(f"{name}: {bad} values are NaN or infinite; {remedy}")
+        check_targets(self.solid, target)
+        jumps = read_jumps(self.system, f)
+        before: list[Partners | None] = []
+        if self.system.has_friction and self.geometry == "updated" and self.system.faced:
+            self.update_geometry(0.0, search=self.committed.search)
+            before = self._partners()
         asked = self.supports.increment(target, self.u.x.array)
         mean = self.bodies.mean(asked, self.supports.owned, self.tied_groups)[self.bodies.label]
+        mean *= self.bodies.shifts  # a ring has no shift across its axis
         u = self.u
         u.x.array[: mean.size] += mean.ravel()
         u.x.scatter_forward()
-        largest = maximum(self.comm, np.abs(asked).max(initial=0.0))
-        data = StepData(f, target, asked, float(largest[0]))
+        largest = float(maximum(self.comm, np.abs(asked).max(initial=0.0))[0])
+        opened = self.system.largest_slip(self.vector(u.x.array[: mean.size]), jumps)
+        data = StepData(f, target, asked, max(largest, opened), jumps)
         if self._audited is None:
             self._audit(data.increment)
         else:  # u may have been set, or put back after a failed step
-            self.update_geometry(data.increment, everywhere=True)
-        return data
+            search = self.committed.search
+            self.update_geometry(data.increment, search=search, everywhere=True)
+        self.committed.search = False
+        if not self.system.has_friction:
+            return data
+        partners = before or self._partners()
+        return replace(data, limits=limits, partners=partners)
+
+    def _partners(self) -> list[Partners | None]:
+        """Return from which points of the masters slips are measured, in the present geometry."""
+        if self.geometry == "reference":
+            return [None] * len(self.interfaces)
+        committed = self.X.ravel() + self.committed.displacement
+        return self.system.partners(self.vector(committed))
 
     def audit(self) -> Audit:
         """Return the geometry audit, made before the first step; collective.
@@ -248,6 +274,7 @@ class ContactProblem:
 
     def _audit(self, increment: float) -> Audit:
         notes = check_mesh(self.V.mesh)
+        check_axis(self.solid, self.supports, self.system.sides)
         x = self.update_geometry(increment, search=True)
         springs = self._resistance_of_potential()
         at, parts = self.configuration, (self.bodies, self.system, self.supports)
@@ -296,15 +323,74 @@ class ContactProblem:
         """Make the converged step the state from which the next one starts; collective."""
         with self.timings("commit"):
             self.solid.commit()
+            committed = self.committed
+            committed.displacement[:] = self.u.x.array[: committed.displacement.size]
+            committed.take_slips(self.system.sides, self.interfaces)
+
+    @property
+    def lasting(self) -> Lasting:
+        """What goes on from step to step."""
+        parts = self.solid, self.interfaces, self.system, self.supports
+        return Lasting(*parts, self.geometry, self.committed)
+
+    @property
+    def history(self) -> list[LoadStep]:
+        """The steps that `load_steps` has made, those before the last checkpoint included."""
+        return self.committed.history
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a checkpoint, from which `restore` goes on on any number of ranks; collective.
+
+        Displacement, internal variables, stress, closed contacts, load level, results of the
+        interfaces and `history`. Not what a program sets anew: loads, supports, parameters and
+        eigenstrain that may change. An older file of this name is replaced in one move, when the
+        new one is complete and on the disk; a writer that is stopped leaves it as it was. Nodes are
+        known by their coordinates and those of their cells, so bodies that lie on each other cell
+        by cell cannot be restored.
+
+        Args:
+            path: the file, HDF5; its folder must exist.
+
+        Raises:
+            OSError: on all ranks, if it cannot be written; the older one stays.
+            ValueError: if a problem made later has taken over an interface, with its results.
+            RuntimeError: if h5py is missing (an ImportError on rank 0).
+        """
+        with self.timings("checkpoint"):
+            checkpoint.save(self.lasting, path)
+
+    def restore(self, path: str | os.PathLike[str]) -> None:
+        """Take over the state of a checkpoint, written on any number of ranks; collective.
+
+        The problem must be made as that one was: mesh, materials, interfaces. Nodes and points are
+        found by their coordinates, so the mesh may be numbered in any way. Set loads, and what else
+        changes, to the load level (``committed.level``) before something is evaluated, and where
+        parameters do, call ``solid.follow()`` before something is shown; `load_steps` does both.
+
+        Args:
+            path: what `save` or `load_steps` has written.
+
+        Raises:
+            OSError: on all ranks, if there is no such file, or it cannot be read.
+            ValueError: on all ranks, if it is no checkpoint, cut off or damaged, of another version
+                or another problem; the message names what differs. Nothing is changed then.
+        """
+        with self.timings("checkpoint"):
+            checkpoint.read(self.lasting, path).put()
 
     def output_fields(self) -> dict[str, fem.Function]:
         """Return the Functions worth writing, by name; collective.
 
         The displacement, ``solid.output_fields()``, and the interfaces' pressure, gap and status
         with "facing", 1 at slave nodes that face a master: elsewhere there is no gap, written as 0.
+        With friction also "traction" and "slip" (see `Contact`), and a status of 1 is stick, 2
+        slip.
         """
         fields = {"displacement": self.u} | self.solid.output_fields()
-        for name in ("pressure", "gap", "facing", "status") if self.interfaces else ():
-            merged = fem.Function(self.interfaces[0].pressure.function_space, name=name)
+        names = ["pressure", "gap", "facing", "status"] if self.interfaces else []
+        names += ["traction", "slip"] if self.system.has_friction else []
+        for name in names:
+            scalar = self.interfaces[0].pressure.function_space
+            merged = fem.Function(self.V if name == "traction" else scalar, name=name)
             fields[name] = merge_results(self.system.sides, self.interfaces, name, merged)
         return fields

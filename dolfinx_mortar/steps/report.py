@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
+
+from dolfinx_mortar.html import items, table
 
 
 class Timings:
@@ -66,7 +68,8 @@ class Certificate:
     """Residuals of a converged step, each relative to its own scale.
 
     Scales: forces to the largest of external, contact, reaction and element forces; lengths to the
-    mean slave facet; multipliers to the largest multiplier.
+    mean slave facet; multipliers to the largest multiplier; tangential reactions to the largest
+    limit of friction, their energies to the limits times the slips.
     """
 
     equilibrium: float  # forces on free unknowns
@@ -86,6 +89,10 @@ class Certificate:
     qp_iterations: int
     line_search_steps: int
     geometry_change: float
+    friction_cone: float = 0.0  # largest tangential reaction beyond its limit
+    friction_stick: float = 0.0  # longest slip of a node that sticks
+    friction_work: float = 0.0  # what friction takes less than its limits over the slips
+    friction_gain: float = 0.0  # largest energy that a node gets from friction
 
 
 @dataclass
@@ -96,6 +103,7 @@ class StepReport:
     backend: str = ""
     geometry: str = ""
     linear_solver: str = ""
+    friction: str = ""  # how friction was linearised
     rtol: float = 0.0
     iterations: list[Iteration] = field(default_factory=list)
     certificate: Certificate | None = None
@@ -123,6 +131,13 @@ class StepReport:
         """Energy-norm increments, one per Newton iteration."""
         return [it.increment for it in self.iterations]
 
+    def note_friction(self, number: int, linearisation: str) -> None:
+        """Note how friction was linearised in an iteration, and from which one on otherwise."""
+        if not self.friction:
+            self.friction = linearisation
+        elif not self.friction.endswith(linearisation):
+            self.friction += f", from iteration {number} on {linearisation}"
+
     def quote(self, number: int, text: str) -> None:
         """Note what the QP backend says in an iteration, once for all that say the same."""
         if not text:
@@ -143,13 +158,24 @@ class StepReport:
             "residual_history": self.residual_history,
         }
 
+    @classmethod
+    def from_dict(cls, given: Mapping[str, Any]) -> StepReport:
+        """Return the report that `as_dict` has written."""
+        names = {one.name for one in fields(cls)}
+        values = {name: value for name, value in given.items() if name in names}
+        values["iterations"] = [Iteration(**iteration) for iteration in given["iterations"]]
+        if given["certificate"] is not None:
+            values["certificate"] = Certificate(**given["certificate"])
+        return cls(**values)
+
     def __str__(self) -> str:
         """Return a table of the iterations, the certificate and the seconds."""
         state = "converged" if self.converged else "NOT converged"
         lines = [
             f"{state} in {self.newton_iterations} Newton iterations "
             f"({self.qp_iterations} QP, {self.factorisations} factorisations), "
-            f"{self.geometry} geometry, {self.backend}, {self.linear_solver}",
+            f"{self.geometry} geometry, {self.backend}, {self.linear_solver}"
+            + (f", friction with {self.friction}" if self.friction else ""),
             "  it  increment  force res. contact res.       KKT  active changed  QP  lin fact  step"
             "  geometry",
         ]
@@ -168,6 +194,67 @@ class StepReport:
         lines += [f"note: {note}" for note in self.notes]
         lines.append("seconds: " + ", ".join(f"{k} {v:.3f}" for k, v in self.seconds.items()))
         return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """Return tables for a notebook: iterations, certificate, notes, seconds."""
+        state, *rest = str(self).partition("\n")[0].split(", ")
+        columns = {
+            "increment": "increment",
+            "forces": "force_residual",
+            "contact": "contact_residual",
+            "KKT": "kkt",
+            "active": "active",
+            "changed": "changed",
+            "QP": "updates",
+            "linear": "linear_iterations",
+            "step": "step_length",
+            "geometry": "geometry_change",
+        }
+        rows = [
+            (it.number, *(getattr(it, name) for name in columns.values())) for it in self.iterations
+        ]
+        parts = [table(f"{state} ({', '.join(rest)})", rows, ("iteration", *columns))]
+        if self.certificate is not None:
+            found = asdict(self.certificate).items()
+            parts.append(table("certificate", [(n.replace("_", " "), v) for n, v in found]))
+        parts.append(items(f"note: {note}" for note in self.notes))
+        parts.append(table("seconds", [tuple(self.seconds.values())], tuple(self.seconds)))
+        return "".join(parts)
+
+
+@dataclass(frozen=True)
+class LoadStep:
+    """A committed load step."""
+
+    number: int  # 1, 2, ...
+    time: float
+    report: StepReport  # of the last part
+    parts: list[StepReport] = field(default_factory=list)  # one, or several after cut-backs
+    forces: list[list[float]] = field(default_factory=list)  # on the slave side of each interface
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the step as plain numbers, strings, lists and dictionaries."""
+        parts = [part.as_dict() for part in self.parts]
+        return {"number": self.number, "time": self.time, "parts": parts, "forces": self.forces}
+
+    @classmethod
+    def from_dict(cls, given: Mapping[str, Any]) -> LoadStep:
+        """Return the step that `as_dict` has written."""
+        parts = [StepReport.from_dict(part) for part in given["parts"]]
+        return cls(given["number"], given["time"], parts[-1], parts, given["forces"])
+
+    @property
+    def outcome(self) -> str:
+        """Where it has led and what it took, in a few words."""
+        iterations = sum(part.newton_iterations for part in self.parts)
+        cut = f" in {len(self.parts)} parts" if len(self.parts) > 1 else ""
+        certificate = self.report.certificate
+        active = certificate.active_nodes if certificate is not None else 0
+        return f"to {self.time:g}{cut}: {iterations} Newton iterations, {active} nodes in contact"
+
+    def __str__(self) -> str:
+        """Return one line."""
+        return f"step {self.number} {self.outcome}"
 
 
 class NewtonNotConverged(RuntimeError):

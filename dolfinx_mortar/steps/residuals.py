@@ -18,7 +18,8 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from dolfinx_mortar.algebra.parallel import maximum, norm, ratio
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.steps.contacts import Contacts, find_sliders
 from dolfinx_mortar.steps.linearisation import Balance
 
 EPS = float(np.finfo(float).eps)
@@ -30,18 +31,6 @@ GAP_OPERATIONS = 16.0
 # Of the step's first residual, K times the prescribed increment, rtol times this may stay: it is
 # what the linear solver was asked for, and in a stress-free step the only scale there is.
 FIRST_SHARE = 1e-3
-
-
-@dataclass(frozen=True)
-class Contacts:
-    """Which contacts are closed, and what they carry; over the owned nodes."""
-
-    active: Bools  # (owned nodes,)
-    multipliers: Floats  # (owned nodes,) lambda_j, 0 where not active
-
-    def reactions(self, balance: Balance) -> Floats:
-        """Return D_jj lambda_j (k,) on the bounded unknowns of a configuration."""
-        return np.asarray(balance.bounds.weight * self.multipliers[balance.nodes])
 
 
 @dataclass(frozen=True)
@@ -116,15 +105,21 @@ def measure(
     comm, z = u.function_space.mesh.comm, contacts.reactions(balance)
     free = balance.reduced.array_r.copy()
     free[balance.bounds.dofs] -= z
+    noise = gap_round_off(u)
+    missing, carried = np.zeros(0), z
+    if (limits := balance.limits) is not None:
+        sliders = find_sliders(limits, contacts, diagonal, noise)
+        free[limits.tangential[limits.some]] -= sliders.reaction[limits.some]
+        missing = sliders.error().ravel()
+        carried = np.concatenate([z, sliders.reaction.ravel()])
     free[balance.equal.dofs] = 0.0
     forces, floor = norm(comm, free), round_off(u, diagonal, scales.extent)
-    acting = max(scales.begun, largest_force(comm, balance, z))
+    acting = max(scales.begun, largest_force(comm, balance, carried))
     scale = max(acting, FIRST_SHARE * scales.first)
     limit = max(rtol * scale, floor)
     if acting <= floor:  # nothing acts but the round-off of K u, which is a share of |K| |u|
         scale = max(scale, floor / EPS)
 
-    noise = gap_round_off(u)
     active, gap = contacts.active[balance.nodes], balance.bounds.upper
     off = np.maximum(np.where(active, np.abs(gap), np.maximum(-gap, 0.0)) - noise, 0.0)
     missed = np.maximum(np.abs(balance.equal.upper) - noise, 0.0)
@@ -133,6 +128,7 @@ def measure(
         comm,
         np.where(active, 0.0, stiffness[balance.bounds.dofs] * off),
         stiffness[balance.equal.dofs] * missed,
+        missing,
     )
     work = comm.allreduce(float(np.abs(z) @ off), op=MPI.SUM)
     whole = max(scales.work, elastic_norm**2, limit * scales.facet_length)

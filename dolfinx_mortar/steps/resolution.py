@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from dolfinx_mortar.arrays import Bools, Floats, Longs
 from dolfinx_mortar.interfaces.coupling import Link
 from dolfinx_mortar.mortar.surface import accumulate, sum_at_nodes
-from dolfinx_mortar.steps.residuals import Contacts
+from dolfinx_mortar.steps.contacts import Contacts
 
 # So many nodes show the largest pressure, in 2D and 3D. Measured against Hertz' at the same
 # force, on triangles, quadrilaterals, tetrahedra and hexahedra, either slave: 3 nodes of a line

@@ -4,34 +4,49 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
+
+from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces import results
+from dolfinx_mortar.interfaces.constraints import SlipLimits
+from dolfinx_mortar.interfaces.contact import Contact
+from dolfinx_mortar.interfaces.coupling import Link
 from dolfinx_mortar.interfaces.motions import slipped
 from dolfinx_mortar.interfaces.near import nodal_gaps
+from dolfinx_mortar.steps.contacts import Contacts
 from dolfinx_mortar.steps.linearisation import Balance
 from dolfinx_mortar.steps.problem import ContactProblem
-from dolfinx_mortar.steps.residuals import Contacts
 
 log = logging.getLogger(__name__)
 
 
-def set_results(problem: ContactProblem, balance: Balance, contacts: Contacts) -> None:
+def set_results(
+    problem: ContactProblem,
+    balance: Balance,
+    contacts: Contacts,
+    jumps: Mapping[int, PETSc.Vec] | None = None,
+) -> None:
     """Set the interfaces' resultants and Functions; collective.
 
     Reactions of equalities are the residual forces that they take; those of contact are D_jj times
-    the multipliers.
+    the multipliers. Ties are as open as their jumps, see `StepData`.
     """
     d, n = problem.d, problem.n
     moved = problem.X + problem.u.x.array[: d * n].reshape(-1, d)
     reaction = np.zeros(d * n)
     reaction[balance.equal.dofs] = balance.reduced.array_r[balance.equal.dofs]
     reaction[balance.bounds.dofs] = contacts.reactions(balance)
+    if (limits := balance.limits) is not None:
+        some = limits.some
+        reaction[limits.tangential[some]] = contacts.tangential_reactions(limits)[some]
     forces = reaction.reshape(-1, d)
     gap = nodal_gaps(problem.system.links, problem.vector(moved), n)
-    for link in problem.system.links:
+    for k, link in enumerate(problem.system.links):
         frozen = link.interface.configuration(problem.configuration) is None
         on = link.constrained
         one_sided = link.interface.one_sided
@@ -39,10 +54,44 @@ def set_results(problem: ContactProblem, balance: Balance, contacts: Contacts) -
         results.set_results(
             link,
             np.where(on, forces[link.nodes], 0.0),
-            gap[link.nodes] if one_sided else np.zeros(len(link.nodes)),
+            gap[link.nodes] if one_sided else _opened(link, (jumps or {}).get(k)),
             np.asarray(active & (on.any(axis=1) | (not one_sided))),
             problem.X if frozen else moved,  # where the forces act
         )
+    if balance.limits is not None:
+        _set_sliding(problem, balance.limits, contacts)
+
+
+def _set_sliding(problem: ContactProblem, limits: SlipLimits, contacts: Contacts) -> None:
+    """Set the results of friction, those of the step added to what is committed; collective."""
+    n, d, committed = problem.n, problem.d, problem.committed
+    traction, slip = np.zeros((2, n, d))
+    assert contacts.sliding is not None
+    slides = np.asarray(contacts.sliding[limits.nodes].any(axis=1))
+    resisting = contacts.tangential_reactions(limits)
+    slips = np.where(slides[:, None], limits.slip, 0.0)  # of others it is round-off
+    traction[limits.nodes] = -limits.vectors(resisting) / limits.weight[:, None]
+    slip[limits.nodes] = limits.vectors(slips)
+    energy, status = np.zeros((2, n))
+    energy[limits.nodes] = (resisting * slips).sum(axis=1)
+    acts = contacts.active[limits.nodes] | (limits.cohesion > 0.0)
+    status[limits.nodes] = np.where(slides, 2.0, acts)
+    for k, link in enumerate(problem.system.links):
+        if isinstance(link.interface, Contact) and link.interface.sliding is not None:
+            nodes, carries = link.nodes, link.constrained[:, 0]
+            way = committed.slid[k, nodes] + carries * np.linalg.norm(slip[nodes], axis=1)
+            spent = committed.dissipated[k, nodes] + carries * energy[nodes]
+            drag, last = (carries[:, None] * v[nodes] for v in (traction, slip))
+            results.set_sliding(link, drag, last, way, carries * status[nodes], spent)
+
+
+def _opened(link: Link, jump: PETSc.Vec | None) -> Floats:
+    """Return how far (n,) a jump opens the sides along their normal."""
+    normals = link.coupling.normals
+    if jump is None:
+        return np.zeros(len(normals))
+    values = jump.array_r.reshape(-1, normals.shape[1])[link.nodes]
+    return np.asarray(-(values * normals).sum(axis=1))
 
 
 def notes_on_sliding(problem: ContactProblem, contacts: Contacts) -> list[str]:

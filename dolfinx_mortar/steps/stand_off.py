@@ -63,8 +63,13 @@ def find_stand_offs(links: Sequence[Link], u: fem.Function | None) -> list[Stand
         links: the interfaces, coupled at X + u.
         u: displacement, None for X.
     """
-    found = [link for link in links if link.interface.one_sided and not link.interface.smooth]
-    return [_find_stand_off(link, u) for link in found]
+    return [_find_stand_off(link, u) for link in links if _is_of_facets(link)]
+
+
+def _is_of_facets(link: Link) -> bool:
+    """Tell whether a link is a contact between facets that can stand off curved surfaces."""
+    of_facets = link.interface.one_sided and not link.interface.smooth
+    return of_facets and not link.sides.slave.curved
 
 
 def _find_stand_off(link: Link, u: fem.Function | None) -> StandOff:

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.steps.load_steps import LoadStep
 from dolfinx_mortar.steps.problem import ContactProblem
+from dolfinx_mortar.steps.report import LoadStep
 
 
 def summarise(step: LoadStep) -> dict[str, Any]:

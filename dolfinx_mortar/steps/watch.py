@@ -11,8 +11,8 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.steps.contacts import Contacts
 from dolfinx_mortar.steps.linearisation import Balance
-from dolfinx_mortar.steps.residuals import Contacts
 
 # A fixed point whose change grows so often, Newton converged in between, does not contract.
 MOST_RISES = 2

@@ -15,7 +15,7 @@ from tests.sweep.draws import KINDS
 from tests.sweep.problems import COMM
 from tests.sweep.run import Outcome, run
 
-RESIDUALS = ("equilibrium", "gap", "sign", "complementarity", "force")
+RESIDUALS = ("equilibrium", "gap", "sign", "complementarity", "force", "limit", "slip", "status")
 
 
 def seeds(text: str) -> range:

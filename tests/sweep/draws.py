@@ -127,4 +127,102 @@ def _boxes3(rng: np.random.Generator) -> Draw:
     return {"mesh": mesh, "wave": wave, "slave": slave, "geometry": geometry, "laws": laws} | step
 
 
-KINDS = {"hertz": _hertz, "sphere": _sphere, "pile": _pile, "boxes3": _boxes3}
+def _ring(rng: np.random.Generator) -> Draw:
+    """Draw the half sections of a half ball and a round plate."""
+    data = _hertz(rng)
+    mesh = data["mesh"] | {"half": True}
+    return data | {"mesh": mesh, "tilt": 0.0, "kinematics": "axisymmetric"}
+
+
+def _heated(rng: np.random.Generator) -> Draw:
+    """Draw rings that are heated while they are pressed; half of the quadrilaterals reduced.
+
+    Cooled bodies would part, and forces of contact be the round-off of those of heat.
+    """
+    data = _ring(rng)
+    heat = {tag: _choice(rng, 0.0, rng.uniform(0, 2e-3)) for tag in data["laws"]}
+    reduced = data["mesh"]["cell"] == "quadrilateral" and rng.uniform() < 0.5
+    return data | {"heat": heat, "volumetric": "reduced" if reduced else "full"}
+
+
+def _second(rng: np.random.Generator) -> Draw:
+    """Draw discs on blocks, or balls on plates, of second order on coarser meshes."""
+    data = _ring(rng) if rng.uniform() < 0.3 else _hertz(rng)
+    mesh = data["mesh"] | {"h": tuple(min(1.5 * h, 0.9) for h in data["mesh"]["h"])}
+    return data | {"mesh": mesh, "degree": 2}
+
+
+def _second3(rng: np.random.Generator) -> Draw:
+    """Draw two boxes of second order."""
+    data = _boxes3(rng)
+    mesh = data["mesh"]
+    coarse = {name: tuple(min(n, 3) for n in mesh[name]) for name in ("n_lower", "n_upper")}
+    return data | {"mesh": mesh | coarse, "degree": 2}
+
+
+def _mixed(rng: np.random.Generator) -> Draw:
+    """Draw discs on blocks, or rings, each body of another one of the newer laws."""
+    data = _ring(rng) if rng.uniform() < 0.3 else _hertz(rng)
+    return data | {"laws": {tag: _newer_law(rng) for tag in data["laws"]}}
+
+
+def _newer_law(rng: np.random.Generator) -> Any:
+    E, nu = float(10 ** rng.uniform(3.0, 5.7)), float(rng.uniform(-0.2, 0.49))
+    Y, a, H, Q = (float(E * 10 ** rng.uniform(*ends)) for ends in _EXPONENTS)
+    kind = str(rng.choice(["isotropic", "mixed", "voce", "cone", "wood"]))
+    if kind == "voce":
+        b = float(10 ** rng.uniform(0.5, 2.5))
+        return dm.VonMisesVoce(E, nu, Y, _choice(rng, 0.0, a), H, Q, b)
+    if kind == "cone":
+        return dm.DruckerPrager(E, nu, Y, float(rng.uniform(0.05, 0.4)))
+    if kind == "wood":
+        moduli = (float(E * 10 ** rng.uniform(-1.0, 0.0)) for _ in range(6))
+        E1, E2, E3, *G = sorted(moduli, reverse=True)
+        ratios = (float(rng.uniform(0.0, 0.45)) for _ in range(3))
+        return dm.Orthotropic(E1, E2, E3, *ratios, *G, yaw=float(rng.uniform(0.0, 3.0)))
+    return dm.VonMises(E, nu, Y, 0.0 if kind == "isotropic" else a, H)
+
+
+def _friction(rng: np.random.Generator) -> Draw:
+    """Draw bodies of all shapes and cells that are pressed, pushed aside and pushed back.
+
+    "path" holds the way of the push (lateral, and across it in space) and the share of the depth
+    at the end of each step.
+    """
+    base = (_hertz, _boxes3, _ring, _second, _second3)[int(rng.choice(5, p=_SHAPES))]
+    data = base(rng)
+    name = str(rng.choice(["friction", "friction", "friction", "tresca"]))
+    value = _choice(rng, rng.uniform(0.0, 0.3), rng.uniform(0.0, 1.0), 1.0)
+    if name == "tresca":
+        softest = min(getattr(law, "E", None) or law.E1 for law in data["laws"].values())
+        value *= float(softest * 10 ** rng.uniform(-4.0, -1.0))
+    given = str(rng.choice(["number", "constant", "function"]))
+    presses, pushes, returns = (int(rng.integers(1, n)) for n in (3, 4, 4))
+    far = data["depth"] * float(rng.uniform(0.1, 1.0))
+    eases = float(rng.choice([1.0, 1.0, rng.uniform(0.2, 1.0)]))
+    path = [(0.0, 0.0, k / presses) for k in range(1, presses + 1)]
+    turn = float(rng.uniform(-np.pi, np.pi))
+    there = far * np.array([np.cos(turn), np.sin(turn)])
+    aside = far * rng.uniform(-0.3, 0.3, 2)
+    ring = data.get("kinematics") == "axisymmetric"  # cannot be pushed aside, so it is let off
+    for k in range(1, pushes + 1):
+        path.append((*(there * k / pushes), 1.0 - 0.5 * ring * k / pushes))
+    for k in range(1, returns + 1):
+        share = k / returns
+        depth = 0.5 * (1.0 + share) if ring else 1.0 + share * (eases - 1.0)
+        path.append((*((1.0 - 2.0 * share) * there + share * aside), depth))
+    law = {"name": name, "value": value, "given": given}
+    # limits that act on open sides, too, want sides that stay where they are
+    geometry = "reference" if name == "tresca" else data["geometry"]
+    walk = {"path": path, "steps": len(path), "tilt": 0.0}
+    return data | {"law": law, "geometry": geometry} | walk
+
+
+_SHAPES = (0.4, 0.3, 0.1, 0.12, 0.08)
+# Of E: yield radius, moduli of kinematic and isotropic hardening, growth of the radius
+_EXPONENTS = ((-3.2, -1.8), (-3.0, -0.5), (-3.0, -0.5), (-3.5, -2.0))
+KINDS = {
+    **{"hertz": _hertz, "sphere": _sphere, "pile": _pile, "boxes3": _boxes3},
+    **{"ring": _ring, "heated": _heated, "second": _second, "second3": _second3, "mixed": _mixed},
+    "friction": _friction,
+}

@@ -33,6 +33,7 @@ class RandomProblem:
     bcs: list[fem.DirichletBC]
     loads: ufl.Form | None
     on_time: Callable[[float], None]
+    limit: fem.Function | None = None  # of friction, on the nodes of the pressure
 
     @property
     def levels(self) -> npt.NDArray[np.float64]:
@@ -65,17 +66,27 @@ def _two_bodies(
 ) -> RandomProblem:
     """Clamp tag 1, push tag 2 down and aside, with contact between tags 3 and 4."""
     d = domain.geometry.dim
-    V = fem.functionspace(domain, ("Lagrange", 1, (d,)))
+    V = fem.functionspace(domain, ("Lagrange", data.get("degree", 1), (d,)))
     values = [fem.Constant(domain, np.zeros(d)) for _ in range(2)]
     bcs = [
         fem.dirichletbc(value, fem.locate_dofs_topological(V, d - 1, facet_tags.find(tag)), V)
         for value, tag in zip(values, (1, 2), strict=True)
     ]
-    tilt = data["tilt"]
+    if data.get("kinematics") == "axisymmetric":
+        W, axis = V.sub(0), facet_tags.find(dm.meshing.AXIS)
+        held = fem.locate_dofs_topological(W, d - 1, axis)
+        bcs.append(fem.dirichletbc(fem.Constant(domain, 0.0), held, W))
+    tilt, path = data["tilt"], data.get("path")
     direction = np.array([tilt, -1.0] if d == 2 else [tilt, -tilt / 2, -1.0])
+    aside = 0.0 if data.get("kinematics") == "axisymmetric" else 1.0
 
     def on_time(t: float) -> None:
         values[1].value[:] = t * direction
+        if path is not None:
+            ends, now = np.arange(len(path) + 1), t / data["depth"] * len(path)
+            x, y, z = (np.interp(now, ends, [0.0, *way]) for way in zip(*path, strict=True))
+            push = (aside * x, -z * data["depth"])
+            values[1].value[:] = push if d == 2 else (x, y, push[1])
 
     return _with_contact(data, fem.Function(V), (cell_tags, facet_tags), bcs, on_time)
 
@@ -107,10 +118,41 @@ def _with_contact(
 ) -> RandomProblem:
     """Put one contact between the facet tags 3 and 4."""
     sides = (data["slave"], 7 - data["slave"])
-    contact = dm.Contact(tags[1], slave=sides[0], master=sides[1], surface=data["surface"])
-    solid = dm.Solid(u, data["laws"], tags[0])
+    law, limit = _law_of_friction(data, u.function_space)
+    options = law | {"surface": data["surface"]}
+    contact = dm.Contact(tags[1], slave=sides[0], master=sides[1], **options)
+    hot = data.get("heat", {})
+    heat = {tag: fem.Constant(u.function_space.mesh, 0.0) for tag in hot}
+    solid = dm.Solid(
+        u,
+        data["laws"],
+        tags[0],
+        kinematics=data.get("kinematics"),
+        eigenstrain=heat or None,
+        volumetric=data.get("volumetric", "full"),
+    )
     problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=data["geometry"])
-    return RandomProblem(data, problem, *tags, [sides], bcs, None, on_time)
+
+    def press_and_heat(t: float) -> None:
+        on_time(t)
+        for tag, strain in hot.items():
+            heat[tag].value = strain * t / data["depth"]
+
+    return RandomProblem(data, problem, *tags, [sides], bcs, None, press_and_heat, limit)
+
+
+def _law_of_friction(
+    data: Draw, V: fem.FunctionSpace
+) -> tuple[dict[str, float | fem.Constant | fem.Function], fem.Function | None]:
+    """Return the argument of the contact, and its values at the nodes; nothing without friction."""
+    if "law" not in data:
+        return {}, None
+    name, value, given = (data["law"][key] for key in ("name", "value", "given"))
+    limit = fem.Function(V.sub(0).collapse()[0])
+    vary = 0.5 if given == "function" else 0.0
+    limit.interpolate(lambda x: value * (1.0 + vary * np.sin(3.0 * x[0])))
+    arguments = {"number": value, "constant": fem.Constant(V.mesh, value), "function": limit}
+    return {name: arguments[given]}, limit
 
 
 def _pile(data: Draw) -> RandomProblem:
@@ -153,4 +195,8 @@ def _pile_load(data: Draw) -> npt.NDArray[np.float64]:
     return np.array([0.0, -0.05 * min(law.E for law in data["laws"].values())])
 
 
-KINDS = {"hertz": _hertz, "sphere": _sphere, "pile": _pile, "boxes3": _boxes3}
+KINDS = {
+    **{"hertz": _hertz, "sphere": _sphere, "pile": _pile, "boxes3": _boxes3},
+    **{"ring": _hertz, "heated": _hertz, "second": _hertz, "second3": _boxes3, "mixed": _hertz},
+    "friction": lambda data: (_hertz if "kind" in data["mesh"] else _boxes3)(data),
+}

@@ -15,23 +15,36 @@ import numpy.typing as npt
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, la
+from tests.sweep import slips
 from tests.sweep.problems import RandomProblem
 
 Floats = npt.NDArray[np.float64]
 TINY = np.finfo(float).tiny
 LEAST_NORMAL = 0.5
 """A contact acts where Dirichlet data leave that much of the slave normal."""
+NO_PRESSURE = 1e-10
+"""What is below this share of the stiffest modulus is round-off, of bodies that have parted."""
+LEAST_STEP = 1e-2
+"""Slips are measured by the largest motion in the step, or this share of all until now."""
 SYMMETRIC = {2: [[0, 3], [3, 1]], 3: [[0, 3, 5], [3, 1, 4], [5, 4, 2]]}
 """Where the components of a tensor stand among those of ``solid.stress``."""
 
 
-def residuals(case: RandomProblem) -> dict[str, float]:
+def residuals(
+    case: RandomProblem, before: Floats | None = None, begun: float = 0.0
+) -> dict[str, float]:
     """Return what a committed step leaves, each on its own scale; collective.
 
     "equilibrium": forces on free unknowns over the largest force; "gap": deepest overlap over the
     facets' size; "sign": largest tension over the largest pressure; "complementarity": largest
     product of pressure and gap over both scales; "force": resultant on the slave side against
-    ``contact.force``, over the larger.
+    ``contact.force``, over the larger. With friction those of `slips.residuals`, too.
+
+    Args:
+        case: the problem.
+        before: owned displacements that the step started from; slips are read off the contact if
+            they are not known.
+        begun: largest force at the begin of the step: of bodies that part nothing else is left.
     """
     comm = case.problem.V.mesh.comm
     internal, external = _stress_forces(case), _loads(case)
@@ -39,15 +52,24 @@ def residuals(case: RandomProblem) -> dict[str, float]:
     contact_forces = np.zeros_like(internal)
     found: dict[str, float] = {"gap": 0.0, "sign": 0.0, "complementarity": 0.0, "force": 0.0}
     for contact, sides in zip(case.problem.contacts, case.sides, strict=True):
-        forces, worst = _contact(case, contact, sides, free)
+        forces, worst = _contact(case, contact, sides, free, before)
         contact_forces += forces
-        found = {name: max(value, worst[name]) for name, value in found.items()}
-    stiffest = max(law.E for law in case.data["laws"].values())
+        found = {name: max(value, found.get(name, 0.0)) for name, value in worst.items()}
     sizes = [np.abs(a).max(initial=0.0) for a in (internal, external, contact_forces)]
-    sizes.append(1e-9 * stiffest * _travel(case))
+    sizes += [begun, 1e-9 * _stiffest(case) * _travel(case)]
     rest = np.abs((internal + contact_forces - external)[free]).max(initial=0.0)
     scale, rest = (comm.allreduce(float(a), op=MPI.MAX) for a in (max(sizes), rest))
     return {"equilibrium": rest / max(scale, TINY)} | found
+
+
+def _stiffest(case: RandomProblem) -> float:
+    return max(getattr(law, "E", None) or law.E1 for law in case.data["laws"].values())
+
+
+def largest_force(case: RandomProblem) -> float:
+    """Return the largest force of the stress on an unknown; collective."""
+    local = float(np.abs(_stress_forces(case)).max(initial=0.0))
+    return float(case.problem.V.mesh.comm.allreduce(local, op=MPI.MAX))
 
 
 def _travel(case: RandomProblem) -> float:
@@ -90,8 +112,20 @@ def at_points(case: RandomProblem) -> ufl.Measure:
 
 def _stress_forces(case: RandomProblem) -> Floats:
     v = ufl.TestFunction(case.problem.V)
-    strain = ufl.sym(ufl.grad(v))
-    return _assembled(case, ufl.inner(stress_tensor(case), strain) * at_points(case))
+    work = ufl.inner(stress_tensor(case), ufl.sym(ufl.grad(v)))
+    if is_ring(case):
+        r = ufl.SpatialCoordinate(case.problem.V.mesh)[0]
+        work = 2 * ufl.pi * r * (work + case.problem.solid.stress[2] * v[0] / r)
+    return _assembled(case, work * at_points(case))
+
+
+def is_ring(case: RandomProblem) -> bool:
+    """Tell whether the bodies are axisymmetric."""
+    return case.data.get("kinematics") == "axisymmetric"
+
+
+def _circumference(x: Floats) -> Floats:
+    return 2 * np.pi * x[:, 0]
 
 
 def _loads(case: RandomProblem) -> Floats:
@@ -110,16 +144,24 @@ def _fixed(case: RandomProblem) -> npt.NDArray[np.bool_]:
 
 
 def _contact(
-    case: RandomProblem, contact: dm.Contact, sides: tuple[int, int], free: npt.NDArray[np.bool_]
+    case: RandomProblem,
+    contact: dm.Contact,
+    sides: tuple[int, int],
+    free: npt.NDArray[np.bool_],
+    before: Floats | None,
 ) -> tuple[Floats, dict[str, float]]:
     """Return the forces of a contact on the unknowns, and what is wrong with it."""
     problem = case.problem
     V, d = problem.V, problem.V.mesh.geometry.dim
     u = problem.u if problem.geometry == "updated" else None
-    mortar = dm.assemble_mortar(V, case.facet_tags, slave=sides[0], master=sides[1], u=u)
+    weight = _circumference if is_ring(case) else None
+    mortar = dm.assemble_mortar(
+        V, case.facet_tags, slave=sides[0], master=sides[1], u=u, weight=weight
+    )
     B = mortar.D - mortar.M
     nodes = mortar.nodes - V.dofmap.index_map.local_range[0]
-    normals = mortar.N.getValuesCSR()[2].reshape(-1, d) * free.reshape(-1, d)[nodes]
+    loose = free.reshape(-1, d)[nodes]
+    normals = mortar.N.getValuesCSR()[2].reshape(-1, d) * loose
     length = np.linalg.norm(normals, axis=1)
     acts = length >= LEAST_NORMAL
     normals = normals / np.maximum(length, TINY)[:, None]
@@ -128,12 +170,82 @@ def _contact(
     apart = -(normals * _apply(B, _current(case)).reshape(-1, d)).sum(axis=1)
     gap = (apart - _heights(case, contact)[nodes]) / weight
     tractions = (normals * pressure[:, None]).ravel()
-    worst = _complementarity(V.mesh.comm, pressure[acts], gap[acts], weight, d)
+    if case.limit is not None:
+        tractions -= contact.traction.x.array.reshape(-1, d)[nodes].ravel()
+    size = weight
+    if is_ring(case):  # of the section, not of what it sweeps
+        plain = dm.assemble_mortar(V, case.facet_tags, slave=sides[0], master=sides[1], u=u)
+        size = _row_norms(plain.D)[::d]
+    floor = NO_PRESSURE * _stiffest(case)
+    worst = _complementarity(V.mesh.comm, pressure[acts], gap[acts], size, d, floor)
+    if case.limit is not None:
+        way = None
+        if before is not None:
+            moved = case.problem.u.x.array[: _owned(case)] - before
+            plain = _apply(B, moved).reshape(-1, d) / weight[:, None]
+            way = _way(case, sides, before, nodes, plain)
+        travel = _travel_of(case, before)
+        at = slips.Nodes(nodes, normals, loose, acts, pressure, case.limit.x.array[nodes])
+        worst |= slips.residuals(contact, at, way, travel, floor)
     resultant = -_apply(mortar.D, tractions, transposed=True).reshape(-1, d).sum(axis=0)
     total = V.mesh.comm.allreduce(resultant, op=MPI.SUM)
     size = max(np.abs(total).max(), np.abs(contact.force).max(), TINY)
     force = float(np.abs(total - contact.force).max() / size)
     return _apply(B, tractions, transposed=True), worst | {"force": force}
+
+
+def _travel_of(case: RandomProblem, before: Floats | None) -> float:
+    """Return the largest motion of a node in the step, or a hundredth of all until now."""
+    u = case.problem.u.x.array[: _owned(case)]
+    step = 0.0 if before is None else np.abs(u - before).max(initial=0.0)
+    local = max(float(step), LEAST_STEP * float(np.abs(u).max(initial=0.0)))
+    return float(case.problem.V.mesh.comm.allreduce(local, op=MPI.MAX))
+
+
+def _way(
+    case: RandomProblem,
+    sides: tuple[int, int],
+    before: Floats,
+    at: npt.NDArray[np.int64],
+    plain: Floats,
+) -> Floats:
+    """Return by how much slave nodes (n, d) have moved relative to the master in the step.
+
+    With updated geometry to those points of the master that they faced before the step, in the
+    first one when the supports had moved the upper body as a whole; what was apart along the normal
+    then turns with it. Nodes ``at`` that faced none have moved as in the present configuration,
+    ``plain``.
+    """
+    problem, V = case.problem, case.problem.V
+    d, own = V.mesh.geometry.dim, _owned(case)
+    u = problem.u.x.array[:own]
+    if problem.geometry == "reference":
+        return plain
+    held = case.bcs[1].dof_indices()[0]
+    held = held[held < own]
+    asked = (u - before)[held].reshape(-1, d)
+    shift = V.mesh.comm.allreduce(asked.sum(axis=0), op=MPI.SUM)
+    shift /= V.mesh.comm.allreduce(len(asked), op=MPI.SUM)
+    begin = fem.Function(V)
+    begin.x.array[:own] = before
+    begin.x.scatter_forward()
+    first = not V.mesh.comm.allreduce(float(np.abs(before).max(initial=0.0)), op=MPI.MAX)
+    upper = np.unique(V.dofmap.list[case.cell_tags.find(2)])
+    begin.x.array.reshape(-1, d)[upper] += shift if first else 0.0
+    ring = _circumference if is_ring(case) else None
+    mortar = dm.assemble_mortar(
+        V, case.facet_tags, slave=sides[0], master=sides[1], u=begin, weight=ring
+    )
+    nodes = mortar.nodes - V.dofmap.index_map.local_range[0]
+    B, size = mortar.D - mortar.M, _row_norms(mortar.D)[::d, None]
+    normals = mortar.N.getValuesCSR()[2].reshape(-1, d)
+    normals = normals / np.maximum(np.linalg.norm(normals, axis=1), TINY)[:, None]
+    X = _current(case) - u
+    now, then = (_apply(B, X + v).reshape(-1, d) / size for v in (u, before))
+    then -= normals * (normals * then).sum(axis=1, keepdims=True)
+    way = np.full((problem.n, d), np.nan)
+    way[nodes] = now - then
+    return np.where(np.isnan(way[at]), plain, way[at])
 
 
 def _heights(case: RandomProblem, contact: dm.Contact) -> Floats:
@@ -146,16 +258,19 @@ def _heights(case: RandomProblem, contact: dm.Contact) -> Floats:
 
 
 def _complementarity(
-    comm: MPI.Comm, pressure: Floats, gap: Floats, weight: Floats, d: int
+    comm: MPI.Comm, pressure: Floats, gap: Floats, size: Floats, d: int, floor: float
 ) -> dict[str, float]:
-    """Return the violations of gap >= 0, pressure >= 0, pressure gap = 0."""
-    weights = np.concatenate(comm.allgather(weight))
-    facet = float(np.median(weights)) ** (1.0 / (d - 1)) if len(weights) else 1.0
+    """Return the violations of gap >= 0, pressure >= 0, pressure gap = 0.
+
+    The sizes are those of what belongs to the nodes, lengths or areas; the floor is a pressure.
+    """
+    sizes = np.concatenate(comm.allgather(size))
+    facet = float(np.median(sizes)) ** (1.0 / (d - 1)) if len(sizes) else 1.0
     local = (np.abs(pressure), -gap, -pressure, np.abs(pressure * gap))
     largest, deepest, tension, product = (
         comm.allreduce(float(a.max(initial=0.0)), op=MPI.MAX) for a in local
     )
-    largest = max(largest, TINY)
+    largest = max(largest, floor)
     return {
         "gap": deepest / facet,
         "sign": tension / largest,

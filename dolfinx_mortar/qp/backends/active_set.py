@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: MIT
 """Primal-dual active set: semi-smooth Newton on z = max(0, z + c (x - upper)) and its mirror image.
 
+With friction on z_t = q min(1, s / |q|) as well, linearised exactly (`qp.friction`).
+
 Where the bounded unknowns are few, `condensed` finds the set first, and the updates only check it.
 A cycle, and a set that leaves a body free, are handed to the interior point.
 """
 
 from dataclasses import replace
+from functools import partial
 
 from petsc4py import PETSc
 
@@ -14,19 +17,27 @@ import numpy as np
 from dolfinx_mortar.arrays import Actives
 from dolfinx_mortar.qp import condensed
 from dolfinx_mortar.qp.backends import interior_point
-from dolfinx_mortar.qp.bound_qp import BoundQP, QPNotSolved, QPSolution, on_bounded
+from dolfinx_mortar.qp.bound_qp import BoundQP, QPNotSolved, QPSolution, check, on_bounded
 from dolfinx_mortar.qp.held import HeldProblem
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
+from dolfinx_mortar.qp.state import State
+from dolfinx_mortar.qp.tolerances import LIMIT
 from dolfinx_mortar.qp.updates import LOOSE, TIGHT, Outcome, update
 
+# Of the largest error, from which on nodes with friction change sides: all of them, those half as
+# bad as the worst, the worst alone. Tried one after the other.
+SHARES = (0.0, 0.5, 1.0)
+# How friction was linearised: limits follow the pressure of the solution, or of the one before it
+EXACT, GIVEN = "exact linearisation", "given limits"
 
-def solve(qp: BoundQP, linear: LinearSolver, *, start: Actives, rtol: float) -> QPSolution:
+
+def solve(qp: BoundQP, linear: LinearSolver, *, start: State, rtol: float) -> QPSolution:
     """Solve a bound-constrained QP by active-set updates (collective).
 
     Args:
         qp: the problem.
         linear: linear solver, attached to qp.A.
-        start: (k,) first active set.
+        start: first active set, and how closed nodes slip.
         rtol: tolerance of the check.
 
     Returns:
@@ -38,21 +49,76 @@ def solve(qp: BoundQP, linear: LinearSolver, *, start: Actives, rtol: float) -> 
     """
     x = qp.b.duplicate()
     x.set(0.0)
+    if qp.friction is not None:
+        return _solve_frictional(qp, linear, x, start, rtol)
     try:
         level, first = LOOSE, start
         if condensed.is_worthwhile(qp, linear):
             level = TIGHT
             if not _expects_few_changes(linear):
-                first = _predict(qp, linear, x, start, rtol)
+                active = _predict(qp, linear, x, start.active, rtol)
+                first = replace(start, active=active)
         problem = HeldProblem(qp, linear, x, rtol)
         outcome = update(problem.hold, first, qp.comm, level=level)
         if not outcome.reason:
-            _remember_changes(problem, start, outcome)
+            _remember_changes(problem, start.active, outcome)
             return problem.solution(outcome, "active-set")
         reason = outcome.reason
     except LinearSolveFailed as error:
         reason = f"an active set could not be solved ({error})"
     return _hand_over(qp, linear, start, rtol, reason)
+
+
+def _solve_frictional(
+    qp: BoundQP, linear: LinearSolver, x: PETSc.Vec, start: State, rtol: float
+) -> QPSolution:
+    """Solve with friction: exactly linearised, or else for given limits again and again.
+
+    Raises:
+        QPNotSolved: if that fails, too.
+    """
+    problem = HeldProblem(qp, linear, x, rtol)
+    outcome = _update_frictional(problem, start, LOOSE)
+    if not outcome.reason:
+        return replace(problem.solution(outcome, "active-set"), linearisation=EXACT)
+    law, state = qp.friction, problem.best or start
+    assert law is not None
+    for _ in range(LIMIT):
+        limits = law.limit(
+            np.where(state.active > 0, problem.z.array_r[qp.bounded], 0.0)[law.normal]
+        )
+        given = replace(law, coefficient=0.0 * limits, cohesion=limits)
+        problem = HeldProblem(replace(qp, friction=given), linear, problem.x, rtol)
+        found = _update_frictional(problem, state, TIGHT)
+        if found.reason:
+            break
+        state = found.state
+        kkt = check(qp, problem.x, problem.z)
+        if kkt.satisfied(rtol):
+            solution = problem.solution(found, "active-set")
+            return replace(solution, kkt=kkt, linearisation=GIVEN)
+    raise QPNotSolved(f"Active set with friction: {outcome.reason}")
+
+
+def _update_frictional(problem: HeldProblem, start: State, level: int) -> Outcome[State]:
+    """Update until a state stays: at first all nodes change sides at once, then only the worst.
+
+    All at once, they may go in circles, or let go of a body that only some of them hold.
+    """
+    outcome, first = Outcome(start, 0, "not tried"), start
+    for share in SHARES:
+        try:
+            hold = partial(problem.hold, share=share)
+            outcome = update(hold, first, problem.qp.comm, level=level)
+            if not outcome.reason:
+                return outcome
+            first = problem.best or start
+        except LinearSolveFailed as error:
+            reason = f"an active set could not be solved ({error})"
+            outcome, first = Outcome(first, 0, reason), State.holding(problem.qp)
+            problem.forget()
+        level = TIGHT
+    return outcome
 
 
 def _predict(
@@ -76,16 +142,16 @@ def _expects_few_changes(linear: LinearSolver) -> bool:
     return changes is not None and changes <= linear.refactor_after
 
 
-def _remember_changes(problem: HeldProblem, start: Actives, outcome: Outcome) -> None:
+def _remember_changes(problem: HeldProblem, start: Actives, outcome: Outcome[State]) -> None:
     found = on_bounded(problem.qp, problem.x, problem.z)
     noise = problem.rtol * problem.z.norm()
-    strong = found.strong(start, outcome.active, noise)
+    strong = found.strong(start, outcome.state.active, noise)
     changes = int(problem.qp.comm.allreduce(int(strong.sum())))
     problem.linear.learnt = replace(problem.linear.learnt, changes=changes)
 
 
 def _hand_over(
-    qp: BoundQP, linear: LinearSolver, start: Actives, rtol: float, reason: str
+    qp: BoundQP, linear: LinearSolver, start: State, rtol: float, reason: str
 ) -> QPSolution:
     """Let the interior point finish, and say so."""
     try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Closed solutions of contact mechanics: pure functions of numbers, in any consistent units.
+"""Elastic line and point contact, and the load at which a line contact first yields.
 
 Line contact is plane strain and forces are per unit thickness, e.g. N/mm with mm and MPa.
 Lengths, moduli and yield stresses are positive; pressure and depth are positive into the body.
@@ -12,21 +12,18 @@ below a line contact).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
-from dolfinx_mortar.arrays import Bools, Floats
-
-# Where p^2 has fallen below this share of p0^2 a node counts to the edge of a contact: its facets
-# reach out of it, and its pressure is their mean.
-EDGE = 0.1
-# A fit without the edge needs that many nodes.
-ENOUGH = 5
-# Distances whose squares differ by less than this share of the largest are one: by round-off.
-SAME_DISTANCE = 1e-12
+from dolfinx_mortar.analytic.checks import (
+    check_poisson,
+    check_positive,
+    is_number,
+    numbers,
+)
+from dolfinx_mortar.arrays import Floats
 
 
 @dataclass(frozen=True)
@@ -82,9 +79,9 @@ def effective_modulus(E1: float, nu1: float, E2: float, nu2: float) -> float:
     112949.0
     """
     for name, modulus in (("E1", E1), ("E2", E2)):
-        if not (_is_number(modulus) and modulus > 0.0):
+        if not (is_number(modulus) and modulus > 0.0):
             raise ValueError(f"{name} = {modulus!r} must be positive; np.inf for a rigid body.")
-    _check_poisson(nu1=nu1, nu2=nu2)
+    check_poisson(nu1=nu1, nu2=nu2)
     compliance = (1.0 - nu1**2) / E1 + (1.0 - nu2**2) / E2
     if compliance == 0.0:
         raise ValueError(f"E1 = {E1} and E2 = {E2}: one of the two bodies must not be rigid.")
@@ -142,7 +139,7 @@ def hertz_line(
     >>> round(c.half_width, 5), round(c.peak_pressure, 5)
     (0.96277, 6.6124)
     """
-    _check_positive(force=force)
+    check_positive(force=force)
     R, E_star = effective_radius(radius), effective_modulus(E1, nu1, E2, nu2)
     a = float(np.sqrt(4.0 * force * R / (np.pi * E_star)))
     return LineContact(force, R, E_star, a, 2.0 * force / (np.pi * a))
@@ -178,7 +175,7 @@ def hertz_point(
     >>> round(c.contact_radius, 5), round(c.peak_pressure / 1e5, 5)
     (0.63018, 1.41642)
     """
-    _check_positive(force=force)
+    check_positive(force=force)
     R, E_star = effective_radius(radius), effective_modulus(E1, nu1, E2, nu2)
     a = float(np.cbrt(3.0 * force * R / (4.0 * E_star)))
     return PointContact(force, R, E_star, a, 1.5 * force / (np.pi * a**2), a**2 / R)
@@ -204,8 +201,8 @@ def line_axis_stress(depth: npt.ArrayLike, nu: float) -> Floats:
     >>> line_axis_stress(0.0, 0.25).tolist()
     [-1.0, -1.0, -0.5]
     """
-    _check_poisson(nu=nu)
-    z = _numbers("depth", depth)
+    check_poisson(nu=nu)
+    z = numbers("depth", depth)
     if (z < 0.0).any():
         raise ValueError(f"depth = {depth!r} must not be negative: it is positive into the body.")
     s = np.sqrt(1.0 + z**2)
@@ -245,7 +242,7 @@ def first_yield_line(
     >>> round(y.peak_pressure, 1), round(y.half_width, 5), round(y.force, 1), round(y.depth, 4)
     (801.4, 0.11353, 142.9, 0.079)
     """
-    _check_positive(yield_stress=yield_stress)
+    check_positive(yield_stress=yield_stress)
     R, E_star = effective_radius(radius), effective_modulus(E1, nu1, E2, nu2)
 
     def von_mises(z: float) -> float:
@@ -258,84 +255,3 @@ def first_yield_line(
     p0 = yield_stress / ratio
     a = 2.0 * p0 * R / E_star  # from p0 = 2 F/(pi a) and a^2 = 4 F R/(pi E*)
     return FirstYield(p0, a, 0.5 * np.pi * a * p0, depth * a, ratio)
-
-
-def fit_pressure(x: npt.ArrayLike, p: npt.ArrayLike) -> tuple[float, float]:
-    """Fit a Hertz distribution to nodal pressures: least squares of p^2 linear in x^2.
-
-        p^2 = p0^2 (1 - x^2/a^2) = c0 + c1 x^2,    p0 = sqrt(c0),    a = sqrt(-c0/c1)
-
-    Unlike the largest nodal value and the last active node, the fit is not limited to the
-    resolution of one element. Nodes at the edge, where the p^2 that the nodes farther inside
-    predict is below a tenth of p0^2, are left out if five others remain.
-
-    Args:
-        x: Distances of the active nodes from the middle of the contact, shape (n,).
-        p: Pressures at these nodes, positive in compression, shape (n,).
-
-    Returns:
-        Peak pressure p0 and half-width a; (nan, nan) where fewer than two distances are known or
-        the pressure does not fall with the distance, as for a contact of very few nodes.
-
-    Raises:
-        ValueError: For arrays of different shapes, or with members that are no finite numbers.
-
-    >>> peak, width = fit_pressure([-3.0, 0.0, 3.0], [8.0, 10.0, 8.0])
-    >>> round(peak, 12), round(width, 12)
-    (10.0, 5.0)
-    """
-    distances, values = _numbers("x", x), _numbers("p", p)
-    if distances.shape != values.shape or distances.ndim != 1:
-        raise ValueError(
-            f"x and p must have the same shape (n,), not {distances.shape}, {values.shape}."
-        )
-    squares = distances**2, values**2
-    # The farthest nodes may be at the edge: the others tell where it is.
-    farthest = squares[0].max(initial=0.0)
-    c0, c1 = _fit_line(*_leave_out(*squares, squares[0] > (1.0 - EDGE) * farthest))
-    c0, c1 = _fit_line(*_leave_out(*squares, c0 + c1 * squares[0] < EDGE * c0))
-    if not (c1 < 0.0 < c0):
-        return np.nan, np.nan
-    return float(np.sqrt(c0)), float(np.sqrt(-c0 / c1))
-
-
-def _leave_out(x: Floats, y: Floats, edge: Bools) -> tuple[Floats, Floats]:
-    """Return the points without those at the edge, or all where too few would remain."""
-    kept = ~edge if np.count_nonzero(~edge) >= ENOUGH else np.ones_like(edge)
-    return x[kept], y[kept]
-
-
-def _fit_line(x: Floats, y: Floats) -> tuple[float, float]:
-    """Return (c0, c1) of the least-squares line y = c0 + c1 x; NaN for fewer than two x."""
-    if len(x) < 2 or np.ptp(x) <= SAME_DISTANCE * np.max(x):
-        return np.nan, np.nan
-    slope = float(np.sum((x - x.mean()) * (y - y.mean())) / np.sum((x - x.mean()) ** 2))
-    return float(y.mean()) - slope * float(x.mean()), slope
-
-
-def _is_number(value: Any) -> bool:
-    """Tell whether a value is one real number, and no truth value."""
-    array = np.asarray(value)
-    return array.ndim == 0 and array.dtype.kind in "fiu"
-
-
-def _numbers(name: str, values: npt.ArrayLike) -> Floats:
-    """Return finite numbers as an array of any shape."""
-    array = np.asarray(values)
-    if array.size and (array.dtype.kind not in "fiu" or not np.isfinite(array).all()):
-        raise ValueError(f"{name} = {values!r} must hold finite numbers only.")
-    return array.astype(float)
-
-
-def _check_positive(**values: float) -> None:
-    for name, value in values.items():
-        if not (_is_number(value) and 0.0 < value < np.inf):
-            raise ValueError(f"{name} = {value!r} must be a positive, finite number.")
-
-
-def _check_poisson(**values: float) -> None:
-    for name, nu in values.items():
-        if not (_is_number(nu) and -1.0 < nu < 0.5):
-            raise ValueError(
-                f"{name} = {nu!r} must lie in (-1, 0.5); take 0.499 for an incompressible body."
-            )

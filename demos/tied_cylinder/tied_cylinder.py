@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: MIT
+# ruff: noqa: D100
+
+# # Two rings glued to a tube, up to its limit load
+#
+# A tube of radii 1 and 1.3 under pressure inside, in plane strain, of a perfectly plastic steel.
+# When all of it flows, the pressure can grow no more, however the bore is widened:
+#
+# $$q = \frac{2}{\sqrt 3}\, \sigma_0 \ln \frac{R_e}{R_i}.$$
+#
+# The tube is solved as one piece, and as two rings that are glued where they meet by the dual
+# mortar method, on meshes that do not match: both have to reach the same pressures, all the way.
+# Plastic flow keeps the volume, for which quadrilaterals of first order are stiff; so their
+# volumetric part is taken in the mean over each cell, `volumetric="reduced"`. (This flow is so
+# simple that `"full"` gives the same to 0.03 %.) Units: mm, MPa, N per mm.
+
+import argparse
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import fem
+from dolfinx_mortar import compat
+
+BORE, OUTSIDE = 1.0, 1.3  # mm
+BETWEEN = 1.15  # mm, where the rings meet
+YIELD = 250.0  # MPa, in tension
+LIMIT = 2.0 / np.sqrt(3.0) * YIELD * np.log(OUTSIDE / BORE)  # MPa, 75.738
+SIDES = {"inner": (3, 4), "outer": (4, 3)}
+
+parser = argparse.ArgumentParser(description="Two rings glued to a tube, up to its limit load.")
+parser.add_argument("--cells", type=int, default=6, help="across the inner ring")
+parser.add_argument("--cell", choices=["quadrilateral", "triangle"], default="quadrilateral")
+parser.add_argument("--volumetric", choices=["reduced", "full"], default="reduced")
+parser.add_argument("--slave", choices=["inner", "outer"], default="outer")
+parser.add_argument("--growth", type=float, default=0.012, help="of the bore's radius, in mm")
+parser.add_argument("--steps", type=int, default=12, help="number of equal load steps")
+parser.add_argument("--output", type=Path, default=Path("results/tied_cylinder"))
+
+
+def widen(tied: bool, options: argparse.Namespace) -> tuple[dm.Solid, list[dict]]:
+    """Widen the bore of the tube in steps; return its bodies and what is measured in each step."""
+    # ## Mesh
+    #
+    # A quarter of the section: one ring, or two whose cells do not match where they meet.
+
+    n = options.cells
+    mesh, _, facet_tags = dm.meshing.rings(
+        MPI.COMM_WORLD,
+        radii=(BORE, BETWEEN, OUTSIDE) if tied else (BORE, OUTSIDE),
+        cells=((n, 6 * n), (n + 2, 8 * n)) if tied else ((2 * n, 8 * n),),
+        cell=options.cell,
+    )
+
+    # ## Body
+    #
+    # Von Mises' law without hardening.
+
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    u = fem.Function(V, name="displacement")
+    steel = dm.VonMises.from_uniaxial(70e3, 0.3, yield_stress=YIELD, plastic_modulus=0.0)
+    solid = dm.Solid(u, steel, volumetric=options.volumetric)
+
+    # ## Supports, and the glue
+    #
+    # Symmetry on both cuts. The bore is widened rather than pressed, so that the limit is a level
+    # and no end of the computation; the displacement of its nodes is $d\, e_r$.
+
+    radial, push = fem.Function(V), fem.Function(V)
+    radial.interpolate(lambda x: x[:2] / np.hypot(x[0], x[1]))
+    bore = fem.locate_dofs_topological(V, 1, facet_tags.find(1))
+    bcs = [fem.dirichletbc(push, bore)]
+    for component, tag in ((0, 5), (1, 6)):
+        W = V.sub(component)
+        dofs = fem.locate_dofs_topological(W, 1, facet_tags.find(tag))
+        bcs.append(fem.dirichletbc(fem.Constant(mesh, 0.0), dofs, W))
+    slave, master = SIDES[options.slave]
+    ties = [dm.Tie(facet_tags, slave=slave, master=master)] if tied else []
+    problem = dm.ContactProblem(solid, ties, bcs=bcs)
+
+    # ## Load steps
+    #
+    # The pressure is the one whose work on $e_r$ is that of the forces at the bore.
+
+    ds, n_out = ufl.Measure("ds", mesh, subdomain_data=facet_tags), ufl.FacetNormal(mesh)
+    virtual = mesh.comm.allreduce(fem.assemble_scalar(fem.form(-ufl.dot(n_out, radial) * ds(1))))
+    owned = 2 * V.dofmap.index_map.size_local
+    at_bore = (2 * bore[:, None] + np.arange(2)).ravel()
+    at_bore = at_bore[at_bore < owned]
+    levels = np.linspace(0.0, options.growth, options.steps + 1)[1:]
+    rows, forces = [], problem.vector()
+    for step in dm.load_steps(
+        problem, levels, on_time=lambda d: np.multiply(d, radial.x.array, out=push.x.array)
+    ):
+        solid.assemble_residual(forces)
+        work = mesh.comm.allreduce(forces.array_r[at_bore] @ radial.x.array[at_bore])
+        row = {"tied": tied, "growth": step.time, "pressure": work / virtual}
+        rows.append(dm.summarise(step) | row)
+    name = "tied" if tied else "monolithic"
+    dm.write_summary(
+        options.output / f"{name}.json", problem, rows, limit=LIMIT, options=vars(options)
+    )
+    return solid, rows
+
+
+def main(options: argparse.Namespace) -> None:
+    """Widen both tubes, compare them with each other and with the limit, draw them."""
+    comm = MPI.COMM_WORLD
+    options.output.mkdir(parents=True, exist_ok=True)
+    _, one = widen(False, options)
+    solid, two = widen(True, options)
+    cells = gather_cells(solid)
+    if comm.rank == 0:
+        draw(options.output / "limit.png", one, two, cells)
+        p, q = (rows[-1]["pressure"] for rows in (one, two))
+        print(f"limit {LIMIT:.3f} MPa, one piece {p:.3f} MPa, two rings {q:.3f} MPa")
+        print(f"results in {options.output}")
+
+
+# ## Picture
+#
+# Pressure against the growth of the bore, and the plastic strain of the glued rings.
+
+
+def gather_cells(solid: dm.Solid) -> tuple[np.ndarray, np.ndarray]:
+    """Return corners (m, k, 2) and plastic strains (m,) of the cells of all ranks, on rank 0."""
+    mesh = solid.mesh
+    owned = mesh.topology.index_map(2).size_local
+    corners = mesh.geometry.x[compat.cell_nodes(mesh)[:owned], :2]
+    if corners.shape[1] == 4:
+        corners = corners[:, [0, 1, 3, 2]]
+    strain = solid.cell_values("plastic_strain_norm").x.array[:owned]
+    parts = mesh.comm.gather((corners, strain))
+    if parts is None:
+        return corners, strain
+    return tuple(np.concatenate(column) for column in zip(*parts, strict=True))
+
+
+def draw(
+    path: Path, one: list[dict], two: list[dict], cells: tuple[np.ndarray, np.ndarray]
+) -> None:
+    """Draw the pressures of both tubes, and the plastic strain of the glued one."""
+    figure = Figure(figsize=(9.0, 3.8), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
+    for rows, style, label in ((one, "-", "one piece"), (two, "o", "two rings, glued")):
+        growth, pressure = ([row[name] for row in rows] for name in ("growth", "pressure"))
+        left.plot([0.0, *growth], [0.0, *pressure], style, label=label, markersize=4)
+    left.axhline(LIMIT, color="black", linestyle="--", linewidth=0.8, label="limit load")
+    left.set(xlabel="growth of the bore [mm]", ylabel="pressure [MPa]", ylim=(0.0, None))
+    left.legend(loc="lower right", frameon=False)
+    shown = PolyCollection(cells[0], array=1e3 * cells[1], edgecolor="white", linewidth=0.2)
+    right.add_collection(shown)
+    right.set(xlim=(0.0, 1.02 * OUTSIDE), ylim=(0.0, 1.02 * OUTSIDE), aspect="equal")
+    right.axis("off")
+    figure.colorbar(shown, ax=right, label="plastic strain, Frobenius norm, per mille", shrink=0.8)
+    figure.savefig(path, dpi=110)
+
+
+if __name__ == "__main__":
+    chosen = parser.parse_args()
+    if chosen.steps < 1 or chosen.cells < 1:
+        parser.error(f"--steps {chosen.steps}, --cells {chosen.cells}: at least 1 each")
+    main(chosen)

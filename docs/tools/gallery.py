@@ -1,0 +1,301 @@
+# SPDX-License-Identifier: MIT
+"""Run the demos and make a page of each: its text and program, pictures, script and notebook.
+
+What a demo has written is kept in docs/_build/demos until the demo or the library changes. The
+tutorial is run, too, for its pictures.
+"""
+
+import hashlib
+import re
+import shutil
+import subprocess
+import sys
+import textwrap
+from dataclasses import dataclass
+from pathlib import Path
+
+DOCS = Path(__file__).resolve().parents[1]
+ROOT = DOCS.parent
+KEPT, PAGES = DOCS / "_build" / "demos", DOCS / "generated" / "gallery"
+
+
+@dataclass(frozen=True)
+class Demo:
+    """How a demo is run and shown."""
+
+    name: str
+    short: str  # for the card
+    pictures: dict[str, str]  # file -> caption; the first is that of the card
+    options: tuple[str, ...] = ()
+    view: str = ""  # XDMF file of an interactive view
+
+
+DEMOS = [
+    Demo(
+        "hertz",
+        "The paper's benchmark in plane strain: contact, plasticity, load steps, Hertz.",
+        {
+            "fig7_von_mises_zoom.png": "Von Mises stress at the contact.",
+            "pressure.png": "Contact pressure beside that of Hertz for the same force.",
+            "fig2_mesh.png": "The mesh of the paper's size.",
+            "fig3_hardening.png": "Hardening, the norm of the back stress.",
+        },
+        ("--steps", "4"),
+    ),
+    Demo(
+        "sphere",
+        "A quarter of a ball on a block: 3D, symmetry planes, multigrid, an interactive view.",
+        {
+            "von_mises.png": "Von Mises stress.",
+            "pressure_map.png": "Contact pressure, seen along the axis.",
+            "pressure.png": "Contact pressure along the radius, beside that of Hertz.",
+        },
+        ("--h", "0.2"),
+        "sphere.xdmf",
+    ),
+    Demo(
+        "ball_joint",
+        "Sides that fit closely, on coarse meshes: with facets the force is that of the mesh.",
+        {"pressure.png": "Pressure on the ball for each mesh, with facets and smooth surfaces."},
+    ),
+    Demo(
+        "tied_cylinder",
+        "Mesh tying: glued on meshes that do not match, the tube flows at the load of one piece.",
+        {"limit.png": "Pressure against the growth of the bore, and plastic strain."},
+    ),
+    Demo(
+        "bolted_tee",
+        "A bolted T-stub in 3D: preload, contact of flanges, prying forces, yielding.",
+        {
+            "result.png": "Forces beside the modes of EN 1993-1-8; plastic strain in the section.",
+            "pull.gif": "The pull, step by step.",
+        },
+    ),
+    Demo(
+        "indentation",
+        "Bodies of revolution: a ball is flattened, far beyond first yield.",
+        {"result.png": "Forces and contact radii beside the fits of others; plastic strain."},
+    ),
+    Demo(
+        "own_law",
+        "A law that the package lacks, in UFL, in NumPy, and in JAX, which derives its tangent.",
+        {"own_law.png": "Plastic strain below the disc, and the pressures of all versions."},
+        ("--versions", "ufl", "numpy", "jax"),
+    ),
+    Demo(
+        "cattaneo",
+        "Friction: a disc is pushed to and fro, the middle of its contact sticks, the edges slip.",
+        {"result.png": "Shear tractions, stick zone and loop of the force, beside Cattaneo."},
+    ),
+    Demo(
+        "shrink_fit",
+        "A hub is shrunk on a shaft, which friction alone holds until it is pulled out.",
+        {"result.png": "Pressure and friction along the shaft, and the pull over its motion."},
+    ),
+]
+
+
+def program(demo: Demo) -> Path:
+    """Return the script of a demo."""
+    return ROOT / "demos" / demo.name / f"{demo.name}.py"
+
+
+def state(files: list[Path], more: str) -> str:
+    """Return a number that changes with files, a text and the library."""
+    files = [*files, *sorted((ROOT / "dolfinx_mortar").rglob("*.py"))]
+    text = b"\0".join([*(f.read_bytes() for f in files), more.encode()])
+    return hashlib.sha256(text).hexdigest()
+
+
+def run(demo: Demo) -> None:
+    """Run a demo unless it has been run in this state; raise RuntimeError if it fails."""
+    files = sorted((ROOT / "demos" / demo.name).glob("*.py"))
+    files += [Path(__file__).with_name("view.py")] if demo.view else []
+    folder = KEPT / demo.name
+    command = [str(program(demo)), *demo.options, "--output", str(folder)]
+    run_once(str(program(demo).relative_to(ROOT)), command, folder, state(files, repr(demo)), ROOT)
+
+
+def run_once(name: str, options: list[str], folder: Path, now: str, where: Path) -> None:
+    """Run a program that fills a folder unless that is of this state.
+
+    Raises:
+        RuntimeError: if the program fails, with its last words.
+    """
+    stamp = folder / "state"
+    if stamp.exists() and stamp.read_text() == now:
+        return
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    print(f"docs/build: running {name}", flush=True)
+    done = subprocess.run([sys.executable, *options], capture_output=True, text=True, cwd=where)
+    # as for those who run it with its own default
+    said = done.stdout.replace(str(folder), f"results/{folder.name}")
+    (folder / "said.txt").write_text(said)
+    if done.returncode:
+        raise RuntimeError(f"{name} failed\n{done.stderr[-2000:]}")
+    stamp.write_text(now)
+
+
+def make_view(xdmf: Path, html: Path) -> None:
+    """Make the interactive view; say so where that is not possible here."""
+    command = [sys.executable, str(Path(__file__).with_name("view.py")), str(xdmf), str(html)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        said = [
+            line for line in done.stderr.splitlines() if re.match(r"\w*(Error|Exception)", line)
+        ]
+        last = said[-1] if said else f"status {done.returncode}"
+        print(f"docs/build: no interactive view of {xdmf.stem}: {last}", flush=True)
+
+
+def paragraphs(source: str) -> list[tuple[str, str]]:
+    r"""Split a program into ("text" or "code", lines): comments between blank lines are text.
+
+    >>> paragraphs("# # A\n#\n# b\n\nx = 1  # c\n# d\ny = 2\n")
+    [('text', '# A\n\nb'), ('code', 'x = 1  # c\n# d\ny = 2')]
+    """
+    parts: list[tuple[str, str]] = []
+    source = re.sub(r"(?m)^(?=[ \t]*# #+ )", "\n", source)  # headings start a text
+    for block in re.split(r"\n(?:[ \t]*\n)+", source.strip("\n")):
+        lines = block.splitlines()
+        if all(line.lstrip().startswith("#") for line in lines):
+            if "SPDX" in block or "ruff:" in block:
+                continue
+            parts.append(("text", "\n".join(re.sub(r"^\s*# ?", "", line) for line in lines)))
+        elif parts and parts[-1][0] == "code":
+            parts[-1] = ("code", parts[-1][1] + "\n\n" + block)
+        else:
+            parts.append(("code", block))
+    return parts
+
+
+def page(demo: Demo, folder: Path) -> str:
+    """Return the page of a demo in MyST."""
+    said: list[str] = []
+    for kind, lines in paragraphs(program(demo).read_text()):
+        if kind == "text":
+            said.append(re.sub(r"(?m)^(\$\$.*\$\$)$", r"\n\1\n", lines))
+        else:
+            said.append(f"```python\n{textwrap.dedent(lines)}\n```")
+    first, rest = said[0], said[1:]
+    files = ", ".join(
+        f"{{download}}`{name} <{demo.name}/{name}>`"
+        for name in sorted(p.name for p in folder.glob("*.[pi]*") if p.suffix in (".py", ".ipynb"))
+    )
+    shown = []
+    if (folder / "view.html").exists():
+        shown.append(
+            "Turn it with the mouse or a finger; the wheel, or two fingers, come closer.\n\n"
+            "```{raw} html\n"
+            f'<iframe class="view" src="../../_static/views/{demo.name}.html" loading="lazy" '
+            f'title="{demo.short}"></iframe>\n```'
+        )
+    for file, caption in demo.pictures.items():
+        if (folder / file).exists():
+            shown.append(f"```{{figure}} {demo.name}/{file}\n:alt: {caption}\n\n{caption}\n```")
+    if (folder / "said.txt").exists():
+        shown.append(
+            ":::{dropdown} What it prints\n"
+            f"```{{literalinclude}} {demo.name}/said.txt\n:language: text\n```\n:::"
+        )
+    shown = ["## Result", *shown] if shown else []
+    command = " ".join(["containers/run python3", f"demos/{demo.name}/{demo.name}.py"])
+    command = " ".join([command, *demo.options])
+    run_by = f"Run by `{command}`. Files: {files}."
+    return "\n\n".join([first, run_by, *shown, "## Program", *demote(rest)]) + "\n"
+
+
+def demote(parts: list[str]) -> list[str]:
+    """Return the parts with the headings of texts one level down."""
+    return [p if p.startswith("```") else re.sub(r"(?m)^##", "###", p) for p in parts]
+
+
+def notebook(demo: Demo, path: Path) -> None:
+    """Write a demo as a notebook; its options are the defaults there."""
+    import jupytext
+
+    cells = jupytext.read(program(demo))
+    for cell in cells.cells:
+        cell.source = cell.source.replace("parser.parse_args()", "parser.parse_args([])")
+    jupytext.write(cells, path, fmt="ipynb")
+
+
+def run_tutorial() -> None:
+    """Run the programs of the tutorial for its pictures; raise RuntimeError if they fail."""
+    text = (DOCS / "tutorial.md").read_text()
+    folder = DOCS / "generated" / "tutorial"
+    code = "\n".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL))
+    run_once("docs/tutorial.md", ["-c", code], folder, state([], code), folder)
+
+
+INDEX = """\
+# Gallery
+
+Each demo is a script with options (`--help` shows them), an explanation in its comments, and a
+notebook. They were run for these pages.
+
+:::::{grid} 1 2 2 3
+:gutter: 3
+
+%s
+:::::
+
+```{toctree}
+:hidden:
+
+%s
+```
+"""
+CARD = """\
+::::{{grid-item-card}} {title}
+:link: {name}
+:link-type: doc
+{picture}
+{short}
+::::
+"""
+
+
+def card(demo: Demo, folder: Path) -> str:
+    """Return the card of a demo."""
+    title = paragraphs(program(demo).read_text())[0][1].splitlines()[0].lstrip("# ")
+    file = next(iter(demo.pictures))
+    picture = f":img-top: {demo.name}/{file}\n" if (folder / file).exists() else ""
+    return CARD.format(title=title, name=demo.name, picture=picture, short=demo.short)
+
+
+def main(execute: bool) -> None:
+    """Make all pages."""
+    shutil.rmtree(PAGES, ignore_errors=True)
+    views = DOCS / "generated" / "static" / "views"
+    views.mkdir(parents=True, exist_ok=True)
+    run_tutorial()  # some seconds; its pages cannot do without
+    cards = []
+    for demo in DEMOS:
+        if execute:
+            run(demo)
+        view = KEPT / demo.name / "view.html"
+        if execute and demo.view and not view.exists():
+            make_view(KEPT / demo.name / demo.view, view)
+        folder = PAGES / demo.name
+        folder.mkdir(parents=True)
+        for file in (ROOT / "demos" / demo.name).glob("*.py"):
+            shutil.copy(file, folder)
+        for file in [*demo.pictures, "said.txt", "view.html"]:
+            if (KEPT / demo.name / file).exists():
+                shutil.copy(KEPT / demo.name / file, folder)
+        notebook(demo, folder / f"{demo.name}.ipynb")
+        (PAGES / f"{demo.name}.md").write_text(page(demo, folder))
+        if (folder / "view.html").exists():
+            (folder / "view.html").replace(views / f"{demo.name}.html")
+        cards.append(card(demo, folder))
+    names = "\n".join(demo.name for demo in DEMOS)
+    (PAGES / "index.md").write_text(INDEX % ("\n".join(cards), names))
+
+
+if __name__ == "__main__":
+    try:
+        main("--no-run" not in sys.argv[1:])
+    except RuntimeError as error:
+        sys.exit(f"docs/build: {error}")

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: MIT
+"""Hertz' pressure fitted to nodal values."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_mortar.analytic.checks import numbers
+from dolfinx_mortar.arrays import Bools, Floats
+
+# Where p^2 has fallen below this share of p0^2 a node counts to the edge of a contact: its facets
+# reach out of it, and its pressure is their mean.
+EDGE = 0.1
+# A fit without the edge needs that many nodes.
+ENOUGH = 5
+# Distances whose squares differ by less than this share of the largest are one: by round-off.
+SAME_DISTANCE = 1e-12
+
+
+def fit_pressure(x: npt.ArrayLike, p: npt.ArrayLike) -> tuple[float, float]:
+    """Fit a Hertz distribution to nodal pressures: least squares of p^2 linear in x^2.
+
+        p^2 = p0^2 (1 - x^2/a^2) = c0 + c1 x^2,    p0 = sqrt(c0),    a = sqrt(-c0/c1)
+
+    Unlike the largest nodal value and the last active node, the fit is not limited to the
+    resolution of one element. Nodes at the edge, where the p^2 that the nodes farther inside
+    predict is below a tenth of p0^2, are left out if five others remain.
+
+    Args:
+        x: Distances of the active nodes from the middle of the contact, shape (n,).
+        p: Pressures at these nodes, positive in compression, shape (n,).
+
+    Returns:
+        Peak pressure p0 and half-width a; (nan, nan) where fewer than two distances are known or
+        the pressure does not fall with the distance, as for a contact of very few nodes.
+
+    Raises:
+        ValueError: For arrays of different shapes, or with members that are no finite numbers.
+
+    >>> peak, width = fit_pressure([-3.0, 0.0, 3.0], [8.0, 10.0, 8.0])
+    >>> round(peak, 12), round(width, 12)
+    (10.0, 5.0)
+    """
+    distances, values = numbers("x", x), numbers("p", p)
+    if distances.shape != values.shape or distances.ndim != 1:
+        raise ValueError(
+            f"x and p must have the same shape (n,), not {distances.shape}, {values.shape}."
+        )
+    squares = distances**2, values**2
+    # The farthest nodes may be at the edge: the others tell where it is.
+    farthest = squares[0].max(initial=0.0)
+    c0, c1 = _fit_line(*_leave_out(*squares, squares[0] > (1.0 - EDGE) * farthest))
+    c0, c1 = _fit_line(*_leave_out(*squares, c0 + c1 * squares[0] < EDGE * c0))
+    if not (c1 < 0.0 < c0):
+        return np.nan, np.nan
+    return float(np.sqrt(c0)), float(np.sqrt(-c0 / c1))
+
+
+def _leave_out(x: Floats, y: Floats, edge: Bools) -> tuple[Floats, Floats]:
+    """Return the points without those at the edge, or all where too few would remain."""
+    kept = ~edge if np.count_nonzero(~edge) >= ENOUGH else np.ones_like(edge)
+    return x[kept], y[kept]
+
+
+def _fit_line(x: Floats, y: Floats) -> tuple[float, float]:
+    """Return (c0, c1) of the least-squares line y = c0 + c1 x; NaN for fewer than two x."""
+    if len(x) < 2 or np.ptp(x) <= SAME_DISTANCE * np.max(x):
+        return np.nan, np.nan
+    slope = float(np.sum((x - x.mean()) * (y - y.mean())) / np.sum((x - x.mean()) ** 2))
+    return float(y.mean()) - slope * float(x.mean()), slope

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: MIT
+"""Limits of friction as their user gives them: coefficients, or tractions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from numbers import Real
+from typing import TypeAlias
+
+import numpy as np
+
+from dolfinx import fem
+from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.arrays import Floats
+
+Limit: TypeAlias = float | fem.Constant | fem.Function
+
+REMEDY = "give a number, a scalar fem.Constant, or a scalar fem.Function"
+
+
+@dataclass(frozen=True)
+class FrictionLaw:
+    """What limits the tangential traction tau of a closed contact with pressure p.
+
+    Coulomb's law, "friction": abs(tau) <= mu p. Tresca's, "tresca": abs(tau) <= s.
+    """
+
+    name: str  # of the argument that gave it
+    value: Limit
+
+    def values(self, scalar: fem.FunctionSpace) -> Floats:
+        """Return the present values at the owned nodes of a scalar space; collective.
+
+        Raises:
+            ValueError: on all ranks, for values that are negative or not finite.
+        """
+        n = scalar.dofmap.index_map.size_local
+        if isinstance(self.value, fem.Function):
+            at_nodes = fem.Function(scalar)
+            at_nodes.interpolate(self.value)
+            values = np.asarray(at_nodes.x.array[:n], dtype=np.float64)
+        else:
+            number = getattr(self.value, "value", self.value)
+            values = np.full(n, float(np.asarray(number).reshape(())))
+        bad = ~(np.isfinite(values) & (values >= 0.0))
+        if any_rank(scalar.mesh.comm, bad.any())[0]:
+            what = f"{float(values[bad][0]):g} somewhere" if bad.any() else "so on another rank"
+            raise ValueError(f"{self.name} is {what}: every value has to be finite and >= 0")
+        return values
+
+    def check_mesh(self, scalar: fem.FunctionSpace) -> None:
+        """Raise a ValueError for a Function on another mesh."""
+        if isinstance(self.value, fem.Function):
+            if self.value.function_space.mesh is not scalar.mesh:
+                raise ValueError(
+                    f"{self.name} is a Function on another mesh: give one on that of the "
+                    "displacement"
+                )
+
+
+def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | None:
+    """Return the law of two arguments, None for neither and for the number 0.
+
+    Raises:
+        ValueError: for both, and for values that are no limits.
+    """
+    if friction is not None and tresca is not None:
+        raise ValueError(
+            f"friction is {friction!r} and tresca is {tresca!r}: give one of the two, a "
+            "coefficient of the pressure or a traction"
+        )
+    name, value = ("friction", friction) if tresca is None else ("tresca", tresca)
+    if value is None:
+        return None
+    if isinstance(value, Real) and not isinstance(value, bool):
+        if not (np.isfinite(value) and value >= 0.0):
+            raise ValueError(f"{name} is {value!r}: it has to be finite and >= 0")
+        return FrictionLaw(name, float(value)) if value > 0.0 else None
+    if isinstance(value, fem.Function):
+        shape = value.ufl_shape
+    elif isinstance(value, fem.Constant):
+        shape = value.ufl_shape
+    else:
+        raise ValueError(f"{name} is {value!r}: {REMEDY}")
+    if shape != () or not np.issubdtype(_dtype(value), np.floating):
+        raise ValueError(f"{name} has shape {shape} and type {_dtype(value)}: {REMEDY}")
+    return FrictionLaw(name, value)
+
+
+def _dtype(value: fem.Function | fem.Constant) -> np.dtype:
+    array = value.x.array if isinstance(value, fem.Function) else value.value
+    return np.asarray(array).dtype

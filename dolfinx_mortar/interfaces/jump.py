@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: MIT
+"""The jump that a tie shall have: what it may be given as, and its values at the slave nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from dolfinx import fem
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from ufl.core.expr import Expr
+
+Jump = Sequence[float] | Floats | fem.Constant | fem.Function | Callable[[Floats], Floats] | None
+"""A vector in Cartesian components, the same everywhere or one at each point."""
+
+
+def check_jump(jump: Any, d: int) -> Any:
+    """Return a jump as it is kept, numbers as an array; without communication.
+
+    Args:
+        jump: what a user gives.
+        d: how many components it needs.
+
+    Raises:
+        ValueError: for what is none, has another shape, or holds NaN or infinity.
+    """
+    if jump is None:
+        return None
+    example = ", ".join(["0"] * (d - 1) + ["0.1"])
+    wanted = (
+        f"give {d} Cartesian components of a length, [{example}], or a Constant, a Function or a "
+        "function of points x (3, n) that has them"
+    )
+    if isinstance(jump, fem.Constant):
+        if jump.value.shape != (d,):
+            raise ValueError(f"jump is a Constant of shape {jump.value.shape}: {wanted}")
+        return jump
+    if isinstance(jump, fem.Function):
+        _check_function(jump, d, wanted)
+        return jump
+    if isinstance(jump, Expr):  # those can be called, too
+        raise ValueError(
+            f"jump is an expression of UFL, {type(jump).__name__}: interpolate it into a Function "
+            "of the displacement's space, and that again where it changes between steps"
+        )
+    if callable(jump):
+        return jump
+    try:
+        values = np.array(jump, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"jump is {jump!r}: {wanted}") from error
+    if values.shape != (d,):
+        raise ValueError(f"jump is {jump!r}, of shape {values.shape}: {wanted}")
+    if not np.isfinite(values).all():
+        raise ValueError(f"jump is {jump!r}: it must be finite; {wanted}")
+    return values
+
+
+def _check_function(jump: fem.Function, d: int, wanted: str) -> None:
+    """Raise a ValueError unless a Function has one vector at every node."""
+    V = jump.function_space
+    element = V.ufl_element()
+    if V.component():
+        raise ValueError("jump is a part of a Function: give function.sub(i).collapse()")
+    if element.family_name != "P" or element.discontinuous:
+        raise ValueError(
+            f"jump is a Function with the element {element}, which has not one value at every "
+            f"node: interpolate it into a vector Lagrange space; {wanted}"
+        )
+    if element.reference_value_shape != (d,):
+        raise ValueError(
+            f"jump is a Function with values of shape {element.reference_value_shape}: {wanted}"
+        )
+
+
+def check_mesh(jump: Any, V: fem.FunctionSpace) -> None:
+    """Raise a ValueError if a jump lives on another mesh than the displacement."""
+    domain = None
+    if isinstance(jump, fem.Function):
+        domain = jump.function_space.mesh.ufl_domain()
+    elif isinstance(jump, fem.Constant):
+        domain = jump.ufl_domain()
+    if domain is not None and domain != V.mesh.ufl_domain():
+        raise ValueError(
+            f"jump is a {type(jump).__name__} on another mesh than solid.u: make it on solid.mesh"
+        )
+
+
+def nodal_function(jump: Any, V: fem.FunctionSpace) -> Any:
+    """Return a Function as one of V, all else as it is; collective for Functions."""
+    if not isinstance(jump, fem.Function) or jump.function_space == V:
+        return jump
+    jump.x.scatter_forward()
+    nodal = fem.Function(V)
+    nodal.interpolate(jump)
+    return nodal
+
+
+def values_at(jump: Any, V: fem.FunctionSpace, nodes: Ints) -> Floats:
+    """Return the jump (n, d) at owned nodes; without communication.
+
+    Args:
+        jump: what `check_jump` has returned, a Function as one of V.
+        V: the space of the displacement.
+        nodes: (n,) local numbers.
+
+    Raises:
+        ValueError: if a function of points returns another shape.
+    """
+    d = V.dofmap.index_map_bs
+    if jump is None:
+        return np.zeros((len(nodes), d))
+    if isinstance(jump, fem.Function):
+        return np.array(jump.x.array.reshape(-1, d)[nodes])
+    if isinstance(jump, fem.Constant):
+        return np.tile(jump.value, (len(nodes), 1))
+    if isinstance(jump, np.ndarray):
+        return np.tile(jump, (len(nodes), 1))
+    if not len(nodes):  # functions need not think of no points
+        return np.zeros((0, d))
+    x = np.ascontiguousarray(V.tabulate_dof_coordinates()[nodes].T)
+    found = np.asarray(jump(x), dtype=np.float64)
+    if found.shape != (d, len(nodes)):
+        raise ValueError(
+            f"jump: the function returns the shape {found.shape} for {len(nodes)} points x (3, n); "
+            f"it must return {(d, len(nodes))}, a vector for each point"
+        )
+    return found.T
+
+
+def extended(values: Floats, nodes: Ints, shared: Bools, n: int) -> Floats:
+    """Return (n, d) a jump on all owned nodes of a space: zero off the slave side.
+
+    Also zero at nodes of both sides, which cannot be apart.
+
+    >>> some = np.array([[1.0], [2.0]]), np.array([0, 2], dtype=np.int32)
+    >>> extended(*some, np.array([False, False, True]), 3).ravel().tolist()
+    [1.0, 0.0, 0.0]
+    """
+    result = np.zeros((n, values.shape[1]))
+    result[nodes] = values
+    result[shared] = 0.0
+    return result

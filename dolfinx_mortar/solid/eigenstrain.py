@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: MIT
+"""Eigenstrain, the strain that a body would have without stress: thermal, of a fit, initial.
+
+The laws see the strain without it. It is evaluated at the integration points, once for all that is
+assembled until something that it depends on changes; what is compiled for the bodies knows its
+values only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from numbers import Real
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+import basix.ufl
+import ufl
+from dolfinx import default_scalar_type, fem, mesh
+from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.materials.tensor import COMPONENTS, from_components, to_components
+from dolfinx_mortar.solid.laws import tags_of_cells
+from dolfinx_mortar.solid.sources import Followed, Source, check_source, create_source
+from dolfinx_mortar.tags import by_tag, label, labels
+from ufl.algorithms.analysis import extract_arguments
+from ufl.core.expr import Expr
+
+WANTED = (
+    "give a scalar (the same in all three directions) or a 3x3 tensor, as a number, an array, a "
+    "Constant, a Function or UFL"
+)
+
+
+class Eigenstrain(Followed):
+    """Eigenstrain at the integration points of a mesh, zero where none is given.
+
+    Attributes:
+        function: what is the same in all directions as a scalar, else the components
+            (xx, yy, zz, xy) in 2D and (xx, yy, zz, xy, yz, xz) in 3D.
+    """
+
+    def __init__(
+        self,
+        function: fem.Function,
+        sources: Sequence[Source],
+        leaning: Sequence[fem.Expression | None],
+    ) -> None:
+        """Keep what is there; `follow` fills the function.
+
+        Args:
+            function: at the integration points.
+            sources: of each part.
+            leaning: components yz and xz of each part in the plane that may have them.
+        """
+        super().__init__(function, sources)
+        self._leaning = list(leaning)
+
+    @property
+    def tensor(self) -> Expr:
+        """The eigenstrain as a 3x3 tensor in UFL."""
+        if not self.function.ufl_shape:
+            return self.function * ufl.Identity(3)
+        return from_components(self.function)
+
+    def traces(self) -> Floats:
+        """Return its trace (cells, points) at the points of the local cells."""
+        dofmap = self.function.function_space.dofmap
+        values = self.function.x.array.reshape(-1, dofmap.bs)
+        trace = values[:, :3].sum(axis=1) if dofmap.bs > 1 else 3.0 * values[:, 0]
+        return np.asarray(trace[dofmap.list])
+
+    def judge(self) -> None:
+        """Raise a ValueError if it is NaN or infinite, or, in the plane, shears out of it."""
+        for source, leaning in zip(self._sources, self._leaning, strict=True):
+            self._judge(source, leaning)
+
+    def _judge(self, source: Source, out_of_plane: fem.Expression | None) -> None:
+        """Raise a ValueError on all ranks if values in the cells of a source make no sense."""
+        V = self.function.function_space
+        owned = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
+        cells = source.cells[source.cells < owned]
+        values = self.function.x.array.reshape(-1, V.dofmap.bs)[V.dofmap.list[cells]]
+        undefined = ~np.isfinite(values.reshape(-1, V.dofmap.bs)).all(axis=1)
+        leaning = np.zeros(len(undefined), dtype=bool)
+        if out_of_plane is not None:
+            shears = np.asarray(out_of_plane.eval(V.mesh, cells)).reshape(-1, 2)
+            leaning = (shears != 0.0).any(axis=1) & ~undefined
+        counts = np.array([undefined.sum(), leaning.sum()], dtype=int)
+        bad = V.mesh.comm.allreduce(counts, op=MPI.SUM)
+        if bad[0]:
+            raise ValueError(
+                f"{source.name} is NaN or infinite at {bad[0]} integration points; check what it "
+                "depends on"
+            )
+        if bad[1]:
+            raise ValueError(
+                f"{source.name} has components xz or yz at {bad[1]} integration points, which "
+                "bodies in the plane cannot follow; set them to 0"
+            )
+
+
+def create_eigenstrain(
+    u: fem.Function, given: Any, cell_tags: mesh.MeshTags | None, degree: int
+) -> Eigenstrain | None:
+    """Return the eigenstrain that a user gives, None for none; collective.
+
+    Args:
+        u: displacement, on which it may not depend.
+        given: a scalar or 3x3 tensor for all cells, or one per cell tag; zero at other tags.
+        cell_tags: tags of the cells; needed with a dictionary.
+        degree: of the quadrature of the solid.
+
+    Raises:
+        ValueError: on all ranks, for other shapes, unknown tags, and what cannot be evaluated.
+    """
+    if given is None:
+        return None
+    domain, parts = u.function_space.mesh, []
+    for name, value, cells in _parts(domain, given, cell_tags):
+        with raised_together(domain.comm):
+            parts.append((name, _as_symmetric(u, name, value), cells))
+    shape = (len(COMPONENTS[domain.geometry.dim]),) if any(p[1].ufl_shape for p in parts) else ()
+    element = basix.ufl.quadrature_element(
+        domain.basix_cell(), value_shape=shape, scheme="default", degree=degree
+    )
+    field = fem.Function(fem.functionspace(domain, element), name="eigenstrain")
+    sources, leaning = [], []
+    for name, value, cells in parts:
+        tensor = value if value.ufl_shape else value * ufl.Identity(3)
+        stored = to_components(tensor, shape[0]) if shape else value
+        sources.append(create_source(field, slice(None), cells, name, stored))
+        out = None
+        if value.ufl_shape and domain.geometry.dim == 2:
+            shears = ufl.as_vector([value[1, 2], value[0, 2]])
+            out = create_source(field, slice(None), cells, name, shears).expression
+        leaning.append(out)
+    found = Eigenstrain(field, sources, leaning)
+    found.follow()
+    return found
+
+
+def _parts(
+    domain: mesh.Mesh, given: Any, cell_tags: mesh.MeshTags | None
+) -> list[tuple[str, Any, Ints]]:
+    """Return name, value and local cells of every part of the argument; collective."""
+    imap = domain.topology.index_map(domain.topology.dim)
+    if not isinstance(given, Mapping):
+        return [("eigenstrain", given, np.arange(imap.size_local + imap.num_ghosts, dtype="i4"))]
+    if cell_tags is None:
+        raise ValueError("eigenstrain is a dictionary by cell tag: give cell_tags, too.")
+    values = tags_of_cells(domain, cell_tags)
+    known = sorted(set().union(*domain.comm.allgather(set(np.unique(cell_tags.values).tolist()))))
+    parts = by_tag(cell_tags, given, "eigenstrain")
+    for tag in parts:
+        if tag not in known:
+            raise ValueError(
+                f"eigenstrain: the tag {tag!r} marks no cell; cell_tags has "
+                f"[{labels(cell_tags, known)}]."
+            )
+    return [
+        (f"eigenstrain[{label(cell_tags, tag)}]", value, np.flatnonzero(values == tag).astype("i4"))
+        for tag, value in parts.items()
+    ]
+
+
+def _as_symmetric(u: fem.Function, name: str, value: Any) -> Expr:
+    """Return a scalar or a symmetric 3x3 tensor in UFL.
+
+    Raises:
+        ValueError: for what is none, depends on the displacement, or is on another mesh.
+    """
+    domain = u.function_space.mesh
+    if isinstance(value, Real | np.ndarray | list | tuple):
+        try:
+            value = fem.Constant(domain, np.asarray(value, dtype=default_scalar_type))
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{name} is {value!r}: {WANTED}") from error
+    if not isinstance(value, Expr) or value.ufl_free_indices or extract_arguments(value):
+        raise ValueError(f"{name} is a {type(value).__name__}: {WANTED}")
+    if value.ufl_shape not in ((), (3, 3)):
+        out = "; a strain in the plane has a component out of it, too" * (value.ufl_shape == (2, 2))
+        raise ValueError(f"{name} has the shape {value.ufl_shape}: {WANTED}{out}")
+    check_source(u, name, value)
+    return ufl.sym(value) if value.ufl_shape else value

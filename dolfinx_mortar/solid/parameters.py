@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: MIT
+"""Parameters of a law in its cells: numbers, and what the user may change between steps."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+import basix.ufl
+from dolfinx import fem, mesh
+from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.materials.parameters import wrong_values
+from dolfinx_mortar.materials.protocol import law_of
+from dolfinx_mortar.solid.sources import Followed, Source, check_source, create_source
+from ufl.checks import is_cellwise_constant
+from ufl.core.expr import Expr
+
+
+class ParameterTable(Followed):
+    """All parameters of a law, one value per cell, or per integration point if one needs that.
+
+    Attributes:
+        function: one component per parameter, DG0 or at the integration points.
+        symbols: the parameters by name, as UFL.
+    """
+
+    def __init__(
+        self,
+        law: type,
+        cells: Ints,
+        function: fem.Function,
+        names: Sequence[str],
+        sources: Sequence[Source],
+    ) -> None:
+        """Keep what is there; `follow` fills in what may change.
+
+        Args:
+            law: whose parameters they are.
+            cells: its local cells, ghosts included.
+            function: with the numbers in.
+            names: of the parameters.
+            sources: of what may change.
+        """
+        super().__init__(function, sources)
+        self.symbols = SimpleNamespace(**{name: function[i] for i, name in enumerate(names)})
+        self._law, self._cells, self._names = law, cells, list(names)
+
+    def values(self, cells: Ints, points: int) -> SimpleNamespace:
+        """Return the parameters by name at so many points of each cell, (cells * points,) each."""
+        dofs = self.function.function_space.dofmap.list[cells]
+        table = self.function.x.array.reshape(-1, max(len(self._names), 1))[dofs]
+        table = np.broadcast_to(table, (len(cells), points, table.shape[2]))
+        flat = table.reshape(len(cells) * points, table.shape[2])
+        return SimpleNamespace(**{name: flat[:, i] for i, name in enumerate(self._names)})
+
+    def judge(self) -> None:
+        """Raise ValueError on all ranks if something is out of range in an owned cell; collective.
+
+        Also where the law fails to tell.
+        """
+        V = self.function.function_space
+        domain, points = V.mesh, V.dofmap.list.shape[1]
+        size = domain.topology.index_map(domain.topology.dim).size_local
+        owned = self._cells[self._cells < size]
+        values = vars(self.values(owned, points))
+        wrong: dict[str, Bools] = {}
+        with raised_together(domain.comm):
+            if len(owned):  # rules of users need not know what to say of nothing
+                wrong = wrong_values(self._law, values)
+        rules = sorted(set().union(*domain.comm.allgather(set(wrong))))
+        for rule in rules[:1]:
+            where = wrong.get(rule, np.zeros(len(owned) * points, dtype=bool))
+            bad = where.reshape(-1, points).any(axis=1)
+            count = domain.comm.allreduce(int(bad.sum()), op=MPI.SUM)
+            place = _first_place(domain, owned[bad])
+            numbers = _extent(domain.comm, {name: v[where] for name, v in values.items()}, rule)
+            raise ValueError(
+                f"{self._law.__name__}: {rule} does not hold in {count} cells, such as the one "
+                f"around {place}; there {numbers}."
+            )
+
+
+def _first_place(domain: mesh.Mesh, cells: Ints) -> str:
+    """Return the midpoint of a cell of the first rank that has any; collective."""
+    x = mesh.compute_midpoints(domain, domain.topology.dim, cells[:1])
+    found = [points for points in domain.comm.allgather(x[:, : domain.geometry.dim]) if len(points)]
+    return "(" + ", ".join(f"{v:.4g}" for v in found[0][0]) + ")"
+
+
+def _extent(comm: MPI.Comm, values: Mapping[str, Floats], rule: str) -> str:
+    """Return the extent of the parameters that a rule names, in words; collective."""
+    parts = []
+    for name in sorted(set(values) & set(re.findall(r"\w+", rule))):
+        low = np.nanmin(values[name], initial=np.inf)
+        high = np.nanmax(values[name], initial=-np.inf)
+        low, high = comm.allreduce(float(low), op=MPI.MIN), comm.allreduce(float(high), op=MPI.MAX)
+        undefined = comm.allreduce(bool(np.isnan(values[name]).any()), op=MPI.LOR)
+        parts.append(f"{name} is NaN" if undefined else f"{name} is {low:.6g} to {high:.6g}")
+    return ", ".join(parts)
+
+
+def create_table(
+    u: fem.Function, laws: Sequence[Any], cells: Sequence[Ints], degree: int
+) -> ParameterTable:
+    """Create the parameters of materials of one class, with the numbers in; collective.
+
+    Args:
+        u: displacement, on which no parameter may depend.
+        laws: the materials, all of one class.
+        cells: local cells of each, ghosts included.
+        degree: of the quadrature of the solid.
+
+    Raises:
+        ValueError: on all ranks, if a parameter depends on u, belongs to another mesh or is known
+            at other points than those of the solid.
+    """
+    domain = u.function_space.mesh
+    kind = law_of(laws[0])
+    names = [field.name for field in dataclasses.fields(laws[0])]
+    moving = [
+        (law, on, i)
+        for law, on in zip(laws, cells, strict=True)
+        for i, name in enumerate(names)
+        if isinstance(getattr(law, name), Expr)
+    ]
+    for law, _, i in moving:
+        check_source(u, f"{kind.__name__}: {names[i]}", getattr(law, names[i]))
+    by_cell = all(is_cellwise_constant(getattr(law, names[i])) for law, _, i in moving)
+    width = max(len(names), 1)  # a law may have no parameter at all
+    function = _create_function(domain, None if by_cell else degree, (width,))
+    dofmap = function.function_space.dofmap
+    for law, on in zip(laws, cells, strict=True):
+        row = [0.0 if isinstance(v := getattr(law, n), Expr) else v for n in names] or [0.0]
+        function.x.array.reshape(-1, width)[dofmap.list[on]] = row
+    sources = [
+        create_source(
+            function, slice(i, i + 1), on, f"{kind.__name__}: {names[i]}", getattr(law, names[i])
+        )
+        for law, on, i in moving
+    ]
+    return ParameterTable(kind, np.sort(np.concatenate(cells)), function, names, sources)
+
+
+def _create_function(domain: mesh.Mesh, degree: int | None, shape: tuple[int, ...]) -> fem.Function:
+    """Create a Function for one value (degree None) or for values at all points of each cell."""
+    cell = domain.basix_cell()
+    if degree is None:
+        element = basix.ufl.element("DG", cell, 0, shape=shape)
+    else:
+        element = basix.ufl.quadrature_element(
+            cell, value_shape=shape, scheme="default", degree=degree
+        )
+    return fem.Function(fem.functionspace(domain, element))

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: MIT
+"""What the user may change between steps, at points of the bodies: parameters, eigenstrain."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+import ufl
+from dolfinx import default_scalar_type, fem
+from dolfinx_mortar import compat
+from dolfinx_mortar.arrays import Floats, Ints
+from ufl.algorithms.analysis import extract_coefficients, extract_constants
+from ufl.core.expr import Expr
+
+
+@dataclass(frozen=True)
+class Source:
+    """An expression in some cells, which fills some components of a Function at its points."""
+
+    name: str  # of what the user gave, for messages
+    cells: Ints  # local cells, ghosts included
+    components: slice  # of the Function
+    expression: fem.Expression
+    inputs: tuple[Any, ...]  # the Constants and Functions that it depends on
+
+    def numbers(self) -> list[Floats]:
+        """Return the numbers that it depends on."""
+        return [
+            np.asarray(f.value) if isinstance(f, fem.Constant) else f.x.array for f in self.inputs
+        ]
+
+
+def create_source(
+    function: fem.Function, components: slice, cells: Ints, name: str, value: Expr
+) -> Source:
+    """Compile the evaluation of a scalar or a vector of components; collective.
+
+    Raises:
+        ValueError: on all ranks, if that is impossible.
+    """
+    V = function.function_space
+    # a number alone has no mesh
+    zero = fem.Constant(V.mesh, np.zeros(value.ufl_shape, dtype=default_scalar_type))
+    try:
+        expression = fem.Expression(value + zero, compat.interpolation_points(V))
+    except Exception as error:
+        raise ValueError(
+            f"{name} cannot be evaluated at the integration points ({error}); a Function in a "
+            "quadrature space must have the quadrature_degree of the Solid."
+        ) from error
+    inputs = (*extract_coefficients(value), *extract_constants(value))
+    return Source(name, cells, components, expression, inputs)
+
+
+def check_source(u: fem.Function, name: str, value: Expr) -> None:
+    """Raise a ValueError if a value depends on the displacement or lives on another mesh."""
+    if u in extract_coefficients(value):
+        raise ValueError(
+            f"{name} depends on the displacement; write a law, see dolfinx_mortar.Material."
+        )
+    own = u.function_space.mesh.ufl_domain()
+    if any(d not in (None, own) for d in ufl.domain.extract_domains(value)):
+        raise ValueError(f"{name} lives on another mesh than the displacement; interpolate it.")
+
+
+class Followed(ABC):
+    """Values at points, evaluated anew when something that they depend on has changed.
+
+    Attributes:
+        function: the values.
+        varying: whether any may change.
+    """
+
+    def __init__(self, function: fem.Function, sources: Sequence[Source]) -> None:
+        """Keep what is there; `follow` fills the function."""
+        self.function = function
+        self.varying = bool(sources)
+        self._sources = list(sources)
+        self._seen: list[Floats] | None = None
+
+    def outdated(self) -> bool:
+        """Tell whether something on this rank has changed since it was last followed."""
+        now = [numbers for source in self._sources for numbers in source.numbers()]
+        return self._seen is None or not all(map(np.array_equal, now, self._seen))
+
+    def follow(self) -> None:
+        """Evaluate everything anew; collective.
+
+        Raises:
+            ValueError: on all ranks, if a value makes no sense; all are then as before.
+        """
+        V = self.function.function_space
+        before = self.function.x.array.copy()
+        table, dofs = self.function.x.array.reshape(-1, V.dofmap.bs), V.dofmap.list
+        for source in self._sources:
+            at = dofs[source.cells], source.components
+            values = np.asarray(source.expression.eval(V.mesh, source.cells))
+            table[at] = values.reshape(table[at].shape)  # (cells, points, components)
+        try:
+            self.judge()
+        except ValueError:
+            self.function.x.array[:] = before
+            raise
+        self._seen = [n.copy() for source in self._sources for n in source.numbers()]
+
+    @abstractmethod
+    def judge(self) -> None:
+        """Raise a ValueError on all ranks if values make no sense; collective."""
+
+    def forget(self) -> None:
+        """Take the values for outdated, whatever has changed."""
+        self._seen = None
+
+
+def follow_changed(comm: MPI.Comm, followed: Sequence[Followed]) -> None:
+    """Evaluate anew what has changed on any rank; collective if any may change.
+
+    Raises:
+        ValueError: on all ranks, if a value makes no sense; those of its Function are as before.
+    """
+    varying = [one for one in followed if one.varying]
+    changed = np.array([one.outdated() for one in varying], dtype=bool)
+    if varying:
+        comm.Allreduce(MPI.IN_PLACE, changed, op=MPI.LOR)
+    for one, outdated in zip(varying, changed, strict=True):
+        if outdated:
+            one.follow()

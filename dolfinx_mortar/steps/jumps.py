@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: MIT
+"""The jumps of ties in a step, read at its begin."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx import fem
+from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.interfaces.jump import check_mesh, extended, nodal_function, values_at
+from dolfinx_mortar.interfaces.system import InterfaceSystem
+from dolfinx_mortar.interfaces.tie import Tie
+from dolfinx_mortar.steps.checks import check_same_on_all_ranks
+
+
+def read_jumps(system: InterfaceSystem, empty: PETSc.Vec) -> dict[int, PETSc.Vec]:
+    """Return the displacements (n,) that ties ask of their slave sides, by number; collective.
+
+    Ties without a jump are left out.
+
+    Args:
+        system: the interfaces.
+        empty: a vector of the displacement, to make others like it.
+
+    Raises:
+        ValueError: on all ranks, if a jump lives on another mesh, has another shape than a vector
+            at each slave node, holds NaN or infinity, or is not of one kind on all ranks.
+    """
+    V, jumps = system.V, {}
+    for k, (interface, sides) in enumerate(zip(system.interfaces, system.sides, strict=True)):
+        if not isinstance(interface, Tie):
+            continue
+        check_jump_of(interface, V)
+        if interface.jump is None and not interface.tightening.any():
+            continue
+        given = nodal_function(interface.jump, V)
+        with raised_together(V.mesh.comm):
+            values = values_at(given, V, sides.nodes) + interface.tightening
+        bad = V.mesh.comm.allreduce(int(np.sum(~np.isfinite(values))), op=MPI.SUM)
+        if bad:
+            raise ValueError(
+                f"jump: {bad} values of {interface} are NaN or infinite; check what it is made of"
+            )
+        jumps[k] = empty.duplicate()
+        shared = (sides.on_slave & sides.on_master)[: system.n]
+        jumps[k].array[:] = extended(values, sides.nodes, shared, system.n).ravel()
+    return jumps
+
+
+def check_jump_of(tie: Tie, V: fem.FunctionSpace) -> None:
+    """Raise a ValueError on all ranks unless a jump is of one kind and on V's mesh; collective."""
+    jump = tie.jump
+    value = jump.value if isinstance(jump, fem.Constant) else jump
+    check_same_on_all_ranks(V.mesh.comm, jump=value, tightening=tie.tightening)
+    check_mesh(jump, V)

@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: MIT
+"""What a step reads once, at its begin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from petsc4py import PETSc
+
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.interfaces.partners import Partners
+
+
+@dataclass(frozen=True)
+class StepData:
+    """Loads, Dirichlet values and jumps of a step, read at its begin."""
+
+    f: PETSc.Vec  # (n,) external forces
+    target: Floats  # (n,) prescribed displacements, 0 where there is none
+    asked: Floats  # (owned nodes, d) prescribed minus present values at the begin
+    increment: float  # the largest of them, and of what ties have to open, all ranks
+    jumps: dict[int, PETSc.Vec] = field(default_factory=dict)  # (n,) of ties, by their number
+    # with friction, for each interface: limits (owned nodes,), and from which points of the master
+    # slips are measured, None for those of the moment
+    limits: Sequence[Floats | None] = ()
+    partners: Sequence[Partners | None] = ()

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: MIT
+"""Tags with names: what marks cells or facets, and what a user calls them; for all floors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+from types import MappingProxyType
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import mesh
+
+Value = TypeVar("Value")
+
+
+class Tags(mesh.MeshTags):
+    """Tags of cells or facets that have names.
+
+    Whatever takes a dolfinx ``MeshTags`` takes this, and whatever takes a tag in this package takes
+    a name then: `Contact`, `Tie`, the keys of materials and eigenstrains, ``find``. For UFL's
+    measures, which know integers only, ``ds(facet_tags.tag("top"))``.
+
+        facet_tags = dm.Tags(facet_tags, {"ball": 3, "plate": 4})
+
+    Attributes:
+        names: tag by name, in the order of the tags; not every tag needs one.
+    """
+
+    def __init__(self, tags: mesh.MeshTags, names: Mapping[str, int]) -> None:
+        """Give names to tags; the tags themselves are shared, not copied.
+
+        Args:
+            tags: of cells or facets.
+            names: tag by name, the same on all ranks.
+
+        Raises:
+            ValueError: for tags that are none, and names that are no texts or stand for no integer.
+        """
+        if not isinstance(tags, mesh.MeshTags):
+            raise ValueError(f"tags is {tags!r}: give a dolfinx.mesh.MeshTags.")
+        if not isinstance(names, Mapping):
+            raise ValueError(f"names is {names!r}: give a dictionary, name -> tag.")
+        for name, tag in names.items():
+            integer = isinstance(tag, int | np.integer) and not isinstance(tag, bool)
+            if not isinstance(name, str) or not name or not integer:
+                raise ValueError(f"names: {name!r} -> {tag!r} is no text and its tag, an integer.")
+        super().__init__(tags._cpp_object)
+        self.names: Mapping[str, int] = MappingProxyType(
+            {name: int(names[name]) for name in sorted(names, key=lambda name: int(names[name]))}
+        )
+
+    def tag(self, name: str | int) -> int:
+        """Return the tag of a name; a tag is returned as it is.
+
+        Raises:
+            ValueError: for an unknown name; the message lists the names there are.
+        """
+        return int(tag_of(self, name, "name"))
+
+    def find(self, value: int | str) -> npt.NDArray[np.int32]:
+        """Return the local cells or facets (n,) that have a tag, or the tag of a name.
+
+        Raises:
+            ValueError: for an unknown name.
+        """
+        return np.asarray(super().find(tag_of(self, value, "value")))
+
+
+def tag_of(tags: Any, given: Any, argument: str) -> Any:
+    """Return the tag that a name stands for; what is no text is returned as it is, to be judged.
+
+    Args:
+        tags: what the argument chooses from, a `Tags` if it has names.
+        given: a name or a tag.
+        argument: its name, for messages.
+
+    Raises:
+        ValueError: for a text that is no name; without communication.
+    """
+    if not isinstance(given, str):
+        return given
+    names = names_of(tags)
+    if not names:
+        raise ValueError(
+            f"{argument} is {given!r}: these tags have no names; give the tag, an integer, or name "
+            f"them, dolfinx_mortar.Tags(tags, {{{given!r}: tag}})."
+        )
+    if given not in names:
+        near = get_close_matches(given, names, n=1, cutoff=0.5)
+        guess = f"; did you mean {near[0]!r}?" if near else "."
+        raise ValueError(
+            f"{argument} is {given!r}: no such name{guess} There are "
+            f"{', '.join(f'{name!r} ({tag})' for name, tag in names.items())}."
+        )
+    return names[given]
+
+
+def by_tag(tags: Any, given: Mapping[Any, Value], argument: str) -> dict[Any, Value]:
+    """Return a dictionary by name or tag as one by tag.
+
+    Raises:
+        ValueError: for a text that is no name, and a tag that is given twice.
+    """
+    found: dict[Any, Value] = {}
+    for key, value in given.items():
+        tag = tag_of(tags, key, f"{argument}: the key")
+        if tag in found:
+            raise ValueError(
+                f"{argument} has {label(tags, tag)} twice, by its name and by its tag."
+            )
+        found[tag] = value
+    return found
+
+
+def names_of(tags: Any) -> Mapping[str, int]:
+    """Return the names of tags, none if they have none."""
+    return tags.names if isinstance(tags, Tags) else {}
+
+
+def label(tags: Any, tag: Any) -> str:
+    """Return how messages call a tag: by its name in quotes, otherwise by its number."""
+    return next((repr(name) for name, of in names_of(tags).items() if of == tag), str(tag))
+
+
+def labels(tags: Any, chosen: Iterable[Any]) -> str:
+    """Return how messages call several tags, with names and numbers."""
+    names = {tag: f"{name!r} ({tag})" for name, tag in names_of(tags).items()}
+    return ", ".join(names.get(tag, str(tag)) for tag in chosen)

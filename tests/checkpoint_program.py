@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: MIT
+"""Walk through load steps with a checkpoint, perhaps be killed on the way; see test_checkpoint.
+
+    checkpoint_program.py CHECKPOINT RESULT STEPS [step|send|write|replace]
+
+The last argument is the moment of death: on all ranks in the third step; on the last rank while it
+sends its part of that step's checkpoint; on rank 0 while it completes the draft, or between the
+complete file and its name. The launcher ends the other ranks, wherever they are.
+"""
+
+import json
+import os
+import signal
+import sys
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+
+import dolfinx_mortar as dm
+from dolfinx import fem
+from dolfinx_mortar.checkpoint import writing
+from tests.meshes import BOTTOM, TOP, two_blocks
+
+STEEL = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
+LEVELS = [0.25, 0.5, 1.0, 0.75]  # the last one unloads
+COMM = MPI.COMM_WORLD
+
+
+class Press:
+    """Two plastic blocks that touch at nodes of both, pressed and sheared on each other."""
+
+    def __init__(
+        self, partition="graph", law=STEEL, jitter=0.4, comm=COMM, geometry="updated", **options
+    ):
+        """Make the problem; the options are those of the contact."""
+        self.mesh, cells, self.facets = two_blocks(
+            comm, (5, 4), (6, 5), x_upper=(0.0, 0.8), jitter=jitter, partition=partition
+        )
+        V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
+        self.top = fem.Constant(self.mesh, np.zeros(2))
+        bcs = []
+        for tag, value in ((BOTTOM, fem.Constant(self.mesh, np.zeros(2))), (TOP, self.top)):
+            dofs = fem.locate_dofs_topological(V, 1, self.facets.find(tag))
+            bcs.append(fem.dirichletbc(value, dofs, V))
+        self.contact = dm.Contact(self.facets, **({"slave": 3, "master": 4} | options))
+        solid = dm.Solid(fem.Function(V), law, cells)
+        self.problem = dm.ContactProblem(solid, [self.contact], bcs=bcs, geometry=geometry)
+
+    def on_time(self, t):
+        self.top.value[:] = (0.002 * t, -0.008 * t)
+
+    def walk(self, levels=LEVELS, **options):
+        options = {"on_time": self.on_time, "rtol": 1e-12} | options
+        return dm.load_steps(self.problem, levels, **options)
+
+    def numbers(self):
+        """Return what two runs have to agree in."""
+        surface, solid = self.contact.gather(self.problem.u), self.problem.solid
+        V, comm = self.problem.V, self.mesh.comm
+        n = V.dofmap.index_map.size_local
+        X, u = V.tabulate_dof_coordinates()[:n, :2], self.problem.u.x.array[: 2 * n].reshape(-1, 2)
+        table = np.concatenate(comm.allgather(np.hstack([X, u])))
+        return {
+            "force": self.contact.force.tolist(),
+            "moment": self.contact.moment.tolist(),
+            "pressure": surface["pressure"].tolist(),
+            "gap": np.nan_to_num(surface["gap"], nan=-1.0).tolist(),
+            "active": surface["active"].tolist(),
+            "displacement": table[np.lexsort(np.round(table, 9).T[::-1]), 2:].tolist(),
+            "plastic": [solid.max("plastic_strain_norm"), solid.plastic_area()],
+            "stress": [solid.max("von_mises"), solid.fields.integral("stress_yy")],
+            "history": [[step.number, step.time, *step.forces[0]] for step in self.problem.history],
+        }
+
+
+def die(*args, **options):
+    """Be killed at the moment that was asked for, and leave a file of its name as a witness."""
+    Path(sys.argv[1]).with_name(sys.argv[4]).touch()
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def mortal(parts):
+    """Return `_parts` after which the last rank dies when it has sent half of the arrays."""
+    calls = []
+
+    def counted(comm, values):
+        calls.append(values)
+        if comm.rank == comm.size - 1 and len(calls) == 6:
+            die()
+        yield from parts(comm, values)
+
+    return counted
+
+
+def main(path, result, steps, moment=""):
+    press, made = Press(), []
+
+    def on_time(t):
+        press.on_time(t)
+        if moment == "step" and made == [1, 2]:
+            press.problem.solid.evaluate = die  # when the step has converged
+
+    for step in press.walk(LEVELS[: int(steps)], on_time=on_time, checkpoint=path):
+        made.append(step.number)
+        if made == [1, 2, 3] and moment == "write":
+            writing.ROWS, writing._Draft._complete = 8, die
+        if made == [1, 2, 3] and moment == "send":
+            writing.ROWS = 8
+            writing._parts = mortal(writing._parts)
+        if made == [1, 2, 3] and moment == "replace":
+            Path.replace = die
+    numbers = press.numbers() | {"made": made}
+    if COMM.rank == 0:
+        Path(result).write_text(json.dumps(numbers))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

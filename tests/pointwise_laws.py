@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: MIT
+"""The law of `VonMises` as functions of numbers, in NumPy and in numba."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numba
+import numpy as np
+
+import dolfinx_mortar as dm
+
+IDENTITY = np.eye(3)
+UNIT = (
+    np.einsum("ik,jl->ijkl", IDENTITY, IDENTITY) + np.einsum("il,jk->ijkl", IDENTITY, IDENTITY)
+) / 2
+VOLUME = np.einsum("ij,kl->ijkl", IDENTITY, IDENTITY)
+
+
+@dataclass(frozen=True)
+class Radial(dm.materials.PointwiseLaw):
+    """Radial return in NumPy."""
+
+    E: float
+    nu: float
+    Y: float
+    a: float
+
+    state: ClassVar = {"plastic_strain": (3, 3)}
+    splits: ClassVar = True
+    elastic_stress = staticmethod(dm.Elastic.elastic_stress)
+    output = staticmethod(dm.VonMises.output)
+
+    @staticmethod
+    def update(strain, state, p):
+        ep = state["plastic_strain"]
+        mu, bulk = p.E / (2 * (1 + p.nu)), p.E / (3 * (1 - 2 * p.nu))
+        trace = np.trace(strain, axis1=1, axis2=2)
+        dev = strain - trace[:, None, None] / 3 * IDENTITY
+        xi = (2 * mu)[:, None, None] * dev - (2 * mu + p.a)[:, None, None] * ep
+        norm = np.sqrt((xi**2).sum(axis=(1, 2)) + (1e-14 * p.Y) ** 2)
+        excess = norm - p.Y
+        excess = np.where(excess > 1e-10 * p.Y, excess, 0.0)
+        g, n = excess / (2 * mu + p.a), xi / norm[:, None, None]
+        stress = (bulk * trace)[:, None, None] * IDENTITY + (2 * mu)[:, None, None] * (
+            dev - ep - g[:, None, None] * n
+        )
+        flows = np.where(excess > 0.0, 1 / (2 * mu + p.a), 0.0)
+        c = (2 * mu * (1 - 2 * mu * g / norm))[:, None, None, None, None]
+        b = (4 * mu**2 * (flows - g / norm))[:, None, None, None, None]
+        tangent = bulk[:, None, None, None, None] * VOLUME + c * (UNIT - VOLUME / 3)
+        tangent = tangent - b * n[:, :, :, None, None] * n[:, None, None, :, :]
+        return stress, tangent, {"plastic_strain": ep + g[:, None, None] * n}
+
+
+@numba.njit(cache=True)
+def fill_tangent(tangent, volume, shear, b, xi):
+    """Set a tangent to volume I I + shear (unit tensors of both kinds) - b xi xi."""
+    for i in range(3):
+        for j in range(3):
+            for m in range(3):
+                for n in range(3):
+                    tangent[i, j, m, n] = -b * xi[i, j] * xi[m, n]
+    for i in range(3):
+        for j in range(3):
+            tangent[i, i, j, j] += volume
+            tangent[i, j, i, j] += shear
+            tangent[i, j, j, i] += shear
+
+
+@numba.njit(cache=True)
+def radial(strain, ep, E, nu, Y, a):
+    """Return stress, tangent and plastic strain of the radial return at all points."""
+    q = len(strain)
+    stress, tangent, new = np.empty((q, 3, 3)), np.empty((q, 3, 3, 3, 3)), np.empty((q, 3, 3))
+    xi = np.empty((3, 3))
+    for k in range(q):
+        mu, bulk = E[k] / (2 * (1 + nu[k])), E[k] / (3 * (1 - 2 * nu[k]))
+        trace = strain[k, 0, 0] + strain[k, 1, 1] + strain[k, 2, 2]
+        size = (1e-14 * Y[k]) ** 2
+        for i in range(3):
+            for j in range(3):
+                dev = strain[k, i, j] - (trace / 3 if i == j else 0.0)
+                xi[i, j] = 2 * mu * dev - (2 * mu + a[k]) * ep[k, i, j]
+                size += xi[i, j] ** 2
+        norm = np.sqrt(size)
+        excess = norm - Y[k]
+        flows = excess > 1e-10 * Y[k]
+        g = excess / (2 * mu + a[k]) if flows else 0.0
+        c = 2 * mu * (1 - 2 * mu * g / norm)
+        b = 4 * mu**2 * ((1 / (2 * mu + a[k]) if flows else 0.0) - g / norm) / size
+        for i in range(3):
+            for j in range(3):
+                new[k, i, j] = ep[k, i, j] + g / norm * xi[i, j]
+                plain = 2 * mu * (strain[k, i, j] - new[k, i, j])
+                stress[k, i, j] = plain + ((bulk - 2 * mu / 3) * trace if i == j else 0.0)
+        fill_tangent(tangent[k], bulk - c / 3, c / 2, b, xi)
+    return stress, tangent, new
+
+
+@dataclass(frozen=True)
+class Compiled(Radial):
+    """Radial return in numba."""
+
+    @staticmethod
+    def update(strain, state, p):
+        stress, tangent, new = radial(strain, state["plastic_strain"], p.E, p.nu, p.Y, p.a)
+        return stress, tangent, {"plastic_strain": new}

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: MIT
+"""Rings for the tests of axisymmetry: sections of tubes and a ball, Lame's formulas."""
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+
+import dolfinx_mortar as dm
+from dolfinx import fem, mesh
+from dolfinx_mortar.algebra.parallel import maximum
+from tests.meshes import (
+    BOTTOM,
+    BOTTOM_OF_UPPER,
+    LEFT,
+    LOWER,
+    RIGHT,
+    TOP,
+    TOP_OF_LOWER,
+    two_blocks,
+)
+
+COMM = MPI.COMM_WORLD
+SIDES = {"lower": (TOP_OF_LOWER, BOTTOM_OF_UPPER), "upper": (BOTTOM_OF_UPPER, TOP_OF_LOWER)}
+
+
+def largest(values):
+    """Return the largest absolute value over all ranks."""
+    return float(maximum(COMM, np.abs(values).max(initial=0.0))[0])
+
+
+@dataclass(frozen=True)
+class Lame:
+    """A thick cylinder, a <= r <= b, under pressures inside and outside, in plane strain."""
+
+    E: float
+    nu: float
+    a: float
+    b: float
+    inside: float = 0.0
+    outside: float = 0.0
+
+    @property
+    def mean(self):
+        """Return the A of sigma_rr = A - B / r^2, sigma_tt = A + B / r^2."""
+        a2, b2 = self.a**2, self.b**2
+        return (self.inside * a2 - self.outside * b2) / (b2 - a2)
+
+    @property
+    def swing(self):
+        """Return the B of these stresses."""
+        a2, b2 = self.a**2, self.b**2
+        return (self.inside - self.outside) * a2 * b2 / (b2 - a2)
+
+    def displacement(self, r):
+        """Return u_r."""
+        shape = (1 - 2 * self.nu) * self.mean * r + self.swing / r
+        return (1 + self.nu) / self.E * shape
+
+
+def shrink_fit_pressure(E, nu, radii, overlap):
+    """Return the pressure between two cylinders of one material, radii (inner, common, outer)."""
+    a, c, b = radii
+    grown = Lame(E, nu, c, b, inside=1.0).displacement(c)
+    shrunk = Lame(E, nu, a, c, outside=1.0).displacement(c)
+    return overlap / (grown - shrunk)
+
+
+def tubes(radii, cells, *, overlap=0.0, cell="triangle", shift=0.0, scale=1.0, **options):
+    """Return mesh and tags of two tubes of height one, one around the other, as `two_blocks`.
+
+    Lower is the inner, upper the outer one; LEFT and RIGHT are their ends.
+
+    Args:
+        radii: inner, common and outer one.
+        cells: (axial, radial) number for each of them.
+        overlap: by how much the outer one is too small.
+        cell: "triangle" or "quadrilateral".
+        shift: of everything along the axis.
+        scale: factor of all lengths, after the shift.
+        options: of `two_blocks`.
+    """
+    a, c, b = radii
+    return two_blocks(
+        COMM,
+        *cells,
+        heights=(c - a, b - c + overlap),
+        gap=-overlap,
+        cell=cell,
+        angle=-np.pi / 2,
+        transform=lambda x: scale * (x + np.array([c, shift])),
+        **options,
+    )
+
+
+def held_ends(V, tags):
+    """Return conditions that keep the ends of tubes from moving along the axis."""
+    dofs = [fem.locate_dofs_topological(V.sub(1), 1, tags.find(tag)) for tag in (LEFT, RIGHT)]
+    return [fem.dirichletbc(0.0, d, V.sub(1)) for d in dofs]
+
+
+def held_axis(V):
+    """Return the condition that keeps the axis where it is."""
+    axis = mesh.locate_entities_boundary(V.mesh, 1, lambda x: np.isclose(x[0], 0.0))
+    return fem.dirichletbc(0.0, fem.locate_dofs_topological(V.sub(0), 1, axis), V.sub(0))
+
+
+# -- a ball on a flat ------------------------------------------------------------------------------
+
+
+def _lines(h, uniform, end, growth=1.15):
+    """Return coordinates 0 .. end: uniform ones of the size h at first, then growing ones."""
+    x = list(h * np.arange(uniform + 1))
+    while x[-1] + 1.5 * h * growth < end:
+        h *= growth
+        x.append(x[-1] + h)
+    return np.array([*x, end])
+
+
+def ball_on_flat(contact_radius, per_radius, *, cell="quadrilateral", shift=0.0, scale=1.0):
+    """Return mesh and tags of a ball of radius one on a flat, as `two_blocks`; LEFT is the axis.
+
+    Both are cut at r = 1/2 and one away from where they touch. Elements are uniform over 1.4
+    contact radii, `per_radius` of them (flat, ball) to each, and grow from there.
+    """
+    size = [contact_radius / n for n in per_radius]
+    uniform = [int(1.4 * n) for n in per_radius]
+    columns = [_lines(h, n, 0.5) for h, n in zip(size, uniform, strict=True)]
+    rows = [_lines(h, n, 1.0) for h, n in zip(size, uniform, strict=True)]
+
+    def place(x):
+        r, y = x.T.copy()
+        low = np.arange(len(x)) < len(columns[0]) * len(rows[0])
+        for on, z, sign in ((low, rows[0], -1), (~low, rows[1], 1)):
+            part = np.linspace(0, 1, len(z))
+            y[on] = sign * np.interp(sign * y[on], part, z)
+        up = y[~low]
+        y[~low] = up + (1 - up) * (1 - np.sqrt(1 - r[~low] ** 2))
+        return scale * np.stack([r, y + shift], axis=1)
+
+    return two_blocks(
+        COMM,
+        (0, len(rows[0]) - 1),
+        (0, len(rows[1]) - 1),
+        splits_lower=columns[0],
+        splits_upper=columns[1],
+        cell=cell,
+        transform=place,
+    )
+
+
+def pressed_ball(mesh_and_tags, law, depth, *, slave="upper", rigid=False, degree=1, **options):
+    """Return problem and contact of a ball whose far end moves down.
+
+    Args:
+        mesh_and_tags: of `ball_on_flat`.
+        law: of both.
+        depth: of the motion.
+        slave: "upper" (the ball) or "lower".
+        rigid: hold all nodes of the flat.
+        degree: of the displacement.
+        options: of the problem.
+    """
+    domain, cell_tags, tags = mesh_and_tags
+    V = fem.functionspace(domain, ("Lagrange", degree, (2,)))
+    solid = dm.Solid(fem.Function(V), law, kinematics="axisymmetric")
+    low = fem.locate_dofs_topological(V, 1, tags.find(BOTTOM))
+    if rigid:
+        low = fem.locate_dofs_topological(V, 2, cell_tags.find(LOWER))
+    high = fem.locate_dofs_topological(V, 1, tags.find(TOP))
+    bcs = [held_axis(V), fem.dirichletbc(np.zeros(2), low, V)]
+    bcs.append(fem.dirichletbc(np.array([0.0, -depth]), high, V))
+    side, master = SIDES[slave]
+    contact = dm.Contact(tags, slave=side, master=master)
+    return dm.ContactProblem(solid, [contact], bcs=bcs, **options), contact

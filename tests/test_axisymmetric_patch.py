@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: MIT
+"""Patch tests of rings and discs: a uniform pressure, whatever the meshes and the slave."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import fem
+from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
+from tests.rings import SIDES, held_axis, largest
+
+COMM = MPI.COMM_WORLD
+E, NU, P = 1000.0, 0.3, 10.0
+EXACT = 1e-9
+
+
+def beyond(domain, lines, cut):
+    """Return a traction share over the facet that holds the cut, with the moments of r > cut.
+
+    One beyond, zero before, and linear on that facet, with the same integrals of N_j 2 pi r.
+    """
+    x = ufl.SpatialCoordinate(domain)[0]
+    k = int(np.searchsorted(lines, cut)) - 1
+    if k >= len(lines) - 1:
+        return None
+    a, b = lines[k : k + 2]
+    points, weights = np.polynomial.legendre.leggauss(4)
+
+    def shapes(r):
+        return np.stack([(b - r) / (b - a), (r - a) / (b - a)])
+
+    def integral(f, lo, hi):
+        r = (lo + hi) / 2 + (hi - lo) / 2 * points
+        return np.sum(f(r) * weights * r, axis=-1) * (hi - lo) / 2
+
+    mass = integral(lambda r: shapes(r)[:, None] * shapes(r)[None], a, b)
+    left, right = np.linalg.solve(mass, integral(shapes, cut, b))
+    inside = left + (right - left) * (x - a) / (b - a)
+    return ufl.conditional(x > b, 1.0, ufl.conditional(x > a, inside, 0.0))
+
+
+def solve_patch(
+    slave, lower, upper, *, cell="triangle", degree=1, kind=dm.Contact, shift=0.0, unit=1.0
+):
+    """Press a disc or ring on another one with the pressure P; return all that is compared.
+
+    Args:
+        slave: "lower" or "upper".
+        lower: radii of the nodes of the lower one.
+        upper: those of the upper one.
+        cell: of the mesh.
+        degree: of the displacement.
+        kind: of the interface.
+        shift: of everything along the axis.
+        unit: factor of all lengths.
+    """
+    domain, _, tags = two_blocks(
+        COMM,
+        (len(lower) - 1, 3),
+        (len(upper) - 1, 4),
+        splits_lower=lower,
+        splits_upper=upper,
+        cell=cell,
+        transform=lambda x: unit * (x + np.array([0.0, shift])),
+    )
+    V = fem.functionspace(domain, ("Lagrange", degree, (2,)))
+    exact = fem.Function(V)
+    exact.interpolate(lambda x: P / E * np.stack([NU * x[0], shift * unit - x[1]]))
+    solid = dm.Solid(fem.Function(V), dm.Elastic(E, NU), kinematics="axisymmetric")
+    v, ds = ufl.TestFunction(V)[1], ufl.Measure("ds", domain, subdomain_data=tags)
+    loads = -P * v * ds(TOP)
+    ends = ((TOP_OF_LOWER, lower, upper[-1], -P), (BOTTOM_OF_UPPER, upper, lower[-1], P))
+    for tag, lines, cut, pressure in ends:
+        share = beyond(domain, unit * np.asarray(lines), unit * cut)
+        if share is not None:
+            loads += pressure * share * v * ds(tag)
+    bottom = fem.locate_dofs_topological(V.sub(1), 1, tags.find(BOTTOM))
+    bcs = [fem.dirichletbc(P / E * unit, bottom, V.sub(1))]
+    bcs += [held_axis(V)] if min(lower[0], upper[0]) == 0.0 else []
+    side, master = SIDES[slave]
+    interface = kind(tags, slave=side, master=master)
+    problem = dm.ContactProblem(solid, [interface], bcs=bcs, loads=loads, geometry="reference")
+    return problem, interface, exact
+
+
+def check_patch(problem, interface, exact, area):
+    """Compare displacement, pressures and forces with those of the uniaxial stress -P."""
+    report = dm.newton(problem, rtol=1e-12)
+    error, scale = (
+        largest(values) for values in (problem.u.x.array - exact.x.array, exact.x.array)
+    )
+    assert error < EXACT * scale
+    kept = problem.system.link(interface).coupling.kept.any(axis=1)
+    pressure = interface.pressure.x.array[problem.system.link(interface).nodes]
+    assert largest(pressure[kept] - P) < EXACT * P
+    force = P * area  # on the slave side, up or down; across the axis nothing presses
+    assert (
+        abs(abs(interface.force[1]) / force - 1) < EXACT and abs(interface.force[0]) < EXACT * force
+    )
+    assert largest(interface.force + interface.master_force) < EXACT * force
+    assert report.certificate.moment_balance < EXACT
+    assert report.certificate.row_sum_error < EXACT
+    assert report.certificate.linear_field_error < EXACT
+
+
+RADII = {
+    "disc": (np.linspace(0, 1, 4), np.linspace(0, 1, 6)),
+    "ring": (np.array([1, 1.3, 1.7, 2.5]), np.array([1, 1.55, 1.9, 2.2, 2.5])),
+    "lower wider": (np.array([0, 0.2, 0.5, 0.9, 1.4]), np.array([0, 0.3, 0.5, 1.0])),
+    "upper wider": (np.array([0, 0.3, 0.5, 1.0]), np.array([0, 0.2, 0.5, 0.9, 1.4])),
+    "a little covered": (np.array([0, 0.4, 0.7, 0.999, 1.4]), np.array([0, 0.3, 0.5, 1.0])),
+}
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
+@pytest.mark.parametrize("slave", SIDES)
+@pytest.mark.parametrize("radii", RADII)
+def test_patch(radii, slave, kind):
+    """Uniaxial stress across a flat interface: exact, from the axis to the rim."""
+    lower, upper = RADII[radii]
+    area = np.pi * (min(lower[-1], upper[-1]) ** 2 - lower[0] ** 2)
+    check_patch(*solve_patch(slave, lower, upper, kind=kind), area)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
+@pytest.mark.parametrize("slave", SIDES)
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize("radii", ["disc", "ring"])
+def test_patch_of_second_order(radii, cell, slave, kind):
+    """Also where the function of the node on the axis has no integral: int N 2 pi r = 0."""
+    lower, upper = RADII[radii]
+    area = np.pi * (lower[-1] ** 2 - lower[0] ** 2)
+    problem, *rest = solve_patch(slave, lower, upper, cell=cell, degree=2, kind=kind)
+    assert not [warning for warning in problem.audit().warnings if "Dirichlet" in warning]
+    check_patch(problem, *rest, area)
+    everywhere = rest[0].pressure.x.array[problem.system.link(rest[0]).nodes]
+    assert largest(everywhere - P) < EXACT * P
+
+
+@pytest.mark.parametrize("slave", SIDES)
+def test_patch_of_quadrilaterals(slave):
+    check_patch(*solve_patch(slave, *RADII["disc"], cell="quadrilateral"), np.pi)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_patch_in_other_units_and_elsewhere_on_the_axis(unit):
+    check_patch(*solve_patch("lower", *RADII["disc"], unit=unit, shift=30.0), np.pi * unit**2)

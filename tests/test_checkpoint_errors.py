@@ -1,0 +1,368 @@
+# SPDX-License-Identifier: MIT
+"""Checkpoints that cannot be trusted or written: told on all ranks, and nothing is changed."""
+
+import os
+import resource
+import shutil
+import sys
+
+from mpi4py import MPI
+
+import h5py
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx import fem
+from dolfinx_mortar.checkpoint import writing
+from dolfinx_mortar.steps import identity
+from dolfinx_mortar.steps.identity import describe, differences, other_places
+from tests.checkpoint_program import STEEL, Press
+from tests.pressed_blocks import rejected
+
+COMM = MPI.COMM_WORLD
+LAST = COMM.size - 1
+LEVELS = [0.5]
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    """Return a checkpoint."""
+    file = COMM.bcast(tmp_path_factory.mktemp("checkpoint") / "good.h5")
+    list(Press().walk(LEVELS, checkpoint=file, rtol=1e-6))
+    return file
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Return a folder that all ranks see."""
+    return COMM.bcast(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def press():
+    """Return a problem that takes over no checkpoint of this module."""
+    return Press()
+
+
+def changed(good, folder, change):
+    """Return a copy that rank 0 has changed."""
+    file = folder / "bad.h5"
+    if COMM.rank == 0:
+        shutil.copy(good, file)
+        change(file)
+    COMM.barrier()
+    return file
+
+
+def refused(press, file, *words, error=ValueError):
+    """Expect that neither a problem nor a walk takes over a file, and stay as they were."""
+    with rejected(str(file), *words, error=error):
+        press.problem.restore(file)
+    if error is ValueError:
+        with rejected(str(file), *words):
+            next(press.walk(LEVELS, checkpoint=file))
+    assert not press.problem.u.x.array.any() and not press.problem.history
+
+
+# -- files
+
+
+@pytest.mark.mpi
+def test_no_file(press, folder):
+    refused(press, folder / "none.h5", "there is no such checkpoint", error=OSError)
+
+
+def test_another_kind_of_file(press, good, folder):
+    refused(press, folder, "no checkpoint: no HDF5 file")
+    text = changed(good, folder, lambda file: file.write_text("time, force\n"))
+    refused(press, text, "no checkpoint: no HDF5 file")
+    other = changed(good, folder, lambda file: h5py.File(file, "w").close())
+    refused(press, other, "no checkpoint: an HDF5 file of another kind")
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("share", [0.01, 0.5, 0.999])
+def test_a_file_that_is_cut_off(press, good, folder, share):
+    def cut(file):
+        os.truncate(file, int(share * file.stat().st_size))
+
+    refused(press, changed(good, folder, cut), "cut off or damaged", "take an older one")
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("name", ["about", "tables/nodes/values/displacement"])
+def test_a_number_that_is_damaged(press, good, folder, name):
+    def damage(file):
+        with h5py.File(file) as opened:
+            place = opened[name].id.get_chunk_info(0).byte_offset
+        with file.open("r+b") as raw:
+            raw.seek(place + 9)
+            byte = raw.read(1)
+            raw.seek(place + 9)
+            raw.write(bytes([byte[0] ^ 16]))
+
+    refused(press, changed(good, folder, damage), "cut off or damaged")
+
+
+def with_attribute(name, value):
+    """Return a change of an attribute."""
+
+    def change(file):
+        with h5py.File(file, "r+") as opened:
+            opened.attrs[name] = value
+
+    return change
+
+
+def test_a_file_that_is_not_complete(press, good, folder):
+    file = changed(good, folder, with_attribute("complete", False))
+    refused(press, file, "not complete", "take the last complete one")
+
+
+@pytest.mark.parametrize(("name", "value"), [("format", 0), ("version", "0.0.1")])
+def test_another_version(press, good, folder, name, value):
+    file = changed(good, folder, with_attribute(name, value))
+    words = f"{name} {value}", f"this is version {dm.__version__}", "the version that has written"
+    refused(press, file, *words)
+
+
+# -- problems
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"jitter": 0.41}, ["mesh, nodes", "are not in the checkpoint, such as that at ("]),
+        ({"law": dm.Elastic(1e5, 0.3)}, ["materials: Elastic, in the checkpoint VonMises"]),
+        (
+            {"law": dm.VonMises(E=206_900.0, nu=0.29, Y=400.0, a=10_000.0)},
+            ["material VonMises: Y is 400.0, in the checkpoint 367.4"],
+        ),
+        ({"law": {1: STEEL, 2: STEEL}}, ["materials: VonMises, VonMises, in the"]),
+        ({"surface": "facets"}, ["interfaces: Contact(slave=3, master=4, surface='facets'), in"]),
+        ({"slave": 4, "master": 3}, ["interfaces: Contact(slave=4"]),
+        ({"geometry": "reference"}, ["problem: geometry is 'reference', in", "'updated'"]),
+    ],
+)
+def test_another_problem(good, options, words):
+    refused(Press(**options), good, "a checkpoint of another problem", *words)
+
+
+@pytest.mark.mpi
+def test_the_same_materials_in_other_cells(folder, monkeypatch):
+    soft = dm.Elastic(1e5, 0.3)
+    one, other = Press(law={1: STEEL, 2: soft}), Press(law={2: STEEL, 1: soft})
+    one.problem.save(folder / "x.h5")
+    with rejected("material Elastic: cells is", "material VonMises: cells is"):
+        other.problem.restore(folder / "x.h5")
+    # as many cells, but others
+    saved, present = describe(one.problem.lasting), describe(one.problem.lasting)
+    assert not differences(saved, present) and not other_places(saved, present, 1.0)
+    present["materials"][1]["center"] = [0.25, 0.5]
+    (text,) = other_places(saved, present, 1.0)
+    assert text.startswith("material VonMises: its cells lie around (0.25, 0.5), in the")
+    assert not differences(saved, present)
+    monkeypatch.setattr("dolfinx_mortar.steps.checkpoint.describe", lambda lasting: present)
+    with rejected("another problem: material VonMises: its cells lie around (0.25, 0.5)"):
+        one.problem.restore(folder / "x.h5")
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
+def test_means_of_cells_differ_by_more_than_round_off(factor, monkeypatch):
+    """Sums in another order move them by round-off; a cell in exchange for another by far more."""
+    saved, present = ({"materials": [{"law": "Elastic", "center": [0.5, 0.25]}]} for _ in "12")
+    monkeypatch.setattr(identity, "SAME_MEAN", factor * identity.SAME_MEAN)
+    for moved, differs in ((1e-12, False), (1e-6, True)):  # 1e-6: of a million cells
+        present["materials"][0]["center"] = [0.5, 0.25 + moved]
+        assert bool(other_places(saved, present, 1.0)) == differs
+
+
+@pytest.mark.parametrize(
+    ("degree", "options", "word"),
+    [
+        (2, {}, "displacement: degree is 2, in the checkpoint 1"),
+        (1, {"quadrature_degree": 3}, "solid: quadrature_degree is 3, in the checkpoint 1"),
+        (1, {"kinematics": "plane_stress"}, "solid: kinematics is 'plane stress', in the"),
+    ],
+)
+def test_another_solid(good, degree, options, word):
+    press = Press()
+    V = fem.functionspace(press.mesh, ("Lagrange", degree, (2,)))
+    solid = dm.Solid(fem.Function(V), STEEL, **options)
+    contact = dm.Contact(press.facets, slave=3, master=4)
+    with rejected("a checkpoint of another problem", word):
+        dm.ContactProblem(solid, [contact]).restore(good)
+
+
+@pytest.mark.mpi
+def test_other_facets_under_the_same_tags(good):
+    """The slave side is half as long: the name of the interface is the same."""
+    from dolfinx.mesh import compute_midpoints as midpoints
+    from dolfinx.mesh import exterior_facet_indices, meshtags
+
+    press = Press()
+    facets = exterior_facet_indices(press.mesh.topology)
+    x = midpoints(press.mesh, 1, facets)
+    old = np.zeros(facets.max(initial=0) + 1, dtype=np.int32)
+    old[press.facets.indices] = press.facets.values
+    values = np.where((old[facets] == 3) & (x[:, 0] > 0.5), 9, old[facets]).astype(np.int32)
+    kept = values > 0
+    tags = meshtags(press.mesh, 1, facets[kept], values[kept])
+    contact = dm.Contact(tags, slave=3, master=4)
+    problem = dm.ContactProblem(press.problem.solid, [contact], bcs=press.problem.bcs)
+    with rejected("Contact(slave=3, master=4), slave nodes: there are", "in the checkpoint 6"):
+        problem.restore(good)
+
+
+@pytest.mark.mpi
+def test_results_that_belong_to_another_problem(good, folder):
+    """The interface has been taken over: what it shows is not of this problem."""
+    press = Press()
+    dm.ContactProblem(press.problem.solid, [press.contact], bcs=press.problem.bcs)
+    for action, file in ((press.problem.save, folder / "x.h5"), (press.problem.restore, good)):
+        with rejected("belongs to a problem made later", "give each its own"):
+            action(file)
+
+
+# -- arguments
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"checkpoint": 3}, ["checkpoint is 3", "give the name of a file"]),
+        ({"checkpoint": ""}, ["checkpoint is ''", "give the name of a file"]),
+        ({"checkpoint": "x.h5", "every": 0}, ["every is 0", "every >= 1"]),
+        ({"checkpoint": "x.h5", "every": 1.5}, ["every is 1.5", "an integer"]),
+        ({"checkpoint": "x.h5", "every": True}, ["every is True", "an integer"]),
+        ({"every": 2}, ["every is 2", "there is no checkpoint"]),
+    ],
+)
+def test_arguments_of_a_walk(press, given, words):
+    with rejected(*words):
+        next(press.walk(LEVELS, **given))
+    assert not press.problem.u.x.array.any()
+
+
+def test_names_that_are_none(press):
+    for action in (press.problem.save, press.problem.restore):
+        with rejected("path is None", "give the name of a file"):
+            action(None)
+
+
+@pytest.mark.mpi
+@pytest.mark.skipif(COMM.size == 1, reason="one rank agrees with itself")
+def test_ranks_that_do_not_agree(press):
+    for given in ({"checkpoint": f"{COMM.rank == LAST}.h5"}, {"every": 1 + (COMM.rank == LAST)}):
+        (name,) = given
+        with rejected(f"{name} differs between the ranks", "give all ranks the same"):
+            next(press.walk(LEVELS, **({"checkpoint": "x.h5"} | given)))
+    with rejected("checkpoint differs between the ranks"):
+        next(press.walk(LEVELS, checkpoint=None if COMM.rank == LAST else "x.h5"))
+    with rejected("path differs between the ranks"):
+        press.problem.save(f"{COMM.rank == LAST}.h5")
+
+
+@pytest.mark.mpi
+def test_a_folder_that_is_not_there(press, folder):
+    """Told before the first step, not after it."""
+    words = "which cannot be written", "existing, writable folder"
+    with rejected(*words, error=OSError):
+        next(press.walk(LEVELS, checkpoint=folder / "none" / "x.h5"))
+    for file in (folder / "none" / "x.h5", folder):
+        with rejected(*words, error=OSError):
+            press.problem.save(file)
+    assert not press.problem.u.x.array.any()
+
+
+@pytest.mark.mpi
+def test_a_folder_that_has_become_read_only(good, monkeypatch):
+    """Told before the next step; a walk that is done may still be looked at."""
+    monkeypatch.setattr(writing.os, "access", lambda *_: False)
+    press = Press()
+    with rejected("which cannot be written", "existing, writable folder", error=OSError):
+        next(press.walk([*LEVELS, 1.0], checkpoint=good))
+    assert not press.problem.history
+    assert list(press.walk(LEVELS, checkpoint=good)) == [] and len(press.problem.history) == 1
+
+
+# -- what goes wrong while writing
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("work", ["_append", "_complete"])
+def test_a_disk_that_fails(good, folder, monkeypatch, work):
+    """Rank 0 takes what the others send, and all are told; the last checkpoint stays."""
+    file, press = changed(good, folder, lambda file: None), Press()
+
+    def fail(*_):
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(writing, "ROWS", 3)  # many parts, also after the first error
+    monkeypatch.setattr(writing._Draft, work, fail)
+    with rejected("could not be written", "no space left", error=OSError):
+        press.problem.save(file)
+    assert file.read_bytes() == good.read_bytes()
+    assert [path.name for path in folder.iterdir()] == ["bad.h5"]
+    monkeypatch.undo()
+    press.problem.save(file)
+    press.problem.restore(file)
+
+
+@pytest.mark.mpi
+def test_a_disk_that_takes_nothing_any_more(press, folder, monkeypatch):
+    """As file systems that meet an error become read-only: not even the draft can be removed."""
+
+    def fail(*_, **options):
+        raise OSError("read-only file system")
+
+    monkeypatch.setattr(writing._Draft, "_append", fail)
+    monkeypatch.setattr(writing.Path, "unlink", fail)
+    with rejected("x.h5", "could not be written", "read-only", error=OSError):
+        press.problem.save(folder / "x.h5")
+
+
+@pytest.mark.mpi
+def test_a_folder_that_cannot_be_brought_to_the_disk(folder, monkeypatch):
+    """Some file systems know that of files only; the checkpoint is there."""
+    to_disk, asked = writing._to_disk, []
+
+    def fail(path):
+        asked.append(path)
+        if path.is_dir():
+            raise OSError("invalid argument")
+        to_disk(path)
+
+    monkeypatch.setattr(writing, "_to_disk", fail)
+    case = Press()
+    case.problem.save(folder / "x.h5")
+    assert asked == ([folder / "x.h5.part", folder] if COMM.rank == 0 else [])
+    case.problem.restore(folder / "x.h5")
+
+
+@pytest.mark.serial
+def test_a_disk_that_is_full(good, folder):
+    """Told before HDF5 meets it: that cannot close such a file, and crashes later."""
+    file, press = changed(good, folder, lambda file: None), Press()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
+    try:
+        with rejected("could not be written", "bytes are needed", error=OSError):
+            press.problem.save(file)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert file.read_bytes() == good.read_bytes()
+    assert [path.name for path in folder.iterdir()] == ["bad.h5"]
+    press.problem.save(file)
+    press.problem.restore(file)
+
+
+@pytest.mark.mpi
+def test_without_h5py(press, folder, monkeypatch):
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    error = ImportError if COMM.rank == 0 else RuntimeError
+    with rejected("checkpoints need h5py", "pip install", error=error):
+        next(press.walk(LEVELS, checkpoint=folder / "x.h5"))

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: MIT
+"""Checkpoints: jobs that were killed end in the same numbers, on the same or on other ranks."""
+
+import json
+import shutil
+import signal
+
+import pytest
+
+from tests.checkpoint_program import Press
+from tests.checkpoint_runs import agree, numbers_at_once, run
+
+
+@pytest.fixture(scope="module")
+def at_once():
+    """Return the numbers of all steps in one go."""
+    return numbers_at_once()
+
+
+@pytest.mark.serial
+@pytest.mark.slow
+def test_other_ranks_go_on(tmp_path, at_once):
+    file, result = tmp_path / "two.h5", tmp_path / "result.json"
+    code, output = run(2, file, result, 2)
+    assert code == 0 and "load step 2 of 2 to 0.5" in output, output
+    shutil.copy(file, tmp_path / "three.h5")
+    press = Press()
+    assert [step.number for step in press.walk(checkpoint=file)] == [3, 4]
+    agree(press.numbers(), at_once)
+    code, output = run(3, tmp_path / "three.h5", result, 4)
+    assert code == 0 and "2 of 4 steps are done, to 0.5; going on" in output, output
+    found = json.loads(result.read_text())
+    assert found.pop("made") == [3, 4]
+    agree(found, at_once)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("moment", ["step", "write", "replace"])
+def test_a_run_that_is_killed_goes_on(tmp_path, at_once, moment):
+    """While a step is solved, a checkpoint is written, or just before it gets its name."""
+    file, result = tmp_path / "run.h5", tmp_path / "result.json"
+    code, output = run(1, file, result, 4, moment)
+    assert code == -signal.SIGKILL and not result.exists(), output
+    assert "load step 2 of 4 to 0.5: " in output  # nobody has configured logging
+    assert (tmp_path / "run.h5.part").exists() == (moment != "step")
+    (tmp_path / moment).unlink()
+    press = Press()
+    assert [step.number for step in press.walk(checkpoint=file)] == [3, 4]
+    agree(press.numbers(), at_once)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run.h5"]
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("moment", "before", "after"),
+    [
+        ("send", 2, 1),
+        pytest.param("step", 2, 3, marks=pytest.mark.slow),
+        pytest.param("send", 3, 2, marks=pytest.mark.slow),
+        pytest.param("write", 2, 3, marks=pytest.mark.slow),
+        pytest.param("replace", 3, 2, marks=pytest.mark.slow),
+    ],
+)
+def test_a_job_of_several_ranks_that_is_killed_goes_on(tmp_path, at_once, moment, before, after):
+    """On other ranks; the parts of the checkpoint that all had sent come to nothing."""
+    file, result = tmp_path / "run.h5", tmp_path / "result.json"
+    code, output = run(before, file, result, 4, moment)
+    assert code != 0 and not result.exists(), output
+    (tmp_path / moment).unlink()  # so it was then
+    code, output = run(after, file, result, 4)
+    assert code == 0 and "2 of 4 steps are done, to 0.5; going on" in output, output
+    found = json.loads(result.read_text())
+    assert found.pop("made") == [3, 4]
+    agree(found, at_once)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["result.json", "run.h5"]

@@ -1,0 +1,292 @@
+# SPDX-License-Identifier: MIT
+"""The documentation: its programs run, its names exist, what is public is described."""
+
+import doctest
+import importlib
+import importlib.util
+import inspect
+import json
+import logging
+import os
+import pydoc
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import dolfinx_mortar as dm
+
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
+SOURCES = sorted(p for p in DOCS.rglob("*.md") if not {"_build", "generated"} & set(p.parts))
+GUIDE = ["units", "meshes", "materials", "bodies", "interfaces", "loads"]
+GUIDE += ["steps", "solvers", "output", "restart", "convergence"]
+TOOLS = ["docstrings", "elsewhere", "gallery", "links", "tables"]
+
+
+def programs(path):
+    """Return the Python programs of a page."""
+    return re.findall(r"```python\n(.*?)```", path.read_text(), re.DOTALL)
+
+
+def tool(name):
+    """Import a tool of the documentation."""
+    file = DOCS / "tools" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(f"docs_{name}", file)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def resolve(name):
+    """Return what a dotted name stands for; AttributeError if there is none."""
+    first, *parts = name.split(".")
+    found = importlib.import_module(first)
+    for k, part in enumerate(parts, start=2):
+        if not hasattr(found, part):  # a module that nobody has imported yet
+            try:
+                importlib.import_module(".".join(name.split(".")[:k]))
+            except ImportError as error:
+                raise AttributeError(name) from error
+        found = getattr(found, part)
+    return found
+
+
+def missing(names):
+    """Return the names that stand for nothing."""
+    wrong = []
+    for name in sorted(names):
+        try:
+            resolve(name)
+        except AttributeError:
+            wrong.append(name)
+    return wrong
+
+
+# -- programs --------------------------------------------------------------------------------------
+
+
+@pytest.mark.serial
+def test_the_tutorial_runs(tmp_path, monkeypatch, capsys):
+    """From Gmsh to the picture; the audit has nothing to warn of, as the text says."""
+    monkeypatch.chdir(tmp_path)
+    code = "\n".join(programs(DOCS / "tutorial.md"))
+    exec(compile(code, "tutorial.md", "exec"), {})
+    said = capsys.readouterr().out
+    assert "2 bodies, 1 interfaces" in said and "warning" not in said
+    assert "converged in" in said and "NOT" not in said
+    written = {path.name for path in tmp_path.iterdir()}
+    assert {"stamp.xdmf", "mesh.png", "pressure.png", "stress.png"} <= written
+
+
+@pytest.mark.serial
+def test_the_programs_of_the_guide_run(tmp_path, monkeypatch, caplog):
+    """One after the other, from where the program of the first page ends."""
+    monkeypatch.chdir(tmp_path)
+    caplog.set_level(logging.INFO, "dolfinx_mortar")  # they set it, too, and it is put back
+    names = {}
+    (first,) = programs(ROOT / "README.md")
+    exec(compile(first, "README.md", "exec"), names)
+    pages = {p.stem for p in (DOCS / "guide").glob("*.md") if programs(p)}
+    assert pages == set(GUIDE)
+    for page in GUIDE:
+        for code in programs(DOCS / "guide" / f"{page}.md"):
+            exec(compile(code, f"guide/{page}.md", "exec"), names)
+
+
+# -- names -----------------------------------------------------------------------------------------
+
+
+def public():
+    """Return the full names of all that is public."""
+    rooms = [dm, dm.analytic, dm.materials, dm.meshing, dm.plotting]
+    return {id(getattr(room, n)): f"{room.__name__}.{n}" for room in rooms for n in room.__all__}
+
+
+def described():
+    """Return the names that the reference describes."""
+    kinds = r"\.\. (?:auto\w+|py:module):: ([\w.]+)"
+    return {n for p in (DOCS / "api").glob("*.md") for n in re.findall(kinds, p.read_text())}
+
+
+def test_every_public_name_is_in_the_reference():
+    found = described()
+    objects = {id(resolve(name)) for name in found}
+    tags = {n for n in dm.meshing.__all__ if n.isupper()}
+    assert {name for name in public().values() if name.rpartition(".")[2] in tags} <= found
+    assert not {name for key, name in public().items() if key not in objects}
+
+
+def test_every_name_of_the_pages_exists():
+    roles = {
+        name
+        for page in SOURCES
+        for name in re.findall(r"\{(?:py:\w+|source)\}`~?([\w.]+)`", page.read_text())
+    }
+    spoken = {
+        f"dolfinx_mortar.{name}"
+        for page in [*SOURCES, ROOT / "README.md"]
+        for name in re.findall(r"\bdm\.([\w.]*\w)", page.read_text())
+    }
+    assert len(roles) > 50 and len(spoken) > 20
+    assert not missing(roles | spoken | described())
+
+
+def test_files_and_tests_that_pages_name_exist():
+    named = r"`((?:docs|tests|demos|benchmarks|containers|dolfinx_mortar|paper)/[\w./]*\w)"
+    files = {f for p in SOURCES for f in re.findall(named, p.read_text())}
+    assert len(files) > 8
+    made = {f for f in files if f.startswith("docs/_build")}
+    assert not {f for f in files - made if not (ROOT / f).exists()}
+    text = (ROOT / "ARCHITECTURE.md").read_text()
+    for file, name in re.findall(r"`(test_\w+\.py)(?:::(\w+))?`", text):
+        assert f"def {name}" in (ROOT / "tests" / file).read_text()
+
+
+def home(name):
+    """Return the module in which something is written."""
+    found = pydoc.locate(name)
+    return found.__name__ if inspect.ismodule(found) else getattr(found, "__module__", name)
+
+
+def test_every_source_that_is_named_has_a_page():
+    """Its code is shown only where the reference has it, or what it is in."""
+    pages = "\n".join(path.read_text() for path in (DOCS / "api").glob("*.md"))
+    shown = {home(name) for name in re.findall(r"(?m)^\.\. auto\w+:: ([\w.]+)", pages)}
+    texts = [DOCS / "theory.md", DOCS / "developer.md"]
+    named = {n for text in texts for n in re.findall(r"{source}`([\w.]+)`", text.read_text())}
+    missing = [name for name in named if home(name) not in shown]
+    assert len(named) > 20 and not missing
+
+
+def test_every_equation_has_a_function_and_a_test():
+    """Equations 1 to 20 of the paper, and what is beyond them."""
+    text = (DOCS / "theory.md").read_text()
+    sections = re.split(r"(?m)^### ", text)[1:]
+    numbers = set()
+    for section in sections:
+        tests = re.findall(r"```\{test\} (test_\w+\.py)::(\w+)", section)
+        assert tests and "{source}`" in section, section.splitlines()[0]
+        for file, name in tests:
+            assert f"def {name}(" in (ROOT / "tests" / file).read_text()
+        if heading := re.match(r"Equations? (\d+)(?: (?:to|and) (\d+))?:", section):
+            first, last = int(heading[1]), int(heading[2] or heading[1])
+            numbers |= set(range(first, last + 1))
+    assert numbers == set(range(1, 21))
+
+
+# -- numbers ---------------------------------------------------------------------------------------
+
+
+def test_the_verification_manual_is_of_this_version_and_close():
+    """The numbers of the file are in the page; none is further off than what its text admits."""
+    found = json.loads((DOCS / "verification.json").read_text())
+    assert found["version"] == dm.__version__
+    page = tool("tables").verification(DOCS / "verification.json")
+    for case in found["cases"]:
+        assert case["problem"] in page and case["rows"]
+        for row in case["rows"]:
+            assert abs(row["ours"] / row["reference"] - 1) < 0.05, row
+    names = [f"{c['problem']}: {r['quantity']}" for c in found["cases"] for r in c["rows"]]
+    assert len(names) == len(set(names)) >= 20
+
+
+def test_the_performance_page_is_made_of_the_measured_files():
+    tables = tool("tables")
+    page = tables.performance(ROOT / "benchmarks" / "measured")
+    measured = json.loads((tables.MEASURED / "scaling_3d.json").read_text())
+    for row in measured["weak"] + measured["strong"]:
+        assert tables.said(row["unknowns"]) in page
+
+
+def test_the_table_of_ranks_is_the_measured_one():
+    measured = json.loads((ROOT / "benchmarks" / "measured" / "scaling_3d.json").read_text())
+    said = (ROOT / "benchmarks" / "README.md").read_text()
+    for r in measured["weak"]:
+        row = [r["ranks"], r["unknowns"], f"{r['cpu']:.1f}", r["newton"], r["krylov"]]
+        row += [f"{r['messages']:.0f}", f"{r['bytes'] / 1e6:.0f}", f"{r['reductions']:.0f}"]
+        assert f"| {' | '.join(map(str, row))} |" in said
+
+
+# -- the build -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", TOOLS)
+def test_examples_of_the_tools(name):
+    result = doctest.testmod(tool(name))
+    assert result.failed == 0 and (result.attempted or name == "links")
+
+
+def test_links_that_lead_nowhere_are_found(tmp_path):
+    wrong = tool("links").wrong_links
+    (tmp_path / "b.html").write_text('<h1 id="there">B</h1>')
+    good = '<a href="b.html#there"></a><a href="#here" id="here"></a>'
+    good += '<a href="https://example.org"></a>'
+    (tmp_path / "a.html").write_text(good)
+    assert wrong(tmp_path) == []
+    for bad, said in (
+        ('<a href="c.html"></a>', "no file c.html"),
+        ('<a href="b.html#gone"></a>', "no anchor b.html#gone"),
+        ('<script src="https://cdn.example.org/x.js"></script>', "from elsewhere"),
+    ):
+        (tmp_path / "a.html").write_text(good + bad)
+        (line,) = wrong(tmp_path)
+        assert said in line
+
+
+@pytest.mark.serial
+def test_a_build_without_its_extras_says_which(tmp_path):
+    """Asked for what no environment has, so that it is always missing."""
+    project, lacking = tmp_path / "project", ["no-such-theme", "no-such-parser"]
+    (project / "docs").mkdir(parents=True)
+    shutil.copy(DOCS / "build", project / "docs" / "build")
+    extras = (
+        '[project.optional-dependencies]\ndocs = ["no-such-theme>=2", "no-such-parser", "pytest"]'
+    )
+    (project / "pyproject.toml").write_text(extras)
+    cache = tmp_path / "cache"
+    cache.mkdir()
+    environment = os.environ | {"XDG_CACHE_HOME": str(cache)}
+    command = [sys.executable, str(project / "docs" / "build"), "--offline"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    for part in (*lacking, "containers/run docs/build", "pip install '.[docs]'"):
+        assert part in done.stderr
+    assert "pytest" not in done.stderr and not list(cache.iterdir())
+
+
+@pytest.mark.parametrize("demo", sorted(p.parent.name for p in ROOT.glob("demos/*/result.png")))
+def test_the_gallery_shows_every_demo(demo):
+    """With text and program in the order of the script, nothing of it left out."""
+    gallery = tool("gallery")
+    (shown,) = (d for d in gallery.DEMOS if d.name == demo)
+    source = gallery.program(shown).read_text()
+    parts = gallery.paragraphs(source)
+    assert parts[0][0] == "text" and parts[0][1].startswith("# ")
+    code = re.sub(r"\s", "", "".join(lines for kind, lines in parts if kind == "code"))
+    lines = [line for line in source.splitlines() if not line.lstrip().startswith("#")]
+    assert all(re.sub(r"\s", "", line) in code for line in lines)
+
+
+@pytest.mark.serial
+def test_a_program_is_run_once_and_its_error_is_shown(tmp_path):
+    """Again in another state, or when it has failed; no page shows the machine's folders."""
+    run_once, folder, runs = tool("gallery").run_once, tmp_path / "kept", tmp_path / "runs"
+    program = f"print('words', file=open({str(runs)!r}, 'a')); print('said in', {str(folder)!r})"
+    for state, count in (("a", 1), ("a", 1), ("b", 2)):
+        run_once("docs/one.md", ["-c", program], folder, state, tmp_path)
+        assert len(runs.read_text().splitlines()) == count
+        assert (folder / "said.txt").read_text() == "said in results/kept\n"
+    wrong = ["-c", "raise ValueError('no such law')"]
+    for _ in range(2):
+        with pytest.raises(RuntimeError, match=r"(?s)docs/one.md failed.*no such law"):
+            run_once("docs/one.md", wrong, folder, "c", tmp_path)
+
+
+def test_the_gallery_leaves_out_no_demo():
+    names = {demo.name for demo in tool("gallery").DEMOS}
+    assert names == {p.parent.name for p in ROOT.glob("demos/*/*.py")}

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: MIT
+"""Bad limits of friction: named with value and remedy, on all ranks, before anything has moved."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx import fem
+from tests.friction_case import COMM, create
+from tests.meshes import two_blocks
+from tests.pressed_blocks import rejected, some_rank
+
+NAMES = ["friction", "tresca"]
+
+
+@pytest.fixture(scope="module")
+def case():
+    """Return blocks without friction."""
+    return create("triangle")
+
+
+def contact(case, **options):
+    """Return another contact on the sides of the case."""
+    return dm.Contact(case.contact.facet_tags, slave=3, master=4, **options)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("value", [-0.1, np.nan, np.inf, -np.inf])
+def test_numbers_that_are_no_limits(case, name, value):
+    with rejected(name, repr(value), ">= 0"):
+        contact(case, **{name: value})
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("value", [True, False, "0.3", 0.3j, [0.3], (0.1, 0.2), {}])
+def test_things_that_are_no_numbers(case, name, value):
+    with rejected(name, repr(value), "number"):
+        contact(case, **{name: value})
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("value", [(0.1, 0.2), [[0.1]], 0.3j])
+def test_constants_that_are_no_scalars(case, name, value):
+    constant = fem.Constant(case.problem.V.mesh, np.asarray(value)[()])
+    with rejected(name, "scalar"):
+        contact(case, **{name: constant})
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_functions_that_are_no_scalars(case, name):
+    with rejected(name, "shape (2,)", "scalar"):
+        contact(case, **{name: fem.Function(case.problem.V)})
+
+
+def test_an_array_is_no_limit(case):
+    with rejected("friction", "number"):
+        contact(case, friction=np.array([0.1, 0.2]))
+    assert contact(case, friction=np.float64(0.3)).law.value == 0.3
+    assert contact(case, friction=np.float32(0.5)).law.value == 0.5
+
+
+def test_one_law_at_a_time(case):
+    with rejected("friction is 0.3", "tresca is 2.0", "one of the two"):
+        contact(case, friction=0.3, tresca=2.0)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("kind", ["function", "constant"])
+def test_limits_on_another_mesh(case, name, kind):
+    other, _, _ = two_blocks(COMM)
+    space = fem.functionspace(other, ("Lagrange", 1))
+    value = fem.Function(space) if kind == "function" else fem.Constant(other, 0.3)
+    if kind == "constant":  # a number is the same on all meshes
+        case.again(**{name: value}).solve(0.0, -0.01)
+        return
+    with rejected(name, "another mesh", "displacement"):
+        case.again(**{name: value})
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_tie_has_no_friction(case, name):
+    with rejected(name, "Tie", "Contact", error=TypeError):
+        dm.Tie(case.contact.facet_tags, slave=3, master=4, **{name: 0.3})
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("bad", [-0.2, np.nan, np.inf])
+def test_a_constant_that_goes_bad_between_steps(case, name, bad):
+    """The step is refused as a whole; with a good value it goes on."""
+    value = fem.Constant(case.problem.V.mesh, 0.3)
+    case = case.again(**{name: value})
+    case.solve(0.0, -0.01)
+    u, force = case.problem.u.x.array.copy(), case.contact.force.copy()
+    value.value = bad
+    case.push(0.01, -0.01)
+    with rejected(name, f"{bad:g}" if COMM.size == 1 else "", "finite and >= 0"):
+        dm.newton(case.problem)
+    assert np.array_equal(case.problem.u.x.array, u)
+    assert np.array_equal(case.contact.force, force)
+    value.value = 0.1
+    assert dm.newton(case.problem).converged
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("bad", [-0.2, np.nan])
+def test_a_function_that_goes_bad_on_one_rank(case, bad):
+    """All ranks learn of it."""
+    space = fem.functionspace(case.problem.V.mesh, ("Lagrange", 1))
+    value = fem.Function(space)
+    value.x.array[:] = 0.3
+    case = case.again(friction=value)
+    case.solve(0.0, -0.01)
+    u = case.problem.u.x.array.copy()
+    own = space.dofmap.index_map.size_local
+    value.x.array[some_rank(np.arange(own))[:1]] = bad
+    case.push(0.01, -0.01)
+    with rejected("friction", "finite and >= 0"):
+        dm.newton(case.problem)
+    assert np.array_equal(case.problem.u.x.array, u)
+    assert COMM.allreduce(1, op=MPI.SUM) == COMM.size  # all are here
+
+
+def test_results_of_friction_before_a_step(case):
+    """The message says what to do."""
+    fresh = case.again(friction=0.3)
+    with pytest.raises(AttributeError, match="newton"):
+        fresh.contact.gather(fresh.problem.u)
+    with pytest.raises(AttributeError, match="friction="):
+        case.contact.status  # noqa: B018

@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: MIT
+"""Ties with a jump: exact states, signs, either slave, what changes between steps."""
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import fem
+from tests.block_piles import ABOVE, BELOW, create_blocks
+from tests.glued_bar import CELLS, COMM, CONFINED, NU, Bar, E, largest
+from tests.meshes import BOTTOM, TOP
+from tests.test_smooth_tie import to_arc, to_sphere
+
+EXACT = 1e-9
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("slave", ["upper", "lower"])
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("cell", CELLS)
+def test_a_jump_between_clamped_ends_strains_uniformly(cell, degree, slave):
+    """The stress is E_c J / L, where J opens, and L = 2; both slaves, non-matching meshes."""
+    J = 1e-3
+    case = Bar(cell, degree=degree, slave=slave)
+    case.tie.jump = case.along(case.sign * J)  # the upper side goes up
+    last = case.d - 1
+    bcs = [*case.rollers(), case.hold(BOTTOM, last), case.hold(TOP, last)]
+    report = dm.newton(case.problem(bcs), rtol=1e-10)
+
+    def exact(x, upper):
+        along = np.where(upper, (1 - x[:, last]) * J / 2, -(1 + x[:, last]) * J / 2)
+        return along[:, None] * (np.arange(case.d) == last)
+
+    assert case.error(exact) < EXACT * J
+    expected = case.along(case.sign * CONFINED * J / 2)  # pushed apart: the upper one up
+    assert np.allclose(case.tie.force, expected, rtol=1e-8, atol=1e-8 * abs(expected[last]))
+    assert np.allclose(case.tie.master_force, -case.tie.force, rtol=1e-8, atol=1e-10)
+    assert report.certificate.force_balance < 1e-10
+    on = case.tie.gather(case.u)
+    assert np.allclose(on["gap"], J, rtol=1e-10)
+    assert np.allclose(on["pressure"], CONFINED * J / 2, rtol=1e-7)
+
+
+@pytest.mark.parametrize("slave", ["upper", "lower"])
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("cell", CELLS)
+def test_a_free_end_goes_along(cell, degree, slave):
+    """The upper body moves as a whole, whichever side is the slave, and nothing is strained.
+
+    Also where the sides do not cover each other, so that some nodes carry no multiplier.
+    """
+    wide = {"x_upper": (-0.15, 1.1)} if cell in CELLS[:2] else {"upper": (-0.15, 1.1, 0.05, 1.15)}
+    case = Bar(cell, degree=degree, slave=slave, **wide)
+    J = np.array([3e-3, -2e-3, 1e-3])[: case.d]
+    case.tie.jump = case.sign * J
+    dm.newton(case.problem([case.hold(BOTTOM)]), rtol=1e-10)
+    assert case.error(lambda x, upper: upper[:, None] * J) < EXACT * 1e-3
+    assert case.solid.max("von_mises") < 1e-8 * E * 1e-3
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param("callable", marks=pytest.mark.mpi), "function", "function of another space"],
+)
+@pytest.mark.parametrize("slave", ["upper", "lower"])
+@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize("degree", [1, 2])
+def test_a_linear_jump_turns_the_body(cell, degree, slave, kind):
+    """A jump that is linear along flat sides turns the upper body.
+
+    The lower body is clamped, the upper one goes along as a whole.
+    """
+    wide = {"x_lower": (-0.2, 1.2)} if cell in CELLS[:2] else {"lower": (-0.2, 1.2, -0.1, 1.3)}
+    case = Bar(cell, degree=degree, slave=slave, law=dm.Elastic(E, 0.0), **wide)
+    d = case.d
+    W = 1e-3 * np.array([[0.0, 2.0, -1.0], [-2.0, 0.0, 3.0], [1.0, -3.0, 0.0]])[:d, :d]
+    shift = 1e-3 * np.array([0.5, -0.3, 0.2])[:d]
+    values = lambda x: case.sign * (W @ x[:d] + shift[:, None])  # noqa: E731
+    if kind == "callable":
+        case.tie.jump = values
+    else:
+        space = (
+            case.V if kind == "function" else fem.functionspace(case.mesh, ("Lagrange", 1, (d,)))
+        )
+        given = fem.Function(space)
+        given.interpolate(values)
+        case.tie.jump = given
+    dm.newton(case.problem([case.hold(BOTTOM)]), rtol=1e-10)
+    exact = lambda x, upper: upper[:, None] * (x[:, :d] @ W.T + shift)  # noqa: E731
+    assert case.error(exact) < EXACT * 1e-3
+
+
+@pytest.mark.parametrize("slave", ["upper", "lower"])
+@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize("gap", [0.0, 0.2])
+def test_curved_sides_jump_as_a_whole(cell, slave, gap):
+    """Also where they stand apart and stand for smooth surfaces, whose master turns an arm."""
+    transform = to_arc if cell in CELLS[:2] else to_sphere
+    case = Bar(cell, slave=slave, transform=transform, gap=gap)
+    J = np.array([3e-3, -2e-3, 1e-3])[: case.d]
+    case.tie.jump = case.sign * J
+    dm.newton(case.problem([case.hold(BOTTOM)]), rtol=1e-10)
+    assert case.error(lambda x, upper: upper[:, None] * J) < EXACT * 1e-3
+
+
+@pytest.mark.parametrize("slave", ["upper", "lower"])
+@pytest.mark.parametrize("cell", ["quadrilateral", "tetrahedron"])
+def test_jumps_and_loads_add_up(cell, slave):
+    """In elasticity displacements and forces of a jump, a load and supports are a sum."""
+    case = Bar(cell, slave=slave, degree=2)
+    last, found = case.d - 1, []
+    load = fem.Constant(case.mesh, np.zeros(case.d))
+    moved = fem.Constant(case.mesh, 0.0)
+    v, ds = ufl.TestFunction(case.V), ufl.Measure("ds", case.mesh, subdomain_data=case.facets)
+    bcs = [case.hold(BOTTOM), case.hold(TOP, last, moved)]
+    problem = case.problem(bcs, loads=ufl.inner(load, v) * ds(5))
+    for jump, pull, up in ((1.0, 0, 0), (0.0, 1, 0), (0.0, 0, 1), (1.0, 1, 1)):
+        case.tie.jump = lambda x, s=jump: 1e-3 * s * np.sin(x[: case.d] + 0.3)
+        load.value[:], moved.value[...] = 3.0 * pull, 2e-3 * up
+        dm.newton(problem, rtol=1e-11)
+        found.append((case.u.x.array.copy(), case.tie.force, case.tie.pressure.x.array.copy()))
+    for *parts, whole in zip(*found, strict=True):
+        assert largest(sum(parts) - whole) < 1e-8 * largest(whole)
+        assert all(largest(part) > 1e-2 * largest(whole) for part in parts)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("as_constant", [True, False])
+def test_jumps_change_between_steps(as_constant):
+    """They are read anew, by a Constant's value or set; None ends them, and nothing stays."""
+    case = Bar("quadrilateral")
+    jump = fem.Constant(case.mesh, np.zeros(2))
+    bcs = [*case.rollers(), case.hold(BOTTOM, 1), case.hold(TOP, 1)]
+    problem = case.problem(bcs)
+
+    def on_time(J):
+        jump.value[1] = J
+        case.tie.jump = jump if as_constant else [0.0, J]
+
+    forces = [
+        case.tie.force[1] for _ in dm.load_steps(problem, [1e-3, 3e-3, -2e-3], on_time=on_time)
+    ]
+    assert np.allclose(forces, CONFINED / 2 * np.array([1e-3, 3e-3, -2e-3]), rtol=1e-8)
+    case.tie.jump = None
+    dm.newton(problem)
+    assert abs(case.tie.force[1]) < 1e-8 and largest(case.u.x.array) < 1e-11
+    assert not largest(case.tie.pressure.x.array) > 1e-8 and not case.tie.gap.x.array.any()
+
+
+@pytest.mark.parametrize("slave", ["upper", "lower"])
+def test_a_jump_makes_bodies_flow(slave):
+    """A confined bar beyond yield carries K eps + sqrt(2/3) Y, and the residual stress is exact."""
+    Y, J = 2.0, 2e-2
+    case = Bar("quadrilateral", slave=slave, law=dm.VonMises(E, NU, Y, 0.0))
+    problem = case.problem([*case.rollers(), case.hold(BOTTOM, 1), case.hold(TOP, 1)])
+    bulk, shear = E / (3 * (1 - 2 * NU)), E / (2 * (1 + NU))
+    deviator = np.sqrt(2 / 3) * Y
+    loaded = bulk * J / 2 + deviator
+    # all of the strain is taken back; the deviator changes by 4/3 of the shear modulus, to -Y
+    unloaded = max(deviator - 4 / 3 * shear * J / 2, -deviator)
+
+    def on_time(t):
+        case.tie.jump = case.along(case.sign * t * J)
+
+    forces = [case.tie.force[1] for _ in dm.load_steps(problem, [1.0, 0.0], on_time=on_time)]
+    assert np.allclose(case.sign * np.array(forces), [loaded, unloaded], rtol=1e-6)
+
+
+@pytest.mark.parametrize("slave", ["upper", "lower"])
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_a_jump_along_the_axis_of_a_ring(cell, slave):
+    """The force is E J / L times the section of the whole ring."""
+    J, radii = 1e-3, {"x_lower": (1.0, 2.0), "x_upper": (1.0, 2.0)}
+    law = dm.Elastic(E, 0.0)
+    case = Bar(cell, slave=slave, law=law, kinematics="axisymmetric", **radii)
+    case.tie.jump = [0.0, case.sign * J]
+    dm.newton(case.problem([case.hold(BOTTOM, 1), case.hold(TOP, 1)]), rtol=1e-10)
+    expected = case.sign * E * J / 2 * np.pi * (2.0**2 - 1.0**2)
+    assert np.allclose(case.tie.force, [0.0, expected], rtol=1e-8, atol=1e-8 * abs(expected))
+
+
+def test_a_radial_jump_shrinks_a_ring_on_another_one():
+    """The pressure of a shrink fit of equal materials (Lame), in plane strain of rings."""
+    a, b, c, J = 1.0, 2.0, 3.0, 1e-3
+    # the blocks' y is the axis: they are turned, so that the inner ring is the lower block
+    case = Bar(
+        "quadrilateral",
+        degree=2,
+        kinematics="axisymmetric",
+        transform=lambda x: np.column_stack([b + x[:, 1], -x[:, 0]]),
+    )
+    case.tie.jump = [J, 0.0]
+    axial = [case.hold(tag, 1) for tag in (5, 6)]
+    dm.newton(case.problem(axial), rtol=1e-10)
+    stiff = E / (1 - NU**2)  # plane strain: the rings' compliances with E' and nu'
+    p = stiff * J / b * (b**2 - a**2) * (c**2 - b**2) / (2 * b**2 * (c**2 - a**2))
+    found = case.tie.gather(case.u)["pressure"]
+    assert np.allclose(found, p, rtol=3e-3)
+    assert case.tie.force[0] == pytest.approx(2 * np.pi * b * p, rel=1e-3)
+
+
+@pytest.mark.parametrize("slave", ["upper", "lower"])
+def test_a_jump_closes_a_gap_of_many_facets(slave):
+    """A body that a jump lifts meets another one: what it is too long by strains the pile."""
+    heights, gap, J = (1.0, 1.0, 0.6), 0.4, 0.5
+    mesh, _, tags = create_blocks(
+        COMM,
+        [(0, 1, 0, 1, 7, 3), (0, 1, 1, 2, 20, 20), (0, 1, 2 + gap, 2.6 + gap, 24, 12)],
+        cell="quadrilateral",
+    )
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    u = fem.Function(V)
+    sides = {"slave": 20 + BELOW, "master": 10 + ABOVE}
+    sign = 1.0
+    if slave == "lower":
+        sides, sign = {"slave": 10 + ABOVE, "master": 20 + BELOW}, -1.0
+    tie = dm.Tie(tags, **sides, jump=[0.0, sign * J])
+    contact = dm.Contact(tags, slave=20 + ABOVE, master=30 + BELOW)
+    dofs = [fem.locate_dofs_topological(V, 1, tags.find(tag)) for tag in (10 + BELOW, 30 + ABOVE)]
+    bcs = [fem.dirichletbc(np.zeros(2), np.concatenate(dofs), V)]
+    problem = dm.ContactProblem(dm.Solid(u, dm.Elastic(E, 0.0)), [contact, tie], bcs=bcs)
+    report = dm.newton(problem, rtol=1e-9)
+    pressed = -E * (J - gap) / sum(heights)
+    assert np.allclose(contact.force, [0.0, pressed], rtol=1e-7, atol=1e-7)
+    assert np.allclose(tie.force, [0.0, -sign * pressed], rtol=1e-7, atol=1e-7)
+    assert report.newton_iterations <= 4
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("slave", ["upper", "lower"])
+def test_what_a_jump_opens_is_an_increment_of_the_step(slave):
+    """It tells which contacts are near, as increments of supports do: the change, not the jump."""
+    case = Bar(slave=slave)
+    problem = case.problem([case.hold(BOTTOM)])
+    case.tie.jump = [0.3, -0.5]
+    assert problem.begin_step().increment == pytest.approx(0.5)
+    dm.newton(problem)
+    case.tie.jump = [0.3, -0.3]
+    assert problem.begin_step().increment == pytest.approx(0.2)

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: MIT
+"""Jumps that cannot be: an error on all ranks that says what to give, and nothing is lost."""
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import fem
+from tests.glued_bar import COMM, Bar, largest
+from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP_OF_LOWER
+from tests.pressed_blocks import rejected, some_rank
+
+pytestmark = pytest.mark.mpi
+
+
+@pytest.fixture
+def case():
+    return Bar("quadrilateral")
+
+
+def glue(case, jump):
+    return dm.Tie(case.facets, slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER, jump=jump)
+
+
+@pytest.mark.parametrize(
+    "jump", [0.1, [0.1], [0.0, 0.1, 0.0], [[0.0, 0.1]], "up", ["a", "b"], [0.1, None], {}, 1j]
+)
+def test_a_jump_of_the_wrong_shape_or_kind(case, jump):
+    with rejected("jump is ", "give 2 Cartesian components", "[0, 0.1]"):
+        glue(case, jump)
+    with rejected("jump is "):
+        case.tie.jump = jump
+    assert case.tie.jump is None
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_numbers_that_are_not_finite(case, bad):
+    with rejected("jump is ", "finite"):
+        glue(case, [0.0, bad])
+    with rejected("finite"):
+        case.tie.tightening = [bad, 0.0]
+
+
+def test_constants_and_functions_of_the_wrong_shape(case):
+    with rejected("jump is a Constant of shape ()", "give 2"):
+        glue(case, fem.Constant(case.mesh, 0.1))
+    scalar = fem.Function(fem.functionspace(case.mesh, ("Lagrange", 1)))
+    with rejected("values of shape ()", "give 2"):
+        glue(case, scalar)
+    with rejected("not one value at every node", "interpolate"):
+        glue(case, fem.Function(fem.functionspace(case.mesh, ("DG", 0, (2,)))))
+    with rejected("part of a Function", "collapse()"):
+        glue(case, case.u.sub(1))
+    with rejected("expression of UFL", "interpolate"):
+        glue(case, 2.0 * case.u)
+    with rejected("expression of UFL"):
+        glue(case, ufl.SpatialCoordinate(case.mesh))
+
+
+@pytest.mark.parametrize("kind", ["Constant", "Function"])
+def test_a_jump_on_another_mesh(case, kind):
+    other = Bar("quadrilateral")
+    jump = fem.Constant(other.mesh, np.zeros(2)) if kind == "Constant" else fem.Function(other.V)
+    with rejected(f"jump is a {kind} on another mesh", "solid.mesh"):
+        dm.ContactProblem(case.solid, [glue(case, jump)], bcs=[case.hold(BOTTOM)])
+    problem = case.problem([case.hold(BOTTOM)])
+    case.tie.jump = jump  # only a problem knows its mesh
+    with rejected(f"jump is a {kind} on another mesh"):
+        dm.newton(problem)
+
+
+def spoilt(kind, case):
+    """Return a jump that is no good, in most cases on one rank only, and what is said of it."""
+    x = case.V.tabulate_dof_coordinates()[: case.V.dofmap.index_map.size_local]
+    there = len(some_rank(x[np.abs(x[:, 1]) < 1e-12])) > 0  # a rank that has a part of the slave
+    if kind == "Function":
+        jump = fem.Function(case.V)
+        jump.x.array[:] = np.nan if there else 0.0
+        return jump, ["jump", "values", "NaN or infinite"]
+    if kind == "Constant":
+        jump = fem.Constant(case.mesh, np.array([0.0, 0.0]))
+        jump.value[1] = np.inf
+        return jump, ["jump", "values", "NaN or infinite"]
+    if kind == "values":
+        return lambda x: np.full((2, x.shape[1]), np.nan if there else 0.0), ["NaN or infinite"]
+    if kind == "shape":
+        wrong = lambda x: np.zeros((x.shape[1], 3) if there else (2, x.shape[1]))  # noqa: E731
+        return wrong, ["jump: the function returns", "vector for each point"]
+
+    def fails(x):
+        if there:
+            raise ValueError("no such depth")
+        return np.zeros((2, x.shape[1]))
+
+    return fails, ["no such depth"]
+
+
+@pytest.mark.parametrize("kind", ["Function", "Constant", "values", "shape", "error"])
+def test_a_jump_that_is_no_good_leaves_all_as_it_was(case, kind):
+    """The step before stays, and the next one with a good jump is as if nothing had been."""
+    problem = case.problem([case.hold(BOTTOM)])
+    case.tie.jump = [1e-3, 2e-3]
+    dm.newton(problem)
+    before, force = case.u.x.array.copy(), case.tie.force.copy()
+    case.tie.jump, words = spoilt(kind, case)
+    with rejected(*words):
+        dm.newton(problem)
+    assert np.array_equal(case.u.x.array, before) and np.array_equal(case.tie.force, force)
+    case.tie.jump = [0.0, 1e-3]
+    dm.newton(problem)
+    assert case.error(lambda x, upper: upper[:, None] * np.array([0.0, 1e-3])) < 1e-12
+
+
+def test_ranks_that_differ(case):
+    """Numbers, Constants and kinds are compared: a rank with another jump would go astray."""
+    problem = case.problem([case.hold(BOTTOM)])
+    last = COMM.rank == COMM.size - 1
+    different = COMM.size > 1
+    for jump in (
+        [0.0, 1e-3 * last],
+        [0.0, 1e-3] if last else None,
+        fem.Constant(case.mesh, np.array([0.0, 1e-3 * last])),
+    ):
+        case.tie.jump = jump
+        if different:
+            with rejected("jump differs between the ranks"):
+                dm.newton(problem)
+        else:
+            dm.newton(problem)
+    assert different or largest(case.u.x.array) > 0.0

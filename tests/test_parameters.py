@@ -1,0 +1,377 @@
+# SPDX-License-Identifier: MIT
+"""Parameters of laws that vary in space or change between steps."""
+
+import re
+from dataclasses import dataclass
+from typing import ClassVar
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import basix.ufl
+import dolfinx
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import default_scalar_type, fem
+from tests.meshes import BOTTOM
+from tests.pressed_blocks import PressedBlocks
+from tests.solid_case import (
+    STEEL,
+    create_displacement,
+    create_domain,
+    create_tags,
+    residual,
+    set_wave,
+    total,
+)
+
+pytestmark = pytest.mark.mpi
+COMM = MPI.COMM_WORLD
+
+
+def constant(domain, value):
+    return fem.Constant(domain, default_scalar_type(value))
+
+
+def function(domain, value, element=("DG", 0)):
+    """Return a Function of a value or of x -> values."""
+    f = fem.Function(fem.functionspace(domain, element))
+    f.interpolate(value if callable(value) else lambda x: np.full(x.shape[1], value))
+    f.x.scatter_forward()
+    return f
+
+
+def at_points(domain, value, degree=2):
+    """Return a Function at the integration points."""
+    element = basix.ufl.quadrature_element(domain.basix_cell(), scheme="default", degree=degree)
+    f = fem.Function(fem.functionspace(domain, element))
+    f.x.array[:] = value
+    return f
+
+
+KINDS = {
+    "Constant": constant,
+    "DG0": function,
+    "Lagrange": lambda domain, value: function(domain, value, ("Lagrange", 1)),
+    "quadrature": at_points,
+    "expression": lambda domain, value: 0.5 * value * (1.0 + constant(domain, 1.0)),
+    "position": lambda domain, value: value + 0.0 * ufl.SpatialCoordinate(domain)[0],
+}
+
+
+def numbers(solid):
+    """Return what a solid says at two displacements with a commit between them."""
+    set_wave(solid.u, 2e-3)
+    solid.evaluate()
+    solid.commit()
+    set_wave(solid.u, 2e-3, 0.7)
+    K = solid.create_matrix()
+    solid.assemble_tangent(K)
+    solid.evaluate()
+    names = ("von_mises", "back_stress_norm", "plastic_strain_norm")
+    found = [solid.energy(), K.norm(), np.sqrt(total(residual(solid) ** 2))]
+    found += [solid.elastic_norm(solid.u), solid.element_force_norm()]
+    return np.array(found + [solid.max(name) for name in names])
+
+
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_parameter_may_be_whatever_has_the_value(kind, cell):
+    """Numbers, Constants, Functions and expressions of equal values make equal solids."""
+    domain = create_domain(cell)
+    vary = KINDS[kind]
+    law = dm.VonMises(vary(domain, STEEL.E), 0.29, vary(domain, STEEL.Y), STEEL.a)
+    varying = dm.Solid(create_displacement(domain), law, quadrature_degree=2)
+    plain = dm.Solid(create_displacement(domain), STEEL, quadrature_degree=2)
+    assert varying.varying and not plain.varying
+    assert numbers(varying) == pytest.approx(numbers(plain), rel=1e-12)
+
+
+def test_a_graded_body_has_the_energy_of_its_mean_modulus():
+    """A linear modulus under uniform strain: psi = eps^2 int E / 2, with nu = 0."""
+    domain = create_domain("triangle")  # 1 x 2
+    E = function(domain, lambda x: 100.0 + 30.0 * x[0] + 20.0 * x[1], ("Lagrange", 1))
+    solid = dm.Solid(create_displacement(domain), dm.Elastic(E, 0.0))
+    solid.u.interpolate(lambda x: np.stack([0.01 * x[0], 0 * x[1]]))
+    assert solid.energy() == pytest.approx(0.5 * 0.01**2 * 2.0 * (100 + 15 + 20), rel=1e-13)
+
+
+def test_mixed_materials_of_one_class_share_a_region():
+    """By tag: numbers in one body, a Function in another, a Constant in the third."""
+    domain = create_domain("quadrilateral", 6)
+    tags = create_tags(domain, lambda x: (3 * x[:, 0] * 0.999).astype(int))
+    yields = [300.0, 350.0, 400.0]
+    given = [yields[0], function(domain, yields[1], ("Lagrange", 1)), constant(domain, yields[2])]
+    found = []
+    for values in (yields, given):
+        laws = {i: dm.VonMises(STEEL.E, 0.29, Y, STEEL.a) for i, Y in enumerate(values)}
+        solid = dm.Solid(create_displacement(domain), laws, tags)
+        assert len(solid.regions) == 1
+        found.append(numbers(solid))
+    assert found[1] == pytest.approx(found[0], rel=1e-12)
+
+
+def test_new_values_need_no_compiler(monkeypatch):
+    """Forms and expressions of a solid are the same code whatever the values and their source."""
+    domain = create_domain("triangle")
+    E, Y = constant(domain, STEEL.E), function(domain, STEEL.Y)
+    solid = dm.Solid(create_displacement(domain), dm.VonMises(E, 0.29, Y, STEEL.a))
+    plain = dm.Solid(create_displacement(domain), STEEL)
+    for name in ("residual", "tangent", "energy", "elastic_norm", "element_force"):
+        codes = [getattr(s._forms, name).module.__name__ for s in (solid, plain)]
+        assert codes[0] == codes[1]
+    solid.fields.weights  # noqa: B018 - compiled when first asked for
+
+    def never(*arguments, **options):
+        raise AssertionError("something is compiled")
+
+    before = numbers(solid)
+    monkeypatch.setattr(dolfinx.jit, "ffcx_jit", never)
+    monkeypatch.setattr(fem.forms.jit, "ffcx_jit", never)
+    E.value *= 2.0
+    Y.x.array[:] *= 2.0
+    solid.u.x.array[:] = 0.0
+    for f in solid.state.values():
+        f.x.array[:] = 0.0
+    after = numbers(solid)
+    assert after[0] != pytest.approx(before[0])
+
+
+@pytest.mark.parametrize("what", ["residual", "tangent", "energy", "norm", "element", "stress"])
+def test_whatever_comes_next_follows_a_change(what):
+    """Elastic answers double with E, whichever is asked for first."""
+    domain = create_domain("triangle")
+    E = function(domain, 1000.0, ("Lagrange", 1))
+    solid = dm.Solid(create_displacement(domain), dm.Elastic(E, 0.3))
+    set_wave(solid.u, 1e-3)
+    K = solid.create_matrix()
+
+    def ask():
+        if what == "residual":
+            return np.sqrt(total(residual(solid) ** 2))
+        if what == "tangent":
+            solid.assemble_tangent(K)
+            return K.norm()
+        if what == "energy":
+            return solid.energy()
+        if what == "norm":
+            return solid.elastic_norm(solid.u) ** 2
+        if what == "element":
+            return solid.element_force_norm()
+        solid.evaluate()
+        return solid.max("von_mises")
+
+    before = ask()
+    E.x.array[:] *= 2.0
+    assert ask() == pytest.approx(2.0 * before, rel=1e-13)
+
+
+def test_a_linear_law_with_a_constant_has_no_constant_tangent():
+    """Half the stiffness between two steps under a traction: twice the displacement, at once."""
+    case = PressedBlocks()
+    E = constant(case.mesh, 1000.0)
+    solid = dm.Solid(case.u, dm.Elastic(E, 0.3))
+    assert solid.varying and not dm.Solid(case.u, dm.Elastic(1000.0, 0.3)).varying
+    bcs = [case.bc(BOTTOM)]
+    tie = dm.Tie(case.facets, slave=case.contact().slave, master=case.contact().master)
+    loads = case.pull((0.0, -0.1))
+    problem = dm.ContactProblem(solid, [tie], bcs=bcs, loads=loads, geometry="reference")
+    reports, sizes = [], []
+    for value in (1000.0, 500.0, 2000.0):
+        E.value = value
+        reports.append(dm.newton(problem))
+        problem.commit()
+        sizes.append(COMM.allreduce(float(np.abs(case.u.x.array).max(initial=0.0)), op=MPI.MAX))
+    assert np.array(sizes) / sizes[0] == pytest.approx([1.0, 2.0, 0.5], rel=1e-8)
+    assert all(report.newton_iterations == 1 for report in reports)
+
+
+def test_a_constant_that_softens_makes_a_body_flow():
+    """The yield radius falls between steps at the same strain; the stress lies on the new one."""
+    domain = create_domain("triangle")
+    Y = constant(domain, 100.0)
+    solid = dm.Solid(create_displacement(domain), dm.VonMises(1000.0, 0.3, Y, 0.0))
+    solid.u.interpolate(lambda x: np.stack([0.05 * x[1], 0 * x[1]]))
+    solid.evaluate()
+    assert not solid.flowing().any()
+    Y.value = 10.0
+    solid.evaluate()
+    assert solid.flowing().all()
+    assert solid.max("von_mises") == pytest.approx(np.sqrt(1.5) * 10.0, rel=1e-9)
+
+
+def test_output_sees_the_parameters_of_its_points():
+    """The back stress is a ep with the a of the point."""
+    domain = create_domain("quadrilateral")
+    a = function(domain, lambda x: 100.0 * (1 + x[0]), ("Lagrange", 1))
+    solid = dm.Solid(create_displacement(domain), dm.VonMises(1000.0, 0.3, 1.0, a))
+    set_wave(solid.u, 0.1)
+    solid.evaluate()
+    x = dm.solid.state.create_field(domain, solid.quadrature_degree, (), "a")
+    points = x.function_space.element.interpolation_points
+    x.interpolate(fem.Expression(a, points() if callable(points) else points))
+    dofs = x.function_space.dofmap.list[: solid.fields.weights.shape[0]]
+    expected = x.x.array[dofs][..., None] * solid.fields.values("plastic_strain")
+    assert solid.fields.values("back_stress") == pytest.approx(expected, rel=1e-12)
+    assert np.ptp(COMM.allreduce(x.x.array[dofs].tolist())) > 50.0
+
+
+def wave_of_stiffness(domain):
+    """Return a modulus that is negative in the right half."""
+    return function(domain, lambda x: np.where(x[0] < 0.5, 1000.0, -x[1]))
+
+
+def test_values_out_of_range_are_counted_and_placed():
+    """How many cells on all ranks, where, and which values."""
+    domain = create_domain("triangle")  # 4 x 5 x 2 cells
+    E = wave_of_stiffness(domain)
+    with pytest.raises(
+        ValueError, match=r"Elastic: E in \(0.0, inf\) does not hold in 20 cells"
+    ) as caught:
+        dm.Solid(create_displacement(domain), dm.Elastic(E, 0.3))
+    low, high = map(float, re.findall(r"E is (\S+) to (\S+)\.", str(caught.value))[0])
+    assert -2.0 < low < -1.8 and -0.2 < high < 0.0
+    x, y = map(float, re.findall(r"around \((\S+), (\S+)\)", str(caught.value))[0])
+    assert 0.5 < x < 1.0 and 0.0 < y < 2.0
+    E.x.array[:] = np.nan
+    with pytest.raises(ValueError, match=r"does not hold in 40 cells.*E is NaN"):
+        dm.Solid(create_displacement(domain), dm.Elastic(E, 0.3))
+
+
+def test_a_change_out_of_range_is_refused_until_it_is_undone():
+    """What was computed with is kept; every call says so, and all goes on when it is mended."""
+    domain = create_domain("triangle")
+    nu = function(domain, 0.3, ("Lagrange", 1))
+    solid = dm.Solid(create_displacement(domain), dm.Elastic(1000.0, nu))
+    set_wave(solid.u, 1e-3)
+    before = solid.energy()
+    solid.evaluate()
+    stress = solid.stress.x.array.copy()
+    nu.x.array[:] = 0.5
+    for ask in (solid.energy, solid.evaluate, solid.energy):
+        with pytest.raises(ValueError, match=r"nu in \(-1.0, 0.5\) does not hold in 40 cells"):
+            ask()
+    assert np.array_equal(solid.stress.x.array, stress)
+    nu.x.array[:] = 0.3
+    assert solid.energy() == before
+
+
+def test_a_change_on_one_rank_is_followed_by_all():
+    """A DG0 value of the last rank only."""
+    domain = create_domain("triangle")
+    E = function(domain, 1000.0)
+    solid = dm.Solid(create_displacement(domain), dm.Elastic(E, 0.3))
+    solid.energy()
+    if COMM.rank == COMM.size - 1:
+        E.x.array[:1] = -1.0
+    with pytest.raises(ValueError, match="does not hold in 1 cells"):
+        solid.energy()
+
+
+@dataclass(frozen=True)
+class Bounded(dm.Material):
+    """Hooke's law of a user, with ranges and a rule for two parameters."""
+
+    E: float
+    nu: float
+    state: ClassVar = {}
+    linear: ClassVar = True
+    ranges: ClassVar = {"E": (1.0, 10.0, True)}
+    elastic_stress = staticmethod(dm.Elastic.elastic_stress)
+    energy = staticmethod(dm.Elastic.energy)
+
+    @staticmethod
+    def conditions(p):
+        return {"E * nu < 2": p.E * p.nu < 2}
+
+
+@pytest.mark.parametrize(
+    ("E", "nu", "message"),
+    [
+        (0.5, 0.3, r"Bounded: E in \[1.0, 10.0\) does not hold in 40 cells.*E is 0.5 to 0.5"),
+        (
+            8.0,
+            0.3,
+            r"Bounded: E \* nu < 2 does not hold in 40 cells.*E is 8 to 8, nu is 0.3 to 0.3",
+        ),
+    ],
+)
+def test_ranges_and_rules_of_a_users_law(E, nu, message):
+    domain = create_domain("triangle")
+    dm.Solid(create_displacement(domain), Bounded(6.0, 0.3))
+    for law in (Bounded(E, nu), Bounded(constant(domain, E), nu)):
+        with pytest.raises(ValueError, match=message):
+            dm.Solid(create_displacement(domain), law)
+
+
+@pytest.mark.mpi
+def test_rules_of_a_law_that_only_some_ranks_have():
+    """The largest of no numbers is an error, which must not stop one rank alone; nor any other."""
+
+    @dataclass(frozen=True)
+    class Together(Bounded):
+        @staticmethod
+        def conditions(p):
+            if np.max(p.E) > 8.0:
+                raise ZeroDivisionError("E is too large")
+            return {"E below 4": np.max(p.E) < 4.0}
+
+    domain = create_domain("triangle")
+    u = create_displacement(domain)
+    tags = create_tags(
+        domain, lambda x: np.arange(len(x)) < (3 if COMM.rank == COMM.size - 1 else 0)
+    )
+    rest = {0: dm.Elastic(1.0, 0.3)}
+    E = constant(domain, 2.0)
+    solid = dm.Solid(u, rest | {1: Together(E, 0.3)}, tags)
+    for value, message in (
+        (6.0, "Together: E below 4 does not hold in 3 cells"),
+        (9.0, "Together.conditions raised ZeroDivisionError: E is too large; it must return"),
+    ):
+        E.value = value
+        with pytest.raises(ValueError, match=message):
+            solid.energy()
+    E.value = 2.0
+    assert solid.energy() == 0.0
+
+
+def test_what_cannot_be_a_parameter():
+    domain, other = create_domain("triangle"), create_domain("triangle")
+    u = create_displacement(domain)
+    vector = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
+    for E, message in [
+        (vector, "Elastic: the parameter E = .* is no number, and no scalar"),
+        (1.0 + u[0] ** 2, "Elastic: E depends on the displacement"),
+        (function(other, 1.0), "Elastic: E lives on another mesh"),
+        (at_points(domain, 1.0, 3), "quadrature space must have the quadrature_degree"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            dm.Solid(u, dm.Elastic(E, 0.3))
+
+
+def test_uniaxial_numbers_may_vary():
+    domain = create_domain("triangle")
+    given = 450.0, 15_000.0
+    plain = dm.VonMises.from_uniaxial(STEEL.E, 0.29, *given)
+    law = dm.VonMises.from_uniaxial(STEEL.E, 0.29, *(constant(domain, v) for v in given))
+    assert law.law is dm.VonMises  # no isotropic hardening, no variable for it
+    found = [numbers(dm.Solid(create_displacement(domain), m)) for m in (plain, law)]
+    assert found[1] == pytest.approx(found[0], rel=1e-12)
+
+
+def test_check_wants_numbers():
+    domain = create_domain("triangle")
+    dm.materials.check(dm.VonMises(constant(domain, 1000.0), 0.3, 1.0, 100.0))
+    with pytest.raises(ValueError, match=r"VonMises: E = .* depends on place.*dataclasses.replace"):
+        dm.materials.check(dm.VonMises(function(domain, 1000.0), 0.3, 1.0, 100.0))
+
+
+def test_a_range_of_no_parameter_is_named():
+    @dataclass(frozen=True)
+    class Misspelt(Bounded):
+        ranges: ClassVar = {"Emodulus": (0.0, 1.0, False)}
+
+    with pytest.raises(ValueError, match="ranges has 'Emodulus', which is no parameter; there are"):
+        dm.materials.check(Misspelt(6.0, 0.3))

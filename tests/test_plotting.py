@@ -1,0 +1,368 @@
+"""Pictures: what is drawn where, on any number of ranks, and what is refused."""
+
+import subprocess
+import sys
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from hertz_case import ELASTIC, create_case, create_mesh
+from meshes import BOTTOM, TOP, two_blocks
+from msh_files import folder
+
+import dolfinx_mortar as dm
+import ufl
+from basix.ufl import quadrature_element
+from dolfinx import fem
+from dolfinx.mesh import compute_midpoints, meshtags
+from dolfinx_mortar.plotting import plane
+from dolfinx_mortar.plotting.parts import Parts, curves
+
+COMM = MPI.COMM_WORLD
+FIRST = COMM.rank == 0
+pyplot = pytest.importorskip("matplotlib.pyplot")
+CELLS = [("triangle", 1), ("triangle", 2), ("quadrilateral", 1), ("quadrilateral", 2)]
+
+
+@pytest.fixture(autouse=True)
+def no_figures_left():
+    yield
+    pyplot.close("all")
+
+
+def pressed(cell="triangle", degree=1):
+    case = create_case(create_mesh("graded", 0.5, cell=cell), ELASTIC, degree=degree)
+    case.press(0.05)
+    dm.newton(case.problem)
+    return case
+
+
+def area(polygons):
+    """Return the sum of the areas (m,) of polygons (m, k, 2)."""
+    x, y = np.moveaxis(polygons, 2, 0)
+    return 0.5 * np.abs((x * np.roll(y, -1, 1) - y * np.roll(x, -1, 1)).sum(axis=1)).sum()
+
+
+def polygons(collection):
+    return np.array([path.vertices[:-1] for path in collection.get_paths()])
+
+
+@pytest.mark.mpi
+def test_a_mesh_shows_bodies_and_sides_by_name():
+    mesh = create_mesh("graded", 0.5)
+    ax = dm.plotting.mesh(*mesh)
+    assert (ax is None) != FIRST
+    if FIRST:
+        names = [text.get_text() for text in ax.get_legend().get_texts()]
+        assert names == ["block", "disc", "bottom", "flat", "top", "arc"]
+        block, disc, bottom, *_ = ax.collections
+        assert area(polygons(block)) == pytest.approx(300.0)
+        assert 80.0 < area(polygons(disc)) < np.pi * 32.0
+        ends = np.array([path.vertices for path in bottom.get_paths()])
+        assert np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).sum() == pytest.approx(30.0)
+        assert (ends[:, :, 1] == -10.0).all()
+
+
+def test_cells_without_a_tag_are_told():
+    mesh = create_mesh("graded", 0.5)
+    every = mesh.cell_tags
+    on = (every.values == 2) | (every.indices % 2 == 0)
+    some = meshtags(mesh.mesh, 2, every.indices[on], every.values[on])
+    ax = dm.plotting.mesh(mesh.mesh, dm.Tags(some, {"disc": 2}))
+    bare = dm.plotting.mesh(mesh.mesh)
+    if FIRST:
+        names = [text.get_text() for text in ax.get_legend().get_texts()]
+        assert names == ["no tag", "tag 1", "disc"]
+        assert bare.get_legend() is None and len(bare.collections) == 1
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("cell", "degree"), CELLS)
+def test_a_field_of_cells_lies_on_the_deformed_bodies(cell, degree):
+    """Colours are the cell averages, their cells those at X + scale u, with curved edges."""
+    case = pressed(cell, degree)
+    solid, u = case.problem.solid, case.problem.u
+    scale = 3.0
+    ax = dm.plotting.field(case.problem, "von_mises", scale=scale)
+    values = solid.cell_values("von_mises")
+    owned = values.function_space.dofmap.index_map.size_local
+    every = np.concatenate(COMM.allgather(values.x.array[:owned]))
+    V = u.function_space
+    x = V.tabulate_dof_coordinates()[:, :2] + scale * u.x.array.reshape(-1, 2)
+    x = np.concatenate(COMM.allgather(x[: V.dofmap.index_map.size_local]))
+    if FIRST:
+        (drawn,) = ax.collections
+        assert np.sort(np.asarray(drawn.get_array())) == pytest.approx(np.sort(every), rel=1e-12)
+        corners = polygons(drawn)
+        sides = 3 if cell == "triangle" else 4
+        assert corners.shape == (len(every), sides * degree, 2)
+        nodes = {tuple(p) for p in np.round(x, 9)}
+        assert {tuple(p) for p in np.round(corners.reshape(-1, 2), 9)} <= nodes
+        assert ax.figure.axes[1].get_ylabel() == "von_mises"
+    flat = dm.plotting.field(case.problem, "von_mises", scale=0.0)
+    one = fem.Constant(V.mesh, 1.0)
+    whole = COMM.allreduce(fem.assemble_scalar(fem.form(one * ufl.dx)))
+    if FIRST:
+        around = polygons(flat.collections[0])
+        assert area(around) == pytest.approx(whole, rel=1e-12)
+        if degree == 2:  # corners and middles in turns
+            ends = 0.5 * (around[:, ::2] + np.roll(around[:, ::2], -1, axis=1))
+            assert around[:, 1::2] == pytest.approx(ends, abs=1e-12)
+
+
+@pytest.mark.mpi
+def test_displacements_and_functions_are_shaded():
+    case = pressed("quadrilateral", 2)
+    V, u = case.problem.solid.V, case.problem.u
+    u.interpolate(lambda x: np.stack([3.0 * x[0], 4.0 * x[1]]))
+    linear = fem.Function(fem.functionspace(V.mesh, ("Lagrange", 1)), name="heat")
+    linear.interpolate(lambda x: x[0] + 2.0 * x[1])
+    wanted = {
+        "displacement": lambda x, y: np.hypot(3.0 * x, 4.0 * y),
+        "displacement_y": lambda x, y: 4.0 * y,
+        linear: lambda x, y: x + 2.0 * y,
+    }
+    for name, values in wanted.items():
+        ax = dm.plotting.field(case.problem.solid, name, scale=0.0)
+        if FIRST:
+            drawn = ax.collections[0]  # a mesh of triangles with values at its nodes
+            x, y = drawn._triangulation.x, drawn._triangulation.y
+            assert np.asarray(drawn.get_array()) == pytest.approx(values(x, y), abs=1e-9)
+            corners = np.stack([x, y], axis=1)[drawn._triangulation.triangles]
+            assert area(corners) == pytest.approx(300.0 + area(polygons_of_disc(ax)), rel=1e-9)
+
+
+@pytest.mark.mpi
+def test_parts_of_functions_are_drawn_as_they_are():
+    """A component of a vector, at nodes and of cells."""
+    mesh, cell_tags, _ = create_mesh("graded", 0.5)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    solid = dm.Solid(fem.Function(V), ELASTIC, cell_tags)
+    for family, degree in (("Lagrange", 1), ("DG", 0)):
+        both = fem.Function(fem.functionspace(mesh, (family, degree, (2,))), name="both")
+        both.interpolate(lambda x: np.stack([0.0 * x[0] + 3.0, 0.0 * x[0] + 4.0]))
+        for function, value in ((both, 5.0), (both.sub(0), 3.0), (both.sub(1), 4.0)):
+            ax = dm.plotting.field(solid, function)
+            if FIRST:
+                assert np.asarray(ax.collections[0].get_array()) == pytest.approx(value)
+
+
+def polygons_of_disc(ax):
+    outline = polygons(ax.collections[1])
+    return outline[outline[:, :, 1].mean(axis=1) > 0.0]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("degree", [1, 2])
+def test_pressure_along_the_interface(degree):
+    """The line passes through the slave nodes, sorted; under it lies the force."""
+    case = pressed(degree=degree)
+    nodes = case.contact.gather(case.problem.u)
+    axes = [dm.plotting.pressure(case.problem, over=over) for over in (None, "x", "length")]
+    force = case.force
+    if FIRST:
+        for ax in axes:
+            (line,) = ax.get_lines()
+            s, p = line.get_data()
+            assert (np.diff(s) > 0.0).all() and len(s) == len(nodes["pressure"])
+            assert p == pytest.approx(nodes["pressure"][np.argsort(nodes["x"][:, 0])])
+            assert np.trapezoid(p, s) == pytest.approx(force, rel=0.1)
+            low, high = ax.get_xlim()
+            assert low < s[p > 0].min() and s[p > 0].max() < high < low + 10.0
+        assert axes[0].get_xlabel() == "x" and "length" in axes[2].get_xlabel()
+        assert axes[2].get_lines()[0].get_xdata()[0] == 0.0
+
+
+def glued(pull, kinds=(dm.Tie,), order=1):
+    """Return a bar of two blocks with E = 100 and nu = 0, longer by `pull` of its length."""
+    mesh, _, facets = two_blocks(COMM, (4, 2), (3, 2), order=order)
+    values, x = facets.values.copy(), compute_midpoints(mesh, 1, facets.indices)[:, 0]
+    values[(values == 3) & (x > 0.5)] = 30 if len(kinds) > 1 else 3
+    tags = meshtags(mesh, 1, facets.indices, values)
+    V = fem.functionspace(mesh, ("Lagrange", order, (2,)))
+    bcs = []
+    for tag, value in ((BOTTOM, 0.0), (TOP, 2.0 * pull)):
+        dofs = fem.locate_dofs_topological(V, 1, tags.find(tag))
+        bcs.append(fem.dirichletbc(np.array([0.0, value]), dofs, V))
+    sides = [kind(tags, slave=s, master=4) for kind, s in zip(kinds, (3, 30), strict=False)]
+    law = dm.Elastic(E=100.0, nu=0.0)
+    problem = dm.ContactProblem(dm.Solid(fem.Function(V), law), sides, bcs=bcs)
+    dm.newton(problem)
+    return problem
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("order", [1, 2])
+def test_what_is_drawn_of_a_tie_is_its_normal_traction(order):
+    """The stress of a bar that is pulled, which is no pressure; positive in compression."""
+    problem = glued(0.01, order=order)
+    ax = dm.plotting.pressure(problem)  # nothing else is there
+    if FIRST:
+        assert ax.get_ylabel() == "normal traction"
+        (line,) = ax.get_lines()
+        assert line.get_ydata() == pytest.approx(-1.0, rel=1e-9)
+
+
+def test_one_title_for_contacts_and_ties():
+    problem = glued(-0.01, (dm.Contact, dm.Tie))
+    for interfaces, title, lines in (
+        (None, "contact pressure", 1),
+        (problem.interfaces[1], "normal traction", 1),
+        (problem.interfaces, "normal traction", 2),
+    ):
+        ax = dm.plotting.pressure(problem, interfaces)
+        if FIRST:
+            assert (ax.get_ylabel(), len(ax.get_lines())) == (title, lines)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_curves_run_from_left_to_right(sign):
+    """Whatever the numbers of their nodes; the length starts on the left, and a middle counts."""
+    x = np.array([[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [1.5, 2.0, 0.0], [6.0, 0.0, 0.0], [4, 2, 0]])
+    p = np.arange(5.0)
+    side = Parts(x * [sign, 1.0, 1.0], np.array([[0, 1, 2], [1, 3, 4]]), {"value": p})
+    axes = plane.new_axes("no window")
+    plane.draw_pressure(axes, [("side", side)], "length", "pressure")
+    s, drawn = axes.get_lines()[0].get_data()
+    way = np.array([0, 2, 1, 4, 3])[:: int(sign)]
+    assert drawn.tolist() == p[way].tolist()
+    steps = np.linalg.norm(np.diff(x[way], axis=0), axis=1)
+    assert s == pytest.approx([0.0, *np.cumsum(steps)])
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("seed", range(4))
+def test_closed_curves_start_away_from_the_load(seed):
+    """At the top of a ring that is loaded below, counterclockwise, however nodes are numbered."""
+    n, rng = 12, np.random.default_rng(seed)
+    angle = 2.0 * np.pi * np.arange(n) / n
+    x = np.stack([np.sin(angle), np.cos(angle), 0.0 * angle], axis=1)  # clockwise from the top
+    p = np.where(x[:, 1] < -0.8, -x[:, 1], 0.0)
+    number = rng.permutation(n)
+    lines = np.stack([number, np.roll(number, -1)], axis=1)[rng.permutation(n)]
+    lines = np.where(rng.random((n, 1)) < 0.5, lines, lines[:, ::-1])
+    side = Parts(x[np.argsort(number)], lines, {"value": p[np.argsort(number)]})
+    axes = plane.new_axes("no window")
+    plane.draw_pressure(axes, [("ring", side)], None, "pressure")
+    s, drawn = axes.get_lines()[0].get_data()
+    assert s == pytest.approx(2.0 * np.sin(np.pi / n) * np.arange(n + 1))
+    assert drawn == pytest.approx(np.append(p, p[0])[::-1])
+    plane.draw_pressure(
+        axes, [("free", Parts(side.x, lines, {"value": 0.0 * p}))], None, "pressure"
+    )
+    assert len(axes.get_lines()[1].get_xdata()) == n + 1
+
+
+def test_curves_are_found_in_pieces():
+    ring = np.array([[0, 1], [2, 1], [2, 3], [0, 3]])
+    both = np.concatenate([ring, [[11, 10], [11, 12]]])
+    closed = next(c for c in curves(both) if len(c) == 4)
+    (opened,) = (c for c in curves(both) if len(c) == 2)
+    assert opened in ([(4, True), (5, False)], [(5, True), (4, False)])
+    passed = [(both[line][::-1] if back else both[line]).tolist() for line, back in closed]
+    assert all(a[1] == b[0] for a, b in zip(passed, passed[1:] + passed[:1], strict=True))
+
+
+@pytest.mark.mpi
+def test_pictures_are_written_and_axes_shared():
+    case = pressed()
+    with folder() as there:
+        for draw in (
+            lambda **to: dm.plotting.mesh(*create_mesh("graded", 0.5), **to),
+            lambda **to: dm.plotting.field(case.problem, "stress_yy", **to),
+            lambda **to: dm.plotting.pressure(case.problem, case.contact, **to),
+        ):
+            file = there / "a.png"
+            ax = draw(file=str(file))
+            COMM.Barrier()
+            assert file.stat().st_size > 5000
+            COMM.Barrier()
+            if FIRST:
+                file.unlink()
+                ax.clear()
+            assert draw(ax=ax) is ax
+
+
+# -- what is refused ------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_wrong_arguments():
+    case, (other, *_) = pressed(), two_blocks(COMM, (2, 1), (1, 1))
+    problem, tags = case.problem, case.contact.facet_tags
+    tie = dm.Tie(tags, slave=3, master=4)
+    stranger = fem.Function(fem.functionspace(other, ("DG", 0)), name="f")
+    figure, unpack = pyplot.figure(), r"unpack what a reader returns, mesh\(\*found\)"
+    moved = "choose one of displacement, displacement_x"
+    for call, said in (
+        (lambda: dm.plotting.mesh("x.msh"), "mesh is 'x.msh'"),
+        (lambda: dm.plotting.mesh((other, None, None)), unpack),
+        (lambda: dm.plotting.mesh(other, file=3), "file is 3: give the name"),
+        (lambda: dm.plotting.mesh(other, view=(0, 1, 0)), r"view is \(0, 1, 0\): for bodies"),
+        (lambda: dm.plotting.mesh(other, ax=figure), "ax is .*give axes of matplotlib"),
+        (lambda: dm.plotting.mesh(other, tags), "cell_tags"),
+        (lambda: dm.plotting.mesh(problem.solid.mesh, tags), "cell_tags.*dimension 2"),
+        (lambda: dm.plotting.field(problem, "von_misses"), "no field 'von_misses'; there are"),
+        (lambda: dm.plotting.field(problem, "stress"), "tensor.*'stress_xx'"),
+        (lambda: dm.plotting.field(problem, 3), "name is 3"),
+        (lambda: dm.plotting.field(problem, "displacement_z"), moved),
+        (lambda: dm.plotting.field(problem, "displacement_"), moved),
+        (lambda: dm.plotting.field(problem, "von_mises", scale="2"), "scale is '2': give"),
+        (lambda: dm.plotting.field(problem, "von_mises", scale=np.nan), "scale is nan"),
+        (lambda: dm.plotting.field(problem, stranger), "another mesh"),
+        (lambda: dm.plotting.field(case, "von_mises"), "give a ContactProblem or a Solid"),
+        (lambda: dm.plotting.pressure(problem.solid), "give a ContactProblem"),
+        (lambda: dm.plotting.pressure(problem, tie), r"Tie\(.*is none of this problem's"),
+        (lambda: dm.plotting.pressure(problem, []), r"interfaces is \[\]; interfaces of the"),
+        (lambda: dm.plotting.pressure(problem, over="z"), "over is 'z'"),
+        (lambda: dm.plotting.pressure(dm.ContactProblem(problem.solid)), "no contact or tie"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            call()
+    fresh = create_case(create_mesh("graded", 0.5), ELASTIC)
+    with pytest.raises(RuntimeError, match="solve a step first"):
+        dm.plotting.pressure(fresh.problem)
+
+
+@pytest.mark.mpi
+def test_functions_that_have_no_values_at_nodes():
+    """Those that jump from cell to cell would be drawn with the values of the last cell."""
+    mesh, cell_tags, _ = create_mesh("graded", 0.5)
+    u = fem.Function(fem.functionspace(mesh, ("Lagrange", 1, (2,))))
+    solid = dm.Solid(u, ELASTIC, cell_tags)
+    for element, said in (
+        (("DG", 1), "discontinuous P of degree 1.*interpolate it"),
+        (("N1curl", 1), "N1E of degree 1.*interpolate it"),
+        (quadrature_element("triangle", degree=2), "quadrature of degree 2.*interpolate it"),
+        (("DG", 0, (2, 2)), r"values of shape \(2, 2\): give a scalar or a vector \(2,\)"),
+    ):
+        function = fem.Function(fem.functionspace(mesh, element), name="g")
+        with pytest.raises(ValueError, match=f"the Function 'g'.*{said}"):
+            dm.plotting.field(solid, function)
+
+
+@pytest.mark.mpi
+def test_a_file_that_cannot_be_written_is_an_error_on_all_ranks():
+    with pytest.raises(OSError, match="nowhere"):
+        dm.plotting.mesh(*create_mesh("graded", 0.5), file="/nowhere/at/all/a.png")
+
+
+@pytest.mark.serial
+def test_the_library_starts_without_what_draws():
+    code = "import sys, dolfinx_mortar; print([m for m in sys.argv[1:] if m in sys.modules])"
+    run = [sys.executable, "-c", code, "matplotlib", "pyvista", "vtk", "gmsh", "meshio"]
+    assert subprocess.run(run, capture_output=True, text=True, check=True).stdout.strip() == "[]"
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("library", ["matplotlib", "pyvista"])
+def test_a_missing_library_is_named_with_its_extra(library, monkeypatch):
+    monkeypatch.setitem(sys.modules, library, None)
+    if library == "matplotlib":
+        mesh = create_mesh("graded", 0.5)
+    else:
+        mesh = dm.meshing.sphere(COMM, h=1.0, core=2.0)
+    with pytest.raises(ImportError, match=rf"{library} is needed.*dolfinx_mortar\[demo\]"):
+        dm.plotting.mesh(*mesh)

@@ -1,0 +1,389 @@
+# SPDX-License-Identifier: MIT
+"""Preload: the jump for a force, signs, the diagram of a bolted joint, and what cannot be."""
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import fem
+from dolfinx_mortar.steps import preload as preload_module
+from dolfinx_mortar.steps.newton import solve_step
+from dolfinx_mortar.steps.report import StepReport
+from tests.bolted_joint import Joint
+from tests.glued_bar import CELLS, COMM, CONFINED, NU, Bar, E, largest
+from tests.meshes import BOTTOM, LEFT, TOP
+from tests.pressed_blocks import rejected
+
+SOUGHT = 1e-6  # relative accuracy of the force, the default
+
+
+def clamped(cell="quadrilateral", **options):
+    """Return a bar between rigid walls, confined all around, and its problem."""
+    case = Bar(cell, **options)
+    last = case.d - 1
+    return case, case.problem([*case.rollers(), case.hold(BOTTOM, last), case.hold(TOP, last)])
+
+
+def outwards(case):
+    """Return the direction out of the slave side."""
+    return case.along(-case.sign)
+
+
+# -- the jump for a force
+
+
+@pytest.mark.parametrize("slave", ["upper", "lower"])
+@pytest.mark.parametrize(("cell", "force"), [*((c, 30.0) for c in CELLS), (CELLS[1], -30.0)])
+def test_an_elastic_bar_between_walls(cell, force, slave):
+    """F = E_c s / L on a unit section, in three steps; positive is tension, either slave."""
+    case, problem = clamped(cell, slave=slave)
+    found = dm.preload(problem, case.tie, force, 7.0 * outwards(case))
+    s = 2.0 * force / CONFINED
+    assert np.allclose(found.jump, s * outwards(case), rtol=2 * SOUGHT, atol=1e-12)
+    assert found.force == pytest.approx(force, rel=SOUGHT) and found.iterations == 3
+    assert np.allclose(case.tie.tightening, found.jump, rtol=0.0, atol=0.0)
+    assert case.tie.jump is None and found.report.converged
+    upper = case.tie.force if slave == "upper" else case.tie.master_force
+    assert upper[case.d - 1] == pytest.approx(-force, rel=SOUGHT)  # tension pulls it down
+    assert np.allclose(case.tie.gather(case.u)["pressure"], -force, rtol=1e-5)
+
+
+def test_loads_of_the_moment_count_and_the_jump_is_held():
+    """The force is reached with the load; when it goes, the bar keeps its jump."""
+    case, _ = clamped()
+    load = fem.Constant(case.mesh, 12.0)
+    v, ds = ufl.TestFunction(case.V), ufl.Measure("ds", case.mesh, subdomain_data=case.facets)
+    bcs = [*case.rollers(), case.hold(BOTTOM, 1)]
+    spring = 0.5 * CONFINED * case.u[1] ** 2 * ds(TOP)
+    problem = case.problem(bcs, loads=load * v[1] * ds(TOP), potential=spring)
+    found = dm.preload(problem, case.tie, 30.0, outwards(case))
+    # bar and spring in series carry (load share 2/3 of 12) + s C / 3
+    s = (30.0 - 12.0 * (1 / 2) / (1 / 2 + 1)) / (CONFINED / 3)
+    assert found.jump[1] == pytest.approx(-s, rel=1e-5)
+    load.value = 0.0
+    dm.newton(problem)
+    assert case.tie.force[1] == pytest.approx(-s * CONFINED / 3, rel=1e-5)
+
+
+def test_it_is_added_to_the_jump_and_tightened_again_from_where_it_is():
+    case, problem = clamped()
+    case.tie.jump = [0.0, -1e-3]
+    found = dm.preload(problem, case.tie, 30.0, outwards(case))
+    assert found.jump[1] == pytest.approx(1e-3 - 60.0 / CONFINED, rel=1e-5)
+    more = dm.preload(problem, case.tie, 50.0, outwards(case))
+    assert more.jump[1] == pytest.approx(1e-3 - 100.0 / CONFINED, rel=1e-5)
+    none = dm.preload(problem, case.tie, 0.0, outwards(case))
+    assert none.jump[1] == pytest.approx(1e-3, rel=1e-4) and abs(none.force) < 50.0 * SOUGHT
+    again = dm.preload(problem, case.tie, 0.0, outwards(case))
+    assert again.iterations == 1  # it is there already
+
+
+def test_half_a_bolt_has_half_the_force():
+    """A bar on its plane of symmetry: the resultant is that of what is modelled."""
+    whole, problem = clamped()
+    dm.preload(problem, whole.tie, 30.0, outwards(whole))
+    half, problem = clamped(x_lower=(0.0, 0.5), x_upper=(0.0, 0.5))
+    dm.preload(problem, half.tie, 15.0, outwards(half))
+    assert half.tie.tightening[1] == pytest.approx(whole.tie.tightening[1], rel=1e-5)
+
+
+@pytest.mark.mpi
+def test_a_bar_beyond_yield_is_tightened_as_by_one_step():
+    """K eps + sqrt(2/3) Y = F; the tries leave no trace in the plastic strain."""
+    Y, force = 2.0, 12.0
+    case, problem = clamped(law=dm.VonMises(E, NU, Y, 0.0))
+    found = dm.preload(problem, case.tie, force, outwards(case))
+    bulk = E / (3 * (1 - 2 * NU))
+    assert found.jump[1] == pytest.approx(-2.0 * (force - np.sqrt(2 / 3) * Y) / bulk, rel=1e-5)
+    assert 4 <= found.iterations <= 8
+    flown = case.solid.state["plastic_strain"].x.array.copy()  # committed
+    again, problem = clamped(law=dm.VonMises(E, NU, Y, 0.0))
+    again.tie.jump = found.jump
+    dm.newton(problem, rtol=1e-8)
+    problem.commit()
+    assert largest(flown) > 1e-3
+    assert largest(flown - again.solid.state["plastic_strain"].x.array) < 1e-8 * largest(flown)
+    # unloading by half of the elastic range: the plastic strain stays
+    shear = E / (2 * (1 + NU))
+    jump = np.abs(found.jump[1]) - Y * np.sqrt(2 / 3) / (2 / 3 * shear) / 2
+    again.tie.jump = [0.0, -jump]
+    dm.newton(problem)
+    drop = CONFINED * (np.abs(found.jump[1]) - jump) / 2
+    assert again.tie.force[1] == pytest.approx(-(force - drop), rel=1e-5)
+
+
+# -- a bolted joint
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("slave", ["upper", "lower"])
+def test_the_diagram_of_a_bolted_joint(slave):
+    """The bolt's force grows by a third of the pull until the plates part, then by all of it."""
+    joint, F0 = Joint(slave=slave), 6.0
+    found = dm.preload(joint.problem, joint.bolt, F0, joint.direction, rtol=1e-8)
+    assert found.jump[1] == pytest.approx(joint.direction[1] * F0 / E * (2 + 1), rel=1e-4)
+    assert joint.tension() == pytest.approx(F0, rel=1e-8)
+    assert joint.clamping() == pytest.approx(F0, rel=3e-8)
+    for pull in (3.0, 8.0, 8.9, 9.1, 12.0, 4.0, 0.0):
+        joint.pull.value = pull
+        dm.newton(joint.problem, rtol=1e-11)
+        joint.problem.commit()
+        assert joint.tension() == pytest.approx(max(F0 + pull / 3, pull), rel=1e-4)
+        assert joint.clamping() == pytest.approx(max(F0 - 2 * pull / 3, 0.0), rel=1e-3, abs=1e-8)
+        assert abs(joint.tension() - joint.clamping() - pull) < 1e-8 * F0
+        closed = joint.problem.committed.active.any()
+        assert COMM.allreduce(int(closed)) > 0 if pull < 1.5 * F0 else not closed
+
+
+def test_a_gap_under_the_yoke_closes_first():
+    """Until then only the yoke's weight, here a push, is carried, by the bolt alone."""
+    joint, F0, gap = Joint(gap=0.01), 6.0, 0.01
+    joint.pull.value = -1.0
+    found = dm.preload(joint.problem, joint.bolt, F0, joint.direction)
+    # the bolt shrinks by the gap and what the plates yield, and is stretched by F0
+    plates = (F0 + 1.0) * (2.0 - gap) / (2 * E)
+    assert -found.jump[1] == pytest.approx(gap + plates + F0 / (E / 2), rel=1e-4)
+    assert joint.clamping() == pytest.approx(F0 + 1.0, rel=1e-6)
+
+
+def test_bolts_are_found_in_load_steps_too():
+    """Preload, then a walk: the level and the history are those of the walk alone."""
+    joint, F0 = Joint(), 6.0
+    dm.preload(joint.problem, joint.bolt, F0, joint.direction)
+    assert joint.problem.committed.level == 0.0 and not joint.problem.history
+    found = []
+    for _ in dm.load_steps(
+        joint.problem, [3.0, 6.0], on_time=lambda t: joint.pull.value.fill(t), progress=False
+    ):
+        found.append(joint.tension())
+    assert np.allclose(found, [F0 + 1.0, F0 + 2.0], rtol=1e-4)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Return a folder that all ranks see."""
+    return COMM.bcast(tmp_path)
+
+
+@pytest.mark.mpi
+def test_a_walk_that_was_stopped_goes_on_when_the_program_tightens_again(folder):
+    """The preload comes before the walk, in the run that goes on as well."""
+    times, file, F0 = [3.0, 6.0, 12.0], folder / "run.h5", 6.0
+
+    def walk(times):
+        joint = Joint()
+        dm.preload(joint.problem, joint.bolt, F0, joint.direction)
+        options = {"on_time": lambda t: joint.pull.value.fill(t), "checkpoint": file}
+        steps = dm.load_steps(joint.problem, times, progress=False, **options)
+        return [(step.number, joint.tension()) for step in steps]
+
+    assert walk(times[:1]) == [(1, pytest.approx(F0 + 1.0, rel=1e-4))]
+    (two, tension), (three, parted) = walk(times)
+    assert (two, three) == (2, 3)
+    assert tension == pytest.approx(F0 + 2.0, rel=1e-4)
+    assert parted == pytest.approx(12.0, rel=1e-5)
+
+
+# -- what cannot be
+
+
+class Watched:
+    """All that a failure must leave as it was."""
+
+    def __init__(self, case, problem):
+        """Keep copies."""
+        self.parts = (case, problem)
+        self.before = self.now()
+
+    def now(self):
+        case, problem = self.parts
+        fields = [case.u, case.solid.stress, *case.solid.state.values()]
+        fields += [case.tie.pressure, case.tie.gap, case.tie.active]
+        arrays = [f.x.array.copy() for f in fields]
+        return [*arrays, case.tie.force, case.tie.tightening, problem.committed.active.copy()]
+
+    def unchanged(self):
+        return all(map(np.array_equal, self.before, self.now()))
+
+
+def loaded(**options):
+    """Return a bar that carries a committed state, which is to stay."""
+    case = Bar("quadrilateral", **options)
+    push = fem.Constant(case.mesh, -1e-4)
+    problem = case.problem([case.hold(BOTTOM), case.hold(TOP, 1, push), case.hold(TOP, 0)])
+    dm.newton(problem)
+    problem.commit()
+    return case, problem
+
+
+@pytest.mark.mpi
+def test_nothing_resists():
+    """A bar with a free end; a shear jump of a bar that may slide at its top."""
+    case = Bar("quadrilateral")
+    problem = case.problem([case.hold(BOTTOM)])
+    dm.newton(problem)
+    watched = Watched(case, problem)
+    words = ("force 30 ", "[0, -1]", "nothing resists", "hold both ends", "as before")
+    with rejected(*words, error=dm.PreloadNotReached):
+        dm.preload(problem, case.tie, 30.0, outwards(case))
+    assert watched.unchanged()
+    case = Bar("quadrilateral")
+    problem = case.problem([case.hold(BOTTOM), case.hold(TOP, 1)])
+    with rejected("[1, 0]", "nothing resists", error=dm.PreloadNotReached):
+        dm.preload(problem, case.tie, 30.0, [1.0, 0.0])
+
+
+def test_plastic_collapse():
+    """A strip in plane strain carries sqrt(2) Y, the limit; the message says what was reached."""
+    Y = 2.0
+    case = Bar("quadrilateral", law=dm.VonMises(E, NU, Y, 0.0))
+    problem = case.problem([case.hold(BOTTOM, 1), case.hold(TOP, 1), case.hold(LEFT, 0)])
+    limit = np.sqrt(2.0) * Y
+    dm.preload(problem, case.tie, 0.5 * limit, outwards(case))
+    watched = Watched(case, problem)
+    with rejected("force 3.1", "nearest was", "as before", error=dm.PreloadNotReached) as caught:
+        dm.preload(problem, case.tie, 1.1 * limit, outwards(case))
+    assert watched.unchanged()
+    largest_force = max(force for _, force in caught.value.tries)
+    assert largest_force <= limit * (1 + 1e-6)
+    near = dm.preload(problem, case.tie, 0.98 * limit, outwards(case))
+    assert near.force == pytest.approx(0.98 * limit, rel=SOUGHT)
+
+
+def refuse_beyond(monkeypatch, tie, most):
+    """Let steps with larger jumps fail; return the jumps that were tried."""
+    tried, begins = [], []
+
+    def solve(problem, **options):
+        begins.append(problem.u.x.array.copy())
+        assert np.array_equal(begins[-1], begins[0])  # every try is one from the committed state
+        tried.append(largest(tie.tightening))
+        if tried[-1] > most:
+            raise dm.NewtonNotConverged("too far", StepReport())
+        return solve_step(problem, **options)
+
+    monkeypatch.setattr("dolfinx_mortar.steps.preload.solve_step", solve)
+    return tried
+
+
+def test_tries_that_go_too_far_are_halved(monkeypatch):
+    """Before the gap is closed nothing tells how far to go; what fails is not tried again."""
+    joint, F0 = Joint(gap=0.01), 6.0
+    joint.pull.value = -1.0
+    most = 0.03
+    tried = refuse_beyond(monkeypatch, joint.bolt, most)
+    found = dm.preload(joint.problem, joint.bolt, F0, joint.direction)
+    assert found.force == pytest.approx(F0, rel=SOUGHT) and largest(found.jump) < most
+    beyond = [s for s in tried if s > most]
+    assert beyond and np.all(np.diff(beyond) < 0.0)
+
+
+def scripted(monkeypatch, force_of, *, refused=np.inf):
+    """Let the force be a function of the jump, and steps with larger jumps fail."""
+
+    def solve(search, s):
+        search.reports.append(StepReport())
+        if s > refused:
+            raise dm.NewtonNotConverged("too far", StepReport())
+        search.tries.append((s, force_of(s)))
+        search.tie.tightening = s * search.n
+        return force_of(s) - search.force
+
+    monkeypatch.setattr("dolfinx_mortar.steps.preload._Search.solve", solve)
+    return loaded()
+
+
+def test_what_was_refused_bounds_the_search(monkeypatch):
+    """Nothing resists until shortly before steps fail: half the way there, and no farther."""
+    force_of = lambda s: 100.0 * max(s - 0.09, 0.0)  # noqa: E731
+    case, problem = scripted(monkeypatch, force_of, refused=0.1)
+    found = dm.preload(problem, case.tie, 0.5, outwards(case))
+    assert -found.jump[1] == pytest.approx(0.095, rel=1e-6) and found.iterations < 15
+
+
+@pytest.mark.parametrize("bend", [0.3, 3.0])
+def test_bent_curves_take_few_tries(monkeypatch, bend):
+    """Where the force bends up or down, both ends of the bracket move."""
+    case, problem = scripted(monkeypatch, lambda s: 30.0 * np.sign(s) * (abs(s) / 0.05) ** bend)
+    found = dm.preload(problem, case.tie, 30.0, outwards(case))
+    assert -found.jump[1] == pytest.approx(0.05, rel=1e-5) and found.iterations < 16
+
+
+def test_steps_that_do_not_converge(monkeypatch):
+    """The cause is that of Newton, and calls with rising forces are the remedy."""
+    case, problem = loaded()
+    watched = Watched(case, problem)
+    tried = refuse_beyond(monkeypatch, case.tie, 1e-3)
+    with rejected("does not converge (too far)", "tighten in parts", error=dm.PreloadNotReached):
+        dm.preload(problem, case.tie, 30.0, outwards(case))
+    assert watched.unchanged() and len(tried) < 20
+
+
+def test_too_few_tries():
+    case, problem = loaded(law=dm.VonMises(E, NU, 2.0, 10.0))
+    watched = Watched(case, problem)
+    with rejected("not found in max_it=2 steps", error=dm.PreloadNotReached):
+        dm.preload(problem, case.tie, 3.0, outwards(case), max_it=2)
+    assert watched.unchanged()
+
+
+@pytest.mark.parametrize("force", ["much", None, np.nan, np.inf, True])
+def test_a_force_that_is_none(force):
+    case, problem = loaded()
+    with rejected("force is ", "finite number"):
+        dm.preload(problem, case.tie, force, outwards(case))
+
+
+@pytest.mark.parametrize("direction", [1.0, [0.0, 0.0], [1.0, 0.0, 0.0], [0.0, np.nan], "down"])
+def test_a_direction_that_is_none(direction):
+    case, problem = loaded()
+    with rejected("direction is ", "2 finite components"):
+        dm.preload(problem, case.tie, 1.0, direction)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("slave", ["upper", "lower"])
+def test_a_direction_into_the_slave_side(slave):
+    case, problem = loaded(slave=slave)
+    watched = Watched(case, problem)
+    with rejected("direction is ", "into the slave side", "turn it round"):
+        dm.preload(problem, case.tie, 1.0, -outwards(case))
+    assert watched.unchanged()
+
+
+def test_a_tie_of_another_problem():
+    (case, problem), (other, _) = loaded(), loaded()
+    with rejected("tie is ", "problem.ties"):
+        dm.preload(problem, other.tie, 1.0, outwards(case))
+    with rejected("problem is ", "ContactProblem"):
+        dm.preload(case.solid, case.tie, 1.0, outwards(case))
+    joint = Joint()
+    with rejected("tie is ", "problem.ties"):
+        dm.preload(joint.problem, joint.plates[0], 1.0, [0.0, 1.0])
+
+
+# -- numbers
+
+NUMBERS = ("SHARE_OF_STEPS", "GROWTH", "AGAINST", "NOTHING", "HALVINGS", "FARTHEST")
+
+
+def tighten():
+    """Return what preloads of an elastic bar find, and what is said of one that nothing holds."""
+    case, problem = clamped()
+    found = [dm.preload(problem, case.tie, force, outwards(case)).jump for force in (30.0, 5.0)]
+    loose = Bar("quadrilateral")
+    problem = loose.problem([loose.hold(BOTTOM)])
+    with pytest.raises(dm.PreloadNotReached) as caught:
+        dm.preload(problem, loose.tie, 30.0, outwards(loose))
+    return np.concatenate(found), str(caught.value).partition(":")[0]
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+@pytest.mark.parametrize("name", NUMBERS)
+def test_no_number_changes_an_answer(name, factor, monkeypatch):
+    jumps, said = tighten()
+    number = getattr(preload_module, name)
+    monkeypatch.setattr(preload_module, name, type(number)(factor * number))
+    found, words = tighten()
+    assert np.allclose(found, jumps, rtol=2 * SOUGHT, atol=1e-12) and words == said

@@ -1,0 +1,153 @@
+"""Names of tags: wherever a tag is taken, and what a mistyped one is told."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from meshes import two_blocks
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import fem
+
+COMM = MPI.COMM_WORLD
+SIDES = {"ball": 4, "plate": 3, "plates": 99}
+SOFT, HARD = dm.Elastic(E=1.0, nu=0.3), dm.Elastic(E=9.0, nu=0.3)
+
+
+def case():
+    """Return the space, cell tags and facet tags of two blocks, with names."""
+    mesh, cell_tags, facet_tags = two_blocks(COMM, (4, 2), (3, 2))
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    bodies = dict(zip(("low", "up"), known(cell_tags), strict=True))
+    return V, dm.Tags(cell_tags, bodies), dm.Tags(facet_tags, SIDES)
+
+
+def known(tags):
+    return sorted(set().union(*COMM.allgather(set(tags.values.tolist()))))
+
+
+def test_a_name_stands_for_its_tag():
+    V, _, facet_tags = case()
+    assert list(facet_tags.names) == ["plate", "ball", "plates"]
+    assert facet_tags.tag("ball") == 4 and facet_tags.tag(7) == 7
+    assert (facet_tags.find("ball") == facet_tags.find(4)).all()
+    assert COMM.allreduce(len(facet_tags.find("ball"))) > 0
+    ds = ufl.Measure("ds", V.mesh, subdomain_data=facet_tags)
+    form = fem.form(fem.Constant(V.mesh, 1.0) * ds(facet_tags.tag("plate")))
+    assert COMM.allreduce(fem.assemble_scalar(form)) == pytest.approx(1.0)
+    with pytest.raises(TypeError):
+        facet_tags.names["ball"] = 3
+    dm.Tie(facet_tags, slave="ball", master="plate")
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("bal", ["slave is 'bal': no such name; did you mean 'ball'?", "'plate' (3), 'ball' (4)"]),
+        ("Q", ["slave is 'Q': no such name. There are 'plate' (3), 'ball' (4), 'plates' (99)"]),
+        ("", ["slave is '': no such name"]),
+    ],
+)
+def test_a_mistyped_name_lists_the_names(given, words):
+    V, _, facet_tags = case()
+    for kind in (dm.Contact, dm.Tie, lambda *a, **k: dm.assemble_mortar(V, *a, **k)):
+        with pytest.raises(ValueError) as error:
+            kind(facet_tags, slave=given, master="plate")
+        assert all(word in str(error.value) for word in words)
+    with pytest.raises(ValueError, match="no such name"):
+        facet_tags.find(given)
+    with pytest.raises(ValueError, match="no such name"):
+        facet_tags.tag(given)
+
+
+def test_tags_without_names_say_how_to_name_them():
+    _, _, facet_tags = two_blocks(COMM, (4, 2), (3, 2))
+    with pytest.raises(ValueError, match=r"no names; give the tag.*Tags\(tags, {'ball': tag}\)"):
+        dm.Contact(facet_tags, slave="ball", master=3)
+
+
+@pytest.mark.mpi
+def test_messages_call_sides_by_their_names():
+    V, _, facet_tags = case()
+    with pytest.raises(ValueError, match="slave and master are both tag 'ball'"):
+        dm.Contact(facet_tags, slave="ball", master=4)
+    with pytest.raises(ValueError, match=r"slave='plates' marks no facet.*'plate' \(3\)"):
+        dm.assemble_mortar(V, facet_tags, slave="plates", master="plate")
+    again = dm.Tags(facet_tags, SIDES | {"plate too": 3})
+    assert str(dm.Contact(again, slave="ball", master=3)) == "Contact(slave='ball', master='plate')"
+
+
+@pytest.mark.mpi
+def test_materials_and_eigenstrains_by_name():
+    V, cell_tags, _ = case()
+    low, up = cell_tags.names.values()
+    energies = []
+    for laws, strains in (
+        ({low: SOFT, up: HARD}, {up: 0.1}),
+        ({"up": HARD, "low": SOFT}, {"up": 0.1}),
+        ({"low": SOFT, up: HARD}, {"up": 0.1, low: 0.0}),
+    ):
+        u = fem.Function(V)
+        u.interpolate(lambda x: np.stack([x[0] * x[1], x[1]]))
+        energies.append(dm.Solid(u, laws, cell_tags, eigenstrain=strains).energy())
+    assert energies[0] > 0.1
+    assert energies == pytest.approx([energies[0]] * 3, rel=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("laws", "said"),
+    [
+        ({"low": SOFT, "upp": HARD}, "materials: the key is 'upp': no such name; .*'up'"),
+        ({"low": SOFT}, r"cells have no material \(tag 'up'\)"),
+        ({"low": SOFT, "up": HARD, 77: HARD}, r"tag 77 marks no cell; cell_tags has 'low' \("),
+        ({(1,): SOFT}, "integers, or their names"),
+    ],
+)
+def test_wrong_names_of_bodies(laws, said):
+    V, cell_tags, _ = case()
+    with pytest.raises(ValueError, match=said):
+        dm.Solid(fem.Function(V), laws, cell_tags)
+
+
+def test_a_body_has_one_law_and_one_eigenstrain():
+    V, cell_tags, _ = case()
+    low = cell_tags.names["low"]
+    with pytest.raises(ValueError, match="materials has 'low' twice"):
+        dm.Solid(fem.Function(V), {"low": SOFT, low: HARD, "up": SOFT}, cell_tags)
+    with pytest.raises(ValueError, match="eigenstrain has 'low' twice"):
+        dm.Solid(fem.Function(V), SOFT, cell_tags, eigenstrain={"low": 0.1, low: 0.2})
+    with pytest.raises(ValueError, match="eigenstrain: the key is 'lo': no such name"):
+        dm.Solid(fem.Function(V), SOFT, cell_tags, eigenstrain={"lo": 0.1})
+
+
+@pytest.mark.parametrize(
+    "names", [{"ball": "3"}, {3: "ball"}, {"": 3}, {"ball": True}, {"ball": 1.0}, ["ball"]]
+)
+def test_names_are_texts_of_integers(names):
+    _, _, facet_tags = two_blocks(COMM, (2, 1), (1, 1))
+    with pytest.raises(ValueError, match="names"):
+        dm.Tags(facet_tags, names)
+    with pytest.raises(ValueError, match="MeshTags"):
+        dm.Tags(names, {"ball": 3})
+
+
+def test_the_meshes_of_the_package_have_names():
+    for made, bodies, sides in (
+        (dm.meshing.hertz(COMM), "block disc", "bottom flat top arc axis"),
+        (dm.meshing.rings(COMM), "inner outer", "bore outside around_inner within_outer on_y on_x"),
+        (
+            dm.meshing.sphere(COMM, h=1.0, core=2.0),
+            "block ball",
+            "bottom flat top sphere symmetry_x symmetry_y",
+        ),
+        (
+            dm.meshing.socket(COMM, h=5.0, cell="hexahedron"),
+            "block ball",
+            "bottom flat socket sphere symmetry_x symmetry_y",
+        ),
+    ):
+        assert list(made.cell_tags.names) == bodies.split()
+        assert list(made.facet_tags.names) == sides.split()
+        assert set(known(made.cell_tags)) == set(made.cell_tags.names.values())
+        assert set(known(made.facet_tags)) <= set(made.facet_tags.names.values())

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: MIT
+"""Steps that fail because of laws and parameters: what is said, and what is shown after them."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import default_scalar_type, fem
+from tests.pressed_blocks import PressedBlocks
+
+pytestmark = pytest.mark.mpi
+COMM = MPI.COMM_WORLD
+
+
+@dataclass(frozen=True)
+class Softening(dm.Material):
+    """A law whose potential is concave beyond a strain of 0.05 or so."""
+
+    E: float
+    state: ClassVar = {}
+    linear: ClassVar = False
+
+    @staticmethod
+    def elastic_stress(strain, p):
+        return p.E * strain
+
+    @staticmethod
+    def energy(strain, state, p):
+        square = ufl.inner(strain, strain)
+        return p.E * (square / 2 - 100 * square**2)
+
+
+@pytest.mark.parametrize("law", [Softening(1000.0), dm.Elastic(1000.0, 0.3)])
+def test_a_step_that_fails_says_how_laws_of_ones_own_are_judged(law):
+    case = PressedBlocks()
+    case.top.value[1] = -0.3
+    options = {} if isinstance(law, Softening) else {"max_it": 1}
+    with pytest.raises(dm.NewtonNotConverged) as caught:
+        dm.newton(case.problem(law=law), **options)
+    told = (
+        "Softening: dolfinx_mortar.materials.check tells whether the potential of a law is convex"
+    )
+    assert (told in str(caught.value)) == isinstance(law, Softening)
+
+
+def test_a_step_that_fails_shows_what_was_before():
+    """Results are those with the parameters before, and the next try takes the new ones."""
+    case = PressedBlocks()
+    E, a = (fem.Constant(case.mesh, default_scalar_type(v)) for v in (1000.0, 10.0))
+    problem = case.problem(law=dm.VonMises(E, 0.3, 2.0, a))
+    solid = problem.solid
+    dm.newton(problem)
+    problem.commit()
+    before, back = solid.stress.x.array.copy(), solid.max("back_stress_norm")
+    E.value, a.value = 4000.0, 40.0
+    with pytest.raises(dm.NewtonNotConverged):
+        dm.newton(problem, max_it=1, rtol=1e-12)
+    assert np.array_equal(solid.stress.x.array, before)
+    assert solid.max("back_stress_norm") == back > 0.0
+    assert dm.newton(problem).converged
+    difference = np.abs(solid.stress.x.array - before).max(initial=0.0)
+    assert COMM.allreduce(difference, op=MPI.MAX) > 0.1
+    assert solid.max("back_stress_norm") > 2.0 * back
+
+
+@dataclass(frozen=True)
+class Creeping(dm.Material):
+    """Hooke's law whose elastic strain turns into a viscous one, by a half in every step."""
+
+    E: float
+    nu: float
+    state: ClassVar = {"viscous_strain": (3, 3)}
+    linear: ClassVar = False
+    elastic_stress = staticmethod(dm.Elastic.elastic_stress)
+
+    @staticmethod
+    def stress(strain, state, p):
+        return dm.Elastic.elastic_stress(0.5 * (strain - state["viscous_strain"]), p)
+
+    @staticmethod
+    def updated_state(strain, state, p):
+        return {"viscous_strain": 0.5 * (strain + state["viscous_strain"])}
+
+
+def test_a_step_that_fails_lets_nothing_flow_on():
+    """To evaluate a creeping body once more, from its committed state, would be another step."""
+    case = PressedBlocks()
+    problem = case.problem(law=Creeping(1000.0, 0.3))
+    solid = problem.solid
+    dm.newton(problem)
+    problem.commit()
+    before, viscous = solid.stress.x.array.copy(), solid.max("viscous_strain_norm")
+    with pytest.raises(dm.NewtonNotConverged):
+        dm.newton(problem, max_it=1, rtol=1e-12)
+    assert np.array_equal(solid.stress.x.array, before)
+    problem.commit()
+    assert solid.max("viscous_strain_norm") == viscous > 0.0
+
+
+@pytest.mark.parametrize("volumetric", ["full", "reduced"])
+def test_a_first_step_that_fails_shows_nothing(volumetric):
+    """Not even the stress that an eigenstrain will make."""
+    case = PressedBlocks(cell="quadrilateral")
+    law, contact = dm.VonMises(1000.0, 0.3, 5.0, 10.0), case.contact()
+    solid = dm.Solid(case.u, law, eigenstrain=1e-2, volumetric=volumetric)
+    problem = dm.ContactProblem(solid, [contact], bcs=case.bcs())
+    with pytest.raises(dm.NewtonNotConverged):
+        dm.newton(problem, max_it=1, rtol=1e-12)
+    assert not solid.stress.x.array.any() and solid.max("plastic_strain_norm") == 0.0
