@@ -293,20 +293,15 @@ def partial_slip_in_space() -> Iterator[Row]:
 @case(
     "Disc that rolls over a block while it drives (five facets on a half width)",
     "Carter (Johnson, 8.3): steady, at half the creep that makes all slip; rolled by four half "
-    "widths from a push that is larger and one that is smaller, mean of both ways",
+    "widths, mean of both ways, from a push that is larger and one that is smaller",
 )
 def rolling() -> Iterator[Row]:
     """Tangential force over friction times normal force."""
     from tests.test_friction_rolling import STEADY, between
 
     for slave in ("block", "disc"):
-        for shift, name in ((0.039, "above"), (0.033, "below")):
-            yield (
-                f"share of sliding, from {name}, slave {slave}",
-                STEADY,
-                between(slave, shift)[-1],
-                "",
-            )
+        last = np.mean([between(slave, shift)[-1] for shift in (0.039, 0.033)])
+        yield f"share of sliding, slave {slave}", STEADY, float(last), ""
 
 
 @case("Hub on a shaft, which is pulled out (demo shrink_fit)", "Lame; slices of shaft and hub")
