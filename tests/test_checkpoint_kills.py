@@ -35,7 +35,9 @@ def test_other_ranks_go_on(tmp_path, at_once):
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize("moment", ["step", "write", "replace"])
+@pytest.mark.parametrize(
+    "moment", ["write", *(pytest.param(m, marks=pytest.mark.slow) for m in ("step", "replace"))]
+)
 def test_a_run_that_is_killed_goes_on(tmp_path, at_once, moment):
     """While a step is solved, a checkpoint is written, or just before it gets its name."""
     file, result = tmp_path / "run.h5", tmp_path / "result.json"
@@ -51,15 +53,10 @@ def test_a_run_that_is_killed_goes_on(tmp_path, at_once, moment):
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("moment", "before", "after"),
-    [
-        ("send", 2, 1),
-        pytest.param("step", 2, 3, marks=pytest.mark.slow),
-        pytest.param("send", 3, 2, marks=pytest.mark.slow),
-        pytest.param("write", 2, 3, marks=pytest.mark.slow),
-        pytest.param("replace", 3, 2, marks=pytest.mark.slow),
-    ],
+    [("step", 2, 3), ("send", 2, 1), ("send", 3, 2), ("write", 2, 3), ("replace", 3, 2)],
 )
 def test_a_job_of_several_ranks_that_is_killed_goes_on(tmp_path, at_once, moment, before, after):
     """On other ranks; the parts of the checkpoint that all had sent come to nothing."""

@@ -124,13 +124,14 @@ def test_a_hub_that_flows_holds_less(tmp_path):
     check_sliding(found, found["steps"][-1], 0.002)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("demo", "options", "named"),
     [
         ("cattaneo", ("--steps", "0"), "--steps 0"),
-        pytest.param("cattaneo", ("--friction", "0"), "--friction 0", marks=pytest.mark.slow),
+        ("cattaneo", ("--friction", "0"), "--friction 0"),
         ("shrink_fit", ("--friction", "-1"), "--friction -1"),
-        pytest.param("shrink_fit", ("--cells", "-1"), "--cells -1", marks=pytest.mark.slow),
+        ("shrink_fit", ("--cells", "-1"), "--cells -1"),
     ],
 )
 def test_numbers_out_of_range_are_named(demo, options, named):

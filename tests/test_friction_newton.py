@@ -52,7 +52,7 @@ def test_friction_costs_few_iterations(law, cell, degree, geometry):
         assert (rough == 1).all()  # one QP is the step
 
 
-@pytest.mark.parametrize("mu", [0.6, 1.0])
+@pytest.mark.parametrize("mu", [pytest.param(0.6, marks=pytest.mark.slow), 1.0])
 @pytest.mark.parametrize("cell", ["quadrilateral", "tetrahedron"])
 @pytest.mark.parametrize("geometry", ["reference", "updated"])
 def test_much_friction(mu, cell, geometry):

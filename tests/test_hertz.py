@@ -65,7 +65,7 @@ def zigzag(case):
 
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
 @pytest.mark.parametrize("slave", ["block", "disc"])
-@pytest.mark.parametrize("geometry", ["reference", "updated"])
+@pytest.mark.parametrize("geometry", [pytest.param("reference", marks=pytest.mark.slow), "updated"])
 def test_second_order(geometry, slave, cell):
     """Elements of 0.1 mm reach force and peak, and corners and middles have one pressure.
 
@@ -82,7 +82,9 @@ def test_second_order(geometry, slave, cell):
     assert zigzag(case) < 0.01
 
 
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize(
+    "cell", ["triangle", pytest.param("quadrilateral", marks=pytest.mark.slow)]
+)
 def test_second_order_in_plastic_flow(cell):
     """Force and peak pressure of d = 0.2, where first order is 0.4 % too stiff."""
     case = create_case(create_mesh("graded", 0.1, cell=cell), slave="disc", degree=2)

@@ -63,7 +63,7 @@ def test_a_free_end_goes_along(cell, degree, slave):
     "kind",
     [pytest.param("callable", marks=pytest.mark.mpi), "function", "function of another space"],
 )
-@pytest.mark.parametrize("slave", ["upper", "lower"])
+@pytest.mark.parametrize("slave", ["upper", pytest.param("lower", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("cell", CELLS)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_a_linear_jump_turns_the_body(cell, degree, slave, kind):

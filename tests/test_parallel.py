@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""The tests again, on more ranks: the quick ones marked `mpi` by default, all of them when slow."""
+"""The tests again, on more ranks.
+
+Those marked `mpi` on two or three by default, all of these on two when slow, and all that have not
+one rank only on three at night.
+"""
 
 import os
 import subprocess
@@ -19,17 +23,21 @@ LAUNCHER = ("OMPI_COMM_", "OMPI_APP_", "OMPI_FIRST_", "PMIX_", "PRTE_JOB", "PRTE
 
 RANKS = "DOLFINX_MORTAR_TEST_RANKS"
 # What these do to a rank does not hang on their number: by default they run on two, the others on
-# three, where a rank may be in the middle and own nothing. The slow run has all on both.
+# three, where a rank may be in the middle and own nothing. The slow run has all on two, the
+# nightly one on three.
 ON_TWO = """
-    arguments audit axisymmetric_contact axisymmetric_patch axisymmetry checkpoint
-    checkpoint_errors checkpoint_files eigenstrain failures friction_errors html jump jump_errors
-    kinematics loads mesh_audit msh output parameters patch_3d plotting pointwise preload progress
-    regions resolution results smooth_contact smooth_tie solid solid_state stand_off summary tags
-    tying undone user_laws
-    volumetric written_results
+    arguments audit axisymmetric_contact axisymmetric_patch axisymmetry certificate checkpoint
+    checkpoint_errors checkpoint_files errors failures friction_errors html jump jump_errors
+    linear linearisation loads margin mesh_audit meshing_rings meshing_socket meshing_tubes msh
+    newton output patch_3d plotting preload problem progress regions resolution results
+    smooth_3d smooth_contact smooth_tie solid solid_state stand_off summary sweep tags tying
+    undone written_results
 """.split()
-# Laws know nothing of ranks: their contacts run on several when slow.
-ON_ONE = "hardening law_contact orthotropic plane_stress stress_laws".split()
+# Laws and what is integrated over bodies alone know nothing of ranks: on several when slow.
+ON_ONE = """
+    eigenstrain hardening kinematics law_contact locking orthotropic parameters plane_stress
+    pointwise stress_laws user_laws volumetric
+""".split()
 
 
 def run_on_ranks(ranks: int, selection: str, seconds: float, files: Iterable[str]) -> None:
@@ -68,11 +76,17 @@ def files_on(ranks: int) -> list[str]:
 @pytest.mark.serial
 @pytest.mark.parametrize("ranks", [2, 3])
 def test_quick_tests_on_ranks(ranks: int) -> None:
-    run_on_ranks(ranks, "mpi and not slow and not serial", 600.0, files_on(ranks))
+    run_on_ranks(ranks, "mpi and not slow and not serial", 900.0, files_on(ranks))
 
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.parametrize(("ranks", "selection"), [(2, "mpi and not slow"), (3, "not slow")])
-def test_all_tests_on_ranks(ranks: int, selection: str) -> None:
-    run_on_ranks(ranks, f"{selection} and not serial", 1800.0, ["tests"])
+def test_quick_tests_of_all_files_on_two_ranks() -> None:
+    run_on_ranks(2, "mpi and not slow and not serial", 1800.0, ["tests"])
+
+
+@pytest.mark.serial
+@pytest.mark.slow
+@pytest.mark.nightly
+def test_all_tests_on_three_ranks() -> None:
+    run_on_ranks(3, "not slow and not serial", 3600.0, ["tests"])

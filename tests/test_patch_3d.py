@@ -217,7 +217,7 @@ SIZES = {
 @SLAVES
 @CELLS
 @pytest.mark.parametrize("sizes", SIZES)
-@pytest.mark.parametrize("turn", [None, TILTED])
+@pytest.mark.parametrize("turn", [pytest.param(None, marks=pytest.mark.slow), TILTED])
 def test_unequal_sizes(slave, cell, degree, sizes, turn):
     """The slave side is larger or smaller than the master side, straight or inclined."""
     lower, upper = SIZES[sizes]
@@ -232,7 +232,12 @@ def test_unequal_sizes(slave, cell, degree, sizes, turn):
 @SLAVES
 @CELLS
 @pytest.mark.parametrize(
-    "covered", [0.5, 0.1, 0.05, 0.01, 1e-3, pytest.param(1e-6, marks=pytest.mark.mpi)]
+    "covered",
+    [
+        *(0.5, 0.05, 1e-3),
+        *(pytest.param(share, marks=pytest.mark.slow) for share in (0.1, 0.01)),
+        pytest.param(1e-6, marks=pytest.mark.mpi),
+    ],
 )
 def test_little_coverage(slave, cell, degree, covered):
     """The last rows of facets of the slave side are covered by a small part of their length."""

@@ -379,6 +379,7 @@ def tighten():
     return np.concatenate(found), str(caught.value).partition(":")[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 @pytest.mark.parametrize("name", NUMBERS)
 def test_no_number_changes_an_answer(name, factor, monkeypatch):

@@ -50,6 +50,7 @@ def scale(monkeypatch: pytest.MonkeyPatch, name: str, factor: float) -> None:
             monkeypatch.setattr(module, name, type(value)(factor * value))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 @pytest.mark.parametrize("name", NUMBERS)
 def test_no_number_changes_an_answer(

@@ -50,7 +50,10 @@ def test_a_pin_in_its_hole(counts, swap):
 
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("swap", [False, True])
-@pytest.mark.parametrize("counts", [(30, 44), (44, 30), (60, 88), (88, 60)])
+@pytest.mark.parametrize(
+    "counts",
+    [(30, 44), (44, 30), *(pytest.param(n, marks=pytest.mark.slow) for n in ((60, 88), (88, 60)))],
+)
 def test_a_pin_of_second_order_in_its_hole(counts, swap, order):
     """On straight cells with heights, on curved ones without; half as many facets do as well."""
     report, found = create_pin(counts, swap, degree=2, order=order).solve()
