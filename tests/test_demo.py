@@ -142,9 +142,10 @@ def test_first_yield_is_at_the_analytic_load(interference, yields, tmp_path):
     ("ranks", "options"),
     [
         (1, ["--slave", "inner"]),
-        pytest.param(2, ["--cell", "triangle"], marks=pytest.mark.slow),
+        (2, ["--cell", "triangle"]),
     ],
 )
+@pytest.mark.slow
 def test_the_tied_tube_reaches_its_limit_load(ranks, options, tmp_path):
     """Within 0.5 % in one piece, and as two rings within 0.2 % of that in every step."""
     volumetric = "full" if "triangle" in options else "reduced"

@@ -51,7 +51,9 @@ def test_pressed_blocks(name):
 
 @pytest.mark.parametrize("volumetric", ["full", "reduced"])
 @pytest.mark.parametrize("name", LAWS)
-@pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron"])
+@pytest.mark.parametrize(
+    "cell", ["quadrilateral", pytest.param("hexahedron", marks=pytest.mark.slow)]
+)
 def test_tangent_by_differences(name, cell, volumetric):
     """K w against differences of F, after a plastic step, also with one dilatation per cell."""
     if volumetric == "reduced" and not getattr(type(LAWS[name]), "splits", False):

@@ -72,7 +72,7 @@ def potentials(u, ds):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("d", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_forces_and_tangent_are_derivatives(d, name):
     """Energy, forces and tangent of each functional fit, beside forces and tangent of a solid."""
     u, ds, _ = create_box(d)

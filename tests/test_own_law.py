@@ -73,6 +73,7 @@ def options(tmp_path, *more):
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_the_versions_agree(tmp_path, capsys):
     demo.main(options(tmp_path))
     summary = json.loads((tmp_path / "summary.json").read_text())

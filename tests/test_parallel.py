@@ -22,21 +22,21 @@ LAUNCHER = ("OMPI_COMM_", "OMPI_APP_", "OMPI_FIRST_", "PMIX_", "PRTE_JOB", "PRTE
 
 
 RANKS = "DOLFINX_MORTAR_TEST_RANKS"
-# What these do to a rank does not hang on their number: by default they run on two, the others on
-# three, where a rank may be in the middle and own nothing. The slow run has all on two, the
-# nightly one on three.
+# By default each file has one number of ranks. On three, where a rank may be in the middle and own
+# nothing: all that is not named here, which is what pairs, sends, and solves. On two: what does to
+# a rank the same for any number. On one: what knows nothing of ranks, as laws and meshes, or stands
+# on what has run on three. The slow run has all on two, the nightly one on three.
 ON_TWO = """
-    arguments audit axisymmetric_contact axisymmetric_patch axisymmetry certificate checkpoint
-    checkpoint_errors checkpoint_files errors failures friction_errors html jump jump_errors
-    linear linearisation loads margin mesh_audit meshing_rings meshing_socket meshing_tubes msh
-    newton output patch_3d plotting preload problem progress regions resolution results
-    smooth_3d smooth_contact smooth_tie solid solid_state stand_off summary sweep tags tying
-    undone written_results
+    arguments audit checkpoint checkpoint_errors checkpoint_files errors failures
+    friction_errors html jump jump_errors linear loads mesh_audit msh newton output plotting
+    preload problem progress regions results smooth_contact solid solid_state summary sweep
+    tags tying written_results
 """.split()
-# Laws and what is integrated over bodies alone know nothing of ranks: on several when slow.
 ON_ONE = """
-    eigenstrain hardening kinematics law_contact locking orthotropic parameters plane_stress
-    pointwise stress_laws user_laws volumetric
+    axisymmetric_contact axisymmetric_patch axisymmetry certificate eigenstrain hardening
+    kinematics law_contact linearisation locking margin meshing_rings meshing_socket
+    meshing_tubes orthotropic parameters patch_3d plane_stress pointwise resolution smooth_3d
+    smooth_tie stand_off stress_laws undone user_laws volumetric
 """.split()
 
 

@@ -76,7 +76,9 @@ def numbers(solid):
     return np.array(found + [solid.max(name) for name in names])
 
 
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize(
+    "cell", ["triangle", pytest.param("quadrilateral", marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_parameter_may_be_whatever_has_the_value(kind, cell):
     """Numbers, Constants, Functions and expressions of equal values make equal solids."""
