@@ -6,6 +6,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
+import basix.ufl
 import dolfinx_mortar as dm
 from dolfinx import fem
 from tests.friction_case import COMM, create
@@ -54,6 +55,30 @@ def test_functions_that_are_no_scalars(case, name):
         contact(case, **{name: fem.Function(case.problem.V)})
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_functions_without_a_value_at_every_node(case, name):
+    """What a node would take from one of its cells depends on which rank has it."""
+    mesh = case.problem.V.mesh
+    points = basix.ufl.quadrature_element(mesh.basix_cell(), degree=2)
+    for element in (("DG", 0), ("DG", 1), points):
+        with rejected(name, "not one value at every node", "Lagrange"):
+            contact(case, **{name: fem.Function(fem.functionspace(mesh, element))})
+    with rejected(name, "collapse()"):
+        contact(case, **{name: fem.Function(case.problem.V).sub(0)})
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_limit_is_given_once(case, name):
+    """Its values may change, in a Constant or a Function; another one takes another contact."""
+    value = fem.Constant(case.problem.V.mesh, 0.3)
+    found = contact(case, **{name: value})
+    other = NAMES[1 - NAMES.index(name)]
+    assert getattr(found, name) is value and getattr(found, other) is None
+    for each in NAMES:
+        with pytest.raises(AttributeError, match=each):
+            setattr(found, each, 0.1)
+
+
 def test_an_array_is_no_limit(case):
     with rejected("friction", "number"):
         contact(case, friction=np.array([0.1, 0.2]))
@@ -75,7 +100,7 @@ def test_limits_on_another_mesh(case, name, kind):
     if kind == "constant":  # a number is the same on all meshes
         case.again(**{name: value}).solve(0.0, -0.01)
         return
-    with rejected(name, "another mesh", "displacement"):
+    with rejected(name, "another mesh", "solid.mesh"):
         case.again(**{name: value})
 
 

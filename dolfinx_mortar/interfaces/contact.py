@@ -18,6 +18,7 @@ from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits
 from dolfinx_mortar.interfaces.frames import create_frames
 from dolfinx_mortar.interfaces.friction import Limit, create_law
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Frame, Interface, NoResult
+from dolfinx_mortar.interfaces.nodal import check_mesh
 
 # A slave normal that loses more than this share of its length to Dirichlet data has no direction
 # left in which contact could act.
@@ -67,7 +68,8 @@ class Contact(Interface):
         feature_angle: degrees between two facets from which on they meet in an edge, which stays
             one; for smooth surfaces.
         friction: coefficient mu of Coulomb's law: a number, a scalar Constant, or a scalar
-            Function on the mesh of the displacement; read anew at every step. 0 is no friction.
+            Lagrange Function on the mesh of the displacement; their values are read anew at every
+            step, and are what may change. 0 is no friction.
         tresca: limit of the tangential traction instead, of the same kinds: given friction, which
             acts at every slave node that faces the master, whatever the pressure, also where there
             is none (let a Function be 0 there). Then a step is a convex minimisation.
@@ -108,8 +110,8 @@ class Contact(Interface):
 
     def take(self, owner: object, V: fem.FunctionSpace) -> None:
         """Belong to a problem from now on, with fields on V and without results; collective."""
-        if self.law is not None:
-            self.law.check_mesh(V)
+        if self.law is not None and isinstance(self.law.value, fem.Function):
+            check_mesh(self.law.name, self.law.value, V)  # a Constant is a number
         super().take(owner, V)
         assert self.fields is not None
         self.sliding, self.dissipated = None, 0.0
@@ -136,6 +138,19 @@ class Contact(Interface):
         """Show what `keep` has returned; without communication."""
         shown, self.dissipated = kept
         super().put_back(shown)
+
+    @property
+    def friction(self) -> Limit | None:
+        """What was given as coefficient of friction; None if there is none."""
+        return self._limit("friction")
+
+    @property
+    def tresca(self) -> Limit | None:
+        """What was given as limit of the tangential traction; None if there is none."""
+        return self._limit("tresca")
+
+    def _limit(self, name: str) -> Limit | None:
+        return self.law.value if self.law is not None and self.law.name == name else None
 
     @property
     def rough(self) -> bool:

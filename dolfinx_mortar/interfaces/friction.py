@@ -12,10 +12,11 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.interfaces.nodal import check_nodal
 
 Limit: TypeAlias = float | fem.Constant | fem.Function
 
-REMEDY = "give a number, a scalar fem.Constant, or a scalar fem.Function"
+REMEDY = "give a number, a scalar fem.Constant, or a scalar Lagrange fem.Function"
 
 
 @dataclass(frozen=True)
@@ -48,15 +49,6 @@ class FrictionLaw:
             raise ValueError(f"{self.name} is {what}: every value has to be finite and >= 0")
         return values
 
-    def check_mesh(self, scalar: fem.FunctionSpace) -> None:
-        """Raise a ValueError for a Function on another mesh."""
-        if isinstance(self.value, fem.Function):
-            if self.value.function_space.mesh is not scalar.mesh:
-                raise ValueError(
-                    f"{self.name} is a Function on another mesh: give one on that of the "
-                    "displacement"
-                )
-
 
 def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | None:
     """Return the law of two arguments, None for neither and for the number 0.
@@ -77,13 +69,11 @@ def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | No
             raise ValueError(f"{name} is {value!r}: it has to be finite and >= 0")
         return FrictionLaw(name, float(value)) if value > 0.0 else None
     if isinstance(value, fem.Function):
-        shape = value.ufl_shape
-    elif isinstance(value, fem.Constant):
-        shape = value.ufl_shape
-    else:
+        check_nodal(name, value, (), REMEDY)
+    elif not isinstance(value, fem.Constant):
         raise ValueError(f"{name} is {value!r}: {REMEDY}")
-    if shape != () or not np.issubdtype(_dtype(value), np.floating):
-        raise ValueError(f"{name} has shape {shape} and type {_dtype(value)}: {REMEDY}")
+    if value.ufl_shape != () or not np.issubdtype(_dtype(value), np.floating):
+        raise ValueError(f"{name} has shape {value.ufl_shape} and type {_dtype(value)}: {REMEDY}")
     return FrictionLaw(name, value)
 
 

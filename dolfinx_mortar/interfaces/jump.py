@@ -10,6 +10,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.interfaces.nodal import check_nodal
 from ufl.core.expr import Expr
 
 Jump = Sequence[float] | Floats | fem.Constant | fem.Function | Callable[[Floats], Floats] | None
@@ -38,7 +39,7 @@ def check_jump(jump: Any, d: int) -> Any:
             raise ValueError(f"jump is a Constant of shape {jump.value.shape}: {wanted}")
         return jump
     if isinstance(jump, fem.Function):
-        _check_function(jump, d, wanted)
+        check_nodal("jump", jump, (d,), wanted)
         return jump
     if isinstance(jump, Expr):  # those can be called, too
         raise ValueError(
@@ -56,36 +57,6 @@ def check_jump(jump: Any, d: int) -> Any:
     if not np.isfinite(values).all():
         raise ValueError(f"jump is {jump!r}: it must be finite; {wanted}")
     return values
-
-
-def _check_function(jump: fem.Function, d: int, wanted: str) -> None:
-    """Raise a ValueError unless a Function has one vector at every node."""
-    V = jump.function_space
-    element = V.ufl_element()
-    if V.component():
-        raise ValueError("jump is a part of a Function: give function.sub(i).collapse()")
-    if element.family_name != "P" or element.discontinuous:
-        raise ValueError(
-            f"jump is a Function with the element {element}, which has not one value at every "
-            f"node: interpolate it into a vector Lagrange space; {wanted}"
-        )
-    if element.reference_value_shape != (d,):
-        raise ValueError(
-            f"jump is a Function with values of shape {element.reference_value_shape}: {wanted}"
-        )
-
-
-def check_mesh(jump: Any, V: fem.FunctionSpace) -> None:
-    """Raise a ValueError if a jump lives on another mesh than the displacement."""
-    domain = None
-    if isinstance(jump, fem.Function):
-        domain = jump.function_space.mesh.ufl_domain()
-    elif isinstance(jump, fem.Constant):
-        domain = jump.ufl_domain()
-    if domain is not None and domain != V.mesh.ufl_domain():
-        raise ValueError(
-            f"jump is a {type(jump).__name__} on another mesh than solid.u: make it on solid.mesh"
-        )
 
 
 def nodal_function(jump: Any, V: fem.FunctionSpace) -> Any:

@@ -10,7 +10,8 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.interfaces.jump import check_mesh, extended, nodal_function, values_at
+from dolfinx_mortar.interfaces.jump import extended, nodal_function, values_at
+from dolfinx_mortar.interfaces.nodal import check_mesh
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.steps.checks import check_same_on_all_ranks
@@ -55,4 +56,4 @@ def check_jump_of(tie: Tie, V: fem.FunctionSpace) -> None:
     jump = tie.jump
     value = jump.value if isinstance(jump, fem.Constant) else jump
     check_same_on_all_ranks(V.mesh.comm, jump=value, tightening=tie.tightening)
-    check_mesh(jump, V)
+    check_mesh("jump", jump, V)
