@@ -175,3 +175,28 @@ def test_without_friction_nothing_holds_it():
         case = Squeezed(1.0, mu)
         with pytest.raises(ValueError, match="nothing holds the bodies"):
             case.problem.audit()
+
+
+# -- prescribed nodes
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("swap", [False, True])
+def test_friction_that_prescribed_nodes_cannot_have_is_told(swap):
+    """A block pushed by its side face: the corner of that face slides, without a force to show."""
+    b = Blocks(WIDE[:2], cell="quadrilateral")
+    sides = {"slave": 10 + ABOVE, "master": 20 + BELOW}
+    if not swap:
+        sides = {"slave": sides["master"], "master": sides["slave"]}
+    contact = dm.Contact(b.facets, **sides, friction=0.3)
+    way = fem.Constant(b.mesh, 0.0)
+    bcs = [b.fix(1, BELOW), b.fix(2, ABOVE, 1, -0.01), b.fix(2, EAST, 0, way)]
+    problem = b.problem([contact], bcs)
+    for way.value in (0.0, 0.03):
+        report = dm.newton(problem)
+        problem.commit()
+    told = [note for note in report.notes if "has no friction at 1 slave nodes" in note]
+    assert len(told) == (0 if swap else 1)
+    assert all("as Dirichlet data prescribe; let the other side be the slave" in n for n in told)
+    resisting = abs(contact.force[0]) / abs(contact.force[1])
+    assert resisting < 0.29 if not swap else resisting == pytest.approx(0.3, rel=1e-2)

@@ -57,7 +57,7 @@ from dolfinx_mortar.steps.residuals import (
     measure,
 )
 from dolfinx_mortar.steps.resolution import notes_on_few_nodes
-from dolfinx_mortar.steps.results import notes_on_sliding, set_results
+from dolfinx_mortar.steps.results import notes_on_lost_friction, notes_on_sliding, set_results
 from dolfinx_mortar.steps.stand_off import notes_on_facets
 from dolfinx_mortar.steps.step_data import StepData
 from dolfinx_mortar.steps.watch import MOST_RISES, Watch, at_nodes, find_change
@@ -370,6 +370,7 @@ class _Step:
         problem, report = self.problem, self.report
         contacts = iterate.contacts
         report.notes += notes_on_sliding(problem, contacts)
+        report.notes += notes_on_lost_friction(problem, contacts)
         forces, stiffness = np.zeros(problem.n), np.zeros(problem.n)
         nodes = iterate.balance.nodes
         forces[nodes] = contacts.reactions(iterate.balance)

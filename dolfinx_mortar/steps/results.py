@@ -16,13 +16,16 @@ from dolfinx_mortar.interfaces import results
 from dolfinx_mortar.interfaces.constraints import SlipLimits
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.coupling import Link
-from dolfinx_mortar.interfaces.motions import slipped
+from dolfinx_mortar.interfaces.motions import relative_motions, slipped
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.steps.contacts import Contacts
 from dolfinx_mortar.steps.linearisation import Balance
 from dolfinx_mortar.steps.problem import ContactProblem
 
 log = logging.getLogger(__name__)
+
+# Of a facet; what prescribed nodes slide less is round-off, as on a plane of symmetry.
+NO_SLIDING = 1e-6
 
 
 def set_results(
@@ -108,6 +111,43 @@ def notes_on_sliding(problem: ContactProblem, contacts: Contacts) -> list[str]:
                 f"{link.interface} has slid {farthest:.3g}, {farthest / length:.1f} facet lengths, "
                 "with frozen geometry, which is for small sliding; choose geometry='updated'"
             )
+    return _told(problem, notes)
+
+
+def notes_on_lost_friction(problem: ContactProblem, contacts: Contacts) -> list[str]:
+    """Return a note for every contact that slides where its motion is prescribed; collective.
+
+    Dirichlet data leave no tangential unknown there, to which friction could be applied.
+    """
+    notes = []
+    moved = problem.vector(
+        problem.u.x.array[: problem.d * problem.n] - problem.committed.displacement
+    )
+    for link in problem.system.links:
+        if not link.interface.rough:
+            continue
+        relative, directions = _motion(link, moved), link.coupling.directions
+        on = contacts.active[link.nodes] & directions[:, 0]
+        lost = np.abs(np.where(on[:, None] & ~directions, relative, 0.0)).max(axis=1, initial=0.0)
+        slides = lost > NO_SLIDING * problem.system.facet_length
+        count = int(problem.comm.allreduce(int(slides.sum())))
+        if count:
+            farthest = float(maximum(problem.comm, lost.max(initial=0.0))[0])
+            notes.append(
+                f"{link.interface} has no friction at {count} slave nodes, which slide by up to "
+                f"{farthest:.3g} as Dirichlet data prescribe; let the other side be the slave, or "
+                "prescribe less"
+            )
+    return _told(problem, notes)
+
+
+def _motion(link: Link, moved: PETSc.Vec) -> Floats:
+    """Return R^T (v_j - P v) (n, d) at the slave nodes, prescribed directions too; collective."""
+    return np.asarray(np.einsum("nij,ni->nj", link.coupling.R, relative_motions(link, moved)[0]))
+
+
+def _told(problem: ContactProblem, notes: list[str]) -> list[str]:
+    """Return the notes, and log them on one rank."""
     if problem.comm.rank == 0:
         for note in notes:
             log.warning("%s", note)
