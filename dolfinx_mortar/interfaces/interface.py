@@ -56,6 +56,7 @@ class Resultants:
     moment: Floats  # (3,) its moment about the origin
     master_force: Floats  # (d,) the same for the master side
     master_moment: Floats  # (3,)
+    normal_force: np.float64  # sum of the forces along the normals, positive in compression
     multiplier: Floats  # (n,) or (n, d) lambda_j = reaction_j / D_jj at the owned slave nodes
     nodes: Ints  # (n,) local numbers of these nodes
     carries: Bools  # (n,) which of them have a multiplier
@@ -239,6 +240,16 @@ class Interface:
     def master_moment(self) -> Floats:
         """Moment (3,) about the origin of the forces on the master side."""
         return self._result(self.resultants, "master_moment")
+
+    @property
+    def normal_force(self) -> float:
+        """Normal tractions over the part of the slave side that faces the master, summed.
+
+        sum_j D_jj p_j, positive in compression, whichever way the normals point: the press of a
+        shrink fit, all around. The integral of ``pressure`` over the slave side is more where that
+        reaches beyond the master.
+        """
+        return float(self._result(self.resultants, "normal_force"))
 
     @property
     def multiplier(self) -> Floats:

@@ -30,7 +30,7 @@ from dolfinx_mortar.steps.report import LoadStep
 
 NODES, POINTS = "nodes", "points"
 SLIPS = ("slid", "dissipated")
-RESULTANTS = ("force", "moment", "master_force", "master_moment")
+RESULTANTS = ("force", "moment", "master_force", "master_moment", "normal_force")
 
 
 def save(lasting: Lasting, path: str | os.PathLike[str]) -> None:
