@@ -75,6 +75,18 @@ def test_a_step_that_was_saved_before_its_commit(folder):
     agree(numbers(direct), numbers(case))
 
 
+def test_a_state_before_the_first_step_takes_slips_away(folder):
+    """What had slipped and been dissipated since is gone, and counts no more."""
+    case = create(friction=0.3)
+    case.problem.save(folder / "begin.h5")
+    walk(case, PATH)
+    expected = numbers(case)
+    case.problem.restore(folder / "begin.h5")
+    assert case.contact.dissipation == 0.0 and not case.contact.slip.x.array.any()
+    walk(case, PATH)
+    agree(numbers(case), expected)
+
+
 def test_a_failed_step_leaves_no_slip():
     case, other = (create(friction=0.3, geometry="updated") for _ in range(2))
     for one in (case, other):

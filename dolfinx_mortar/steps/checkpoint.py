@@ -189,6 +189,9 @@ def _take(
     """Give an interface its results, or take them away; collective."""
     for function in interface.functions:
         function.x.array[:] = 0.0
+    if isinstance(interface, Contact):
+        interface.dissipated = 0.0
+    lasting.committed.slid[k], lasting.committed.dissipated[k] = 0.0, 0.0
     if resultants is None:
         interface.resultants = None
         return
@@ -207,7 +210,6 @@ def _take(
     if isinstance(interface, Contact) and interface.sliding is not None:
         committed = lasting.committed
         for column, name in zip((committed.slid[k], committed.dissipated[k]), SLIPS, strict=True):
-            column[:] = 0.0
             column[nodes] = values[name][:, 0]
         interface.dissipated = lasting.comm.allreduce(float(values["energy"].sum()), op=MPI.SUM)
 
