@@ -6,6 +6,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
+import basix.ufl
 import dolfinx_mortar as dm
 from dolfinx import fem
 from tests.friction_case import COMM, create
@@ -54,6 +55,17 @@ def test_functions_that_are_no_scalars(case, name):
         contact(case, **{name: fem.Function(case.problem.V)})
 
 
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("element", [("DG", 0), ("DG", 1), ("Bubble", 3), "quadrature"])
+def test_functions_without_one_value_at_every_node(case, name, element):
+    """Which of several were taken would depend on the numbering of cells, so on the ranks."""
+    mesh = case.problem.V.mesh
+    if element == "quadrature":
+        element = basix.ufl.quadrature_element(mesh.basix_cell(), degree=2)
+    with rejected(name, "not one value at every node", "interpolate"):
+        contact(case, **{name: fem.Function(fem.functionspace(mesh, element))})
+
+
 def test_an_array_is_no_limit(case):
     with rejected("friction", "number"):
         contact(case, friction=np.array([0.1, 0.2]))
@@ -77,6 +89,13 @@ def test_limits_on_another_mesh(case, name, kind):
         return
     with rejected(name, "another mesh", "displacement"):
         case.again(**{name: value})
+    case.solve(0.0, -0.01)
+    force, old = case.contact.force.copy(), case.problem
+    bad = dm.Contact(case.contact.facet_tags, slave=4, master=3, **{name: value})
+    with rejected(name, "another mesh"):
+        dm.ContactProblem(old.solid, [case.contact, bad], bcs=case.bcs)
+    assert np.array_equal(case.contact.force, force)  # the refused one has taken nothing
+    assert dm.newton(old).converged
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -130,3 +149,16 @@ def test_results_of_friction_before_a_step(case):
         fresh.contact.gather(fresh.problem.u)
     with pytest.raises(AttributeError, match="friction="):
         case.contact.status  # noqa: B018
+
+
+@pytest.mark.mpi
+@pytest.mark.skipif(COMM.size == 1, reason="needs two ranks")
+def test_a_constant_that_differs_between_the_ranks(case):
+    value = fem.Constant(case.problem.V.mesh, 0.3)
+    case = case.again(friction=value)
+    value.value = 0.3 + 0.1 * COMM.rank
+    case.push(0.0, -0.01)
+    with rejected("friction differs between the ranks", "0.3 to "):
+        dm.newton(case.problem)
+    value.value = 0.3
+    assert dm.newton(case.problem).converged

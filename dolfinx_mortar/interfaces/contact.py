@@ -67,7 +67,8 @@ class Contact(Interface):
         feature_angle: degrees between two facets from which on they meet in an edge, which stays
             one; for smooth surfaces.
         friction: coefficient mu of Coulomb's law: a number, a scalar Constant, or a scalar
-            Function on the mesh of the displacement; read anew at every step. 0 is no friction.
+            Lagrange Function on the mesh of the displacement; read anew at every step. 0 is no
+            friction.
         tresca: limit of the tangential traction instead, of the same kinds: given friction, which
             acts at every slave node that faces the master, whatever the pressure, also where there
             is none (let a Function be 0 there). Then a step is a convex minimisation.
@@ -106,10 +107,13 @@ class Contact(Interface):
         said = f"{value:g}" if isinstance(value, float) else type(value).__name__
         return f"{name[:-1]}, {self.law.name}={said})"
 
-    def take(self, owner: object, V: fem.FunctionSpace) -> None:
-        """Belong to a problem from now on, with fields on V and without results; collective."""
+    def check(self, V: fem.FunctionSpace) -> None:
+        """Raise a ValueError for limits of friction on another mesh than V's."""
         if self.law is not None:
             self.law.check_mesh(V)
+
+    def take(self, owner: object, V: fem.FunctionSpace) -> None:
+        """Belong to a problem from now on, with fields on V and without results; collective."""
         super().take(owner, V)
         assert self.fields is not None
         self.sliding, self.dissipated = None, 0.0

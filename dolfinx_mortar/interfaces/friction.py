@@ -10,12 +10,14 @@ from typing import TypeAlias
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import Floats
 
 Limit: TypeAlias = float | fem.Constant | fem.Function
 
 REMEDY = "give a number, a scalar fem.Constant, or a scalar fem.Function"
+# Of the largest value: what interpolation leaves of a zero between spaces of other degrees
+ROUND_OFF = 1e-14
 
 
 @dataclass(frozen=True)
@@ -32,26 +34,37 @@ class FrictionLaw:
         """Return the present values at the owned nodes of a scalar space; collective.
 
         Raises:
-            ValueError: on all ranks, for values that are negative or not finite.
+            ValueError: on all ranks, for values that are negative or not finite, and for a Constant
+                that is not the same on all ranks.
         """
-        n = scalar.dofmap.index_map.size_local
+        comm, n = scalar.mesh.comm, scalar.dofmap.index_map.size_local
         if isinstance(self.value, fem.Function):
+            self.value.x.scatter_forward()  # a node may have its value from a cell of ghosts
             at_nodes = fem.Function(scalar)
             at_nodes.interpolate(self.value)
             values = np.asarray(at_nodes.x.array[:n], dtype=np.float64)
+            largest = maximum(comm, np.abs(values).max(initial=0.0))[0]
+            none = np.isfinite(values) & (values < 0.0) & (values >= -ROUND_OFF * largest)
+            values[none] = 0.0
         else:
-            number = getattr(self.value, "value", self.value)
-            values = np.full(n, float(np.asarray(number).reshape(())))
+            number = float(np.asarray(getattr(self.value, "value", self.value)).reshape(()))
+            values = np.full(n, number)
+            top, bottom = maximum(comm, number, -number)
+            if top != -bottom and np.isfinite([top, bottom]).all():
+                raise ValueError(
+                    f"{self.name} differs between the ranks, from {-bottom:g} to {top:g}; give "
+                    "all ranks the same"
+                )
         bad = ~(np.isfinite(values) & (values >= 0.0))
-        if any_rank(scalar.mesh.comm, bad.any())[0]:
+        if any_rank(comm, bad.any())[0]:
             what = f"{float(values[bad][0]):g} somewhere" if bad.any() else "so on another rank"
             raise ValueError(f"{self.name} is {what}: every value has to be finite and >= 0")
         return values
 
-    def check_mesh(self, scalar: fem.FunctionSpace) -> None:
-        """Raise a ValueError for a Function on another mesh."""
+    def check_mesh(self, V: fem.FunctionSpace) -> None:
+        """Raise a ValueError for a Function on another mesh than V's."""
         if isinstance(self.value, fem.Function):
-            if self.value.function_space.mesh is not scalar.mesh:
+            if self.value.function_space.mesh is not V.mesh:
                 raise ValueError(
                     f"{self.name} is a Function on another mesh: give one on that of the "
                     "displacement"
@@ -78,6 +91,7 @@ def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | No
         return FrictionLaw(name, float(value)) if value > 0.0 else None
     if isinstance(value, fem.Function):
         shape = value.ufl_shape
+        _check_nodal(name, value)
     elif isinstance(value, fem.Constant):
         shape = value.ufl_shape
     else:
@@ -85,6 +99,16 @@ def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | No
     if shape != () or not np.issubdtype(_dtype(value), np.floating):
         raise ValueError(f"{name} has shape {shape} and type {_dtype(value)}: {REMEDY}")
     return FrictionLaw(name, value)
+
+
+def _check_nodal(name: str, value: fem.Function) -> None:
+    """Raise a ValueError unless a Function has one value at every node."""
+    element = value.function_space.ufl_element()
+    if element.family_name != "P" or element.discontinuous:
+        raise ValueError(
+            f"{name} is a Function with the element {element}, which has not one value at every "
+            "node: interpolate it into a scalar Lagrange space"
+        )
 
 
 def _dtype(value: fem.Function | fem.Constant) -> np.dtype:

@@ -143,6 +143,9 @@ class Interface:
         slave, master = (label(self.facet_tags, tag) for tag in (self.slave, self.master))
         return f"slave={slave}, master={master}"
 
+    def check(self, V: fem.FunctionSpace) -> None:
+        """Raise a ValueError unless a problem with the displacement's space can take it."""
+
     def take(self, owner: object, V: fem.FunctionSpace) -> None:
         """Belong to a problem from now on, with fields on V and without results; collective."""
         scalar = V.sub(0).collapse()[0]

@@ -81,7 +81,8 @@ class ContactProblem:
     ) -> None:
         """Check the arguments and create everything that later steps refill."""
         sides, conditions = check_arguments(solid, interfaces, bcs, loads, potential, geometry)
-        for side in sides:
+        for side in sides:  # all, before one is taken from another problem
+            side.check(solid.V)
             if isinstance(side, Tie):
                 check_jump_of(side, solid.V)
         check_options(solid.V.mesh.comm, petsc_options_prefix, petsc_options)
