@@ -43,6 +43,7 @@ def save(lasting: Lasting, path: str | os.PathLike[str]) -> None:
     results = [_resultants(interface) for interface in lasting.interfaces]
     about = {
         "problem": describe(lasting),
+        "begun": committed.begun,
         "level": committed.level,
         "walked": committed.walked,
         "steps": [step.as_dict() for step in committed.history],
@@ -89,6 +90,7 @@ class Saved:
             _set(field, shown[name] if name in shown else shown[same])
         for k, interface in enumerate(lasting.interfaces):
             _take(lasting, k, interface, self.about["interfaces"][k], self.tables.get(_name(k), {}))
+        committed.begun = self.about["begun"]
         committed.level, committed.walked = self.about["level"], self.about["walked"]
         committed.history[:] = self.steps
         committed.search = lasting.system.faced = True

@@ -108,7 +108,7 @@ def preload(
         force: resultant in force units, of the part of the bolt that is modelled: of half a bolt on
             a plane of symmetry, give half the force. Negative: the sides are pushed apart.
         direction: d numbers, of any length.
-        rtol: tolerance of the force, relative to it, or to the force before if it shall vanish.
+        rtol: tolerance of the force, relative to it, or to the force before if that is larger.
         max_it: largest number of steps.
         qp: as in `newton`.
 
