@@ -17,6 +17,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.algebra.congruence import CongruentOperator
+from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.interfaces.contact import Contact
@@ -81,8 +82,10 @@ class ContactProblem:
     ) -> None:
         """Check the arguments and create everything that later steps refill."""
         sides, conditions = check_arguments(solid, interfaces, bcs, loads, potential, geometry)
-        for side in sides:  # all, before one is taken from another problem
-            side.check(solid.V)
+        with raised_together(solid.V.mesh.comm):  # before one is taken from another problem
+            for side in sides:
+                side.check(solid.V)
+        for side in sides:
             if isinstance(side, Tie):
                 check_jump_of(side, solid.V)
         check_options(solid.V.mesh.comm, petsc_options_prefix, petsc_options)
