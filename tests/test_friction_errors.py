@@ -56,13 +56,14 @@ def test_functions_that_are_no_scalars(case, name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_functions_without_a_value_at_every_node(case, name):
-    """What a node would take from one of its cells depends on which rank has it."""
+@pytest.mark.parametrize("element", [("DG", 0), ("DG", 1), ("Bubble", 3), "quadrature"])
+def test_functions_without_one_value_at_every_node(case, name, element):
+    """Which of several were taken would depend on the numbering of cells, so on the ranks."""
     mesh = case.problem.V.mesh
-    points = basix.ufl.quadrature_element(mesh.basix_cell(), degree=2)
-    for element in (("DG", 0), ("DG", 1), points):
-        with rejected(name, "not one value at every node", "Lagrange"):
-            contact(case, **{name: fem.Function(fem.functionspace(mesh, element))})
+    if element == "quadrature":
+        element = basix.ufl.quadrature_element(mesh.basix_cell(), degree=2)
+    with rejected(name, "not one value at every node", "interpolate"):
+        contact(case, **{name: fem.Function(fem.functionspace(mesh, element))})
     with rejected(name, "collapse()"):
         contact(case, **{name: fem.Function(case.problem.V).sub(0)})
 
@@ -100,8 +101,17 @@ def test_limits_on_another_mesh(case, name, kind):
     if kind == "constant":  # a number is the same on all meshes
         case.again(**{name: value}).solve(0.0, -0.01)
         return
-    with rejected(name, "another mesh", "solid.mesh"):
-        case.again(**{name: value})
+    own = fem.Function(fem.functionspace(case.problem.V.mesh, ("Lagrange", 1)))
+    for given in (value, own if COMM.rank else value):  # the others must not wait for one rank
+        with rejected(name, "another mesh", "solid.mesh"):
+            case.again(**{name: given})
+    case.solve(0.0, -0.01)
+    force, old = case.contact.force.copy(), case.problem
+    bad = dm.Contact(case.contact.facet_tags, slave=4, master=3, **{name: value})
+    with rejected(name, "another mesh"):
+        dm.ContactProblem(old.solid, [case.contact, bad], bcs=case.bcs)
+    assert np.array_equal(case.contact.force, force)  # the refused one has taken nothing
+    assert dm.newton(old).converged
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -155,3 +165,16 @@ def test_results_of_friction_before_a_step(case):
         fresh.contact.gather(fresh.problem.u)
     with pytest.raises(AttributeError, match="friction="):
         case.contact.status  # noqa: B018
+
+
+@pytest.mark.mpi
+@pytest.mark.skipif(COMM.size == 1, reason="needs two ranks")
+def test_a_constant_that_differs_between_the_ranks(case):
+    value = fem.Constant(case.problem.V.mesh, 0.3)
+    case = case.again(friction=value)
+    value.value = 0.3 + 0.1 * COMM.rank
+    case.push(0.0, -0.01)
+    with rejected("friction differs between the ranks", "0.3 to "):
+        dm.newton(case.problem)
+    value.value = 0.3
+    assert dm.newton(case.problem).converged

@@ -152,6 +152,29 @@ def test_a_coefficient_that_varies_in_space():
     assert (np.abs(nodes["traction"][~left, 0]) > 0.0).all()
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize(("degree", "other"), [(1, 2), (2, 1)])
+@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
+def test_a_coefficient_of_another_degree_than_the_displacement(cell, degree, other):
+    """Zeros stay zeros, which interpolation makes -1e-17; only its owned values need be set."""
+    case = create(cell, degree=degree)
+    V = case.problem.V
+    mu = fem.Function(fem.functionspace(V.mesh, ("Lagrange", other)))
+    case = case.again(friction=mu)
+    own = mu.function_space.dofmap.index_map.size_local
+    x = mu.function_space.tabulate_dof_coordinates()[:own]
+    mu.x.array[own:] = np.nan
+    mu.x.array[:own] = 0.5 + 0.1 * x[:, 0]
+    nodes = V.tabulate_dof_coordinates()[: case.problem.n]
+    assert largest(case.contact.limits() - (0.5 + 0.1 * nodes[:, 0])) < 1e-14
+    # 0, 0.17 and 0.3 in turns, so that zeros have all kinds of neighbours
+    mu.x.array[:own] = np.array([0.0, 0.17, 0.3])[
+        np.round(7 * x[:, :2].sum(axis=1)).astype(int) % 3
+    ]
+    found = case.contact.limits()
+    assert (found >= 0.0).all() and COMM.allreduce(int((found == 0.0).sum())) > 0
+
+
 # -- none
 
 

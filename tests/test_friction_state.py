@@ -75,6 +75,18 @@ def test_a_step_that_was_saved_before_its_commit(folder):
     agree(numbers(direct), numbers(case))
 
 
+def test_a_state_before_the_first_step_takes_slips_away(folder):
+    """What had slipped and been dissipated since is gone, and counts no more."""
+    case = create(friction=0.3)
+    case.problem.save(folder / "begin.h5")
+    walk(case, PATH)
+    expected = numbers(case)
+    case.problem.restore(folder / "begin.h5")
+    assert case.contact.dissipation == 0.0 and not case.contact.slip.x.array.any()
+    walk(case, PATH)
+    agree(numbers(case), expected)
+
+
 def test_a_failed_step_leaves_no_slip():
     case, other = (create(friction=0.3, geometry="updated") for _ in range(2))
     for one in (case, other):
@@ -84,6 +96,42 @@ def test_a_failed_step_leaves_no_slip():
         dm.newton(case.problem, max_it=1, rtol=1e-12)
     for one in (case, other):
         walk(one, PATH[2:])
+    agree(numbers(case), numbers(other))
+
+
+@pytest.mark.mpi
+def test_a_try_that_is_not_committed_leaves_no_trace():
+    """The partners along which slips are measured are those of the last commit, not of the try."""
+    case, other = (create(friction=0.3, geometry="updated") for _ in range(2))
+    for one in (case, other):
+        walk(one, PATH[:1])
+    case.push(0.4, -0.03)
+    dm.newton(case.problem)
+    for one in (case, other):
+        walk(one, PATH[1:3])
+    agree(numbers(case), numbers(other))
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("first", ["audited", "failed", "tried", "restored"])
+def test_a_first_step_is_the_same_whatever_came_before_it(first, folder):
+    """Its partners are those where the supports move the bodies, as before it none may face."""
+    case, other = (create(friction=0.3, geometry="updated") for _ in range(2))
+    if first == "audited":
+        case.problem.audit()
+    elif first == "failed":
+        case.push(0.1, -0.02)
+        with pytest.raises(dm.NewtonNotConverged):
+            dm.newton(case.problem, max_it=1, rtol=1e-12)
+    elif first == "tried":
+        case.push(0.4, -0.03)
+        dm.newton(case.problem)
+    else:
+        walk(case, PATH[:1])
+        other.problem.save(folder / "begin.h5")
+        case.problem.restore(folder / "begin.h5")
+    for one in (case, other):
+        walk(one, [(0.1, -0.02)])
     agree(numbers(case), numbers(other))
 
 

@@ -26,6 +26,7 @@ from tests.sweep.problems import create
 COMM = MPI.COMM_WORLD
 PACKAGE = Path(dm.__file__).parent
 NUMBERS = {
+    "interfaces.friction": ("ROUND_OFF",),
     "interfaces.near": ("INCREMENT_SHARE", "FACETS", "ROOM", "OVERLAP", "SAME_DEPTH"),
     "steps.audit": ("COARSE", "BACK", "DEEP", "ROUND_OFF", "EXACT"),
     "steps.bodies": ("HELD", "SAME", "ORIGIN"),

@@ -161,9 +161,6 @@ def test_little_coverage(slave, covered, degree):
     lines = (long, short) if slave == "lower" else (short, long)
     problem, contact, exact = solve_patch(slave, *lines, hold="edge", degree=degree)
     check(problem, contact, exact)
-    # of the slave side's uniform pressure, what lies beyond the master presses on nothing
-    assert contact.normal_force == pytest.approx(P * 1.0, rel=1e-9)
-    assert contact.normal_force == pytest.approx(np.linalg.norm(contact.force), rel=1e-9)
     # a node that too little faces has no multiplier of its own: a neighbour has its share
     kept = MPI.COMM_WORLD.allreduce(
         int(np.sum(problem.system.link(contact).coupling.kept)), op=MPI.SUM

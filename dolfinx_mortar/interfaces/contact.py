@@ -108,10 +108,13 @@ class Contact(Interface):
         said = f"{value:g}" if isinstance(value, float) else type(value).__name__
         return f"{name[:-1]}, {self.law.name}={said})"
 
-    def take(self, owner: object, V: fem.FunctionSpace) -> None:
-        """Belong to a problem from now on, with fields on V and without results; collective."""
+    def check(self, V: fem.FunctionSpace) -> None:
+        """Raise a ValueError for limits of friction on another mesh than V's."""
         if self.law is not None and isinstance(self.law.value, fem.Function):
             check_mesh(self.law.name, self.law.value, V)  # a Constant is a number
+
+    def take(self, owner: object, V: fem.FunctionSpace) -> None:
+        """Belong to a problem from now on, with fields on V and without results; collective."""
         super().take(owner, V)
         assert self.fields is not None
         self.sliding, self.dissipated = None, 0.0

@@ -10,13 +10,15 @@ from typing import TypeAlias
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces.nodal import check_nodal
 
 Limit: TypeAlias = float | fem.Constant | fem.Function
 
 REMEDY = "give a number, a scalar fem.Constant, or a scalar Lagrange fem.Function"
+# Of the largest value: what interpolation leaves of a zero between spaces of other degrees
+ROUND_OFF = 1e-14
 
 
 @dataclass(frozen=True)
@@ -33,18 +35,29 @@ class FrictionLaw:
         """Return the present values at the owned nodes of a scalar space; collective.
 
         Raises:
-            ValueError: on all ranks, for values that are negative or not finite.
+            ValueError: on all ranks, for values that are negative or not finite, and for a Constant
+                that is not the same on all ranks.
         """
-        n = scalar.dofmap.index_map.size_local
+        comm, n = scalar.mesh.comm, scalar.dofmap.index_map.size_local
         if isinstance(self.value, fem.Function):
+            self.value.x.scatter_forward()  # a node may have its value from a cell of ghosts
             at_nodes = fem.Function(scalar)
             at_nodes.interpolate(self.value)
             values = np.asarray(at_nodes.x.array[:n], dtype=np.float64)
+            largest = maximum(comm, np.abs(values).max(initial=0.0))[0]
+            none = np.isfinite(values) & (values < 0.0) & (values >= -ROUND_OFF * largest)
+            values[none] = 0.0
         else:
-            number = getattr(self.value, "value", self.value)
-            values = np.full(n, float(np.asarray(number).reshape(())))
+            number = float(np.asarray(getattr(self.value, "value", self.value)).reshape(()))
+            values = np.full(n, number)
+            top, bottom = maximum(comm, number, -number)
+            if top != -bottom and np.isfinite([top, bottom]).all():
+                raise ValueError(
+                    f"{self.name} differs between the ranks, from {-bottom:g} to {top:g}; give "
+                    "all ranks the same"
+                )
         bad = ~(np.isfinite(values) & (values >= 0.0))
-        if any_rank(scalar.mesh.comm, bad.any())[0]:
+        if any_rank(comm, bad.any())[0]:
             what = f"{float(values[bad][0]):g} somewhere" if bad.any() else "so on another rank"
             raise ValueError(f"{self.name} is {what}: every value has to be finite and >= 0")
         return values

@@ -56,7 +56,6 @@ class Resultants:
     moment: Floats  # (3,) its moment about the origin
     master_force: Floats  # (d,) the same for the master side
     master_moment: Floats  # (3,)
-    normal_force: np.float64  # sum of the forces along the normals, positive in compression
     multiplier: Floats  # (n,) or (n, d) lambda_j = reaction_j / D_jj at the owned slave nodes
     nodes: Ints  # (n,) local numbers of these nodes
     carries: Bools  # (n,) which of them have a multiplier
@@ -143,6 +142,9 @@ class Interface:
         """How messages call the two sides."""
         slave, master = (label(self.facet_tags, tag) for tag in (self.slave, self.master))
         return f"slave={slave}, master={master}"
+
+    def check(self, V: fem.FunctionSpace) -> None:
+        """Raise a ValueError unless a problem with the displacement's space can take it."""
 
     def take(self, owner: object, V: fem.FunctionSpace) -> None:
         """Belong to a problem from now on, with fields on V and without results; collective."""
@@ -240,16 +242,6 @@ class Interface:
     def master_moment(self) -> Floats:
         """Moment (3,) about the origin of the forces on the master side."""
         return self._result(self.resultants, "master_moment")
-
-    @property
-    def normal_force(self) -> float:
-        """Normal tractions over the part of the slave side that faces the master, summed.
-
-        sum_j D_jj p_j, positive in compression, whichever way the normals point: the press of a
-        shrink fit, all around. The integral of ``pressure`` over the slave side is more where that
-        reaches beyond the master.
-        """
-        return float(self._result(self.resultants, "normal_force"))
 
     @property
     def multiplier(self) -> Floats:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Slips of a step: motion of slave nodes along those points of the master that they began at.
 
+Those of the last commit, see `dolfinx_mortar.steps.partners`: tries in between leave no trace.
+
 With P of the moment a slip would change with every update of the geometry, by the change of P times
 what the master has moved in the whole step. With P of the begin a stuck node has the partner that
 it stays with. Measured: an elasto-plastic step of Hertz with updated geometry, 0.2 mm deep, 50

@@ -34,10 +34,10 @@ def set_results(link: Link, reaction: Floats, gap: Floats, active: Bools, x: Flo
     weight = np.broadcast_to(D, reaction.shape)
     multiplier = np.divide(reaction, weight, out=np.zeros_like(reaction), where=weight > 0)
     forces = np.einsum("nij,nj->ni", link.coupling.R, reaction)
-    normal = np.einsum("ni,ni->n", forces, link.coupling.normals)
-    link.interface.resultants = _resultants(link, forces, normal, multiplier, x)
+    link.interface.resultants = _resultants(link, forces, multiplier, x)
     largest = np.maximum(D.max(axis=1, initial=0.0), np.finfo(float).tiny)
-    _fill(fields.pressure, link, np.where(kept, normal / largest, 0.0), kept)
+    normal = np.einsum("ni,ni->n", forces, link.coupling.normals) / largest
+    _fill(fields.pressure, link, np.where(kept, normal, 0.0), kept)
     fields.pressure.x.array[:] = np.nan_to_num(fields.pressure.x.array)
     _fill(fields.gap, link, gap, kept)
     fields.active.x.array[:] = 0.0
@@ -60,25 +60,18 @@ def set_sliding(
     contact.dissipated = link.sides.V.mesh.comm.allreduce(float(energy.sum()), op=MPI.SUM)
 
 
-def _resultants(
-    link: Link, forces: Floats, normal: Floats, multiplier: Floats, x: Floats
-) -> Resultants:
-    """Return the resultants of the forces (n, d) that the slave nodes exert; collective.
-
-    Of these forces ``normal`` (n,) are the parts along the normals.
-    """
+def _resultants(link: Link, forces: Floats, multiplier: Floats, x: Floats) -> Resultants:
+    """Return the resultants of the forces (n, d) that the slave nodes exert; collective."""
     n, d = link.sides.n_owned, forces.shape[1]
     f, points = np.zeros((2, n, 3)), np.zeros((n, 3))
     f[:, :, :d], points[:, :d] = link.transpose(forces), x
     local = np.array([[-s.sum(axis=0), -np.cross(points, s).sum(axis=0)] for s in f])
-    comm = link.sides.V.mesh.comm
-    total = comm.allreduce(local, op=MPI.SUM)
+    total = link.sides.V.mesh.comm.allreduce(local, op=MPI.SUM)
     return Resultants(
         force=total[0, 0, :d],
         moment=total[0, 1],
         master_force=total[1, 0, :d],
         master_moment=total[1, 1],
-        normal_force=np.float64(comm.allreduce(float(normal.sum()), op=MPI.SUM)),
         multiplier=multiplier[:, 0] if link.interface.one_sided else multiplier,
         nodes=link.nodes,
         carries=np.asarray(link.coupling.kept.any(axis=1)),

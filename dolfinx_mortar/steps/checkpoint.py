@@ -30,7 +30,7 @@ from dolfinx_mortar.steps.report import LoadStep
 
 NODES, POINTS = "nodes", "points"
 SLIPS = ("slid", "dissipated")
-RESULTANTS = ("force", "moment", "master_force", "master_moment", "normal_force")
+RESULTANTS = ("force", "moment", "master_force", "master_moment")
 
 
 def save(lasting: Lasting, path: str | os.PathLike[str]) -> None:
@@ -43,6 +43,7 @@ def save(lasting: Lasting, path: str | os.PathLike[str]) -> None:
     results = [_resultants(interface) for interface in lasting.interfaces]
     about = {
         "problem": describe(lasting),
+        "begun": committed.begun,
         "level": committed.level,
         "walked": committed.walked,
         "steps": [step.as_dict() for step in committed.history],
@@ -89,6 +90,7 @@ class Saved:
             _set(field, shown[name] if name in shown else shown[same])
         for k, interface in enumerate(lasting.interfaces):
             _take(lasting, k, interface, self.about["interfaces"][k], self.tables.get(_name(k), {}))
+        committed.begun = self.about["begun"]
         committed.level, committed.walked = self.about["level"], self.about["walked"]
         committed.history[:] = self.steps
         committed.search = lasting.system.faced = True
@@ -189,6 +191,9 @@ def _take(
     """Give an interface its results, or take them away; collective."""
     for function in interface.functions:
         function.x.array[:] = 0.0
+    if isinstance(interface, Contact):
+        interface.dissipated = 0.0
+    lasting.committed.slid[k], lasting.committed.dissipated[k] = 0.0, 0.0
     if resultants is None:
         interface.resultants = None
         return
@@ -207,7 +212,6 @@ def _take(
     if isinstance(interface, Contact) and interface.sliding is not None:
         committed = lasting.committed
         for column, name in zip((committed.slid[k], committed.dissipated[k]), SLIPS, strict=True):
-            column[:] = 0.0
             column[nodes] = values[name][:, 0]
         interface.dissipated = lasting.comm.allreduce(float(values["energy"].sum()), op=MPI.SUM)
 

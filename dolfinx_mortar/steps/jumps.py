@@ -56,4 +56,5 @@ def check_jump_of(tie: Tie, V: fem.FunctionSpace) -> None:
     jump = tie.jump
     value = jump.value if isinstance(jump, fem.Constant) else jump
     check_same_on_all_ranks(V.mesh.comm, jump=value, tightening=tie.tightening)
-    check_mesh("jump", jump, V)
+    with raised_together(V.mesh.comm):
+        check_mesh("jump", jump, V)

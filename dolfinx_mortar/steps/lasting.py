@@ -27,6 +27,7 @@ class Committed:
     displacement: Floats  # (n,) owned, from which slips are measured
     slid: Floats  # (interfaces, owned nodes) length of the way that nodes have slipped
     dissipated: Floats  # (interfaces, owned nodes) energy that friction has taken there
+    begun: bool = False  # a step has been committed
     level: float = 0.0  # load level, of the last step of `load_steps`
     history: list[LoadStep] = field(default_factory=list)  # all steps of `load_steps`
     walked: int = 0  # how many of them belong to the last call

@@ -24,7 +24,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.steps.checks import (
@@ -108,7 +108,7 @@ def preload(
         force: resultant in force units, of the part of the bolt that is modelled: of half a bolt on
             a plane of symmetry, give half the force. Negative: the sides are pushed apart.
         direction: d numbers, of any length.
-        rtol: tolerance of the force, relative to it, or to the force before if it shall vanish.
+        rtol: tolerance of the force, relative to it, or to the force before if that is larger.
         max_it: largest number of steps.
         qp: as in `newton`.
 
@@ -134,7 +134,8 @@ def preload(
 
 def _check(problem: ContactProblem, tie: Any, force: Any, direction: Any) -> Floats:
     """Return the unit vector of the direction if all arguments make sense; collective."""
-    if not any(tie is one for one in problem.ties):
+    other = not any(tie is one for one in problem.ties)
+    if any_rank(problem.comm, other)[0]:
         raise ValueError(f"tie is {tie!r}: give one of problem.ties")
     check_owned(problem.interfaces, problem.supports)
     given = direction.tolist() if isinstance(direction, np.ndarray) else direction

@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 from mpi4py import MPI
@@ -17,11 +17,11 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.algebra.congruence import CongruentOperator
+from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.interface import Interface
-from dolfinx_mortar.interfaces.partners import Partners
 from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.interfaces.tie import Tie
@@ -37,6 +37,7 @@ from dolfinx_mortar.steps.jumps import check_jump_of, read_jumps
 from dolfinx_mortar.steps.lasting import Committed, Lasting
 from dolfinx_mortar.steps.loads import Loads
 from dolfinx_mortar.steps.mesh_audit import check_mesh
+from dolfinx_mortar.steps.partners import partners_at
 from dolfinx_mortar.steps.preconditioning import UnknownsOfBodies
 from dolfinx_mortar.steps.report import LoadStep, Timings
 from dolfinx_mortar.steps.step_data import StepData
@@ -81,6 +82,9 @@ class ContactProblem:
     ) -> None:
         """Check the arguments and create everything that later steps refill."""
         sides, conditions = check_arguments(solid, interfaces, bcs, loads, potential, geometry)
+        with raised_together(solid.V.mesh.comm):  # before one is taken from another problem
+            for side in sides:
+                side.check(solid.V)
         for side in sides:
             if isinstance(side, Tie):
                 check_jump_of(side, solid.V)
@@ -233,36 +237,33 @@ class ContactProblem:
                 raise ValueError(f"{name}: {bad} values are NaN or infinite; {remedy}")
         check_targets(self.solid, target)
         jumps = read_jumps(self.system, f)
-        before: list[Partners | None] = []
-        if self.system.has_friction and self.geometry == "updated" and self.system.faced:
-            self.update_geometry(0.0, search=self.committed.search)
-            before = self._partners()
+        began = self.committed.displacement  # of what a try has moved since nothing may stay
+        if not self.committed.begun:  # the sides may meet where the supports move them only
+            began = began + self._mean(self.supports.increment(target, began))
         asked = self.supports.increment(target, self.u.x.array)
-        mean = self.bodies.mean(asked, self.supports.owned, self.tied_groups)[self.bodies.label]
-        mean *= self.bodies.shifts  # a ring has no shift across its axis
+        mean = self._mean(asked)
         u = self.u
-        u.x.array[: mean.size] += mean.ravel()
+        u.x.array[: mean.size] += mean
         u.x.scatter_forward()
         largest = float(maximum(self.comm, np.abs(asked).max(initial=0.0))[0])
         opened = self.system.largest_slip(self.vector(u.x.array[: mean.size]), jumps)
         data = StepData(f, target, asked, max(largest, opened), jumps)
-        if self._audited is None:
+        search, fresh = self.committed.search, self._audited is None
+        if fresh:
             self._audit(data.increment)
-        else:  # u may have been set, or put back after a failed step
-            search = self.committed.search
+        x = self.vector(self.X.ravel() + self.committed.displacement)
+        frozen = self.geometry == "reference"
+        update = None if frozen else partial(self.update_geometry, 0.0, search=search)
+        partners, away = partners_at(self.system, u, began, x, update, here=fresh)
+        if away or not fresh:  # u may have been set, or put back after a failed step
             self.update_geometry(data.increment, search=search, everywhere=True)
         self.committed.search = False
-        if not self.system.has_friction:
-            return data
-        partners = before or self._partners()
-        return replace(data, limits=limits, partners=partners)
+        return replace(data, limits=limits, partners=partners) if partners else data
 
-    def _partners(self) -> list[Partners | None]:
-        """Return from which points of the masters slips are measured, in the present geometry."""
-        if self.geometry == "reference":
-            return [None] * len(self.interfaces)
-        committed = self.X.ravel() + self.committed.displacement
-        return self.system.partners(self.vector(committed))
+    def _mean(self, asked: Floats) -> Floats:
+        """Return the displacement (n,) of bodies moved by the mean of what is asked; collective."""
+        mean = self.bodies.mean(asked, self.supports.owned, self.tied_groups)[self.bodies.label]
+        return np.asarray(mean * self.bodies.shifts).ravel()  # a ring has no shift across its axis
 
     def audit(self) -> Audit:
         """Return the geometry audit, made before the first step; collective.
@@ -324,6 +325,7 @@ class ContactProblem:
         with self.timings("commit"):
             self.solid.commit()
             committed = self.committed
+            committed.begun = True
             committed.displacement[:] = self.u.x.array[: committed.displacement.size]
             committed.take_slips(self.system.sides, self.interfaces)
 
