@@ -12,6 +12,7 @@ MU, DEPTH = 0.2, 0.05
 # distance |X| of a node that sticks [mm], which is a multiple of 0.0495. Normal force at the end.
 SIDEWAYS = {0.004: (136.648, 0.396), 0.008: (268.323, 0.297), 0.012: (392.691, 0.198)}
 SLIDING = (0.016, 485.445, 2427.22)
+NODES = 19_461  # of its mesh, by gmsh 4.13; that of 4.15 has eight nodes less
 # CalculiX, on the mesh of the paper: normal and tangential force, surface to surface and mortar
 CALCULIX = ((2480.9, 344.0), (2428.5, 337.2))
 
@@ -37,14 +38,19 @@ def coarse(geometry, slave):
 
 
 def test_the_forces_of_another_code():
-    """Tangential forces to all digits that are known, the stick zone to the node, up to sliding."""
+    """Tangential forces to all digits that are known, the stick zone to the node, up to sliding.
+
+    On the same mesh; to 1e-4 on one that differs by a few nodes.
+    """
     pushes = [*SIDEWAYS, SLIDING[0]]
     levels = [(DEPTH, 0.0), *((DEPTH, s) for s in pushes)]
     cases = pushed("graded", 0.05, levels, geometry="reference", surface="facets")
-    next(cases)
+    V = next(cases).problem.V
+    same = V.dofmap.index_map.size_global == NODES
+    digits = {"abs": 6e-4} if same else {"rel": 1e-4}
     for Q, reach in SIDEWAYS.values():
         case = next(cases)
-        assert case.contact.force[0] == pytest.approx(Q, abs=6e-4)
+        assert case.contact.force[0] == pytest.approx(Q, **digits)
         nodes = case.contact.gather(case.problem.u)
         sticks = nodes["status"] == 1
         assert np.abs(nodes["X"][sticks, 0]).max() == pytest.approx(reach, abs=1e-3)
@@ -55,8 +61,8 @@ def test_the_forces_of_another_code():
         zone = dm.analytic.cattaneo_line(hertz, MU, Q).stick_half_width
         assert abs(np.ptp(nodes["X"][sticks, 0]) / 2 - zone) < 0.05
     case = next(cases)
-    assert case.contact.force[0] == pytest.approx(SLIDING[1], abs=6e-4)
-    assert case.force == pytest.approx(SLIDING[2], abs=6e-3)
+    assert case.contact.force[0] == pytest.approx(SLIDING[1], **digits)
+    assert case.force == pytest.approx(SLIDING[2], abs=6e-3 if same else 0.3)
     assert case.contact.force[0] == pytest.approx(MU * case.force, rel=1e-5)
     assert not (case.contact.gather(case.problem.u)["status"] == 1).any()
 

@@ -38,7 +38,7 @@ NUMBERS = {
     "steps.residuals": ("EPS", "ROW_SUM", "GAP_OPERATIONS", "FIRST_SHARE"),
 }
 # judged in test_mesh_audit, below, in test_smooth_contact, test_stand_off, test_resolution, in
-# those of checkpoints, and in test_preload
+# those of checkpoints, in test_preload, and in test_friction_bodies
 OTHERS = {
     "steps.mesh_audit",
     "interfaces.contact",
@@ -48,6 +48,7 @@ OTHERS = {
     "steps.identity",
     "steps.load_steps",
     "steps.preload",
+    "steps.results",
 }
 
 
