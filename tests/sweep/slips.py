@@ -14,8 +14,12 @@ import dolfinx_mortar as dm
 
 Floats = npt.NDArray[np.float64]
 TINY = np.finfo(float).tiny
-LEAST_LIMIT = 1e-2
-"""The scale of tangential tractions is the largest limit, or this share of the largest pressure."""
+LEAST_LIMIT = 1e-1
+"""The scale of tangential tractions is the largest limit, or this share of the largest pressure.
+
+Steps are solved to 1e-6 of their largest forces, which are normal ones: with mu = 0.009 the law of
+a correct step is off by 1e-4 of mu p (seed 1). The check's 1e-4 of this scale are 1e-5 of p.
+"""
 
 
 @dataclass(frozen=True)
