@@ -160,31 +160,6 @@ def test_bolts_are_found_in_load_steps_too():
     assert np.allclose(found, [F0 + 1.0, F0 + 2.0], rtol=1e-4)
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """Return a folder that all ranks see."""
-    return COMM.bcast(tmp_path)
-
-
-@pytest.mark.mpi
-def test_a_walk_that_was_stopped_goes_on_when_the_program_tightens_again(folder):
-    """The preload comes before the walk, in the run that goes on as well."""
-    times, file, F0 = [3.0, 6.0, 12.0], folder / "run.h5", 6.0
-
-    def walk(times):
-        joint = Joint()
-        dm.preload(joint.problem, joint.bolt, F0, joint.direction)
-        options = {"on_time": lambda t: joint.pull.value.fill(t), "checkpoint": file}
-        steps = dm.load_steps(joint.problem, times, progress=False, **options)
-        return [(step.number, joint.tension()) for step in steps]
-
-    assert walk(times[:1]) == [(1, pytest.approx(F0 + 1.0, rel=1e-4))]
-    (two, tension), (three, parted) = walk(times)
-    assert (two, three) == (2, 3)
-    assert tension == pytest.approx(F0 + 2.0, rel=1e-4)
-    assert parted == pytest.approx(12.0, rel=1e-5)
-
-
 # -- what cannot be
 
 

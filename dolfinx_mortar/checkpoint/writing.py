@@ -37,7 +37,7 @@ from dolfinx_mortar.checkpoint.places import box_of
 
 KIND = "dolfinx_mortar checkpoint"
 # Raise this when what is written changes its meaning.
-FORMAT = 1
+FORMAT = 2
 # Rows that travel together and have one checksum: 2 MB of strains and places.
 ROWS = 2**15
 SUFFIX = ".part"
