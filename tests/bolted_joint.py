@@ -20,11 +20,11 @@ class Joint:
     Without Poisson's ratio the bolt has the stiffness E / 2 and the plates E / 2 each.
     """
 
-    def __init__(self, *, gap=0.0, slave="upper"):
+    def __init__(self, *, gap=0.0, slave="upper", comm=COMM):
         """Create the parts and the problem."""
         boxes = [(1, 2, 0, 1, 3, 3), (1, 2, 1, 2, 4, 3), (0, 1, 0, 2 - gap, 3, 5)]
         boxes += [(2, 3, 0, 2 - gap, 3, 5), (0, 3, 2, 3, 10, 3)]
-        self.mesh, cells, tags = create_blocks(COMM, boxes, cell="quadrilateral")
+        self.mesh, cells, tags = create_blocks(comm, boxes, cell="quadrilateral")
         V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
         self.u, self.pull = fem.Function(V), fem.Constant(self.mesh, 0.0)
         soft, stiff = dm.Elastic(E, 0.0), dm.Elastic(1e5 * E, 0.0)

@@ -8,26 +8,13 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.steps import preload as preload_module
-from dolfinx_mortar.steps.newton import solve_step
-from dolfinx_mortar.steps.report import StepReport
 from tests.bolted_joint import Joint
 from tests.glued_bar import CELLS, COMM, CONFINED, NU, Bar, E, largest
 from tests.meshes import BOTTOM, LEFT, TOP
 from tests.pressed_blocks import rejected
+from tests.tightened_bar import Watched, clamped, loaded, outwards
 
 SOUGHT = 1e-6  # relative accuracy of the force, the default
-
-
-def clamped(cell="quadrilateral", **options):
-    """Return a bar between rigid walls, confined all around, and its problem."""
-    case = Bar(cell, **options)
-    last = case.d - 1
-    return case, case.problem([*case.rollers(), case.hold(BOTTOM, last), case.hold(TOP, last)])
-
-
-def outwards(case):
-    """Return the direction out of the slave side."""
-    return case.along(-case.sign)
 
 
 # -- the jump for a force
@@ -160,61 +147,7 @@ def test_bolts_are_found_in_load_steps_too():
     assert np.allclose(found, [F0 + 1.0, F0 + 2.0], rtol=1e-4)
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """Return a folder that all ranks see."""
-    return COMM.bcast(tmp_path)
-
-
-@pytest.mark.mpi
-def test_a_walk_that_was_stopped_goes_on_when_the_program_tightens_again(folder):
-    """The preload comes before the walk, in the run that goes on as well."""
-    times, file, F0 = [3.0, 6.0, 12.0], folder / "run.h5", 6.0
-
-    def walk(times):
-        joint = Joint()
-        dm.preload(joint.problem, joint.bolt, F0, joint.direction)
-        options = {"on_time": lambda t: joint.pull.value.fill(t), "checkpoint": file}
-        steps = dm.load_steps(joint.problem, times, progress=False, **options)
-        return [(step.number, joint.tension()) for step in steps]
-
-    assert walk(times[:1]) == [(1, pytest.approx(F0 + 1.0, rel=1e-4))]
-    (two, tension), (three, parted) = walk(times)
-    assert (two, three) == (2, 3)
-    assert tension == pytest.approx(F0 + 2.0, rel=1e-4)
-    assert parted == pytest.approx(12.0, rel=1e-5)
-
-
 # -- what cannot be
-
-
-class Watched:
-    """All that a failure must leave as it was."""
-
-    def __init__(self, case, problem):
-        """Keep copies."""
-        self.parts = (case, problem)
-        self.before = self.now()
-
-    def now(self):
-        case, problem = self.parts
-        fields = [case.u, case.solid.stress, *case.solid.state.values()]
-        fields += [case.tie.pressure, case.tie.gap, case.tie.active]
-        arrays = [f.x.array.copy() for f in fields]
-        return [*arrays, case.tie.force, case.tie.tightening, problem.committed.active.copy()]
-
-    def unchanged(self):
-        return all(map(np.array_equal, self.before, self.now()))
-
-
-def loaded(**options):
-    """Return a bar that carries a committed state, which is to stay."""
-    case = Bar("quadrilateral", **options)
-    push = fem.Constant(case.mesh, -1e-4)
-    problem = case.problem([case.hold(BOTTOM), case.hold(TOP, 1, push), case.hold(TOP, 0)])
-    dm.newton(problem)
-    problem.commit()
-    return case, problem
 
 
 @pytest.mark.mpi
@@ -249,75 +182,6 @@ def test_plastic_collapse():
     assert largest_force <= limit * (1 + 1e-6)
     near = dm.preload(problem, case.tie, 0.98 * limit, outwards(case))
     assert near.force == pytest.approx(0.98 * limit, rel=SOUGHT)
-
-
-def refuse_beyond(monkeypatch, tie, most):
-    """Let steps with larger jumps fail; return the jumps that were tried."""
-    tried, begins = [], []
-
-    def solve(problem, **options):
-        begins.append(problem.u.x.array.copy())
-        assert np.array_equal(begins[-1], begins[0])  # every try is one from the committed state
-        tried.append(largest(tie.tightening))
-        if tried[-1] > most:
-            raise dm.NewtonNotConverged("too far", StepReport())
-        return solve_step(problem, **options)
-
-    monkeypatch.setattr("dolfinx_mortar.steps.preload.solve_step", solve)
-    return tried
-
-
-def test_tries_that_go_too_far_are_halved(monkeypatch):
-    """Before the gap is closed nothing tells how far to go; what fails is not tried again."""
-    joint, F0 = Joint(gap=0.01), 6.0
-    joint.pull.value = -1.0
-    most = 0.03
-    tried = refuse_beyond(monkeypatch, joint.bolt, most)
-    found = dm.preload(joint.problem, joint.bolt, F0, joint.direction)
-    assert found.force == pytest.approx(F0, rel=SOUGHT) and largest(found.jump) < most
-    beyond = [s for s in tried if s > most]
-    assert beyond and np.all(np.diff(beyond) < 0.0)
-
-
-def scripted(monkeypatch, force_of, *, refused=np.inf):
-    """Let the force be a function of the jump, and steps with larger jumps fail."""
-
-    def solve(search, s):
-        search.reports.append(StepReport())
-        if s > refused:
-            raise dm.NewtonNotConverged("too far", StepReport())
-        search.tries.append((s, force_of(s)))
-        search.tie.tightening = s * search.n
-        return force_of(s) - search.force
-
-    monkeypatch.setattr("dolfinx_mortar.steps.preload._Search.solve", solve)
-    return loaded()
-
-
-def test_what_was_refused_bounds_the_search(monkeypatch):
-    """Nothing resists until shortly before steps fail: half the way there, and no farther."""
-    force_of = lambda s: 100.0 * max(s - 0.09, 0.0)  # noqa: E731
-    case, problem = scripted(monkeypatch, force_of, refused=0.1)
-    found = dm.preload(problem, case.tie, 0.5, outwards(case))
-    assert -found.jump[1] == pytest.approx(0.095, rel=1e-6) and found.iterations < 15
-
-
-@pytest.mark.parametrize("bend", [0.3, 3.0])
-def test_bent_curves_take_few_tries(monkeypatch, bend):
-    """Where the force bends up or down, both ends of the bracket move."""
-    case, problem = scripted(monkeypatch, lambda s: 30.0 * np.sign(s) * (abs(s) / 0.05) ** bend)
-    found = dm.preload(problem, case.tie, 30.0, outwards(case))
-    assert -found.jump[1] == pytest.approx(0.05, rel=1e-5) and found.iterations < 16
-
-
-def test_steps_that_do_not_converge(monkeypatch):
-    """The cause is that of Newton, and calls with rising forces are the remedy."""
-    case, problem = loaded()
-    watched = Watched(case, problem)
-    tried = refuse_beyond(monkeypatch, case.tie, 1e-3)
-    with rejected("does not converge (too far)", "tighten in parts", error=dm.PreloadNotReached):
-        dm.preload(problem, case.tie, 30.0, outwards(case))
-    assert watched.unchanged() and len(tried) < 20
 
 
 def test_too_few_tries():
@@ -369,6 +233,7 @@ def test_a_tie_of_another_problem():
 # -- numbers
 
 NUMBERS = ("SHARE_OF_STEPS", "GROWTH", "AGAINST", "NOTHING", "HALVINGS", "FARTHEST")
+NUMBERS += ("ALONG", "AROUND", "NEAR")
 
 
 def tighten():

@@ -2,8 +2,9 @@
 """What of a problem goes on from step to step, and how it is saved and restored.
 
 Displacement, internal variables, stress, closed contacts and load level; results of the interfaces
-(multipliers, pressures, gaps, resultants); the history of the load steps. What a program sets anew
-before a step is not saved: loads, supports, parameters and eigenstrain that may change.
+(multipliers, pressures, gaps, resultants); how far bolts are tightened; the history of the load
+steps. What a program sets anew before a step is not saved: loads, supports, jumps, parameters and
+eigenstrain that may change.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.checkpoint import Table, find_places, read_about, read_tables, size_of, write
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.interface import Interface, Resultants
+from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.steps.checks import check_owned, check_path
 from dolfinx_mortar.steps.identity import describe, differences, other_places
 from dolfinx_mortar.steps.lasting import Lasting
@@ -48,6 +50,10 @@ def save(lasting: Lasting, path: str | os.PathLike[str]) -> None:
         "walked": committed.walked,
         "steps": [step.as_dict() for step in committed.history],
         "interfaces": results,
+        # found, not given: a step without it would let the bolts go
+        "tightening": [
+            one.tightening.tolist() if isinstance(one, Tie) else None for one in lasting.interfaces
+        ],
     }
     places = _places(lasting, results)
     values = {NODES: _nodal(lasting), POINTS: _at_points(lasting)}
@@ -90,6 +96,8 @@ class Saved:
             _set(field, shown[name] if name in shown else shown[same])
         for k, interface in enumerate(lasting.interfaces):
             _take(lasting, k, interface, self.about["interfaces"][k], self.tables.get(_name(k), {}))
+            if isinstance(interface, Tie):
+                interface.tightening = np.array(self.about["tightening"][k])
         committed.begun = self.about["begun"]
         committed.level, committed.walked = self.about["level"], self.about["walked"]
         committed.history[:] = self.steps
