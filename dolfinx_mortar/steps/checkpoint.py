@@ -2,8 +2,9 @@
 """What of a problem goes on from step to step, and how it is saved and restored.
 
 Displacement, internal variables, stress, closed contacts, slips and load level; results of the
-interfaces (multipliers, pressures, gaps, resultants); the history of the load steps. What a program sets anew
-before a step is not saved: loads, supports, parameters and eigenstrain that may change.
+interfaces (multipliers, pressures, gaps, resultants); the history of the load steps. What a
+program sets anew before a step is not saved: loads, supports, parameters and eigenstrain that may
+change.
 """
 
 from __future__ import annotations

@@ -342,11 +342,11 @@ class ContactProblem:
         """Write a checkpoint, from which `restore` goes on on any number of ranks; collective.
 
         Displacement, internal variables, stress, closed contacts and slips, load level, results
-        of the interfaces and `history`. Not what a program sets anew: loads, supports, parameters and
-        eigenstrain that may change. An older file of this name is replaced in one move, when the
-        new one is complete and on the disk; a writer that is stopped leaves it as it was. Nodes are
-        known by their coordinates and those of their cells, so bodies that lie on each other cell
-        by cell cannot be restored.
+        of the interfaces and `history`. Not what a program sets anew: loads, supports, parameters
+        and eigenstrain that may change. An older file of this name is replaced in one move, when
+        the new one is complete and on the disk; a writer that is stopped leaves it as it was. Nodes
+        are known by their coordinates and those of their cells, so bodies that lie on each other
+        cell by cell cannot be restored.
 
         Args:
             path: the file, HDF5; its folder must exist.
