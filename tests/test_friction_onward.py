@@ -167,10 +167,10 @@ def test_tries_of_a_preload_begin_with_them(monkeypatch):
 
     def stopped(problem, **options):
         begun.append(problem.committed.sliding is kept)
-        if len(begun) == 3:
-            raise KeyboardInterrupt
         report = solve(problem, **options)
         assert problem.committed.sliding is not kept
+        if len(begun) == 3:
+            raise KeyboardInterrupt
         return report
 
     monkeypatch.setattr(tightening, "solve_step", stopped)
