@@ -171,7 +171,8 @@ def test_a_block_on_a_steeper_slope_slides(cell, slave):
     said = r"^the loads may exceed what friction carries.*slides or rolls freely"
     with pytest.raises(dm.NewtonNotConverged, match=said) as caught:
         dm.newton(problem)
-    assert "choose a direct solver" not in caught.value.message
+    if problem.linear.direct:
+        assert "choose a direct solver" not in caught.value.message
     assert largest(problem.u.x.array) == 0.0
 
 
