@@ -164,7 +164,7 @@ def test_pulled_out(slave):
     dm.newton(hold.problem, rtol=1e-10)
     assert hold.carried()[0] == pytest.approx(-0.7 * 0.8 * normal, rel=1e-6)
     away = Squeezed(1.1 * 2 * 0.4 * normal, 0.4, slave=slave)
-    with pytest.raises(dm.NewtonNotConverged, match=r"slides|float"):
+    with pytest.raises(dm.NewtonNotConverged, match="the loads may exceed what friction carries"):
         dm.newton(away.problem)
     assert largest(away.problem.u.x.array) == 0.0
 

@@ -107,7 +107,7 @@ def test_the_limit_lies_where_it_should(geometry):
     assert not (nodes["status"] == 2.0).any() and (nodes["status"] == 1.0).sum() >= 4
     patch = Patch("triangle", 1.01, geometry=geometry)
     before = patch.problem.u.x.array.copy()
-    with pytest.raises(dm.NewtonNotConverged, match=r"held by nothing|slides|float"):
+    with pytest.raises(dm.NewtonNotConverged, match="the loads may exceed what friction carries"):
         dm.newton(patch.problem)
     assert np.array_equal(patch.problem.u.x.array, before)
 
@@ -168,8 +168,11 @@ def test_a_block_on_a_slope_stays(cell, slave):
 def test_a_block_on_a_steeper_slope_slides(cell, slave):
     """Where tan(angle) = 1.01 mu there is no equilibrium; the displacement stays."""
     problem, *_ = on_slope(1.01 * MU, MU, cell=cell, slave=slave)
-    with pytest.raises(dm.NewtonNotConverged, match=r"slides or rolls freely|float"):
+    said = r"^the loads may exceed what friction carries.*slides or rolls freely"
+    with pytest.raises(dm.NewtonNotConverged, match=said) as caught:
         dm.newton(problem)
+    if problem.linear.direct:
+        assert "choose a direct solver" not in caught.value.message
     assert largest(problem.u.x.array) == 0.0
 
 

@@ -340,14 +340,17 @@ class LinearSolver:
             cause = f"its round-off {round_off:.1e} is near the forces {force:.1e}"
         else:
             cause = f"the residual is {norm:.1e}, not {tolerance:.1e}"
-        remedy = "Otherwise choose a direct solver (pc_type cholesky) or a better preconditioner."
+        remedy = ""
         if not self.direct:
             cause += f" after {iterations} iterations"
+            remedy = (
+                " Otherwise choose a direct solver (pc_type cholesky) or a better preconditioner."
+            )
         reason = self._ksp.getConvergedReason()
         raise LinearSolveFailed(
             f"The linear solver, {self.description}, gave no solution: {cause} (PETSc reason "
             f"{reason}). A solution with large round-off comes from a "
-            f"singular matrix: a body is held by nothing. {remedy}"
+            f"singular matrix: a body is held by nothing.{remedy}"
         )
 
 

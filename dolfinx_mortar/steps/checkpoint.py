@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """What of a problem goes on from step to step, and how it is saved and restored.
 
-Displacement, internal variables, stress, closed contacts and load level; results of the interfaces
-(multipliers, pressures, gaps, resultants); how far bolts are tightened; the history of the load
-steps. What a program sets anew before a step is not saved: loads, supports, jumps, parameters and
-eigenstrain that may change.
+Displacement, internal variables, stress, closed contacts, slips and load level; results of the
+interfaces (multipliers, pressures, gaps, resultants); how far bolts are tightened; the history of
+the load steps. What a program sets anew before a step is not saved: loads, supports, jumps,
+parameters and eigenstrain that may change.
 """
 
 from __future__ import annotations
@@ -87,7 +87,8 @@ class Saved:
         """Make it the state of the problem; collective."""
         lasting, committed = self.lasting, self.lasting.committed
         _set(lasting.u, self.tables[NODES]["displacement"])
-        committed.active = self.tables[NODES]["active"][:, 0] > 0.0
+        closed = self.tables[NODES]["active"][:, 0] > 0.0
+        committed.contacts = closed, self.tables[NODES].get("sliding")  # without, begin stuck
         before = self.tables[NODES].get("committed", self.tables[NODES]["displacement"])
         committed.displacement[:] = before.ravel()
         shown = self.tables[POINTS]
@@ -151,6 +152,8 @@ def _nodal(lasting: Lasting) -> dict[str, Floats]:
     found = {"displacement": _owned(lasting.u), "active": active}
     if lasting.system.has_friction:  # slips are measured from it
         d = lasting.solid.V.dofmap.index_map_bs
+        if lasting.committed.sliding is not None:
+            found["sliding"] = lasting.committed.sliding
         found["committed"] = lasting.committed.displacement.reshape(-1, d)
     return found
 

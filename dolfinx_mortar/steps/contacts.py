@@ -14,6 +14,7 @@ from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.interfaces.constraints import SlipLimits
 from dolfinx_mortar.qp import Friction, QPSolution, Sliders
+from dolfinx_mortar.steps.lasting import Committed
 from dolfinx_mortar.steps.linearisation import Balance, Linearisation
 
 
@@ -48,6 +49,27 @@ class Contacts:
     def largest(self, comm: MPI.Comm) -> float:
         """Return the largest multiplier; collective."""
         return float(maximum(comm, self.multipliers.max(initial=0.0))[0])
+
+
+def go_on(committed: Committed, limits: SlipLimits | None, noise: float) -> Contacts:
+    """Return the contacts to begin a step with: those of the last one, without forces.
+
+    What slipped then goes on: a body that slides as a whole, begun stuck, lets go of itself node
+    by node, and sets that leave it free come on the way. But a node sticks at first where the
+    bodies' motion with their supports has already taken it back.
+
+    Args:
+        committed: the state in which the last step ended.
+        limits: of the step's first balance, with the slips until there; None without friction.
+        noise: slips that are round-off.
+    """
+    active, sliding = committed.contacts
+    if limits is not None and sliding is not None:
+        nodes = limits.nodes
+        back = (limits.along(sliding[nodes]) * limits.slip).sum(axis=1) < -noise
+        sliding = sliding.copy()
+        sliding[nodes[back]] = 0.0
+    return Contacts(active, np.zeros(len(active)), sliding=sliding)
 
 
 def found_by(lin: Linearisation, solved: QPSolution, n: int) -> Contacts:

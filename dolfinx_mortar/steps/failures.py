@@ -22,6 +22,11 @@ FLOWING = 0.1
 # A body whose tangent is softer than this share of its elasticity, along its own displacement, has
 # come to the end of what it carries; hardening laws of metals are ten times stiffer and more.
 SOFT = 0.01
+# What is said first where friction holds a body.
+TOO_MUCH = (
+    "the loads may exceed what friction carries (then prescribe displacements instead of forces), "
+    "or the step is too large for it (then take smaller ones)"
+)
 
 
 @contextmanager
@@ -42,6 +47,8 @@ def not_converged(message: str, problem: ContactProblem, report: StepReport) -> 
         report.notes.append(message)
         message = flowing
     elif problem.audit().held_by_contact:
+        if problem.system.has_friction:  # one cause, of which solvers say one thing or another
+            message = f"{TOO_MUCH}: {message}"
         message += (
             ". A body held by contact alone may float away (do the loads press it on?), or slides "
             "or rolls freely (then prescribe that motion)"

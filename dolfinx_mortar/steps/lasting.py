@@ -28,10 +28,20 @@ class Committed:
     slid: Floats  # (interfaces, owned nodes) length of the way that nodes have slipped
     dissipated: Floats  # (interfaces, owned nodes) energy that friction has taken there
     begun: bool = False  # a step has been committed
+    sliding: Floats | None = None  # (owned nodes, d) directions in which closed nodes slip, or 0
     level: float = 0.0  # load level, of the last step of `load_steps`
     history: list[LoadStep] = field(default_factory=list)  # all steps of `load_steps`
     walked: int = 0  # how many of them belong to the last call
     search: bool = False  # the next step pairs the surfaces anew, after a checkpoint
+
+    @property
+    def contacts(self) -> tuple[Bools, Floats | None]:
+        """Which contacts are closed, and which of them slip whither: the guess of the next step."""
+        return self.active, self.sliding
+
+    @contacts.setter
+    def contacts(self, found: tuple[Bools, Floats | None]) -> None:
+        self.active, self.sliding = found
 
     def take_slips(self, sides: Sequence[Sides], interfaces: Sequence[Interface]) -> None:
         """Take over what the last step has added to the slips."""

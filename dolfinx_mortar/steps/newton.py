@@ -35,7 +35,7 @@ from dolfinx_mortar.qp import QPSolution
 from dolfinx_mortar.steps import failures
 from dolfinx_mortar.steps.certificate import create_certificate
 from dolfinx_mortar.steps.checks import check_controls, check_problem
-from dolfinx_mortar.steps.contacts import Contacts, find_sliders, found_by
+from dolfinx_mortar.steps.contacts import Contacts, find_sliders, found_by, go_on
 from dolfinx_mortar.steps.forcing import next_tolerance, tightest
 from dolfinx_mortar.steps.line_search import Energy, NoDescent, find_energy, move, search
 from dolfinx_mortar.steps.linearisation import (
@@ -74,9 +74,10 @@ def newton(
     """Solve one load step, from the present u and contacts and the committed state; collective.
 
     At the iterate u^k the energy is replaced by its quadratic model (paper, eq. 9) and the
-    bound-constrained QP is solved (eq. 10), warm-started from the last contact set. The step is
-    shortened on J(v) + s sum_j D_jj (w_n - gap)_+ if that merit does not fall. Where a material has
-    a stress but no energy, there is no J, and all steps are whole.
+    bound-constrained QP is solved (eq. 10), warm-started from the last contact set and the last
+    directions of slip. The step is shortened on J(v) + s sum_j D_jj (w_n - gap)_+ if that merit
+    does not fall. Where a material has a stress but no energy, there is no J, and all steps are
+    whole.
 
     Args:
         problem: the bodies and their constraints; ``problem.commit()`` accepts the step.
@@ -180,11 +181,10 @@ class _Step:
         """Return the iterate to start from, and a guess of the contact set."""
         problem = self.problem
         balance = self.balance()
-        active = problem.committed.active
-        contacts = Contacts(active, np.zeros(problem.n))
+        contacts = go_on(problem.committed, balance.limits, gap_round_off(problem.u))
         energy = find_energy(problem, self.data) if problem.solid.has_energy else None
         norm = problem.solid.elastic_norm(problem.u)
-        start = active[balance.nodes].astype(np.int8)
+        start = contacts.active[balance.nodes].astype(np.int8)
         if problem.contacts and not problem.comm.allreduce(bool(start.any()), op=MPI.LOR):
             links, length = problem.system.links, problem.system.facet_length
             start = predict_active(links, problem.positions(), problem.n, balance.nodes, length)
@@ -386,7 +386,7 @@ class _Step:
             noise = gap_round_off(problem.u)
             sliders = find_sliders(limits, contacts, iterate.stiffness, noise)
         report.certificate = create_certificate(problem, report, contacts, residual, sliders)
-        problem.committed.active = contacts.active
+        problem.committed.contacts = contacts.active, contacts.sliding
         report.converged = True
 
     def elastic_norm(self, du: PETSc.Vec) -> float:

@@ -204,7 +204,7 @@ def _outward(problem: ContactProblem, tie: Tie) -> Floats:
 @contextmanager
 def _all_as_before(problem: ContactProblem, tie: Tie) -> Iterator[None]:
     """Put displacement, results, tightening and contact set back if something fails."""
-    u, shown, active = problem.u.x.array.copy(), problem.solid.keep(), problem.committed.active
+    u, shown, contacts = problem.u.x.array.copy(), problem.solid.keep(), problem.committed.contacts
     tightening = tie.tightening
     results = [(one, one.keep()) for one in problem.interfaces]
     try:
@@ -212,7 +212,7 @@ def _all_as_before(problem: ContactProblem, tie: Tie) -> Iterator[None]:
     except BaseException:
         problem.u.x.array[:] = u
         problem.solid.put_back(shown)
-        problem.committed.active = active
+        problem.committed.contacts = contacts
         tie.tightening = tightening
         for one, kept in results:
             one.put_back(kept)
@@ -235,7 +235,7 @@ class _Search:
         self.options = options | {"rtol": SHARE_OF_STEPS * rtol}
         self.across = tie.tightening - (tie.tightening @ n) * n  # of a tightening before
         self.begin = float(tie.tightening @ n)
-        self.u, self.active = problem.u.x.array.copy(), problem.committed.active
+        self.u, self.contacts = problem.u.x.array.copy(), problem.committed.contacts
         self.tries: list[tuple[float, float]] = []
         self.reports: list[StepReport] = []
         self.refused: list[float] = []  # jumps whose steps do not converge
@@ -324,7 +324,7 @@ class _Search:
         """Solve a step with the jump s; return the force less what is wanted."""
         problem = self.problem
         problem.u.x.array[:] = self.u
-        problem.committed.active = self.active
+        problem.committed.contacts = self.contacts
         self.tie.tightening = self.across + s * self.n
         self.reports.append(solve_step(problem, **self.options))
         force = float(self.tie.force @ self.n)

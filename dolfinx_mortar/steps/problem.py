@@ -343,10 +343,10 @@ class ContactProblem:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a checkpoint, from which `restore` goes on on any number of ranks; collective.
 
-        Displacement, internal variables, stress, closed contacts, load level, results of the
-        interfaces, how far `preload` has tightened ties, and `history`. Not what a program sets
-        anew: loads, supports, jumps, parameters and eigenstrain that may change. An older file of
-        this name is replaced in one move, when the new one is complete and on the disk; a writer
+        Displacement, internal variables, stress, closed contacts and slips, load level, results
+        of the interfaces, how far `preload` has tightened ties, and `history`. Not what a program
+        sets anew: loads, supports, jumps, parameters and eigenstrain that may change. An older file
+        of this name is replaced in one move, when the new one is complete and on the disk; a writer
         that is stopped leaves it as it was. Nodes are known by their coordinates and those of their
         cells, so bodies that lie on each other cell by cell cannot be restored.
 
