@@ -24,8 +24,9 @@ from dolfinx_mortar.steps.problem import ContactProblem
 
 log = logging.getLogger(__name__)
 
-# Of a facet; what prescribed nodes slide less is round-off, as on a plane of symmetry.
-NO_SLIDING = 1e-6
+# Of a facet. On a plane of symmetry a slave node stands still, and P u of the master is zero for
+# linear fields only: under a pressed ball up to 2e-5 of a facet are left.
+NO_SLIDING = 1e-3
 
 
 def set_results(
