@@ -153,9 +153,9 @@ def main(options: argparse.Namespace) -> None:
     # | 2, `--degree 2` | 12 702 | 56.59 | 53.14 | 47.40 | 19.10 |
     # | 3, `--degree 2` | 41 526 | 55.12 | 52.10 | 47.93 | 20.37 |
     #
-    # From 3 to 5 layers forces change by 3 % at most, from 4 to 5 by 1.4 %. Elements of second order,
-    # of which two layers are too few for the bolt, come from the same side: the default is 2.6 %
-    # ($F$), 3.3 % (knee), 2.6 % ($B$, $Q$) from three layers of them. With friction of 0.2 (3 layers)
+    # From 3 to 5 layers forces change by 3 % at most, from 4 to 5 by 1.4 %. Two layers of second
+    # order are too few for the bolt; of three of them the default is 2.6 % ($F$, $B$), 2.7 % ($Q$)
+    # and 3.3 % (knee) away. With friction of 0.2 (3 layers)
     # $F$ is 56.4, $B$ 52.1 and $Q$ 23.9: heads that do not slide clamp the flanges.
 
     knee = find_knee(rows)
