@@ -52,7 +52,7 @@ def residuals(
     contact_forces = np.zeros_like(internal)
     found: dict[str, float] = {"gap": 0.0, "sign": 0.0, "complementarity": 0.0, "force": 0.0}
     for contact, sides in zip(case.problem.contacts, case.sides, strict=True):
-        forces, worst = _contact(case, contact, sides, free, before)
+        forces, worst = _contact(case, contact, sides, free, before, begun)
         contact_forces += forces
         found = {name: max(value, found.get(name, 0.0)) for name, value in worst.items()}
     sizes = [np.abs(a).max(initial=0.0) for a in (internal, external, contact_forces)]
@@ -149,6 +149,7 @@ def _contact(
     sides: tuple[int, int],
     free: npt.NDArray[np.bool_],
     before: Floats | None,
+    begun: float,
 ) -> tuple[Floats, dict[str, float]]:
     """Return the forces of a contact on the unknowns, and what is wrong with it."""
     problem = case.problem
@@ -186,7 +187,8 @@ def _contact(
             way = _way(case, sides, before, nodes, plain)
         travel = _travel_of(case, before)
         at = slips.Nodes(nodes, normals, loose, acts, pressure, case.limit.x.array[nodes])
-        worst |= slips.residuals(contact, at, way, travel, floor)
+        largest = V.mesh.comm.allreduce(float(weight.max(initial=TINY)), op=MPI.MAX)
+        worst |= slips.residuals(contact, at, way, travel, floor, begun / largest)
     resultant = -_apply(mortar.D, tractions, transposed=True).reshape(-1, d).sum(axis=0)
     total = V.mesh.comm.allreduce(resultant, op=MPI.SUM)
     size = max(np.abs(total).max(), np.abs(contact.force).max(), TINY)

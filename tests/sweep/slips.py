@@ -35,7 +35,7 @@ class Nodes:
 
 
 def residuals(
-    contact: dm.Contact, at: Nodes, way: Floats | None, travel: float, floor: float
+    contact: dm.Contact, at: Nodes, way: Floats | None, travel: float, floor: float, begun: float
 ) -> dict[str, float]:
     """Return what a committed step leaves of the law |tau| <= s, slip against tau; collective.
 
@@ -54,6 +54,8 @@ def residuals(
             contact if it is None.
         travel: largest motion of a node in the step.
         floor: pressures below it are round-off.
+        begun: traction of the forces at the begin of the step, which its accuracy is one of: bodies
+            that part (seed 79) have none left.
     """
     comm, d = contact.traction.function_space.mesh.comm, at.normals.shape[1]
     tau = contact.traction.x.array.reshape(-1, d)[at.nodes]
@@ -79,7 +81,7 @@ def residuals(
     most, pressure, over, lost, unlike, crept = (
         comm.allreduce(float(a.max(initial=0.0)), op=MPI.MAX) for a in found
     )
-    force, length = max(most, LEAST_LIMIT * pressure, floor), max(travel, TINY)
+    force, length = max(most, LEAST_LIMIT * max(pressure, begun), floor), max(travel, TINY)
     return {
         "limit": over / force,
         "slip": lost / (force * length),
