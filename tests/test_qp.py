@@ -217,6 +217,16 @@ def test_no_bounds_and_no_forces() -> None:
     assert solve(qp).kkt.stationarity < 1e-10
 
 
+def test_forces_whose_squares_underflow_are_none() -> None:
+    """In a step before its loads they are the round-off of zero; no norm knows them."""
+    b, upper = np.array([1e-170, 0.0]), np.array([1.0, 2.0])
+    qp = from_arrays(np.eye(2), b, np.full(2, -INF), upper, COMM)
+    x = qp.b.duplicate()
+    x.set(0.0)
+    kkt = check(qp, x)
+    assert kkt.complementarity == 0.0 and kkt.satisfied(1e-12)
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize("name", ["lower", "b", "nan bound", "sign of infinity", "bounded"])
 def test_data_without_a_solution(name: str) -> None:

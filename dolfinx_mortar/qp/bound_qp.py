@@ -230,8 +230,10 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     b2, zb2, free2, off2, wrong2, zt2 = np.sqrt(squares)
     force, length = b2 + np.hypot(zb2, zt2), max(x_top, bound_top)
     # One of the two factors must vanish; a product would mix far bounds with round-off in z.
+    # Forces whose squares underflow (1e-170 of a step without loads) are none.
     tiny = np.finfo(float).tiny
-    both = np.minimum(np.abs(zb) / max(force, tiny), distance / max(length, tiny))
+    forces = np.abs(zb) / force if force > 0.0 else np.zeros_like(zb)
+    both = np.minimum(forces, distance / max(length, tiny))
     both_top = maximum(qp.comm, both.max(initial=0.0))[0]
     return KKT(
         stationarity=ratio(free2, force),
