@@ -90,12 +90,21 @@ def test_near_the_end_secants_count(monkeypatch):
     """A force that is expected before what is refused is sought there, however near."""
     case, problem = scripted(monkeypatch, lambda s: 1000.0 * s, refused=0.0995)
     search = preload_module._Search(problem, case.tie, outwards(case), 99.0, SOUGHT, {})
-    search.refused, search.cause = [0.1], dm.NewtonNotConverged("too far", StepReport())
+    search.refused = {s: dm.NewtonNotConverged(f"at {s}", StepReport()) for s in (0.1, 0.2)}
     assert search.propose(0.09, -8.8, 0.098, -0.8, 1e4, 1.0) == pytest.approx(0.0988, rel=1e-12)
-    with rejected("to a jump of 0.1 does not converge", error=dm.PreloadNotReached):
+    with rejected("to a jump of 0.1 does not converge (at 0.1)", error=dm.PreloadNotReached):
         search.propose(0.09, -17.0, 0.098, -9.0, 1e4, 1.0)
     # refused itself, half the way is tried
     assert search.measure(0.0998, 0.098) == pytest.approx((0.0989, -0.1), rel=1e-9)
+
+
+def test_the_nearest_of_what_is_refused_counts(monkeypatch):
+    """A bolt that is let go, from a tightening before: nearest is not what is nearest to zero."""
+    case, problem = scripted(monkeypatch, lambda s: 10.0 * s)
+    case.tie.tightening = outwards(case)
+    search = preload_module._Search(problem, case.tie, outwards(case), -2.0, SOUGHT, {})
+    search.refused = {s: dm.NewtonNotConverged(f"at {s}", StepReport()) for s in (-0.1, 0.3)}
+    assert search.propose(0.6, 8.0, 0.5, 7.0, 10.0, 9.0) == pytest.approx(0.4, rel=1e-12)
 
 
 @pytest.mark.mpi

@@ -238,8 +238,7 @@ class _Search:
         self.u, self.contacts = problem.u.x.array.copy(), problem.committed.contacts
         self.tries: list[tuple[float, float]] = []
         self.reports: list[StepReport] = []
-        self.refused: list[float] = []  # jumps whose steps do not converge
-        self.cause: NewtonNotConverged | None = None  # of the last one
+        self.refused: dict[float, NewtonNotConverged] = {}  # jumps whose steps do not converge
 
     def run(self, max_it: int) -> Preload:
         """Return the first try that is near enough.
@@ -287,12 +286,12 @@ class _Search:
         beyond = [one for one in self.refused if (one - b) * way > 0.0]
         if not beyond:
             return s
-        end = min(beyond, key=abs)
+        end = min(beyond, key=lambda one: abs(one - b))
         half = (b + end) / 2.0
         if abs(s - b) < abs(half - b):
             return s
         if self.is_near(end, b):
-            raise self.refusal(end) from self.cause
+            raise self.refusal(end) from self.refused[end]
         return half
 
     def is_near(self, refused: float, good: float) -> bool:
@@ -313,8 +312,7 @@ class _Search:
             try:
                 return s, self.solve(s)
             except NewtonNotConverged as error:
-                self.refused.append(s)
-                self.cause = error
+                self.refused[s] = error
                 near = s != proposed and self.is_near(s, good)
                 if s == good or near or len(self.refused) > HALVINGS:
                     raise self.refusal(s) from error
@@ -352,8 +350,7 @@ class _Search:
 
     def refusal(self, s: float) -> PreloadNotReached:
         """Return the error of a step that does not converge."""
-        assert self.cause is not None
-        cause = self.cause.message.partition(". The displacement")[0]
+        cause = self.refused[s].message.partition(". The displacement")[0]
         return self.failure(
             f"the step to a jump of {s:.4g} does not converge ({cause}). Where smaller steps help, "
             "tighten in parts, by calls with rising forces"
