@@ -10,6 +10,7 @@ import dolfinx_mortar as dm
 from dolfinx_mortar.algebra.congruence import Congruence
 from dolfinx_mortar.qp.multigrid import Multigrid
 from tests.ball_case import create_problem
+from tests.sweep.problems import create
 
 COMM = MPI.COMM_WORLD
 
@@ -132,6 +133,51 @@ def test_stagnating_solver_is_named():
     with pytest.raises(dm.NewtonNotConverged, match=r"residual is .* iterations"):
         dm.newton(problem)
     assert np.abs(problem.u.x.array).max(initial=0.0) == 0.0
+
+
+# -- where multigrid fails -------------------------------------------------------------------------
+
+
+def powerless(**options):
+    """A problem whose multigrid gets one iteration."""
+    problem, contact = create_problem(**options)
+    problem.linear.max_iterations = 1
+    return problem, contact
+
+
+def test_a_factorisation_finishes_what_multigrid_cannot(solved):
+    """The step is made again, the report says so, and the next steps are factorised at once."""
+    problem, contact = powerless()
+    report = dm.newton(problem)
+    assert "mumps" in report.linear_solver
+    (note,) = (note for note in report.notes if "factorised" in note)
+    assert note.startswith("cg + gamg gave no solution")
+    assert contact.force == pytest.approx(solved[1].force, rel=1e-6, abs=1e-5)
+    problem.commit()
+    again = dm.newton(problem)
+    assert "mumps" in again.linear_solver and not again.notes
+
+
+@pytest.mark.parametrize("options", [{"pc_type": "gamg"}, {"ksp_max_it": 1}])
+def test_the_linear_solver_of_the_user_stays(options):
+    problem, _ = powerless(petsc_options=options)
+    with pytest.raises(dm.NewtonNotConverged, match="choose a direct solver"):
+        dm.newton(problem)
+    assert not problem.linear.direct
+
+
+def test_a_large_matrix_is_not_factorised(monkeypatch):
+    problem, _ = powerless()
+    monkeypatch.setattr("dolfinx_mortar.qp.linear.MOST_FACTORISED", 100)
+    with pytest.raises(dm.NewtonNotConverged, match="choose a direct solver"):
+        dm.newton(problem)
+
+
+def test_a_step_that_stalls_asks_for_more_accurate_programs():
+    """A soft block that flows: forces that a QP misses move it; it took more than 50 iterations."""
+    case = create("friction", 51, "smooth")
+    steps = dm.load_steps(case.problem, case.levels[:1], on_time=case.on_time, cuts="none")
+    assert next(steps).report.newton_iterations <= 35
 
 
 # -- one set-up for a step -------------------------------------------------------------------------

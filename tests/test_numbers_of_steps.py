@@ -16,7 +16,7 @@ import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.interfaces.near import predict_active
 from dolfinx_mortar.steps.linearisation import find_balance
-from tests import test_audit, test_line_search, test_mortar_3d
+from tests import test_audit, test_line_search, test_mortar_3d, test_multigrid
 from tests.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
 from tests.hertz_case import ELASTIC, PLASTIC, create_case
 from tests.meshes import TOP
@@ -31,7 +31,7 @@ NUMBERS = {
     "steps.bodies": ("HELD", "SAME", "ORIGIN"),
     "steps.failures": ("FLOWING", "SOFT"),
     "steps.line_search": ("ARMIJO", "MAX_HALVINGS"),
-    "steps.forcing": ("FORCING", "FIRST_QP", "QP_SHARE", "FINEST", "STEP_SHARE"),
+    "steps.forcing": ("FORCING", "FIRST_QP", "QP_SHARE", "FINEST", "STALLED", "STEP_SHARE"),
     "steps.newton": ("FARTHEST",),
     "steps.watch": ("MOST_RISES",),
     "steps.residuals": ("EPS", "ROW_SUM", "GAP_OPERATIONS", "FIRST_SHARE"),
@@ -192,6 +192,7 @@ PROBES = {
     "SAME": lambda: test_audit.test_free_motions_by_simple_names(*ROWS),
     "MAX_HALVINGS": test_line_search.test_a_step_too_long_is_halved,
     "GAP_OPERATIONS": closed_round_off,
+    "STALLED": test_multigrid.test_a_step_that_stalls_asks_for_more_accurate_programs,
 }
 LARGE = (
     "FLOWING",
@@ -206,6 +207,7 @@ LARGE = (
     "SAME_DEPTH",
     "FINEST",
     "STEP_SHARE",
+    "STALLED",
 )
 ABSURD = dict.fromkeys(LARGE, 1e12) | {"ROUND_OFF": 1e14, "EXACT": 1e14}  # 0 for the others
 

@@ -20,6 +20,8 @@ DEFAULTS = {"ksp_type": "cg", "pc_type": "cholesky", "pc_factor_mat_solver_type"
 # The threshold drops entries that are zero up to round-off.
 MULTIGRID = {"pc_type": "gamg", "pc_gamg_threshold": 0.005}
 DIRECT = ("cholesky", "lu")
+# How options begin that choose a method or limit it; others only show what it does.
+OF_METHODS = ("pc_", "mg_", "ksp_type", "ksp_max_it")
 # PETSc reads them, but our own convergence test stops the iteration.
 OVERRULED = {"ksp_rtol", "ksp_atol", "ksp_divtol"}
 VALUES = (str, int, float, bool, np.number, type(None))
@@ -42,13 +44,17 @@ class SolverOptions:
 
     Attributes:
         prefix: the prefix.
-        values: options without prefix.
+        given: the user's options without prefix.
+        values: the same over the defaults.
     """
 
-    def __init__(self, prefix: str, options: Mapping[str, Any] | None) -> None:
-        """Put the options over the defaults (CG with MUMPS Cholesky)."""
+    def __init__(
+        self, prefix: str, options: Mapping[str, Any] | None, *, multigrid: bool = False
+    ) -> None:
+        """Put the options over the defaults (CG with MUMPS Cholesky, or with multigrid)."""
         self.prefix = prefix
-        self.values: dict[str, Any] = DEFAULTS | dict(options or {})
+        self.given = dict(options or {})
+        self.values: dict[str, Any] = DEFAULTS | (MULTIGRID if multigrid else {}) | self.given
         ours = DEFAULTS | MULTIGRID
         self._unread = {k for k, v in self.values.items() if k not in ours or v != ours[k]}
 
@@ -60,6 +66,12 @@ class SolverOptions:
     def direct(self) -> bool:
         """Tell whether the preconditioner is a factorisation."""
         return self["pc_type"] in DIRECT
+
+    @property
+    def chosen(self) -> bool:
+        """Tell whether the user has chosen the method, here or in PETSc's options database."""
+        names = {*self.given, *PETSc.Options(self.prefix).getAll()}
+        return any(name.startswith(OF_METHODS) for name in names)
 
     @contextmanager
     def database(self, prefix: str) -> Iterator[None]:

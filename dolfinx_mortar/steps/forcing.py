@@ -18,6 +18,9 @@ FIRST_QP = {"direct": 1e-4, "iterative": 1e-2}
 QP_SHARE = 0.1
 # Beyond these digits there is only round-off, whatever the step asks.
 FINEST = 1e-13
+# What an iteration that has not lowered the residual takes off the error of the next QP: the error
+# may be the cause. Where a body flows, small forces that a QP misses are large motions.
+STALLED = 0.1
 # A linear law is solved by one QP per contact state, whose error is that of the step.
 STEP_SHARE = 1e-3
 
@@ -51,6 +54,9 @@ def next_tolerance(kind: str, rtol: float, size: float, residuals: Sequence[Resi
     last = residuals[-1]
     before = residuals[-2].excess if len(residuals) > 1 else np.inf
     contraction = min(1.0, last.excess / before) if 0.0 < before < np.inf else 1.0
-    allowed = max(QP_SHARE, FORCING[kind] * contraction * last.excess) * last.limit
+    least = int(np.argmin([residual.excess for residual in residuals]))
+    stalled = len(residuals) - 1 - least
+    share = FORCING[kind] * STALLED**stalled * contraction
+    allowed = max(QP_SHARE, share * last.excess) * last.limit
     relative = allowed / size if size > 0.0 else 1.0
     return float(max(tightest(rtol), min(FIRST_QP[kind], relative)))

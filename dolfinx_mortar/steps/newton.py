@@ -17,8 +17,7 @@ change or the residual shrinks; where neither does, it is held until Newton has 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from mpi4py import MPI
@@ -33,6 +32,7 @@ from dolfinx_mortar.arrays import Actives, Floats
 from dolfinx_mortar.interfaces.near import predict_active
 from dolfinx_mortar.qp import QPSolution
 from dolfinx_mortar.steps import failures
+from dolfinx_mortar.steps.attempt import factorise, undone_on_failure
 from dolfinx_mortar.steps.certificate import create_certificate
 from dolfinx_mortar.steps.checks import check_controls, check_problem
 from dolfinx_mortar.steps.contacts import Contacts, find_sliders, found_by, go_on
@@ -47,7 +47,7 @@ from dolfinx_mortar.steps.linearisation import (
     to_displacement,
 )
 from dolfinx_mortar.steps.problem import ContactProblem
-from dolfinx_mortar.steps.report import Iteration, StepReport
+from dolfinx_mortar.steps.report import Iteration, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.residuals import (
     Residuals,
     Scales,
@@ -105,32 +105,18 @@ def solve_step(
     report = StepReport(backend=qp, geometry=problem.geometry, rtol=rtol)
     if overlap > 0.0:
         report.notes.append(f"the initial overlap is left {overlap:.3g} deep in this part")
-    with _undone_on_failure(problem, report):
-        data = problem.begin_step()
-        _Step(problem, report, data, overlap).run(max_it)
-    return report
-
-
-@contextmanager
-def _undone_on_failure(problem: ContactProblem, report: StepReport) -> Iterator[None]:
-    """Put the displacement and the results back if the step fails; complete the report anyway."""
-    before, shown = problem.u.x.array.copy(), problem.solid.keep()
-    earlier = dict(problem.timings.seconds)
     try:
-        with problem.timings("total"), failures.named(problem, report):
-            yield
-    except BaseException:  # perhaps of this rank only, which must not wait for the others
-        problem.u.x.array[:] = before
-        problem.solid.put_back(shown)
-        raise
-    finally:
-        report.seconds = problem.timings.since(earlier)
-        report.linear_solver = problem.linear.description
-        if report.converged and (unread := problem.linear.unused_options()):
-            report.notes.append(
-                f"petsc_options without effect: {', '.join(unread)}; misspelt, or of no use here"
-            )
-        report.notes += [note for note in problem.system.notes if note not in report.notes]
+        with undone_on_failure(problem, report):
+            data = problem.begin_step()
+            _Step(problem, report, data, overlap).run(max_it)
+        return report
+    except NewtonNotConverged as error:
+        if not (isinstance(error.__cause__, backends.QPNotSolved) and factorise(problem)):
+            raise
+    failed = report.linear_solver
+    report = solve_step(problem, qp=qp, rtol=rtol, max_it=max_it, overlap=overlap)
+    report.notes.append(f"{failed} gave no solution: this step and the next ones are factorised")
+    return report
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.interfaces.tie import Tie
-from dolfinx_mortar.qp import MULTIGRID, LinearSolver, check_options
+from dolfinx_mortar.qp import LinearSolver, check_options
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.steps import checkpoint
 from dolfinx_mortar.steps.audit import Audit, create_audit
@@ -107,7 +107,8 @@ class ContactProblem:
             self.linear = LinearSolver(
                 self.comm,
                 prefix=petsc_options_prefix,
-                options=(MULTIGRID if self.d == 3 else {}) | dict(petsc_options or {}),
+                options=petsc_options,
+                multigrid=self.d == 3,
                 # not the problem: a reference to it would keep its matrices alive
                 unknowns=UnknownsOfBodies(
                     self.K, self.system, self.supports, replace(self.bodies, motions=motions)

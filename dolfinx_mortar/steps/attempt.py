@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: MIT
+"""A try at a load step: undone if it fails, and made again if multigrid may be why."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from dolfinx_mortar.steps import failures
+from dolfinx_mortar.steps.problem import ContactProblem
+from dolfinx_mortar.steps.report import StepReport
+
+
+@contextmanager
+def undone_on_failure(problem: ContactProblem, report: StepReport) -> Iterator[None]:
+    """Put the displacement and the results back if the step fails; complete the report anyway."""
+    before, shown = problem.u.x.array.copy(), problem.solid.keep()
+    earlier = dict(problem.timings.seconds)
+    try:
+        with problem.timings("total"), failures.named(problem, report):
+            yield
+    except BaseException:  # perhaps of this rank only, which must not wait for the others
+        problem.u.x.array[:] = before
+        problem.solid.put_back(shown)
+        raise
+    finally:
+        report.seconds = problem.timings.since(earlier)
+        report.linear_solver = problem.linear.description
+        if report.converged and (unread := problem.linear.unused_options()):
+            report.notes.append(
+                f"petsc_options without effect: {', '.join(unread)}; misspelt, or of no use here"
+            )
+        report.notes += [note for note in problem.system.notes if note not in report.notes]
+
+
+def factorise(problem: ContactProblem) -> bool:
+    """Let a problem factorise from now on, in place of multigrid; tell whether that is new.
+
+    It is not where the user has chosen the linear solver, and not for large matrices; collective.
+    """
+    instead = problem.linear.factorising()
+    if instead is not None:
+        problem.linear = instead
+    return instead is not None
