@@ -17,8 +17,10 @@ from dolfinx_mortar.algebra.parallel import any_rank
 
 DEFAULTS = {"ksp_type": "cg", "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
 # For three dimensions, where a factorisation takes too much time and memory.
-# The threshold drops entries that are zero up to round-off.
-MULTIGRID = {"pc_type": "gamg", "pc_gamg_threshold": 0.005}
+# The threshold drops entries that are zero up to round-off. Three smoothing steps instead of two:
+# 28 to 50 % fewer iterations, the same time on hexahedra and 10 to 25 % less on graded tetrahedra
+# (12k to 146k unknowns, with and without friction and plasticity); four gain no more.
+MULTIGRID = {"pc_type": "gamg", "pc_gamg_threshold": 0.005, "mg_levels_ksp_max_it": 3}
 DIRECT = ("cholesky", "lu")
 # How options begin that choose a method or limit it; others only show what it does.
 OF_METHODS = ("pc_", "mg_", "ksp_type", "ksp_max_it")

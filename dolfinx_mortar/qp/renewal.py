@@ -13,7 +13,7 @@ import numpy as np
 # A numeric factorisation in 2D costs as much as 5 to 7 solves with it (measured at 5k, 50k and
 # 200k unknowns, MUMPS): beyond that many iterations a new one is cheaper than an old one.
 REFACTOR_AFTER = 6
-# A set-up of multigrid in 3D costs as much as 40 to 50 iterations with it (GAMG, 40k to 260k
+# A set-up of multigrid in 3D costs as much as 25 to 40 iterations with it (GAMG, 30k to 120k
 # unknowns). Renewed when an old one has cost as many more than a new one would have, so that no
 # more than twice the least is lost. With half, the same time is taken up to 43k unknowns, elastic
 # and plastic, but one elastic step with 148k has a second set-up for its last ten iterations.
