@@ -31,7 +31,12 @@ from dolfinx_mortar.mortar.surface import (
 )
 from dolfinx_mortar.steps.bodies import Bodies, free_motions
 from dolfinx_mortar.steps.dirichlet import Dirichlet
-from dolfinx_mortar.steps.stand_off import StandOff, find_stand_offs, warning_on_facets
+from dolfinx_mortar.steps.stand_off import (
+    StandOff,
+    find_stand_offs,
+    warning_on_facets,
+    warnings_on_straight_facets,
+)
 
 log = logging.getLogger(__name__)
 
@@ -174,7 +179,7 @@ def create_audit(
     for link, i in zip(links, found, strict=True):
         of_facets = next((s for s in stand_offs if s.interface is link.interface), None)
         pressed = max(increment, -i.least_gap) / float(bodies.radius.max())
-        warnings += _warnings(i, of_facets, pressed)
+        warnings += _warnings(i, of_facets, pressed) + warnings_on_straight_facets(link)
     audit = Audit(bodies.count, found, by_contact, warnings, stand_offs)
     if bodies.V.mesh.comm.rank == 0:
         log.info("%s", "; ".join(map(str, found)) or "no interface")
