@@ -174,10 +174,10 @@ def test_a_large_matrix_is_not_factorised(monkeypatch):
 
 
 def test_a_step_that_stalls_asks_for_more_accurate_programs():
-    """A soft block that flows: forces that a QP misses move it; it took more than 50 iterations."""
+    """A soft block that flows: forces that a QP misses move it, otherwise 50 times and more."""
     case = create("friction", 51, "smooth")
     steps = dm.load_steps(case.problem, case.levels[:1], on_time=case.on_time, cuts="none")
-    assert next(steps).report.newton_iterations <= 35
+    assert next(steps).report.newton_iterations < 50
 
 
 # -- one set-up for a step -------------------------------------------------------------------------
