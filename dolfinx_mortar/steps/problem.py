@@ -62,7 +62,8 @@ class ContactProblem:
             iteration, "reference" freezes them at X.
         petsc_options_prefix: prefix of the linear solver's PETSc options.
         petsc_options: options of the linear solver, without the prefix. A key that PETSc does not
-            know is named in the report; ``report.linear_solver`` names the method in use.
+            know is named in the report; ``report.linear_solver`` names the method in use. Unless
+            one is named here, multigrid that fails in 3D gives way to a factorisation.
 
     Raises:
         ValueError: for arguments that cannot work, on all ranks, with the remedy.
