@@ -13,7 +13,7 @@ from tests.hertz_case import create_case
 from tests.sweep.__main__ import main, seeds, table
 from tests.sweep.draws import KINDS
 from tests.sweep.draws import draw as draw_of_sweep
-from tests.sweep.problems import create
+from tests.sweep.problems import COMM, create
 from tests.sweep.recheck import residuals
 from tests.sweep.run import TOLERANCE, Outcome, flows
 from tests.sweep.run import run as run_of_sweep
@@ -191,7 +191,7 @@ def test_the_check_sees_friction_that_is_wrong(seed):
         return {k for k, v in residuals(case, before).items() if v > 10.0 * TOLERANCE}
 
     assert not off()
-    assert 0 < np.count_nonzero(contact.status.x.array == 2.0)
+    assert 0 < COMM.allreduce(np.count_nonzero(contact.status.x.array == 2.0))
     traction, status = contact.traction.x.array, contact.status.x.array
     traction *= 1.01
     assert off() >= {"limit", "equilibrium"}
