@@ -44,7 +44,7 @@ degree 2 on a finer mesh.
 
 ## A contact step in 2D
 
-In units of the same run (`hertz_2d.py`, CPU times). Mortar: search to change of basis, over one
+In units of the same run (`hertz_2d.py`). Mortar: search to change of basis, over one
 factorisation of the plain tangent. Step: the first step over what its factorisations and assemblies
 cost alone. Memory: its peak over that of a program that only factorises. The last column names
 ratios beyond the limits that the benchmark sets.
@@ -248,12 +248,12 @@ def reuse(rows: list[dict[str, Any]]) -> str:
 
 def operators(rows: list[dict[str, Any]]) -> str:
     """Return the table of mortar operators."""
-    head = ["slave facets", "unknowns", "µs a facet", "mortar over linear solve", "CG"]
+    head = ["slave nodes", "unknowns", "µs a node", "mortar over linear solve", "CG"]
     return table(
         head,
         [
             [
-                *(r["slave_facets"], r["unknowns"], round(r["microseconds_per_facet"])),
+                *(r["slave_nodes"], r["unknowns"], round(r["microseconds_per_node"])),
                 *(f"{r['mortar_over_linear']:.1%}", r["krylov"]),
             ]
             for r in rows
