@@ -173,6 +173,25 @@ def test_a_large_matrix_is_not_factorised(monkeypatch):
         dm.newton(problem)
 
 
+def test_multigrid_stays_where_a_factorisation_fails_too(monkeypatch):
+    """Then the step was too large, or a body floats; the next ones shall not pay for it."""
+    asked, solve = [], dm.qp.solve
+
+    def refuse(qp, backend, linear, **options):
+        solve(qp, backend, linear, **options)
+        asked.append(linear.direct)
+        raise dm.qp.QPNotSolved("no solution")
+
+    problem, _ = create_problem()
+    with monkeypatch.context() as patch:
+        patch.setattr(dm.qp, "solve", refuse)
+        with pytest.raises(dm.NewtonNotConverged, match="no solution"):
+            dm.newton(problem)
+    assert asked == [False, True]
+    assert not problem.linear.direct
+    assert "gamg" in dm.newton(problem).linear_solver
+
+
 def test_a_step_that_stalls_asks_for_more_accurate_programs():
     """A soft block that flows: forces that a QP misses move it, otherwise 50 times and more."""
     case = create("friction", 51, "smooth")

@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from dolfinx_mortar.qp import QPNotSolved
 from dolfinx_mortar.steps import failures
 from dolfinx_mortar.steps.problem import ContactProblem
-from dolfinx_mortar.steps.report import StepReport
+from dolfinx_mortar.steps.report import NewtonNotConverged, StepReport
 
 
 @contextmanager
@@ -33,12 +34,30 @@ def undone_on_failure(problem: ContactProblem, report: StepReport) -> Iterator[N
         report.notes += [note for note in problem.system.notes if note not in report.notes]
 
 
-def factorise(problem: ContactProblem) -> bool:
-    """Let a problem factorise from now on, in place of multigrid; tell whether that is new.
+def again_factorised(
+    problem: ContactProblem, failure: NewtonNotConverged, attempt: Callable[[], StepReport]
+) -> StepReport:
+    """Make a step again with a factorisation in place of multigrid; collective.
 
-    It is not where the user has chosen the linear solver, and not for large matrices; collective.
+    The next steps keep it if that succeeds; otherwise multigrid was not the cause, and stays.
+
+    Raises:
+        NewtonNotConverged: the failure, if no QP was its cause, if the user has chosen the linear
+            solver, or if the matrix is too large; that of the second try.
     """
-    instead = problem.linear.factorising()
-    if instead is not None:
-        problem.linear = instead
-    return instead is not None
+    multigrid = problem.linear
+    by_solver = isinstance(failure.__cause__, QPNotSolved)
+    instead = multigrid.factorising() if by_solver else None
+    if instead is None:
+        raise failure
+    problem.linear = instead
+    try:
+        report = attempt()
+    except BaseException:
+        instead.clear()
+        problem.linear = multigrid
+        raise
+    report.notes.append(
+        f"{multigrid.description} gave no solution: this step and the next ones are factorised"
+    )
+    return report

@@ -32,7 +32,7 @@ from dolfinx_mortar.arrays import Actives, Floats
 from dolfinx_mortar.interfaces.near import predict_active
 from dolfinx_mortar.qp import QPSolution
 from dolfinx_mortar.steps import failures
-from dolfinx_mortar.steps.attempt import factorise, undone_on_failure
+from dolfinx_mortar.steps.attempt import again_factorised, undone_on_failure
 from dolfinx_mortar.steps.certificate import create_certificate
 from dolfinx_mortar.steps.checks import check_controls, check_problem
 from dolfinx_mortar.steps.contacts import Contacts, find_sliders, found_by, go_on
@@ -111,12 +111,12 @@ def solve_step(
             _Step(problem, report, data, overlap).run(max_it)
         return report
     except NewtonNotConverged as error:
-        if not (isinstance(error.__cause__, backends.QPNotSolved) and factorise(problem)):
-            raise
-    failed = report.linear_solver
-    report = solve_step(problem, qp=qp, rtol=rtol, max_it=max_it, overlap=overlap)
-    report.notes.append(f"{failed} gave no solution: this step and the next ones are factorised")
-    return report
+        failure = error
+    return again_factorised(
+        problem,
+        failure,
+        lambda: solve_step(problem, qp=qp, rtol=rtol, max_it=max_it, overlap=overlap),
+    )
 
 
 @dataclass(frozen=True)
