@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""A try at a load step: undone if it fails, and made again if multigrid may be why."""
+"""A try at a load step: undone if it fails, and made again with another solver."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
-from dolfinx_mortar.qp import QPNotSolved
+from dolfinx_mortar.qp import LinearSolver
 from dolfinx_mortar.steps import failures
 from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.report import NewtonNotConverged, StepReport
@@ -34,30 +34,16 @@ def undone_on_failure(problem: ContactProblem, report: StepReport) -> Iterator[N
         report.notes += [note for note in problem.system.notes if note not in report.notes]
 
 
-def again_factorised(
-    problem: ContactProblem, failure: NewtonNotConverged, attempt: Callable[[], StepReport]
-) -> StepReport:
-    """Make a step again with a factorisation in place of multigrid; collective.
+@contextmanager
+def solving_with(problem: ContactProblem, linear: LinearSolver) -> Iterator[None]:
+    """Solve with another linear solver, and keep it unless the step fails all the same; collective.
 
-    The next steps keep it if that succeeds; otherwise multigrid was not the cause, and stays.
-
-    Raises:
-        NewtonNotConverged: the failure, if no QP was its cause, if the user has chosen the linear
-            solver, or if the matrix is too large; that of the second try.
+    Then the first one was not the cause: the step was too large, or a body floats.
     """
-    multigrid = problem.linear
-    by_solver = isinstance(failure.__cause__, QPNotSolved)
-    instead = multigrid.factorising() if by_solver else None
-    if instead is None:
-        raise failure
-    problem.linear = instead
+    before, problem.linear = problem.linear, linear
     try:
-        report = attempt()
-    except BaseException:
-        instead.clear()
-        problem.linear = multigrid
+        yield
+    except NewtonNotConverged:
+        linear.clear()
+        problem.linear = before
         raise
-    report.notes.append(
-        f"{multigrid.description} gave no solution: this step and the next ones are factorised"
-    )
-    return report

@@ -32,7 +32,7 @@ from dolfinx_mortar.arrays import Actives, Floats
 from dolfinx_mortar.interfaces.near import predict_active
 from dolfinx_mortar.qp import QPSolution
 from dolfinx_mortar.steps import failures
-from dolfinx_mortar.steps.attempt import again_factorised, undone_on_failure
+from dolfinx_mortar.steps.attempt import solving_with, undone_on_failure
 from dolfinx_mortar.steps.certificate import create_certificate
 from dolfinx_mortar.steps.checks import check_controls, check_problem
 from dolfinx_mortar.steps.contacts import Contacts, find_sliders, found_by, go_on
@@ -111,12 +111,16 @@ def solve_step(
             _Step(problem, report, data, overlap).run(max_it)
         return report
     except NewtonNotConverged as error:
-        failure = error
-    return again_factorised(
-        problem,
-        failure,
-        lambda: solve_step(problem, qp=qp, rtol=rtol, max_it=max_it, overlap=overlap),
+        by_solver = isinstance(error.__cause__, backends.QPNotSolved)
+        instead = problem.linear.factorising() if by_solver else None
+        if instead is None:
+            raise
+    with solving_with(problem, instead):
+        again = solve_step(problem, qp=qp, rtol=rtol, max_it=max_it, overlap=overlap)
+    again.notes.append(
+        f"{report.linear_solver} gave no solution: this step and the next ones are factorised"
     )
+    return again
 
 
 @dataclass(frozen=True)
