@@ -105,6 +105,23 @@ def _tag(mesh, dim: int, marks: list[tuple[int, Callable]]) -> dolfinx.mesh.Mesh
     return dolfinx.mesh.meshtags(mesh, dim, entities[kept][order], values[kept][order])
 
 
+def skins(
+    mesh: dolfinx.mesh.Mesh,
+    cells: dolfinx.mesh.MeshTags,
+    facets: dolfinx.mesh.MeshTags,
+    keep: tuple[int, ...] = (BOTTOM, TOP),
+) -> dolfinx.mesh.MeshTags:
+    """Tag the whole skins of two bodies: 3 of the lower, 4 of the upper one, but for some tags."""
+    dim = mesh.topology.dim
+    exterior = dolfinx.mesh.exterior_facet_indices(mesh.topology)
+    cell_of = mesh.topology.connectivity(dim - 1, dim)
+    upper = np.isin(cell_of.array[cell_of.offsets[exterior]], cells.find(UPPER))
+    values = np.where(upper, BOTTOM_OF_UPPER, TOP_OF_LOWER).astype(np.int32)
+    for tag in keep:
+        values[np.isin(exterior, facets.find(tag))] = tag
+    return dolfinx.mesh.meshtags(mesh, dim - 1, exterior, values)
+
+
 def two_blocks(
     comm: MPI.Comm,
     n_lower: tuple[int, int] = (2, 2),

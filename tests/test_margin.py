@@ -10,7 +10,7 @@ import pytest
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.mortar import pairing as search
+from dolfinx_mortar.mortar import receivers
 from dolfinx_mortar.mortar.operators import _best_nodes, find_segments
 from dolfinx_mortar.mortar.pairing import create_pairing, outside_margin
 from dolfinx_mortar.mortar.surface import create_surface
@@ -163,7 +163,7 @@ def test_margin_is_conservative(partition):
 def test_groups_of_facets_only_cost(cell, groups, monkeypatch):
     """However many cones tell the others what a rank needs: the same candidates."""
     expected = candidates(pair_up(cell)[0])
-    monkeypatch.setattr(search, "_GROUPS", groups)
+    monkeypatch.setattr(receivers, "_GROUPS", groups)
     assert candidates(pair_up(cell)[0]) == expected
 
 

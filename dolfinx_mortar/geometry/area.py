@@ -198,7 +198,18 @@ def _keep_nearest(S, M, bilinear, given, given_sizes, n):  # type: ignore[no-unt
 
 
 @numba.njit(cache=True)
-def _clip(S, x_m, pairs, first, last, centre, axes, M, pieces, sizes, row):  # type: ignore[no-untyped-def]
+def _depth(S, M, bilinear, P, n):  # type: ignore[no-untyped-def]
+    """Return how far facet M lies below S, in the middle of the polygon P that they share."""
+    _, x, y = polygons.measure(P, n)
+    xi, eta, _ = inverse(S, bilinear[0], x, y)
+    r, s, _ = inverse(M, bilinear[1], x, y)
+    return height_at(S, bilinear[0], xi, eta) - height_at(M, bilinear[1], r, s)
+
+
+@numba.njit(cache=True)
+def _clip(  # type: ignore[no-untyped-def]
+    S, x_m, bilinear, pairs, deepest, first, last, centre, axes, M, pieces, sizes, row
+):
     """Fill M, pieces, sizes and row (of the pair) for one slave facet; return the count."""
     spare = np.empty((VERTICES, 2))
     count = 0
@@ -212,9 +223,12 @@ def _clip(S, x_m, pairs, first, last, centre, axes, M, pieces, sizes, row):  # t
         if sign == 0 or polygons.is_beside(P, n, S, k, sign, 0.0):
             continue
         size = polygons.intersect(S, k, P, n, sign, pieces[count], spare)
-        if not polygons.is_thin(pieces[count], size):
-            sizes[count], row[count] = size, r
-            count += 1
+        if polygons.is_thin(pieces[count], size):
+            continue
+        if deepest[r] < np.inf and _depth(S, P, bilinear, pieces[count], size) > deepest[r]:
+            continue  # across a body
+        sizes[count], row[count] = size, r
+        count += 1
     return count
 
 
@@ -241,7 +255,7 @@ def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _triangulate(x_s, x_m, bilinear, pairs, centre, axes):  # type: ignore[no-untyped-def]
+def _triangulate(x_s, x_m, bilinear, pairs, deepest, centre, axes):  # type: ignore[no-untyped-def]
     """Return the pair (t,) and the corners (t, 3, 2) of the triangles of all segments."""
     p = len(pairs)
     which, corners = np.empty(4 * p + 64, dtype=np.int64), np.empty((4 * p + 64, 3, 2))
@@ -256,7 +270,8 @@ def _triangulate(x_s, x_m, bilinear, pairs, centre, axes):  # type: ignore[no-un
         M, row = np.empty((n, x_m.shape[1], 3)), np.empty(n, np.int64)
         pieces, sizes = np.empty((n, VERTICES, 2)), np.empty(n, np.int64)
         project(x_s[s], centre[s], axes[s], S)
-        n = _clip(S, x_m, pairs, first, last, centre[s], axes[s], M, pieces, sizes, row)
+        c, a = centre[s], axes[s]
+        n = _clip(S, x_m, bilinear, pairs, deepest, first, last, c, a, M, pieces, sizes, row)
         owner = np.empty(n, np.int64)
         for i in range(n):
             owner[i] = i
@@ -354,7 +369,7 @@ def _place(  # type: ignore[no-untyped-def]
 
 
 def place_points(
-    slave: Facets, master: Facets, pairs: Ints
+    slave: Facets, master: Facets, pairs: Ints, deepest: Floats
 ) -> tuple[npt.NDArray[Any], Floats, Floats, Floats]:
     """Project, clip, split and place quadrature points.
 
@@ -364,6 +379,7 @@ def place_points(
         slave: Slave facets (ms,).
         master: Master facets (mm,).
         pairs: Pairs (p, 2) that face each other, ordered by slave facet.
+        deepest: How far (p,) behind the slave facet the master may lie, in the middle of a part.
 
     Returns:
         Index into the pairs (q,), xi_s (q, 2), xi_m (q, 2) and weight (q,) of the points.
@@ -373,7 +389,8 @@ def place_points(
     centre, axes, radius = create_planes(parts_s)
     bilinear = parts_s.element.bilinear, parts_m.element.bilinear
     sides = parts_s.x, parts_m.x, bilinear, of_parts
-    which, corners = _triangulate(*sides, centre, axes)
+    limits = deepest[of] / radius[of_parts[:, 0]]  # lengths in the planes are relative
+    which, corners = _triangulate(*sides, limits, centre, axes)
     least = _least_degree(slave.element, master.element)
     rule = _choose_rules(*sides, centre, axes, which, corners, least)
     pair, xi_s, xi_m, weight = _place(*sides, centre, axes, radius, which, corners, rule, *_rules())

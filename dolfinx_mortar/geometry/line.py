@@ -103,13 +103,23 @@ def _distance(x, n, y, xi):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _nearest(x, n, x_m, master, low, high, a, b):  # type: ignore[no-untyped-def]
+def _depth(x, n, y, xi):  # type: ignore[no-untyped-def]
+    """Return how far behind the slave facet, against its mean normal, the master facet y lies."""
+    eta = _opposite(x, n, y, xi)
+    p0, p1 = _at(x, xi, 0) - _at(y, eta, 0), _at(x, xi, 1) - _at(y, eta, 1)
+    return (p0 * x[1, 1] - p1 * x[1, 0]) / np.sqrt(x[1, 0] ** 2 + x[1, 1] ** 2)
+
+
+@numba.njit(cache=True)
+def _nearest(x, n, x_m, master, deepest, low, high, a, b):  # type: ignore[no-untyped-def]
     """Return the candidate that covers [a, b] at the smallest distance, -1 if there is none."""
     best, least = -1, np.inf
     for c in range(len(master)):
         if low[c] <= a and high[c] >= b:
-            distance = _distance(x, n, x_m[master[c]], (a + b) / 2)
-            if distance < least:
+            y, middle = x_m[master[c]], (a + b) / 2
+            distance = _distance(x, n, y, middle)
+            across = distance > deepest[c] and _depth(x, n, y, middle) > deepest[c]
+            if distance < least and not across:
                 best, least = c, distance
     return best
 
@@ -124,11 +134,11 @@ def _insert(cuts, count, value):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _clip(x_s, n_s, x_m, ends_m, pairs):  # type: ignore[no-untyped-def]
+def _clip(x_s, n_s, x_m, ends_m, pairs, deepest):  # type: ignore[no-untyped-def]
     """Return the pair and the ends in xi of all segments; no part of a slave facet occurs twice."""
     p = len(pairs)
     which, ends = np.empty(2 * p, dtype=np.int32), np.empty((2 * p, 2))
-    low, high, cuts = np.empty(p), np.empty(p), np.empty(2 * p)
+    low, high, cuts, most = np.empty(p), np.empty(p), np.empty(2 * p), np.empty(p)
     index, master = np.empty(p, dtype=np.int32), np.empty(p, dtype=np.int32)
     q = 0
     r = 0
@@ -142,6 +152,7 @@ def _clip(x_s, n_s, x_m, ends_m, pairs):  # type: ignore[no-untyped-def]
             b = _project_node(x_s[s], n_s[s], y[0, 0], y[0, 1])
             if b - a > 8 * ROUND_OFF:
                 low[c], high[c], index[c], master[c] = a, b, r, pairs[r, 1]
+                most[c] = deepest[r]
                 _insert(cuts, 2 * c, a)
                 _insert(cuts, 2 * c + 1, b)
                 c += 1
@@ -151,7 +162,7 @@ def _clip(x_s, n_s, x_m, ends_m, pairs):  # type: ignore[no-untyped-def]
             a, b = cuts[i], cuts[i + 1]
             if b - a <= 8 * ROUND_OFF:
                 continue
-            best = _nearest(x_s[s], n_s[s], x_m, master[:c], low, high, a, b)
+            best = _nearest(x_s[s], n_s[s], x_m, master[:c], most, low, high, a, b)
             if best < 0:
                 continue
             if q > start and which[q - 1] == index[best] and ends[q - 1, 1] == a:
@@ -195,7 +206,7 @@ def _polynomials(element: FacetElement, v: Floats) -> Floats:
 
 
 def place_points(
-    slave: Facets, n_s: Floats, master: Facets, pairs: Ints
+    slave: Facets, n_s: Floats, master: Facets, pairs: Ints, deepest: Floats
 ) -> tuple[npt.NDArray[Any], Floats, Floats, Floats]:
     """Project, clip and place Gauss points on every segment: three, on facets of degree two five.
 
@@ -207,6 +218,7 @@ def place_points(
         n_s: Averaged normals (ms, k, 2) at their nodes.
         master: Master facets (mm,).
         pairs: Pairs (p, 2) that face each other, ordered by slave facet.
+        deepest: How far (p,) behind the slave facet the master may lie, in the middle of a part.
 
     Returns:
         Index into the pairs (q,), xi_s (q, 1), xi_m (q, 1) and weight (q,) of the points.
@@ -214,7 +226,7 @@ def place_points(
     x_s, n = (_polynomials(slave.element, v) for v in (slave.x, n_s))
     x_m = _polynomials(master.element, master.x)
     corners = np.ascontiguousarray(master.x[:, master.element.vertices])
-    which, ends = _clip(x_s, n, x_m, corners, pairs)
+    which, ends = _clip(x_s, n, x_m, corners, pairs, deepest)
     degree = max(slave.element.degree, master.element.degree)
     points, weights = np.polynomial.legendre.leggauss(2 * degree + 1)
     xi_s, xi_m, weight = _place(x_s, n, x_m, pairs, which, ends, points, weights)

@@ -121,24 +121,30 @@ def find_candidates(slave: Facets, n_s: Floats, master: Facets, margin: Floats) 
     return pairs[are_facing(n_s[pairs[:, 0]], n_m[pairs[:, 1]])]
 
 
-def create_segments(slave: Facets, n_s: Floats, master: Facets, pairs: Ints) -> Segments:
+def create_segments(
+    slave: Facets, n_s: Floats, master: Facets, pairs: Ints, deepest: Floats | None = None
+) -> Segments:
     """Project, clip, split and place quadrature points.
 
     Where several master facets lie behind each other, the one at the smallest distance covers the
-    slave.
+    slave; what lies too deep behind the slave facet, across a body, covers and hides nothing.
 
     Args:
         slave: Slave facets (ms,).
         n_s: Averaged normals (ms, k, d) at their nodes.
         master: Master facets (mm,).
         pairs: Candidates (p, 2), ordered by slave facet.
+        deepest: How far (p,) behind the slave facet, against its mean normal, the master may lie;
+            any depth if not given.
     """
+    deepest = np.full(len(pairs), np.inf) if deepest is None else deepest
     n_s, n_m = projection_directions(slave, n_s), facet_normals(master)
     facing = np.flatnonzero(are_facing(n_s[pairs[:, 0]], n_m[pairs[:, 1]]))
+    partners = master, pairs[facing], deepest[facing]
     if slave.x.shape[2] == 2:
-        which, xi_s, xi_m, weight = line.place_points(slave, n_s, master, pairs[facing])
+        which, xi_s, xi_m, weight = line.place_points(slave, n_s, *partners)
     else:
-        which, xi_s, xi_m, weight = area.place_points(slave, master, pairs[facing])
+        which, xi_s, xi_m, weight = area.place_points(slave, *partners)
     pair = facing[which].astype(np.int32)
     s, m = pairs[pair].T
     return Segments(pair, s, m, xi_s, xi_m, weight, tributary_weights(slave))

@@ -59,7 +59,8 @@ def find_segments(pairing: Pairing, u: dolfinx.fem.Function | None) -> tuple[Seg
     normals = nodal_normals(slave, x)
     master = received_facets(pairing, u)
     facets = facets_at(slave, x)
-    segments = create_segments(facets, normals[slave.facets], master, pairing.pairs)
+    n_s = normals[slave.facets]
+    segments = create_segments(facets, n_s, master, pairing.pairs, pairing.deepest)
     return _weigh(pairing, segments, facets), normals
 
 

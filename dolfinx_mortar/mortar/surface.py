@@ -21,7 +21,9 @@ from dolfinx_mortar.geometry.facets import (
     facet_normals,
     normals_at_nodes,
 )
+from dolfinx_mortar.geometry.thickness import thickness
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
+from dolfinx_mortar.mortar.receivers import create_groups, find_receivers, group_cones
 from dolfinx_mortar.spaces import check_space
 from dolfinx_mortar.tags import label, labels, tag_of
 
@@ -51,6 +53,7 @@ class Surface:
     facets: Ints  # (m, k) indices into nodes, such that the area vectors point outwards
     entities: Ints  # (m,) local facets of the mesh
     X: Floats  # (n, d) reference coordinates of the nodes
+    thickness: Floats  # (m,) of the body behind each facet at X, up to a facet of this surface
     sums: PETSc.Vec  # one entry per node, ghosted: work vector of `accumulate`
 
     @property
@@ -215,7 +218,8 @@ def create_surface(
     facet_nodes = _order_outwards(X, facet_nodes, cells, V)
     nodes, owned, sums = _create_sums(V, np.unique(facet_nodes))
     called = label(facet_tags, value)
-    _check_shapes(Facets(element, X[facet_nodes]), V.mesh.comm, f"{name}={called}")
+    facets = Facets(element, X[facet_nodes])
+    _check_shapes(facets, V.mesh.comm, f"{name}={called}")
     return Surface(
         V=V,
         tag=value,
@@ -226,8 +230,20 @@ def create_surface(
         facets=np.searchsorted(nodes, facet_nodes).astype(np.int32),
         entities=entities,
         X=np.ascontiguousarray(X[nodes]),
+        thickness=_thickness(facets, V.mesh.comm),
         sums=sums,
     )
+
+
+def _thickness(facets: Facets, comm: MPI.Intracomm) -> Floats:
+    """Return how thick (m,) the body is behind facets, among those of all ranks; collective."""
+    if comm.size == 1:
+        return thickness(facets, facets)
+    n = facet_normals(facets)[:, None]
+    cones = group_cones(facets.x, n, create_groups(facets.x), np.zeros(len(n)))
+    receivers = find_receivers(comm, cones, facets)
+    parts = comm.alltoall([facets.x[to] for to in receivers.T])
+    return thickness(facets, Facets(facets.element, np.concatenate(parts)))
 
 
 def accumulate(surface: Surface, values: npt.NDArray[Any]) -> Floats:

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: MIT
+"""How thick a body is behind the facets of a side that runs around it."""
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.geometry.facets import Facets, bounding_balls, facet_normals, facet_sizes
+from dolfinx_mortar.geometry.search import Cones, find_meeting
+from dolfinx_mortar.geometry.segments import are_facing
+from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS
+
+
+def thickness(facets: Facets, others: Facets) -> Floats:
+    """Return the distance (m,) from facets through their body to the next facet that looks away.
+
+    From the middle of a facet against its outward normal to the first of the other facets that
+    lies across; infinite where there is none. Facets count as the flat ones of their vertices.
+
+    Args:
+        facets: Facets (m,).
+        others: Facets of the same side, these ones among them or not.
+
+    Example:
+        >>> from dolfinx_mortar.geometry.elements import LINE2
+        >>> x = np.array([[[0.0, 0], [2, 0]], [[3, 1], [-1, 1]], [[2, 5], [0, 5]]])
+        >>> strip = Facets(LINE2, x)
+        >>> thickness(strip, strip)
+        array([1., 1., 5.])
+    """
+    corners = np.array(facets.element.vertices)
+    x, y = facets.x[:, corners], others.x[:, corners]
+    n, n_other = facet_normals(facets), facet_normals(others)
+    size = facet_sizes(x)
+    middle = x.mean(axis=1)
+    rays = Cones(middle, n, HALF_OF_DIGITS * size, np.zeros(len(x)))
+    a, b = find_meeting(rays, *bounding_balls(y)).T
+    across = are_facing(n[a][:, None], n_other[b])
+    a, b = a[across], b[across]
+    along = np.einsum("pi,pi->p", middle[a] - y[b].mean(axis=1), n_other[b])
+    depth = along / np.einsum("pi,pi->p", n[a], n_other[b])
+    hit = _holds(y[b], n_other[b], middle[a] - depth[:, None] * n[a])
+    hit &= depth > HALF_OF_DIGITS * size[a]  # the other face of a crack lies before the facet
+    result = np.full(len(x), np.inf)
+    np.minimum.at(result, a[hit], depth[hit])
+    return result
+
+
+def _holds(x: Floats, n: Floats, p: Floats) -> Bools:
+    """Tell (m,) whether facets of vertices x (m, k, d) and normals n (m, d) hold points p (m, d).
+
+    The points lie in the planes of the facets; on a common edge, each facet holds them.
+    """
+    edges = np.roll(x, -1, axis=1) - x
+    inward = edges if x.shape[2] == 2 else np.cross(n[:, None], edges)
+    inside = np.einsum("mki,mki->mk", inward, p[:, None] - x)
+    least = -HALF_OF_DIGITS * facet_sizes(x) ** 2
+    return np.asarray(inside.min(axis=1, initial=np.inf) >= least)

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: MIT
+"""Sides that run around edges and corners: partners do not lie across a body."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+from dolfinx import fem
+from dolfinx_mortar.geometry.elements import LINE2, QUAD4
+from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
+from dolfinx_mortar.geometry.segments import create_segments
+from dolfinx_mortar.mortar.operators import find_segments
+from dolfinx_mortar.mortar.pairing import create_pairing, received_facets
+from dolfinx_mortar.mortar.surface import create_surface, facets_at
+from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, skins, two_blocks
+from tests.meshes_3d import rotation, two_boxes
+
+COMM = MPI.COMM_WORLD
+SIDES = TOP_OF_LOWER, BOTTOM_OF_UPPER
+CELLS = pytest.mark.parametrize("cell", ["triangle", "tetrahedron", "hexahedron"])
+HEIGHTS = 0.5, 0.75
+
+
+def create(cell, partition="graph", **options):
+    """Return space, tags of the sides alone and of the whole skins of two bodies, and an up."""
+    if cell == "triangle":
+        up = np.array([-np.sin(0.4), np.cos(0.4)])
+        mesh, cells, facets = two_blocks(
+            COMM, (6, 3), (5, 4), angle=0.4, heights=HEIGHTS, partition=partition, **options
+        )
+    else:
+        turn = rotation((1, 2, 3), 0.7)
+        up = turn @ [0.0, 0.0, 1.0]
+        mesh, cells, facets = two_boxes(
+            COMM, (3, 3, 2), (2, 3, 2), cell=cell, turn=turn, heights=HEIGHTS, partition=partition,
+            **options,
+        )  # fmt: skip
+    V = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
+    return V, facets, skins(mesh, cells, facets, keep=()), up
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("partition", ["graph", "stripes", "empty"])
+@CELLS
+def test_thickness_behind_the_facets_of_a_skin(cell, partition):
+    """Heights behind top and bottom, the width behind the flanks; a side alone has none."""
+    V, flat, whole, up = create(cell, partition)
+    for tag, height in zip(SIDES, HEIGHTS, strict=True):
+        alone, skin = (create_surface(V, tags, tag, "side") for tags in (flat, whole))
+        assert np.isinf(alone.thickness).all()
+        n = facet_normals(facets_at(skin, skin.X))
+        expected = np.where(np.abs(n @ up) > 0.5, height, 1.0)
+        assert COMM.allreduce(len(n)) > 0
+        assert np.abs(skin.thickness - expected).max(initial=0) < 1e-12
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("gap", [0.1, -0.1])
+@CELLS
+def test_partners_face_each_other_from_outside(cell, gap):
+    """Whole skins have the partners of the two sides between the bodies, and no others."""
+    V, _, tags, up = create(cell, gap=gap)
+    for slave, master in (SIDES, SIDES[::-1]):
+        sides = (create_surface(V, tags, tag, "side") for tag in (slave, master))
+        pairing = create_pairing(V, *sides, None)
+        points, _ = find_segments(pairing, None)
+        facets = facets_at(pairing.slave, pairing.slave.X)
+        n = facet_normals(facets)[points.slave]
+        across = np.abs(n @ up) > 0.5
+        x_m = points_of(received_facets(pairing, None), points.master, points.xi_m)
+        along = ((x_m - points_of(facets, points.slave, points.xi_s)) * n).sum(axis=1)
+        assert np.abs(along[across] - gap).max(initial=0) < 1e-12
+        # in the plane averaged normals fan out at the edges, one way or the other
+        fan = 2 * abs(gap) if cell == "triangle" else 1e-12
+        assert COMM.allreduce(points.weight[across].sum()) == pytest.approx(1.0, abs=fan)
+        # flanks that overlap look through both bodies, one thickness deep
+        assert not (~across).any()
+
+
+def test_what_lies_across_a_body_hides_nothing():
+    """The nearer of two partners lies behind the slave: too deep, it leaves all to the other."""
+    line = np.array([[1.0, 0.0], [0.0, 0.0]])
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    for element, x in ((LINE2, line), (QUAD4, square)):
+        up = np.eye(x.shape[1])[-1]
+        slave = Facets(element, x[None])
+        master = Facets(element, np.stack([x[::-1] - 0.3 * up, x[::-1] + 0.5 * up]))
+        n_s = np.broadcast_to(up, slave.x.shape)
+        pairs = np.array([[0, 0], [0, 1]], dtype=np.int32)
+        for deepest, expected in ((np.inf, 0), (0.31, 0), (0.29, 1)):
+            limits = np.array([deepest, np.inf])
+            points = create_segments(slave, n_s, master, pairs, limits)
+            assert (points.master == expected).all()
+            assert points.weight.sum() == pytest.approx(1.0, abs=1e-14)
