@@ -5,6 +5,7 @@ import gc
 import os
 import time
 from collections.abc import Generator
+from pathlib import Path
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -15,10 +16,26 @@ import pytest
 
 COMM = MPI.COMM_WORLD
 WAIT = 60.0  # seconds a failed test waits for the other ranks before it ends the whole run
+WORKERS = 4  # at most: each holds the libraries, half a GiB
+
+# Kernels of tests see few cells, so compiling them without optimisation takes a fifth off a cold
+# run; a process waits longer than the default 10 s for a kernel that another one is compiling.
+# Programs that tests start inherit it.
+os.environ["XDG_CONFIG_HOME"] = str(Path(__file__).parent / "config")
 
 # Ranks must draw the same examples, and machines differ in speed.
 hypothesis.settings.register_profile("ranks", deadline=None, derandomize=True, database=None)
 hypothesis.settings.load_profile("ranks")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config: pytest.Config) -> None:
+    """Use the cores where whole folders are run; one process where files are named, or on ranks."""
+    whole = config.args_source is not pytest.Config.ArgsSource.ARGS
+    single = COMM.size == 1 and "PYTEST_XDIST_WORKER" not in os.environ
+    if whole and single and getattr(config.option, "numprocesses", 0) is None:
+        config.option.numprocesses = min(len(os.sched_getaffinity(0)), WORKERS)
+        config.option.dist = "worksteal"  # neighbours stay together, and so do their fixtures
 
 
 @pytest.hookimpl(trylast=True)
@@ -30,7 +47,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip what is meant for one rank when there are more."""
+    """Skip what is meant for one rank when there are more; start with what takes longest."""
+    items.sort(key=lambda item: item.path.name != "test_parallel.py")
     if COMM.size > 1:
         for item in items:
             if "serial" in item.keywords:

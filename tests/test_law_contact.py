@@ -49,7 +49,7 @@ def test_pressed_blocks(name):
         assert solid.max("plastic_strain_norm") > 1e-4
 
 
-@pytest.mark.parametrize("volumetric", ["full", "reduced"])
+@pytest.mark.parametrize("volumetric", ["full", pytest.param("reduced", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", LAWS)
 @pytest.mark.parametrize(
     "cell", ["quadrilateral", pytest.param("hexahedron", marks=pytest.mark.slow)]

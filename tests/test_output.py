@@ -109,7 +109,7 @@ def check_step(path: Path, step: int, t: float, count: int) -> None:
         assert np.allclose(cell[name][0], centre[:, None] * factors)
 
 
-@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("degree", [pytest.param(1, marks=pytest.mark.slow), 2])
 @pytest.mark.parametrize("cell", CELLS)
 def test_every_field_is_read_back_after_each_step(folder, cell, degree):
     problem, path = Problem(cell, degree), folder / "out.xdmf"

@@ -89,6 +89,7 @@ def test_the_versions_agree(tmp_path, capsys):
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_versions_that_disagree_end_the_demo(tmp_path, monkeypatch):
     class Other(demo.SwiftNumpy):
         @staticmethod

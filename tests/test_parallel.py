@@ -17,8 +17,10 @@ import pytest
 
 COMM = MPI.COMM_WORLD
 ROOT = Path(__file__).resolve().parent.parent
-# what a launcher tells its ranks; a second launcher below would take itself for one of them
+# what a launcher tells its ranks, and pytest its workers; a second one below would take itself for
+# one of them
 LAUNCHER = ("OMPI_COMM_", "OMPI_APP_", "OMPI_FIRST_", "PMIX_", "PRTE_JOB", "PRTE_LAUNCHED", "PMI_")
+LAUNCHER += ("PYTEST_XDIST_",)
 
 
 RANKS = "DOLFINX_MORTAR_TEST_RANKS"

@@ -76,9 +76,10 @@ def columns(model):
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("order", "degree", "ranks"),
-    [(2, 2, 1), *(pytest.param(1, d, n, marks=pytest.mark.slow) for d, n in ((1, 1), (2, 3)))],
+    [(2, 2, 1), (1, 1, 1), (1, 2, 3)],
 )
 def test_bodies_in_space_without_a_screen(order, degree, ranks, tmp_path):
     """As a program of its own: what VTK cannot do ends the program."""

@@ -56,7 +56,7 @@ def compare(found: dict, expected: dict) -> None:
         assert difference <= SAME * scale, (name, difference / scale)
 
 
-@pytest.mark.parametrize("ranks", [2, 3])
+@pytest.mark.parametrize("ranks", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_same_numbers_on_any_ranks(ranks, serial, tmp_path):
     """Force, moment, multipliers, displacement, slips and dissipation agree to 1e-10."""
     found = run(ranks, tmp_path)

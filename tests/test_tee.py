@@ -85,6 +85,7 @@ def check_balance(rows, preload):
         assert row["prying"] > 0.0
 
 
+@pytest.mark.slow
 def test_a_coarse_joint(tmp_path):
     """Preload, then a pull into yielding: bolts gain less than is pulled, and flanges pry."""
     options = ("--layers", "2", "--steps", "3", "--pull", "0.9", "--preload", "25")

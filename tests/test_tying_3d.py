@@ -96,7 +96,11 @@ def test_orders_of_second_order_hexahedra(slave, curved):
 
 
 @pytest.mark.parametrize("slave", ["lower", "upper"])
-@pytest.mark.parametrize("curved", [False, True], ids=["flat", "cylinder"])
+@pytest.mark.parametrize(
+    "curved",
+    [False, pytest.param(True, marks=pytest.mark.slow)],
+    ids=["flat", "cylinder"],
+)
 def test_orders_of_second_order_tetrahedra(slave, curved):
     """The same orders, though only constants are in the space of multipliers.
 

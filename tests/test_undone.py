@@ -103,7 +103,7 @@ def test_a_step_that_fails_lets_nothing_flow_on():
     assert solid.max("viscous_strain_norm") == viscous > 0.0
 
 
-@pytest.mark.parametrize("volumetric", ["full", "reduced"])
+@pytest.mark.parametrize("volumetric", [pytest.param("full", marks=pytest.mark.slow), "reduced"])
 def test_a_first_step_that_fails_shows_nothing(volumetric):
     """Not even the stress that an eigenstrain will make."""
     case = PressedBlocks(cell="quadrilateral")
