@@ -108,6 +108,10 @@ class Contact(Interface):
         said = f"{value:g}" if isinstance(value, float) else type(value).__name__
         return f"{name[:-1]}, {self.law.name}={said})"
 
+    def given(self) -> dict[str, Any]:
+        """Return what all ranks have to give the same, by name; see `agreement`."""
+        return super().given() | {"friction": self.friction, "tresca": self.tresca}
+
     def check(self, V: fem.FunctionSpace) -> None:
         """Raise a ValueError for limits of friction on another mesh than V's."""
         if self.law is not None and isinstance(self.law.value, fem.Function):

@@ -35,8 +35,7 @@ class FrictionLaw:
         """Return the present values at the owned nodes of a scalar space; collective.
 
         Raises:
-            ValueError: on all ranks, for values that are negative or not finite, and for a Constant
-                that is not the same on all ranks.
+            ValueError: on all ranks, for values that are negative or not finite.
         """
         comm, n = scalar.mesh.comm, scalar.dofmap.index_map.size_local
         if isinstance(self.value, fem.Function):
@@ -50,12 +49,6 @@ class FrictionLaw:
         else:
             number = float(np.asarray(getattr(self.value, "value", self.value)).reshape(()))
             values = np.full(n, number)
-            top, bottom = maximum(comm, number, -number)
-            if top != -bottom and np.isfinite([top, bottom]).all():
-                raise ValueError(
-                    f"{self.name} differs between the ranks, from {-bottom:g} to {top:g}; give "
-                    "all ranks the same"
-                )
         bad = ~(np.isfinite(values) & (values >= 0.0))
         if any_rank(comm, bad.any())[0]:
             what = f"{float(values[bad][0]):g} somewhere" if bad.any() else "so on another rank"

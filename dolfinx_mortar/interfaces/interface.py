@@ -143,6 +143,16 @@ class Interface:
         slave, master = (label(self.facet_tags, tag) for tag in (self.slave, self.master))
         return f"slave={slave}, master={master}"
 
+    def given(self) -> dict[str, Any]:
+        """Return what all ranks have to give the same, by name; see `agreement`."""
+        return {
+            "facet_tags": self.facet_tags,
+            "slave": self.slave,
+            "master": self.master,
+            "surface": "smooth" if self.smooth else "facets",
+            "feature_angle": self.feature_angle,
+        }
+
     def check(self, V: fem.FunctionSpace) -> None:
         """Raise a ValueError unless a problem with the displacement's space can take it."""
 

@@ -100,6 +100,10 @@ class Tie(Interface):
     def tightening(self, value: Floats) -> None:
         self._tightening: Floats = check_jump(np.asarray(value), self._components)
 
+    def given(self) -> dict[str, Any]:
+        """Return what all ranks have to give the same, by name; see `agreement`."""
+        return super().given() | {"jump": self.jump, "tightening": self.tightening}
+
     def configuration(self, u: fem.Function | None) -> None:
         """Return None: D and M do not follow the deformation."""
         return None

@@ -24,8 +24,8 @@ import numpy as np
 import ufl
 from dolfinx import fem, la, mesh
 from dolfinx.fem import petsc as fem_petsc
+from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.solid.dilatation import create_dilatation
@@ -66,6 +66,7 @@ class Solid:
         stress: quadrature Function of the same components, filled by `evaluate`.
         regions: the cells of each law, with its parameters.
         fields: what `evaluate` found, at the integration points.
+        changing: the Constants in the arguments by name, in which ranks must agree at every step.
     """
 
     def __init__(
@@ -109,10 +110,21 @@ class Solid:
                 dimension, or the mesh lies beyond their axis, the eigenstrain has another shape, an
                 unknown tag or undefined values, there is no volumetric part to reduce, or a law
                 lacks a part, raises, or returns something of the wrong name or shape; the message
-                names the law and the part.
+                names the law and the part. And if ranks give different numbers, names or laws.
         """
         if not isinstance(u, fem.Function):
             raise ValueError(f"u must be a dolfinx.fem.Function (the displacement), not {type(u)}.")
+        # before anything that ranks do together
+        self.changing = check_same_on_all_ranks(
+            u.function_space.mesh.comm,
+            u=u,
+            materials=materials,
+            cell_tags=cell_tags,
+            quadrature_degree=quadrature_degree,
+            kinematics=kinematics,
+            eigenstrain=eigenstrain,
+            volumetric=volumetric,
+        )
         check_space(u.function_space, "u")
         self.u = u
         self.kinematics = choose_kinematics(kinematics, self.mesh.geometry.dim)
@@ -358,7 +370,7 @@ def _degree(V: fem.FunctionSpace, given: int | None) -> int:
     """Return the quadrature degree: by default 2(p - 1) >= 1 on simplices, else 2p."""
     if given is not None:
         valid = isinstance(given, int | np.integer) and not isinstance(given, bool) and given >= 0
-        if any_rank(V.mesh.comm, not valid)[0]:
+        if not valid:
             raise ValueError(f"quadrature_degree is {given!r}: give an integer from 0 on, or None.")
         return int(given)
     p = V.element.basix_element.degree

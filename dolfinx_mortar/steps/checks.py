@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os
-import textwrap
 from collections.abc import Iterable, Sequence
 from numbers import Integral, Real
 from pathlib import Path
@@ -19,6 +17,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx_mortar import qp as backends
+from dolfinx_mortar.agreement import Changing, check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.interfaces.interface import Interface
@@ -35,8 +34,13 @@ def check_arguments(
     loads: ufl.Form | None,
     potential: ufl.Form | None,
     geometry: str,
-) -> tuple[list[Interface], list[fem.DirichletBC]]:
-    """Return interfaces and Dirichlet conditions as lists if a problem can be made; collective.
+    **options: Any,
+) -> tuple[list[Interface], list[fem.DirichletBC], dict[str, Changing]]:
+    """Check what a problem shall be made of; collective.
+
+    Returns:
+        Interfaces and Dirichlet conditions as lists, and the Constants in the arguments by name,
+        in which ranks must agree at every step; none on one rank.
 
     Raises:
         ValueError: if not, naming the argument and the remedy.
@@ -44,13 +48,14 @@ def check_arguments(
     if not isinstance(solid, Solid):
         raise ValueError(f"solid is {solid!r}: give a Solid(u, materials, cell_tags)")
     given, conditions = _unrolled(interfaces), _unrolled(bcs)
-    check_same_on_all_ranks(
+    changing = check_same_on_all_ranks(
         solid.V.mesh.comm,
         interfaces=given,
         bcs=conditions,
-        loads=None if loads is None else type(loads).__name__,
-        potential=None if potential is None else type(potential).__name__,
+        loads=loads,
+        potential=potential,
         geometry=geometry,
+        **options,
     )
     if geometry not in GEOMETRIES:
         raise ValueError(f"geometry is {geometry!r}: choose 'updated' or 'reference'")
@@ -63,7 +68,7 @@ def check_arguments(
     finite = np.isfinite(solid.V.mesh.geometry.x).all()
     if any_rank(solid.V.mesh.comm, not finite)[0]:
         raise ValueError("the mesh's coordinates hold NaN or infinity; check the mesh")
-    return sides, conditions
+    return sides, conditions, changing
 
 
 def check_owned(interfaces: Iterable[Interface], owner: object) -> None:
@@ -88,17 +93,14 @@ def check_problem(problem: Any, kind: type) -> None:
         )
 
 
-def check_controls(qp: Any, rtol: Any, max_it: Any, comm: MPI.Comm | None = None) -> None:
-    """Raise a ValueError unless the controls of Newton's method make sense; collective.
+def check_controls(qp: Any, rtol: Any, max_it: Any) -> None:
+    """Raise a ValueError unless the controls of Newton's method make sense.
 
     Args:
         qp: name of the QP backend.
         rtol: relative tolerance.
         max_it: largest number of iterations.
-        comm: ranks that have to agree.
     """
-    if comm is not None:
-        check_same_on_all_ranks(comm, qp=qp, rtol=rtol, max_it=max_it)
     backends.check_name(qp)
     if not (_is_number(rtol) and 0.0 < float(rtol) < 1.0):
         raise ValueError(f"rtol is {rtol!r}: need a number, 0 < rtol < 1")
@@ -166,48 +168,6 @@ def check_every(comm: MPI.Comm, checkpoint: Any, every: Any) -> Path | None:
         check_same_on_all_ranks(comm, checkpoint=checkpoint)
         return None
     return check_path(comm, checkpoint, "checkpoint")
-
-
-def check_same_on_all_ranks(comm: MPI.Comm, **named_values: Any) -> None:
-    """Raise a ValueError on all ranks where a value is not the same on all of them; collective.
-
-    One short message per call: every rank sends a hash of each value. Numbers, texts, lists of
-    them and interfaces count by value, other objects by their type only.
-
-    Args:
-        comm: the ranks.
-        **named_values: the values by the names that the error shall use.
-    """
-    if comm.size == 1:
-        return
-    texts = {name: _plain(value) for name, value in named_values.items()}
-    mine = [hashlib.sha256(text.encode()).digest()[:8] for text in texts.values()]
-    sent = np.frombuffer(b"".join(mine), dtype=np.int64)
-    received = np.empty((comm.size, len(sent)), dtype=np.int64)
-    comm.Allgather(sent, received)
-    for name, differs in zip(texts, (received != received[0]).T, strict=True):
-        if differs.any():
-            every = comm.allgather(texts[name])
-            told = [
-                f"{textwrap.shorten(text, 60)} on rank {rank}" for rank, text in enumerate(every)
-            ]
-            others = ", ".join(told[rank] for rank in np.flatnonzero(differs))
-            raise ValueError(
-                f"{name} differs between the ranks: {told[0]}, but {others}; give all ranks the "
-                "same"
-            )
-
-
-def _plain(value: Any) -> str:
-    """Return a text that is the same for equal values, on any rank."""
-    if value is None or isinstance(value, bool | np.bool_ | str | Interface):
-        return repr(value)
-    if isinstance(value, Real):
-        return repr(float(value))
-    value = value.tolist() if isinstance(value, np.ndarray) else value
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_plain, value))}]"
-    return type(value).__name__
 
 
 def _unrolled(values: Any) -> Any:

@@ -14,7 +14,6 @@ from dolfinx_mortar.interfaces.jump import extended, nodal_function, values_at
 from dolfinx_mortar.interfaces.nodal import check_mesh
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.interfaces.tie import Tie
-from dolfinx_mortar.steps.checks import check_same_on_all_ranks
 
 
 def read_jumps(system: InterfaceSystem, empty: PETSc.Vec) -> dict[int, PETSc.Vec]:
@@ -28,7 +27,7 @@ def read_jumps(system: InterfaceSystem, empty: PETSc.Vec) -> dict[int, PETSc.Vec
 
     Raises:
         ValueError: on all ranks, if a jump lives on another mesh, has another shape than a vector
-            at each slave node, holds NaN or infinity, or is not of one kind on all ranks.
+            at each slave node, or holds NaN or infinity.
     """
     V, jumps = system.V, {}
     for k, (interface, sides) in enumerate(zip(system.interfaces, system.sides, strict=True)):
@@ -52,9 +51,6 @@ def read_jumps(system: InterfaceSystem, empty: PETSc.Vec) -> dict[int, PETSc.Vec
 
 
 def check_jump_of(tie: Tie, V: fem.FunctionSpace) -> None:
-    """Raise a ValueError on all ranks unless a jump is of one kind and on V's mesh; collective."""
-    jump = tie.jump
-    value = jump.value if isinstance(jump, fem.Constant) else jump
-    check_same_on_all_ranks(V.mesh.comm, jump=value, tightening=tie.tightening)
+    """Raise a ValueError on all ranks unless a jump is on V's mesh; collective."""
     with raised_together(V.mesh.comm):
-        check_mesh("jump", jump, V)
+        check_mesh("jump", tie.jump, V)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.checkpoint import check_folder
@@ -124,6 +125,7 @@ def load_steps(
         NewtonNotConverged: when the smallest step fails, too. Steps yielded before are committed.
     """
     check_problem(problem, ContactProblem)
+    check_same_on_all_ranks(problem.comm, on_time=on_time)
     levels = check_load_steps(times, start, max_cuts, cuts, problem.comm)
     file = check_every(problem.comm, checkpoint, every)
     most = max_cuts if cuts == "halve" else 0

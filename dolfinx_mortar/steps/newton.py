@@ -101,7 +101,8 @@ def solve_step(
     problem: ContactProblem, *, qp: str, rtol: float, max_it: int, overlap: float = 0.0
 ) -> StepReport:
     """Solve one load step, with an overlap that is left to later steps; see `newton`."""
-    check_controls(qp, rtol, max_it, problem.comm)
+    problem.check_ranks(qp=qp, rtol=rtol, max_it=max_it)
+    check_controls(qp, rtol, max_it)
     report = StepReport(backend=qp, geometry=problem.geometry, rtol=rtol)
     if overlap > 0.0:
         report.notes.append(f"the initial overlap is left {overlap:.3g} deep in this part")

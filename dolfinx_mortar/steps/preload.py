@@ -31,7 +31,6 @@ from dolfinx_mortar.steps.checks import (
     check_controls,
     check_owned,
     check_problem,
-    check_same_on_all_ranks,
 )
 from dolfinx_mortar.steps.newton import solve_step
 from dolfinx_mortar.steps.problem import ContactProblem
@@ -131,7 +130,8 @@ def preload(
             committed state are then as before.
     """
     check_problem(problem, ContactProblem)
-    check_controls(qp, rtol, max_it, problem.comm)
+    problem.check_ranks(tie=tie, force=force, direction=direction, rtol=rtol, max_it=max_it, qp=qp)
+    check_controls(qp, rtol, max_it)
     n = _check(problem, tie, force, direction)
     with _all_as_before(problem, tie):
         search = _Search(problem, tie, n, float(force), rtol, {"qp": qp, "max_it": 50})
@@ -147,7 +147,6 @@ def _check(problem: ContactProblem, tie: Any, force: Any, direction: Any) -> Flo
         raise ValueError(f"tie is {tie!r}: give one of problem.ties")
     check_owned(problem.interfaces, problem.supports)
     given = direction.tolist() if isinstance(direction, np.ndarray) else direction
-    check_same_on_all_ranks(problem.comm, tie=tie, force=force, direction=given)
     if not isinstance(force, Real) or isinstance(force, bool) or not np.isfinite(float(force)):
         raise ValueError(f"force is {force!r}: give a finite number, the resultant of the bolt")
     try:
