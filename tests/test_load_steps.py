@@ -9,6 +9,9 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
+from dolfinx_mortar.steps import load_steps as load_steps_module
+from dolfinx_mortar.steps.newton import solve_step
+from dolfinx_mortar.steps.report import StepReport
 from tests.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
 from tests.hertz_case import create_case
 from tests.pressed_blocks import rejected
@@ -111,3 +114,62 @@ def test_a_limit_load_is_named():
     assert reached == [1.0] and "float" not in caught.value.message
     level = problem.committed.level
     assert 1.0 < level < 2 / np.sqrt(3) and f"converged is {level:g}" in caught.value.message
+    # what is kept is what is said: the state of that level
+    assert f"converged stay committed: displacement, state and results are those at level {level:g}" in (
+        caught.value.message
+    )
+    carried = 10.0 * level * np.sqrt(1.0)
+    assert problem.solid.max("stress_yy") == pytest.approx(carried, rel=1e-6)
+
+
+def test_a_step_that_leaves_nothing_says_so():
+    """And what stays of an overlap that is taken out in parts: the level alone does not tell."""
+    case = create_case(dm.meshing.hertz(COMM, kind="paper", gap=-0.2))
+    u = case.problem.u.x.array
+    with rejected("failed from 0 to 0", error=dm.NewtonNotConverged) as caught:
+        list(dm.load_steps(case.problem, [0.0], max_it=3, cuts="none"))
+    told = caught.value.message
+    assert told.endswith("The displacement and the committed state are as before the step")
+    assert not u.any() and not case.problem.committed.begun
+
+
+def test_what_stays_of_an_overlap_is_told(monkeypatch):
+    """Parts that have converged stay, at the same level: the message says how deep sides overlap."""
+    case = create_case(dm.meshing.hertz(COMM, kind="paper", gap=-0.2))
+
+    def solve(problem, *, overlap, **options):
+        if overlap < 0.09:
+            raise dm.NewtonNotConverged("too deep", StepReport())
+        return solve_step(problem, overlap=overlap, **options)
+
+    monkeypatch.setattr(load_steps_module, "solve_step", solve)
+    with rejected("too deep", error=dm.NewtonNotConverged) as caught:
+        list(dm.load_steps(case.problem, [0.0]))
+    assert "stay committed" in caught.value.message and case.problem.committed.begun
+    left = float(caught.value.message.partition("still overlap by ")[2].partition(";")[0])
+    assert 0.09 <= left < 0.2
+    overlap = load_steps_module.find_overlap(case.problem, 1e-6)
+    assert overlap == pytest.approx(left, rel=0.05)
+
+
+@pytest.mark.mpi
+def test_two_walks_at_a_time():
+    """The one that began first does not go on from where the other one has led."""
+    case = create_case(dm.meshing.hertz(COMM, kind="paper"))
+    first = dm.load_steps(case.problem, [1.0, 2.0], on_time=on_top(case))
+    next(first)
+    second = dm.load_steps(case.problem, [0.5], on_time=on_top(case))
+    next(second)
+    u = case.problem.u.x.array.copy()
+    with rejected("problem: a second load_steps has begun", "a problem of its own"):
+        next(first)
+    assert np.array_equal(case.problem.u.x.array, u)
+    assert next(second, None) is None  # it is done
+    (step,) = dm.load_steps(case.problem, [0.6], on_time=on_top(case))
+    assert step.number == 1 and case.problem.committed.level == 0.6
+
+    def on_time(t):
+        next(dm.load_steps(case.problem, [0.7], on_time=on_top(case)))
+
+    with rejected("a second load_steps has begun"):
+        next(dm.load_steps(case.problem, [0.8], on_time=on_time))

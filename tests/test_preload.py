@@ -66,6 +66,17 @@ def test_it_is_added_to_the_jump_and_tightened_again_from_where_it_is():
     assert again.iterations == 1  # it is there already
 
 
+def test_what_a_tightening_before_has_moved_across_stays():
+    """Sheared first, then pulled: the second direction adds to the first one's jump."""
+    case, problem = loaded()
+    across = dm.preload(problem, case.tie, 3.0, [1.0, 0.0])
+    found = dm.preload(problem, case.tie, 30.0, outwards(case))
+    assert abs(across.jump[0]) > 1e-4 and found.jump[0] == across.jump[0]
+    assert found.force == pytest.approx(30.0, rel=SOUGHT)
+    assert np.array_equal(case.tie.tightening, found.jump)
+    assert case.tie.force[0] == pytest.approx(3.0, rel=0.05)
+
+
 def test_half_a_bolt_has_half_the_force():
     """A bar on its plane of symmetry: the resultant is that of what is modelled."""
     whole, problem = clamped()
@@ -190,6 +201,23 @@ def test_too_few_tries():
     with rejected("not found in max_it=2 steps", error=dm.PreloadNotReached):
         dm.preload(problem, case.tie, 3.0, outwards(case), max_it=2)
     assert watched.unchanged()
+
+
+@pytest.mark.mpi
+def test_contacts_that_tries_have_closed():
+    """The next step starts from the contacts that were closed before: none, the plates gape."""
+    joint = Joint(gap=0.01)
+    problem = joint.problem
+    joint.pull.value = -1.0
+    dm.newton(problem)
+    problem.commit()
+    assert not problem.committed.active.any()
+    with rejected("not found in max_it=3", error=dm.PreloadNotReached) as caught:
+        dm.preload(problem, joint.bolt, 6.0, joint.direction, max_it=3)
+    jump, _ = caught.value.tries[-1]
+    assert jump > 0.01  # the last try has closed the gap
+    assert not problem.committed.active.any()
+    assert joint.clamping() == 0.0
 
 
 @pytest.mark.parametrize("force", ["much", None, np.nan, np.inf, True])

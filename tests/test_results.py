@@ -53,6 +53,42 @@ def test_an_interface_serves_one_problem():
 
 
 @pytest.mark.mpi
+def test_nothing_is_shown_of_an_interface_that_another_problem_has(tmp_path):
+    """It would be the results of the other one; what has been written stays."""
+    pytest.importorskip("matplotlib")
+    folder = COMM.bcast(tmp_path)
+    case = PressedBlocks()
+    contact = case.contact()
+    first = case.problem([contact])
+    dm.newton(first)
+    first.commit()
+    writer = dm.Writer(folder / "first.xdmf", first)
+    writer.write(1.0)
+    written = (folder / "first.xdmf").read_text()
+    solid = dm.Solid(fem.Function(case.V), ELASTIC)
+    case.top.value[1] = -0.02
+    second = dm.ContactProblem(solid, [contact], bcs=case.bcs())
+    dm.newton(second)
+    pressure = contact.pressure.x.array.copy()
+    for show in (
+        lambda: writer.write(2.0),
+        first.output_fields,
+        lambda: dm.plotting.pressure(first),
+        first.audit,
+        first.commit,
+        lambda: first.save(folder / "first.h5"),
+        lambda: list(dm.load_steps(first, [1.0])),
+    ):
+        with rejected("belongs to a problem made later", "give each its own Contact"):
+            show()
+    writer.close()
+    assert (folder / "first.xdmf").read_text() == written
+    assert np.array_equal(contact.pressure.x.array, pressure)
+    second.commit()
+    assert np.array_equal(second.output_fields()["pressure"].x.array, pressure)
+
+
+@pytest.mark.mpi
 def test_nodal_values_of_a_tie():
     """Pulled by 2: the normal traction is -2 at all slave nodes, in order of x."""
     case = PressedBlocks()

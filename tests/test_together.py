@@ -35,3 +35,45 @@ def test_no_error_is_no_error():
     with raised_together(COMM):
         done = True
     assert done
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (KeyboardInterrupt(), None),
+        (SystemExit(3), 3),
+        (SystemExit(), 0),
+        (SystemExit("no licence"), "no licence"),
+    ],
+)
+def test_all_ranks_end_as_one_does(error, code):
+    """Ctrl-C or `sys.exit` in a law on one rank: the others would wait for it for ever."""
+    failing = COMM.size - 1
+    with pytest.raises(type(error)) as caught, raised_together(COMM):
+        if COMM.rank == failing:
+            raise error
+    if isinstance(error, SystemExit):
+        found = caught.value.code
+        if failing == COMM.rank:
+            assert found == error.code
+        else:
+            told = f"{code} (on rank {failing})" if isinstance(code, str) else code
+            assert found == told
+    assert COMM.allreduce(1) == COMM.size
+
+
+def test_a_generator_that_is_closed_asks_nobody():
+    """Python closes it when it likes, not on all ranks at a time."""
+
+    class Nobody:
+        def allgather(self, _):
+            raise AssertionError
+
+    def walk():
+        with raised_together(Nobody()):
+            yield
+
+    steps = walk()
+    next(steps)
+    steps.close()

@@ -12,6 +12,9 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
+from dolfinx_mortar.steps import newton as newton_module
+from tests import friction_case
+from tests.pointwise_laws import Radial
 from tests.pressed_blocks import PressedBlocks
 
 pytestmark = pytest.mark.mpi
@@ -113,3 +116,60 @@ def test_a_first_step_that_fails_shows_nothing(volumetric):
     with pytest.raises(dm.NewtonNotConverged):
         dm.newton(problem, max_it=1, rtol=1e-12)
     assert not solid.stress.x.array.any() and solid.max("plastic_strain_norm") == 0.0
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
+def test_a_step_that_is_stopped_when_its_results_are_set(monkeypatch, error):
+    """Forces, pressures, slips and dissipation are those of the displacement: of the step before.
+
+    Were the slips left, a commit would count them.
+    """
+    case = friction_case.create(friction=0.3)
+    problem, contact = case.problem, case.contact
+    case.solve(0.005, -0.01)
+
+    def shown():
+        fields = [contact.pressure, contact.gap, contact.active, contact.traction]
+        fields += [contact.step_slip, contact.slip, contact.status]
+        numbers = [contact.force, contact.moment, contact.master_force, contact.dissipation]
+        state = [problem.committed.slid, problem.committed.dissipated, problem.committed.active]
+        return [f.x.array.copy() for f in fields] + [np.array(n) for n in [*numbers, *state]]
+
+    before = shown()
+
+    def stop(*_):
+        assert contact.dissipation > 2.0 * before[10]  # the results are those of the step
+        raise error("no certificate")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(newton_module, "create_certificate", stop)
+        case.push(0.02, -0.011)
+        with pytest.raises(error, match="no certificate"):
+            dm.newton(problem)
+    assert all(map(np.array_equal, before, shown()))
+    problem.commit()
+    assert all(map(np.array_equal, before, shown()))
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
+def test_a_law_that_is_stopped_on_one_rank(error):
+    """All ranks raise, and the step is undone on all."""
+    stopped = []
+
+    class Stopped(Radial):
+        @staticmethod
+        def update(strain, state, p):
+            if stopped and COMM.rank == COMM.size - 1:
+                raise error
+            return Radial.update(strain, state, p)
+
+    case = PressedBlocks()
+    problem = case.problem(law=Stopped(1000.0, 0.3, 5.0, 10.0))
+    dm.newton(problem)
+    before = case.u.x.array.copy()
+    stopped.append(True)
+    case.top.value[1] = -0.012
+    with pytest.raises(error):
+        dm.newton(problem)
+    assert np.array_equal(case.u.x.array, before)
+    assert COMM.allreduce(1) == COMM.size

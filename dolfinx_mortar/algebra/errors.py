@@ -14,22 +14,23 @@ def raised_together(comm: MPI.Comm) -> Iterator[None]:
     """Run a block without collective calls; if it fails on some ranks, raise on all; collective.
 
     A rank that failed raises its own error. The others raise one with its text and its rank: an
-    OSError for an OSError, a ValueError for a ValueError, otherwise a RuntimeError.
+    OSError for an OSError, a ValueError for a ValueError, otherwise a RuntimeError. They end as
+    that rank does where its block asks for that, with a KeyboardInterrupt or a SystemExit.
 
     >>> with raised_together(MPI.COMM_SELF):
     ...     raise ValueError("E is -1")
     Traceback (most recent call last):
     ValueError: E is -1
     """
-    own: Exception | None = None
+    own: BaseException | None = None
     try:
         yield
-    except Exception as error:
+    except (Exception, KeyboardInterrupt, SystemExit) as error:
         own = error
     raise_together(comm, own)
 
 
-def raise_together(comm: MPI.Comm, own: Exception | None) -> None:
+def raise_together(comm: MPI.Comm, own: BaseException | None) -> None:
     """Raise an error that this rank has, or that another one has; collective.
 
     Args:
@@ -41,15 +42,19 @@ def raise_together(comm: MPI.Comm, own: Exception | None) -> None:
         raise own
     for rank, other in enumerate(found):
         if other is not None:
-            raise _KINDS[other[0]](f"{other[1]} (on rank {rank})")
+            kind, told = other
+            # the status of a program that ends is no text
+            raise _KINDS[kind](f"{told} (on rank {rank})" if isinstance(told, str) else told)
 
 
-_KINDS = (OSError, ValueError, RuntimeError)
+_KINDS = (OSError, ValueError, KeyboardInterrupt, SystemExit, RuntimeError)
 
 
-def _kind_and_text(error: Exception) -> tuple[int, str]:
-    """Return the index of the kind that other ranks raise, and the text."""
+def _kind_and_text(error: BaseException) -> tuple[int, str | int]:
+    """Return the index of the kind that other ranks raise, and the text or the exit status."""
     for index, kind in enumerate(_KINDS):
         if isinstance(error, kind):
+            if isinstance(error, SystemExit) and not isinstance(error.code, str):
+                return index, error.code if isinstance(error.code, int) else int(bool(error.code))
             return index, str(error)
     return len(_KINDS) - 1, f"{type(error).__name__}: {error}"

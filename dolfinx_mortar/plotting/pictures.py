@@ -177,8 +177,9 @@ def pressure(
         all ranks but 0.
 
     Raises:
-        ValueError: for interfaces of other problems, problems without any, unknown ``over``,
-            and `view` in the plane, `over` or `ax` in space.
+        ValueError: for interfaces of other problems, also of one made later that has taken them
+            over, problems without any, unknown ``over``, and `view` in the plane, `over` or `ax`
+            in space.
         NoResult: before the first step, a RuntimeError.
         ImportError: without matplotlib or PyVista; the message names the extra.
         RuntimeError: in space, if there is no screen to draw on.
@@ -217,6 +218,7 @@ def _chosen(problem: Any, interfaces: Any) -> list[tuple[Any, Any]]:
     """Return the interfaces to draw, with the surfaces of their slave sides."""
     if not hasattr(problem, "system"):
         raise ValueError(f"problem is {problem!r}: give a ContactProblem.")
+    problem.check_owned()
     own = list(zip(problem.interfaces, problem.system.sides, strict=True))
     asked = (problem.contacts or problem.interfaces) if interfaces is None else interfaces
     asked = list(asked) if isinstance(asked, list | tuple) else [asked]

@@ -14,8 +14,13 @@ from dolfinx_mortar.steps.report import NewtonNotConverged, StepReport
 
 @contextmanager
 def undone_on_failure(problem: ContactProblem, report: StepReport) -> Iterator[None]:
-    """Put the displacement and the results back if the step fails; complete the report anyway."""
+    """Put the displacement and the results back if the step fails; complete the report anyway.
+
+    Those of the interfaces too, which are set before the certificate judges them: resultants,
+    pressures, slips, dissipation.
+    """
     before, shown = problem.u.x.array.copy(), problem.solid.keep()
+    results = [(interface, interface.keep()) for interface in problem.interfaces]
     earlier = dict(problem.timings.seconds)
     try:
         with problem.timings("total"), failures.named(problem, report):
@@ -23,6 +28,8 @@ def undone_on_failure(problem: ContactProblem, report: StepReport) -> Iterator[N
     except BaseException:  # perhaps of this rank only, which must not wait for the others
         problem.u.x.array[:] = before
         problem.solid.put_back(shown)
+        for interface, kept in results:
+            interface.put_back(kept)
         raise
     finally:
         report.seconds = problem.timings.since(earlier)

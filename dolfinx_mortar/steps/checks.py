@@ -81,7 +81,8 @@ def check_owned(interfaces: Iterable[Interface], owner: object) -> None:
     for interface in interfaces:
         if interface.owner is not owner:
             raise ValueError(
-                f"interfaces: {interface} belongs to a problem made later; give each its own"
+                f"interfaces: {interface} belongs to a problem made later, whose results it shows; "
+                f"give each its own {type(interface).__name__}"
             )
 
 

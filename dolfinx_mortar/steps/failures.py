@@ -22,6 +22,11 @@ FLOWING = 0.1
 # A body whose tangent is softer than this share of its elasticity, along its own displacement, has
 # come to the end of what it carries; hardening laws of metals are ten times stiffer and more.
 SOFT = 0.01
+# The end of what is said of a step alone.
+AS_BEFORE = (
+    ". The displacement and the committed state are as before the step: retry with a smaller one "
+    "(dm.load_steps does)"
+)
 # What is said first where friction holds a body.
 TOO_MUCH = (
     "the loads may exceed what friction carries (then prescribe displacements instead of forces), "
@@ -54,11 +59,7 @@ def not_converged(message: str, problem: ContactProblem, report: StepReport) -> 
             "or rolls freely (then prescribe that motion)"
         )
     message += _describe_own_laws(problem)
-    return NewtonNotConverged(
-        f"{message}. The displacement and the committed state are as before the step: "
-        "retry with a smaller one (dm.load_steps does)",
-        report,
-    )
+    return NewtonNotConverged(f"{message}{AS_BEFORE}", report)
 
 
 def _describe_own_laws(problem: ContactProblem) -> str:

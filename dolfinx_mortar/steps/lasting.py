@@ -32,6 +32,7 @@ class Committed:
     level: float = 0.0  # load level, of the last step of `load_steps`
     history: list[LoadStep] = field(default_factory=list)  # all steps of `load_steps`
     walked: int = 0  # how many of them belong to the last call
+    walk: object = None  # the last call of `load_steps`, the only one that may go on
     search: bool = False  # the next step pairs the surfaces anew, after a checkpoint
 
     @property

@@ -18,6 +18,7 @@ from dolfinx_mortar.checkpoint import check_folder
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.steps.checkpoint import read
 from dolfinx_mortar.steps.checks import check_every, check_load_steps, check_problem
+from dolfinx_mortar.steps.failures import AS_BEFORE
 from dolfinx_mortar.steps.newton import solve_step
 from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.progress import progress as show_progress
@@ -52,11 +53,20 @@ class Level:
 
 @dataclass
 class Keeper:
-    """Writes the checkpoints of a walk, if it has any, where there is something new."""
+    """A walk under way: writes its checkpoints, if it has any, where there is something new."""
 
     problem: ContactProblem
     file: Path | None
+    walk: object  # what the problem knows it by: the walk itself would keep the problem alive
     new: bool = False  # something has been committed since the last file
+
+    def check_alone(self) -> None:
+        """Raise a ValueError if another walk has begun: each would go on from the other's state."""
+        if self.problem.committed.walk is not self.walk:
+            raise ValueError(
+                "problem: a second load_steps has begun on it before this one was done, and has "
+                "moved it on; finish one walk before the next, or give each a problem of its own"
+            )
 
     def write(self) -> None:
         """Write the committed state; collective."""
@@ -119,10 +129,12 @@ def load_steps(
 
     Raises:
         ValueError: for arguments that make no sense, and for a checkpoint of another problem, with
-            other levels, cut off or of another version, on all ranks.
+            other levels, cut off or of another version; where a second walk has begun before this
+            one is done; on all ranks.
         OSError: if a checkpoint cannot be written or read, on all ranks; after a step that has
             failed, too, whose error is then the ``__context__``.
-        NewtonNotConverged: when the smallest step fails, too. Steps yielded before are committed.
+        NewtonNotConverged: when the smallest step fails, too. Steps yielded before are committed,
+            and those parts of the last one that have converged: the message says what is kept.
     """
     check_problem(problem, ContactProblem)
     check_same_on_all_ranks(problem.comm, on_time=on_time)
@@ -131,12 +143,14 @@ def load_steps(
     most = max_cuts if cuts == "halve" else 0
     options = {"qp": qp, "rtol": rtol, "max_it": max_it}
     committed = problem.committed
+    committed.walk = object()
+    keeper = Keeper(problem, file, committed.walk)
     if start is not None:
         committed.level = float(start)
     committed.walked = 0
     if file is not None:
         _go_on(problem, file, levels, on_time)
-    done, keeper = committed.walked, Keeper(problem, file)
+    done = committed.walked
     with show_progress(problem.comm, len(levels), progress, done=done) as advance:
         for number, time in enumerate(levels[done:], start=done + 1):
             parts = _walk(problem, number, time, on_time, most, options, keeper)
@@ -145,6 +159,7 @@ def load_steps(
             committed.walked = number
             advance(step)
             yield step
+            keeper.check_alone()
             if number % every == 0 or number == len(levels):
                 keeper.write()
 
@@ -217,6 +232,7 @@ def _walk(
     while pending:
         level = pending[-1]
         _set_loads(problem, on_time, level.time)
+        keeper.check_alone()
         try:
             report = solve_step(problem, overlap=level.overlap, **options)
         except NewtonNotConverged as error:
@@ -226,8 +242,10 @@ def _walk(
                 reached = replace(reached, overlap=overlap)
             way = level.time != reached.time and on_time is not None
             if level.cuts(reached) >= most or not (way or level.overlap != reached.overlap):
-                error.message = _describe(number, time, level, reached, most, error.message)
-                keeper.write()  # all ranks are here, and the failure has left no trace
+                cause = error.message.removesuffix(AS_BEFORE)
+                told = _describe(number, time, level, reached, most, cause)
+                error.message = f"{told}. {_describe_kept(len(parts), reached)}"
+                keeper.write()  # all ranks are here, and the last part has left no trace
                 raise
             if problem.comm.rank == 0:
                 log.warning("no convergence at %g, trying half the step", level.time)
@@ -273,4 +291,16 @@ def _describe(
     return (
         f"load step {number} to time {time:g} failed from {reached.time:g} to {level.time:g}, "
         f"after {cuts} (the last level that converged is {reached.time:g}): {message}"
+    )
+
+
+def _describe_kept(parts: int, reached: Level) -> str:
+    """Say where a step that has failed for good leaves the problem, by what has converged of it."""
+    if not parts:
+        return "The displacement and the committed state are as before the step"
+    count = "1 part of it that has" if parts == 1 else f"{parts} parts of it that have"
+    still = f", where sides still overlap by {reached.overlap:.3g}" if reached.overlap else ""
+    return (
+        f"The {count} converged stay committed: displacement, state and results are those at level "
+        f"{reached.time:g}{still}; a next walk goes on from there"
     )

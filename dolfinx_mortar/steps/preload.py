@@ -32,6 +32,7 @@ from dolfinx_mortar.steps.checks import (
     check_owned,
     check_problem,
 )
+from dolfinx_mortar.steps.failures import AS_BEFORE
 from dolfinx_mortar.steps.newton import solve_step
 from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.report import NewtonNotConverged, StepReport
@@ -349,7 +350,7 @@ class _Search:
 
     def refusal(self, s: float) -> PreloadNotReached:
         """Return the error of a step that does not converge."""
-        cause = self.refused[s].message.partition(". The displacement")[0]
+        cause = self.refused[s].message.removesuffix(AS_BEFORE)
         return self.failure(
             f"the step to a jump of {s:.4g} does not converge ({cause}). Where smaller steps help, "
             "tighten in parts, by calls with rising forces"

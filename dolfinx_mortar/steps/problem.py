@@ -223,6 +223,13 @@ class ContactProblem:
         # a jump may be another object now
         check_same_on_all_ranks(self.comm, **controls, **known, interfaces=self.interfaces)
 
+    def check_owned(self) -> None:
+        """Raise a ValueError if a problem made later has taken over an interface.
+
+        Its results are those of that problem then.
+        """
+        check_owned(self.interfaces, self.supports)
+
     def begin_step(self) -> StepData:
         """Read loads, Dirichlet values and jumps, and move the bodies with them; collective.
 
@@ -237,7 +244,7 @@ class ContactProblem:
                 shall leave it, if a jump cannot be, and if another problem has taken over an
                 interface.
         """
-        check_owned(self.interfaces, self.supports)
+        self.check_owned()
         with self.timings("assembly"):
             f = self.vector()
             self.loads.assemble(f)
@@ -286,8 +293,10 @@ class ContactProblem:
         """Return the geometry audit, made before the first step; collective.
 
         Raises:
-            ValueError: if nothing holds a body, or a pair of surfaces cannot meet.
+            ValueError: if nothing holds a body, a pair of surfaces cannot meet, or another problem
+                has taken over an interface.
         """
+        self.check_owned()
         return self._audited if self._audited is not None else self._audit(0.0)
 
     def _audit(self, increment: float) -> Audit:
@@ -338,7 +347,12 @@ class ContactProblem:
     # -- results ---------------------------------------------------------------------------------
 
     def commit(self) -> None:
-        """Make the converged step the state from which the next one starts; collective."""
+        """Make the converged step the state from which the next one starts; collective.
+
+        Raises:
+            ValueError: if a problem made later has taken over an interface, with its slips.
+        """
+        self.check_owned()
         with self.timings("commit"):
             self.solid.commit()
             committed = self.committed
@@ -404,7 +418,11 @@ class ContactProblem:
         with "facing", 1 at slave nodes that face a master: elsewhere there is no gap, written as 0.
         With friction also "traction" and "slip" (see `Contact`), and a status of 1 is stick, 2
         slip.
+
+        Raises:
+            ValueError: if a problem made later has taken over an interface, with its results.
         """
+        self.check_owned()
         fields = {"displacement": self.u} | self.solid.output_fields()
         names = ["pressure", "gap", "facing", "status"] if self.interfaces else []
         names += ["traction", "slip"] if self.system.has_friction else []
