@@ -194,6 +194,7 @@ class Silent:
     size = 2  # so that there is something to compare
 
     def __init__(self):
+        """Nothing is sent yet."""
         self.sent = []
 
     def Allreduce(self, _, values, op):
