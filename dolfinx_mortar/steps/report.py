@@ -260,7 +260,8 @@ class LoadStep:
 class NewtonNotConverged(RuntimeError):
     """Newton's method ended without a solution; ``report`` holds what happened.
 
-    The displacement and the committed state are as before the step: retry with a smaller one.
+    The displacement and the committed state are as before the step: retry with a smaller one. Of a
+    step that `load_steps` has made in parts, they are as before the first part that fails.
     """
 
     def __init__(self, message: str, report: StepReport) -> None:
