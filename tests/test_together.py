@@ -3,9 +3,13 @@
 
 from mpi4py import MPI
 
+import numpy as np
 import pytest
 
+import dolfinx_mortar as dm
 from dolfinx_mortar.algebra.errors import raised_together
+from tests.pointwise_laws import Radial
+from tests.pressed_blocks import PressedBlocks
 
 COMM = MPI.COMM_WORLD
 
@@ -77,3 +81,29 @@ def test_a_generator_that_is_closed_asks_nobody():
     steps = walk()
     next(steps)
     steps.close()
+
+
+@pytest.mark.mpi
+def test_a_law_that_is_stopped_on_one_rank():
+    """All ranks raise, and the step is undone on all."""
+    stopped = []
+
+    class Stopped(Radial):
+        @staticmethod
+        def update(strain, state, p):
+            if stopped and COMM.rank == COMM.size - 1:
+                raise stopped.pop()
+            return Radial.update(strain, state, p)
+
+    case = PressedBlocks()
+    problem = case.problem(law=Stopped(1000.0, 0.3, 5.0, 10.0))
+    dm.newton(problem)
+    before = case.u.x.array.copy()
+    case.top.value[1] = -0.012
+    for error in (KeyboardInterrupt, SystemExit):
+        stopped[:] = [error]
+        with pytest.raises(error):
+            dm.newton(problem)
+        assert np.array_equal(case.u.x.array, before)
+    assert COMM.allreduce(1) == COMM.size
+    assert dm.newton(problem).converged

@@ -14,7 +14,6 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.steps import newton as newton_module
 from tests import friction_case
-from tests.pointwise_laws import Radial
 from tests.pressed_blocks import PressedBlocks
 
 pytestmark = pytest.mark.mpi
@@ -154,27 +153,3 @@ def test_a_step_that_is_stopped_when_its_results_are_set(monkeypatch, error):
     assert unchanged()
     problem.commit()
     assert unchanged()
-
-
-@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
-def test_a_law_that_is_stopped_on_one_rank(error):
-    """All ranks raise, and the step is undone on all."""
-    stopped = []
-
-    class Stopped(Radial):
-        @staticmethod
-        def update(strain, state, p):
-            if stopped and COMM.rank == COMM.size - 1:
-                raise error
-            return Radial.update(strain, state, p)
-
-    case = PressedBlocks()
-    problem = case.problem(law=Stopped(1000.0, 0.3, 5.0, 10.0))
-    dm.newton(problem)
-    before = case.u.x.array.copy()
-    stopped.append(True)
-    case.top.value[1] = -0.012
-    with pytest.raises(error):
-        dm.newton(problem)
-    assert np.array_equal(case.u.x.array, before)
-    assert COMM.allreduce(1) == COMM.size
