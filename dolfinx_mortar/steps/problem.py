@@ -220,14 +220,11 @@ class ContactProblem:
         and the controls of the step. One reduction of 16 bytes.
         """
         known = self.solid.changing | self._changing
-        # a jump may be another object now
+        # last: a jump may be another object now
         check_same_on_all_ranks(self.comm, **controls, **known, interfaces=self.interfaces)
 
     def check_owned(self) -> None:
-        """Raise a ValueError if a problem made later has taken over an interface.
-
-        Its results are those of that problem then.
-        """
+        """Raise a ValueError if an interface, with its results, belongs to a problem made later."""
         check_owned(self.interfaces, self.supports)
 
     def begin_step(self) -> StepData:
