@@ -316,13 +316,6 @@ def test_a_full_disk_leaves_what_was_written(folder):
     check_step(path, 1, 1.0, 2)
 
 
-def test_asking_for_room_leaves_the_file_alone(tmp_path):
-    file = tmp_path / "out.h5"
-    file.write_bytes(b"numbers")
-    dolfinx_mortar.output.files._try_to_grow(file, 10**6)
-    assert file.read_bytes() == b"numbers"
-
-
 def test_no_room_for_the_mesh(folder):
     problem, path = Problem("triangle", 1), folder / "out.xdmf"
     unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -339,7 +332,7 @@ def test_no_room_for_the_mesh(folder):
 def test_the_room_asked_for_is_enough(folder, monkeypatch, n):
     """No file grows by more than what was made sure of, for the mesh and for every step."""
     asked, files = [], dolfinx_mortar.output.files
-    monkeypatch.setattr(files, "_try_to_grow", lambda file, size: asked.append(size))
+    monkeypatch.setattr(files, "demand_room", lambda file, size: asked.append(size))
     m = mesh.create_rectangle(COMM, [[0.0, 0.0], [2.0, 1.0]], (n, n))
     problem, path = Problem("triangle", 1), folder / "out.xdmf"
     problem.solid = SimpleNamespace(V=fem.functionspace(m, ("Lagrange", 1, (2,))))

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import re
@@ -16,6 +15,7 @@ from weakref import WeakValueDictionary
 from mpi4py import MPI
 
 from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.disk import demand_room
 
 # The writers that are open in this program, by path, on rank 0; a second one would spoil the file.
 _WRITERS: WeakValueDictionary[Path, Any] = WeakValueDictionary()
@@ -55,7 +55,7 @@ def release_files(path: Path, writer: Any) -> None:
         del _WRITERS[path.resolve()]
 
 
-def demand_room(comm: MPI.Comm, path: Path, size: int, fields: int) -> None:
+def demand_room_of_step(comm: MPI.Comm, path: Path, size: int, fields: int) -> None:
     """Raise on all ranks unless the HDF5 file can grow by what a step needs; collective.
 
     A disk that fills while ranks write together would leave a broken file, and ranks that wait for
@@ -68,33 +68,13 @@ def demand_room(comm: MPI.Comm, path: Path, size: int, fields: int) -> None:
         fields: number of fields.
 
     Raises:
-        OSError: if not, naming the file.
+        OSError: if not, naming the file; what was written before can be read.
     """
     total = comm.allreduce(size) + FILE_MARGIN + FIELD_MARGIN * fields
     with raised_together(comm):
-        if comm.rank == 0 and hasattr(os, "posix_fallocate"):
-            file = path.with_suffix(".h5")
+        if comm.rank == 0:
             total += path.stat().st_size if path.exists() else 0  # its next version
-            try:
-                _try_to_grow(file, total)
-            except OSError as error:
-                if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS):
-                    raise OSError(
-                        error.errno,
-                        f"{error.strerror}: no room for {total} bytes more; what was written "
-                        "before can be read",
-                        str(file),
-                    ) from error
-
-
-def _try_to_grow(file: Path, size: int) -> None:
-    """Allocate room at the end of a file and give it back."""
-    with file.open("r+b") as stream:
-        before = os.fstat(stream.fileno()).st_size
-        try:
-            os.posix_fallocate(stream.fileno(), before, size)
-        finally:
-            stream.truncate(before)
+            demand_room(path.with_suffix(".h5"), total)
 
 
 def create_tree(notes: Mapping[str, Any]) -> tuple[ET.Element, ET.Element]:

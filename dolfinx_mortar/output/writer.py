@@ -30,7 +30,7 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.output.files import (
     claim_files,
     create_tree,
-    demand_room,
+    demand_room_of_step,
     field_keys,
     release_files,
     replace_tree,
@@ -130,7 +130,7 @@ class Writer:
             self._layout.check(fields)
         found = {name: self._layout.values(name, f) for name, f in fields.items()}
         grid.extend(self._grid_head)
-        demand_room(
+        demand_room_of_step(
             self.comm, self.path, sum(values.nbytes for values, _ in found.values()), len(found)
         )
         with self._viewer("a") as viewer:
@@ -203,7 +203,7 @@ class Writer:
         head.set("NumberOfElements", str(shape[0]))
         head.append(self._item("cells", shape, "Int", np.dtype(PETSc.IntType).itemsize))
         geometry.set("GeometryType", "XYZ")
-        demand_room(self.comm, self.path, cells.nbytes + x.nbytes, 2)
+        demand_room_of_step(self.comm, self.path, cells.nbytes + x.nbytes, 2)
         with self._viewer("w") as viewer:
             indices = PETSc.IS().createGeneral(cells.astype(PETSc.IntType), comm=self.comm)
             indices.setBlockSize(k)

@@ -15,12 +15,12 @@ from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.checkpoint import check_folder
 from dolfinx_mortar.interfaces.near import nodal_gaps
-from dolfinx_mortar.steps.checkpoint import read
 from dolfinx_mortar.steps.checks import check_every, check_load_steps, check_problem
 from dolfinx_mortar.steps.newton import solve_step
 from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.progress import progress as show_progress
 from dolfinx_mortar.steps.report import LoadStep, NewtonNotConverged, StepReport
+from dolfinx_mortar.steps.restoring import read
 
 log = logging.getLogger(__name__)
 
@@ -164,10 +164,8 @@ def _go_on(
         ValueError: on all ranks, if the levels do not begin with those that it has reached.
         OSError: on all ranks, if no file can be written there.
     """
-    there = False
-    with raised_together(problem.comm):
-        there = problem.comm.rank == 0 and file.exists()  # the others may not reach the folder
-    if not problem.comm.bcast(there):
+    # the others may not reach the folder; a name that cannot be is an error of the check
+    if not problem.comm.bcast(problem.comm.rank == 0 and os.path.exists(file)):
         check_folder(problem.comm, file)
         return
     saved = read(problem.lasting, file)

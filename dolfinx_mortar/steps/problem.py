@@ -27,7 +27,7 @@ from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.qp import LinearSolver, check_options
 from dolfinx_mortar.solid.solid import Solid
-from dolfinx_mortar.steps import checkpoint
+from dolfinx_mortar.steps import checkpoint, restoring
 from dolfinx_mortar.steps.audit import Audit, create_audit
 from dolfinx_mortar.steps.axis import check_axis, check_targets
 from dolfinx_mortar.steps.bodies import Bodies, find_bodies, find_tied_groups
@@ -380,7 +380,7 @@ class ContactProblem:
                 or another problem; the message names what differs. Nothing is changed then.
         """
         with self.timings("checkpoint"):
-            checkpoint.read(self.lasting, path).put()
+            restoring.read(self.lasting, path).put()
 
     def output_fields(self) -> dict[str, fem.Function]:
         """Return the Functions worth writing, by name; collective.
