@@ -153,7 +153,7 @@ def _fields(table: Any) -> list[str]:
     names: list[str] = []
 
     def visit(name: str, item: Any) -> None:
-        if hasattr(item, "shape"):
+        if hasattr(item, "shape") or not len(item):  # no column is an empty group
             names.append(name)
 
     if hasattr(table.get("values"), "visititems"):

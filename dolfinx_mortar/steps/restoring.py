@@ -187,6 +187,8 @@ def _check_about(lasting: Lasting, about: About) -> None:
     if not 0 <= about["walked"] <= len(about["steps"]):
         raise ValueError(f"walked is {about['walked']}, but there are {len(about['steps'])} steps")
     d, n = lasting.solid.mesh.geometry.dim, len(lasting.interfaces)
+    for k, material in enumerate(about["problem"]["materials"]):
+        _check_vector(f"problem.materials[{k}].center", material["center"], d)
     for name, found in (("interfaces", about["interfaces"]), ("tightening", about["tightening"])):
         if len(found) != n:
             raise ValueError(f"{name} has {len(found)} entries, but there are {n} interfaces")
@@ -197,6 +199,8 @@ def _check_about(lasting: Lasting, about: About) -> None:
             _check_vector(what, resultants[name], 3 if "moment" in name else d)
         if isinstance(interface, Tie):
             _check_vector(f"tightening[{k}]", about["tightening"][k], d)
+        elif about["tightening"][k] is not None:
+            raise ValueError(f"tightening[{k}] is {about['tightening'][k]}, but it is no tie")
 
 
 def _check_vector(name: str, value: Sequence[float] | None, d: int) -> None:
