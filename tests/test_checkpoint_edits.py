@@ -121,9 +121,9 @@ def arrays_of(file):
     if COMM.rank == 0:
         with h5py.File(file) as opened:
             opened["tables"].visititems(
-                lambda name, item: found.update({f"tables/{name}": item[:]})
-                if hasattr(item, "shape")
-                else None
+                lambda name, item: (
+                    found.update({f"tables/{name}": item[:]}) if hasattr(item, "shape") else None
+                )
             )
     return COMM.bcast(found)
 

@@ -68,15 +68,6 @@ class SavedStep(TypedDict):
     forces: list[list[float]]
 
 
-class SavedResultants(TypedDict):
-    """See `Resultants`."""
-
-    force: list[float]
-    moment: list[float]
-    master_force: list[float]
-    master_moment: list[float]
-
-
 class About(TypedDict):
     """What a checkpoint says beside its tables."""
 
@@ -85,7 +76,7 @@ class About(TypedDict):
     level: float
     walked: int
     steps: list[SavedStep]
-    interfaces: list[SavedResultants | None]
+    interfaces: list[dict[str, list[float]] | None]
     tightening: list[list[float] | None]
 
 
@@ -145,7 +136,8 @@ def read(lasting: Lasting, path: str | os.PathLike[str]) -> Saved:
     tables: Tables = {}
     if not wrong:
         with raised_together(comm), _named(file):
-            _check_about(lasting, about)
+            _check_steps(about)
+            _check_interfaces(lasting, about)
             steps = [LoadStep.from_dict(step) for step in about["steps"]]
         places = places_of(lasting, [found is not None for found in about["interfaces"]])
         names = {NODES: "mesh, nodes", POINTS: "mesh, integration points"}
@@ -175,8 +167,8 @@ def _named(file: Path) -> Iterator[None]:
         raise ValueError(f"path is {str(file)!r}, which cannot be taken over: {error}") from error
 
 
-def _check_about(lasting: Lasting, about: About) -> None:
-    """Raise a ValueError for numbers that cannot be; the form has been checked."""
+def _check_steps(about: About) -> None:
+    """Raise a ValueError for levels and numbers of steps that cannot be; the form is right."""
     levels = {f"steps[{k}].time": step["time"] for k, step in enumerate(about["steps"])}
     for name, level in {"level": about["level"], **levels}.items():
         if not math.isfinite(level):
@@ -186,6 +178,10 @@ def _check_about(lasting: Lasting, about: About) -> None:
             raise ValueError(f"steps[{k}] has number {step['number']}, {len(step['parts'])} parts")
     if not 0 <= about["walked"] <= len(about["steps"]):
         raise ValueError(f"walked is {about['walked']}, but there are {len(about['steps'])} steps")
+
+
+def _check_interfaces(lasting: Lasting, about: About) -> None:
+    """Raise a ValueError for vectors that cannot be those of this problem; the form is right."""
     d, n = lasting.solid.mesh.geometry.dim, len(lasting.interfaces)
     for k, material in enumerate(about["problem"]["materials"]):
         _check_vector(f"problem.materials[{k}].center", material["center"], d)
@@ -193,14 +189,15 @@ def _check_about(lasting: Lasting, about: About) -> None:
         if len(found) != n:
             raise ValueError(f"{name} has {len(found)} entries, but there are {n} interfaces")
     for k, interface in enumerate(lasting.interfaces):
-        resultants = about["interfaces"][k]
-        for name in RESULTANTS if resultants is not None else ():
-            what = f"interfaces[{k}].{name}"
-            _check_vector(what, resultants[name], 3 if "moment" in name else d)
+        resultants, tightening = about["interfaces"][k], about["tightening"][k]
+        if resultants is not None:
+            for name in RESULTANTS:
+                size = 3 if "moment" in name else d
+                _check_vector(f"interfaces[{k}].{name}", resultants.get(name), size)
         if isinstance(interface, Tie):
-            _check_vector(f"tightening[{k}]", about["tightening"][k], d)
-        elif about["tightening"][k] is not None:
-            raise ValueError(f"tightening[{k}] is {about['tightening'][k]}, but it is no tie")
+            _check_vector(f"tightening[{k}]", tightening, d)
+        elif tightening is not None:
+            raise ValueError(f"tightening[{k}] is {tightening}, but {interface} is no tie")
 
 
 def _check_vector(name: str, value: Sequence[float] | None, d: int) -> None:
@@ -250,7 +247,7 @@ def _take(
     lasting: Lasting,
     k: int,
     interface: Interface,
-    resultants: SavedResultants | None,
+    resultants: Mapping[str, list[float]] | None,
     values: Mapping[str, Floats],
 ) -> None:
     """Give an interface its results, or take them away; collective."""
@@ -264,8 +261,9 @@ def _take(
         return
     nodes = lasting.system.sides[k].nodes
     multiplier = values["multiplier"]
+    vectors: dict[str, Floats] = {name: np.array(resultants[name], float) for name in RESULTANTS}
     interface.resultants = Resultants(
-        **{name: np.array(resultants[name], dtype=float) for name in RESULTANTS},
+        **vectors,
         multiplier=multiplier[:, 0] if interface.one_sided else multiplier,
         nodes=nodes,
         carries=values["carries"][:, 0] > 0.0,
