@@ -94,7 +94,7 @@ def edits_of(name, array):
     yield "missing", replaced(name, None)
     yield "a group", lambda opened: (replaced(name, None)(opened), opened.create_group(name))
     yield "texts", replaced(name, np.full(array.shape, b"text"))
-    yield "integers", replaced(name, np.nan_to_num(array).astype(int))
+    yield "integers", replaced(name, np.nan_to_num(array, posinf=0.0, neginf=0.0).astype(int))
     yield "single precision", replaced(name, array.astype(np.float32))
     yield "flat", replaced(name, array.ravel())
     yield "a number", replaced(name, 1.0)

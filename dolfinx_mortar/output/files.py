@@ -25,10 +25,10 @@ _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 FILE_MARGIN, FIELD_MARGIN = 2**16, 2**13
 
 
-def claim_files(comm: MPI.Comm, path: Path, writer: Any) -> None:
+def claim_files(comm: MPI.Comm, path: Path, data: Path, writer: Any, *, resume: bool) -> None:
     """Make sure that both files can be created by this writer alone; collective.
 
-    What an earlier run left is removed.
+    What an earlier run left under these names is removed, but for the XDMF file that is resumed.
 
     Raises:
         ValueError: on all ranks, if rank 0 cannot create them or another writer has them.
@@ -38,8 +38,9 @@ def claim_files(comm: MPI.Comm, path: Path, writer: Any) -> None:
             if path.resolve() in _WRITERS:
                 raise ValueError(f"path = {str(path)!r} is open in another Writer: close it first.")
             try:
-                path.unlink(missing_ok=True)
-                with path.with_suffix(".h5").open("wb"):
+                if not resume:
+                    path.unlink(missing_ok=True)
+                with data.open("wb"):
                     pass
             except OSError as error:
                 raise ValueError(
@@ -55,7 +56,7 @@ def release_files(path: Path, writer: Any) -> None:
         del _WRITERS[path.resolve()]
 
 
-def demand_room_of_step(comm: MPI.Comm, path: Path, size: int, fields: int) -> None:
+def demand_room_of_step(comm: MPI.Comm, path: Path, data: Path, size: int, fields: int) -> None:
     """Raise on all ranks unless the HDF5 file can grow by what a step needs; collective.
 
     A disk that fills while ranks write together would leave a broken file, and ranks that wait for
@@ -64,6 +65,7 @@ def demand_room_of_step(comm: MPI.Comm, path: Path, size: int, fields: int) -> N
     Args:
         comm: communicator.
         path: the XDMF file.
+        data: the HDF5 file.
         size: bytes of numbers of this rank.
         fields: number of fields.
 
@@ -74,7 +76,7 @@ def demand_room_of_step(comm: MPI.Comm, path: Path, size: int, fields: int) -> N
     with raised_together(comm):
         if comm.rank == 0:
             total += path.stat().st_size if path.exists() else 0  # its next version
-            demand_room(path.with_suffix(".h5"), total)
+            demand_room(data, total)
 
 
 def create_tree(notes: Mapping[str, Any]) -> tuple[ET.Element, ET.Element]:

@@ -342,6 +342,11 @@ class ContactProblem:
         """The steps that `load_steps` has made, those before the last checkpoint included."""
         return self.committed.history
 
+    @property
+    def steps_done(self) -> tuple[int, int]:
+        """How many load steps have led here, and how many of them a checkpoint has brought."""
+        return len(self.committed.history), self.committed.brought
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a checkpoint, from which `restore` goes on on any number of ranks; collective.
 

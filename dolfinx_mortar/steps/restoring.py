@@ -113,7 +113,7 @@ class Saved:
                 interface.tightening = np.array(self.about["tightening"][k], dtype=float)
         committed.begun = self.about["begun"]
         committed.level, committed.walked = self.about["level"], self.about["walked"]
-        committed.history[:] = self.steps
+        committed.history[:], committed.brought = self.steps, len(self.steps)
         committed.search = lasting.system.faced = True
 
 
