@@ -109,9 +109,10 @@ def load_steps(
     ``problem.history``. ``times`` has to begin with the levels that were reached, up to round-off;
     more may follow than at first. The file is written when the body of the loop is done with a
     step, so what the body does may be done twice, but is never left out; a loop that is left by
-    ``break`` does not write the last step. A step that fails for good writes what has been
-    committed since the last file, whatever ``every``: the steps before it, and those of its parts
-    that have converged. To begin anew, delete the file.
+    ``break`` does not write the last step. ``Writer(.., resume=True)`` has each step once even so.
+    A step that fails for good writes what has been committed since the last file, whatever
+    ``every``: the steps before it, and those of its parts that have converged. To begin anew,
+    delete the file.
 
     Yields:
         One ``LoadStep`` for every entry of ``times`` that is not yet done.
