@@ -130,7 +130,7 @@ def arrays_of(file):
 
 @pytest.mark.mpi
 def test_no_array_that_is_none_of_ours(made):
-    """Of all arrays and spoilings every fifth, on several ranks fewer; all of them have passed."""
+    """Of all arrays and spoilings every fifth, on several ranks fewer; all have passed."""
     problem, good, before = made
     edits = [
         (name, how, edit)
@@ -191,7 +191,7 @@ def whole(about, path, value, old):
 
 @pytest.mark.mpi
 def test_nothing_that_the_file_says_is_believed(made):
-    """Of all values and spoilings every seventh, on several ranks fewer; all of them have passed."""
+    """Of all values and spoilings every seventh, on several ranks fewer; all have passed."""
     problem, good, before = made
     about = None
     if COMM.rank == 0:
