@@ -48,8 +48,7 @@ def read_steps(comm: MPI.Comm, path: Path) -> list[Step]:
     with raised_together(comm):
         if comm.rank == 0 and path.exists():
             try:
-                collection = ET.parse(path).getroot().find("Domain/Grid[@Name='steps']")
-                steps = [_step(grid) for grid in collection] if collection is not None else []
+                steps = _steps(ET.parse(path).getroot())
             except (ET.ParseError, OSError, ValueError, TypeError, AttributeError) as error:
                 raise ValueError(
                     f"path = {str(path)!r} cannot be resumed, as no Writer of this version has "
@@ -62,6 +61,14 @@ def read_steps(comm: MPI.Comm, path: Path) -> list[Step]:
                     "its numbers is gone: give another name."
                 )
     return list(comm.bcast(steps))
+
+
+def _steps(root: ET.Element) -> list[Step]:
+    """Return the records of the grids; an error if they are not where a Writer has them."""
+    collection = root.find("Domain/Grid[@Name='steps']")
+    if root.tag != "Xdmf" or collection is None:
+        raise ValueError("it has no steps")
+    return [_step(grid) for grid in collection]
 
 
 def _step(grid: ET.Element) -> Step:
@@ -78,8 +85,8 @@ def insert(steps: Sequence[Step], new: Step, *, made: bool) -> list[Step]:
 
     A load step that is made anew takes away all that an earlier run has written of it and of later
     ones. What is written of a state that a checkpoint has brought takes away the same only, as
-    another checkpoint may follow; and before the first load step, when none may have been read
-    yet, what was written before it, too.
+    another checkpoint may follow. Before the first load step none may have been read yet: what was
+    written then goes, from this time on.
 
     Args:
         steps: in the file.
@@ -101,7 +108,7 @@ def insert(steps: Sequence[Step], new: Step, *, made: bool) -> list[Step]:
         before = not step.earlier or step.done <= new.done
         if step.time == new.time or (before and step.time > new.time):
             raise ValueError(
-                f"t is {new.time:g}, but the file has a step at {step.time:g}: times have to rise; "
+                f"t is {new.time}, but the file has a step at {step.time}: times have to rise; "
                 "where loads fall, give the number of the step, len(problem.history)."
             )
     return sorted([*kept, new], key=lambda step: step.time)
