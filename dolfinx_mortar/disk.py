@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Whether there is room on the disk: told before HDF5 meets its end, which it does not survive."""
+"""What has to be known of a disk before HDF5 writes on it.
+
+Whether there is room, as HDF5 does not survive a full disk; and what a file is that would be
+replaced: ``Writer("run.xdmf", ..)`` and ``checkpoint="run.h5"`` mean the same one.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,16 @@ import os
 from pathlib import Path
 
 CANNOT_TELL = (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS)  # file systems that allocate nothing
+
+CHECKPOINT = b"dolfinx_mortar checkpoint"  # how one begins
+
+
+def is_checkpoint(file: Path) -> bool:
+    """Tell whether there is a file, and it begins as a checkpoint does."""
+    if not file.is_file():
+        return False
+    with file.open("rb") as stream:
+        return stream.read(len(CHECKPOINT)) == CHECKPOINT
 
 
 def demand_room(file: Path, size: int) -> None:

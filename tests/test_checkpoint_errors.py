@@ -288,6 +288,30 @@ def test_names_under_which_no_checkpoint_can_be_written(press, folder, name):
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize("resume", [True, False])
+def test_a_writer_and_a_checkpoint_of_one_name(good, folder, resume):
+    """The numbers of run.xdmf are in run.h5: neither replaces the other, whoever comes first."""
+    press, file = Press(), folder / "run.h5"
+    with dm.Writer(folder / "run.xdmf", press.problem, resume=resume) as out:
+        out.write(1.0)
+        content = COMM.bcast(file.read_bytes())
+        words = str(file), "no checkpoint, and would be replaced", "choose a file in"
+        with rejected(*words, error=OSError):
+            press.problem.save(file)
+        with rejected(str(file), "no checkpoint: an HDF5 file of another kind"):
+            next(press.walk(LEVELS, checkpoint=file))
+        assert file.read_bytes() == content
+    COMM.barrier()
+    if COMM.rank == 0:
+        (folder / "run.xdmf").unlink()
+        shutil.copy(good, file)
+    COMM.barrier()
+    with rejected("run.xdmf", str(file), "is a checkpoint; choose another name"):
+        dm.Writer(folder / "run.xdmf", press.problem, resume=resume)
+    assert file.read_bytes() == good.read_bytes()
+
+
+@pytest.mark.mpi
 @pytest.mark.parametrize("broken", ["json.dumps", "Path.replace"])
 def test_what_fails_on_rank_0_alone(press, folder, monkeypatch, broken):
     """Whatever it raises: all ranks are told, and none waits."""

@@ -17,10 +17,12 @@ import re
 from pathlib import Path
 from typing import IO
 
+from dolfinx_mortar.disk import CHECKPOINT
+
 # Raise this when what is written changes its meaning. 3: this head, no checksums of HDF5
 FORMAT = 3
 ROOM = 512  # the least that HDF5 leaves
-KIND = b"dolfinx_mortar checkpoint, format "
+KIND = CHECKPOINT + b", format "
 CHECKSUM = b"sha256 of what follows: "
 HDF5 = b"\x89HDF\r\n\x1a\n"
 _FIRST = re.compile(re.escape(KIND) + rb"(\d+)\n")

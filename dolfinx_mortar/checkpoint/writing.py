@@ -33,7 +33,7 @@ from dolfinx_mortar.algebra.errors import raise_together, raised_together
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.checkpoint.places import box_of
 from dolfinx_mortar.checkpoint.seal import ROOM, seal
-from dolfinx_mortar.disk import demand_room
+from dolfinx_mortar.disk import demand_room, is_checkpoint
 
 # Rows that travel together: 2 MB of strains and places.
 ROWS = 2**15
@@ -84,6 +84,8 @@ def check_folder(comm: MPI.Comm, path: Path) -> None:
             try:
                 if path.exists() and not path.is_file():
                     raise OSError("no file, but something else of this name")
+                if path.exists() and path.stat().st_size and not is_checkpoint(path):
+                    raise OSError("the file there is no checkpoint, and would be replaced")
                 draft = _draft_of(path)
                 draft.touch()
                 draft.unlink()

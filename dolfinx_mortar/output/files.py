@@ -15,7 +15,7 @@ from weakref import WeakValueDictionary
 from mpi4py import MPI
 
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.disk import demand_room
+from dolfinx_mortar.disk import demand_room, is_checkpoint
 
 # The writers that are open in this program, by path, on rank 0; a second one would spoil the file.
 _WRITERS: WeakValueDictionary[Path, Any] = WeakValueDictionary()
@@ -38,6 +38,11 @@ def claim_files(comm: MPI.Comm, path: Path, data: Path, writer: Any, *, resume: 
             if path.resolve() in _WRITERS:
                 raise ValueError(f"path = {str(path)!r} is open in another Writer: close it first.")
             try:
+                if is_checkpoint(data):
+                    raise ValueError(
+                        f"path = {str(path)!r}: its numbers would go to {str(data)!r}, which is a "
+                        "checkpoint; choose another name."
+                    )
                 if not resume:
                     path.unlink(missing_ok=True)
                 with data.open("wb"):
