@@ -216,7 +216,6 @@ def test_nothing_that_the_file_says_is_believed(made):
     assert refused > 5
 
 
-@pytest.mark.mpi
 @pytest.mark.parametrize(
     ("path", "value", "words"),
     [
@@ -246,7 +245,6 @@ def test_what_is_wrong_is_named(made, path, value, words):
     assert state_of(problem) == before
 
 
-@pytest.mark.mpi
 @pytest.mark.parametrize(
     ("name", "how", "words"),
     [
