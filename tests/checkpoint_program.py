@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Walk through load steps with a checkpoint, perhaps be killed on the way; see test_checkpoint.
 
-    checkpoint_program.py CHECKPOINT RESULT STEPS [step|send|write|replace]
+    checkpoint_program.py CHECKPOINT RESULT STEPS [step|send|write|replace|output|on]
 
 The last argument is the moment of death: on all ranks in the third step; on the last rank while it
 sends its part of that step's checkpoint; on rank 0 while it completes the draft, or between the
-complete file and its name. The launcher ends the other ranks, wherever they are.
+complete file and its name; on all ranks while they write that step to out.xdmf, with which "on"
+goes on. The launcher ends the other ranks, wherever they are.
 """
 
 import json
@@ -102,8 +103,14 @@ def main(path, result, steps, moment=""):
         if moment == "step" and made == [1, 2]:
             press.problem.solid.evaluate = die  # when the step has converged
 
+    out = Path(path).with_name("out.xdmf") if moment in ("output", "on") else None
+    writer = dm.Writer(out, press.problem, resume=True) if out else None
     for step in press.walk(LEVELS[: int(steps)], on_time=on_time, checkpoint=path):
         made.append(step.number)
+        if made == [1, 2, 3] and moment == "output":
+            dm.Writer._item = die  # when the first field is in the file
+        if writer is not None:
+            writer.write(step.number)
         if made == [1, 2, 3] and moment == "write":
             writing.ROWS, writing._Draft._complete = 8, die
         if made == [1, 2, 3] and moment == "send":

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Checkpoints that cannot be trusted or written: told on all ranks, and nothing is changed."""
 
+import errno
 import os
 import resource
 import shutil
@@ -15,6 +16,7 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.checkpoint import writing
+from dolfinx_mortar.checkpoint.seal import ROOM, seal
 from dolfinx_mortar.steps import identity
 from dolfinx_mortar.steps.identity import describe, differences, other_places
 from tests.checkpoint_program import STEEL, Press
@@ -74,57 +76,44 @@ def test_no_file(press, folder):
 
 
 def test_another_kind_of_file(press, good, folder):
-    refused(press, folder, "no checkpoint: no HDF5 file")
+    refused(press, folder, "no checkpoint: no file")
     text = changed(good, folder, lambda file: file.write_text("time, force\n"))
-    refused(press, text, "no checkpoint: no HDF5 file")
+    refused(press, text, "no checkpoint: a file of another kind")
     other = changed(good, folder, lambda file: h5py.File(file, "w").close())
-    refused(press, other, "no checkpoint: an HDF5 file of another kind")
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("share", [0.01, 0.5, 0.999])
-def test_a_file_that_is_cut_off(press, good, folder, share):
-    def cut(file):
-        os.truncate(file, int(share * file.stat().st_size))
-
-    refused(press, changed(good, folder, cut), "cut off or damaged", "take an older one")
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("name", ["about", "tables/nodes/values/displacement"])
-def test_a_number_that_is_damaged(press, good, folder, name):
-    def damage(file):
-        with h5py.File(file) as opened:
-            place = opened[name].id.get_chunk_info(0).byte_offset
-        with file.open("r+b") as raw:
-            raw.seek(place + 9)
-            byte = raw.read(1)
-            raw.seek(place + 9)
-            raw.write(bytes([byte[0] ^ 16]))
-
-    refused(press, changed(good, folder, damage), "cut off or damaged")
-
-
-def with_attribute(name, value):
-    """Return a change of an attribute."""
-
-    def change(file):
-        with h5py.File(file, "r+") as opened:
-            opened.attrs[name] = value
-
-    return change
+    refused(press, other, "no checkpoint: an HDF5 file of another kind, or written by a version be")
 
 
 def test_a_file_that_is_not_complete(press, good, folder):
-    file = changed(good, folder, with_attribute("complete", False))
-    refused(press, file, "not complete", "take the last complete one")
+    """As a draft is before it gets its head, under the name of a checkpoint."""
+
+    def unfinished(file):
+        with file.open("r+b") as raw:
+            raw.write(bytes(ROOM))
+
+    file = changed(good, folder, unfinished)
+    refused(press, file, "before it was complete", "take the last complete one")
 
 
-@pytest.mark.parametrize(("name", "value"), [("format", 0), ("version", "0.0.1")])
-def test_another_version(press, good, folder, name, value):
-    file = changed(good, folder, with_attribute(name, value))
-    words = f"{name} {value}", f"this is version {dm.__version__}", "the version that has written"
-    refused(press, file, *words)
+def test_another_version(press, good, folder):
+    def older(file):
+        with h5py.File(file, "r+") as opened:
+            opened.attrs["version"] = "0.0.1"
+        seal(file)
+
+    words = "version 0.0.1", f"this is version {dm.__version__}", "the version that has written"
+    refused(press, changed(good, folder, older), *words)
+
+
+@pytest.mark.parametrize("number", [2, 4, 10**20])
+def test_another_format(press, good, folder, number):
+    """Known from the first line, whatever the lines behind it may then mean."""
+
+    def other(file):
+        content = file.read_bytes()
+        file.write_bytes(content.replace(b"format 3", f"format {number}".encode(), 1))
+
+    words = f"a checkpoint of format {number}", "reads format 3", "the version that has written"
+    refused(press, changed(good, folder, other), *words)
 
 
 # -- problems
@@ -164,7 +153,7 @@ def test_the_same_materials_in_other_cells(folder, monkeypatch):
     (text,) = other_places(saved, present, 1.0)
     assert text.startswith("material VonMises: its cells lie around (0.25, 0.5), in the")
     assert not differences(saved, present)
-    monkeypatch.setattr("dolfinx_mortar.steps.checkpoint.describe", lambda lasting: present)
+    monkeypatch.setattr("dolfinx_mortar.steps.restoring.describe", lambda lasting: present)
     with rejected("another problem: material VonMises: its cells lie around (0.25, 0.5)"):
         one.problem.restore(folder / "x.h5")
 
@@ -266,6 +255,75 @@ def test_ranks_that_do_not_agree(press):
         press.problem.save(f"{COMM.rank == LAST}.h5")
 
 
+NO_NAMES = ["a\0b.h5", "no\0folder/x.h5", "\ud800.h5"]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("name", NO_NAMES)
+def test_names_that_no_file_can_have(press, name):
+    """One of them let rank 0 alone fail, and the others wait for ever."""
+    for action in (press.problem.save, press.problem.restore):
+        with rejected(f"path is {name!r}", "give the name of a file"):
+            action(name)
+    with rejected(f"checkpoint is {name!r}", "give the name of a file"):
+        next(press.walk(LEVELS, checkpoint=name))
+    assert not press.problem.u.x.array.any()
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("name", ["x" * 300, "x" * 252, "pipe"])
+def test_names_under_which_no_checkpoint_can_be_written(press, folder, name):
+    """Too long, or too long for the draft; or in use for what is no file, and would be replaced."""
+    if COMM.rank == 0:
+        os.mkfifo(folder / "pipe")
+    COMM.barrier()
+    words = name, "cannot be written", "choose a file in an existing, writable folder"
+    with rejected(*words, error=OSError):
+        press.problem.save(folder / name)
+    if name != "pipe":
+        with rejected(*words, error=OSError):
+            next(press.walk(LEVELS, checkpoint=folder / name))
+    assert [path.name for path in folder.iterdir()] == ["pipe"]
+    assert not press.problem.u.x.array.any()
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("resume", [True, False])
+def test_a_writer_and_a_checkpoint_of_one_name(good, folder, resume):
+    """The numbers of run.xdmf are in run.h5: neither replaces the other, whoever comes first."""
+    press, file = Press(), folder / "run.h5"
+    with dm.Writer(folder / "run.xdmf", press.problem, resume=resume) as out:
+        out.write(1.0)
+        content = COMM.bcast(file.read_bytes())
+        words = str(file), "no checkpoint, and would be replaced", "choose a file in"
+        with rejected(*words, error=OSError):
+            press.problem.save(file)
+        with rejected(str(file), "no checkpoint: an HDF5 file of another kind"):
+            next(press.walk(LEVELS, checkpoint=file))
+        assert file.read_bytes() == content
+    COMM.barrier()
+    if COMM.rank == 0:
+        (folder / "run.xdmf").unlink()
+        shutil.copy(good, file)
+    COMM.barrier()
+    with rejected("run.xdmf", str(file), "is a checkpoint; choose another name"):
+        dm.Writer(folder / "run.xdmf", press.problem, resume=resume)
+    assert file.read_bytes() == good.read_bytes()
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("broken", ["json.dumps", "Path.replace"])
+def test_what_fails_on_rank_0_alone(press, folder, monkeypatch, broken):
+    """Whatever it raises: all ranks are told, and none waits."""
+
+    def fail(*_, **options):
+        raise ValueError("as some of Python's functions do")
+
+    monkeypatch.setattr(f"dolfinx_mortar.checkpoint.writing.{broken}", fail)
+    with rejected("x.h5", "as some of Python's functions do", error=OSError):
+        press.problem.save(folder / "x.h5")
+
+
 @pytest.mark.mpi
 def test_a_folder_that_is_not_there(press, folder):
     """Told before the first step, not after it."""
@@ -281,12 +339,19 @@ def test_a_folder_that_is_not_there(press, folder):
 @pytest.mark.mpi
 def test_a_folder_that_has_become_read_only(good, monkeypatch):
     """Told before the next step; a walk that is done may still be looked at."""
-    monkeypatch.setattr(writing.os, "access", lambda *_: False)
+    names = []
+
+    def refuse(path):
+        names.append(path.name)
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(writing.Path, "touch", refuse)
     press = Press()
     with rejected("which cannot be written", "existing, writable folder", error=OSError):
         next(press.walk([*LEVELS, 1.0], checkpoint=good))
     assert not press.problem.history
     assert list(press.walk(LEVELS, checkpoint=good)) == [] and len(press.problem.history) == 1
+    assert names == (["good.h5.part"] if COMM.rank == 0 else [])
 
 
 # -- what goes wrong while writing
@@ -317,10 +382,11 @@ def test_a_disk_that_takes_nothing_any_more(press, folder, monkeypatch):
     """As file systems that meet an error become read-only: not even the draft can be removed."""
 
     def fail(*_, **options):
-        raise OSError("read-only file system")
+        monkeypatch.setattr(writing.Path, "unlink", fail)
+        # whatever it is: on rank 0 alone, it must not keep the others waiting
+        raise ValueError("read-only file system")
 
     monkeypatch.setattr(writing._Draft, "_append", fail)
-    monkeypatch.setattr(writing.Path, "unlink", fail)
     with rejected("x.h5", "could not be written", "read-only", error=OSError):
         press.problem.save(folder / "x.h5")
 
@@ -350,7 +416,7 @@ def test_a_disk_that_is_full(good, folder):
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
     try:
-        with rejected("could not be written", "bytes are needed", error=OSError):
+        with rejected("could not be written", "no room for", error=OSError):
             press.problem.save(file)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))

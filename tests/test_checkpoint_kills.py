@@ -4,6 +4,7 @@
 import json
 import shutil
 import signal
+import xml.etree.ElementTree as ET
 
 import pytest
 
@@ -70,3 +71,21 @@ def test_a_job_of_several_ranks_that_is_killed_goes_on(tmp_path, at_once, moment
     assert found.pop("made") == [3, 4]
     agree(found, at_once)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["result.json", "run.h5"]
+
+
+@pytest.mark.serial
+@pytest.mark.slow
+def test_a_job_that_is_killed_while_it_writes_results(tmp_path):
+    """The file holds the steps before, all that is in it can be read, and the next job goes on."""
+    meshio = pytest.importorskip("meshio")
+    file, result = tmp_path / "run.h5", tmp_path / "result.json"
+    for ranks, moment, steps in ((2, "output", 2), (1, "on", 4)):
+        code, output = run(ranks, file, result, 4, moment)
+        assert (code == 0) == (moment == "on"), output
+        times = [float(t.get("Value")) for t in ET.parse(tmp_path / "out.xdmf").iter("Time")]
+        assert times == [1, 2, 3, 4][:steps]
+        with meshio.xdmf.TimeSeriesReader(tmp_path / "out.xdmf") as reader:
+            reader.read_points_cells()
+            for k in range(steps):
+                assert reader.read_data(k)[0] == times[k]
+    assert json.loads(result.read_text())["made"] == [3, 4]

@@ -221,6 +221,55 @@ def test_wrong_arguments_are_named_at_construction(folder):
             Writer(path, problem)
 
 
+@pytest.mark.parametrize("t", [0.5, 0.25, np.nan, np.inf, None])
+def test_times_rise(folder, t):
+    """ParaView and others take them for an order; what is refused can be written at another one."""
+    problem, path = Problem("triangle", 1), folder / "out.xdmf"
+    with Writer(path, problem) as out:
+        problem.t = 0.5
+        out.write(0.5)
+        words = "a number" if t is None else "times have to rise"
+        words = words if t in (0.5, 0.25, None) else "finite number"
+        with pytest.raises(ValueError, match=rf"^t is .*{words}"):
+            out.write(t)
+        problem.t = 0.75
+        out.write(0.75)
+    check_step(path, 0, 0.5, 2)
+    check_step(path, 1, 0.75, 2)
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+@pytest.mark.parametrize("name", ["displacement", "von Mises"])
+def test_what_is_not_finite_is_not_written(folder, name, number):
+    """Told with the name of the field on all ranks, wherever it is; the file stays as it was."""
+    problem, path = Problem("triangle", 1), folder / "out.xdmf"
+    fields = problem.output_fields
+    with Writer(path, problem) as out:
+        out.write(0.0)
+
+        def spoiled():
+            found = fields()
+            if COMM.rank == COMM.size - 1:
+                found[name].x.array[0] = number
+            return found
+
+        problem.output_fields, problem.t = spoiled, 1.0
+        with pytest.raises(ValueError, match=f"^output field '{name}': 1 values are NaN or inf"):
+            out.write(1.0)
+        COMM.Barrier()
+        check_step(path, 0, 0.0, 1)
+        COMM.Barrier()
+        problem.output_fields = fields
+        out.write(1.0)
+    check_step(path, 1, 1.0, 2)
+
+
+@pytest.mark.parametrize("name", ["a\0b.xdmf", "\ud800.xdmf", "nu\0/x.xdmf"])
+def test_names_that_no_file_can_have(name):
+    with pytest.raises(ValueError, match=r"^path = .* must be the name of a file that ends in"):
+        Writer(name, Problem("triangle", 1))
+
+
 def test_a_closed_writer_writes_no_more(folder):
     problem, path = Problem("triangle", 1), folder / "out.xdmf"
     with Writer(path, problem) as out:
@@ -316,13 +365,6 @@ def test_a_full_disk_leaves_what_was_written(folder):
     check_step(path, 1, 1.0, 2)
 
 
-def test_asking_for_room_leaves_the_file_alone(tmp_path):
-    file = tmp_path / "out.h5"
-    file.write_bytes(b"numbers")
-    dolfinx_mortar.output.files._try_to_grow(file, 10**6)
-    assert file.read_bytes() == b"numbers"
-
-
 def test_no_room_for_the_mesh(folder):
     problem, path = Problem("triangle", 1), folder / "out.xdmf"
     unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -339,7 +381,7 @@ def test_no_room_for_the_mesh(folder):
 def test_the_room_asked_for_is_enough(folder, monkeypatch, n):
     """No file grows by more than what was made sure of, for the mesh and for every step."""
     asked, files = [], dolfinx_mortar.output.files
-    monkeypatch.setattr(files, "_try_to_grow", lambda file, size: asked.append(size))
+    monkeypatch.setattr(files, "demand_room", lambda file, size: asked.append(size))
     m = mesh.create_rectangle(COMM, [[0.0, 0.0], [2.0, 1.0]], (n, n))
     problem, path = Problem("triangle", 1), folder / "out.xdmf"
     problem.solid = SimpleNamespace(V=fem.functionspace(m, ("Lagrange", 1, (2,))))

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import re
@@ -16,6 +15,7 @@ from weakref import WeakValueDictionary
 from mpi4py import MPI
 
 from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.disk import demand_room, is_checkpoint
 
 # The writers that are open in this program, by path, on rank 0; a second one would spoil the file.
 _WRITERS: WeakValueDictionary[Path, Any] = WeakValueDictionary()
@@ -25,10 +25,10 @@ _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 FILE_MARGIN, FIELD_MARGIN = 2**16, 2**13
 
 
-def claim_files(comm: MPI.Comm, path: Path, writer: Any) -> None:
+def claim_files(comm: MPI.Comm, path: Path, data: Path, writer: Any, *, resume: bool) -> None:
     """Make sure that both files can be created by this writer alone; collective.
 
-    What an earlier run left is removed.
+    What an earlier run left under these names is removed, but for the XDMF file that is resumed.
 
     Raises:
         ValueError: on all ranks, if rank 0 cannot create them or another writer has them.
@@ -38,8 +38,14 @@ def claim_files(comm: MPI.Comm, path: Path, writer: Any) -> None:
             if path.resolve() in _WRITERS:
                 raise ValueError(f"path = {str(path)!r} is open in another Writer: close it first.")
             try:
-                path.unlink(missing_ok=True)
-                with path.with_suffix(".h5").open("wb"):
+                if is_checkpoint(data):
+                    raise ValueError(
+                        f"path = {str(path)!r}: its numbers would go to {str(data)!r}, which is a "
+                        "checkpoint; choose another name."
+                    )
+                if not resume:
+                    path.unlink(missing_ok=True)
+                with data.open("wb"):
                     pass
             except OSError as error:
                 raise ValueError(
@@ -55,7 +61,7 @@ def release_files(path: Path, writer: Any) -> None:
         del _WRITERS[path.resolve()]
 
 
-def demand_room(comm: MPI.Comm, path: Path, size: int, fields: int) -> None:
+def demand_room_of_step(comm: MPI.Comm, path: Path, data: Path, size: int, fields: int) -> None:
     """Raise on all ranks unless the HDF5 file can grow by what a step needs; collective.
 
     A disk that fills while ranks write together would leave a broken file, and ranks that wait for
@@ -64,37 +70,18 @@ def demand_room(comm: MPI.Comm, path: Path, size: int, fields: int) -> None:
     Args:
         comm: communicator.
         path: the XDMF file.
+        data: the HDF5 file.
         size: bytes of numbers of this rank.
         fields: number of fields.
 
     Raises:
-        OSError: if not, naming the file.
+        OSError: if not, naming the file; what was written before can be read.
     """
     total = comm.allreduce(size) + FILE_MARGIN + FIELD_MARGIN * fields
     with raised_together(comm):
-        if comm.rank == 0 and hasattr(os, "posix_fallocate"):
-            file = path.with_suffix(".h5")
+        if comm.rank == 0:
             total += path.stat().st_size if path.exists() else 0  # its next version
-            try:
-                _try_to_grow(file, total)
-            except OSError as error:
-                if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS):
-                    raise OSError(
-                        error.errno,
-                        f"{error.strerror}: no room for {total} bytes more; what was written "
-                        "before can be read",
-                        str(file),
-                    ) from error
-
-
-def _try_to_grow(file: Path, size: int) -> None:
-    """Allocate room at the end of a file and give it back."""
-    with file.open("r+b") as stream:
-        before = os.fstat(stream.fileno()).st_size
-        try:
-            os.posix_fallocate(stream.fileno(), before, size)
-        finally:
-            stream.truncate(before)
+            demand_room(data, total)
 
 
 def create_tree(notes: Mapping[str, Any]) -> tuple[ET.Element, ET.Element]:

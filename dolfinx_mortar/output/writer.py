@@ -11,6 +11,8 @@ interpolation.
 
 from __future__ import annotations
 
+import hashlib
+import logging
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Mapping
@@ -26,16 +28,19 @@ import numpy as np
 
 from dolfinx import default_scalar_type, fem, plot
 from dolfinx_mortar.algebra.errors import raise_together, raised_together
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.output.files import (
     claim_files,
     create_tree,
-    demand_room,
+    demand_room_of_step,
     field_keys,
     release_files,
     replace_tree,
 )
 from dolfinx_mortar.output.layout import KINDS, TOPOLOGY, Layout
+from dolfinx_mortar.output.steps import Step, check_time, free_name, insert, read_steps
+
+log = logging.getLogger(__name__)
 
 
 class HasSpace(Protocol):
@@ -48,6 +53,7 @@ class HasOutput(Protocol):
     """The part of a problem that the writer reads."""
 
     solid: HasSpace
+    # and, if load steps are counted, steps_done: see `ContactProblem.steps_done`
 
     def output_fields(self) -> dict[str, fem.Function]:
         """Return the current fields by name; see `Writer`."""
@@ -77,6 +83,7 @@ class Writer:
         problem: HasOutput,
         *,
         notes: Mapping[str, Any] | None = None,
+        resume: bool = False,
     ) -> None:
         """Create the files and write the mesh.
 
@@ -86,11 +93,15 @@ class Writer:
             problem: Problem with ``solid.V`` and ``output_fields()``.
             notes: Kept in the file, such as {"units": "mm, MPa"}; texts as they are, other values
                 in JSON.
+            resume: Go on with the file of an earlier run, if there is one: its steps stay, and one
+                that is made again, after a checkpoint, takes the place of what was written for it.
+                New numbers go to an HDF5 file of their own, such as out.2.h5.
 
         Raises:
             ValueError: If the suffix is another, the files cannot be written or are open in another
-                Writer, notes are no JSON values, the problem is none, or the cells are of a kind
-                that XDMF has no name for (on all ranks).
+                Writer, notes are no JSON values, the problem is none, what is to be resumed is no
+                file of a Writer or its numbers are gone, or the cells are of a kind that XDMF has
+                no name for (on all ranks).
             OSError: If there is no room on the disk (on all ranks).
         """
         V = _space(problem)
@@ -98,10 +109,14 @@ class Writer:
         cell = V.mesh.topology.cell_type.name, V.dofmap.dof_layout.num_dofs
         with raised_together(self.comm):
             self.path = _path(path)
-            self._root, self._steps = create_tree({} if notes is None else notes)
+            self._root, self._collection = create_tree({} if notes is None else notes)
+            if not isinstance(resume, bool):
+                raise ValueError(f"resume is {resume!r}: give True or False.")
             if cell not in TOPOLOGY:
                 raise ValueError(f"problem: {cell[0]} cells with {cell[1]} nodes: no XDMF name.")
-        claim_files(self.comm, self.path, self)
+        self._steps = read_steps(self.comm, self.path) if resume else []
+        self._data = free_name(self.path, self._steps)
+        claim_files(self.comm, self.path, self._data, self, resume=resume)
         self.problem = problem
         self._layout = Layout(V)
         self._open = True
@@ -114,37 +129,53 @@ class Writer:
     def write(self, t: float) -> None:
         """Add the problem's current fields as the step at time (or load) t.
 
+        Args:
+            t: More than those before; where loads fall, give the number of the step.
+
         Raises:
-            ValueError: After `close`, for fields of another mesh or with names that collide.
+            ValueError: After `close`, for a time that does not rise, for fields of another mesh,
+                with names that collide, or with values that are NaN or infinite.
             OSError: If there is no room on the disk, naming the file; what was written before
                 stays readable, and the step may be written again.
         """
         if not self._open:
             raise ValueError(f"Writer of {str(self.path)!r} is closed: make a new one.")
         fields = self.problem.output_fields()
-        step = len(self._steps)
-        grid = ET.Element("Grid", Name=f"step {step}", GridType="Uniform")
+        number = sum(not step.earlier for step in self._steps)
+        grid = ET.Element("Grid", GridType="Uniform")
         with raised_together(self.comm):
-            ET.SubElement(grid, "Time", Value=repr(_time(t)))
+            done, brought = getattr(self.problem, "steps_done", (0, 0))
+            step = Step(grid, done, check_time(t), self._mesh)
+            steps = insert(self._steps, step, made=done > brought)
             keys = field_keys(fields)
             self._layout.check(fields)
+        grid.set("Name", f"step {steps.index(step)}")
+        ET.SubElement(grid, "Time", Value=repr(step.time))
+        step.remember()
         found = {name: self._layout.values(name, f) for name, f in fields.items()}
+        self._check_finite({name: values for name, (values, _) in found.items()})
         grid.extend(self._grid_head)
-        demand_room(
-            self.comm, self.path, sum(values.nbytes for values, _ in found.values()), len(found)
-        )
+        size = sum(values.nbytes for values, _ in found.values())
+        demand_room_of_step(self.comm, self.path, self._data, size, len(found))
         with self._viewer("a") as viewer:
             for name, (values, centre) in found.items():
                 kind = KINDS.get(values.shape[1], "Matrix")
                 attribute = ET.SubElement(grid, "Attribute", Name=name, AttributeType=kind)
                 attribute.set("Center", centre)
-                attribute.append(self._write_values(viewer, f"{keys[name]}_{step:06d}", values))
-        self._steps.append(grid)
-        try:
-            replace_tree(self.comm, self.path, self._root)
-        except OSError:
-            self._steps.remove(grid)
-            raise
+                attribute.append(self._write_values(viewer, f"{keys[name]}_{number:06d}", values))
+        self._collection[:] = [one.grid for one in steps]
+        replace_tree(self.comm, self.path, self._root)
+        self._steps = steps
+
+    def _check_finite(self, found: Mapping[str, Floats]) -> None:
+        """Raise a ValueError on all ranks for values that are NaN or infinite; collective."""
+        bad = np.array([np.sum(~np.isfinite(values)) for values in found.values()])
+        for name, count in zip(found, self.comm.allreduce(bad), strict=True):
+            if count:
+                raise ValueError(
+                    f"output field {name!r}: {count} values are NaN or infinite, and the step is "
+                    "not written; check what they come from."
+                )
 
     def close(self) -> None:
         """End the writing; everything is on disk already, so this only lets go of the files."""
@@ -174,9 +205,8 @@ class Writer:
     @contextmanager
     def _viewer(self, mode: str) -> Iterator[PETSc.Viewer]:
         """Open the HDF5 file for a block, and close it; collective."""
-        file = str(self.path.with_suffix(".h5"))
         viewer = PETSc.Viewer()
-        self._together(lambda: viewer.createHDF5(file, mode, comm=self.comm))
+        self._together(lambda: viewer.createHDF5(str(self._data), mode, comm=self.comm))
         try:
             yield viewer
         finally:
@@ -188,11 +218,14 @@ class Writer:
         try:
             action()
         except Exception as error:
-            failed = OSError(f"{self.path.with_suffix('.h5')} could not be written: {error}")
+            failed = OSError(f"{self._data} could not be written: {error}")
         raise_together(self.comm, failed)
 
     def _write_mesh(self, V: fem.FunctionSpace, topology: str) -> list[ET.Element]:
-        """Write cells and points once; every step's grid refers to them."""
+        """Write cells and points once; every step's grid refers to them.
+
+        Those of an earlier run are as good where nodes and cells are numbered in the same way.
+        """
         nodes, _, _ = plot.vtk_mesh(V)
         k = V.dofmap.dof_layout.num_dofs
         local = nodes.reshape(-1, k + 1)[:, 1:]  # the first column repeats the number of nodes
@@ -203,7 +236,19 @@ class Writer:
         head.set("NumberOfElements", str(shape[0]))
         head.append(self._item("cells", shape, "Int", np.dtype(PETSc.IntType).itemsize))
         geometry.set("GeometryType", "XYZ")
-        demand_room(self.comm, self.path, cells.nbytes + x.nbytes, 2)
+        self._mesh = _digest(self.comm, cells, x)
+        for step in self._steps:
+            if step.mesh == self._mesh:
+                with self._viewer("w"):
+                    return [one for one in step.grid if one.tag in ("Topology", "Geometry")]
+        if self._steps and self.comm.rank == 0:
+            log.warning(
+                "%s: nodes are numbered in another way than in its earlier steps, as on other "
+                "ranks; ParaView reads the mesh of each step, but meshio that of the first only",
+                self.path,
+            )
+        size = cells.nbytes + x.nbytes
+        demand_room_of_step(self.comm, self.path, self._data, size, 2)
         with self._viewer("w") as viewer:
             indices = PETSc.IS().createGeneral(cells.astype(PETSc.IntType), comm=self.comm)
             indices.setBlockSize(k)
@@ -232,7 +277,7 @@ class Writer:
         item = ET.Element("DataItem", Dimensions=" ".join(map(str, shape)), NumberType=kind)
         item.set("Precision", str(precision))
         item.set("Format", "HDF")
-        item.text = f"{self.path.with_suffix('.h5').name}:/{key}"
+        item.text = f"{self._data.name}:/{key}"
         return item
 
 
@@ -248,15 +293,18 @@ def _space(problem: Any) -> fem.FunctionSpace:
 
 def _path(path: Any) -> Path:
     """Return a path that ends in .xdmf, or raise ValueError."""
-    if not isinstance(path, str | os.PathLike) or Path(path).suffix != ".xdmf":
+    try:
+        name = os.fsencode(path)  # a TypeError, or a ValueError for what no file can be called
+        good = Path(path).suffix == ".xdmf" and b"\0" not in name
+    except (TypeError, ValueError):
+        good = False
+    if not good:
         given = repr(str(path) if isinstance(path, os.PathLike) else path)
-        raise ValueError(f"path = {given} must end in .xdmf.")
+        raise ValueError(f"path = {given} must be the name of a file that ends in .xdmf.")
     return Path(path)
 
 
-def _time(t: Any) -> float:
-    """Return a time as a number, or raise ValueError."""
-    try:
-        return float(t)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"t is {t!r}: give the time or load of the step, a number.") from error
+def _digest(comm: MPI.Comm, cells: Ints, x: Floats) -> str:
+    """Return a text that tells cells and points of all ranks from others; collective."""
+    own = hashlib.sha256(cells.astype(np.int64).tobytes() + x.astype(np.float64).tobytes())
+    return hashlib.sha256("".join(comm.allgather(own.hexdigest())).encode()).hexdigest()

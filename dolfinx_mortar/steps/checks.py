@@ -148,9 +148,18 @@ def check_path(comm: MPI.Comm, path: Any, name: str = "path") -> Path:
     """Return a file name as a path if it is one, the same on all ranks; collective."""
     known = isinstance(path, str | os.PathLike)
     check_same_on_all_ranks(comm, **{name: os.fspath(path) if known else path})
-    if not known or not os.fspath(path):
+    if not known or not _can_be_name(os.fspath(path)):
         raise ValueError(f"{name} is {path!r}: give the name of a file")
     return Path(os.fsdecode(path))
+
+
+def _can_be_name(path: str | bytes) -> bool:
+    """Tell whether the system can call a file so, or a folder."""
+    try:
+        name = os.fsencode(path)
+    except UnicodeEncodeError:
+        return False
+    return bool(name) and b"\0" not in name
 
 
 def check_every(comm: MPI.Comm, checkpoint: Any, every: Any) -> Path | None:

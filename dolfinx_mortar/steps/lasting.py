@@ -31,6 +31,7 @@ class Committed:
     sliding: Floats | None = None  # (owned nodes, d) directions in which closed nodes slip, or 0
     level: float = 0.0  # load level, of the last step of `load_steps`
     history: list[LoadStep] = field(default_factory=list)  # all steps of `load_steps`
+    brought: int = 0  # how many of them a checkpoint has brought
     walked: int = 0  # how many of them belong to the last call
     walk: object = None  # the last call of `load_steps`, the only one that may go on
     search: bool = False  # the next step pairs the surfaces anew, after a checkpoint

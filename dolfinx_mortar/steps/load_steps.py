@@ -16,13 +16,13 @@ from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.checkpoint import check_folder
 from dolfinx_mortar.interfaces.near import nodal_gaps
-from dolfinx_mortar.steps.checkpoint import read
 from dolfinx_mortar.steps.checks import check_every, check_load_steps, check_problem
 from dolfinx_mortar.steps.failures import AS_BEFORE
 from dolfinx_mortar.steps.newton import solve_step
 from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.progress import progress as show_progress
 from dolfinx_mortar.steps.report import LoadStep, NewtonNotConverged, StepReport
+from dolfinx_mortar.steps.restoring import read
 
 log = logging.getLogger(__name__)
 
@@ -120,9 +120,10 @@ def load_steps(
     ``problem.history``. ``times`` has to begin with the levels that were reached, up to round-off;
     more may follow than at first. The file is written when the body of the loop is done with a
     step, so what the body does may be done twice, but is never left out; a loop that is left by
-    ``break`` does not write the last step. A step that fails for good writes what has been
-    committed since the last file, whatever ``every``: the steps before it, and those of its parts
-    that have converged. To begin anew, delete the file.
+    ``break`` does not write the last step. ``Writer(.., resume=True)`` has each step once even so.
+    A step that fails for good writes what has been committed since the last file, whatever
+    ``every``: the steps before it, and those of its parts that have converged. To begin anew,
+    delete the file.
 
     Yields:
         One ``LoadStep`` for every entry of ``times`` that is not yet done.
@@ -181,10 +182,8 @@ def _go_on(
         ValueError: on all ranks, if the levels do not begin with those that it has reached.
         OSError: on all ranks, if no file can be written there.
     """
-    there = False
-    with raised_together(problem.comm):
-        there = problem.comm.rank == 0 and file.exists()  # the others may not reach the folder
-    if not problem.comm.bcast(there):
+    # the others may not reach the folder; a name that cannot be is an error of the check
+    if not problem.comm.bcast(problem.comm.rank == 0 and os.path.exists(file)):
         check_folder(problem.comm, file)
         return
     saved = read(problem.lasting, file)

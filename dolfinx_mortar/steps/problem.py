@@ -28,7 +28,7 @@ from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.qp import LinearSolver, check_options
 from dolfinx_mortar.solid.solid import Solid
-from dolfinx_mortar.steps import checkpoint
+from dolfinx_mortar.steps import checkpoint, restoring
 from dolfinx_mortar.steps.audit import Audit, create_audit
 from dolfinx_mortar.steps.axis import check_axis, check_targets
 from dolfinx_mortar.steps.bodies import Bodies, find_bodies, find_tied_groups
@@ -368,6 +368,11 @@ class ContactProblem:
         """The steps that `load_steps` has made, those before the last checkpoint included."""
         return self.committed.history
 
+    @property
+    def steps_done(self) -> tuple[int, int]:
+        """How many load steps have led here, and how many of them a checkpoint has brought."""
+        return len(self.committed.history), self.committed.brought
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a checkpoint, from which `restore` goes on on any number of ranks; collective.
 
@@ -406,7 +411,7 @@ class ContactProblem:
                 or another problem; the message names what differs. Nothing is changed then.
         """
         with self.timings("checkpoint"):
-            checkpoint.read(self.lasting, path).put()
+            restoring.read(self.lasting, path).put()
 
     def output_fields(self) -> dict[str, fem.Function]:
         """Return the Functions worth writing, by name; collective.

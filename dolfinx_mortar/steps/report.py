@@ -163,8 +163,8 @@ class StepReport:
         """Return the report that `as_dict` has written."""
         names = {one.name for one in fields(cls)}
         values = {name: value for name, value in given.items() if name in names}
-        values["iterations"] = [Iteration(**iteration) for iteration in given["iterations"]]
-        if given["certificate"] is not None:
+        values["iterations"] = [Iteration(**iteration) for iteration in given.get("iterations", [])]
+        if given.get("certificate") is not None:
             values["certificate"] = Certificate(**given["certificate"])
         return cls(**values)
 

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: MIT
+"""Checkpoints with a wrong bit, cut off, or with more behind: never taken over, never a crash.
+
+HDF5 itself does not survive all of them: nothing is given to it before the checksum is right.
+"""
+
+import os
+import subprocess
+
+from mpi4py import MPI
+
+import h5py
+import numpy as np
+import pytest
+
+from dolfinx_mortar.checkpoint import Table, read_about, read_tables, reading, write
+from dolfinx_mortar.checkpoint.seal import ROOM
+from tests.checkpoint_program import LEVELS, Press
+from tests.pressed_blocks import rejected
+
+COMM = MPI.COMM_WORLD
+PLACES = np.random.default_rng(0).uniform(0.0, 1.0, (20, 4))
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    """Return a file with a small table, as all ranks see it, and its bytes."""
+    file = COMM.bcast(tmp_path_factory.mktemp("damage") / "good.h5")
+    own = PLACES[COMM.rank :: COMM.size]
+    write(COMM, file, {"level": 0.5}, {"x": Table(own, {"u": own**2})})
+    return file, COMM.bcast(file.read_bytes())
+
+
+def put(file, content):
+    """Write a file on rank 0, for all."""
+    COMM.barrier()
+    if COMM.rank == 0:
+        file.write_bytes(content)
+    COMM.barrier()
+
+
+def flipped(content, bit):
+    """Return bytes with another value of one bit."""
+    k = bit // 8
+    return content[:k] + bytes([content[k] ^ (1 << bit % 8)]) + content[k + 1 :]
+
+
+def refuse(file, monkeypatch):
+    """Expect an error that names the file on all ranks, before HDF5 has seen it."""
+
+    def never(*_):
+        raise AssertionError("HDF5 was given a damaged file")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(reading, "_opened", never)
+        with rejected(f"path is {str(file)!r}, "):
+            read_about(COMM, file)
+
+
+@pytest.mark.mpi
+def test_no_bit_is_taken_for_another(good, tmp_path_factory, monkeypatch):
+    """All bits of the lines in front, and others all over the file."""
+    _, content = good
+    file = COMM.bcast(tmp_path_factory.mktemp("flips") / "flip.h5")
+    rng = np.random.default_rng(1)
+    lines = content.index(b"\0")
+    bits = [*range(0, 8 * lines, 17), *rng.integers(8 * lines, 8 * len(content), 60)]
+    for bit in bits:
+        put(file, flipped(content, int(bit)))
+        refuse(file, monkeypatch)
+    put(file, content)
+    assert read_about(COMM, file) == {"level": 0.5}
+
+
+@pytest.mark.mpi
+def test_no_other_length_is_taken(good, tmp_path_factory, monkeypatch):
+    _, content = good
+    file = COMM.bcast(tmp_path_factory.mktemp("cuts") / "cut.h5")
+    for size in {0, 1, 40, 127, ROOM - 1, ROOM, len(content) // 2, len(content) - 1}:
+        put(file, content[:size])
+        refuse(file, monkeypatch)
+    for more in (b"\0", content):
+        put(file, content + more)
+        refuse(file, monkeypatch)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("place", [0.02, 0.5, 0.999])
+def test_a_problem_stays_as_it_was(tmp_path, place):
+    """From the file to the user: both ways to take one over."""
+    file, press = COMM.bcast(tmp_path) / "x.h5", Press()
+    list(press.walk(LEVELS[:1], checkpoint=file))
+    content = COMM.bcast(file.read_bytes())
+    before = press.problem.u.x.array.copy()
+    bad = file.with_name("bad.h5")
+    for damaged in (flipped(content, int(8 * place * len(content))), content[: int(place * 1e4)]):
+        put(bad, damaged)
+        for action in (
+            lambda: press.problem.restore(bad),
+            lambda: next(press.walk(LEVELS, checkpoint=bad)),
+        ):
+            with rejected(str(bad), "cut off, damaged or changed", "take an older one"):
+                action()
+    assert np.array_equal(press.problem.u.x.array, before) and len(press.problem.history) == 1
+
+
+def test_other_programs_read_it(good):
+    """HDF5 finds its data behind our lines, which are text; the checksum is that of sha256sum."""
+    file, content = good
+    with h5py.File(file) as opened:
+        assert opened.userblock_size == ROOM
+        found = opened["tables/x/places"][:]
+    assert np.array_equal(found[np.lexsort(found.T)], PLACES[np.lexsort(PLACES.T)])
+    first, second, rest = content.split(b"\n", 2)
+    assert first == b"dolfinx_mortar checkpoint, format 3" and set(rest[:100]) == {0}
+    told = subprocess.run(["sha256sum"], input=rest, capture_output=True, check=True).stdout
+    assert second == b"sha256 of what follows: " + told.split()[0]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("share", ["one rank", "all ranks"])
+def test_a_place_that_is_met_twice(tmp_path, share):
+    """Which row belongs to which node is unknown then; as of bodies that lie on each other."""
+    file, twice = COMM.bcast(tmp_path) / "x.h5", PLACES.copy()
+    twice[4] = twice[3]  # on another rank, if there are several
+    x = ", ".join(f"{v:.6g}" for v in PLACES[3, :2])
+    for own, there in ((PLACES, twice), (twice, twice), (twice, PLACES)):
+        write(COMM, file, {}, {"x": Table(there[COMM.rank :: COMM.size])})
+        mine = own[COMM.rank :: COMM.size]
+        if share == "one rank":
+            mine = own if COMM.rank == COMM.size - 1 else own[:0]
+        _, differ = read_tables(COMM, file, {"x": mine}, 1.0)
+        if there is twice:
+            assert f"there more than once, such as that at ({x})" in differ["x"]
+        elif share == "one rank" or COMM.size == 1:
+            assert differ["x"] == f"1 of 20 are not in the checkpoint, such as that at ({x})"
+
+
+ROOM_CASES = [(1, 1, 10, 1), (1, 1, 0, 1), (3, 5, 100, 2), (3, 20, 7, 3), (30, 8, 13, 2)]
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(("tables", "fields", "rows", "width"), ROOM_CASES)
+@pytest.mark.parametrize("text", [10, 50_000])
+def test_the_room_asked_for(tmp_path, monkeypatch, tables, fields, rows, width, text):
+    """It is enough, and hardly more than the file takes: all its bytes, and 1 kB per array."""
+    asked = []
+    monkeypatch.setattr(
+        "dolfinx_mortar.checkpoint.writing.demand_room", lambda file, size: asked.append(size)
+    )
+    file, places = tmp_path / "x.h5", np.ones((rows, 4))
+    values = {f"committed/plastic_strain_{k}": np.ones((rows, width)) for k in range(fields)}
+    given = {f"table {k}": Table(places, values) for k in range(tables)}
+    write(MPI.COMM_SELF, file, {"text": "x" * text}, given)
+    size = os.path.getsize(file)
+    assert size <= asked[0] <= size + 1024 * tables * (fields + 2) + 8192
