@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -23,10 +25,17 @@ def check_space(V: dolfinx.fem.FunctionSpace, name: str = "V") -> None:
         name: the argument that it comes from, for messages.
 
     Raises:
-        ValueError: For a complex PETSc, cells of other types or dimensions, parts of larger spaces,
-            other elements than vector Lagrange of degree 1 or 2, and cells of a higher degree than
-            the displacement.
+        ValueError: For what is no space, meshes in single precision, a complex PETSc, cells of
+            other types or dimensions, parts of larger spaces, other elements than vector Lagrange
+            of degree 1 or 2, and cells of a higher degree than the displacement.
     """
+    if not isinstance(V, dolfinx.fem.FunctionSpace):
+        raise ValueError(f"{name} is {V!r}: give a dolfinx.fem.FunctionSpace of displacements.")
+    if V.mesh.geometry.x.dtype != np.float64:
+        raise ValueError(
+            f"{name}: the coordinates of the mesh are of type {V.mesh.geometry.x.dtype}; make the "
+            "mesh with dtype=numpy.float64."
+        )
     if np.issubdtype(PETSc.ScalarType, np.complexfloating):
         raise ValueError("PETSc was built for complex numbers; use a build for real numbers.")
     cell, d = V.mesh.topology.cell_name(), V.mesh.geometry.dim
@@ -56,3 +65,24 @@ def check_space(V: dolfinx.fem.FunctionSpace, name: str = "V") -> None:
             f"{name}: the cells of the mesh are of degree {curved}, the displacement of degree "
             f"{degree}; facets would not lie on the cells: {remedy}."
         )
+
+
+def check_real(name: str, *values: Any) -> None:
+    """Raise a ValueError unless Constants and Functions are those of dolfinx, of type float64.
+
+    Args:
+        name: what they belong to, for the message.
+        values: Constants and Functions.
+    """
+    for value in values:
+        if not isinstance(value, dolfinx.fem.Constant | dolfinx.fem.Function):
+            raise ValueError(
+                f"{name} holds a ufl.{type(value).__name__}, which has no values: use those of "
+                "dolfinx.fem"
+            )
+        numbers = value.value if isinstance(value, dolfinx.fem.Constant) else value.x.array
+        if numbers.dtype != np.float64:
+            raise ValueError(
+                f"{name} holds a {type(value).__name__} of type {numbers.dtype}: make it with real "
+                "numbers of type float64"
+            )

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import mesh
+from dolfinx_mortar.arguments import is_integer
 
 Value = TypeVar("Value")
 
@@ -37,16 +38,17 @@ class Tags(mesh.MeshTags):
             names: tag by name, the same on all ranks.
 
         Raises:
-            ValueError: for tags that are none, and names that are no texts or stand for no integer.
+            ValueError: for tags that are none, and names that are no texts or stand for no integer
+                of 32 bits.
         """
         if not isinstance(tags, mesh.MeshTags):
             raise ValueError(f"tags is {tags!r}: give a dolfinx.mesh.MeshTags.")
         if not isinstance(names, Mapping):
             raise ValueError(f"names is {names!r}: give a dictionary, name -> tag.")
         for name, tag in names.items():
-            integer = isinstance(tag, int | np.integer) and not isinstance(tag, bool)
-            if not isinstance(name, str) or not name or not integer:
+            if not isinstance(name, str) or not name or not is_integer(tag):
                 raise ValueError(f"names: {name!r} -> {tag!r} is no text and its tag, an integer.")
+            check_tag(f"names: {name!r}", tag)
         super().__init__(tags._cpp_object)
         self.names: Mapping[str, int] = MappingProxyType(
             {name: int(names[name]) for name in sorted(names, key=lambda name: int(names[name]))}
@@ -56,17 +58,49 @@ class Tags(mesh.MeshTags):
         """Return the tag of a name; a tag is returned as it is.
 
         Raises:
-            ValueError: for an unknown name; the message lists the names there are.
+            ValueError: for an unknown name; the message lists the names there are. For what is
+                neither a name nor an integer of 32 bits.
         """
-        return int(tag_of(self, name, "name"))
+        tag = tag_of(self, name, "name")
+        check_tag("name", tag)
+        return int(tag)
 
     def find(self, value: int | str) -> npt.NDArray[np.int32]:
         """Return the local cells or facets (n,) that have a tag, or the tag of a name.
 
         Raises:
-            ValueError: for an unknown name.
+            ValueError: as in `tag`.
         """
-        return np.asarray(super().find(tag_of(self, value, "value")))
+        tag = tag_of(self, value, "value")
+        check_tag("value", tag)
+        return np.asarray(super().find(int(tag)))
+
+
+def check_tag(name: str, tag: Any) -> None:
+    """Raise a ValueError unless the argument `name` is a value that MeshTags can hold."""
+    if not is_integer(tag):
+        raise ValueError(f"{name} is {tag!r}: give a tag, an integer, or its name")
+    limits = np.iinfo(np.int32)
+    if not limits.min <= tag <= limits.max:
+        raise ValueError(
+            f"{name} is {tag}: tags lie between {limits.min} and {limits.max} (32 bits); give one "
+            "that the tags have"
+        )
+
+
+def check_entities(name: str, tags: mesh.MeshTags) -> None:
+    """Raise a ValueError if tags mark cells or facets that this rank does not have.
+
+    Dolfinx takes any numbers; negative ones count from the end of an array.
+    """
+    layout = tags.topology.index_map(tags.dim)
+    count = layout.size_local + layout.num_ghosts
+    outside = tags.indices[(tags.indices < 0) | (tags.indices >= count)]
+    if len(outside):
+        raise ValueError(
+            f"{name} mark the entity {outside[0]} of dimension {tags.dim}, but this rank has 0 to "
+            f"{count - 1}: take them from dolfinx.mesh.locate_entities"
+        )
 
 
 def tag_of(tags: Any, given: Any, argument: str) -> Any:

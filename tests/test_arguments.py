@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Arguments of steps: what they may be, and that all ranks have to give the same."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -38,13 +40,88 @@ def test_steps_of_no_problem(problem):
 
 
 @pytest.mark.parametrize(
-    "bad", [{"times": [True]}, {"start": np.nan}, {"max_cuts": -1}, {"cuts": "half"}]
+    "bad",
+    [
+        {"on_time": 5},
+        {"progress": np.zeros((2, 2))},
+        {"times": b"x"},
+        {"times": [True]},
+        {"start": np.nan},
+        {"max_cuts": -1},
+        {"cuts": "half"},
+    ],
 )
 def test_load_steps_check_their_arguments(bad):
     case = PressedBlocks()
     with rejected(next(iter(bad))):
         next(dm.load_steps(case.problem(), **({"times": [1.0]} | bad)))
     assert not case.u.x.array.any()
+
+
+SOME = (None, True, 5, np.nan, 10**400, "x", b"x", [], {}, (), np.zeros((2, 2)), 1j, object)
+SIDES = {"slave": TOP_OF_LOWER, "master": BOTTOM_OF_UPPER}
+
+
+def kinds(*types):
+    """Return what tells whether a value is of one of the types."""
+    return lambda value: isinstance(value, types)
+
+
+def is_tag(value):
+    return value is SOME[2]
+
+
+def or_none(value):
+    return value is None or callable(value)
+
+
+def mortar(good, **given):
+    dm.assemble_mortar(**({"V": good.case.V, "facet_tags": good.case.facets} | SIDES | given))
+
+
+# What is said, a call, and what it takes.
+CALLS = [
+    ("petsc_options_prefix", lambda g, x: g.case.problem(petsc_options_prefix=x), kinds(str)),
+    ("geometry", lambda g, x: g.case.problem(geometry=x), kinds()),
+    ("name", lambda g, x: g.problem.solid.max(x), kinds(str)),
+    ("name", lambda g, x: g.problem.solid.cell_values(x), kinds(str)),
+    ("value", lambda g, x: g.tags.find(x), lambda x: is_tag(x) or isinstance(x, str)),
+    ("name", lambda g, x: g.tags.tag(x), lambda x: is_tag(x) or isinstance(x, str)),
+    ("names: 'a'", lambda g, x: dm.Tags(g.tags, {"a": x}), is_tag),
+    ("step", lambda g, x: dm.summarise(x), kinds()),
+    ("path", lambda g, x: dm.write_summary(x, g.problem, []), kinds(str, bytes)),
+    ("problem", lambda g, x: dm.write_summary("x.json", x, []), kinds()),
+    ("steps", lambda g, x: dm.write_summary("x.json", g.problem, x), kinds(list, tuple)),
+    ("steps holds", lambda g, x: dm.write_summary("x.json", g.problem, [x]), kinds(dict)),
+    ("V", lambda g, x: mortar(g, V=x), kinds()),
+    ("facet_tags", lambda g, x: mortar(g, facet_tags=x), kinds()),
+    ("u has to be", lambda g, x: mortar(g, u=x), or_none),
+    ("weight", lambda g, x: mortar(g, weight=x), or_none),
+    ("qp", lambda g, x: dm.newton(g.problem, qp=x), kinds()),
+    ("on_time", lambda g, x: next(dm.load_steps(g.problem, [1.0], on_time=x)), or_none),
+]
+
+
+@pytest.mark.parametrize(("said", "call", "takes"), CALLS)
+def test_what_makes_no_sense_anywhere(said, call, takes):
+    """The error names the argument; none is that of a library below."""
+    case = PressedBlocks()
+    tags = dm.Tags(case.facets, {"top": TOP_OF_LOWER})
+    good = SimpleNamespace(case=case, problem=case.problem(), tags=tags)
+    for bad in SOME:
+        if not takes(bad):
+            with rejected(f"{said} " if " " not in said else said):
+                call(good, bad)
+    assert not case.u.x.array.any()
+
+
+@pytest.mark.parametrize("tag", [2**31, -(2**31) - 1, 10**400])
+def test_tags_beyond_32_bits(tag):
+    case = PressedBlocks()
+    tags = dm.Tags(case.facets, {"top": TOP_OF_LOWER})
+    for call in (tags.find, tags.tag, lambda tag: dm.Tags(tags, {"a": tag})):
+        with rejected("(32 bits)"):
+            call(tag)
 
 
 def test_a_problem_is_one():

@@ -2,6 +2,7 @@
 """The geometry audit: it names what would go wrong before the first step, and only that."""
 
 import logging
+import re
 
 from mpi4py import MPI
 
@@ -177,8 +178,9 @@ def test_body_held_by_contact_alone():
     """A warning, and it works under a load that presses it on; the load must be balanced."""
     problem = create(supports=((11, None), (22, 0)), push=(0.0, -5.0))
     audit = problem.audit()
-    assert audit.held_by_contact
-    assert audit.warnings == ["a body is held by contact alone: the loads must press it on"]
+    (name,) = audit.held_by_contact
+    assert name.startswith("the body around [")
+    assert audit.warnings == [f"held by contact alone: {name}: loads must press it on"]
     report = dm.newton(problem)
     assert report.converged
     # the interface bends a little, so the force may lean, but no more than that
@@ -207,7 +209,8 @@ def test_units_do_not_matter():
     texts = set()
     for scale in (1e-6, 1.0, 1e6):
         boxes = [(*(scale * np.array(box[:4])), *box[4:]) for box in PAIR]
-        texts.add(str(create(boxes, supports=((11, None), (22, 0))).audit()))
+        text = str(create(boxes, supports=((11, None), (22, 0))).audit())
+        texts.add(re.sub(r"around \[.*?\]", "", text))  # places have units
     assert len(texts) == 1
 
 

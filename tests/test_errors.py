@@ -170,6 +170,8 @@ def test_complex_build(case, monkeypatch):
         ({"Y": np.inf}, "Y"),
         ({"E": "x"}, "E"),
         ({"nu": np.array([0.1, 0.2])}, "nu"),
+        ({"E": True}, "E"),
+        ({"E": 10**400}, "E"),
     ],
 )
 def test_material_constants(bad, name):
@@ -189,7 +191,7 @@ def test_uniaxial_constants_by_the_names_of_their_arguments(name):
         dm.VonMises.from_uniaxial(200e3, 0.3, **(test | {name: -1.0}))
 
 
-@pytest.mark.parametrize("degree", ["a", -1, 1.5, True])
+@pytest.mark.parametrize("degree", ["a", -1, 1.5, True, 31, 10**9])
 def test_quadrature_degree(case, degree):
     with rejected(f"quadrature_degree is {degree!r}", "integer"):
         dm.Solid(case.u, ELASTIC, quadrature_degree=degree)
@@ -329,6 +331,114 @@ def test_loads(case, loads):
     assert len(str(caught.value)) < 150  # no page of UFL
 
 
+# -- Dirichlet conditions that contradict each other, or are on no dofs
+
+
+@pytest.mark.mpi
+def test_two_values_of_one_node(case):
+    """At once, and in the step in which they part; in the corners, which two sides share."""
+    side = fem.Constant(case.mesh, default_scalar_type((0.0, -0.02)))
+    with rejected("bcs", " and -0.02 for V.sub(1) at (0, ", "one of them"):
+        case.problem(bcs=[case.bc(BOTTOM), case.bc(TOP, case.top), case.bc(LEFT, side)])
+    case.top.value[:] = side.value[:] = 0.0
+    problem = case.problem(bcs=[*case.bcs(), case.bc(LEFT, side)])
+    case.top.value[:] = side.value[:] = (0.1 + 0.2, 0.0)
+    side.value[0] = 0.3 - 1e-17  # round-off
+    problem.supports.values()
+    side.value[0] = 0.3 + 1e-9
+    with rejected("bcs", "0.300000001", "0.3 ", "V.sub(0) at (0, "):
+        dm.newton(problem)
+    assert not case.u.x.array.any()
+
+
+@pytest.mark.mpi
+def test_two_values_on_two_ranks(case):
+    """One rank's condition has the node, another one's has its ghost."""
+    dofs = fem.locate_dofs_topological(case.V, 1, case.facets.find(TOP))
+    owned = dofs < case.V.dofmap.index_map.size_local
+    zero, one = np.zeros(2), np.array([0.0, 1e-3])
+    bcs = [fem.dirichletbc(zero, dofs[owned], case.V), fem.dirichletbc(one, dofs[~owned], case.V)]
+    if COMM.allreduce(int((~owned).sum())):
+        with rejected("bcs", "0.001 and 0 for V.sub(1) at ("):
+            case.problem(bcs=[case.bc(BOTTOM), *bcs])
+    else:
+        case.problem(bcs=[case.bc(BOTTOM), *bcs])
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("dof", [-1, 10**6, 2**31 - 1])
+@pytest.mark.parametrize("component", [None, 0])
+def test_dofs_that_are_none(case, dof, component):
+    """On one rank only."""
+    dofs = some_rank(np.array([dof], dtype=np.int32))
+    if component is None:
+        bc = fem.dirichletbc(np.zeros(2), dofs, case.V)
+    else:
+        bc = fem.dirichletbc(0.0, dofs, case.V.sub(component))
+    with rejected("bcs holds a condition on the dof", "this rank has 0 to", "locate_dofs"):
+        case.problem(bcs=[*case.bcs(), bc])
+
+
+def test_dofs_of_another_component(case):
+    """Nodes of V, taken for dofs of a component."""
+    dofs = fem.locate_dofs_topological(case.V, 1, case.facets.find(BOTTOM))
+    bc = fem.dirichletbc(0.0, dofs, case.V.sub(1))
+    with rejected("V.sub(1) at dofs of other components", "locate its dofs on V.sub(1)"):
+        case.problem(bcs=[bc])
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("entity", [-1, 10**6, -(2**31)])
+def test_tags_of_entities_that_are_none(case, entity):
+    """On one rank only."""
+    own = some_rank(np.array([entity], dtype=np.int32))
+    for dim, tags, of in (
+        (1, case.facets, lambda tags: case.problem([case.contact(facets=tags)])),
+        (2, case.cells, lambda tags: dm.Solid(case.u, {1: ELASTIC, 2: ELASTIC}, tags)),
+    ):
+        entities = np.sort(np.concatenate([tags.indices, own])).astype(np.int32)
+        values = np.full(len(entities), TOP_OF_LOWER, dtype=np.int32)
+        with rejected("tags mark the entity", f"of dimension {dim}", "this rank has 0 to"):
+            of(mesh.meshtags(case.mesh, dim, entities, values))
+
+
+# -- complex and single precision
+
+
+def test_complex_values(case):
+    """In a build for real numbers: numpy's would lose the imaginary part, or dolfinx refuse."""
+    value = fem.Constant(case.mesh, np.array([0.0, 1j]))
+    number = fem.Constant(case.mesh, np.array(1j))
+    v, dofs = ufl.TestFunction(case.V), np.arange(1, dtype=np.int32)
+    bc, tie = fem.dirichletbc(value, dofs, case.V), {"slave": TOP_OF_LOWER, "master": TOP}
+    for call, name in (
+        (lambda: case.problem(bcs=[bc]), "bcs holds"),
+        (lambda: case.problem(loads=ufl.inner(value, v) * ufl.dx), "loads holds"),
+        (lambda: case.problem(potential=number * case.u[0] ** 2 * ufl.dx), "potential holds"),
+        (lambda: dm.Solid(case.u, dm.Elastic(number, 0.3)), "Elastic: E holds"),
+        (lambda: dm.Solid(case.u, ELASTIC, eigenstrain=number), "eigenstrain holds"),
+        (lambda: dm.Solid(fem.Function(case.V, dtype=np.complex128), ELASTIC), "u holds"),
+        (lambda: dm.Tie(case.facets, **tie, jump=value), "jump holds"),
+    ):
+        with rejected(name, "real", "float64"):
+            call()
+    for jump in ((0.0, 1j), np.array([0.0, 1j]), (True, False), ("0", "1"), (0, 10**400)):
+        with rejected("jump is", "give 2 Cartesian components"):
+            dm.Tie(case.facets, **tie, jump=jump)
+    with rejected("holds a ufl.Coefficient", "dolfinx.fem"):
+        case.problem(loads=ufl.inner(ufl.Coefficient(case.V), v) * ufl.dx)
+
+
+def test_mesh_in_single_precision():
+    domain = mesh.create_unit_square(COMM, 2, 2, dtype=np.float32)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    with rejected("u holds a Function of type float32", "float64"):
+        dm.Solid(fem.Function(V, dtype=np.float32), ELASTIC)
+    facets = mesh.meshtags(domain, 1, np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.int32))
+    with rejected("coordinates of the mesh are of type float32", "dtype=numpy.float64"):
+        dm.assemble_mortar(V, facets, slave=1, master=2)
+
+
 # -- numbers that are none
 
 
@@ -369,6 +479,19 @@ def test_nan_in_the_start(case):
     case.u.x.array[some_rank(np.arange(len(case.u.x.array)))[:1]] = np.nan
     with rejected("u:", "finite displacement"):
         dm.newton(problem)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_nan_in_a_potential(case, value):
+    """In the audit, and in a later step."""
+    stiffness = fem.Constant(case.mesh, value)
+    problem = case.problem(potential=stiffness * (1.0 + case.u[0]) ** 2 * ufl.dx)
+    for call in (problem.audit, lambda: dm.newton(problem)):
+        with rejected(f"potential is {value}", "check its coefficients"):
+            call()
+        stiffness.value = 1.0
+        assert dm.newton(problem).converged
+        stiffness.value = value
 
 
 @pytest.mark.mpi

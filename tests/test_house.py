@@ -29,7 +29,7 @@ BELOW = {
     "output": {"algebra", "materials"},
     "plotting": {"algebra", "geometry"},
 }
-OPEN = {"agreement", "arrays", "compat", "disk", "html", "log", "spaces", "tags"}
+OPEN = {"agreement", "arguments", "arrays", "compat", "disk", "html", "log", "spaces", "tags"}
 BELOW |= {room: set() for room in OPEN}  # what all may import imports nothing but the like
 FOREIGN = {  # libraries that a floor must not know
     "geometry": {"dolfinx", "petsc4py", "mpi4py", "ufl"},

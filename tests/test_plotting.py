@@ -304,8 +304,14 @@ def test_wrong_arguments():
         (lambda: dm.plotting.mesh(other, ax=figure), "ax is .*give axes of matplotlib"),
         (lambda: dm.plotting.mesh(other, tags), "cell_tags"),
         (lambda: dm.plotting.mesh(problem.solid.mesh, tags), "cell_tags.*dimension 2"),
-        (lambda: dm.plotting.field(problem, "von_misses"), "no field 'von_misses'; there are"),
-        (lambda: dm.plotting.field(problem, "stress"), "tensor.*'stress_xx'"),
+        (
+            lambda: dm.plotting.field(problem, "von_misses"),
+            "name is 'von_misses': choose .*von_mises",
+        ),
+        (
+            lambda: dm.plotting.field(problem, "stress"),
+            "name is 'stress': choose one of .*, stress_xx",
+        ),
         (lambda: dm.plotting.field(problem, 3), "name is 3"),
         (lambda: dm.plotting.field(problem, "displacement_z"), moved),
         (lambda: dm.plotting.field(problem, "displacement_"), moved),

@@ -11,6 +11,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces.nodal import check_nodal
 
@@ -71,7 +72,7 @@ def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | No
     if value is None:
         return None
     if isinstance(value, Real) and not isinstance(value, bool):
-        if not (np.isfinite(value) and value >= 0.0):
+        if not (is_number(value) and value >= 0.0):
             raise ValueError(f"{name} is {value!r}: it has to be finite and >= 0")
         return FrictionLaw(name, float(value)) if value > 0.0 else None
     if isinstance(value, fem.Function):

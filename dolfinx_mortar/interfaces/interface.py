@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any, ClassVar
 
 from petsc4py import PETSc
@@ -14,10 +13,11 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
+from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import Constraints
-from dolfinx_mortar.mortar.surface import check_tag, check_tags
-from dolfinx_mortar.tags import label, tag_of
+from dolfinx_mortar.mortar.surface import check_tags
+from dolfinx_mortar.tags import check_tag, label, tag_of
 
 
 class NoResult(RuntimeError, AttributeError):
@@ -119,8 +119,7 @@ class Interface:
             )
         if not isinstance(surface, str) or surface not in SURFACES:
             raise ValueError(f"surface is {surface!r}: choose 'smooth' or 'facets'")
-        number = isinstance(feature_angle, Real) and not isinstance(feature_angle, bool)
-        if not number or not 0.0 < feature_angle <= 180.0:
+        if not is_number(feature_angle) or not 0.0 < feature_angle <= 180.0:
             raise ValueError(
                 f"feature_angle is {feature_angle!r}: give degrees, 0 < feature_angle <= 180"
             )

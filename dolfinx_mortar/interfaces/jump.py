@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from dolfinx import fem
+from dolfinx_mortar.arguments import as_numbers
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.nodal import check_nodal
+from dolfinx_mortar.spaces import check_real
 from ufl.core.expr import Expr
 
 Jump = Sequence[float] | Floats | fem.Constant | fem.Function | Callable[[Floats], Floats] | None
@@ -34,12 +36,12 @@ def check_jump(jump: Any, d: int) -> Any:
         f"give {d} Cartesian components of a length, [{example}], or a Constant, a Function or a "
         "function of points x (3, n) that has them"
     )
-    if isinstance(jump, fem.Constant):
-        if jump.value.shape != (d,):
+    if isinstance(jump, fem.Constant | fem.Function):
+        check_real("jump", jump)
+        if isinstance(jump, fem.Function):
+            check_nodal("jump", jump, (d,), wanted)
+        elif jump.value.shape != (d,):
             raise ValueError(f"jump is a Constant of shape {jump.value.shape}: {wanted}")
-        return jump
-    if isinstance(jump, fem.Function):
-        check_nodal("jump", jump, (d,), wanted)
         return jump
     if isinstance(jump, Expr):  # those can be called, too
         raise ValueError(
@@ -48,10 +50,9 @@ def check_jump(jump: Any, d: int) -> Any:
         )
     if callable(jump):
         return jump
-    try:
-        values = np.array(jump, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"jump is {jump!r}: {wanted}") from error
+    values = as_numbers(jump)
+    if values is None:
+        raise ValueError(f"jump is {jump!r}: {wanted}")
     if values.shape != (d,):
         raise ValueError(f"jump is {jump!r}, of shape {values.shape}: {wanted}")
     if not np.isfinite(values).all():
@@ -92,7 +93,9 @@ def values_at(jump: Any, V: fem.FunctionSpace, nodes: Ints) -> Floats:
     if not len(nodes):  # functions need not think of no points
         return np.zeros((0, d))
     x = np.ascontiguousarray(V.tabulate_dof_coordinates()[nodes].T)
-    found = np.asarray(jump(x), dtype=np.float64)
+    found = as_numbers(jump(x))
+    if found is None:
+        raise ValueError("jump: the function returns no real numbers; it must return a vector (d,)")
     if found.shape != (d, len(nodes)):
         raise ValueError(
             f"jump: the function returns the shape {found.shape} for {len(nodes)} points x (3, n); "

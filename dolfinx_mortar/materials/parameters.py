@@ -11,6 +11,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import Bools, Floats
 from ufl.core.expr import Expr
 
@@ -51,7 +52,7 @@ def check_parameters(law: str, **ranges: tuple[Parameter, float, float, bool]) -
         limits = lower, upper, closed
         if isinstance(value, Expr):
             continue
-        if not isinstance(value, Real) or not _inside(np.asarray(value, float), *limits):
+        if not is_number(value) or not _inside(np.asarray(value, float), *limits):
             raise ValueError(
                 f"{law}: {name} = {value!r} must be a finite number in {interval(*limits)}."
             )

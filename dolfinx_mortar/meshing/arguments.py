@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from numbers import Real
 from typing import Any, TypeVar
 
 from mpi4py import MPI
 
 import numpy as np
+
+from dolfinx_mortar.arguments import is_name, is_number
 
 Checked = TypeVar("Checked")
 
@@ -47,14 +48,14 @@ def check_on_all_ranks(comm: Any, check: Callable[..., Checked], **given: Any) -
 
 def choose(name: str, value: Any, known: Sequence[str]) -> None:
     """Raise a ValueError unless the value is one of the known names."""
-    if not isinstance(value, str) or value not in known:
+    if not is_name(value, known):
         raise ValueError(f"{name} = {value!r} is not known; use one of {tuple(known)}.")
 
 
 def finite(name: str, value: Any, remedy: str) -> float:
     """Return a finite number."""
     numbers = _numbers(value)
-    if numbers is None or np.ndim(value) > 0 or not np.isfinite(numbers[0]):
+    if numbers is None or np.ndim(value) > 0:
         raise ValueError(f"{name} = {value!r} must be a finite number; {remedy}.")
     return numbers[0]
 
@@ -74,7 +75,7 @@ def positive(name: str, value: Any, parts: str, *, one: bool = False) -> tuple[f
         numbers = numbers * count
     elif (count == 1) != (np.ndim(value) == 0):
         numbers = []
-    if len(numbers) != count or not all(0.0 < v < np.inf for v in numbers):
+    if len(numbers) != count or min(numbers) <= 0.0:
         wanted = "one positive number" if count == 1 or one else f"{count} positive numbers"
         more = f", or a tuple of {count}" if one else ""
         raise ValueError(f"{name} = {value!r} must be {wanted}{more}: {parts}; none infinite.")
@@ -95,9 +96,9 @@ def check_gap(gap: Any, radius: float, thickness: float) -> float:
 
 
 def _numbers(value: Any) -> list[float] | None:
-    """Return a number, or the members of a list of numbers, as a list; None for all else."""
+    """Return a finite number, or the members of a list of some, as a list; None for all else."""
     values = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
     values = list(values) if isinstance(values, list | tuple) else [values]
-    if all(isinstance(v, Real) and not isinstance(v, bool) for v in values):
+    if all(map(is_number, values)):
         return [float(v) for v in values]
     return None

@@ -272,8 +272,10 @@ def _check_apart(groups: list[Group], path: str) -> None:
             first, second = (parts[i][0] for i in apart[:, 0])
             raise ValueError(
                 f"{path}: {apart.shape[1]} elements of dimension {first.dim} are in two physical "
-                f"groups, such as {first} and {second}: put each in one group, because it has one "
-                "tag."
+                f"groups, such as {first} and {second}, but an element has one "
+                "tag: leave it out of one of them. If the groups are the two sides of an "
+                "interface, the bodies share their nodes there and are one: make each with a "
+                "boundary of its own (in Gmsh, do not fragment them)."
             )
         if pairs.size:
             raise ValueError(

@@ -129,7 +129,7 @@ def _check_surfaces(
     """Raise a ValueError on all ranks for surfaces that are not a pair."""
     if slave.V != V or master.V != V:
         raise ValueError("slave and master have to be surfaces of V.")
-    if u is not None and u.function_space != V:
+    if u is not None and (not isinstance(u, dolfinx.fem.Function) or u.function_space != V):
         raise ValueError("u has to be a Function of V itself, not of another space or mesh.")
     common = V.mesh.comm.allreduce(len(np.intersect1d(slave.entities, master.entities)))
     if common:

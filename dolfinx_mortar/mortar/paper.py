@@ -89,8 +89,10 @@ def assemble_mortar(
             2 pi r; 1 if not given.
 
     Raises:
-        ValueError: On all ranks, for tags or spaces that make no sense.
+        ValueError: On all ranks, for tags, spaces and displacements that make no sense.
     """
+    if weight is not None and not callable(weight):
+        raise ValueError(f"weight is {weight!r}: give a function of points (q, d), or None")
     surfaces = [create_surface(V, facet_tags, slave, "slave")]
     surfaces.append(create_surface(V, facet_tags, master, "master"))
     pairing = create_pairing(V, *surfaces, u, moving=False, weight=weight)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 import basix
 import dolfinx
 from dolfinx_mortar import compat
+from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.elements import FACETS_OF, FacetElement
 from dolfinx_mortar.geometry.facets import (
@@ -25,7 +26,7 @@ from dolfinx_mortar.geometry.thickness import thickness
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
 from dolfinx_mortar.mortar.receivers import create_groups, find_receivers, group_cones
 from dolfinx_mortar.spaces import check_space
-from dolfinx_mortar.tags import label, labels, tag_of
+from dolfinx_mortar.tags import check_entities, check_tag, label, labels, tag_of
 
 _MOST_WARPED = 0.3
 """Smallest cosine between the normal at a corner of a quadrilateral and its mean normal.
@@ -68,18 +69,6 @@ def check_tags(facet_tags: Any) -> None:
         raise ValueError(f"facet_tags is {facet_tags!r}: give a dolfinx.mesh.MeshTags of facets.")
 
 
-def check_tag(name: str, tag: Any) -> None:
-    """Raise a ValueError unless the argument `name` is a value that MeshTags can hold."""
-    if isinstance(tag, bool) or not isinstance(tag, int | np.integer):
-        raise ValueError(f"{name} is {tag!r}: give a tag of facet_tags, an integer")
-    limits = np.iinfo(np.int32)
-    if not limits.min <= tag <= limits.max:
-        raise ValueError(
-            f"{name} is {tag}: tags lie between {limits.min} and {limits.max} (32 bits); give one "
-            "that facet_tags has"
-        )
-
-
 def _owned_facets_with(facet_tags: dolfinx.mesh.MeshTags, tag: int) -> Ints:
     """Return the owned facets that any rank has marked with `tag`."""
     facet_map = facet_tags.topology.index_map(facet_tags.dim)
@@ -107,6 +96,8 @@ def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str
         )
     for pair in ((fdim, topology.dim), (topology.dim, fdim)):
         topology.create_connectivity(*pair)
+    with raised_together(comm):
+        check_entities("facet_tags", facet_tags)
     facets = _owned_facets_with(facet_tags, tag)
     exterior = dolfinx.mesh.exterior_facet_indices(topology)
     inside = np.setdiff1d(facets, exterior)

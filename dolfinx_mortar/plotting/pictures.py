@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import replace
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.arguments import is_name, is_number
 from dolfinx_mortar.arrays import Ints
 from dolfinx_mortar.plotting import plane, space
 from dolfinx_mortar.plotting.libraries import require
@@ -28,7 +28,7 @@ from dolfinx_mortar.plotting.parts import (
 from dolfinx_mortar.spaces import CELLS
 
 File = str | os.PathLike[str] | None
-ABSCISSAE = (None, "x", "y", "length")
+ABSCISSAE = ("x", "y", "length")
 
 
 def mesh(
@@ -131,7 +131,7 @@ def field(
         raise ValueError(f"problem is {problem!r}: give a ContactProblem or a Solid.")
     V: fem.FunctionSpace = solid.V
     d = V.mesh.geometry.dim
-    if not isinstance(scale, Real) or not np.isfinite(scale):
+    if not is_number(scale):
         raise ValueError(f"scale is {scale!r}: give a number, 1 for displacements as they are.")
     _check_target(V.mesh, file, view, ax)
     title, at_nodes, of_cells = _values(solid, name)
@@ -185,7 +185,7 @@ def pressure(
         RuntimeError: in space, if there is no screen to draw on.
     """
     chosen = _chosen(problem, interfaces)
-    if over not in ABSCISSAE:
+    if over is not None and not is_name(over, ABSCISSAE):
         raise ValueError(f"over is {over!r}: choose one of {ABSCISSAE}.")
     V: fem.FunctionSpace = problem.solid.V
     d = V.mesh.geometry.dim
@@ -247,19 +247,12 @@ def _values(solid: Any, name: str | fem.Function) -> Values:
         return _values_of(solid.V, name)
     axes = "xyz"[: solid.V.mesh.geometry.dim]
     components = {"displacement": None} | {f"displacement_{a}": i for i, a in enumerate(axes)}
-    if not isinstance(name, str):
-        raise ValueError(f"name is {name!r}: give the name of a field, or a Function.")
+    drawable = [*components, *solid.fields.scalars]
+    if not is_name(name, drawable):
+        raise ValueError(f"name is {name!r}: choose one of {', '.join(drawable)}, or a Function.")
     if name in components:
         return name, {name: _at_nodes(solid.V, solid.u, components[name])}, {}
-    if name.startswith("displacement") and name not in solid.fields.names:
-        raise ValueError(f"name is {name!r}: choose one of {', '.join(components)}.")
-    function = solid.cell_values(name)
-    if function.ufl_shape:
-        raise ValueError(
-            f"name is {name!r}, a tensor: ask for a component or a norm, '{name}_xx' or "
-            f"'{name}_norm'."
-        )
-    return name, {}, {name: _of_cells(function)}
+    return name, {}, {name: _of_cells(solid.cell_values(name))}
 
 
 def _values_of(V: fem.FunctionSpace, function: fem.Function) -> Values:

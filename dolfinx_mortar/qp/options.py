@@ -58,7 +58,7 @@ class SolverOptions:
         self.given = dict(options or {})
         self.values: dict[str, Any] = DEFAULTS | (MULTIGRID if multigrid else {}) | self.given
         ours = DEFAULTS | MULTIGRID
-        self._unread = {k for k, v in self.values.items() if k not in ours or v != ours[k]}
+        self._unread = {k for k, v in self.given.items() if k not in ours or v != ours[k]}
 
     def __getitem__(self, key: str) -> str:
         """Return the value that PETSc will see."""
@@ -105,9 +105,11 @@ def check_options(comm: MPI.Comm, prefix: str, options: Mapping[str, Any] | None
         options: options without prefix, over the defaults.
 
     Raises:
-        ValueError: on all ranks, if they are no mapping of names to numbers and strings, or if
-            PETSc has no such method or cannot read a value.
+        ValueError: on all ranks, if the prefix is no text, if options are no mapping of names
+            to numbers and strings, or if PETSc has no such method or cannot read a value.
     """
+    if any_rank(comm, not isinstance(prefix, str))[0]:
+        raise ValueError(f"petsc_options_prefix is {prefix!r}: give a text, such as 'contact_'")
     wrong = _wrong_type(options)
     if not wrong:
         try:

@@ -11,6 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_mortar.arguments import is_name
 from dolfinx_mortar.arrays import Actives, Floats
 from dolfinx_mortar.qp import backends
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPNotSolved, QPSolution, check, validate
@@ -39,7 +40,7 @@ def available() -> list[str]:
 
 def check_name(backend: str) -> None:
     """Raise ValueError if there is no backend of this name."""
-    if backend not in available():
+    if not is_name(backend, available()):
         raise ValueError(f"qp is {backend!r}: choose one of {', '.join(map(repr, available()))}")
 
 

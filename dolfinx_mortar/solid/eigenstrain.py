@@ -9,7 +9,7 @@ values only.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from numbers import Real
+from numbers import Number
 from typing import Any
 
 from mpi4py import MPI
@@ -18,8 +18,10 @@ import numpy as np
 
 import basix.ufl
 import ufl
-from dolfinx import default_scalar_type, fem, mesh
+from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arguments import as_numbers
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.materials.tensor import COMPONENTS, from_components, to_components
 from dolfinx_mortar.solid.laws import tags_of_cells
@@ -29,9 +31,13 @@ from ufl.algorithms.analysis import extract_arguments
 from ufl.core.expr import Expr
 
 WANTED = (
-    "give a scalar (the same in all three directions) or a 3x3 tensor, as a number, an array, a "
-    "Constant, a Function or UFL"
+    "give a scalar (the same in all three directions) or a 3x3 tensor, as a real number, an array, "
+    "a Constant, a Function or UFL"
 )
+
+# Of the largest component: what a tensor may lack in symmetry, half of the digits, as derivatives
+# of interpolated fields lose some. A gradient in place of its symmetric part lacks the whole.
+SYMMETRIC = 1e-8
 
 
 class Eigenstrain(Followed):
@@ -46,17 +52,18 @@ class Eigenstrain(Followed):
         self,
         function: fem.Function,
         sources: Sequence[Source],
-        leaning: Sequence[fem.Expression | None],
+        vanishing: Sequence[fem.Expression | None],
     ) -> None:
         """Keep what is there; `follow` fills the function.
 
         Args:
             function: at the integration points.
             sources: of each part.
-            leaning: components yz and xz of each part in the plane that may have them.
+            vanishing: of each part that is a tensor, what has to be zero: the components of its
+                skew part (3), then, in the plane, yz and xz.
         """
         super().__init__(function, sources)
-        self._leaning = list(leaning)
+        self._vanishing = list(vanishing)
 
     @property
     def tensor(self) -> Expr:
@@ -73,22 +80,25 @@ class Eigenstrain(Followed):
         return np.asarray(trace[dofmap.list])
 
     def judge(self) -> None:
-        """Raise a ValueError if it is NaN or infinite, or, in the plane, shears out of it."""
-        for source, leaning in zip(self._sources, self._leaning, strict=True):
-            self._judge(source, leaning)
+        """Raise a ValueError if it is NaN, infinite, not symmetric, or shears out of the plane."""
+        for source, vanishing in zip(self._sources, self._vanishing, strict=True):
+            self._judge(source, vanishing)
 
-    def _judge(self, source: Source, out_of_plane: fem.Expression | None) -> None:
+    def _judge(self, source: Source, vanishing: fem.Expression | None) -> None:
         """Raise a ValueError on all ranks if values in the cells of a source make no sense."""
         V = self.function.function_space
         owned = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
         cells = source.cells[source.cells < owned]
-        values = self.function.x.array.reshape(-1, V.dofmap.bs)[V.dofmap.list[cells]]
-        undefined = ~np.isfinite(values.reshape(-1, V.dofmap.bs)).all(axis=1)
-        leaning = np.zeros(len(undefined), dtype=bool)
-        if out_of_plane is not None:
-            shears = np.asarray(out_of_plane.eval(V.mesh, cells)).reshape(-1, 2)
-            leaning = (shears != 0.0).any(axis=1) & ~undefined
-        counts = np.array([undefined.sum(), leaning.sum()], dtype=int)
+        values = self.function.x.array.reshape(-1, V.dofmap.bs)[V.dofmap.list[cells].ravel()]
+        undefined = ~np.isfinite(values).all(axis=1)
+        skew, out_of_plane = np.zeros((2, len(undefined)), dtype=bool)
+        if vanishing is not None:
+            largest = maximum(V.mesh.comm, np.abs(values[~undefined]).max(initial=0.0))[0]
+            terms = 5 if V.mesh.geometry.dim == 2 else 3
+            zero = np.asarray(vanishing.eval(V.mesh, cells)).reshape(len(undefined), terms)
+            skew = (np.abs(zero[:, :3]) > SYMMETRIC * largest).any(axis=1)
+            out_of_plane = (zero[:, 3:] != 0.0).any(axis=1) & ~undefined
+        counts = np.array([part.sum() for part in (undefined, skew, out_of_plane)], dtype=int)
         bad = V.mesh.comm.allreduce(counts, op=MPI.SUM)
         if bad[0]:
             raise ValueError(
@@ -97,7 +107,12 @@ class Eigenstrain(Followed):
             )
         if bad[1]:
             raise ValueError(
-                f"{source.name} has components xz or yz at {bad[1]} integration points, which "
+                f"{source.name} is not symmetric at {bad[1]} integration points; a strain is: "
+                "give its symmetric part, ufl.sym(..) or (e + e.T) / 2"
+            )
+        if bad[2]:
+            raise ValueError(
+                f"{source.name} has components xz or yz at {bad[2]} integration points, which "
                 "bodies in the plane cannot follow; set them to 0"
             )
 
@@ -114,30 +129,33 @@ def create_eigenstrain(
         degree: of the quadrature of the solid.
 
     Raises:
-        ValueError: on all ranks, for other shapes, unknown tags, and what cannot be evaluated.
+        ValueError: on all ranks, for other shapes, unknown tags, tensors that are not symmetric,
+            and what cannot be evaluated.
     """
     if given is None:
         return None
     domain, parts = u.function_space.mesh, []
     for name, value, cells in _parts(domain, given, cell_tags):
         with raised_together(domain.comm):
-            parts.append((name, _as_symmetric(u, name, value), cells))
+            parts.append((name, _as_expression(u, name, value), cells))
     shape = (len(COMPONENTS[domain.geometry.dim]),) if any(p[1].ufl_shape for p in parts) else ()
     element = basix.ufl.quadrature_element(
         domain.basix_cell(), value_shape=shape, scheme="default", degree=degree
     )
     field = fem.Function(fem.functionspace(domain, element), name="eigenstrain")
-    sources, leaning = [], []
+    sources, vanishing = [], []
     for name, value, cells in parts:
-        tensor = value if value.ufl_shape else value * ufl.Identity(3)
+        tensor = ufl.sym(value) if value.ufl_shape else value * ufl.Identity(3)
         stored = to_components(tensor, shape[0]) if shape else value
         sources.append(create_source(field, slice(None), cells, name, stored))
-        out = None
-        if value.ufl_shape and domain.geometry.dim == 2:
-            shears = ufl.as_vector([value[1, 2], value[0, 2]])
-            out = create_source(field, slice(None), cells, name, shears).expression
-        leaning.append(out)
-    found = Eigenstrain(field, sources, leaning)
+        zero = None
+        if value.ufl_shape:
+            pairs = ((0, 1), (1, 2), (0, 2))
+            terms = [value[i, j] - value[j, i] for i, j in pairs]
+            terms += [tensor[1, 2], tensor[0, 2]] if domain.geometry.dim == 2 else []
+            zero = create_source(field, slice(None), cells, name, ufl.as_vector(terms)).expression
+        vanishing.append(zero)
+    found = Eigenstrain(field, sources, vanishing)
     found.follow()
     return found
 
@@ -166,22 +184,22 @@ def _parts(
     ]
 
 
-def _as_symmetric(u: fem.Function, name: str, value: Any) -> Expr:
-    """Return a scalar or a symmetric 3x3 tensor in UFL.
+def _as_expression(u: fem.Function, name: str, value: Any) -> Expr:
+    """Return a scalar or a 3x3 tensor in UFL.
 
     Raises:
         ValueError: for what is none, depends on the displacement, or is on another mesh.
     """
     domain = u.function_space.mesh
-    if isinstance(value, Real | np.ndarray | list | tuple):
-        try:
-            value = fem.Constant(domain, np.asarray(value, dtype=default_scalar_type))
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"{name} is {value!r}: {WANTED}") from error
+    if isinstance(value, Number | np.ndarray | list | tuple):
+        numbers = as_numbers(value)
+        if numbers is None:
+            raise ValueError(f"{name} is {value!r}: {WANTED}")
+        value = fem.Constant(domain, numbers)
     if not isinstance(value, Expr) or value.ufl_free_indices or extract_arguments(value):
         raise ValueError(f"{name} is a {type(value).__name__}: {WANTED}")
     if value.ufl_shape not in ((), (3, 3)):
         out = "; a strain in the plane has a component out of it, too" * (value.ufl_shape == (2, 2))
         raise ValueError(f"{name} has the shape {value.ufl_shape}: {WANTED}{out}")
     check_source(u, name, value)
-    return ufl.sym(value) if value.ufl_shape else value
+    return value

@@ -14,12 +14,13 @@ import numpy as np
 
 from dolfinx import fem, mesh
 from dolfinx_mortar import compat
+from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.materials.plane_stress import plane_stress_law
 from dolfinx_mortar.materials.protocol import RESERVED, check_declaration, law_of
 from dolfinx_mortar.solid.parameters import ParameterTable, create_table
-from dolfinx_mortar.tags import by_tag, label, labels
+from dolfinx_mortar.tags import by_tag, check_entities, label, labels
 
 UNTAGGED = int(np.iinfo(np.int32).min)
 
@@ -143,10 +144,12 @@ def tags_of_cells(domain: mesh.Mesh, cell_tags: mesh.MeshTags) -> Longs:
     """Return the tags of the local cells, ghosts included, UNTAGGED without one; collective.
 
     Raises:
-        ValueError: if the tags are not those of the cells of the mesh.
+        ValueError: on all ranks, if the tags are not those of the cells of the mesh.
     """
     if cell_tags.dim != domain.topology.dim or not compat.on_same_mesh(cell_tags, domain):
         raise ValueError("cell_tags must tag the cells of the mesh of u, not of another mesh.")
+    with raised_together(domain.comm):
+        check_entities("cell_tags", cell_tags)
     imap = domain.topology.index_map(domain.topology.dim)
     # Through a DG0 Function, so that ghost cells get their owner's tag.
     marker = fem.Function(fem.functionspace(domain, ("DG", 0)))

@@ -91,6 +91,19 @@ class PointFields:
         aliases = [name for name, target in ALIASES.items() if target in norms]
         return tuple(dict.fromkeys((*self.bases, *norms, "von_mises", *aliases)))
 
+    @property
+    def scalars(self) -> list[str]:
+        """All names that `values` knows of scalars: norms and components of tensors, too."""
+        size = (len(self._components),)
+        missing = {name: size if tensor else () for name, tensor in PLASTIC_FIELDS.items()}
+        shapes = missing | self.bases
+        parts = ("norm", "vector_norm", *self._components)
+        of_tensors = [
+            f"{n}_{part}" for n, shape in shapes.items() if shape == size for part in parts
+        ]
+        stored = [name for name, shape in shapes.items() if not shape]
+        return list(dict.fromkeys(["von_mises", *stored, *ALIASES, *of_tensors]))
+
     def values(self, name: str) -> np.ndarray:
         """Return a field on the owned cells: (cells, points) or (cells, points, components).
 
@@ -103,8 +116,11 @@ class PointFields:
                 plasticity has is zero in elastic bodies.
 
         Raises:
-            ValueError: if no law has that field, or a law gives NaN on this rank.
+            ValueError: for what is no name, if no law has that field, or if a law gives NaN on this
+                rank.
         """
+        if not isinstance(name, str):
+            raise ValueError(f"name is {name!r}: give one of {', '.join(self.names)}")
         if name in self.bases:
             return self._base(name)
         name = ALIASES.get(name, name)

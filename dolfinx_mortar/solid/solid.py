@@ -26,6 +26,7 @@ from dolfinx import fem, la, mesh
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.arguments import is_integer
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.solid.dilatation import create_dilatation
@@ -42,13 +43,17 @@ from dolfinx_mortar.solid.state import (
     create_state,
     fill_all,
 )
-from dolfinx_mortar.spaces import check_space
+from dolfinx_mortar.spaces import check_real, check_space
 
 # Written first, and if a law has them; then all internal variables and what the laws put out.
 OUTPUT_FIELDS = (
     *("stress", "von_mises", "plastic_strain", "plastic_strain_norm"),
     *("back_stress_norm", "hardening"),
 )
+
+# Degree of the highest rule on simplices that Basix has in a table (Xiao and Gimbutas); beyond it
+# come products with a number of points that only memory limits.
+HIGHEST_RULE = 30
 
 
 class Solid:
@@ -105,12 +110,13 @@ class Solid:
                 trace, see `Material`.
 
         Raises:
-            ValueError: if u is in another kind of space, materials and tags do not match, the
-                quadrature degree is no integer from 0 on, the kinematics are unknown, for another
-                dimension, or the mesh lies beyond their axis, the eigenstrain has another shape, an
-                unknown tag or undefined values, there is no volumetric part to reduce, or a law
-                lacks a part, raises, or returns something of the wrong name or shape; the message
-                names the law and the part. And if ranks give different numbers, names or laws.
+            ValueError: if u is complex or in another kind of space, materials and tags do not
+                match, the quadrature degree is no integer from 0 to 30, the kinematics are unknown,
+                for another dimension, or the mesh lies beyond their axis, the eigenstrain has
+                another shape, is not symmetric, has an unknown tag or undefined values, there is no
+                volumetric part to reduce, or a law lacks a part, raises, or returns something of
+                the wrong name or shape; the message names the law and the part. And if ranks give
+                different numbers, names or laws.
         """
         if not isinstance(u, fem.Function):
             raise ValueError(f"u must be a dolfinx.fem.Function (the displacement), not {type(u)}.")
@@ -125,6 +131,7 @@ class Solid:
             eigenstrain=eigenstrain,
             volumetric=volumetric,
         )
+        check_real("u", u)
         check_space(u.function_space, "u")
         self.u = u
         self.kinematics = choose_kinematics(kinematics, self.mesh.geometry.dim)
@@ -369,9 +376,11 @@ class Solid:
 def _degree(V: fem.FunctionSpace, given: int | None) -> int:
     """Return the quadrature degree: by default 2(p - 1) >= 1 on simplices, else 2p."""
     if given is not None:
-        valid = isinstance(given, int | np.integer) and not isinstance(given, bool) and given >= 0
-        if not valid:
-            raise ValueError(f"quadrature_degree is {given!r}: give an integer from 0 on, or None.")
+        if not (is_integer(given) and 0 <= given <= HIGHEST_RULE):
+            raise ValueError(
+                f"quadrature_degree is {given!r}: give an integer from 0 to {HIGHEST_RULE}, or "
+                "None."
+            )
         return int(given)
     p = V.element.basix_element.degree
     simplex = V.mesh.topology.cell_type in (mesh.CellType.triangle, mesh.CellType.tetrahedron)

@@ -16,6 +16,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar import compat
 from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.spaces import check_real
 from ufl.algorithms.analysis import extract_coefficients, extract_constants
 from ufl.core.expr import Expr
 
@@ -60,7 +61,8 @@ def create_source(
 
 
 def check_source(u: fem.Function, name: str, value: Expr) -> None:
-    """Raise a ValueError if a value depends on the displacement or lives on another mesh."""
+    """Raise a ValueError if a value is not real, depends on u, or lives on another mesh."""
+    check_real(name, *extract_coefficients(value), *extract_constants(value))
     if u in extract_coefficients(value):
         raise ValueError(
             f"{name} depends on the displacement; write a law, see dolfinx_mortar.Material."

@@ -102,7 +102,7 @@ class Audit:
 
     bodies: int
     interfaces: list[InterfaceAudit]
-    held_by_contact: bool  # some body is held by contact alone
+    held_by_contact: list[str]  # names of bodies that nothing but contact holds
     warnings: list[str]
     stand_offs: list[StandOff] = field(default_factory=list)  # of contacts between facets
 
@@ -172,10 +172,11 @@ def create_audit(
         _check_sides(link, bodies, x)
     found = [_audit(link, x) for link in links]
     stand_offs = find_stand_offs(links, at)
-    by_contact = bool(contacts and free_motions(bodies, [*held, *ties]))
+    free = free_motions(bodies, [*held, *ties]) if contacts else []
+    by_contact = list(dict.fromkeys(motion.partition(" of ")[2] for motion in free))
     warnings = list(system.notes)
     if by_contact:
-        warnings.append("a body is held by contact alone: the loads must press it on")
+        warnings.append(f"held by contact alone: {'; '.join(by_contact)}: loads must press it on")
     for link, i in zip(links, found, strict=True):
         of_facets = next((s for s in stand_offs if s.interface is link.interface), None)
         pressed = max(increment, -i.least_gap) / float(bodies.radius.max())

@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Iterable, Sequence
-from numbers import Integral, Real
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +19,10 @@ from dolfinx_mortar import qp as backends
 from dolfinx_mortar.agreement import Changing, check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.arguments import is_integer, is_name, is_number
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.spaces import check_real
 
 GEOMETRIES = ("updated", "reference")
 CUTS = ("halve", "none")
@@ -57,7 +58,7 @@ def check_arguments(
         geometry=geometry,
         **options,
     )
-    if geometry not in GEOMETRIES:
+    if not is_name(geometry, GEOMETRIES):
         raise ValueError(f"geometry is {geometry!r}: choose 'updated' or 'reference'")
     sides = _check_interfaces(_as_list("interfaces", given))
     if sides:
@@ -103,9 +104,9 @@ def check_controls(qp: Any, rtol: Any, max_it: Any) -> None:
         max_it: largest number of iterations.
     """
     backends.check_name(qp)
-    if not (_is_number(rtol) and 0.0 < float(rtol) < 1.0):
+    if not (is_number(rtol) and 0.0 < float(rtol) < 1.0):
         raise ValueError(f"rtol is {rtol!r}: need a number, 0 < rtol < 1")
-    if not _is_integer(max_it) or max_it < 1:
+    if not is_integer(max_it) or max_it < 1:
         raise ValueError(f"max_it is {max_it!r}: need an integer, max_it >= 1")
 
 
@@ -130,16 +131,16 @@ def check_load_steps(
     if not isinstance(levels, list):
         raise ValueError(f"times is {times!r}: give a list of levels, [{times!r}] for a single one")
     for level in levels:
-        if not (_is_number(level) and math.isfinite(level)):
+        if not is_number(level):
             raise ValueError(f"times holds {level!r}: every level must be a finite number")
-    if start is not None and not (_is_number(start) and math.isfinite(start)):
+    if start is not None and not is_number(start):
         raise ValueError(
             f"start is {start!r}: give the finite level of the committed state, or None for the "
             "last one reached"
         )
-    if not _is_integer(max_cuts) or max_cuts < 0:
+    if not is_integer(max_cuts) or max_cuts < 0:
         raise ValueError(f"max_cuts is {max_cuts!r}: need an integer, max_cuts >= 0")
-    if not isinstance(cuts, str) or cuts not in CUTS:
+    if not is_name(cuts, CUTS):
         raise ValueError(f"cuts is {cuts!r}: choose 'halve' or 'none'")
     return [float(level) for level in levels]
 
@@ -169,7 +170,7 @@ def check_every(comm: MPI.Comm, checkpoint: Any, every: Any) -> Path | None:
         ValueError: if not, naming the argument.
     """
     check_same_on_all_ranks(comm, every=every)
-    if not _is_integer(every) or every < 1:
+    if not is_integer(every) or every < 1:
         raise ValueError(f"every is {every!r}: need an integer, every >= 1")
     given = comm.allgather(checkpoint is None)
     if any(given) and every != 1:
@@ -183,17 +184,8 @@ def check_every(comm: MPI.Comm, checkpoint: Any, every: Any) -> Path | None:
 def _unrolled(values: Any) -> Any:
     """Return a list of what can be iterated over only once; texts and all else as they are."""
     values = values.tolist() if isinstance(values, np.ndarray) else values
-    return list(values) if isinstance(values, Iterable) and not isinstance(values, str) else values
-
-
-def _is_number(value: Any) -> bool:
-    """Tell whether a value is a real number, and no truth value."""
-    return isinstance(value, Real) and not isinstance(value, bool)
-
-
-def _is_integer(value: Any) -> bool:
-    """Tell whether a value is an integer, and no truth value."""
-    return isinstance(value, Integral) and not isinstance(value, bool)
+    text = isinstance(values, str | bytes)
+    return list(values) if isinstance(values, Iterable) and not text else values
 
 
 def _as_list(name: str, given: Any) -> list[Any]:
@@ -236,6 +228,11 @@ def _check_conditions(bcs: Sequence[Any], V: fem.FunctionSpace) -> list[fem.Diri
                 "bcs holds a condition on another space than that of solid.u: make it on "
                 "u.function_space or a component, u.function_space.sub(i)"
             )
+        if not type(bc._cpp_object).__name__.endswith("float64"):
+            raise ValueError(
+                "bcs holds a condition with values that are not real: give numbers, "
+                "Constants or Functions of type float64"
+            )
     return list(bcs)
 
 
@@ -246,6 +243,7 @@ def _check_loads(loads: Any, V: fem.FunctionSpace) -> None:
         raise ValueError(f"loads is a compiled form: {wanted}, in UFL as it is before fem.form")
     if not isinstance(loads, ufl.Form):  # its repr may fill pages
         raise ValueError(f"loads is a {type(loads).__name__}: {wanted}")
+    check_real("loads", *loads.coefficients(), *loads.constants())
     if len(loads.arguments()) != 1:
         raise ValueError(f"loads has {len(loads.arguments())} arguments, not one: {wanted}")
     space = loads.arguments()[0].ufl_function_space()

@@ -51,15 +51,27 @@ def not_converged(message: str, problem: ContactProblem, report: StepReport) -> 
     if flowing:  # what the solver says of singular matrices would point to floating bodies
         report.notes.append(message)
         message = flowing
-    elif problem.audit().held_by_contact:
+    elif held := problem.audit().held_by_contact:
         if problem.system.has_friction:  # one cause, of which solvers say one thing or another
             message = f"{TOO_MUCH}: {message}"
         message += (
-            ". A body held by contact alone may float away (do the loads press it on?), or slides "
-            "or rolls freely (then prescribe that motion)"
+            f". What contact alone holds, {'; '.join(held)}, may float away (do the loads press it "
+            "on?), or slides or rolls freely (then prescribe that motion)"
         )
     message += _describe_own_laws(problem)
     return NewtonNotConverged(f"{message}{AS_BEFORE}", report)
+
+
+def unsettled(problem: ContactProblem) -> str:
+    """Say why the geometry of contact does not come to rest."""
+    flows = bool(problem.solid.state)  # elastic bodies have none, and no hardening
+    soft = "a body that flows with little hardening: give it more, " if flows else "a soft body: "
+    return (
+        "the geometry does not settle: normals and gaps change more from one update to the "
+        "next, although the forces are in balance in between. Contact forces that turn with the "
+        f"surfaces may be stiffer than {soft}take smaller steps, or hold the surfaces, "
+        "geometry='reference'"
+    )
 
 
 def _describe_own_laws(problem: ContactProblem) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.interfaces.jump import extended, nodal_function, values_at
 from dolfinx_mortar.interfaces.nodal import check_mesh
 from dolfinx_mortar.interfaces.system import InterfaceSystem
@@ -27,7 +28,7 @@ def read_jumps(system: InterfaceSystem, empty: PETSc.Vec) -> dict[int, PETSc.Vec
 
     Raises:
         ValueError: on all ranks, if a jump lives on another mesh, has another shape than a vector
-            at each slave node, or holds NaN or infinity.
+            at each slave node, holds NaN or infinity, or is longer than the model.
     """
     V, jumps = system.V, {}
     for k, (interface, sides) in enumerate(zip(system.interfaces, system.sides, strict=True)):
@@ -44,10 +45,24 @@ def read_jumps(system: InterfaceSystem, empty: PETSc.Vec) -> dict[int, PETSc.Vec
             raise ValueError(
                 f"jump: {bad} values of {interface} are NaN or infinite; check what it is made of"
             )
+        longest = float(maximum(V.mesh.comm, np.abs(values).max(initial=0.0))[0])
+        if longest > (size := diagonal(V)):
+            raise ValueError(
+                f"jump: {interface} has a component of {longest:.4g}, more than the whole model's "
+                f"diagonal, {size:.4g}: give the displacement of the slave side relative to the "
+                "master side, in the unit of the mesh"
+            )
         jumps[k] = empty.duplicate()
         shared = (sides.on_slave & sides.on_master)[: system.n]
         jumps[k].array[:] = extended(values, sides.nodes, shared, system.n).ravel()
     return jumps
+
+
+def diagonal(V: fem.FunctionSpace) -> float:
+    """Return the diagonal of the box around the model; collective."""
+    x = V.tabulate_dof_coordinates()
+    ends = maximum(V.mesh.comm, *x.max(axis=0, initial=-np.inf), *(-x).max(axis=0, initial=-np.inf))
+    return float(np.linalg.norm(ends[:3] + ends[3:]))
 
 
 def check_jump_of(tie: Tie, V: fem.FunctionSpace) -> None:

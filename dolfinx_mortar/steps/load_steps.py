@@ -140,6 +140,8 @@ def load_steps(
     check_problem(problem, ContactProblem)
     check_same_on_all_ranks(problem.comm, on_time=on_time)
     levels = check_load_steps(times, start, max_cuts, cuts, problem.comm)
+    if on_time is not None and not callable(on_time):
+        raise ValueError(f"on_time is {on_time!r}: give a function of the load level, or None")
     file = check_every(problem.comm, checkpoint, every)
     most = max_cuts if cuts == "halve" else 0
     options = {"qp": qp, "rtol": rtol, "max_it": max_it}

@@ -23,6 +23,7 @@ import numpy as np
 import ufl
 from dolfinx import fem, la
 from dolfinx.fem import petsc as fem_petsc
+from dolfinx_mortar.spaces import check_real
 from ufl.algorithms import estimate_total_polynomial_degree, expand_derivatives
 
 REMEDY = "give its potential instead, ContactProblem(..., potential=...)"
@@ -88,6 +89,14 @@ class Loads:
         local = float(fem.assemble_scalar(self._energy))
         return float(self.V.mesh.comm.allreduce(local, op=MPI.SUM))
 
+    def check_potential(self) -> None:
+        """Raise a ValueError unless the potential is finite at the present u; collective."""
+        energy = self.energy()
+        if not np.isfinite(energy):
+            raise ValueError(
+                f"potential is {energy} at the present displacement: check its coefficients"
+            )
+
     def add_forces(self, F: PETSc.Vec) -> None:
         """Add dPi/du to the owned part of the internal forces F; collective."""
         if self._forces is not None:
@@ -131,6 +140,7 @@ def check_potential(u: fem.Function, potential: Any) -> None:
         raise ValueError(f"potential is a compiled form: {wanted}, in UFL as before fem.form")
     if not isinstance(potential, ufl.Form):  # its repr may fill pages
         raise ValueError(f"potential is a {type(potential).__name__}: {wanted}")
+    check_real("potential", *potential.coefficients(), *potential.constants())
     if potential.arguments():
         count = len(potential.arguments())
         raise ValueError(f"potential has {count} test or trial functions, not none: {wanted}")

@@ -337,14 +337,7 @@ class _Step:
         change, work = find_change(problem.comm, balance, contacts, predicted)
         watch = watch.after(work, residual.forces)
         if watch.rises >= MOST_RISES:
-            raise failures.not_converged(
-                "the geometry does not settle: normals and gaps change more from one update to the "
-                "next, although the forces are in balance in between. Contact forces that turn "
-                "with the surfaces may be stiffer than a body that flows with little hardening: "
-                "give it more, or hold the surfaces, geometry='reference'",
-                problem,
-                self.report,
-            )
+            raise failures.not_converged(failures.unsettled(problem), problem, self.report)
         return balance, residual, watch, change / problem.system.facet_length
 
     def geometry_is_complete(self) -> bool:

@@ -17,14 +17,14 @@ import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from numbers import Real
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.arguments import as_numbers, is_number
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.steps.checks import (
@@ -33,6 +33,7 @@ from dolfinx_mortar.steps.checks import (
     check_problem,
 )
 from dolfinx_mortar.steps.failures import AS_BEFORE
+from dolfinx_mortar.steps.jumps import diagonal
 from dolfinx_mortar.steps.newton import solve_step
 from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.report import NewtonNotConverged, StepReport
@@ -148,17 +149,16 @@ def _check(problem: ContactProblem, tie: Any, force: Any, direction: Any) -> Flo
         raise ValueError(f"tie is {tie!r}: give one of problem.ties")
     check_owned(problem.interfaces, problem.supports)
     given = direction.tolist() if isinstance(direction, np.ndarray) else direction
-    if not isinstance(force, Real) or isinstance(force, bool) or not np.isfinite(float(force)):
+    if not is_number(force):
         raise ValueError(f"force is {force!r}: give a finite number, the resultant of the bolt")
-    try:
-        n = np.array(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        n = np.zeros(0)
+    numbers = as_numbers(given)
+    n = np.zeros(0) if numbers is None else numbers
     if n.shape != (problem.d,) or not np.isfinite(n).all() or not n.any():
         raise ValueError(
             f"direction is {direction!r}: give {problem.d} finite components, not all zero, along "
             "the axis of the bolt"
         )
+    n = n / np.abs(n).max()  # squares of very large or small components are none
     n = n / np.linalg.norm(n)
     _check_side(problem, tie, direction, n)
     return n
@@ -248,7 +248,8 @@ class _Search:
         """
         a, b = self.begin, self.begin
         miss_a = miss_b = self.measure(b, b)[1]
-        layer, limit = layer_stiffness(self.problem, self.tie, self.n), farthest(self.problem)
+        layer = layer_stiffness(self.problem, self.tie, self.n)
+        limit = FARTHEST * diagonal(self.problem.V)
         allowed = self.rtol * max(abs(self.force), abs(miss_b + self.force))
         allowed += layer * gap_round_off(self.problem.u)
         while abs(miss_b) > allowed:
@@ -341,11 +342,12 @@ class _Search:
                 "nothing resists: supports, ties or contacts have to hold both ends of the bolt "
                 "against the direction, which points out of the slave side for tension"
             )
+        flows = bool(self.problem.solid.state)  # elastic bodies have none, and no hardening
+        flow = "bodies flow (then give less force, or the law hardening), " if flows else ""
         return (
             f"a jump of {jumps[-1]:.4g}, {FARTHEST:.0%} of the model's diagonal away from "
             "the first, is too little, and the search ends there: the force is more than the "
-            "bolt's stiffness gives (check units, of force and stiffness), bodies flow (then give "
-            "less force, or the law hardening), or sides let go"
+            f"bolt's stiffness gives (check units, of force and stiffness), {flow}or sides let go"
         )
 
     def refusal(self, s: float) -> PreloadNotReached:
@@ -377,9 +379,3 @@ def layer_stiffness(problem: ContactProblem, tie: Tie, n: Floats) -> float:
     diagonal = problem.K.getDiagonal().array_r.reshape(-1, problem.d)
     local = float((diagonal[problem.system.link(tie).nodes] * n**2).sum())
     return float(problem.comm.allreduce(local, op=MPI.SUM))
-
-
-def farthest(problem: ContactProblem) -> float:
-    """Return how far a jump may go, a share of the diagonal of the model; collective."""
-    ends = (maximum(problem.comm, *x.max(axis=0, initial=-np.inf)) for x in (problem.X, -problem.X))
-    return FARTHEST * float(np.linalg.norm(sum(ends)))

@@ -236,10 +236,10 @@ class ContactProblem:
         meets other partners than where it started.
 
         Raises:
-            ValueError: on NaN or infinity in one of them, or in the displacement or the
-                coordinates, if limits of friction are negative or not finite, if points of an axis
-                shall leave it, if a jump cannot be, and if another problem has taken over an
-                interface.
+            ValueError: on NaN or infinity in one of them, or in the displacement, the potential or
+                the coordinates, if conditions contradict each other, if limits of friction are
+                negative or not finite, if points of an axis shall leave it, if a jump cannot be,
+                and if another problem has taken over an interface.
         """
         self.check_owned()
         with self.timings("assembly"):
@@ -256,6 +256,7 @@ class ContactProblem:
             bad = self.comm.allreduce(int(np.sum(~np.isfinite(array))), op=MPI.SUM)
             if bad:
                 raise ValueError(f"{name}: {bad} values are NaN or infinite; {remedy}")
+        self.loads.check_potential()
         check_targets(self.solid, target)
         jumps = read_jumps(self.system, f)
         began = self.committed.displacement  # of what a try has moved since nothing may stay
@@ -310,6 +311,7 @@ class ContactProblem:
         """Return the forces that a motion wakes in the potential, over its largest stiffness."""
         if not self.loads.has_potential:
             return lambda v: np.zeros(0)
+        self.loads.check_potential()
         springs = self.solid.create_matrix()
         springs.zeroEntries()
         self.loads.add_tangent(springs)

@@ -51,7 +51,7 @@ def progress(
         ValueError: on all ranks, if ``wanted`` is none of the three on any; collective.
     """
     with raised_together(comm):
-        if wanted not in (None, True, False):
+        if not (wanted is None or isinstance(wanted, bool)):
             raise ValueError(f"progress is {wanted!r}: choose True, False or None")
     if comm.rank != 0:
         return nullcontext(lambda step: None)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.steps.checks import check_path, check_problem
 from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.report import LoadStep
 
@@ -30,7 +31,12 @@ def summarise(step: LoadStep) -> dict[str, Any]:
         "newton_iterations", "qp_iterations", "linear_iterations" and "factorisations", the
         "residual_history", the "notes" and this rank's "seconds" by part of the work; of the last
         part the "linear_solver" and the "certificate".
+
+    Raises:
+        ValueError: for what is no load step.
     """
+    if not isinstance(step, LoadStep):
+        raise ValueError(f"step is {step!r}: give a LoadStep, such as load_steps yields")
     parts = step.parts
     iterations = [iteration for part in parts for iteration in part.iterations]
     work = sorted({name for part in parts for name in part.seconds})
@@ -67,8 +73,13 @@ def write_summary(
         more: further entries.
 
     Raises:
+        ValueError: for what is no path, no problem, or no list of rows (on all ranks).
         OSError: if the file cannot be written (on all ranks).
     """
+    check_problem(problem, ContactProblem)
+    path = check_path(problem.comm, path)
+    with raised_together(problem.comm):
+        _check_rows(steps)
     V, comm = problem.solid.V, problem.comm
     size = {
         "dofs": V.dofmap.index_map.size_global * V.dofmap.index_map_bs,
@@ -84,6 +95,16 @@ def write_summary(
             except OSError as error:
                 said = error.strerror or str(error)
                 raise OSError(f"path is {os.fspath(path)!r}: {said}") from error
+
+
+def _check_rows(steps: Any) -> None:
+    """Raise a ValueError unless rows are a list of dictionaries."""
+    wanted = "give a list of rows, [dm.summarise(step) for step in ...]"
+    if not isinstance(steps, list | tuple):
+        raise ValueError(f"steps is {steps!r}: {wanted}")
+    for row in steps:
+        if not isinstance(row, Mapping):
+            raise ValueError(f"steps holds {row!r}: {wanted}")
 
 
 def _plain(value: Any) -> Any:
