@@ -9,6 +9,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx_mortar.steps import line_search
+from dolfinx_mortar.steps import newton as newton_module
 from dolfinx_mortar.steps.linearisation import (
     find_balance,
     linearise,
@@ -16,6 +17,7 @@ from dolfinx_mortar.steps.linearisation import (
 )
 from dolfinx_mortar.steps.newton import solve_step
 from dolfinx_mortar.steps.residuals import EPS
+from tests.block_piles import ABOVE, BELOW, PILE, Blocks
 from tests.hertz_case import ELASTIC, PLASTIC, create_case
 from tests.pressed_blocks import rejected
 from tests.sweep.problems import create
@@ -30,6 +32,30 @@ def test_a_step_too_long_is_halved():
     case.press(0.6)
     lengths = [i.step_length for i in dm.newton(case.problem).iterations]
     assert set(lengths) == {1.0, 0.5}
+
+
+@pytest.mark.parametrize("law", [ELASTIC, PLASTIC])
+def test_energy_is_free_to_rise_where_supports_strain(law, monkeypatch):
+    """A pulled bar: the first step is whole, and searched it would find nothing below zero."""
+    searched = []
+    search = newton_module.search
+    monkeypatch.setattr(newton_module, "search", lambda *a: searched.append(1) or search(*a))
+    b = Blocks(PILE[:1])
+    pull = b.fix(1, ABOVE, component=1, value=2e-2)
+    report = dm.newton(b.problem([], [b.fix(1, BELOW), pull], law=law))
+    assert report.iterations[0].step_length == 1.0
+    assert len(searched) == report.newton_iterations - 1
+
+
+def test_a_step_is_searched_where_supports_move_bodies_rigidly(monkeypatch):
+    """They ask for no strain then, so that the energy has to fall from the first iteration on."""
+    searched = []
+    search = newton_module.search
+    monkeypatch.setattr(newton_module, "search", lambda *a: searched.append(1) or search(*a))
+    case = create_case(dm.meshing.hertz(COMM, kind="paper"), ELASTIC)
+    case.press(0.1)
+    report = dm.newton(case.problem)
+    assert len(searched) == report.newton_iterations > 0
 
 
 def overlapping():

@@ -11,6 +11,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
+from dolfinx_mortar.steps import newton as newton_module
 from dolfinx_mortar.steps.contacts import Contacts
 from dolfinx_mortar.steps.linearisation import (
     count_changes,
@@ -23,7 +24,7 @@ from tests.ball_case import create_problem
 from tests.block_piles import ABOVE, BELOW, EAST, PILE, WEST, Blocks
 from tests.hertz_case import ELASTIC, PLASTIC, create_case
 from tests.meshes import BOTTOM, TOP
-from tests.pressed_blocks import PressedBlocks
+from tests.pressed_blocks import PressedBlocks, rejected
 from tests.sweep.problems import create
 
 COMM = MPI.COMM_WORLD
@@ -265,6 +266,36 @@ def test_the_watch():
     ):
         watch = watch.after(change, forces)
         assert (watch.held, watch.rises) == (held, rises)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("rises", [1, 2])
+def test_a_geometry_that_rises_twice_is_given_up(rises, monkeypatch):
+    """Changes that grow at balanced forces: the first is free, the next one holds the geometry.
+
+    Then each of them is a rise. One is survived, and the step goes on to its end.
+    """
+    seen, after = [], Watch.after
+
+    def grow(watch, change, forces):
+        seen.append(change)
+        shrinks = len(seen) > 2 + rises
+        return after(watch, 0.0 if shrinks else float(len(seen)), 1.0)
+
+    monkeypatch.setattr(Watch, "after", grow)
+    enough = newton_module._Step.geometry_is_complete
+    monkeypatch.setattr(
+        newton_module._Step,
+        "geometry_is_complete",
+        lambda step: enough(step) and len(seen) > 2 + rises,
+    )
+    problem = PressedBlocks().problem()
+    if rises == 1:
+        assert dm.newton(problem).converged
+        return
+    with rejected("does not settle", error=dm.NewtonNotConverged):
+        dm.newton(problem)
+    assert len(seen) == 4
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("pile", 4), ("hertz", 11)])

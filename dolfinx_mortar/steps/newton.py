@@ -300,16 +300,16 @@ class _Step:
     ) -> tuple[float, int, Energy | None]:
         """Move u along the step; return its length, the halvings, and J.
 
-        In the iteration in which supports move, or ties still ask for a motion, the energy must be
-        free to rise, and a law may have none: then the whole step is taken.
+        Where supports or ties still ask for a motion, the energy must be free to rise, and a law
+        may have none: then the whole step is taken. Supports that have only moved their bodies
+        rigidly, at the start of the step, ask for nothing any more.
         """
         problem = self.problem
         own = du.local_size
         lost = gap_round_off(problem.u)
         asked = float(maximum(problem.comm, lin.balance.equal.scale)[0])
-        moved = self.data.increment > lost and not self.report.iterations
         with problem.timings("assembly"):
-            if energy is None or moved or asked > lost:
+            if energy is None or asked > lost:
                 move(problem, problem.u.x.array[:own] + du.array_r)
                 return 1.0, 0, find_energy(problem, self.data) if problem.solid.has_energy else None
             try:
