@@ -237,3 +237,15 @@ def test_depths_out_of_range_are_named(depth):
 def test_bad_points_of_a_fit_are_named(x, p, words):
     with pytest.raises(ValueError, match=words):
         analytic.fit_pressure(x, p)
+
+
+@pytest.mark.parametrize("bad", [None, 100.0, "x", analytic.YieldOfSphere])
+def test_what_other_functions_return_is_named(bad):
+    for name, maker, call in (
+        ("contact", "hertz_line", lambda: analytic.cattaneo_line(bad, 0.2, 1.0)),
+        ("contact", "hertz_point", lambda: analytic.mindlin_point(bad, 0.2, 0.3, 1.0)),
+        ("at", "first_yield_sphere", lambda: analytic.jackson_green(1e-3, bad)),
+        ("at", "first_yield_sphere", lambda: analytic.kogut_etsion(1e-3, bad)),
+    ):
+        with pytest.raises(ValueError, match=f"^{name} = .* must be what {maker} returns"):
+            call()

@@ -288,7 +288,7 @@ def test_prescribed_components_of_slave_nodes(kind):
     b = Blocks(PILE[:2])
     b.mesh.geometry.x[:, 1] += 0.2 * b.mesh.geometry.x[:, 0] ** 2
     bcs = [
-        b.fix(1, BELOW),
+        b.fix(1, BELOW, component=1),
         b.fix(1, EAST, component=0, value=2e-3),
         b.fix(1, WEST, component=0, value=-1e-3),
         b.fix(2, EAST, component=0, value=1e-3),

@@ -77,6 +77,14 @@ def von_mises_stress(strain, state, p):
     return dm.Elastic.elastic_stress(strain - ep, p)
 
 
+@pytest.mark.parametrize("bad", [None, 0, -1, np.nan, "x", 10**400, 1j, [], 0.5j])
+def test_arguments_of_a_check(bad):
+    for name in ("size", "seed"):
+        if (name, bad) not in (("seed", 0), ("seed", 10**400)):
+            with pytest.raises(ValueError, match=f"{name} is .*: give "):
+                dm.materials.check(dm.Elastic(1000.0, 0.3), **{name: bad})
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

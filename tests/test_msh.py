@@ -259,7 +259,13 @@ def test_what_is_in_two_groups(version, dim, entity, first):
         squares(model)
         model.addPhysicalGroup(dim, [entity], 31, "all")
 
-    refused(draw, f"'{first}' and 'all'", "two physical groups", MshFileVersion=version)
+    refused(
+        draw,
+        f"'{first}' and 'all'",
+        "two physical groups",
+        "do not fragment",
+        MshFileVersion=version,
+    )
 
 
 def test_elements_that_are_there_twice():

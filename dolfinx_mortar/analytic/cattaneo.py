@@ -20,7 +20,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.analytic.checks import check_positive, is_number, numbers
+from dolfinx_mortar.analytic.checks import check_positive, check_record, is_number, numbers
 from dolfinx_mortar.analytic.hertz import LineContact
 from dolfinx_mortar.arrays import Floats
 
@@ -146,6 +146,7 @@ def cattaneo_line(
     >>> round(loop.dissipation / s.dissipation, 12)
     5.0
     """
+    check_record("contact", contact, LineContact, "hertz_line")
     check_positive(friction=friction)
     path, weights, shares = legs_of(force, friction * contact.force)
     widths = tuple(contact.half_width * float(np.sqrt(1.0 - share)) for share in shares)

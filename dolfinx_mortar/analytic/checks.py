@@ -32,6 +32,12 @@ def check_positive(**values: float) -> None:
             raise ValueError(f"{name} = {value!r} must be a positive, finite number.")
 
 
+def check_record(name: str, value: Any, kind: type, maker: str) -> None:
+    """Raise ValueError unless an argument is what another function of this room returns."""
+    if not isinstance(value, kind):
+        raise ValueError(f"{name} = {value!r} must be what {maker} returns.")
+
+
 def check_poisson(**values: float) -> None:
     """Raise ValueError unless all are Poisson's ratios of compressible bodies."""
     for name, nu in values.items():

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.analytic.checks import check_poisson, check_positive, numbers
+from dolfinx_mortar.analytic.checks import check_poisson, check_positive, check_record, numbers
 from dolfinx_mortar.arrays import Floats
 
 
@@ -82,6 +82,7 @@ def jackson_green(w: npt.ArrayLike, at: YieldOfSphere) -> Flattening:
     Raises:
         ValueError: for an interference that is not positive.
     """
+    check_record("at", at, YieldOfSphere, "first_yield_sphere")
     s = _interferences(w) / at.interference
     elastic, e = s <= 1.9, at.yield_stress / at.E_star
     a = at.contact_radius * np.sqrt(s * (s / 1.9) ** (0.14 * np.exp(23.0 * e)))
@@ -109,6 +110,7 @@ def kogut_etsion(w: npt.ArrayLike, at: YieldOfSphere) -> Flattening:
     Raises:
         ValueError: for an interference that is not positive.
     """
+    check_record("at", at, YieldOfSphere, "first_yield_sphere")
     s = _interferences(w) / at.interference
     where = [s <= 1.0, s <= 6.0, s <= 110.0]
     P = np.select(where, [s**1.5, 1.03 * s**1.425, 1.40 * s**1.263], np.nan)

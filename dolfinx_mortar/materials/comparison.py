@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from dolfinx_mortar.arguments import is_integer, is_number
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.compiled import CompiledLaw, Point
 from dolfinx_mortar.materials.plane_stress import plane_stress_law
@@ -132,9 +133,14 @@ def check(
         The largest errors found; ``print`` it.
 
     Raises:
-        ValueError: where the law does not fit, with strain, state, component and both values.
+        ValueError: for arguments that make no sense, and where the law does not fit, with strain,
+            state, component and both values.
     """
     check_declaration("law", law)
+    if not (is_number(size) and size > 0.0):
+        raise ValueError(f"size is {size!r}: give the norm of a strain, a positive number")
+    if not (is_integer(seed) and seed >= 0):
+        raise ValueError(f"seed is {seed!r}: give an integer from 0 on")
     rng = np.random.default_rng(seed)
     kind = plane_stress_law(law_of(law)) if plane_stress else law_of(law)
     compiled = PointwiseNumbers(law, kind) if is_pointwise(kind) else CompiledLaw(law, kind)
