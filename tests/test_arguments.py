@@ -98,6 +98,11 @@ CALLS = [
     ("u has to be", lambda g, x: mortar(g, u=x), or_none),
     ("weight", lambda g, x: mortar(g, weight=x), or_none),
     ("qp", lambda g, x: dm.newton(g.problem, qp=x), kinds()),
+    ("qp", lambda g, x: dm.qp.solve(x), kinds()),
+    ("comm", lambda g, x: dm.qp.LinearSolver(x, prefix="x_"), kinds()),
+    ("cell_tags", lambda g, x: dm.Solid(g.case.u, {1: ELASTIC}, x), kinds(type(None))),
+    ("path", lambda g, x: g.problem.save("no\0such" if x is None else x), kinds(str, bytes)),
+    ("u", lambda g, x: g.contact.gather(x), kinds()),
     ("on_time", lambda g, x: next(dm.load_steps(g.problem, [1.0], on_time=x)), or_none),
 ]
 
@@ -108,6 +113,8 @@ def test_what_makes_no_sense_anywhere(said, call, takes):
     case = PressedBlocks()
     tags = dm.Tags(case.facets, {"top": TOP_OF_LOWER})
     good = SimpleNamespace(case=case, problem=case.problem(), tags=tags)
+    (good.contact,) = good.problem.contacts
+    good.contact.resultants = object()  # as if there were some
     for bad in SOME:
         if not takes(bad):
             with rejected(f"{said} " if " " not in said else said):

@@ -293,7 +293,7 @@ def test_tolerances_of_the_iteration_reach_tao(qp: BoundQP) -> None:
 def test_options_of_methods_that_are_used_are_not_named(qp: BoundQP) -> None:
     """Also those that PETSc reads at a set-up only; our own defaults are nobody's mistake."""
     for in_space in (False, True):  # before anything is solved
-        assert LinearSolver(COMM, multigrid=in_space).unused_options() == []
+        assert LinearSolver(COMM, prefix="no_", multigrid=in_space).unused_options() == []
     options = {"mat_mumps_icntl_14": 30, "mat_mumps_icntl_7": 2}
     direct = LinearSolver(COMM, prefix="direct_", options=MULTIGRID | {"pc_type": "lu"} | options)
     options = {"mg_levels_ksp_type": "chebyshev", "mg_levels_pc_type": "jacobi"}

@@ -281,6 +281,7 @@ class Interface:
 
         Raises:
             NoResult: before the first step.
+            ValueError: for what is no displacement.
         """
         return self.gather_functions(u, {})
 
@@ -290,6 +291,9 @@ class Interface:
         """Return the same with more Functions; collective."""
         if self.resultants is None or self.fields is None:
             raise NoResult(self, "nodal results")
+        mesh = self.fields.pressure.function_space.mesh
+        if not isinstance(u, fem.Function) or u.function_space.mesh is not mesh or not u.ufl_shape:
+            raise ValueError(f"u is {u!r}: give the displacement, solid.u")
         V, own, d = u.function_space, self.resultants.nodes, len(self.force)
         X = V.tabulate_dof_coordinates()[own, :d]
         functions = {name: getattr(self.fields, name) for name in ("pressure", "gap", "active")}

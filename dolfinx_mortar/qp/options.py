@@ -108,6 +108,8 @@ def check_options(comm: MPI.Comm, prefix: str, options: Mapping[str, Any] | None
         ValueError: on all ranks, if the prefix is no text, if options are no mapping of names
             to numbers and strings, or if PETSc has no such method or cannot read a value.
     """
+    if not isinstance(comm, MPI.Comm):
+        raise ValueError(f"comm is {comm!r}: give an MPI communicator, such as MPI.COMM_WORLD")
     if any_rank(comm, not isinstance(prefix, str))[0]:
         raise ValueError(f"petsc_options_prefix is {prefix!r}: give a text, such as 'contact_'")
     wrong = _wrong_type(options)

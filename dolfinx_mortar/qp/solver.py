@@ -86,6 +86,8 @@ def solve(
             carries it.
     """
     check_name(backend)
+    if not isinstance(qp, BoundQP):
+        raise ValueError(f"qp is {qp!r}: give a BoundQP")
     check_friction(backend, qp.friction is not None)
     validate(qp)
     if (trivial := _nothing_to_do(qp, backend)) is not None:

@@ -146,6 +146,8 @@ def tags_of_cells(domain: mesh.Mesh, cell_tags: mesh.MeshTags) -> Longs:
     Raises:
         ValueError: on all ranks, if the tags are not those of the cells of the mesh.
     """
+    if not isinstance(cell_tags, mesh.MeshTags):
+        raise ValueError(f"cell_tags is {cell_tags!r}: give a dolfinx.mesh.MeshTags of cells.")
     if cell_tags.dim != domain.topology.dim or not compat.on_same_mesh(cell_tags, domain):
         raise ValueError("cell_tags must tag the cells of the mesh of u, not of another mesh.")
     with raised_together(domain.comm):
