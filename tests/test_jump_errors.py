@@ -42,6 +42,17 @@ def test_numbers_that_are_not_finite(case, bad):
         case.tie.tightening = [bad, 0.0]
 
 
+@pytest.mark.parametrize("what", ["jump", "tightening"])
+def test_a_jump_beyond_the_model(case, what):
+    """Longer than its diagonal, which is that of 1 x 2: a mistake of units."""
+    problem = case.problem([case.hold(BOTTOM)])
+    setattr(case.tie, what, [0.0, 2.25])
+    with rejected("jump: ", "a component of 2.25", "diagonal, 2.236", "unit of the mesh"):
+        dm.newton(problem)
+    setattr(case.tie, what, [0.0, 2.2])
+    assert dm.newton(problem).converged
+
+
 def test_constants_and_functions_of_the_wrong_shape(case):
     with rejected("jump is a Constant of shape ()", "give 2"):
         glue(case, fem.Constant(case.mesh, 0.1))
@@ -86,6 +97,8 @@ def spoilt(kind, case):
         return jump, ["jump", "values", "NaN or infinite"]
     if kind == "values":
         return lambda x: np.full((2, x.shape[1]), np.nan if there else 0.0), ["NaN or infinite"]
+    if kind == "complex":
+        return lambda x: 1j * x[:2], ["jump: the function returns no real numbers"]
     if kind == "shape":
         wrong = lambda x: np.zeros((x.shape[1], 3) if there else (2, x.shape[1]))  # noqa: E731
         return wrong, ["jump: the function returns", "vector for each point"]
@@ -98,7 +111,7 @@ def spoilt(kind, case):
     return fails, ["no such depth"]
 
 
-@pytest.mark.parametrize("kind", ["Function", "Constant", "values", "shape", "error"])
+@pytest.mark.parametrize("kind", ["Function", "Constant", "values", "complex", "shape", "error"])
 def test_a_jump_that_is_no_good_leaves_all_as_it_was(case, kind):
     """The step before stays, and the next one with a good jump is as if nothing had been."""
     problem = case.problem([case.hold(BOTTOM)])

@@ -220,18 +220,29 @@ def test_contacts_that_tries_have_closed():
     assert joint.clamping() == 0.0
 
 
-@pytest.mark.parametrize("force", ["much", None, np.nan, np.inf, True])
+@pytest.mark.parametrize("force", ["much", None, np.nan, np.inf, True, 10**400])
 def test_a_force_that_is_none(force):
     case, problem = loaded()
     with rejected("force is ", "finite number"):
         dm.preload(problem, case.tie, force, outwards(case))
 
 
-@pytest.mark.parametrize("direction", [1.0, [0.0, 0.0], [1.0, 0.0, 0.0], [0.0, np.nan], "down"])
+@pytest.mark.parametrize(
+    "direction",
+    [1.0, [0.0, 0.0], [1.0, 0.0, 0.0], [0.0, np.nan], "down", [0.0, 1j], [0, 10**400], ["0", "1"]],
+)
 def test_a_direction_that_is_none(direction):
     case, problem = loaded()
     with rejected("direction is ", "2 finite components"):
         dm.preload(problem, case.tie, 1.0, direction)
+
+
+@pytest.mark.parametrize("length", [1e300, 1e-320])
+def test_a_direction_of_any_length(length):
+    """Also where its square is none."""
+    case, problem = loaded()
+    found = dm.preload(problem, case.tie, 1.0, length * outwards(case))
+    assert found.force == pytest.approx(1.0, rel=1e-6)
 
 
 @pytest.mark.mpi

@@ -42,7 +42,7 @@ def test_the_audit_names_sides_that_fit_closely(counts, swap):
 def test_nothing_to_say_of_smooth_surfaces():
     problem = create_pin((64, 96), True, surface="smooth").problem
     (warning,) = problem.audit().warnings
-    assert warning.startswith("held by contact alone: the body around [")
+    assert warning.startswith("contact alone holds the body around [")
 
 
 def test_nothing_to_say_of_what_does_not_fit():

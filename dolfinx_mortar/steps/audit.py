@@ -176,7 +176,7 @@ def create_audit(
     by_contact = list(dict.fromkeys(motion.partition(" of ")[2] for motion in free))
     warnings = list(system.notes)
     if by_contact:
-        warnings.append(f"held by contact alone: {'; '.join(by_contact)}: loads must press it on")
+        warnings.append(f"contact alone holds {'; '.join(by_contact)}: the loads must press it on")
     for link, i in zip(links, found, strict=True):
         of_facets = next((s for s in stand_offs if s.interface is link.interface), None)
         pressed = max(increment, -i.least_gap) / float(bodies.radius.max())

@@ -55,7 +55,7 @@ def not_converged(message: str, problem: ContactProblem, report: StepReport) -> 
         if problem.system.has_friction:  # one cause, of which solvers say one thing or another
             message = f"{TOO_MUCH}: {message}"
         message += (
-            f". What contact alone holds, {'; '.join(held)}, may float away (do the loads press it "
+            f". Contact alone holds {'; '.join(held)}: it may float away (do the loads press it "
             "on?), or slides or rolls freely (then prescribe that motion)"
         )
     message += _describe_own_laws(problem)
