@@ -122,7 +122,7 @@ def test_what_makes_no_sense_anywhere(said, call, takes):
     assert not case.u.x.array.any()
 
 
-@pytest.mark.parametrize("tag", [2**31, -(2**31) - 1, 10**400])
+@pytest.mark.parametrize("tag", [2**31, -(2**31) - 1, pytest.param(10**400, id="huge")])
 def test_tags_beyond_32_bits(tag):
     case = PressedBlocks()
     tags = dm.Tags(case.facets, {"top": TOP_OF_LOWER})

@@ -77,7 +77,9 @@ def von_mises_stress(strain, state, p):
     return dm.Elastic.elastic_stress(strain - ep, p)
 
 
-@pytest.mark.parametrize("bad", [None, 0, -1, np.nan, "x", 10**400, 1j, [], 0.5j])
+@pytest.mark.parametrize(
+    "bad", [None, 0, -1, np.nan, "x", pytest.param(10**400, id="huge"), 1j, []]
+)
 def test_arguments_of_a_check(bad):
     for name in ("size", "seed"):
         if (name, bad) not in (("seed", 0), ("seed", 10**400)):
