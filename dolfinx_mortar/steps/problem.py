@@ -236,10 +236,9 @@ class ContactProblem:
         meets other partners than where it started.
 
         Raises:
-            ValueError: on NaN or infinity in one of them, or in the displacement, the potential or
-                the coordinates, if conditions contradict each other, if limits of friction are
-                negative or not finite, if points of an axis shall leave it, if a jump cannot be,
-                and if another problem has taken over an interface.
+            ValueError: on NaN or infinity in one of them, the displacement, the potential or the
+                coordinates; for conditions that contradict each other, limits of friction below 0,
+                points that leave an axis, jumps that cannot be, interfaces of another problem.
         """
         self.check_owned()
         with self.timings("assembly"):
