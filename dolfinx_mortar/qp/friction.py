@@ -62,6 +62,11 @@ class Friction:
         return np.asarray(self.coefficient * np.maximum(pressing, 0.0) + self.cohesion)
 
     @property
+    def plane(self) -> bool:
+        """Tell whether no node has more directions than one and its opposite."""
+        return self.tangential.shape[1] == 1
+
+    @property
     def across(self) -> Bools:
         """Which nodes (m,) may slip in more directions than one and its opposite."""
         return np.asarray(self.some.sum(axis=1) > 1)

@@ -24,8 +24,8 @@ from dolfinx_mortar.qp.bound_qp import (
 from dolfinx_mortar.qp.friction import Friction, Sliding
 from dolfinx_mortar.qp.linear import LinearSolver
 from dolfinx_mortar.qp.state import State
-from dolfinx_mortar.qp.tolerances import EPS, LIMIT, ROUND_OFF, SHARE
-from dolfinx_mortar.qp.updates import TIGHT, Found, Outcome
+from dolfinx_mortar.qp.tolerances import EPS, LIMIT, PATIENCE, ROUND_OFF, SHARE
+from dolfinx_mortar.qp.updates import LOOSE, TIGHT, Found, Outcome
 
 
 class HeldProblem:
@@ -52,6 +52,8 @@ class HeldProblem:
         self.reactions: float | None = None  # at the bounds; unknown before the first solve
         self.best: State | None = None  # the one that has come nearest to the law
         self.least = np.inf  # by how much, a force
+        self.stalls = 0  # solves since then
+        self.level = LOOSE  # of the last one
 
     def forget(self) -> None:
         """Begin anew from x = 0, after a solve that has failed."""
@@ -70,18 +72,10 @@ class HeldProblem:
             LinearSolveFailed: if the state leaves a body free.
         """
         active = state.active
-        on = active != 0
-        held, values = self.qp.bounded[on], np.where(active > 0, self.upper, self.lower)[on]
-        sliding = None
-        if (law := self.qp.friction) is not None:
-            stuck = state.sticks(law)
-            held = np.concatenate([held, law.tangential[stuck]])
-            values = np.concatenate([values, law.rest[stuck]])
-            sliding = self._sliding(law, state)
-        if any_rank(self.qp.comm, (self.x.array_r[held] != values).any())[0]:
-            self.x.array[held] = values
-            self.z = reaction(self.qp, self.x)
-        atol = self._solve(np.sort(held), level, sliding)
+        if level > self.level:  # errors show that were below what was asked for
+            self.level, self.least, self.stalls = level, np.inf, 0
+        atol = self.solve(state, level)
+        law = self.qp.friction
         found = on_bounded(self.qp, self.x, self.z)
         atol = max(atol, self.linear.round_off(self.x))
         new = State(found.predicted(), state.directions, state.stiffness)
@@ -95,7 +89,23 @@ class HeldProblem:
             new = self._next(law, (state, new), strength, missing, share)
         changes = int(self.qp.comm.allreduce(changes))
         satisfied = changes == 0 and level >= TIGHT and self._is_accurate(level)
-        return Found(new, changes, satisfied)
+        return Found(new, changes, satisfied, hopeless=share == 0.0 and self.stalls >= PATIENCE)
+
+    def solve(self, state: State, level: int) -> float:
+        """Solve in a state; x and z are the solution; return the tolerance (collective)."""
+        active = state.active
+        on = active != 0
+        held, values = self.qp.bounded[on], np.where(active > 0, self.upper, self.lower)[on]
+        sliding = None
+        if (law := self.qp.friction) is not None:
+            stuck = state.sticks(law)
+            held = np.concatenate([held, law.tangential[stuck]])
+            values = np.concatenate([values, law.rest[stuck]])
+            sliding = self._sliding(law, state)
+        if any_rank(self.qp.comm, (self.x.array_r[held] != values).any())[0]:
+            self.x.array[held] = values
+            self.z = reaction(self.qp, self.x)
+        return self._solve(np.sort(held), level, sliding)
 
     def _next(
         self,
@@ -118,8 +128,9 @@ class HeldProblem:
         missing = np.where(old.slips(law) != new.slips(law), missing, 0.0)
         tops = maximum(self.qp.comm, strength.max(initial=0.0), missing.max(initial=0.0))
         largest = float(tops.max())
+        self.stalls += 1
         if largest < self.least:
-            self.best, self.least = old, largest
+            self.best, self.least, self.stalls = old, largest, 0
         return old.towards(new, strength >= share * largest, missing >= share * largest)
 
     def _sliding(self, law: Friction, state: State) -> Sliding | None:

@@ -35,6 +35,7 @@ class Found(Generic[S]):
     predicted: S  # the next set
     changes: int  # unknowns on all ranks that differ by more than weak activity
     satisfied: bool  # accurate enough to end with, if nothing changes
+    hopeless: bool = False  # sets have come no nearer to a solution for long
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,8 @@ def update(
                 return Outcome(held, updates, "the active set came back to an earlier one")
             level += 1
             seen.clear()
+        elif found.hopeless:
+            return Outcome(held, updates, "the active set wandered without coming nearer")
         updates += found.changes > 0
         active = found.predicted
     return Outcome(held, updates, f"the active set still changed after {LIMIT} solves")

@@ -18,6 +18,7 @@ from dolfinx_mortar.arrays import Actives
 from dolfinx_mortar.qp import condensed
 from dolfinx_mortar.qp.backends import interior_point
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPNotSolved, QPSolution, check, on_bounded
+from dolfinx_mortar.qp.descent import descend
 from dolfinx_mortar.qp.held import HeldProblem
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
 from dolfinx_mortar.qp.state import State
@@ -81,36 +82,49 @@ def _solve_frictional(
     outcome = _update_frictional(problem, start, LOOSE)
     if not outcome.reason:
         return replace(problem.solution(outcome, "active-set"), linearisation=EXACT)
-    law, state = qp.friction, problem.best or start
+    try:
+        found = _solve_given(problem, problem.best or State.holding(qp))
+    except LinearSolveFailed:
+        found = None
+    if found is None:
+        raise QPNotSolved(f"Active set with friction: {outcome.reason}")
+    return replace(found, linearisation=GIVEN)
+
+
+def _solve_given(problem: HeldProblem, state: State) -> QPSolution | None:
+    """Solve for the limits of the last solution until they are its own; None if it does not end."""
+    qp, law = problem.qp, problem.qp.friction
     assert law is not None
+    problem.solve(state, TIGHT)
     for _ in range(LIMIT):
-        limits = law.limit(
-            np.where(state.active > 0, problem.z.array_r[qp.bounded], 0.0)[law.normal]
-        )
+        pressing = np.where(state.active > 0, problem.z.array_r[qp.bounded], 0.0)
+        limits = law.limit(pressing[law.normal])
         given = replace(law, coefficient=0.0 * limits, cohesion=limits)
-        problem = HeldProblem(replace(qp, friction=given), linear, problem.x, rtol)
-        found = _update_frictional(problem, state, TIGHT)
+        problem = HeldProblem(replace(qp, friction=given), problem.linear, problem.x, problem.rtol)
+        found = (descend if law.plane else _update_frictional)(problem, state, TIGHT)
         if found.reason:
-            break
+            return None
         state = found.state
         kkt = check(qp, problem.x, problem.z)
-        if kkt.satisfied(rtol):
-            solution = problem.solution(found, "active-set")
-            return replace(solution, kkt=kkt, linearisation=GIVEN)
-    raise QPNotSolved(f"Active set with friction: {outcome.reason}")
+        if kkt.satisfied(problem.rtol):
+            return replace(problem.solution(found, "active-set"), kkt=kkt)
+    return None
 
 
 def _update_frictional(problem: HeldProblem, start: State, level: int) -> Outcome[State]:
     """Update until a state stays: at first all nodes change sides at once, then only the worst.
 
-    All at once, they may go in circles, or let go of a body that only some of them hold.
+    All at once, they may go in circles, or let go of a body that only some of them hold. Against
+    circles there is a descent in the plane, which is sure to end.
     """
     outcome, first = Outcome(start, 0, "not tried"), start
+    law = problem.qp.friction
+    assert law is not None
     for share in SHARES:
         try:
             hold = partial(problem.hold, share=share)
             outcome = update(hold, first, problem.qp.comm, level=level)
-            if not outcome.reason:
+            if not outcome.reason or law.plane:
                 return outcome
             first = problem.best or start
         except LinearSolveFailed as error:

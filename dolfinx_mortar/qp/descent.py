@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: MIT
+"""Friction with given limits s in the plane: a descent, which no set can come back in.
+
+The solution is the minimum within the bounds of the convex
+
+    J(x) = 1/2 x'Ax - b'x + sum_j s_j |x_t - rest|_j.
+
+In a state (which bounds are active, which nodes stick, to which side the others slip) J is a
+quadratic, and one solve finds its minimum. Updates of sets go there at once and read off the next
+state. Where a body is held by the friction of few nodes that is a leap: a belt on a drum, pulled at
+both ends alike, slips outwards from one node that sticks; if its neighbour should stick instead,
+that node slips as well, nothing holds the belt any more, half of it turns round, and so on. Here
+x goes as far along the way as J falls: to the first bound that it meets, to the node whose slip
+ends where J is least, which sticks (in the belt: the neighbour), or to the minimum. Only in a
+minimum of its state does it let bounds open that pull and nodes slip that resist by more than s:
+the method of Rosen (1960) and Fletcher (1971), for a sum of norms beside the quadratic. J falls
+from one minimum to the next, and there are finitely many.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.qp.bound_qp import on_bounded, reaction
+from dolfinx_mortar.qp.friction import Friction
+from dolfinx_mortar.qp.held import HeldProblem
+from dolfinx_mortar.qp.state import State
+from dolfinx_mortar.qp.tolerances import LIMIT
+from dolfinx_mortar.qp.updates import TIGHT, Outcome
+
+
+def descend(problem: HeldProblem, start: State, level: int = TIGHT) -> Outcome[State]:
+    """Minimise J; the x and z of the problem are the solution (collective).
+
+    Args:
+        problem: with friction in the plane, whose limits follow no pressure.
+        start: first state.
+        level: accuracy of the solution; solves on the way are as accurate as its square.
+
+    Raises:
+        LinearSolveFailed: if a state leaves a body free.
+    """
+    return _Descent(problem, start, level + 1).run()
+
+
+@dataclass(frozen=True)
+class _Way:
+    """The straight way from x to the minimum of a state; shares of it."""
+
+    slope: float  # of J in this state at x; 0 at the end
+    bounds: Floats  # (k,) where unknowns meet their bounds, inf where they do not
+    ends: Floats  # (m,) where slips end, inf where they do not
+    jumps: Floats  # (m,) by how much the slope of J rises there
+
+    def least(self, comm: MPI.Comm) -> tuple[float, Bools, Bools]:
+        """Return where J is least within the bounds; collective.
+
+        Returns:
+            The share of the way, the nodes (m,) that have changed sides by then, and those (m,)
+            whose slip ends there.
+        """
+        farthest = min(1.0, -float(maximum(comm, -self.bounds.min(initial=1.0))[0]))
+        everywhere = comm.allgather((self.ends, self.jumps))
+        ends, jumps = (np.concatenate(parts) for parts in zip(*everywhere, strict=True))
+        order = np.argsort(ends, kind="stable")
+        order = order[ends[order] < farthest]
+        corners = np.concatenate([[0.0], ends[order]])
+        # the slope after a corner, slope (1 - share) + rises, vanishes here
+        roots = 1.0 + np.concatenate([[0.0], np.cumsum(jumps[order])]) / self.slope
+        reached = np.flatnonzero(roots <= np.append(corners[1:], farthest))
+        last = int(reached[0]) if reached.size else order.size
+        share = max(corners[last], roots[last]) if reached.size else farthest
+        sides, sticks = np.zeros((2, ends.size), dtype=bool)
+        sides[order[:last]] = True
+        if reached.size and last > 0 and roots[last] < corners[last]:
+            sticks[order[last - 1]] = True
+        first = sum(part[0].size for part in everywhere[: comm.rank])
+        own = slice(first, first + self.ends.size)
+        return share, sides[own], sticks[own]
+
+
+class _Descent:
+    """A point within the bounds, and the state that it is in."""
+
+    def __init__(self, problem: HeldProblem, start: State, level: int) -> None:
+        """Go to the solution in a state, and from there into the bounds."""
+        self.problem, self.qp, self.level = problem, problem.qp, level
+        assert problem.qp.friction is not None
+        self.law: Friction = problem.qp.friction
+        problem.solve(start, level)
+        self.x = problem.x.copy()
+        bounded = self.qp.bounded
+        self.x.array[bounded] = np.clip(self.x.array_r[bounded], problem.lower, problem.upper)
+        slip = self.slip(self.x)
+        turned = start.slips(self.law) & (slip != 0.0)
+        sides = np.where(turned, np.sign(slip), start.directions[:, 0])
+        self.state = State(start.active, sides[:, None], start.stiffness)
+        self.z = reaction(self.qp, self.x)
+
+    def slip(self, x: PETSc.Vec) -> Floats:
+        """Return x_t - rest (m,)."""
+        return np.asarray((self.law.pick(x.array_r) - self.law.rest)[:, 0])
+
+    def run(self) -> Outcome[State]:
+        """Go from state to state until none is lower."""
+        problem = self.problem
+        for updates in range(1, LIMIT * LIMIT):
+            atol = problem.solve(self.state, self.level)
+            atol = max(atol, problem.linear.round_off(problem.x))
+            if self.advance(atol):
+                continue
+            if self.release(atol) == 0:
+                self.x.copy(problem.x)
+                problem.z = self.z
+                return Outcome(self.state, updates, "")
+        return Outcome(self.state, updates, f"friction still changed after {updates} solves")
+
+    def advance(self, atol: float) -> bool:
+        """Go towards the minimum of the state; tell whether that ended before it; collective."""
+        problem, state, bounded = self.problem, self.state, self.qp.bounded
+        d = problem.x.copy()
+        d.axpy(-1.0, self.x)
+        slope = d.dot(problem.z) - d.dot(self.z)  # -d'Ad
+        step, turns = d.array_r[bounded], self.law.pick(d.array_r)[:, 0]
+        if -slope <= atol * d.norm():  # forces that are round-off do this work
+            return False
+        side = np.where(step > 0.0, problem.upper, problem.lower)
+        room = np.where(state.active == 0, side - self.x.array_r[bounded], np.inf)
+        bounds = np.divide(room, step, out=np.full_like(room, np.inf), where=step != 0.0)
+        against = state.slips(self.law) & (state.directions[:, 0] * turns < 0.0)
+        ends = np.divide(-self.slip(self.x), turns, out=np.full_like(turns, np.inf), where=against)
+        jumps = 2.0 * self.law.cohesion * np.abs(turns)
+        way = _Way(slope, np.maximum(bounds, 0.0), np.maximum(ends, 0.0), jumps)
+        share, sides, sticks = way.least(self.qp.comm)
+        closes = (state.active == 0) & (way.bounds <= share)
+        self.x.axpy(share, d)
+        self.x.array[bounded[closes]] = side[closes]
+        stuck = self.law.select(sticks)
+        stuck.put(self.x.array, stuck.rest)
+        self.z = reaction(self.qp, self.x)
+        directions = np.where(sides[:, None], -state.directions, state.directions)
+        directions[sticks] = 0.0
+        active = np.where(closes, np.sign(step), state.active).astype(np.int8)
+        self.state = State(active, directions, state.stiffness)
+        return share < 1.0
+
+    def release(self, atol: float) -> int:
+        """Let bounds open that pull, and nodes slip beyond their limit; return how many.
+
+        Forces within a tolerance count for nothing; collective.
+        """
+        state, law = self.state, self.law
+        pulls = state.active * on_bounded(self.qp, self.x, self.z).z < -atol
+        resists = law.pick(self.z.array_r)[:, 0]
+        beyond = state.sticks(law)[:, 0] & (np.abs(resists) > law.cohesion + atol)
+        sides = np.where(beyond, np.sign(resists), state.directions[:, 0])
+        active = np.where(pulls, 0, state.active).astype(np.int8)
+        self.state = State(active, sides[:, None], state.stiffness)
+        return int(self.qp.comm.allreduce(int(pulls.sum() + beyond.sum())))
