@@ -99,6 +99,12 @@ class Coupling:
     normals: Floats  # (n, d) outward, without prescribed directions; 0 if nothing else is left
     heights: Floats  # (n,) by how much the smooth surfaces are nearer than the facets; 0 for these
     coverage: Coverage  # how far the nodes face the master
+    lost: Bools  # (n, c) nodes that have lost a multiplier in the course of the step
+
+    @property
+    def returned(self) -> Bools:
+        """Nodes (n, c) that have lost a multiplier in the course of the step and got it back."""
+        return self.kept & self.lost
 
 
 @dataclass(frozen=True)
@@ -292,6 +298,7 @@ def couple(
     pattern: Pattern,
     banned: Bools,
     u: fem.Function | None,
+    before: Coupling | None = None,
 ) -> Coupling:
     """Integrate D and M at X + u on the fixed pattern and refill Q; collective.
 
@@ -302,6 +309,7 @@ def couple(
         pattern: where D and M couple nodes.
         banned: (local nodes,) slave nodes that may not carry a multiplier.
         u: displacement, None for X.
+        before: of the last geometry of the step; in its first one none.
     """
     segments, normals = find_segments(pairing, u)
     covered, tributary = node_weights(pairing, segments)
@@ -313,7 +321,9 @@ def couple(
     # choices that keep the same nodes share one assembly
     choices = [c if differ[c] else 0 for c in range(allowed.shape[1])]
     keep = {
-        c: default_keep(pairing, segments, covered, tributary, allowed[:, c])
+        c: default_keep(
+            pairing, segments, covered, tributary, allowed[:, c], _returned(sides, before, c)
+        )
         for c in sorted(set(choices))
     }
     Phi = {c: weighted_duals(pairing, segments, keep[c]) for c in keep}
@@ -328,9 +338,11 @@ def couple(
     if pattern.smooth is not None and interface.one_sided:
         at_points = point_heights(pairing, segments, u, pattern.smooth)
         heights = _heights(pairing, segments, Phi[0], weights[:, 0], at_points)
+    kept = weights > 0
+    lost = np.zeros_like(kept) if before is None else before.lost | (before.kept & ~kept)
     some = (left > ROUND_OFF)[:, None]  # of less only round-off has a direction
     direction = np.where(some, free / np.maximum(left, TINY)[:, None], 0.0)
-    frame = interface.frame(direction[own], weights > 0, sides.fixed[sides.nodes])
+    frame = interface.frame(direction[own], kept, sides.fixed[sides.nodes])
     blocks = interface.blocks(P, frame, pattern.row)
     if motions is not None:
         of_master = slice(pattern.from_D.size, None)
@@ -343,11 +355,12 @@ def couple(
         R=frame.R,
         slot=frame.slot,
         directions=frame.directions,
-        kept=weights > 0,
+        kept=kept,
         weight=weights,
         normals=frame.normals,
         heights=heights,
         coverage=find_coverage(pairing, segments, covered, tributary),
+        lost=lost,
     )
 
 
@@ -364,12 +377,24 @@ def stand_off(
         u: displacement, None for X.
         smooth: the smooth surfaces at X.
     """
-    pairing, slave = link.pairing, link.sides.slave
-    kept = np.zeros(len(slave.nodes))
-    kept[: slave.owned] = link.coupling.kept[:, 0]
-    Phi = weighted_duals(pairing, segments, accumulate(slave, kept) > 0)
+    pairing = link.pairing
+    Phi = weighted_duals(pairing, segments, _everywhere(link.sides, link.coupling.kept[:, 0]))
     at_points = point_heights(pairing, segments, u, smooth)
     return _heights(pairing, segments, Phi, link.coupling.weight[:, 0], at_points)
+
+
+def _returned(sides: Sides, before: Coupling | None, choice: int) -> Bools | None:
+    """Return which local slave nodes (n,) have returned for a choice; None if none has."""
+    if before is None or not any_rank(sides.V.mesh.comm, before.returned.any())[0]:
+        return None
+    return _everywhere(sides, before.returned[:, choice])
+
+
+def _everywhere(sides: Sides, own: Bools) -> Bools:
+    """Return marks (n,) of all local slave nodes, of those of the owned ones; collective."""
+    marks = np.zeros(len(sides.slave.nodes))
+    marks[: sides.slave.owned] = own
+    return np.asarray(accumulate(sides.slave, marks) > 0)
 
 
 def _heights(

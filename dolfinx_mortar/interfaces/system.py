@@ -18,6 +18,7 @@ from dolfinx_mortar.interfaces.claims import Claims, are_outdated, resolve_claim
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, join, join_limits
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.coupling import (
+    Coupling,
     Link,
     Sides,
     couple,
@@ -93,6 +94,7 @@ class InterfaceSystem:
         *,
         search: bool = False,
         everywhere: bool = False,
+        onward: bool = False,
     ) -> bool:
         """Rebuild D, M, N and T at X + u; collective.
 
@@ -102,6 +104,7 @@ class InterfaceSystem:
             increment: largest prescribed increment of the step, which tells what counts as near.
             search: pair the surfaces anew in any case; otherwise where they slid too far.
             everywhere: ask so for the whole surfaces, not only near the contact.
+            onward: in the course of a step, which remembers who has lost a multiplier.
 
         Returns:
             Whether T has a new pattern.
@@ -111,7 +114,9 @@ class InterfaceSystem:
         if search or not self.links or self._slid(at, everywhere=everywhere):
             self._search(at)
         else:
-            self.links = [replace(link, coupling=self._couple(link, at)) for link in self.links]
+            self.links = [
+                replace(link, coupling=self._couple(link, at, onward)) for link in self.links
+            ]
             if self._claims_outdated():
                 self._search(at)
         reach = find_reach(self.links, x, self.n, increment, self.facet_length)
@@ -135,9 +140,10 @@ class InterfaceSystem:
         ]
         return any(slid)
 
-    def _couple(self, link: Link, at: fem.Function | None):  # type: ignore[no-untyped-def]
-        at = link.interface.configuration(at)
-        return couple(link.interface, link.sides, link.pairing, link.pattern, link.banned, at)
+    def _couple(self, link: Link, at: fem.Function | None, onward: bool) -> Coupling:
+        at, before = link.interface.configuration(at), link.coupling if onward else None
+        parts = link.interface, link.sides, link.pairing, link.pattern, link.banned
+        return couple(*parts, at, before)
 
     def _search(self, at: fem.Function | None) -> None:
         """Pair the surfaces and settle the claims; T has to be built anew; collective."""

@@ -73,6 +73,7 @@ def assemble_mortar(
     master: int | str,
     u: dolfinx.fem.Function | None = None,
     weight: Weight | None = None,
+    stays: Longs | None = None,
 ) -> Mortar:
     """Assemble the paper's matrices D, M and N and the weighted gap (collective).
 
@@ -87,6 +88,8 @@ def assemble_mortar(
         u: Displacement; segments, normals and gap belong to X + u.
         weight: Factor of all integrals at points X of the slave side, (q, d) -> (q,), such as
             2 pi r; 1 if not given.
+        stays: Global nodes that keep their multiplier where they are hardly covered, as those do
+            that a step has found to lose and get it back in turn.
 
     Raises:
         ValueError: On all ranks, for tags, spaces and displacements that make no sense.
@@ -97,7 +100,12 @@ def assemble_mortar(
     surfaces.append(create_surface(V, facet_tags, master, "master"))
     pairing = create_pairing(V, *surfaces, u, moving=False, weight=weight)
     segments, normals = find_segments(pairing, u)
-    keep = default_keep(pairing, segments, *node_weights(pairing, segments))
+    marks = None
+    if stays is not None:
+        known = V.dofmap.index_map.local_to_global(surfaces[0].nodes.astype(np.int32))
+        marks = np.isin(known, np.concatenate(V.mesh.comm.allgather(np.asarray(stays))))
+    covered, tributary = node_weights(pairing, segments)
+    keep = default_keep(pairing, segments, covered, tributary, stays=marks)
     node_D, node_M = assemble_node_matrices(pairing, segments, keep)
     own = surfaces[0].nodes[: surfaces[0].owned]
     kept = keep[: len(own)]

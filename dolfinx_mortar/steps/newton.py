@@ -56,7 +56,7 @@ from dolfinx_mortar.steps.residuals import (
     largest_force,
     measure,
 )
-from dolfinx_mortar.steps.resolution import notes_on_few_nodes
+from dolfinx_mortar.steps.resolution import notes_on_few_nodes, notes_on_rims
 from dolfinx_mortar.steps.results import notes_on_lost_friction, notes_on_sliding, set_results
 from dolfinx_mortar.steps.stand_off import notes_on_facets
 from dolfinx_mortar.steps.step_data import StepData
@@ -331,7 +331,7 @@ class _Step:
             residual = judge(balance)
             if not watch.moving or residual.excess > 1.0:
                 return balance, residual, watch, 0.0
-        problem.update_geometry(self.data.increment)
+        problem.update_geometry(self.data.increment, onward=True)
         balance = self.balance()
         residual = judge(balance)
         change, work = find_change(problem.comm, balance, contacts, predicted)
@@ -346,7 +346,7 @@ class _Step:
         with problem.timings("mortar"):
             complete = problem.system.is_complete(problem.configuration, problem.positions())
         if not complete:
-            problem.update_geometry(self.data.increment, everywhere=True)
+            problem.update_geometry(self.data.increment, everywhere=True, onward=True)
         return complete
 
     def finish(self, iterate: Iterate, residual: Residuals) -> None:
@@ -361,7 +361,7 @@ class _Step:
         stiffness[nodes] = iterate.stiffness.array_r[iterate.balance.bounds.dofs]
         found, links = problem.audit().stand_offs, problem.system.links
         report.notes += notes_on_facets(found, links, forces, stiffness)
-        report.notes += notes_on_few_nodes(links, contacts)
+        report.notes += notes_on_few_nodes(links, contacts) + notes_on_rims(links)
         with problem.timings("results"):
             problem.solid.evaluate()
         set_results(problem, iterate.balance, contacts, self.data.jumps)

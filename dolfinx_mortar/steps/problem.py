@@ -320,7 +320,12 @@ class ContactProblem:
         return lambda v: np.asarray((springs * v).array_r / scale)
 
     def update_geometry(
-        self, increment: float, *, search: bool = False, everywhere: bool = False
+        self,
+        increment: float,
+        *,
+        search: bool = False,
+        everywhere: bool = False,
+        onward: bool = False,
     ) -> PETSc.Vec:
         """Rebuild D, M, N, T at X + u (at X if frozen); return X + u; collective.
 
@@ -328,11 +333,12 @@ class ContactProblem:
             increment: largest prescribed increment of the step.
             search: pair the surfaces anew in any case; otherwise where they slid too far.
             everywhere: ask so for the whole surfaces, not only near the contact.
+            onward: in the course of a step, which remembers who has lost a multiplier.
         """
         x = self.positions()
-        at = self.configuration
+        at, how = self.configuration, {"search": search, "everywhere": everywhere}
         with self.timings("mortar"):
-            if self.system.update(at, x, increment, search=search, everywhere=everywhere):
+            if self.system.update(at, x, increment, onward=onward, **how):
                 self.linear.clear()  # before the new product needs the memory
         return x
 

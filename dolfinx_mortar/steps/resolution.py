@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import combinations
 
+from mpi4py import MPI
+
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -42,6 +44,23 @@ def notes_on_few_nodes(links: Sequence[Link], contacts: Contacts) -> list[str]:
             notes.append(
                 f"{link.interface}: the largest pressure is that of {count} nodes in contact and "
                 f"not resolved, for which it takes {needed}; forces and moments are; refine there"
+            )
+    return notes
+
+
+def notes_on_rims(links: Sequence[Link]) -> list[str]:
+    """Return a note for each interface with nodes that lost and regained a multiplier; collective.
+
+    They keep it although less of them is covered than others need (`mortar.operators.STAYS`).
+    """
+    notes = []
+    for link in links:
+        own = int(link.coupling.returned.any(axis=1).sum())
+        if count := link.sides.V.mesh.comm.allreduce(own, op=MPI.SUM):
+            notes.append(
+                f"{link.interface}: whether {count} slave nodes at the rim of the other side carry "
+                "moves the bodies so far that they would carry no more, and the reverse; they "
+                "carry, which a finer mesh at the rim makes a small matter"
             )
     return notes
 

@@ -156,9 +156,10 @@ def _contact(
     V, d = problem.V, problem.V.mesh.geometry.dim
     u = problem.u if problem.geometry == "updated" else None
     weight = _circumference if is_ring(case) else None
-    mortar = dm.assemble_mortar(
-        V, case.facet_tags, slave=sides[0], master=sides[1], u=u, weight=weight
-    )
+    link = problem.system.link(contact)
+    stays = V.dofmap.index_map.local_to_global(link.nodes[link.coupling.returned[:, 0]])
+    pair = {"slave": sides[0], "master": sides[1], "u": u, "stays": stays}
+    mortar = dm.assemble_mortar(V, case.facet_tags, weight=weight, **pair)
     B = mortar.D - mortar.M
     nodes = mortar.nodes - V.dofmap.index_map.local_range[0]
     loose = free.reshape(-1, d)[nodes]
@@ -175,7 +176,7 @@ def _contact(
         tractions -= contact.traction.x.array.reshape(-1, d)[nodes].ravel()
     size = weight
     if is_ring(case):  # of the section, not of what it sweeps
-        plain = dm.assemble_mortar(V, case.facet_tags, slave=sides[0], master=sides[1], u=u)
+        plain = dm.assemble_mortar(V, case.facet_tags, **pair)
         size = _row_norms(plain.D)[::d]
     floor = NO_PRESSURE * _stiffest(case)
     worst = _complementarity(V.mesh.comm, pressure[acts], gap[acts], size, d, floor)
