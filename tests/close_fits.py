@@ -40,6 +40,11 @@ def rings(comm, inner, outer, counts, layers, order=1):
         create_ring(*radii, 2 * np.pi * np.arange(n) / n, layers=k, order=order)
         for radii, n, k in zip((inner, outer), counts, layers, strict=True)
     ]
+    return nested(comm, parts, order)
+
+
+def nested(comm, parts, order=1):
+    """Return the mesh of two bodies around the origin, nodes and cells each; tags as of rings."""
     domain, size = distribute(comm, lambda: parts, "quadrilateral", order)
     domain.topology.create_connectivity(1, 2)
     facets = mesh.exterior_facet_indices(domain.topology)

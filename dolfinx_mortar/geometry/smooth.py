@@ -28,7 +28,9 @@ of a curved mesh are that surface themselves, to higher order, and have no heigh
 The normals are those of Max (J. Graphics Tools 4, 1999), n_a ~ sum (e_1 x e_2) / (|e_1|^2 |e_2|^2)
 over the facets at the node, with e_1 and e_2 its edges there; in the plane the chords' normals over
 their lengths. They are exact on spheres and circles whatever the mesh, if facets lie all around the
-node. Elsewhere in space they lean where the fan is uneven, by a share of the angle between facets,
+node. Where a flat meets a fillet they lean by up to a quarter of the turn of its facets, which would
+bend the flat; so the facets at a jump of curvature have that of their other end (`turns`).
+Elsewhere in space they lean where the fan is uneven, by a share of the angle between facets,
 which spoils pressures: so edges are first bent back into the tangent plane, by half of |e|^2 times
 the curvature along them, as found with the sums before, without the part that is a sphere's.
 """
@@ -52,11 +54,13 @@ class NodeNormals:
     n: Floats  # (n, d) unit vectors, zero where there is none
     open: Bools  # (n,) facets lie on one side only, so that the normal may lean
     sharp: Bools  # (n,) on an edge: no normal of it is one of a smooth surface
+    jumps: Bools | None = None  # (n,) the curvature jumps there, so that the normal leans
 
     @property
     def regular(self) -> Bools:
-        """Nodes (n,) with facets all around, on a smooth surface."""
-        return np.asarray(~self.open & ~self.sharp)
+        """Nodes (n,) with facets all around, on a surface of one curvature."""
+        smooth = ~self.open & ~self.sharp
+        return np.asarray(smooth if self.jumps is None else smooth & ~self.jumps)
 
 
 def fan_sums(
@@ -96,6 +100,22 @@ def fan_sums(
     flat = np.repeat(facet_normals(facets)[:, None], middles, axis=1)
     around = np.concatenate([ahead - behind, np.zeros_like(flat)], axis=1)
     return np.concatenate([normals, flat], axis=1), around
+
+
+def end_turns(facets: Facets, n: Floats) -> tuple[Floats, Floats]:
+    """Return by how much lines bend away from the tangents at their ends, (m, 2), and lengths (m,).
+
+    As sines of the angles: on a circle of radius R half of the length over R, of any grading.
+
+    Args:
+        facets: lines (m,), in the plane.
+        n: normals (m, 2, 2) at their ends.
+    """
+    chord = edges(facets)[:, 0]
+    length = np.linalg.norm(chord, axis=1)
+    ends = np.array([-1.0, 1.0])[:, None]
+    along = chord[:, None] / np.maximum(length, TINY)[:, None, None]
+    return np.asarray((ends * n * along).sum(axis=2)), length
 
 
 def _bent_back(e: Floats, n: Floats, K: Floats) -> Floats:
