@@ -28,8 +28,8 @@ of a curved mesh are that surface themselves, to higher order, and have no heigh
 The normals are those of Max (J. Graphics Tools 4, 1999), n_a ~ sum (e_1 x e_2) / (|e_1|^2 |e_2|^2)
 over the facets at the node, with e_1 and e_2 its edges there; in the plane the chords' normals over
 their lengths. They are exact on spheres and circles whatever the mesh, if facets lie all around the
-node. Where a flat meets a fillet they lean by up to a quarter of the turn of its facets, which would
-bend the flat; so the facets at a jump of curvature have that of their other end (`turns`).
+node. Where a flat meets a fillet they lean by up to a quarter of the turn of its facets, and would
+bend the flat; so in the plane facets at a jump of curvature have that of their other end (`turns`).
 Elsewhere in space they lean where the fan is uneven, by a share of the angle between facets,
 which spoils pressures: so edges are first bent back into the tangent plane, by half of |e|^2 times
 the curvature along them, as found with the sums before, without the part that is a sphere's.

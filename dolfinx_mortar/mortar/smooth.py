@@ -35,9 +35,9 @@ from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, sum_a
 # time, 1e-4 after two and three; with half the size by 1.4e-3, 7e-5, 1.6e-5 and 1.3e-5.
 BENDS = 2
 # A jump of curvature in the plane changes it so many times more than both facets beyond do. It is
-# infinite for parts of constant curvature with three facets each, and never more than 2.7 on 2000
-# ellipses with axes 1 : 1.2 to 4 and 6 to 96 facets a quarter, even, graded or displaced by a
-# third of a facet, where it goes to 1 with the size of the facets.
+# infinite for parts of constant curvature with three facets each, and never more than 2.7 on 800
+# ellipses with axes 1 : 1.2 to 4 and 6 to 96 facets a quarter, even, graded or displaced by .3 of
+# a facet, where it goes to 1 with the size of the facets.
 JUMP = 3.0
 
 
