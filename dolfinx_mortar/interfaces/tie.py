@@ -29,9 +29,9 @@ class Tie(Interface):
 
     The constraint is u_slave - P u_master = jump. Always at X, as in the paper: tied sides keep the
     partners that they had at the start. Directions with Dirichlet data are left to those data.
-    ``force`` is the resultant exerted on the slave side; ``pressure`` the normal traction, positive
-    in compression; ``gap`` the part of the jump that opens the sides along their normal, negative
-    where they overlap, zero without a jump.
+    ``force`` is the resultant exerted on the slave side; ``pressure`` the normal traction per area
+    at X, positive in compression; ``gap`` the part of the jump that opens the sides along their
+    normal, negative where they overlap, zero without a jump.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
