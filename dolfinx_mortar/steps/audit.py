@@ -184,7 +184,8 @@ def create_audit(
     for link, i in zip(links, found, strict=True):
         of_facets = next((s for s in stand_offs if s.interface is link.interface), None)
         pressed = max(increment, -i.least_gap) / float(bodies.radius.max())
-        warnings += _warnings(i, of_facets, pressed) + warnings_on_straight_facets(link)
+        warnings += _warnings(i, of_facets, pressed)
+        warnings += warnings_on_straight_facets(link, link.interface.configuration(at))
     audit = Audit(bodies.count, found, by_contact, warnings, stand_offs)
     if bodies.V.mesh.comm.rank == 0:
         log.info("%s", "; ".join(map(str, found)) or "no interface")
