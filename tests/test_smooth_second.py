@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Contact of second order on straight facets of curved sides: heights that strain, and a warning."""
+"""Contact of second order on straight facets of curved sides: heights that strain, a warning."""
 
 from mpi4py import MPI
 
