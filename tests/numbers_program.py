@@ -42,20 +42,25 @@ ROOMS = [
 
 
 def numbers():
-    """Return the names of all numbers that geometry and mortar define, with their values."""
+    """Return the names of all numbers that geometry and mortar define, with their values.
+
+    A private number belongs to its module, whatever others call by the same name.
+    """
     found = {}
     for room in ROOMS:
         for name, value in vars(room).items():
             table = isinstance(value, dict) and all(isinstance(v, float) for v in value.values())
             if name.strip("_").isupper() and (isinstance(value, int | float) or table):
-                found[name] = value
+                own = f"{room.__name__.split('.')[-1]}." if name.startswith("_") else ""
+                found[own + name] = value
     return found
 
 
-def replace(name, value):
+def replace(label, value):
     """Set a number wherever it is known."""
+    own, _, name = label.rpartition(".")
     for room in ROOMS:
-        if name in vars(room):
+        if name in vars(room) and room.__name__.endswith(own):
             setattr(room, name, value)
     area._rules.cache_clear()
 

@@ -9,6 +9,8 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
+from dolfinx_mortar.mortar import operators
+from dolfinx_mortar.mortar.operators import LEAST_WEIGHT, find_segments
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
 from tests.rings import SIDES, held_axis, largest
 
@@ -43,7 +45,16 @@ def beyond(domain, lines, cut):
 
 
 def solve_patch(
-    slave, lower, upper, *, cell="triangle", degree=1, kind=dm.Contact, shift=0.0, unit=1.0
+    slave,
+    lower,
+    upper,
+    *,
+    cell="triangle",
+    degree=1,
+    kind=dm.Contact,
+    shift=0.0,
+    unit=1.0,
+    geometry="reference",
 ):
     """Press a disc or ring on another one with the pressure P; return all that is compared.
 
@@ -56,6 +67,7 @@ def solve_patch(
         kind: of the interface.
         shift: of everything along the axis.
         unit: factor of all lengths.
+        geometry: of the problem.
     """
     domain, _, tags = two_blocks(
         COMM,
@@ -82,7 +94,7 @@ def solve_patch(
     bcs += [held_axis(V)] if min(lower[0], upper[0]) == 0.0 else []
     side, master = SIDES[slave]
     interface = kind(tags, slave=side, master=master)
-    problem = dm.ContactProblem(solid, [interface], bcs=bcs, loads=loads, geometry="reference")
+    problem = dm.ContactProblem(solid, [interface], bcs=bcs, loads=loads, geometry=geometry)
     return problem, interface, exact
 
 
@@ -150,3 +162,78 @@ def test_patch_of_quadrilaterals(slave):
 @pytest.mark.parametrize("unit", [1e-6, 1e6])
 def test_patch_in_other_units_and_elsewhere_on_the_axis(unit):
     check_patch(*solve_patch("lower", *RADII["disc"], unit=unit, shift=30.0), np.pi * unit**2)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("slave", SIDES)
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("radii", ["disc", "ring"])
+def test_pressure_is_per_area_of_the_geometry(radii, degree, slave):
+    """Both discs grow by nu P / E: in radius and along the section, and on the axis as well.
+
+    Contact that follows the bodies shows the pressure per area that they have now, held contact
+    and ties per area at X; forces, and what carries, are the same.
+    """
+    lower, upper = RADII[radii]
+    now = P / (1 + NU * P / E) ** 2
+    expected = ((dm.Contact, "updated", now), (dm.Contact, "reference", P), (dm.Tie, "updated", P))
+    for kind, geometry, pressure in expected:
+        problem, interface, _ = solve_patch(
+            slave, lower, upper, degree=degree, kind=kind, geometry=geometry
+        )
+        dm.newton(problem, rtol=1e-12)
+        found = interface.gather(problem.u)
+        assert np.allclose(found["pressure"], pressure, rtol=EXACT, atol=0.0)
+        assert (found["active"] == 1.0).all()  # also on the axis, where there is no multiplier
+        force = P * np.pi * (lower[-1] ** 2 - lower[0] ** 2)
+        assert abs(interface.force[1]) == pytest.approx(force, rel=EXACT)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("degree", "lift"), [(1, -1e-2), (2, -1e-2), (2, 1e-2)])
+def test_friction_of_discs(degree, lift):
+    """Where it slips, its traction is the share of the pressure that is shown; nothing is open.
+
+    The node on the axis does as its neighbours do: it sticks, or is open with all of them.
+    """
+    mu, (lower, upper) = 0.05, RADII["disc"]
+    domain, cells, tags = two_blocks(
+        COMM, (3, 3), (5, 4), splits_lower=lower, splits_upper=upper, cell="quadrilateral"
+    )
+    V = fem.functionspace(domain, ("Lagrange", degree, (2,)))
+    laws = {1: dm.Elastic(E, 0.0), 2: dm.Elastic(E, 0.45)}
+    solid = dm.Solid(fem.Function(V), laws, cells, kinematics="axisymmetric")
+    ends = [fem.locate_dofs_topological(V.sub(1), 1, tags.find(tag)) for tag in (BOTTOM, TOP)]
+    values = [fem.Constant(domain, value) for value in (0.0, lift)]
+    bcs = [fem.dirichletbc(v, dofs, V.sub(1)) for v, dofs in zip(values, ends, strict=True)]
+    contact = dm.Contact(tags, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER, friction=mu)
+    problem = dm.ContactProblem(solid, [contact], bcs=[*bcs, held_axis(V)])
+    dm.newton(problem, rtol=1e-11)
+    found = contact.gather(problem.u)
+    closed = lift < 0.0
+    assert (found["active"] == closed).all() and found["status"][0] == closed
+    assert ((found["status"] > 0.0) == closed).all()
+    slips = found["status"] == 2.0
+    assert slips.any() == closed
+    drag = np.linalg.norm(found["traction"], axis=1)
+    assert np.allclose(drag[slips], mu * found["pressure"][slips], rtol=EXACT, atol=0.0)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("slave", SIDES)
+def test_who_has_no_weight(slave, monkeypatch):
+    """The node on the axis alone, and clearly: half and twice the number, and a tenth, say so."""
+    problem, interface, _ = solve_patch(slave, *RADII["disc"], degree=2)
+    problem.audit()
+    pairing = problem.system.link(interface).pairing
+    segments, _ = find_segments(pairing, None)
+    at_axis = pairing.slave.X[:, 0] < 1e-12
+    for least in (0.1, 0.5, 1.0, 2.0, 10.0):
+        monkeypatch.setattr(operators, "LEAST_WEIGHT", least * LEAST_WEIGHT)
+        found, share = operators._find_weightless(pairing, segments)
+        assert (found == at_axis).all() and share == pytest.approx(1.0, rel=1e-12)
+    for absurd, most in ((-1.0, 0), (0.3, 1)):  # nobody; also vertices, of weight 1/6
+        monkeypatch.setattr(operators, "LEAST_WEIGHT", absurd)
+        found, _ = operators._find_weightless(pairing, segments)
+        count = COMM.allreduce(int(found[: pairing.slave.owned].sum()))
+        assert count > most if most else count == 0

@@ -329,3 +329,21 @@ def test_what_becomes_undefined_later_is_refused_and_nothing_changes():
     heat.value = 2e-3
     dm.newton(problem)
     assert np.isclose(solid.max("stress_zz"), -E * 2e-3)
+
+
+@pytest.mark.parametrize("volumetric", ["full", "reduced"])
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_clamped_block_has_all_of_the_stress(d, volumetric):
+    """Nothing moves, sigma = -E e / (1 - 2 nu) in all directions; in plane strain as well."""
+    kind, strain = ("quadrilateral", "hexahedron")[d - 2], 2e-3
+    create = mesh.create_unit_square if d == 2 else mesh.create_unit_cube
+    domain = create(COMM, *d * [2], getattr(mesh.CellType, kind))
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (d,))))
+    solid = dm.Solid(u, LAW, eigenstrain=strain, volumetric=volumetric)
+    bcs = rollers(u.function_space, range(d), (0.0, 1.0))
+    dm.newton(dm.ContactProblem(solid, bcs=bcs), rtol=1e-13)
+    stress = solid.stress.x.array.reshape(-1, 4 if d == 2 else 6)
+    expected = np.zeros(stress.shape[1])
+    expected[:3] = -E * strain / (1.0 - 2.0 * NU)
+    assert largest(u.x.array) < 1e-12 * strain
+    assert largest(stress - expected) < 1e-12 * E * strain

@@ -37,12 +37,14 @@ NUMBERS = {
     "steps.residuals": ("EPS", "ROW_SUM", "GAP_OPERATIONS", "FIRST_SHARE"),
 }
 # judged in test_mesh_audit, below, in test_smooth_contact, test_stand_off, test_resolution, in
-# those of checkpoints, in test_preload, in test_friction_bodies, and in test_friction_errors
+# those of checkpoints, in test_preload, in test_friction_bodies, in test_friction_errors, and in
+# test_tie_reach
 OTHERS = {
     "steps.mesh_audit",
     "interfaces.contact",
     "interfaces.friction",
     "interfaces.interface",
+    "interfaces.tie",
     "steps.stand_off",
     "steps.resolution",
     "steps.identity",

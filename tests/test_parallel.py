@@ -32,11 +32,11 @@ ON_TWO = """
     arguments audit checkpoint checkpoint_errors checkpoint_files errors failures
     friction_errors html jump jump_errors linear loads mesh_audit msh newton output plotting
     preload problem progress regions results smooth_contact solid solid_state summary sweep
-    tags tying written_results
+    tags tie_reach tying written_results
 """.split()
 ON_ONE = """
     axisymmetric_contact axisymmetric_patch axisymmetry certificate eigenstrain hardening
-    kinematics law_contact linearisation locking margin meshing_rings meshing_socket
+    kinematics law_contact linearisation locking margin measure meshing_rings meshing_socket
     meshing_tubes orthotropic parameters patch_3d plane_stress pointwise resolution smooth_3d
     smooth_tie stand_off stress_laws undone user_laws volumetric
 """.split()

@@ -164,6 +164,8 @@ def create(options: argparse.Namespace) -> Fit:
     weight = (
         fem.Constant(mesh, 1.0) if options.space else 2.0 * np.pi * ufl.SpatialCoordinate(mesh)[0]
     )
+    # pressures of rings are per circumference as it is now
+    around = 1.0 if options.space else 1.0 + u[0] / ufl.SpatialCoordinate(mesh)[0]
     return Fit(
         problem=problem,
         contact=contact,
@@ -175,7 +177,7 @@ def create(options: argparse.Namespace) -> Fit:
         anchor=anchor,
         mean=fem.form(weight * u[d - 1] * end),
         area=comm.allreduce(fem.assemble_scalar(fem.form(weight * end))),
-        thrust=fem.form(weight * contact.pressure * touching),
+        thrust=fem.form(weight * around * contact.pressure * touching),
     )
 
 
@@ -223,7 +225,10 @@ def main(options: argparse.Namespace) -> None:
 
 def measure(case: Fit, nodes: dict[str, np.ndarray], slave: str) -> dict:
     """Return the pull, which is the axial force on the hub, pressures, and how much slips."""
-    contact, p, on = case.contact, nodes["pressure"], nodes["active"] > 0
+    contact, on = case.contact, nodes["active"] > 0
+    # Lame's pressure is per area before anything moves, that of a contact per area as it is now.
+    grown = (np.linalg.norm(nodes[x][:, :-1], axis=1) for x in ("x", "X"))
+    p = nodes["pressure"] * np.divide(*grown)
     sign = -1.0 if slave == "shaft" else 1.0
     return {
         "force": sign * case.whole * contact.force[-1],

@@ -22,8 +22,9 @@ The rises are those at X. At X + u they follow every node that comes into contac
 none that fails, and the same answers to 0.1 % where sides fit closely.
 
 Second-order facets that are straight at X stand off likewise, by functions of their vertices, but
-they bend with u: what is left of the sagittas is that of X, and each side has its own c_ab. Facets
-of a curved mesh are that surface themselves, to higher order, and have no heights.
+they bend with u: what is left of the sagittas is that of X, stretched as the bodies are along the
+normal, and each side has its own c_ab. Facets of a curved mesh are that surface themselves, to
+higher order, and have no heights.
 
 The normals are those of Max (J. Graphics Tools 4, 1999), n_a ~ sum (e_1 x e_2) / (|e_1|^2 |e_2|^2)
 over the facets at the node, with e_1 and e_2 its edges there; in the plane the chords' normals over
@@ -242,6 +243,34 @@ def heights(facets: Facets, rise: Floats, which: Ints, xi: Floats) -> Floats:
     a, b = node_pairs(facets)
     N = facets.element.vertex_functions(xi)
     return np.asarray(0.5 * np.einsum("qe,qe...->q...", N[:, a] * N[:, b], rise[which]))
+
+
+def heights_of_arcs(facets: Facets, rise: Floats, which: Ints, h: Floats) -> Floats:
+    """Return the heights (q,) over chords that are exact on circles, of those of `heights` (q,).
+
+    With the curvature k = c_ab / L^2 and cos b the cosine between chord and tangent at its ends,
+    sin b = k L / 2, the point h over the chord lies on the circle if (h + cos b / k)^2 is what is
+    left of 1 / k^2 beside the chord: h^2 k + 2 h cos b = 2 h_0. Pressures of second order feel the
+    difference, which is of fourth order: 3 % at a pin in a hole with 30 facets.
+
+    Args:
+        facets: facets (m,) in the plane.
+        rise: their c_ab (m,).
+        which: (q,) which of them belongs to each point.
+        h: heights h_0 (q,) of leading order.
+
+    >>> from dolfinx_mortar.geometry.elements import LINE3
+    >>> facet = Facets(LINE3, np.array([[[0.6, 0.8], [-0.6, 0.8], [0.0, 0.8]]]))
+    >>> middle, c_ab = np.zeros(1, dtype=np.int32), np.array([[1.44]])
+    >>> h = heights(facet, c_ab, middle, np.zeros((1, 1)))
+    >>> heights_of_arcs(facet, c_ab[:, 0], middle, h).round(12).tolist()
+    [0.2]
+    """
+    a, b = facets.element.vertices
+    chord = np.linalg.norm(facets.x[:, b] - facets.x[:, a], axis=1)
+    k = rise / np.maximum(chord**2, TINY)
+    cosine2 = np.maximum(1.0 - (k * chord / 2) ** 2, TINY)[which]
+    return np.asarray(2.0 * h / (np.sqrt(cosine2) + np.sqrt(cosine2 + 2.0 * k[which] * h)))
 
 
 def edges(facets: Facets) -> Floats:

@@ -47,7 +47,9 @@ class Contact(Interface):
     ``pressure`` (traction, >= 0 in compression), ``gap`` (>= 0 when open; not-a-number at slave
     nodes that face no master) and ``active`` (1 in contact, else 0) are Functions that vanish off
     the slave side. ``force`` is the resultant exerted on the slave side, -sum_j D_jj lambda_j n_j,
-    friction included.
+    friction included. ``pressure`` and ``traction`` are per area of the slave side at X + u with
+    the problem's geometry="updated", so that their integral over it is the force; at X with
+    "reference". The two differ by the strain of the surface.
 
     With friction, |tau| <= mu p, and where it slips tau = mu p against
     the slip of the step: the tangential motion of the slave side relative to the master since the
@@ -72,7 +74,8 @@ class Contact(Interface):
             step, and are what may change. 0 is no friction.
         tresca: limit of the tangential traction instead, of the same kinds: given friction, which
             acts at every slave node that faces the master, whatever the pressure, also where there
-            is none (let a Function be 0 there). Then a step is a convex minimisation.
+            is none (let a Function be 0 there). Then a step is a convex minimisation. Of rings it
+            is per circumference at X.
 
     Raises:
         ValueError: for tags that are none, unknown names, an unknown surface or angle, negative

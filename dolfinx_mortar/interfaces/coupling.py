@@ -33,6 +33,7 @@ from dolfinx_mortar.mortar.operators import (
     assemble_motions,
     assemble_node_matrices,
     default_keep,
+    drop_far,
     find_coverage,
     find_segments,
     integrate_values,
@@ -276,6 +277,16 @@ def has_slid(link: Link, u: fem.Function | None, *, everywhere: bool) -> bool:
     return outside_margin(link.pairing, u, among)
 
 
+def find_partners(
+    interface: Interface, pairing: Pairing, u: fem.Function | None
+) -> tuple[Segments, Floats]:
+    """Return the segments that an interface couples at X + u, and the slave normals; collective."""
+    segments, normals = find_segments(pairing, u)
+    if not interface.one_sided:  # contacts meet from any distance
+        segments = drop_far(pairing, segments, u, interface.reach)
+    return segments, normals
+
+
 def _integrate(
     pairing: Pairing, pattern: Pattern, segments: Segments, keep: Bools, Phi: Floats
 ) -> tuple[Floats, Floats]:
@@ -311,7 +322,7 @@ def couple(
         u: displacement, None for X.
         before: of the last geometry of the step; in its first one none.
     """
-    segments, normals = find_segments(pairing, u)
+    segments, normals = find_partners(interface, pairing, u)
     covered, tributary = node_weights(pairing, segments)
     nodes, own = sides.slave.nodes, slice(None, sides.slave.owned)
     free = normals * ~sides.fixed[nodes]
@@ -408,9 +419,9 @@ def _heights(
     return np.asarray(total * _inverse(weight))
 
 
-def measure_coverage(pairing: Pairing, u: fem.Function | None) -> Coverage:
+def measure_coverage(interface: Interface, pairing: Pairing, u: fem.Function | None) -> Coverage:
     """Return how far the slave nodes face the master at X + u; collective."""
-    segments, _ = find_segments(pairing, u)
+    segments, _ = find_partners(interface, pairing, u)
     return find_coverage(pairing, segments, *node_weights(pairing, segments))
 
 

@@ -169,6 +169,15 @@ class Interface:
         """Return the displacement at which the interface is taken, None for X."""
         return u
 
+    def reach(self, sizes: Floats, nearest: float) -> Floats:
+        """Return how far apart (q,) partners may be; contacts meet from any distance.
+
+        Args:
+            sizes: (q,) diameter of the larger one of two facets.
+            nearest: least distance between the sides.
+        """
+        return np.full(len(sizes), np.inf)
+
     def may_carry(self, left: Floats, fixed: Bools) -> Bools:
         """Return (n, c): which nodes may carry a multiplier, for each of c choices of direction.
 

@@ -16,7 +16,9 @@ from dolfinx_mortar.interfaces.coupling import Link, Sides, with_ghosts
 from dolfinx_mortar.interfaces.interface import Interface, Resultants
 
 
-def set_results(link: Link, reaction: Floats, gap: Floats, active: Bools, x: Floats) -> None:
+def set_results(
+    link: Link, reaction: Floats, gap: Floats, active: Bools, x: Floats, growth: Floats
+) -> None:
     """Set resultants and Functions of an interface; collective.
 
     Args:
@@ -26,6 +28,7 @@ def set_results(link: Link, reaction: Floats, gap: Floats, active: Bools, x: Flo
         gap: (n,) nodal gaps that may still close; how far a jump opens a tie.
         active: (n,) nodes on which the interface acts.
         x: (owned nodes, d) coordinates at which the forces act.
+        growth: (n,) area per D_jj, for what is shown as traction.
     """
     fields = link.interface.fields
     assert fields is not None
@@ -35,13 +38,16 @@ def set_results(link: Link, reaction: Floats, gap: Floats, active: Bools, x: Flo
     multiplier = np.divide(reaction, weight, out=np.zeros_like(reaction), where=weight > 0)
     forces = np.einsum("nij,nj->ni", link.coupling.R, reaction)
     link.interface.resultants = _resultants(link, forces, multiplier, x)
-    largest = np.maximum(D.max(axis=1, initial=0.0), np.finfo(float).tiny)
-    normal = np.einsum("ni,ni->n", forces, link.coupling.normals) / largest
+    area = np.maximum(D.max(axis=1, initial=0.0) * growth, np.finfo(float).tiny)
+    normal = np.einsum("ni,ni->n", forces, link.coupling.normals) / area
     _fill(fields.pressure, link, np.where(kept, normal, 0.0), kept)
     fields.pressure.x.array[:] = np.nan_to_num(fields.pressure.x.array)
     _fill(fields.gap, link, gap, kept)
+    _fill(fields.active, link, active.astype(np.float64), kept)
+    # a node without weight, on the axis, has no multiplier: it carries if its neighbours do
+    around = link.coupling.coverage.weightless & (fields.active.x.array[link.nodes] > 0.0)
     fields.active.x.array[:] = 0.0
-    fields.active.x.array[link.nodes] = active
+    fields.active.x.array[link.nodes] = active | around
     fields.active.x.scatter_forward()
 
 
@@ -52,6 +58,9 @@ def set_sliding(
     contact = link.interface
     assert isinstance(contact, Contact) and contact.sliding is not None
     shown = contact.sliding
+    # on the axis, where nothing carries a multiplier, what is closed cannot slide
+    on = link.coupling.coverage.weightless & (contact.active.x.array[link.nodes] > 0.0)
+    status = np.where(on, 1.0, status)
     values = traction, step_slip, slip[:, None], status[:, None], energy[:, None]
     for function, at_nodes in zip(shown.functions, values, strict=True):
         function.x.array[:] = 0.0

@@ -158,7 +158,8 @@ class InterfaceSystem:
         pairings, patterns = zip(*found, strict=True)
         if len(self.sides) > 1:
             coverage = [
-                measure_coverage(p, u) for p, u in zip(pairings, configurations, strict=True)
+                measure_coverage(*of)
+                for of in zip(self.interfaces, pairings, configurations, strict=True)
             ]
         else:  # nobody to share with
             nodes = len(self.sides[0].nodes)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from numbers import Real
 from typing import Any
 
 from petsc4py import PETSc
@@ -16,15 +17,21 @@ from dolfinx_mortar.interfaces.constraints import Constraints, equalities
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Frame, Interface
 from dolfinx_mortar.interfaces.jump import Jump, check_jump
 
+# Unless the user says how far, ties reach from the least distance of their sides to this part of
+# the larger facet more. Facets that stand for one smooth surface, or two at a constant distance,
+# vary by their sagittas, tan(a / 4) / 2 of a facet each where two of them meet at an angle a:
+# together by less than 0.42 up to right angles, beyond which no facets stand for a smooth surface.
+WITHIN = 0.5
+
 
 class Tie(Interface):
     """Mesh tying ("glue"): both sides move together in all directions, or a given jump apart.
 
     The constraint is u_slave - P u_master = jump. Always at X, as in the paper: tied sides keep the
     partners that they had at the start. Directions with Dirichlet data are left to those data.
-    ``force`` is the resultant exerted on the slave side; ``pressure`` the normal traction, positive
-    in compression; ``gap`` the part of the jump that opens the sides along their normal, negative
-    where they overlap, zero without a jump.
+    ``force`` is the resultant exerted on the slave side; ``pressure`` the normal traction per area
+    at X, positive in compression; ``gap`` the part of the jump that opens the sides along their
+    normal, negative where they overlap, zero without a jump.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
@@ -41,10 +48,15 @@ class Tie(Interface):
             them), see `dolfinx_mortar.geometry.arms`. D and M are the same.
         feature_angle: degrees between two facets from which on they meet in an edge, which stays
             one; for smooth surfaces.
+        within: largest distance over which sides are tied, a length: facets any points of which are
+            farther apart at X are no partners. None is the least distance between the sides and
+            half of the larger one of two facets, more than sides that stand for one surface, or
+            for two at a constant distance, are apart; the audit warns where that leaves anything
+            out, and where more is tied than curved sides explain.
 
     Raises:
-        ValueError: for tags that are none, unknown names, an unknown surface or angle, and a jump
-            that has not d finite components.
+        ValueError: for tags that are none, unknown names, an unknown surface or angle, a jump
+            that has not d finite components, and ``within`` that is no positive number.
         TypeError: for friction.
 
     Attributes:
@@ -62,6 +74,7 @@ class Tie(Interface):
         jump: Jump = None,
         surface: str = "smooth",
         feature_angle: float = FEATURE_ANGLE,
+        within: float | None = None,
         **others: Any,
     ) -> None:
         """Keep the description; surfaces are found when a problem takes the tie."""
@@ -75,6 +88,7 @@ class Tie(Interface):
             raise TypeError(f"a Tie has no {', '.join(others)}: see its documentation")
         tags = {"slave": slave, "master": master}
         super().__init__(facet_tags, **tags, surface=surface, feature_angle=feature_angle)
+        self.within = _check_within(within)
         self.jump = jump
         self.tightening: Floats = np.zeros(self._components)
 
@@ -102,7 +116,27 @@ class Tie(Interface):
 
     def given(self) -> dict[str, Any]:
         """Return what all ranks have to give the same, by name; see `agreement`."""
-        return super().given() | {"jump": self.jump, "tightening": self.tightening}
+        return super().given() | {
+            "jump": self.jump,
+            "tightening": self.tightening,
+            "within": self.within,
+        }
+
+    def __repr__(self) -> str:
+        """Name the class, the tags, and what is not the default."""
+        name = super().__repr__()
+        return name if self.within is None else f"{name[:-1]}, within={self.within!r})"
+
+    def reach(self, sizes: Floats, nearest: float) -> Floats:
+        """Return how far apart (q,) partners may be: as the user said, or half a facet more.
+
+        Args:
+            sizes: (q,) diameter of the larger one of two facets.
+            nearest: least distance between the sides.
+        """
+        if self.within is not None:
+            return np.full(len(sizes), self.within)
+        return nearest + WITHIN * sizes
 
     def configuration(self, u: fem.Function | None) -> None:
         """Return None: D and M do not follow the deformation."""
@@ -131,3 +165,15 @@ class Tie(Interface):
         node, axis = np.nonzero(directions)
         dofs = (directions.shape[1] * nodes[node] + axis).astype(np.int32)
         return equalities(dofs, -slip[node, axis], D[node, axis])
+
+
+def _check_within(within: Any) -> float | None:
+    """Return the largest distance over which to tie as a number, None for the default."""
+    if within is None:
+        return None
+    if not isinstance(within, Real) or isinstance(within, bool) or not float(within) > 0.0:
+        raise ValueError(
+            f"within is {within!r}: give the largest distance over which to tie, a length > 0, or "
+            "None for what the facets' size makes plausible"
+        )
+    return float(within)

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -40,6 +41,7 @@ from dolfinx_mortar.mortar.surface import (
 
 _CHUNK = 2**14
 """Points at which the motions of arms are known at a time: 5 MB in 3D, against calls."""
+_OF_POINTS = "pair", "slave", "master", "xi_s", "xi_m", "weight"  # what segments say of each point
 LEAST_COVERAGE = 0.05
 """A slave node carries a multiplier if more than this part of its tributary weight is covered."""
 STAYS = 0.5
@@ -67,6 +69,49 @@ def find_segments(pairing: Pairing, u: dolfinx.fem.Function | None) -> tuple[Seg
     n_s = normals[slave.facets]
     segments = create_segments(facets, n_s, master, pairing.pairs, pairing.deepest)
     return _weigh(pairing, segments, facets), normals
+
+
+def point_distances(
+    pairing: Pairing, segments: Segments, u: dolfinx.fem.Function | None
+) -> tuple[Floats, Floats]:
+    """Return |x_s - x_m| at the points (q,), and the larger of their two facets (q,) (collective).
+
+    The size of a facet is its diameter at X.
+    """
+    slave = facets_at(pairing.slave, coordinates(pairing.slave, u))
+    arms = points_of(slave, segments.slave, segments.xi_s)
+    arms -= points_of(received_facets(pairing, u), segments.master, segments.xi_m)
+    sizes = facet_sizes(pairing.slave.X[pairing.slave.facets])
+    of_master = facet_sizes(pairing.master_X[pairing.master_facets])
+    larger = np.maximum(sizes[segments.slave], of_master[segments.master])
+    return np.linalg.norm(arms, axis=1), larger
+
+
+def drop_far(
+    pairing: Pairing,
+    segments: Segments,
+    u: dolfinx.fem.Function | None,
+    reach: Callable[[Floats, float], Floats],
+) -> Segments:
+    """Return the segments without the pairs that are too far apart (collective).
+
+    A pair stays if all its points do, so that what stays is whole: functions of the nodes are
+    independent on it.
+
+    Args:
+        pairing: The pair of surfaces.
+        segments: Its segments at X + u.
+        u: Displacement, None for X.
+        reach: Largest distances (q,) for sizes of facets (q,), see `point_distances`, and the least
+            distance of all.
+    """
+    distances, larger = point_distances(pairing, segments, u)
+    comm = pairing.slave.V.mesh.comm
+    nearest = float(comm.allreduce(distances.min(initial=np.inf), op=MPI.MIN))
+    far = distances > reach(larger, nearest) + HALF_OF_DIGITS * larger
+    near = (np.bincount(segments.pair, far, minlength=len(pairing.pairs)) == 0.0)[segments.pair]
+    points = {name: getattr(segments, name)[near] for name in _OF_POINTS}
+    return replace(segments, **points)
 
 
 def _weigh(pairing: Pairing, segments: Segments, facets: Facets) -> Segments:

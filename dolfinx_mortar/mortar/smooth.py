@@ -21,6 +21,7 @@ from dolfinx_mortar.geometry.smooth import (
     end_turns,
     fan_sums,
     heights,
+    heights_of_arcs,
     isotropic,
     rise_tensors,
     rises,
@@ -28,7 +29,13 @@ from dolfinx_mortar.geometry.smooth import (
 )
 from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
 from dolfinx_mortar.mortar.pairing import Pairing, receive, received_facets
-from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, sum_at_nodes
+from dolfinx_mortar.mortar.surface import (
+    Surface,
+    coordinates,
+    facets_at,
+    sum_at_nodes,
+    thickness_stretches,
+)
 
 # How often edges are bent back in 3D. On a cylinder with uneven triangles, a tenth of its radius
 # long, normals are off by 4e-3 without (rms; 0.04 of the angle between facets), 3e-4 after one
@@ -235,7 +242,11 @@ def point_heights(
     """Return by how much (q,) the smooth surfaces are nearer than the facets; collective.
 
     The facets of both sides stand off the surface that these share where they touch; those of
-    second order, which bend, each off its own.
+    second order, which bend, each off its own. Their middles move with the bodies below (or above)
+    the surface, so that they stand off by h (1 + e_n) with the strain e_n along the normal. With h
+    alone vertices and middles have gaps that differ by h e_n, whose pressures, E h e_n over the
+    length of a facet, are of first order: 10 % between heated rings of 18 and 24 facets. At X,
+    where no strain is known, they remain.
 
     Args:
         pairing: the pair of surfaces.
@@ -246,11 +257,28 @@ def point_heights(
     pairs, of = _meeting(segments)
     a, b = find_curved(pairing, u, sides, pairs)
     rise_s, rise_m = a.rise, b.rise
-    if pairing.slave.element.degree == 1:
+    second = pairing.slave.element.degree > 1
+    if not second:
         rise_s, rise_m = common_rises(a.facets, rise_s, b.K), common_rises(b.facets, rise_m, a.K)
+    elif u is not None:
+        s, m = _facet_stretches(pairing, u)
+        rise_s, rise_m = rise_s * s[pairing.pairs[pairs, 0]], rise_m * m[pairing.pairs[pairs, 1]]
     h_s = heights(a.facets, rise_s, of, segments.xi_s)
     h_m = heights(b.facets, rise_m, of, segments.xi_m)
+    if second and u is not None and pairing.slave.X.shape[1] == 2:
+        h_s = heights_of_arcs(a.facets, rise_s[:, 0], of, h_s)
+        h_m = heights_of_arcs(b.facets, rise_m[:, 0], of, h_m)
     return np.asarray(h_s + h_m)
+
+
+def _facet_stretches(pairing: Pairing, u: dolfinx.fem.Function) -> tuple[Floats, Floats]:
+    """Return by which factors heights have grown on slave (m, 1) and master facets; collective."""
+    slave, own = (thickness_stretches(side, u) for side in (pairing.slave, pairing.master))
+    columns = np.zeros((len(own), pairing.slave.X.shape[1]))
+    columns[:, 0] = own
+    master = receive(pairing, columns)[:, 0]
+    of_slave = slave[pairing.slave.facets].mean(axis=1, keepdims=True)
+    return of_slave, master[pairing.master_facets].mean(axis=1, keepdims=True)
 
 
 def point_motions(

@@ -21,6 +21,7 @@ from dolfinx_mortar.geometry.facets import (
     distortions,
     facet_normals,
     normals_at_nodes,
+    scaled_normals,
 )
 from dolfinx_mortar.geometry.thickness import thickness
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
@@ -122,8 +123,8 @@ def _element(V: dolfinx.fem.FunctionSpace) -> FacetElement:
     return FACETS_OF[V.mesh.topology.cell_name(), V.element.basix_element.degree]
 
 
-def _facet_nodes(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, Ints]:
-    """Return the local nodes (m, k) of facets, on the way around each, and their cells (m,)."""
+def _cells_behind(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, Ints]:
+    """Return the cells (m,) behind exterior facets (m,), and which facets of them these are."""
     topology = V.mesh.topology
     tdim = topology.dim
     facet_cells = topology.connectivity(tdim - 1, tdim)
@@ -131,7 +132,13 @@ def _facet_nodes(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, In
     assert (cells < topology.index_map(tdim).size_local).all()
     count = len(basix.topology(V.mesh.basix_cell())[tdim - 1])  # ranks may have no cell to ask
     cell_facets = topology.connectivity(tdim, tdim - 1).array.reshape(-1, count)
-    local = np.argmax(cell_facets[cells] == entities[:, None], axis=1)
+    return cells, np.argmax(cell_facets[cells] == entities[:, None], axis=1)
+
+
+def _facet_nodes(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, Ints]:
+    """Return the local nodes (m, k) of facets, on the way around each, and their cells (m,)."""
+    tdim, (cells, local) = V.mesh.topology.dim, _cells_behind(V, entities)
+    count = len(basix.topology(V.mesh.basix_cell())[tdim - 1])
     order, layout = _element(V).order, V.dofmap.dof_layout
     closure = np.array([layout.entity_closure_dofs(tdim - 1, i) for i in range(count)])[:, order]
     return V.dofmap.list[cells[:, None], closure[local]], cells
@@ -292,6 +299,31 @@ def nodal_normals(surface: Surface, x: Floats) -> Floats:
     total = sum_at_nodes(surface, normals_at_nodes(facets_at(surface, x)))
     length = np.linalg.norm(total, axis=1)[:, None]
     return np.where(length > 8 * ROUND_OFF, total / np.maximum(length, TINY), 0.0)
+
+
+def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
+    """Return by which factor (n,) what lies along the normals at X has grown (collective).
+
+    At the nodes, the mean over their facets of that in the middle: the stretch of the volume of the
+    cell behind over that of the area, 1 / |F^-T n|, to which rotations do nothing.
+    """
+    V, element = surface.V, surface.element
+    cell, d = V.mesh.basix_cell(), V.mesh.geometry.dim
+    cells, local = _cells_behind(V, surface.entities)
+    corners, sides = np.asarray(basix.geometry(cell)), basix.topology(cell)[d - 1]
+    middles = np.array([corners[side].mean(axis=0) for side in sides])
+    slopes = V.element.basix_element.tabulate(1, middles)[1:, :, :, 0][:, local]
+    nodes, middle = V.dofmap.list[cells], element.points[list(element.vertices)].mean(axis=0)
+    X = V.tabulate_dof_coordinates()[:, :d]
+    volumes, areas = [], []
+    for x in (X, X + u.x.array.reshape(-1, d)):
+        volumes.append(np.linalg.det(np.einsum("amk,mki->mai", slopes, x[nodes])))
+        normals = scaled_normals(facets_at(surface, x[surface.nodes]), middle[None])[:, 0]
+        areas.append(np.linalg.norm(normals, axis=1))
+    stretch = np.abs(volumes[1] / volumes[0]) * areas[0] / np.maximum(areas[1], TINY)
+    columns = np.stack([stretch, np.ones_like(stretch)], axis=1)[:, None]
+    total = sum_at_nodes(surface, np.repeat(columns, element.nodes, axis=1))
+    return np.asarray(total[:, 0] / total[:, 1])
 
 
 def mean_facet_length(surface: Surface) -> float:

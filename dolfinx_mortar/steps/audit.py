@@ -31,6 +31,7 @@ from dolfinx_mortar.mortar.surface import (
 )
 from dolfinx_mortar.steps.bodies import Bodies, free_motions
 from dolfinx_mortar.steps.dirichlet import Dirichlet
+from dolfinx_mortar.steps.far_ties import TieReach, find_reach
 from dolfinx_mortar.steps.stand_off import (
     StandOff,
     find_stand_offs,
@@ -82,6 +83,7 @@ class InterfaceAudit:
     least_gap: float  # smallest distance of a kept node to the master, negative in an overlap
     largest_gap: float
     edges: Edges | None = None  # of smooth surfaces
+    reach: TieReach | None = None  # of ties
 
     def __str__(self) -> str:
         """Return one line."""
@@ -92,7 +94,7 @@ class InterfaceAudit:
             f"{self.name}: {self.slave_facets} slave and {self.master_facets} master facets, "
             f"{self.kept_nodes} of {self.slave_nodes} slave nodes carry a multiplier, "
             f"{self.uncovered_nodes} face no master, {self.removed_nodes} removed, {gap}"
-            + (f", {self.edges}" if self.edges else "")
+            + "".join(f", {part}" for part in (self.edges, self.reach) if part)
         )
 
 
@@ -163,10 +165,12 @@ def create_audit(
     held = [lambda v: v.array_r[supports.owned.ravel()], springs]
     loose = free_motions(bodies, [*held, *ties, *contacts], facets)
     if loose:
+        reaches = [reach for link in links if (reach := find_reach(link))]
         raise ValueError(
             "bcs, interfaces: nothing holds the bodies against "
             + "; ".join(loose)
             + ". Prescribe these motions (bcs), or check slave and master tags"
+            + "".join(reach.hint for reach in reaches)
         )
     for link in links:
         _check_sides(link, bodies, x)
@@ -180,7 +184,8 @@ def create_audit(
     for link, i in zip(links, found, strict=True):
         of_facets = next((s for s in stand_offs if s.interface is link.interface), None)
         pressed = max(increment, -i.least_gap) / float(bodies.radius.max())
-        warnings += _warnings(i, of_facets, pressed) + warnings_on_straight_facets(link)
+        warnings += _warnings(i, of_facets, pressed)
+        warnings += warnings_on_straight_facets(link, link.interface.configuration(at))
     audit = Audit(bodies.count, found, by_contact, warnings, stand_offs)
     if bodies.V.mesh.comm.rank == 0:
         log.info("%s", "; ".join(map(str, found)) or "no interface")
@@ -226,6 +231,8 @@ def _warnings(i: InterfaceAudit, facets: StandOff | None, pressed: float) -> lis
             f"{i.name}: no slave node carries a multiplier, so it does nothing; check the "
             "tags, or let the other side be the slave if this one has Dirichlet data"
         )
+    if i.reach is not None and i.reach.warning:
+        warnings.append(i.reach.warning)
     if facets is not None and facets.matters(pressed):
         warnings.append(warning_on_facets(facets, finer=i.size_ratio < 1.0))
     if i.edges is not None and i.edges.without_normal:
@@ -312,7 +319,7 @@ def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     size = EXACT * max(float(lengths[0]), float(maximum(sides.V.mesh.comm, x)[0]))
     ends = [0.0 if abs(end) < size or np.isinf(end) else float(end) for end in (-least, largest)]
     edges = _edges(link) if link.pattern.smooth else None
-    row = *map(int, counts), ratio, *ends, edges
+    row = *map(int, counts), ratio, *ends, edges, find_reach(link)
     return InterfaceAudit(repr(link.interface), *row)  # type: ignore[arg-type]
 
 

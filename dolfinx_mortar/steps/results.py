@@ -18,6 +18,8 @@ from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.coupling import Link
 from dolfinx_mortar.interfaces.motions import relative_motions, slipped
 from dolfinx_mortar.interfaces.near import nodal_gaps
+from dolfinx_mortar.mortar.surface import coordinates, sum_at_nodes
+from dolfinx_mortar.solid.kinematics import on_axis
 from dolfinx_mortar.steps.contacts import Contacts
 from dolfinx_mortar.steps.linearisation import Balance
 from dolfinx_mortar.steps.problem import ContactProblem
@@ -38,7 +40,8 @@ def set_results(
     """Set the interfaces' resultants and Functions; collective.
 
     Reactions of equalities are the residual forces that they take; those of contact are D_jj times
-    the multipliers. Ties are as open as their jumps, see `StepData`.
+    the multipliers. Ties are as open as their jumps, see `StepData`. Tractions are shown per area
+    of the configuration at which the interface is taken, see `_growth`.
     """
     d, n = problem.d, problem.n
     moved = problem.X + problem.u.x.array[: d * n].reshape(-1, d)
@@ -61,9 +64,31 @@ def set_results(
             gap[link.nodes] if one_sided else _opened(link, (jumps or {}).get(k)),
             np.asarray(active & (on.any(axis=1) | (not one_sided))),
             problem.X if frozen else moved,  # where the forces act
+            _growth(problem, link),
         )
     if balance.limits is not None:
         _set_sliding(problem, balance.limits, contacts)
+
+
+def _growth(problem: ContactProblem, link: Link) -> Floats:
+    """Return by which factor (n,) the circumference at the slave nodes has grown; collective.
+
+    D is integrated over the length of the section as it is now, but with 2 pi r at X: D_jj times
+    this is the area that a node has now. On the axis it is the mean of the other nodes of the
+    facets, to second order of their size. One elsewhere, and at X.
+    """
+    kinematics, slave = problem.solid.kinematics, link.sides.slave
+    u = link.interface.configuration(problem.configuration)
+    if kinematics.radius is None or u is None:
+        return np.ones(len(link.nodes))
+    now, at_X = (kinematics.weight(x.T) for x in (coordinates(slave, u), slave.X))
+    # on the axis both are zero; what has gone beyond it has no circumference
+    known = ~on_axis(kinematics, problem.V.mesh, slave.X) & (now > 0.0)
+    factor = np.where(known, now / np.where(known, at_X, 1.0), 0.0)
+    columns = np.stack([factor, known], axis=1)[slave.facets].sum(axis=1, keepdims=True)
+    around = sum_at_nodes(slave, np.repeat(columns, slave.facets.shape[1], axis=1))
+    mean = around[:, 0] / np.maximum(around[:, 1], 1.0)
+    return np.asarray(np.where(known, factor, mean)[: slave.owned])
 
 
 def _set_sliding(problem: ContactProblem, limits: SlipLimits, contacts: Contacts) -> None:
@@ -86,6 +111,7 @@ def _set_sliding(problem: ContactProblem, limits: SlipLimits, contacts: Contacts
             way = committed.slid[k, nodes] + carries * np.linalg.norm(slip[nodes], axis=1)
             spent = committed.dissipated[k, nodes] + carries * energy[nodes]
             drag, last = (carries[:, None] * v[nodes] for v in (traction, slip))
+            drag /= _growth(problem, link)[:, None]
             results.set_sliding(link, drag, last, way, carries * status[nodes], spent)
 
 

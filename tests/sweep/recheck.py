@@ -20,6 +20,7 @@ from tests.sweep.problems import RandomProblem
 
 Floats = npt.NDArray[np.float64]
 TINY = np.finfo(float).tiny
+ON_AXIS = 1e-12  # of the coordinates
 LEAST_NORMAL = 0.5
 """A contact acts where Dirichlet data leave that much of the slave normal."""
 NO_PRESSURE = 1e-10
@@ -176,6 +177,7 @@ def _contact(
         tractions -= contact.traction.x.array.reshape(-1, d)[nodes].ravel()
     size = weight
     if is_ring(case):  # of the section, not of what it sweeps
+        tractions *= np.repeat(_growth(case, contact, nodes), d)
         plain = dm.assemble_mortar(V, case.facet_tags, **pair)
         size = _row_norms(plain.D)[::d]
     floor = NO_PRESSURE * _stiffest(case)
@@ -195,6 +197,21 @@ def _contact(
     size = max(np.abs(total).max(), np.abs(contact.force).max(), TINY)
     force = float(np.abs(total - contact.force).max() / size)
     return _apply(B, tractions, transposed=True), worst | {"force": force}
+
+
+def _growth(case: RandomProblem, contact: dm.Contact, nodes: npt.NDArray[np.int64]) -> Floats:
+    """Return how much longer the circumference is than at X, 1 for held geometry; see D's weight.
+
+    On the axis it is that of the nearest slave node.
+    """
+    if case.problem.geometry == "reference":
+        return np.ones(len(nodes))
+    every = contact.gather(case.problem.u)
+    X, x = every["X"], every["x"][:, 0]
+    off = np.flatnonzero(X[:, 0] > ON_AXIS * np.abs(X).max())
+    own = case.problem.V.tabulate_dof_coordinates()[nodes, :2]
+    nearest = off[[np.argmin(((X[off] - at) ** 2).sum(axis=1)) for at in own]]
+    return np.asarray(x[nearest] / X[nearest, 0])
 
 
 def _travel_of(case: RandomProblem, before: Floats | None) -> float:

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: MIT
+"""How far a tie reaches: what is farther apart is not tied, and nobody has to guess that."""
+
+from fractions import Fraction
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx import fem
+from dolfinx_mortar.interfaces import tie as of_ties
+from dolfinx_mortar.steps.identity import describe, differences
+from tests.block_piles import ABOVE, BELOW, create_blocks
+from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_blocks
+from tests.meshes_3d import two_boxes
+
+COMM = MPI.COMM_WORLD
+NEAREST = 0.01
+SIDES = {"slave": TOP_OF_LOWER, "master": BOTTOM_OF_UPPER}
+
+
+def lifted(x, slope=0.5):
+    """Lift the right half of the upper body: it stands off by slope (x - 1/2) more."""
+    x = x.copy()
+    x[:, -1] += np.where(x[:, -1] > 0.5 * NEAREST, slope * np.maximum(x[:, 0] - 0.5, 0.0), 0.0)
+    return x
+
+
+def tied(cell="quadrilateral", *, gap=NEAREST, transform=lifted, held=(1, 2), **options):
+    """Return a problem of two bodies with four and six facets along; tags of what is held."""
+    options = SIDES | options
+    if cell == "quadrilateral":
+        made = two_blocks(COMM, (4, 1), (6, 1), cell=cell, gap=gap, transform=transform)
+    else:
+        made = two_boxes(COMM, (4, 4, 1), (6, 6, 1), cell=cell, gap=gap, transform=transform)
+    mesh, cells, facets = made
+    d = mesh.geometry.dim
+    V = fem.functionspace(mesh, ("Lagrange", 1, (d,)))
+    dofs = [fem.locate_dofs_topological(V, d - 1, facets.find(tag)) for tag in held]
+    solid = dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.3), cells)
+    bcs = [fem.dirichletbc(np.zeros(d), each, V) for each in dofs]
+    return dm.ContactProblem(solid, [dm.Tie(facets, **options)], bcs=bcs)
+
+
+def kept(problem):
+    """Return the coordinates x of the slave nodes with a multiplier, all ranks, sorted."""
+    link = problem.system.links[0]
+    X = problem.V.tabulate_dof_coordinates()[link.nodes][link.coupling.kept.all(axis=1)]
+    return np.sort(np.concatenate(COMM.allgather(X[:, 0])))
+
+
+def warned(audit):
+    """Return the warnings of how far ties reach."""
+    return [w for w in audit.warnings if "within=" in w]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("cell", "rows", "slope"), [("quadrilateral", 1, 0.5), ("hexahedron", 5, 0.65)]
+)
+def test_what_is_far_is_not_tied(cell, rows, slope):
+    """The sides part by more than half of a facet on the last one; its diagonal is longer."""
+    problem = tied(cell, transform=lambda x: lifted(x, slope))
+    audit = problem.audit()
+    (found,) = audit.interfaces
+    assert np.allclose(kept(problem), np.repeat([0.0, 0.25, 0.5, 0.75], rows))
+    assert found.reach.beyond == found.uncovered_nodes == rows
+    # pairs end at x = 2/3 and 3/4, and their points lie within them
+    assert NEAREST + slope / 6 < found.reach.farthest < NEAREST + slope / 4
+    (told,) = warned(audit)
+    assert f"up to {found.reach.farthest:.3g} apart" in told and f"{rows} slave nodes" in told
+    assert f"distances up to {found.reach.farthest:.3g}" in str(found)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("within", "nodes", "farthest"),
+    [(NEAREST, 3, NEAREST), (Fraction(1, 10), 4, 0.1), (1, 5, 0.26)],
+)
+def test_a_distance_that_was_given(within, nodes, farthest):
+    """It counts as it is, also where the sides are just as far apart; nothing to warn of."""
+    problem = tied(within=within)
+    audit = problem.audit()
+    assert np.allclose(kept(problem), np.linspace(0.0, 1.0, 5)[:nodes])
+    reach = audit.interfaces[0].reach
+    assert reach.farthest <= farthest * (1 + 1e-12) and reach.farthest > 0.8 * farthest
+    assert reach.beyond == 5 - nodes and warned(audit) == []
+    report = dm.newton(problem)
+    gap = problem.interfaces[0].gap.x.array[: problem.n]
+    assert COMM.allreduce(int(np.isnan(gap).sum())) == reach.beyond
+    assert report.certificate.row_sum_error < 1e-12
+
+
+@pytest.mark.mpi
+def test_sides_that_are_apart_everywhere():
+    """All of them are tied across the constant gap, and the audit tells how wide it is."""
+    audit = tied(gap=0.5, transform=None).audit()
+    (found,) = audit.interfaces
+    assert (found.kept_nodes, found.reach.beyond) == (5, 0)
+    assert found.reach.farthest == pytest.approx(0.5, rel=1e-12)
+    assert found.reach.share == pytest.approx(2.0, rel=1e-12)
+    (told,) = warned(audit)
+    assert "up to 0.5 apart, 2 of a facet" in told and "not tied" not in told
+    assert warned(tied(gap=0.0, transform=None).audit()) == []
+
+
+@pytest.mark.mpi
+def test_a_body_that_no_tie_reaches():
+    with pytest.raises(ValueError, match=r"nothing holds.*does not reach 5 slave nodes: .*within="):
+        tied(gap=0.5, transform=None, within=0.4, held=(1,)).audit()
+
+
+@pytest.mark.mpi
+def test_who_is_out_of_reach_claims_no_node():
+    """A node below two bodies belongs to the one that touches it, though the other comes first."""
+    boxes = [(0.0, 1.0, -1.0, 0.0, 4, 2), (0.0, 0.5, 0.3, 1.0, 2, 2), (0.5, 1.0, 0.0, 1.0, 2, 2)]
+    mesh, cells, facets = create_blocks(COMM, boxes)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    sides = {"slave": 10 + ABOVE}
+    ties = [dm.Tie(facets, master=10 * k + BELOW, within=0.2, **sides) for k in (2, 3)]
+    held = [fem.locate_dofs_topological(V, 1, facets.find(10 * k + ABOVE)) for k in (2, 3)]
+    held.append(fem.locate_dofs_topological(V, 1, facets.find(10 + BELOW)))
+    bcs = [fem.dirichletbc(np.zeros(2), dofs, V) for dofs in held]
+    solid = dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.3), cells)
+    found = dm.ContactProblem(solid, ties, bcs=bcs).audit().interfaces
+    assert [i.kept_nodes for i in found] == [0, 3] and found[1].removed_nodes == 0
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("within", [0.0, -1.0, np.nan, True, "near", [1.0], 1j])
+def test_what_is_no_distance(within):
+    with pytest.raises(ValueError, match=r"within is .*a length > 0"):
+        tied(within=within)
+
+
+@pytest.mark.mpi
+def test_what_a_tie_says():
+    """How far it reaches, with all digits: it tells problems and checkpoints apart."""
+    problems = [tied(within=within) for within in (None, 0.1, np.float64(0.1), 0.1 + 1e-12)]
+    shown = [repr(p.interfaces[0]) for p in problems]
+    assert shown[0] == "Tie(slave=3, master=4)"
+    assert shown[1] == shown[2] == "Tie(slave=3, master=4, within=0.1)"
+    saved, *present = [describe(p.lasting) for p in problems[1:]]
+    assert [len(differences(saved, other)) for other in present] == [0, 1]
+
+
+@pytest.mark.skipif(COMM.size == 1, reason="needs ranks that differ")
+@pytest.mark.mpi
+def test_ranks_that_differ():
+    with pytest.raises(ValueError, match=r"within differs between the ranks: 1.0 on rank 0"):
+        tied(within=1.0 + COMM.rank)
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.2])
+def test_the_number(monkeypatch, factor):
+    """Smooth sides and deliberate gaps are far from it on either side: it does not decide them."""
+    monkeypatch.setattr(of_ties, "WITHIN", of_ties.WITHIN * factor)
+    arc = lambda x: np.column_stack(  # noqa: E731
+        [(2.0 + x[:, 1]) * np.sin(0.8 * x[:, 0]), (2.0 + x[:, 1]) * np.cos(0.8 * x[:, 0])]
+    )
+    for gap in (0.0, 0.2):
+        assert tied(gap=gap, transform=arc).audit().interfaces[0].kept_nodes == 5
