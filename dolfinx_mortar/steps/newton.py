@@ -58,6 +58,7 @@ from dolfinx_mortar.steps.residuals import (
 )
 from dolfinx_mortar.steps.resolution import notes_on_few_nodes
 from dolfinx_mortar.steps.results import notes_on_lost_friction, notes_on_sliding, set_results
+from dolfinx_mortar.steps.small_strain import find_left_out, notes_on_small_strain
 from dolfinx_mortar.steps.stand_off import notes_on_facets
 from dolfinx_mortar.steps.step_data import StepData
 from dolfinx_mortar.steps.watch import MOST_RISES, Watch, at_nodes, find_change
@@ -369,7 +370,11 @@ class _Step:
         if (limits := iterate.balance.limits) is not None:
             noise = gap_round_off(problem.u)
             sliders = find_sliders(limits, contacts, iterate.stiffness, noise)
-        report.certificate = create_certificate(problem, report, contacts, residual, sliders)
+        left_out = find_left_out(problem)
+        report.notes += notes_on_small_strain(problem, left_out)
+        report.certificate = create_certificate(
+            problem, report, contacts, residual, sliders, left_out
+        )
         problem.committed.contacts = contacts.active, contacts.sliding
         report.converged = True
 
