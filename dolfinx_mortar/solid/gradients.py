@@ -95,11 +95,10 @@ class PointGradients:
         domain, size = self._space.mesh, self._space.dofmap.bs
         owned = np.arange(domain.topology.index_map(domain.topology.dim).size_local, dtype="i4")
         values = np.asarray(self._compiled.eval(domain, owned)).reshape(-1, self._entries)
-        strain, values = tensor_of(values[:, :size]), values[:, size:]
-        axes = 1 if domain.geometry.dim == 2 else 3
-        rotation = np.zeros((len(values), 3))
-        rotation[:, 3 - axes :] = values[:, :axes]
-        seen = tensor_of(values[:, axes:]) if values.shape[1] > axes else strain
+        last = size + (1 if domain.geometry.dim == 2 else 3)
+        strain, rotation = tensor_of(values[:, :size]), np.zeros((len(values), 3))
+        rotation[:, size - last :] = values[:, size:last]
+        seen = tensor_of(values[:, last:]) if values.shape[1] > last else strain
         return Gradients(strain, seen, rotation, self._small)
 
 

@@ -69,8 +69,8 @@ class Certificate:
 
     Scales: forces to the largest of external, contact, reaction and element forces; lengths to the
     mean slave facet; multipliers to the largest multiplier; tangential reactions to the largest
-    limit of friction, their energies to the limits times the slips. What the small strain leaves out
-    of a finite one is that of the body in which it is felt most; nothing is, of a finite one.
+    limit of friction, their energies to the limits times the slips. What the small strain leaves
+    out is that of the body in which it is felt most.
     """
 
     equilibrium: float  # forces on free unknowns

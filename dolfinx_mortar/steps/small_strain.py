@@ -127,10 +127,10 @@ def notes_on_small_strain(problem: ContactProblem, found: LeftOut) -> list[str]:
     note = (
         f"{name_of(bodies, [found.worst])}{others} turns by up to {np.degrees(turn):.1f} degrees, "
         f"and the small strain leaves out up to {left:.2g}, near {at}, where the largest strain in "
-        f"the bodies is {found.largest:.2g}: worth a stress of {worth:.3g} there (norm; the largest "
-        f"shown is {shown:.3g}), {found.work:.1%} of the work of the stresses and "
-        f"{found.lengths:.1%} of lengths. Turn or strain it less, let X be nearer to where it turns "
-        "to, or choose a finite strain, see 'What it cannot do' in the guide"
+        f"the bodies is {found.largest:.2g}: worth a stress of {worth:.3g} there (norm; the "
+        f"largest shown is {shown:.3g}), {found.work:.1%} of the work of the stresses and "
+        f"{found.lengths:.1%} of lengths. Turn or strain it less, let X be nearer to where it "
+        "turns to, or choose a finite strain, see 'What it cannot do' in the guide"
     )
     if comm.rank == 0:
         log.warning("%s", note)
