@@ -46,6 +46,7 @@ from dolfinx_mortar.steps.linearisation import (
     linearise,
     to_displacement,
 )
+from dolfinx_mortar.steps.passing import describe_passing
 from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.report import Iteration, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.residuals import (
@@ -161,6 +162,7 @@ class _Step:
                 log.info("%s", self.report.iterations[-1])
             if residual.excess <= 1.0:
                 if self.geometry_is_complete():
+                    self.check_passing()
                     self.finish(iterate, residual)
                     return
                 iterate = replace(iterate, balance=self.balance())  # T is another one now
@@ -349,6 +351,13 @@ class _Step:
         if not complete:
             problem.update_geometry(self.data.increment, everywhere=True)
         return complete
+
+    def check_passing(self) -> None:
+        """Raise if bodies have passed through each other on their way."""
+        with self.problem.timings("mortar"):
+            passed = describe_passing(self.problem)
+        if passed:
+            raise failures.not_converged(passed, self.problem, self.report)
 
     def finish(self, iterate: Iterate, residual: Residuals) -> None:
         """Set what the step has found."""
