@@ -37,10 +37,10 @@ def find_passing(p: tuple[Floats, Floats], x: tuple[Floats, Floats]) -> Longs:
 
     Example:
         >>> line = np.array([[[1.0, 0.0], [-1.0, 0.0]]])  # y > 0 is before it
-        >>> start, end = np.array([[0.0, 1], [5, 1], [0, -1]]), np.array([[0.0, -1], [5, -1], [0, 1]])
-        >>> find_passing((start, end), (line, line)).tolist()
+        >>> points = np.array([[0.0, 1], [5, 1], [0, -1]])
+        >>> find_passing((points, points * [1, -1]), (line, line)).tolist()
         [0]
-        >>> find_passing((start, end), (line, line - [[0.0, 3]])).tolist()
+        >>> find_passing((points, points * [1, -1]), (line, line - [[0.0, 3]])).tolist()
         []
     """
     if len(p[0]) == 0 or len(x[0]) == 0:
@@ -50,7 +50,9 @@ def find_passing(p: tuple[Floats, Floats], x: tuple[Floats, Floats]) -> Longs:
     middle = (x[0] + x[1]).mean(axis=1) / 2
     reach = np.linalg.norm(np.stack(x) - middle[:, None], axis=3).max()
     way = np.linalg.norm(p[1] - p[0], axis=1)
-    near = cKDTree(middle).query_ball_point((p[0] + p[1]) / 2, way / 2 + reach * (1 + HALF_OF_DIGITS))
+    near = cKDTree(middle).query_ball_point(
+        (p[0] + p[1]) / 2, way / 2 + reach * (1 + HALF_OF_DIGITS)
+    )
     a = np.repeat(np.arange(len(near)), [len(b) for b in near])
     b = np.concatenate([np.array(b, dtype=np.int64) for b in near])
     distance = [_distances(p[k][a], x[k][b]) for k in (0, 1)]
@@ -58,17 +60,16 @@ def find_passing(p: tuple[Floats, Floats], x: tuple[Floats, Floats]) -> Longs:
     a, b = a[crossing], b[crossing]
     d0, d1 = (d[crossing] for d in distance)
     t = (d0 / (d0 - d1))[:, None]
-    at, facet = (1 - t) * p[0][a] + t * p[1][a], (1 - t[:, None]) * x[0][b] + t[:, None] * x[1][b]
+    at = p[0][a] + t * (p[1][a] - p[0][a])
+    facet = x[0][b] + t[:, None] * (x[1][b] - x[0][b])
     return np.unique(a[_inside(at, facet)])
 
 
 def _distances(p: Floats, x: Floats) -> Floats:
     """Return the distances (n,) of points (n, d) before the planes of facets (n, d, d)."""
     edge = x[:, 1] - x[:, 0]
-    if p.shape[1] == 2:
-        n = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
-    else:
-        n = np.cross(edge, x[:, 2] - x[:, 0])
+    flat = p.shape[1] == 2
+    n: Floats = edge[:, ::-1] * [1.0, -1.0] if flat else np.cross(edge, x[:, 2] - x[:, 0])
     size = np.maximum(np.linalg.norm(n, axis=1), TINY)
     return np.asarray(((p - x[:, 0]) * n).sum(axis=1) / size)
 
@@ -78,6 +79,7 @@ def _inside(p: Floats, x: Floats) -> Bools:
     edges = np.swapaxes(x[:, 1:] - x[:, :1], 1, 2)  # (n, d, d - 1)
     gram = np.swapaxes(edges, 1, 2) @ edges
     right = np.einsum("nij,ni->nj", edges, p - x[:, 0])
-    share = np.linalg.solve(gram, right[:, :, None])[:, :, 0]
+    # of a facet that is no more than a line, or a point, any solution will do
+    share = (np.linalg.pinv(gram, hermitian=True) @ right[:, :, None])[:, :, 0]
     least = np.minimum(share.min(axis=1), 1.0 - share.sum(axis=1))
     return np.asarray(least >= -HALF_OF_DIGITS)
