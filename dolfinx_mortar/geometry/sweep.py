@@ -68,8 +68,10 @@ def find_passing(p: tuple[Floats, Floats], x: tuple[Floats, Floats]) -> Longs:
 def _distances(p: Floats, x: Floats) -> Floats:
     """Return the distances (n,) of points (n, d) before the planes of facets (n, d, d)."""
     edge = x[:, 1] - x[:, 0]
-    flat = p.shape[1] == 2
-    n: Floats = edge[:, ::-1] * [1.0, -1.0] if flat else np.cross(edge, x[:, 2] - x[:, 0])
+    if p.shape[1] == 2:
+        n = edge[:, ::-1] * [1.0, -1.0]
+    else:
+        n = np.asarray(np.cross(edge, x[:, 2] - x[:, 0]), dtype=np.float64)
     size = np.maximum(np.linalg.norm(n, axis=1), TINY)
     return np.asarray(((p - x[:, 0]) * n).sum(axis=1) / size)
 
