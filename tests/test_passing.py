@@ -74,7 +74,7 @@ def test_many_facets_and_no_facet():
 class Pushed:
     """A half disc above a strip that is clamped at one end.
 
-    One side is the skin of the disc, the other one that of the strip, or its top alone.
+    Sides are the whole skins of both, or the top of the strip, or also the arc of the disc alone.
     """
 
     def __init__(self, slave="disc", top="skin"):
@@ -84,11 +84,12 @@ class Pushed:
         )
         self.V = V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
         tags = skins(mesh, cells, facets, keep=())
-        if top == "top":
-            flat = np.append(facets.find("arc"), facets.find("flat"))
-            whole = np.sort(np.append(flat, facets.find("top")))
-            values = np.where(np.isin(whole, flat), BOTTOM_OF_UPPER, TOP_OF_LOWER)
-            tags = meshtags(mesh, 1, whole, values.astype(np.int32))
+        if top != "skin":
+            disc = facets.find("arc")
+            disc = np.append(disc, facets.find("flat")) if top == "top" else disc
+            marked = np.sort(np.append(disc, facets.find("top")))
+            values = np.where(np.isin(marked, disc), BOTTOM_OF_UPPER, TOP_OF_LOWER)
+            tags = meshtags(mesh, 1, marked, values.astype(np.int32))
         self.way = fem.Constant(mesh, np.zeros(2))
         clamped = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0], -8.0))
         flat = fem.locate_dofs_topological(V, 1, facets.find("flat"))
@@ -105,8 +106,10 @@ class Pushed:
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("top", ["skin", "top"])
-@pytest.mark.parametrize("slave", ["disc", "strip"])
+@pytest.mark.parametrize(
+    ("slave", "top"),
+    [("disc", "skin"), ("strip", "skin"), ("disc", "top"), ("strip", "top"), ("disc", "alone")],
+)
 def test_a_disc_through_a_strip_is_no_step(slave, top):
     """Four thicknesses down: refused as the first step and as a later one; nothing is changed."""
     pushed = Pushed(slave, top)
@@ -198,13 +201,27 @@ def test_what_passes_is_counted_over_the_ranks(partition):
     dofs = [fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (BOTTOM, TOP)]
     bcs = [fem.dirichletbc(np.zeros(2), on, V) for on in dofs]
     problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [contact], bcs=bcs)
-    sides = problem.system.sides[0]
+    assert not describe_passing(problem)
+    slave, master = problem.system.middles[0]
     problem.u.interpolate(lambda x: np.stack([0 * x[0], np.where(x[1] > 0.05, -2.0, 0.0)]))
-    found = passing.find_passed(sides.slave, sides.master, fem.Function(V), problem.u)
+    found = passing.find_passed(slave, master, fem.Function(V), problem.u)
     # 6 facets of the top and of the bottom, 3 of each flank have the middle in the way
-    assert found.surface is sides.master and found.count == 18
+    assert found.surface is master.surface and found.count == 18
     assert min(abs(found.depth - depth) for depth in (0.25, 0.5)) < 1e-12
     assert "at 18 facets" in describe_passing(problem)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("overlap", [0.0, 0.01])
+def test_bodies_end_at_their_own_skin(overlap):
+    """Behind the sides alone, and where another body lies in it: heights 0.5 and 0.75."""
+    mesh, _, facets = two_blocks(COMM, (4, 3), (5, 4), heights=(0.5, 0.75), gap=-overlap)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    contact = dm.Contact(facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
+    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [contact])
+    assert not describe_passing(problem)
+    for side, height in zip(problem.system.middles[0], (0.5, 0.75), strict=True):
+        assert np.abs(side.depth - passing.THROUGH * height).max(initial=0.0) < 1e-12
 
 
 @pytest.mark.mpi
