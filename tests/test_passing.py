@@ -13,8 +13,8 @@ from dolfinx_mortar.geometry.sweep import find_passing
 from dolfinx_mortar.mortar import passing
 from dolfinx_mortar.steps.passing import describe_passing
 from tests.hertz_case import create_mesh
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, skins, two_blocks
-from tests.meshes_3d import rotation
+from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, UPPER, skins, two_blocks
+from tests.meshes_3d import rotation, two_boxes
 
 COMM = MPI.COMM_WORLD
 LAW = dm.Elastic(1000.0, 0.3)
@@ -209,6 +209,24 @@ def test_what_passes_is_counted_over_the_ranks(partition):
     assert found.surface is master.surface and found.count == 18
     assert min(abs(found.depth - depth) for depth in (0.25, 0.5)) < 1e-12
     assert "at 18 facets" in describe_passing(problem)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_boxes_in_space(cell):
+    """Obliquely through each other, the sides alone; and the same way back."""
+    turn = rotation((1.0, 2.0, 3.0), 0.7)
+    mesh, cells, facets = two_boxes(
+        COMM, (3, 3, 2), (2, 3, 2), cell=cell, turn=turn, heights=(0.5, 0.75), gap=0.05
+    )
+    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    contact = dm.Contact(facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
+    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [contact])
+    on = fem.locate_dofs_topological(V, 3, cells.find(UPPER))
+    for way, passes in (((0.1, 0.2, -1.8), True), ((0.1, 0.2, 1.8), False), ((3, 0, 0), False)):
+        problem.u.x.array.reshape(-1, 3)[on] = turn @ way
+        problem.u.x.scatter_forward()
+        assert bool(describe_passing(problem)) == passes
 
 
 @pytest.mark.mpi
