@@ -23,7 +23,7 @@ ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 SOURCES = sorted(p for p in DOCS.rglob("*.md") if not {"_build", "generated"} & set(p.parts))
 GUIDE = ["units", "meshes", "materials", "bodies", "interfaces", "loads"]
-GUIDE += ["steps", "solvers", "output", "restart", "convergence"]
+GUIDE += ["steps", "solvers", "output", "restart", "convergence", "limits"]
 TOOLS = ["docstrings", "elsewhere", "gallery", "links", "tables"]
 
 

@@ -33,6 +33,7 @@ from dolfinx_mortar.interfaces.near import find_reach, touches_far_nodes
 from dolfinx_mortar.interfaces.partners import Partners, find_partners
 from dolfinx_mortar.mortar.operators import Coverage
 from dolfinx_mortar.mortar.pairing import Weight
+from dolfinx_mortar.mortar.passing import Middles
 from dolfinx_mortar.mortar.surface import mean_facet_length
 
 
@@ -49,6 +50,7 @@ class InterfaceSystem:
         links: the interfaces with their pairings and couplings.
         transformation: T; None without interfaces.
         searches: how often the surfaces were paired.
+        middles: those of the bodies behind both sides of each contact, see `steps.passing`.
         faced: whether the sides have faced each other at some time, so that they may turn away.
         facet_length: largest mean slave facet of the interfaces, 1 without interfaces.
     """
@@ -68,6 +70,7 @@ class InterfaceSystem:
         self.claims: Claims | None = None
         self.transformation: Transformation | None = None
         self.searches = 0
+        self.middles: list[tuple[Middles, Middles] | None] | None = None  # when first asked for
         self.faced = False
 
     @property

@@ -228,20 +228,35 @@ def create_surface(
         facets=np.searchsorted(nodes, facet_nodes).astype(np.int32),
         entities=entities,
         X=np.ascontiguousarray(X[nodes]),
-        thickness=_thickness(facets, V.mesh.comm),
+        thickness=thickness_behind(facets, facets, V.mesh.comm),
         sums=sums,
     )
 
 
-def _thickness(facets: Facets, comm: MPI.Intracomm) -> Floats:
-    """Return how thick (m,) the body is behind facets, among those of all ranks; collective."""
+def thickness_behind(facets: Facets, others: Facets, comm: MPI.Intracomm) -> Floats:
+    """Return how thick (m,) the body is behind facets, among others of all ranks; collective."""
     if comm.size == 1:
-        return thickness(facets, facets)
+        return thickness(facets, others)
     n = facet_normals(facets)[:, None]
     cones = group_cones(facets.x, n, create_groups(facets.x), np.zeros(len(n)))
-    receivers = find_receivers(comm, cones, facets)
-    parts = comm.alltoall([facets.x[to] for to in receivers.T])
+    receivers = find_receivers(comm, cones, others)
+    parts = comm.alltoall([others.x[to] for to in receivers.T])
     return thickness(facets, Facets(facets.element, np.concatenate(parts)))
+
+
+def exterior_facets(V: dolfinx.fem.FunctionSpace) -> tuple[Facets, Ints]:
+    """Return all exterior facets (m,) at X that this rank integrates, and their owned cells (m,).
+
+    Once a surface exists: that has made the connectivities.
+    """
+    nodes, cells = _facet_nodes(V, dolfinx.mesh.exterior_facet_indices(V.mesh.topology))
+    X = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
+    return Facets(_element(V), X[_order_outwards(X, nodes, cells, V)]), cells
+
+
+def cells_of(surface: Surface) -> Ints:
+    """Return the owned cell (m,) behind each facet."""
+    return _facet_nodes(surface.V, surface.entities)[1]
 
 
 def accumulate(surface: Surface, values: npt.NDArray[Any]) -> Floats:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -32,6 +33,7 @@ from dolfinx_mortar.materials import Material
 from dolfinx_mortar.solid.dilatation import create_dilatation
 from dolfinx_mortar.solid.eigenstrain import create_eigenstrain
 from dolfinx_mortar.solid.forms import create_forms, create_responses
+from dolfinx_mortar.solid.gradients import PointGradients
 from dolfinx_mortar.solid.kinematics import Kinematics, check_radius, choose_kinematics
 from dolfinx_mortar.solid.laws import create_regions
 from dolfinx_mortar.solid.points import PointFields
@@ -197,6 +199,11 @@ class Solid:
     def has_energy(self) -> bool:
         """Whether all laws have a potential, so that `energy` works."""
         return self._forms.energy is not None
+
+    @cached_property
+    def gradients(self) -> PointGradients:
+        """Strain and rotation at the integration points, compiled when first asked for."""
+        return PointGradients(self.u, self.kinematics, self.eigenstrain, self.stress)
 
     # -- one Newton iteration -------------------------------------------------------------------
 

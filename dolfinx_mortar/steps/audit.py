@@ -173,7 +173,7 @@ def create_audit(
             + "".join(reach.hint for reach in reaches)
         )
     for link in links:
-        _check_sides(link, bodies, x)
+        _check_sides(link, bodies, x, increment)
     found = [_audit(link, x) for link in links]
     stand_offs = find_stand_offs(links, at)
     free = free_motions(bodies, [*held, *ties]) if contacts else []
@@ -259,11 +259,12 @@ def _warnings(i: InterfaceAudit, facets: StandOff | None, pressed: float) -> lis
     return warnings
 
 
-def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec) -> None:
+def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec, increment: float) -> None:
     """Raise a ValueError on all ranks if two sides face each other only through their bodies.
 
-    That is so if every slave node is deeper inside the master body than any body is large; smaller
-    overlaps are ordinary input. Where the two sides are parts of one surface, it is so as soon as
+    That is so if every slave node is deeper inside the master body than any body is large and than
+    both sides are prescribed to move, which a smaller step mends; smaller overlaps are ordinary
+    input. Where the two sides are parts of one surface, it is so as soon as
     a slave node lies that deep (faces of a crack share nodes, too, but do not overlap).
     """
     interface, kept = link.interface, link.coupling.kept.all(axis=1)
@@ -281,7 +282,7 @@ def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec) -> None:
             f"that meets itself through its body, {deepest:.3g} deep; mark only the parts that "
             "can touch"
         )
-    if some and -shallowest > bodies.radius.max():
+    if some and -shallowest > bodies.radius.max() + 2.0 * increment:
         raise ValueError(
             f"{interface.sides} can never meet: all slave "
             f"nodes lie at least {-shallowest:.3g} beyond the master side; check the tags"

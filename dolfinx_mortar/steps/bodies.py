@@ -6,6 +6,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -50,6 +51,16 @@ class Bodies:
             motions = self.motions(arm)
             modes += [(body, name, self._vector(m * on)) for name, m in motions.items()]
         return modes
+
+    @cached_property
+    def of_cells(self) -> Ints:
+        """The body (owned cells,) of each cell; collective."""
+        V = self.V
+        vector = la.vector(V.dofmap.index_map, 1)
+        vector.array[: len(self.label)] = self.label
+        vector.scatter_forward()
+        owned = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
+        return np.asarray(vector.array[V.dofmap.list[:owned, 0]], dtype=np.int32)
 
     @property
     def shifts(self) -> Bools:

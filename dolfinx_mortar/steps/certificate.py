@@ -18,6 +18,7 @@ from dolfinx_mortar.steps.contacts import Contacts
 from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.report import Certificate, StepReport
 from dolfinx_mortar.steps.residuals import Residuals
+from dolfinx_mortar.steps.small_strain import LeftOut, find_left_out
 
 
 def _largest(comm: MPI.Comm, *arrays: Floats) -> Floats:
@@ -63,6 +64,7 @@ def create_certificate(
     contacts: Contacts,
     residual: Residuals,
     sliders: Sliders | None = None,
+    left_out: LeftOut | None = None,
 ) -> Certificate:
     """Judge the present state of a problem whose results are set; collective.
 
@@ -72,7 +74,9 @@ def create_certificate(
         contacts: the contact set.
         residual: what is left of equilibrium there.
         sliders: slips and tangential reactions, with friction.
+        left_out: what the small strain leaves out; None measures it.
     """
+    left_out = left_out or find_left_out(problem)
     links, length = problem.system.links, problem.system.facet_length
     gap: list[Floats] = [np.zeros(0)]
     multiplier: list[Floats] = [np.zeros(0)]
@@ -113,6 +117,10 @@ def create_certificate(
         qp_iterations=report.qp_iterations,
         line_search_steps=sum(i.line_search_steps for i in report.iterations),
         geometry_change=report.iterations[-1].geometry_change,
+        left_out_strain=left_out.relative,
+        left_out_work=left_out.work,
+        left_out_lengths=left_out.lengths,
+        rotation=left_out.rotation,
         **({} if sliders is None else _friction(problem.comm, sliders, length)),
     )
 

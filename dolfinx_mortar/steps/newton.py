@@ -46,6 +46,7 @@ from dolfinx_mortar.steps.linearisation import (
     linearise,
     to_displacement,
 )
+from dolfinx_mortar.steps.passing import describe_passing
 from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.report import Iteration, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.residuals import (
@@ -58,6 +59,7 @@ from dolfinx_mortar.steps.residuals import (
 )
 from dolfinx_mortar.steps.resolution import notes_on_few_nodes, notes_on_rims
 from dolfinx_mortar.steps.results import notes_on_lost_friction, notes_on_sliding, set_results
+from dolfinx_mortar.steps.small_strain import find_left_out, notes_on_small_strain
 from dolfinx_mortar.steps.stand_off import notes_on_facets
 from dolfinx_mortar.steps.step_data import StepData
 from dolfinx_mortar.steps.watch import MOST_RISES, Watch, at_nodes, find_change
@@ -160,6 +162,7 @@ class _Step:
                 log.info("%s", self.report.iterations[-1])
             if residual.excess <= 1.0:
                 if self.geometry_is_complete():
+                    self.check_passing()
                     self.finish(iterate, residual)
                     return
                 iterate = replace(iterate, balance=self.balance())  # T is another one now
@@ -349,6 +352,13 @@ class _Step:
             problem.update_geometry(self.data.increment, everywhere=True, onward=True)
         return complete
 
+    def check_passing(self) -> None:
+        """Raise if bodies have passed through each other on their way."""
+        with self.problem.timings("mortar"):
+            passed = describe_passing(self.problem)
+        if passed:
+            raise failures.not_converged(passed, self.problem, self.report)
+
     def finish(self, iterate: Iterate, residual: Residuals) -> None:
         """Set what the step has found."""
         problem, report = self.problem, self.report
@@ -369,7 +379,11 @@ class _Step:
         if (limits := iterate.balance.limits) is not None:
             noise = gap_round_off(problem.u)
             sliders = find_sliders(limits, contacts, iterate.stiffness, noise)
-        report.certificate = create_certificate(problem, report, contacts, residual, sliders)
+        left_out = find_left_out(problem)
+        report.notes += notes_on_small_strain(problem, left_out)
+        report.certificate = create_certificate(
+            problem, report, contacts, residual, sliders, left_out
+        )
         problem.committed.contacts = contacts.active, contacts.sliding
         report.converged = True
 

@@ -69,7 +69,8 @@ class Certificate:
 
     Scales: forces to the largest of external, contact, reaction and element forces; lengths to the
     mean slave facet; multipliers to the largest multiplier; tangential reactions to the largest
-    limit of friction, their energies to the limits times the slips.
+    limit of friction, their energies to the limits times the slips. What the small strain leaves
+    out is that of the body in which it is felt most.
     """
 
     equilibrium: float  # forces on free unknowns
@@ -93,6 +94,10 @@ class Certificate:
     friction_stick: float = 0.0  # longest slip of a node that sticks
     friction_work: float = 0.0  # what friction takes less than its limits over the slips
     friction_gain: float = 0.0  # largest energy that a node gets from friction
+    left_out_strain: float = 0.0  # largest |H^T H| / 2, H = grad u, over the largest strain
+    left_out_work: float = 0.0  # share of rotations, left out, in the work of a body's stresses
+    left_out_lengths: float = 0.0  # mean of |H^T H| / 2 in a body
+    rotation: float = 0.0  # largest rotation, radians
 
 
 @dataclass

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: MIT
+"""Whether one side has passed through the other in a step, so that nothing of it is in reach.
+
+Partners that lie deeper than a part of the thinner body are none (`THROUGH`), and beyond an edge
+there is nothing to see, so a side that moves far enough in one step meets nothing on its way. What
+tells is the middle of a body, as far behind each of its facets: it never lies in the other body,
+unless that has passed through.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx import fem
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.geometry.facets import Facets, facet_normals
+from dolfinx_mortar.geometry.sweep import find_passing, flat_parts
+from dolfinx_mortar.mortar.pairing import THROUGH
+from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, thickness_behind
+
+
+@dataclass(frozen=True)
+class Middles:
+    """The middle of the bodies behind the facets of a surface."""
+
+    surface: Surface
+    depth: Floats  # (m,) how deep behind each facet, at X
+
+
+def find_middles(surface: Surface, body_of: Ints, skin: Facets, bodies: Ints) -> Middles:
+    """Measure the bodies behind a surface, whatever is tagged; collective.
+
+    Up to their own skin: where bodies overlap, that of another one is no end of them.
+
+    Args:
+        surface: the surface.
+        body_of: number (m,) of the body behind each of its facets.
+        skin: exterior facets of this rank.
+        bodies: number of the body of each of those.
+    """
+    comm, facets = surface.V.mesh.comm, facets_at(surface, surface.X)
+    depth = np.full(len(body_of), np.inf)
+    for body in np.unique(np.concatenate(comm.allgather(body_of))):
+        mine = np.flatnonzero(body_of == body)
+        thickness = thickness_behind(facets[mine], skin[np.flatnonzero(bodies == body)], comm)
+        depth[mine] = THROUGH * thickness
+    return Middles(surface, depth)
+
+
+@dataclass(frozen=True)
+class Passing:
+    """What has passed through a surface, over all ranks."""
+
+    surface: Surface  # through which
+    count: int  # facets of the other side whose middle of the body has passed
+    place: tuple[float, ...]  # of one of these facets, at the start
+    depth: float  # how deep the middle lies behind that facet
+
+
+def is_far(slave: Middles, master: Middles, before: Floats, now: Floats) -> bool:
+    """Tell whether two sides have moved so far towards each other that one may be through.
+
+    By more than the middle of the thinnest body lies deep: steps begin where sides touch at most.
+    No facets are looked at; collective.
+
+    Args:
+        slave: one side.
+        master: the other side.
+        before: displacements (owned nodes, d) at the start of the step.
+        now: those at its end.
+    """
+    sides = slave.surface, master.surface
+    nodes = np.concatenate([side.nodes[: side.owned] for side in sides])
+    least_depth = min(side.depth.min(initial=np.inf) for side in (slave, master))
+    moved = now[nodes] - before[nodes]
+    most, least = moved.max(axis=0, initial=-np.inf), moved.min(axis=0, initial=np.inf)
+    found = maximum(sides[0].V.mesh.comm, -least_depth, *most, *-least)
+    extent = found[1:].reshape(2, -1).sum(axis=0)
+    return bool(np.linalg.norm(extent) >= -found[0])
+
+
+def find_passed(
+    slave: Middles, master: Middles, before: fem.Function, now: fem.Function
+) -> Passing | None:
+    """Return through which side the other one has passed, None if neither; collective.
+
+    All ranks get all facets of a side: ask `is_far` first.
+
+    Args:
+        slave: one side.
+        master: the other side.
+        before: displacement at the start of the step.
+        now: displacement at its end.
+    """
+    for own, other in ((slave, master), (master, slave)):
+        found = _passed(own, other.surface, before, now)
+        if found is not None:
+            return found
+    return None
+
+
+def _passed(
+    side: Middles, other: Surface, before: fem.Function, now: fem.Function
+) -> Passing | None:
+    """Return what of a body has passed through a surface; collective."""
+    own, comm = side.surface, other.V.mesh.comm
+    finite = np.isfinite(side.depth)
+    facets = [facets_at(own, coordinates(own, u))[finite] for u in (before, now)]
+    depth = side.depth[finite]
+    corners = np.array(own.element.vertices)
+    faces = [f.x[:, corners].mean(axis=1) for f in facets]
+    middles = [x - depth[:, None] * facet_normals(f) for x, f in zip(faces, facets, strict=True)]
+    parts = [flat_parts(facets_at(other, coordinates(other, u))) for u in (before, now)]
+    start, end = (np.concatenate(comm.allgather(part)) for part in parts)
+    passed = find_passing((middles[0], middles[1]), (start, end))
+    count = comm.allreduce(len(passed), op=MPI.SUM)
+    if not count:
+        return None
+    places = comm.allgather([(*faces[0][k].tolist(), float(depth[k])) for k in passed[:1]])
+    *place, deep = min(found[0] for found in places if found)
+    return Passing(other, count, tuple(place), deep)

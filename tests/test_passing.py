@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: MIT
+"""Bodies that move through each other in one step: found, and only then."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx import fem
+from dolfinx.mesh import meshtags
+from dolfinx_mortar.geometry.sweep import find_passing
+from dolfinx_mortar.mortar import passing
+from dolfinx_mortar.steps.passing import describe_passing
+from tests.hertz_case import create_mesh
+from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, UPPER, skins, two_blocks
+from tests.meshes_3d import rotation, two_boxes
+
+COMM = MPI.COMM_WORLD
+LAW = dm.Elastic(1000.0, 0.3)
+
+
+# -- points and facets -----------------------------------------------------------------------------
+
+
+def triangle(d):
+    """Return a line or a triangle with the normal e_d about the origin, (1, d, d)."""
+    corners = {2: [[1, 0], [-1, 0]], 3: [[1, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.8, 0]]}
+    return np.array([corners[d]], dtype=float)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("carried", [0.0, 7.0])
+def test_which_points_pass(d, carried):
+    """Inwards, through the facet, not beside it; whatever both do together does not count."""
+    x, up = triangle(d), np.eye(d)[-1]
+    beside = 3.0 * np.eye(d)[0]
+    start = np.array([2 * up, -2 * up, 2 * up + beside, 2 * up, 0.1 * up])
+    end = np.array([-2 * up, 2 * up, -2 * up + beside, 0.1 * up, -0.1 * up])
+    shift = carried * np.arange(1.0, d + 1.0)
+    assert find_passing((start, end + shift), (x, x + shift)).tolist() == [0, 4]
+    # the facet moves as fast as the points
+    assert find_passing((start[:1], end[:1]), (x, x - 4 * up)).tolist() == []
+    assert find_passing((start[3:4], start[3:4]), (x, x + 4 * up)).tolist() == [0]
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_what_turns_as_one_body_does_not_pass(d):
+    """Points all around a facet, turned with it by up to 60 degrees."""
+    rng = np.random.default_rng(1)
+    p = rng.uniform(-1.5, 1.5, size=(300, d))
+    p[:, -1] += np.sign(p[:, -1]) * 0.3
+    for degrees in (-60.0, 10.0, 60.0):
+        R = rotation((0.0, 1.0, 0.0) if d == 3 else (0.0, 0.0, 1.0), np.radians(degrees))[:d, :d]
+        turned = triangle(d) @ R.T
+        assert find_passing((p, p @ R.T), (triangle(d), turned)).tolist() == []
+
+
+def test_many_facets_and_no_facet():
+    """A grid of points through a plane of lines: each passes, also where two lines meet."""
+    x = np.linspace(0.0, 1.0, 11)
+    ends = np.stack([x[1:], x[:-1]], axis=1)
+    lines = np.stack([ends, np.zeros_like(ends)], axis=2)
+    points = np.stack([np.linspace(0.0, 1.0, 21), np.full(21, 0.5)], axis=1)
+    through = points - [0.0, 30.0]
+    assert find_passing((points, through), (lines, lines)).tolist() == list(range(21))
+    for none in ((points[:0], lines), (points, lines[:0])):
+        assert find_passing((none[0], none[0]), (none[1], none[1])).tolist() == []
+
+
+# -- steps -----------------------------------------------------------------------------------------
+
+
+class Pushed:
+    """A half disc above a strip that is clamped at one end.
+
+    Sides are the whole skins of both, or the top of the strip, or also the arc of the disc alone.
+    """
+
+    def __init__(self, slave="disc", top="skin"):
+        """Create the problem."""
+        mesh, cells, facets = create_mesh(
+            "graded", 0.4, radius=2.0, block=(16.0, 1.0), gap=0.5, limit=3.0
+        )
+        self.V = V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+        tags = skins(mesh, cells, facets, keep=())
+        if top != "skin":
+            disc = facets.find("arc")
+            disc = np.append(disc, facets.find("flat")) if top == "top" else disc
+            marked = np.sort(np.append(disc, facets.find("top")))
+            values = np.where(np.isin(marked, disc), BOTTOM_OF_UPPER, TOP_OF_LOWER)
+            tags = meshtags(mesh, 1, marked, values.astype(np.int32))
+        self.way = fem.Constant(mesh, np.zeros(2))
+        clamped = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0], -8.0))
+        flat = fem.locate_dofs_topological(V, 1, facets.find("flat"))
+        bcs = [fem.dirichletbc(np.zeros(2), clamped, V), fem.dirichletbc(self.way, flat, V)]
+        sides = {"strip": TOP_OF_LOWER, "disc": BOTTOM_OF_UPPER}
+        master = next(name for name in sides if name != slave)
+        self.contact = dm.Contact(tags, slave=sides[slave], master=sides[master])
+        solid = dm.Solid(fem.Function(V), LAW)
+        self.problem = dm.ContactProblem(solid, [self.contact], bcs=bcs)
+
+    def move(self, *way):
+        """Prescribe the displacement of the flat face."""
+        self.way.value[:] = way
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("slave", "top"),
+    [("disc", "skin"), ("strip", "skin"), ("disc", "top"), ("strip", "top"), ("disc", "alone")],
+)
+def test_a_disc_through_a_strip_is_no_step(slave, top):
+    """Four thicknesses down: refused as the first step and as a later one; nothing is changed."""
+    pushed = Pushed(slave, top)
+    for begun in (False, True):
+        pushed.move(0.0, -0.1)
+        if begun:
+            dm.newton(pushed.problem)
+            pushed.problem.commit()
+        before = pushed.problem.u.x.array.copy()
+        pushed.move(0.0, -6.0)
+        with pytest.raises(dm.NewtonNotConverged, match="has passed through the other one"):
+            dm.newton(pushed.problem)
+        assert (pushed.problem.u.x.array == before).all()
+
+
+@pytest.mark.mpi
+def test_cuts_find_the_way():
+    """Cut where the disc would pass, the step ends where small ones do."""
+    forces, cuts = [], []
+    for levels in ([4.0], list(np.arange(0.5, 4.1, 0.5))):
+        pushed = Pushed()
+        *_, last = dm.load_steps(
+            pushed.problem, levels, on_time=lambda t, p=pushed: p.move(0.0, -t), start=0.0
+        )
+        forces.append(pushed.contact.force)
+        cuts.append(len(last.parts))
+    assert cuts[0] > 1 and np.linalg.norm(forces[1]) > 0.0
+    assert forces[0] == pytest.approx(forces[1], rel=1e-4, abs=1e-6 * np.abs(forces[1]).max())
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    "way",
+    [(0.0, 30.0), (30.0, 0.1), (-20.0, 20.0), (0.0, -0.3)],
+    ids=["up", "past the end", "away", "near"],
+)
+def test_bodies_may_part_and_slide_past(way):
+    """However far they go, also from where they have touched."""
+    pushed = Pushed()
+    pushed.move(0.0, -0.55)
+    dm.newton(pushed.problem)
+    pushed.problem.commit()
+    assert abs(pushed.contact.force[1]) > 0.0
+    pushed.move(*way)
+    dm.newton(pushed.problem)
+    assert not describe_passing(pushed.problem)
+    assert np.linalg.norm(pushed.contact.force) < 1e-12
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("degrees", [20.0, 90.0])
+def test_bodies_may_turn_together(degrees):
+    """As one, by angles that displacements alone make look like a way through."""
+    pushed = Pushed()
+    pushed.problem.audit()
+    R = rotation((0.0, 0.0, 1.0), np.radians(degrees))[:2, :2]
+    pushed.problem.u.interpolate(lambda x: R @ x[:2] - x[:2] + [[3.0], [-5.0]])
+    assert not describe_passing(pushed.problem)
+    pushed.problem.u.interpolate(lambda x: np.stack([0 * x[0], np.where(x[1] > 0.2, -6.0, 0.0)]))
+    assert "has passed through the other one" in describe_passing(pushed.problem)
+
+
+@pytest.mark.mpi
+def test_small_motions_do_not_look_at_facets(monkeypatch):
+    """What moves by less than half of the thinner body, and what both do, costs no search."""
+    pushed = Pushed()
+    looked = []
+    monkeypatch.setattr(
+        "dolfinx_mortar.steps.passing.find_passed", lambda *_: looked.append(1) or None
+    )
+    pushed.move(0.0, -0.45)  # half of the strip is 0.5
+    dm.newton(pushed.problem)
+    pushed.problem.u.interpolate(lambda x: np.full_like(x[:2], 40.0))
+    assert not describe_passing(pushed.problem) and not looked
+    pushed.problem.u.interpolate(lambda x: np.stack([0 * x[0], np.where(x[1] > 0.2, -0.55, 0.0)]))
+    assert not describe_passing(pushed.problem) and looked
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("partition", ["graph", "bodies", "empty"])
+def test_what_passes_is_counted_over_the_ranks(partition):
+    """A block through a block: the middle behind each facet of its bottom, whoever owns it."""
+    mesh, cells, facets = two_blocks(
+        COMM, (6, 3), (5, 4), heights=(0.5, 0.75), gap=0.1, partition=partition
+    )
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    tags = skins(mesh, cells, facets, keep=())
+    contact = dm.Contact(tags, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
+    dofs = [fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (BOTTOM, TOP)]
+    bcs = [fem.dirichletbc(np.zeros(2), on, V) for on in dofs]
+    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [contact], bcs=bcs)
+    assert not describe_passing(problem)
+    slave, master = problem.system.middles[0]
+    problem.u.interpolate(lambda x: np.stack([0 * x[0], np.where(x[1] > 0.05, -2.0, 0.0)]))
+    found = passing.find_passed(slave, master, fem.Function(V), problem.u)
+    # 6 facets of the top and of the bottom, 3 of each flank have the middle in the way
+    assert found.surface is master.surface and found.count == 18
+    assert min(abs(found.depth - depth) for depth in (0.25, 0.5)) < 1e-12
+    assert "at 18 facets" in describe_passing(problem)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_boxes_in_space(cell):
+    """Obliquely through each other, the sides alone; and the same way back."""
+    turn = rotation((1.0, 2.0, 3.0), 0.7)
+    mesh, cells, facets = two_boxes(
+        COMM, (3, 3, 2), (2, 3, 2), cell=cell, turn=turn, heights=(0.5, 0.75), gap=0.05
+    )
+    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    contact = dm.Contact(facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
+    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [contact])
+    on = fem.locate_dofs_topological(V, 3, cells.find(UPPER))
+    for way, passes in (((0.1, 0.2, -1.8), True), ((0.1, 0.2, 1.8), False), ((3, 0, 0), False)):
+        problem.u.x.array.reshape(-1, 3)[on] = turn @ way
+        problem.u.x.scatter_forward()
+        assert bool(describe_passing(problem)) == passes
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("overlap", [0.0, 0.01])
+def test_bodies_end_at_their_own_skin(overlap):
+    """Behind the sides alone, and where another body lies in it: heights 0.5 and 0.75."""
+    mesh, _, facets = two_blocks(COMM, (4, 3), (5, 4), heights=(0.5, 0.75), gap=-overlap)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    contact = dm.Contact(facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
+    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [contact])
+    assert not describe_passing(problem)
+    for side, height in zip(problem.system.middles[0], (0.5, 0.75), strict=True):
+        assert np.abs(side.depth - passing.THROUGH * height).max(initial=0.0) < 1e-12
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("far", [4.0, 9.0])
+def test_a_first_step_that_goes_too_far_is_cut(far):
+    """Sides that are no skins, beyond each other only by what the step prescribes: no mistake."""
+    mesh, _, facets = two_blocks(COMM, heights=(0.5, 0.5), gap=far - 0.01)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    top = fem.Constant(mesh, np.zeros(2))
+    dofs = [fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (BOTTOM, TOP)]
+    bcs = [fem.dirichletbc(np.zeros(2), dofs[0], V), fem.dirichletbc(top, dofs[1], V)]
+    contact = dm.Contact(facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
+    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [contact], bcs=bcs)
+    top.value[:] = 0.0, -2.0 * far
+    with pytest.raises(dm.NewtonNotConverged):
+        dm.newton(problem)
