@@ -28,6 +28,7 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
 from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.mortar.edges import edge_normals, find_edges
 from dolfinx_mortar.mortar.operators import (
     Coverage,
     assemble_motions,
@@ -55,6 +56,7 @@ class Sides:
     on_master: Bools  # (local nodes,)
     fixed: Bools  # (local nodes, d) directions with Dirichlet data
     leaning: Bools  # (n,) owned slave nodes that lean on other ones, which may be kept
+    edges: Bools | None = None  # (n,) slave nodes on edges where a contact has normals of its own
     weight: Weight | None = None  # of all integrals over the interface; None for 1
 
     @property
@@ -213,7 +215,10 @@ def find_sides(
     slave = create_surface(V, interface.facet_tags, interface.slave, "slave")
     master = create_surface(V, interface.facet_tags, interface.master, "master")
     leaning = leaning_nodes(slave)[: slave.owned]
-    return Sides(V, slave, master, _mark(slave), _mark(master), fixed, leaning, weight)
+    edges = find_edges(slave, interface.feature_angle) if interface.one_sided else None
+    if edges is not None and not any_rank(V.mesh.comm, edges.any())[0]:
+        edges = None
+    return Sides(V, slave, master, _mark(slave), _mark(master), fixed, leaning, edges, weight)
 
 
 def _mark(surface: Surface) -> Bools:
@@ -304,6 +309,8 @@ def couple(
         u: displacement, None for X.
     """
     segments, normals = find_segments(pairing, u)
+    if sides.edges is not None:
+        normals = edge_normals(pairing, segments, u, normals, sides.edges)
     covered, tributary = node_weights(pairing, segments)
     nodes, own = sides.slave.nodes, slice(None, sides.slave.owned)
     free = normals * ~sides.fixed[nodes]

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: MIT
+r"""Normals at the edges and corners of a slave side.
+
+There the average over all facets mixes in those that face nobody, and where an edge meets an edge
+neither side has a normal that both could keep. What contact may act along is a direction that both
+sides have in their normal cones: the facet's where a corner or an edge meets a facet of either
+side, t_s x t_m where two edges with the tangents t cross, the mean where they are parallel. With
+the weights w of the points of a node's segments these cases are one,
+
+    a = unit sum w N_j n_s,                                  b = -unit sum w N_j n_m,
+    C_s = sum w N_j n_s n_s^T / sum w N_j + eps I,           C_m likewise of n_m,
+    n_j = unit [(C_s^-1 + C_m^-1)^-1 (a + b)],
+
+by the parallel sum of two matrices (Anderson and Duffin, J. Math. Anal. Appl. 26, 1969), whose
+range is the intersection of their ranges. It moves continuously with the parts that are covered.
+"""
+
+import numpy as np
+
+import dolfinx
+from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.geometry.facets import facet_normals, normals_at_nodes
+from dolfinx_mortar.geometry.segments import Segments
+from dolfinx_mortar.geometry.smooth import unit
+from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
+from dolfinx_mortar.mortar.dual import sums_of_products
+from dolfinx_mortar.mortar.pairing import Pairing, received_facets
+from dolfinx_mortar.mortar.surface import (
+    Surface,
+    coordinates,
+    facets_at,
+    nodal_normals,
+    sum_at_nodes,
+)
+
+BLUR = 1e-3
+"""eps: of directions that only one side has this part counts, and 1 of those that both have.
+
+From 1e-4 to 1e-2 edges and corners need the same iterations, give or take two; where tilted edges
+cross, forces lean by .004 at most, with 1e-2 by .04.
+"""
+
+
+def find_edges(surface: Surface, feature_angle: float) -> Bools:
+    """Return the nodes (n,) on convex edges and corners at X; collective.
+
+    That is where a facet leaves the averaged normal by more than half of the feature angle, and
+    the facets fall off from the node along that normal.
+
+    Args:
+        surface: The surface.
+        feature_angle: Degrees between facets from which on they meet in an edge.
+    """
+    facets = facets_at(surface, surface.X)
+    n = nodal_normals(surface, surface.X)[surface.facets]
+    along = np.einsum("mki,mki->mk", n, normals_at_nodes(facets))
+    beyond = along < np.cos(np.radians(feature_angle / 2))
+    arms = facets.x - facets.x.mean(axis=1, keepdims=True)
+    height = np.einsum("mki,mki->mk", n, arms)
+    counts, heights = sum_at_nodes(surface, np.stack([beyond, height], axis=2)).T
+    return np.asarray((counts > 0) & (heights > 0))
+
+
+def edge_normals(
+    pairing: Pairing,
+    segments: Segments,
+    u: dolfinx.fem.Function | None,
+    normals: Floats,
+    edges: Bools,
+) -> Floats:
+    """Return the normals (n, d) of the slave nodes, those on edges by both sides; collective.
+
+    Args:
+        pairing: The pair of surfaces.
+        segments: Its segments at X + u.
+        u: Displacement, None for X.
+        normals: Averaged normals (n, d) at X + u: kept off the edges, and where nothing is covered.
+        edges: Nodes (n,) on edges, of `find_edges`.
+    """
+    slave, d = pairing.slave, normals.shape[1]
+    some = np.flatnonzero(edges[slave.facets].any(axis=1)[segments.slave])
+    on_slave, on_master = segments.slave[some], segments.master[some]
+    N = slave.element.shape_functions(segments.xi_s[some])
+    N = np.clip(N, 0.0, None) * segments.weight[some, None]
+    n_s = facet_normals(facets_at(slave, coordinates(slave, u)))[on_slave]
+    n_m = -facet_normals(received_facets(pairing, u))[on_master]
+    i, j = np.triu_indices(d)
+    columns = [np.ones((len(some), 1)), n_s, n_m, n_s[:, i] * n_s[:, j], n_m[:, i] * n_m[:, j]]
+    sums = sums_of_products(N, np.concatenate(columns, axis=1), on_slave, len(slave.facets))
+    total = sum_at_nodes(slave, sums)[edges]
+    weight, a, b, *squares = np.split(total, np.cumsum([1, d, d, len(i)]), axis=1)
+    C = np.zeros((2, len(total), d, d))
+    C[:, :, i, j] = C[:, :, j, i] = np.stack(squares) / np.maximum(weight, TINY)
+    C += BLUR * np.eye(d)
+    # (A^-1 + B^-1)^-1 = A (A + B)^-1 B
+    both = np.linalg.solve(C[0] + C[1], C[1] @ (unit(a) + unit(b))[:, :, None])
+    found = (C[0] @ both)[:, :, 0]
+    length = np.linalg.norm(found, axis=1, keepdims=True)
+    result = np.copy(normals)
+    least = HALF_OF_DIGITS * BLUR  # both point out of the slave; if not, they have no meaning
+    result[edges] = np.where(length > least, found / np.maximum(length, TINY), normals[edges])
+    return result

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: MIT
+"""Contact at edges and corners: forces are normal to both sides, whole skins cost what sides do."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx import fem
+from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, skins
+from tests.meshes_3d import rotation, two_boxes
+from tests.pressed_blocks import ELASTIC, PressedBlocks
+
+COMM = MPI.COMM_WORLD
+SIDES = TOP_OF_LOWER, BOTTOM_OF_UPPER
+SLAVES = pytest.mark.parametrize(("slave", "master"), [SIDES, SIDES[::-1]])
+pytestmark = pytest.mark.mpi
+
+
+def crossing(x):
+    """Turn two cubes so that an edge of one lies across one of the other, both of them tilted."""
+    upper = x[:, 2] > 0.5
+    low = (x - [0.5, 1.0, 0.0]) @ rotation((1, 0, 0), np.radians(55)).T
+    high = (x - [1.0, 0.5, 1.0]) @ rotation((0, 1, 0), np.radians(33)).T
+    low[:, 2] -= low[~upper, 2].max()
+    high[:, 2] -= high[upper, 2].min()
+    return np.where(upper[:, None], high, low)
+
+
+@SLAVES
+def test_forces_of_crossing_edges_are_normal_to_both(slave, master):
+    """Without friction: horizontal forces of averaged normals are a fifth of the vertical one."""
+    mesh, cells, facets = two_boxes(
+        COMM, (2, 2, 2), (2, 2, 2), gap=1.0, cell="hexahedron", transform=crossing
+    )
+    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    dofs = [fem.locate_dofs_topological(V, 2, facets.find(tag)) for tag in (BOTTOM, TOP)]
+    moves = np.zeros(3), np.array([0.0, 0.0, -0.08])
+    bcs = [fem.dirichletbc(move, at, V) for move, at in zip(moves, dofs, strict=True)]
+    contact = dm.Contact(skins(mesh, cells, facets), slave=slave, master=master)
+    dm.newton(dm.ContactProblem(dm.Solid(fem.Function(V), ELASTIC), [contact], bcs=bcs))
+    *across, along = contact.force
+    assert abs(along) > 1.0
+    assert np.hypot(*across) < 0.01 * abs(along)
+
+
+STACKS = {
+    "equal": {"n_lower": (4, 4), "n_upper": (5, 5)},
+    "small on large": {"n_lower": (6, 4), "n_upper": (4, 4), "x_upper": (0.23, 0.77)},
+    "overhang": {"n_lower": (5, 4), "n_upper": (5, 4), "x_upper": (0.5, 1.5)},
+}
+
+
+@SLAVES
+@pytest.mark.parametrize("name", STACKS)
+def test_whole_skins_do_what_their_sides_do(name, slave, master):
+    """In as many iterations, with the same force; averaged normals take five times as many."""
+    found = []
+    for whole in (False, True):
+        b = PressedBlocks(**STACKS[name])
+        b.top.value[:] = 0.005, -0.01
+        tags = skins(b.mesh, b.cells, b.facets) if whole else b.facets
+        contact = b.contact(slave, master, tags)
+        report = dm.newton(b.problem([contact]))
+        found.append((report.newton_iterations, contact.force))
+    (expected, force), (iterations, of_skins) = found
+    assert iterations == expected
+    assert np.abs(of_skins - force).max() < 1e-3 * np.abs(force).max()
