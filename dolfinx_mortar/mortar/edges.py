@@ -54,11 +54,11 @@ def find_edges(surface: Surface, feature_angle: float) -> Bools:
     facets = facets_at(surface, surface.X)
     n = nodal_normals(surface, surface.X)[surface.facets]
     along = np.einsum("mki,mki->mk", n, normals_at_nodes(facets))
-    beyond = along < np.cos(np.radians(feature_angle / 2))
+    beyond = np.asarray(along < np.cos(np.radians(feature_angle / 2)))
     arms = facets.x - facets.x.mean(axis=1, keepdims=True)
     height = np.einsum("mki,mki->mk", n, arms)
-    counts, heights = sum_at_nodes(surface, np.stack([beyond, height], axis=2)).T
-    return np.asarray((counts > 0) & (heights > 0))
+    sums = sum_at_nodes(surface, np.stack([beyond, height], axis=2))
+    return np.asarray((sums > 0).all(axis=1))
 
 
 def edge_normals(
@@ -78,7 +78,8 @@ def edge_normals(
         edges: Nodes (n,) on edges, of `find_edges`.
     """
     slave, d = pairing.slave, normals.shape[1]
-    some = np.flatnonzero(edges[slave.facets].any(axis=1)[segments.slave])
+    at_edges = np.asarray(edges[slave.facets].any(axis=1))
+    some = np.flatnonzero(at_edges[segments.slave])
     on_slave, on_master = segments.slave[some], segments.master[some]
     N = slave.element.shape_functions(segments.xi_s[some])
     N = np.clip(N, 0.0, None) * segments.weight[some, None]
