@@ -8,7 +8,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, skins
+from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP, TOP_OF_LOWER, skins
 from tests.meshes_3d import rotation, two_boxes
 from tests.pressed_blocks import ELASTIC, PressedBlocks
 
@@ -67,3 +67,43 @@ def test_whole_skins_do_what_their_sides_do(name, slave, master):
     (expected, force), (iterations, of_skins) = found
     assert iterations == expected
     assert np.abs(of_skins - force).max() < 1e-3 * np.abs(force).max()
+
+
+def on_a_corner(x):
+    """Turn the upper block so that it stands on a corner, in the middle of the lower one."""
+    upper, turned = x[:, 1] > 0.5, (x - [0.0, 1.0]) @ TURN.T
+    return np.where(upper[:, None], turned + [0.5, 0.0], x)
+
+
+TURN = np.sqrt(0.5) * np.array([[1.0, -1.0], [1.0, 1.0]])
+
+
+def test_a_corner_beside_a_clamped_node_does_not_sink_in():
+    """The facet from the corner up to the clamped node stands open, and its gap is no mean of it.
+
+    Shared out, it is: the corner then lies .014 deep in the other body, and no force acts.
+    """
+    b = PressedBlocks(n_lower=(6, 3), n_upper=(2, 1), gap=1.0, transform=on_a_corner)
+    b.top.value[:] = 0.0, -0.02
+    contact = b.contact(*SIDES[::-1], skins(b.mesh, b.cells, b.facets))
+    dm.newton(b.problem([contact]))
+    assert contact.force[1] > 1.0
+    nodes = contact.gather(b.u)
+    corner = np.linalg.norm(nodes["X"] - [0.5, 0.0], axis=1) < 1e-9
+    assert nodes["pressure"][corner] > 0.0
+    assert np.abs(nodes["gap"][corner]).max() < 1e-9
+
+
+@SLAVES
+def test_pressure_is_constant_beside_a_clamped_node(slave, master):
+    """Uniaxial strain, given on the left as well: closed facets share out, one of them in all."""
+    b = PressedBlocks(n_lower=(2, 2), n_upper=(1, 2))
+    exact = fem.Function(b.V)
+    exact.interpolate(lambda x: np.stack([0.0 * x[0], -0.01 * (x[1] + 1.0)]))
+    dofs = [fem.locate_dofs_topological(b.V, 1, b.facets.find(t)) for t in (BOTTOM, TOP, LEFT)]
+    bcs = [fem.dirichletbc(exact, at) for at in dofs]
+    contact = b.contact(slave, master, skins(b.mesh, b.cells, b.facets))
+    dm.newton(b.problem([contact], bcs, law=dm.Elastic(1000.0, 0.0)), rtol=1e-11)
+    assert np.abs(b.u.x.array - exact.x.array).max(initial=0) < 1e-12
+    pressure = contact.gather(b.u)["pressure"]
+    assert np.abs(pressure[pressure > 0] - 10.0).max() < 1e-8

@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 NUMBERS = [
     "BENDS", "BLUR", "EPS", "FACING", "HALF_OF_DIGITS", "LEAST_COVERAGE", "LEAST_WEIGHT",
-    "ROUND_OFF", "THROUGH", "TINY", "VERTICES", "_ACCURACY", "_BRANCHES", "_CHUNK", "_GROUPS",
+    "OPEN", "ROUND_OFF", "THROUGH", "TINY", "VERTICES", "_ACCURACY", "_BRANCHES", "_CHUNK", "_GROUPS",
     "_HIGHEST", "_MOST_WARPED", "_SLIDING", "_STEPS",
 ]  # fmt: skip
 DEFINITIONS = {"ALPHA"}  # of the multipliers' space, not of accuracy: see test_tying_3d

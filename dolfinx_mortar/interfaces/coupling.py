@@ -28,7 +28,7 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
 from dolfinx_mortar.interfaces.interface import Interface
-from dolfinx_mortar.mortar.edges import edge_normals, find_edges
+from dolfinx_mortar.mortar.edges import edge_normals, find_edges, open_duals
 from dolfinx_mortar.mortar.operators import (
     Coverage,
     assemble_motions,
@@ -324,6 +324,8 @@ def couple(
         for c in sorted(set(choices))
     }
     Phi = {c: weighted_duals(pairing, segments, keep[c]) for c in keep}
+    if sides.edges is not None:
+        Phi[0] = open_duals(pairing, segments, u, Phi[0], keep[0], sides.edges, banned[nodes])
     heights: Floats = np.zeros(sides.slave.owned)
     motions: Floats | None = None
     if pattern.smooth is not None and not interface.one_sided:

@@ -13,20 +13,35 @@ the weights w of the points of a node's segments these cases are one,
 
 by the parallel sum of two matrices (Anderson and Duffin, J. Math. Anal. Appl. 26, 1969), whose
 range is the intersection of their ranges. It moves continuously with the parts that are covered.
+
+Nor is the gap of a corner that of its facets. Where a node of theirs has no multiplier, since
+Dirichlet data take its directions or little of it is covered, the others take its dual function,
+so that a constant pressure acts on all that is covered. But where the facets stand open, up to
+where that node is, the gap of the corner then is a mean over the opening: the corner sinks in
+until that vanishes. There the function stays what it was, without a constraint: the other ones are
+biorthogonal to it, too, and see the gap at their own nodes.
 """
 
 import numpy as np
 
 import dolfinx
+from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Floats
-from dolfinx_mortar.geometry.facets import facet_normals, normals_at_nodes
+from dolfinx_mortar.geometry.facets import (
+    facet_normals,
+    facet_sizes,
+    normals_at_nodes,
+    points_of,
+)
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.geometry.smooth import unit
 from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
 from dolfinx_mortar.mortar.dual import sums_of_products
+from dolfinx_mortar.mortar.operators import weighted_duals
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
     Surface,
+    accumulate,
     coordinates,
     facets_at,
     nodal_normals,
@@ -38,6 +53,12 @@ BLUR = 1e-3
 
 From 1e-4 to 1e-2 edges and corners need the same iterations, give or take two; where tilted edges
 cross, forces lean by .004 at most, with 1e-2 by .04.
+"""
+
+OPEN = 0.05
+"""A facet stands open at a node if the gap there is this part of its size; it is closed at none.
+
+In between, functions are shared out in parts. So deep may a corner sink in before a note says so.
 """
 
 
@@ -101,3 +122,56 @@ def edge_normals(
     least = HALF_OF_DIGITS * BLUR  # both point out of the slave; if not, they have no meaning
     result[edges] = np.where(length > least, found / np.maximum(length, TINY), normals[edges])
     return result
+
+
+def open_duals(
+    pairing: Pairing,
+    segments: Segments,
+    u: dolfinx.fem.Function | None,
+    Phi: Floats,
+    keep: Bools,
+    edges: Bools,
+    claimed: Bools,
+) -> Floats:
+    """Return the weighted dual functions (q, k), those beside edges as they are on open facets.
+
+    Collective.
+
+    Args:
+        pairing: The pair of surfaces.
+        segments: Its segments at X + u.
+        u: Displacement, None for X.
+        Phi: Functions (q, k) of `weighted_duals` for the nodes kept.
+        keep: Nodes (n,) that carry a multiplier.
+        edges: Nodes (n,) on edges, of `find_edges`.
+        claimed: Nodes (n,) that have their multiplier elsewhere: theirs are shared out as always.
+    """
+    slave, nodes = pairing.slave, pairing.slave.facets
+    at_edges = nodes[np.asarray((edges & keep)[nodes].any(axis=1))]
+    beside = accumulate(slave, np.bincount(at_edges.ravel(), minlength=len(keep))) > 0
+    silent = np.asarray(beside & ~keep & ~claimed)
+    if not any_rank(slave.V.mesh.comm, silent.any())[0]:
+        return Phi
+    full = weighted_duals(pairing, segments, keep | silent) * keep[nodes][segments.slave]
+    closed = _closed(pairing, segments, u, silent)[segments.slave, None]
+    return np.asarray(closed * Phi + (1.0 - closed) * full)
+
+
+def _closed(
+    pairing: Pairing, segments: Segments, u: dolfinx.fem.Function | None, silent: Bools
+) -> Floats:
+    """Return which part (m,) of the functions of silent nodes slave facets share out; collective.
+
+    1 where these nodes are closed, 0 where one of them is open; 1 without any.
+    """
+    slave = pairing.slave
+    facets = facets_at(slave, coordinates(slave, u))
+    x_s = points_of(facets, segments.slave, segments.xi_s)
+    x_m = points_of(received_facets(pairing, u), segments.master, segments.xi_m)
+    gap = ((x_m - x_s) * facet_normals(facets)[segments.slave]).sum(axis=1)
+    N = np.clip(slave.element.shape_functions(segments.xi_s), 0.0, None) * segments.weight[:, None]
+    values = np.stack([np.ones_like(gap), gap], axis=1)
+    weight, moment = np.moveaxis(sums_of_products(N, values, segments.slave, len(facets.x)), 2, 0)
+    opening = np.where(silent[slave.facets], moment / np.maximum(weight, TINY), 0.0)
+    widest = opening.max(axis=1, initial=0.0) / (OPEN * facet_sizes(facets.x))
+    return np.asarray(np.clip(1.0 - widest, 0.0, 1.0))
