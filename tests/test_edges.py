@@ -72,10 +72,28 @@ def test_whole_skins_do_what_their_sides_do(name, slave, master):
 def on_a_corner(x):
     """Turn the upper block so that it stands on a corner, in the middle of the lower one."""
     upper, turned = x[:, 1] > 0.5, (x - [0.0, 1.0]) @ TURN.T
-    return np.where(upper[:, None], turned + [0.5, 0.0], x)
+    return np.where(upper[:, None], turned + np.array([0.5, 0.0]), x)
 
 
 TURN = np.sqrt(0.5) * np.array([[1.0, -1.0], [1.0, 1.0]])
+
+
+@pytest.mark.parametrize(("pressed", "noted"), [(0.01, False), (0.04, True)])
+@SLAVES
+def test_a_corner_that_no_node_sees_is_noted(slave, master, pressed, noted):
+    """Facets are 1/3 long at least: .05 of that may be lost between the nodes of a slave."""
+    b = PressedBlocks(n_lower=(3, 2), n_upper=(2, 2), gap=1.0, transform=on_a_corner)
+    b.top.value[:] = 0.0, -pressed
+    contact = b.contact(slave, master, skins(b.mesh, b.cells, b.facets))
+    report = dm.newton(b.problem([contact]))
+    found = [note for note in report.notes if "deep in each other" in note]
+    if slave == BOTTOM_OF_UPPER:
+        assert found == [] and contact.force[1] > 1.0
+        return
+    assert len(found) == noted and not contact.active.x.array.any()
+    for note in found:
+        assert f"around (0.5, {-pressed:.4g}) the sides lie {pressed:.3g} deep" in note
+        assert f"{contact}" in note and "let the finer or sharper side be the slave" in note
 
 
 def test_a_corner_beside_a_clamped_node_does_not_sink_in():

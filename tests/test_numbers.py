@@ -12,8 +12,8 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 NUMBERS = [
     "BENDS", "BLUR", "EPS", "FACING", "HALF_OF_DIGITS", "LEAST_COVERAGE", "LEAST_WEIGHT",
-    "OPEN", "ROUND_OFF", "THROUGH", "TINY", "VERTICES", "_ACCURACY", "_BRANCHES", "_CHUNK", "_GROUPS",
-    "_HIGHEST", "_MOST_WARPED", "_SLIDING", "_STEPS",
+    "OPEN", "ROUND_OFF", "THROUGH", "TINY", "VERTICES", "_ACCURACY", "_BRANCHES", "_CHUNK",
+    "_GROUPS", "_HIGHEST", "_MOST_WARPED", "_SLIDING", "_STEPS",
 ]  # fmt: skip
 DEFINITIONS = {"ALPHA"}  # of the multipliers' space, not of accuracy: see test_tying_3d
 SAME = 1e-12

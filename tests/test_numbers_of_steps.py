@@ -37,7 +37,8 @@ NUMBERS = {
     "steps.residuals": ("EPS", "ROW_SUM", "GAP_OPERATIONS", "FIRST_SHARE"),
 }
 # judged in test_mesh_audit, below, in test_smooth_contact, test_stand_off, test_resolution, in
-# those of checkpoints, in test_preload, in test_friction_bodies, and in test_friction_errors
+# test_edges, in those of checkpoints, in test_preload, in test_friction_bodies, and in
+# test_friction_errors
 OTHERS = {
     "steps.mesh_audit",
     "interfaces.contact",
@@ -45,6 +46,7 @@ OTHERS = {
     "interfaces.interface",
     "steps.stand_off",
     "steps.resolution",
+    "steps.overlaps",
     "steps.identity",
     "steps.load_steps",
     "steps.preload",

@@ -101,6 +101,7 @@ class Coupling:
     normals: Floats  # (n, d) outward, without prescribed directions; 0 if nothing else is left
     heights: Floats  # (n,) by how much the smooth surfaces are nearer than the facets; 0 for these
     coverage: Coverage  # how far the nodes face the master
+    segments: Segments
 
 
 @dataclass(frozen=True)
@@ -216,8 +217,6 @@ def find_sides(
     master = create_surface(V, interface.facet_tags, interface.master, "master")
     leaning = leaning_nodes(slave)[: slave.owned]
     edges = find_edges(slave, interface.feature_angle) if interface.one_sided else None
-    if edges is not None and not any_rank(V.mesh.comm, edges.any())[0]:
-        edges = None
     return Sides(V, slave, master, _mark(slave), _mark(master), fixed, leaning, edges, weight)
 
 
@@ -357,6 +356,7 @@ def couple(
         normals=frame.normals,
         heights=heights,
         coverage=find_coverage(pairing, segments, covered, tributary),
+        segments=segments,
     )
 
 

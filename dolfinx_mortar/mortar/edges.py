@@ -62,8 +62,8 @@ In between, functions are shared out in parts. So deep may a corner sink in befo
 """
 
 
-def find_edges(surface: Surface, feature_angle: float) -> Bools:
-    """Return the nodes (n,) on convex edges and corners at X; collective.
+def find_edges(surface: Surface, feature_angle: float) -> Bools | None:
+    """Return the nodes (n,) on convex edges and corners at X, None without any; collective.
 
     That is where a facet leaves the averaged normal by more than half of the feature angle, and
     the facets fall off from the node along that normal.
@@ -79,7 +79,8 @@ def find_edges(surface: Surface, feature_angle: float) -> Bools:
     arms = facets.x - facets.x.mean(axis=1, keepdims=True)
     height = np.einsum("mki,mki->mk", n, arms)
     sums = sum_at_nodes(surface, np.stack([beyond, height], axis=2))
-    return np.asarray((sums > 0).all(axis=1))
+    edges = np.asarray((sums > 0).all(axis=1))
+    return edges if any_rank(surface.V.mesh.comm, edges.any())[0] else None
 
 
 def edge_normals(
