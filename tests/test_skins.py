@@ -25,7 +25,7 @@ HEIGHTS = 0.5, 0.75
 
 
 def create(cell, partition="graph", **options):
-    """Return space, tags of the sides alone and of the whole skins of two bodies, and an up."""
+    """Return space, tags of the sides alone, of whole skins, of skins but for supports, and up."""
     if cell == "triangle":
         up = np.array([-np.sin(0.4), np.cos(0.4)])
         mesh, cells, facets = two_blocks(
@@ -39,22 +39,26 @@ def create(cell, partition="graph", **options):
             **options,
         )  # fmt: skip
     V = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
-    return V, facets, skins(mesh, cells, facets, keep=()), up
+    return V, facets, skins(mesh, cells, facets, keep=()), skins(mesh, cells, facets), up
 
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("partition", ["graph", "stripes", "empty"])
 @CELLS
 def test_thickness_behind_the_facets_of_a_skin(cell, partition):
-    """Heights behind top and bottom, the width behind the flanks; a side alone has none."""
-    V, flat, whole, up = create(cell, partition)
+    """Heights behind top and bottom, the width behind the flanks; a side alone has none.
+
+    So has a skin without the support, which is no part of the side.
+    """
+    V, flat, *others, up = create(cell, partition)
     for tag, height in zip(SIDES, HEIGHTS, strict=True):
-        alone, skin = (create_surface(V, tags, tag, "side") for tags in (flat, whole))
-        assert np.isinf(alone.thickness).all()
-        n = facet_normals(facets_at(skin, skin.X))
-        expected = np.where(np.abs(n @ up) > 0.5, height, 1.0)
-        assert COMM.allreduce(len(n)) > 0
-        assert np.abs(skin.thickness - expected).max(initial=0) < 1e-12
+        assert np.isinf(create_surface(V, flat, tag, "side").thickness).all()
+        for tags in others:
+            skin = create_surface(V, tags, tag, "side")
+            n = facet_normals(facets_at(skin, skin.X))
+            expected = np.where(np.abs(n @ up) > 0.5, height, 1.0)
+            assert COMM.allreduce(len(n)) > 0
+            assert np.abs(skin.thickness - expected).max(initial=0) < 1e-12
 
 
 @pytest.mark.mpi
@@ -62,7 +66,7 @@ def test_thickness_behind_the_facets_of_a_skin(cell, partition):
 @CELLS
 def test_partners_face_each_other_from_outside(cell, gap):
     """Whole skins have the partners of the two sides between the bodies, and no others."""
-    V, _, tags, up = create(cell, gap=gap)
+    V, _, tags, _, up = create(cell, gap=gap)
     for slave, master in (SIDES, SIDES[::-1]):
         sides = (create_surface(V, tags, tag, "side") for tag in (slave, master))
         pairing = create_pairing(V, *sides, None)
