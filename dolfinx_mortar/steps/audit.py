@@ -270,22 +270,25 @@ def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec) -> None:
 
     That is so if every slave node is deeper inside the master body than any body is large; smaller
     overlaps are ordinary input. Where the two sides are parts of one surface, it is so as soon as
-    a slave node lies that deep (faces of a crack share nodes, too, but do not overlap).
+    a slave node lies that deep (faces of a crack share nodes, too, but do not overlap), or if all
+    facets that face each other do so across the body.
     """
     interface, kept = link.interface, link.coupling.kept.all(axis=1)
     normal = -link.gaps(x)
-    shallowest, deepest, some, joined = maximum(
+    shallowest, deepest, some, joined, facing, reached = maximum(
         bodies.V.mesh.comm,
         (-normal[kept]).max(initial=-np.inf),
         normal[kept].max(initial=-np.inf),
         kept.any(),
         (link.sides.on_slave & link.sides.on_master).any(),
+        float(len(link.pairing.pairs)),
+        link.coupling.coverage.reached.any(),
     )
-    if joined and deepest > DEEP * bodies.radius.max():
+    if joined and (deepest > DEEP * bodies.radius.max() or (facing and not reached)):
+        how_deep = f", {deepest:.3g} deep" if some else ""
         raise ValueError(
             f"{interface.sides} are parts of one surface "
-            f"that meets itself through its body, {deepest:.3g} deep; mark only the parts that "
-            "can touch"
+            f"that meets itself through its body{how_deep}; mark only the parts that can touch"
         )
     if some and -shallowest > bodies.radius.max():
         raise ValueError(
