@@ -233,13 +233,16 @@ def test_tags_of_another_dimension():
 
 
 @pytest.mark.mpi
-def test_closed_surface_in_contact_with_itself():
-    """Two parts of the surface of one body face each other through the body only."""
+@pytest.mark.parametrize("whole", [True, False])
+def test_closed_surface_in_contact_with_itself(whole):
+    """Parts of the surface of one body, all of it or three faces, meet through the body only."""
     cube = dolfinx.mesh.create_unit_cube(COMM, 4, 4, 4)
     cube.topology.create_connectivity(2, 3)
     facets = dolfinx.mesh.exterior_facet_indices(cube.topology)
-    x = dolfinx.mesh.compute_midpoints(cube, 2, facets)[:, 0]
-    tags = dolfinx.mesh.meshtags(cube, 2, facets, np.where(x < 0.4, 1, 2).astype(np.int32))
+    x, _, z = dolfinx.mesh.compute_midpoints(cube, 2, facets).T
+    marks = np.where(x < (0.4 if whole else 1e-9), 1, 2)
+    some = whole | (np.abs(x - 0.5) > 0.499) | (z < 1e-9)
+    tags = dolfinx.mesh.meshtags(cube, 2, facets, np.where(some, marks, 3).astype(np.int32))
     V = space(cube)
     bottom = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[2], 0))
     bc = fem.dirichletbc(np.zeros(3), bottom, V)

@@ -11,10 +11,10 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 NUMBERS = [
-    "BENDS", "EPS", "FACING", "HALF_OF_DIGITS", "JUMP", "LEAST_COVERAGE", "LEAST_WEIGHT",
-    "ROUND_OFF", "STAYS", "THROUGH", "TINY", "VERTICES", "area._ACCURACY",
-    "area._HIGHEST", "line._STEPS", "operators._CHUNK", "polynomials._STEPS", "receivers._GROUPS", "search._BRANCHES",
-    "segments._SLIDING", "surface._MOST_WARPED",
+    "BENDS", "BLUR", "EPS", "FACING", "HALF_OF_DIGITS", "JUMP", "LEAST_COVERAGE", "LEAST_WEIGHT",
+    "OPEN", "ROUND_OFF", "STAYS", "THROUGH", "TINY", "VERTICES", "area._ACCURACY",
+    "area._HIGHEST", "line._STEPS", "operators._CHUNK", "polynomials._STEPS", "receivers._GROUPS",
+    "search._BRANCHES", "segments._SLIDING", "surface._MOST_WARPED",
 ]  # fmt: skip
 # What its cases do not reach is judged with absurd values in test_smooth_3d (BENDS), in
 # test_axisymmetric_patch (LEAST_WEIGHT), and in test_elements (_STEPS of polynomials).

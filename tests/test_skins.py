@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Sides that run around edges and corners: partners do not lie across a body."""
+"""Sides that run around edges and corners: partners, thickness, and what they hold."""
 
 from mpi4py import MPI
 
 import numpy as np
 import pytest
 
+import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.geometry.elements import LINE2, QUAD4
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
@@ -13,8 +14,9 @@ from dolfinx_mortar.geometry.segments import create_segments
 from dolfinx_mortar.mortar.operators import find_segments
 from dolfinx_mortar.mortar.pairing import create_pairing, received_facets
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
-from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, skins, two_blocks
+from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, skins, two_blocks
 from tests.meshes_3d import rotation, two_boxes
+from tests.pressed_blocks import ELASTIC, PressedBlocks
 
 COMM = MPI.COMM_WORLD
 SIDES = TOP_OF_LOWER, BOTTOM_OF_UPPER
@@ -23,7 +25,7 @@ HEIGHTS = 0.5, 0.75
 
 
 def create(cell, partition="graph", **options):
-    """Return space, tags of the sides alone and of the whole skins of two bodies, and an up."""
+    """Return space, tags of the sides alone, of whole skins, of skins but for supports, and up."""
     if cell == "triangle":
         up = np.array([-np.sin(0.4), np.cos(0.4)])
         mesh, cells, facets = two_blocks(
@@ -37,22 +39,26 @@ def create(cell, partition="graph", **options):
             **options,
         )  # fmt: skip
     V = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
-    return V, facets, skins(mesh, cells, facets, keep=()), up
+    return V, facets, skins(mesh, cells, facets, keep=()), skins(mesh, cells, facets), up
 
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("partition", ["graph", "stripes", "empty"])
 @CELLS
 def test_thickness_behind_the_facets_of_a_skin(cell, partition):
-    """Heights behind top and bottom, the width behind the flanks; a side alone has none."""
-    V, flat, whole, up = create(cell, partition)
+    """Heights behind top and bottom, the width behind the flanks; a side alone has none.
+
+    So has a skin without the support, which is no part of the side.
+    """
+    V, flat, *others, up = create(cell, partition)
     for tag, height in zip(SIDES, HEIGHTS, strict=True):
-        alone, skin = (create_surface(V, tags, tag, "side") for tags in (flat, whole))
-        assert np.isinf(alone.thickness).all()
-        n = facet_normals(facets_at(skin, skin.X))
-        expected = np.where(np.abs(n @ up) > 0.5, height, 1.0)
-        assert COMM.allreduce(len(n)) > 0
-        assert np.abs(skin.thickness - expected).max(initial=0) < 1e-12
+        assert np.isinf(create_surface(V, flat, tag, "side").thickness).all()
+        for tags in others:
+            skin = create_surface(V, tags, tag, "side")
+            n = facet_normals(facets_at(skin, skin.X))
+            expected = np.where(np.abs(n @ up) > 0.5, height, 1.0)
+            assert COMM.allreduce(len(n)) > 0
+            assert np.abs(skin.thickness - expected).max(initial=0) < 1e-12
 
 
 @pytest.mark.mpi
@@ -60,7 +66,7 @@ def test_thickness_behind_the_facets_of_a_skin(cell, partition):
 @CELLS
 def test_partners_face_each_other_from_outside(cell, gap):
     """Whole skins have the partners of the two sides between the bodies, and no others."""
-    V, _, tags, up = create(cell, gap=gap)
+    V, _, tags, _, up = create(cell, gap=gap)
     for slave, master in (SIDES, SIDES[::-1]):
         sides = (create_surface(V, tags, tag, "side") for tag in (slave, master))
         pairing = create_pairing(V, *sides, None)
@@ -93,3 +99,32 @@ def test_what_lies_across_a_body_hides_nothing():
             points = create_segments(slave, n_s, master, pairs, limits)
             assert (points.master == expected).all()
             assert points.weight.sum() == pytest.approx(1.0, abs=1e-14)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("cells", [2, 4])
+def test_clamped_bodies_are_held(cells):
+    """What edges seem to take from the contact is no part of what clamps hold."""
+    mesh, tags, facets = two_boxes(COMM, (3, 3, 2), (cells, cells, 2), upper=(0.2, 0.8, 0.2, 0.8))
+    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    dofs = [fem.locate_dofs_topological(V, 2, facets.find(tag)) for tag in (BOTTOM, TOP)]
+    bcs = [fem.dirichletbc(np.zeros(3), at, V) for at in dofs]
+    solid = dm.Solid(fem.Function(V), ELASTIC)
+    contact = dm.Contact(skins(mesh, tags, facets), slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER)
+    audit = dm.ContactProblem(solid, [contact], bcs=bcs).audit()
+    assert not audit.held_by_contact
+    assert audit.interfaces[0].least_gap == audit.interfaces[0].largest_gap == 0.0
+
+
+@pytest.mark.mpi
+def test_a_tall_block_stands_on_a_plate():
+    """It cannot tilt: edges are no facets of a curved side, along which a body may slide."""
+    b = PressedBlocks(n_lower=(4, 2), n_upper=(3, 6), heights=(1.0, 4.0))
+    tags = skins(b.mesh, b.cells, b.facets)
+    V = b.V.sub(0)
+    corner = fem.locate_dofs_geometrical(
+        (V, V.collapse()[0]), lambda x: np.isclose(x[0], 0.0) & np.isclose(x[1], 4.0)
+    )
+    slide = fem.dirichletbc(fem.Function(V.collapse()[0]), corner, V)
+    problem = b.problem([b.contact(*SIDES, tags)], [b.bc(BOTTOM), slide])
+    assert problem.audit().held_by_contact

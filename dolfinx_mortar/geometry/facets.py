@@ -131,6 +131,26 @@ def facet_sizes(x: Floats) -> Floats:
     return 2 * bounding_balls(x)[1]
 
 
+def are_inside(x: Floats, n: Floats, p: Floats) -> Bools:
+    """Tell (m,) whether points lie over facets; on a common edge, over each of them.
+
+    Args:
+        x: Vertices (m, k, d).
+        n: Normals (m, d), along which the points are projected.
+        p: Points (m, d).
+
+    Example:
+        >>> x = np.array([[[0.0, 0], [2, 0]]])
+        >>> [are_inside(x, np.array([[0.0, -1]]), np.array([[p, 7.0]])).item() for p in (2, 2.1)]
+        [True, False]
+    """
+    edges = np.roll(x, -1, axis=1) - x
+    inward = edges if x.shape[2] == 2 else np.cross(n[:, None], edges)
+    inside = np.einsum("mki,mki->mk", inward, p[:, None] - x)
+    least = -HALF_OF_DIGITS * facet_sizes(x) ** 2
+    return np.asarray(inside.min(axis=1, initial=np.inf) >= least)
+
+
 def scaled_normals(facets: Facets, xi: Floats) -> Floats:
     """Return normals (m, q, d) of facets at xi (q, d-1), as long as the facet is there.
 

@@ -3,8 +3,14 @@
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Bools, Floats
-from dolfinx_mortar.geometry.facets import Facets, bounding_balls, facet_normals, facet_sizes
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.geometry.facets import (
+    Facets,
+    are_inside,
+    bounding_balls,
+    facet_normals,
+    facet_sizes,
+)
 from dolfinx_mortar.geometry.search import Cones, find_meeting
 from dolfinx_mortar.geometry.segments import are_facing
 from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS
@@ -38,20 +44,8 @@ def thickness(facets: Facets, others: Facets) -> Floats:
     a, b = a[across], b[across]
     along = np.einsum("pi,pi->p", middle[a] - y[b].mean(axis=1), n_other[b])
     depth = along / np.einsum("pi,pi->p", n[a], n_other[b])
-    hit = _holds(y[b], n_other[b], middle[a] - depth[:, None] * n[a])
+    hit = are_inside(y[b], n_other[b], middle[a] - depth[:, None] * n[a])
     hit &= depth > HALF_OF_DIGITS * size[a]  # the other face of a crack lies before the facet
     result = np.full(len(x), np.inf)
     np.minimum.at(result, a[hit], depth[hit])
     return result
-
-
-def _holds(x: Floats, n: Floats, p: Floats) -> Bools:
-    """Tell (m,) whether facets of vertices x (m, k, d) and normals n (m, d) hold points p (m, d).
-
-    The points lie in the planes of the facets; on a common edge, each facet holds them.
-    """
-    edges = np.roll(x, -1, axis=1) - x
-    inward = edges if x.shape[2] == 2 else np.cross(n[:, None], edges)
-    inside = np.einsum("mki,mki->mk", inward, p[:, None] - x)
-    least = -HALF_OF_DIGITS * facet_sizes(x) ** 2
-    return np.asarray(inside.min(axis=1, initial=np.inf) >= least)

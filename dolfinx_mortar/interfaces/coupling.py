@@ -28,6 +28,7 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
 from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.mortar.edges import edge_normals, find_edges, open_duals
 from dolfinx_mortar.mortar.operators import (
     Coverage,
     assemble_motions,
@@ -56,6 +57,7 @@ class Sides:
     on_master: Bools  # (local nodes,)
     fixed: Bools  # (local nodes, d) directions with Dirichlet data
     leaning: Bools  # (n,) owned slave nodes that lean on other ones, which may be kept
+    edges: Bools | None = None  # (n,) slave nodes on edges where a contact has normals of its own
     weight: Weight | None = None  # of all integrals over the interface; None for 1
 
     @property
@@ -101,6 +103,7 @@ class Coupling:
     heights: Floats  # (n,) by how much the smooth surfaces are nearer than the facets; 0 for these
     coverage: Coverage  # how far the nodes face the master
     lost: Bools  # (n, c) nodes that have lost a multiplier in the course of the step
+    segments: Segments
 
     @property
     def returned(self) -> Bools:
@@ -220,7 +223,8 @@ def find_sides(
     slave = create_surface(V, interface.facet_tags, interface.slave, "slave")
     master = create_surface(V, interface.facet_tags, interface.master, "master")
     leaning = leaning_nodes(slave)[: slave.owned]
-    return Sides(V, slave, master, _mark(slave), _mark(master), fixed, leaning, weight)
+    edges = find_edges(slave, interface.feature_angle) if interface.one_sided else None
+    return Sides(V, slave, master, _mark(slave), _mark(master), fixed, leaning, edges, weight)
 
 
 def _mark(surface: Surface) -> Bools:
@@ -323,6 +327,8 @@ def couple(
         before: of the last geometry of the step; in its first one none.
     """
     segments, normals = find_partners(interface, pairing, u)
+    if sides.edges is not None:
+        normals = edge_normals(pairing, segments, u, normals, sides.edges)
     covered, tributary = node_weights(pairing, segments)
     nodes, own = sides.slave.nodes, slice(None, sides.slave.owned)
     free = normals * ~sides.fixed[nodes]
@@ -338,6 +344,8 @@ def couple(
         for c in sorted(set(choices))
     }
     Phi = {c: weighted_duals(pairing, segments, keep[c]) for c in keep}
+    if sides.edges is not None:
+        Phi[0] = open_duals(pairing, segments, u, Phi[0], keep[0], sides.edges, banned[nodes])
     heights: Floats = np.zeros(sides.slave.owned)
     motions: Floats | None = None
     if pattern.smooth is not None and not interface.one_sided:
@@ -372,6 +380,7 @@ def couple(
         heights=heights,
         coverage=find_coverage(pairing, segments, covered, tributary),
         lost=lost,
+        segments=segments,
     )
 
 

@@ -14,6 +14,7 @@ import basix
 import dolfinx
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.elements import FACETS_OF, FacetElement
 from dolfinx_mortar.geometry.facets import (
@@ -55,7 +56,7 @@ class Surface:
     facets: Ints  # (m, k) indices into nodes, such that the area vectors point outwards
     entities: Ints  # (m,) local facets of the mesh
     X: Floats  # (n, d) reference coordinates of the nodes
-    thickness: Floats  # (m,) of the body behind each facet at X, up to a facet of this surface
+    thickness: Floats  # (m,) of the body behind each facet at X; inf if nothing runs around it
     sums: PETSc.Vec  # one entry per node, ghosted: work vector of `accumulate`
 
     @property
@@ -228,20 +229,35 @@ def create_surface(
         facets=np.searchsorted(nodes, facet_nodes).astype(np.int32),
         entities=entities,
         X=np.ascontiguousarray(X[nodes]),
-        thickness=thickness_behind(facets, facets, V.mesh.comm),
+        thickness=_thickness(facets, V),
         sums=sums,
     )
 
 
+def _thickness(facets: Facets, V: dolfinx.fem.FunctionSpace) -> Floats:
+    """Return how thick (m,) the body is behind the facets of a side; collective.
+
+    Up to a facet of this side, on any rank. Where a side that runs around a body leaves out a face,
+    its support for example, up to the body's surface; other sides see no more than themselves.
+    """
+    result = thickness_behind(facets, facets, V.mesh.comm)
+    unknown = np.isinf(result)
+    around, partly = any_rank(V.mesh.comm, (~unknown).any(), unknown.any())
+    if around and partly:
+        surface, _ = exterior_facets(V)
+        result[unknown] = thickness_behind(facets[unknown], surface, V.mesh.comm)
+    return result
+
+
 def thickness_behind(facets: Facets, others: Facets, comm: MPI.Intracomm) -> Floats:
-    """Return how thick (m,) the body is behind facets, among others of all ranks; collective."""
-    if comm.size == 1:
-        return thickness(facets, others)
-    n = facet_normals(facets)[:, None]
-    cones = group_cones(facets.x, n, create_groups(facets.x), np.zeros(len(n)))
-    receivers = find_receivers(comm, cones, others)
-    parts = comm.alltoall([others.x[to] for to in receivers.T])
-    return thickness(facets, Facets(facets.element, np.concatenate(parts)))
+    """Return the `thickness` (m,) behind facets of this rank among those of all; collective."""
+    if comm.size > 1:
+        n = facet_normals(facets)[:, None]
+        cones = group_cones(facets.x, n, create_groups(facets.x), np.zeros(len(n)))
+        receivers = find_receivers(comm, cones, others)
+        parts = comm.alltoall([others.x[to] for to in receivers.T])
+        others = Facets(others.element, np.concatenate(parts))
+    return thickness(facets, others)
 
 
 def exterior_facets(V: dolfinx.fem.FunctionSpace) -> tuple[Facets, Ints]:

@@ -19,7 +19,7 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes, normals_at_nodes
 from dolfinx_mortar.html import items, table
 from dolfinx_mortar.interfaces.coupling import Link
-from dolfinx_mortar.interfaces.motions import slipped
+from dolfinx_mortar.interfaces.motions import relative_motions
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.smooth import count_edges
@@ -29,7 +29,7 @@ from dolfinx_mortar.mortar.surface import (
     mean_facet_length,
     nodal_normals,
 )
-from dolfinx_mortar.steps.bodies import Bodies, free_motions
+from dolfinx_mortar.steps.bodies import Bodies, Motion, free_motions
 from dolfinx_mortar.steps.dirichlet import Dirichlet
 from dolfinx_mortar.steps.far_ties import TieReach, find_reach
 from dolfinx_mortar.steps.stand_off import (
@@ -163,7 +163,7 @@ def create_audit(
     contacts = [link.constrained_motion for link in one_sided]
     facets = [_facet_motion(link) for link in one_sided]
     held = [lambda v: v.array_r[supports.owned.ravel()], springs]
-    loose = free_motions(bodies, [*held, *ties, *contacts], facets)
+    loose = free_motions(bodies, [*held, *ties], contacts, facets)
     if loose:
         reaches = [reach for link in links if (reach := find_reach(link))]
         raise ValueError(
@@ -194,24 +194,37 @@ def create_audit(
     return audit
 
 
-def _facet_motion(link: Link) -> Callable[[PETSc.Vec], Floats]:
+def _facet_motion(link: Link) -> Motion:
     """Return the part of a relative motion that is as good as none on facets; collective.
 
     Averaged normals of uneven facets are off those of the true side, at most by half the angle
     between facet and nodal normal in the mean (a quarter of the facets' unevenness of it on a
-    circle): sliding along the side shows as much normal motion. Flat sides have no such part.
+    circle): sliding along the side shows as much normal motion. Flat sides have no such part. The
+    slips are vectors, for a length is not linear in the motion.
     """
     comm = link.sides.V.mesh.comm
-    angle = max(facet_angle(link.sides.slave, comm), facet_angle(link.sides.master, comm))
+    edge = link.interface.feature_angle
+    angle = max(facet_angle(side, edge, comm) for side in (link.sides.slave, link.sides.master))
     kept = link.coupling.directions[:, 0]
-    return lambda v: 0.5 * angle * slipped(link, v)[kept]
+    normals = link.coupling.normals[kept]
+
+    def motion(v: PETSc.Vec) -> Floats:
+        relative = relative_motions(link, v)[0, kept]  # contacts have one choice of nodes
+        along = (relative * normals).sum(axis=1, keepdims=True)
+        return np.asarray(0.5 * angle * (relative - along * normals))
+
+    return motion
 
 
-def facet_angle(surface: Surface, comm: MPI.Comm) -> float:
-    """Return the root mean square angle between facet and nodal normals at X; collective."""
+def facet_angle(surface: Surface, feature_angle: float, comm: MPI.Comm) -> float:
+    """Return the root mean square angle between facet and nodal normals at X; collective.
+
+    Without those at edges, where facets meet at the feature angle or more (degrees).
+    """
     across = normals_at_nodes(facets_at(surface, surface.X))
     at_nodes = nodal_normals(surface, surface.X)[surface.facets]
-    sine2 = np.clip(1.0 - np.einsum("mki,mki->mk", across, at_nodes) ** 2, 0.0, 1.0)
+    cosine = np.einsum("mki,mki->mk", across, at_nodes)
+    sine2 = np.clip(1.0 - cosine[cosine > np.cos(np.radians(feature_angle / 2))] ** 2, 0.0, 1.0)
     sine2[sine2 < ROUND_OFF] = 0.0
     total = comm.allreduce(np.array([sine2.sum(), float(sine2.size)]), op=MPI.SUM)
     return float(np.arcsin(np.sqrt(total[0] / max(total[1], 1.0))))
@@ -264,23 +277,26 @@ def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec, increment: float) -> 
 
     That is so if every slave node is deeper inside the master body than any body is large and than
     both sides are prescribed to move, which a smaller step mends; smaller overlaps are ordinary
-    input. Where the two sides are parts of one surface, it is so as soon as
-    a slave node lies that deep (faces of a crack share nodes, too, but do not overlap).
+    input. Where the two sides are parts of one surface, it is so as soon as a slave node lies that
+    deep (faces of a crack share nodes, too, but do not overlap), or if all facets that face each
+    other do so across the body.
     """
     interface, kept = link.interface, link.coupling.kept.all(axis=1)
     normal = -link.gaps(x)
-    shallowest, deepest, some, joined = maximum(
+    shallowest, deepest, some, joined, facing, reached = maximum(
         bodies.V.mesh.comm,
         (-normal[kept]).max(initial=-np.inf),
         normal[kept].max(initial=-np.inf),
         kept.any(),
         (link.sides.on_slave & link.sides.on_master).any(),
+        float(len(link.pairing.pairs)),
+        link.coupling.coverage.reached.any(),
     )
-    if joined and deepest > DEEP * bodies.radius.max():
+    if joined and (deepest > DEEP * bodies.radius.max() or (facing and not reached)):
+        how_deep = f", {deepest:.3g} deep" if some else ""
         raise ValueError(
             f"{interface.sides} are parts of one surface "
-            f"that meets itself through its body, {deepest:.3g} deep; mark only the parts that "
-            "can touch"
+            f"that meets itself through its body{how_deep}; mark only the parts that can touch"
         )
     if some and -shallowest > bodies.radius.max() + 2.0 * increment:
         raise ValueError(

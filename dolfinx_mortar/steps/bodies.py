@@ -20,6 +20,7 @@ from dolfinx import fem, la
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.solid.kinematics import translations_and_rotations
 
+Motion = Callable[[PETSc.Vec], Floats]
 # A rigid motion counts as held if the constraints resist it by more than this share of the motion
 # that they resist most.
 HELD = 1e-7
@@ -170,18 +171,19 @@ def rigid_motions(bodies: Bodies) -> list[PETSc.Vec]:
 
 def free_motions(
     bodies: Bodies,
-    constraints: Sequence[Callable[[PETSc.Vec], Floats]],
-    facets: Sequence[Callable[[PETSc.Vec], Floats]] = (),
+    constraints: Sequence[Motion],
+    contacts: Sequence[Motion] = (),
+    facets: Sequence[Motion] = (),
 ) -> list[str]:
     """Name the rigid motions that no constraint resists; collective.
 
     Args:
         bodies: the bodies.
-        constraints: functions that return the constrained displacements (any number on each rank)
-            of a displacement vector: prescribed components, relative motions at interfaces. A
-            contact counts as if it could also pull.
-        facets: functions that return a part of such constrained displacements that only shows that
-            a curved side is made of facets: a pin that spins in a hole runs against their angles.
+        constraints: linear functions that return the constrained displacements (any number on each
+            rank) of a displacement vector: prescribed components, relative motions at ties.
+        contacts: such functions of contacts, which count as if they could also pull.
+        facets: such functions of what contacts resist only because a curved side is made of
+            facets: a pin that spins in a hole runs against their angles.
 
     Returns:
         The motions in the null space by name: of single bodies where possible, then of several
@@ -190,17 +192,16 @@ def free_motions(
     modes = bodies.rigid_modes()
     if not modes:
         return []
-    gram = np.zeros((len(modes), len(modes)))
-    for sign, functions in ((1.0, constraints), (-1.0, facets)):
-        columns = [
-            np.concatenate([f(v).ravel() for f in functions]) for _, _, v in modes if functions
-        ]
-        if columns:
-            rows = np.column_stack(columns)
-            gram += sign * bodies.V.mesh.comm.allreduce(rows.T @ rows, op=MPI.SUM)
-    scale = max(float(gram.diagonal().max()), np.finfo(float).tiny)
-    values, vectors = np.linalg.eigh(gram / scale)
-    null = rest = vectors[:, values < HELD**2 * len(modes)]
+    held, touching, uneven = (_gram(bodies, modes, f) for f in (constraints, contacts, facets))
+    scale = max(float((held + touching).diagonal().max()), np.finfo(float).tiny)
+    null = np.eye(len(modes))
+    # facets take from contacts alone: from what else holds a body there is nothing to take
+    for form in (held, touching - uneven):
+        if null.shape[1] == 0:
+            return []
+        values, vectors = np.linalg.eigh(null.T @ form @ null / scale)
+        null = null @ vectors[:, values < HELD**2 * len(modes)]
+    rest = null
     body = np.array([k for k, _, _ in modes])
     named = [f"{name} of {name_of(bodies, [k])}" for k, name, _ in modes]
     rest, found = _take_out(null, rest, dict(zip(named, np.eye(len(modes)), strict=True)))
@@ -211,6 +212,17 @@ def free_motions(
         parts = np.flatnonzero(np.abs(motion) > 0.1 * np.abs(motion).max())
         found.append(" + ".join(named[k] for k in parts))
     return found
+
+
+def _gram(
+    bodies: Bodies, modes: list[tuple[int, str, PETSc.Vec]], functions: Sequence[Motion]
+) -> Floats:
+    """Return the sums (modes, modes) of f(v_a).f(v_b) over linear functions f; collective."""
+    rows = np.zeros((0, len(modes)))
+    if functions:
+        columns = [np.concatenate([f(v).ravel() for f in functions]) for _, _, v in modes]
+        rows = np.column_stack(columns)
+    return np.asarray(bodies.V.mesh.comm.allreduce(rows.T @ rows, op=MPI.SUM))
 
 
 def name_of(bodies: Bodies, group: list[int]) -> str:

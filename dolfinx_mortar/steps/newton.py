@@ -46,6 +46,7 @@ from dolfinx_mortar.steps.linearisation import (
     linearise,
     to_displacement,
 )
+from dolfinx_mortar.steps.overlaps import notes_on_overlaps
 from dolfinx_mortar.steps.passing import describe_passing
 from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.report import Iteration, NewtonNotConverged, StepReport
@@ -372,6 +373,7 @@ class _Step:
         found, links = problem.audit().stand_offs, problem.system.links
         report.notes += notes_on_facets(found, links, forces, stiffness)
         report.notes += notes_on_few_nodes(links, contacts) + notes_on_rims(links)
+        report.notes += notes_on_overlaps(links, problem.u)
         with problem.timings("results"):
             problem.solid.evaluate()
         set_results(problem, iterate.balance, contacts, self.data.jumps)
