@@ -30,6 +30,7 @@ from dolfinx_mortar.steps.load_steps import load_steps
 from dolfinx_mortar.steps.newton import newton
 from dolfinx_mortar.steps.preload import Preload, PreloadNotReached, preload
 from dolfinx_mortar.steps.problem import ContactProblem
+from dolfinx_mortar.steps.reaction import Reaction, reaction
 from dolfinx_mortar.steps.report import LoadStep, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.summary import summarise, write_summary
 from dolfinx_mortar.tags import Tags
@@ -51,6 +52,7 @@ __all__ = [
     "Preload",
     "PreloadNotReached",
     "QPNotSolved",
+    "Reaction",
     "Solid",
     "StepReport",
     "Tags",
@@ -66,6 +68,7 @@ __all__ = [
     "newton",
     "plotting",
     "preload",
+    "reaction",
     "summarise",
     "write_summary",
 ]

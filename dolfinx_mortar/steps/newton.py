@@ -48,6 +48,7 @@ from dolfinx_mortar.steps.linearisation import (
 )
 from dolfinx_mortar.steps.passing import describe_passing
 from dolfinx_mortar.steps.problem import ContactProblem
+from dolfinx_mortar.steps.reaction import support_forces
 from dolfinx_mortar.steps.report import Iteration, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.residuals import (
     Residuals,
@@ -385,6 +386,7 @@ class _Step:
             problem, report, contacts, residual, sliders, left_out
         )
         problem.committed.contacts = contacts.active, contacts.sliding
+        problem.committed.supports = support_forces(problem, iterate.balance)
         report.converged = True
 
     def elastic_norm(self, du: PETSc.Vec) -> float:

@@ -205,14 +205,14 @@ def _outward(problem: ContactProblem, tie: Tie) -> Floats:
 def _all_as_before(problem: ContactProblem, tie: Tie) -> Iterator[None]:
     """Put displacement, results, tightening and contact set back if something fails."""
     u, shown, contacts = problem.u.x.array.copy(), problem.solid.keep(), problem.committed.contacts
-    tightening = tie.tightening
+    tightening, supports = tie.tightening, problem.committed.supports
     results = [(one, one.keep()) for one in problem.interfaces]
     try:
         yield
     except BaseException:
         problem.u.x.array[:] = u
         problem.solid.put_back(shown)
-        problem.committed.contacts = contacts
+        problem.committed.contacts, problem.committed.supports = contacts, supports
         tie.tightening = tightening
         for one, kept in results:
             one.put_back(kept)
