@@ -19,11 +19,12 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
+from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.compat import on_same_mesh
 from dolfinx_mortar.mortar.surface import check_tag, check_tags
-from dolfinx_mortar.steps.checks import check_problem, check_same_on_all_ranks
+from dolfinx_mortar.steps.checks import check_problem
 from dolfinx_mortar.steps.dirichlet import marked_dofs, prescribed_dofs
 from dolfinx_mortar.steps.lasting import SupportForces
 from dolfinx_mortar.steps.linearisation import Balance, support_slots

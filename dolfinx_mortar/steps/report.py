@@ -249,7 +249,7 @@ class LoadStep:
     def from_dict(cls, given: Mapping[str, Any]) -> LoadStep:
         """Return the step that `as_dict` has written."""
         parts = [StepReport.from_dict(part) for part in given["parts"]]
-        results = given["forces"], given.get("reactions", [])  # of older files
+        results = given["forces"], given["reactions"]
         return cls(given["number"], given["time"], parts[-1], parts, *results)
 
     @property
