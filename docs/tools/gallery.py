@@ -33,6 +33,7 @@ class Demo:
     pictures: dict[str, str]  # file -> caption; the first is that of the card
     options: tuple[str, ...] = ()
     view: str = ""  # XDMF file of an interactive view
+    others: str = ""  # where else there are numbers of it, which differ
 
 
 DEMOS = [
@@ -46,6 +47,8 @@ DEMOS = [
             "fig3_hardening.png": "Hardening, the norm of the back stress.",
         },
         ("--steps", "4"),
+        others="The picture of the first page and of the README is that of the graded mesh, "
+        "`--mesh graded`, whose numbers differ; the program below makes one step.",
     ),
     Demo(
         "sphere",
@@ -57,6 +60,8 @@ DEMOS = [
         },
         ("--h", "0.2"),
         "sphere.xdmf",
+        others="The mesh is a coarse one, for speed; the script's own default is `--h 0.125`, "
+        "whose force and pressure are nearer to those of other pages.",
     ),
     Demo(
         "ball_joint",
@@ -170,7 +175,11 @@ def flat(source: str) -> str:
     <BLANKLINE>
         X
     <BLANKLINE>
-    options = parser.parse_args([])  # those of the command line; these are the defaults
+    # ## Run
+    #
+    # With the defaults of the options.
+    <BLANKLINE>
+    options = parser.parse_args([])
     <BLANKLINE>
     # d
     <BLANKLINE>
@@ -188,7 +197,7 @@ def flat(source: str) -> str:
             continue
         else:
             parts.append("\n" + hoisted(own) if isinstance(node, ast.FunctionDef) else own)
-    options = "options = parser.parse_args([])  # those of the command line; these are the defaults"
+    options = "# ## Run\n#\n# With the defaults of the options.\n\noptions = parser.parse_args([])"
     return "\n".join([*parts, "", options, "", body, ""])
 
 
@@ -255,7 +264,10 @@ def page(demo: Demo, folder: Path) -> str:
     shown = ["## Result", *shown] if shown else []
     command = " ".join(["containers/run python3", f"demos/{demo.name}/{demo.name}.py"])
     command = " ".join([command, *demo.options])
-    run_by = f"Run by `{command}`. Files: {files}."
+    run_by = (
+        f"Run by `{command}`; pictures and numbers of this page are those of that mesh and these "
+        f"steps. {demo.others} Files: {files}."
+    )
     return "\n\n".join([first, run_by, *shown, "## Program", *demote(rest)]) + "\n"
 
 
