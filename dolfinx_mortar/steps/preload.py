@@ -132,8 +132,9 @@ def preload(
     several = isinstance(tie, Mapping)
     asked = _by_tie(tie, force, direction) if several else ([tie], [force], [direction])
     ties, forces, directions = asked
-    given = {"tie": ties, "force": forces, "direction": directions}
-    problem.check_ranks(**given, rtol=rtol, max_it=max_it, qp=qp)
+    given = asked if several else (tie, force, direction)
+    named = dict(zip(("tie", "force", "direction"), given, strict=True))
+    problem.check_ranks(**named, rtol=rtol, max_it=max_it, qp=qp)
     check_controls(qp, rtol, max_it)
     normals = [_check(problem, *one) for one in zip(ties, forces, directions, strict=True)]
     tell = lines(problem.comm, progress)
