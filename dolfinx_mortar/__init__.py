@@ -28,10 +28,12 @@ from dolfinx_mortar.qp import QPNotSolved
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.steps.load_steps import load_steps
 from dolfinx_mortar.steps.newton import newton
-from dolfinx_mortar.steps.preload import Preload, PreloadNotReached, preload
+from dolfinx_mortar.steps.preload import Preload, preload
 from dolfinx_mortar.steps.problem import ContactProblem
+from dolfinx_mortar.steps.reaction import Reaction, reaction
 from dolfinx_mortar.steps.report import LoadStep, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.summary import summarise, write_summary
+from dolfinx_mortar.steps.tightening import PreloadNotReached
 from dolfinx_mortar.tags import Tags
 
 add_last_resort()
@@ -51,6 +53,7 @@ __all__ = [
     "Preload",
     "PreloadNotReached",
     "QPNotSolved",
+    "Reaction",
     "Solid",
     "StepReport",
     "Tags",
@@ -66,6 +69,7 @@ __all__ = [
     "newton",
     "plotting",
     "preload",
+    "reaction",
     "summarise",
     "write_summary",
 ]

@@ -22,8 +22,6 @@ import dolfinx_mortar as dm
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 SOURCES = sorted(p for p in DOCS.rglob("*.md") if not {"_build", "generated"} & set(p.parts))
-GUIDE = ["units", "meshes", "materials", "bodies", "interfaces", "loads"]
-GUIDE += ["steps", "solvers", "output", "restart", "convergence", "limits"]
 TOOLS = ["docstrings", "elsewhere", "gallery", "links", "tables"]
 
 
@@ -85,17 +83,45 @@ def test_the_tutorial_runs(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.serial
 def test_the_programs_of_the_guide_run(tmp_path, monkeypatch, caplog):
-    """One after the other, from where the program of the first page ends."""
+    """Those of each page after the one of the first page, as its readers paste them."""
     monkeypatch.chdir(tmp_path)
     caplog.set_level(logging.INFO, "dolfinx_mortar")  # they set it, too, and it is put back
-    names = {}
-    (first,) = programs(ROOT / "README.md")
-    exec(compile(first, "README.md", "exec"), names)
-    pages = {p.stem for p in (DOCS / "guide").glob("*.md") if programs(p)}
-    assert pages == set(GUIDE)
-    for page in GUIDE:
-        for code in programs(DOCS / "guide" / f"{page}.md"):
-            exec(compile(code, f"guide/{page}.md", "exec"), names)
+    first: dict = {}
+    (begin,) = programs(ROOT / "README.md")
+    exec(compile(begin, "README.md", "exec"), first)
+    for draw in programs(DOCS / "tutorial.md")[:2]:  # the mesh that a page reads
+        exec(compile(draw, "tutorial.md", "exec"), first)
+    pages = sorted(p for p in (DOCS / "guide").glob("*.md") if programs(p) and p != HOW_TO)
+    assert len(pages) > 10
+    for page in pages:
+        names = dict(first)
+        for code in programs(page):
+            exec(compile(code, f"guide/{page.name}", "exec"), names)
+
+
+HOW_TO = DOCS / "guide" / "howto.md"
+LONG = "A bolt circle"  # half a minute
+RECIPES = {text.splitlines()[0]: text for text in re.split(r"(?m)^## ", HOW_TO.read_text())[1:]}
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] if n == LONG else []) for n in RECIPES]
+)
+def test_every_recipe_is_a_whole_program(name, tmp_path, monkeypatch, capsys):
+    """It says what its comments promise: every number that stands behind a print is shown."""
+    monkeypatch.chdir(tmp_path)
+    code = "\n".join(re.findall(r"```python\n(.*?)```", RECIPES[name], re.DOTALL))
+    exec(compile(code, f"how to: {name}", "exec"), {})
+    said = capsys.readouterr().out
+    promised = re.findall(r"(?m)^ *print\(.*\)  # (.+)$", code)
+    assert promised and all(words in said for words in promised), said
+
+
+def test_no_program_of_the_pages_escapes():
+    """What shall not be run has another form: a code-block, or the README's fragments."""
+    for page in SOURCES:
+        assert not re.findall(r"(?m)^```(?:py|python3|pycon|ipython)$", page.read_text()), page
 
 
 # -- names -----------------------------------------------------------------------------------------
@@ -261,15 +287,62 @@ def test_a_build_without_its_extras_says_which(tmp_path):
 
 @pytest.mark.parametrize("demo", sorted(p.parent.name for p in ROOT.glob("demos/*/result.png")))
 def test_the_gallery_shows_every_demo(demo):
-    """With text and program in the order of the script, nothing of it left out."""
+    """With text and program, nothing of it left out but the command line."""
     gallery = tool("gallery")
     (shown,) = (d for d in gallery.DEMOS if d.name == demo)
     source = gallery.program(shown).read_text()
-    parts = gallery.paragraphs(source)
+    parts = gallery.paragraphs(gallery.flat(source))
     assert parts[0][0] == "text" and parts[0][1].startswith("# ")
     code = re.sub(r"\s", "", "".join(lines for kind, lines in parts if kind == "code"))
-    lines = [line for line in source.splitlines() if not line.lstrip().startswith("#")]
+    before, _, end = source.partition('if __name__ == "__main__":')
+    assert "parse_args()" in end
+    lines = [line for line in before.splitlines() if not line.lstrip().startswith("#")]
+    main = next(k for k, line in enumerate(lines) if line.startswith("def main("))
+    del lines[main : main + 2]  # its docstring, too
     assert all(re.sub(r"\s", "", line) in code for line in lines)
+
+
+@pytest.mark.parametrize("demo", sorted(path.name for path in ROOT.glob("demos/*")))
+def test_a_notebook_is_flat_and_whole(demo, tmp_path):
+    """Each cell is a program of its own; what it imports it brings; the pictures are shown."""
+    gallery = tool("gallery")
+    (shown,) = (d for d in gallery.DEMOS if d.name == demo)
+    picture = next(iter(shown.pictures))
+    (tmp_path / picture).write_bytes(b"drawn")
+    gallery.notebook(shown, tmp_path / "demo.ipynb", tmp_path)
+    book = json.loads((tmp_path / "demo.ipynb").read_text())
+    assert book["metadata"]["kernelspec"]["name"] == "python3" and book["nbformat"] == 4
+    cells = book["cells"]
+    assert cells[0]["cell_type"] == "markdown" and cells[0]["source"].startswith("# ")
+    code = [cell["source"] for cell in cells if cell["cell_type"] == "code"]
+    files = {re.match(r"%%writefile (.*)\.py\n", text)[1] for text in code if text.startswith("%%")}
+    assert files == {p.stem for p in (ROOT / "demos" / demo).glob("*.py")} - {demo}
+    for text in code:
+        compile(text.partition("\n")[2] if text.startswith("%%") else text, demo, "exec")
+    assert "parse_args([])" in "".join(code) and "def main(" not in "".join(code)
+    assert "display(Image" in code[-1] and len(cells[-1]["outputs"]) == 1
+
+
+@pytest.mark.serial
+def test_a_notebook_runs(tmp_path, monkeypatch, capsys):
+    """That of the benchmark, cell by cell in an empty folder."""
+    gallery = tool("gallery")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "figures", raising=False)
+    (shown,) = (d for d in gallery.DEMOS if d.name == "hertz")
+    gallery.notebook(shown, tmp_path / "hertz.ipynb", tmp_path)
+    names = {"__name__": "__main__"}
+    for cell in json.loads((tmp_path / "hertz.ipynb").read_text())["cells"][:-1]:
+        text = cell["source"]
+        if cell["cell_type"] == "code" and text.startswith("%%writefile "):
+            name, _, source = text.removeprefix("%%writefile ").partition("\n")
+            (tmp_path / name).write_text(source)
+        elif cell["cell_type"] == "code":
+            exec(compile(text, "hertz.ipynb", "exec"), names)
+    monkeypatch.delitem(sys.modules, "figures", raising=False)
+    assert "peak pressure" in capsys.readouterr().out
+    assert all((tmp_path / "results" / "hertz" / name).exists() for name in shown.pictures)
 
 
 @pytest.mark.serial

@@ -51,6 +51,7 @@ OTHERS = {
     "steps.identity",
     "steps.load_steps",
     "steps.preload",
+    "steps.tightening",
     "steps.results",
     "steps.small_strain",
 }

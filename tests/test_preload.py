@@ -8,6 +8,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.steps import preload as preload_module
+from dolfinx_mortar.steps import tightening
 from tests.bolted_joint import Joint
 from tests.glued_bar import CELLS, COMM, CONFINED, NU, Bar, E, largest
 from tests.meshes import BOTTOM, LEFT, TOP
@@ -293,7 +294,8 @@ def tighten():
 @pytest.mark.parametrize("name", NUMBERS)
 def test_no_number_changes_an_answer(name, factor, monkeypatch):
     jumps, said = tighten()
-    number = getattr(preload_module, name)
-    monkeypatch.setattr(preload_module, name, type(number)(factor * number))
+    home = preload_module if hasattr(preload_module, name) else tightening
+    number = getattr(home, name)
+    monkeypatch.setattr(home, name, type(number)(factor * number))
     found, words = tighten()
     assert np.allclose(found, jumps, rtol=2 * SOUGHT, atol=1e-12) and words == said

@@ -11,6 +11,7 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.steps import preload as preload_module
+from dolfinx_mortar.steps import tightening
 from dolfinx_mortar.steps.report import StepReport
 from tests.bolted_joint import Joint
 from tests.glued_bar import NU, Bar, E, largest
@@ -20,6 +21,12 @@ from tests.tightened_bar import Watched, loaded, outwards, refuse_beyond, script
 
 COMM = MPI.COMM_WORLD
 SOUGHT = 1e-6  # relative accuracy of the force, the default
+
+
+def create_search(problem, case, force):
+    """Return a search that has not begun."""
+    steps = tightening.Steps(problem, SOUGHT, {})
+    return tightening.Search(problem, case.tie, outwards(case), force, SOUGHT, steps)
 
 
 def test_tries_that_go_too_far_are_halved(monkeypatch):
@@ -73,9 +80,9 @@ def test_a_force_shortly_before_steps_fail_is_found(monkeypatch, share):
 def test_halving_ends_near_what_is_refused(monkeypatch, refused):
     """A force that flattens out and is not reached: its last digits are not worth the steps."""
     case, problem = scripted(monkeypatch, lambda s: 30.0 * np.tanh(s / 0.05), refused=refused)
-    solve, tried = preload_module._Search.solve, []
+    solve, tried = tightening.Search.solve, []
     monkeypatch.setattr(
-        preload_module._Search, "solve", lambda search, s: tried.append(s) or solve(search, s)
+        tightening.Search, "solve", lambda search, s: tried.append(s) or solve(search, s)
     )
     words = ("does not converge (too far)", "nearest was 2")
     with rejected(*words, error=dm.PreloadNotReached) as caught:
@@ -83,13 +90,13 @@ def test_halving_ends_near_what_is_refused(monkeypatch, refused):
     good, end = (max(s for s in tried if s <= refused), min(s for s in tried if s > refused))
     assert caught.value.tries[-1][0] == good
     # neither secants nor halving go much nearer
-    assert 0.2 * preload_module.NEAR < 1.0 - good / end <= preload_module.NEAR
+    assert 0.2 * tightening.NEAR < 1.0 - good / end <= tightening.NEAR
 
 
 def test_near_the_end_secants_count(monkeypatch):
     """A force that is expected before what is refused is sought there, however near."""
     case, problem = scripted(monkeypatch, lambda s: 1000.0 * s, refused=0.0995)
-    search = preload_module._Search(problem, case.tie, outwards(case), 99.0, SOUGHT, {})
+    search = create_search(problem, case, 99.0)
     search.refused = {s: dm.NewtonNotConverged(f"at {s}", StepReport()) for s in (0.1, 0.2)}
     assert search.propose(0.09, -8.8, 0.098, -0.8, 1e4, 1.0) == pytest.approx(0.0988, rel=1e-12)
     with rejected("to a jump of 0.1 does not converge (at 0.1)", error=dm.PreloadNotReached):
@@ -102,7 +109,7 @@ def test_the_nearest_of_what_is_refused_counts(monkeypatch):
     """A bolt that is let go, from a tightening before: nearest is not what is nearest to zero."""
     case, problem = scripted(monkeypatch, lambda s: 10.0 * s)
     case.tie.tightening = outwards(case)
-    search = preload_module._Search(problem, case.tie, outwards(case), -2.0, SOUGHT, {})
+    search = create_search(problem, case, -2.0)
     search.refused = {s: dm.NewtonNotConverged(f"at {s}", StepReport()) for s in (-0.1, 0.3)}
     assert search.propose(0.6, 8.0, 0.5, 7.0, 10.0, 9.0) == pytest.approx(0.4, rel=1e-12)
 
@@ -117,7 +124,7 @@ def test_no_try_is_farther_than_a_share_of_the_model(sign):
     with rejected(*words, error=dm.PreloadNotReached) as caught:
         dm.preload(problem, case.tie, sign * 1e9, outwards(case))
     assert "hardening" not in str(caught.value)
-    farthest = preload_module.FARTHEST * np.sqrt(1.0 + 2.0**2)
+    farthest = tightening.FARTHEST * np.sqrt(1.0 + 2.0**2)
     jumps = [s for s, _ in caught.value.tries]
     assert len(jumps) == 2 and sign * jumps[-1] == pytest.approx(farthest, rel=1e-12)
     assert watched.unchanged()

@@ -64,7 +64,7 @@ def refuse_beyond(monkeypatch, tie, most):
             raise dm.NewtonNotConverged("too far", StepReport())
         return solve_step(problem, **options)
 
-    monkeypatch.setattr("dolfinx_mortar.steps.preload.solve_step", solve)
+    monkeypatch.setattr("dolfinx_mortar.steps.tightening.solve_step", solve)
     return tried
 
 
@@ -72,12 +72,12 @@ def scripted(monkeypatch, force_of, *, refused=np.inf):
     """Let the force be a function of the jump, and steps with larger jumps fail."""
 
     def solve(search, s):
-        search.reports.append(StepReport())
+        search.steps.reports.append(StepReport())
         if s > refused:
             raise dm.NewtonNotConverged("too far", StepReport())
         search.tries.append((s, force_of(s)))
         search.tie.tightening = s * search.n
         return force_of(s) - search.force
 
-    monkeypatch.setattr("dolfinx_mortar.steps.preload._Search.solve", solve)
+    monkeypatch.setattr("dolfinx_mortar.steps.tightening.Search.solve", solve)
     return loaded()

@@ -187,11 +187,8 @@ def strength() -> dm.analytic.TeeStub:
 
 def measure(problem: dm.ContactProblem, sides: dm.Tags, pull: float) -> dict[str, float]:
     """Return the forces of the whole joint, and how well they balance; collective."""
-    V, (cut,), (flanges, head, nut) = problem.V, problem.ties, problem.contacts
-    forces = problem.vector()
-    problem.solid.assemble_residual(forces)
-    dofs = fem.locate_dofs_topological(V.sub(2), 2, sides.find("pulled"))
-    force = problem.comm.allreduce(forces.array_r[dofs[dofs < forces.local_size]].sum())
+    (cut,), (flanges, head, nut) = problem.ties, problem.contacts
+    force = dm.reaction(problem, "pulled", sides).force[2]
     bolt, prying = 2.0 * cut.force[2], -2.0 * flanges.force[2]
     on = flanges.gather(problem.u)
     middle = np.argmin(np.abs(on["X"][:, 0]) + np.abs(on["X"][:, 1]))

@@ -5,14 +5,19 @@ What a demo has written is kept in docs/_build/demos until the demo or the libra
 tutorial is run, too, for its pictures.
 """
 
+import ast
+import base64
 import hashlib
+import json
 import re
 import shutil
 import subprocess
 import sys
 import textwrap
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 DOCS = Path(__file__).resolve().parents[1]
 ROOT = DOCS.parent
@@ -28,6 +33,7 @@ class Demo:
     pictures: dict[str, str]  # file -> caption; the first is that of the card
     options: tuple[str, ...] = ()
     view: str = ""  # XDMF file of an interactive view
+    others: str = ""  # where else there are numbers of it, which differ
 
 
 DEMOS = [
@@ -41,6 +47,8 @@ DEMOS = [
             "fig3_hardening.png": "Hardening, the norm of the back stress.",
         },
         ("--steps", "4"),
+        others="The picture of the first page and of the README is that of the graded mesh, "
+        "`--mesh graded`, whose numbers differ; the program below makes one step.",
     ),
     Demo(
         "sphere",
@@ -52,6 +60,8 @@ DEMOS = [
         },
         ("--h", "0.2"),
         "sphere.xdmf",
+        others="The mesh is a coarse one, for speed; the script's own default is `--h 0.125`, "
+        "whose force and pressure are nearer to those of other pages.",
     ),
     Demo(
         "ball_joint",
@@ -149,6 +159,58 @@ def make_view(xdmf: Path, html: Path) -> None:
         print(f"docs/build: no interactive view of {xdmf.stem}: {last}", flush=True)
 
 
+def flat(source: str) -> str:
+    r"""Return a program without main(): its functions, the options' defaults, then its body.
+
+    So it can be pasted and read part by part: no part is cut inside of a function. Texts inside of
+    other functions go above them.
+
+    >>> g = "def g():\n    # ## a\n\n    X\n"
+    >>> print(flat("X = 1\n\n\ndef main(options):\n    # d\n\n    g()\n\n\n" + g))
+    X = 1
+    <BLANKLINE>
+    # ## a
+    <BLANKLINE>
+    def g():
+    <BLANKLINE>
+        X
+    <BLANKLINE>
+    # ## Run
+    #
+    # With the defaults of the options.
+    <BLANKLINE>
+    options = parser.parse_args([])
+    <BLANKLINE>
+    # d
+    <BLANKLINE>
+    g()
+    <BLANKLINE>
+    """
+    lines, parts, body, end = source.splitlines(), [], "", 0
+    for node in ast.parse(source).body:
+        own = "\n".join(lines[end : node.end_lineno])
+        end = node.end_lineno or 0
+        if isinstance(node, ast.FunctionDef) and node.name == "main":
+            after = node.body[0].end_lineno if ast.get_docstring(node) else node.lineno
+            body = textwrap.dedent("\n".join(lines[after:end])).strip("\n")
+        elif isinstance(node, ast.If) and "__name__" in ast.unparse(node.test):
+            continue
+        else:
+            parts.append("\n" + hoisted(own) if isinstance(node, ast.FunctionDef) else own)
+    options = "# ## Run\n#\n# With the defaults of the options.\n\noptions = parser.parse_args([])"
+    return "\n".join([*parts, "", options, "", body, ""])
+
+
+def hoisted(function: str) -> str:
+    """Return a function whose paragraphs of comments stand above it, those above it first."""
+    function = re.sub(r"(?m)^(?=[ \t]*# #+ )", "\n", function)  # headings start a text
+    blocks = re.split(r"\n(?:[ \t]*\n)+", function.strip("\n"))
+    is_text = [all(line.lstrip().startswith("#") for line in b.splitlines()) for b in blocks]
+    texts = [textwrap.dedent(b) for b, text in zip(blocks, is_text, strict=True) if text]
+    code = "\n\n".join(b for b, text in zip(blocks, is_text, strict=True) if not text)
+    return "\n\n".join([*texts, code])
+
+
 def paragraphs(source: str) -> list[tuple[str, str]]:
     r"""Split a program into ("text" or "code", lines): comments between blank lines are text.
 
@@ -156,13 +218,13 @@ def paragraphs(source: str) -> list[tuple[str, str]]:
     [('text', '# A\n\nb'), ('code', 'x = 1  # c\n# d\ny = 2')]
     """
     parts: list[tuple[str, str]] = []
-    source = re.sub(r"(?m)^(?=[ \t]*# #+ )", "\n", source)  # headings start a text
+    source = re.sub(r"(?m)^(?=# #+ )", "\n", source)  # headings start a text
     for block in re.split(r"\n(?:[ \t]*\n)+", source.strip("\n")):
         lines = block.splitlines()
-        if all(line.lstrip().startswith("#") for line in lines):
+        if all(line.startswith("#") for line in lines):
             if "SPDX" in block or "ruff:" in block:
                 continue
-            parts.append(("text", "\n".join(re.sub(r"^\s*# ?", "", line) for line in lines)))
+            parts.append(("text", "\n".join(re.sub(r"^# ?", "", line) for line in lines)))
         elif parts and parts[-1][0] == "code":
             parts[-1] = ("code", parts[-1][1] + "\n\n" + block)
         else:
@@ -173,11 +235,11 @@ def paragraphs(source: str) -> list[tuple[str, str]]:
 def page(demo: Demo, folder: Path) -> str:
     """Return the page of a demo in MyST."""
     said: list[str] = []
-    for kind, lines in paragraphs(program(demo).read_text()):
+    for kind, lines in paragraphs(flat(program(demo).read_text())):
         if kind == "text":
             said.append(re.sub(r"(?m)^(\$\$.*\$\$)$", r"\n\1\n", lines))
         else:
-            said.append(f"```python\n{textwrap.dedent(lines)}\n```")
+            said.append(f"```python\n{lines}\n```")
     first, rest = said[0], said[1:]
     files = ", ".join(
         f"{{download}}`{name} <{demo.name}/{name}>`"
@@ -202,7 +264,10 @@ def page(demo: Demo, folder: Path) -> str:
     shown = ["## Result", *shown] if shown else []
     command = " ".join(["containers/run python3", f"demos/{demo.name}/{demo.name}.py"])
     command = " ".join([command, *demo.options])
-    run_by = f"Run by `{command}`. Files: {files}."
+    run_by = (
+        f"Run by `{command}`; pictures and numbers of this page are those of that mesh and these "
+        f"steps. {demo.others} Files: {files}."
+    )
     return "\n\n".join([first, run_by, *shown, "## Program", *demote(rest)]) + "\n"
 
 
@@ -211,14 +276,47 @@ def demote(parts: list[str]) -> list[str]:
     return [p if p.startswith("```") else re.sub(r"(?m)^##", "###", p) for p in parts]
 
 
-def notebook(demo: Demo, path: Path) -> None:
-    """Write a demo as a notebook; its options are the defaults there."""
-    import jupytext
+def neighbours(demo: Demo) -> list[Path]:
+    """Return the other files of a demo that are imported."""
+    return [file for file in sorted(program(demo).parent.glob("*.py")) if file != program(demo)]
 
-    cells = jupytext.read(program(demo))
-    for cell in cells.cells:
-        cell.source = cell.source.replace("parser.parse_args()", "parser.parse_args([])")
-    jupytext.write(cells, path, fmt="ipynb")
+
+def notebook(demo: Demo, path: Path, pictures: Path) -> None:
+    """Write a demo as a notebook that needs no other file, with the pictures that it has made.
+
+    Args:
+        demo: which.
+        path: of the notebook.
+        pictures: folder of what the demo has drawn, some of it or nothing.
+    """
+    cells = [code_cell(f"%%writefile {f.name}\n{f.read_text()}") for f in neighbours(demo)]
+    for kind, lines in paragraphs(flat(program(demo).read_text())):
+        cell = {"cell_type": "markdown", "metadata": {}, "source": lines}
+        cells.append(cell if kind == "text" else code_cell(lines))
+    cells.insert(0, cells.pop(len(neighbours(demo))))  # the title
+    shown = [
+        "from IPython.display import Image, display",
+        f"for name in {list(demo.pictures)}:",
+        "    if (options.output / name).exists():",
+        "        display(Image(options.output / name))",
+    ]
+    outputs = []
+    for file in (pictures / name for name in demo.pictures):
+        if file.exists():
+            data = base64.b64encode(file.read_bytes()).decode()
+            kind = "image/gif" if file.suffix == ".gif" else "image/png"
+            outputs.append({"output_type": "display_data", "metadata": {}, "data": {kind: data}})
+    cells.append(code_cell("\n".join(shown), outputs))
+    kernel = {"name": "python3", "display_name": "Python 3", "language": "python"}
+    about = {"kernelspec": kernel, "language_info": {"name": "python"}}
+    text = {"cells": cells, "metadata": about, "nbformat": 4, "nbformat_minor": 4}
+    path.write_text(json.dumps(text, indent=1))
+
+
+def code_cell(source: str, outputs: Sequence[dict[str, Any]] = ()) -> dict[str, Any]:
+    """Return a cell of a notebook."""
+    more = {"execution_count": None, "outputs": list(outputs)}
+    return {"cell_type": "code", "metadata": {}, "source": source} | more
 
 
 def run_tutorial() -> None:
@@ -285,7 +383,7 @@ def main(execute: bool) -> None:
         for file in [*demo.pictures, "said.txt", "view.html"]:
             if (KEPT / demo.name / file).exists():
                 shutil.copy(KEPT / demo.name / file, folder)
-        notebook(demo, folder / f"{demo.name}.ipynb")
+        notebook(demo, folder / f"{demo.name}.ipynb", KEPT / demo.name)
         (PAGES / f"{demo.name}.md").write_text(page(demo, folder))
         if (folder / "view.html").exists():
             (folder / "view.html").replace(views / f"{demo.name}.html")

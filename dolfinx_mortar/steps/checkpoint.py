@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """What of a problem goes on from step to step, and how it is saved; `restoring` takes it over.
 
-Displacement, internal variables, stress, closed contacts, slips and load level; results of the
-interfaces (multipliers, pressures, gaps, resultants); how far bolts are tightened; the history of
-the load steps. What a program sets anew before a step is not saved: loads, supports, jumps,
-parameters and eigenstrain that may change.
+Displacement, internal variables, stress, closed contacts, slips, forces of supports and load level;
+results of the interfaces (multipliers, pressures, gaps, resultants); how far bolts are tightened;
+the history of the load steps. What a program sets anew before a step is not saved: loads, supports,
+jumps, parameters and eigenstrain that may change.
 """
 
 from __future__ import annotations
@@ -75,6 +75,8 @@ def places_of(lasting: Lasting, results: Sequence[bool]) -> dict[str, Floats]:
 def _nodal(lasting: Lasting) -> dict[str, Floats]:
     active = lasting.committed.active[:, None].astype(float)
     found = {"displacement": _owned(lasting.u), "active": active}
+    if (supports := lasting.committed.supports) is not None:
+        found["supports"] = np.hstack([supports.forces, supports.points])
     if lasting.system.has_friction:  # slips are measured from it
         d = lasting.solid.V.dofmap.index_map_bs
         if lasting.committed.sliding is not None:

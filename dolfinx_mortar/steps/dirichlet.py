@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from dolfinx import fem, la
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 
@@ -21,13 +21,19 @@ def prescribed_dofs(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> Boo
     Raises:
         ValueError: on all ranks, for dofs that V, or the component of a condition, does not have.
     """
-    d = V.dofmap.index_map_bs
-    marks = la.vector(V.dofmap.index_map, d)
-    marks.array[:] = 0.0
     with raised_together(V.mesh.comm):
         for bc in bcs:
             _check_dofs(V, bc)
-            marks.array[bc.dof_indices()[0]] = 1.0
+    return marked_dofs(V, [bc.dof_indices()[0] for bc in bcs])
+
+
+def marked_dofs(V: fem.FunctionSpace, dofs: Iterable[Ints]) -> Bools:
+    """Return (local nodes, d): which components any rank names by its local dofs; collective."""
+    d = V.dofmap.index_map_bs
+    marks = la.vector(V.dofmap.index_map, d)
+    marks.array[:] = 0.0
+    for some in dofs:
+        marks.array[some] = 1.0
     marks.scatter_reverse(la.InsertMode.add)
     marks.scatter_forward()
     return np.asarray(marks.array > 0.0).reshape(-1, d)

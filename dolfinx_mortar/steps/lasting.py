@@ -19,6 +19,14 @@ from dolfinx_mortar.steps.dirichlet import Dirichlet
 from dolfinx_mortar.steps.report import LoadStep
 
 
+@dataclass(frozen=True)
+class SupportForces:
+    """What supports exert on the bodies at the end of a step."""
+
+    forces: Floats  # (owned nodes, d), zero where nothing is prescribed
+    points: Floats  # (owned nodes, d) where they act
+
+
 @dataclass
 class Committed:
     """What the next step starts from, beside the displacement and the internal variables."""
@@ -34,6 +42,7 @@ class Committed:
     brought: int = 0  # how many of them a checkpoint has brought
     walked: int = 0  # how many of them belong to the last call
     walk: object = None  # the last call of `load_steps`, the only one that may go on
+    supports: SupportForces | None = None  # of the last step that has converged
     search: bool = False  # the next step pairs the surfaces anew, after a checkpoint
 
     @property

@@ -88,10 +88,15 @@ def find_balance(problem: ContactProblem, data: StepData, overlap: float = 0.0) 
 
 def _dirichlet_constraints(problem: ContactProblem, data: StepData, u: Floats) -> Constraints:
     """Return prescribed minus present values as equalities of unknowns of y."""
-    node, component = np.nonzero(problem.supports.owned)
-    dofs = problem.d * node + component  # in u
-    slots = problem.d * node + problem.system.slots()[node, component]  # in y
+    dofs, slots = support_slots(problem)
     return equalities(slots, data.target[dofs] - u[dofs])
+
+
+def support_slots(problem: ContactProblem) -> tuple[Ints, Ints]:
+    """Return the owned prescribed dofs (m,) of u, and the unknowns of y that they are."""
+    node, component = np.nonzero(problem.supports.owned)
+    slots = problem.d * node + problem.system.slots()[node, component]
+    return problem.d * node + component, slots
 
 
 def linearise(problem: ContactProblem, balance: Balance, *, tangent: bool = True) -> Linearisation:

@@ -21,6 +21,7 @@ from dolfinx_mortar.steps.failures import AS_BEFORE
 from dolfinx_mortar.steps.newton import solve_step
 from dolfinx_mortar.steps.problem import ContactProblem
 from dolfinx_mortar.steps.progress import progress as show_progress
+from dolfinx_mortar.steps.reaction import reactions
 from dolfinx_mortar.steps.report import LoadStep, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.restoring import read
 
@@ -157,7 +158,8 @@ def load_steps(
     with show_progress(problem.comm, len(levels), progress, done=done) as advance:
         for number, time in enumerate(levels[done:], start=done + 1):
             parts = _walk(problem, number, time, on_time, most, options, keeper)
-            step = LoadStep(number, time, parts[-1], parts, _forces(problem))
+            supports = [one.as_dict() for one in reactions(problem)]
+            step = LoadStep(number, time, parts[-1], parts, _forces(problem), supports)
             committed.history.append(step)
             committed.walked = number
             advance(step)

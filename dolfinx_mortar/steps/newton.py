@@ -49,6 +49,7 @@ from dolfinx_mortar.steps.linearisation import (
 from dolfinx_mortar.steps.overlaps import notes_on_overlaps
 from dolfinx_mortar.steps.passing import describe_passing
 from dolfinx_mortar.steps.problem import ContactProblem
+from dolfinx_mortar.steps.reaction import support_forces
 from dolfinx_mortar.steps.report import Iteration, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.residuals import (
     Residuals,
@@ -387,6 +388,7 @@ class _Step:
             problem, report, contacts, residual, sliders, left_out
         )
         problem.committed.contacts = contacts.active, contacts.sliding
+        problem.committed.supports = support_forces(problem, iterate.balance)
         report.converged = True
 
     def elastic_norm(self, du: PETSc.Vec) -> float:

@@ -50,9 +50,7 @@ def progress(
     Raises:
         ValueError: on all ranks, if ``wanted`` is none of the three on any; collective.
     """
-    with raised_together(comm):
-        if not (wanted is None or isinstance(wanted, bool)):
-            raise ValueError(f"progress is {wanted!r}: choose True, False or None")
+    _check(comm, wanted)
     if comm.rank != 0:
         return nullcontext(lambda step: None)
     terminals = sys.stdout.isatty() and sys.stderr.isatty()
@@ -67,6 +65,41 @@ def progress(
         except ImportError:
             pass
     return nullcontext(_lines(total, shown=wanted))
+
+
+def lines(comm: MPI.Comm, wanted: bool | None) -> Callable[[str], None]:
+    """Return what logs a line on rank 0 and, if wanted, prints it unless the log shows it.
+
+    Args:
+        comm: ranks that work together.
+        wanted: None prints where logging is not configured, but not in notebooks.
+
+    Raises:
+        ValueError: on all ranks, if ``wanted`` is none of the three on any; collective.
+    """
+    _check(comm, wanted)
+    if comm.rank != 0:
+        return lambda line: None
+    shown = not (is_configured() or _in_notebook()) if wanted is None else wanted
+
+    def tell(line: str) -> None:
+        log.info("%s", line)
+        _show(line, shown=shown)
+
+    return tell
+
+
+def _check(comm: MPI.Comm, wanted: bool | None) -> None:
+    """Raise a ValueError on all ranks unless ``wanted`` is True, False or None; collective."""
+    with raised_together(comm):
+        if not (wanted is None or isinstance(wanted, bool)):
+            raise ValueError(f"progress is {wanted!r}: choose True, False or None")
+
+
+def _show(line: str, *, shown: bool) -> None:
+    """Print a line unless the log shows it."""
+    if shown and not (is_configured() and log.isEnabledFor(logging.INFO)):
+        print(line, file=sys.stderr, flush=True)
 
 
 def _in_notebook() -> bool:
@@ -85,9 +118,7 @@ def _lines(total: int, *, shown: bool) -> Advance:
     """Return what logs every step, and prints its line unless the log shows it."""
 
     def advance(step: LoadStep) -> None:
-        line = _tell(total, step)
-        if shown and not (is_configured() and log.isEnabledFor(logging.INFO)):
-            print(line, file=sys.stderr, flush=True)
+        _show(_tell(total, step), shown=shown)
 
     return advance
 

@@ -236,17 +236,21 @@ class LoadStep:
     report: StepReport  # of the last part
     parts: list[StepReport] = field(default_factory=list)  # one, or several after cut-backs
     forces: list[list[float]] = field(default_factory=list)  # on the slave side of each interface
+    # of each of problem.bcs: "force", "moment" and "about", see `Reaction`
+    reactions: list[dict[str, Any]] = field(default_factory=list)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the step as plain numbers, strings, lists and dictionaries."""
         parts = [part.as_dict() for part in self.parts]
-        return {"number": self.number, "time": self.time, "parts": parts, "forces": self.forces}
+        names = ("number", "time", "forces", "reactions")
+        return {name: getattr(self, name) for name in names} | {"parts": parts}
 
     @classmethod
     def from_dict(cls, given: Mapping[str, Any]) -> LoadStep:
         """Return the step that `as_dict` has written."""
         parts = [StepReport.from_dict(part) for part in given["parts"]]
-        return cls(given["number"], given["time"], parts[-1], parts, given["forces"])
+        results = given["forces"], given["reactions"]
+        return cls(given["number"], given["time"], parts[-1], parts, *results)
 
     @property
     def outcome(self) -> str:

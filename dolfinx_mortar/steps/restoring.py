@@ -29,7 +29,7 @@ from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.steps.checkpoint import NODES, POINTS, RESULTANTS, SLIPS, name_of, places_of
 from dolfinx_mortar.steps.checks import check_owned, check_path
 from dolfinx_mortar.steps.identity import describe, differences, other_places
-from dolfinx_mortar.steps.lasting import Lasting
+from dolfinx_mortar.steps.lasting import Lasting, SupportForces
 from dolfinx_mortar.steps.report import LoadStep, StepReport
 
 FLAGS = ("active", "carries")  # columns of zeros and ones
@@ -66,6 +66,7 @@ class SavedStep(TypedDict):
     time: float
     parts: list[StepReport]
     forces: list[list[float]]
+    reactions: list[dict[str, Any]]
 
 
 class About(TypedDict):
@@ -100,6 +101,9 @@ class Saved:
         _set(lasting.u, self.tables[NODES]["displacement"])
         closed = self.tables[NODES]["active"][:, 0] > 0.0
         committed.contacts = closed, self.tables[NODES].get("sliding")  # without, begin stuck
+        supports = self.tables[NODES].get("supports")
+        halves = None if supports is None else np.split(supports, 2, axis=1)
+        committed.supports = None if halves is None else SupportForces(*halves)
         before = self.tables[NODES].get("committed", self.tables[NODES]["displacement"])
         committed.displacement[:] = before.ravel()
         shown = self.tables[POINTS]
@@ -210,7 +214,8 @@ def _columns(lasting: Lasting, table: str) -> dict[str, tuple[int, bool]]:
     d = lasting.solid.V.dofmap.index_map_bs
     if table == NODES:
         rough = {"committed": (d, False)} if lasting.system.has_friction else {}
-        return {"displacement": (d, False), "active": (1, False), "sliding": (d, True)} | rough
+        rough |= {"sliding": (d, True), "supports": (2 * d, True)}
+        return {"displacement": (d, False), "active": (1, False)} | rough
     if table == POINTS:
         fields = lasting.solid.lasting_fields().items()
         return {n: (f.function_space.dofmap.bs, n.startswith("shown/")) for n, f in fields}

@@ -21,7 +21,7 @@ from dolfinx_mortar.steps.report import LoadStep
 def summarise(step: LoadStep) -> dict[str, Any]:
     """Return what a load step cost and how well it is solved.
 
-        rows = [dm.summarise(step) | {"force": contact.force} for step in dm.load_steps(...)]
+        rows = [dm.summarise(step) | {"gap": gap()} for step in dm.load_steps(...)]
 
     Args:
         step: a committed load step.
@@ -30,7 +30,9 @@ def summarise(step: LoadStep) -> dict[str, Any]:
         "time"; "parts", their number (more than one after cut-backs); over all parts the counts
         "newton_iterations", "qp_iterations", "linear_iterations" and "factorisations", the
         "residual_history", the "notes" and this rank's "seconds" by part of the work; of the last
-        part the "linear_solver" and the "certificate".
+        part the "linear_solver" and the "certificate"; "forces", those on the slave side of each
+        interface; "reactions", "force" and "moment" about the origin of each of ``problem.bcs``,
+        see `reaction`. A step made by hand has neither.
 
     Raises:
         ValueError: for what is no load step.
@@ -52,6 +54,8 @@ def summarise(step: LoadStep) -> dict[str, Any]:
         "seconds": {name: sum(part.seconds.get(name, 0.0) for part in parts) for name in work},
         "linear_solver": step.report.linear_solver,
         "certificate": step.report.as_dict()["certificate"],
+        "forces": step.forces,
+        "reactions": step.reactions,
     }
 
 

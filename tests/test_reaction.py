@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: MIT
+"""Reactions of supports: equilibrium to round-off, nodes with contact, rings, what cannot be."""
+
+import json
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import default_scalar_type, fem, mesh
+from tests.block_piles import ABOVE, BELOW, BRIDGE, COMM, EAST, PILE, STEEL, WEST, Blocks
+from tests.pressed_blocks import PressedBlocks, rejected
+
+TIGHT = 1e-11
+
+
+def loaded_bridge(geometry="reference"):
+    """Return a solved bridge of three blocks under tractions, and its two supports."""
+    b = Blocks(BRIDGE)
+    contact = b.join(dm.Contact, (1, ABOVE), (2, BELOW))
+    tie = b.join(dm.Tie, (3, BELOW), (1, ABOVE))
+    loads = b.traction(2, ABOVE, (0.0, -2.0)) + b.traction(3, EAST, (1.0, 0.0))
+    base, wall = b.fix(1, BELOW), b.fix(2, WEST, component=0)
+    problem = b.problem([contact, tie], [base, wall], loads=loads, geometry=geometry)
+    dm.newton(problem, rtol=TIGHT)
+    return problem, base, wall
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("geometry", ["reference", "updated"])
+def test_supports_balance_the_loads(geometry):
+    """Loads: -2.6 on the middle of [0, 1.3] at y = 1; 1 to the right at y = 1/2."""
+    problem, base, wall = loaded_bridge(geometry)
+    total = dm.reaction(problem)
+    assert total.force == pytest.approx([-1.0, 2.6], rel=1e-9)
+    parts = [dm.reaction(problem, one) for one in (base, wall)]
+    assert sum(one.force for one in parts) == pytest.approx(total.force, rel=1e-12)
+    assert parts[1].force[1] == 0.0  # nothing is held there
+    assert dm.reaction(problem, [base, wall]).force == pytest.approx(total.force, rel=1e-12)
+    assert dm.reaction(problem, 10 + BELOW).force == pytest.approx(parts[0].force, rel=1e-12)
+    if geometry == "reference":  # forces act at X, as loads do
+        assert total.moment == pytest.approx(2.6 * 0.65 + 1.0 * 0.5, rel=1e-9)
+        about = np.array([0.3, 2.0])
+        moved = dm.reaction(problem, about=about)
+        arm = about[0] * total.force[1] - about[1] * total.force[0]
+        assert moved.moment == pytest.approx(total.moment - arm, rel=1e-12)
+        assert (moved.about == about).all() and (total.about == 0.0).all()
+
+
+@pytest.mark.mpi
+def test_moments_are_those_of_where_the_bodies_are():
+    """A block that has travelled by half its width: both supports balance where it is now."""
+    b = Blocks(PILE[:2])
+    contact = b.join(dm.Contact, (2, BELOW), (1, ABOVE))
+    travel = fem.Constant(b.mesh, default_scalar_type((0.5, -0.01)))
+    problem = b.problem([contact], [b.fix(1, BELOW), b.fix(2, ABOVE, value=travel)])
+    dm.newton(problem)
+    below, above = (dm.reaction(problem, bc) for bc in problem.bcs)
+    couple = 0.5 * below.force[1]  # that of the places where they were
+    assert couple > 1.0 and abs(below.moment + above.moment) < 0.05 * couple
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("held", ["slave", "master"])
+def test_nodes_with_support_and_contact(held):
+    """Blocks held along a wall, down to the contact: each wall carries its own block's push."""
+    b = Blocks(PILE[:2])
+    sides = [(2, BELOW), (1, ABOVE)] if held == "slave" else [(1, ABOVE), (2, BELOW)]
+    contact = b.join(dm.Contact, *sides)
+    bcs = [b.fix(1, BELOW), b.fix(2, WEST, component=0), b.fix(1, WEST, component=0)]
+    loads = b.traction(2, ABOVE, (0.0, -2.0)) + b.traction(2, EAST, (-3.0, 0.0))
+    problem = b.problem([contact], bcs, loads=loads, geometry="reference")
+    dm.newton(problem, rtol=TIGHT)
+    foot, upper = (dm.reaction(problem, bc).force for bc in bcs[:2])
+    assert upper == pytest.approx([3.0, 0.0], rel=1e-9)  # nothing of it goes through the contact
+    corner = dm.reaction(problem, [bcs[0], bcs[2]]).force  # whose node belongs to both
+    assert corner[1] == pytest.approx(2.0, rel=1e-9) and foot[1] == pytest.approx(2.0, rel=1e-9)
+    assert abs(corner[0]) < 1e-9 and dm.reaction(problem).force == pytest.approx([3.0, 2.0])
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("friction", [None, 0.3])
+@pytest.mark.parametrize("slave", [1, 2])
+def test_a_side_that_is_held_and_touched(slave, friction):
+    """What a block gives through a contact is carried by the very nodes that it presses on."""
+    b = Blocks(PILE[:2])
+    tags = {"slave": 10 + ABOVE, "master": 20 + BELOW}
+    if slave == 2:
+        tags = {"slave": 20 + BELOW, "master": 10 + ABOVE}
+    contact = dm.Contact(b.facets, **tags, friction=friction)
+    anvil, guide = b.fix(1, ABOVE, component=1), b.fix(2, WEST, component=0)
+    bcs = [anvil, guide, b.fix(1, ABOVE, component=0), b.fix(1, BELOW)]
+    if slave == 1:  # no direction is left to a slave node that is held altogether
+        bcs = [b.fix(1, BELOW), guide]
+        anvil = bcs[0]
+    loads = b.traction(2, ABOVE, (0.5, -2.0))
+    problem = b.problem([contact], bcs, loads=loads, geometry="reference")
+    dm.newton(problem, rtol=TIGHT)
+    assert dm.reaction(problem, anvil).force[1] == pytest.approx(2.0, rel=1e-8)
+    assert dm.reaction(problem).force == pytest.approx([-0.5, 2.0], rel=1e-8)
+    dragged = abs(dm.reaction(problem, guide).force[0] + 0.5)
+    assert dragged > 1e-2 if friction else dragged < 1e-8
+
+
+def cube():
+    """Return a cube that is held at its foot and pulled askew at its head, and its tags."""
+    box = mesh.create_unit_cube(COMM, 2, 2, 2)
+    V = fem.functionspace(box, ("Lagrange", 1, (3,)))
+    ends = [
+        mesh.locate_entities_boundary(box, 2, lambda x, z=z: np.isclose(x[2], z)) for z in (0, 1)
+    ]
+    facets = np.concatenate(ends)
+    order = np.argsort(facets)
+    marks = np.repeat(np.array([4, 9], np.int32), [len(end) for end in ends])
+    tags = mesh.meshtags(box, 2, facets[order], marks[order])
+    tags = dm.Tags(tags, {"foot": 4, "head": 9})
+    foot = fem.locate_dofs_topological(V, 2, tags.find("foot"))
+    bcs = [fem.dirichletbc(np.zeros(3), foot, V)]
+    ds = ufl.Measure("ds", box, subdomain_data=tags)
+    pull = fem.Constant(box, default_scalar_type((1.0, 2.0, 3.0)))
+    loads = ufl.inner(pull, ufl.TestFunction(V)) * ds(9)
+    return dm.ContactProblem(dm.Solid(fem.Function(V), STEEL), bcs=bcs, loads=loads), tags
+
+
+@pytest.mark.mpi
+def test_moments_in_space():
+    """The pull (1, 2, 3) acts at (.5, .5, 1); every way to name the support is the same."""
+    problem, tags = cube()
+    dm.newton(problem, rtol=TIGHT)
+    about, pull = np.array([0.1, -0.2, 0.3]), np.array([1.0, 2.0, 3.0])
+    expected = -np.cross(np.array([0.5, 0.5, 1.0]) - about, pull)
+    (bc,) = problem.bcs
+    nodes = fem.locate_dofs_topological(problem.V, 2, tags.find("foot"))
+    dofs = (3 * nodes[:, None] + np.arange(3)).ravel()
+    for support in ("foot", 4, np.int32(4), bc, [bc], dofs, None):
+        facet_tags = tags if isinstance(support, str | int | np.int32) else None
+        found = dm.reaction(problem, support, facet_tags, about=about)
+        assert found.force == pytest.approx(-pull, rel=1e-9)
+        assert found.moment == pytest.approx(expected, rel=1e-9) and found.moment.shape == (3,)
+
+
+@pytest.mark.mpi
+def test_the_whole_ring():
+    """A tube 1 < r < 2 pressed at its end: 3 pi p; no moment about the axis' points."""
+    b = Blocks([(1.0, 2.0, 0.0, 1.0, 3, 2)], cell="quadrilateral")
+    solid = dm.Solid(b.u, STEEL, kinematics="axisymmetric")
+    foot = b.fix(1, BELOW, component=1)
+    bore = b.fix(1, WEST, component=0)
+    problem = dm.ContactProblem(solid, bcs=[foot, bore], loads=b.traction(1, ABOVE, (0.0, -5.0)))
+    dm.newton(problem, rtol=TIGHT)
+    assert dm.reaction(problem, foot).force == pytest.approx([0.0, 15 * np.pi], rel=1e-9)
+    assert dm.reaction(problem, bore).force[0] < -1.0  # the wider tube is held back, all around
+    assert dm.reaction(problem).moment == 0.0
+    with rejected("about is ", "leave it out"):
+        dm.reaction(problem, about=[0.0, 0.0])
+
+
+# -- when
+
+
+@pytest.mark.mpi
+def test_it_is_that_of_the_last_step_whatever_comes_after():
+    """Loads and u that are set anew, a failed step: as with the forces of contacts."""
+    problem, base, _ = loaded_bridge()
+    before = dm.reaction(problem, base)
+    problem.commit()
+    assert (dm.reaction(problem, base).force == before.force).all()
+    problem.u.x.array[:] += 1.0
+    assert dm.reaction(problem, base).moment == before.moment
+    with pytest.raises(dm.NewtonNotConverged):
+        dm.newton(problem, max_it=1, rtol=1e-13)
+    assert (dm.reaction(problem, base).force == before.force).all()
+    fresh = Blocks(PILE[:1])
+    problem = fresh.problem([], [fresh.fix(1, BELOW)])
+    with rejected("no reactions yet", "solve a step first"):
+        dm.reaction(problem)
+
+
+@pytest.mark.mpi
+def test_a_preload_that_fails_leaves_it():
+    b = Blocks(PILE[:2])
+    tie = b.join(dm.Tie, (2, BELOW), (1, ABOVE))
+    problem = b.problem([tie], [b.fix(1, BELOW)], loads=b.traction(2, ABOVE, (0.0, -2.0)))
+    dm.newton(problem)
+    before = dm.reaction(problem)
+    with pytest.raises(dm.PreloadNotReached):
+        dm.preload(problem, tie, 1.0, [0.0, -1.0])
+    assert (dm.reaction(problem).force == before.force).all()
+
+
+@pytest.mark.mpi
+def test_rows_of_load_steps_have_it_and_a_checkpoint_too(tmp_path):
+    file = COMM.bcast(tmp_path) / "walk.h5"
+    case = PressedBlocks()
+    problem = case.problem()
+
+    def push(t):
+        case.top.value[:] = 0.0, -0.01 * t
+
+    *_, step = dm.load_steps(problem, [0.5, 1.0], on_time=push, checkpoint=file)
+    row = dm.summarise(step)
+    contact = problem.interfaces[0]
+    assert row["forces"] == [contact.force.tolist()]
+    below, above = row["reactions"]
+    assert np.allclose(below["force"], -contact.force, rtol=1e-5, atol=1e-5)
+    assert above["force"] == dm.reaction(problem, problem.bcs[1]).force.tolist()
+    assert above["moment"] == dm.reaction(problem, problem.bcs[1]).moment
+    other = PressedBlocks()
+    again = other.problem()
+    again.restore(file)
+    found, first = dm.reaction(again, again.bcs[1]), dm.reaction(problem, problem.bcs[1])
+    assert found.force == pytest.approx(first.force, rel=1e-14)
+    assert found.moment == pytest.approx(first.moment, rel=1e-14)
+    assert dm.summarise(again.history[-1])["reactions"] == json.loads(json.dumps(row["reactions"]))
+
+
+# -- what cannot be
+
+
+@pytest.mark.mpi
+def test_supports_that_are_none():
+    problem, tags = cube()
+    dm.newton(problem)
+    (bc,) = problem.bcs
+    other = fem.dirichletbc(np.zeros(3), np.zeros(0, np.int32), cube()[0].V)
+    top = fem.locate_dofs_topological(problem.V.sub(0), 2, tags.find("head"))
+    last = 3 * len(problem.u.x.array)
+    none = np.zeros(0, np.int32)
+    for words, support, facet_tags in (
+        (("facet_tags is None", "reaction(problem, support, facet_tags)"), 4, None),
+        (("facet_tags is 7",), 4, 7),
+        (("support is 5", "'foot' (4), 'head' (9)"), 5, tags),
+        (("support is 'fot'", "did you mean 'foot'?"), "fot", tags),
+        (("support is 4294967300", "32 bits"), 2**32 + 4, tags),
+        (("support is 'head'", "prescribe nothing"), "head", tags),
+        (("of another mesh",), "foot", cube()[1]),
+        (("support holds dof -1",), [-1], None),
+        (("support holds dof",), [last] if COMM.rank == 0 else none, None),
+        (("not prescribed by problem.bcs", "returns nodes"), top, None),
+        (("support is 4.5",), 4.5, None),
+        (("support is True",), True, None),
+        (("support is [[",), [[1, 2], [3]], None),
+        (("support holds", "problem.bcs"), [bc, 3], None),
+        (("support holds", "problem.bcs"), other, None),
+    ):
+        with rejected(*words):
+            dm.reaction(problem, support, facet_tags)
+    for about in (1.0, [0.0, 0.0], [0.0, np.nan, 0.0], "head"):
+        with rejected("about is ", "3 finite coordinates"):
+            dm.reaction(problem, about=about)
+    if COMM.size > 1:
+        with rejected("support differs between the ranks"):
+            dm.reaction(problem, "foot" if COMM.rank else "head", tags)
+    with rejected("problem is "):
+        dm.reaction(problem.solid)
