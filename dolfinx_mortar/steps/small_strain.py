@@ -71,7 +71,8 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
     def per_cell(values: Floats) -> Floats:
         return np.asarray((values.reshape(-1, points) * volume).sum(axis=1))
 
-    stress = tensor_of(solid.fields.values("stress").reshape(volume.size, -1))
+    components = solid.stress.function_space.dofmap.bs
+    stress = tensor_of(solid.fields.values("stress").reshape(-1, components))  # of no cell, too
     size = np.linalg.norm(found.left_out, axis=(1, 2))
     # the work of a cell as a whole: where its volume is constrained, points differ much
     work, space = np.abs(per_cell((stress * found.seen).sum(axis=(1, 2)))), volume.sum(axis=1)
