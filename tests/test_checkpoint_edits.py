@@ -111,7 +111,7 @@ def edits_of(name, array):
 
 def allowed(name, how):
     """Tell whether an edit makes another whole checkpoint: there may be no such column, no gap."""
-    optional = name.endswith("/sliding") or "/shown/" in name
+    optional = name.endswith(("/sliding", "/supports")) or "/shown/" in name
     return (how == "missing" and optional) or (how == "nan" and name.endswith("/gap"))
 
 
@@ -184,6 +184,8 @@ def whole(about, path, value, old):
         return value is None
     if path[0] == "steps" and path[2:] == ("forces",):
         return value == [] or value == [[1.0]]
+    if path[0] == "steps" and path[2:] == ("reactions",):
+        return value == []
     if "center" in path and isinstance(value, float):
         return isinstance(old, float) and abs(value - old) < 1e-12
     return value == old

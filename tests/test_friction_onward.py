@@ -8,7 +8,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.steps import preload as tightening
+from dolfinx_mortar.steps import tightening
 from tests.block_piles import ABOVE, BELOW, COMM, Blocks
 from tests.friction_case import create
 

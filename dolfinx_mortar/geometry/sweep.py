@@ -21,7 +21,9 @@ def flat_parts(facets: Facets) -> Floats:
         (2, 3, 3)
     """
     x = facets.x[:, np.array(facets.element.vertices)]
-    return np.concatenate([x[:, [0, 1, 2]], x[:, [0, 2, 3]]]) if x.shape[1] == 4 else x
+    if not facets.element.bilinear:
+        return x
+    return np.concatenate([x[:, [0, 1, 2]], x[:, [0, 2, 3]]])
 
 
 def find_passing(p: tuple[Floats, Floats], x: tuple[Floats, Floats]) -> Longs:
