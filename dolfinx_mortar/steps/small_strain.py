@@ -79,7 +79,8 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
     left, made = per_cell(size), per_cell(found.turned(stress))
     angles = np.linalg.norm(found.rotation, axis=1)
     columns = (space, left, work, work * left / space, made)
-    local = np.array([np.bincount(body, column, count) for column in columns])
+    # of no cells NumPy counts integers, whatever the weights
+    local = np.array([np.bincount(body, column, count) for column in columns], dtype=float)
     sums = np.zeros_like(local)
     comm.Allreduce(local, sums, op=MPI.SUM)
     strains, seen = (np.linalg.norm(e, axis=(1, 2)) for e in (found.strain, found.seen))
