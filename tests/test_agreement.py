@@ -185,6 +185,15 @@ def test_a_jump_that_has_been_set_anew(case):
     refused("interfaces[0].tightening", lambda: dm.newton(problem))
 
 
+@pytest.mark.parametrize("name", ["path", "resume"])
+def test_arguments_of_a_writer(case, tmp_path, name):
+    """Ranks that resume read together what the others do not."""
+    path, problem = COMM.bcast(tmp_path) / "out.xdmf", case.problem()
+    other = path.with_name("other.xdmf") if HERE and name == "path" else path
+    resume = HERE and name == "resume"
+    refused(name, lambda: dm.Writer(other, problem, resume=resume).close())
+
+
 # -- what may differ
 
 

@@ -27,6 +27,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import default_scalar_type, fem, plot
+from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raise_together, raised_together
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.output.files import (
@@ -107,6 +108,7 @@ class Writer:
         V = _space(problem)
         self.comm: MPI.Intracomm = V.mesh.comm
         cell = V.mesh.topology.cell_type.name, V.dofmap.dof_layout.num_dofs
+        check_same_on_all_ranks(self.comm, path=path, resume=resume)
         with raised_together(self.comm):
             self.path = _path(path)
             self._root, self._collection = create_tree({} if notes is None else notes)
