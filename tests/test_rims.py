@@ -48,6 +48,7 @@ def test_who_has_returned_stays():
     assert rim.notes == []
     assert rim.carries(0.053) and rim.carries(0.042) and rim.carries(0.026)
     assert len(rim.notes) == 1 and "whether 1 slave nodes" in rim.notes[0]
+    assert rim.carries(0.06) and rim.notes == []  # it has only been elsewhere on the way
     assert not rim.carries(0.024) and not rim.carries(0.042) and rim.carries(0.053)
 
 

@@ -51,11 +51,13 @@ def notes_on_few_nodes(links: Sequence[Link], contacts: Contacts) -> list[str]:
 def notes_on_rims(links: Sequence[Link]) -> list[str]:
     """Return a note for each interface with nodes that lost and regained a multiplier; collective.
 
-    They keep it although less of them is covered than others need (`mortar.operators.STAYS`).
+    They keep it although less of them is covered than others need (`mortar.operators.STAYS`). Those
+    that are covered well again have only been elsewhere on the way.
     """
     notes = []
     for link in links:
-        own = int(link.coupling.returned.any(axis=1).sum())
+        faces = link.coupling.coverage.faces
+        own = int((link.coupling.returned.any(axis=1) & ~faces).sum())
         if count := link.sides.V.mesh.comm.allreduce(own, op=MPI.SUM):
             notes.append(
                 f"{link.interface}: whether {count} slave nodes at the rim of the other side carry "
