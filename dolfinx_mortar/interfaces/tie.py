@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from numbers import Real
 from typing import Any
 
 from petsc4py import PETSc
@@ -12,6 +11,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
+from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import Constraints, equalities
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Frame, Interface
@@ -171,7 +171,8 @@ def _check_within(within: Any) -> float | None:
     """Return the largest distance over which to tie as a number, None for the default."""
     if within is None:
         return None
-    if not isinstance(within, Real) or isinstance(within, bool) or not float(within) > 0.0:
+    everything = isinstance(within, float) and within == np.inf
+    if not ((is_number(within) and within > 0.0) or everything):
         raise ValueError(
             f"within is {within!r}: give the largest distance over which to tie, a length > 0, or "
             "None for what the facets' size makes plausible"
