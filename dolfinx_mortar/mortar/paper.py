@@ -5,7 +5,8 @@ Eq. 16, B_I v <= c_I, with B_I = N^T (D - M) of eq. 17 and c_I = -N^T (D - M) X 
 blocks of D and M are those of eqs. 19 and 20, times the identity.
 
 The solver does not take this way: it keeps one entry per pair of nodes (`operators`) and turns them
-into a change of basis (`interfaces.basis`).
+into a change of basis (`interfaces.basis`). At edges and corners it has other normals and functions
+than the averaged normals and dual functions here, see `edges`.
 """
 
 from __future__ import annotations
