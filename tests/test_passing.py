@@ -11,6 +11,7 @@ from dolfinx import fem
 from dolfinx.mesh import meshtags
 from dolfinx_mortar.geometry.sweep import find_passing
 from dolfinx_mortar.mortar import passing
+from dolfinx_mortar.steps import failures
 from dolfinx_mortar.steps.passing import describe_passing
 from tests.hertz_case import create_mesh
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, UPPER, skins, two_blocks
@@ -123,6 +124,16 @@ def test_a_disc_through_a_strip_is_no_step(slave, top):
         with pytest.raises(dm.NewtonNotConverged, match="has passed through the other one"):
             dm.newton(pushed.problem)
         assert (pushed.problem.u.x.array == before).all()
+
+
+def test_what_flows_on_the_other_side_is_no_cause(monkeypatch):
+    """Nor what floats there: the message says what has passed, and nothing else."""
+    pushed = Pushed()
+    monkeypatch.setattr(failures, "describe_flow", lambda problem: "limit load?")
+    pushed.move(0.0, -6.0)
+    with pytest.raises(dm.NewtonNotConverged, match=r"has passed through.*as before") as caught:
+        dm.newton(pushed.problem)
+    assert "limit load?" not in str(caught.value)
 
 
 @pytest.mark.mpi

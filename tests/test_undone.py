@@ -117,8 +117,15 @@ def test_a_first_step_that_fails_shows_nothing(volumetric):
     assert not solid.stress.x.array.any() and solid.max("plastic_strain_norm") == 0.0
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
-def test_a_step_that_is_stopped_when_its_results_are_set(monkeypatch, error):
+@pytest.mark.parametrize(
+    ("error", "where"),
+    [
+        (KeyboardInterrupt, "create_certificate"),
+        (ValueError, "create_certificate"),
+        (KeyboardInterrupt, "support_forces"),
+    ],
+)
+def test_a_step_that_is_stopped_when_its_results_are_set(monkeypatch, error, where):
     """Forces, pressures, slips and dissipation are those of the displacement: of the step before.
 
     Were the slips left, a commit would count them.
@@ -131,7 +138,8 @@ def test_a_step_that_is_stopped_when_its_results_are_set(monkeypatch, error):
         fields = [contact.pressure, contact.gap, contact.active, contact.traction]
         fields += [contact.step_slip, contact.slip, contact.status]
         numbers = [contact.force, contact.moment, contact.master_force, contact.dissipation]
-        state = [problem.committed.slid, problem.committed.dissipated, problem.committed.active]
+        committed = problem.committed
+        state = [committed.slid, committed.dissipated, committed.active, committed.sliding]
         return [f.x.array.copy() for f in fields] + [np.array(n) for n in [*numbers, *state]]
 
     def unchanged():  # gaps are not-a-number where a node faces nobody
@@ -146,7 +154,7 @@ def test_a_step_that_is_stopped_when_its_results_are_set(monkeypatch, error):
         raise error("no certificate")
 
     with monkeypatch.context() as patch:
-        patch.setattr(newton_module, "create_certificate", stop)
+        patch.setattr(newton_module, where, stop)
         case.push(0.02, -0.011)
         with pytest.raises(error, match="no certificate"):
             dm.newton(problem)

@@ -358,8 +358,8 @@ class _Step:
         """Raise if bodies have passed through each other on their way."""
         with self.problem.timings("mortar"):
             passed = describe_passing(self.problem)
-        if passed:
-            raise failures.not_converged(passed, self.problem, self.report)
+        if passed:  # whatever flows or floats where they have gone is no cause
+            raise NewtonNotConverged(f"{passed}{failures.AS_BEFORE}", self.report)
 
     def finish(self, iterate: Iterate, residual: Residuals) -> None:
         """Set what the step has found."""
@@ -374,7 +374,8 @@ class _Step:
         found, links = problem.audit().stand_offs, problem.system.links
         report.notes += notes_on_facets(found, links, forces, stiffness)
         report.notes += notes_on_few_nodes(links, contacts) + notes_on_rims(links)
-        report.notes += notes_on_overlaps(links, problem.u)
+        if self.overlap == 0.0:  # what is left of an initial overlap lies deep by intention
+            report.notes += notes_on_overlaps(links, problem.u)
         with problem.timings("results"):
             problem.solid.evaluate()
         set_results(problem, iterate.balance, contacts, self.data.jumps)
@@ -387,8 +388,9 @@ class _Step:
         report.certificate = create_certificate(
             problem, report, contacts, residual, sliders, left_out
         )
+        supports = support_forces(problem, iterate.balance)  # last, nothing fails any more
         problem.committed.contacts = contacts.active, contacts.sliding
-        problem.committed.supports = support_forces(problem, iterate.balance)
+        problem.committed.supports = supports
         report.converged = True
 
     def elastic_norm(self, du: PETSc.Vec) -> float:
