@@ -29,16 +29,18 @@ RANKS = "DOLFINX_MORTAR_TEST_RANKS"
 # a rank the same for any number. On one: what knows nothing of ranks, as laws and meshes, or stands
 # on what has run on three. The slow run has all on two, the nightly one on three.
 ON_TWO = """
-    arguments audit checkpoint checkpoint_errors checkpoint_files errors failures
-    friction_errors html jump jump_errors linear loads mesh_audit msh newton output plotting
-    preload problem progress regions results smooth_contact solid solid_state summary sweep
-    tags tie_reach tying written_results
+    agreement arguments audit checkpoint checkpoint_damage checkpoint_edits checkpoint_errors
+    checkpoint_files edges errors failures friction_errors html jump jump_errors linear loads
+    mesh_audit msh newton output output_resume passing plotting preload problem progress
+    reaction regions results small_strain smooth_contact solid solid_state summary sweep tags
+    tie_reach tying written_results
 """.split()
 ON_ONE = """
-    axisymmetric_contact axisymmetric_patch axisymmetry certificate eigenstrain hardening
-    kinematics law_contact linearisation locking margin measure meshing_rings meshing_socket
-    meshing_tubes orthotropic parameters patch_3d plane_stress pointwise resolution smooth_3d
-    smooth_tie stand_off stress_laws undone user_laws volumetric
+    axisymmetric_contact axisymmetric_patch axisymmetry certificate curvature_jumps eigenstrain
+    hardening kinematics law_contact linearisation locking margin measure meshing_rings
+    meshing_socket meshing_tubes orthotropic parameters patch_3d plane_stress pointwise
+    preload_several qp_descent resolution smooth_3d smooth_second smooth_tie stand_off
+    stress_laws undone user_laws volumetric
 """.split()
 
 

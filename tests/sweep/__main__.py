@@ -60,7 +60,6 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--surface", choices=["smooth", "facets"], default="smooth")
     parser.add_argument("--output", type=Path, help="a file to which JSON lines are added")
     options = parser.parse_args(arguments)
-    logging.getLogger("dolfinx_mortar").setLevel(logging.CRITICAL)
     outcomes = []
     for kind in options.kinds:
         for seed in options.seeds:
@@ -74,4 +73,5 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
+    logging.getLogger("dolfinx_mortar").setLevel(logging.CRITICAL)
     sys.exit(main())
