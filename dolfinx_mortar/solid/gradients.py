@@ -46,7 +46,10 @@ class Gradients:
         for i, j, w in ((2, 1, x), (0, 2, y), (1, 0, z)):
             H[..., i, j] += w
             H[..., j, i] -= w
-        return np.asarray(0.5 * np.swapaxes(H, -1, -2) @ H)
+        result = np.empty_like(H)
+        for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):  # products of stacks are slow
+            result[:, i, j] = result[:, j, i] = 0.5 * np.einsum("nk,nk->n", H[:, :, i], H[:, :, j])
+        return result
 
     def turned(self, stress: Floats) -> Floats:
         """Return stress : W^T W / 2 (n,), the part of a small strain's rotation W alone.

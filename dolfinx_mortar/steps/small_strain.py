@@ -75,7 +75,7 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
     stress = tensor_of(solid.fields.values("stress").reshape(-1, components))  # of no cell, too
     size = np.linalg.norm(found.left_out, axis=(1, 2))
     # the work of a cell as a whole: where its volume is constrained, points differ much
-    work, space = np.abs(per_cell((stress * found.seen).sum(axis=(1, 2)))), volume.sum(axis=1)
+    work, space = np.abs(per_cell(np.einsum("nij,nij->n", stress, found.seen))), volume.sum(axis=1)
     left, made = per_cell(size), per_cell(found.turned(stress))
     angles = np.linalg.norm(found.rotation, axis=1)
     columns = (space, left, work, work * left / space, made)
