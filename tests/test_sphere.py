@@ -143,8 +143,8 @@ def test_second_order_tetrahedra():
 def test_sections_of_second_order(cell, geometry, slave):
     """The section of the ball and a round block: the force to 0.05 %.
 
-    The node on the axis has no weight, so no multiplier: its pressure is that of its facet, and it is
-    active as its neighbours are.
+    The node on the axis has no weight, so no multiplier: its pressure is that of its facet, and
+    it is active as its neighbours are.
     """
     m = dm.meshing.hertz(COMM, kind="graded", h=0.05, half=True, block=(36.0, 10.0), cell=cell)
     V = fem.functionspace(m.mesh, ("Lagrange", 2, (2,)))

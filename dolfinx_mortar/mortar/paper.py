@@ -6,7 +6,7 @@ blocks of D and M are those of eqs. 19 and 20, times the identity.
 
 The solver does not take this way: it keeps one entry per pair of nodes (`operators`) and turns them
 into a change of basis (`interfaces.basis`). At edges and corners it has other normals and functions
-than the averaged normals and dual functions here, see `edges`.
+than the averaged normals and dual functions here, unless `feature_angle` asks for them: `edges`.
 """
 
 from __future__ import annotations
@@ -21,11 +21,13 @@ from scipy.sparse import csr_array, kron
 
 import dolfinx
 from dolfinx_mortar.arrays import Floats, Ints, Longs
+from dolfinx_mortar.mortar.edges import edge_normals, find_edges, open_duals
 from dolfinx_mortar.mortar.operators import (
     assemble_node_matrices,
     default_keep,
     find_segments,
     node_weights,
+    weighted_duals,
 )
 from dolfinx_mortar.mortar.pairing import Weight, create_pairing
 from dolfinx_mortar.mortar.surface import create_surface
@@ -75,6 +77,7 @@ def assemble_mortar(
     u: dolfinx.fem.Function | None = None,
     weight: Weight | None = None,
     stays: Longs | None = None,
+    feature_angle: float | None = None,
 ) -> Mortar:
     """Assemble the paper's matrices D, M and N and the weighted gap (collective).
 
@@ -91,6 +94,8 @@ def assemble_mortar(
             2 pi r; 1 if not given.
         stays: Global nodes that keep their multiplier where they are hardly covered, as those do
             that a step has found to lose and get it back in turn.
+        feature_angle: Degrees between slave facets from which on they meet in an edge, where nodes
+            then have the normals and functions that `Contact` gives them; no edges if not given.
 
     Raises:
         ValueError: On all ranks, for tags, spaces and displacements that make no sense.
@@ -107,7 +112,12 @@ def assemble_mortar(
         marks = np.isin(known, np.concatenate(V.mesh.comm.allgather(np.asarray(stays))))
     covered, tributary = node_weights(pairing, segments)
     keep = default_keep(pairing, segments, covered, tributary, stays=marks)
-    node_D, node_M = assemble_node_matrices(pairing, segments, keep)
+    Phi = weighted_duals(pairing, segments, keep)
+    edges = None if feature_angle is None else find_edges(surfaces[0], feature_angle)
+    if edges is not None:
+        normals = edge_normals(pairing, segments, u, normals, edges)
+        Phi = open_duals(pairing, segments, u, Phi, keep, edges, np.zeros_like(keep))
+    node_D, node_M = assemble_node_matrices(pairing, segments, keep, Phi)
     own = surfaces[0].nodes[: surfaces[0].owned]
     kept = keep[: len(own)]
     D, M = (_expand_rows(A, own[kept], V) for A in (node_D, node_M))

@@ -160,6 +160,7 @@ def _contact(
     link = problem.system.link(contact)
     stays = V.dofmap.index_map.local_to_global(link.nodes[link.coupling.returned[:, 0]])
     pair = {"slave": sides[0], "master": sides[1], "u": u, "stays": stays}
+    pair["feature_angle"] = contact.feature_angle
     mortar = dm.assemble_mortar(V, case.facet_tags, weight=weight, **pair)
     B = mortar.D - mortar.M
     nodes = mortar.nodes - V.dofmap.index_map.local_range[0]
