@@ -11,7 +11,7 @@ identity h is exact to leading order wherever the nodes lie; on plane sides it v
 
 Where two sides touch they are one surface, and the facets of both stand off that one. Bodies of one
 stiffness bend each other to the mean of their curvatures, K = (K_s - K_m) / 2 with e_ab.K e_ab =
-c_ab and each sign for its own outward normal; sides that fit closely have it from the begin. So
+c_ab and each sign for its own outward normal; sides that fit closely have it from the start. So
 c_ab is the mean of a side's own and of what the other one's curvature would make of its edges.
 (With its own alone, a ball on a block, frozen, has to be flattened by its sagittas: forces of
 Hertz' contact are 1 to 10 % too large. With the mean they are as with facets, which suit it, and
