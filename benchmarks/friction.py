@@ -43,10 +43,10 @@ def create(dimension: int, mesh: Any, law: str, geometry: str, friction: float |
     V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (dimension,)))
     top = fem.Constant(mesh.mesh, np.zeros(dimension))
     if dimension == 2:
-        held, moved = dm.meshing.BOTTOM, dm.meshing.FLAT
-        slave, master = dm.meshing.TOP, dm.meshing.ARC
+        held, moved = "bottom", "flat"
+        slave, master = "top", "arc"
     else:
-        held, moved, slave, master = 1, 2, 3, 4
+        held, moved, slave, master = "bottom", "flat", "top", "sphere"
     bcs = [
         fem.dirichletbc(
             value, fem.locate_dofs_topological(V, dimension - 1, mesh.facet_tags.find(tag)), V

@@ -135,8 +135,8 @@ def measure_reference(problem: dm.ContactProblem, clock: Clock) -> dict[str, flo
     factorisations, solves = [], []
     for _ in range(3):
         ksp = PETSc.KSP().create(problem.comm)
-        ksp.setOptionsPrefix(linear.prefix)
-        with linear.database(linear.prefix):
+        ksp.setOptionsPrefix(linear.options.prefix)
+        with linear.options.database(linear.options.prefix):
             ksp.setFromOptions()
             ksp.setType("preonly")
             ksp.setOperators(K)
@@ -197,7 +197,7 @@ def run_case(
         "seconds": report.seconds,
         "per_iteration": [[i.linear_iterations, i.factorisations] for i in report.iterations],
     }
-    result["mortar"] = clock.median(lambda: problem.update_geometry(0.0, search=True))
+    result["mortar"] = clock.median(lambda: problem.update_geometry(0.0))
     return result | measure_reference(problem, clock)
 
 

@@ -41,7 +41,7 @@ PARTS = ("mortar", "assembly", "transform", "linear_solves", "total")
 
 
 def create(
-    mesh: dm.meshing.SphereMesh, law: str, kind: str, geometry: str = "reference", degree: int = 1
+    mesh: dm.meshing.TaggedMesh, law: str, kind: str, geometry: str = "reference", degree: int = 1
 ) -> tuple[dm.ContactProblem, fem.Constant]:
     """Return the problem with its interface in contact or tied, and what pushes the ball down."""
     V = fem.functionspace(mesh.mesh, ("Lagrange", degree, (3,)))
@@ -61,7 +61,7 @@ def create(
 
 
 def measure(
-    mesh: dm.meshing.SphereMesh, law: str, kind: str, geometry: str = "reference", degree: int = 1
+    mesh: dm.meshing.TaggedMesh, law: str, kind: str, geometry: str = "reference", degree: int = 1
 ) -> dict[str, Any]:
     """Solve one step and return its numbers."""
     COMM.barrier()
@@ -84,7 +84,7 @@ def measure(
     }
 
 
-def measure_history(mesh: dm.meshing.SphereMesh, degree: int) -> dict[str, Any]:
+def measure_history(mesh: dm.meshing.TaggedMesh, degree: int) -> dict[str, Any]:
     """Press the ball in ten equal elastic steps, with updated geometry."""
     problem, down = create(mesh, "elastic", "contact", "updated", degree)
     seconds, krylov = [], 0

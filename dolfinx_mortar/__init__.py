@@ -13,7 +13,6 @@ The theory is in Cermak, Svetlik, Varga, Pospisil (2024), doi 10.4203/ccc.9.10.3
 from dolfinx_mortar import analytic, materials, meshing, plotting
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.tie import Tie
-from dolfinx_mortar.log import add_last_resort
 from dolfinx_mortar.materials import (
     DruckerPrager,
     Elastic,
@@ -24,19 +23,18 @@ from dolfinx_mortar.materials import (
 )
 from dolfinx_mortar.mortar.paper import Mortar, assemble_mortar
 from dolfinx_mortar.output import Writer
+from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPNotSolved
+from dolfinx_mortar.report.reaction import Reaction, reaction
+from dolfinx_mortar.report.summary import summarise, write_summary
 from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.step_report import LoadStep, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.load_steps import load_steps
 from dolfinx_mortar.steps.newton import newton
-from dolfinx_mortar.steps.preload import Preload, preload
-from dolfinx_mortar.steps.problem import ContactProblem
-from dolfinx_mortar.steps.reaction import Reaction, reaction
-from dolfinx_mortar.steps.report import LoadStep, NewtonNotConverged, StepReport
-from dolfinx_mortar.steps.summary import summarise, write_summary
-from dolfinx_mortar.steps.tightening import PreloadNotReached
+from dolfinx_mortar.steps.preload import Preload, PreloadNotReached, preload
 from dolfinx_mortar.tags import Tags
-
-add_last_resort()
+from dolfinx_mortar.terms.term import Term
+from dolfinx_mortar.terms.weak_forms import WeakForm
 
 __version__ = "0.1.0"
 
@@ -57,9 +55,11 @@ __all__ = [
     "Solid",
     "StepReport",
     "Tags",
+    "Term",
     "Tie",
     "VonMises",
     "VonMisesVoce",
+    "WeakForm",
     "Writer",
     "analytic",
     "assemble_mortar",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What users give as arguments: the questions that all rooms ask of them, without communication."""
+"""Checks of arguments that all rooms share, without communication."""
 
 from __future__ import annotations
 

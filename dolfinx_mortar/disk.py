@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""What has to be known of a disk before HDF5 writes on it.
+"""Checks of a path and its disk before HDF5 writes there.
 
-Whether there is room, as HDF5 does not survive a full disk; and what a file is that would be
-replaced: ``Writer("run.xdmf", ..)`` and ``checkpoint="run.h5"`` mean the same one.
+Whether it can be a name; whether there is room, as HDF5 does not survive a full disk; and what a
+file is that would be replaced: ``Writer("run.xdmf", ..)`` and ``checkpoint="run.h5"`` mean the same
+one.
 """
 
 from __future__ import annotations
@@ -10,6 +11,11 @@ from __future__ import annotations
 import errno
 import os
 from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+from dolfinx_mortar.agreement import check_same_on_all_ranks
 
 CANNOT_TELL = (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS)  # file systems that allocate nothing
 
@@ -42,3 +48,21 @@ def demand_room(file: Path, size: int) -> None:
                 ) from error
         finally:
             stream.truncate(before)
+
+
+def check_path(comm: MPI.Comm, path: Any, name: str = "path") -> Path:
+    """Return a file name as a path if it is one, the same on all ranks; collective."""
+    known = isinstance(path, str | os.PathLike)
+    check_same_on_all_ranks(comm, **{name: os.fspath(path) if known else path})
+    if not known or not _can_be_name(os.fspath(path)):
+        raise ValueError(f"{name} is {path!r}: give the name of a file")
+    return Path(os.fsdecode(path))
+
+
+def _can_be_name(path: str | bytes) -> bool:
+    """Tell whether the system can call a file so, or a folder."""
+    try:
+        name = os.fsencode(path)
+    except UnicodeEncodeError:
+        return False
+    return bool(name) and b"\0" not in name

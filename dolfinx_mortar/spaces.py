@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which displacement spaces the package can work with: the one gatekeeper, for all floors."""
+"""Which displacement spaces are supported; the only check of it, for all floors."""
 
 from __future__ import annotations
 

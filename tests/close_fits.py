@@ -10,7 +10,7 @@ import numpy as np
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
-from dolfinx_mortar.meshing.bodies import distribute
+from dolfinx_mortar.meshing.two_bodies import distribute
 
 COMM = MPI.COMM_WORLD
 

@@ -15,11 +15,11 @@ from dolfinx import fem
 
 PLASTIC = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
 ELASTIC = dm.Elastic(E=206_900.0, nu=0.29)
-SIDES = {"block": (dm.meshing.TOP, dm.meshing.ARC), "disc": (dm.meshing.ARC, dm.meshing.TOP)}
+SIDES = {"block": ("top", "arc"), "disc": ("arc", "top")}
 
 
 @lru_cache(maxsize=2)
-def create_mesh(kind: str, h: float, **options) -> dm.meshing.HertzMesh:
+def create_mesh(kind: str, h: float, **options) -> dm.meshing.TaggedMesh:
     """Return a mesh; the last ones are kept, because gmsh takes longer than some tests."""
     return dm.meshing.hertz(MPI.COMM_WORLD, kind=kind, h=h, **options)
 
@@ -54,7 +54,7 @@ class HertzCase:
 
 
 def create_case(
-    mesh: dm.meshing.HertzMesh,
+    mesh: dm.meshing.TaggedMesh,
     materials=PLASTIC,
     *,
     slave: str = "block",
@@ -69,7 +69,7 @@ def create_case(
     V = fem.functionspace(mesh.mesh, ("Lagrange", degree, (2,)))
     solid = dm.Solid(fem.Function(V, name="u"), materials, mesh.cell_tags)
     values = [fem.Constant(mesh.mesh, np.zeros(2)) for _ in range(2)]
-    tags = (dm.meshing.BOTTOM, dm.meshing.FLAT)
+    tags = ("bottom", "flat")
     bcs = [
         fem.dirichletbc(value, fem.locate_dofs_topological(V, 1, mesh.facet_tags.find(tag)), V)
         for value, tag in zip(values, tags, strict=True)

@@ -7,7 +7,7 @@ import numpy as np
 
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
-from dolfinx_mortar.meshing.bodies import (
+from dolfinx_mortar.meshing.two_bodies import (
     distribute,
     exterior_facets,
     gmsh_model,

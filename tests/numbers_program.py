@@ -17,6 +17,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.geometry import area
+from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides, point_motions
 from dolfinx_mortar.mortar.operators import (
     assemble_motions,
     assemble_node_matrices,
@@ -26,7 +27,6 @@ from dolfinx_mortar.mortar.operators import (
     weighted_duals,
 )
 from dolfinx_mortar.mortar.pairing import create_pairing
-from dolfinx_mortar.mortar.smooth import find_smooth_sides, point_motions
 from dolfinx_mortar.mortar.surface import create_surface
 from tests.meshes import two_blocks
 from tests.meshes_3d import two_boxes

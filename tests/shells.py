@@ -6,7 +6,7 @@ from itertools import permutations
 import numpy as np
 
 from dolfinx import mesh as dmesh
-from dolfinx_mortar.meshing.bodies import distribute, exterior_facets
+from dolfinx_mortar.meshing.two_bodies import distribute, exterior_facets
 
 INNER, SLAVE, MASTER, OUTER = 1, 2, 3, 4  # circles or spheres from inside; 5, 6, 7: x, y, z = 0
 

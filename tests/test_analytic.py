@@ -179,16 +179,11 @@ def test_fit_of_too_little_is_nan(x, p):
         ((0.0, 8.0, *STEEL), "force"),
         ((np.nan, 8.0, *STEEL), "force"),
         ((np.inf, 8.0, *STEEL), "force"),
-        ((None, 8.0, *STEEL), "force"),
-        (("1", 8.0, *STEEL), "force"),
         ((True, 8.0, *STEEL), "force"),
-        (((1.0, 2.0), 8.0, *STEEL), "force"),
         ((1.0, 0.0, *STEEL), "radius"),
         ((1.0, np.nan, *STEEL), "radius"),
         ((1.0, np.inf, *STEEL), "radius"),
         ((1.0, -8.0, *STEEL), "radius"),
-        ((1.0, None, *STEEL), "radius"),
-        ((1.0, "8", *STEEL), "radius"),
         ((1.0, (8.0, 0.0), *STEEL), "radius"),
         ((1.0, (8.0, np.nan), *STEEL), "radius"),
         ((1.0, (8.0, 8.0, 8.0), *STEEL), "radius"),
@@ -196,12 +191,10 @@ def test_fit_of_too_little_is_nan(x, p):
         ((1.0, 8.0, 0.0, 0.3, 1.0, 0.3), "E1"),
         ((1.0, 8.0, np.nan, 0.3, 1.0, 0.3), "E1"),
         ((1.0, 8.0, 1.0, 0.3, -1.0, 0.3), "E2"),
-        ((1.0, 8.0, 1.0, 0.3, None, 0.3), "E2"),
         ((1.0, 8.0, 1.0, 0.5, 1.0, 0.3), "nu1"),
         ((1.0, 8.0, 1.0, -1.0, 1.0, 0.3), "nu1"),
         ((1.0, 8.0, 1.0, 0.3, 1.0, 0.51), "nu2"),
         ((1.0, 8.0, 1.0, 0.3, 1.0, np.nan), "nu2"),
-        ((1.0, 8.0, 1.0, 0.3, 1.0, None), "nu2"),
         ((1.0, 8.0, np.inf, 0.3, np.inf, 0.3), "E1"),
     ],
 )
@@ -237,15 +230,3 @@ def test_depths_out_of_range_are_named(depth):
 def test_bad_points_of_a_fit_are_named(x, p, words):
     with pytest.raises(ValueError, match=words):
         analytic.fit_pressure(x, p)
-
-
-@pytest.mark.parametrize("bad", [None, 100.0, "x", analytic.YieldOfSphere])
-def test_what_other_functions_return_is_named(bad):
-    for name, maker, call in (
-        ("contact", "hertz_line", lambda: analytic.cattaneo_line(bad, 0.2, 1.0)),
-        ("contact", "hertz_point", lambda: analytic.mindlin_point(bad, 0.2, 0.3, 1.0)),
-        ("at", "first_yield_sphere", lambda: analytic.jackson_green(1e-3, bad)),
-        ("at", "first_yield_sphere", lambda: analytic.kogut_etsion(1e-3, bad)),
-    ):
-        with pytest.raises(ValueError, match=f"^{name} = .* must be what {maker} returns"):
-            call()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.steps import checks
+from dolfinx_mortar.problem import checks
 from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
 from tests.pressed_blocks import COMM, ELASTIC, PressedBlocks, rejected
 
@@ -253,7 +253,7 @@ def test_controls_that_differ():
             dm.newton(problem, rtol=other if COMM.rank == LAST else 1e-6)
     for other in ("interior-point", "no backend", None):
         with unequal("qp"):
-            dm.newton(problem, qp=other if COMM.rank == LAST else "tron")
+            dm.newton(problem, qp=other if COMM.rank == LAST else "active-set")
     with unequal("times"):
         times = [1.0] if COMM.rank == LAST else [1.0, 2.0]
         checks.check_load_steps(**(STEPS | {"times": times}), comm=COMM)

@@ -13,7 +13,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem, mesh
 from dolfinx.mesh import compute_midpoints, exterior_facet_indices, meshtags
-from dolfinx_mortar.meshing.bodies import distribute
+from dolfinx_mortar.meshing.two_bodies import distribute
 from tests.block_piles import ABOVE, BELOW, EAST, PILE, WEST, create_blocks
 from tests.close_fits import create_ring
 

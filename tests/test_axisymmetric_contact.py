@@ -190,7 +190,7 @@ def test_of_second_order_the_pole_carries_no_multiplier(bend):
     mesh_and_tags = ball_on_flat(0.05, (4, 3), cell="triangle")
     problem, contact = pressed_ball(mesh_and_tags, dm.Elastic(E, NU), 1e-4, degree=2)
     problem.u.interpolate(lambda x: (np.zeros(x.shape[1]), bend * x[0] ** 2 / 0.025))
-    problem.update_geometry(0.0, search=True)
+    problem.update_geometry(0.0)
     link = problem.system.link(contact)
     r = problem.X[link.nodes, 0]
     near = (r < 0.05) & link.coupling.coverage.faces
@@ -252,7 +252,7 @@ def test_the_sphere_of_the_3d_benchmark(geometry, slave):
     law = dm.Elastic(206_900.0, 0.29)
     solid = dm.Solid(fem.Function(V), law, kinematics="axisymmetric")
     bcs = [held_axis(V)]
-    for tag, value in ((dm.meshing.BOTTOM, 0.0), (dm.meshing.FLAT, -0.05)):
+    for tag, value in (("bottom", 0.0), ("flat", -0.05)):
         dofs = fem.locate_dofs_topological(V, 1, tags.find(tag))
         bcs.append(fem.dirichletbc(np.array([0.0, value]), dofs, V))
     contact = dm.Contact(tags, slave=slave, master=7 - slave)

@@ -10,7 +10,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.solid.kinematics import KINEMATICS, spatial
-from dolfinx_mortar.steps.bodies import find_bodies, rigid_motions
+from dolfinx_mortar.supports.bodies import find_bodies, rigid_motions
 from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_blocks
 from tests.rings import Lame, held_axis
 
@@ -124,13 +124,15 @@ def test_loads_are_tractions_and_forces_those_of_the_ring():
     up = marked(V.mesh, 1, 1.0)
     for loads, expected in ((2.5 * v[1] * up, 2.5 * area), (-4.0 * v[1] * ufl.dx, -4.0 * area)):
         problem = dm.ContactProblem(solid, loads=loads)
-        problem.loads.assemble(f)
-        assert np.isclose(total(f.array[1::2]), expected, rtol=1e-12)
+        problem.terms.begin(0.0, 0.0)
+        problem.terms.assemble_forces(f)
+        assert np.isclose(total(f.array[1::2]), -expected, rtol=1e-12)
     spring = dm.ContactProblem(solid, potential=0.5 * 7.0 * u[1] ** 2 * up)
     u.interpolate(lambda x: np.stack([0 * x[0], 0 * x[0] + 0.1]))
-    assert np.isclose(spring.loads.energy(), 0.5 * 7.0 * 0.01 * area, rtol=1e-12)
+    ((_, term),) = spring.terms.named
+    assert np.isclose(total(term.energy()), 0.5 * 7.0 * 0.01 * area, rtol=1e-12)
     f.set(0.0)
-    spring.loads.add_forces(f)
+    term.add_forces(f)
     assert np.isclose(total(f.array[1::2]), 0.7 * area, rtol=1e-12)
 
 

@@ -13,7 +13,7 @@ from dolfinx_mortar.mortar.operators import (
     find_segments,
     node_weights,
 )
-from dolfinx_mortar.steps.linearisation import find_balance
+from dolfinx_mortar.newton_method.linearisation import find_balance
 from tests.block_piles import (
     ABOVE,
     BELOW,
@@ -158,7 +158,7 @@ def test_transformation_follows_the_geometry(partition, rng):
 @pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
 @pytest.mark.parametrize("cell, factors", [("tetrahedron", 2), ("hexahedron", 1)])
 def test_transformation_of_second_order_in_space(cell, factors, kind, rng):
-    """Middles of six-node facets lean on their ends; some nodes are removed, some held."""
+    """Middles of six-node facets depend on their ends; some nodes are removed, some held."""
     mesh, _, tags = two_boxes(COMM, (1, 1, 1), (2, 1, 1), upper=(0.0, 1.3, 0.0, 0.8), cell=cell)
     V = fem.functionspace(mesh, ("Lagrange", 2, (3,)))
     bcs = []
@@ -241,7 +241,7 @@ def test_second_claims_and_cycles_are_removed_and_said():
 
 @pytest.mark.mpi
 def test_removed_nodes_come_back_when_the_cycle_is_gone():
-    """Two interfaces lean on each other's slave nodes until one body has slid away."""
+    """Two interfaces depend on each other's slave nodes until one body has slid away."""
     b = Blocks(PILE[:2])
     up, down = (
         b.join(dm.Contact, *s) for s in (((1, ABOVE), (2, BELOW)), ((2, BELOW), (1, ABOVE)))
@@ -255,7 +255,7 @@ def test_removed_nodes_come_back_when_the_cycle_is_gone():
     for slide, gone in ((9.0, True), (0.0, False)):
         b.u.x.array[::2] = np.where(x[:, 1] > 1.0 + 1e-9, slide, 0.0)
         b.u.x.array[2 * everywhere] = slide
-        problem.update_geometry(0.0, search=True)
+        problem.update_geometry(0.0)
         banned = problem.system.link(down).banned
         assert banned[everywhere].any() != gone or everywhere.size == 0
         assert any("cycle" in note for note in problem.system.notes) != gone
@@ -272,7 +272,7 @@ def test_sides_that_turn_away_have_no_pairs_for_a_while():
     x = b.V.tabulate_dof_coordinates()[upper, :2]
     for turned in (True, False):
         b.u.x.array.reshape(-1, 2)[upper] = turned * 2 * (np.array([0.5, 1.0]) - x)  # half a turn
-        problem.update_geometry(0.0, search=True)
+        problem.update_geometry(0.0)
         (link,) = problem.system.links
         kept = COMM.allreduce(int(link.coupling.kept.sum()))
         assert kept == (0 if turned else 4)

@@ -141,8 +141,8 @@ def test_levels_are_the_same_up_to_round_off(factor, folder, monkeypatch):
         next(Press().walk([0.1, 0.2, 0.300001, 0.4], checkpoint=file))
 
 
-def test_a_run_that_is_restored_searches_where_the_other_does(folder):
-    """Pairs and claims depend on where the search was made."""
+def test_a_run_that_is_restored_pairs_where_the_other_has(folder):
+    """Pairs and claims depend on where the search was made, so a checkpoint says where."""
     press, fresh = Press(), Press()
     list(press.walk(LEVELS[:2]))
     before = press.problem.system.searches
@@ -153,8 +153,10 @@ def test_a_run_that_is_restored_searches_where_the_other_does(folder):
     fresh.problem.restore(folder / "x.h5")
     for case in (press, fresh):
         list(case.walk([0.51]))
-    # one more at the begin of the step, none in it
-    assert (press.problem.system.searches, fresh.problem.system.searches) == (before + 1, 2)
+    # the one goes on with its pairs, the other finds them again
+    assert (press.problem.system.searches, fresh.problem.system.searches) == (before, 2)
+    first, other = (case.problem.committed.paired for case in (press, fresh))
+    assert np.array_equal(first.at, other.at)
 
 
 def test_sides_that_no_longer_face_each_other(folder):

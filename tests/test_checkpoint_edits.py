@@ -7,7 +7,6 @@ Every dataset, and every value of what the file says about itself, is spoiled in
 import copy
 import json
 import shutil
-from functools import partial
 
 from mpi4py import MPI
 
@@ -36,16 +35,11 @@ def made(request, tmp_path_factory):
         for case, way in zip(cases, (0.01, 0.02), strict=True):
             if request.param == "tie":
                 case.contact.tightening = np.array([0.0, way / 10])
-            move = partial(push, case, way)
-            list(dm.load_steps(case.problem, [0.5, 1.0], on_time=move, progress=False))
+            table = [(t, case.turn @ np.array([way * t, -way * t])) for t in (0.0, 1.0)]
+            list(dm.load_steps(case.problem, [0.5, 1.0], ramp={case.top: table}, progress=False))
         cases[1].problem.save(folder / "good.h5")
         MADE[request.param] = cases[0].problem, folder / "good.h5", state_of(cases[0].problem)
     return MADE[request.param]
-
-
-def push(case, way, t):
-    """Press and push the upper block."""
-    case.push(way * t, -way * t)
 
 
 def state_of(problem):
@@ -60,8 +54,8 @@ def state_of(problem):
         found += [kept.multiplier, kept.nodes, kept.carries]
         found += [getattr(interface, name, 0.0) for name in ("tightening", "dissipated")]
     found = [np.asarray(array).tobytes() for array in [*(f.x.array for f in fields), *found]]
-    steps = [step.as_dict() for step in committed.history]
-    flags = committed.begun, committed.level, committed.walked, committed.search
+    steps = [step.as_dict() for step in committed.history], committed.walk
+    flags = committed.begun, committed.level, committed.walked
     return found, repr(steps), *flags, problem.system.faced
 
 
@@ -111,7 +105,7 @@ def edits_of(name, array):
 
 def allowed(name, how):
     """Tell whether an edit makes another whole checkpoint: there may be no such column, no gap."""
-    optional = name.endswith(("/sliding", "/supports")) or "/shown/" in name
+    optional = name.endswith(("/sliding", "/supports", "/near", "/paired")) or "/shown/" in name
     return (how == "missing" and optional) or (how == "nan" and name.endswith("/gap"))
 
 
@@ -172,12 +166,17 @@ def with_value(about, path, value):
     return about
 
 
+WITH_NUMBERS = ("level", "walk", "steps", "interfaces", "tightening")
+
+
 def whole(about, path, value, old):
     """Tell whether it may be what `save` has written: numbers of the same kind, no results."""
     if path[0] == "steps" and len(path) > 3:  # a report of what was: shown, and not gone on from
         return True
-    if isinstance(old, float) and path[0] in ("level", "steps", "interfaces", "tightening"):
+    if isinstance(old, float) and path[0] in WITH_NUMBERS:
         return isinstance(value, int | float) and np.isfinite(value) and value is not True
+    if path[0] == "walk" and len(path) < 4:  # no walk, no tables, or one less
+        return value is None or value == [] or (value is DELETED and len(path) == 3)
     if path == ("begun",):
         return value is True
     if path[0] == "interfaces" and len(path) == 2:
@@ -224,6 +223,11 @@ def test_nothing_that_the_file_says_is_believed(made):
         (("level",), float("nan"), "level is nan: need a finite number"),
         (("walked",), -1, "walked is -1, but there are 2 steps"),
         (("walked",), 3, "walked is 3, but there are 2 steps"),
+        (("walk", "start"), float("inf"), "walk['start'] is inf: need a finite number"),
+        (("walk", "ramp", 0), [[0.0, 1.0, 2.0]], "need two rows or more, of equal length"),
+        (("walk", "ramp", 0, 1), [1.0, 2.0], "need two rows or more, of equal length"),
+        (("walk", "ramp", 0, 1, 0), -1.0, "need finite numbers, and levels that rise"),
+        (("walk", "ramp", 0, 1, 1), float("nan"), "need finite numbers, and levels that rise"),
         (("begun",), 1, "about['begun'] is 1: need bool"),
         (("steps",), {}, "about['steps'] is {}: need a list"),
         (("steps", 1, "time"), float("inf"), "steps[1].time is inf: need a finite number"),

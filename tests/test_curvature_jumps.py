@@ -8,9 +8,9 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.geometry.smooth import edges, rises
-from dolfinx_mortar.mortar import smooth
-from dolfinx_mortar.mortar.smooth import smooth_normals
+from dolfinx_mortar.geometry.curvature import edge_sagittas, edges
+from dolfinx_mortar.mortar import curvature_correction as smooth
+from dolfinx_mortar.mortar.curvature_correction import smooth_normals
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
 from tests.close_fits import nested
 
@@ -86,7 +86,7 @@ def test_each_side_of_a_jump_has_its_own_curvature(pieces, counts, grading, tag)
     surface, facets, normals = normals_of(outline(pieces, counts, grading), tag)
     sign, scale = (1.0, 1.0) if tag == 2 else (-1.0, 1.5)
     length = np.linalg.norm(edges(facets)[:, 0], axis=1)
-    curvature = sign * rises(facets, normals, surface.facets)[:, 0] / length**2
+    curvature = sign * edge_sagittas(facets, normals, surface.facets)[:, 0] / length**2
     known = np.unique([c for _, c in pieces]) / scale
     assert np.abs(curvature[:, None] - known).min(axis=1).max(initial=0.0) < 1e-9
     assert normals.jumps is not None
@@ -110,7 +110,7 @@ def test_what_varies_smoothly_does_not_jump(aspect, count, spread):
     surface, facets, normals = normals_of(ellipse(aspect, count, spread))
     assert normals.jumps is not None and not normals.jumps.any()
     if aspect == 1.0:
-        c = rises(facets, normals, surface.facets)[:, 0]
+        c = edge_sagittas(facets, normals, surface.facets)[:, 0]
         assert c == pytest.approx((edges(facets)[:, 0] ** 2).sum(axis=1), rel=1e-9)
 
 

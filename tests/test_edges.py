@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Contact at edges and corners: forces are normal to both sides, whole skins cost what sides do."""
 
+import re
+
 from mpi4py import MPI
 
 import numpy as np
@@ -8,7 +10,10 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP, TOP_OF_LOWER, skins
+from dolfinx_mortar.geometry.elements import LINE2, LINE3, QUAD4, QUAD9, TRI3, TRI6
+from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
+from dolfinx_mortar.report.overlaps import notes_on_overlaps, opposite
+from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP, TOP_OF_LOWER, skins, two_blocks
 from tests.meshes_3d import rotation, two_boxes
 from tests.pressed_blocks import ELASTIC, PressedBlocks
 
@@ -93,7 +98,179 @@ def test_a_corner_that_no_node_sees_is_noted(slave, master, pressed, noted):
     assert len(found) == noted and not contact.active.x.array.any()
     for note in found:
         assert f"around (0.5, {-pressed:.4g}) the sides lie {pressed:.3g} deep" in note
+        assert f", {3 * pressed:.0%} of the finer facet there" in note
         assert f"{contact}" in note and "let the finer or sharper side be the slave" in note
+
+
+def lost(contact, problem):
+    """Return place, depth and share [%] of what the notes on overlaps say at u as it is now."""
+    form = r"around \((.*)\) the sides lie (.*) deep in each other, (.*)% of the finer facet"
+    notes = notes_on_overlaps([problem.system.link(contact)], problem.u)
+    found = (re.search(form, note).groups() for note in notes)
+    return [([float(c) for c in x.split(",")], float(d), int(s)) for x, d, s in found]
+
+
+@SLAVES
+def test_a_corner_of_either_side_is_seen_as_deep_as_it_is(slave, master):
+    """A vertex of the slave or of the master, moved into the other side after the solution.
+
+    Beyond half of the thickness of a body it is the far side's.
+    """
+    b = PressedBlocks(n_lower=(3, 2), n_upper=(2, 2), gap=1.0, transform=on_a_corner)
+    b.top.value[:] = 0.0, 0.001
+    contact = b.contact(slave, master, skins(b.mesh, b.cells, b.facets))
+    problem = b.problem([contact])
+    dm.newton(problem)
+    assert lost(contact, problem) == []
+    for depth in (0.04, 0.6):
+        b.u.interpolate(lambda x, y=-depth: np.stack([0.0 * x[0], 0.0 * x[0] + y]), b.cells.find(2))
+        b.u.x.scatter_forward()
+        found = lost(contact, problem)
+        if depth < 0.5:
+            assert found == [(pytest.approx([0.5, -depth]), depth, 12)]
+        assert all(d < 0.5 for _, d, _ in found)
+
+
+@SLAVES
+def test_a_bulge_between_vertices_is_seen(slave, master):
+    """Curved sides lie in each other where neither has a vertex."""
+    mesh, cells, facets = two_blocks(COMM, (1, 1), (1, 1), gap=0.01)
+    V = fem.functionspace(mesh, ("Lagrange", 2, (2,)))
+    bottom = fem.locate_dofs_topological(V, 1, facets.find(BOTTOM))
+    bcs = [fem.dirichletbc(np.zeros(2), bottom, V)]
+    top = fem.locate_dofs_topological(V, 1, facets.find(TOP))
+    bcs.append(fem.dirichletbc(np.zeros(2), top, V))
+    contact = dm.Contact(facets, slave=slave, master=master)
+    u = fem.Function(V)
+    problem = dm.ContactProblem(dm.Solid(u, ELASTIC), [contact], bcs=bcs)
+    dm.newton(problem)
+    u.interpolate(lambda x: np.stack([0.0 * x[0], -0.4 * x[0] * (1.0 - x[0])]), cells.find(2))
+    u.x.scatter_forward()
+    ((place, depth, share),) = lost(contact, problem)
+    assert 0.07 < depth <= 0.09 and 0.2 < place[0] < 0.8 and share == round(100.0 * depth)
+
+
+def test_the_point_opposite_another_one_lies_on_the_facet():
+    """Facets of all kinds, bent by a fifth of their size, along their mean normals."""
+    rng = np.random.default_rng(5)
+    for element in (LINE2, LINE3, TRI3, QUAD4, TRI6, QUAD9):
+        d = element.points.shape[1] + 1
+        flat = np.pad(element.points, ((0, 0), (0, 1)))
+        facets = Facets(element, flat + rng.uniform(-0.1, 0.1, (4, *flat.shape)))
+        xi = np.tile(element.points.mean(axis=0) + 0.1, (4, 1))
+        x, n = points_of(facets, np.arange(4), xi), facet_normals(facets)
+        found = opposite(facets, n, x + rng.uniform(-1.0, 1.0, (4, 1)) * n)
+        assert found.shape == (4, d) and np.abs(found - x).max() < 1e-12
+
+
+def ridges(x):
+    """Turn two cubes by 45 degrees so that an edge of one lies across one of the other."""
+    upper = x[:, 2] > 0.5
+    low = (x - [0.5, 1.0, 0.0]) @ rotation((1, 0, 0), np.radians(45)).T
+    high = (x - [1.0, 0.5, 1.0]) @ rotation((0, 1, 0), np.radians(45)).T
+    return np.where(upper[:, None], high, low)
+
+
+@pytest.mark.parametrize(("n", "degree", "noted"), [(2, 1, False), (3, 1, True), (3, 2, True)])
+@SLAVES
+def test_edges_that_cross_between_nodes_are_noted(slave, master, n, degree, noted):
+    """Facets are 1/n long, and edges lost by 0.06 of them; where they cross at nodes, none is.
+
+    Where they do on tetrahedra, slivers of a far side lie over the other body, half of it deep.
+    """
+    cell = "hexahedron" if noted else "tetrahedron"
+    n_cells = (n, n, n)
+    mesh, cells, facets = two_boxes(COMM, n_cells, n_cells, gap=1.0, cell=cell, transform=ridges)
+    V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
+    dofs = [fem.locate_dofs_topological(V, 2, facets.find(tag)) for tag in (BOTTOM, TOP)]
+    moves = np.zeros(3), np.array([0.0, 0.0, -0.02])
+    bcs = [fem.dirichletbc(move, at, V) for move, at in zip(moves, dofs, strict=True)]
+    contact = dm.Contact(skins(mesh, cells, facets), slave=slave, master=master)
+    problem = dm.ContactProblem(dm.Solid(fem.Function(V), ELASTIC), [contact], bcs=bcs)
+    dm.newton(problem)
+    crossing = [0.0, 0.0, 0.0 if slave == TOP_OF_LOWER else -0.02]
+    expected = [(pytest.approx(crossing, abs=1e-12), 0.02, 6)]
+    assert lost(contact, problem) == (expected if noted else [])
+    assert (np.abs(contact.force[2]) > 1.0) is not noted
+
+
+def arcs(x):
+    """Bend two blocks to a pin and a socket of radius 2."""
+    angle, radius = 2.0 * (x[:, 0] - 0.5), 2.0 - x[:, 1]
+    return np.stack([radius * np.sin(angle), -radius * np.cos(angle)], axis=1)
+
+
+@SLAVES
+def test_the_height_of_smooth_surfaces_is_no_overlap(slave, master):
+    """Facets of 2/3 of a radian stand off the arc by 0.11, 8 % of their length; of 1/2, by 0.06."""
+    b = PressedBlocks(n_lower=(3, 2), n_upper=(4, 2), gap=0.0, transform=arcs)
+    b.top.value[:] = 0.0, -0.001
+    contact = b.contact(slave, master)
+    report = dm.newton(b.problem([contact]))
+    assert contact.force[1] != 0.0
+    assert not [note for note in report.notes if "deep in each other" in note]
+
+
+def near_an_end(x):
+    """Turn the upper block by 20 degrees, a corner down, so that little of its bottom is faced."""
+    upper, turned = x[:, 1] > 0.5, (x - [0.0, 1.0]) @ TURN_20.T
+    return np.where(upper[:, None], turned + np.array([0.9, 0.0]), x)
+
+
+TURN_20 = rotation((0, 0, 1), np.radians(20))[:2, :2]
+
+
+def rows_of(mortar):
+    """Return D - M between nodes (nodes of this rank, all nodes), the normals and the nodes."""
+    rows = [A.getValuesCSR() for A in (mortar.D, mortar.M)]
+    B = np.zeros((len(mortar.nodes), mortar.D.getSize()[1] // 2))
+    for sign, (start, columns, values) in zip((1.0, -1.0), rows, strict=True):
+        row = np.repeat(np.arange(len(start) - 1), np.diff(start))
+        x = row % 2 == 0  # the other component has the same entries
+        np.add.at(B, (row[x] // 2, columns[x] // 2), sign * values[x])
+    return B, mortar.N.getValuesCSR()[2].reshape(-1, 2), mortar.nodes
+
+
+def rows_of_solver(problem, contact):
+    """Return the same of a contact that is solved."""
+    link = problem.system.link(contact)
+    found, pattern, V = link.coupling, link.pattern, problem.V
+    kept = found.kept[:, 0]
+    nodes = V.dofmap.index_map.local_to_global(link.nodes)
+    weight, P = found.weight[:, 0], found.P[:, 0]
+    B = np.zeros((len(nodes), V.dofmap.index_map.size_global))
+    np.add.at(B, (pattern.row, pattern.column), -weight[pattern.row] * P)
+    B[np.arange(len(nodes)), nodes] += weight
+    return B[kept], found.normals[kept], nodes[kept]
+
+
+@pytest.mark.parametrize(("angle", "other"), [(40.0, 120.0), (120.0, 40.0), (120.0, None)])
+def test_matrices_of_the_paper_have_the_edges_of_the_contact(angle, other):
+    """D, M and N are the solver's if its feature angle is given, at 120 degrees without edges.
+
+    Else the normal at the corner is the mean of both facets, and its function is shared out.
+    """
+    b = PressedBlocks(n_lower=(3, 2), n_upper=(2, 2), gap=1.0, transform=near_an_end)
+    tags, (master, slave) = skins(b.mesh, b.cells, b.facets), SIDES
+    contact = dm.Contact(tags, slave=slave, master=master, feature_angle=angle)
+    problem = b.problem([contact], geometry="reference")
+    dm.newton(problem)
+
+    def of_paper(degrees):
+        sides = {"slave": slave, "master": master}
+        return rows_of(dm.assemble_mortar(b.V, tags, **sides, feature_angle=degrees))
+
+    B, N, nodes = rows_of_solver(problem, contact)
+    D_minus_M, normals, rows = of_paper(angle)
+    assert (rows == nodes).all() and COMM.allreduce(len(nodes)) == 2
+    assert np.abs(D_minus_M - B).max(initial=0.0) < 1e-14
+    assert np.abs(normals - N).max(initial=0.0) < 1e-14
+    off = [(of_paper(other)[k] - old) for k, old in enumerate((B, N))]
+    far = [COMM.allreduce(np.abs(v).max(initial=0.0), op=MPI.MAX) for v in off]
+    if other is None:
+        assert max(far) < 1e-14
+    else:
+        assert far[0] > 0.02 and far[1] > 0.4
 
 
 def test_a_corner_beside_a_clamped_node_does_not_sink_in():

@@ -9,8 +9,8 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from dolfinx_mortar.steps.bodies import find_bodies
-from dolfinx_mortar.steps.loads import check_loads
+from dolfinx_mortar.supports.bodies import find_bodies
+from dolfinx_mortar.terms.weak_forms import check_loads
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, RIGHT, TOP, TOP_OF_LOWER, two_blocks
 from tests.meshes_3d import two_boxes
 

@@ -102,7 +102,7 @@ def test_useless_linear_solver(case, options):
 
 
 @pytest.mark.parametrize("nonsense", [np.nan, 1e11, 0.0])
-@pytest.mark.parametrize("qp", ["active-set", "interior-point", "tron"])
+@pytest.mark.parametrize("qp", ["active-set", "interior-point"])
 def test_linear_solver_that_returns_nonsense(case, monkeypatch, nonsense, qp):
     problem = case.problem()
 
@@ -214,7 +214,7 @@ def test_stop_by_the_user(case, monkeypatch):
 # -- where there is next to nothing to solve
 
 
-@pytest.mark.parametrize("qp", ["active-set", "interior-point", "tron"])
+@pytest.mark.parametrize("qp", ["active-set", "interior-point"])
 @pytest.mark.parametrize("gap", [0.0, 1e-17, -1e-17, 1e-13, -1e-15, -1e-13, -1e-11, 0.3])
 def test_rest(gap, qp):
     """No load: gaps and overlaps of round-off size are solved or ignored, and raise nothing."""

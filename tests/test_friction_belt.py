@@ -9,7 +9,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
-from dolfinx_mortar.meshing.bodies import distribute
+from dolfinx_mortar.meshing.two_bodies import distribute
 
 COMM = MPI.COMM_WORLD
 RADIUS, THICK, TAIL = 10.0, 0.1, 4.0

@@ -6,7 +6,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.qp.backends import active_set
+from dolfinx_mortar.qp import active_set
 from dolfinx_mortar.qp.updates import Outcome
 from tests.friction_case import create
 

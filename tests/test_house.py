@@ -18,18 +18,41 @@ BELOW = {
     "mortar": {"algebra", "geometry"},
     "materials": set(),
     "solid": {"algebra", "materials"},
+    "terms": {"algebra", "solid"},
     "interfaces": {"algebra", "geometry", "mortar"},
     "qp": {"algebra"},
     "checkpoint": {"algebra"},
+    "supports": {"algebra", "geometry", "interfaces", "solid"},
+    "audit": {"supports", *("algebra", "geometry", "mortar", "interfaces")},
+    "persistence": {
+        *("supports", "terms"),
+        *("algebra", "checkpoint", "interfaces", "materials", "solid"),
+    },
+    "problem": {
+        *("audit", "persistence", "supports", "terms"),
+        *("algebra", "interfaces", "mortar", "solid", "qp"),
+    },
+    "newton_method": {
+        *("problem", "persistence", "supports", "terms"),
+        *("algebra", "interfaces", "mortar", "qp"),
+    },
+    "report": {
+        *("newton_method", "problem", "persistence", "supports"),
+        *("algebra", "geometry", "mortar", "interfaces", "materials", "solid", "qp"),
+    },
     "steps": {
-        *("algebra", "checkpoint", "geometry", "mortar", "materials", "solid", "interfaces", "qp"),
+        *("report", "newton_method", "problem", "persistence", "audit", "checkpoint", "terms"),
+        *("algebra", "interfaces", "qp"),
     },
     "meshing": {"algebra"},
     "analytic": set(),
     "output": {"algebra", "materials"},
     "plotting": {"algebra", "geometry"},
 }
-OPEN = {"agreement", "arguments", "arrays", "compat", "disk", "html", "log", "spaces", "tags"}
+OPEN = {
+    *("agreement", "arguments", "arrays", "compat", "disk", "spaces"),
+    *("step_report", "tags"),
+}
 BELOW |= {room: set() for room in OPEN}  # what all may import imports nothing but the like
 FOREIGN = {  # libraries that a floor must not know
     "geometry": {"dolfinx", "petsc4py", "mpi4py", "ufl"},

@@ -62,8 +62,9 @@ class Slips:
 
 def von_mises(**changes):
     """Return a von Mises law with parts replaced."""
-    names = ("state", "linear", "elastic_stress", "updated_state", "energy")
-    methods = {name: getattr(dm.VonMises, name) for name in names} | changes
+    names = ("linear", "elastic_stress", "updated_state", "energy")
+    methods = {name: getattr(dm.VonMises, name) for name in names}
+    methods |= {"state": {"plastic_strain": (3, 3)}} | changes
     methods = {name: part for name, part in methods.items() if part is not None}
     parts = {name: staticmethod(p) if callable(p) else p for name, p in methods.items()}
     fields = [(name, float) for name in ("E", "nu", "Y", "a")]

@@ -85,7 +85,7 @@ def test_tangent_by_differences(name, cell, volumetric):
 def test_plane_stress_has_no_volume_to_reduce():
     u = create_displacement(create_domain("quadrilateral"))
     for law in (dm.Elastic(E, NU), LAWS["mixed"], dm.VonMises(E, NU, 1.0, 0.0)):
-        with pytest.raises(ValueError, match="does not declare splits"):
+        with pytest.raises(ValueError, match="not for 'plane stress': choose 'full'"):
             dm.Solid(u, law, kinematics="plane_stress", volumetric="reduced")
 
 

@@ -8,15 +8,16 @@ from mpi4py import MPI
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.steps import line_search
-from dolfinx_mortar.steps import newton as newton_module
-from dolfinx_mortar.steps.linearisation import (
+from dolfinx_mortar.newton_method import line_search
+from dolfinx_mortar.newton_method.linearisation import (
     find_balance,
     linearise,
     to_displacement,
 )
+from dolfinx_mortar.newton_method.residuals import EPS
+from dolfinx_mortar.steps import newton as newton_module
 from dolfinx_mortar.steps.newton import solve_step
-from dolfinx_mortar.steps.residuals import EPS
+from dolfinx_mortar.terms.sum import Terms
 from tests.block_piles import ABOVE, BELOW, PILE, Blocks
 from tests.hertz_case import ELASTIC, PLASTIC, create_case
 from tests.pressed_blocks import rejected
@@ -90,7 +91,7 @@ def test_the_slope_is_that_of_the_merit():
 
     def merit(t):
         line_search.move(problem, path.start + t * path.du)
-        return line_search.find_energy(problem, data).value + path.excess(t)
+        return problem.terms.energy().value + path.excess(t)
 
     first = line_search.find_slope(problem, lin, path)
     assert first == pytest.approx(merit(1.0) - merit(0.0) - 0.5 * du.dot(problem.K * du), rel=1e-6)
@@ -105,8 +106,8 @@ def test_a_step_at_round_off_is_not_refused(monkeypatch):
     """
     energies = []
 
-    def rounded(problem, data):
-        energy = find_energy(problem, data)
+    def rounded(terms):
+        energy = find_energy(terms)
         energies.append(energy)
         return replace(energy, value=energy.value + len(energies) * EPS * energy.terms)
 
@@ -116,8 +117,8 @@ def test_a_step_at_round_off_is_not_refused(monkeypatch):
         (step,) = dm.load_steps(case.problem, case.levels[:1], **options)
         return step.report.iterations
 
-    find_energy = line_search.find_energy
-    monkeypatch.setattr(line_search, "find_energy", rounded)
+    find_energy = Terms.energy
+    monkeypatch.setattr(Terms, "energy", rounded)
     assert all(i.step_length == 1.0 for i in walk()[-3:])
     path = line_search.create_path
     monkeypatch.setattr(line_search, "EPS", 0.0)

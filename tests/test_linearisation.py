@@ -7,7 +7,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
-from dolfinx_mortar.steps.linearisation import find_balance, linearise
+from dolfinx_mortar.newton_method.linearisation import find_balance, linearise
 from tests.meshes import TOP
 from tests.pressed_blocks import PressedBlocks
 

@@ -9,9 +9,9 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
+from dolfinx_mortar.step_report import StepReport
 from dolfinx_mortar.steps import load_steps as load_steps_module
 from dolfinx_mortar.steps.newton import solve_step
-from dolfinx_mortar.steps.report import StepReport
 from tests.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
 from tests.hertz_case import create_case
 from tests.pressed_blocks import rejected

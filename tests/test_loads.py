@@ -12,7 +12,8 @@ import ufl
 from dolfinx import default_scalar_type, fem, mesh
 from dolfinx_mortar.materials import Elastic
 from dolfinx_mortar.solid.solid import Solid
-from dolfinx_mortar.steps.loads import Loads, check_loads
+from dolfinx_mortar.terms.sum import Terms
+from dolfinx_mortar.terms.weak_forms import DeadLoads, WeakForm, check_form, check_loads
 
 pytestmark = pytest.mark.mpi
 COMM = MPI.COMM_WORLD
@@ -78,8 +79,9 @@ def test_forces_and_tangent_are_derivatives(d, name):
     u, ds, _ = create_box(d)
     V = u.function_space
     linear, form = potentials(u, ds)[name]
-    loads, solid = Loads(V, u, potential=form), Solid(u, Elastic(10.0, 0.3))
-    assert loads.has_potential and loads.linear is linear
+    solid = Solid(u, Elastic(10.0, 0.3))
+    term = WeakForm(solid, energy=form)
+    assert term.linear is linear
     w = fem.Function(V)
     wave(u, 0.3), wave(w, 1.0, 1.0)
     start, h = u.x.array.copy(), 1e-5
@@ -88,14 +90,15 @@ def test_forces_and_tangent_are_derivatives(d, name):
         u.x.array[:] = start + t * w.x.array
         F = u.x.petsc_vec.duplicate()
         solid.assemble_residual(F)
-        loads.add_forces(F)
-        return solid.energy() + loads.energy(), F.array.copy()
+        term.add_forces(F)
+        return solid.energy() + total(term.energy()), F.array.copy()
 
     (e1, f1), (e0, f0), (_, f) = state(h), state(-h), state(0.0)
     K = solid.create_matrix()
     solid.assemble_tangent(K)
     entries = K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
-    loads.add_tangent(K)
+    term.add_tangent(K)
+    K.assemble()
     assert K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] == entries
     product = u.x.petsc_vec.duplicate()
     K.mult(w.x.petsc_vec, product)
@@ -112,15 +115,13 @@ def test_forces_and_tangent_are_derivatives(d, name):
     assert skew.norm() < 1e-13 * K.norm()
 
 
-def solve(solid, loads, u, fixed):
+def solve(terms, u, fixed):
     """Solve the linear problem with prescribed values (dofs, value) for u."""
-    K, f, F = solid.create_matrix(), u.x.petsc_vec.duplicate(), u.x.petsc_vec.duplicate()
-    solid.assemble_tangent(K)
-    loads.add_tangent(K)
-    loads.assemble(f)
-    solid.assemble_residual(F)
-    loads.add_forces(F)
-    f.axpy(-1.0, F)
+    K, f = terms.create_matrix(), u.x.petsc_vec.duplicate()
+    terms.begin(0.0, 0.0)
+    terms.assemble_tangent(K)
+    terms.assemble_forces(f)
+    f.scale(-1.0)
     x = u.x.petsc_vec.duplicate()
     x.set(0.0)
     layout, d = u.function_space.dofmap.index_map, u.function_space.dofmap.index_map_bs
@@ -151,16 +152,17 @@ def test_spring_bed(d):
     """A block pressed by 0.01 on springs as stiff as itself: they take half of it, in one solve."""
     u, ds, _ = create_box(d)
     E = k = 1000.0
-    loads = Loads(u.function_space, u, potential=0.5 * k * u[d - 1] ** 2 * ds(1))
+    solid = Solid(u, Elastic(E, 0.0))
+    bed = WeakForm(solid, energy=0.5 * k * u[d - 1] ** 2 * ds(1))
     fixed = [(held(u, d - 1, lambda x: np.isclose(x[d - 1], 1.0)), -0.01)]
     for i in range(d - 1):
         fixed.append((held(u, i, lambda x, i=i: np.isclose(x[i], 0.0)), 0.0))
-    solid = Solid(u, Elastic(E, 0.0))
     for _ in range(2):  # a second solve finds the same
-        solve(solid, loads, u, fixed)
+        solve(Terms(solid, [("bed", bed)]), u, fixed)
         bottom = u.x.array[held(u, d - 1, lambda x: np.isclose(x[d - 1], 0.0))]
         assert np.allclose(bottom, -0.005, rtol=1e-12)
-        assert np.isclose(loads.energy(), 0.5 * k * 0.005**2 * (2.0 if d == 2 else 3.0), rtol=1e-12)
+        stored = 0.5 * k * 0.005**2 * (2.0 if d == 2 else 3.0)
+        assert np.isclose(total(bed.energy()), stored, rtol=1e-12)
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -170,10 +172,11 @@ def test_bed_and_traction(d):
     V = u.function_space
     q = fem.Constant(V.mesh, default_scalar_type(0.0))
     traction = -q * ufl.TestFunction(V)[d - 1] * ds(2)
-    loads = Loads(V, u, traction, 0.5 * 1000.0 * u[d - 1] ** 2 * ds(1))
+    solid = Solid(u, Elastic(2000.0, 0.0))
+    bed = WeakForm(solid, energy=0.5 * 1000.0 * u[d - 1] ** 2 * ds(1))
     fixed = [(held(u, i, lambda x, i=i: np.isclose(x[i], 0.0)), 0.0) for i in range(d - 1)]
     q.value = 5.0  # read at every assembly
-    solve(Solid(u, Elastic(2000.0, 0.0)), loads, u, fixed)
+    solve(Terms(solid, [("loads", DeadLoads(solid, traction)), ("bed", bed)]), u, fixed)
     for height, sinks in ((0.0, 0.005), (1.0, 0.0075)):
         dofs = held(u, d - 1, lambda x, height=height: np.isclose(x[d - 1], height))
         assert np.allclose(u.x.array[dofs], -sinks, rtol=1e-12)
@@ -184,27 +187,16 @@ def test_a_linear_potential_is_a_load():
     u, ds, _ = create_box(2)
     V = u.function_space
     n, v = ufl.FacetNormal(V.mesh), ufl.TestFunction(V)
-    f, F = u.x.petsc_vec.duplicate(), u.x.petsc_vec.duplicate()
-    Loads(V, u, loads=3.0 * ufl.inner(n, v) * ds(2)).assemble(f)
-    F.set(0.0)
-    Loads(V, u, potential=-3.0 * ufl.inner(u, n) * ds(2)).add_forces(F)
-    assert f.norm() > 1.0 and np.allclose(f.array, -F.array, atol=1e-14)
-
-
-def test_nothing_is_nothing():
-    """Without a form, the forces are zero and nothing is added."""
-    u, _, _ = create_box(2)
-    loads, f = Loads(u.function_space, u), u.x.petsc_vec.duplicate()
-    f.set(1.0)
-    loads.add_forces(f)
-    assert (f.array == 1.0).all()
-    loads.assemble(f)
-    assert not f.array.any() and loads.energy() == 0.0 and loads.linear
-    assert not loads.has_potential and len(vars(loads)) <= 12
-    K = Solid(u, Elastic(1.0, 0.3)).create_matrix()
-    K.assemble()
-    loads.add_tangent(K)
-    assert K.norm() == 0.0
+    solid = Solid(u, Elastic(1.0, 0.3))
+    dead = DeadLoads(solid, 3.0 * ufl.inner(n, v) * ds(2))
+    dead.begin(0.0, 0.0)
+    forces = []
+    for term in (dead, WeakForm(solid, energy=-3.0 * ufl.inner(u, n) * ds(2))):
+        F = u.x.petsc_vec.duplicate()
+        F.set(0.0)
+        term.add_forces(F)
+        forces.append(F.array.copy())
+    assert np.sqrt(total(forces[0] ** 2)) > 1.0 and np.allclose(*forces, atol=1e-14)
 
 
 def test_loads_that_contain_the_displacement_are_refused():
@@ -243,7 +235,7 @@ def test_wrong_potentials_are_refused():
     u, cases = wrong_potentials()
     for message, potential in cases.items():
         with pytest.raises(ValueError, match=rf"^potential.*{message}"):
-            Loads(u.function_space, u, potential=potential)
+            check_form(u, "potential", potential)
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -286,7 +278,7 @@ def test_a_one_sided_bed_lets_go():
     ]
     energy = 0.5 * 1000.0 * ufl.min_value(u[1], 0.0) ** 2 * ds(1)
     problem = dm.ContactProblem(Solid(u, Elastic(1000.0, 0.0)), bcs=bcs, potential=energy)
-    assert not problem.loads.linear
+    assert not problem.terms.linear
     for value, expected in ((-0.01, -0.005), (0.01, 0.01), (-0.02, -0.01)):
         move.value = value
         dm.newton(problem)

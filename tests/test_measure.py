@@ -12,12 +12,12 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.parallel import maximum, norm
-from dolfinx_mortar.steps.certificate import create_certificate
-from dolfinx_mortar.steps.contacts import Contacts, find_sliders
-from dolfinx_mortar.steps.linearisation import find_balance, linearise
-from dolfinx_mortar.steps.residuals import Scales, gap_round_off, measure
-from dolfinx_mortar.steps.results import set_results
-from dolfinx_mortar.steps.step_data import StepData
+from dolfinx_mortar.newton_method.contacts import Contacts, find_sliders
+from dolfinx_mortar.newton_method.linearisation import find_balance, linearise
+from dolfinx_mortar.newton_method.residuals import Scales, gap_round_off, measure
+from dolfinx_mortar.problem.step_data import StepData
+from dolfinx_mortar.report.certificate import create_certificate
+from dolfinx_mortar.report.interface_results import set_results
 from tests.friction_case import create as create_pushed
 from tests.hertz_case import ELASTIC, create_case
 
@@ -31,7 +31,7 @@ class Judged:
     def __init__(self, problem, report, limits=()):
         """Take the balance and the diagonal of K^ of the present state."""
         asked = np.zeros((problem.n, problem.d))
-        values = problem.vector(), problem.supports.values(), asked, 0.0
+        values = problem.supports.values(), asked, 0.0
         self.problem, self.report = problem, report
         self.balance = find_balance(problem, StepData(*values, limits=limits, partners=[None]))
         self.diagonal = linearise(problem, self.balance).diagonal
@@ -70,7 +70,7 @@ def wedge():
     case = create_case(made, ELASTIC, geometry="reference")
     case.press(0.05)
     judged = Judged(case.problem, dm.newton(case.problem, rtol=1e-10))
-    judged.disc = made.cell_tags.find(dm.meshing.DISC)
+    judged.disc = made.cell_tags.find("disc")
     return judged
 
 
@@ -179,9 +179,7 @@ def test_equilibrium_of_one_cell(excess):
     problem = dm.ContactProblem(dm.Solid(u, ELASTIC), bcs=bcs, loads=loads)
     report = dm.newton(problem, rtol=1e-12)
     u.x.array[:] *= 1.0 + excess
-    f = problem.vector()
-    problem.loads.assemble(f)
-    data = StepData(f, problem.supports.values(), np.zeros((4, 2)), 0.0)
+    data = StepData(problem.supports.values(), np.zeros((4, 2)), 0.0)
     balance = find_balance(problem, data)
     contacts = Contacts(np.zeros(4, dtype=bool), np.zeros(4))
     rest = linearise(problem, balance).diagonal, Scales(1.0), 1.0, RTOL

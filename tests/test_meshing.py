@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The Hertz meshes: areas, tags, symmetry, separation of the bodies, sizes."""
 
-import importlib
-
 from mpi4py import MPI
 
 import numpy as np
@@ -12,7 +10,7 @@ from scipy.spatial import cKDTree
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar import meshing
-from dolfinx_mortar.meshing import bodies, plane
+from dolfinx_mortar.meshing import disc_on_block
 
 COMM = MPI.COMM_WORLD
 CELLS = ["triangle", "quadrilateral"]
@@ -22,12 +20,12 @@ def integral(form: ufl.Form) -> float:
     return COMM.allreduce(fem.assemble_scalar(fem.form(form)))
 
 
-def owned_counts(m: meshing.HertzMesh) -> list[int]:
+def owned_counts(m: meshing.TaggedMesh) -> list[int]:
     owned = m.mesh.topology.index_map(2).size_local
     return [COMM.allreduce(int(np.sum(m.cell_tags.values[:owned] == tag))) for tag in (1, 2)]
 
 
-def nodes_and_cells(m: meshing.HertzMesh) -> tuple[np.ndarray, np.ndarray]:
+def nodes_and_cells(m: meshing.TaggedMesh) -> tuple[np.ndarray, np.ndarray]:
     V = fem.functionspace(m.mesh, ("Lagrange", 1))
     return V.tabulate_dof_coordinates()[:, :2], V.dofmap.list
 
@@ -39,8 +37,8 @@ def test_areas_lengths_and_flux_of_tagged_parts(kind, cell):
     one = fem.Constant(m.mesh, 1.0)
     dx = ufl.Measure("dx", m.mesh, subdomain_data=m.cell_tags)
     ds = ufl.Measure("ds", m.mesh, subdomain_data=m.facet_tags)
-    assert integral(one * dx(meshing.BLOCK)) == pytest.approx(160.0, rel=1e-12)
-    assert integral(one * dx(meshing.DISC)) == pytest.approx(np.pi * 18.0, rel=2e-2)
+    assert integral(one * dx(m.cell_tags.tag("block"))) == pytest.approx(160.0, rel=1e-12)
+    assert integral(one * dx(m.cell_tags.tag("disc"))) == pytest.approx(np.pi * 18.0, rel=2e-2)
     lengths = [integral(one * ds(tag)) for tag in (1, 2, 3, 4)]
     assert lengths[:3] == pytest.approx([20.0, 12.0, 20.0], rel=1e-12)
     assert lengths[3] == pytest.approx(np.pi * 6.0, rel=1e-2)
@@ -138,8 +136,7 @@ def test_a_running_gmsh_is_left_as_it_was(monkeypatch):
             found = meshing.hertz(COMM, kind="graded", h=0.6, cell=cell).mesh.geometry.x
             assert cell == "triangle" or np.array_equal(found, alone)
         meshing.sphere(COMM, h=1.0, cell="tetrahedron")
-        monkeypatch.setattr(bodies, "read_cells", lambda *_: 1 / 0)
-        monkeypatch.setattr(plane, "read_cells", lambda *_: 1 / 0)
+        monkeypatch.setattr(disc_on_block, "read_cells", lambda *_: 1 / 0)
         with pytest.raises(RuntimeError, match="gmsh failed"):
             meshing.hertz(COMM, kind="graded", h=0.6)
         assert gmsh.model.getCurrent() == "theirs" and len(gmsh.model.list()) == 2  # and an empty
@@ -159,43 +156,29 @@ def test_meshing_is_deterministic_and_silent(capfd):
     ("arguments", "name"),
     [
         ({"kind": "fine"}, "kind"),
-        ({"kind": "Paper"}, "kind"),
         ({"kind": None}, "kind"),
         ({"cell": "tetrahedron"}, "cell"),
-        ({"cell": ["triangle"]}, "cell"),
         ({"h": 0.0}, "h"),
         ({"h": np.nan}, "h"),
         ({"h": (0.1, -1.0)}, "h"),
-        ({"h": None}, "h"),
         ({"h": "0.1"}, "h"),
-        ({"h": True}, "h"),
-        ({"h": (0.1,)}, "h"),
         ({"h": (0.1, 0.2, 0.3)}, "h"),
-        ({"h": (0.1, None)}, "h"),
-        ({"h": np.full((2, 2), 0.1)}, "h"),
         ({"kind": "graded", "h": 5.0}, "h"),
         ({"radius": -8.0}, "radius"),
-        ({"radius": np.nan}, "radius"),
         ({"radius": (8.0,)}, "radius"),
-        ({"radius": None}, "radius"),
         ({"block": (30.0, 0.0)}, "block"),
         ({"block": 30.0}, "block"),
         ({"block": (30.0, 30.0, 10.0)}, "block"),
-        ({"block": (30.0, "10")}, "block"),
         ({"limit": 1.0}, "limit"),
-        ({"limit": np.inf}, "limit"),
         ({"limit": "10"}, "limit"),
         ({"gap": np.inf}, "gap"),
-        ({"gap": np.nan}, "gap"),
         ({"gap": None}, "gap"),
-        ({"gap": (0.0,)}, "gap"),
         ({"gap": -8.0}, "gap"),  # the block reaches the flat face
         ({"gap": -2.5, "block": (30.0, 2.5)}, "gap"),  # the disc reaches the bottom
-        ({"gap": 1e5}, "gap"),
     ],
 )
 def test_bad_input_is_named_on_all_ranks(arguments, name, monkeypatch):
-    monkeypatch.setattr("dolfinx_mortar.meshing.plane.distribute", pytest.fail)
+    monkeypatch.setattr(disc_on_block, "distribute", pytest.fail)
     with pytest.raises(ValueError, match=f"^{name} = "):
         meshing.hertz(COMM, **arguments)
 
@@ -206,13 +189,8 @@ def test_bad_input_of_one_rank_is_an_error_on_all():
     with pytest.raises(ValueError, match=r"^gap = nan"):
         meshing.hertz(COMM, gap=np.nan if last else 0.0)
     if COMM.size > 1:
-        with pytest.raises(ValueError, match=r"^radius = 8.0 on rank 0, but 9.0 on rank"):
+        with pytest.raises(ValueError, match=r"^radius differs between the ranks: 8.0 on rank 0"):
             meshing.hertz(COMM, radius=9.0 if last else 8.0)
-
-
-def test_what_is_no_communicator():
-    with pytest.raises(ValueError, match=r"^comm = None must be"):
-        meshing.hertz(None)
 
 
 @pytest.mark.parametrize(
@@ -250,8 +228,7 @@ def test_no_gap_and_no_size_swallows_a_tag(radius, block, gap):
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_tags_do_not_hang_on_a_tolerance(factor, monkeypatch):
     before = count_tags(meshing.hertz(COMM, gap=0.1).facet_tags)
-    module = importlib.import_module("dolfinx_mortar.meshing.plane")
-    monkeypatch.setattr(module, "ON_PLANE", factor * module.ON_PLANE)
+    monkeypatch.setattr(disc_on_block, "ON_PLANE", factor * disc_on_block.ON_PLANE)
     after = count_tags(meshing.hertz(COMM, gap=0.1).facet_tags)
     assert np.array_equal(before, after)
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import dolfinx
+import dolfinx_mortar as dm
 from dolfinx_mortar.mortar.operators import (
     assemble_node_matrices,
     default_keep,
@@ -18,6 +19,7 @@ from dolfinx_mortar.mortar.paper import assemble_mortar
 from dolfinx_mortar.mortar.surface import create_surface
 from tests.meshes import two_blocks
 from tests.mortar_case import operators, owned_coordinates, pair_up, space, vector_of
+from tests.pressed_blocks import PressedBlocks
 
 COMM = MPI.COMM_WORLD
 PARTITIONS = ["graph", "shared_facet", "stripes", "bodies", "empty"]
@@ -332,3 +334,29 @@ def test_bodies_beside_each_other_may_meet_later():
     mortar = assemble_mortar(space(mesh), tags, slave=3, master=4)
     assert mortar.gap.getSize() == 0
     assert mortar.D.norm() == 0
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("geometry", ["reference", "updated"])
+def test_the_papers_matrices_are_those_of_the_solver(rng, geometry):
+    """N^T (D - M) v is D_jj w_n of the change of basis, and the weighted gap D_jj times its gap."""
+    case = PressedBlocks(n_lower=(5, 2), n_upper=(4, 2), x_upper=(0.3, 1.2))
+    problem = case.problem(geometry=geometry)
+    dm.newton(problem)
+    (link,), coupling = problem.system.links, problem.system.links[0].coupling
+    contact, kept = link.interface, link.coupling.kept[:, 0]
+    options = {"slave": contact.slave, "master": contact.master, "u": problem.configuration}
+    paper = assemble_mortar(
+        problem.V, contact.facet_tags, **options, feature_angle=contact.feature_angle
+    )
+    numbers = problem.V.dofmap.index_map.local_to_global(link.nodes[kept])
+    assert np.array_equal(paper.nodes, numbers)
+    v = problem.vector(rng.normal(size=problem.n * problem.d))
+    along, relative = paper.N.createVecRight(), paper.D.createVecLeft()
+    (paper.D - paper.M).mult(v, relative)
+    paper.N.multTranspose(relative, along)
+    weight = coupling.weight[kept, 0]
+    assert along.array_r == pytest.approx(weight * link.relative(v)[kept, 0], abs=1e-13)
+    x = problem.positions() if geometry == "updated" else problem.vector(problem.X)
+    gaps = weight * (link.gaps(x) + coupling.heights)[kept]
+    assert paper.gap.array_r == pytest.approx(gaps, abs=1e-13)

@@ -170,10 +170,6 @@ def test_files_that_are_none():
             dm.meshing.read_msh(geo)
         with pytest.raises(ValueError, match=r"cut\.msh.* damaged: gmsh says"):
             dm.meshing.read_msh(cut)
-    with pytest.raises(ValueError, match="path = 3 must be"):
-        dm.meshing.read_msh(3)
-    with pytest.raises(ValueError, match="comm = None must be"):
-        dm.meshing.read_msh("case.msh", None)
 
 
 @pytest.mark.mpi

@@ -11,15 +11,15 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
-from dolfinx_mortar.steps import newton as newton_module
-from dolfinx_mortar.steps.contacts import Contacts
-from dolfinx_mortar.steps.linearisation import (
+from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.newton_method.linearisation import (
     count_changes,
     find_balance,
     linearise,
 )
-from dolfinx_mortar.steps.residuals import Scales, measure
-from dolfinx_mortar.steps.watch import Watch
+from dolfinx_mortar.newton_method.residuals import Scales, measure
+from dolfinx_mortar.newton_method.watch import Watch
+from dolfinx_mortar.steps import newton as newton_module
 from tests.ball_case import create_problem
 from tests.block_piles import ABOVE, BELOW, EAST, PILE, WEST, Blocks
 from tests.hertz_case import ELASTIC, PLASTIC, create_case

@@ -110,9 +110,7 @@ def test_the_paper_cites_what_it_lists():
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize(
-    ("extra", "library"), [("progress", "rich"), ("checkpoint", "h5py"), ("jax", "jax")]
-)
+@pytest.mark.parametrize(("extra", "library"), [("checkpoint", "h5py"), ("jax", "jax")])
 def test_extras_are_not_needed(extra, library):
     code = f"import sys; sys.modules['{library}'] = None; import dolfinx_mortar"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

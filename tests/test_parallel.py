@@ -30,17 +30,17 @@ RANKS = "DOLFINX_MORTAR_TEST_RANKS"
 # on what has run on three. The slow run has all on two, the nightly one on three.
 ON_TWO = """
     agreement arguments audit checkpoint checkpoint_damage checkpoint_edits checkpoint_errors
-    checkpoint_files edges errors failures friction_errors html jump jump_errors linear loads
-    mesh_audit msh newton output output_resume passing plotting preload problem progress
-    reaction regions results small_strain smooth_contact solid solid_state summary sweep tags
-    tie_reach tying written_results
+    checkpoint_files edges errors failures friction_errors jump jump_errors linear loads
+    looks_change_nothing mesh_audit msh newton output output_resume passing plotting preload
+    problem progress ramp reaction regions results small_strain smooth_contact solid solid_state
+    summary sweep tags terms tie_reach tying written_results
 """.split()
 ON_ONE = """
-    axisymmetric_contact axisymmetric_patch axisymmetry certificate curvature_jumps eigenstrain
-    hardening kinematics law_contact linearisation locking margin measure meshing_rings
-    meshing_socket meshing_tubes orthotropic parameters patch_3d plane_stress pointwise
-    preload_several qp_descent resolution smooth_3d smooth_second smooth_tie stand_off
-    stress_laws undone user_laws volumetric
+    axisymmetric_contact axisymmetric_patch axisymmetry certificate curvature_jumps demo_meshes
+    eigenstrain hardening kinematics law_contact linearisation locking margin measure
+    orthotropic parameters patch_3d plane_stress pointwise preload_direction preload_several
+    qp_descent resolution smooth_3d smooth_second smooth_tie stand_off stress_laws undone user_laws
+    volumetric
 """.split()
 
 

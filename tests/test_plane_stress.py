@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Plane stress: the spatial law with the strain out of the plane that leaves no stress there."""
 
+from dataclasses import dataclass
+from typing import ClassVar
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,14 +12,24 @@ from material_point import MaterialPoint
 from scipy.optimize import brentq
 
 import dolfinx_mortar as dm
+import ufl
+from tests.pointwise_laws import Radial
 from tests.pressed_blocks import PressedBlocks, rejected
 from tests.solid_case import create_displacement, create_domain
+from tests.test_user_laws import Isotropic
 
 E, NU, Y = 206_900.0, 0.29, 367.0
-LAWS = {
+HARDENING = {
     "perfect": dm.VonMises(E, NU, Y, 0.0),
     "kinematic": dm.VonMises(E, NU, Y, 10_000.0),
     "mixed": dm.VonMises(E, NU, Y, 10_000.0, 5_000.0),
+}
+# A law by its energy, by its stress, with a stated tangent, in arrays, and with an apex.
+LAWS = HARDENING | {
+    "stated": dm.VonMisesVoce(E, NU, Y, 10_000.0, 500.0, 200.0, 20.0),
+    "stress": Isotropic(E, NU, 450.0, 15_000.0),
+    "arrays": Radial(E, NU, Y, 10_000.0),
+    "cone": dm.DruckerPrager(E, NU, Y, 0.3),
 }
 _POINTS: dict[tuple[str, int], MaterialPoint] = {}
 
@@ -57,7 +70,6 @@ def compare(flat: MaterialPoint, space: MaterialPoint, path: list, scale: float)
         assert np.abs(found - expected).max() < 1e-9 * scale
         now = flat.commit()
         assert np.abs(now - space.commit()).max() < 1e-9 * np.abs(strain).max()
-        assert abs(np.trace(now)) < 1e-15 * (1 + np.abs(now).max())
         flowed += not np.array_equal(now, before)
         flat.stress(strain)
         assert np.array_equal(flat.commit(), now)
@@ -71,6 +83,9 @@ def test_plane_stress_is_the_spatial_law_without_stress_out_of_the_plane(name, r
     path = np.cumsum([5e-3 * in_plane(rng) for _ in range(8)], axis=0)
     flat, space = point(name, 2), point(name, 3)
     assert compare(flat, space, list(path), Y) > 5
+    if name in HARDENING:
+        plastic = flat.commit()
+        assert abs(np.trace(plastic)) < 1e-15 * (1 + np.abs(plastic).max())
     if name == "mixed":
         k = [p.solid.fields.values("accumulated_plastic_strain")[0, 0] for p in (flat, space)]
         assert k[0] == pytest.approx(k[1], rel=1e-9) and k[0] > 1e-2
@@ -100,12 +115,104 @@ def test_any_parameters(nu, powers, size, seed):
             table[:] = [mixed.E, mixed.nu, mixed.Y, mixed.a, mixed.H]
 
 
-@pytest.mark.parametrize("law", [dm.Elastic(1000.0, 0.3), *LAWS.values()], ids=["elastic", *LAWS])
-def test_check_accepts_the_laws(law):
+TIMBER = dm.Orthotropic(11e3, 600.0, 900.0, 0.4, 0.3, 0.3, 700.0, 800.0, 70.0, yaw=0.4)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_check_accepts_the_laws(name):
+    report = dm.materials.check(LAWS[name], plane_stress=True)
+    assert np.isnan(report.energy_error) == (name in ("stress", "arrays"))
+    assert not report.energy_error > 1e-8 and report.tangent_error < 1e-8
+    assert report.skew < 1e-12 and report.state_error < 1e-12 and report.changed > 10
+
+
+@pytest.mark.parametrize("law", [dm.Elastic(1000.0, 0.3), TIMBER], ids=["isotropic", "timber"])
+def test_linear_laws_are_condensed_in_the_compiled_code(law, rng):
+    """The same compliance in the plane, no unknown at points, and a constant tangent."""
     report = dm.materials.check(law, plane_stress=True)
-    assert report.energy_error < 1e-8 and report.tangent_error < 1e-8
-    assert report.skew < 1e-12 and report.state_error < 1e-12
-    assert report.changed > 10 or type(law) is dm.Elastic
+    assert max(report.energy_error, report.tangent_error, report.skew) < 1e-8
+    flat, space = MaterialPoint(law, 2, "plane_stress"), MaterialPoint(law)
+    strain = 1e-3 * in_plane(rng)
+    expected = space.stress(free(space, strain))
+    assert np.abs(flat.stress(strain) - expected).max() < 1e-12 * np.abs(expected).max()
+    assert flat.solid.linear
+
+
+@pytest.mark.parametrize("nu", [-1 + 1e-9, -0.99, -0.9, -0.5, 0.0, 0.3, 0.49, 0.5 - 1e-7])
+@pytest.mark.parametrize("size", [1e-3, 0.9, 1.1, 3.0, 100.0, 1e4])
+def test_the_whole_range_of_ratios(nu, size, rng):
+    """No stress out of the plane, the residual being checked: flow and yield surface say so."""
+    flat = point("mixed", 2)
+    table = flat.solid.regions[0].parameters.function.x.array.reshape(-1, 5)
+    values = table[0].copy()
+    table[:] = [1000.0, nu, 1.0, 0.0, 50.0]
+    try:
+        strain = size / 1000.0 * in_plane(rng)
+        stress, ep = flat.stress(strain), flat.commit()
+        k = flat.solid.fields.values("accumulated_plastic_strain")[0, 0]
+        elastic = ((1 + nu) * stress - nu * np.trace(stress) * np.eye(3)) / 1000.0
+        found = (elastic + ep)[:2, :2]  # by Hooke's law of a stress in the plane
+        condition = max(
+            (1 + nu) / (1 - 2 * nu), (1 - 2 * nu) / (1 + nu)
+        )  # 3 K / 2 mu or its inverse
+        error = np.abs(found - strain[:2, :2]).max()
+        assert error < (1e-12 + 1e-14 * condition) * np.abs(strain).max()
+        deviator = stress - np.trace(stress) / 3 * np.eye(3)
+        radius = 1.0 + 50.0 * k
+        assert np.linalg.norm(deviator) <= radius * (1 + 1e-9 + 1e-14 * condition)
+        assert k == 0.0 or np.linalg.norm(deviator) == pytest.approx(
+            radius, rel=1e-9 + 1e-14 * condition
+        )
+    finally:
+        table[:] = values
+
+
+@dataclass(frozen=True)
+class Slack(dm.Material):
+    """Elastic in the plane; pulls out of it whatever the strain there."""
+
+    E: float
+    state: ClassVar = {}
+    linear: ClassVar = False
+
+    @staticmethod
+    def elastic_stress(strain, p):
+        return p.E * strain
+
+    @staticmethod
+    def stress(strain, state, p):
+        return p.E * (
+            strain + ufl.as_tensor(np.diag([0.0, 0.0, 1.0]).tolist()) * (1 + strain[2, 2] ** 2)
+        )
+
+
+@dataclass(frozen=True)
+class SlackArrays(dm.materials.PointwiseLaw):
+    """The same as a function of arrays."""
+
+    E: float
+
+    @staticmethod
+    def elastic_stress(strain, p):
+        return p.E * strain
+
+    @staticmethod
+    def update(strain, state, p):
+        stress = 1e3 * strain
+        stress[:, 2, 2] = 1e3
+        return stress, np.zeros((len(strain), 3, 3, 3, 3)), {}
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("law", [Slack(1e3), SlackArrays(1e3)], ids=["ufl", "arrays"])
+def test_a_law_that_always_pulls_is_an_error_on_all_ranks(law):
+    """No strain out of the plane leaves no stress: that is noticed, not a number."""
+    solid = dm.Solid(create_displacement(create_domain("triangle")), law, kinematics="plane_stress")
+    for ask in (solid.evaluate, solid.element_force_norm):
+        with rejected(type(law).__name__, "no strain out of the plane was found", "after 100 iter"):
+            ask()
+    with rejected("plane stress"):
+        dm.materials.check(law, plane_stress=True)
 
 
 def test_a_bar_is_as_stiff_as_its_modulus():
@@ -135,22 +242,14 @@ def test_a_heated_plate():
 
 
 @pytest.mark.mpi
-def test_wrong_combinations_are_refused():
-    flat, space = (create_displacement(create_domain(c)) for c in ("triangle", "tetrahedron"))
+def test_it_is_refused_in_space():
+    space = create_displacement(create_domain("tetrahedron"))
     with rejected("plane_stress", "for meshes in 2D"):
         dm.Solid(space, dm.Elastic(1.0, 0.3), kinematics="plane_stress")
-    for law in (
-        dm.VonMisesVoce(1.0, 0.3, 1.0, 0.0, 0.0, 1.0, 1.0),
-        dm.DruckerPrager(1.0, 0.3, 1.0, 1.0),
-    ):
-        with rejected(type(law).__name__, "does not know plane stress; Elastic, VonMises do"):
-            dm.Solid(flat, law, kinematics="plane_stress")
-        with rejected("does not know plane stress"):
-            dm.materials.check(law, plane_stress=True)
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", ["perfect", "mixed", "arrays"])
 def test_pressed_plates(name):
     """Contact of plates that flow converges, without stress out of the plane."""
     case = PressedBlocks()

@@ -195,10 +195,9 @@ def multipliers(backend):
     return case.contact.gather(case.problem.u)["pressure"]
 
 
-@pytest.mark.parametrize("backend", ["interior-point", "tron"])
-def test_backends_agree(backend):
+def test_backends_agree():
     """All backends find the same multipliers."""
-    expected, found = multipliers("active-set"), multipliers(backend)
+    expected, found = multipliers("active-set"), multipliers("interior-point")
     assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
 
 

@@ -75,7 +75,8 @@ def test_what_is_restored_is_tightened_from_where_it_is(folder):
     joint.problem.save(folder / "tight.h5")
     fresh.problem.restore(folder / "tight.h5")
     same = dm.preload(fresh.problem, fresh.bolt, F0, fresh.direction)
-    assert same.iterations == 1 and np.array_equal(same.jump, joint.bolt.tightening)
+    assert same.report.newton_iterations == 1
+    assert np.allclose(same.jump, joint.bolt.tightening, rtol=1e-7, atol=0.0)
     more = dm.preload(fresh.problem, fresh.bolt, 2.0 * F0, fresh.direction)
     assert np.allclose(more.jump, 2.0 * same.jump, rtol=1e-4, atol=0.0)
 

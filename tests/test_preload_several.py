@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Several bolts: all forces hold together, in few steps, and a failure leaves all as it was."""
+"""Several bolts: all forces hold together, in one step, and a failure leaves all as it was."""
 
 import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.steps import tightening
-from dolfinx_mortar.steps.report import StepReport
 from tests.block_piles import ABOVE, BELOW, COMM, Blocks
 from tests.pressed_blocks import rejected
 
@@ -66,24 +64,25 @@ def shown(problem, ties):
 @pytest.mark.mpi
 @pytest.mark.parametrize("gasket", [E, 0.05 * E])
 def test_all_forces_hold_together(gasket):
-    """On a soft gasket each bolt lets go of the others: passes alone would take hundreds."""
+    """On a soft gasket each bolt unloads the others: one by one would take hundreds of passes."""
     flange, forces = Flange(3, gasket=gasket), [3.0, 5.0, 4.0]
     wanted = dict(zip(flange.bolts, forces, strict=True))
     found = dm.preload(flange.problem, wanted, direction=[0.0, -1.0])
     assert flange.tensions() == pytest.approx(forces, rel=2 * SOUGHT)
     assert [found[bolt].force for bolt in flange.bolts] == pytest.approx(forces, rel=2 * SOUGHT)
     first = found[flange.bolts[0]]
-    assert first.report.converged and first.iterations == len(first.reports) <= 18
+    assert first.report.converged and first.report.newton_iterations <= 6
+    assert all(found[bolt].report is first.report for bolt in flange.bolts)  # one step
     assert all((found[bolt].jump == bolt.tightening).all() for bolt in flange.bolts)
-    if gasket == E:
-        again = dm.preload(flange.problem, wanted, direction=dict.fromkeys(wanted, (0, -2)))
-        assert again[flange.bolts[0]].iterations == 1  # they are there already
+    again = dm.preload(flange.problem, wanted, direction=dict.fromkeys(wanted, (0, -2)))
+    for bolt in flange.bolts:  # they are there already
+        assert np.allclose(again[bolt].jump, found[bolt].jump, rtol=1e-6, atol=0.0)
     dm.newton(flange.problem, rtol=1e-9)  # and stay
     assert flange.tensions() == pytest.approx(forces, rel=10 * SOUGHT)
 
 
 def test_bolts_that_yield():
-    """What was tried leaves no trace: as one step with the jumps that were found."""
+    """As one step with the jumps that were found."""
     law = dm.VonMises(E, 0.0, 5.0, 50.0)
     flange, forces = Flange(2, law=law), [7.0, 6.5]
     found = dm.preload(
@@ -102,53 +101,16 @@ def test_bolts_that_yield():
 
 
 @pytest.mark.mpi
-def test_a_failure_leaves_all_as_it_was(monkeypatch):
-    flange = Flange(2)
+def test_a_failure_leaves_all_as_it_was():
+    flange = Flange(2, law=dm.VonMises(E, 0.0, 5.0, 50.0))
     dm.preload(flange.problem, dict.fromkeys(flange.bolts, 1.0), direction=[0.0, -1.0])
     before = shown(flange.problem, flange.bolts)
-    solve, most = tightening.solve_step, 4.0 / E
-
-    def refuse(problem, **options):
-        if -flange.bolts[1].tightening[1] > most:
-            raise dm.NewtonNotConverged("too far", StepReport())
-        return solve(problem, **options)
-
-    monkeypatch.setattr(tightening, "solve_step", refuse)
     wanted = dict(zip(flange.bolts, (2.0, 9.0), strict=True))
-    with rejected("force 9", "too far", error=dm.PreloadNotReached):
-        dm.preload(flange.problem, wanted, direction=[0.0, -1.0])
+    words = ("force 2 along", "9 along", "max_it=1 iterations", "tighten in parts")
+    with rejected(*words, error=dm.PreloadNotReached):
+        dm.preload(flange.problem, wanted, direction=[0.0, -1.0], max_it=1)
     assert all(map(np.array_equal, before, shown(flange.problem, flange.bolts)))
-
-
-@pytest.mark.parametrize("bad", ["refused", "worse"])
-def test_a_step_for_all_that_is_no_use_is_taken_back(bad, monkeypatch):
-    """It fails, or makes it worse: the bolts are brought to their forces one by one."""
-    flange, forces = Flange(2), [3.0, 5.0]
-    solve, solve_step, tried = np.linalg.lstsq, tightening.solve_step, []
-
-    def refuse(problem, **options):
-        tried.append(max(-bolt.tightening[1] for bolt in flange.bolts))
-        if tried[-1] > 0.1:
-            raise dm.NewtonNotConverged("no", StepReport())
-        return solve_step(problem, **options)
-
-    factor = -2.0 if bad == "worse" else 1e4
-    monkeypatch.setattr(np.linalg, "lstsq", lambda A, b: (factor * solve(A, b)[0],))
-    monkeypatch.setattr(tightening, "solve_step", refuse)
-    monkeypatch.setattr(tightening, "farthest", lambda problem: 1e9)
-    dm.preload(flange.problem, dict(zip(flange.bolts, forces, strict=True)), direction=[0.0, -1.0])
-    assert flange.tensions() == pytest.approx(forces, rel=2 * SOUGHT)
-    assert (max(tried) > 0.1) == (bad == "refused")
-
-
-def test_lines_tell_how_far_it_has_come(capfd):
-    flange = Flange(2)
-    wanted = dict.fromkeys(flange.bolts, 3.0)
-    dm.preload(flange.problem, wanted, direction=[0.0, -1.0], progress=True)
-    told = [line for line in capfd.readouterr().err.splitlines() if line.startswith("preload")]
-    assert len(told) >= 3 and told[-1].endswith("forces 3 3 of 3 3")
-    dm.preload(flange.problem, wanted, direction=[0.0, -1.0], progress=False)
-    assert "preload" not in capfd.readouterr().err
+    assert all(bolt.pretension is None and bolt.direction is None for bolt in flange.bolts)
 
 
 @pytest.mark.mpi
@@ -164,15 +126,14 @@ def test_arguments_that_are_none():
         (("tie is ", "problem.ties"), {left: 1.0, other.bolts[0]: 1.0}, {"direction": down}),
         (("force is 'x'", "finite number"), {left: 1.0, right: "x"}, {"direction": down}),
         (("into the slave side",), {left: 1.0, right: 1.0}, {"direction": [0.0, 1.0]}),
-        (("progress is 3",), {left: 1.0}, {"direction": down, "progress": 3}),
     ):
         with rejected(*words):
             dm.preload(problem, wanted, **options)
-    with rejected("found in max_it=2 steps for each bolt", error=dm.PreloadNotReached):
-        dm.preload(problem, {left: 3.0, right: 4.0}, direction=down, max_it=2)
     if COMM.size > 1:
         with rejected("tie[0]", "differs between the ranks"):
             dm.preload(problem, {(left, right)[COMM.rank > 0]: 1.0}, direction=down)
+        with rejected("tie is an empty dictionary"):
+            dm.preload(problem, {} if COMM.rank == 1 else {left: 1.0}, direction=down)
     unhashable = [left]
     with rejected("tie is [", "problem.ties"):
         dm.preload(problem, unhashable, 1.0, down)

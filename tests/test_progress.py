@@ -1,207 +1,90 @@
 # SPDX-License-Identifier: MIT
-"""The progress of load steps: when it shows, what it leaves alone."""
+"""The lines of load steps: when they are printed, what they leave alone."""
 
 import io
 import logging
-import re
 import sys
-from contextlib import suppress
 
 from mpi4py import MPI
 
 import pytest
+from hertz_case import ELASTIC, create_case, create_mesh
 
-from dolfinx_mortar.steps.progress import progress
-from dolfinx_mortar.steps.report import LoadStep, StepReport
+import dolfinx_mortar as dm
+from dolfinx_mortar.steps.progress import lines
 
-ERASE, UP = "\x1b[2K", "\x1b[1A"
-HIDE, BACK = "\x1b[?25l", "\x1b[?25h"  # the cursor
-LINES = "".join(
-    f"load step {i} of 2 to 0.{i}: 0 Newton iterations, 0 nodes in contact\n" for i in (1, 2)
-)
-
-
-def step(number):
-    """Return a step that has cost nothing."""
-    return LoadStep(number, number / 10, StepReport(), [StepReport()])
-
-
-class Screen(io.StringIO):
-    """A stream that says it is a terminal."""
-
-    def isatty(self):
-        return True
-
-    def shown(self):
-        """Return the lines that are left of all that was written and erased."""
-        lines, row = [""], 0
-        for part in re.findall(r"\x1b\[[?\d]*[A-Za-z]|[\r\n]|[^\x1b\r\n]+", self.getvalue()):
-            if part == "\n":
-                row += 1
-                lines += [""] * (row == len(lines))
-            elif part == UP:
-                row -= 1
-            elif part == ERASE:
-                lines[row] = ""
-            elif part[0] not in "\x1b\r":
-                lines[row] += part
-        return lines
-
-
-@pytest.fixture
-def streams(monkeypatch):
-    """Return a function that replaces both standard streams."""
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setenv("NO_COLOR", "1")
-    monkeypatch.delenv("FORCE_COLOR", raising=False)
-
-    def replace(out=True, err=True):
-        made = [Screen() if terminal else io.StringIO() for terminal in (out, err)]
-        monkeypatch.setattr(sys, "stdout", made[0])
-        monkeypatch.setattr(sys, "stderr", made[1])
-        return made
-
-    return replace
-
-
-@pytest.fixture
-def no_rich(monkeypatch):
-    for name in [name for name in sys.modules if name.split(".")[0] == "rich"] + ["rich"]:
-        monkeypatch.setitem(sys.modules, name, None)
+COMM = MPI.COMM_WORLD
+TOLD = "step 1\nstep 2\n"
 
 
 @pytest.fixture
 def nobody_logs(monkeypatch):
     """Hide the handlers that the tests have."""
-    monkeypatch.setattr("dolfinx_mortar.steps.progress.is_configured", lambda: False)
+    monkeypatch.setattr(logging.Logger, "hasHandlers", lambda self: False)
 
 
-def walk(total=2, wanted=None, comm=MPI.COMM_SELF, done=0):
-    with progress(comm, total, wanted, done=done) as advance:
-        for number in range(done + 1, total + 1):
-            advance(step(number))
-
-
-@pytest.mark.usefixtures("nobody_logs")
-@pytest.mark.parametrize(("out", "err"), [(True, False), (False, True), (False, False)])
-def test_a_file_gets_a_line_for_each_step(streams, out, err):
-    """Also under a scheduler, and where one of the streams goes through a pipe."""
-    both = streams(out, err)
-    walk()
-    assert [stream.getvalue() for stream in both] == ["", LINES]
+def told(capsys, wanted=None, comm=MPI.COMM_SELF):
+    """Return what is printed of two lines."""
+    tell = lines(comm, wanted)
+    for number in (1, 2):
+        tell(f"step {number}")
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    return captured.err
 
 
 @pytest.mark.usefixtures("nobody_logs")
-@pytest.mark.parametrize("out", [True, False])
-def test_one_step_needs_no_line(streams, out):
-    both = streams(out, out)
-    walk(1)
-    assert [stream.getvalue() for stream in both] == ["", ""]
+@pytest.mark.parametrize(("wanted", "shown"), [(None, TOLD), (True, TOLD), (False, "")])
+def test_where_nobody_has_configured_logging(capsys, wanted, shown):
+    assert told(capsys, wanted) == shown
 
 
 @pytest.mark.usefixtures("nobody_logs")
-@pytest.mark.parametrize(("wanted", "shown"), [(None, ""), (True, LINES)])
-def test_a_notebook_stays_clean_unless_asked(streams, monkeypatch, wanted, shown):
-    streams(False, False)
+@pytest.mark.parametrize(("wanted", "shown"), [(None, ""), (True, TOLD)])
+def test_a_notebook_stays_clean_unless_asked(monkeypatch, capsys, wanted, shown):
     cell = type("OutStream", (io.StringIO,), {"__module__": "ipykernel.iostream"})()
     monkeypatch.setattr(sys, "stderr", cell)
-    walk(wanted=wanted)
+    told(capsys, wanted)
     assert cell.getvalue() == shown
 
 
-@pytest.mark.parametrize("wanted", [None, True])
-def test_where_logging_is_configured_lines_are_records(streams, monkeypatch, caplog, wanted):
+@pytest.mark.parametrize("wanted", [None, True, False])
+def test_where_logging_is_configured_lines_are_records(capsys, caplog, wanted):
     """They are not written twice, and not at all where the user's level is higher."""
-    _, err = streams(False, False)
     with caplog.at_level(logging.INFO, logger="dolfinx_mortar"):
-        walk(wanted=wanted)
-    assert [record.getMessage() for record in caplog.records] == LINES.splitlines()
-    assert {record.levelname for record in caplog.records} == {"INFO"} and err.getvalue() == ""
-    caplog.clear()
+        assert told(capsys, wanted) == ""
+    assert [record.getMessage() for record in caplog.records] == TOLD.splitlines()
+    assert {record.levelname for record in caplog.records} == {"INFO"}
     with caplog.at_level(logging.WARNING, logger="dolfinx_mortar"):
-        walk(wanted=wanted)
-    assert not caplog.records and err.getvalue() == (LINES if wanted else "")
-
-
-def test_the_log_has_the_steps_of_a_bar(streams, caplog):
-    streams()
-    with caplog.at_level(logging.INFO, logger="dolfinx_mortar"):
-        walk()
-    assert [record.getMessage() for record in caplog.records] == LINES.splitlines()
-
-
-def test_steps_of_an_earlier_run_are_done(streams):
-    _, err = streams()
-    walk(5, done=3)
-    assert "3/5" in err.getvalue() and "4/5" in err.getvalue() and "0/5" not in err.getvalue()
-
-
-def test_two_terminals_show_a_bar_and_lose_it(streams):
-    out, err = streams()
-    walk()
-    drawn = [line for line in err.getvalue().split(ERASE) if "load steps" in line]
-    for done, line in enumerate(drawn[-4:-1]):  # the last one is drawn again to be erased
-        assert f"{done}/2" in line
-    assert not any(err.shown()) and out.getvalue() == ""
-
-
-@pytest.mark.parametrize("wanted", [None, True])
-def test_a_bar_leaves_lines_streams_and_handlers_alone(streams, monkeypatch, wanted):
-    out, err = streams()
-    handler, logger = logging.StreamHandler(err), logging.getLogger("dolfinx_mortar")
-    monkeypatch.setattr(logger, "handlers", [handler])
-    monkeypatch.setattr(logger, "level", logging.INFO)
-    told = [f"iteration {i}" for i in range(6)]
-    with progress(MPI.COMM_SELF, 3, wanted) as advance:
-        for number in range(3):
-            logger.info(told[2 * number])
-            assert handler.stream is err and (sys.stdout, sys.stderr) == (out, err)
-            advance(step(number + 1))
-            logger.info(told[2 * number + 1])
-    assert "load steps" in err.getvalue()
-    lines = [line for line in err.shown() if "iteration" in line]
-    assert [line[-len(told[0]) :] for line in lines] == told
-
-
-def test_an_error_gives_the_terminal_back(streams):
-    _, err = streams()
-    with suppress(ZeroDivisionError), progress(MPI.COMM_SELF, 2, True) as advance:
-        advance(step(1))
-        raise ZeroDivisionError
-    assert err.getvalue().rindex(HIDE) < err.getvalue().rindex(BACK)
-    assert not any(err.shown())
-
-
-def test_asked_for_without_a_terminal_it_is_a_line_for_each_step(streams):
-    out, err = streams(False, False)
-    walk(wanted=True)
-    assert (out.getvalue(), err.getvalue()) == ("", LINES)
-
-
-@pytest.mark.usefixtures("no_rich")
-def test_without_rich_it_is_a_line_for_each_step(streams):
-    _, err = streams()
-    walk()
-    assert err.getvalue() == LINES
-
-
-def test_not_wanted_nothing_shows(streams):
-    both = streams()
-    walk(wanted=False)
-    assert [stream.getvalue() for stream in both] == ["", ""]
+        assert told(capsys, wanted) == (TOLD if wanted else "")
 
 
 @pytest.mark.mpi
-def test_only_rank_0_shows(streams):
-    _, err = streams(False, False)
-    walk(wanted=True, comm=MPI.COMM_WORLD)
-    assert err.getvalue() == (LINES if MPI.COMM_WORLD.rank == 0 else "")
+def test_only_rank_0_shows(capsys):
+    assert told(capsys, True, COMM) == (TOLD if COMM.rank == 0 else "")
+
+
+@pytest.mark.mpi
+@pytest.mark.usefixtures("nobody_logs")
+@pytest.mark.parametrize("levels", [[0.01], [0.01, 0.02]])
+def test_one_load_step_needs_no_line(capsys, levels):
+    case = create_case(create_mesh("graded", 0.5), ELASTIC)
+    steps = list(dm.load_steps(case.problem, levels, on_time=case.press))
+    expected = [f"load {step}".replace(" to", f" of {len(levels)} to", 1) for step in steps]
+    shown = capsys.readouterr().err.splitlines()
+    assert shown == (expected if len(levels) > 1 and COMM.rank == 0 else [])
 
 
 @pytest.mark.mpi
 def test_what_is_neither_wanted_nor_not_is_an_error():
-    comm = MPI.COMM_WORLD
-    with pytest.raises(ValueError, match=r"progress is 'yes': choose True, False or None"):
-        progress(comm, 2, "yes")
-    with pytest.raises(ValueError, match=r"progress is 'yes': choose True, False or None"):
-        progress(comm, 2, "yes" if comm.rank == comm.size - 1 else None)
+    for wrong in ("yes", "yes" if COMM.rank == COMM.size - 1 else None):
+        with pytest.raises(ValueError, match=r"progress is 'yes': choose True, False or None"):
+            lines(COMM, wrong)
+
+
+def test_reports_are_shown_as_they_are_printed():
+    """In notebooks, whose cells show the representation of a value."""
+    case = create_case(create_mesh("graded", 0.5), ELASTIC)
+    case.press(0.01)
+    for shown in (case.problem.audit(), dm.newton(case.problem)):
+        assert repr(shown) == str(shown) and "\n" in repr(shown)

@@ -1,19 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""The QP of the bounded unknowns alone: the dense model, what it learns, where it breaks down."""
-
-from dataclasses import replace
+"""The QP condensed to its bounded unknowns: the dense model, and where it breaks down."""
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from programs import CYCLING, CYCLING_FORCE, from_arrays, gathered, membrane, sets
+from programs import from_arrays, gathered, membrane
 from scipy.linalg import cholesky
 
 from dolfinx_mortar.qp import LinearSolver, QPNotSolved, condensed, solve
-from dolfinx_mortar.qp.condensed import on_root
-from dolfinx_mortar.qp.schur import SchurModel, half_laplacian
+from dolfinx_mortar.qp.condensed import SchurModel, half_laplacian, on_root
 
 COMM = MPI.COMM_WORLD
 INF = np.inf
@@ -39,22 +36,6 @@ def test_a_model_that_breaks_down_is_only_a_lost_guess(
 
 
 @pytest.mark.mpi
-def test_what_was_learnt_is_dropped_where_round_off_has_spoilt_it() -> None:
-    """An indefinite matrix of an earlier model is no start of the next one."""
-    qp, linear = membrane(16), LinearSolver(COMM, prefix="spoilt_")
-    first = solve(qp, linear=linear)
-    model = linear.learnt.model
-    if COMM.rank == 0:
-        model.forget()
-        model.base[0, 0] = -1.0
-    second = solve(qp, linear=linear)
-    np.testing.assert_allclose(gathered(second.x), gathered(first.x), atol=1e-9)
-    if COMM.rank == 0:
-        assert np.linalg.eigvalsh(linear.learnt.model.matrix())[0] > 0.0
-    assert second.linear_iterations <= first.linear_iterations
-
-
-@pytest.mark.mpi
 def test_a_step_that_would_raise_the_energy_ends_at_its_minimum() -> None:
     qp, linear = membrane(12, force=1.0), LinearSolver(COMM, prefix="minimum_")
     linear.attach(qp.A)
@@ -76,19 +57,34 @@ def test_a_step_that_would_raise_the_energy_ends_at_its_minimum() -> None:
 
 
 @pytest.mark.mpi
-def test_pairs_that_make_a_model_indefinite_are_dropped() -> None:
-    """I - V (V'V)^-1 V' + W W' with W = 0 has no stiffness along V."""
-    model = SchurModel(np.eye(2), np.array([[2.0], [0.0]]), np.zeros((2, 1)))
-    problem = (np.array([3.0, 1.0]), np.full(2, -INF), np.array([2.0, 9.0]), sets(0, 0))
-    qp = membrane(4)
-    d, active = condensed._solve_model(qp, model if COMM.rank == 0 else None, problem)
-    assert d.tolist() == [2.0, 1.0] and active.tolist() == [1, 0]
-    assert model.V.shape[1] == (0 if COMM.rank == 0 else 1)
+def test_a_guess_depends_on_the_program_alone() -> None:
+    """To the last bit: not on other programs that the linear solver has seen before."""
+    qp, other = membrane(16), membrane(16, force=3.0)
+    linear = LinearSolver(COMM, prefix="alone_")
+    expected = solve(qp, linear=linear)
+    solve(other, linear=linear)
+    found = solve(qp, linear=linear)
+    assert np.array_equal(gathered(found.x), gathered(expected.x))
+    assert found.linear_iterations == expected.linear_iterations
 
 
-def test_the_condensed_problem_does_not_cycle() -> None:
-    qp = from_arrays(CYCLING, CYCLING_FORCE, np.full(3, -INF), np.zeros(3), COMM)
-    assert solve(qp).note == ""
+@pytest.mark.mpi
+@pytest.mark.parametrize(("changes", "guessed"), [(None, True), (0, False), (10**6, True)])
+def test_a_set_is_guessed_where_many_changes_are_expected(
+    monkeypatch: pytest.MonkeyPatch, changes: int | None, guessed: bool
+) -> None:
+    """A solution says how many there were; it is the same with and without."""
+    asked, predict = [], condensed.predict
+    monkeypatch.setattr(
+        condensed, "predict", lambda *a, **b: (asked.append(1), predict(*a, **b))[1]
+    )
+    qp = membrane(16)
+    start = np.ones(qp.bounded.size, dtype=np.int8)
+    first = solve(qp, start_active=start, changes=changes, rtol=1e-12)
+    assert bool(asked) == guessed
+    active = COMM.allreduce(int((first.active != start).sum()))
+    assert first.changes == active > 0
+    assert solve(qp, start_active=first.active, rtol=1e-12).changes == 0
 
 
 @pytest.mark.mpi
@@ -102,8 +98,7 @@ def test_all_updates_cost_two_factorisations() -> None:
 
 def test_model_reproduces_what_it_has_seen(rng: np.random.Generator) -> None:
     S = np.cov(rng.standard_normal((6, 30)))
-    empty = np.zeros((6, 0))
-    model = SchurModel(np.eye(6), empty, empty)
+    model = SchurModel(np.eye(6))
     seen = rng.standard_normal((6, 4))
     for v in seen.T:
         model.learn(v, S @ v)
@@ -140,18 +135,13 @@ def _dense(A: PETSc.Mat) -> np.ndarray:
 def test_memory_that_ends_on_the_first_rank_ends_the_solve_on_all(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Also where what was learnt is looked at again."""
-
     def full(*_: object) -> None:
         raise MemoryError("full")
 
-    qp, linear = membrane(16), LinearSolver(COMM, prefix="full_")
-    solve(qp, linear=linear)
-    linear.learnt = replace(linear.learnt, changes=None)  # predict again
     if COMM.rank == 0:
-        monkeypatch.setattr(condensed, "cholesky", full)
+        monkeypatch.setattr(condensed, "half_laplacian", full)
     with pytest.raises(QPNotSolved, match="MemoryError, full"):
-        solve(qp, linear=linear)
+        solve(membrane(16))
 
 
 @pytest.mark.mpi

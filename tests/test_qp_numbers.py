@@ -22,7 +22,7 @@ DECIDE = {"LIMIT": 0.0, "MAX_ITERATIONS": 0.0, "ROUND_OFF": 1e12, "SHARE": 1e12}
 DECIDE |= {"SINGULAR_LOSS": 1e-12}
 ABSURD = COSTS | DECIDE  # with factors that must be felt
 NUMBERS = sorted(ABSURD)
-CASES = [(name, "cholesky") for name in ("active-set", "interior-point", "tron")]
+CASES = [(name, "cholesky") for name in ("active-set", "interior-point")]
 CASES += [("active-set", "gamg")]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from programs import from_arrays, gathered, membrane
 
-from dolfinx_mortar.qp import QPNotSolved, QPSolution, check, solve, tao
+from dolfinx_mortar.qp import QPNotSolved, QPSolution, check, interior_point, solve
 
 COMM = MPI.COMM_WORLD
 INF = np.inf
@@ -30,39 +30,40 @@ def recorded(monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str) -> 
     return found
 
 
-@pytest.mark.parametrize("backend", ["interior-point", "tron"])
 def test_far_bounds_are_moved_where_they_are_reached(
-    monkeypatch: pytest.MonkeyPatch, backend: str
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Held at its bound, the first unknown keeps the second in place; free, both go far."""
     monkeypatch.setattr(
-        tao,
+        interior_point,
         "_polish",
         lambda qp, linear, x, rtol: QPSolution(
             x, x, np.zeros(qp.bounded.size, dtype=np.int8), check(qp, x), 0, 0, 0, ""
         ),
     )
-    scaled = recorded(monkeypatch, tao, "_Scaled")
+    scaled = recorded(monkeypatch, interior_point, "_Scaled")
     soft = 1e-5
     A = np.array([[1.0 + soft, -1.0], [-1.0, 1.0 + soft]])
     b = np.array([-1.0, 0.0])
     qp = from_arrays(A, b, np.full(2, -INF), np.array([0.0, INF]), COMM)
-    found = gathered(solve(qp, backend, rtol=1e-6).x)
+    found = gathered(solve(qp, "interior-point", rtol=1e-6).x)
     np.testing.assert_allclose(found, np.linalg.solve(A, b), rtol=1e-4)
     assert len(scaled) == 1 and not scaled[0].A  # both boxes share one copy of A
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("backend", ["interior-point", "tron"])
 def test_what_is_lent_to_tao_is_freed_when_it_fails(
-    monkeypatch: pytest.MonkeyPatch, backend: str
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def failing(*_: object) -> None:
         raise FloatingPointError("no luck")
 
-    scaled, runs = recorded(monkeypatch, tao, "_Scaled"), recorded(monkeypatch, PETSc, "TAO")
-    monkeypatch.setattr(tao, "check", failing)
+    scaled, runs = (
+        recorded(monkeypatch, interior_point, "_Scaled"),
+        recorded(monkeypatch, PETSc, "TAO"),
+    )
+    monkeypatch.setattr(interior_point, "check", failing)
     with pytest.raises(QPNotSolved, match="stopped in PETSc"):
-        solve(membrane(6), backend)
+        solve(membrane(6), "interior-point")
     assert len(runs) == len(scaled) == 1
     assert not runs[0] and not scaled[0].A

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.steps.resolution import _measure
+from dolfinx_mortar.report.resolution import _measure
 from tests.ball_case import create_problem
 from tests.close_fits import create_pin, create_shrink_fit
 from tests.hertz_case import ELASTIC, create_case, create_mesh

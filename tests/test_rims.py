@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from dolfinx_mortar.steps.resolution import notes_on_rims
+from dolfinx_mortar.report.resolution import notes_on_rims
 from tests.pressed_blocks import COMM, PressedBlocks
 from tests.sweep.run import run
 
@@ -19,14 +19,17 @@ class Rim:
         """Pair the sides."""
         self.blocks = PressedBlocks(n_lower=(2, 2), n_upper=(3, 2), x_upper=(-1.0, END))
         self.problem = self.blocks.problem(geometry="updated")
-        self.problem.update_geometry(0.0, search=True)
+        self.problem.update_geometry(0.0)
 
     def carries(self, share, *, onward=True):
         """Cover that share of the last node; tell whether it carries a multiplier."""
         u = self.blocks.u
         moved = 0.5 + FACET * np.sqrt(share) - END
         u.x.array.reshape(-1, 2)[self.of_upper(), 0] = moved
-        self.problem.update_geometry(0.0, onward=onward)
+        if onward:
+            self.problem.follow_geometry()
+        else:
+            self.problem.update_geometry(0.0)
         (link,) = self.problem.system.links
         last = self.blocks.V.tabulate_dof_coordinates()[link.nodes, 0] > 1.0 - 1e-9
         return COMM.allreduce(int((link.coupling.kept[:, 0] & last).sum())) == 1

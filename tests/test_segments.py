@@ -272,6 +272,24 @@ def test_normals_of_bent_facets_meet_the_point_that_is_projected(rng):
     assert found > 100
 
 
+def test_halving_alone_finds_the_same_root(rng, monkeypatch):
+    """In the steps that are allowed, from the first on; three steps are too few."""
+    facets, n = bent(rng, 100)
+    x, n = (line_of_xi(facets, v) for v in (facets.x, n))
+    places = list(zip(x, n, rng.uniform(-0.2, 1.2, (100, 2)), strict=True))
+
+    def roots(steps, free):
+        monkeypatch.setattr(line, "_STEPS", steps)
+        monkeypatch.setattr(line, "_FREE", free)
+        return np.array([line._project_node.py_func(a, b, *y) for a, b, y in places])
+
+    usual = roots(line._STEPS, line._FREE)
+    assert (np.abs(usual) < 1.0).sum() > 30
+    assert np.allclose(roots(64, 0), usual, rtol=0.0, atol=1e-13, equal_nan=True)
+    assert np.allclose(roots(1000, 1000), usual, rtol=0.0, atol=1e-13, equal_nan=True)
+    assert not np.allclose(roots(3, 0), usual, rtol=0.0, atol=1e-3, equal_nan=True)
+
+
 def line_of_xi(facets, v):
     return line._polynomials(facets.element, v)
 

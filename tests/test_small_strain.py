@@ -14,8 +14,8 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.report.small_strain import LENGTHS, TURNED, find_left_out
 from dolfinx_mortar.solid.kinematics import plane_strain
-from dolfinx_mortar.steps.small_strain import LENGTHS, TURNED, find_left_out
 from tests.hertz_case import PLASTIC, create_case, create_mesh
 from tests.meshes import BOTTOM, TOP
 from tests.pressed_blocks import PressedBlocks

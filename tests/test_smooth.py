@@ -8,18 +8,18 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
-from dolfinx_mortar.geometry.elements import LINE2, QUAD4, TRI3
-from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.smooth import (
+from dolfinx_mortar.geometry.curvature import (
     NodeNormals,
-    common_rises,
+    common_sagittas,
     curvatures,
+    edge_sagittas,
     edges,
     heights,
-    rises,
 )
-from dolfinx_mortar.meshing.bodies import distribute
-from dolfinx_mortar.mortar.smooth import count_edges, smooth_normals
+from dolfinx_mortar.geometry.elements import LINE2, QUAD4, TRI3
+from dolfinx_mortar.geometry.facets import Facets
+from dolfinx_mortar.meshing.two_bodies import distribute
+from dolfinx_mortar.mortar.curvature_correction import count_edges, smooth_normals
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
 from tests.close_fits import create_ring
 from tests.meshes import two_blocks
@@ -48,7 +48,7 @@ def true_heights(facets, centre, radius, xi, axes=slice(None)):
 
 def found_heights(facets, normals, nodes, xi):
     """Return the heights (m, q) of the smooth surface there."""
-    c = rises(facets, normals, nodes)
+    c = edge_sagittas(facets, normals, nodes)
     columns = [
         heights(facets, c, np.arange(len(c)), np.broadcast_to(p, (len(c), len(p)))) for p in xi
     ]
@@ -115,7 +115,7 @@ def test_curvatures_are_those_of_the_surface(element, rng):
         n /= np.linalg.norm(n, axis=2, keepdims=True)
         no = np.zeros(20 * element.nodes, dtype=bool)
         facets, nodes = Facets(element, x), np.arange(len(no)).reshape(x.shape[:2])
-        c = rises(facets, NodeNormals(n.reshape(-1, len(H)), no, no), nodes)
+        c = edge_sagittas(facets, NodeNormals(n.reshape(-1, len(H)), no, no), nodes)
         found = size * curvatures(facets, c)
         assert found == pytest.approx(np.broadcast_to(H, found.shape), abs=5e-3)
         assert np.linalg.eigvalsh(found)[:, 0].max() < 1e-3  # tangential
@@ -127,9 +127,9 @@ def test_the_common_surface_lies_between_its_sides(element, rng):
     facets = Facets(element, scattered(element, rng, 0.1))
     c = (edges(facets) ** 2).sum(axis=2) / RADIUS
     K = curvatures(facets, c)
-    assert common_rises(facets, c, -K) == pytest.approx(c, rel=1e-10)
-    assert common_rises(facets, c, 0.0 * K) == pytest.approx(c / 2, rel=1e-10)
-    assert common_rises(facets, c, K) == pytest.approx(0.0 * c, abs=1e-10 * c.max())
+    assert common_sagittas(facets, c, -K) == pytest.approx(c, rel=1e-10)
+    assert common_sagittas(facets, c, 0.0 * K) == pytest.approx(c / 2, rel=1e-10)
+    assert common_sagittas(facets, c, K) == pytest.approx(0.0 * c, abs=1e-10 * c.max())
 
 
 @pytest.mark.parametrize("element", [TRI3, QUAD4])
@@ -207,7 +207,7 @@ def test_flat_sides_and_sharp_edges_keep_their_facets(cell):
     on_side = inside & (np.abs(surface.X[:, 0] - 0.3 * surface.X[:, 1]) % 1.0 < 1e-9)
     assert not found.sharp[on_side].any()
     assert COMM.allreduce(int(found.sharp.sum())) > 0 and len(x)
-    c = rises(facets_at(surface, surface.X), found, surface.facets)
+    c = edge_sagittas(facets_at(surface, surface.X), found, surface.facets)
     assert np.abs(c).max(initial=0.0) < 1e-14
 
 
@@ -235,7 +235,7 @@ def test_the_feature_angle_tells_edges_from_curves(n, angle, sharp):
     surface = polygon(n)
     found = smooth_normals(surface, surface.X, np.zeros(surface.X.shape, dtype=bool), angle)
     assert (found.sharp == sharp).all()
-    c = rises(facets_at(surface, surface.X), found, surface.facets)
+    c = edge_sagittas(facets_at(surface, surface.X), found, surface.facets)
     side = 2 * np.sin(np.pi / n)
     assert c == pytest.approx(np.full(c.shape, 0.0 if sharp else side**2), abs=1e-13)
 
@@ -245,7 +245,7 @@ def test_an_arc_keeps_its_curvature_up_to_its_ends():
     surface = polygon(24, ends=(-40.0, 100.0))
     found = smooth_normals(surface, surface.X, np.zeros(surface.X.shape, dtype=bool), 40.0)
     assert found.open.sum() == 2 and not found.sharp.any()
-    c = rises(facets_at(surface, surface.X), found, surface.facets)
+    c = edge_sagittas(facets_at(surface, surface.X), found, surface.facets)
     assert c == pytest.approx(np.full(c.shape, (2 * np.sin(np.pi / 24)) ** 2), abs=1e-13)
 
 
@@ -301,7 +301,7 @@ def slit(cell):
 
 @pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron"])
 def test_opposite_facets_have_no_normal(cell):
-    """At the end of a slit the fan of a node cancels: its facets count, and the audit is told."""
+    """At the end of a slit the one-ring of a node cancels: its facets count, the audit is told."""
     surface = slit(cell)
     fixed = np.zeros(surface.X.shape, dtype=bool)
     found = smooth_normals(surface, surface.X, fixed, 180.0)
@@ -309,7 +309,7 @@ def test_opposite_facets_have_no_normal(cell):
     assert np.array_equal(found.sharp, end) and 0 < end.sum() < len(end)
     assert np.abs(found.n[end]).max() == 0.0
     assert np.abs(np.linalg.norm(found.n[~end], axis=1) - 1.0).max() < 1e-14
-    c = rises(facets_at(surface, surface.X), found, surface.facets)
+    c = edge_sagittas(facets_at(surface, surface.X), found, surface.facets)
     assert np.abs(c).max() < 1e-14
     fixed = np.zeros((len(surface.V.mesh.geometry.x), fixed.shape[1]), dtype=bool)
     assert count_edges(surface, fixed, 180.0).tolist() == [end.sum()] * 2

@@ -10,8 +10,8 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.audit.stand_off import warnings_on_straight_facets
 from dolfinx_mortar.mortar import operators
-from dolfinx_mortar.steps.stand_off import warnings_on_straight_facets
 from tests.close_fits import hold, rings
 from tests.meshes import two_blocks
 from tests.meshes_3d import two_boxes
@@ -66,7 +66,7 @@ def jumps(link, field):
     """Return what the tie takes for a slip (n, d) at the slave nodes, and these (n, 3)."""
     V, n = link.sides.V, link.sides.n_owned
     x = V.tabulate_dof_coordinates()[:n]
-    v = link.coupling.Q.createVecRight()
+    v = link.Q.createVecRight()
     v.array[:] = field(x)[:, : link.coupling.R.shape[1]].ravel()
     return np.where(link.constrained, link.relative(v), 0.0), x[link.nodes]
 

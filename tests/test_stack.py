@@ -168,7 +168,7 @@ def test_two_blocks_on_one(case, kind):
 @pytest.mark.mpi
 @pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
 def test_cycle(kind):
-    """Slave on the left and master on the right: each interface leans on the other one's nodes."""
+    """Slave on the left and master on the right: each depends on the nodes of the other one."""
     lines = np.linspace(0, 2, 7)[[0, 1, 2, 4, 5, 6]], np.linspace(0, 2, 9)[[0, 1, 2, 3, 5, 6, 7, 8]]
     lines = [np.sort(np.append(x, 1.0)) for x in lines]
     heights = [np.linspace(0, 1, 4), np.linspace(1, 2, 4)]

@@ -74,8 +74,9 @@ def test_deep_overlaps_leave_facets_without_importance():
 def test_prescribed_motions_count_as_overlaps():
     """In the audit that a step makes, which knows them."""
     case = create_pin((64, 96), True, surface="facets")
-    case.problem._audit(10.0)
-    assert not said(case.problem)
+    case.problem.update_geometry(10.0)
+    audit = case.problem._audit(10.0, [])
+    assert audit.stand_offs and not any("surface='smooth'" in w for w in audit.warnings)
 
 
 @pytest.mark.mpi

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.steps.report import Iteration, StepReport
+from dolfinx_mortar.step_report import Iteration, StepReport
 from tests.pressed_blocks import PressedBlocks
 
 

@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""A glued bar that is tightened, what a failure must leave as it was, and steps that fail."""
+"""A glued bar that is tightened, and what a failure must leave as it was."""
 
 import numpy as np
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.steps.newton import solve_step
-from dolfinx_mortar.steps.report import StepReport
-from tests.glued_bar import Bar, largest
+from tests.glued_bar import Bar
 from tests.meshes import BOTTOM, TOP
 
 
@@ -50,34 +48,3 @@ def loaded(**options):
     dm.newton(problem)
     problem.commit()
     return case, problem
-
-
-def refuse_beyond(monkeypatch, tie, most):
-    """Let steps with larger jumps fail; return the jumps that were tried."""
-    tried, begins = [], []
-
-    def solve(problem, **options):
-        begins.append(problem.u.x.array.copy())
-        assert np.array_equal(begins[-1], begins[0])  # every try is one from the committed state
-        tried.append(largest(tie.tightening))
-        if tried[-1] > most:
-            raise dm.NewtonNotConverged("too far", StepReport())
-        return solve_step(problem, **options)
-
-    monkeypatch.setattr("dolfinx_mortar.steps.tightening.solve_step", solve)
-    return tried
-
-
-def scripted(monkeypatch, force_of, *, refused=np.inf):
-    """Let the force be a function of the jump, and steps with larger jumps fail."""
-
-    def solve(search, s):
-        search.steps.reports.append(StepReport())
-        if s > refused:
-            raise dm.NewtonNotConverged("too far", StepReport())
-        search.tries.append((s, force_of(s)))
-        search.tie.tightening = s * search.n
-        return force_of(s) - search.force
-
-    monkeypatch.setattr("dolfinx_mortar.steps.tightening.Search.solve", solve)
-    return loaded()

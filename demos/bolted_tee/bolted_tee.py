@@ -29,6 +29,7 @@ from mpi4py import MPI
 import figures
 import numpy as np
 import tees
+from tee_stub import TeeStub, tee_stub
 
 import dolfinx_mortar as dm
 from dolfinx import fem
@@ -78,8 +79,8 @@ def create(options: argparse.Namespace) -> tuple[dm.ContactProblem, fem.Constant
     # ## Supports
     #
     # Symmetry at the middle of the web and of the bolt. The upper web is pulled, the lower one is
-    # held. Nothing but friction keeps the bolt from sliding across; without it one line of its cut
-    # is held, which takes no force.
+    # held. Only friction keeps the bolt from sliding across; without friction one line of its cut
+    # is constrained, which needs no force.
 
     pull = fem.Constant(mesh, 0.0)
     zero = fem.Constant(mesh, 0.0)
@@ -119,12 +120,12 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Preload
     #
-    # Of half a bolt half the force is asked for. The nut's half is the slave side of the cut, and
-    # is pulled upwards, out of itself. The webs' ends are held meanwhile, which takes little force.
+    # Half a bolt gets half the force. The nut's half is the slave side of the cut; its pretension
+    # points out of it, upwards. The webs' ends are held meanwhile, which needs little force.
 
     tight = dm.preload(problem, cut, 500.0 * options.preload, [0.0, 0.0, 1.0], rtol=RTOL)
     shown = figures.Section(problem, sides)
-    rows = [measure(problem, sides, 0.0) | {"iterations": tight.iterations}]
+    rows = [measure(problem, sides, 0.0) | {"iterations": tight.report.newton_iterations}]
     frames = [shown.gather()]
 
     # ## Pull
@@ -173,9 +174,9 @@ def main(options: argparse.Namespace) -> None:
         print(f"results in {options.output}")
 
 
-def strength() -> dm.analytic.TeeStub:
+def strength() -> TeeStub:
     """Return the resistances of EN 1993-1-8."""
-    return dm.analytic.tee_stub(
+    return tee_stub(
         m=tees.GAUGE - tees.WEB / 2 - 0.8 * tees.FILLET,
         e=tees.HALF - tees.GAUGE,
         thickness=tees.FLANGE,
@@ -217,7 +218,7 @@ def find_knee(rows: list[dict]) -> float:
     return float(F[0] + first * (F[-1] - F[0] - last * (x[-1] - x[0])) / (first - last))
 
 
-def report(rows: list[dict], limits: dm.analytic.TeeStub, knee: float) -> None:
+def report(rows: list[dict], limits: TeeStub, knee: float) -> None:
     """Print what the joint carries."""
     print("pull [mm]  opening [mm]    F [kN]    B [kN]    Q [kN]   F/2 - B + Q, of B")
     for row in rows:

@@ -10,6 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from PIL import Image
+from tee_stub import TeeStub
 
 import dolfinx_mortar as dm
 from dolfinx_mortar import compat
@@ -62,7 +63,7 @@ def draw_section(axes, frame: tuple[Array, Array], largest: float) -> PolyCollec
     return shown
 
 
-def draw_forces(axes, rows: list[dict], limits: dm.analytic.TeeStub, upto: int) -> None:
+def draw_forces(axes, rows: list[dict], limits: TeeStub, upto: int) -> None:
     """Draw forces against the opening of the flanges at the web, up to a step."""
     x = np.array([row["opening"] for row in rows])
     for name, label, style in (
@@ -84,7 +85,7 @@ def draw_forces(axes, rows: list[dict], limits: dm.analytic.TeeStub, upto: int) 
 def picture(
     rows: list[dict],
     frames: list[tuple[Array, Array]],
-    limits: dm.analytic.TeeStub,
+    limits: TeeStub,
     step: int,
 ) -> Figure:
     """Return forces up to a step, beside the section then."""
@@ -103,7 +104,7 @@ def draw(
     folder: Path,
     rows: list[dict],
     frames: list[tuple[Array, Array]],
-    limits: dm.analytic.TeeStub,
+    limits: TeeStub,
     *,
     animated: bool,
 ) -> None:

@@ -11,9 +11,9 @@
 #   q(x) = \mu p_0 \left(\sqrt{1 - \frac{x^2}{a^2}}
 #          - \frac{c}{a} \sqrt{1 - \frac{x^2}{c^2}}\right),$$
 #
-# the last term for $|x| < c$. When the force turns, all of the contact sticks again, and slip comes
-# in from the edges: a change of $Q$ does what a first load does with twice the friction. So a force
-# that goes to and fro between $-Q$ and $Q$ makes a closed loop, which takes the energy
+# the last term for $|x| < c$. When the force reverses, all of the contact sticks again, and slip
+# spreads from the edges: a change of $Q$ acts as a first load with twice the friction does. So a
+# force that alternates between $-Q$ and $Q$ makes a closed loop, which dissipates the energy
 #
 # $$W = \frac{2 \mu^2 P^2}{\pi E^*} \left(1 - k^2 + 2 k \ln k\right), \qquad
 #   k = 1 - \frac{Q}{\mu P}, \qquad E^* = \frac{E}{2 (1 - \nu^2)}$$
@@ -36,7 +36,7 @@ from dolfinx import fem
 
 STEEL = (206_900.0, 0.29)  # MPa, -; the formulas are those of two bodies of one material
 
-parser = argparse.ArgumentParser(description="A disc pushed sideways, to and fro, with friction.")
+parser = argparse.ArgumentParser(description="A disc pushed back and forth, with friction.")
 parser.add_argument("--friction", type=float, default=0.2, help="coefficient of friction")
 parser.add_argument("--radius", type=float, default=40.0, help="of the disc, in mm")
 parser.add_argument("--displacement", type=float, default=0.06, help="of the flat face, in mm")
@@ -52,7 +52,7 @@ parser.add_argument("--output", type=Path, default=Path("results/cattaneo"))
 
 
 def main(options: argparse.Namespace) -> None:
-    """Press, push to and fro, compare with the formulas, draw."""
+    """Press, push back and forth, compare with the formulas, draw."""
     comm = MPI.COMM_WORLD
 
     # ## Bodies

@@ -8,11 +8,10 @@ from typing import Any
 
 import meshio
 import numpy as np
+from flattening import YieldOfSphere, jackson_green, kogut_etsion
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
-
-import dolfinx_mortar as dm
 
 DPI = 90
 SHOWN = 5  # pressure curves
@@ -21,7 +20,7 @@ SHOWN = 5  # pressure curves
 def draw(
     output: Path,
     xdmf: Path,
-    case: tuple[str, dm.analytic.YieldOfSphere],
+    case: tuple[str, YieldOfSphere],
     steps: list[dict[str, Any]],
     surfaces: list[dict[str, np.ndarray]],
 ) -> None:
@@ -43,16 +42,14 @@ def draw(
     figure.savefig(output / "result.png", dpi=DPI)
 
 
-def _curve(
-    axes: Axes, case: str, at: dm.analytic.YieldOfSphere, steps: list[dict[str, Any]]
-) -> None:
+def _curve(axes: Axes, case: str, at: YieldOfSphere, steps: list[dict[str, Any]]) -> None:
     """Draw force and contact radius over the interference, beside the fits."""
     w = np.array([s["interference"] for s in steps])
     fine = np.geomspace(w[0], w[-1], 200)
     if case == "flattening":
         for name, fit, style in (
-            ("Jackson and Green", dm.analytic.jackson_green, "k-"),
-            ("Kogut and Etsion", dm.analytic.kogut_etsion, "k--"),
+            ("Jackson and Green", jackson_green, "k-"),
+            ("Kogut and Etsion", kogut_etsion, "k--"),
         ):
             found = fit(fine * at.interference, at)
             axes.loglog(fine, found.force / at.force, style, lw=1.0, label=name)

@@ -30,6 +30,7 @@ from mpi4py import MPI
 
 import figures
 import numpy as np
+from flattening import YieldOfSphere, first_yield_sphere, jackson_green, kogut_etsion
 
 import dolfinx_mortar as dm
 from dolfinx import fem
@@ -95,7 +96,7 @@ def main(options: argparse.Namespace) -> None:
     slave, master = (4, 3) if rigid == 1 else (3, 4)
     contact = dm.Contact(facet_tags, slave=slave, master=master)
     problem = dm.ContactProblem(solid, [contact], bcs=bcs)
-    at = dm.analytic.first_yield_sphere(STRENGTH, RADIUS, E, NU)
+    at = first_yield_sphere(STRENGTH, RADIUS, E, NU)
 
     def press(w: float) -> None:
         down.value = -w * at.interference
@@ -123,12 +124,12 @@ def measure(
     step: dm.LoadStep,
     problem: dm.ContactProblem,
     nodes: dict[str, np.ndarray],
-    at: dm.analytic.YieldOfSphere,
+    at: YieldOfSphere,
 ) -> dict:
     """Return force and contact radius beside the fits, in units of first yield, and pressures."""
     force, radius = abs(problem.interfaces[0].force[1]), edge(nodes)
     w = step.time * at.interference
-    green, kogut = dm.analytic.jackson_green(w, at), dm.analytic.kogut_etsion(w, at)
+    green, kogut = jackson_green(w, at), kogut_etsion(w, at)
     return dm.summarise(step) | {
         "interference": step.time,
         "force": force / at.force,

@@ -15,12 +15,12 @@
 # $$F = \mu p \, 2 \pi c L,$$
 #
 # and a little less, because it gets thinner as it is stretched: `dm.analytic.shrink_fit` has that,
-# too. Nothing but friction holds the shaft.
+# too. Only friction holds the shaft.
 #
 # 1. The hub is cooled. There is oil between the two: no friction. A weak spring keeps the shaft in
 #    its place. With `--dry` there is friction from the beginning: the hub, which gets shorter as it
 #    cools, presses the shaft together, and the pressure differs from Lame's. In the end the shaft
-#    slides at the same force: how it has come there is forgotten.
+#    slides at the same force, whatever the path.
 # 2. The oil is drained, the spring taken away. Dead loads pull at the end of the shaft; it stays.
 # 3. A spring pulls further until the shaft slides.
 #
@@ -37,6 +37,7 @@ from mpi4py import MPI
 import figures
 import numpy as np
 from scipy.optimize import brentq
+from tubes import tubes
 
 import dolfinx_mortar as dm
 import ufl
@@ -100,7 +101,7 @@ def create(options: argparse.Namespace) -> Fit:
     cells: tuple = ((n, 2 * n), (n + 1, 2 * n + 3))
     if options.space:
         cells = ((n, 2 * n, 3 * n), (n + 1, 2 * n + 1, 4 * n))
-    mesh, cell_tags, facet_tags = dm.meshing.tubes(comm, radii=RADII, length=LENGTH, cells=cells)
+    mesh, cell_tags, facet_tags = tubes(comm, RADII, LENGTH, cells)
     d = mesh.topology.dim
 
     # ### Bodies

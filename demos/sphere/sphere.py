@@ -43,7 +43,7 @@ parser.add_argument("--slave", choices=["block", "ball"], default="block")
 parser.add_argument("--h", type=float, default=0.125, help="element size at the contact, in mm")
 parser.add_argument("--geometry", choices=["reference", "updated"], default="updated")
 parser.add_argument("--surface", choices=["smooth", "facets"], default="smooth")
-parser.add_argument("--qp", default="active-set", help="active-set, interior-point or tron")
+parser.add_argument("--qp", default="active-set", help="active-set or interior-point")
 parser.add_argument("--rtol", type=float, default=1e-6, help="tolerance of Newton's method")
 parser.add_argument("--output", type=Path, default=Path("results/sphere"))
 
@@ -86,9 +86,6 @@ def main(options: argparse.Namespace) -> None:
         solid, [contact], bcs=bcs, geometry=options.geometry, petsc_options_prefix="sphere_"
     )
 
-    def press(d: float) -> None:
-        push.value = -d
-
     # ## Load steps
     #
     # The linear systems are solved by conjugate gradients with algebraic multigrid. To choose
@@ -96,9 +93,10 @@ def main(options: argparse.Namespace) -> None:
 
     options.output.mkdir(parents=True, exist_ok=True)
     levels = np.linspace(0.0, options.displacement, options.steps + 1)[1:]
+    ramp = {push: [(0.0, 0.0), (levels[-1], -levels[-1])]}  # (level, value)
     steps = []
     with dm.Writer(options.output / "sphere.xdmf", problem, notes={"units": "mm, MPa"}) as writer:
-        for step in dm.load_steps(problem, levels, on_time=press, qp=options.qp, rtol=options.rtol):
+        for step in dm.load_steps(problem, levels, ramp=ramp, qp=options.qp, rtol=options.rtol):
             writer.write(step.time)
             nodes = contact.gather(u)
             x = nodes["X" if options.geometry == "reference" else "x"][:, :2]

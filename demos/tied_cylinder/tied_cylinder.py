@@ -9,7 +9,7 @@
 # $$q = \frac{2}{\sqrt 3}\, \sigma_0 \ln \frac{R_e}{R_i}.$$
 #
 # The tube is solved as one piece, and as two rings that are glued where they meet by the dual
-# mortar method, on meshes that do not match: both have to reach the same pressures, all the way.
+# mortar method, on meshes that do not match: both have to reach the same pressures at every level.
 # Plastic flow keeps the volume, for which quadrilaterals of first order are stiff; so their
 # volumetric part is taken in the mean over each cell, `volumetric="reduced"`. (This flow is so
 # simple that `"full"` gives the same to 0.03 %.) Units: mm, MPa, N per mm.
@@ -22,6 +22,7 @@ from mpi4py import MPI
 import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from ring_section import ring_section
 
 import dolfinx_mortar as dm
 import ufl
@@ -32,7 +33,7 @@ BORE, OUTSIDE = 1.0, 1.3  # mm
 BETWEEN = 1.15  # mm, where the rings meet
 YIELD = 250.0  # MPa, in tension
 LIMIT = 2.0 / np.sqrt(3.0) * YIELD * np.log(OUTSIDE / BORE)  # MPa, 75.738
-SIDES = {"inner": (3, 4), "outer": (4, 3)}
+SIDES = {"inner": ("around_inner", "within_outer"), "outer": ("within_outer", "around_inner")}
 
 parser = argparse.ArgumentParser(description="Two rings glued to a tube, up to its limit load.")
 parser.add_argument("--cells", type=int, default=6, help="across the inner ring")
@@ -51,7 +52,7 @@ def widen(tied: bool, options: argparse.Namespace) -> tuple[dm.Solid, list[dict]
     # A quarter of the section: one ring, or two whose cells do not match where they meet.
 
     n = options.cells
-    mesh, _, facet_tags = dm.meshing.rings(
+    mesh, _, facet_tags = ring_section(
         MPI.COMM_WORLD,
         radii=(BORE, BETWEEN, OUTSIDE) if tied else (BORE, OUTSIDE),
         cells=((n, 6 * n), (n + 2, 8 * n)) if tied else ((2 * n, 8 * n),),
@@ -74,11 +75,11 @@ def widen(tied: bool, options: argparse.Namespace) -> tuple[dm.Solid, list[dict]
 
     radial, push = fem.Function(V), fem.Function(V)
     radial.interpolate(lambda x: x[:2] / np.hypot(x[0], x[1]))
-    bore = fem.locate_dofs_topological(V, 1, facet_tags.find(1))
+    bore = fem.locate_dofs_topological(V, 1, facet_tags.find("bore"))
     bcs = [fem.dirichletbc(push, bore)]
-    for component, tag in ((0, 5), (1, 6)):
+    for component, cut in ((0, "on_y"), (1, "on_x")):
         W = V.sub(component)
-        dofs = fem.locate_dofs_topological(W, 1, facet_tags.find(tag))
+        dofs = fem.locate_dofs_topological(W, 1, facet_tags.find(cut))
         bcs.append(fem.dirichletbc(fem.Constant(mesh, 0.0), dofs, W))
     slave, master = SIDES[options.slave]
     ties = [dm.Tie(facet_tags, slave=slave, master=master)] if tied else []
@@ -89,7 +90,10 @@ def widen(tied: bool, options: argparse.Namespace) -> tuple[dm.Solid, list[dict]
     # The pressure is the one whose work on $e_r$ is that of the forces at the bore.
 
     ds, n_out = ufl.Measure("ds", mesh, subdomain_data=facet_tags), ufl.FacetNormal(mesh)
-    virtual = mesh.comm.allreduce(fem.assemble_scalar(fem.form(-ufl.dot(n_out, radial) * ds(1))))
+    bore_side = ds(facet_tags.tag("bore"))
+    virtual = mesh.comm.allreduce(
+        fem.assemble_scalar(fem.form(-ufl.dot(n_out, radial) * bore_side))
+    )
     owned = 2 * V.dofmap.index_map.size_local
     at_bore = (2 * bore[:, None] + np.arange(2)).ravel()
     at_bore = at_bore[at_bore < owned]

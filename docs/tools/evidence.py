@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """What stands behind a statement: a role for the source of a function, a directive for a test.
 
-    {source}`dolfinx_mortar.steps.linearisation.linearise`
+    {source}`dolfinx_mortar.newton_method.linearisation.linearise`
 
     ```{test} test_qp.py::test_backends_agree
     ```
@@ -9,6 +9,7 @@
 Both fail the build where the function or the test does not exist.
 """
 
+import functools
 import importlib
 import inspect
 import re
@@ -27,13 +28,14 @@ def find(name: str) -> Any:
     >>> find("dolfinx_mortar.qp.bound_qp.check").__name__
     'check'
     """
-    first, *parts = name.split(".")
-    found = importlib.import_module(first)
-    for k, part in enumerate(parts, start=2):
-        if not hasattr(found, part):
-            importlib.import_module(".".join(name.split(".")[:k]))
-        found = getattr(found, part)
-    return found
+    parts = name.split(".")
+    for k in range(1, len(parts) + 1):  # a room and a function may share a name
+        try:
+            found = importlib.import_module(".".join(parts[:k]))
+            return functools.reduce(getattr, parts[k:], found)
+        except (AttributeError, ModuleNotFoundError):
+            continue
+    raise AttributeError(f"there is no {name}")
 
 
 class Source(SphinxRole):

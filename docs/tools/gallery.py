@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Run the demos and make a page of each: its text and program, pictures, script and notebook.
+"""Run examples and demos, and make a page of each: text and program, pictures, script, notebook.
 
-What a demo has written is kept in docs/_build/demos until the demo or the library changes. The
-tutorial is run, too, for its pictures.
+What they have written is kept in docs/_build/demos until one or the library changes. The tutorial
+is run, too, for its pictures.
 """
 
 import ast
@@ -26,7 +26,7 @@ KEPT, PAGES = DOCS / "_build" / "demos", DOCS / "generated" / "gallery"
 
 @dataclass(frozen=True)
 class Demo:
-    """How a demo is run and shown."""
+    """How a demo, or an example, is run and shown."""
 
     name: str
     short: str  # for the card
@@ -34,7 +34,29 @@ class Demo:
     options: tuple[str, ...] = ()
     view: str = ""  # XDMF file of an interactive view
     others: str = ""  # where else there are numbers of it, which differ
+    example: bool = False  # a flat file without options, which writes where it is run
 
+
+EXAMPLES = [
+    Demo(
+        "press_a_disc",
+        "Contact: a table of loads, the force, and the pressure beside Hertz'.",
+        {"press_a_disc.png": "Contact pressure along the top of the block."},
+        example=True,
+    ),
+    Demo(
+        "glue_two_meshes",
+        "A tie: two meshes that do not match strain as one piece, to round-off.",
+        {"glue_two_meshes.png": "The two meshes, with the names of their sides."},
+        example=True,
+    ),
+    Demo(
+        "tighten_a_bolt",
+        "A preload: the bolt feels little of a pull until the joint opens.",
+        {"tighten_a_bolt.png": "Von Mises stress in the half section, the joint open."},
+        example=True,
+    ),
+]
 
 DEMOS = [
     Demo(
@@ -94,7 +116,7 @@ DEMOS = [
     ),
     Demo(
         "cattaneo",
-        "Friction: a disc is pushed to and fro, the middle of its contact sticks, the edges slip.",
+        "Friction: a disc is pushed back and forth; the middle of its contact sticks, edges slip.",
         {"result.png": "Shear tractions, stick zone and loop of the force, beside Cattaneo."},
     ),
     Demo(
@@ -107,7 +129,15 @@ DEMOS = [
 
 def program(demo: Demo) -> Path:
     """Return the script of a demo."""
+    if demo.example:
+        return ROOT / "examples" / f"{demo.name}.py"
     return ROOT / "demos" / demo.name / f"{demo.name}.py"
+
+
+def text_of(demo: Demo) -> str:
+    """Return the program of a demo as its page shows it: without a function main()."""
+    source = program(demo).read_text()
+    return source if demo.example else flat(source)
 
 
 def state(files: list[Path], more: str) -> str:
@@ -119,11 +149,13 @@ def state(files: list[Path], more: str) -> str:
 
 def run(demo: Demo) -> None:
     """Run a demo unless it has been run in this state; raise RuntimeError if it fails."""
-    files = sorted((ROOT / "demos" / demo.name).glob("*.py"))
+    files = files_of(demo)
     files += [Path(__file__).with_name("view.py")] if demo.view else []
     folder = KEPT / demo.name
-    command = [str(program(demo)), *demo.options, "--output", str(folder)]
-    run_once(str(program(demo).relative_to(ROOT)), command, folder, state(files, repr(demo)), ROOT)
+    command = [str(program(demo)), *demo.options]
+    command += [] if demo.example else ["--output", str(folder)]
+    where = folder if demo.example else ROOT
+    run_once(str(program(demo).relative_to(ROOT)), command, folder, state(files, repr(demo)), where)
 
 
 def run_once(name: str, options: list[str], folder: Path, now: str, where: Path) -> None:
@@ -235,7 +267,7 @@ def paragraphs(source: str) -> list[tuple[str, str]]:
 def page(demo: Demo, folder: Path) -> str:
     """Return the page of a demo in MyST."""
     said: list[str] = []
-    for kind, lines in paragraphs(flat(program(demo).read_text())):
+    for kind, lines in paragraphs(text_of(demo)):
         if kind == "text":
             said.append(re.sub(r"(?m)^(\$\$.*\$\$)$", r"\n\1\n", lines))
         else:
@@ -262,12 +294,12 @@ def page(demo: Demo, folder: Path) -> str:
             f"```{{literalinclude}} {demo.name}/said.txt\n:language: text\n```\n:::"
         )
     shown = ["## Result", *shown] if shown else []
-    command = " ".join(["containers/run python3", f"demos/{demo.name}/{demo.name}.py"])
-    command = " ".join([command, *demo.options])
-    run_by = (
-        f"Run by `{command}`; pictures and numbers of this page are those of that mesh and these "
-        f"steps. {demo.others} Files: {files}."
-    )
+    where = program(demo).relative_to(ROOT)
+    command = " ".join(["containers/run python3", str(where), *demo.options])
+    these = "pictures and numbers of this page are those of that mesh and these steps"
+    run_by = f"Run by `{command}`; {these}. {demo.others} Files: {files}."
+    if demo.example:
+        run_by = f"Run by `{command}`. Files: {files}."
     return "\n\n".join([first, run_by, *shown, "## Program", *demote(rest)]) + "\n"
 
 
@@ -276,9 +308,14 @@ def demote(parts: list[str]) -> list[str]:
     return [p if p.startswith("```") else re.sub(r"(?m)^##", "###", p) for p in parts]
 
 
+def files_of(demo: Demo) -> list[Path]:
+    """Return the programs of a demo."""
+    return [program(demo)] if demo.example else sorted(program(demo).parent.glob("*.py"))
+
+
 def neighbours(demo: Demo) -> list[Path]:
     """Return the other files of a demo that are imported."""
-    return [file for file in sorted(program(demo).parent.glob("*.py")) if file != program(demo)]
+    return [file for file in files_of(demo) if file != program(demo)]
 
 
 def notebook(demo: Demo, path: Path, pictures: Path) -> None:
@@ -290,15 +327,17 @@ def notebook(demo: Demo, path: Path, pictures: Path) -> None:
         pictures: folder of what the demo has drawn, some of it or nothing.
     """
     cells = [code_cell(f"%%writefile {f.name}\n{f.read_text()}") for f in neighbours(demo)]
-    for kind, lines in paragraphs(flat(program(demo).read_text())):
+    for kind, lines in paragraphs(text_of(demo)):
         cell = {"cell_type": "markdown", "metadata": {}, "source": lines}
         cells.append(cell if kind == "text" else code_cell(lines))
     cells.insert(0, cells.pop(len(neighbours(demo))))  # the title
+    where = "Path()" if demo.example else "options.output"
     shown = [
-        "from IPython.display import Image, display",
+        "from pathlib import Path\n",
+        "from IPython.display import Image, display\n",
         f"for name in {list(demo.pictures)}:",
-        "    if (options.output / name).exists():",
-        "        display(Image(options.output / name))",
+        f"    if ({where} / name).exists():",
+        f"        display(Image({where} / name))",
     ]
     outputs = []
     for file in (pictures / name for name in demo.pictures):
@@ -330,8 +369,22 @@ def run_tutorial() -> None:
 INDEX = """\
 # Gallery
 
-Each demo is a script with options (`--help` shows them), an explanation in its comments, and a
-notebook. They were run for these pages.
+Scripts with an explanation in their comments, and a notebook of each. They were run for these
+pages.
+
+## Examples
+
+Programs of at most 60 lines, to be pasted and changed. Each asserts its result.
+
+:::::{grid} 1 2 2 3
+:gutter: 3
+
+%s
+:::::
+
+## Studies
+
+Longer ones, with options (`--help` shows them) and figures, beside known results.
 
 :::::{grid} 1 2 2 3
 :gutter: 3
@@ -369,8 +422,8 @@ def main(execute: bool) -> None:
     views = DOCS / "generated" / "static" / "views"
     views.mkdir(parents=True, exist_ok=True)
     run_tutorial()  # some seconds; its pages cannot do without
-    cards = []
-    for demo in DEMOS:
+    cards = {}
+    for demo in [*EXAMPLES, *DEMOS]:
         if execute:
             run(demo)
         view = KEPT / demo.name / "view.html"
@@ -378,7 +431,7 @@ def main(execute: bool) -> None:
             make_view(KEPT / demo.name / demo.view, view)
         folder = PAGES / demo.name
         folder.mkdir(parents=True)
-        for file in (ROOT / "demos" / demo.name).glob("*.py"):
+        for file in files_of(demo):
             shutil.copy(file, folder)
         for file in [*demo.pictures, "said.txt", "view.html"]:
             if (KEPT / demo.name / file).exists():
@@ -387,9 +440,9 @@ def main(execute: bool) -> None:
         (PAGES / f"{demo.name}.md").write_text(page(demo, folder))
         if (folder / "view.html").exists():
             (folder / "view.html").replace(views / f"{demo.name}.html")
-        cards.append(card(demo, folder))
-    names = "\n".join(demo.name for demo in DEMOS)
-    (PAGES / "index.md").write_text(INDEX % ("\n".join(cards), names))
+        cards[demo.name] = card(demo, folder)
+    groups = ["\n".join(cards[demo.name] for demo in group) for group in (EXAMPLES, DEMOS)]
+    (PAGES / "index.md").write_text(INDEX % (*groups, "\n".join(cards)))
 
 
 if __name__ == "__main__":

@@ -72,7 +72,7 @@ def write_view(xdmf: Path, html: Path) -> None:
     import meshio
     import pyvista as pv
 
-    from dolfinx_mortar.plotting.libraries import find_screen
+    from dolfinx_mortar.plotting.in_space import find_screen
 
     with meshio.xdmf.TimeSeriesReader(xdmf) as reader:
         points, cells = reader.read_points_cells()

@@ -40,7 +40,7 @@ class BlockMatrix:
         columns: node (p,) of each block, global number; places may repeat, values then add up.
 
     Attributes:
-        matrix: the PETSc matrix, zero until ``fill``.
+        matrix: the PETSc matrix, of the blocks that were filled in last; zero at first.
     """
 
     def __init__(
@@ -52,6 +52,7 @@ class BlockMatrix:
         columns: npt.ArrayLike,
     ) -> None:
         """Fix the pattern."""
+        self._filled: Floats | None = None
         n, N = layout.size_local, layout.size_global
         key = np.asarray(rows, dtype=np.int64) * N + np.asarray(columns, dtype=np.int64)
         order = np.argsort(key, kind="stable")  # fast for keys that are ascending in parts
@@ -71,8 +72,18 @@ class BlockMatrix:
             [(d * n, d * N)] * 2, csr=(self.indptr, self.indices, csr.data), comm=comm
         )
 
+    def of(self, blocks: Floats) -> PETSc.Mat:
+        """Return the matrix of the blocks (p, d, d), which are those of one array (collective).
+
+        Whoever has filled in others meanwhile does not matter; an array that is changed does.
+        """
+        if self._filled is not blocks:
+            self.fill(blocks)
+        return self.matrix
+
     def fill(self, blocks: Floats) -> None:
         """Set the matrix to the blocks (p, d, d) (collective)."""
+        self._filled = blocks
         values = self.blocks.data
         if self.repeats:
             values[:] = 0.0

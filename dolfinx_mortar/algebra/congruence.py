@@ -35,7 +35,7 @@ class Congruence:
         KCt = self.KC.transpose(PETSc.Mat())
         self.Ct.matMult(self.KC, result=self.CtKC)
         self.product.zeroEntries()
-        for part in (K, self.KC, KCt, self.CtKC):
+        for part in (self.KC, KCt, self.CtKC, K):  # in the order of a new one: the same round-off
             self.product.axpy(1.0, part, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
         KCt.destroy()
 
@@ -111,24 +111,26 @@ class _Product:
             self.diagonal.axpy(1.0, _diagonal_change(self.K, C))
         self.scale = self.diagonal.sum() / self.diagonal.getSize()
 
-    def whole(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+    def whole(self, x: PETSc.Vec, y: PETSc.Vec, *, transposed: bool = False) -> None:
+        product = self.K.multTranspose if transposed else self.K.mult
         if self.C is None:
-            self.K.mult(x, y)
+            product(x, y)
             return
         self.C.multAdd(x, x, self._moved)
-        self.K.mult(self._moved, y)
+        product(self._moved, y)
         self.C.multTranspose(y, self._moved)
         y.axpy(1.0, self._moved)
 
     # -- called by PETSc -------------------------------------------------------------------------
 
-    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec, *, transposed: bool = False) -> None:
         x.copy(self._x)
         self._x.array[self.decoupled] = 0.0
-        self.whole(self._x, y)
+        self.whole(self._x, y, transposed=transposed)
         y.array[self.decoupled] = self.scale * x.array_r[self.decoupled]
 
-    multTranspose = mult  # K is symmetric
+    def multTranspose(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        self.mult(mat, x, y, transposed=True)
 
     def getDiagonal(self, mat: PETSc.Mat, d: PETSc.Vec) -> None:
         self.diagonal.copy(d)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Errors that some ranks meet, raised on all: a rank that goes on alone waits for ever."""
+"""Errors of some ranks, raised on all of them: otherwise the others would wait for ever."""
 
 from __future__ import annotations
 

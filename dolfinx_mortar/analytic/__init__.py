@@ -3,13 +3,6 @@
 
 from dolfinx_mortar.analytic.cattaneo import PartialSlip, cattaneo_line
 from dolfinx_mortar.analytic.fit import fit_pressure
-from dolfinx_mortar.analytic.flattening import (
-    Flattening,
-    YieldOfSphere,
-    first_yield_sphere,
-    jackson_green,
-    kogut_etsion,
-)
 from dolfinx_mortar.analytic.hertz import (
     FirstYield,
     LineContact,
@@ -23,30 +16,22 @@ from dolfinx_mortar.analytic.hertz import (
 )
 from dolfinx_mortar.analytic.mindlin import PartialSlipPoint, mindlin_point
 from dolfinx_mortar.analytic.shrink_fit import ShrinkFit, shrink_fit
-from dolfinx_mortar.analytic.tee import TeeStub, tee_stub
 
 __all__ = [
     "FirstYield",
-    "Flattening",
     "LineContact",
     "PartialSlip",
     "PartialSlipPoint",
     "PointContact",
     "ShrinkFit",
-    "TeeStub",
-    "YieldOfSphere",
     "cattaneo_line",
     "effective_modulus",
     "effective_radius",
     "first_yield_line",
-    "first_yield_sphere",
     "fit_pressure",
     "hertz_line",
     "hertz_point",
-    "jackson_green",
-    "kogut_etsion",
     "line_axis_stress",
     "mindlin_point",
     "shrink_fit",
-    "tee_stub",
 ]

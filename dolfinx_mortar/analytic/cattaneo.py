@@ -20,8 +20,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.analytic.checks import check_positive, check_record, is_number, numbers
 from dolfinx_mortar.analytic.hertz import LineContact
+from dolfinx_mortar.analytic.inputs import check_positive, numbers
 from dolfinx_mortar.arrays import Floats
 
 # A force that closes a loop may exceed the range of the leg before it by this share of mu P.
@@ -146,7 +146,6 @@ def cattaneo_line(
     >>> round(loop.dissipation / s.dissipation, 12)
     5.0
     """
-    check_record("contact", contact, LineContact, "hertz_line")
     check_positive(friction=friction)
     path, weights, shares = legs_of(force, friction * contact.force)
     widths = tuple(contact.half_width * float(np.sqrt(1.0 - share)) for share in shares)
@@ -169,11 +168,9 @@ def legs_of(
     Raises:
         ValueError: for what is no force, goes beyond the limit, closes a loop, or does not turn.
     """
-    forces = (force,) if is_number(force) else force
-    history = np.asarray(forces)
-    numeric = history.dtype.kind in "fiu" and history.ndim == 1 and history.size > 0
-    if not (numeric and np.isfinite(history).all()):
-        raise ValueError(f"force = {force!r} must be a finite number, or several in a sequence.")
+    history = np.atleast_1d(numbers("force", force))
+    if history.ndim > 1 or not history.size:
+        raise ValueError(f"force = {force!r} must be a number, or several in a sequence.")
     path = tuple(float(Q) for Q in history)
     changes = [path[0], *(later - Q for Q, later in pairwise(path))]
     sizes = [1.0, *[2.0] * (len(changes) - 1)]

@@ -17,12 +17,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
-from dolfinx_mortar.analytic.checks import (
+from dolfinx_mortar.analytic.inputs import (
     check_poisson,
     check_positive,
-    is_number,
     numbers,
 )
+from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import Floats
 
 
@@ -79,7 +79,7 @@ def effective_modulus(E1: float, nu1: float, E2: float, nu2: float) -> float:
     112949.0
     """
     for name, modulus in (("E1", E1), ("E2", E2)):
-        if not (is_number(modulus) and modulus > 0.0):
+        if not ((is_number(modulus) and modulus > 0.0) or modulus == np.inf):
             raise ValueError(f"{name} = {modulus!r} must be positive; np.inf for a rigid body.")
     check_poisson(nu1=nu1, nu2=nu2)
     compliance = (1.0 - nu1**2) / E1 + (1.0 - nu2**2) / E2

@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_mortar.analytic.cattaneo import legs_of
-from dolfinx_mortar.analytic.checks import check_poisson, check_positive, check_record, numbers
 from dolfinx_mortar.analytic.hertz import PointContact
+from dolfinx_mortar.analytic.inputs import check_poisson, check_positive, numbers
 from dolfinx_mortar.arrays import Floats
 
 
@@ -121,7 +121,6 @@ def mindlin_point(
     >>> round(s.stick_radius / contact.contact_radius, 12)
     0.5
     """
-    check_record("contact", contact, PointContact, "hertz_point")
     check_positive(friction=friction)
     check_poisson(nu=nu)
     path, weights, shares = legs_of(force, friction * contact.force)

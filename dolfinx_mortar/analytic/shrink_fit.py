@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dolfinx_mortar.analytic.checks import check_poisson, check_positive
+from dolfinx_mortar.analytic.inputs import check_poisson, check_positive
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ that was built with MPI; Debian has neither. What it does not need, we do not ne
 files by the usual h5py.
 """
 
-from dolfinx_mortar.checkpoint.forms import check_form
+from dolfinx_mortar.checkpoint.json_types import check_form
 from dolfinx_mortar.checkpoint.places import find_places, size_of
 from dolfinx_mortar.checkpoint.reading import read_about, read_tables
 from dolfinx_mortar.checkpoint.writing import Table, check_folder, write

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The head of a file: its kind, its format, and the checksum of all that follows.
 
-    dolfinx_mortar checkpoint, format 3
+    dolfinx_mortar checkpoint, format 4
     sha256 of what follows: 64 hexadecimal digits
     zeros to byte 512, and from there on HDF5
 
@@ -20,7 +20,7 @@ from typing import IO
 from dolfinx_mortar.disk import CHECKPOINT
 
 # Raise this when what is written changes its meaning. 3: this head, no checksums of HDF5
-FORMAT = 3
+FORMAT = 4
 ROOM = 512  # the least that HDF5 leaves
 KIND = CHECKPOINT + b", format "
 CHECKSUM = b"sha256 of what follows: "

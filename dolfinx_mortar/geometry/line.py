@@ -23,8 +23,10 @@ from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.geometry.tolerances import EPS, ROUND_OFF
 
-_STEPS = 64
-"""Most steps of the search for a root: halving alone would need 53."""
+_STEPS, _FREE = 64, 10
+"""Steps of the search for a root, and after how many the interval is halved: 54 halvings take the
+interval from 2 to less than 2 EPS, so that the root is found whatever the first ten steps were.
+"""
 
 
 @numba.njit(cache=True)
@@ -58,14 +60,14 @@ def _project_node(x, n, y0, y1):  # type: ignore[no-untyped-def]
         return -1.0 if first <= 0.0 else 1.0
     low, high = -1.0, 1.0
     xi = (first + last) / (first - last)  # of the chord of f
-    for _ in range(_STEPS):
+    for step in range(_STEPS):
         f, slope = _moment(x, n, y0, y1, xi)
         if f > 0.0:
             low = xi
         else:
             high = xi
         new = xi - f / slope if slope < 0.0 else np.inf
-        if not low <= new <= high:
+        if step >= _FREE or not low <= new <= high:
             new = (low + high) / 2
         if abs(new - xi) <= 2 * EPS:
             return new

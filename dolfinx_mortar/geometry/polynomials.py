@@ -12,10 +12,11 @@ from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS
 
-_STEPS = 3
-"""Most of Newton's steps on the curved master. They double the digits, and begin within the part's
-sagitta times its slope: of a tenth of a radian per part, 1e-3, after three steps there is round-off
-left; after one where facets are straight.
+_STEPS = 32
+"""Most of Newton's steps to a curved facet; a line that is not met by then is NaN.
+
+They double the digits from within the part's sagitta times its slope: two or three are made where a
+part turns by a tenth of a radian, one where facets are straight.
 """
 
 
@@ -108,12 +109,14 @@ def _meet(c, which, xi, x, n, direction):  # type: ignore[no-untyped-def]
             r, s = r + dr, s + ds
             if max(abs(dr), abs(ds)) <= HALF_OF_DIGITS:  # the next one is round-off
                 break
+        else:
+            r = s = np.nan
         found[q, 0], found[q, 1] = r, s
     return found
 
 
 def meet(facets: Facets, which: Ints, xi: Floats, x: Floats, n: Floats, direction: Ints) -> Floats:
-    """Return the coordinates (q, 2) at which lines through x meet curved facets.
+    """Return the coordinates (q, 2) at which lines through x meet curved facets, NaN if nowhere.
 
     Args:
         facets: the facets (m,).

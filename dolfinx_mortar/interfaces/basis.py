@@ -1,11 +1,17 @@
 # SPDX-License-Identifier: MIT
 """The change of basis u = T y of a whole problem, in which every constraint is a bound.
 
+With the functional Pi_c = lambda^T g(u) of contact, g(u) = -N^T (D - M) (X + u), the saddle point
+of J(u) - Pi_c is found as a minimum of J(T y) over y: T contains P = D^-1 M, so that row j of
+B_I T = N^T (D - M) T is D_jj times one unit vector, and g_j >= 0 a bound on the unknown w_n,j.
+
 Off the slave nodes T is the identity. At slave node j, u_j = R_j w_j + sum_l Q_jl u_l, so that
-T = (I - Q)^-1 W with W = blockdiag(R_j). Where no slave node leans on another, T = W + Q; where an
-interface leans on slave nodes of another one (bodies in a stack), T is the product of the
-interfaces' own matrices in topological order. Where the middles of a side's edges lean on their
-ends (six-node triangles), that side has two matrices, the middles' own on the left.
+T = (I - Q)^-1 W with W = blockdiag(R_j). Where Q refers to no slave node, T = W + Q; where that of
+an interface refers to slave nodes of another one (bodies in a stack), T is the product of the
+interfaces' own matrices in topological order. Where the dual functions of mid-side nodes couple
+with those of the vertices (six-node triangles), the side has two matrices, that of the mid-side
+nodes on the left. A tie with a pretension has one unknown more, which takes the place of one of its
+w: T S for T, see `pretension`.
 """
 
 from __future__ import annotations
@@ -20,8 +26,9 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.congruence import Congruence
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
-from dolfinx_mortar.interfaces.claims import find_leant_on
+from dolfinx_mortar.interfaces.claims import find_referenced
 from dolfinx_mortar.interfaces.coupling import Link, create_blocks
+from dolfinx_mortar.interfaces.pretension import Pretension, find_pretensions
 
 
 class Transformation:
@@ -31,28 +38,39 @@ class Transformation:
         V: the vector space of the displacement.
         links: the interfaces with their pairings, claims and near nodes.
         order: topological order of the interfaces, from ``resolve_claims``.
+
+    Attributes:
+        pretensions: the unknown overlaps of ties with a pretension.
+        released: directions of these, of all interfaces; None for those that have none.
     """
 
     def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], order: list[int]) -> None:
         """Build the patterns; values come with ``update``."""
         # Without chains all interfaces fit in one matrix, which saves the products.
         n = V.dofmap.index_map.size_local
-        leans = [
-            find_leant_on(link.sides, link.pattern, link.banned[:n], link.coupling.coverage)
+        referenced = [
+            find_referenced(link.sides, link.pattern, link.banned[:n], link.coupling.coverage)
             for link in links
         ]
         chained = any(
-            (leans[i] & links[k].sides.on_slave[:n] & ~links[k].banned[:n]).any()
+            (referenced[i] & links[k].sides.on_slave[:n] & ~links[k].banned[:n]).any()
             for position, i in enumerate(order)
             for k in order[position + 1 :]
         )
         self.chained = bool(any_rank(V.mesh.comm, chained)[0])
         groups = [[i] for i in order] if self.chained else [order]
         self.links = links
-        leaning = any_rank(V.mesh.comm, any(link.sides.leaning.any() for link in links))[0]
-        levels = (True, False) if leaning else (None,)
-        # T is their product
-        self.factors = [_Factor(V, links, group, level) for group in groups for level in levels]
+        self.released = [link.interface.released for link in links]
+        self.pretensions = find_pretensions(links)
+        dependent = any_rank(V.mesh.comm, any(link.sides.dependent.any() for link in links))[0]
+        levels = (True, False) if dependent else (None,)
+        parts = [(group, level) for group in groups for level in levels]
+        # T is their product. No factor on the right of a tie's refers to its slave nodes, so that S
+        # may stand in the last one.
+        last = [()] * (len(parts) - 1) + [self.pretensions]
+        self.factors = [
+            _Factor(V, links, *part, overlaps) for part, overlaps in zip(parts, last, strict=True)
+        ]
         self._congruences: list[Congruence] = []
 
     def update(self, links: Sequence[Link]) -> None:
@@ -83,7 +101,7 @@ class Transformation:
 
     # -- the basis v of multigrid ----------------------------------------------------------------
 
-    # In it sides that are not in contact know nothing of each other. It differs from y at slave
+    # In it sides that are not in contact are uncoupled. It differs from y at slave
     # nodes whose contact is open: v_n = n_j.u_j there instead of w_n = n_j.(u_j - P u), so that
     # y = (I - E) v. For chains of interfaces it is y itself.
 
@@ -99,7 +117,7 @@ class Transformation:
         C, E = _product(Cs), Es[0]
         for other in Es[1:]:
             E.axpy(1.0, other, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-        if len(Es) > 1:  # v of the ends on which middles lean is not their u
+        if len(Es) > 1:  # v of vertices beside mid-side nodes is not their u
             E.axpy(1.0, E.matMult(C), PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         return C, E
 
@@ -110,13 +128,15 @@ class Transformation:
             return y
         once, v = y.duplicate(), y.duplicate()
         E.multAdd(y, y, once)
-        E.multAdd(once, y, v)  # (I - E)^-1 = I + E + E^2: ends of middles may be released, too
+        E.multAdd(once, y, v)  # (I - E)^-1 = I + E + E^2: vertices may be open, too
         return v
 
     def inverse(self, u: PETSc.Vec) -> PETSc.Vec:
         """Return y with T y = u; collective."""
         for factor in self.factors:
             u = factor.inverse(self.links, u)
+        for pretension in self.pretensions:
+            pretension.lower(u)
         return u
 
     def transform(self, K: PETSc.Mat) -> PETSc.Mat:
@@ -133,9 +153,9 @@ class Transformation:
 
 
 class _Factor:
-    """T = I + C of interfaces that do not lean on each other's slave nodes.
+    """T = I + C of interfaces that do not refer to each other's slave nodes.
 
-    Of all their slave nodes, or of those alone that lean on other ones of their side, or do not.
+    Of all their slave nodes, of the mid-side nodes alone that refer to vertices, or of the rest.
     """
 
     def __init__(
@@ -143,7 +163,8 @@ class _Factor:
         V: fem.FunctionSpace,
         links: Sequence[Link],
         members: list[int],
-        leaning: bool | None = None,
+        dependent: bool | None = None,
+        pretensions: Sequence[Pretension] = (),
     ) -> None:
         first, n = V.dofmap.index_map.local_range[0], V.dofmap.index_map.size_local
         taken = np.zeros(n, dtype=bool)
@@ -155,13 +176,17 @@ class _Factor:
             others = [links[i] for i in members if i != k]
             mine = ~taken[link.nodes] & ~(link.banned[link.nodes] & _kept_by(others, link.nodes))
             taken[link.nodes[mine]] = True
-            here = np.ones_like(mine) if leaning is None else link.sides.leaning == leaning
+            here = np.ones_like(mine) if dependent is None else link.sides.dependent == dependent
             mine, near = mine & here, link.near & here
             self.parts.append((k, mine, near))
             on = near[p.row]
             rows += [link.nodes[mine], link.nodes[p.row[on]]]
             columns += [link.nodes[mine].astype(np.int64) + first, p.column[on]]
         self.V = V
+        self._overlaps = [pretension.entries(V.dofmap.index_map_bs) for pretension in pretensions]
+        for nodes, column, _ in self._overlaps:
+            rows.append(nodes)
+            columns.append(column)
         self._blocks = create_blocks(V, np.concatenate(rows), np.concatenate(columns))
         self.C = self._blocks.matrix
 
@@ -172,12 +197,14 @@ class _Factor:
             link = links[k]
             turn = link.frames[mine] - np.eye(link.frames.shape[1])
             values += [turn, link.coupling.blocks[near[link.pattern.row]]]
+        values += [blocks for _, _, blocks in self._overlaps]
         self._blocks.fill(np.concatenate(values))
 
     def uncouple(self, links: Sequence[Link], held: Ints) -> tuple[PETSc.Mat, PETSc.Mat]:
         """Return C of constraints at held unknowns only, without stored zeros, and E; collective.
 
-        A direction that is not held lets go: contact is open, or slips.
+        A direction that is not held is free: contact is open, or slips. Without the columns of
+        pretensions, whose unknowns multigrid leaves to the iteration.
         """
         V, d = self.V, self.V.dofmap.index_map_bs
         first, n = V.dofmap.index_map.local_range[0], V.dofmap.index_map.size_local
@@ -190,14 +217,14 @@ class _Factor:
             nodes = link.nodes[mine]
             C.append((nodes, nodes.astype(np.int64) + first, link.frames[mine] - np.eye(d)))
             dofs = d * link.nodes[:, None] + np.arange(d)
-            lets_go = link.constrained & ~is_held[dofs]
+            free_now = link.constrained & ~is_held[dofs]
             used = blocks.any(axis=(1, 2)) & near[p.row]
-            off = used & lets_go[p.row].any(axis=1)
-            R, free = link.coupling.R[p.row[off]], lets_go[p.row[off]]
+            off = used & free_now[p.row].any(axis=1)
+            R, free = link.coupling.R[p.row[off]], free_now[p.row[off]]
             in_frame = np.where(free[:, :, None], np.swapaxes(R, 1, 2) @ blocks[off], 0.0)
             kept = blocks.copy()
             kept[off] -= R @ in_frame
-            kept[off & (link.constrained == lets_go)[p.row].all(axis=1)] = 0.0  # not round-off
+            kept[off & (link.constrained == free_now)[p.row].all(axis=1)] = 0.0  # not round-off
             on = used & kept.any(axis=(1, 2))
             C.append((link.nodes[p.row[on]], p.column[on], kept[on]))
             E.append((link.nodes[p.row[off]], p.column[off], in_frame))
@@ -207,8 +234,8 @@ class _Factor:
         """Return y with T y = u: w_j = R_j^T (u_j - sum_l Q_jl u_l) at slave nodes; collective."""
         difference, d = u.copy(), self.V.dofmap.index_map_bs
         for k, _, near in self.parts:
-            moved = (links[k].coupling.Q * u).array_r.reshape(-1, d)
-            nodes = links[k].nodes[near]  # the others know nothing of the master
+            moved = (links[k].Q * u).array_r.reshape(-1, d)
+            nodes = links[k].nodes[near]  # the others have no row in T
             difference.array.reshape(-1, d)[nodes] -= moved[nodes]
         y = u.copy()
         for k, mine, _ in self.parts:

@@ -24,13 +24,15 @@ class Claims:
 
     owner: Ints  # (owned nodes,) the interface that may keep it
     banned: list[Bools]  # for each interface (local nodes,): slave nodes that it may not keep
-    leans: frozenset[tuple[int, int]]  # (i, k): i leans on slave nodes of k, T_i is left of T_k
+    dependencies: frozenset[
+        tuple[int, int]
+    ]  # (i, k): i depends on slave nodes of k, T_i is left of T_k
     order: list[int]  # in which the transformations multiply
     notes: list[str]  # on what was removed
 
 
 def referenced(sides: Sides, pattern: Pattern) -> Bools:
-    """Return which owned nodes the candidate pairs of an interface lean on; collective."""
+    """Return which owned nodes the candidate pairs of an interface depend on; collective."""
     layout = sides.V.dofmap.index_map
     count = PETSc.Vec().createMPI((sides.n_owned, layout.size_global), comm=sides.V.mesh.comm)
     columns = pattern.column[pattern.from_D.size :].astype(PETSc.IntType)
@@ -55,7 +57,7 @@ def choose_owners(sides: Sequence[Sides], coverage: Sequence[Coverage]) -> Ints:
     return owner
 
 
-def find_leant_on(sides: Sides, pattern: Pattern, banned: Bools, coverage: Coverage) -> Bools:
+def find_referenced(sides: Sides, pattern: Pattern, banned: Bools, coverage: Coverage) -> Bools:
     """Return which owned nodes P of an interface may refer to; collective.
 
     Master nodes of the candidate pairs, and slave nodes without multiplier that share a covered
@@ -88,16 +90,16 @@ def resolve_claims(
     slaves = [s.on_slave[:n] for s in sides]
     banned = [slave & (owner != k) for k, slave in enumerate(slaves)]
     notes: list[str] = []
-    leans: set[tuple[int, int]] = set()
+    dependencies: set[tuple[int, int]] = set()
 
     def note(k: int, nodes: Bools, why: str) -> None:
         count = comm.allreduce(int(nodes.sum()), op=MPI.SUM)
         if count:
             notes.append(f"{interfaces[k]}: {count} slave nodes removed, {why}")
 
-    def leaning(i: int, k: int) -> Bools:
-        """Return the owned slave nodes of k that i leans on."""
-        leant_on = find_leant_on(sides[i], patterns[i], banned[i], coverage[i])
+    def dependent(i: int, k: int) -> Bools:
+        """Return the owned slave nodes of k that i depends on."""
+        leant_on = find_referenced(sides[i], patterns[i], banned[i], coverage[i])
         return np.asarray(leant_on & slaves[k] & ~banned[k])
 
     def remove(k: int, nodes: Bools, why: str) -> None:
@@ -113,18 +115,20 @@ def resolve_claims(
             "claimed by an earlier interface whose master they face as well; "
             "give both masters one tag",
         )
-        remove(k, leaning(k, k), "they are master nodes of the same interface")
-        leans |= {(k, i) for i in range(k) if any_rank(comm, leaning(k, i).any())[0]}
+        remove(k, dependent(k, k), "they are master nodes of the same interface")
+        dependencies |= {(k, i) for i in range(k) if any_rank(comm, dependent(k, i).any())[0]}
         for i in range(k):
-            hit = leaning(i, k)
+            hit = dependent(i, k)
             if not any_rank(comm, hit.any())[0]:
                 continue
-            if _reaches(leans, k, i):
+            if _reaches(dependencies, k, i):
                 remove(k, hit, f"they would close a cycle with {interfaces[i]}")
             else:
-                leans.add((i, k))
+                dependencies.add((i, k))
     shared = [with_ghosts(s.V, b) for s, b in zip(sides, banned, strict=True)]
-    return Claims(owner, shared, frozenset(leans), _topological(len(sides), leans), notes)
+    return Claims(
+        owner, shared, frozenset(dependencies), _topological(len(sides), dependencies), notes
+    )
 
 
 def are_outdated(
@@ -136,7 +140,7 @@ def are_outdated(
     """Tell whether bodies have slid so far that claims must be settled anew; collective.
 
     That is so if a node no longer faces the master of its interface, but another one's, or if an
-    interface leans on another one that it did not lean on before.
+    interface depends on another one that it did not depend on before.
     """
     if len(sides) < 2:
         return False
@@ -148,10 +152,10 @@ def are_outdated(
     own = np.arange(n)
     outdated = [bool((~faces[claims.owner, own] & faces[best, own]).any())]
     for i, (side, pattern) in enumerate(zip(sides, patterns, strict=True)):
-        leant_on = find_leant_on(side, pattern, claims.banned[i][:n], coverage[i])
+        leant_on = find_referenced(side, pattern, claims.banned[i][:n], coverage[i])
         for k, other in enumerate(sides):
             hit = leant_on & other.on_slave[:n] & ~claims.banned[k][:n]
-            outdated.append(bool(hit.any()) and i != k and (i, k) not in claims.leans)
+            outdated.append(bool(hit.any()) and i != k and (i, k) not in claims.dependencies)
     return bool(any_rank(sides[0].V.mesh.comm, any(outdated))[0])
 
 

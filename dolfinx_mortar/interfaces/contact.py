@@ -1,5 +1,18 @@
 # SPDX-License-Identifier: MIT
-"""Unilateral contact, without and with friction."""
+"""Unilateral contact, without and with friction.
+
+The functional of contact, with Lagrange multipliers lambda_j >= 0 and weighted gaps g_j, its first
+variation and its linearisation are
+
+    Pi_c = lambda^T g(u),     g(u) = -N^T (D - M) (X + u) = c_I - B_I u,     B_I = N^T (D - M),
+    delta Pi_c = delta lambda^T g(u) - lambda^T B_I delta u,
+    Delta delta Pi_c = -(delta lambda^T B_I Delta u + Delta lambda^T B_I delta u).
+
+A step is the saddle point of J(u) - Pi_c. D, M and N are those of the present iterate: their
+derivatives are left out, which is exact for frozen geometry. g_j >= 0, lambda_j >= 0 and
+lambda_j g_j = 0 are bounds in the basis of `dolfinx_mortar.interfaces.basis`, w_n <= g_j / D_jj;
+the reaction of that bound is D_jj lambda_j.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +28,8 @@ from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits
+from dolfinx_mortar.interfaces.coulomb import Limit, create_law
 from dolfinx_mortar.interfaces.frames import create_frames
-from dolfinx_mortar.interfaces.friction import Limit, create_law
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Frame, Interface, NoResult
 from dolfinx_mortar.interfaces.nodal import check_mesh
 
@@ -65,8 +78,8 @@ class Contact(Interface):
         master: tag or name of the other side.
         surface: "smooth" measures the gap between the smooth surfaces through the nodes of the
             facets, g_j - sum_q w Phi_j (h_s + h_m) / D_jj with the heights h of
-            `dolfinx_mortar.geometry.smooth`; "facets" between the facets, as the paper does. D, M
-            and N are the same.
+            `dolfinx_mortar.geometry.curvature`; "facets" between the facets, as the paper does.
+            D, M and N are the same.
         feature_angle: degrees between two facets from which on they meet in an edge, which stays
             one; for smooth surfaces.
         friction: coefficient mu of Coulomb's law: a number, a scalar Constant, or a scalar

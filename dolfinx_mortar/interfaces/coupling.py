@@ -6,10 +6,10 @@ At a kept slave node j with frame R_j = (n_j, t_j, ..) the displacement is writt
     u_j = R_j w_j + sum_l Q_jl u_l,      Q_jl = R_j S_j R_j^T P_jl,      P = D^-1 (M - D_other)
 
 with D on the diagonal, and D_other what it has besides: columns of removed nodes, and of the ends
-on which the middles of six-node triangles lean (`dolfinx_mortar.mortar.dual`). Here S_j = diag(1 in
-constrained directions); for ties of smooth surfaces P_jl I is completed by the motions
-D_jj^-1 int Phi_j A_l of `dolfinx_mortar.geometry.arms`. Then w is the relative displacement of the
-two sides in those directions, and every constraint is a bound on w.
+on which the middles of six-node triangles depend (`dolfinx_mortar.mortar.dual`). Here S_j = diag(1
+in constrained directions); for ties of smooth surfaces P_jl I is completed by the motions
+D_jj^-1 int Phi_j A_l of `dolfinx_mortar.geometry.offset_vectors`. Then w is the relative
+displacement of the two sides in those directions, and every constraint is a bound on w.
 """
 
 from __future__ import annotations
@@ -28,6 +28,12 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
 from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.mortar.curvature_correction import (
+    SmoothSide,
+    find_smooth_sides,
+    point_heights,
+    point_motions,
+)
 from dolfinx_mortar.mortar.edges import edge_normals, find_edges, open_duals
 from dolfinx_mortar.mortar.operators import (
     Coverage,
@@ -42,8 +48,7 @@ from dolfinx_mortar.mortar.operators import (
     weighted_duals,
 )
 from dolfinx_mortar.mortar.pairing import Pairing, Weight, create_pairing, outside_margin
-from dolfinx_mortar.mortar.smooth import SmoothSide, find_smooth_sides, point_heights, point_motions
-from dolfinx_mortar.mortar.surface import Surface, accumulate, create_surface, leaning_nodes
+from dolfinx_mortar.mortar.surface import Surface, accumulate, create_surface, dependent_nodes
 
 
 @dataclass(frozen=True)
@@ -56,7 +61,7 @@ class Sides:
     on_slave: Bools  # (local nodes,)
     on_master: Bools  # (local nodes,)
     fixed: Bools  # (local nodes, d) directions with Dirichlet data
-    leaning: Bools  # (n,) owned slave nodes that lean on other ones, which may be kept
+    dependent: Bools  # (n,) owned slave nodes that depend on other ones, which may be kept
     edges: Bools | None = None  # (n,) slave nodes on edges where a contact has normals of its own
     weight: Weight | None = None  # of all integrals over the interface; None for 1
 
@@ -86,13 +91,9 @@ class Pattern:
 
 @dataclass(frozen=True)
 class Coupling:
-    """Frames, weights and Q of one interface in one configuration, at its owned slave nodes.
+    """Frames, weights and Q of one interface in one configuration, at its owned slave nodes."""
 
-    ``Q`` is refilled by the next update of the same pattern.
-    """
-
-    Q: PETSc.Mat
-    blocks: Floats  # (e, d, d) its entries on the pattern
+    blocks: Floats  # (e, d, d) entries of Q on the pattern, read-only
     P: Floats  # (e, c) D^-1 (M - D_other) on the pattern, for each of c choices of direction
     R: Floats  # (n, d, d) frames; columns are the directions, which the interface chooses
     slot: Ints  # (n, d) column of R that is a prescribed Cartesian direction, else -1
@@ -129,6 +130,11 @@ class Link:
         return self.sides.nodes
 
     @property
+    def Q(self) -> PETSc.Mat:
+        """The matrix Q, in room that it shares with other configurations of the same pattern."""
+        return self.pattern.blocks.of(self.coupling.blocks)
+
+    @property
     def constrained(self) -> Bools:
         """Which directions of the frames (n, d) are constrained in the change of basis."""
         return np.asarray(self.coupling.directions & self.near[:, None])
@@ -152,7 +158,7 @@ class Link:
 
         In constrained directions this is the relative motion of the two sides, R_j^T (v_j - P v).
         """
-        difference = v.array_r - (self.coupling.Q * v).array_r
+        difference = v.array_r - (self.Q * v).array_r
         local = difference.reshape(-1, self.coupling.R.shape[1])[self.nodes]
         return np.asarray(np.einsum("nij,ni->nj", self.coupling.R, local))
 
@@ -162,7 +168,7 @@ class Link:
         The distance to the master along the normal; h_j the mean height of smooth surfaces.
         """
         normals = self.coupling.normals
-        moved = (self.coupling.Q * v).array_r - v.array_r
+        moved = (self.Q * v).array_r - v.array_r
         along = (moved.reshape(-1, normals.shape[1])[self.nodes] * normals).sum(axis=1)
         return np.asarray(along - self.coupling.heights)
 
@@ -181,7 +187,7 @@ class Link:
         moved = -np.einsum("eij,ei->ej", self.coupling.blocks, forces[p.row])
         sides = []
         for part in (slice(None, p.from_D.size), slice(p.from_D.size, None)):
-            side = self.coupling.Q.createVecRight()
+            side = self.Q.createVecRight()
             side.setValues(dofs[part].ravel(), moved[part].ravel(), PETSc.InsertMode.ADD_VALUES)
             side.assemble()
             sides.append(np.array(side.array_r).reshape(-1, d))
@@ -222,9 +228,9 @@ def find_sides(
     """
     slave = create_surface(V, interface.facet_tags, interface.slave, "slave")
     master = create_surface(V, interface.facet_tags, interface.master, "master")
-    leaning = leaning_nodes(slave)[: slave.owned]
+    dependent = dependent_nodes(slave)[: slave.owned]
     edges = find_edges(slave, interface.feature_angle) if interface.one_sided else None
-    return Sides(V, slave, master, _mark(slave), _mark(master), fixed, leaning, edges, weight)
+    return Sides(V, slave, master, _mark(slave), _mark(master), fixed, dependent, edges, weight)
 
 
 def _mark(surface: Surface) -> Bools:
@@ -235,16 +241,28 @@ def _mark(surface: Surface) -> Bools:
 
 
 def pair(
-    interface: Interface, sides: Sides, u: fem.Function | None, *, again: bool
+    interface: Interface,
+    sides: Sides,
+    u: fem.Function | None,
+    *,
+    again: bool,
+    room: tuple[Pairing, Pattern] | None = None,
 ) -> tuple[Pairing, Pattern]:
     """Pair slave and master facets at X + u and fix the coupling pattern; collective.
 
-    At first the sides have to face each other somewhere; later, ``again``, they may turn away.
+    Args:
+        interface: the description.
+        sides: its surfaces.
+        u: displacement, None for X.
+        again: sides that have faced each other once may turn away; at first that is an error.
+        room: of an earlier search, whose matrices serve once more where the pairs are the same.
     """
     surfaces = sides.slave, sides.master
-    pairing = create_pairing(
-        sides.V, *surfaces, u, moving=u is not None, again=again, weight=sides.weight
-    )
+    moving, earlier = u is not None, None if room is None else room[0]
+    options = {"moving": moving, "again": again, "weight": sides.weight, "room": earlier}
+    pairing = create_pairing(sides.V, *surfaces, u, **options)
+    if room is not None and pairing.D is room[0].D:
+        return pairing, room[1]
     nodes = sides.nodes
     position = np.full(sides.n_owned, -1, dtype=np.int32)
     position[nodes] = np.arange(len(nodes), dtype=np.int32)
@@ -315,7 +333,7 @@ def couple(
     u: fem.Function | None,
     before: Coupling | None = None,
 ) -> Coupling:
-    """Integrate D and M at X + u on the fixed pattern and refill Q; collective.
+    """Integrate D and M at X + u on the fixed pattern; collective.
 
     Args:
         interface: what is constrained.
@@ -366,9 +384,8 @@ def couple(
     if motions is not None:
         of_master = slice(pattern.from_D.size, None)
         blocks[of_master] += motions * _inverse(weights)[pattern.row[of_master], :, None]
-    pattern.blocks.fill(blocks)
+    blocks.flags.writeable = False
     return Coupling(
-        Q=pattern.blocks.matrix,
         blocks=blocks,
         P=P,
         R=frame.R,
@@ -384,20 +401,17 @@ def couple(
     )
 
 
-def stand_off(
-    link: Link, segments: Segments, u: fem.Function | None, smooth: tuple[SmoothSide, SmoothSide]
-) -> Floats:
+def stand_off(link: Link, u: fem.Function | None, smooth: tuple[SmoothSide, SmoothSide]) -> Floats:
     """Return the heights (n,) that smooth surfaces would have at the slave nodes; collective.
 
     By so much the gap between the facets is too large (or, where sides are hollow, too small).
 
     Args:
         link: the interface, coupled at X + u.
-        segments: its segments there.
         u: displacement, None for X.
         smooth: the smooth surfaces at X.
     """
-    pairing = link.pairing
+    pairing, segments = link.pairing, link.coupling.segments
     Phi = weighted_duals(pairing, segments, _everywhere(link.sides, link.coupling.kept[:, 0]))
     at_points = point_heights(pairing, segments, u, smooth)
     return _heights(pairing, segments, Phi, link.coupling.weight[:, 0], at_points)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -169,6 +169,11 @@ class Interface:
         """Return the displacement at which the interface is taken, None for X."""
         return u
 
+    @property
+    def released(self) -> tuple[float, ...] | None:
+        """Direction along which sides overlap under a given force; None where there is none."""
+        return None
+
     def reach(self, sizes: Floats, nearest: float) -> Floats:
         """Return how far apart (q,) partners may be; contacts meet from any distance.
 
@@ -317,3 +322,18 @@ class Interface:
         return {
             name: part if sizes.get(name, d) > 1 else part[:, 0] for name, part in parts.items()
         }
+
+
+def check_owned(interfaces: Iterable[Interface], owner: object) -> None:
+    """Raise a ValueError if a problem made later has taken over an interface.
+
+    Args:
+        interfaces: those of the problem.
+        owner: what the problem has taken them for.
+    """
+    for interface in interfaces:
+        if interface.owner is not owner:
+            raise ValueError(
+                f"interfaces: {interface} belongs to a problem made later, whose results it shows; "
+                f"give each its own {type(interface).__name__}"
+            )

@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -14,12 +16,13 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
-from dolfinx_mortar.interfaces.claims import Claims, are_outdated, resolve_claims
+from dolfinx_mortar.interfaces.claims import Claims, are_outdated, find_referenced, resolve_claims
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, join, join_limits
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.coupling import (
     Coupling,
     Link,
+    Pattern,
     Sides,
     couple,
     find_sides,
@@ -30,15 +33,79 @@ from dolfinx_mortar.interfaces.coupling import (
 )
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.near import find_reach, touches_far_nodes
-from dolfinx_mortar.interfaces.partners import Partners, find_partners
+from dolfinx_mortar.interfaces.pretension import Pretension
+from dolfinx_mortar.interfaces.slip_partners import Partners, partners_of
 from dolfinx_mortar.mortar.operators import Coverage
-from dolfinx_mortar.mortar.pairing import Weight
+from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.passing import Middles
 from dolfinx_mortar.mortar.surface import mean_facet_length
 
 
+@dataclass(frozen=True)
+class Paired:
+    """Where surfaces were paired, and which nodes T holds: what tells pairs, claims and T."""
+
+    at: Floats  # (n,) displacement; empty for X
+    near: Sequence[Bools]  # of each interface (slave nodes,)
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """All interfaces at given positions: a function of these, and of where they were paired.
+
+    Pairs serve until the sides have slid past them, and T holds its nodes until others come near;
+    within a step, multipliers that were lost are known.
+    """
+
+    links: Sequence[Link] = ()  # the interfaces with their pairings and couplings
+    claims: Claims | None = None  # None without interfaces
+    transformation: Transformation | None = None  # T; None without interfaces
+    increment: float = 0.0  # largest motion that the step asks for: what counts as near
+    paired_at: Floats = field(default_factory=lambda: np.zeros(0))  # (n,), see `Paired`
+    searched: bool = False  # just now: which nodes T holds is to be chosen
+
+    @property
+    def paired(self) -> Paired:
+        """What the next step needs to know of it."""
+        return Paired(self.paired_at, [link.near for link in self.links])
+
+    def largest_slip(self, u: PETSc.Vec, jumps: Mapping[int, PETSc.Vec]) -> float:
+        """Return by how much tied sides miss their jumps at most; collective.
+
+        Args:
+            u: (n,) displacement.
+            jumps: as for `InterfaceSystem.constraints`.
+        """
+        missed: list[Floats] = [np.zeros(0)]
+        for k, link in enumerate(self.links):
+            if not link.interface.one_sided:
+                missed.append(link.relative(_without(u, jumps, k))[link.constrained])
+        largest = np.abs(np.concatenate(missed)).max(initial=0.0)
+        return float(maximum(u.comm.tompi4py(), largest)[0])
+
+    def partners(self, x: PETSc.Vec) -> list[Partners | None]:
+        """Return where the nodes of contacts with friction are on their masters; collective.
+
+        Args:
+            x: (n,) positions at the last commit.
+        """
+        return [partners_of(link, x) if link.interface.rough else None for link in self.links]
+
+
+@dataclass(frozen=True)
+class Room:
+    """The last search and the last T: their matrices serve once more where they fit."""
+
+    pairs: Sequence[tuple[Pairing, Pattern]] = ()  # of each interface; none before the first search
+    claims: Claims | None = None
+    paired_at: Floats | None = None  # where that search was made
+    transformation: Transformation | None = None
+    held: Sequence[Any] = ()  # what its pattern depends on, see `_pattern_of`
+    order: Sequence[int] = ()
+
+
 class InterfaceSystem:
-    """The interfaces of a problem and T, as of the last update.
+    """The interfaces of a problem, and where they are at present.
 
     Args:
         V: the vector space of the displacement.
@@ -47,10 +114,9 @@ class InterfaceSystem:
         weight: factor of all integrals over interfaces, 1 if not given.
 
     Attributes:
-        links: the interfaces with their pairings and couplings.
-        transformation: T; None without interfaces.
+        present: the configuration in use, of the audit or the iterate of the moment.
         searches: how often the surfaces were paired.
-        middles: those of the bodies behind both sides of each contact, see `steps.passing`.
+        middles: of the bodies behind both sides of each contact, see `newton_method.tunnelling`.
         faced: whether the sides have faced each other at some time, so that they may turn away.
         facet_length: largest mean slave facet of the interfaces, 1 without interfaces.
     """
@@ -66,9 +132,8 @@ class InterfaceSystem:
         self.V, self.interfaces = V, list(interfaces)
         self.sides: list[Sides] = [find_sides(i, V, fixed, weight) for i in interfaces]
         self.facet_length = max((mean_facet_length(s.slave) for s in self.sides), default=1.0)
-        self.links: list[Link] = []
-        self.claims: Claims | None = None
-        self.transformation: Transformation | None = None
+        self.present = Configuration()
+        self._room = Room()
         self.searches = 0
         self.middles: list[tuple[Middles, Middles] | None] | None = None  # when first asked for
         self.faced = False
@@ -79,126 +144,191 @@ class InterfaceSystem:
         return int(self.V.dofmap.index_map.size_local)
 
     @property
+    def links(self) -> Sequence[Link]:
+        """The interfaces with their pairings and couplings, at present."""
+        return self.present.links
+
+    @property
+    def transformation(self) -> Transformation | None:
+        """T at present; None without interfaces."""
+        return self.present.transformation
+
+    @property
     def notes(self) -> list[str]:
         """What the present claims have removed."""
-        return [] if self.claims is None else list(self.claims.notes)
+        return [] if self.present.claims is None else list(self.present.claims.notes)
 
     def link(self, interface: Interface) -> Link:
-        """Return what the last update has found for an interface."""
+        """Return what is known of an interface at present."""
         return self.links[next(k for k, i in enumerate(self.interfaces) if i is interface)]
 
     # -- configurations --------------------------------------------------------------------------
 
-    def update(
-        self,
-        at: fem.Function | None,
-        x: PETSc.Vec,
-        increment: float,
-        *,
-        search: bool = False,
-        everywhere: bool = False,
-        onward: bool = False,
-    ) -> bool:
-        """Rebuild D, M, N and T at X + u; collective.
+    def at(self, u: fem.Function | None, before: Configuration | None = None) -> Configuration:
+        """Pair and couple the surfaces at X + u and settle the claims; no T yet; collective.
 
         Args:
-            at: displacement u at which normals and segments are taken; None for X.
-            x: (n,) present coordinates X + u, also for frozen surfaces.
-            increment: largest prescribed increment of the step, which tells what counts as near.
-            search: pair the surfaces anew in any case; otherwise where they slid too far.
-            everywhere: ask so for the whole surfaces, not only near the contact.
-            onward: in the course of a step, which remembers who has lost a multiplier.
-
-        Returns:
-            Whether T has a new pattern.
+            u: displacement, None for X.
+            before: of the same step, which knows who has lost a multiplier.
         """
         if not self.interfaces:
-            return False
-        if search or not self.links or self._slid(at, everywhere=everywhere):
-            self._search(at)
-        else:
-            self.links = [
-                replace(link, coupling=self._couple(link, at, onward)) for link in self.links
-            ]
-            if self._claims_outdated():
-                self._search(at)
-        reach = find_reach(self.links, x, self.n, increment, self.facet_length)
-        missing = reach.missing(self.links)
-        fresh = self.transformation is None or bool(any_rank(self.V.mesh.comm, missing)[0])
-        if fresh:
-            assert self.claims is not None
-            self.links = [restrict(link, reach.near(link)) for link in self.links]
-            self.transformation = None  # before the new one needs the memory
-            self.transformation = Transformation(self.V, self.links, self.claims.order)
-        assert self.transformation is not None
-        self.transformation.update(self.links)
-        return fresh
-
-    def _slid(self, at: fem.Function | None, *, everywhere: bool) -> bool:
-        """Tell whether sides slid out of the margins of their pairings; collective."""
-        slid = [
-            has_slid(link, at, everywhere=everywhere)
-            for link in self.links
-            if link.interface.configuration(at) is not None
-        ]
-        return any(slid)
-
-    def _couple(self, link: Link, at: fem.Function | None, onward: bool) -> Coupling:
-        at, before = link.interface.configuration(at), link.coupling if onward else None
-        parts = link.interface, link.sides, link.pairing, link.pattern, link.banned
-        return couple(*parts, at, before)
-
-    def _search(self, at: fem.Function | None) -> None:
-        """Pair the surfaces and settle the claims; T has to be built anew; collective."""
+            return Configuration()
         self.searches += 1
-        self.transformation = None
-        configurations = [i.configuration(at) for i in self.interfaces]
+        displacements = [i.configuration(u) for i in self.interfaces]
+        unknown = [None] * len(self.interfaces)
         found = [
-            pair(interface, sides, u, again=self.faced)
-            for interface, sides, u in zip(self.interfaces, self.sides, configurations, strict=True)
+            pair(interface, sides, v, again=self.faced, room=room)
+            for interface, sides, v, room in zip(
+                self.interfaces, self.sides, displacements, self._room.pairs or unknown, strict=True
+            )
         ]
         self.faced = True
         pairings, patterns = zip(*found, strict=True)
         if len(self.sides) > 1:
             coverage = [
                 measure_coverage(*of)
-                for of in zip(self.interfaces, pairings, configurations, strict=True)
+                for of in zip(self.interfaces, pairings, displacements, strict=True)
             ]
         else:  # nobody to share with
             nodes = len(self.sides[0].nodes)
             faces = np.ones(nodes, dtype=bool)
             coverage = [Coverage(np.ones(nodes), faces, ~faces)]
-        self.claims = resolve_claims(self.interfaces, self.sides, patterns, coverage)
-        self.links = []
-        parts = zip(
-            self.interfaces,
-            self.sides,
-            pairings,
-            patterns,
-            self.claims.banned,
-            configurations,
-            strict=True,
-        )
-        for interface, sides, pairing, pattern, banned, u in parts:
-            coupling = couple(interface, sides, pairing, pattern, banned, u)
-            near = np.ones(len(sides.nodes), dtype=bool)
-            self.links.append(Link(interface, sides, pairing, pattern, coupling, near, banned))
+        claims = resolve_claims(self.interfaces, self.sides, patterns, coverage)
+        at = np.zeros(0) if u is None else u.x.array[: self.n * self.V.dofmap.bs].copy()
+        self._room = replace(self._room, pairs=found, claims=claims, paired_at=at)
+        near = [np.ones(len(sides.nodes), dtype=bool) for sides in self.sides]
+        links = self._coupled(u, near, before)
+        return Configuration(links, claims, paired_at=at, searched=True)
 
-    def _claims_outdated(self) -> bool:
+    def _coupled(
+        self, u: fem.Function | None, near: Sequence[Bools], before: Configuration | None = None
+    ) -> list[Link]:
+        """Return the interfaces at X + u with the pairs and claims of the last search."""
+        links, claims = [], self._room.claims
+        assert claims is not None
+        for k, (interface, sides) in enumerate(zip(self.interfaces, self.sides, strict=True)):
+            pairing, pattern = self._room.pairs[k]
+            parts = interface, sides, pairing, pattern, claims.banned[k]
+            lost = before.links[k].coupling if before else None
+            coupling = couple(*parts, interface.configuration(u), lost)
+            links.append(Link(*parts[:4], coupling, near[k], claims.banned[k]))
+        return links
+
+    def begin(self, u: fem.Function | None, known: Paired | None) -> Configuration:
+        """Return what a step begins with at X + u; no T yet; collective.
+
+        Args:
+            u: displacement, None for X.
+            known: where the surfaces were paired in the last step that was committed; None pairs
+                them at X + u, as is done where they have slid past their partners since.
+        """
+        if known is None or not self.interfaces:
+            return self.at(u)
+        same = self._room.paired_at is not None and np.array_equal(self._room.paired_at, known.at)
+        if not self.V.mesh.comm.allreduce(same, op=MPI.LAND):
+            self.at(None if u is None else _function(self.V, known.at))
+        links = self._coupled(u, known.near)
+        claims = self._room.claims
+        assert claims is not None
+        if self._slid(links, u, everywhere=True) or self._are_outdated(claims, links):
+            return self.at(u)
+        return Configuration(links, claims, paired_at=known.at)
+
+    def enter(self, found: Configuration, x: PETSc.Vec, increment: float) -> bool:
+        """Make what has been found the present configuration, with its T; collective.
+
+        T holds the nodes that are near, and those of the last step unless others have come near.
+
+        Args:
+            found: the configuration.
+            x: (n,) its coordinates X + u, also for frozen surfaces.
+            increment: largest motion that the step asks for.
+
+        Returns:
+            Whether T has a new pattern.
+        """
+        found = replace(found, increment=increment)
+        if not self.interfaces:
+            self.present = found
+            return False
+        reach = find_reach(found.links, x, self.n, increment, self.facet_length)
+        links = found.links
+        if found.searched or any_rank(self.V.mesh.comm, reach.missing(links))[0]:
+            links = [restrict(link, reach.near(link)) for link in links]
+        return self._enter(replace(found, searched=False), links)
+
+    def follow(self, u: fem.Function | None, x: PETSc.Vec, *, everywhere: bool = False) -> bool:
+        """Go on from the present configuration to X + u, within a step; collective.
+
+        Args:
+            u: displacement at which normals and segments are taken; None for X.
+            x: (n,) present coordinates X + u, also for frozen surfaces.
+            everywhere: pair the surfaces anew if they slid past their partners anywhere, not only
+                near the contact.
+
+        Returns:
+            Whether T has a new pattern.
+        """
+        before = self.present
+        if not self.interfaces:
+            return False
+        if self._slid(before.links, u, everywhere=everywhere):
+            return self.enter(self.at(u, before), x, before.increment)
+        links = [replace(link, coupling=self._couple(link, u)) for link in before.links]
+        assert before.claims is not None and before.transformation is not None
+        if self._are_outdated(before.claims, links):
+            return self.enter(self.at(u, before), x, before.increment)
+        reach = find_reach(links, x, self.n, before.increment, self.facet_length)
+        if any_rank(self.V.mesh.comm, reach.missing(links))[0]:
+            return self._enter(before, [restrict(link, reach.near(link)) for link in links])
+        before.transformation.update(links)
+        self.present = replace(before, links=links)
+        return False
+
+    def _enter(self, found: Configuration, links: Sequence[Link]) -> bool:
+        """Make these links of a configuration the present ones; tell whether T is another one."""
+        assert found.claims is not None
+        order, held = found.claims.order, _pattern_of(links)
+        room, T = self._room, self._room.transformation
+        same = order == room.order and len(held) == len(room.held)
+        same = same and all(map(np.array_equal, held, room.held))
+        if T is None or not self.V.mesh.comm.allreduce(same, op=MPI.LAND):
+            self.present = Configuration()  # the old T goes before the new one needs the memory
+            self._room = replace(room, transformation=None)
+            T = Transformation(self.V, links, order)
+            self._room = replace(room, transformation=T, held=held, order=order)
+        T.update(links)
+        self.present = replace(found, links=links, transformation=T)
+        return T is not room.transformation
+
+    def _slid(self, links: Sequence[Link], u: fem.Function | None, *, everywhere: bool) -> bool:
+        """Tell whether sides slid out of the margins of their pairings; collective."""
+        slid = [
+            has_slid(link, u, everywhere=everywhere)
+            for link in links
+            if link.interface.configuration(u) is not None
+        ]
+        return any(slid)
+
+    def _couple(self, link: Link, u: fem.Function | None) -> Coupling:
+        v = link.interface.configuration(u)
+        parts = link.interface, link.sides, link.pairing, link.pattern, link.banned
+        return couple(*parts, v, link.coupling)
+
+    def _are_outdated(self, claims: Claims, links: Sequence[Link]) -> bool:
         """Tell whether the claims must be settled anew; collective."""
-        assert self.claims is not None
-        patterns = [link.pattern for link in self.links]
-        coverage = [link.coupling.coverage for link in self.links]
-        return are_outdated(self.claims, self.sides, patterns, coverage)
+        patterns = [link.pattern for link in links]
+        coverage = [link.coupling.coverage for link in links]
+        return are_outdated(claims, self.sides, patterns, coverage)
 
-    def is_complete(self, at: fem.Function | None, x: PETSc.Vec) -> bool:
+    def is_complete(self, u: fem.Function | None, x: PETSc.Vec) -> bool:
         """Tell whether no slave node outside T may be in contact; collective.
 
         It may where the sides have slid past their partners, or where a gap has closed.
         """
         if not self.links:
             return True
-        slid = at is not None and self._slid(at, everywhere=True)
+        slid = u is not None and self._slid(self.links, u, everywhere=True)
         return not slid and not touches_far_nodes(self.links, x, self.n)
 
     # -- what the QP needs -----------------------------------------------------------------------
@@ -218,25 +348,33 @@ class InterfaceSystem:
         for k, link in enumerate(self.links):
             slip = link.relative(_without(link.interface.measured(x, u), jumps, k))
             slip[:, 0] += link.coupling.heights
-            directions = link.constrained
-            parts.append(
-                link.interface.constraints(link.nodes, directions, slip, link.coupling.weight)
-            )
+            directions, weight = link.constrained, link.coupling.weight
+            found = link.interface.constraints(link.nodes, directions, slip, weight)
+            for pretension in self.pretensions:
+                if pretension.number == k:
+                    found, _ = pretension.free(found)
+            parts.append(found)
         none: Floats = np.zeros(0)
         return join([*parts, Constraints(np.zeros(0, dtype=np.int32), none, none, none)])
+
+    @property
+    def pretensions(self) -> list[Pretension]:
+        """The unknown overlaps of ties with a pretension, in the order of the interfaces."""
+        return [] if self.transformation is None else self.transformation.pretensions
+
+    def overlap(
+        self, pretension: Pretension, u: PETSc.Vec, jumps: Mapping[int, PETSc.Vec]
+    ) -> float:
+        """Return by how much the sides of a tie overlap beyond its jump; collective."""
+        link = self.links[pretension.number]
+        slip = link.relative(_without(u, jumps, pretension.number))
+        at = link.nodes, link.constrained, slip, link.coupling.weight
+        return pretension.free(link.interface.constraints(*at))[1]
 
     @property
     def has_friction(self) -> bool:
         """Tell whether some contact has."""
         return any(interface.rough for interface in self.interfaces)
-
-    def partners(self, x: PETSc.Vec) -> list[Partners | None]:
-        """Return where the nodes of contacts with friction are on their masters; collective.
-
-        Args:
-            x: (n,) positions at the last commit.
-        """
-        return [find_partners(link, x) if link.interface.rough else None for link in self.links]
 
     def slip_limits(
         self,
@@ -260,24 +398,6 @@ class InterfaceSystem:
                 parts.append(link.interface.slip_limits(*at, slip, weight, limit))
         return join_limits(parts) if parts else None
 
-    def largest_slip(self, u: PETSc.Vec, jumps: Mapping[int, PETSc.Vec]) -> float:
-        """Return by how much tied sides miss their jumps at most; collective.
-
-        Before the first pairing nobody knows: then how large the jumps are.
-
-        Args:
-            u: (n,) displacement.
-            jumps: as for `constraints`.
-        """
-        if not self.links:
-            return max((v.norm(PETSc.NormType.INFINITY) for v in jumps.values()), default=0.0)
-        missed: list[Floats] = [np.zeros(0)]
-        for k, link in enumerate(self.links):
-            if not link.interface.one_sided:
-                missed.append(link.relative(_without(u, jumps, k))[link.constrained])
-        largest = np.abs(np.concatenate(missed)).max(initial=0.0)
-        return float(maximum(self.V.mesh.comm, largest)[0])
-
     def slots(self) -> Ints:
         """Return (owned nodes, d): the unknown of each node that is a Cartesian component."""
         d = self.V.dofmap.index_map_bs
@@ -287,6 +407,27 @@ class InterfaceSystem:
             nodes, own = link.nodes[carries], link.slot[carries]
             slot[nodes] = np.where(own >= 0, own, slot[nodes])
         return slot
+
+
+def _function(V: fem.FunctionSpace, owned: Floats) -> fem.Function:
+    """Return the Function with these values at the owned nodes; collective."""
+    function = fem.Function(V)
+    function.x.array[: owned.size] = owned
+    function.x.scatter_forward()
+    return function
+
+
+def _pattern_of(links: Sequence[Link]) -> list[Any]:
+    """Return what the pattern of T depends on, beside the order of the interfaces; collective."""
+    held: list[Any] = []
+    for link in links:
+        released = link.interface.released
+        held += [link.pattern.row, link.pattern.column, link.near, link.banned]
+        held.append((released is not None, *(released or ())))
+        if len(links) > 1:  # chains
+            owned = link.banned[: link.sides.n_owned]
+            held.append(find_referenced(link.sides, link.pattern, owned, link.coupling.coverage))
+    return held
 
 
 def _without(v: PETSc.Vec, jumps: Mapping[int, PETSc.Vec] | None, k: int) -> PETSc.Vec:

@@ -16,6 +16,7 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import Constraints, equalities
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Frame, Interface
 from dolfinx_mortar.interfaces.jump import Jump, check_jump
+from dolfinx_mortar.interfaces.pretension import Direction, Force, check_direction, check_force
 
 # Unless the user says how far, ties reach from the least distance of their sides to this part of
 # the larger facet more. Facets that stand for one smooth surface, or two at a constant distance,
@@ -27,7 +28,9 @@ WITHIN = 0.5
 class Tie(Interface):
     """Mesh tying ("glue"): both sides move together in all directions, or a given jump apart.
 
-    The constraint is u_slave - P u_master = jump. Always at X, as in the paper: tied sides keep the
+    The constraint is u_slave - P u_master = jump + s n, with s = 0 unless there is a pretension:
+    then the overlap s along the unit vector n is one unknown more, and the equation that belongs to
+    it is ``force @ n == pretension``. Always at X, as in the paper: tied sides keep the
     partners that they had at the start. Directions with Dirichlet data are left to those data.
     ``force`` is the resultant exerted on the slave side; ``pressure`` the normal traction per area
     at X, positive in compression; ``gap`` the part of the jump that opens the sides along their
@@ -40,12 +43,19 @@ class Tie(Interface):
         jump: displacement of the slave side relative to the master side, a length in Cartesian
             components: d numbers, a Constant, a Function on the displacement's mesh, or a function
             of points x (3, n) that returns (d, n), all taken at the slave nodes. It is read at the
-            begin of every step, like loads, and may be set anew; None is no jump. A vector that
+            start of every step, like loads, and may be set anew; None is no jump. A vector that
             points from the slave side into the master side lets them overlap, which pulls a bolt
             that is cut by the tie; the opposite one opens a slit.
+        pretension: resultant on the slave side along ``direction``, a force: a number or a scalar
+            Constant, read at the start of every step, like loads; positive is tension. Half a bolt
+            on a plane of symmetry has half the force. None holds the jump and the tightening; so
+            does setting it to None after steps with a pretension: the bolt is then tight, and later
+            loads change its force.
+        direction: d numbers of any length, along which the sides overlap under a pretension: the
+            axis of the bolt, out of the slave side. None is the mean normal of the slave side.
         surface: "facets" ties points of facets, u_s = P u_m as in the paper; "smooth" the surfaces
-            for which they stand: where facets are apart, u_s = P u_m + (motion of the arm between
-            them), see `dolfinx_mortar.geometry.arms`. D and M are the same.
+            for which they stand: where facets are apart by r, u_s = P u_m + (motion of r), see
+            `dolfinx_mortar.geometry.offset_vectors`. D and M are the same.
         feature_angle: degrees between two facets from which on they meet in an edge, which stays
             one; for smooth surfaces.
         within: largest distance over which sides are tied, a length: facets any points of which are
@@ -55,14 +65,17 @@ class Tie(Interface):
             out, and where more is tied than curved sides explain.
 
     Raises:
-        ValueError: for tags that are none, unknown names, an unknown surface or angle, a jump
-            that has not d finite components, and ``within`` that is no positive number.
+        ValueError: for tags that are none, unknown names, an unknown surface or angle, a jump or a
+            direction that has not d finite components, a pretension that is no number, and
+            ``within`` that is no positive number.
         TypeError: for friction.
 
     Attributes:
         jump: as given; setting it checks it.
-        tightening: (d,) what is added to the jump everywhere, zero until `preload` has found how
-            far a bolt has to be tightened.
+        pretension: as given; setting it checks it.
+        direction: a unit vector, or None; setting it checks it.
+        tightening: (d,) what is added to the jump everywhere: s n, set by every step with a
+            pretension and by `preload`; zero before.
     """
 
     def __init__(
@@ -72,6 +85,8 @@ class Tie(Interface):
         slave: int | str,
         master: int | str,
         jump: Jump = None,
+        pretension: Force = None,
+        direction: Direction = None,
         surface: str = "smooth",
         feature_angle: float = FEATURE_ANGLE,
         within: float | None = None,
@@ -90,6 +105,7 @@ class Tie(Interface):
         super().__init__(facet_tags, **tags, surface=surface, feature_angle=feature_angle)
         self.within = _check_within(within)
         self.jump = jump
+        self.pretension, self.direction = pretension, direction
         self.tightening: Floats = np.zeros(self._components)
 
     @property
@@ -114,11 +130,39 @@ class Tie(Interface):
     def tightening(self, value: Floats) -> None:
         self._tightening: Floats = check_jump(np.asarray(value), self._components)
 
+    @property
+    def pretension(self) -> Force:
+        """Resultant on the slave side along the direction, None where the jump is held."""
+        return self._pretension
+
+    @pretension.setter
+    def pretension(self, value: Force) -> None:
+        self._pretension: Force = check_force(value)
+
+    @property
+    def direction(self) -> Direction:
+        """Unit vector (d,) of the pretension, None for the mean normal of the slave side."""
+        return self._direction
+
+    @direction.setter
+    def direction(self, value: Direction) -> None:
+        unit = None if value is None else check_direction(value, self._components)
+        self._direction: Direction = unit
+
+    @property
+    def released(self) -> tuple[float, ...] | None:
+        """Unit vector of the pretension, () for the mean normal; None where the jump is held."""
+        if self.pretension is None:
+            return None
+        return () if self.direction is None else tuple(map(float, self.direction))
+
     def given(self) -> dict[str, Any]:
         """Return what all ranks have to give the same, by name; see `agreement`."""
         return super().given() | {
             "jump": self.jump,
             "tightening": self.tightening,
+            "pretension": self.pretension,
+            "direction": self.direction,
             "within": self.within,
         }
 
@@ -126,6 +170,15 @@ class Tie(Interface):
         """Name the class, the tags, and what is not the default."""
         name = super().__repr__()
         return name if self.within is None else f"{name[:-1]}, within={self.within!r})"
+
+    def keep(self) -> Any:
+        """Return copies of the results and of the tightening, for `put_back`."""
+        return super().keep(), self.tightening
+
+    def put_back(self, kept: Any) -> None:
+        """Show what `keep` has returned; without communication."""
+        shown, self.tightening = kept
+        super().put_back(shown)
 
     def reach(self, sizes: Floats, nearest: float) -> Floats:
         """Return how far apart (q,) partners may be: as the user said, or half a facet more.

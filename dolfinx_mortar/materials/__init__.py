@@ -9,8 +9,7 @@ from dolfinx_mortar.materials.comparison import check
 from dolfinx_mortar.materials.drucker_prager import DruckerPrager
 from dolfinx_mortar.materials.elastic import Elastic
 from dolfinx_mortar.materials.orthotropic import Orthotropic
-from dolfinx_mortar.materials.pointwise import PointwiseLaw
-from dolfinx_mortar.materials.protocol import Material
+from dolfinx_mortar.materials.protocol import Material, PointwiseLaw
 from dolfinx_mortar.materials.voce import VonMisesVoce
 from dolfinx_mortar.materials.von_mises import VonMises
 

@@ -12,10 +12,8 @@ import numpy as np
 
 from dolfinx_mortar.arguments import is_integer, is_number
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.materials.compiled import CompiledLaw, Point
-from dolfinx_mortar.materials.plane_stress import plane_stress_law
-from dolfinx_mortar.materials.pointwise import PointwiseNumbers
-from dolfinx_mortar.materials.protocol import check_declaration, is_pointwise, law_of
+from dolfinx_mortar.materials.compiled import CompiledLaw, Point, PointwiseNumbers
+from dolfinx_mortar.materials.protocol import create_law
 from dolfinx_mortar.materials.tensor import COMPONENTS, INDEX
 
 PATHS, STRAINS = 8, 6  # random strain paths, and strains on each, over five decades
@@ -136,15 +134,14 @@ def check(
         ValueError: for arguments that make no sense, and where the law does not fit, with strain,
             state, component and both values.
     """
-    check_declaration("law", law)
+    parts = create_law("law", law, plane_stress=plane_stress)
     if not (is_number(size) and size > 0.0):
         raise ValueError(f"size is {size!r}: give the norm of a strain, a positive number")
     if not (is_integer(seed) and seed >= 0):
         raise ValueError(f"seed is {seed!r}: give an integer from 0 on")
     rng = np.random.default_rng(seed)
-    kind = plane_stress_law(law_of(law)) if plane_stress else law_of(law)
-    compiled = PointwiseNumbers(law, kind) if is_pointwise(kind) else CompiledLaw(law, kind)
-    name = kind.__name__
+    compiled = CompiledLaw(law, parts) if parts.update is None else PointwiseNumbers(law, parts)
+    name = parts.name
     virgin = {n: np.zeros(shape) for n, shape in compiled.shapes.items()}
     start = _Sample(compiled, name, np.zeros(6), virgin)
     found = []
@@ -153,7 +150,7 @@ def check(
         for norm in np.geomspace(1e-5 * size, size, STRAINS):
             strain, first, second = (_unit(rng) for _ in range(3))
             sample = _Sample(compiled, name, norm * strain, state)
-            if kind.linear:
+            if parts.linear:
                 _compare_with_start(sample, start, first)
             state = sample.at(sample.strain, first).state
             errors = _compare(sample, first, second)

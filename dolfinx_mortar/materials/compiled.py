@@ -16,10 +16,11 @@ import numpy as np
 import basix.ufl
 import ffcx.codegeneration.jit
 import ufl
-from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.materials.protocol import law_of
-from dolfinx_mortar.materials.response import Response, elastic_response, respond
-from dolfinx_mortar.materials.tensor import from_components, to_components
+from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.materials.plane_stress import Equation, solve
+from dolfinx_mortar.materials.protocol import Law, create_law
+from dolfinx_mortar.materials.response import elastic_response, respond, values_at_points
+from dolfinx_mortar.materials.tensor import from_components, stored, tensor_of, to_components
 from ufl.core.expr import Expr
 
 
@@ -48,43 +49,46 @@ class CompiledLaw:
         has_energy: whether the law has a potential.
     """
 
-    def __init__(self, law: Any, kind: Any = None) -> None:
+    def __init__(self, material: Any, law: Law | None = None) -> None:
         """Compile the law.
 
         Args:
-            law: the material.
-            kind: the class with its methods; None is the material's own.
+            material: the parameters.
+            law: its parts; None looks them up.
 
         Raises:
             ValueError: if a method of the law raises or returns something wrong.
         """
-        kind = law_of(law) if kind is None else kind
-        self.shapes = {name: (6,) if shape else () for name, shape in kind.state.items()}
-        self._parameters = [number(law, field.name) for field in dataclasses.fields(law)]
-        names = [f.name for f in dataclasses.fields(law)]
-        count = 12 + sum(6 if shape else 1 for shape in self.shapes.values()) + len(names)
+        law = create_law("law", material) if law is None else law
+        self.shapes = {name: (6,) if shape else () for name, shape in law.state.items()}
+        self._name, names = law.name, [field.name for field in dataclasses.fields(material)]
+        self._parameters = [number(material, name) for name in names]
+        count = 13 + sum(6 if shape else 1 for shape in self.shapes.values()) + len(names)
         numbers = constants(count)
-        rest = iter(range(12, count))
+        rest = iter(range(13, count))
 
         def take(shape: tuple[int, ...]) -> Expr:
             if not shape:
                 return numbers[next(rest)]
             return from_components(ufl.as_vector([numbers[next(rest)] for _ in range(6)]))
 
-        strain = ufl.variable(from_components(ufl.as_vector([numbers[i] for i in range(6)])))
+        strain = from_components(ufl.as_vector([numbers[i] for i in range(6)]))
         along = from_components(ufl.as_vector([numbers[i] for i in range(6, 12)]))
         state = {name: take(shape) for name, shape in self.shapes.items()}
         p = SimpleNamespace(**{name: take(()) for name in names})
-        response = respond(kind, strain, state, p)
+        response = respond(law, strain, state, p, numbers[12] if law.condensed else None)
         self.has_energy = response.energy is not None
-        change = _change(response, strain, along)
         # One by one: UFL compares equal parts of what is compiled together, tree by tree.
-        parts = [entries(t) for t in (response.stress, elastic_response(kind, strain, p), change)]
+        elastic, change = elastic_response(law, strain, p), response.change(along)
+        parts = [entries(t) for t in (response.stress, elastic, change)]
         parts.append([ufl.as_ufl(0.0) if response.energy is None else response.energy])
         for name, shape in self.shapes.items():
             new = response.updated[name]
             parts.append(to_components(new, 6) if shape else [new])
+        if law.condensed:
+            parts.append(list(response.equation or ()))
         self._kernels = compile_vectors([ufl.as_vector(list(part)) for part in parts])
+        self._equation = self._kernels.pop() if law.condensed else None
 
     def __call__(self, strain: Floats, direction: Floats, state: Mapping[str, Floats]) -> Point:
         """Evaluate the law.
@@ -94,8 +98,10 @@ class CompiledLaw:
             direction: stored components (6,) of the direction of the tangent.
             state: committed internal variables by name, () or (6,).
         """
-        stored = [np.atleast_1d(state[name]) for name in self.shapes]
-        numbers = np.concatenate([strain, direction, *stored, self._parameters])
+        committed = [np.atleast_1d(state[name]) for name in self.shapes]
+        numbers = np.concatenate([strain, direction, [0.0], *committed, self._parameters])
+        if self._equation is not None:
+            numbers[12] = solve(self._name, self._at(numbers), (1, 1))[0, 0]
         values = np.concatenate([kernel(numbers) for kernel in self._kernels])
         stress, elastic, change = values[:27].reshape(3, 3, 3)
         energy, rest = values[27] if self.has_energy else np.nan, values[28:]
@@ -104,18 +110,56 @@ class CompiledLaw:
             new[name], rest = (rest[:6], rest[6:]) if shape else (rest[0], rest[1:])
         return Point(stress, elastic, change, float(energy), new)
 
+    def _at(self, numbers: Floats) -> Equation:
+        """Return the equation of the strain out of the plane, the other numbers given."""
+        kernel = self._equation
+        assert kernel is not None
 
-def _change(response: Response, strain: Expr, along: Expr) -> Expr:
-    """Return d stress / d strain : along, 3x3; the strain is a UFL variable."""
-    if response.change is not None:
-        return response.change(along)
-    i, j, k, m = ufl.indices(4)
-    tangent = ufl.diff(response.stress, strain)
-    return ufl.as_tensor(tangent[i, j, k, m] * along[k, m], (i, j))
+        def equation(rows: Ints, z: Floats) -> Floats:
+            values = kernel(np.concatenate([numbers[:12], z[0], numbers[13:]]))
+            return values.reshape(1, 1, 4)
+
+        return equation
+
+
+class PointwiseNumbers:
+    """A pointwise law at one point, as `CompiledLaw` is for one in UFL.
+
+    Attributes:
+        shapes: stored shape of the internal variables by name, () or (6,).
+        has_energy: never.
+    """
+
+    has_energy = False
+
+    def __init__(self, material: Any, law: Law) -> None:
+        """Compile the elastic stress; the rest are numbers anyway."""
+        self.shapes = {name: (6,) if shape else () for name, shape in law.state.items()}
+        self._law = law
+        names = [field.name for field in dataclasses.fields(material)]
+        self._p = {name: number(material, name) for name in names}
+        numbers = constants(6 + len(names))
+        strain = from_components(ufl.as_vector([numbers[i] for i in range(6)]))
+        p = SimpleNamespace(**{name: numbers[6 + i] for i, name in enumerate(names)})
+        elastic = elastic_response(law, strain, p)
+        (self._elastic,) = compile_vectors([ufl.as_vector(entries(elastic))])
+
+    def __call__(self, strain: Floats, direction: Floats, state: Mapping[str, Floats]) -> Point:
+        """Evaluate the law, see `CompiledLaw`."""
+        p = SimpleNamespace(**{name: np.array([value]) for name, value in self._p.items()})
+        committed = {
+            name: tensor_of(np.atleast_2d(state[name])) if shape else np.atleast_1d(state[name])
+            for name, shape in self.shapes.items()
+        }
+        found = values_at_points(self._law, tensor_of(strain[None]), committed, p)
+        change = np.einsum("ijkl,kl->ij", found.tangent[0], tensor_of(direction[None])[0])
+        new = {name: stored(v)[0] if v.ndim == 3 else v[0] for name, v in found.state.items()}
+        elastic = self._elastic(np.array([*strain, *self._p.values()])).reshape(3, 3)
+        return Point(found.stress[0], elastic, change, np.nan, new)
 
 
 def number(law: Any, name: str) -> float:
-    """Return a parameter as a number.
+    """Return a parameter of a material as a number.
 
     Raises:
         ValueError: if it depends on place.

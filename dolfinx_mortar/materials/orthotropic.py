@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import ufl
-from dolfinx_mortar.materials.parameters import Parameter, Range, check_fields
 from dolfinx_mortar.materials.protocol import Material
+from dolfinx_mortar.materials.ranges import Parameter, Range, check_fields
 from ufl.core.expr import Expr
 
 _POSITIVE: Range = (0.0, math.inf, False)

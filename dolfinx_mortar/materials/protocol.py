@@ -1,18 +1,19 @@
 # SPDX-License-Identifier: MIT
-"""What a material law is: numbers, and UFL expressions of them."""
+"""What a material law is: parameters, and its response in UFL or as a function of arrays."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from numbers import Real
 from types import SimpleNamespace
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from dolfinx_mortar.html import table
-from dolfinx_mortar.materials.parameters import Range
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.materials.ranges import Range
 from ufl.core.expr import Expr
 
 
@@ -30,17 +31,20 @@ class Material(Protocol):
     A law that has both gives its stress in closed form, and UFL differentiates only that. The
     tangent must be symmetric. `dolfinx_mortar.materials.check` tries a law out without a mesh.
 
-    Where UFL should not differentiate the stress (an inner iteration), a law states its derivative:
-    `tangent(strain, state, p, direction)`, d stress / d strain : direction. A material whose
-    parameters decide which methods hold has a property `law`, the class that has them.
+    Where UFL should not differentiate the stress (the solution of a local equation), a law states
+    its derivative: `tangent(strain, state, p, direction)`, d stress / d strain : direction.
+
+    In plane stress a law sees the strain out of the plane that leaves no stress there, which is
+    solved for at every integration point; the law itself need not know.
 
     A law may inherit from this class, which has no memory and no output, or just look like it.
 
     Attributes:
-        state: internal variables, name -> shape; () or (3, 3) (symmetric).
+        state: internal variables, name -> shape; () or (3, 3) (symmetric). A property where the
+            parameters decide which there are.
         linear: True if the stress is a linear function of the strain and nothing else.
-        splits: True if psi(strain) = psi(dev strain) + K/2 tr(strain)^2 with the constant K that
-            `elastic_stress` has, so that the second part may be integrated otherwise. Optional.
+        splits: True if psi(strain) = psi(dev strain) + K/2 tr(strain)^2 with the constant K of
+            `elastic_stress`, so that the volumetric part may be integrated otherwise. Optional.
         ranges: of the parameters, name -> (lower end, upper end, is the lower end allowed);
             those without a range may be any number. Judged wherever the law holds, and whenever a
             parameter has changed.
@@ -72,21 +76,83 @@ class Material(Protocol):
         """
         return {}
 
-    def _repr_html_(self) -> str:
-        """Return the parameters for a notebook."""
-        given: Any = self
-        fields = dataclasses.fields(given) if dataclasses.is_dataclass(given) else ()
-        return table(type(self).__name__, [(f.name, getattr(self, f.name)) for f in fields])
+
+class PointwiseLaw(Material):
+    """A law without a closed form: stress, tangent and new state at all points, from arrays.
+
+    A frozen dataclass of parameters like any `Material`, whose `update` replaces energy, stress and
+    updated_state. It may stand beside laws in UFL in one solid. There is no energy, so Newton's
+    method takes whole steps. `dolfinx_mortar.materials.check` compares its tangent with differences
+    of its stress. With JAX, whose derivatives make the tangent (Hooke's law; jax in 64 bits):
+
+        def stress(strain, E, nu):
+            G, L = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+            return L * jnp.trace(strain) * jnp.eye(3) + G * (strain + strain.T)
+
+        stresses = jax.jit(jax.vmap(stress))
+        tangents = jax.jit(jax.vmap(jax.jacfwd(stress)))
+
+        @dataclass(frozen=True)
+        class Hooke(dm.materials.PointwiseLaw):
+            E: float
+            nu: float
+            elastic_stress = staticmethod(dm.Elastic.elastic_stress)
+
+            @staticmethod
+            def update(strain, state, p):
+                return stresses(strain, p.E, p.nu), tangents(strain, p.E, p.nu), {}
+
+    """
+
+    state: ClassVar[Mapping[str, tuple[int, ...]]] = {}
+    linear: ClassVar[bool] = False
+
+    @staticmethod
+    def update(
+        strain: Floats, state: Mapping[str, Floats], p: SimpleNamespace
+    ) -> tuple[Any, Any, Mapping[str, Any]]:
+        """Return stress, tangent and new internal variables at q points.
+
+        Args:
+            strain: (q, 3, 3), symmetric; q may be 0.
+            state: committed internal variables, (q,) or (q, 3, 3), not to be changed.
+            p: parameters by name, (q,) each.
+
+        Returns:
+            Stress (q, 3, 3), tangent d stress_ij / d strain_kl (q, 3, 3, 3, 3) with the symmetry
+            ij <-> kl, and the internal variables at the end of the step by name. What does not flow
+            should keep its state exactly.
+        """
+        raise NotImplementedError
 
 
-def is_pointwise(law: Any) -> bool:
-    """Tell whether a law is a function of numbers, see `PointwiseLaw`."""
-    return bool(getattr(law, "pointwise", False))
+@dataclass(frozen=True, eq=False)
+class Law:
+    """The parts of a law, looked up once in the class of a material; None is a part it lacks.
 
+    All else reads this record: a law of arrays has `update`; one in UFL has `stress`, `energy` or
+    both, and may state its `tangent`.
+    """
 
-def law_of(material: Any) -> Any:
-    """Return the class whose static methods are the law of a material."""
-    return getattr(material, "law", type(material))
+    name: str
+    plane_stress: bool  # whether the strain out of the plane is what leaves no stress there
+    state: Mapping[str, tuple[int, ...]]
+    linear: bool
+    splits: bool
+    ranges: Mapping[str, Range]
+    elastic_stress: Callable[..., Any]
+    energy: Callable[..., Any] | None
+    stress: Callable[..., Any] | None
+    tangent: Callable[..., Any] | None
+    updated_state: Callable[..., Any] | None
+    update: Callable[..., Any] | None
+    output: Callable[..., Any] | None
+    conditions: Callable[..., Any] | None
+
+    @property
+    def condensed(self) -> bool:
+        """Whether the strain out of the plane is an unknown at each point, see `plane_stress`."""
+        return self.plane_stress and self.update is None and not self.linear
 
 
 _REMEDIES = {
@@ -94,9 +160,8 @@ _REMEDIES = {
     "linear": "declare linear: ClassVar = False, or True if the stress is linear in the strain",
     "elastic_stress": "add elastic_stress(strain, p), for example "
     "staticmethod(dolfinx_mortar.Elastic.elastic_stress)",
-    "energy": "add energy(strain, state, p), the potential of the step, or stress(strain, state, "
-    "p)",
-    "update": "add update(strain, state, p), see dolfinx_mortar.materials.PointwiseLaw",
+    "stress or energy": "add energy(strain, state, p), the potential of the step, or "
+    "stress(strain, state, p)",
     "updated_state": "add updated_state(strain, state, p) for the internal variables of `state`",
 }
 # Fields that are written beside those of the laws; a law must not hide them.
@@ -107,61 +172,89 @@ RESERVED = (
 )
 
 
-def check_declaration(name: str, law: Any) -> None:
-    """Raise ValueError unless a law declares all that a law must.
+def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
+    """Return the parts of a material's law.
 
     Args:
         name: how the user's argument is called.
-        law: what was given as a material.
+        material: what was given.
+        plane_stress: whether it is to leave no stress out of the plane.
+
+    Raises:
+        ValueError: unless the material declares all that a law must.
     """
-    if not dataclasses.is_dataclass(law) or isinstance(law, type):
-        raise ValueError(f"{name} = {law!r} is not a material such as Elastic(E, nu).")
-    kind = law_of(law)
-    missing = [part for part in ("state", "linear") if getattr(kind, part, None) is None]
-    methods = ["elastic_stress"]
-    methods += ["updated_state"] if getattr(kind, "state", None) else []
-    missing += [part for part in methods if not callable(getattr(kind, part, None))]
-    given = ("update",) if is_pointwise(kind) else ("stress", "energy")
-    if not any(callable(getattr(kind, method, None)) for method in given):
-        missing.append(given[-1])
+    if not dataclasses.is_dataclass(material) or isinstance(material, type):
+        raise ValueError(f"{name} = {material!r} is not a material such as Elastic(E, nu).")
+    kind = type(material)
+    parts: dict[str, Any] = {}
+    for part in ("elastic_stress", "energy", "stress", "tangent", "updated_state", "update"):
+        parts[part] = _method(kind, part)
+    state, linear = (getattr(material, part, None) for part in ("state", "linear"))
+    needed = {"state": state is not None, "linear": linear is not None}
+    needed["elastic_stress"] = parts["elastic_stress"] is not None
+    if parts["update"] is None:
+        needed["updated_state"] = not state or parts["updated_state"] is not None
+        needed["stress or energy"] = bool(parts["stress"] or parts["energy"])
+    missing = [part for part, there in needed.items() if not there]
     if missing:
-        what = ["stress or energy" if part == "energy" else part for part in missing]
         remedies = "; ".join(_REMEDIES[part] for part in missing)
         raise ValueError(
-            f"{name} = {law!r} is not a material: {kind.__name__} has no {', no '.join(what)}; "
-            f"{remedies}."
+            f"{name} = {material!r} is not a material: {kind.__name__} has no "
+            f"{', no '.join(missing)}; {remedies}."
         )
-    _check_state(kind)
-    names = [field.name for field in dataclasses.fields(law)]
-    for name in getattr(kind, "ranges", {}):
+    law = Law(
+        name=kind.__name__,
+        plane_stress=plane_stress,
+        state=_checked_state(kind.__name__, state),
+        linear=bool(linear),
+        splits=bool(getattr(kind, "splits", False)),
+        ranges=getattr(kind, "ranges", {}),
+        output=_method(kind, "output"),
+        conditions=_method(kind, "conditions"),
+        **parts,
+    )
+    _check_parameters(law, material)
+    return law
+
+
+def _check_parameters(law: Law, material: Any) -> None:
+    """Raise ValueError unless the parameters are numbers or UFL, and ranges name parameters."""
+    names = [field.name for field in dataclasses.fields(material)]
+    for name in law.ranges:
         if name not in names:
             raise ValueError(
-                f"{kind.__name__}: ranges has {name!r}, which is no parameter; there are "
+                f"{law.name}: ranges has {name!r}, which is no parameter; there are "
                 f"{', '.join(names) or 'none'}."
             )
-    for field in dataclasses.fields(law):
-        value = getattr(law, field.name)
+    for name in names:
+        value = getattr(material, name)
         if not isinstance(value, Real) and not (isinstance(value, Expr) and value.ufl_shape == ()):
             raise ValueError(
-                f"{kind.__name__}: the parameter {field.name} = {value!r} is no number, and no "
-                "scalar Constant, Function or UFL expression; a field that is no parameter is "
-                "declared as ClassVar."
+                f"{law.name}: the parameter {name} = {value!r} is no number, and no scalar "
+                "Constant, Function or UFL expression; a field that is no parameter is declared as "
+                "ClassVar."
             )
 
 
-def _check_state(kind: type) -> None:
-    """Raise ValueError unless the declared internal variables have names and shapes that work."""
-    state: Any = kind.state  # type: ignore[attr-defined]
+def _method(kind: type, name: str) -> Callable[..., Any] | None:
+    """Return a method of a class, None if it has none of that name."""
+    found = getattr(kind, name, None)
+    return found if callable(found) else None
+
+
+def _checked_state(law: str, state: Any) -> Mapping[str, tuple[int, ...]]:
+    """Return the declared internal variables, or raise ValueError for a name or shape."""
     if not isinstance(state, Mapping):
-        raise ValueError(f"{kind.__name__}: state is {state!r}; give a dictionary, name -> shape.")
+        raise ValueError(f"{law}: state is {state!r}; give a dictionary, name -> shape.")
     for name, shape in state.items():
         if not isinstance(name, str) or name in RESERVED:
             raise ValueError(
-                f"{kind.__name__}: state has the name {name!r}; choose a text other than "
+                f"{law}: state has the name {name!r}; choose a text other than "
                 f"{', '.join(RESERVED)}."
             )
         if shape not in ((), (3, 3)):
             raise ValueError(
-                f"{kind.__name__}: state {name!r} has the shape {shape!r}; it must be () for a "
-                "scalar or (3, 3) for a symmetric tensor."
+                f"{law}: state {name!r} has the shape {shape!r}; it must be () for a scalar "
+                "or (3, 3) for a symmetric tensor."
             )
+    return state

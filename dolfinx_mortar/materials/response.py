@@ -1,101 +1,148 @@
 # SPDX-License-Identifier: MIT
-"""What a law makes of a strain: its methods called and what they return judged, as UFL."""
+"""What a law makes of a strain: its methods called, and what they return judged."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+
 import ufl
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.materials import plane_stress
+from dolfinx_mortar.materials.plane_stress import (
+    NORMAL,
+    condensed,
+    in_plane,
+    with_normal_strain,
+)
+from dolfinx_mortar.materials.protocol import Law
+from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.classes import Label, Variable
 from ufl.core.expr import Expr
 
 
 @dataclass(frozen=True)
 class Response:
-    """The answer of a law to a strain."""
+    """The answer of a law in UFL to a strain."""
 
     stress: Expr  # (3, 3)
     energy: Expr | None  # the incremental potential, if the law has one
     updated: dict[str, Expr]  # internal variables at the end of the step, () or (3, 3)
-    # direction, 3x3 -> d stress / d strain : direction; None leaves it to UFL
-    change: Callable[[Expr], Expr] | None = None
+    change: Callable[[Expr], Expr]  # direction, 3x3 -> d stress / d strain : direction
+    # sigma_zz, C_zzzz, the elastic C_zzzz and |sigma| in plane stress, see `plane_stress.solve`
+    equation: tuple[Expr, Expr, Expr, Expr] | None = None
 
 
-def respond(law: type, strain: Expr, state: Mapping[str, Expr], p: Any) -> Response:
-    """Return stress, energy and new internal variables of a law.
+def respond(
+    law: Law, strain: Expr, state: Mapping[str, Expr], p: Any, z: Expr | None = None
+) -> Response:
+    """Return stress, energy and new internal variables of a law in UFL.
 
-    A law without a stress gives the derivative of its energy.
+    A law without a stress gives the derivative of its energy. In plane stress the law gets the
+    strain in the plane and that out of it which leaves no stress.
 
     Args:
-        law: class of the material.
+        law: its parts.
         strain: 3x3 UFL expression.
         state: committed internal variables by name, () or (3, 3).
         p: parameters as attributes.
+        z: strain out of the plane, where `law.condensed`.
 
     Raises:
         ValueError: if a method of the law raises, or returns something of the wrong shape or name.
     """
-    energy = None
-    if callable(getattr(law, "energy", None)):
-        energy = _call(law, "energy", (), strain, state, p)
-    if callable(getattr(law, "stress", None)):
-        stress = _call(law, "stress", (3, 3), strain, state, p)
-    else:
-        # Not ufl.variable: its running number would get into the signature of the compiled code.
-        variable = Variable(strain, Label(-1))
-        stress = ufl.diff(_call(law, "energy", (), variable, state, p), variable)
-    change = None
-    if callable(getattr(law, "tangent", None)):
+    equation = None
+    if law.plane_stress:
+        equation = _equation(law, with_normal_strain(strain, 0.0 if z is None else z), state, p)
+        strain = with_normal_strain(strain, -equation[0] / equation[1] if z is None else z)
+    energy = None if law.energy is None else _call(law, "energy", (), strain, state, p)
+    stress = _stress(law, strain, state, p)
+    updated = _updated_state(law, strain, state, p)
 
-        def change(direction: Expr) -> Expr:
-            return _call(law, "tangent", (3, 3), strain, state, p, direction)
+    def change(direction: Expr) -> Expr:
+        return _change(law, strain, state, p, direction)
 
-    return Response(stress, energy, _updated_state(law, strain, state, p), change)
+    if not law.plane_stress:
+        return Response(stress, energy, updated, change)
+    return Response(in_plane(stress), energy, updated, condensed(change), equation)
 
 
-def elastic_response(law: type, strain: Expr, p: Any) -> Expr:
+def _stress(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
+    """Return the stress of a law, or the derivative of its energy."""
+    if law.stress is not None:
+        return _call(law, "stress", (3, 3), strain, state, p)
+    # Not ufl.variable: its running number would get into the signature of the compiled code.
+    variable = Variable(strain, Label(-1))
+    return ufl.diff(_call(law, "energy", (), variable, state, p), variable)
+
+
+def _change(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any, direction: Expr) -> Expr:
+    """Return d stress / d strain : direction, as the law states it or by UFL."""
+    if law.tangent is not None:
+        return _call(law, "tangent", (3, 3), strain, state, p, direction)
+    step = Variable(ufl.as_ufl(0.0), Label(-2))
+    change = ufl.diff(_stress(law, strain + step * direction, state, p), step)
+    return strip_variables(expand_derivatives(change))  # without what step = 0 leaves out
+
+
+def _equation(
+    law: Law, strain: Expr, state: Mapping[str, Expr], p: Any
+) -> tuple[Expr, Expr, Expr, Expr]:
+    """Return what the strain out of the plane has to satisfy, see `Response.equation`."""
+    stress = _stress(law, strain, state, p)
+    modulus = _change(law, strain, state, p, NORMAL)[2, 2]
+    elastic = _call(law, "elastic_stress", (3, 3), NORMAL, p)[2, 2]
+    return stress[2, 2], modulus, elastic, ufl.sqrt(ufl.inner(stress, stress))
+
+
+def elastic_response(law: Law, strain: Expr, p: Any) -> Expr:
     """Return C : strain of a law, 3x3.
 
     Raises:
         ValueError: if the method raises, or returns something of another shape.
     """
-    return _call(law, "elastic_stress", (3, 3), strain, p)
+
+    def elastic(e: Expr) -> Expr:
+        return _call(law, "elastic_stress", (3, 3), e, p)
+
+    return condensed(elastic)(strain) if law.plane_stress else elastic(strain)
 
 
-def _updated_state(law: type, strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
+def _updated_state(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
     """Return the new internal variables, one for each that is declared."""
-    if not callable(getattr(law, "updated_state", None)):
+    if law.updated_state is None:
         return {}
     new = _guarded(law, "updated_state", strain, state, p)
-    where = f"{law.__name__}.updated_state"
+    where = f"{law.name}.updated_state"
     if not isinstance(new, Mapping):
         raise ValueError(f"{where} returns {new!r}; it must return a dictionary by name.")
-    shapes: Mapping[str, tuple[int, ...]] = law.state  # type: ignore[attr-defined]
-    declared = ", ".join(shapes) or "nothing"
+    declared = ", ".join(law.state) or "nothing"
     for name in new:
-        if name not in shapes:
+        if name not in law.state:
             raise ValueError(f"{where} returns {name!r}, but `state` declares {declared}.")
-    for name in shapes:
+    for name in law.state:
         if name not in new:
             raise ValueError(f"{where} does not return {name!r}, which `state` declares.")
-    return {name: _shaped(f"{where}: {name}", new[name], shapes[name]) for name in shapes}
+    return {name: _shaped(f"{where}: {name}", new[name], law.state[name]) for name in law.state}
 
 
-def _call(law: type, method: str, shape: tuple[int, ...], *arguments: Any) -> Expr:
+def _call(law: Law, method: str, shape: tuple[int, ...], *arguments: Any) -> Expr:
     """Return what a method of a law gives, as UFL of the right shape."""
-    return _shaped(f"{law.__name__}.{method}", _guarded(law, method, *arguments), shape)
+    return _shaped(f"{law.name}.{method}", _guarded(law, method, *arguments), shape)
 
 
-def _guarded(law: type, method: str, *arguments: Any) -> Any:
+def _guarded(law: Law, method: str, *arguments: Any) -> Any:
     """Call a method of a law; its errors name it."""
     try:
         return getattr(law, method)(*arguments)
     except Exception as error:
         wanted = _ARGUMENTS.get(method, "(strain, state, p)")
         raise ValueError(
-            f"{law.__name__}.{method} raised {type(error).__name__}: {error} (it is called as a "
+            f"{law.name}.{method} raised {type(error).__name__}: {error} (it is called as a "
             f"static method, {method}{wanted}, with UFL)"
         ) from error
 
@@ -115,3 +162,112 @@ def _shaped(what: str, value: Any, shape: tuple[int, ...]) -> Expr:
             f"{what} has the shape {expression.ufl_shape}{indices}; it must be {shape}."
         )
     return expression
+
+
+@dataclass(frozen=True)
+class PointValues:
+    """The answer of a law of arrays at q points."""
+
+    stress: Floats  # (q, 3, 3)
+    tangent: Floats  # (q, 3, 3, 3, 3)
+    state: dict[str, Floats]  # (q,) or (q, 3, 3)
+
+    @property
+    def undefined(self) -> Bools:
+        """At which points (q,) something is NaN or infinite."""
+        parts = [self.stress, self.tangent, *self.state.values()]
+        found = np.zeros(len(self.stress), dtype=bool)
+        for part in parts:
+            if not np.isfinite(part.sum()):  # much quicker than to look at each
+                found |= ~np.isfinite(part.reshape(len(part), -1)).all(axis=1)
+        return found
+
+
+def values_at_points(
+    law: Law, strain: Floats, state: Mapping[str, Floats], p: SimpleNamespace
+) -> PointValues:
+    """Return what a law of arrays gives at q points.
+
+    In plane stress with the strain out of the plane that leaves no stress there.
+
+    Args:
+        law: its parts.
+        strain: (q, 3, 3), symmetric.
+        state: committed internal variables, (q,) or (q, 3, 3).
+        p: parameters by name, (q,) each.
+
+    Raises:
+        ValueError: if it raises, or returns something of another form, name or shape.
+    """
+    if not law.plane_stress:
+        return _updated(law, strain, state, p)
+    whole = np.zeros_like(strain)
+    whole[:, :2, :2] = strain[:, :2, :2]
+
+    def at(points: Ints, z: Floats) -> PointValues:
+        strain = whole[points]
+        strain[:, 2, 2] = z
+        here = SimpleNamespace(**{name: value[points] for name, value in vars(p).items()})
+        return _updated(law, strain, {n: v[points] for n, v in state.items()}, here)
+
+    def equation(points: Ints, z: Floats) -> Floats:
+        found = at(points, z[:, 0])
+        C, norm = found.tangent, np.linalg.norm(found.stress, axis=(1, 2))
+        stiffest = np.abs(C).reshape(len(points), -1).max(axis=1, initial=0.0)
+        parts = [found.stress[:, 2, 2], C[:, 2, 2, 2, 2], stiffest, norm]
+        return np.stack(parts, axis=1)[:, None]
+
+    z = plane_stress.solve(law.name, equation, (len(strain), 1))[:, 0]
+    found = at(np.arange(len(strain)), z)
+    stress, C = found.stress.copy(), found.tangent
+    stress[:, 2], stress[:, :, 2] = 0.0, 0.0
+    with np.errstate(all="ignore"):
+        modulus = C[:, 2, 2, 2, 2][:, None, None, None, None]
+        tangent = C - np.einsum("qij,qkl->qijkl", C[..., 2, 2], C[:, 2, 2]) / modulus
+    for axis in range(1, 5):
+        np.moveaxis(tangent, axis, 1)[:, 2] = 0.0
+    return PointValues(stress, tangent, found.state)
+
+
+def _updated(
+    law: Law, strain: Floats, state: Mapping[str, Floats], p: SimpleNamespace
+) -> PointValues:
+    """Call a law of arrays at q points.
+
+    Raises:
+        ValueError: if it raises, or returns something of another form, name or shape.
+    """
+    where, q = f"{law.name}.update", len(strain)
+    assert law.update is not None
+    try:
+        found = law.update(strain, state, p)
+    except Exception as error:
+        what = f"{type(error).__name__}: {error}"
+        raise ValueError(f"{where} raised {what} (at {q} points)") from error
+    if not isinstance(found, tuple) or len(found) != 3 or not isinstance(found[2], Mapping):
+        raise ValueError(
+            f"{where} returns {type(found).__name__}; it must return stress, tangent, new state "
+            "(a dictionary by name)."
+        )
+    stress, tangent, new = found
+    if set(new) != set(law.state):
+        given, declared = (", ".join(sorted(names)) or "nothing" for names in (new, law.state))
+        raise ValueError(f"{where} returns the state {given}, but `state` declares {declared}.")
+    return PointValues(
+        _shaped_array(f"{where}: the stress", stress, (q, 3, 3)),
+        _shaped_array(f"{where}: the tangent", tangent, (q, 3, 3, 3, 3)),
+        {n: _shaped_array(f"{where}: {n}", new[n], (q, *shape)) for n, shape in law.state.items()},
+    )
+
+
+def _shaped_array(what: str, value: Any, shape: tuple[int, ...]) -> Floats:
+    """Return an array of the shape, or raise a ValueError."""
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except Exception as error:
+        raise ValueError(f"{what} is a {type(value).__name__}; it must be an array.") from error
+    if array.shape != shape:
+        raise ValueError(
+            f"{what} has the shape {array.shape} at {shape[0]} points; it must be {shape}."
+        )
+    return array

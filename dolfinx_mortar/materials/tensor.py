@@ -18,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 import ufl
+from dolfinx_mortar.arrays import Floats
 from ufl.core.expr import Expr
 
 COMPONENTS = {2: ("xx", "yy", "zz", "xy"), 3: ("xx", "yy", "zz", "xy", "yz", "xz")}
@@ -46,6 +47,16 @@ def frobenius_norm(c: np.ndarray) -> np.ndarray:
     return np.sqrt(np.sum(c[..., :3] ** 2, axis=-1) + 2 * np.sum(c[..., 3:] ** 2, axis=-1))
 
 
+def double_contraction(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return S:T of tensors stored as (..., 4 or 6), shear counted twice.
+
+    >>> float(double_contraction(np.array([1.0, 0.0, 0.0, 2.0]), np.array([3.0, 0.0, 0.0, 4.0])))
+    19.0
+    """
+    product = a * b
+    return np.sum(product[..., :3], axis=-1) + 2 * np.sum(product[..., 3:], axis=-1)
+
+
 def vector_norm(c: np.ndarray) -> np.ndarray:
     """Return the Euclidean norm of the stored components (..., 4 or 6), shear counted once.
 
@@ -67,3 +78,21 @@ def von_mises(stress: np.ndarray) -> np.ndarray:
     deviator = stress.copy()
     deviator[..., :3] -= stress[..., :3].mean(axis=-1, keepdims=True)
     return np.sqrt(1.5) * frobenius_norm(deviator)
+
+
+def tensor_of(components: Floats) -> Floats:
+    """Return symmetric tensors (q, 3, 3) of stored components (q, 4 or 6).
+
+    >>> tensor_of(np.array([[1.0, 2.0, 3.0, 4.0]]))[0].tolist()
+    [[1.0, 4.0, 0.0], [4.0, 2.0, 0.0], [0.0, 0.0, 3.0]]
+    """
+    tensors = np.zeros((len(components), 3, 3))
+    for k, (i, j) in enumerate(INDEX[: components.shape[1]]):
+        tensors[:, i, j] = tensors[:, j, i] = components[:, k]
+    return tensors
+
+
+def stored(tensors: Floats, size: int = 6) -> Floats:
+    """Return the first `size` (4 or 6) stored components (q, size) of tensors (q, 3, 3)."""
+    rows, columns = zip(*INDEX[:size], strict=True)
+    return np.asarray((tensors[:, rows, columns] + tensors[:, columns, rows]) / 2)

@@ -10,16 +10,63 @@ from typing import Any, ClassVar
 
 import ufl
 from dolfinx_mortar.materials.elastic import Elastic, shear_modulus
-from dolfinx_mortar.materials.omega import wright_omega
-from dolfinx_mortar.materials.parameters import Parameter, Range, check_fields, check_parameters
 from dolfinx_mortar.materials.protocol import Material
+from dolfinx_mortar.materials.ranges import Parameter, Range, check_fields, check_parameters
 from dolfinx_mortar.materials.von_mises import (
+    ACCUMULATED,
+    PLASTIC,
     YIELD_TOLERANCE,
-    MixedVonMises,
     VonMises,
     shifted_stress,
 )
 from ufl.core.expr import Expr
+
+# Below, three terms of the series of omega in exp(y) are exact to round-off (the next one is
+# 8/3 exp(4 y)), and keep digits that y - ln w loses.
+SERIES_BELOW = -15.0
+
+
+def wright_omega(y: Any) -> Expr:
+    """Return w > 0 with w + ln w = y for any y: one step of Halley's method, error below 4e-5 w.
+
+    Equivalently the principal branch of Lambert's function, W(exp(y)).
+    """
+    z, t, high = ufl.exp(ufl.min_value(y, 0.0)), y - 1, ufl.max_value(y, 1.0)
+    w = ufl.conditional(
+        ufl.lt(y, 4.0),
+        1 + t / 2 + t**2 / 16,  # Taylor's polynomial where w = 1
+        high * (1 - 5.4 / (high + 16.0)),  # to 1 %
+    )
+    w = ufl.conditional(ufl.lt(y, -0.5), z / (1 + z), w)  # to 7 %
+    rest, a = y - w - ufl.ln(w), 1 + w
+    w = w * (1 + 2 * rest / (2 * a - rest / a))
+    return ufl.conditional(ufl.lt(y, SERIES_BELOW), z * (1 - z * (1 - 1.5 * z)), w)
+
+
+def increment(excess: Any, rest: Any, M: Any, b: Any, log_ratio: Any) -> tuple[Expr, Expr]:
+    """Return the root g of M g + rest (1 - exp(-b g)) = excess, and its slope dg / d excess.
+
+    A step of Chebyshev's method, of third order, corrects what omega gives. The residual is then
+    round-off of excess and rest, for all numbers whose products are numbers
+    (tests/test_hardening.py).
+
+    Args:
+        excess: what is to be reached, positive.
+        rest: what the exponential can add, positive.
+        M: slope of the line, positive.
+        b: rate of the exponential, positive.
+        log_ratio: ln(b rest / M).
+    """
+    level = (excess - rest) / M
+    y = log_ratio - b * level
+    omega = wright_omega(y)  # b rest exp(-b g) / M
+    near = ufl.conditional(ufl.lt(y, 1.0), level + omega / b, (log_ratio - ufl.ln(omega)) / b)
+    fading = rest * ufl.exp(-b * near)
+    slope = 1 / (M + b * fading)
+    newton = slope * (excess - rest + fading * (1 + b * near))
+    change = b * (newton - near)
+    g = newton + slope * fading * change**2 / 2
+    return g, 1 / (M + b * fading * (1 - change * (1 - change / 2)))
 
 
 @dataclass(frozen=True)
@@ -31,7 +78,7 @@ class VonMisesVoce(Material):
         R(k) = Y + H k + Q (1 - exp(-b k)),      k = int |dep|.
 
     The increment g of k in a step is the root of |xi| = (2 mu + a) g + R(k_n + g), in closed form
-    by Wright's omega function. Stress and tangent are those of the radial return,
+    by Wright's omega function (`increment`). Stress and tangent are those of the radial return,
 
         sigma = C (eps - ep_n) - 2 mu g n,       dg / d|xi| = 1 / (2 mu + a + R'(k_n + g)),
 
@@ -55,7 +102,7 @@ class VonMisesVoce(Material):
     Q: Parameter  # growth of the radius by saturation: sqrt(2/3) x that of the yield stress
     b: Parameter  # rate of saturation, per k: sqrt(2/3) x that per equivalent plastic strain
 
-    state: ClassVar[Mapping[str, tuple[int, ...]]] = MixedVonMises.state
+    state: ClassVar[Mapping[str, tuple[int, ...]]] = {PLASTIC: (3, 3), ACCUMULATED: ()}
     linear: ClassVar[bool] = False
     splits: ClassVar[bool] = True
     ranges: ClassVar[Mapping[str, Range]] = {
@@ -112,30 +159,20 @@ class VonMisesVoce(Material):
     ) -> tuple[Expr, Expr, Expr, Expr, Expr]:
         """Return xi, |xi|, the increment g of k, its slope dg / d|xi|, and whether it flows."""
         xi, norm = shifted_stress(strain, state, p)
-        k = state["accumulated_plastic_strain"]
+        k = state[ACCUMULATED]
         rest = p.Q * ufl.exp(-p.b * k)  # what k can still add to the radius
         radius = p.Y + p.H * k + p.Q - rest
         M = 2 * shear_modulus(p) + p.a + p.H
         excess = norm - radius
         yields = ufl.gt(excess, YIELD_TOLERANCE * radius)
-        # M g + rest (1 - exp(-b g)) = excess
-        level = (excess - rest) / M
         # ln(b rest / M), of which one part is the same at all points of a cell
-        start = ufl.ln(p.b * p.Q / M) - p.b * k
-        near = level + wright_omega(start - p.b * level, steps=1) / p.b
-        # a step of Chebyshev's method, of third order, takes away that error and cancellation
-        fading = rest * ufl.exp(-p.b * near)
-        slope = 1 / (M + p.b * fading)
-        newton = slope * (excess - rest + fading * (1 + p.b * near))
-        change = p.b * (newton - near)
-        g = newton + slope * fading * change**2 / 2
-        slope = 1 / (M + p.b * fading * (1 - change * (1 - change / 2)))
+        g, slope = increment(excess, rest, M, p.b, ufl.ln(p.b * p.Q / M) - p.b * k)
         return xi, norm, ufl.conditional(yields, g, 0.0), slope, yields
 
     @staticmethod
     def energy(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
         """Return the incremental potential psi."""
-        ep, k = state["plastic_strain"], state["accumulated_plastic_strain"]
+        ep, k = state[PLASTIC], state[ACCUMULATED]
         _, norm, g, _, _ = VonMisesVoce._flow(strain, state, p)
         new = k + g
         stored = p.H / 2 * new**2 + p.Q * (new + (ufl.exp(-p.b * new) - 1) / p.b)
@@ -146,7 +183,7 @@ class VonMisesVoce(Material):
     def stress(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
         """Return sigma = C (eps - ep_n) - 2 mu g n."""
         xi, norm, g, _, _ = VonMisesVoce._flow(strain, state, p)
-        elastic = Elastic.elastic_stress(strain - state["plastic_strain"], p)
+        elastic = Elastic.elastic_stress(strain - state[PLASTIC], p)
         return elastic - 2 * shear_modulus(p) * g / norm * xi
 
     @staticmethod
@@ -166,6 +203,6 @@ class VonMisesVoce(Material):
         """Return plastic strain and accumulated plastic strain at the end of the step."""
         xi, norm, g, _, _ = VonMisesVoce._flow(strain, state, p)
         return {
-            "plastic_strain": state["plastic_strain"] + g / norm * xi,
-            "accumulated_plastic_strain": state["accumulated_plastic_strain"] + g,
+            PLASTIC: state[PLASTIC] + g / norm * xi,
+            ACCUMULATED: state[ACCUMULATED] + g,
         }

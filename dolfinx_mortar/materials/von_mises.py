@@ -14,8 +14,8 @@ import numpy as np
 
 import ufl
 from dolfinx_mortar.materials.elastic import Elastic, shear_modulus
-from dolfinx_mortar.materials.parameters import Parameter, Range, check_fields, check_parameters
 from dolfinx_mortar.materials.protocol import Material
+from dolfinx_mortar.materials.ranges import Parameter, Range, check_fields, check_parameters
 from ufl.core.expr import Expr
 
 # A committed plastic point lies on the yield surface up to round-off, which is that of 2 mu eps:
@@ -25,6 +25,8 @@ YIELD_TOLERANCE = 1e-10
 # Keeps |xi| differentiable at xi = 0; relative to Y, so independent of the units. At |xi| = Y any
 # guard below 1e-8, the root of round-off, changes nothing; its square must not vanish beside zero.
 NORM_GUARD = 1e-14
+# Names of the internal variables
+PLASTIC, ACCUMULATED = "plastic_strain", "accumulated_plastic_strain"
 
 
 def shifted_stress(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, Expr]:
@@ -72,7 +74,6 @@ class VonMises(Material):
     a: Parameter  # kinematic modulus, back stress per plastic strain: 2/3 x uniaxial one
     H: Parameter = 0.0  # isotropic modulus, yield radius per k: 2/3 x uniaxial one
 
-    state: ClassVar[Mapping[str, tuple[int, ...]]] = {"plastic_strain": (3, 3)}
     linear: ClassVar[bool] = False
     splits: ClassVar[bool] = True
     elastic_stress = staticmethod(Elastic.elastic_stress)
@@ -88,9 +89,10 @@ class VonMises(Material):
         check_fields(self)
 
     @property
-    def law(self) -> type:
-        """The class whose methods hold: without isotropic hardening there is no k."""
-        return VonMises if isinstance(self.H, Real) and self.H == 0 else MixedVonMises
+    def state(self) -> Mapping[str, tuple[int, ...]]:  # type: ignore[override]
+        """The internal variables: without isotropic hardening k would be read by nothing."""
+        kinematic = isinstance(self.H, Real) and self.H == 0
+        return {PLASTIC: (3, 3)} if kinematic else {PLASTIC: (3, 3), ACCUMULATED: ()}
 
     @classmethod
     def from_uniaxial(
@@ -129,66 +131,38 @@ class VonMises(Material):
         return cls(E, nu, math.sqrt(2 / 3) * yield_stress, a, H)
 
     @staticmethod
-    def _trial(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, Expr, Expr]:
-        """Return xi, |xi| and (|xi| - Y)_+ with the dead band at zero."""
-        xi, norm = shifted_stress(strain, state, p)
-        excess = norm - p.Y
-        yields = ufl.gt(excess, YIELD_TOLERANCE * p.Y)
-        return xi, norm, ufl.conditional(yields, excess, 0.0)
-
-    @staticmethod
-    def energy(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Return the incremental potential psi."""
-        ep = state["plastic_strain"]
-        _, _, excess = VonMises._trial(strain, state, p)
-        hardening = p.a / 2 * ufl.inner(ep, ep)
-        relaxation = excess**2 / (2 * (2 * shear_modulus(p) + p.a))
-        return Elastic.energy(strain - ep, {}, p) + hardening - relaxation
-
-    @staticmethod
-    def updated_state(strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
-        """Return the plastic strain at the end of the step."""
-        xi, norm, excess = VonMises._trial(strain, state, p)
-        increment = excess / ((2 * shear_modulus(p) + p.a) * norm) * xi
-        return {"plastic_strain": state["plastic_strain"] + increment}
-
-    @staticmethod
-    def output(state: Mapping[str, np.ndarray], p: SimpleNamespace) -> dict[str, np.ndarray]:
-        """Return the back stress a ep (q, components)."""
-        return {"back_stress": p.a[:, None] * state["plastic_strain"]}
-
-
-class MixedVonMises(VonMises):
-    """`VonMises` with isotropic hardening, which remembers the accumulated plastic strain."""
-
-    state: ClassVar[Mapping[str, tuple[int, ...]]] = {
-        **VonMises.state,
-        "accumulated_plastic_strain": (),
-    }
+    def _memory(state: Mapping[str, Expr], p: Any) -> tuple[Any, Any]:
+        """Return k_n and H, zeros without isotropic hardening."""
+        return (state[ACCUMULATED], p.H) if ACCUMULATED in state else (0.0, 0.0)
 
     @staticmethod
     def _trial(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, Expr, Expr]:
         """Return xi, |xi| and (|xi| - Y - H k_n)_+ with the dead band at zero."""
         xi, norm = shifted_stress(strain, state, p)
-        radius = p.Y + p.H * state["accumulated_plastic_strain"]
-        yields = ufl.gt(norm - radius, YIELD_TOLERANCE * radius)
-        return xi, norm, ufl.conditional(yields, norm - radius, 0.0)
+        k, H = VonMises._memory(state, p)
+        radius = p.Y + H * k
+        excess = norm - radius
+        return xi, norm, ufl.conditional(ufl.gt(excess, YIELD_TOLERANCE * radius), excess, 0.0)
 
     @staticmethod
     def energy(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
         """Return the incremental potential psi."""
-        ep, k = state["plastic_strain"], state["accumulated_plastic_strain"]
-        _, _, excess = MixedVonMises._trial(strain, state, p)
-        stored = p.a / 2 * ufl.inner(ep, ep) + p.H / 2 * k**2
-        relaxation = excess**2 / (2 * (2 * shear_modulus(p) + p.a + p.H))
+        ep, (k, H) = state[PLASTIC], VonMises._memory(state, p)
+        _, _, excess = VonMises._trial(strain, state, p)
+        stored = p.a / 2 * ufl.inner(ep, ep) + H / 2 * k**2
+        relaxation = excess**2 / (2 * (2 * shear_modulus(p) + p.a + H))
         return Elastic.energy(strain - ep, {}, p) + stored - relaxation
 
     @staticmethod
     def updated_state(strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
-        """Return plastic strain and accumulated plastic strain at the end of the step."""
-        xi, norm, excess = MixedVonMises._trial(strain, state, p)
-        growth = excess / (2 * shear_modulus(p) + p.a + p.H)
-        return {
-            "plastic_strain": state["plastic_strain"] + growth / norm * xi,
-            "accumulated_plastic_strain": state["accumulated_plastic_strain"] + growth,
-        }
+        """Return the plastic strain and, if it is there, k at the end of the step."""
+        xi, norm, excess = VonMises._trial(strain, state, p)
+        k, H = VonMises._memory(state, p)
+        growth = excess / (2 * shear_modulus(p) + p.a + H)
+        new = {PLASTIC: state[PLASTIC] + growth / norm * xi}
+        return new | ({ACCUMULATED: k + growth} if ACCUMULATED in state else {})
+
+    @staticmethod
+    def output(state: Mapping[str, np.ndarray], p: SimpleNamespace) -> dict[str, np.ndarray]:
+        """Return the back stress a ep (q, components)."""
+        return {"back_stress": p.a[:, None] * state["plastic_strain"]}

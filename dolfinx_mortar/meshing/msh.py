@@ -10,17 +10,16 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx import mesh as dmesh
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Longs
-from dolfinx_mortar.meshing.bodies import gmsh_model
+from dolfinx_mortar.meshing.two_bodies import TaggedMesh, gmsh_model
 from dolfinx_mortar.tags import Tags
 
 # Gmsh's numbers of the cells that the package knows.
@@ -29,14 +28,6 @@ KNOWN = "triangles, quadrilaterals, tetrahedra or hexahedra of degree 1 or 2"
 FLAT = 1e-9  # largest |z| of a mesh in the plane over its size
 # A line of $PhysicalNames: dimension, tag, name. Text also in binary files.
 NAMED = re.compile(rb'\s*(\d+)\s+(\d+)\s+"(.*)"\s*')
-
-
-class MshMesh(NamedTuple):
-    """A mesh from a file, with its tags and their names."""
-
-    mesh: dmesh.Mesh
-    cell_tags: Tags  # bodies
-    facet_tags: Tags  # sides and supports
 
 
 @dataclass(frozen=True)
@@ -56,7 +47,7 @@ class Group:
         return f"{self.name!r}" if self.name else f"number {self.tag}"
 
 
-def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD) -> MshMesh:
+def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD) -> TaggedMesh:
     """Read mesh, cell tags and facet tags from a file of Gmsh, with their names (collective).
 
         mesh, cell_tags, facet_tags = dm.meshing.read_msh("bearing.msh")
@@ -79,8 +70,6 @@ def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
             of an unknown kind, lines, or a surface in space.
         RuntimeError: if gmsh is not installed. All errors are raised on all ranks.
     """
-    if not isinstance(comm, MPI.Comm):
-        raise ValueError(f"comm = {comm!r} must be an MPI communicator, such as MPI.COMM_WORLD.")
     with ExitStack() as stack:
         groups: list[Group] = []
         model: Any = None
@@ -97,7 +86,7 @@ def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
     domain.name = Path(path).stem
     cell_tags.name, facet_tags.name = "bodies", "boundary"
     names = [{name: tag for d, tag, name in told if d == of and name} for of in (dim, dim - 1)]
-    return MshMesh(domain, Tags(cell_tags, names[0]), Tags(facet_tags, names[1]))
+    return TaggedMesh(domain, Tags(cell_tags, names[0]), Tags(facet_tags, names[1]))
 
 
 def _check_file(path: Any) -> Path:
@@ -107,10 +96,7 @@ def _check_file(path: Any) -> Path:
         OSError: if there is none.
         ValueError: if it is something else.
     """
-    try:
-        file = Path(path)
-    except TypeError as error:
-        raise ValueError(f"path = {path!r} must be the name of a .msh file.") from error
+    file = Path(path)
     if not file.is_file():
         raise FileNotFoundError(f"path = {str(file)!r}: there is no such file in {Path.cwd()}.")
     with file.open("rb") as stream:

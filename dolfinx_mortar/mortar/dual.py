@@ -25,8 +25,8 @@ Comput. 34, 2012),
     N~_v = N_v + alpha sum_m N_m,      N~_m = (1 - 2 alpha) N_m,      alpha = 1 / 12,
 
 and Phi is biorthogonal to N~. For the displacement's own functions that leaves D_vv and D_mm on the
-diagonal, and D_mv = -alpha D_mm at the two ends of an edge: middles lean on their ends. A middle
-without multiplier gives nothing away, so that no vertex leans on another one.
+diagonal, and D_mv = -alpha D_mm at the two ends of an edge: middles depend on their ends. A middle
+without multiplier gives nothing away, so that no vertex depends on another one.
 
 With alpha = 1/12 the centre of N~_v is the vertex, on every flat facet by itself, as those of the
 other facets' functions are their nodes; that of N~_m lies a fifth of the way to the opposite vertex

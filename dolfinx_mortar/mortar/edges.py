@@ -27,6 +27,7 @@ import numpy as np
 import dolfinx
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.geometry.curvature import unit
 from dolfinx_mortar.geometry.facets import (
     facet_normals,
     facet_sizes,
@@ -34,7 +35,6 @@ from dolfinx_mortar.geometry.facets import (
     points_of,
 )
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.geometry.smooth import unit
 from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
 from dolfinx_mortar.mortar.dual import sums_of_products
 from dolfinx_mortar.mortar.operators import weighted_duals
@@ -76,8 +76,8 @@ def find_edges(surface: Surface, feature_angle: float) -> Bools | None:
     n = nodal_normals(surface, surface.X)[surface.facets]
     along = np.einsum("mki,mki->mk", n, normals_at_nodes(facets))
     beyond = np.asarray(along < np.cos(np.radians(feature_angle / 2)))
-    arms = facets.x - facets.x.mean(axis=1, keepdims=True)
-    height = np.einsum("mki,mki->mk", n, arms)
+    offsets = facets.x - facets.x.mean(axis=1, keepdims=True)
+    height = np.einsum("mki,mki->mk", n, offsets)
     sums = sum_at_nodes(surface, np.stack([beyond, height], axis=2))
     edges = np.asarray((sums > 0).all(axis=1))
     return edges if any_rank(surface.V.mesh.comm, edges.any())[0] else None

@@ -40,7 +40,7 @@ from dolfinx_mortar.mortar.surface import (
 )
 
 _CHUNK = 2**14
-"""Points at which the motions of arms are known at a time: 5 MB in 3D, against calls."""
+"""Points at which the motions of offsets are known at a time: 5 MB in 3D, against calls."""
 _OF_POINTS = "pair", "slave", "master", "xi_s", "xi_m", "weight"  # what segments say of each point
 LEAST_COVERAGE = 0.05
 """A slave node carries a multiplier if more than this part of its tributary weight is covered."""
@@ -79,12 +79,12 @@ def point_distances(
     The size of a facet is its diameter at X.
     """
     slave = facets_at(pairing.slave, coordinates(pairing.slave, u))
-    arms = points_of(slave, segments.slave, segments.xi_s)
-    arms -= points_of(received_facets(pairing, u), segments.master, segments.xi_m)
+    offsets = points_of(slave, segments.slave, segments.xi_s)
+    offsets -= points_of(received_facets(pairing, u), segments.master, segments.xi_m)
     sizes = facet_sizes(pairing.slave.X[pairing.slave.facets])
     of_master = facet_sizes(pairing.master_X[pairing.master_facets])
     larger = np.maximum(sizes[segments.slave], of_master[segments.master])
-    return np.linalg.norm(arms, axis=1), larger
+    return np.linalg.norm(offsets, axis=1), larger
 
 
 def drop_far(
@@ -294,7 +294,7 @@ def assemble_node_matrices(
 
     Returns:
         D and M in the numbering of V's nodes. Rows of removed nodes vanish; their columns in D do
-        not. Over the kept nodes D is diagonal, but for middles that lean on the ends of their edges
+        not. Over the kept nodes D is diagonal, but for mid-side nodes that depend on vertices
         (exactly: the other integrals vanish by construction, and their round-off is set to zero).
     """
     N_s = pairing.slave.element.shape_functions(segments.xi_s)

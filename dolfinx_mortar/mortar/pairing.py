@@ -8,8 +8,9 @@ that rank. Only surfaces communicate, the volume mesh stays where it is.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -51,7 +52,6 @@ class Pairing:
     master_facets: Ints  # (mm, k) indices into master_nodes
     master_X: Floats  # (nm, d) their reference coordinates
     deepest: Floats  # (p,) how far behind the slave facet a partner may lie; inf as a rule
-    margin: Floats  # (ms,) lateral margin of each slave facet at the search
     sent: Bools  # (own master facets, ranks): which ranks have received them
     groups: list[Ints]  # slave facets of this rank in up to _GROUPS groups of neighbours
     scatter: PETSc.Scatter  # from a vector of V to the displacements of master_nodes
@@ -172,6 +172,7 @@ def create_pairing(
     moving: bool = True,
     again: bool = False,
     weight: Weight | None = None,
+    room: Pairing | None = None,
 ) -> Pairing:
     """Find the candidate pairs at X + u and create the matrices for them (collective).
 
@@ -188,6 +189,8 @@ def create_pairing(
             there are no pairs. At first that is a mistake of tags.
         weight: Factor of all integrals over the slave side, 1 if not given. With 2 pi r those over
             a line are those over the surface that it sweeps.
+        room: An earlier one of the same surfaces, whose matrices serve once more where the pairs
+            are the same.
 
     Raises:
         ValueError: On all ranks, if the sides share facets, belong to another space, u is not
@@ -209,6 +212,9 @@ def create_pairing(
     pairs = find_candidates(slaves, n_s, copies, margin)
     if not again:
         _check_facing(pairs, slave, master, n_s, facet_normals(masters))
+    same = room is not None and _has_pairs(room, pairs, nodes, facets)
+    if room is not None and comm.allreduce(same, op=MPI.LAND):
+        return replace(room, sent=receivers, groups=groups)
     D, M = _create_matrices(slave, pairs, nodes, facets)
     return Pairing(
         slave=slave,
@@ -218,7 +224,6 @@ def create_pairing(
         master_facets=facets,
         master_X=X,
         deepest=THROUGH * np.minimum(slave.thickness[pairs[:, 0]], thickness[pairs[:, 1]]),
-        margin=margin,
         sent=receivers,
         groups=groups,
         scatter=scatter,
@@ -228,6 +233,12 @@ def create_pairing(
         M=M,
         weight=weight,
     )
+
+
+def _has_pairs(pairing: Pairing, pairs: Ints, nodes: Longs, facets: Ints) -> bool:
+    """Tell whether a pairing has just these candidates on this rank."""
+    same = np.array_equal(pairing.pairs, pairs) and np.array_equal(pairing.master_nodes, nodes)
+    return same and np.array_equal(pairing.master_facets, facets)
 
 
 def _master_coordinates(

@@ -301,8 +301,8 @@ def sum_at_nodes(surface: Surface, values: npt.NDArray[Any]) -> Floats:
     return accumulate(surface, np.stack(sums, axis=1))
 
 
-def leaning_nodes(surface: Surface) -> Bools:
-    """Return the nodes (n,) whose rows of D lean on other kept ones (collective)."""
+def dependent_nodes(surface: Surface) -> Bools:
+    """Return the nodes (n,) whose rows of D depend on other kept ones (collective)."""
     count = np.zeros(len(surface.nodes))
     for middle, *_ in surface.element.shares:
         count[surface.facets[:, middle]] = 1.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The two files of a writer: who writes them, whether there is room, the XML that names all."""
+"""The two files of a writer: ownership, room on the disk, the XML document."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The steps in an XDMF file: in what order they are, which an earlier run has left, which go."""
+"""The steps in an XDMF file: their order, and which steps of an earlier run are replaced."""
 
 from __future__ import annotations
 

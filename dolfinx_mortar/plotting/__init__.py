@@ -8,7 +8,7 @@
 Bodies in the plane are drawn by matplotlib, bodies in space by PyVista (``pip install
 dolfinx_mortar[demo]``), which are imported when the first picture is made. All functions are
 collective and gather what they draw on rank 0: for models that fit there. For larger ones there is
-`Writer`, and ParaView. It must not know how a problem found its results.
+`Writer`, and ParaView.
 """
 
 from dolfinx_mortar.plotting.pictures import field, mesh, pressure

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import replace
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -14,21 +15,13 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.arguments import is_name, is_number
+from dolfinx_mortar.arguments import is_name
 from dolfinx_mortar.arrays import Ints
-from dolfinx_mortar.plotting import plane, space
-from dolfinx_mortar.plotting.libraries import require
-from dolfinx_mortar.plotting.parts import (
-    NO_TAG,
-    outer_facets,
-    parts_of_mesh,
-    parts_of_side,
-    parts_of_space,
-)
+from dolfinx_mortar.plotting.gathered import NO_TAG, Values, gather_bodies, gather_facets
 from dolfinx_mortar.spaces import CELLS
 
 File = str | os.PathLike[str] | None
-ABSCISSAE = ("x", "y", "length")
+MOVED = " moved"  # the name of positions among values at nodes; no field has it
 
 
 def mesh(
@@ -71,26 +64,19 @@ def mesh(
         sound = isinstance(tags, dmesh.MeshTags) and compat.on_same_mesh(tags, mesh)
         if tags is not None and (not sound or tags.dim != dim):
             raise ValueError(f"{name} is {tags!r}: give tags of dimension {dim} of this mesh.")
-    _check_target(mesh, file, view, ax)
-    owned = mesh.topology.index_map(tdim).size_local
-    values: Ints = np.full(owned, NO_TAG, dtype=np.int32)
+    drawer = _drawer(mesh, view, ax)
+    values: Ints = np.full(mesh.topology.index_map(tdim).size_local, NO_TAG, dtype=np.int32)
     if cell_tags is not None:
-        inside = cell_tags.indices < owned
+        inside = cell_tags.indices < len(values)
         values[cell_tags.indices[inside]] = cell_tags.values[inside]
-    if tdim == 2:
-        cells = parts_of_mesh(mesh, 2, np.arange(owned, dtype=np.int32), values)
-    else:
-        outside, behind, _ = outer_facets(mesh)
-        cells = parts_of_mesh(mesh, 2, outside, values[behind])
-    facets = None
-    if facet_tags is not None:
-        facets = parts_of_mesh(mesh, tdim - 1, facet_tags.indices, facet_tags.values)
-
-    def draw(target: Any) -> None:
-        (plane if tdim == 2 else space).draw_mesh(target, cells, facets, cell_tags, facet_tags)
-
-    panes = 2 if facets is not None and len(facets.nodes) else 1
-    return _on_rank_0(mesh, draw, file=file, view=view, ax=ax, panes=panes)
+    V = fem.functionspace(mesh, ("Lagrange", compat.cell_degree(mesh)))
+    bodies = gather_bodies(V, {}, {"tag": values})
+    sides = None if facet_tags is None else gather_facets(V, facet_tags, {})
+    named = cell_tags, facet_tags
+    panes = 1 if facet_tags is None else 2
+    return _on_rank_0(
+        mesh, drawer, lambda on: drawer.draw_mesh(on, bodies, sides, *named), file, view, ax, panes
+    )
 
 
 def field(
@@ -121,30 +107,21 @@ def field(
 
     Raises:
         ValueError: for unknown names (the message lists those there are), tensors, Functions of
-            another mesh or that jump from cell to cell, a ``scale`` that is no number, and
-            `view` in the plane, `ax` in space.
+            another mesh or that jump from cell to cell, and `view` in the plane, `ax` in space.
         ImportError: without matplotlib or PyVista; the message names the extra.
         RuntimeError: in space, if there is no screen to draw on.
     """
     solid = getattr(problem, "solid", problem)
-    if not hasattr(solid, "cell_values"):
-        raise ValueError(f"problem is {problem!r}: give a ContactProblem or a Solid.")
     V: fem.FunctionSpace = solid.V
-    d = V.mesh.geometry.dim
-    if not is_number(scale):
-        raise ValueError(f"scale is {scale!r}: give a number, 1 for displacements as they are.")
-    _check_target(V.mesh, file, view, ax)
+    drawer = _drawer(V.mesh, view, ax)
     title, at_nodes, of_cells = _values(solid, name)
-    u = solid.u.x.array.reshape(-1, d)
-    at_nodes = at_nodes | {" u": np.pad(u, ((0, 0), (0, 3 - d)))}
-    cells = parts_of_space(V, at_nodes, of_cells)
+    bodies = gather_bodies(V, {**at_nodes, **_moved(V, solid.u, scale)}, of_cells)
 
-    def draw(target: Any) -> None:
-        assert cells is not None
-        moved = replace(cells, x=cells.x + scale * cells.at_nodes[" u"])
-        (plane if d == 2 else space).draw_field(target, moved, title)
+    def draw(on: Any) -> None:
+        assert bodies is not None
+        drawer.draw_field(on, replace(bodies, x=bodies.at_nodes[MOVED]), title)
 
-    return _on_rank_0(V.mesh, draw, file=file, view=view, ax=ax)
+    return _on_rank_0(V.mesh, drawer, draw, file, view, ax)
 
 
 def pressure(
@@ -166,8 +143,7 @@ def pressure(
         problem: a `ContactProblem` that has made a step.
         interfaces: which of its interfaces, one or several; if not given its contacts, or its ties
             where it has none.
-        over: in the plane, "x", "y" or "length", the length along the slave side; if not given, the
-            first of these that grows along it.
+        over: in the plane, "x" or "y"; if not given, the one along which the sides extend farther.
         file: picture to write (.png); no window is opened then.
         view: in space, the direction (x, y, z) to look from.
         ax: axes of matplotlib to draw in, in the plane.
@@ -185,45 +161,31 @@ def pressure(
         RuntimeError: in space, if there is no screen to draw on.
     """
     chosen = _chosen(problem, interfaces)
-    if over is not None and not is_name(over, ABSCISSAE):
-        raise ValueError(f"over is {over!r}: choose one of {ABSCISSAE}.")
     V: fem.FunctionSpace = problem.solid.V
-    d = V.mesh.geometry.dim
-    if over is not None and d == 3:
-        raise ValueError(
-            f"over is {over!r}: pressures in space are drawn over the side; leave it out."
-        )
-    _check_target(V.mesh, file, view, ax)
-    x = V.tabulate_dof_coordinates()[:, :d] + problem.solid.u.x.array.reshape(-1, d)
+    if over is not None and (V.mesh.geometry.dim == 3 or not is_name(over, ("x", "y"))):
+        raise ValueError(f"over is {over!r}: choose 'x' or 'y' in the plane, nothing in space.")
+    drawer = _drawer(V.mesh, view, ax)
+    moved = _moved(V, problem.solid.u, 1.0)
     sides = []
-    for interface, surface in chosen:
-        interface.force  # noqa: B018 - says that a step has to be made first
-        side = parts_of_side(V, surface, x, interface.pressure.x.array)
-        sides += [] if side is None else [(repr(interface), side)]
-
+    for one in chosen:
+        one.force  # noqa: B018 - says that a step has to be made first
+        values = {"pressure": one.pressure.x.array, **moved}
+        side = gather_facets(V, one.facet_tags, values, one.slave)
+        sides += [] if side is None else [(repr(one), replace(side, x=side.at_nodes[MOVED]))]
     # one title for all sides: the pressure of a contact is a normal traction, too
-    pushes = all(interface.one_sided for interface, _ in chosen)
-    title = "contact pressure" if pushes else "normal traction"
-
-    def draw(target: Any) -> None:
-        if d == 2:
-            plane.draw_pressure(target, sides, over, title)
-        else:
-            space.draw_pressure(target, sides, title)
-
-    return _on_rank_0(V.mesh, draw, file=file, view=view, ax=ax)
+    title = "contact pressure" if all(one.one_sided for one in chosen) else "normal traction"
+    return _on_rank_0(
+        V.mesh, drawer, lambda on: drawer.draw_pressure(on, sides, over, title), file, view, ax
+    )
 
 
-def _chosen(problem: Any, interfaces: Any) -> list[tuple[Any, Any]]:
-    """Return the interfaces to draw, with the surfaces of their slave sides."""
-    if not hasattr(problem, "system"):
-        raise ValueError(f"problem is {problem!r}: give a ContactProblem.")
+def _chosen(problem: Any, interfaces: Any) -> list[Any]:
+    """Return the interfaces to draw."""
     problem.check_owned()
-    own = list(zip(problem.interfaces, problem.system.sides, strict=True))
     asked = (problem.contacts or problem.interfaces) if interfaces is None else interfaces
     asked = list(asked) if isinstance(asked, list | tuple) else [asked]
     for interface in asked:
-        if not any(interface is one for one, _ in own):
+        if not any(interface is one for one in problem.interfaces):
             raise ValueError(
                 f"interfaces: {interface!r} is none of this problem's, {problem.interfaces}."
             )
@@ -234,15 +196,19 @@ def _chosen(problem: Any, interfaces: Any) -> list[tuple[Any, Any]]:
             else f"interfaces is {interfaces!r}"
         )
         raise ValueError(f"{said}; interfaces of the problem: {problem.interfaces}.")
-    return [(one, side.slave) for one, side in own if any(one is i for i in asked)]
+    return asked
 
 
-Values = tuple[str, dict[str, np.ndarray], dict[str, np.ndarray]]
-"""Title, values at the local nodes and values of the owned cells, by title."""
+def _moved(V: fem.FunctionSpace, u: fem.Function, scale: float) -> Values:
+    """Return the local nodes (n, 3) at X + scale u."""
+    x = V.tabulate_dof_coordinates().copy()
+    d = V.mesh.geometry.dim
+    x[:, :d] += scale * u.x.array.reshape(-1, d)
+    return {MOVED: x}
 
 
-def _values(solid: Any, name: str | fem.Function) -> Values:
-    """Return what is drawn of a field by its name, or of a Function; collective."""
+def _values(solid: Any, name: str | fem.Function) -> tuple[str, Values, Values]:
+    """Return the title of a field or a Function, its values at nodes or of cells; collective."""
     if isinstance(name, fem.Function):
         return _values_of(solid.V, name)
     axes = "xyz"[: solid.V.mesh.geometry.dim]
@@ -255,7 +221,7 @@ def _values(solid: Any, name: str | fem.Function) -> Values:
     return name, {}, {name: _of_cells(solid.cell_values(name))}
 
 
-def _values_of(V: fem.FunctionSpace, function: fem.Function) -> Values:
+def _values_of(V: fem.FunctionSpace, function: fem.Function) -> tuple[str, Values, Values]:
     """Return what is drawn of a Function.
 
     Raises:
@@ -309,30 +275,36 @@ def _length(values: np.ndarray, component: int | None) -> np.ndarray:
     return np.asarray(np.linalg.norm(values, axis=1))
 
 
-def _check_target(domain: dmesh.Mesh, file: Any, view: Any, ax: Any) -> None:
-    """Raise an error on all ranks, before anything is gathered, if one cannot draw there.
+def _drawer(domain: dmesh.Mesh, view: Any, ax: Any) -> Any:
+    """Return the module that draws on rank 0; imported on all ranks, so that they fail together.
 
     Axes may be given on rank 0 alone, where they are. Collective.
+
+    Raises:
+        ImportError: if its library is not installed; the message names the extra that brings it.
+        ValueError: for what goes with the other one only.
     """
     dim = domain.geometry.dim
-    require("matplotlib" if dim == 2 else "pyvista")
     with raised_together(domain.comm):
-        if not (file is None or isinstance(file, str | os.PathLike)):
-            raise ValueError(f"file is {file!r}: give the name of a picture, such as 'stress.png'.")
         if dim == 2 and view is not None:
             raise ValueError(f"view is {view!r}: for bodies in space only; leave it out.")
-        if dim == 2 and ax is not None and not hasattr(ax, "add_collection"):
-            raise ValueError(f"ax is {ax!r}: give axes of matplotlib, such as subplots()[1].")
         if dim == 3 and ax is not None:
-            raise ValueError("ax is for bodies in the plane only; leave it out, PyVista draws.")
-        if view is not None:
-            space.direction(view)
+            raise ValueError(f"ax is {ax!r}: for bodies in the plane only; leave it out.")
+    try:
+        return import_module(f"dolfinx_mortar.plotting.{'in_plane' if dim == 2 else 'in_space'}")
+    except ImportError as error:
+        library = "matplotlib" if dim == 2 else "pyvista"
+        raise ImportError(
+            f"{library} is needed for this picture and cannot be imported ({error}): pip install "
+            f"'dolfinx_mortar[demo]', or the package python3-{library}.",
+            name=library,
+        ) from error
 
 
 def _on_rank_0(
     domain: dmesh.Mesh,
+    drawer: Any,
     draw: Callable[[Any], None],
-    *,
     file: File,
     view: Any,
     ax: Any,
@@ -342,12 +314,7 @@ def _on_rank_0(
     result = None
     with raised_together(domain.comm):
         if domain.comm.rank == 0:
-            if domain.geometry.dim == 2:
-                result = ax if ax is not None else plane.new_axes(file)
-                draw(result)
-                plane.finish(result, file)
-            else:
-                result = space.new_plotter(panes, file)
-                draw(result)
-                space.finish(result, file, view)
+            result = drawer.begin(file, ax, panes)
+            draw(result)
+            drawer.finish(result, file, view)
     return result

@@ -9,27 +9,35 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum, ratio
-from dolfinx_mortar.arrays import Actives, Floats, Ints
-from dolfinx_mortar.qp.bounded import Bounded
+from dolfinx_mortar.arrays import Actives, Bools, Floats, Ints
 from dolfinx_mortar.qp.friction import Friction, Sliders
-from dolfinx_mortar.qp.tolerances import EPS, ROUND_OFF
+
+EPS = float(np.finfo(np.float64).eps)
+# Round-off of A x, in units of eps |diag(A) x|: rows of a stiffness have 10 to 100 entries.
+ROUND_OFF = 16.0
 
 
 @dataclass(frozen=True)
 class BoundQP:
     """The problem min 1/2 x'Ax - b'x subject to lower <= x <= upper.
 
-    The reaction is z = b - A x: z >= 0 at an active upper bound, z <= 0 at an active lower bound
-    and z = 0 at a free unknown. With friction it has tangential parts, see `qp.friction`; with
-    limits that follow the pressure it is no minimisation any more.
+    The Lagrange multiplier of the bounds, or reaction, is z = b - A x: z >= 0 at an active upper
+    bound, z <= 0 at an active lower bound and z = 0 at a free unknown. With friction it has
+    tangential parts, see `qp.friction`; with limits that follow the pressure it is no minimisation
+    any more, nor is it if A is not definite: then these conditions are all that is asked for, and
+    they may have several solutions or none.
     """
 
-    A: PETSc.Mat  # (n, n) symmetric, positive definite on the unknowns that no bound can hold
+    A: PETSc.Mat  # (n, n)
     b: PETSc.Vec  # (n,) force
     lower: PETSc.Vec  # (n,) PETSC_NINFINITY where there is none
     upper: PETSc.Vec  # (n,) PETSC_INFINITY where there is none
     bounded: Ints  # (k,) owned local indices of unknowns with a finite bound
     friction: Friction | None = None  # on all ranks or on none
+    # Whether A is symmetric, and positive definite on the unknowns that no bound can hold. Who
+    # relies on it asks here: Cholesky and conjugate gradients instead of LU and GMRES, the guess
+    # of the active set, the interior point, descents of the energy.
+    definite: bool = True
 
     @property
     def comm(self) -> MPI.Comm:
@@ -43,6 +51,56 @@ class BoundQP:
         lower[lower <= PETSc.NINFINITY] = -np.inf
         upper[upper >= PETSc.INFINITY] = np.inf
         return lower, upper
+
+    def stiffness(self) -> Floats:
+        """Return |diag(A)| (n,), which makes a distance a force; no entry is 0 (collective)."""
+        diagonal = self.A.getDiagonal()
+        if not self.definite:
+            diagonal.abs()
+            mean = diagonal.sum() / diagonal.getSize()
+            diagonal.array[diagonal.array_r == 0.0] = mean
+        return np.asarray(diagonal.array_r)
+
+
+@dataclass(frozen=True)
+class Bounded:
+    """A candidate on the bounded unknowns."""
+
+    x: Floats  # (k,)
+    z: Floats  # (k,) reaction b - A x
+    lower: Floats  # (k,) -inf where there is none
+    upper: Floats  # (k,) inf where there is none
+    stiffness: Floats  # (k,) |diag(A)|, which makes a distance a force
+
+    def predicted(self) -> Actives:
+        """Return the active set that the candidate says comes next.
+
+        An unknown is at its upper bound if z + c (x - upper) > 0 and at its lower bound if
+        z + c (x - lower) < 0, with c = |diag(A)|, which makes both terms forces of one size.
+
+        >>> one = np.ones(3)
+        >>> Bounded(np.array([0.5, 1.0, 2.0]), 0 * one, -one, one, one).predicted().tolist()
+        [0, 0, 1]
+        """
+        active = np.zeros(self.x.size, dtype=np.int8)
+        active[self.z + self.stiffness * (self.x - self.upper) > 0.0] = 1
+        active[self.z + self.stiffness * (self.x - self.lower) < 0.0] = -1
+        return active
+
+    def strong(self, active: Actives, new: Actives, atol: float) -> Bools:
+        """Tell which unknowns differ between two sets by more than the accuracy of the forces.
+
+        An unknown is weakly active if its reaction and its distance to the bound, times the
+        stiffness, are together below that accuracy: then either side is right.
+        """
+        return np.asarray(self.strength(active, new) > atol)
+
+    def strength(self, active: Actives, new: Actives) -> Floats:
+        """Return the forces by which unknowns differ between two sets, 0 where they do not."""
+        side = np.where((active > 0) | (new > 0), self.upper, self.lower)
+        side = np.where(np.isfinite(side), side, self.x)
+        strength = np.abs(self.z) + self.stiffness * np.abs(self.x - side)
+        return np.asarray(np.where(active != new, strength, 0.0))
 
 
 @dataclass(frozen=True)
@@ -97,6 +155,7 @@ class QPSolution:
     note: str = ""
     sliding: Floats | None = None  # (m, t) directions of slipping nodes, zero at others
     linearisation: str = ""  # of friction
+    changes: int | None = None  # unknowns in which the active set is not the one it began with
 
 
 class QPNotSolved(RuntimeError):
@@ -136,7 +195,11 @@ def validate(qp: BoundQP) -> None:
         ("bounded", f"{finite.sum()} unknowns with a finite bound are missing", finite.any()),
         ("b", "it contains NaN or infinity; check loads and state", ~np.isfinite(qp.b.array_r)),
         ("A", "its diagonal contains NaN or infinity; check the tangent", ~np.isfinite(diag)),
-        ("A", "its diagonal has entries <= 0, so it is not positive definite", diag <= 0.0),
+        (
+            "A",
+            "its diagonal has entries <= 0, so it is not positive definite",
+            qp.definite & (diag <= 0.0),
+        ),
         ("lower, upper", "they contain NaN", np.isnan(lower) | np.isnan(upper)),
         ("lower, upper", "infinite bounds of the wrong sign", wrong),
         (
@@ -164,8 +227,7 @@ def reaction(qp: BoundQP, x: PETSc.Vec) -> PETSc.Vec:
 def on_bounded(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec) -> Bounded:
     """Return a candidate on this rank's bounded unknowns."""
     own = qp.bounded
-    stiffness = qp.A.getDiagonal().array_r[own]
-    return Bounded(x.array_r[own], z.array_r[own], *qp.bounds(), stiffness)
+    return Bounded(x.array_r[own], z.array_r[own], *qp.bounds(), qp.stiffness()[own])
 
 
 def on_friction(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec, found: Bounded) -> Sliders:
@@ -183,7 +245,7 @@ def on_friction(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec, found: Bounded) -> Slid
     n = law.normal
     pressing = found.z[n] + found.stiffness[n] * (found.x[n] - found.upper[n])
     limit = law.limit(pressing)
-    slip, stiffness = law.pick(x.array_r) - law.rest, law.means(qp.A.getDiagonal().array_r)
+    slip, stiffness = law.pick(x.array_r) - law.rest, law.means(qp.stiffness())
     return Sliders(law, slip, law.pick(z.array_r), limit, stiffness)
 
 
@@ -224,7 +286,7 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     moved = np.abs(x.array_r)
     if np.isfinite(nearest):
         moved[qp.bounded] = np.maximum(moved[qp.bounded], -nearest)
-    round_off = qp.A.getDiagonal().array_r * moved
+    round_off = qp.stiffness() * moved
     parts = (qp.b.array_r, zb, z.array_r[free], round_off, wrong, zt)
     squares = qp.comm.allreduce(np.array([v @ v for v in parts]))
     b2, zb2, free2, off2, wrong2, zt2 = np.sqrt(squares)

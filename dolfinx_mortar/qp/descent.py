@@ -28,11 +28,9 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Bools, Floats
-from dolfinx_mortar.qp.bound_qp import on_bounded, reaction
+from dolfinx_mortar.qp.bound_qp import BoundQP, on_bounded, reaction
 from dolfinx_mortar.qp.friction import Friction
-from dolfinx_mortar.qp.held import HeldProblem
-from dolfinx_mortar.qp.state import State
-from dolfinx_mortar.qp.tolerances import LIMIT
+from dolfinx_mortar.qp.held import HeldProblem, State
 from dolfinx_mortar.qp.updates import TIGHT, Outcome
 
 
@@ -48,6 +46,18 @@ def descend(problem: HeldProblem, start: State, level: int = TIGHT) -> Outcome[S
         LinearSolveFailed: if a state leaves a body free.
     """
     return _Descent(problem, start, level + 1).run()
+
+
+def most_solves(qp: BoundQP) -> int:
+    """Return after how many solves a descent is given up; collective.
+
+    J falls from solve to solve, so it ends; with k bounds and m nodes it took at most k + m + 1
+    solves on 400 random problems of up to 39 nodes and on belts of up to 192, and half of that
+    from 10 nodes on.
+    """
+    assert qp.friction is not None
+    own = qp.bounded.size + qp.friction.normal.size
+    return 4 * (int(qp.comm.allreduce(own)) + 1)
 
 
 @dataclass(frozen=True)
@@ -110,17 +120,17 @@ class _Descent:
 
     def run(self) -> Outcome[State]:
         """Go from state to state until none is lower."""
-        problem = self.problem
-        for updates in range(1, LIMIT * LIMIT):
+        problem, most = self.problem, most_solves(self.qp)
+        for updates in range(1, most + 1):
             atol = problem.solve(self.state, self.level)
-            atol = max(atol, problem.linear.round_off(problem.x))
+            atol = max(atol, problem.linear.attached.operator.round_off(problem.x))
             if self.advance(atol):
                 continue
             if self.release(atol) == 0:
                 self.x.copy(problem.x)
                 problem.z = self.z
                 return Outcome(self.state, updates, "")
-        return Outcome(self.state, updates, f"friction still changed after {updates} solves")
+        return Outcome(self.state, most, f"friction still changed after {most} solves")
 
     def advance(self, atol: float) -> bool:
         """Go towards the minimum of the state; tell whether that ended before it; collective."""

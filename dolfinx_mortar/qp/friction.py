@@ -130,8 +130,8 @@ class Sliders:
         """Return d (m, t), zero where it sticks, and kappa (m,) of the state that comes next.
 
         A node that has slipped in a direction ``before`` (m, t) and would now slip back sticks at
-        first: it slips against its friction, which most often means that it is held. From one
-        direction to the other at once, rows of nodes go to and fro for ever.
+        first: it slips against its friction, which most often means that it is held. If it took the
+        opposite direction at once, rows of nodes would alternate without end.
 
         >>> nodes, rest = np.array([[0], [1]]), np.zeros((2, 1))
         >>> law = Friction(np.arange(2), nodes, rest, *np.ones((2, 2)))

@@ -7,13 +7,17 @@ the law's reaction.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm
-from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.arrays import Actives, Bools, Floats, Ints
 from dolfinx_mortar.qp.bound_qp import (
+    EPS,
+    ROUND_OFF,
     BoundQP,
     QPSolution,
     check,
@@ -23,9 +27,70 @@ from dolfinx_mortar.qp.bound_qp import (
 )
 from dolfinx_mortar.qp.friction import Friction, Sliding
 from dolfinx_mortar.qp.linear import LinearSolver
-from dolfinx_mortar.qp.state import State
-from dolfinx_mortar.qp.tolerances import EPS, LIMIT, PATIENCE, ROUND_OFF, SHARE
-from dolfinx_mortar.qp.updates import LOOSE, TIGHT, Found, Outcome
+from dolfinx_mortar.qp.updates import LIMIT, LOOSE, TIGHT, Found, Outcome
+
+# Solves of sets with friction that come no nearer to the law; of 40 random problems (sweep
+# friction, seeds 0 to 39: 938 QPs), whose sets all settle, none has more than 7 of them in a row.
+PATIENCE = 20
+# Who works for a check takes this share of its tolerance: its scale may shrink meanwhile.
+SHARE = 0.5
+
+
+def nearest(qp: BoundQP) -> Actives:
+    """Return every bounded unknown at the bound nearest to zero."""
+    lower, upper = qp.bounds()
+    return np.where(np.abs(upper) <= np.abs(lower), 1, -1).astype(np.int8)
+
+
+@dataclass(frozen=True)
+class State:
+    """What is held, and how the rest slips."""
+
+    active: Actives  # (k,) on `BoundQP.bounded`
+    directions: Floats  # (m, t) of slip, zero where it sticks
+    stiffness: Floats  # (m,) kappa, of slip across its direction
+
+    @staticmethod
+    def create(qp: BoundQP, active: Actives, sliding: Floats | None = None) -> State:
+        """Return a first state: of closed nodes all stick, or slip in given directions.
+
+        Where it slips, it resists across its direction as the matrix does.
+        """
+        law = qp.friction
+        if law is None:
+            return State(active, np.zeros((0, 1)), np.zeros(0))
+        d = np.zeros(law.rest.shape) if sliding is None else sliding
+        diagonal = law.pick(qp.stiffness())
+        return State(active, d, law.across * diagonal.max(axis=1, initial=0.0))
+
+    @staticmethod
+    def holding(qp: BoundQP) -> State:
+        """Return a state that holds every body: all at their nearest bounds, and stuck."""
+        return State.create(qp, nearest(qp))
+
+    def tobytes(self) -> bytes:
+        """Return what tells it from other states."""
+        parts = self.active, self.directions, self.stiffness
+        return b"".join(np.ascontiguousarray(part).tobytes() for part in parts)
+
+    def slips(self, law: Friction) -> Bools:
+        """Return which nodes (m,) slip, against some friction."""
+        return np.asarray(law.acts(self.active[law.normal] > 0) & self.directions.any(axis=1))
+
+    def sticks(self, law: Friction) -> Bools:
+        """Return which tangential directions (m, t) are held."""
+        acts = law.acts(self.active[law.normal] > 0)
+        return np.asarray((acts & ~self.directions.any(axis=1))[:, None] & law.some)
+
+    def towards(self, new: State, active: Bools, sides: Bools) -> State:
+        """Return the new state where masks of bounds (k,) and of nodes (m,) say so, else this."""
+        directions = np.where(sides[:, None], new.directions, self.directions)
+        stiffness = np.where(sides, new.stiffness, self.stiffness)
+        return State(np.where(active, new.active, self.active), directions, stiffness)
+
+    def sliding(self, law: Friction) -> Floats:
+        """Return the directions (m, t) of the nodes that slip, zero at others."""
+        return np.where(self.slips(law)[:, None], self.directions, 0.0)
 
 
 class HeldProblem:
@@ -77,7 +142,7 @@ class HeldProblem:
         atol = self.solve(state, level)
         law = self.qp.friction
         found = on_bounded(self.qp, self.x, self.z)
-        atol = max(atol, self.linear.round_off(self.x))
+        atol = max(atol, self.linear.attached.operator.round_off(self.x))
         new = State(found.predicted(), state.directions, state.stiffness)
         strength = found.strength(active, new.active)
         changes = int((strength > atol).sum())
@@ -149,6 +214,12 @@ class HeldProblem:
         law = self.qp.friction
         directions = None if law is None else state.sliding(law)
         return QPSolution(self.x, self.z, state.active, kkt, *counts, name, sliding=directions)
+
+    def count_changes(self, start: State, end: State) -> int:
+        """Return in how many bounds two sets differ, weakly active ones left out; collective."""
+        found = on_bounded(self.qp, self.x, self.z)
+        strong = found.strong(start.active, end.active, self.rtol * self.z.norm())
+        return int(self.qp.comm.allreduce(int(strong.sum())))
 
     def _accuracy(self, level: int) -> float:
         return float(max(self.rtol ** (2.0 ** (level - TIGHT)), ROUND_OFF * EPS))

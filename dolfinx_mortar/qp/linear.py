@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
@@ -16,15 +15,14 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.arrays import Ints
-from dolfinx_mortar.qp.counts import LinearCounts
+from dolfinx_mortar.qp.bound_qp import EPS, ROUND_OFF
 from dolfinx_mortar.qp.friction import Sliding
 from dolfinx_mortar.qp.multigrid import Unknowns
 from dolfinx_mortar.qp.operator import Operator
 from dolfinx_mortar.qp.options import SolverOptions, check_options
-from dolfinx_mortar.qp.preconditioner import Preconditioner
+from dolfinx_mortar.qp.preconditioner import LinearCounts, Preconditioner
 from dolfinx_mortar.qp.renewal import REFACTOR_AFTER, SETUP_AFTER, Renewal, SlownessTest
-from dolfinx_mortar.qp.schur import Learnt
-from dolfinx_mortar.qp.tolerances import EPS, LIMIT, ROUND_OFF
+from dolfinx_mortar.qp.updates import LIMIT
 
 log = logging.getLogger(__name__)
 
@@ -49,6 +47,7 @@ class Attached:
     sliding_ksp: PETSc.KSP  # of matrices that friction makes unsymmetric
     preconditioner: Preconditioner
     renewal: Renewal
+    max_iterations: int  # of one run of an iteration
     dx: PETSc.Vec  # (n,) the last correction
 
     def destroy(self) -> None:
@@ -68,8 +67,9 @@ class LinearSolver:
     Args:
         comm: communicator of the matrices.
         prefix: prefix of all PETSc options of this solver.
-        options: PETSc options without prefix over the defaults (CG with MUMPS Cholesky); what the
-            user's options database has under the prefix wins.
+        options: PETSc options without prefix over the defaults (CG with MUMPS Cholesky, or GMRES
+            with LU for matrices that are not definite); what the user's options database has under
+            the prefix wins.
         multigrid: precondition with it by default.
         unknowns: those in which multigrid works, for solvers that are not direct; by default those
             of the matrix.
@@ -77,10 +77,10 @@ class LinearSolver:
             values by default.
 
     Attributes:
+        options: the PETSc options.
+        unknowns: as above.
         counts: what it has done so far.
-        learnt: what a backend has learnt about the matrices.
         description: name of the last method in use, for reports.
-        max_iterations: limit of one run of the iteration; the option ksp_max_it wins.
 
     Raises:
         ValueError: for options that PETSc cannot use, on all ranks.
@@ -98,86 +98,72 @@ class LinearSolver:
     ) -> None:
         """Try the options; the large PETSc objects follow with the first matrix."""
         check_options(comm, prefix, options)
-        self.comm = comm
-        self.unknowns = unknowns
-        self._options = SolverOptions(prefix, options, multigrid=multigrid)
-        self._refactor_after = refactor_after
-        self.max_iterations = MAX_ITERATIONS
+        self.options = SolverOptions(prefix, options, multigrid=multigrid)
         self.counts = LinearCounts()
-        self.learnt = Learnt()
+        self._comm = comm
+        self.unknowns = unknowns
+        self._refactor_after = refactor_after
         self.description = "not used yet"
         self._attached: Attached | None = None
 
     @property
-    def prefix(self) -> str:
-        """Prefix of the PETSc options."""
-        return self._options.prefix
-
-    @property
-    def options(self) -> dict[str, Any]:
-        """PETSc options without prefix."""
-        return self._options.values
-
-    @property
     def direct(self) -> bool:
         """Tell whether the preconditioner is a factorisation."""
-        return self._options.direct
+        return self.options.direct
 
-    def factorising(self) -> LinearSolver | None:
-        """Return a solver that factorises in place of this one, which ends; collective.
+    def factorise_instead(self) -> bool:
+        """Factorise from now on; False, and no change, where that is no remedy; collective.
 
-        None if this one does, if the user has chosen its method, or if the matrix is too large.
+        It is none if that is done already, if the user has chosen the method, or for a matrix that
+        is too large.
         """
         known = self._attached is not None
-        small = known and self.operator.A.getSize()[0] <= MOST_FACTORISED
-        if self.direct or self._options.chosen or not small:
-            return None
+        small = known and self._operator.A.getSize()[0] <= MOST_FACTORISED
+        if self.direct or self.options.chosen or not small:
+            return False
         self.clear()
-        return LinearSolver(self.comm, prefix=self.prefix, options=self._options.given)
+        self.options = SolverOptions(self.options.prefix, self.options.given)
+        return True
 
-    @property
-    def refactor_after(self) -> int:
-        """Iterations that cost as much as a new factorisation or set-up."""
-        if self._refactor_after is not None:
-            return self._refactor_after
-        return REFACTOR_AFTER if self.direct else SETUP_AFTER
+    def take_up_multigrid(self) -> None:
+        """Go back from factorisations to multigrid; collective."""
+        self.clear()
+        self.options = SolverOptions(self.options.prefix, self.options.given, multigrid=True)
 
-    def database(self, prefix: str) -> AbstractContextManager[None]:
-        """Hold our options in PETSc's database for a while."""
-        return self._options.database(prefix)
-
-    def unused_options(self) -> list[str]:
-        """Return the user's options that have no effect: misspelt, or of no use to the method.
-
-        Also ksp_rtol and the like, as the accuracy follows from the QP's. Complete after the first
-        solve.
-        """
-        return self._options.unread()
-
-    def attach(self, A: PETSc.Mat) -> None:
+    def attach(self, A: PETSc.Mat, *, definite: bool = True) -> None:
         """Take A as the matrix of the next solves (collective).
 
         The factorisation at hand stays as preconditioner if A is the object seen before.
+
+        Args:
+            A: (n, n) matrix.
+            definite: whether it is symmetric and positive definite, see `BoundQP`.
         """
-        if self._attached is not None and A.handle == self.operator.A.handle:
-            return
+        if self._attached is not None:
+            known = self._operator
+            if A.handle == known.A.handle and definite == known.definite:
+                return
         self.clear()  # and nothing is attached should an option prove wrong
-        ksp = PETSc.KSP().create(self.comm)
-        ksp.setOptionsPrefix(self.prefix)
+        self.options.definite = definite
+        ksp = PETSc.KSP().create(self._comm)
+        ksp.setOptionsPrefix(self.options.prefix)
         ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
-        ksp.setTolerances(max_it=self.max_iterations)
-        with self.database(self.prefix):
+        ksp.setTolerances(max_it=MAX_ITERATIONS)
+        with self.options.database(self.options.prefix):
             ksp.setFromOptions()
-            operator = Operator(A, direct=self.direct)
-            preconditioner = Preconditioner(operator, ksp, self._options, self.unknowns)
-        if ksp.getType() != "cg":
+            operator = Operator(A, direct=self.direct, definite=definite)
+            preconditioner = Preconditioner(operator, ksp, self.options, self.unknowns)
+        if ksp.getType() == "gmres":
+            ksp.setPCSide(PETSc.PC.Side.RIGHT)  # so that its residuals are the true ones
+        elif ksp.getType() != "cg":
             ksp.setNormType(PETSc.KSP.NormType.DEFAULT)
         ksp.setOperators(operator.matrix)
-        self.max_iterations = ksp.getTolerances()[3]
-        renewal = Renewal(self.refactor_after, direct=self.direct)
+        after = SETUP_AFTER if not self.direct else REFACTOR_AFTER
+        renewal = Renewal(self._refactor_after or after, direct=self.direct)
         sliding = _create_sliding_ksp(operator, ksp)
+        limit = ksp.getTolerances()[3]
         dx = A.createVecRight()
-        self._attached = Attached(operator, ksp, sliding, preconditioner, renewal, dx)
+        self._attached = Attached(operator, ksp, sliding, preconditioner, renewal, limit, dx)
         self.description = f"{ksp.getType()} + {preconditioner.description}"
         self.counts.symbolic += 1
 
@@ -187,6 +173,11 @@ class LinearSolver:
             self._attached.destroy()
         self._attached = None
 
+    def forget(self) -> None:
+        """Let the next solve begin with a factorisation of its own; its pattern stays known."""
+        if self._attached is not None:
+            self._attached.preconditioner.held = None
+
     @property
     def attached(self) -> Attached:
         """What belongs to the attached matrix."""
@@ -194,25 +185,8 @@ class LinearSolver:
         return self._attached
 
     @property
-    def operator(self) -> Operator:
-        """The operator of the attached matrix."""
+    def _operator(self) -> Operator:
         return self.attached.operator
-
-    @property
-    def renewal(self) -> Renewal:
-        """What is known of the factorisation at hand."""
-        return self.attached.renewal
-
-    def residual(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints) -> PETSc.Vec:
-        """Return b - A x with zeros at `held`; the vector is reused by the next call.
-
-        At nodes that slip, what it misses of their law.
-        """
-        return self.operator.residual(b, x, held)
-
-    def round_off(self, x: PETSc.Vec) -> float:
-        """Return the round-off of A x, the smallest residual that can be expected."""
-        return self.operator.round_off(x)
 
     def factorise(self, held: Ints) -> None:
         """Factorise A with these held, unless that is what the factorisation is of (collective).
@@ -220,14 +194,14 @@ class LinearSolver:
         Raises:
             LinearSolveFailed: for a singular matrix or one that does not fit into memory.
         """
-        self.operator.hold(held)
+        self._operator.hold(held)
         if self.attached.preconditioner.is_of(held):
             return
         begin = perf_counter()
         failure = self.attached.preconditioner.renew(held, self.counts)
         self.counts.seconds_factor += perf_counter() - begin
         if failure:
-            order = self.operator.matrix.size[0]
+            order = self._operator.matrix.size[0]
             raise LinearSolveFailed(
                 f"The factorisation of a matrix of order {order} failed {failure}"
             )
@@ -267,16 +241,17 @@ class LinearSolver:
             LinearSolveFailed: if the true residual stays above both atol and round-off, or if
                 the solution is so large that the matrix must be singular.
         """
-        self.operator.slide(sliding)
-        self.operator.hold(held)
+        operator = self._operator
+        operator.slide(sliding)
+        operator.hold(held)
         before = self.counts.iterations
         self.counts.solves += 1
-        known = z is not None
-        first = norm = (self.operator.take(z, x) if known else self.residual(b, x, held)).norm()
+        missing = operator.residual(b, x, held) if z is None else operator.take(z, x)
+        first = norm = missing.norm()
         if not norm <= atol:
             norm = self._correct(b, x, held, atol, norm)
         self._judge(b, x, (first, norm, atol), self.counts.iterations - before)
-        return self.operator.z
+        return operator.z
 
     def _correct(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, atol: float, norm: float) -> float:
         """Correct x until its residual, at first norm, is below atol or round-off; return it.
@@ -287,22 +262,22 @@ class LinearSolver:
             if self._is_far(held):
                 self.factorise(held)
             fresh = self.attached.preconditioner.is_of(held)
-            target, before = max(atol, self.round_off(x) / ROUND_OFF), norm
+            target, before = max(atol, self._operator.round_off(x) / ROUND_OFF), norm
             self._sweep(max(target / norm, EPS))
             dx = self.attached.dx
             dx.array[held] = 0.0  # an old factorisation may not know that they are held
             if np.isfinite(dx.norm()):
                 x.axpy(1.0, dx)
-                norm = self.residual(b, x, held).norm()
-            if norm <= max(atol, self.round_off(x)):
+                norm = self._operator.residual(b, x, held).norm()
+            if norm <= max(atol, self._operator.round_off(x)):
                 break
-            exhausted = self._ksp.getIterationNumber() >= self.max_iterations
+            exhausted = self._ksp.getIterationNumber() >= self.attached.max_iterations
             if fresh and (exhausted or not norm < before):
                 break
             if not fresh:
                 if not self.direct and (self._diverged() or not norm < before):
                     self.counts.breakdowns += 1
-                    if self.comm.rank == 0:
+                    if self._comm.rank == 0:
                         log.info("an old preconditioner failed and is set up anew")
                 self.factorise(held)
         return float(norm)
@@ -314,29 +289,29 @@ class LinearSolver:
     @property
     def _ksp(self) -> PETSc.KSP:
         """The solver for the matrix at hand."""
-        sliding = self.operator.sliding
+        sliding = self._operator.sliding
         return self.attached.ksp if sliding is None else self.attached.sliding_ksp
 
     def _is_far(self, held: Ints) -> bool:
         """Tell whether the factorisation, if there is one, is of no use for this mask."""
         different = self.attached.preconditioner.differences(held)
-        return different is None or self.renewal.is_far(different)
+        return different is None or self.attached.renewal.is_far(different)
 
     def _sweep(self, reduction: float) -> None:
         """Solve for the correction dx of the present residual, to be reduced by a factor."""
         begin = perf_counter()
-        held = self.operator.held
+        attached, held = self.attached, self._operator.held
         assert held is not None
-        self.attached.preconditioner.follow(held)
-        stale = not self.attached.preconditioner.is_of(held)
-        test = SlownessTest(self.renewal, reduction, self.max_iterations, stale=stale)
+        attached.preconditioner.follow(held)
+        stale = not attached.preconditioner.is_of(held)
+        test = SlownessTest(attached.renewal, reduction, attached.max_iterations, stale=stale)
         ksp = self._ksp
         if ksp.getType() != "preonly":
             ksp.setConvergenceTest(test)
-        ksp.setTolerances(max_it=self.max_iterations)
-        ksp.solve(self.operator.r, self.attached.dx)
+        ksp.setTolerances(max_it=attached.max_iterations)
+        ksp.solve(attached.operator.r, attached.dx)
         self.counts.iterations += max(1, ksp.getIterationNumber())
-        self.renewal.learn(test.norms, stale=stale)
+        attached.renewal.learn(test.norms, stale=stale)
         self.counts.seconds_solve += perf_counter() - begin
 
     def _judge(
@@ -344,14 +319,15 @@ class LinearSolver:
     ) -> None:
         """Raise if a solution is none; the norms are first and last residual and their limit."""
         first, norm, atol = norms
-        round_off = self.round_off(x)
+        round_off = self._operator.round_off(x)
         tolerance = max(atol, round_off)
         if np.isfinite(norm) and norm <= tolerance:
             force = max(first, norm, b.norm())
             if round_off <= SINGULAR_LOSS * force:
                 return
-            self.residual(b, x, np.empty(0, dtype=np.int32))
-            force = max(force, self.operator.z.norm())  # reactions of what is held, and what slips
+            self._operator.residual(b, x, np.empty(0, dtype=np.int32))
+            # with the reactions of what is held, and what slips
+            force = max(force, self._operator.z.norm())
             if round_off <= SINGULAR_LOSS * force or force == 0.0:
                 return
             cause = f"its round-off {round_off:.1e} is near the forces {force:.1e}"

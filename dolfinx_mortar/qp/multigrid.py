@@ -24,7 +24,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.arrays import Floats, Ints
-from dolfinx_mortar.qp.tolerances import EPS
+from dolfinx_mortar.qp.bound_qp import EPS
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,10 @@ class FreePart:
         self.A.mult(x, y)
         y.array[self.held] = 0.0
 
-    multTranspose = mult  # A is symmetric
+    def multTranspose(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Set y = A^T x with zeros at held unknowns (called by PETSc)."""
+        self.A.multTranspose(x, y)
+        y.array[self.held] = 0.0
 
 
 class Multigrid:
@@ -143,8 +146,9 @@ class Multigrid:
         self.inner.reset()
         self.B = self.E = None
 
-    def renew(self, data: Preconditioning, held: Ints) -> None:
+    def renew(self, data: Preconditioning, held: Ints, *, definite: bool) -> None:
         """Take another matrix; collective."""
+        data.B.setOption(PETSc.Mat.Option.SPD, definite)
         self.B, self.E, self.held_by_B = data.B, data.change.E, held
         basis = orthonormal(data.motions)
         if basis:

@@ -10,9 +10,9 @@ import numpy as np
 
 from dolfinx_mortar.algebra.congruence import decouple
 from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.qp.bound_qp import EPS, ROUND_OFF
 from dolfinx_mortar.qp.friction import Sliding
 from dolfinx_mortar.qp.multigrid import FreePart
-from dolfinx_mortar.qp.tolerances import EPS, ROUND_OFF
 
 
 class Operator:
@@ -22,8 +22,14 @@ class Operator:
     so that nothing is allocated and the symbolic factorisation lives as long as the pattern;
     otherwise A itself is applied, and its rows at held unknowns are left out.
 
+    Args:
+        A: the matrix.
+        direct: whether it is to be factorised.
+        definite: whether A is symmetric and positive definite, see `BoundQP`.
+
     Attributes:
         A: the matrix.
+        definite: as above.
         matrix: what is solved with, and what the factorisation is of.
         sliding_matrix: A with the rows of slipping nodes as their law has them.
         held: owned local indices of held unknowns, ascending; None before the first.
@@ -31,9 +37,9 @@ class Operator:
         r: the same with zeros at held unknowns, and what is missing of the law at slipping nodes.
     """
 
-    def __init__(self, A: PETSc.Mat, *, direct: bool) -> None:
+    def __init__(self, A: PETSc.Mat, *, direct: bool, definite: bool) -> None:
         """Make what is solved with; nothing is held yet."""
-        self.A = A
+        self.A, self.definite = A, definite
         self.held: Ints | None = None
         self.z, self.r = A.createVecRight(), A.createVecRight()
         self._diagonal = A.getDiagonal()
@@ -41,7 +47,7 @@ class Operator:
         self._free = None if direct else FreePart(A)
         if self._free is None:
             self.matrix = A.duplicate(copy=True)
-            self.matrix.setOption(PETSc.Mat.Option.SPD, True)
+            self.matrix.setOption(PETSc.Mat.Option.SPD, definite)
             self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         else:
             self.matrix = PETSc.Mat().createPython(A.getSizes(), self._free, A.comm)

@@ -16,6 +16,8 @@ import numpy as np
 from dolfinx_mortar.algebra.parallel import any_rank
 
 DEFAULTS = {"ksp_type": "cg", "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
+# Over them for matrices that are not symmetric, or not positive definite.
+GENERAL = {"ksp_type": "gmres", "pc_type": "lu"}
 # For three dimensions, where a factorisation takes too much time and memory.
 # The threshold drops entries that are zero up to round-off. Three smoothing steps instead of two:
 # 28 to 50 % fewer iterations, the same time on hexahedra and 10 to 25 % less on graded tetrahedra
@@ -47,7 +49,8 @@ class SolverOptions:
     Attributes:
         prefix: the prefix.
         given: the user's options without prefix.
-        values: the same over the defaults.
+        grown: options that had to grow, such as workspaces.
+        definite: whether the defaults are those of symmetric positive definite matrices.
     """
 
     def __init__(
@@ -56,13 +59,21 @@ class SolverOptions:
         """Put the options over the defaults (CG with MUMPS Cholesky, or with multigrid)."""
         self.prefix = prefix
         self.given = dict(options or {})
-        self.values: dict[str, Any] = DEFAULTS | (MULTIGRID if multigrid else {}) | self.given
+        self.grown: dict[str, Any] = {}
+        self.definite = True
+        self._multigrid = multigrid
         ours = DEFAULTS | MULTIGRID
         self._unread = {k for k, v in self.given.items() if k not in ours or v != ours[k]}
 
     def __getitem__(self, key: str) -> str:
         """Return the value that PETSc will see."""
         return str(PETSc.Options(self.prefix).getString(key, str(self.values[key])))
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """The options over the defaults."""
+        methods = DEFAULTS if self.definite else DEFAULTS | GENERAL
+        return methods | (MULTIGRID if self._multigrid else {}) | self.given | self.grown
 
     @property
     def direct(self) -> bool:
@@ -79,8 +90,9 @@ class SolverOptions:
     def database(self, prefix: str) -> Iterator[None]:
         """Hold the options in PETSc's database: they are read at set-up as well as at creation."""
         opts = PETSc.Options()
-        hidden = {k for k in self.values if opts.hasName(f"{prefix}{k}")}
-        mine = {k: v for k, v in self.values.items() if k not in hidden}
+        values = self.values
+        hidden = {k for k in values if opts.hasName(f"{prefix}{k}")}
+        mine = {k: v for k, v in values.items() if k not in hidden}
         for key, value in mine.items():
             opts.setValue(f"{prefix}{key}", value)
         try:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -10,12 +12,29 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import free_unused
 from dolfinx_mortar.arrays import Ints
-from dolfinx_mortar.qp import mumps
-from dolfinx_mortar.qp.counts import LinearCounts
 from dolfinx_mortar.qp.multigrid import Multigrid, OwnUnknowns, Unknowns
 from dolfinx_mortar.qp.operator import Operator
 from dolfinx_mortar.qp.options import SolverOptions
-from dolfinx_mortar.qp.tolerances import LIMIT
+from dolfinx_mortar.qp.updates import LIMIT
+
+# INFOG(1): workspace too small; ICNTL(14) is the percentage by which it exceeds the estimate.
+WORKSPACE_ERRORS = (-8, -9)
+WORKSPACE = "mat_mumps_icntl_14"
+# INFOG(1): could not allocate, or not within its limit; and PETSc's PC_FACTOR_OUTMEMORY.
+MEMORY_ERRORS, OUT_OF_MEMORY = (-7, -13, -18, -19, -20), 3
+
+
+@dataclass
+class LinearCounts:
+    """What the solver has done so far."""
+
+    symbolic: int = 0  # analyses of a pattern
+    factorisations: int = 0  # numeric factorisations or preconditioner set-ups
+    iterations: int = 0  # applications of the factorisation or preconditioner
+    solves: int = 0
+    breakdowns: int = 0  # old set-ups with which an iteration failed
+    seconds_factor: float = 0.0
+    seconds_solve: float = 0.0
 
 
 class Preconditioner:
@@ -85,14 +104,18 @@ class Preconditioner:
             self._factorise(counts)
         else:
             with self.options.database(self.options.prefix):
-                self.multigrid.renew(self.unknowns.preconditioning(held), held)
+                data = self.unknowns.preconditioning(held)
+                self.multigrid.renew(data, held, definite=self.operator.definite)
                 self._followed = -1, held
             counts.factorisations += 1
         self.held, self._state = held.copy(), self.operator.state
         if self.pc.getFailedReason() == 0:
             return ""
         self.held = None
-        return f"({mumps.reason(self.pc)}). {mumps.remedy(self.pc)}"
+        why = f"({reason(self.pc)}). {remedy(self.pc)}"
+        if self.multigrid is None:
+            self.pc.reset()  # PETSc would take a failed factor of the same matrix for a good one
+        return why
 
     def follow(self, held: Ints) -> None:
         """Let multigrid know what is held now; collective."""
@@ -115,13 +138,57 @@ class Preconditioner:
             with self.options.database(self.options.prefix):
                 self.pc.setUp()
             counts.factorisations += 1
-            enough = mumps.enough_workspace(self.pc)
+            enough = enough_workspace(self.pc)
             if enough is None:
                 break
-            self.options.values[mumps.WORKSPACE] = enough
-            if self.options[mumps.WORKSPACE] != str(enough):
+            self.options.grown[WORKSPACE] = enough
+            if self.options[WORKSPACE] != str(enough):
                 break  # what the user's options database has wins, and cannot grow
             self.pc.reset()  # a failed factor cannot be used again
             self.ksp.setOperators(self.operator.matrix)
             counts.symbolic += 1
         self.pc.setReusePreconditioner(True)
+
+
+# -- what MUMPS says about a factorisation that failed ----------------------------------------
+
+
+def mumps_factor(pc: PETSc.PC) -> PETSc.Mat | None:
+    """Return the factor if it is one of MUMPS."""
+    direct = pc.getType() in ("cholesky", "lu")
+    return pc.getFactorMatrix() if direct and pc.getFactorSolverType() == "mumps" else None
+
+
+def enough_workspace(pc: PETSc.PC) -> int | None:
+    """Return a value of ICNTL(14) that doubles the workspace, if that is why MUMPS failed."""
+    factor = mumps_factor(pc)
+    if factor is None or factor.getMumpsInfog(1) not in WORKSPACE_ERRORS:
+        return None
+    return 2 * max(int(factor.getMumpsIcntl(14)), 20)
+
+
+def reason(pc: PETSc.PC) -> str:
+    """Return the codes of a failure."""
+    factor = mumps_factor(pc)
+    code = f", MUMPS INFOG(1) = {factor.getMumpsInfog(1)}" if factor is not None else ""
+    return f"PETSc reason {pc.getFailedReason()}{code}"
+
+
+def remedy(pc: PETSc.PC) -> str:
+    """Say what to do about a failure."""
+    factor = mumps_factor(pc)
+    code = 0 if factor is None else factor.getMumpsInfog(1)
+    if code in WORKSPACE_ERRORS:
+        return (
+            f"PETSc's options database has -{pc.getOptionsPrefix()}{WORKSPACE}, which keeps the "
+            "workspace too small: raise it, or leave it out."
+        )
+    if code in MEMORY_ERRORS or pc.getFailedReason() == OUT_OF_MEMORY:
+        return (
+            "It does not fit into memory. Use an iterative solver, as is the default in 3D: "
+            'petsc_options={"ksp_type": "cg", "pc_type": "gamg"}; or more ranks on more machines.'
+        )
+    return (
+        "Most often a body is held by nothing: add a Dirichlet condition or a contact that holds "
+        "it, or check the material constants."
+    )

@@ -2,9 +2,6 @@
 """Solve a bound-constrained QP with a backend chosen by name, and judge what it returns."""
 
 from dataclasses import replace
-from functools import cache
-from importlib import import_module
-from pkgutil import iter_modules
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -13,10 +10,10 @@ import numpy as np
 
 from dolfinx_mortar.arguments import is_name
 from dolfinx_mortar.arrays import Actives, Floats
-from dolfinx_mortar.qp import backends
+from dolfinx_mortar.qp import active_set, interior_point
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPNotSolved, QPSolution, check, validate
+from dolfinx_mortar.qp.held import State, nearest
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
-from dolfinx_mortar.qp.state import State, nearest
 
 # What a backend may end in without a fault of the code.
 FAILURES = (
@@ -27,15 +24,12 @@ FAILURES = (
     MemoryError,
 )
 
-# The backend that takes friction
-WITH_FRICTION = "active-set"
+ACTIVE_SET, INTERIOR_POINT = "active-set", "interior-point"
 
 
-@cache
 def available() -> list[str]:
     """Return the names of the backends."""
-    names = [module.name for module in iter_modules(backends.__path__)]
-    return sorted(name.replace("_", "-") for name in names)
+    return [ACTIVE_SET, INTERIOR_POINT]
 
 
 def check_name(backend: str) -> None:
@@ -47,11 +41,11 @@ def check_name(backend: str) -> None:
 def check_friction(backend: str, friction: bool) -> None:
     """Raise ValueError if there is friction, and a backend that cannot take it.
 
-    TAO's methods know bounds, no limits of reactions that follow the pressure.
+    The interior point knows bounds, no limits of reactions that follow the pressure.
     """
-    if friction and backend != WITH_FRICTION:
+    if friction and backend != ACTIVE_SET:
         raise ValueError(
-            f"qp is {backend!r}, which knows bounds only: with friction choose {WITH_FRICTION!r}"
+            f"qp is {backend!r}, which knows bounds only: with friction choose {ACTIVE_SET!r}"
         )
 
 
@@ -62,26 +56,31 @@ def solve(
     *,
     start_active: Actives | None = None,
     start_sliding: Floats | None = None,
+    changes: int | None = None,
     rtol: float = 1e-10,
 ) -> QPSolution:
     """Solve a bound-constrained QP (collective).
 
     Args:
         qp: the problem.
-        backend: "active-set", "interior-point" or "tron".
+        backend: "active-set", or for a definite matrix without friction "interior-point".
         linear: linear solver, whose factorisation is reused if it was used before; a MUMPS
-            Cholesky factorisation by default.
+            factorisation by default.
         start_active: (k,) guess of the active set on ``qp.bounded``: +1 upper, -1 lower, 0 free.
             By default every unknown at its nearest bound, which holds every body.
         start_sliding: (m, t) guess of the directions of slip on ``qp.friction``, zero where it
             sticks; by default everywhere.
+        changes: bounded unknowns in which the solution is expected to differ from ``start_active``,
+            such as `QPSolution.changes` of the Newton iteration before; by default any number. It
+            decides what the solution costs.
         rtol: tolerance of the KKT check, relative; round-off is the limit.
 
     Returns:
         The solution, which has passed the check.
 
     Raises:
-        ValueError: for an unknown backend or data that have no solution.
+        ValueError: for an unknown backend, one that cannot take this problem, or data that have
+            no solution.
         QPNotSolved: if the backend fails, or if its result fails the check; then the exception
             carries it.
     """
@@ -89,19 +88,26 @@ def solve(
     if not isinstance(qp, BoundQP):
         raise ValueError(f"qp is {qp!r}: give a BoundQP")
     check_friction(backend, qp.friction is not None)
+    if backend == INTERIOR_POINT and not qp.definite:
+        raise ValueError(
+            f"qp is {backend!r}, which needs a symmetric positive definite matrix: choose "
+            f"{ACTIVE_SET!r}"
+        )
     validate(qp)
     if (trivial := _nothing_to_do(qp, backend)) is not None:
         return trivial
     if linear is None:
         linear = LinearSolver(qp.comm, prefix="dolfinx_mortar_qp_")
-    module = import_module(f"{backends.__name__}.{backend.replace('-', '_')}")
     start = nearest(qp) if start_active is None else np.asarray(start_active, dtype=np.int8)
     start = _possible(qp, start)
     before = replace(linear.counts)
     try:
-        linear.attach(qp.A)
-        first = State.create(qp, start, start_sliding)
-        solution: QPSolution = module.solve(qp, linear, start=first, rtol=rtol)
+        linear.attach(qp.A, definite=qp.definite)
+        if backend == INTERIOR_POINT:
+            solution = interior_point.solve(qp, linear, rtol=rtol)
+        else:
+            first = State.create(qp, start, start_sliding)
+            solution = active_set.solve(qp, linear, start=first, changes=changes, rtol=rtol)
     except FAILURES as error:
         raise QPNotSolved(f"The backend {backend!r} stopped{_cause(error, linear)}") from error
     solution = replace(
@@ -123,7 +129,9 @@ def solve(
 def _cause(error: Exception, linear: LinearSolver) -> str:
     """Say what stopped a backend, and what to do about it."""
     if isinstance(error, PETSc.Error):
-        return f" in PETSc: {error}. Check the options of the linear solver, {linear.options}"
+        return (
+            f" in PETSc: {error}. Check the options of the linear solver, {linear.options.values}"
+        )
     if isinstance(error, LinearSolveFailed):
         return f": {error}"
     name = type(error).__name__

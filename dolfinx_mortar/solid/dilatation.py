@@ -86,16 +86,16 @@ def _check_reducible(
             f"{why} quadrilaterals and hexahedra of first order, not for {cell}s of degree {p}: "
             "choose 'full', or such cells"
         )
-    whole = [law.law.__name__ for law in regions if not getattr(law.law, "splits", False)]
-    if whole:
-        raise ValueError(
-            f"{why} laws that split into a deviator and a trace, such as Elastic and VonMises: "
-            f"{', '.join(whole)} does not declare splits: ClassVar = True; choose 'full'"
-        )
     if kinematics not in TRACED:
         raise ValueError(
             f"{why} the kinematics {', '.join(repr(k.name) for k in TRACED)}, not for "
             f"{kinematics.name!r}: choose 'full'"
+        )
+    whole = [region.law.name for region in regions if not region.law.splits]
+    if whole:
+        raise ValueError(
+            f"{why} laws that split into a deviator and a trace, such as Elastic and VonMises: "
+            f"{', '.join(whole)} does not declare splits: ClassVar = True; choose 'full'"
         )
     if degree < 2:
         raise ValueError(

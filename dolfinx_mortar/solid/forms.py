@@ -17,18 +17,19 @@ import ufl
 from dolfinx import fem, la
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.materials.protocol import Law
 from dolfinx_mortar.materials.response import Response, elastic_response, respond
-from dolfinx_mortar.materials.tensor import from_components
 from dolfinx_mortar.solid.dilatation import MeanDilatation
 from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.laws import Region
-from dolfinx_mortar.solid.pointwise import PointwiseFields
+from dolfinx_mortar.solid.pointwise import PointValuesOfRegion
+from dolfinx_mortar.solid.state import Evaluation, committed_state
 from ufl.core.expr import Expr
 
 
 @dataclass(frozen=True)
 class Forms:
-    """The forms of a solid, with the two vectors that they read or fill."""
+    """What is compiled for a solid, with the two vectors that forms read or fill."""
 
     residual: fem.Form  # int sigma : d eps/du [v]
     tangent: Any  # fem.Form, its derivative; Any because dolfinx annotates one overload only
@@ -38,13 +39,14 @@ class Forms:
     direction: fem.Function  # argument of elastic_norm
     force: la.Vector  # the residual with its ghosts
     dilatation: MeanDilatation | None  # what tangent, elastic_norm and energy leave out
+    evaluations: Sequence[Evaluation]  # of stress and new internal variables at the points
 
 
 def create_responses(
     strain: Expr,
     regions: Sequence[Region],
     state: Mapping[str, fem.Function],
-    pointwise: Mapping[type, PointwiseFields],
+    found: Mapping[Law, PointValuesOfRegion],
     mean_stress: fem.Function | None = None,
 ) -> list[Response]:
     """Return what the law of each region makes of a strain, as UFL; collective.
@@ -53,7 +55,7 @@ def create_responses(
         strain: 3x3, what the laws see; with a mean stress the deviator.
         regions: laws on cells.
         state: committed internal variables.
-        pointwise: values of those laws that are functions of numbers.
+        found: what is found at points before each assembly.
         mean_stress: of each cell, if that is known otherwise; the energies leave out what belongs
             to it.
 
@@ -63,13 +65,10 @@ def create_responses(
     responses = []
     with raised_together(regions[0].parameters.function.function_space.mesh.comm):
         for region in regions:
-            if region.law in pointwise:
-                response = pointwise[region.law].response
+            if region.law in found:
+                response = found[region.law].response
             else:
-                committed = {
-                    name: from_components(state[name]) if shape else state[name]
-                    for name, shape in region.law.state.items()
-                }
+                committed = committed_state(region, state)
                 response = respond(region.law, strain, committed, region.symbols)
             responses.append(response if mean_stress is None else _split(response, mean_stress))
     return responses
@@ -77,16 +76,10 @@ def create_responses(
 
 def _split(response: Response, mean_stress: fem.Function) -> Response:
     """Return the response to a deviator, with the mean stress and a tangent that sees no trace."""
-    own = response.change
-
-    def change(direction: Expr) -> Expr:
-        assert own is not None
-        return own(ufl.dev(direction))
-
     return dataclasses.replace(
         response,
         stress=response.stress + mean_stress * ufl.Identity(3),
-        change=None if own is None else change,
+        change=lambda direction: response.change(ufl.dev(direction)),
     )
 
 
@@ -97,6 +90,7 @@ def create_forms(
     kinematics: Kinematics,
     degree: int,
     *,
+    evaluations: Sequence[Evaluation],
     dilatation: MeanDilatation | None = None,
 ) -> Forms:
     """Compile all forms that a Newton step needs; collective.
@@ -107,6 +101,7 @@ def create_forms(
         responses: of the laws.
         kinematics: measure and weight.
         degree: of the quadrature.
+        evaluations: of stress and new internal variables, compiled.
         dilatation: what takes the volumetric part in the mean over each cell, if the forms are to
             leave that out.
     """
@@ -137,6 +132,7 @@ def create_forms(
         direction=direction,
         force=la.vector(V.dofmap.index_map, V.dofmap.bs),
         dilatation=dilatation,
+        evaluations=evaluations,
     )
 
 
@@ -146,20 +142,20 @@ def _tangent(
     kinematics: Kinematics,
     integral: Callable[[Sequence[Expr]], ufl.Form],
 ) -> ufl.Form:
-    """Return the derivative of the residual, with the tangents that laws state themselves.
+    """Return int d eps[v] : C : d eps[w] + sigma : d^2 eps[v, w], the consistent tangent.
 
-    The virtual strain does not depend on u where a law does so: strains are small.
+    The second term, the geometric stiffness, vanishes where the strain is linear in u.
     """
     V = u.function_space
     v, w = ufl.TestFunction(V), ufl.TrialFunction(V)
     virtual, along = kinematics.virtual(u, v), kinematics.virtual(u, w)
+    linear = kinematics.linear_in(u)
     densities = []
     with raised_together(V.mesh.comm):
         for response in responses:
-            if response.change is None:
-                change = ufl.derivative(ufl.inner(response.stress, virtual), u, w)
-            else:
-                change = ufl.inner(response.change(along), virtual)
+            change = ufl.inner(response.change(along), virtual)
+            if not linear:
+                change += ufl.inner(response.stress, ufl.derivative(virtual, u, w))
             densities.append(change)
     return integral(densities)
 

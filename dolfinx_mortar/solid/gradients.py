@@ -8,7 +8,7 @@ rigid, it leaves out a^2 / 2 in both directions across the axis.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,50 +18,75 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar import compat
 from dolfinx_mortar.arrays import Floats, Ints
-from dolfinx_mortar.materials.pointwise import stored, tensor_of
 from dolfinx_mortar.materials.response import elastic_response
-from dolfinx_mortar.materials.tensor import from_components, to_components
+from dolfinx_mortar.materials.tensor import (
+    INDEX,
+    double_contraction,
+    from_components,
+    to_components,
+)
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain
 from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.laws import Region
 from ufl.core.expr import Expr
 
+# Row and column (i, j) of the entries H_ij > H_ji that a rotation about x, y, z adds to grad u.
+TURNS = ((2, 1), (0, 2), (1, 0))
+
 
 @dataclass(frozen=True)
 class Gradients:
-    """Values at the n integration points of the owned cells, cell by cell."""
+    """Values at the n integration points of the owned cells, cell by cell.
 
-    strain: Floats  # (n, 3, 3), what the kinematics measure
-    seen: Floats  # (n, 3, 3), less the eigenstrain: what the laws see
-    rotation: Floats  # (n, 3), axial vector of the skew part of grad u, radians
+    Tensors have their stored components (n, 4 or 6), each of which is contiguous in memory.
+    """
+
+    strain: Floats  # what the kinematics measure
+    seen: Floats  # less the eigenstrain: what the laws see
+    rotation: Floats  # (n, 1 or 3), axial vector of the skew part of grad u, radians; about z in 2D
     small: bool  # whether the strain is a small one, linear in u
 
     @cached_property
     def left_out(self) -> Floats:
-        """H^T H / 2 (n, 3, 3) of a small strain, zero for others."""
+        """H^T H / 2 (n, 4 or 6) of a small strain, zero for others."""
         if not self.small:
             return np.zeros_like(self.strain)
-        x, y, z = np.moveaxis(self.rotation, -1, 0)
-        H = self.strain.copy()
-        for i, j, w in ((2, 1, x), (0, 2, y), (1, 0, z)):
-            H[..., i, j] += w
-            H[..., j, i] -= w
-        result = np.empty_like(H)
-        for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):  # products of stacks are slow
-            result[:, i, j] = result[:, j, i] = 0.5 * np.einsum("nk,nk->n", H[:, :, i], H[:, :, j])
-        return result
+        H: dict[tuple[int, int], Floats] = {}
+        for k, (i, j) in enumerate(INDEX[: self.strain.shape[1]]):
+            H[i, j] = H[j, i] = self.strain[:, k]
+        for (i, j), w in self._turns():
+            H[i, j], H[j, i] = H[i, j] + w, H[j, i] - w
+        return _half_square(H, self.strain.shape)
 
     def turned(self, stress: Floats) -> Floats:
         """Return stress : W^T W / 2 (n,), the part of a small strain's rotation W alone.
 
         Args:
-            stress: (n, 3, 3).
+            stress: (n, 4 or 6).
         """
         if not self.small:
             return np.zeros(len(stress))
-        w = self.rotation
-        along = np.einsum("ni,nij,nj->n", w, stress, w)
-        return np.asarray(0.5 * ((w * w).sum(axis=1) * np.trace(stress, axis1=1, axis2=2) - along))
+        W: dict[tuple[int, int], Floats] = {}
+        for (i, j), w in self._turns():
+            W[i, j], W[j, i] = w, -w
+        return double_contraction(stress, _half_square(W, self.strain.shape))
+
+    def _turns(self) -> Iterator[tuple[tuple[int, int], Floats]]:
+        """Return row, column and value of what the rotation adds to the gradient."""
+        axes = self.rotation.shape[1]
+        columns = (self.rotation[:, k] for k in range(axes))
+        return zip(TURNS[-axes:], columns, strict=True)
+
+
+def _half_square(H: Mapping[tuple[int, int], Floats], shape: tuple[int, ...]) -> Floats:
+    """Return the stored components of H^T H / 2 by the entries of H that are not zero."""
+    result = np.zeros(shape, order="F")
+    for c, (i, j) in enumerate(INDEX[: shape[1]]):
+        for k in range(3):
+            if (k, i) in H and (k, j) in H:
+                result[:, c] += H[k, i] * H[k, j]
+    result *= 0.5
+    return result
 
 
 class PointGradients:
@@ -73,6 +98,8 @@ class PointGradients:
         kinematics: Kinematics,
         eigenstrain: Eigenstrain | None,
         stress: fem.Function,
+        *,
+        small: bool,
     ) -> None:
         """Compile; collective.
 
@@ -81,6 +108,7 @@ class PointGradients:
             kinematics: the measure.
             eigenstrain: what the laws do not see of the strain.
             stress: quadrature Function, for its points and components.
+            small: whether the strain is linear in u.
         """
         self._space = stress.function_space
         size, strain = self._space.dofmap.bs, kinematics.measure(u)
@@ -89,20 +117,18 @@ class PointGradients:
             parts.append(to_components(strain - eigenstrain.tensor, size))
         entries = [part[i] for part in parts for i in range(part.ufl_shape[0])]
         points = compat.interpolation_points(self._space)
-        self._entries = len(entries)
+        self._entries, self._axes = len(entries), parts[1].ufl_shape[0]
         self._compiled = fem.Expression(ufl.as_vector(entries), points)
-        self._small = kinematics.linear_in(u)
+        self.small = small
 
     def evaluate(self) -> Gradients:
         """Return strain and rotation at u, whose ghosts are up to date; without communication."""
         domain, size = self._space.mesh, self._space.dofmap.bs
         owned = np.arange(domain.topology.index_map(domain.topology.dim).size_local, dtype="i4")
-        values = np.asarray(self._compiled.eval(domain, owned)).reshape(-1, self._entries)
-        last = size + (1 if domain.geometry.dim == 2 else 3)
-        strain, rotation = tensor_of(values[:, :size]), np.zeros((len(values), 3))
-        rotation[:, size - last :] = values[:, size:last]
-        seen = tensor_of(values[:, last:]) if values.shape[1] > last else strain
-        return Gradients(strain, seen, rotation, self._small)
+        found = np.asarray(self._compiled.eval(domain, owned)).reshape(-1, self._entries)
+        values: Floats = np.asfortranarray(found)
+        strain, rotation, seen = np.split(values, [size, size + self._axes], axis=1)
+        return Gradients(strain, seen if seen.shape[1] else strain, rotation, self.small)
 
 
 def elastic_stresses(
@@ -113,13 +139,13 @@ def elastic_stresses(
     Args:
         regions: the laws.
         stress: quadrature Function, for its points and components.
-        strain: (n, 3, 3) at the points of the owned cells.
+        strain: (n, components) at the points of the owned cells.
         cells: owned ones.
     """
     space, field = stress.function_space, fem.Function(stress.function_space)
     size = space.dofmap.bs
     owned = len(strain) // space.dofmap.list.shape[1]
-    field.x.array.reshape(-1, size)[space.dofmap.list[:owned].ravel()] = stored(strain, size)
+    field.x.array.reshape(-1, size)[space.dofmap.list[:owned].ravel()] = strain
     points, found = compat.interpolation_points(space), [np.zeros((0, size))]
     for region in regions:
         response = elastic_response(region.law, from_components(field), region.symbols)

@@ -17,8 +17,7 @@ from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.materials import Material
-from dolfinx_mortar.materials.plane_stress import plane_stress_law
-from dolfinx_mortar.materials.protocol import RESERVED, check_declaration, law_of
+from dolfinx_mortar.materials.protocol import RESERVED, Law, create_law
 from dolfinx_mortar.solid.parameters import ParameterTable, create_table
 from dolfinx_mortar.tags import by_tag, check_entities, label, labels
 
@@ -29,7 +28,7 @@ UNTAGGED = int(np.iinfo(np.int32).min)
 class Region:
     """The cells of one law, whatever the values of its parameters."""
 
-    law: Any  # the class of the material
+    law: Law
     cells: np.ndarray  # int32 (m,), local cells, ghosts included
     parameters: ParameterTable
     parts: tuple[tuple[Any, Ints], ...] = ()  # the materials, each with its own of these cells
@@ -50,9 +49,9 @@ class Region:
         Raises:
             ValueError: if the law raises or returns something wrong; the message names it.
         """
-        if not callable(getattr(self.law, "output", None)):
+        if self.law.output is None:
             return {}
-        where, q = f"{self.law.__name__}.output", len(cells) * points
+        where, q = f"{self.law.name}.output", len(cells) * points
         try:
             found = self.law.output(state, self.parameters.values(cells, points))
             fields = {name: np.asarray(f, dtype=float) for name, f in dict(found or {}).items()}
@@ -88,26 +87,25 @@ def create_regions(
         plane_stress: whether the laws leave no stress out of the plane.
 
     Raises:
-        ValueError: if a law does not know plane stress, tags and materials do not cover the cells
+        ValueError: if a law lacks a part, tags and materials do not cover the cells
             exactly, or a parameter is out of its range, belongs to another mesh or depends on u.
     """
-    laws, choice = _material_of_cells(u.function_space.mesh, materials, cell_tags)
-    # Sorted by name so that the same laws make the same forms in any order of the dictionary.
-    classes = sorted(dict.fromkeys(map(law_of, laws)), key=lambda c: c.__qualname__)
+    given, choice = _material_of_cells(u.function_space.mesh, materials, cell_tags, plane_stress)
+    # Those of one class and state are one region. Sorted by name so that the same laws make the
+    # same forms in any order of the dictionary.
+    alike: dict[Any, list[int]] = {}
+    for i, (material, law) in enumerate(given):
+        alike.setdefault((type(material), *law.state), []).append(i)
     regions = []
-    for kind in classes:
-        chosen = [i for i, law in enumerate(laws) if law_of(law) is kind]
+    for kind in sorted(alike, key=lambda kind: (kind[0].__qualname__, *kind[1:])):
+        chosen = alike[kind]
+        law = given[chosen[0]][1]
+        own = [given[i][0] for i in chosen]
         cells = [np.flatnonzero(choice == i).astype(np.int32) for i in chosen]
-        table = create_table(u, [laws[i] for i in chosen], cells, degree)
-        law = plane_stress_law(kind) if plane_stress else kind
+        table = create_table(u, law, own, cells, degree)
         table.follow()
-        region = Region(
-            law,
-            np.sort(np.concatenate(cells)),
-            table,
-            tuple((laws[i], on) for i, on in zip(chosen, cells, strict=True)),
-        )
-        regions.append(region)
+        every = np.sort(np.concatenate(cells))
+        regions.append(Region(law, every, table, tuple(zip(own, cells, strict=True))))
     return regions
 
 
@@ -115,29 +113,34 @@ def _material_of_cells(
     domain: mesh.Mesh,
     materials: Material | Mapping[int | str, Material],
     cell_tags: mesh.MeshTags | None,
-) -> tuple[list[Any], np.ndarray]:
-    """Return the materials and, per local cell (ghosts included), the index of its material."""
+    plane_stress: bool,
+) -> tuple[list[tuple[Any, Law]], np.ndarray]:
+    """Return materials with their laws and, per local cell, ghosts included, which of them it has.
+
+    Collective.
+    """
     imap = domain.topology.index_map(domain.topology.dim)
     count = imap.size_local + imap.num_ghosts
     if not isinstance(materials, Mapping):
-        check_declaration("materials", materials)
-        return [materials], np.zeros(count, dtype=np.int32)
-    for tag, law in materials.items():
+        law = create_law("materials", materials, plane_stress=plane_stress)
+        return [(materials, law)], np.zeros(count, dtype=np.int32)
+    laws = {}
+    for tag, material in materials.items():
         if not isinstance(tag, int | np.integer | str):
             raise ValueError(
                 f"materials has the key {tag!r}: its keys are cell tags, integers, or their names."
             )
-        check_declaration(f"materials[{tag!r}]", law)
+        law = create_law(f"materials[{tag!r}]", material, plane_stress=plane_stress)
+        laws[tag] = material, law
     if not materials or cell_tags is None:
         raise ValueError(
             "materials is a dictionary by cell tag: give at least one material, and cell_tags."
         )
-    given = by_tag(cell_tags, materials, "materials")
+    given = by_tag(cell_tags, laws, "materials")
     tags = np.array(sorted(given), dtype=np.int64)
     values = tags_of_cells(domain, cell_tags)
     _check_cover(domain, cell_tags, values[: imap.size_local], tags)
-    laws = [given[int(tag)] for tag in tags]
-    return laws, np.searchsorted(tags, values).astype(np.int32)
+    return [given[int(tag)] for tag in tags], np.searchsorted(tags, values).astype(np.int32)
 
 
 def tags_of_cells(domain: mesh.Mesh, cell_tags: mesh.MeshTags) -> Longs:

@@ -17,8 +17,8 @@ import basix.ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.materials.parameters import wrong_values
-from dolfinx_mortar.materials.protocol import law_of
+from dolfinx_mortar.materials.protocol import Law
+from dolfinx_mortar.materials.ranges import wrong_values
 from dolfinx_mortar.solid.sources import Followed, Source, check_source, create_source
 from ufl.checks import is_cellwise_constant
 from ufl.core.expr import Expr
@@ -34,7 +34,7 @@ class ParameterTable(Followed):
 
     def __init__(
         self,
-        law: type,
+        law: Law,
         cells: Ints,
         function: fem.Function,
         names: Sequence[str],
@@ -74,7 +74,8 @@ class ParameterTable(Followed):
         wrong: dict[str, Bools] = {}
         with raised_together(domain.comm):
             if len(owned):  # rules of users need not know what to say of nothing
-                wrong = wrong_values(self._law, values)
+                law = self._law
+                wrong = wrong_values(law.name, law.ranges, law.conditions, values)
         rules = sorted(set().union(*domain.comm.allgather(set(wrong))))
         for rule in rules[:1]:
             where = wrong.get(rule, np.zeros(len(owned) * points, dtype=bool))
@@ -83,7 +84,7 @@ class ParameterTable(Followed):
             place = _first_place(domain, owned[bad])
             numbers = _extent(domain.comm, {name: v[where] for name, v in values.items()}, rule)
             raise ValueError(
-                f"{self._law.__name__}: {rule} does not hold in {count} cells, such as the one "
+                f"{self._law.name}: {rule} does not hold in {count} cells, such as the one "
                 f"around {place}; there {numbers}."
             )
 
@@ -108,13 +109,14 @@ def _extent(comm: MPI.Comm, values: Mapping[str, Floats], rule: str) -> str:
 
 
 def create_table(
-    u: fem.Function, laws: Sequence[Any], cells: Sequence[Ints], degree: int
+    u: fem.Function, law: Law, materials: Sequence[Any], cells: Sequence[Ints], degree: int
 ) -> ParameterTable:
-    """Create the parameters of materials of one class, with the numbers in; collective.
+    """Create the parameters of materials of one law, with the numbers in; collective.
 
     Args:
         u: displacement, on which no parameter may depend.
-        laws: the materials, all of one class.
+        law: its parts.
+        materials: all of one class.
         cells: local cells of each, ghosts included.
         degree: of the quadrature of the solid.
 
@@ -123,30 +125,28 @@ def create_table(
             at other points than those of the solid.
     """
     domain = u.function_space.mesh
-    kind = law_of(laws[0])
-    names = [field.name for field in dataclasses.fields(laws[0])]
+    names = [field.name for field in dataclasses.fields(materials[0])]
     moving = [
-        (law, on, i)
-        for law, on in zip(laws, cells, strict=True)
+        (getattr(material, name), on, i)
+        for material, on in zip(materials, cells, strict=True)
         for i, name in enumerate(names)
-        if isinstance(getattr(law, name), Expr)
+        if isinstance(getattr(material, name), Expr)
     ]
-    for law, _, i in moving:
-        check_source(u, f"{kind.__name__}: {names[i]}", getattr(law, names[i]))
-    by_cell = all(is_cellwise_constant(getattr(law, names[i])) for law, _, i in moving)
+    for value, _, i in moving:
+        check_source(u, f"{law.name}: {names[i]}", value)
+    by_cell = all(is_cellwise_constant(value) for value, _, _ in moving)
     width = max(len(names), 1)  # a law may have no parameter at all
     function = _create_function(domain, None if by_cell else degree, (width,))
     dofmap = function.function_space.dofmap
-    for law, on in zip(laws, cells, strict=True):
-        row = [0.0 if isinstance(v := getattr(law, n), Expr) else v for n in names] or [0.0]
+    for material, on in zip(materials, cells, strict=True):
+        values = [getattr(material, name) for name in names]
+        row = [0.0 if isinstance(value, Expr) else value for value in values] or [0.0]
         function.x.array.reshape(-1, width)[dofmap.list[on]] = row
     sources = [
-        create_source(
-            function, slice(i, i + 1), on, f"{kind.__name__}: {names[i]}", getattr(law, names[i])
-        )
-        for law, on, i in moving
+        create_source(function, slice(i, i + 1), on, f"{law.name}: {names[i]}", value)
+        for value, on, i in moving
     ]
-    return ParameterTable(kind, np.sort(np.concatenate(cells)), function, names, sources)
+    return ParameterTable(law, np.sort(np.concatenate(cells)), function, names, sources)
 
 
 def _create_function(domain: mesh.Mesh, degree: int | None, shape: tuple[int, ...]) -> fem.Function:

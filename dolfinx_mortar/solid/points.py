@@ -14,8 +14,9 @@ import numpy as np
 
 import basix.ufl
 import ufl
-from dolfinx import fem
+from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.arrays import Ints
 from dolfinx_mortar.materials.tensor import COMPONENTS, frobenius_norm, vector_norm, von_mises
 from dolfinx_mortar.solid.laws import Region
 
@@ -39,7 +40,7 @@ class PointFields:
         degree: int,
         weight: Callable[[Any], Any],
     ) -> None:
-        """Keep references to the quadrature Functions; nothing is evaluated yet.
+        """Keep references to the quadrature Functions, compile the weights; collective.
 
         Args:
             stress: stress components at the integration points.
@@ -51,12 +52,12 @@ class PointFields:
         self._stored = {"stress": stress, **state}
         self._regions = regions
         self.degree = degree
-        self._weight = weight
         self._mesh = stress.function_space.mesh
         self._components = COMPONENTS[self._mesh.geometry.dim]
         self._owned = self._mesh.topology.index_map(self._mesh.topology.dim).size_local
         self._points = stress.function_space.dofmap.list.shape[1]
         self._averages: dict[str, fem.Function] = {}
+        self._weights = _compile_weights(self._mesh, degree, weight)
 
     @cached_property
     def bases(self) -> dict[str, tuple[int, ...]]:
@@ -74,7 +75,7 @@ class PointFields:
             for name, field in self._output(region, none).items():
                 if shapes.setdefault(name, field.shape[1:]) != field.shape[1:]:
                     raise ValueError(
-                        f"{region.law.__name__}.output: {name} has {field.shape[1:]} components, "
+                        f"{region.law.name}.output: {name} has {field.shape[1:]} components, "
                         f"but {shapes[name]} in another law; give one of them another name."
                     )
         return shapes
@@ -155,9 +156,7 @@ class PointFields:
             if field is None:
                 continue
             if (undefined := int(np.isnan(field).sum())) > 0:
-                raise ValueError(
-                    f"{region.law.__name__}.output: {name} is NaN in {undefined} values."
-                )
+                raise ValueError(f"{region.law.name}.output: {name} is NaN in {undefined} values.")
             result[cells] = field.reshape(cells.size, self._points, *shape)
         return result
 
@@ -189,15 +188,8 @@ class PointFields:
 
         The volume is that of the kinematics, weight included.
         """
-        metadata = {"quadrature_degree": self.degree, "quadrature_scheme": "default"}
-        element = basix.ufl.quadrature_element(
-            self._mesh.basix_cell(), scheme="default", degree=self.degree
-        )
-        Q = fem.functionspace(self._mesh, element)
-        dx = ufl.Measure("dx", self._mesh, metadata=metadata)
-        factor = ufl.as_ufl(self._weight(ufl.SpatialCoordinate(self._mesh)))
-        assembled = fem.assemble_vector(fem.form(factor * ufl.TestFunction(Q) * dx))
-        return assembled.array[Q.dofmap.list[: self._owned]]
+        form, places = self._weights
+        return np.asarray(fem.assemble_vector(form).array[places[: self._owned]])
 
     def _values_everywhere(self, name: str) -> np.ndarray:
         """Return a field; an error of a law on one rank is raised on all; collective."""
@@ -240,3 +232,15 @@ class PointFields:
         average.x.array.reshape(-1, flat.shape[2])[dofs] = means
         average.x.scatter_forward()
         return average
+
+
+def _compile_weights(
+    domain: mesh.Mesh, degree: int, weight: Callable[[Any], Any]
+) -> tuple[fem.Form, Ints]:
+    """Return the form of the integration weights, and where its vector has those of the cells."""
+    metadata = {"quadrature_degree": degree, "quadrature_scheme": "default"}
+    element = basix.ufl.quadrature_element(domain.basix_cell(), scheme="default", degree=degree)
+    Q = fem.functionspace(domain, element)
+    dx = ufl.Measure("dx", domain, metadata=metadata)
+    factor = ufl.as_ufl(weight(ufl.SpatialCoordinate(domain)))
+    return fem.form(factor * ufl.TestFunction(Q) * dx), Q.dofmap.list

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Laws that are functions of numbers in a solid: Functions that they fill before each assembly.
+"""What is found at the integration points before each assembly, as Functions that forms read.
 
-The compiled forms know their stress and tangent as values at the integration points.
+Of laws of arrays their stress, tangent and new state; of other laws in plane stress the strain out
+of the plane.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -19,23 +21,31 @@ import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.materials.pointwise import PointValues, stored, tensor_of, values_at_points
-from dolfinx_mortar.materials.protocol import is_pointwise
-from dolfinx_mortar.materials.response import Response
-from dolfinx_mortar.materials.tensor import INDEX, from_components, to_components
+from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.materials.plane_stress import solve
+from dolfinx_mortar.materials.protocol import Law
+from dolfinx_mortar.materials.response import PointValues, Response, respond, values_at_points
+from dolfinx_mortar.materials.tensor import (
+    INDEX,
+    from_components,
+    stored,
+    tensor_of,
+    to_components,
+)
 from dolfinx_mortar.solid.laws import Region
-from dolfinx_mortar.solid.state import create_field
+from dolfinx_mortar.solid.state import committed_state, create_field
 from ufl.core.expr import Expr
 
 
-class PointwiseFields:
-    """Stress, tangent and new state of a pointwise law at the points of its cells.
+class PointValuesOfRegion(ABC):
+    """What is found at the points of a region before anything is assembled.
 
     Attributes:
         region: the law and its cells.
-        response: the same for the forms.
+        response: of the law, in terms of what is found.
     """
+
+    response: Response
 
     def __init__(
         self,
@@ -45,7 +55,7 @@ class PointwiseFields:
         inputs: Sequence[fem.Function],
         degree: int,
     ) -> None:
-        """Create the Functions; collective.
+        """Note on what the values depend; collective.
 
         Args:
             region: the law and its cells.
@@ -55,6 +65,80 @@ class PointwiseFields:
             degree: of the quadrature.
         """
         self.region = region
+        self._committed = {name: state[name] for name in region.law.state}
+        self._inputs = [*inputs, *self._committed.values(), region.parameters.function]
+        self._seen: list[Floats] = []
+
+    def fill(self) -> None:
+        """Evaluate the law, unless nothing has changed; without communication.
+
+        Raises:
+            ValueError: if the law fails; the values are then as before.
+        """
+        now = [f.x.array for f in self._inputs]
+        if len(self._seen) == len(now) and all(map(np.array_equal, now, self._seen)):
+            return
+        self._evaluate()
+        self._seen = [values.copy() for values in now]
+
+    @abstractmethod
+    def _evaluate(self) -> None:
+        """Fill the Functions."""
+
+
+class NormalStrain(PointValuesOfRegion):
+    """The strain out of the plane that leaves no stress there, for a law in UFL."""
+
+    def __init__(
+        self,
+        region: Region,
+        strain: Expr,
+        state: Mapping[str, fem.Function],
+        inputs: Sequence[fem.Function],
+        degree: int,
+    ) -> None:
+        """Create the Function and compile its equation; collective."""
+        super().__init__(region, strain, state, inputs, degree)
+        domain = region.parameters.function.function_space.mesh
+        self._strain = create_field(domain, degree, (), "strain_out_of_the_plane")
+        committed = committed_state(region, state)
+        with raised_together(domain.comm):
+            self.response = respond(region.law, strain, committed, region.symbols, self._strain)
+        assert self.response.equation is not None
+        points = compat.interpolation_points(self._strain.function_space)
+        self._equation = fem.Expression(ufl.as_vector(self.response.equation), points)
+
+    def _evaluate(self) -> None:
+        """Solve the equation at all points."""
+        V, cells, values = self._strain.function_space, self.region.cells, self._strain.x.array
+        dofs = V.dofmap.list[cells]
+
+        def equation(rows: Ints, z: Floats) -> Floats:
+            values[dofs[rows]] = z
+            found = np.asarray(self._equation.eval(V.mesh, cells[rows]))
+            return found.reshape(*z.shape, 4)
+
+        before = values.copy()
+        try:
+            values[dofs] = solve(self.region.law.name, equation, dofs.shape)
+        except ValueError:
+            values[:] = before
+            raise
+
+
+class PointwiseFields(PointValuesOfRegion):
+    """Stress, tangent and new state of a law of arrays."""
+
+    def __init__(
+        self,
+        region: Region,
+        strain: Expr,
+        state: Mapping[str, fem.Function],
+        inputs: Sequence[fem.Function],
+        degree: int,
+    ) -> None:
+        """Create the Functions; collective."""
+        super().__init__(region, strain, state, inputs, degree)
         domain = region.parameters.function.function_space.mesh
         self._strain = create_field(domain, degree, (3, 3), "strain")
         self._stress = create_field(domain, degree, (3, 3), "stress")
@@ -68,30 +152,19 @@ class PointwiseFields:
         self._tangent = fem.Function(fem.functionspace(domain, element))
         points = compat.interpolation_points(self._strain.function_space)
         self._measured = fem.Expression(to_components(strain, size), points)
-        self._committed = {name: state[name] for name in region.law.state}
         self._new = {name: f.copy() for name, f in self._committed.items()}
-        self._inputs = [*inputs, *self._committed.values(), region.parameters.function]
-        self._seen: list[Floats] = []
-
-    @property
-    def response(self) -> Response:
-        """The values as UFL, for the forms."""
         new = {
-            name: from_components(f) if self.region.law.state[name] else f
+            name: from_components(f) if region.law.state[name] else f
             for name, f in self._new.items()
         }
-        return Response(from_components(self._stress), None, new, self._change)
+        self.response = Response(from_components(self._stress), None, new, self._change)
 
-    def fill(self) -> None:
-        """Evaluate the law, unless nothing has changed; without communication.
+    def _evaluate(self) -> None:
+        """Call the law.
 
         Raises:
-            ValueError: if the law raises, returns something of another form, or gives NaN; the
-                values are then as before.
+            ValueError: if it raises, returns something of another form, or gives NaN.
         """
-        now = [f.x.array for f in self._inputs]
-        if len(self._seen) == len(now) and all(map(np.array_equal, now, self._seen)):
-            return
         cells = self.region.cells
         self._strain.interpolate(self._measured, cells)
         strain = tensor_of(_at(self._strain, cells))
@@ -109,7 +182,6 @@ class PointwiseFields:
         for name, f in self._new.items():
             new = found.state[name]
             _set(f, cells, stored(new, size) if new.ndim == 3 else new[:, None])
-        self._seen = [values.copy() for values in now]
 
     def _change(self, direction: Expr) -> Expr:
         """Return the tangent times a direction, 3x3."""
@@ -133,37 +205,43 @@ class PointwiseFields:
             middle = ", ".join(f"{v:.4g}" for v in x[: domain.geometry.dim])
             values = ", ".join(f"{v:.6g}" for v in stored(strain[undefined[:1]])[0])
             raise ValueError(
-                f"{self.region.law.__name__}.update gives NaN or infinity at {undefined.size} "
+                f"{self.region.law.name}.update gives NaN or infinity at {undefined.size} "
                 f"integration points, first at point {point} of the cell around ({middle}), where "
                 f"the strain (xx, yy, zz, xy, yz, xz) is ({values})."
             )
 
 
-def create_pointwise(
+def create_point_values(
     regions: Sequence[Region],
     strain: Expr,
     state: Mapping[str, fem.Function],
     inputs: Sequence[fem.Function],
     degree: int,
-) -> dict[type, PointwiseFields]:
-    """Return the fields of the laws that are pointwise, by class; collective, see the class."""
-    return {
-        region.law: PointwiseFields(region, strain, state, inputs, degree)
-        for region in regions
-        if is_pointwise(region.law)
-    }
+) -> dict[Law, PointValuesOfRegion]:
+    """Return what is found at points before each assembly, by law; collective.
+
+    See `PointValuesOfRegion` for the arguments.
+    """
+    found: dict[Law, PointValuesOfRegion] = {}
+    for region in regions:
+        arguments = region, strain, state, inputs, degree
+        if region.law.update is not None:
+            found[region.law] = PointwiseFields(*arguments)
+        elif region.law.condensed:
+            found[region.law] = NormalStrain(*arguments)
+    return found
 
 
-def fill_pointwise(comm: MPI.Comm, fields: Mapping[type, PointwiseFields]) -> None:
-    """Evaluate pointwise laws where something has changed; collective if there are any.
+def fill_point_values(comm: MPI.Comm, found: Mapping[Law, PointValuesOfRegion]) -> None:
+    """Evaluate at points where something has changed; collective if there is anything.
 
     Raises:
         ValueError: on all ranks, if a law fails on any.
     """
-    if fields:
+    if found:
         with raised_together(comm):
-            for field in fields.values():
-                field.fill()
+            for values in found.values():
+                values.fill()
 
 
 def _at(f: fem.Function, cells: Any) -> Floats:

@@ -3,8 +3,8 @@
 
 A step ends with `evaluate`, which shows its results, and is accepted by `commit`.
 
-Everything that a step needs is compiled and allocated when a `Solid` is made; only the weights of
-integration points and averages over cells, which serve output and messages, when first asked for.
+Everything that a step needs is compiled and allocated when a `Solid` is made; only averages over
+cells, which serve output, when first asked for.
 The compiled code depends on the cell type and the laws, not on the mesh, the tags or the values of
 the parameters, which live in Functions. Parameters that the user changes are followed by whatever
 is assembled or evaluated next.
@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -37,7 +36,7 @@ from dolfinx_mortar.solid.gradients import PointGradients
 from dolfinx_mortar.solid.kinematics import Kinematics, check_radius, choose_kinematics
 from dolfinx_mortar.solid.laws import create_regions
 from dolfinx_mortar.solid.points import PointFields
-from dolfinx_mortar.solid.pointwise import create_pointwise, fill_pointwise
+from dolfinx_mortar.solid.pointwise import create_point_values, fill_point_values
 from dolfinx_mortar.solid.sources import Followed, follow_changed
 from dolfinx_mortar.solid.state import (
     create_evaluations,
@@ -73,6 +72,7 @@ class Solid:
         stress: quadrature Function of the same components, filled by `evaluate`.
         regions: the cells of each law, with its parameters.
         fields: what `evaluate` found, at the integration points.
+        gradients: strain and rotation at u, at the integration points.
         changing: the Constants in the arguments by name, in which ranks must agree at every step.
     """
 
@@ -96,7 +96,7 @@ class Solid:
             quadrature_degree: None means 2(p - 1), at least 1, on simplices and 2p on
                 quadrilaterals and hexahedra, p the degree of u.
             kinematics: "plane_strain" (the default in 2D), "plane_stress" (thin plates, forces per
-                thickness; `Elastic` and `VonMises` know it), "axisymmetric" (x[0] is the radius r,
+                thickness), "axisymmetric" (x[0] is the radius r,
                 x[1] the axis z; strains, stresses and loads are in the order r, z, theta, forces,
                 energies and volumes those of the whole ring), "spatial" (the only choice in 3D), or
                 a `Kinematics`.
@@ -153,16 +153,20 @@ class Solid:
         if dilatation is not None:  # the laws, pointwise ones too, see the deviator only
             strain, mean_stress = ufl.dev(strain), dilatation.mean_stress
         inputs = [u] if self.eigenstrain is None else [u, self.eigenstrain.function]
-        self._pointwise = create_pointwise(self.regions, strain, self.state, inputs, degree)
-        responses = create_responses(strain, self.regions, self.state, self._pointwise, mean_stress)
+        self._found = create_point_values(self.regions, strain, self.state, inputs, degree)
+        responses = create_responses(strain, self.regions, self.state, self._found, mean_stress)
         weight = self.kinematics.weight
         self.fields = PointFields(self.stress, self._staged, self.regions, degree, weight)
         with raised_together(self.mesh.comm):
             self.fields.bases  # noqa: B018 - judges what the laws put out
+        evaluations = create_evaluations(self.regions, responses, self._staged, self.stress)
+        laws = self.regions, responses
         self._forms = create_forms(
-            u, self.regions, responses, self.kinematics, degree, dilatation=dilatation
+            u, *laws, self.kinematics, degree, evaluations=evaluations, dilatation=dilatation
         )
-        self._evaluations = create_evaluations(self.regions, responses, self._staged, self.stress)
+        small = self.kinematics.linear_in(u)
+        parts = self.kinematics, self.eigenstrain, self.stress
+        self.gradients = PointGradients(u, *parts, small=small)
 
     @property
     def V(self) -> fem.FunctionSpace:
@@ -183,7 +187,7 @@ class Solid:
     def linear(self) -> bool:
         """Whether all laws and the strain are linear: a constant tangent while parameters are."""
         laws = all(region.law.linear for region in self.regions)
-        return laws and self.kinematics.linear_in(self.u)
+        return laws and self.gradients.small
 
     @property
     def varying(self) -> bool:
@@ -199,11 +203,6 @@ class Solid:
     def has_energy(self) -> bool:
         """Whether all laws have a potential, so that `energy` works."""
         return self._forms.energy is not None
-
-    @cached_property
-    def gradients(self) -> PointGradients:
-        """Strain and rotation at the integration points, compiled when first asked for."""
-        return PointGradients(self.u, self.kinematics, self.eigenstrain, self.stress)
 
     # -- one Newton iteration -------------------------------------------------------------------
 
@@ -276,7 +275,7 @@ class Solid:
                 All that is shown, and what `commit` would take, is then as before.
         """
         self.follow()
-        fill_all(self.mesh.comm, self._evaluations)
+        fill_all(self.mesh.comm, self._forms.evaluations)
 
     def keep(self) -> list[tuple[fem.Function, Floats]]:
         """Return copies of what is shown and of the parameters behind it, for `put_back`.
@@ -310,7 +309,7 @@ class Solid:
         follow_changed(self.mesh.comm, self._followed())
         if self._forms.dilatation is not None:
             self._forms.dilatation.follow()
-        fill_pointwise(self.mesh.comm, self._pointwise)
+        fill_point_values(self.mesh.comm, self._found)
 
     def commit(self) -> None:
         """Make the internal variables that `evaluate` found last those of the next step's start.

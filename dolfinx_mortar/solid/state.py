@@ -17,7 +17,7 @@ from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Ints
 from dolfinx_mortar.materials.response import Response
-from dolfinx_mortar.materials.tensor import COMPONENTS, to_components
+from dolfinx_mortar.materials.tensor import COMPONENTS, from_components, to_components
 from dolfinx_mortar.solid.laws import Region
 from ufl.core.expr import Expr
 
@@ -91,13 +91,21 @@ def create_state(
     owner: dict[str, str] = {}
     for region in regions:
         for name, shape in region.law.state.items():
-            first = owner.setdefault(name, region.law.__name__)
+            first = owner.setdefault(name, region.law.name)
             if shapes.setdefault(name, shape) != shape:
                 raise ValueError(
                     f"materials: the state {name!r} has the shape {shapes[name]} in {first} and "
-                    f"{shape} in {region.law.__name__}; give one of them another name."
+                    f"{shape} in {region.law.name}; give one of them another name."
                 )
     return {name: create_field(domain, degree, shape, name) for name, shape in shapes.items()}
+
+
+def committed_state(region: Region, state: Mapping[str, fem.Function]) -> dict[str, Expr]:
+    """Return the committed internal variables of a law as UFL, () or (3, 3) by name."""
+    return {
+        name: from_components(state[name]) if shape else state[name]
+        for name, shape in region.law.state.items()
+    }
 
 
 def create_evaluations(
@@ -120,7 +128,7 @@ def create_evaluations(
         for name, target, value in given:
             stored = to_components(value, size) if value.ufl_shape else value
             compiled = fem.Expression(_on_mesh(stored, zero), points)
-            what = f"{region.law.__name__}: {name}"
+            what = f"{region.law.name}: {name}"
             evaluations.append(Evaluation(what, target, region.cells, compiled))
     return evaluations
 

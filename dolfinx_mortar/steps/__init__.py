@@ -1,6 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""A load step: arguments, audit, linearisation, Newton's method, certificate, load levels, reports.
-
-Joins the solid and the interfaces to a bound-constrained QP and lets a backend solve it.
-Knows nothing of the insides of a backend.
-"""
+"""The drivers: one load step (`newton`), load levels (`load_steps`), bolts (`preload`)."""

@@ -6,24 +6,29 @@ from __future__ import annotations
 import logging
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy.typing as npt
+
+from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.checkpoint import check_folder
 from dolfinx_mortar.interfaces.near import nodal_gaps
-from dolfinx_mortar.steps.checks import check_every, check_load_steps, check_problem
-from dolfinx_mortar.steps.failures import AS_BEFORE
+from dolfinx_mortar.newton_method.failures import AS_BEFORE
+from dolfinx_mortar.persistence.lasting import Walk
+from dolfinx_mortar.persistence.restoring import Saved, read
+from dolfinx_mortar.problem.checks import check_every, check_load_steps, check_problem
+from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.report.reaction import reactions
+from dolfinx_mortar.step_report import LoadStep, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.newton import solve_step
-from dolfinx_mortar.steps.problem import ContactProblem
-from dolfinx_mortar.steps.progress import progress as show_progress
-from dolfinx_mortar.steps.reaction import reactions
-from dolfinx_mortar.steps.report import LoadStep, NewtonNotConverged, StepReport
-from dolfinx_mortar.steps.restoring import read
+from dolfinx_mortar.steps.progress import lines
+from dolfinx_mortar.steps.ramp import Ramp, check_range, difference, read_ramps
 
 log = logging.getLogger(__name__)
 
@@ -52,13 +57,34 @@ class Level:
         return round(-math.log2(self.share - reached.share))
 
 
+@dataclass(frozen=True)
+class Loading:
+    """What a load level sets: the Constants of ramps, then what a user's function does."""
+
+    ramps: Sequence[Ramp]
+    on_time: Callable[[float], None] | None
+
+    @property
+    def changes(self) -> bool:
+        """Whether another level may be another load."""
+        return bool(self.ramps) or self.on_time is not None
+
+    def set(self, problem: ContactProblem, level: float) -> None:
+        """Set the loads of a level; an error on one rank is raised on all of them; collective."""
+        for ramp in self.ramps:
+            ramp.set(level)
+        if self.on_time is not None:
+            with raised_together(problem.comm):
+                self.on_time(level)
+
+
 @dataclass
 class Keeper:
     """A walk under way: writes its checkpoints, if it has any, where there is something new."""
 
     problem: ContactProblem
     file: Path | None
-    walk: object  # what the problem knows it by: the walk itself would keep the problem alive
+    walk: Walk  # what the problem knows it by
     new: bool = False  # something has been committed since the last file
 
     def check_alone(self) -> None:
@@ -80,6 +106,7 @@ def load_steps(
     problem: ContactProblem,
     times: Iterable[float],
     *,
+    ramp: Mapping[fem.Constant, Iterable[tuple[float, npt.ArrayLike]]] | None = None,
     on_time: Callable[[float], None] | None = None,
     start: float | None = None,
     qp: str = "active-set",
@@ -93,6 +120,9 @@ def load_steps(
 ) -> Iterator[LoadStep]:
     """Walk through load levels: set the loads, solve, commit, yield; collective.
 
+        for step in dm.load_steps(problem, [0.5, 1.0], ramp={push: [(0.0, 0.0), (1.0, -0.1)]}):
+            print(step.time, contact.force)
+
     A step that does not converge is halved, up to ``max_cuts`` times; the parts are committed one
     by one (the loading path matters to plasticity, they belong to the answer). Sides that overlap
     at the start of such a step are pushed apart in the same parts.
@@ -100,7 +130,12 @@ def load_steps(
     Args:
         problem: the bodies and their constraints.
         times: load levels in the order of the loading; they may fall.
-        on_time: sets loads and Dirichlet values for a level, also for levels between two times.
+        ramp: a table for each Constant that changes, ``{push: [(0.0, 0.0), (1.0, -0.1)]}``: rows
+            (level, value) with levels that rise, between which the value is linear. Values have the
+            shape of the Constant. Tables must hold all levels, ``start`` too.
+        on_time: sets what tables cannot say for a level, also for levels between two times; called
+            after the Constants of ``ramp`` have their values. It may be called twice for a level,
+            where a step is cut or a run goes on, so what it sets must depend on the level alone.
         start: level of the committed state; by default the last one that ``load_steps`` has
             reached on this problem, 0 at first.
         qp: as in ``newton``.
@@ -108,18 +143,18 @@ def load_steps(
         max_it: as in ``newton``.
         cuts: "halve", or "none" to fail where a step does not converge as it is.
         max_cuts: largest number of halvings of one step.
-        progress: show how far the walk has come; None does if there is more than one step, as a
-            bar on a terminal and as lines in files and batch jobs, but not in notebooks. Where
-            logging is configured, lines are records of level INFO.
+        progress: print a line for each step on rank 0; None does if there is more than one step,
+            nobody has configured logging, and it is no notebook. The log has them at level INFO.
         checkpoint: file, see below; a walk of its own has a file of its own.
         every: write it after so many steps, and after the last one.
 
     With ``checkpoint`` a program that was killed goes on where it was when it is run again. If the
-    file is there, the state of the problem becomes that of the checkpoint, ``on_time`` is called
-    with its level, and only the steps that are left are made and yielded, with their numbers; the
+    file is there, the state of the problem becomes that of the checkpoint, ``ramp`` and ``on_time``
+    set its level, and only the steps that are left are made and yielded, with their numbers; the
     log says so. Of a walk that was finished none are left. The steps before are in
     ``problem.history``. ``times`` has to begin with the levels that were reached, up to round-off;
-    more may follow than at first. The file is written when the body of the loop is done with a
+    more may follow than at first. So have tables of ``ramp`` to be as they were, in their order, as
+    far as the walk has come. The file is written when the body of the loop is done with a
     step, so what the body does may be done twice, but is never left out; a loop that is left by
     ``break`` does not write the last step. ``Writer(.., resume=True)`` has each step once even so.
     A step that fails for good writes what has been committed since the last file, whatever
@@ -141,32 +176,33 @@ def load_steps(
     check_problem(problem, ContactProblem)
     check_same_on_all_ranks(problem.comm, on_time=on_time)
     levels = check_load_steps(times, start, max_cuts, cuts, problem.comm)
+    loading = Loading(read_ramps(problem.comm, ramp), on_time)
     if on_time is not None and not callable(on_time):
         raise ValueError(f"on_time is {on_time!r}: give a function of the load level, or None")
     file = check_every(problem.comm, checkpoint, every)
     most = max_cuts if cuts == "halve" else 0
     options = {"qp": qp, "rtol": rtol, "max_it": max_it}
     committed = problem.committed
-    committed.walk = object()
-    keeper = Keeper(problem, file, committed.walk)
-    if start is not None:
-        committed.level = float(start)
-    committed.walked = 0
+    begin = committed.level if start is None else float(start)
+    check_range(loading.ramps, [begin, *levels])
+    committed.level, committed.walked = begin, 0
     if file is not None:
-        _go_on(problem, file, levels, on_time)
+        begin = _go_on(problem, file, levels, loading, begin)
+    committed.walk = Walk(begin, [one.rows for one in loading.ramps])
+    keeper = Keeper(problem, file, committed.walk)
     done = committed.walked
-    with show_progress(problem.comm, len(levels), progress, done=done) as advance:
-        for number, time in enumerate(levels[done:], start=done + 1):
-            parts = _walk(problem, number, time, on_time, most, options, keeper)
-            supports = [one.as_dict() for one in reactions(problem)]
-            step = LoadStep(number, time, parts[-1], parts, _forces(problem), supports)
-            committed.history.append(step)
-            committed.walked = number
-            advance(step)
-            yield step
-            keeper.check_alone()
-            if number % every == 0 or number == len(levels):
-                keeper.write()
+    tell = lines(problem.comm, False if progress is None and len(levels) == 1 else progress)
+    for number, time in enumerate(levels[done:], start=done + 1):
+        parts = _walk(problem, number, time, loading, most, options, keeper)
+        supports = [one.as_dict() for one in reactions(problem)]
+        step = LoadStep(number, time, parts[-1], parts, _forces(problem), supports)
+        committed.history.append(step)
+        committed.walked = number
+        tell(f"load step {number} of {len(levels)} {step.outcome}")
+        yield step
+        keeper.check_alone()
+        if number % every == 0 or number == len(levels):
+            keeper.write()
 
 
 def _forces(problem: ContactProblem) -> list[list[float]]:
@@ -178,25 +214,31 @@ def _go_on(
     problem: ContactProblem,
     file: Path,
     levels: list[float],
-    on_time: Callable[[float], None] | None,
-) -> None:
+    loading: Loading,
+    begin: float,
+) -> float:
     """Restore a checkpoint if there is one, and see that the next can be written; collective.
 
+    Returns:
+        The level at which the walk began: `begin` if there is no checkpoint.
+
     Raises:
-        ValueError: on all ranks, if the levels do not begin with those that it has reached.
+        ValueError: on all ranks, if the levels do not begin with those that it has reached, or
+            tables are others than until there.
         OSError: on all ranks, if no file can be written there.
     """
     # the others may not reach the folder; a name that cannot be is an error of the check
     if not problem.comm.bcast(problem.comm.rank == 0 and os.path.exists(file)):
         check_folder(problem.comm, file)
-        return
+        return begin
     saved = read(problem.lasting, file)
     walk = saved.walk
     _check_walked(levels, walk, file)
+    _check_tables(loading.ramps, saved, file)
     if len(walk) < len(levels):  # told now, not after the next step
         check_folder(problem.comm, file)
     saved.put()
-    _set_loads(problem, on_time, problem.committed.level)
+    loading.set(problem, problem.committed.level)
     problem.solid.follow()  # what laws put out rests on parameters, too
     if problem.comm.rank == 0:
         left = "nothing is left to do" if len(walk) == len(levels) else "going on from there"
@@ -204,6 +246,8 @@ def _go_on(
             "checkpoint %s: %d of %d steps are done, to %g; %s",
             *(file, len(walk), len(levels), problem.committed.level, left),
         )
+    before = problem.committed.walk
+    return begin if before is None else before.start
 
 
 def _check_walked(levels: list[float], walk: list[float], file: Path) -> None:
@@ -219,11 +263,24 @@ def _check_walked(levels: list[float], walk: list[float], file: Path) -> None:
             )
 
 
+def _check_tables(ramps: Sequence[Ramp], saved: Saved, file: Path) -> None:
+    """Raise a ValueError unless tables are those of the saved walk, as far as it has come."""
+    before = saved.about["walk"]
+    if before is None or not saved.walk:
+        return
+    been = [before["start"], *saved.walk, saved.about["level"]]
+    if wrong := difference(before["ramp"], ramps, been):
+        raise ValueError(
+            f"ramp: {wrong}, when the checkpoint {str(file)!r} was written: give the tables of "
+            "that walk, give this walk a file of its own, or delete the file to begin anew"
+        )
+
+
 def _walk(
     problem: ContactProblem,
     number: int,
     time: float,
-    on_time: Callable[[float], None] | None,
+    loading: Loading,
     most: int,
     options: dict[str, Any],
     keeper: Keeper,
@@ -234,16 +291,16 @@ def _walk(
     failures = 0
     while pending:
         level = pending[-1]
-        _set_loads(problem, on_time, level.time)
+        loading.set(problem, level.time)
         keeper.check_alone()
         try:
-            report = solve_step(problem, overlap=level.overlap, **options)
+            report = solve_step(problem, overlap=level.overlap, level=level.time, **options)
         except NewtonNotConverged as error:
             failures += 1
             if not parts:
                 overlap = find_overlap(problem, options["rtol"])
                 reached = replace(reached, overlap=overlap)
-            way = level.time != reached.time and on_time is not None
+            way = level.time != reached.time and loading.changes
             if level.cuts(reached) >= most or not (way or level.overlap != reached.overlap):
                 cause = error.message.removesuffix(AS_BEFORE)
                 told = _describe(number, time, level, reached, most, cause)
@@ -266,22 +323,13 @@ def _walk(
     return parts
 
 
-def _set_loads(
-    problem: ContactProblem, on_time: Callable[[float], None] | None, time: float
-) -> None:
-    """Call the user's function; an error on one rank is raised on all of them; collective."""
-    if on_time is not None:
-        with raised_together(problem.comm):
-            on_time(time)
-
-
 def find_overlap(problem: ContactProblem, rtol: float) -> float:
     """Return how deep sides overlap at the present displacement; collective.
 
     Less than rtol facet lengths is what a converged step leaves, and counts as nothing.
     """
-    x = problem.update_geometry(0.0, everywhere=True)
-    gap = nodal_gaps(problem.system.links, x, problem.n)
+    problem.update_geometry(0.0)
+    gap = nodal_gaps(problem.system.links, problem.positions(), problem.n)
     deepest = float(maximum(problem.comm, (-gap).max(initial=0.0))[0])
     return deepest if deepest > rtol * problem.system.facet_length else 0.0
 

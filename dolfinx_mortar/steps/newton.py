@@ -28,17 +28,15 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar import qp as backends
 from dolfinx_mortar.algebra.parallel import free_unused, maximum
+from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import Actives, Floats
+from dolfinx_mortar.audit.stand_off import notes_on_facets
 from dolfinx_mortar.interfaces.near import predict_active
-from dolfinx_mortar.qp import QPSolution
-from dolfinx_mortar.steps import failures
-from dolfinx_mortar.steps.attempt import solving_with, undone_on_failure
-from dolfinx_mortar.steps.certificate import create_certificate
-from dolfinx_mortar.steps.checks import check_controls, check_problem
-from dolfinx_mortar.steps.contacts import Contacts, find_sliders, found_by, go_on
-from dolfinx_mortar.steps.forcing import next_tolerance, tightest
-from dolfinx_mortar.steps.line_search import Energy, NoDescent, find_energy, move, search
-from dolfinx_mortar.steps.linearisation import (
+from dolfinx_mortar.newton_method import failures
+from dolfinx_mortar.newton_method.contacts import Contacts, find_sliders, found_by, go_on
+from dolfinx_mortar.newton_method.forcing import next_tolerance, tightest
+from dolfinx_mortar.newton_method.line_search import NoDescent, move, search
+from dolfinx_mortar.newton_method.linearisation import (
     Balance,
     Linearisation,
     count_changes,
@@ -46,25 +44,34 @@ from dolfinx_mortar.steps.linearisation import (
     linearise,
     to_displacement,
 )
-from dolfinx_mortar.steps.overlaps import notes_on_overlaps
-from dolfinx_mortar.steps.passing import describe_passing
-from dolfinx_mortar.steps.problem import ContactProblem
-from dolfinx_mortar.steps.reaction import support_forces
-from dolfinx_mortar.steps.report import Iteration, NewtonNotConverged, StepReport
-from dolfinx_mortar.steps.residuals import (
+from dolfinx_mortar.newton_method.residuals import (
     Residuals,
     Scales,
     find_extent,
+    find_tensions,
     gap_round_off,
     largest_force,
     measure,
 )
-from dolfinx_mortar.steps.resolution import notes_on_few_nodes, notes_on_rims
-from dolfinx_mortar.steps.results import notes_on_lost_friction, notes_on_sliding, set_results
-from dolfinx_mortar.steps.small_strain import find_left_out, notes_on_small_strain
-from dolfinx_mortar.steps.stand_off import notes_on_facets
-from dolfinx_mortar.steps.step_data import StepData
-from dolfinx_mortar.steps.watch import MOST_RISES, Watch, at_nodes, find_change
+from dolfinx_mortar.newton_method.tunnelling import describe_passing
+from dolfinx_mortar.newton_method.watch import MOST_RISES, Watch, at_nodes, find_change
+from dolfinx_mortar.problem.checks import check_controls, check_problem
+from dolfinx_mortar.problem.jumps import tighten
+from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.problem.step_data import StepData
+from dolfinx_mortar.qp import QPSolution
+from dolfinx_mortar.report.certificate import create_certificate
+from dolfinx_mortar.report.interface_results import (
+    notes_on_lost_friction,
+    notes_on_sliding,
+    set_results,
+)
+from dolfinx_mortar.report.overlaps import notes_on_overlaps
+from dolfinx_mortar.report.reaction import support_forces
+from dolfinx_mortar.report.resolution import notes_on_few_nodes, notes_on_rims
+from dolfinx_mortar.report.small_strain import find_left_out, notes_on_small_strain
+from dolfinx_mortar.step_report import Iteration, NewtonNotConverged, StepReport
+from dolfinx_mortar.terms.sum import Energy
 
 log = logging.getLogger(__name__)
 
@@ -73,7 +80,12 @@ FARTHEST = 1e3
 
 
 def newton(
-    problem: ContactProblem, *, qp: str = "active-set", rtol: float = 1e-6, max_it: int = 50
+    problem: ContactProblem,
+    *,
+    qp: str = "active-set",
+    rtol: float = 1e-6,
+    max_it: int = 50,
+    level: float | None = None,
 ) -> StepReport:
     """Solve one load step, from the present u and contacts and the committed state; collective.
 
@@ -89,6 +101,7 @@ def newton(
         rtol: tolerance for the residuals of forces and contact, relative to the largest forces of
             the step and their work; round-off is the limit.
         max_it: largest number of Newton iterations.
+        level: load level at which the step ends, for terms that depend on it, see `Term.begin`.
 
     Returns:
         The report of the converged step.
@@ -98,34 +111,88 @@ def newton(
         ValueError: for an unknown backend or bad tolerance, or input that ``begin_step`` rejects.
     """
     check_problem(problem, ContactProblem)
-    return solve_step(problem, qp=qp, rtol=rtol, max_it=max_it)
+    if level is not None and not is_number(level):
+        raise ValueError(f"level is {level!r}: give a finite number, or None")
+    return solve_step(problem, qp=qp, rtol=rtol, max_it=max_it, level=level)
 
 
 def solve_step(
-    problem: ContactProblem, *, qp: str, rtol: float, max_it: int, overlap: float = 0.0
+    problem: ContactProblem,
+    *,
+    qp: str,
+    rtol: float,
+    max_it: int,
+    overlap: float = 0.0,
+    level: float | None = None,
 ) -> StepReport:
-    """Solve one load step, with an overlap that is left to later steps; see `newton`."""
-    problem.check_ranks(qp=qp, rtol=rtol, max_it=max_it)
+    """Solve one load step, with an overlap that is left to later steps; see `newton`.
+
+    Where multigrid gives no solution, factorisations may: they are tried then, and stay in use
+    unless they fail, too, when the first method was not the cause.
+    """
+    problem.check_ranks(qp=qp, rtol=rtol, max_it=max_it, level=level)
     check_controls(qp, rtol, max_it)
-    report = StepReport(backend=qp, geometry=problem.geometry, rtol=rtol)
-    if overlap > 0.0:
-        report.notes.append(f"the initial overlap is left {overlap:.3g} deep in this part")
-    try:
-        with undone_on_failure(problem, report):
-            data = problem.begin_step()
-            _Step(problem, report, data, overlap).run(max_it)
+    given_up = ""
+    while True:
+        report = StepReport(backend=qp, geometry=problem.geometry, rtol=rtol)
+        if overlap > 0.0:
+            report.notes.append(f"the initial overlap is left {overlap:.3g} deep in this part")
+        try:
+            _attempt(problem, report, max_it, overlap, level)
+        except NewtonNotConverged as error:
+            if given_up:
+                problem.linear.take_up_multigrid()
+                raise
+            by_solver = isinstance(error.__cause__, backends.QPNotSolved)
+            if not (by_solver and problem.linear.factorise_instead()):
+                raise
+            given_up = report.linear_solver
+            continue
+        if given_up:
+            report.notes.append(
+                f"{given_up} gave no solution: this step and the next ones are factorised"
+            )
         return report
-    except NewtonNotConverged as error:
-        by_solver = isinstance(error.__cause__, backends.QPNotSolved)
-        instead = problem.linear.factorising() if by_solver else None
-        if instead is None:
-            raise
-    with solving_with(problem, instead):
-        again = solve_step(problem, qp=qp, rtol=rtol, max_it=max_it, overlap=overlap)
-    again.notes.append(
-        f"{report.linear_solver} gave no solution: this step and the next ones are factorised"
-    )
-    return again
+
+
+def _attempt(
+    problem: ContactProblem, report: StepReport, max_it: int, overlap: float, level: float | None
+) -> None:
+    """Make a step and complete its report; undo it if it fails, and only then say why.
+
+    Results of the interfaces are put back, too, as they are set before the certificate judges them:
+    resultants, pressures, slips, dissipation.
+    """
+    before, shown = problem.u.x.array.copy(), problem.solid.keep()
+    results = [(interface, interface.keep()) for interface in problem.interfaces]
+    earlier = dict(problem.timings.seconds)
+
+    def undo() -> None:
+        problem.u.x.array[:] = before
+        problem.solid.put_back(shown)
+        problem.terms.roll_back()
+        for interface, kept in results:
+            interface.put_back(kept)
+
+    try:
+        with problem.timings("total"):
+            try:
+                _Step(problem, report, problem.begin_step(level), overlap).run(max_it)
+            except (failures.StepFailed, backends.QPNotSolved, backends.UnusableQP) as error:
+                reached = problem.u.x.array.copy()
+                undo()
+                raise failures.explain(problem, report, error, reached) from error
+            except BaseException:  # perhaps of this rank only, which must not wait for the others
+                undo()
+                raise
+    finally:
+        report.seconds = problem.timings.since(earlier)
+        report.linear_solver = problem.linear.description
+        if report.converged and (unread := problem.linear.options.unread()):
+            report.notes.append(
+                f"petsc_options without effect: {', '.join(unread)}; misspelt, or of no use here"
+            )
+        report.notes += [note for note in problem.system.notes if note not in report.notes]
 
 
 @dataclass(frozen=True)
@@ -139,6 +206,7 @@ class Iterate:
     norm: float  # |u|_e
     largest: float  # largest multiplier seen in the step
     stiffness: PETSc.Vec  # diagonal of the last K^
+    changes: int | None = None  # bounds in which the last QP's active set was not its first
 
 
 class _Step:
@@ -148,7 +216,7 @@ class _Step:
         self, problem: ContactProblem, report: StepReport, data: StepData, overlap: float
     ) -> None:
         self.problem, self.report, self.data, self.overlap = problem, report, data, overlap
-        self.linear = problem.solid.linear and problem.loads.linear
+        self.linear = problem.terms.linear
         self.direction = fem.Function(problem.V)  # the step, for its norm
 
     def run(self, max_it: int) -> None:
@@ -169,16 +237,14 @@ class _Step:
                     return
                 iterate = replace(iterate, balance=self.balance())  # T is another one now
             start = iterate.contacts.active[iterate.balance.nodes].astype(np.int8)
-        raise failures.not_converged(
-            f"Newton did not converge in max_it={max_it} iterations", problem, self.report
-        )
+        raise failures.StepFailed(f"Newton did not converge in max_it={max_it} iterations")
 
     def first(self) -> tuple[Iterate, Actives]:
         """Return the iterate to start from, and a guess of the contact set."""
         problem = self.problem
         balance = self.balance()
-        contacts = go_on(problem.committed, balance.limits, gap_round_off(problem.u))
-        energy = find_energy(problem, self.data) if problem.solid.has_energy else None
+        contacts = go_on(self.data.contacts, balance.limits, gap_round_off(problem.u))
+        energy = problem.terms.energy()
         norm = problem.solid.elastic_norm(problem.u)
         start = contacts.active[balance.nodes].astype(np.int8)
         if problem.contacts and not problem.comm.allreduce(bool(start.any()), op=MPI.LOR):
@@ -187,7 +253,8 @@ class _Step:
         extent = find_extent(problem.V.mesh, np.append(self.data.target, self.data.increment))
         begun = largest_force(problem.comm, balance, np.zeros(0))
         length = problem.system.facet_length
-        scales = Scales(length, begun=begun, work=norm**2, extent=extent)
+        tensions = find_tensions(balance)
+        scales = Scales(length, begun=begun, work=norm**2, extent=extent, tensions=tensions)
         return Iterate(balance, contacts, scales, energy, norm, 0.0, problem.vector()), start
 
     def balance(self) -> Balance:
@@ -206,16 +273,14 @@ class _Step:
         problem, report = self.problem, self.report
         free_unused(problem.comm)
         # values that the user may change between steps
-        varying = problem.loads.has_potential or problem.solid.varying
-        tangent = not self.linear or (number == 1 and varying)
+        tangent = not self.linear or (number == 1 and problem.terms.varying)
         lin = linearise(problem, old.balance, tangent=tangent)
         scales = old.scales
         if number == 1:
             lifted = problem.vector(self.data.asked)
             lifted.pointwiseMult(lifted, lin.diagonal)
             scales = replace(scales, first=max(lin.qp.b.norm(), lifted.norm()))
-        sliding = old.contacts.directions(old.balance.limits)
-        solved = self.solve(lin, start, sliding, self.accuracy(lin, watch, residuals))
+        solved = self.solve(lin, start, old, self.accuracy(lin, watch, residuals))
         report.quote(number, solved.note)
         report.note_friction(number, solved.linearisation)
         contacts = found_by(lin, solved, problem.n)
@@ -254,7 +319,9 @@ class _Step:
                 geometry_held=watch.held,
             )
         )
-        iterate = Iterate(balance, contacts, scales, energy, norm, largest, lin.diagonal)
+        iterate = Iterate(
+            balance, contacts, scales, energy, norm, largest, lin.diagonal, solved.changes
+        )
         return iterate, watch, residual
 
     # -- the parts of an iteration ---------------------------------------------------------------
@@ -266,9 +333,7 @@ class _Step:
             return tightest(self.report.rtol)  # one QP is the whole step
         return next_tolerance(kind, self.report.rtol, lin.qp.b.norm(), residuals)
 
-    def solve(
-        self, lin: Linearisation, start: Actives, sliding: Floats | None, rtol: float
-    ) -> QPSolution:
+    def solve(self, lin: Linearisation, start: Actives, old: Iterate, rtol: float) -> QPSolution:
         """Solve the QP with the backend of the step."""
         with self.problem.timings("linear_solves"):
             solved = backends.solve(
@@ -276,7 +341,8 @@ class _Step:
                 self.report.backend,
                 self.problem.linear,
                 start_active=start,
-                start_sliding=sliding,
+                start_sliding=old.contacts.directions(old.balance.limits),
+                changes=old.changes,
                 rtol=rtol,
             )
         # An iterative solver comes near what supports and ties ask for; it is known exactly.
@@ -285,14 +351,12 @@ class _Step:
         return solved
 
     def check_distance(self, du: PETSc.Vec, extent: float) -> None:
-        """Raise if a step leads out of the world: a singular tangent may solve to anything."""
+        """Raise if a step exceeds the model by far: a singular tangent may solve to anything."""
         farthest = du.norm(PETSc.NormType.INFINITY)
         if not farthest <= FARTHEST * extent:
-            raise failures.not_converged(
+            raise failures.StepFailed(
                 f"a step goes {farthest:.1e} far, in a model of size {extent:.1e}: the tangent is "
-                "singular, so nothing holds a body, or nothing resists its flow",
-                self.problem,
-                self.report,
+                "singular, so nothing holds a body, or nothing resists its flow"
             )
 
     def move(
@@ -316,11 +380,11 @@ class _Step:
         with problem.timings("assembly"):
             if energy is None or asked > lost:
                 move(problem, problem.u.x.array[:own] + du.array_r)
-                return 1.0, 0, find_energy(problem, self.data) if problem.solid.has_energy else None
+                return 1.0, 0, problem.terms.energy()
             try:
-                return search(problem, self.data, lin, solved, du, largest, energy)
+                return search(problem, lin, solved, du, largest, energy)
             except NoDescent as error:
-                raise failures.not_converged(str(error), problem, self.report) from error
+                raise failures.StepFailed(str(error)) from error
 
     def follow(
         self,
@@ -336,13 +400,13 @@ class _Step:
             residual = judge(balance)
             if not watch.moving or residual.excess > 1.0:
                 return balance, residual, watch, 0.0
-        problem.update_geometry(self.data.increment, onward=True)
+        problem.follow_geometry()
         balance = self.balance()
         residual = judge(balance)
         change, work = find_change(problem.comm, balance, contacts, predicted)
         watch = watch.after(work, residual.forces)
         if watch.rises >= MOST_RISES:
-            raise failures.not_converged(failures.unsettled(problem), problem, self.report)
+            raise failures.StepFailed(failures.unsettled(problem))
         return balance, residual, watch, change / problem.system.facet_length
 
     def geometry_is_complete(self) -> bool:
@@ -351,7 +415,7 @@ class _Step:
         with problem.timings("mortar"):
             complete = problem.system.is_complete(problem.configuration, problem.positions())
         if not complete:
-            problem.update_geometry(self.data.increment, everywhere=True, onward=True)
+            problem.follow_geometry(everywhere=True)
         return complete
 
     def check_passing(self) -> None:
@@ -378,7 +442,9 @@ class _Step:
             report.notes += notes_on_overlaps(links, problem.u)
         with problem.timings("results"):
             problem.solid.evaluate()
-        set_results(problem, iterate.balance, contacts, self.data.jumps)
+        u = problem.vector(problem.u.x.array[: problem.d * problem.n])
+        jumps = tighten(problem.system, u, self.data.jumps)
+        slips = set_results(problem, iterate.balance, contacts, jumps)
         sliders = None
         if (limits := iterate.balance.limits) is not None:
             noise = gap_round_off(problem.u)
@@ -389,8 +455,11 @@ class _Step:
             problem, report, contacts, residual, sliders, left_out
         )
         supports = support_forces(problem, iterate.balance)  # last, nothing fails any more
-        problem.committed.contacts = contacts.active, contacts.sliding
-        problem.committed.supports = supports
+        committed = problem.committed
+        committed.contacts = contacts.active, contacts.sliding
+        committed.found_slips, committed.supports = slips, supports
+        committed.found_paired = problem.system.present.paired
+        committed.found_at = problem.u.x.array[: problem.d * problem.n].copy()
         report.converged = True
 
     def elastic_norm(self, du: PETSc.Vec) -> float:

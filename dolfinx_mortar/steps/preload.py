@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Tightening of bolts: the jumps of ties at which their resultants have given values."""
+"""Tightening of bolts: one step in which the forces of ties are given, and their jumps found."""
 
 from __future__ import annotations
 
@@ -9,32 +9,39 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, overload
 
-from mpi4py import MPI
-
 import numpy as np
 
+from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arguments import as_numbers, is_number
+from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.interfaces.interface import check_owned
+from dolfinx_mortar.interfaces.pretension import check_direction, describe_shear, find_axis
 from dolfinx_mortar.interfaces.tie import Tie
-from dolfinx_mortar.steps.checks import (
-    check_controls,
-    check_owned,
-    check_problem,
-)
-from dolfinx_mortar.steps.problem import ContactProblem
-from dolfinx_mortar.steps.progress import lines
-from dolfinx_mortar.steps.report import StepReport
-from dolfinx_mortar.steps.tightening import Search, Steps, Together
+from dolfinx_mortar.newton_method.failures import AS_BEFORE
+from dolfinx_mortar.problem.checks import check_controls, check_problem
+from dolfinx_mortar.problem.jumps import diagonal
+from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.step_report import NewtonNotConverged, StepReport
+from dolfinx_mortar.steps.newton import solve_step
 
 log = logging.getLogger(__name__)
 
-# Against the outward normal of the slave side, cosine: a direction that points into the body.
-AGAINST = -0.5
-# Along it, cosine: less is shear rather than tension. Cuts at 60 degrees to the axis are above.
-ALONG = 0.45
-# Mean of the unit normals of a side, length: a shorter one is that of a side around a shank.
-AROUND = 0.1
+# Of the diagonal of the model: a longer jump is none of a small strain.
+FARTHEST = 0.1
+
+
+class PreloadNotReached(RuntimeError):
+    """A preload that the model does not carry; all is as before.
+
+    Attributes:
+        report: of the step that has failed, or led too far.
+    """
+
+    def __init__(self, message: str, report: StepReport) -> None:
+        """Keep the report."""
+        super().__init__(message)
+        self.report = report
 
 
 @dataclass(frozen=True)
@@ -43,13 +50,7 @@ class Preload:
 
     jump: Floats  # (d,) the tie's tightening, which stays
     force: float  # reached, along the direction
-    iterations: int  # steps solved, for all bolts that are tightened together
-    reports: list[StepReport] = field(default_factory=list, repr=False)  # of these steps
-
-    @property
-    def report(self) -> StepReport:
-        """The report of the step that is committed."""
-        return self.reports[-1]
+    report: StepReport = field(repr=False)  # of the step, for all bolts that it has tightened
 
 
 Direction = Sequence[float] | Floats
@@ -62,10 +63,9 @@ def preload(
     force: float,
     direction: Direction,
     *,
-    rtol: float = 1e-6,
-    max_it: int = 30,
+    rtol: float = 1e-7,
+    max_it: int = 50,
     qp: str = "active-set",
-    progress: bool | None = None,
 ) -> Preload: ...
 
 
@@ -75,10 +75,9 @@ def preload(
     tie: Mapping[Tie, float],
     *,
     direction: Direction | Mapping[Tie, Direction],
-    rtol: float = 1e-6,
-    max_it: int = 30,
+    rtol: float = 1e-7,
+    max_it: int = 50,
     qp: str = "active-set",
-    progress: bool | None = None,
 ) -> dict[Tie, Preload]: ...
 
 
@@ -88,12 +87,11 @@ def preload(
     force: Any = None,
     direction: Any = None,
     *,
-    rtol: float = 1e-6,
-    max_it: int = 30,
+    rtol: float = 1e-7,
+    max_it: int = 50,
     qp: str = "active-set",
-    progress: bool | None = None,
 ) -> Any:
-    """Tighten bolts that are cut by ties until their forces are reached; commit; collective.
+    """Tighten bolts that are cut by ties, by one step with given forces; commit; collective.
 
         preload(problem, bolt, 37e3, [0, 0, -1])
         preload(problem, {left: 37e3, right: 37e3}, direction=[0, 0, -1])
@@ -104,54 +102,59 @@ def preload(
     overlap by s, as if the shank were shorter by that, and a positive force is tension. s n is kept
     in ``tie.tightening``, so that later steps hold the jump while the force follows the loads. A
     tie that has been tightened before is tightened, or loosened, from where it is. Bolts in a
-    dictionary have their forces all together at the end; those that are tightened by calls of their
-    own change the forces of those before.
+    dictionary have their forces all together; those that are tightened by calls of their own change
+    the forces of those before. ``Tie(..., pretension=force)`` gives the force in steps of any
+    driver.
 
     Args:
-        problem: bodies and constraints; loads and supports are read at every try.
+        problem: bodies and constraints, with the loads and supports of the moment.
         tie: one of its ties, or several with their forces.
         force: resultant in force units, of the part of the bolt that is modelled: of half a bolt on
             a plane of symmetry, give half the force. Negative: the sides are pushed apart.
         direction: d numbers, of any length; of several bolts, for all of them or by tie.
-        rtol: tolerance of each force, relative to it, or to the force before if that is larger.
-        max_it: largest number of steps, for each bolt.
+        rtol: as in `newton`; each force is also met to this share of it, or of the force before if
+            that is larger.
+        max_it: as in `newton`.
         qp: as in `newton`.
-        progress: show a line for each change of several bolts; None does as in `load_steps`.
 
     Returns:
-        Jump, force and reports; of several bolts by tie. The step is committed, as those of
+        Jump, force and report; of several bolts by tie. The step is committed, as those of
         `load_steps` are; the level and the history of these stay as they are.
 
     Raises:
         ValueError: for arguments that make no sense, on all ranks.
         PreloadNotReached: if the model does not carry a force: nothing resists, the direction is
-            wrong, bodies flow or let go, or steps do not converge. Displacement, results, jumps and
-            committed state are then as before.
+            wrong, bodies flow or let go, or the step does not converge. Displacement, results,
+            jumps and committed state are then as before.
     """
     check_problem(problem, ContactProblem)
     several = isinstance(tie, Mapping)
-    asked = _by_tie(tie, force, direction) if several else ([tie], [force], [direction])
+    with raised_together(problem.comm):
+        asked = _by_tie(tie, force, direction) if several else ([tie], [force], [direction])
     ties, forces, directions = asked
     given = asked if several else (tie, force, direction)
     named = dict(zip(("tie", "force", "direction"), given, strict=True))
     problem.check_ranks(**named, rtol=rtol, max_it=max_it, qp=qp)
     check_controls(qp, rtol, max_it)
-    normals = [_check(problem, *one) for one in zip(ties, forces, directions, strict=True)]
-    tell = lines(problem.comm, progress)
-    with _all_as_before(problem, ties):
-        steps = Steps(problem, rtol, {"qp": qp, "max_it": 50})
-        searches = [
-            Search(problem, one, n, float(wanted), rtol, steps)
-            for one, n, wanted in zip(ties, normals, forces, strict=True)
-        ]
-        if several:
-            Together(searches, tell).run(max_it)
-        else:
-            searches[0].run(max_it)
+    axes = [_check(problem, *one) for one in zip(ties, forces, directions, strict=True)]
+    with _all_as_before(problem), _pulled(ties, forces, axes):
+        before = [one.tightening for one in ties]
+        try:
+            report = solve_step(problem, qp=qp, rtol=rtol, max_it=max_it)
+        except NewtonNotConverged as error:
+            cause = error.message.removesuffix(AS_BEFORE)
+            raise _failure(ties, forces, axes, cause, error.report) from error
+        after = [one.tightening for one in ties]
+        way = max(float(np.linalg.norm(b - a)) for a, b in zip(before, after, strict=True))
+        if way > FARTHEST * diagonal(problem.V):
+            cause = (
+                f"a jump of {way:.4g} would do, more than {FARTHEST:.0%} of the model's diagonal"
+            )
+            raise _failure(ties, forces, axes, cause, report)
     problem.commit()
     found = {
-        one: Preload(one.tightening.copy(), float(one.force @ n), len(steps.reports), steps.reports)
-        for one, n in zip(ties, normals, strict=True)
+        one: Preload(one.tightening.copy(), float(one.force @ n), report)
+        for one, n in zip(ties, axes, strict=True)
     }
     return found if several else found[tie]
 
@@ -185,64 +188,61 @@ def _check(problem: ContactProblem, tie: Any, force: Any, direction: Any) -> Flo
     if any_rank(problem.comm, other)[0]:
         raise ValueError(f"tie is {tie!r}: give one of problem.ties")
     check_owned(problem.interfaces, problem.supports)
-    given = direction.tolist() if isinstance(direction, np.ndarray) else direction
+    if tie.pretension is not None:
+        raise ValueError(
+            f"tie is {tie!r}, which has pretension={tie.pretension!r}: every step tightens it, so "
+            "set tie.pretension to the force, or to None before"
+        )
     if not is_number(force):
         raise ValueError(f"force is {force!r}: give a finite number, the resultant of the bolt")
-    numbers = as_numbers(given)
-    n = np.zeros(0) if numbers is None else numbers
-    if n.shape != (problem.d,) or not np.isfinite(n).all() or not n.any():
-        raise ValueError(
-            f"direction is {direction!r}: give {problem.d} finite components, not all zero, along "
-            "the axis of the bolt"
-        )
-    n = n / np.abs(n).max()  # squares of very large or small components are none
-    n = n / np.linalg.norm(n)
-    _check_side(problem, tie, direction, n)
+    n = check_direction(direction, problem.d)
+    problem.audit()  # the sides have to be paired
+    link = problem.system.link(tie)
+    find_axis(link, n)
+    shear = describe_shear(link, n)
+    if shear and problem.comm.rank == 0:
+        log.warning("%s", shear)
     return n
 
 
-def _check_side(problem: ContactProblem, tie: Tie, direction: Any, n: Floats) -> None:
-    """Raise an error where n points into the slave side, warn where it runs along it; collective.
-
-    A side around a shank has no direction of its own.
-    """
-    normal = _outward(problem, tie)
-    cosine = float(n @ normal)
-    if cosine < AGAINST:
-        raise ValueError(
-            f"direction is {direction!r}, which points from the master side into the slave side: "
-            "turn it round (out of the slave side) for tension; to push the sides apart, give a "
-            "negative force then"
-        )
-    if cosine < ALONG and normal.any() and problem.comm.rank == 0:
-        shown = np.round([cosine, *normal], 3) + 0.0  # no -0
-        outward = ", ".join(f"{x:g}" for x in shown[1:])
-        log.warning(
-            "direction is %r, whose cosine with the normal [%s] out of the slave side of %s is "
-            "%g: the sides slip along each other rather than overlap, and the force is shear. "
-            "For tension give the axis of the bolt, out of the slave side",
-            direction,
-            outward,
-            tie,
-            shown[0],
-        )
-
-
-def _outward(problem: ContactProblem, tie: Tie) -> Floats:
-    """Return the mean outward unit normal (d,) of the slave side, or 0; collective."""
-    problem.audit()  # the sides have to be paired
-    coupling = problem.system.link(tie).coupling
-    weight = coupling.weight.max(axis=1, initial=0.0)[:, None]
-    total = problem.comm.allreduce((weight * coupling.normals).sum(axis=0), op=MPI.SUM)
-    length, area = float(np.linalg.norm(total)), problem.comm.allreduce(weight.sum(), op=MPI.SUM)
-    return np.asarray(total / length if length > AROUND * area else 0.0 * total)
+def _failure(
+    ties: Sequence[Tie],
+    forces: Sequence[float],
+    axes: Sequence[Floats],
+    cause: str,
+    report: StepReport,
+) -> PreloadNotReached:
+    """Return the error of a preload that is not reached."""
+    bolts = [
+        f"{force:g} along the direction [{', '.join(f'{x:.4g}' for x in n)}] of {tie}"
+        for tie, force, n in zip(ties, forces, axes, strict=True)
+    ]
+    return PreloadNotReached(
+        f"force {'; '.join(bolts)}: {cause}. The force may be more than the bolt's stiffness gives "
+        "(check units, of force and stiffness). Where smaller steps help, tighten in parts, by "
+        "calls with rising forces. Displacement, jump and committed state are as before",
+        report,
+    )
 
 
 @contextmanager
-def _all_as_before(problem: ContactProblem, ties: Sequence[Tie]) -> Iterator[None]:
+def _pulled(ties: Sequence[Tie], forces: Sequence[float], axes: Sequence[Floats]) -> Iterator[None]:
+    """Give ties their pretensions for a step."""
+    directions = [tie.direction for tie in ties]
+    for tie, force, n in zip(ties, forces, axes, strict=True):
+        tie.pretension, tie.direction = float(force), n
+    try:
+        yield
+    finally:
+        for tie, direction in zip(ties, directions, strict=True):
+            tie.pretension, tie.direction = None, direction
+
+
+@contextmanager
+def _all_as_before(problem: ContactProblem) -> Iterator[None]:
     """Put displacement, results, tightenings and contact set back if something fails."""
     u, shown, contacts = problem.u.x.array.copy(), problem.solid.keep(), problem.committed.contacts
-    supports, tightenings = problem.committed.supports, [tie.tightening for tie in ties]
+    supports = problem.committed.supports
     results = [(one, one.keep()) for one in problem.interfaces]
     try:
         yield
@@ -250,8 +250,6 @@ def _all_as_before(problem: ContactProblem, ties: Sequence[Tie]) -> Iterator[Non
         problem.u.x.array[:] = u
         problem.solid.put_back(shown)
         problem.committed.contacts, problem.committed.supports = contacts, supports
-        for tie, tightening in zip(ties, tightenings, strict=True):
-            tie.tightening = tightening
         for one, kept in results:
             one.put_back(kept)
         raise

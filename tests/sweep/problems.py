@@ -73,7 +73,7 @@ def _two_bodies(
         for value, tag in zip(values, (1, 2), strict=True)
     ]
     if data.get("kinematics") == "axisymmetric":
-        W, axis = V.sub(0), facet_tags.find(dm.meshing.AXIS)
+        W, axis = V.sub(0), facet_tags.find("axis")
         held = fem.locate_dofs_topological(W, d - 1, axis)
         bcs.append(fem.dirichletbc(fem.Constant(domain, 0.0), held, W))
     tilt, path = data["tilt"], data.get("path")

@@ -32,6 +32,10 @@ FLOWING = 0.9
 """Share of a body that has to flow for a limit load."""
 CUTS = 10
 """Halvings of a step, more than by default: so near to its limit load does such a body flow."""
+LIMIT_LOAD = "limit load"
+"""A body that does not harden flows."""
+LARGE = "beyond small strain"
+"""A body has strained or turned further than a small strain describes."""
 
 
 @dataclass
@@ -42,13 +46,18 @@ class Outcome:
     seed: int
     data: dict[str, Any]
     failure: str = ""  # why it failed
-    limit_load: bool = False  # it failed because a body that does not harden flows, or far too far
+    excuse: str = ""  # LIMIT_LOAD or LARGE where no solver could do better
     iterations: list[int] = field(default_factory=list)  # of Newton, one per committed part
     steps: int = 0  # committed steps
     cuts: int = 0  # parts in excess of the steps
     residuals: dict[str, float] = field(default_factory=dict)  # worst over the steps
     warnings: list[str] = field(default_factory=list)
     seconds: float = 0.0
+
+    @property
+    def is_failed(self) -> bool:
+        """Tell whether it failed without an excuse."""
+        return bool(self.failure) and not self.excuse
 
 
 class TooLong(Exception):
@@ -67,8 +76,8 @@ def run(kind: str, seed: int, surface: str = "smooth") -> Outcome:
             _solve(case, outcome)
         except Exception as error:
             outcome.failure = f"{type(error).__name__}: {error}"
-            stopped = isinstance(error, dm.NewtonNotConverged)
-            outcome.limit_load = stopped and case is not None and (flows(case) or is_large(case))
+            if case is not None and isinstance(error, dm.NewtonNotConverged):
+                outcome.excuse = _excuse(case)
     worst = max(outcome.residuals.values(), default=0.0, key=_badness)
     if not outcome.failure and not worst <= TOLERANCE:
         outcome.failure = f"the solution does not pass the check: {outcome.residuals}"
@@ -95,6 +104,13 @@ def _solve(case: RandomProblem, outcome: Outcome) -> None:
 
 def _badness(value: float) -> float:
     return float("inf") if value != value else value
+
+
+def _excuse(case: RandomProblem) -> str:
+    """Return why the step that did not converge may have no solution, or nothing; collective."""
+    if flows(case):
+        return LIMIT_LOAD
+    return LARGE if is_large(case) else ""
 
 
 def flows(case: RandomProblem) -> bool:

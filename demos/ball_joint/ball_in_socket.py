@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: MIT
+"""The mesh of the demo: a quarter of a ball in a socket that is a little larger.
+
+Hexahedra are mapped from cubes in shells: a cube in the middle of the ball, and shells that become
+spheres towards the surface; around it shells that end at the sides of the block. Tetrahedra come
+from gmsh.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.meshing.graded_octant import graded_octant
+from dolfinx_mortar.meshing.two_bodies import (
+    ON_PLANE,
+    Arrays,
+    TaggedMesh,
+    distribute,
+    exterior_facets,
+    gmsh_model,
+    name_parts,
+    read_cells,
+    set_graded_size,
+)
+
+BLOCK_SIZE = 2.5  # half the edge of the block over the socket's radius
+CORE = 0.5  # edge of the cube in the ball, and extent of the finest tetrahedra, over the radius
+COARSEST = 4.0  # largest size of the tetrahedra over h
+
+
+def ball_in_socket(
+    comm: MPI.Intracomm,
+    *,
+    cell: str = "tetrahedron",
+    h: tuple[float, float] = (1.0, 1.0),
+    radius: float = 10.0,
+    clearance: float = 0.1,
+) -> TaggedMesh:
+    """Mesh a quarter of a half ball in a block with a socket for it (collective).
+
+    The socket is the lower half of a sphere of this ``radius`` around the origin, in the block
+    [-2.5 R, 2.5 R]^2 x [-2.5 R, 0]. The lower half of a ball of the radius ``radius - clearance``
+    touches it at (0, 0, -R). The quarter x, y >= 0 of both is meshed. Bodies: "block", "ball".
+    Sides: "bottom" and "socket" of the block, "flat" and "sphere" of the ball, "symmetry_x" and
+    "symmetry_y", on x = 0 and y = 0.
+
+    Args:
+        comm: Communicator of the mesh; it is created on rank 0 and distributed.
+        cell: "hexahedron" or "tetrahedron" (which needs gmsh).
+        h: Element sizes of block and ball where they touch [mm], at most half of the radius.
+        radius: Radius of the socket [mm].
+        clearance: How much smaller that of the ball is [mm], at most half of the radius.
+    """
+    R, r = radius, radius - clearance
+
+    def create() -> tuple[Arrays, Arrays]:
+        make = (
+            (_block_of_hexahedra, _ball_of_hexahedra)
+            if cell == "hexahedron"
+            else (_block_of_tetrahedra, _ball_of_tetrahedra)
+        )
+        block, (x, cells) = make[0](R, h[0]), make[1](r, h[1])
+        return block, (x - [0.0, 0.0, R - r], cells)
+
+    mesh, first = distribute(comm, create, cell)
+    mesh.name = "socket"
+    in_block = mesh.topology.original_cell_index < first
+    facets, block_side, x = exterior_facets(mesh, in_block)
+    tolerance = ON_PLANE * R
+
+    def at(axis: int, position: float) -> Bools:
+        return np.abs(x[:, :, axis] - position).max(axis=1, initial=0.0) < tolerance
+
+    from_centre = np.abs(np.linalg.norm(x, axis=2) - R).max(axis=1, initial=0.0)
+    flat = ~block_side & at(2, r - R)
+    sides = {
+        "bottom": block_side & at(2, -BLOCK_SIZE * R),
+        "flat": flat,
+        "socket": block_side & (from_centre < tolerance),
+        "sphere": ~block_side & ~flat,
+        "symmetry_x": at(0, 0.0),
+        "symmetry_y": at(1, 0.0),
+    }
+    return name_parts(mesh, in_block, ("block", "ball"), facets, sides)
+
+
+def _on_sphere(p: Floats) -> Floats:
+    """Return points of the unit sphere at equal angles, for points of the unit cube's far faces."""
+    angles = np.tan(0.25 * np.pi * p)
+    return np.asarray(angles / np.linalg.norm(angles, axis=1, keepdims=True))
+
+
+def _ball_of_hexahedra(r: float, h: float) -> Arrays:
+    n = int(np.ceil(0.5 * np.pi * r / h / 2))
+    x, cells = graded_octant(CORE * r, n, r, lambda p: r * _on_sphere(p))
+    return x * [1.0, 1.0, -1.0] + 0.0, cells
+
+
+def _block_of_hexahedra(R: float, h: float) -> Arrays:
+    n = int(np.ceil(0.5 * np.pi * R / h / 2))
+    x, cells = graded_octant(1.0, n, BLOCK_SIZE, lambda p: BLOCK_SIZE * p)
+    used, cells = np.unique(cells[n**3 :], return_inverse=True)  # without the cube
+    level = x[used].max(axis=1, keepdims=True)
+    p, s = x[used] / level, (level - 1.0) / (BLOCK_SIZE - 1.0)
+    x = R * ((1.0 - s) * _on_sphere(p) + s * BLOCK_SIZE * p)
+    return x * [1.0, 1.0, -1.0] + 0.0, cells.reshape(-1, 8)
+
+
+def _octant(gmsh: Any, r: float) -> tuple[int, int]:
+    """Add an octant x, y >= 0, z <= 0 of a ball; the pole of its surface is away from contact."""
+    part = (3, gmsh.model.occ.addSphere(0, 0, 0, r, -1, 0.0, np.pi / 2, np.pi / 2))
+    gmsh.model.occ.rotate([part], 0, 0, 0, 0, 1, 0, np.pi / 2)
+    return part
+
+
+def _ball_of_tetrahedra(r: float, h: float) -> Arrays:
+    with gmsh_model() as gmsh:
+        _octant(gmsh, r)
+        return _tetrahedra(gmsh, r, h)
+
+
+def _block_of_tetrahedra(R: float, h: float) -> Arrays:
+    with gmsh_model() as gmsh:
+        edge = BLOCK_SIZE * R
+        block = (3, gmsh.model.occ.addBox(0, 0, -edge, edge, edge, edge))
+        gmsh.model.occ.cut([block], [_octant(gmsh, R)])
+        return _tetrahedra(gmsh, R, h)
+
+
+def _tetrahedra(gmsh: Any, r: float, h: float) -> Arrays:
+    """Mesh the model; sizes grow from h around the point of contact (0, 0, -r)."""
+    gmsh.model.occ.synchronize()
+    points = np.array([gmsh.model.getValue(0, tag, []) for _, tag in gmsh.model.getEntities(0)])
+    nearest = int(np.linalg.norm(points - [0.0, 0.0, -r], axis=1).argmin())
+    origin = gmsh.model.getEntities(0)[nearest][1]
+    set_graded_size(gmsh, origin, h, core=CORE * r, limit=COARSEST, beyond=BLOCK_SIZE * r)
+    gmsh.model.mesh.generate(3)
+    return read_cells(gmsh, "tetrahedron")

@@ -1,0 +1,384 @@
+# SPDX-License-Identifier: MIT
+"""The geometry audit before the first step: errors and warnings about sides and bodies."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from dolfinx import fem
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.audit.far_ties import TieReach, measure_reach
+from dolfinx_mortar.audit.stand_off import (
+    StandOff,
+    find_stand_offs,
+    warning_on_facets,
+    warnings_on_straight_facets,
+)
+from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes, normals_at_nodes
+from dolfinx_mortar.interfaces.coupling import Link
+from dolfinx_mortar.interfaces.motions import relative_motions
+from dolfinx_mortar.interfaces.pretension import describe_shear
+from dolfinx_mortar.interfaces.system import InterfaceSystem
+from dolfinx_mortar.mortar.curvature_correction import count_edges
+from dolfinx_mortar.mortar.pairing import Pairing
+from dolfinx_mortar.mortar.surface import (
+    Surface,
+    facets_at,
+    mean_facet_length,
+    nodal_normals,
+)
+from dolfinx_mortar.supports.bodies import Bodies, Motion, free_motions
+from dolfinx_mortar.supports.dirichlet import Dirichlet
+
+log = logging.getLogger(__name__)
+
+# A slave facet this many times longer than the master's makes the contact pressure coarse.
+COARSE = 2.0
+# Facets whose normals have a larger product face away from each other; at a right angle, around a
+# corner, they merely have no partners.
+BACK = 0.1
+# Sides with common nodes that overlap by this part of a body's radius face each other through it.
+DEEP = 0.5
+ROUND_OFF = 1e-14  # of the square of a sine
+# What is said of bodies that nothing holds where the overlap of a tie is free
+PRETENSION_HINT = (
+    ". A tie with a pretension does not hold its sides against its direction: supports, other ties "
+    "or contacts have to, at both ends of the bolt"
+)
+# Gaps below this share of the coordinates are printed as zero.
+EXACT = 1e-12
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Where smooth surfaces keep their facets: nodes of both sides, all ranks."""
+
+    feature_angle: float  # degrees between facets from which on they meet in an edge
+    nodes: int  # on edges
+    without_normal: int  # of these: at a cusp, or between opposite facets
+
+    def __str__(self) -> str:
+        """Return a part of a line."""
+        return f"{self.nodes} nodes on edges of {self.feature_angle:g} degrees or more"
+
+
+@dataclass(frozen=True)
+class InterfaceAudit:
+    """Counts over one interface, all ranks."""
+
+    name: str
+    slave_facets: int
+    master_facets: int
+    slave_nodes: int
+    kept_nodes: int  # carry a multiplier
+    uncovered_nodes: int  # face no master: gap not-a-number, "facing" 0
+    removed_nodes: int  # face one, but without a multiplier (Dirichlet, claims)
+    dirichlet_nodes: int  # face one, but Dirichlet data leave no direction to act in
+    facing_away: int  # slave facets that touch master facets, but do not face them
+    size_ratio: float  # mean slave facet length over mean master facet length
+    least_gap: float  # smallest distance of a kept node to the master, negative in an overlap
+    largest_gap: float
+    edges: Edges | None = None  # of smooth surfaces
+    reach: TieReach | None = None  # of ties
+
+    def __str__(self) -> str:
+        """Return one line."""
+        gap = f"gaps from {self.least_gap:.3g} to {self.largest_gap:.3g}"
+        if self.least_gap < 0.0:
+            gap += f" (overlap {-self.least_gap:.3g})"
+        return (
+            f"{self.name}: {self.slave_facets} slave and {self.master_facets} master facets, "
+            f"{self.kept_nodes} of {self.slave_nodes} slave nodes carry a multiplier, "
+            f"{self.uncovered_nodes} face no master, {self.removed_nodes} removed, {gap}"
+            + "".join(f", {part}" for part in (self.edges, self.reach) if part)
+        )
+
+
+@dataclass(frozen=True)
+class Audit:
+    """What the audit found."""
+
+    bodies: int
+    interfaces: list[InterfaceAudit]
+    held_by_contact: list[str]  # names of bodies that nothing but contact holds
+    warnings: list[str]
+    stand_offs: list[StandOff] = field(default_factory=list)  # of contacts between facets
+
+    def __str__(self) -> str:
+        """Return one line per interface and warning."""
+        lines = [f"{self.bodies} bodies, {len(self.interfaces)} interfaces"]
+        lines += [str(i) for i in self.interfaces]
+        return "\n".join(lines + [f"warning: {w}" for w in self.warnings])
+
+    __repr__ = __str__  # what notebooks show
+
+
+def create_audit(
+    bodies: Bodies,
+    system: InterfaceSystem,
+    supports: Dirichlet,
+    x: PETSc.Vec,
+    springs: Callable[[PETSc.Vec], Floats],
+    *,
+    at: fem.Function | None,
+    increment: float,
+) -> Audit:
+    """Audit bodies and interfaces whose pairings exist; collective.
+
+    Args:
+        bodies: the connected parts of the mesh.
+        system: the interfaces.
+        supports: the Dirichlet conditions.
+        x: (n,) present coordinates X + u.
+        springs: resistance of the potential to a motion, relative to the stiffest.
+        at: displacement at which contacts are taken, None for X.
+        increment: largest prescribed increment of the step that follows, 0 if not known.
+
+    Raises:
+        ValueError: if a body can move rigidly without any resistance.
+    """
+    links = system.links
+    loose = find_loose_motions(bodies, system, supports, springs)
+    if loose:
+        reaches = [reach for link in links if (reach := measure_reach(link))]
+        raise ValueError(
+            "bcs, interfaces: nothing holds the bodies against "
+            + "; ".join(loose)
+            + ". Prescribe these motions (bcs), or check slave and master tags"
+            + (PRETENSION_HINT if system.pretensions else "")
+            + "".join(reach.hint for reach in reaches)
+        )
+    for link in links:
+        _check_sides(link, bodies, x, increment)
+    found = [_audit(link, x) for link in links]
+    stand_offs = find_stand_offs(links, at)
+    contacts = any(link.interface.one_sided for link in links)
+    free = free_motions(bodies, _held_motions(system, supports, springs)) if contacts else []
+    by_contact = list(dict.fromkeys(motion.partition(" of ")[2] for motion in free))
+    warnings = list(system.notes)
+    if by_contact:
+        warnings.append(f"contact alone holds {'; '.join(by_contact)}: the loads must press it on")
+    shears = [describe_shear(links[one.number], one.axis) for one in system.pretensions]
+    warnings += [shear for shear in shears if shear]
+    for link, i in zip(links, found, strict=True):
+        of_facets = next((s for s in stand_offs if s.interface is link.interface), None)
+        pressed = max(increment, -i.least_gap) / float(bodies.radius.max())
+        warnings += _warnings(i, of_facets, pressed)
+        warnings += warnings_on_straight_facets(link, link.interface.configuration(at))
+    audit = Audit(bodies.count, found, by_contact, warnings, stand_offs)
+    if bodies.V.mesh.comm.rank == 0:
+        log.info("%s", "; ".join(map(str, found)) or "no interface")
+        for warning in warnings:
+            log.warning("%s", warning)
+    return audit
+
+
+def find_loose_motions(
+    bodies: Bodies,
+    system: InterfaceSystem,
+    supports: Dirichlet,
+    springs: Callable[[PETSc.Vec], Floats],
+) -> list[str]:
+    """Return the names of the rigid motions that nothing resists, see `create_audit`; collective.
+
+    A tie with a pretension resists all but the overlap of its sides.
+    """
+    one_sided = [link for link in system.links if link.interface.one_sided]
+    contacts = [link.constrained_motion for link in one_sided]
+    facets = [_facet_motion(link) for link in one_sided]
+    return free_motions(bodies, _held_motions(system, supports, springs), contacts, facets)
+
+
+def _held_motions(
+    system: InterfaceSystem, supports: Dirichlet, springs: Callable[[PETSc.Vec], Floats]
+) -> list[Motion]:
+    """Return what supports, springs and ties resist."""
+    held: list[Motion] = [lambda v: v.array_r[supports.owned.ravel()], springs]
+    released = {pretension.number: pretension for pretension in system.pretensions}
+    for k, link in enumerate(system.links):
+        if k in released:
+            held.append(released[k].held_motion(link))
+        elif not link.interface.one_sided:
+            held.append(link.constrained_motion)
+    return held
+
+
+def _facet_motion(link: Link) -> Motion:
+    """Return the part of a relative motion that is within the error of facet normals; collective.
+
+    Averaged normals of uneven facets are off those of the true side, at most by half the angle
+    between facet and nodal normal in the mean (a quarter of the facets' unevenness of it on a
+    circle): sliding along the side shows as much normal motion. Flat sides have no such part. The
+    slips are vectors, for a length is not linear in the motion.
+    """
+    comm = link.sides.V.mesh.comm
+    edge = link.interface.feature_angle
+    angle = max(facet_angle(side, edge, comm) for side in (link.sides.slave, link.sides.master))
+    kept = link.coupling.directions[:, 0]
+    normals = link.coupling.normals[kept]
+
+    def motion(v: PETSc.Vec) -> Floats:
+        relative = relative_motions(link, v)[0, kept]  # contacts have one choice of nodes
+        along = (relative * normals).sum(axis=1, keepdims=True)
+        return np.asarray(0.5 * angle * (relative - along * normals))
+
+    return motion
+
+
+def facet_angle(surface: Surface, feature_angle: float, comm: MPI.Comm) -> float:
+    """Return the root mean square angle between facet and nodal normals at X; collective.
+
+    Without those at edges, where facets meet at the feature angle or more (degrees).
+    """
+    across = normals_at_nodes(facets_at(surface, surface.X))
+    at_nodes = nodal_normals(surface, surface.X)[surface.facets]
+    cosine = np.einsum("mki,mki->mk", across, at_nodes)
+    sine2 = np.clip(1.0 - cosine[cosine > np.cos(np.radians(feature_angle / 2))] ** 2, 0.0, 1.0)
+    sine2[sine2 < ROUND_OFF] = 0.0
+    total = comm.allreduce(np.array([sine2.sum(), float(sine2.size)]), op=MPI.SUM)
+    return float(np.arcsin(np.sqrt(total[0] / max(total[1], 1.0))))
+
+
+def _warnings(i: InterfaceAudit, facets: StandOff | None, pressed: float) -> list[str]:
+    """Return the warnings about an interface.
+
+    Args:
+        i: the counts.
+        facets: how they stand for curved sides, if they do.
+        pressed: overlap or increment over the size of a body.
+    """
+    warnings = []
+    if i.kept_nodes == 0:
+        warnings.append(
+            f"{i.name}: no slave node carries a multiplier, so it does nothing; check the "
+            "tags, or let the other side be the slave if this one has Dirichlet data"
+        )
+    if i.reach is not None and i.reach.warning:
+        warnings.append(i.reach.warning)
+    if facets is not None and facets.matters(pressed):
+        warnings.append(warning_on_facets(facets, finer=i.size_ratio < 1.0))
+    if i.edges is not None and i.edges.without_normal:
+        warnings.append(
+            f"{i.name}: {i.edges.without_normal} nodes have no normal, because facets there look "
+            "away from each other; the facets count there, not the smooth surface"
+        )
+    if i.size_ratio > COARSE and not (facets is not None and facets.close):
+        warnings.append(
+            f"{i.name}: slave facets are {i.size_ratio:.1f} times as long as master facets; "
+            "let the finer side be the slave"
+        )
+    if i.facing_away:
+        warnings.append(
+            f"{i.name}: {i.facing_away} slave facets turn their back on the master side; "
+            "mark only facets that can touch"
+        )
+    if i.dirichlet_nodes:
+        warnings.append(
+            f"{i.name}: at {i.dirichlet_nodes} slave nodes that face the master, Dirichlet data "
+            "prescribe the motion that the interface would constrain, and win; let the other side "
+            "be the slave, or prescribe less"
+        )
+    return warnings
+
+
+def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec, increment: float) -> None:
+    """Raise a ValueError on all ranks if two sides face each other only through their bodies.
+
+    That is so if every slave node is deeper inside the master body than any body is large, and
+    deeper than the prescribed motions of both sides, for which smaller steps help; smaller overlaps
+    are ordinary input. Where the two sides are parts of one surface, it is so as soon as a slave
+    node lies that deep (faces of a crack share nodes, too, but do not overlap), or if all facets
+    that face each other do so across the body.
+    """
+    interface, kept = link.interface, link.coupling.kept.all(axis=1)
+    normal = -link.gaps(x)
+    shallowest, deepest, some, joined, facing, reached = maximum(
+        bodies.V.mesh.comm,
+        (-normal[kept]).max(initial=-np.inf),
+        normal[kept].max(initial=-np.inf),
+        kept.any(),
+        (link.sides.on_slave & link.sides.on_master).any(),
+        float(len(link.pairing.pairs)),
+        link.coupling.coverage.reached.any(),
+    )
+    if joined and (deepest > DEEP * bodies.radius.max() or (facing and not reached)):
+        how_deep = f", {deepest:.3g} deep" if some else ""
+        raise ValueError(
+            f"{interface.sides} are parts of one surface "
+            f"that meets itself through its body{how_deep}; mark only the parts that can touch"
+        )
+    if some and -shallowest > bodies.radius.max() + 2.0 * increment:
+        raise ValueError(
+            f"{interface.sides} can never meet: all slave "
+            f"nodes lie at least {-shallowest:.3g} beyond the master side; check the tags"
+        )
+
+
+def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
+    """Count over the slave side of one interface; collective."""
+    sides, kept = link.sides, link.coupling.kept.any(axis=1)
+    covered = link.coupling.coverage.faces | kept
+    gap = link.gaps(x)[kept]
+    least, largest = maximum(
+        sides.V.mesh.comm, (-gap).max(initial=-np.inf), gap.max(initial=-np.inf)
+    )
+    left_out = covered & ~kept & ~link.coupling.coverage.weightless
+    prescribed = left_out & sides.fixed[link.nodes].any(axis=1)
+    counts = sides.V.mesh.comm.allreduce(
+        np.array(
+            [
+                *(len(s.facets) for s in (sides.slave, sides.master)),
+                len(link.nodes),
+                kept.sum(),
+                (~covered).sum(),
+                (covered & ~kept).sum(),
+                (prescribed & ~link.banned[link.nodes]).sum(),
+                _count_facing_away(link.pairing),
+            ]
+        ),
+        op=MPI.SUM,
+    )
+    lengths = [mean_facet_length(s) for s in (sides.slave, sides.master)]
+    ratio = float(lengths[0] / lengths[1])
+    # what is round-off of the coordinates is no gap
+    x = np.abs(sides.V.mesh.geometry.x).max(initial=0.0)
+    size = EXACT * max(float(lengths[0]), float(maximum(sides.V.mesh.comm, x)[0]))
+    ends = [0.0 if abs(end) < size or np.isinf(end) else float(end) for end in (-least, largest)]
+    edges = _edges(link) if link.pattern.smooth else None
+    row = *map(int, counts), ratio, *ends, edges, measure_reach(link)
+    return InterfaceAudit(repr(link.interface), *row)  # type: ignore[arg-type]
+
+
+def _edges(link: Link) -> Edges:
+    """Count where smooth surfaces keep their facets; collective."""
+    sides, angle = link.sides, link.interface.feature_angle
+    on_slave, on_master = (
+        count_edges(side, sides.fixed, angle) for side in (sides.slave, sides.master)
+    )
+    nodes, without = on_slave + on_master
+    return Edges(angle, int(nodes), int(without))
+
+
+def _count_facing_away(pairing: Pairing) -> int:
+    """Return how many slave facets of this rank touch a master facet that does not face them.
+
+    "Touch" means that the nearest master facet is within one facet length at X.
+    """
+    x_s = pairing.slave.X[pairing.slave.facets]
+    x_m = pairing.master_X[pairing.master_facets]
+    if len(x_s) == 0 or len(x_m) == 0:
+        return 0
+    distance, nearest = cKDTree(x_m.mean(axis=1)).query(x_s.mean(axis=1))
+    n_s = facet_normals(Facets(pairing.slave.element, x_s))
+    n_m = facet_normals(Facets(pairing.master.element, x_m))
+    opposed = np.einsum("mi,mi->m", n_s, n_m[nearest])
+    return int(((distance < facet_sizes(x_s)) & (opposed > BACK)).sum())

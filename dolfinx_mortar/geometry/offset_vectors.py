@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: MIT
+r"""How the offset vector between two tied points moves with the surface at its foot.
+
+Facets of two sides that stand for one surface do not touch: the points x_s and x_m of a segment
+are apart by the offset vector r = x_s - x_m, which moves with the bodies. To tie the points by
+u_s = u_m resists a rotation by strains of the size of r, and lets forces at both ends of r have a
+moment. What is right to first order is
+
+    u_s = u_m + (grad u) r_t - (r.n) (grad u)^T n + n (H : E),      r_t = r - (r.n) n
+
+with the surface gradient grad u = sum_l u_l grad N_l^T of the master's displacement at x_m and its
+normal n. The first two terms go on to the foot of x_s on the tangent plane and turn the rest of the
+vector with the normal, delta n = -(grad u)^T n: a rigid motion u = a + W x gives W r, exactly,
+whatever the surfaces and however far they are apart. Transposed, the force at x_s acts on the
+master with the moment that it has, so moments balance.
+
+The last term is the height of the smooth surfaces over the facets (`smooth`), which grows with the
+radius: H = 1/2 sum_{a<b} N_a N_b C_ab of both sides, of trace h, and the strain E of the surface,
+the symmetric tangential part of grad u. A dilatation u = c x of spheres makes h grow by c h; a
+rigid motion has no E, and plane sides no H.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.geometry.facets import Facets, surface_gradients
+
+
+def offset_motions(facets: Facets, which: Ints, xi: Floats, offsets: Floats, H: Floats) -> Floats:
+    """Return A_l (q, k, d, d) with which offsets move by sum_l A_l u_l.
+
+    A_l = (r.g_l) I - (r.n) g_l n^T + n (H_t g_l)^T with g_l = grad N_l and the tangential part H_t
+    of H.
+
+    Args:
+        facets: the facets (m,) from which the offsets start.
+        which: (q,) facet of each point.
+        xi: (q, d-1) its reference coordinates there.
+        offsets: r (q, d).
+        H: symmetric tensors (q, d, d) of the heights.
+    """
+    g, n = surface_gradients(facets, which, xi)
+    A = np.empty((*g.shape, g.shape[2]))
+    _fill(A, g, n, np.ascontiguousarray(offsets), np.ascontiguousarray(H))
+    return A
+
+
+# The kernel spells out its sums: array expressions take five times as long.
+
+
+@numba.njit(cache=True)
+def _fill(A, g, n, offsets, H):  # type: ignore[no-untyped-def]
+    """Write A_l (q, k, d, d) for gradients g (q, k, d) and normals n (q, d)."""
+    d = n.shape[1]
+    stretch = np.empty(d)  # H_t g_l
+    for q in range(A.shape[0]):
+        along = 0.0
+        for i in range(d):
+            along += offsets[q, i] * n[q, i]
+        for k in range(A.shape[1]):
+            over, out = 0.0, 0.0
+            for i in range(d):
+                over += offsets[q, i] * g[q, k, i]
+                stretch[i] = 0.0
+                for j in range(d):
+                    stretch[i] += H[q, i, j] * g[q, k, j]
+                out += stretch[i] * n[q, i]
+            for i in range(d):
+                for j in range(d):
+                    tangential = stretch[j] - out * n[q, j]
+                    A[q, k, i, j] = n[q, i] * tangential - along * g[q, k, i] * n[q, j]
+                A[q, k, i, i] += over

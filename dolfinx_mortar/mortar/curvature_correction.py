@@ -1,0 +1,353 @@
+# SPDX-License-Identifier: MIT
+"""The smooth surfaces that facets stand for: the gap between them, and how they are tied."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+import dolfinx
+from dolfinx.common import timed
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.geometry.curvature import (
+    NodeNormals,
+    common_sagittas,
+    curvatures,
+    edge_sagittas,
+    end_angles,
+    heights,
+    heights_of_arcs,
+    isotropic,
+    one_ring_sums,
+    sagitta_tensors,
+    unit,
+)
+from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
+from dolfinx_mortar.geometry.offset_vectors import offset_motions
+from dolfinx_mortar.geometry.segments import Segments
+from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
+from dolfinx_mortar.mortar.pairing import Pairing, receive, received_facets
+from dolfinx_mortar.mortar.surface import (
+    Surface,
+    coordinates,
+    facets_at,
+    sum_at_nodes,
+    thickness_stretches,
+)
+
+# How often edges are bent back in 3D. On a cylinder with uneven triangles, a tenth of its radius
+# long, normals are off by 4e-3 without (rms; 0.04 of the angle between facets), 3e-4 after one
+# time, 1e-4 after two and three; with half the size by 1.4e-3, 7e-5, 1.6e-5 and 1.3e-5.
+BENDS = 2
+# A jump of curvature in the plane changes it so many times more than both facets beyond do. It is
+# infinite for parts of constant curvature with three facets each, and never more than 2.7 on 800
+# ellipses with axes 1 : 1.2 to 4 and 6 to 96 facets a quarter, even, graded or displaced by .3 of
+# a facet, where it goes to 1 with the size of the facets.
+JUMP = 3.0
+
+
+def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: float) -> NodeNormals:
+    """Return the normals of the smooth surface at the nodes; collective.
+
+    There is none, and n = 0, where a facet looks away from the sum over all: at a cusp, between
+    opposite facets, and where a one-ring closes so that it cancels. On a plane of symmetry facets
+    are completed by their mirror images, which takes from the normal the components with Dirichlet
+    data; but not where that turns it by more than half of the feature angle: what holds the end of
+    a surface need not be its symmetry.
+
+    In space the sums of `one_ring_sums` are exact on spheres only. So edges are projected by what
+    the curvatures that these normals give differ from a sphere's, and summed anew.
+
+    Args:
+        surface: the surface.
+        x: coordinates (n, d) of its nodes.
+        fixed: (n, d) components of the nodes with Dirichlet data.
+        feature_angle: degrees between facets from which on they meet in an edge.
+    """
+    facets = facets_at(surface, x)
+    normals = _judge(surface, facets, one_ring_sums(facets), fixed, feature_angle)
+    for _ in range(BENDS if x.shape[1] > 2 else 0):
+        K = _bends(surface, facets, normals)[surface.facets]
+        parts = one_ring_sums(facets, normals.n[surface.facets], K)
+        normals = _judge(surface, facets, parts, fixed, feature_angle)
+    if x.shape[1] == 2:
+        normals = replace(normals, jumps=_find_jumps(surface, facets, normals))
+    return normals
+
+
+def _find_jumps(surface: Surface, facets: Facets, normals: NodeNormals) -> Bools:
+    """Return at which nodes (n,) in the plane the curvature jumps; collective.
+
+    Curvatures at nodes are the turn of the surface over the length of the facets there, its change
+    along facets is the difference of their ends'. A jump at a node spreads over its two facets, and
+    those beyond know nothing of it. Where these lie at an edge or a rim, nobody knows.
+    """
+    ends = surface.facets[:, :2]
+    turn, length = end_angles(facets, normals.n[ends])
+    halves = np.repeat(length[:, None] / 2, 2, axis=1)
+    total = _at_ends(surface, np.stack([turn, halves], axis=2))
+    curvature = total[:, 0] / np.maximum(total[:, 1], TINY)
+    known = normals.regular[ends].all(axis=1)
+    change = np.where(known, np.diff(curvature[ends], axis=1)[:, 0], 0.0)
+    both = np.stack([change, np.abs(change), known], axis=1)[:, None].repeat(2, axis=1)
+    across, around, count = _at_ends(surface, both).T
+    beyond = around[ends[:, ::-1]] - np.abs(change)[:, None]  # of the facet at the other end
+    size = np.abs(across)
+    largest = size[ends] > size[ends[:, ::-1]]  # beside long facets it spreads to short ones' ends
+    sure = (count[ends[:, ::-1]] == 2.0) & largest
+    others, neighbours = _at_ends(surface, np.stack([beyond, sure], axis=2)).T
+    feelable = size * total[:, 1] > HALF_OF_DIGITS  # an angle
+    return np.asarray((size > JUMP * others) & (neighbours == 2.0) & feelable)
+
+
+def _at_ends(surface: Surface, values: Floats) -> Floats:
+    """Return the sums (n, c) of values (m, 2, c) of lines and their ends; collective."""
+    m, k = surface.facets.shape
+    return sum_at_nodes(surface, np.concatenate([values, np.zeros((m, k - 2, values.shape[2]))], 1))
+
+
+def _bends(surface: Surface, facets: Facets, normals: NodeNormals) -> Floats:
+    """Return the curvatures (n, d, d) at the nodes by which edges are projected; collective.
+
+    The means over the facets of a one-ring that have regular normals only, without the part of a
+    sphere, for which the sums are exact.
+    """
+    K = curvatures(facets, edge_sagittas(facets, normals, surface.facets))
+    known = np.asarray(normals.regular[surface.facets].all(axis=1))
+    K = (K - isotropic(facets, K)) * known[:, None, None]
+    columns = np.column_stack([K.reshape(-1, 9), known])[:, None]
+    total = sum_at_nodes(surface, np.repeat(columns, surface.facets.shape[1], axis=1))
+    return np.asarray((total[:, :-1] / np.maximum(total[:, -1:], 1.0)).reshape(-1, 3, 3))
+
+
+def _judge(
+    surface: Surface,
+    facets: Facets,
+    parts: tuple[Floats, Floats],
+    fixed: Bools,
+    feature_angle: float,
+) -> NodeNormals:
+    """Return the normals of sums over one-rings, and what they are good for; collective."""
+    n, around = parts
+    columns = np.concatenate([n, around, np.abs(around).sum(axis=2, keepdims=True)], axis=2)
+    total = sum_at_nodes(surface, columns)
+    d = fixed.shape[1]
+    n, gap, size = unit(total[:, :d]), total[:, d:-1], total[:, -1]
+    is_open = np.linalg.norm(gap, axis=1) > HALF_OF_DIGITS * size
+    mirrored = unit(np.where(fixed, 0.0, n))
+    turn = np.einsum("ni,ni->n", mirrored, n)
+    straightened = is_open & fixed.any(axis=1) & (turn > np.cos(np.radians(feature_angle / 2)))
+    completed = straightened
+    if d > 2:  # one mirror closes a one-ring that begins and ends on it; in the plane any does
+        off_plane = np.linalg.norm(np.where(fixed, gap, 0.0), axis=1) > HALF_OF_DIGITS * size
+        completed = straightened & ((fixed.sum(axis=1) > 1) | ~off_plane)
+    n = np.where(straightened[:, None], mirrored, n)  # where a rim meets the plane, too
+    along = np.einsum("mki,mi->mk", n[surface.facets], facet_normals(facets))
+    limits = np.cos(np.radians(feature_angle / 2)), HALF_OF_DIGITS
+    beyond = np.stack([along < limit for limit in limits], axis=2)
+    counts = sum_at_nodes(surface, beyond)
+    n = np.where(counts[:, 1:] > 0, 0.0, n)
+    sharp = counts.max(axis=1) > 0
+    return NodeNormals(n, np.asarray(is_open & ~completed), np.asarray(sharp))
+
+
+@dataclass(frozen=True)
+class SmoothSide:
+    """The smooth surface over the facets of one side, at X."""
+
+    facets: Facets  # (m,)
+    normals: NodeNormals  # of all nodes
+    nodes: Ints  # (m, k) which of them are the facets'
+    sagitta: Floats  # (m, e) c_ab of `edge_sagittas`
+
+
+@timed("~Mortar: smooth surfaces")
+def find_smooth_sides(
+    pairing: Pairing, fixed: Bools, feature_angle: float
+) -> tuple[SmoothSide, SmoothSide]:
+    """Return the smooth surfaces of the slave and of the received master facets; collective.
+
+    Args:
+        pairing: the pair of surfaces.
+        fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
+        feature_angle: see `smooth_normals`.
+    """
+    slave, master = pairing.slave, pairing.master
+    n_s = smooth_normals(slave, slave.X, fixed[slave.nodes], feature_angle)
+    own = smooth_normals(master, master.X, fixed[master.nodes], feature_angle)
+    n_m = _received(pairing, own)
+    return (
+        _smooth_side(facets_at(slave, slave.X), n_s, slave.facets),
+        _smooth_side(received_facets(pairing, None), n_m, pairing.master_facets),
+    )
+
+
+def _smooth_side(facets: Facets, normals: NodeNormals, nodes: Ints) -> SmoothSide:
+    return SmoothSide(facets, normals, nodes, edge_sagittas(facets, normals, nodes))
+
+
+@dataclass(frozen=True)
+class Curved:
+    """Facets of one side where they are now, and the smooth surface over them."""
+
+    facets: Facets  # (m,)
+    sagitta: Floats  # (m, e) c_ab of `edge_sagittas`
+    K: Floats  # (m, d, d) their curvatures
+
+
+def find_curved(
+    pairing: Pairing,
+    u: dolfinx.fem.Function | None,
+    sides: tuple[SmoothSide, SmoothSide],
+    pairs: Ints,
+) -> tuple[Curved, Curved]:
+    """Return the slave's and the master's facets of pairs, with their curvatures; collective.
+
+    The facets are those at X + u, the c_ab those at X, which rigid motions keep: normals of
+    deformed facets would follow every node that comes into contact, and Newton these.
+
+    Args:
+        pairing: the pair of surfaces.
+        u: displacement, None for X.
+        sides: their smooth surfaces at X.
+        pairs: (p,) which of the candidate pairs.
+    """
+    s, m = pairing.pairs[pairs, 0], pairing.pairs[pairs, 1]
+    slave = facets_at(pairing.slave, coordinates(pairing.slave, u))
+    return _curved(sides[0], slave, s), _curved(sides[1], received_facets(pairing, u), m)
+
+
+def _curved(side: SmoothSide, moved: Facets, which: Ints) -> Curved:
+    once, again = np.unique(which, return_inverse=True)  # a facet is in several pairs
+    facets, sagitta = moved[once.astype(np.int32)], side.sagitta[once]
+    K = curvatures(facets, sagitta)
+    return Curved(moved[which], sagitta[again], K[again])
+
+
+def _meeting(segments: Segments) -> tuple[Ints, Ints]:
+    """Return the pairs that meet (p,), and which of them each point belongs to (q,)."""
+    pairs, of = np.unique(segments.pair, return_inverse=True)
+    return pairs.astype(np.int32), of.astype(np.int32)
+
+
+@timed("~Mortar: heights")
+def point_heights(
+    pairing: Pairing,
+    segments: Segments,
+    u: dolfinx.fem.Function | None,
+    sides: tuple[SmoothSide, SmoothSide],
+) -> Floats:
+    """Return by how much (q,) the smooth surfaces are nearer than the facets; collective.
+
+    The facets of both sides stand off the surface that these share where they touch; those of
+    second order, which bend, each off its own. Their middles move with the bodies below (or above)
+    the surface, so that they stand off by h (1 + e_n) with the strain e_n along the normal. With h
+    alone vertices and middles have gaps that differ by h e_n, whose pressures, E h e_n over the
+    length of a facet, are of first order: 10 % between heated rings of 18 and 24 facets. At X,
+    where no strain is known, they remain.
+
+    Args:
+        pairing: the pair of surfaces.
+        segments: its segments at X + u.
+        u: displacement, None for X.
+        sides: the smooth surfaces at X.
+    """
+    pairs, of = _meeting(segments)
+    a, b = find_curved(pairing, u, sides, pairs)
+    c_s, c_m = a.sagitta, b.sagitta
+    second = pairing.slave.element.degree > 1
+    if not second:
+        c_s, c_m = common_sagittas(a.facets, c_s, b.K), common_sagittas(b.facets, c_m, a.K)
+    elif u is not None:
+        s, m = _facet_stretches(pairing, u)
+        c_s, c_m = c_s * s[pairing.pairs[pairs, 0]], c_m * m[pairing.pairs[pairs, 1]]
+    h_s = heights(a.facets, c_s, of, segments.xi_s)
+    h_m = heights(b.facets, c_m, of, segments.xi_m)
+    if second and u is not None and pairing.slave.X.shape[1] == 2:
+        h_s = heights_of_arcs(a.facets, c_s[:, 0], of, h_s)
+        h_m = heights_of_arcs(b.facets, c_m[:, 0], of, h_m)
+    return np.asarray(h_s + h_m)
+
+
+def _facet_stretches(pairing: Pairing, u: dolfinx.fem.Function) -> tuple[Floats, Floats]:
+    """Return by which factors heights have grown on slave (m, 1) and master facets; collective."""
+    slave, own = (thickness_stretches(side, u) for side in (pairing.slave, pairing.master))
+    columns = np.zeros((len(own), pairing.slave.X.shape[1]))
+    columns[:, 0] = own
+    master = receive(pairing, columns)[:, 0]
+    of_slave = slave[pairing.slave.facets].mean(axis=1, keepdims=True)
+    return of_slave, master[pairing.master_facets].mean(axis=1, keepdims=True)
+
+
+def point_motions(
+    segments: Segments, sides: tuple[SmoothSide, SmoothSide]
+) -> Callable[[slice], Floats]:
+    """Return a function that gives A_l (q, k, d, d) at a part of the points.
+
+    By these the offsets from master to slave move, see `dolfinx_mortar.geometry.offset_vectors`.
+
+    Args:
+        segments: the segments at X.
+        sides: the smooth surfaces at X.
+    """
+    slave, master = sides
+    C_s, C_m = (sagitta_tensors(s.facets, s.normals, s.nodes) for s in sides)
+
+    def at(part: slice) -> Floats:
+        s, m = segments.slave[part], segments.master[part]
+        xi_s, xi_m = segments.xi_s[part], segments.xi_m[part]
+        H = heights(slave.facets, C_s, s, xi_s) + heights(master.facets, C_m, m, xi_m)
+        offsets = points_of(slave.facets, s, xi_s) - points_of(master.facets, m, xi_m)
+        return offset_motions(master.facets, m, xi_m, offsets, H)
+
+    return at
+
+
+def find_parting(
+    pairing: Pairing,
+    segments: Segments,
+    u: dolfinx.fem.Function | None,
+    sides: tuple[SmoothSide, SmoothSide],
+) -> float:
+    """Return the mean of |k_s + k_m| over that of the larger of |k_s|, |k_m|, k = tr K; collective.
+
+    Over the area where the sides face each other: 1 for a ball on a plane, c / R for a pin in a
+    hole of radius R with the clearance c, infinite for planes, which have no facets to speak of.
+    The arguments are those of `point_heights`.
+    """
+    pairs, of = _meeting(segments)
+    size = np.bincount(of, segments.weight, minlength=len(pairs))
+    k_s, k_m = (
+        np.trace(side.K, axis1=1, axis2=2) for side in find_curved(pairing, u, sides, pairs)
+    )
+    local = np.array([size @ np.abs(k_s + k_m), size @ np.maximum(np.abs(k_s), np.abs(k_m))])
+    apart, curved = pairing.slave.V.mesh.comm.allreduce(local)
+    return float(apart / curved) if curved > 0.0 else np.inf
+
+
+def count_edges(surface: Surface, fixed: Bools, feature_angle: float) -> Ints:
+    """Return how many nodes lie on an edge at X, and how many of them have no normal; collective.
+
+    Args:
+        surface: the surface.
+        fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
+        feature_angle: see `smooth_normals`.
+    """
+    normals = smooth_normals(surface, surface.X, fixed[surface.nodes], feature_angle)
+    none = np.abs(normals.n).max(axis=1) == 0.0
+    local = [marks[: surface.owned].sum() for marks in (normals.sharp, none)]
+    return np.asarray(surface.V.mesh.comm.allreduce(np.array(local, dtype=np.int32)))
+
+
+def _received(pairing: Pairing, own: NodeNormals) -> NodeNormals:
+    """Return the normals at the master nodes that this rank has received; collective."""
+    kind = np.zeros_like(own.n)
+    kind[:, 0], kind[:, 1] = own.open, own.sharp
+    n, kind = receive(pairing, own.n), receive(pairing, kind)
+    found = NodeNormals(n, kind[:, 0] > 0.5, kind[:, 1] > 0.5)
+    if own.jumps is None:
+        return found
+    jumps = receive(pairing, np.repeat(own.jumps[:, None].astype(float), own.n.shape[1], axis=1))
+    return replace(found, jumps=jumps[:, 0] > 0.5)

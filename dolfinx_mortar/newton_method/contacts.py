@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: MIT
+"""The active set of an iterate and its Lagrange multipliers: the warm start of the next QP."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.interfaces.constraints import SlipLimits
+from dolfinx_mortar.newton_method.linearisation import Balance, Linearisation
+from dolfinx_mortar.qp import Friction, QPSolution, Sliders
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Active set and Lagrange multipliers at the owned nodes."""
+
+    active: Bools  # (owned nodes,)
+    multipliers: Floats  # (owned nodes,) lambda_j, 0 where not active
+    # with friction: tangential reactions over D_jj, and directions of slip that they oppose
+    tangential: Floats | None = None  # (owned nodes, d)
+    sliding: Floats | None = None  # (owned nodes, d), 0 where it sticks or is open
+
+    def reactions(self, balance: Balance) -> Floats:
+        """Return D_jj lambda_j (k,) on the bounded unknowns of a configuration."""
+        return np.asarray(balance.bounds.weight * self.multipliers[balance.nodes])
+
+    def tangential_reactions(self, limits: SlipLimits) -> Floats:
+        """Return what D_jj tangential_j is (m, d - 1) in the frames of a configuration."""
+        if self.tangential is None:
+            return np.zeros(limits.slip.shape)
+        return limits.weight[:, None] * limits.along(self.tangential[limits.nodes])
+
+    def directions(self, limits: SlipLimits | None) -> Floats | None:
+        """Return the directions of slip (m, d - 1) in these frames; None without friction."""
+        if limits is None or self.sliding is None:
+            return None
+        along = limits.along(self.sliding[limits.nodes])
+        size = np.linalg.norm(along, axis=1, keepdims=True)
+        return np.divide(along, size, out=np.zeros_like(along), where=size > 0.0)
+
+    def largest(self, comm: MPI.Comm) -> float:
+        """Return the largest multiplier; collective."""
+        return float(maximum(comm, self.multipliers.max(initial=0.0))[0])
+
+
+def go_on(
+    contacts: tuple[Bools, Floats | None], limits: SlipLimits | None, noise: float
+) -> Contacts:
+    """Return the active set at the start of a step: that of the last one, without multipliers.
+
+    Nodes that slipped start as slipping: in a body that slides as a whole they would otherwise
+    switch from stick to slip one at a time, through sets that leave the body free. A node starts as
+    sticking where the bodies' motion with their supports has already reversed its slip.
+
+    Args:
+        contacts: active set, and the slip directions, at the end of the last step.
+        limits: of the step's first balance, with its slips; None without friction.
+        noise: slips below this are round-off.
+    """
+    active, sliding = contacts
+    if limits is not None and sliding is not None:
+        nodes = limits.nodes
+        back = (limits.along(sliding[nodes]) * limits.slip).sum(axis=1) < -noise
+        sliding = sliding.copy()
+        sliding[nodes[back]] = 0.0
+    return Contacts(active, np.zeros(len(active)), sliding=sliding)
+
+
+def found_by(lin: Linearisation, solved: QPSolution, n: int) -> Contacts:
+    """Return active set and multipliers of a QP's solution, at n owned nodes.
+
+    Off the active set b - A x is residual, no contact force.
+    """
+    bounds, nodes, on = lin.balance.bounds, lin.balance.nodes, solved.active > 0
+    active, multipliers = np.zeros(n, dtype=bool), np.zeros(n)
+    active[nodes] = on
+    multipliers[nodes[on]] = solved.z.array_r[bounds.dofs[on]] / bounds.weight[on]
+    law, limits = lin.qp.friction, lin.balance.limits
+    if law is None or limits is None or solved.sliding is None:
+        return Contacts(active, multipliers)
+    tangential, sliding = np.zeros((2, n, limits.axes.shape[2]))
+    carried = law.pick(solved.z.array_r) * law.acts(active[limits.nodes])[:, None]
+    tangential[limits.nodes] = limits.vectors(carried) / limits.weight[:, None]
+    sliding[limits.nodes] = limits.vectors(solved.sliding)
+    return Contacts(active, multipliers, tangential, sliding)
+
+
+def find_sliders(
+    limits: SlipLimits, contacts: Contacts, diagonal: PETSc.Vec, noise: float
+) -> Sliders:
+    """Return slips, tangential reactions and limits mu D_jj lambda_j at the nodes with friction.
+
+    Args:
+        limits: of a configuration.
+        contacts: the multipliers.
+        diagonal: of K^, the stiffness by which a slip is compared with a force.
+        noise: slips below this are round-off.
+    """
+    size = np.linalg.norm(limits.slip, axis=1, keepdims=True)
+    share = np.divide(np.maximum(size - noise, 0.0), size, out=np.zeros_like(size), where=size > 0)
+    position = np.arange(len(size), dtype=np.int32)
+    law = Friction(position, limits.tangential, -limits.slip, limits.coefficient, limits.cohesion)
+    stiffness = law.means(diagonal.array_r)
+    pressing = limits.weight * contacts.multipliers[limits.nodes]
+    reaction = contacts.tangential_reactions(limits)
+    return Sliders(law, share * limits.slip, reaction, law.limit(pressing), stiffness)

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: MIT
+"""Why a step has failed: a limit load, a body that nothing holds, or friction."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.step_report import NewtonNotConverged, StepReport
+from dolfinx_mortar.supports.bodies import name_of
+
+# A body that floats off does not strain. One that flows in more than this share of its volume does.
+FLOWING = 0.1
+# A body whose tangent is softer than this share of its elastic stiffness, along its own
+# displacement, has reached its limit load; hardening laws of metals are ten times stiffer and more.
+SOFT = 0.01
+# Last sentence of the message about a single step.
+AS_BEFORE = (
+    ". The displacement and the committed state are as before the step: retry with a smaller one "
+    "(dm.load_steps does)"
+)
+# First sentence where only friction holds a body.
+TOO_MUCH = (
+    "the loads may exceed what friction carries (then prescribe displacements instead of forces), "
+    "or the step is too large for it (then take smaller ones)"
+)
+
+
+class StepFailed(Exception):
+    """A step ends without a solution; nothing has been put back or looked into yet."""
+
+
+def explain(
+    problem: ContactProblem, report: StepReport, error: Exception, at: Floats
+) -> NewtonNotConverged:
+    """Return the error of a step that has failed and is undone; collective.
+
+    Args:
+        problem: the problem, as before the step; afterwards, too.
+        report: of the step, with its iterations; it may get a note.
+        error: why the step has ended.
+        at: displacement with ghosts where it has.
+    """
+    message = str(error)
+    if not isinstance(error, StepFailed):
+        number, cause = len(report.iterations) + 1, message.rstrip(". ")
+        message = f"the QP of Newton iteration {number}: {cause}"
+    with _put_at(problem, at):
+        flowing = describe_flow(problem)
+    if flowing:  # a singular matrix is reported by the solver as a body that nothing holds
+        report.notes.append(message)
+        message = flowing
+    elif problem.system.pretensions and (loose := problem.loose_motions()):
+        message = (
+            f"nothing resists the overlap of a tie with a pretension, against {'; '.join(loose)}: "
+            "supports, ties or contacts have to hold both ends of the bolt against the direction, "
+            f"which points out of the slave side for tension. {message}"
+        )
+    elif held := problem.audit().held_by_contact:
+        if problem.system.has_friction:  # solvers report this cause in several ways
+            message = f"{TOO_MUCH}: {message}"
+        message += (
+            f". Contact alone holds {'; '.join(held)}: it may float away (do the loads press it "
+            "on?), or slides or rolls freely (then prescribe that motion)"
+        )
+    message += _describe_own_laws(problem)
+    return NewtonNotConverged(f"{message}{AS_BEFORE}", report)
+
+
+@contextmanager
+def _put_at(problem: ContactProblem, u: Floats) -> Iterator[None]:
+    """Evaluate at another displacement; what is shown is as before afterwards."""
+    before, shown = problem.u.x.array.copy(), problem.solid.keep()
+    problem.u.x.array[:] = u
+    try:
+        yield
+    finally:
+        problem.u.x.array[:] = before
+        problem.solid.put_back(shown)
+
+
+def unsettled(problem: ContactProblem) -> str:
+    """Say why the fixed point of the contact geometry does not converge."""
+    flows = bool(problem.solid.state)  # elastic bodies have none, and no hardening
+    soft = "a body that flows with little hardening: give it more, " if flows else "a soft body: "
+    return (
+        "the geometry does not settle: normals and gaps change more from one update to the "
+        "next, although the forces are in balance in between. Contact forces that turn with the "
+        f"surfaces may be stiffer than {soft}take smaller steps, or hold the surfaces, "
+        "geometry='reference'"
+    )
+
+
+def _describe_own_laws(problem: ContactProblem) -> str:
+    """Say how to check laws that are not of this package; empty without any."""
+    package = __name__.partition(".")[0]
+    kinds = {type(law): None for region in problem.solid.regions for law, _ in region.parts}
+    own = [kind.__name__ for kind in kinds if not kind.__module__.startswith(f"{package}.")]
+    if not own:
+        return ""
+    return (
+        f". {', '.join(own)}: {package}.materials.check tells whether the potential of a law is "
+        "convex and its tangent the derivative of its stress"
+    )
+
+
+def describe_flow(problem: ContactProblem) -> str:
+    """Say which body flows plastically, and in which share of its volume; collective."""
+    try:
+        problem.solid.evaluate()
+    except ValueError:  # not a number: nothing to be learnt from this iterate
+        return ""
+    shares = flow_shares(problem)
+    body = int(np.argmax(shares))
+    if shares[body] <= FLOWING or stiffness_left(problem) > SOFT:
+        return ""
+    return (
+        f"limit load? {name_of(problem.bodies, [body])} flows in {100 * shares[body]:.0f} % of its "
+        "volume at the last iterate; without hardening a law carries no more than its limit load: "
+        "reduce the load, or give the law hardening"
+    )
+
+
+def stiffness_left(problem: ContactProblem) -> float:
+    """Return u.K u over u.K_e u, K_e the elastic stiffness; 1 where nothing is strained.
+
+    K is the tangent at the present displacement; collective.
+    """
+    problem.solid.assemble_tangent(problem.K)  # the next step assembles its own
+    u = problem.vector(problem.u.x.array[: problem.d * problem.n])
+    elastic = problem.solid.elastic_norm(problem.u) ** 2
+    return float(u.dot(problem.K * u) / elastic) if elastic > 0.0 else 1.0
+
+
+def flow_shares(problem: ContactProblem) -> Floats:
+    """Return the share (bodies,) of each body's volume whose internal variables change; collective.
+
+    Between the committed state and what `Solid.evaluate` has found last.
+    """
+    flowing, weights = problem.solid.flowing(), problem.solid.fields.weights
+    body = problem.bodies.of_cells[: len(weights)]
+    count = problem.bodies.count
+    volumes = np.stack(
+        [
+            np.bincount(body, (weights * part).sum(axis=1), minlength=count)
+            for part in (flowing, np.ones_like(weights))
+        ]
+    )
+    flow, whole = problem.comm.allreduce(volumes, op=MPI.SUM)
+    return np.asarray(flow / whole)

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: MIT
+"""Backtracking line search: steps 1, 1/2, 1/4 .. until the merit function decreases.
+
+The merit is phi(t) = J(u + t du) + s sum_j D_jj (t w_j - gap_j)_+ with the gaps of one geometry,
+with friction also + sum_j s_j |slip_j + t dw_j|, s_j the limits of the QP's solution. A
+step is accepted if phi satisfies Armijo's condition up to the round-off of its own terms, below
+which its values carry no information; there the residuals decide.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.newton_method.linearisation import Linearisation
+from dolfinx_mortar.newton_method.residuals import EPS, gap_round_off, round_off
+from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.qp import QPSolution
+from dolfinx_mortar.terms.sum import Energy
+
+ARMIJO = 1e-4
+MAX_HALVINGS = 12
+
+
+class NoDescent(RuntimeError):
+    """No step along the direction decreases the merit function."""
+
+
+@dataclass(frozen=True)
+class Direction:
+    """The path u + t du, y + t dy, and the terms of phi besides J."""
+
+    start: Floats  # (n,) u
+    du: Floats  # (n,)
+    motion: Floats  # (k,) of the bounded unknowns
+    gap: Floats  # (k,) beyond which they are penalised, round-off of gaps included
+    penalty: Floats  # (k,) s D_jj
+    noise: float  # error of r.du: round-off of forces and gaps, and what the QP has left
+    slip: Floats  # (m, d - 1) of nodes with friction, at the start
+    slide: Floats  # (m, d - 1) by how much they slip in the step
+    limits: Floats  # (m,) what resists
+
+    def excess(self, t: float) -> float:
+        """Return the terms of penalty and friction at t; on this rank."""
+        slips = np.linalg.norm(self.slip + t * self.slide, axis=1)
+        over = np.maximum(t * self.motion - self.gap, 0.0)
+        return float(self.penalty @ over + self.limits @ slips)
+
+
+def search(
+    problem: ContactProblem,
+    lin: Linearisation,
+    solved: QPSolution,
+    du: PETSc.Vec,
+    multiplier: float,
+    before: Energy,
+) -> tuple[float, int, Energy]:
+    """Backtrack along a Newton direction until the merit decreases; u is moved; collective.
+
+    Args:
+        problem: the problem; its displacement is moved.
+        lin: the linearisation that has led to the step.
+        solved: the QP's solution.
+        du: the same step in u.
+        multiplier: largest multiplier seen; the penalty is twice as large.
+        before: J at the start.
+
+    Returns:
+        The length, the number of halvings, and J at the end.
+
+    Raises:
+        NoDescent: if 12 halvings do not suffice.
+    """
+    path = create_path(problem, lin, solved, du, multiplier)
+    cells = problem.V.mesh.topology.index_map(problem.V.mesh.topology.dim).size_global
+    first = _sum(problem.comm, path.excess(0.0))
+    promise = find_slope(problem, lin, path)
+    length = 1.0
+    for halvings in range(MAX_HALVINGS + 1):
+        move(problem, path.start + length * path.du)
+        after, penalty = problem.terms.energy(), _sum(problem.comm, path.excess(length))
+        assert after is not None  # as before
+        # a sum of n terms of one size loses about sqrt(n) units of round-off
+        noise = EPS * np.sqrt(cells) * (before.terms + after.terms + first + penalty) + path.noise
+        target = before.value + first + ARMIJO * length * min(promise, 0.0)
+        if after.value + penalty <= target + noise:
+            return length, halvings, after
+        length *= 0.5
+    move(problem, path.start)
+    raise NoDescent("the line search found no step that lowers the energy")
+
+
+def create_path(
+    problem: ContactProblem,
+    lin: Linearisation,
+    solved: QPSolution,
+    du: PETSc.Vec,
+    multiplier: float,
+) -> Direction:
+    """Return the path from the present u along a Newton direction; collective."""
+    bounds, own = lin.balance.bounds, du.local_size
+    # reactions times the round-off of gaps and supports; the residual of the QP
+    held = lin.balance.reduced.array_r[lin.balance.equal.dofs]
+    slip, slide, limits = _friction(lin, solved)
+    local = np.abs(solved.z.array_r[bounds.dofs]).sum() + np.abs(held).sum() + limits.sum()
+    touching = _sum(problem.comm, float(local))
+    unbalanced = round_off(problem.u, lin.diagonal) + solved.kkt.unsolved
+    lost = gap_round_off(problem.u)
+    return Direction(
+        start=problem.u.x.array[:own].copy(),
+        du=du.array_r.copy(),
+        motion=solved.x.array_r[bounds.dofs],
+        gap=bounds.upper + lost,
+        penalty=2.0 * multiplier * bounds.weight,
+        noise=unbalanced * du.norm() + lost * touching,
+        slip=slip,
+        slide=slide,
+        limits=limits,
+    )
+
+
+def _friction(lin: Linearisation, solved: QPSolution) -> tuple[Floats, Floats, Floats]:
+    """Return slip, its change, and the limits at the nodes with friction.
+
+    For these limits the QP's solution minimises the convex energy with the term of friction, so
+    that it is a direction of descent.
+    """
+    law, bounds = lin.qp.friction, lin.balance.bounds
+    if law is None:
+        return np.zeros((0, 1)), np.zeros((0, 1)), np.zeros(0)
+    closed = solved.active[law.normal] > 0
+    pressing = np.where(closed, solved.z.array_r[bounds.dofs][law.normal], 0.0)
+    return -law.rest, law.pick(solved.x.array_r), law.limit(pressing)
+
+
+def find_slope(problem: ContactProblem, lin: Linearisation, path: Direction) -> float:
+    """Return phi'(0), with the whole decrease of the penalty term; collective.
+
+    A step that solves the QP closes every violated gap in proportion, so that the gain over the
+    whole step is the derivative at its start.
+    """
+    local = -float(lin.balance.r.array_r @ path.du) + path.excess(1.0) - path.excess(0.0)
+    return _sum(problem.comm, local)
+
+
+def _sum(comm: MPI.Comm, value: float) -> float:
+    return float(comm.allreduce(value, op=MPI.SUM))
+
+
+def move(problem: ContactProblem, values: Floats) -> None:
+    """Set the displacement to owned values; collective."""
+    problem.u.x.array[: values.size] = values
+    problem.u.x.scatter_forward()

@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: MIT
+"""Residual and QP subproblem at a Newton iterate.
+
+A `Balance` is assembled at every iterate in the present geometry, a `Linearisation` from it where
+another QP is needed. Newton's method, the line search, the certificate and the results read them;
+both are immutable.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Actives, Floats, Ints
+from dolfinx_mortar.interfaces.basis import Transformation
+from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, equalities, join
+from dolfinx_mortar.interfaces.pretension import Pretension
+from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.problem.step_data import StepData
+from dolfinx_mortar.qp import BoundQP, Friction, QPSolution
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Residual forces and constraints at the present u, in the present geometry."""
+
+    r: PETSc.Vec  # (n,) -dJ/du, external less internal forces
+    reduced: PETSc.Vec  # (n,) T^T r
+    equal: Constraints  # remaining increments of Dirichlet data and ties
+    bounds: Constraints  # bounds of contact
+    elements: float  # norm of the unassembled element forces
+    external: float  # largest norm of the forces of a term, of dead loads for one
+    limits: SlipLimits | None = None  # of friction
+    pretensions: tuple[tuple[Pretension, float], ...] = ()  # of ties, and their forces
+
+    @property
+    def nodes(self) -> Ints:
+        """Owned nodes (k,) of the bounded unknowns."""
+        return np.asarray(self.bounds.dofs // self.reduced.getBlockSize(), dtype=np.int32)
+
+    @property
+    def eliminated(self) -> Ints:
+        """Owned unknowns (m,) that are eliminated, ascending."""
+        return np.sort(self.equal.dofs)
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """The quadratic program of one iterate."""
+
+    qp: BoundQP
+    balance: Balance
+    diagonal: PETSc.Vec  # (n,) of K^ before the elimination
+
+
+def find_balance(problem: ContactProblem, data: StepData, overlap: float = 0.0) -> Balance:
+    """Assemble the forces and constraints at the present u; collective.
+
+    Args:
+        problem: the problem, in the geometry to be judged.
+        data: loads and prescribed values of the step.
+        overlap: depth by which the sides may still overlap (initial overlaps are resolved in
+            parts).
+    """
+    with problem.timings("assembly"):
+        r = problem.vector()
+        external = problem.terms.assemble_forces(r)
+        elements = problem.solid.element_force_norm()
+        r.scale(-1.0)
+    with problem.timings("transform"):
+        reduced = to_reduced(problem.system.transformation, r)
+        u = problem.vector(problem.u.x.array[: r.local_size])
+        found = problem.system.constraints(problem.positions(), u, data.jumps)
+        asked = _dirichlet_constraints(problem, data, u.array_r)
+        limits = None
+        if data.limits:
+            u.array[:] -= problem.committed.displacement
+            limits = problem.system.slip_limits(u, data.limits, data.partners)
+    equal, bounds = found.select(found.equal), found.select(~found.equal)
+    if overlap > 0.0:
+        bounds = replace(bounds, upper=bounds.upper + overlap)
+    supported = join([asked, equal])
+    pretensions = problem.pretensions.given()
+    return Balance(r, reduced, supported, bounds, elements, external, limits, pretensions)
+
+
+def _dirichlet_constraints(problem: ContactProblem, data: StepData, u: Floats) -> Constraints:
+    """Return prescribed minus present values as equalities of unknowns of y."""
+    dofs, slots = support_slots(problem)
+    return equalities(slots, data.target[dofs] - u[dofs])
+
+
+def support_slots(problem: ContactProblem) -> tuple[Ints, Ints]:
+    """Return the owned prescribed dofs (m,) of u, and the unknowns of y that they are."""
+    node, component = np.nonzero(problem.supports.owned)
+    slots = problem.d * node + problem.system.slots()[node, component]
+    return problem.d * node + component, slots
+
+
+def linearise(problem: ContactProblem, balance: Balance, *, tangent: bool = True) -> Linearisation:
+    """Assemble min 1/2 dy.K^ dy - r^.dy with its bounds at the present u; collective.
+
+    Args:
+        problem: the problem, in the geometry of the balance.
+        balance: forces and constraints.
+        tangent: assemble K anew; a linear law needs it once.
+    """
+    T = problem.system.transformation
+    formed = problem.linear.direct  # a factorisation needs the matrix, an iteration its products
+    spoilt = formed and T is None  # by the elimination, then in K itself
+    if tangent or spoilt or not problem.K.isAssembled():
+        with problem.timings("assembly"):
+            problem.terms.assemble_tangent(problem.K)
+    with problem.timings("transform"):
+        A, b, diagonal = (_form if formed else _follow)(problem, balance)
+        lower, upper = problem.vector(), problem.vector()
+        lower.set(PETSc.NINFINITY)
+        upper.set(PETSc.INFINITY)
+        bounds = balance.bounds
+        lower.array[bounds.dofs] = np.maximum(bounds.lower, PETSc.NINFINITY)
+        upper.array[bounds.dofs] = np.minimum(bounds.upper, PETSc.INFINITY)
+        law = None if balance.limits is None else _law(balance.limits, bounds, b.local_size)
+    return Linearisation(BoundQP(A, b, lower, upper, bounds.dofs, law), balance, diagonal)
+
+
+def _law(limits: SlipLimits, bounds: Constraints, n: int) -> Friction:
+    """Return the friction of the QP: limits, and the slip up to this iterate."""
+    position = np.zeros(n, dtype=np.int32)
+    position[bounds.dofs] = np.arange(len(bounds.dofs))
+    rest = -limits.slip
+    normal = position[limits.normal]
+    return Friction(normal, limits.tangential, rest, limits.coefficient, limits.cohesion)
+
+
+def _form(problem: ContactProblem, balance: Balance) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
+    """Return K^ = T^T K T and r^ after, and the diagonal of K^ before the elimination."""
+    T = problem.system.transformation
+    A = problem.K if T is None else T.transform(problem.K)
+    b, dy = balance.reduced.copy(), problem.vector()
+    dy.array[balance.equal.dofs] = balance.equal.upper
+    diagonal = A.getDiagonal()
+    rows = (balance.eliminated + problem.first_dof).astype(PETSc.IntType)
+    A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+    A.zeroRowsColumns(rows, diag=diagonal.sum() / diagonal.getSize(), x=dy, b=b)
+    return A, b, diagonal
+
+
+def _follow(problem: ContactProblem, balance: Balance) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
+    """Return the same, with K^ as an operator that is not formed."""
+    operator, T = problem.operator, problem.system.transformation
+    operator.follow(None if T is None else T.change, balance.eliminated)
+    dy, b = problem.vector(), problem.vector()
+    dy.array[balance.equal.dofs] = balance.equal.upper
+    operator.product(dy, b)
+    b.aypx(-1.0, balance.reduced)
+    b.array[balance.equal.dofs] = operator.scale * balance.equal.upper
+    return operator.matrix, b, operator.diagonal.copy()
+
+
+def count_changes(lin: Linearisation, solved: QPSolution, start: Actives, limit: float) -> int:
+    """Return how many nodes entered or left the active set, without weakly active ones; collective.
+
+    A node is weakly active if its reaction, and the force that would close its gap, are both
+    within a limit.
+    """
+    bounds = lin.balance.bounds
+    z = np.abs(solved.z.array_r[bounds.dofs])
+    opening = np.abs(bounds.upper - solved.x.array_r[bounds.dofs])
+    force = np.maximum(z, lin.diagonal.array_r[bounds.dofs] * opening)
+    changed = ((start > 0) != (solved.active > 0)) & (force > limit)
+    return int(lin.qp.comm.allreduce(int(changed.sum()), op=MPI.SUM))
+
+
+def to_reduced(T: Transformation | None, forces: PETSc.Vec) -> PETSc.Vec:
+    """Return T^T times a force vector; None is the identity; collective."""
+    result = forces.copy()
+    if T is not None:
+        T.apply_transposed(forces, result)
+    return result
+
+
+def to_displacement(T: Transformation | None, dy: PETSc.Vec) -> PETSc.Vec:
+    """Return du = T dy; None is the identity; collective."""
+    du = dy.copy()
+    if T is not None:
+        T.apply(dy, du)
+    return du

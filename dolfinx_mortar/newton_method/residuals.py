@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: MIT
+"""Convergence: KKT residuals of the nonlinear problem, each over its tolerance.
+
+Forces are relative to the largest force of the step, a penetration counts as the force that would
+undo it, a complementarity defect as the work of the multiplier in the gap, and both are at most
+rtol facet lengths. In rigid motion or after unloading there is no force: then the first residual of
+the step and the round-off of K u are the scales.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+from dolfinx_mortar.algebra.parallel import maximum, norm, ratio
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.newton_method.contacts import Contacts, find_sliders
+from dolfinx_mortar.newton_method.linearisation import Balance
+
+EPS = float(np.finfo(float).eps)
+# A row of a stiffness matrix sums up, in absolute values, to 2 to 4 times its diagonal entry, so
+# that |K| |u| <= 4 |diag(K) u|.
+ROW_SUM = 4.0
+# Operations behind a gap: a coordinate times a shape function, summed over a few facets
+GAP_OPERATIONS = 16.0
+# rtol times this share of the step's first residual, K times the prescribed increment, is
+# tolerated: the accuracy asked of the linear solver, and the only scale of a stress-free step.
+FIRST_SHARE = 1e-3
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Scales of the residuals; iterates outside the extent of the model do not enlarge them."""
+
+    facet_length: float
+    begun: float = 0.0  # largest norm of external, support or element forces at its start
+    first: float = 0.0  # norm of the first QP's right-hand side
+    work: float = 0.0  # |u|_e^2 at the start of the step
+    extent: float = np.inf  # size of the mesh plus the largest prescribed displacement
+    tensions: tuple[float, ...] = ()  # larger one of force and pretension, of each, at the start
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Residuals at an iterate; ``excess`` <= 1 means convergence."""
+
+    forces: float  # norm of T^T (f - F(u)) - z on unknowns with freedom, over the force scale
+    contact: float  # penetration and complementarity, on their scales
+    excess: float  # largest residual over its tolerance
+    limit: float  # tolerance of the norm of forces
+    pretension: float = 0.0  # force of a tie less its pretension, over the larger at the start
+
+
+def round_off(u: fem.Function, diagonal: PETSc.Vec, extent: float = np.inf) -> float:
+    """Return the round-off of K u, EPS times the norm of |K| |u|; collective.
+
+    Displacements count up to the ``extent`` of mesh and supports: where a singular tangent gives
+    larger ones, they must not loosen the force tolerance.
+    """
+    near = np.clip(u.x.array[: diagonal.local_size], -extent, extent)
+    return ROW_SUM * EPS * norm(u.function_space.mesh.comm, diagonal.array_r * near)
+
+
+def gap_round_off(u: fem.Function) -> float:
+    """Return the round-off of gaps, which are differences of coordinates; collective."""
+    return GAP_OPERATIONS * EPS * find_extent(u.function_space.mesh, u.x.array)
+
+
+def find_extent(mesh: Mesh, displacement: Floats) -> float:
+    """Return the largest coordinate of the mesh plus the largest displacement; collective."""
+    x = mesh.geometry.x
+    sizes = maximum(mesh.comm, np.abs(x).max(initial=0.0), np.abs(displacement).max(initial=0.0))
+    return float(sizes.sum())
+
+
+def largest_force(comm: MPI.Comm, balance: Balance, z: Floats) -> float:
+    """Return the largest norm of external, contact, support and element forces; collective."""
+    supports = balance.reduced.array_r[balance.equal.dofs]
+    return max(balance.external, balance.elements, norm(comm, z), norm(comm, supports))
+
+
+def missed_tensions(balance: Balance) -> list[float]:
+    """Return by how much the forces of ties miss their pretensions; collective."""
+    return [p.missing(balance.reduced) for p, _ in balance.pretensions]
+
+
+def find_tensions(balance: Balance) -> tuple[float, ...]:
+    """Return the larger one of force and pretension of each tie that has one; collective."""
+    missing = missed_tensions(balance)
+    given = [force for _, force in balance.pretensions]
+    return tuple(max(abs(F), abs(F - left)) for F, left in zip(given, missing, strict=True))
+
+
+def measure(
+    u: fem.Function,
+    balance: Balance,
+    contacts: Contacts,
+    diagonal: PETSc.Vec,
+    scales: Scales,
+    elastic_norm: float,
+    rtol: float,
+) -> Residuals:
+    """Return the KKT residuals of an iterate with given multipliers; collective.
+
+    Args:
+        u: the iterate.
+        balance: forces and constraints in the geometry that is to be judged.
+        contacts: the multipliers of the last QP.
+        diagonal: of the last K^, the stiffness by which a penetration is compared with a force.
+        scales: further scales of the step.
+        elastic_norm: |u|_e of the iterate.
+        rtol: tolerance.
+    """
+    comm, z = u.function_space.mesh.comm, contacts.reactions(balance)
+    free = balance.reduced.array_r.copy()
+    free[balance.bounds.dofs] -= z
+    noise = gap_round_off(u)
+    missing, carried = np.zeros(0), z
+    if (limits := balance.limits) is not None:
+        sliders = find_sliders(limits, contacts, diagonal, noise)
+        free[limits.tangential[limits.some]] -= sliders.reaction[limits.some]
+        missing = sliders.error().ravel()
+        carried = np.concatenate([z, sliders.reaction.ravel()])
+    free[balance.equal.dofs] = 0.0
+    forces, floor = norm(comm, free), round_off(u, diagonal, scales.extent)
+    acting = max(scales.begun, largest_force(comm, balance, carried))
+    scale = max(acting, FIRST_SHARE * scales.first)
+    limit = max(rtol * scale, floor)
+    if acting <= floor:  # nothing acts but the round-off of K u, which is a share of |K| |u|
+        scale = max(scale, floor / EPS)
+
+    active, gap = contacts.active[balance.nodes], balance.bounds.upper
+    off = np.maximum(np.where(active, np.abs(gap), np.maximum(-gap, 0.0)) - noise, 0.0)
+    missed = np.maximum(np.abs(balance.equal.upper) - noise, 0.0)
+    stiffness = diagonal.array_r
+    pull = norm(
+        comm,
+        np.where(active, 0.0, stiffness[balance.bounds.dofs] * off),
+        stiffness[balance.equal.dofs] * missed,
+        missing,
+    )
+    work = comm.allreduce(float(np.abs(z) @ off), op=MPI.SUM)
+    whole = max(scales.work, elastic_norm**2, limit * scales.facet_length)
+    widest = float(maximum(comm, off.max(initial=0.0))[0]) / scales.facet_length
+    excess = max(ratio(forces, limit), ratio(pull, limit), ratio(work, rtol * whole), widest / rtol)
+    contact = max(ratio(pull, scale), ratio(work, whole))
+    tension_off = 0.0
+    for left, tension in zip(missed_tensions(balance), scales.tensions, strict=True):
+        tension_off = max(tension_off, ratio(abs(left), tension))
+        excess = max(excess, ratio(abs(left), max(rtol * tension, floor)))
+    return Residuals(ratio(forces, scale), contact, excess, limit, tension_off)

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: MIT
+"""Bodies in the plane, drawn by matplotlib."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib import pyplot
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from dolfinx import mesh as dmesh
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.plotting.gathered import WAY_AROUND, Parts, groups, triangles_of
+
+BODIES = ("#c6d8ea", "#ecd3b4", "#cfe3c4", "#dccbe6", "#e8e0b0", "#d9d9d9")
+SIDES = ("#d62728", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2")
+EDGES = 1e3  # cells from which on their edges become thinner, so as not to hide the colours
+MARGIN = 0.4  # of the loaded length, shown on both sides of it
+
+
+def begin(file: Any, ax: Any, panes: int) -> Any:
+    """Return axes: given ones, of a figure that pyplot shows, or of one for a file only."""
+    if ax is not None:
+        return ax
+    figure = pyplot.figure(layout="constrained") if file is None else Figure(layout="constrained")
+    return figure.subplots()
+
+
+def finish(axes: Any, file: Any, view: Any) -> None:
+    """Write the figure if there is a file for it."""
+    if file is not None:
+        axes.figure.savefig(file, dpi=150, bbox_inches="tight")
+
+
+def draw_mesh(
+    axes: Any,
+    cells: Parts,
+    facets: Parts | None,
+    cell_tags: dmesh.MeshTags | None,
+    facet_tags: dmesh.MeshTags | None,
+) -> None:
+    """Draw bodies in pale colours and tagged sides as thick lines, with their names."""
+    entries: list[Any] = []
+    for name, colour, body in groups(cells, cell_tags, BODIES):
+        _add_cells(axes, body, facecolor=colour, edgecolor="#20415c80")
+        if cell_tags is not None:
+            entries.append(Patch(facecolor=colour, edgecolor="#20415c", label=name))
+    for name, colour, side in groups(facets, facet_tags, SIDES) if facets is not None else ():
+        lines = side.x[_in_order(side)][:, :, :2]
+        entries.append(LineCollection(lines, colors=colour, linewidths=2.5, label=name))
+        axes.add_collection(entries[-1])
+    _frame(axes)
+    if entries:
+        axes.legend(handles=entries, loc="center left", bbox_to_anchor=(1.0, 0.5))
+
+
+def draw_field(axes: Any, cells: Parts, name: str) -> None:
+    """Draw a field of cells (flat colours) or of nodes (shaded) with its scale."""
+    if name in cells.of_parts:
+        drawn = _add_cells(axes, cells, array=cells.of_parts[name], edgecolor="#00000030")
+    else:
+        x, y = cells.x[:, :2].T
+        drawn = axes.tripcolor(
+            x, y, triangles_of(cells), cells.at_nodes[name], shading="gouraud", cmap="viridis"
+        )
+        _add_cells(axes, cells, facecolor="none", edgecolor="#00000030")
+    axes.figure.colorbar(drawn, ax=axes, label=name, shrink=0.8)
+    _frame(axes)
+
+
+def draw_pressure(axes: Any, sides: list[tuple[str, Parts]], over: str | None, title: str) -> None:
+    """Draw pressures over x or y, facet by facet, where there are some and a little beside."""
+    axis = "xy".index(over) if over else int(np.argmax(sum(_extents(side) for _, side in sides)))
+    for (name, side), colour in zip(sides, SIDES * len(sides), strict=False):
+        order = _in_order(side)
+        gap = np.full((len(order), 1), np.nan)  # between two facets no line is drawn
+        s = np.hstack([side.x[order, axis], gap]).ravel()
+        p = np.hstack([side.at_nodes["pressure"][order], gap]).ravel()
+        axes.plot(s, p, ".-", color=colour, ms=4, lw=1.0, label=name)
+    loaded = np.concatenate([s.x[s.at_nodes["pressure"] != 0.0, axis] for _, s in sides])
+    if len(loaded) > 1:
+        margin = MARGIN * np.ptp(loaded)
+        axes.set_xlim(loaded.min() - margin, loaded.max() + margin)
+    axes.set(xlabel="xy"[axis], ylabel=title)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize="small")
+
+
+def _extents(side: Parts) -> Floats:
+    """Return the lengths (2,) of a side along x and y."""
+    return np.ptp(side.x[:, :2], axis=0) if len(side.x) else np.zeros(2)
+
+
+def _in_order(facets: Parts) -> Any:
+    """Return the nodes of facets along the lines that they are."""
+    return facets.nodes[:, (0, 2, 1) if facets.nodes.shape[1] == 3 else (0, 1)]
+
+
+def _add_cells(axes: Any, cells: Parts, **style: Any) -> Any:
+    """Draw cells as polygons along their nodes."""
+    around = cells.nodes[:, WAY_AROUND[cells.nodes.shape[1]]]
+    polygons: Any = cells.x[around][:, :, :2]
+    width = min(0.5, EDGES / max(len(around), 1))
+    drawn = PolyCollection(polygons, linewidth=width, cmap="viridis", **style)
+    axes.add_collection(drawn)
+    return drawn
+
+
+def _frame(axes: Any) -> None:
+    axes.autoscale()
+    axes.margins(0.03)
+    axes.set(aspect="equal", xlabel="x", ylabel="y")

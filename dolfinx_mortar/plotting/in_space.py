@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: MIT
+"""Bodies in space, drawn by PyVista, also without a screen."""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import os
+import shutil
+import subprocess
+import sys
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pyvista
+
+from dolfinx import mesh as dmesh
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.plotting.gathered import WAY_AROUND, Parts, groups, triangles_of
+
+BODIES = ("#6f9bc4", "#cf9650", "#7fae69", "#a583bd", "#b5a53c", "#909090")  # also of their names
+SIDES = ("#d62728", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2")
+
+
+def begin(file: Any, ax: Any, panes: int) -> Any:
+    """Return a plotter, without a window where there is no screen, or a file is asked for.
+
+    Raises:
+        RuntimeError: if nothing can be drawn.
+    """
+    find_screen()
+    plotter: Any = pyvista.Plotter(
+        off_screen=pyvista.OFF_SCREEN or file is not None,
+        shape=(1, panes),
+        border=False,
+        window_size=(500 + 500 * panes, 800),
+    )
+    plotter.set_background("white", all_renderers=True)
+    return plotter
+
+
+def finish(plotter: Any, file: Any, view: Any) -> None:
+    """Look from the asked direction, and write a picture if there is a file for it."""
+    if view is not None:
+        _look(plotter, np.asarray(view, dtype=float))
+    if file is not None:
+        plotter.screenshot(os.fspath(file))
+
+
+def draw_mesh(
+    plotter: Any,
+    outside: Parts,
+    facets: Parts | None,
+    cell_tags: dmesh.MeshTags | None,
+    facet_tags: dmesh.MeshTags | None,
+) -> None:
+    """Draw the bodies in one pane and the tagged sides in another one, with their names."""
+    entries = []
+    for name, colour, body in groups(outside, cell_tags, BODIES):
+        entries.append((name, colour))
+        _add_facets(plotter, body, color=colour, ambient=0.4)
+    _describe(plotter, entries if cell_tags is not None else [])
+    if facets is None:
+        return
+    plotter.subplot(0, 1)
+    entries = []
+    for name, colour, side in groups(facets, facet_tags, SIDES):
+        entries.append((name, colour))
+        _add_facets(plotter, side, color=colour, opacity=0.5, ambient=0.6)
+    # facets are numbered either way around
+    surface = _surface(outside, triangles_of(outside))
+    surface = surface.compute_normals(cell_normals=False, split_vertices=False)
+    outline = surface.extract_feature_edges(boundary_edges=False, manifold_edges=False)
+    if outline.n_points:
+        plotter.add_mesh(outline, color="#404040", line_width=2)
+    _describe(plotter, entries)
+    plotter.link_views()
+
+
+def draw_field(plotter: Any, outside: Parts, name: str) -> None:
+    """Draw a field of cells (flat colours) or of nodes (shaded) with its scale."""
+    _add_values(plotter, outside, name, name)
+    _describe(plotter, [])
+
+
+def draw_pressure(
+    plotter: Any, sides: list[tuple[str, Parts]], over: str | None, title: str
+) -> None:
+    """Draw pressures on the slave sides, seen along the direction in which these extend least."""
+    for _, side in sides:
+        _add_values(plotter, side, "pressure", title)
+    _describe(plotter, [])
+    x = np.concatenate([side.x for _, side in sides])
+    if len(x):
+        least = np.linalg.eigh(np.cov(x.T))[1][:, 0]
+        _look(plotter, least * np.sign(least[np.abs(least).argmax()]))
+
+
+def _look(plotter: Any, towards: Floats) -> None:
+    """Look from a direction (3,), with z upwards, or y where that is the direction."""
+    upright = np.linalg.norm(towards[:2]) > 0.1 * abs(towards[2])
+    for renderer in plotter.renderers:
+        renderer.view_vector(towards, viewup=(0, 0, 1) if upright else (0, 1, 0))
+
+
+def _add_values(plotter: Any, parts: Parts, name: str, title: str) -> None:
+    """Draw values of parts or at nodes in colours, with their scale."""
+    bar = {"title": f"{title}\n", "color": "black", "vertical": True, "position_x": 0.85}
+    bar |= {"fmt": "%.3g", "title_font_size": 18, "label_font_size": 18}
+    if name in parts.of_parts:
+        values = np.repeat(parts.of_parts[name], len(triangles_of(parts)) // len(parts.nodes))
+    else:
+        values = parts.at_nodes[name]
+    style = {"scalars": values, "cmap": "viridis", "lighting": False}
+    _add_facets(plotter, parts, scalar_bar_args=bar, **style)
+
+
+def _add_facets(plotter: Any, facets: Parts, **style: Any) -> None:
+    """Draw facets, those with curved edges in triangles, and their edges."""
+    actor = plotter.add_mesh(_surface(facets, triangles_of(facets)), **style)
+    # edges lie in front of their facets, also of those that are seen at an angle
+    actor.mapper.resolve = "polygon_offset"
+    actor.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(2.0, 2.0)
+    edges = _surface(facets, facets.nodes[:, WAY_AROUND[facets.nodes.shape[1]]])
+    edges = edges.extract_all_edges()
+    plotter.add_mesh(edges, color="#303030", line_width=1, opacity=0.4, lighting=False)
+
+
+def _surface(facets: Parts, polygons: Any) -> Any:
+    """Return polygons (m, k) of the nodes of facets, for PyVista."""
+    return pyvista.PolyData.from_regular_faces(facets.x, polygons)
+
+
+def _describe(plotter: Any, entries: list[tuple[str, str]]) -> None:
+    """Add names and axes to a pane."""
+    for i, (name, colour) in enumerate(entries):
+        place = {"position": (0.03, 0.95 - 0.035 * i), "viewport": True}
+        plotter.add_text(name, color=colour, font_size=12, **place)
+    plotter.add_axes(color="black")
+    plotter.view_isometric()
+
+
+def find_screen() -> None:
+    """Make sure that VTK can draw, and set ``pyvista.OFF_SCREEN`` where nobody would see a window.
+
+    A VTK before 9.4, as in Debian 13, has X windows only, and ends the program where no X server
+    answers: one in memory (Xvfb) is started then.
+
+    Raises:
+        RuntimeError: if there is neither.
+    """
+    display = os.environ.get("DISPLAY", "")
+    if sys.platform in ("darwin", "win32") or _connect(display):
+        return
+    if pyvista.vtk_version_info < (9, 4):
+        own = _start() if shutil.which("Xvfb") else ""
+        if not _connect(own):
+            raise RuntimeError(
+                f"there is no screen to draw on in 3D: no X server answers at DISPLAY = "
+                f"{display!r}. Install Xvfb (apt-get install xvfb), or a VTK from 9.4 on, which "
+                "draws in memory."
+            )
+        os.environ["DISPLAY"] = own
+    pyvista.OFF_SCREEN = True
+
+
+@cache
+def _connect(display: str) -> bool:
+    """Tell whether an X server answers, and stay connected for the rest of the program."""
+    library = ctypes.util.find_library("X11")
+    if not display or library is None:
+        return bool(display)
+    x11 = ctypes.CDLL(library)
+    x11.XOpenDisplay.restype = ctypes.c_void_p  # not the integer of 32 bits that is the default
+    return bool(x11.XOpenDisplay(display.encode()))
+
+
+def _start() -> str:
+    """Start an X server in memory, which ends when nobody is connected; return its display."""
+    server = subprocess.Popen(
+        "Xvfb -displayfd 1 -terminate -nolisten tcp -screen 0 1600x1200x24".split(),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        start_new_session=True,  # or Ctrl-C would end it, and the next picture the program
+    )
+    assert server.stdout is not None
+    with server.stdout as said:
+        number = said.readline().strip()
+    return f":{number}" if number else ""

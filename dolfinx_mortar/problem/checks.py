@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: MIT
+"""What a problem may be made of: checks of its arguments, the same on all ranks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+from dolfinx_mortar import qp as backends
+from dolfinx_mortar.agreement import Changing, check_same_on_all_ranks
+from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.arguments import is_integer, is_name, is_number
+from dolfinx_mortar.disk import check_path
+from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.spaces import check_real
+
+GEOMETRIES = ("updated", "reference")
+CUTS = ("halve", "none")
+
+
+def check_arguments(
+    solid: Solid,
+    interfaces: Iterable[Interface],
+    bcs: Iterable[fem.DirichletBC],
+    loads: ufl.Form | None,
+    potential: ufl.Form | None,
+    geometry: str,
+    **options: Any,
+) -> tuple[list[Interface], list[fem.DirichletBC], dict[str, Changing]]:
+    """Check what a problem shall be made of; collective.
+
+    Returns:
+        Interfaces and Dirichlet conditions as lists, and the Constants in the arguments by name,
+        in which ranks must agree at every step; none on one rank.
+
+    Raises:
+        ValueError: if not, naming the argument and the remedy.
+    """
+    if not isinstance(solid, Solid):
+        raise ValueError(f"solid is {solid!r}: give a Solid(u, materials, cell_tags)")
+    given, conditions = _unrolled(interfaces), _unrolled(bcs)
+    changing = check_same_on_all_ranks(
+        solid.V.mesh.comm,
+        interfaces=given,
+        bcs=conditions,
+        loads=loads,
+        potential=potential,
+        geometry=geometry,
+        **options,
+    )
+    if not is_name(geometry, GEOMETRIES):
+        raise ValueError(f"geometry is {geometry!r}: choose 'updated' or 'reference'")
+    sides = _check_interfaces(_as_list("interfaces", given))
+    if sides:
+        _check_weight(solid)
+    conditions = _check_conditions(_as_list("bcs", conditions), solid.V)
+    if loads is not None:
+        _check_loads(loads, solid.V)
+    finite = np.isfinite(solid.V.mesh.geometry.x).all()
+    if any_rank(solid.V.mesh.comm, not finite)[0]:
+        raise ValueError("the mesh's coordinates hold NaN or infinity; check the mesh")
+    return sides, conditions, changing
+
+
+def check_problem(problem: Any, kind: type) -> None:
+    """Raise a ValueError unless a problem is of its kind, which lies above this module."""
+    if not isinstance(problem, kind):
+        raise ValueError(
+            f"problem is {problem!r}: give a {kind.__name__}(solid, interfaces, bcs=...)"
+        )
+
+
+def check_controls(qp: Any, rtol: Any, max_it: Any) -> None:
+    """Raise a ValueError unless the controls of Newton's method make sense.
+
+    Args:
+        qp: name of the QP backend.
+        rtol: relative tolerance.
+        max_it: largest number of iterations.
+    """
+    backends.check_name(qp)
+    if not (is_number(rtol) and 0.0 < float(rtol) < 1.0):
+        raise ValueError(f"rtol is {rtol!r}: need a number, 0 < rtol < 1")
+    if not is_integer(max_it) or max_it < 1:
+        raise ValueError(f"max_it is {max_it!r}: need an integer, max_it >= 1")
+
+
+def check_load_steps(
+    times: Any, start: Any, max_cuts: Any, cuts: Any, comm: MPI.Comm | None = None
+) -> list[float]:
+    """Return the load levels as numbers if they and the rules for cuts make sense; collective.
+
+    Args:
+        times: load levels.
+        start: level of the committed state, None for the one that was reached last.
+        max_cuts: largest number of halvings of a step.
+        cuts: "halve" or "none".
+        comm: ranks that have to agree.
+
+    Raises:
+        ValueError: for what cannot work, naming the argument and the remedy.
+    """
+    levels = _unrolled(times)
+    if comm is not None:
+        check_same_on_all_ranks(comm, times=levels, start=start, max_cuts=max_cuts, cuts=cuts)
+    if not isinstance(levels, list):
+        raise ValueError(f"times is {times!r}: give a list of levels, [{times!r}] for a single one")
+    for level in levels:
+        if not is_number(level):
+            raise ValueError(f"times holds {level!r}: every level must be a finite number")
+    if start is not None and not is_number(start):
+        raise ValueError(
+            f"start is {start!r}: give the finite level of the committed state, or None for the "
+            "last one reached"
+        )
+    if not is_integer(max_cuts) or max_cuts < 0:
+        raise ValueError(f"max_cuts is {max_cuts!r}: need an integer, max_cuts >= 0")
+    if not is_name(cuts, CUTS):
+        raise ValueError(f"cuts is {cuts!r}: choose 'halve' or 'none'")
+    return [float(level) for level in levels]
+
+
+def check_every(comm: MPI.Comm, checkpoint: Any, every: Any) -> Path | None:
+    """Return where checkpoints go, None for nowhere, if how often makes sense; collective.
+
+    Raises:
+        ValueError: if not, naming the argument.
+    """
+    check_same_on_all_ranks(comm, every=every)
+    if not is_integer(every) or every < 1:
+        raise ValueError(f"every is {every!r}: need an integer, every >= 1")
+    given = comm.allgather(checkpoint is None)
+    if any(given) and every != 1:
+        raise ValueError(f"every is {every!r}, but there is no checkpoint: give its file")
+    if any(given):
+        check_same_on_all_ranks(comm, checkpoint=checkpoint)
+        return None
+    return check_path(comm, checkpoint, "checkpoint")
+
+
+def _unrolled(values: Any) -> Any:
+    """Return a list of what can be iterated over only once; texts and all else as they are."""
+    values = values.tolist() if isinstance(values, np.ndarray) else values
+    text = isinstance(values, str | bytes)
+    return list(values) if isinstance(values, Iterable) and not text else values
+
+
+def _as_list(name: str, given: Any) -> list[Any]:
+    """Return the members of a sequence; a lone object is an error with a hint."""
+    if given is None:
+        raise ValueError(f"{name} is None: give a list, [] for none")
+    if not isinstance(given, Iterable):
+        raise ValueError(f"{name} is {given!r}: give a list, [{name[:-1]}]")
+    return list(given)
+
+
+def _check_interfaces(interfaces: list[Any]) -> list[Interface]:
+    """Return interfaces if they are some, and all different."""
+    for k, interface in enumerate(interfaces):
+        if not isinstance(interface, Interface):
+            raise ValueError(f"interfaces holds {interface!r}: give Contact or Tie objects")
+        if any(interface is other for other in interfaces[:k]):
+            raise ValueError(f"interfaces holds the same object {interface!r} twice: give it once")
+    return interfaces
+
+
+def _check_weight(solid: Solid) -> None:
+    """Raise a ValueError on all ranks unless the weight is one that interfaces can evaluate."""
+    x = np.array(solid.mesh.geometry.x[:, : solid.mesh.geometry.dim], dtype=np.float64)
+    i = solid.kinematics.radius
+    if i is not None:
+        x[:, i] = np.abs(x[:, i])  # on an axis the radius may be -1e-17
+    with raised_together(solid.mesh.comm):
+        solid.kinematics.weights_at(x)
+
+
+def _check_conditions(bcs: Sequence[Any], V: fem.FunctionSpace) -> list[fem.DirichletBC]:
+    """Return Dirichlet conditions if they are some, on V or its components."""
+    for bc in bcs:
+        if not isinstance(bc, fem.DirichletBC):
+            raise ValueError(f"bcs holds {bc!r}: make it with dolfinx.fem.dirichletbc")
+        space = bc.function_space
+        if not V._cpp_object.contains(getattr(space, "_cpp_object", space)):
+            raise ValueError(
+                "bcs holds a condition on another space than that of solid.u: make it on "
+                "u.function_space or a component, u.function_space.sub(i)"
+            )
+        if not type(bc._cpp_object).__name__.endswith("float64"):
+            raise ValueError(
+                "bcs holds a condition with values that are not real: give numbers, "
+                "Constants or Functions of type float64"
+            )
+    return list(bcs)
+
+
+def _check_loads(loads: Any, V: fem.FunctionSpace) -> None:
+    """Raise a ValueError unless the loads are a linear form of V's test function."""
+    wanted = "give a linear form, for example inner(t, v) * ds"
+    if isinstance(loads, fem.Form):
+        raise ValueError(f"loads is a compiled form: {wanted}, in UFL as it is before fem.form")
+    if not isinstance(loads, ufl.Form):  # its repr may fill pages
+        raise ValueError(f"loads is a {type(loads).__name__}: {wanted}")
+    check_real("loads", *loads.coefficients(), *loads.constants())
+    if len(loads.arguments()) != 1:
+        raise ValueError(f"loads has {len(loads.arguments())} arguments, not one: {wanted}")
+    space = loads.arguments()[0].ufl_function_space()
+    if space != V.ufl_function_space():
+        raise ValueError(
+            "loads: the test function belongs to another space; make it with "
+            "TestFunction(u.function_space)"
+        )

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: MIT
+"""The jumps and pretensions of ties: read at the start of a step, set at its end."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx import fem
+from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.interfaces.jump import extended, nodal_function, values_at
+from dolfinx_mortar.interfaces.nodal import check_mesh
+from dolfinx_mortar.interfaces.pretension import Pretension
+from dolfinx_mortar.interfaces.system import InterfaceSystem
+from dolfinx_mortar.interfaces.tie import Tie
+from dolfinx_mortar.terms.term import Term
+
+
+def read_jumps(system: InterfaceSystem, empty: PETSc.Vec) -> dict[int, PETSc.Vec]:
+    """Return the displacements (n,) that ties ask of their slave sides, by number; collective.
+
+    Ties without a jump are left out.
+
+    Args:
+        system: the interfaces.
+        empty: a vector of the displacement, to make others like it.
+
+    Raises:
+        ValueError: on all ranks, if a jump lives on another mesh, has another shape than a vector
+            at each slave node, holds NaN or infinity, or is longer than the model.
+    """
+    V, jumps = system.V, {}
+    for k, (interface, sides) in enumerate(zip(system.interfaces, system.sides, strict=True)):
+        if not isinstance(interface, Tie):
+            continue
+        check_jump_of(interface, V)
+        if interface.jump is None and not interface.tightening.any():
+            continue
+        given = nodal_function(interface.jump, V)
+        with raised_together(V.mesh.comm):
+            values = values_at(given, V, sides.nodes) + interface.tightening
+        bad = V.mesh.comm.allreduce(int(np.sum(~np.isfinite(values))), op=MPI.SUM)
+        if bad:
+            raise ValueError(
+                f"jump: {bad} values of {interface} are NaN or infinite; check what it is made of"
+            )
+        longest = float(maximum(V.mesh.comm, np.abs(values).max(initial=0.0))[0])
+        if longest > (size := diagonal(V)):
+            raise ValueError(
+                f"jump: {interface} has a component of {longest:.4g}, more than the whole model's "
+                f"diagonal, {size:.4g}: give the displacement of the slave side relative to the "
+                "master side, in the unit of the mesh"
+            )
+        jumps[k] = empty.duplicate()
+        shared = (sides.on_slave & sides.on_master)[: system.n]
+        jumps[k].array[:] = extended(values, sides.nodes, shared, system.n).ravel()
+    return jumps
+
+
+class Pretensions(Term):
+    """The work -sum_k F_k s_k of the pretensions of ties on their overlaps, see `Pretension`.
+
+    Attributes:
+        forces: F_k of the step, by the number of the tie.
+    """
+
+    linear = True
+    has_tangent = False
+
+    def __init__(self, u: fem.Function, system: InterfaceSystem) -> None:
+        """Start without a force."""
+        self.forces: dict[int, float] = {}
+        self._u, self._system = u, system
+
+    def begin(self, start: float, end: float) -> None:
+        """Read the forces.
+
+        Raises:
+            ValueError: on all ranks, if the value of a Constant is NaN or infinite.
+        """
+        self.forces = {}
+        for k, tie in enumerate(self._system.interfaces):
+            if not isinstance(tie, Tie) or tie.pretension is None:
+                continue
+            given = tie.pretension
+            force = float(given.value if isinstance(given, fem.Constant) else given)
+            if not np.isfinite(force):
+                raise ValueError(
+                    f"pretension of {tie} is {force}: set the Constant to a finite number"
+                )
+            self.forces[k] = force
+
+    def given(self) -> tuple[tuple[Pretension, float], ...]:
+        """Return the unknowns in T with their forces."""
+        found = self._system.pretensions
+        return tuple((one, self.forces[one.number]) for one in found if one.number in self.forces)
+
+    def energy(self) -> Floats:
+        """Return the addends of this rank."""
+        pairs = [-F * one.pair.array_r * self._owned(one) for one, F in self.given()]
+        return np.concatenate([np.zeros(0), *pairs])
+
+    def _owned(self, one: Pretension) -> Floats:
+        return np.asarray(self._u.x.array[: one.pair.local_size])
+
+    def add_forces(self, F: PETSc.Vec) -> None:
+        """Subtract the pairs of nodal forces."""
+        for one, force in self.given():
+            F.array_w[:] -= force * one.pair.array_r
+
+    def add_tangent(self, K: PETSc.Mat) -> None:
+        """Add nothing: the overlaps are linear in u."""
+
+
+def tighten(
+    system: InterfaceSystem, u: PETSc.Vec, jumps: dict[int, PETSc.Vec]
+) -> dict[int, PETSc.Vec]:
+    """Add the overlaps of a step to the tightenings of its ties; return the new jumps; collective.
+
+    Args:
+        system: the interfaces, with the T of the step.
+        u: (n,) displacement at the end of the step.
+        jumps: as `read_jumps` has returned them at its start.
+    """
+    found = dict(jumps)
+    for pretension in system.pretensions:
+        k = pretension.number
+        tie = system.interfaces[k]
+        assert isinstance(tie, Tie)
+        way = system.overlap(pretension, u, jumps) * pretension.axis
+        tie.tightening = tie.tightening + way
+        found[k] = jumps[k].copy() if k in jumps else 0.0 * u
+        found[k].array.reshape(-1, len(way))[system.sides[k].nodes] += way
+    return found
+
+
+def diagonal(V: fem.FunctionSpace) -> float:
+    """Return the diagonal of the box around the model; collective."""
+    x = V.tabulate_dof_coordinates()
+    ends = maximum(V.mesh.comm, *x.max(axis=0, initial=-np.inf), *(-x).max(axis=0, initial=-np.inf))
+    return float(np.linalg.norm(ends[:3] + ends[3:]))
+
+
+def check_jump_of(tie: Tie, V: fem.FunctionSpace) -> None:
+    """Raise a ValueError on all ranks unless a jump is on V's mesh; collective."""
+    with raised_together(V.mesh.comm):
+        check_mesh("jump", tie.jump, V)

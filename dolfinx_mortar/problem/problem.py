@@ -1,0 +1,524 @@
+# SPDX-License-Identifier: MIT
+"""Bodies, interfaces, supports and loads of a load step."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+from dolfinx_mortar.agreement import check_same_on_all_ranks
+from dolfinx_mortar.algebra.congruence import CongruentOperator
+from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.audit.audit import Audit, create_audit, find_loose_motions
+from dolfinx_mortar.audit.mesh_audit import check_mesh
+from dolfinx_mortar.interfaces.contact import Contact
+from dolfinx_mortar.interfaces.interface import Interface, check_owned
+from dolfinx_mortar.interfaces.results import merge_results
+from dolfinx_mortar.interfaces.slip_partners import Partners
+from dolfinx_mortar.interfaces.system import Configuration, InterfaceSystem
+from dolfinx_mortar.interfaces.tie import Tie
+from dolfinx_mortar.persistence import restoring, saving
+from dolfinx_mortar.persistence.lasting import Committed, Lasting
+from dolfinx_mortar.problem.checks import check_arguments
+from dolfinx_mortar.problem.jumps import Pretensions, check_jump_of, read_jumps
+from dolfinx_mortar.problem.preconditioning import UnknownsOfBodies
+from dolfinx_mortar.problem.step_data import StepData
+from dolfinx_mortar.qp import LinearSolver, check_options
+from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.step_report import LoadStep, Timings
+from dolfinx_mortar.supports.axis import check_axis, check_targets
+from dolfinx_mortar.supports.bodies import Bodies, find_bodies, find_tied_groups
+from dolfinx_mortar.supports.dirichlet import Dirichlet, create_dirichlet
+from dolfinx_mortar.terms.sum import Terms
+from dolfinx_mortar.terms.term import Term, check_terms
+from dolfinx_mortar.terms.weak_forms import DeadLoads, WeakForm, check_form
+
+
+class ContactProblem:
+    """Elasto-plastic bodies with contact and mesh tying under Dirichlet data and loads.
+
+    One step minimises J(v) = Psi(v) - f.v over B_E v = c_E, B_I v <= c_I (paper, eqs. 2-4).
+
+    Args:
+        solid: the bodies: displacement, materials, committed state.
+        interfaces: contacts and ties; none is plain elasto-plasticity. A slave node that several
+            interfaces want belongs to the first one whose master it faces.
+        bcs: Dirichlet conditions on the space of ``solid.u`` or its components; their values are
+            read anew at every step.
+        loads: linear form of the external virtual work, assembled anew at every step.
+        potential: functional of ``solid.u`` added to Psi (springs, elastic foundations,
+            conservative pressure); its derivatives are taken by UFL. Both get the weight of the
+            solid's kinematics as a factor: with "axisymmetric" write tractions, not 2 pi r of them.
+        terms: what else adds energy, forces and stiffness, see `Term` and `WeakForm`.
+        geometry: "updated" rebuilds normals, segments, D, M and gaps from X + u in every Newton
+            iteration, "reference" freezes them at X.
+        petsc_options_prefix: prefix of the linear solver's PETSc options.
+        petsc_options: options of the linear solver, without the prefix. A key that PETSc does not
+            know is named in the report; ``report.linear_solver`` names the method in use. Unless
+            one is named here, multigrid that fails in 3D gives way to a factorisation.
+
+    Raises:
+        ValueError: for arguments that cannot work, on all ranks, with the remedy.
+    """
+
+    def __init__(
+        self,
+        solid: Solid,
+        interfaces: Sequence[Interface] = (),
+        *,
+        bcs: Sequence[fem.DirichletBC] = (),
+        loads: ufl.Form | None = None,
+        potential: ufl.Form | None = None,
+        terms: Sequence[Term] = (),
+        geometry: str = "updated",
+        petsc_options_prefix: str = "dolfinx_mortar_",
+        petsc_options: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Check the arguments and create everything that later steps refill."""
+        sides, conditions, self._changing = check_arguments(
+            *(solid, interfaces, bcs, loads, potential, geometry),
+            terms=terms,
+            petsc_options_prefix=petsc_options_prefix,
+            petsc_options=petsc_options,
+        )
+        with raised_together(solid.V.mesh.comm):  # before one is taken from another problem
+            for side in sides:
+                side.check(solid.V)
+        for side in sides:
+            if isinstance(side, Tie):
+                check_jump_of(side, solid.V)
+        check_options(solid.V.mesh.comm, petsc_options_prefix, petsc_options)
+        self.solid, self.geometry = solid, geometry
+        self.timings = Timings()
+        kinematics = solid.kinematics
+        self.terms = _create_terms(solid, loads, potential, terms)
+        self.supports: Dirichlet = create_dirichlet(solid.V, conditions)
+        with self.timings("mortar"):
+            at_points = None if kinematics.unweighted else kinematics.weights_at
+            self.system = InterfaceSystem(self.V, sides, self.supports.fixed, at_points)
+            for interface in sides:
+                interface.take(self.supports, self.V)
+        self.pretensions = Pretensions(solid.u, self.system)
+        if self.ties:
+            named = [*self.terms.named, ("pretension", self.pretensions)]
+            self.terms = replace(self.terms, named=named)
+        self.bodies: Bodies = find_bodies(self.V, kinematics.rigid_motions)
+        motions = kinematics.nearly_rigid or kinematics.rigid_motions
+        with self.timings("setup"):
+            self.operator = CongruentOperator(self.terms.create_matrix())
+            self.linear = LinearSolver(
+                self.comm,
+                prefix=petsc_options_prefix,
+                options=petsc_options,
+                multigrid=self.d == 3,
+                # not the problem: a reference to it would keep its matrices alive
+                unknowns=UnknownsOfBodies(
+                    self.K, self.system, self.supports, replace(self.bodies, motions=motions)
+                ),
+            )
+        ties = [
+            (side.on_slave, side.on_master)
+            for side, interface in zip(self.system.sides, sides, strict=True)
+            if not interface.one_sided
+        ]
+        self.tied_groups = find_tied_groups(self.bodies, ties)
+        self.committed = Committed(
+            np.zeros(self.n, dtype=bool),
+            self.u.x.array[: self.d * self.n].copy(),
+            *np.zeros((2, len(sides), self.n)),
+        )
+        self._audited: Audit | None = None
+
+    # -- names for what lies deeper --------------------------------------------------------------
+
+    @property
+    def u(self) -> fem.Function:
+        """The displacement."""
+        return self.solid.u
+
+    @property
+    def K(self) -> PETSc.Mat:
+        """The tangent, in u."""
+        return self.operator.K
+
+    @property
+    def V(self) -> fem.FunctionSpace:
+        """Its space."""
+        return self.solid.V
+
+    @property
+    def comm(self) -> MPI.Comm:
+        """Communicator of the mesh."""
+        return self.V.mesh.comm
+
+    @property
+    def d(self) -> int:
+        """Dimension of the space."""
+        return int(self.V.dofmap.index_map_bs)
+
+    @property
+    def n(self) -> int:
+        """How many nodes this rank owns."""
+        return int(self.V.dofmap.index_map.size_local)
+
+    @property
+    def first_dof(self) -> int:
+        """Global number of this rank's first dof."""
+        return int(self.d * self.V.dofmap.index_map.local_range[0])
+
+    @cached_property
+    def X(self) -> Floats:
+        """Reference coordinates (owned nodes, d)."""
+        return np.asarray(self.V.tabulate_dof_coordinates()[: self.n, : self.d])
+
+    @property
+    def fixed(self) -> Bools:
+        """Which displacement components have Dirichlet data, (local nodes, d)."""
+        return self.supports.fixed
+
+    @property
+    def bcs(self) -> list[fem.DirichletBC]:
+        """The Dirichlet conditions."""
+        return self.supports.bcs
+
+    @property
+    def interfaces(self) -> list[Interface]:
+        """Contacts and ties in the user's order."""
+        return self.system.interfaces
+
+    @property
+    def contacts(self) -> list[Contact]:
+        """The unilateral interfaces."""
+        return [i for i in self.interfaces if isinstance(i, Contact)]
+
+    @property
+    def ties(self) -> list[Tie]:
+        """The tied interfaces."""
+        return [i for i in self.interfaces if isinstance(i, Tie)]
+
+    @property
+    def configuration(self) -> fem.Function | None:
+        """The displacement at which normals and segments are taken, None for X."""
+        return self.u if self.geometry == "updated" else None
+
+    def vector(self, values: Floats | None = None) -> PETSc.Vec:
+        """Return a new vector of owned dofs, zero or with values."""
+        v = self.K.createVecRight()
+        v.array[:] = 0.0 if values is None else values.ravel()
+        return v
+
+    # -- a step ----------------------------------------------------------------------------------
+
+    def check_ranks(self, **controls: Any) -> None:
+        """Raise a ValueError on all ranks unless they agree in what a step reads; collective.
+
+        Constants in loads, supports, laws, eigenstrain and limits of friction, the jumps of ties,
+        and the controls of the step. One reduction of 16 bytes.
+        """
+        known = self.solid.changing | self._changing
+        # last: a jump may be another object now
+        check_same_on_all_ranks(self.comm, **controls, **known, interfaces=self.interfaces)
+
+    def check_owned(self) -> None:
+        """Raise a ValueError if an interface, with its results, belongs to a problem made later."""
+        check_owned(self.interfaces, self.supports)
+
+    def begin_step(self, level: float | None = None) -> StepData:
+        """Read loads, Dirichlet values and jumps, move the bodies with them, pair; collective.
+
+        Every body, or tied group of bodies, is moved as a whole by the mean of its prescribed
+        increments. That strains nothing, and takes from the first QP what would be forty times the
+        contact force in the paper's problem; and a disc that is pressed down by many facet lengths
+        meets other partners than where it started. There the surfaces are paired anew if they
+        have slid past their partners: a step depends on the displacement and the committed state
+        alone, whatever else has been tried or looked at.
+
+        Args:
+            level: load level of the step, for its terms; None for that of the committed state.
+
+        Raises:
+            ValueError: on NaN or infinity in one of them, the displacement, the potential or the
+                coordinates; for conditions that contradict each other, limits of friction below 0,
+                points that leave an axis, jumps that cannot be, interfaces of another problem.
+        """
+        self.check_owned()
+        data = self._read(level)
+        size = self.d * self.n
+        self.u.x.array[:size] += self._mean(data.asked)
+        self.u.x.scatter_forward()
+        notes = self._check_mesh() if self._audited is None else []
+        partners = self._partners(data.target) if data.limits else []
+        with self.timings("mortar"):
+            found = self.system.begin(self.configuration, self.committed.paired)
+            u = self.vector(self.u.x.array[:size])
+            data = replace(
+                data,
+                increment=max(data.increment, found.largest_slip(u, data.jumps)),
+                partners=partners or found.partners(self._committed_positions()),
+            )
+        self._enter(found, data.increment)
+        if self.linear.direct and not self.terms.linear:
+            self.linear.forget()  # a step that was tried has left another factorisation
+        if self._audited is None:
+            self._audited = self._audit(data.increment, notes)
+        return data
+
+    def _read(self, level: float | None) -> StepData:
+        """Return what a step asks for at the present displacement; collective."""
+        limits = []
+        if self.system.has_friction:
+            limits = [i.limits() if isinstance(i, Contact) else None for i in self.interfaces]
+        target = self.supports.values()
+        for name, array, remedy in (
+            ("bcs", target[self.supports.owned.ravel()], "check the values of the conditions"),
+            ("u", self.u.x.array, "start from a finite displacement"),
+            ("the mesh's coordinates", self.V.mesh.geometry.x, "check the mesh"),
+        ):
+            bad = self.comm.allreduce(int(np.sum(~np.isfinite(array))), op=MPI.SUM)
+            if bad:
+                raise ValueError(f"{name}: {bad} values are NaN or infinite; {remedy}")
+        start = self.committed.level
+        with self.timings("assembly"):
+            self.terms.begin(start, start if level is None else level)
+        check_targets(self.solid, target)
+        jumps = read_jumps(self.system, self.vector())
+        asked = self.supports.increment(target, self.u.x.array)
+        largest = float(maximum(self.comm, np.abs(asked).max(initial=0.0))[0])
+        contacts = self.committed.contacts_at(self.comm, self.u.x.array[: self.d * self.n])
+        return StepData(target, asked, largest, jumps, contacts, limits)
+
+    def _mean(self, asked: Floats) -> Floats:
+        """Return the displacement (n,) of bodies moved by the mean of what is asked; collective."""
+        mean = self.bodies.mean(asked, self.supports.owned, self.tied_groups)[self.bodies.label]
+        return np.asarray(mean * self.bodies.shifts).ravel()  # a ring has no shift across its axis
+
+    def _committed_positions(self) -> PETSc.Vec:
+        """Return the positions (n,) from which slips count."""
+        return self.vector(self.X.ravel() + self.committed.displacement)
+
+    def _partners(self, target: Floats) -> list[Partners | None]:
+        """Return the partners from which slips are measured; none for those at u; collective.
+
+        They are those at the last commit, whatever has been tried since. In the first step the
+        sides may meet only where the supports move them.
+        """
+        if not self.system.has_friction:
+            return []
+        if self.geometry == "reference":  # partners stay
+            return [None] * len(self.interfaces)
+        began = self.committed.displacement
+        if not self.committed.begun:
+            began = began + self._mean(self.supports.increment(target, began))
+        differs = not np.array_equal(self.u.x.array[: began.size], began)
+        if not any_rank(self.comm, differs)[0]:
+            return []
+        there = fem.Function(self.V)
+        there.x.array[: began.size] = began
+        there.x.scatter_forward()
+        with self.timings("mortar"):
+            found = self.system.begin(there, self.committed.paired)
+            return found.partners(self._committed_positions())
+
+    def audit(self) -> Audit:
+        """Return the geometry audit, made before the first step; collective.
+
+        Sides that are beyond each other are no error where the Dirichlet conditions, as they are
+        now, may bring them together.
+
+        Raises:
+            ValueError: if nothing holds a body, a pair of surfaces cannot meet, or another problem
+                has taken over an interface.
+        """
+        self.check_owned()
+        if self._audited is None:
+            notes = self._check_mesh()
+            self.update_geometry(0.0)
+            asked = self.supports.increment(self.supports.values(), self.u.x.array)
+            increment = float(maximum(self.comm, np.abs(asked).max(initial=0.0))[0])
+            self._audited = self._audit(increment, notes)
+        return self._audited
+
+    def _check_mesh(self) -> list[str]:
+        """Return what to say of the mesh; collective."""
+        notes = check_mesh(self.V.mesh)
+        check_axis(self.solid, self.supports, self.system.sides)
+        return notes
+
+    def _audit(self, increment: float, notes: list[str]) -> Audit:
+        """Audit the present configuration; collective."""
+        springs = self._resistance_of_potential()
+        at, parts = self.configuration, (self.bodies, self.system, self.supports)
+        audit = create_audit(*parts, self.positions(), springs, at=at, increment=increment)
+        return replace(audit, warnings=audit.warnings + notes)
+
+    def loose_motions(self) -> list[str]:
+        """Return the names of the rigid motions that nothing resists; collective.
+
+        In the geometry of the moment, with the overlaps of ties with a pretension free.
+        """
+        springs = self._resistance_of_potential()
+        return find_loose_motions(self.bodies, self.system, self.supports, springs)
+
+    def _resistance_of_potential(self) -> Callable[[PETSc.Vec], Floats]:
+        """Return the forces of the terms against a motion, over their largest stiffness."""
+        if not self.terms.have_tangent:
+            return lambda v: np.zeros(0)
+        self.terms.check_energies()
+        springs = self.terms.create_matrix()
+        springs.zeroEntries()
+        self.terms.add_tangents(springs)
+        springs.assemble()
+        stiffest = np.abs(springs.getDiagonal().array_r).max(initial=0.0)
+        scale = max(float(maximum(self.comm, stiffest)[0]), np.finfo(float).tiny)
+        return lambda v: np.asarray((springs * v).array_r / scale)
+
+    def update_geometry(self, increment: float) -> None:
+        """Pair the surfaces at X + u (at X if frozen), and make D, M, N and T there; collective.
+
+        Args:
+            increment: largest motion that the step asks for.
+        """
+        with self.timings("mortar"):
+            found = self.system.at(self.configuration)
+        self._enter(found, increment)
+
+    def follow_geometry(self, *, everywhere: bool = False) -> None:
+        """Go on to X + u in the course of a step, which knows the last geometry; collective.
+
+        Args:
+            everywhere: ask whether whole surfaces have slid past their partners, not only where
+                they are near.
+        """
+        at, x = self.configuration, self.positions()
+        with self.timings("mortar"):
+            if self.system.follow(at, x, everywhere=everywhere):
+                self.linear.clear()  # before the new product needs the memory
+
+    def _enter(self, found: Configuration, increment: float) -> None:
+        """Take a configuration at u as the present one; collective."""
+        with self.timings("mortar"):
+            if self.system.enter(found, self.positions(), increment):
+                self.linear.clear()  # before the new product needs the memory
+
+    def positions(self) -> PETSc.Vec:
+        """Return X + u as a vector."""
+        x = self.vector(self.X)
+        x.array[:] += self.u.x.array[: x.local_size]
+        return x
+
+    # -- results ---------------------------------------------------------------------------------
+
+    def commit(self) -> None:
+        """Make the converged step the state from which the next one starts; collective.
+
+        Raises:
+            ValueError: if a problem made later has taken over an interface, with its slips.
+        """
+        self.check_owned()
+        with self.timings("commit"):
+            self.terms.commit()
+            self.committed.commit(self.comm, self.u.x.array[: self.d * self.n])
+
+    @property
+    def lasting(self) -> Lasting:
+        """What goes on from step to step."""
+        parts = self.solid, self.interfaces, self.system, self.supports
+        return Lasting(*parts, self.geometry, self.committed, self.terms.named)
+
+    @property
+    def history(self) -> list[LoadStep]:
+        """The steps that `load_steps` has made, those before the last checkpoint included."""
+        return self.committed.history
+
+    @property
+    def steps_done(self) -> tuple[int, int]:
+        """How many load steps have led here, and how many of them a checkpoint has brought."""
+        return len(self.committed.history), self.committed.brought
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a checkpoint, from which `restore` goes on on any number of ranks; collective.
+
+        Displacement, internal variables, stress, closed contacts and slips, load level, results
+        of the interfaces, how far `preload` has tightened ties, and `history`. Not what a program
+        sets anew: loads, supports, jumps, parameters and eigenstrain that may change. An older file
+        of this name is replaced in one move, when the new one is complete and on the disk; a writer
+        that is stopped leaves it as it was. Nodes are known by their coordinates and those of their
+        cells, so bodies that lie on each other cell by cell cannot be restored.
+
+        Args:
+            path: the file, HDF5; its folder must exist.
+
+        Raises:
+            OSError: on all ranks, if it cannot be written; the older one stays.
+            ValueError: if a problem made later has taken over an interface, with its results.
+            RuntimeError: if h5py is missing (an ImportError on rank 0).
+        """
+        with self.timings("checkpoint"):
+            saving.save(self.lasting, path)
+
+    def restore(self, path: str | os.PathLike[str]) -> None:
+        """Take over the state of a checkpoint, written on any number of ranks; collective.
+
+        The problem must be made as that one was: mesh, materials, interfaces. Nodes and points are
+        found by their coordinates, so the mesh may be numbered in any way. Set loads, and what else
+        changes, to the load level (``committed.level``) before something is evaluated, and where
+        parameters do, call ``solid.follow()`` before something is shown; `load_steps` does both.
+
+        Args:
+            path: what `save` or `load_steps` has written.
+
+        Raises:
+            OSError: on all ranks, if there is no such file, or it cannot be read.
+            ValueError: on all ranks, if it is no checkpoint, cut off or damaged, of another version
+                or another problem; the message names what differs. Nothing is changed then.
+        """
+        with self.timings("checkpoint"):
+            restoring.read(self.lasting, path).put()
+
+    def output_fields(self) -> dict[str, fem.Function]:
+        """Return the Functions worth writing, by name; collective.
+
+        The displacement, ``solid.output_fields()``, and the interfaces' pressure, gap and status
+        with "facing", 1 at slave nodes that face a master: elsewhere there is no gap, written as 0.
+        With friction also "traction" and "slip" (see `Contact`), and a status of 1 is stick, 2
+        slip.
+
+        Raises:
+            ValueError: if a problem made later has taken over an interface, with its results.
+        """
+        self.check_owned()
+        fields = {"displacement": self.u} | self.solid.output_fields()
+        names = ["pressure", "gap", "facing", "status"] if self.interfaces else []
+        names += ["traction", "slip"] if self.system.has_friction else []
+        for name in names:
+            scalar = self.interfaces[0].pressure.function_space
+            merged = fem.Function(self.V if name == "traction" else scalar, name=name)
+            fields[name] = merge_results(self.system.sides, self.interfaces, name, merged)
+        return fields
+
+
+def _create_terms(
+    solid: Solid, loads: ufl.Form | None, potential: ufl.Form | None, terms: Sequence[Term]
+) -> Terms:
+    """Return the sum over the bodies, dead loads, the potential and the user's terms."""
+    own = check_terms(solid.V.mesh.comm, terms, solid.V)
+    named: list[tuple[str, Term]] = []
+    if loads is not None:
+        named.append(("loads", DeadLoads(solid, loads)))
+    if potential is not None:
+        check_form(solid.u, "potential", potential)
+        named.append(("potential", WeakForm(solid, energy=potential)))
+    named += [(f"terms[{k}], a {type(term).__name__}", term) for k, term in enumerate(own)]
+    return Terms(solid, named)

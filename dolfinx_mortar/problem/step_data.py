@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: MIT
+"""What a step reads once, at its start."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.interfaces.slip_partners import Partners
+
+
+@dataclass(frozen=True)
+class StepData:
+    """Dirichlet values and jumps of a step, read at its start."""
+
+    target: Floats  # (n,) prescribed displacements, 0 where there is none
+    asked: Floats  # (owned nodes, d) prescribed minus present values at the start
+    increment: float  # the largest of them, and of what ties have to open, all ranks
+    jumps: dict[int, PETSc.Vec] = field(default_factory=dict)  # (n,) of ties, by their number
+    # closed contacts (owned nodes,) and slip directions (owned nodes, d) to begin with
+    contacts: tuple[Bools, Floats | None] = (np.zeros(0, dtype=bool), None)
+    # with friction, for each interface: limits (owned nodes,), and from which points of the master
+    # slips are measured, None for those of the moment
+    limits: Sequence[Floats | None] = ()
+    partners: Sequence[Partners | None] = ()

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: MIT
+"""Interior point: PETSc TAO's bqpip, the counterpart of the quadprog that the paper calls.
+
+On the scaled QP, stopped and judged by the check on the data.
+"""
+
+from dataclasses import replace
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution, check, on_bounded, reaction
+from dolfinx_mortar.qp.held import SHARE, HeldProblem, State
+from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
+from dolfinx_mortar.qp.updates import LIMIT, update
+
+# Far bounds of unknowns that have none, in units of the largest scaled unknown
+BOX = 1e3
+
+
+def solve(qp: BoundQP, linear: LinearSolver, *, rtol: float) -> QPSolution:
+    """Solve a bound-constrained QP, then once more with the active set found (collective).
+
+    The unknowns are scaled to a unit diagonal and a unit force, so that TAO's absolute constants
+    mean the same in all units. It starts from the interior of the bounds.
+
+    Args:
+        qp: the problem, symmetric and positive definite, without friction.
+        linear: its options go to the linear solver inside TAO; it makes the last solve.
+        rtol: tolerance of the KKT check that stops the iteration.
+
+    Returns:
+        The solution before or after the last solve, whichever passes the check better.
+    """
+    scaled = _Scaled(qp, linear)
+    try:
+        x, iterations, reason = _iterate(qp, linear, scaled, BOX, rtol)
+        if scaled.touches(BOX, x):
+            x, more, reason = _iterate(qp, linear, scaled, BOX**2, rtol)
+            iterations += more
+    finally:
+        scaled.destroy()
+    polished = _polish(qp, linear, x, rtol)
+    note = f"TAO bqpip did not reach the tolerance itself, reason {reason}"
+    return replace(
+        polished,
+        backend="interior-point",
+        updates=polished.updates + iterations,
+        factorisations=iterations,
+        note="" if reason == PETSc.TAO.Reason.CONVERGED_USER else note,
+    )
+
+
+def _iterate(
+    qp: BoundQP, linear: LinearSolver, scaled: "_Scaled", box: float, rtol: float
+) -> tuple[PETSc.Vec, int, int]:
+    """Run TAO within a box; return x, the iterations and TAO's reason to stop."""
+    prefix = f"{linear.options.prefix}tao_"
+    tao = PETSc.TAO().create(qp.A.comm)
+    tao.setOptionsPrefix(prefix)
+    tao.setType(PETSc.TAO.Type.BQPIP)
+
+    def objective(_: PETSc.TAO, y: PETSc.Vec, gradient: PETSc.Vec) -> float:
+        scaled.A.mult(y, gradient)
+        gradient.axpy(-1.0, scaled.b)
+        return float(0.5 * (y.dot(gradient) - y.dot(scaled.b)))
+
+    def stop(tao: PETSc.TAO) -> None:
+        if check(qp, scaled.unscale(tao.getSolution())).satisfied(SHARE * rtol):
+            tao.setConvergedReason(PETSc.TAO.Reason.CONVERGED_USER)
+
+    y, gradient = scaled.start.copy(), scaled.b.duplicate()
+    tao.setObjectiveGradient(objective, gradient)
+    tao.setHessian(lambda *_: None, scaled.A)
+    tao.setVariableBounds(scaled.bounds(box))
+    tao.setTolerances(gatol=0.0, grtol=0.0, gttol=0.0)  # it must not stop before our check does
+    tao.setMaximumIterations(LIMIT)
+    tao.setMonitor(stop)
+    try:
+        with linear.options.database(prefix):
+            tao.setFromOptions()
+            tao.solve(y)
+        return scaled.unscale(y), tao.getIterationNumber(), int(tao.getConvergedReason())
+    finally:
+        tao.destroy()
+
+
+class _Scaled:
+    """The QP in y = x / (s l), s = diag(A)^(-1/2), with a length l that makes y about 1.
+
+    The length comes from the solution with all bounded unknowns held where they are (or at the
+    nearest admissible value). Unknowns without a bound get one that is far away: the interior
+    point averages its complementarity over all bounds, and one at infinity spoils it.
+    """
+
+    def __init__(self, qp: BoundQP, linear: LinearSolver) -> None:
+        self.qp = qp
+        self.s = qp.A.getDiagonal()
+        self.s.sqrtabs()
+        self.s.reciprocal()
+        lower, upper = qp.bounds()
+        x = qp.b.duplicate()
+        x.set(0.0)
+        x.array[qp.bounded] = np.clip(0.0, lower, upper)
+        force = max(qp.b.norm(), reaction(qp, x).norm())
+        linear.solve(qp.b, x, np.sort(qp.bounded), atol=force / BOX)
+        x.pointwiseDivide(x, self.s)
+        self.length = x.norm(PETSc.NormType.INFINITY) or 1.0
+        x.scale(1.0 / self.length)
+        self.start = x
+        self.A = qp.A.copy()
+        self.A.diagonalScale(self.s, self.s)
+        self.A.setOption(PETSc.Mat.Option.SPD, True)
+        self.b = qp.b.duplicate()
+        self.b.pointwiseMult(qp.b, self.s)
+        self.b.scale(1.0 / self.length)
+
+    def bounds(self, box: float) -> tuple[PETSc.Vec, PETSc.Vec]:
+        """Return the bounds of y, which are far away in a box where there are none."""
+        own = self.qp.bounded
+        sides = self.b.duplicate(), self.b.duplicate()
+        for side, values, far in zip(sides, self.qp.bounds(), (-box, box), strict=True):
+            side.set(far)
+            scaled = values / (self.s.array_r[own] * self.length)
+            side.array[own] = np.where(np.isfinite(scaled), scaled, far)
+        return sides
+
+    def unscale(self, y: PETSc.Vec) -> PETSc.Vec:
+        """Return x."""
+        x = y.duplicate()
+        x.pointwiseMult(y, self.s)
+        x.scale(self.length)
+        return x
+
+    def touches(self, box: float, x: PETSc.Vec) -> bool:
+        """Tell whether the far bounds are not far enough."""
+        y = np.abs(x.array_r / (self.s.array_r * self.length))
+        y[self.qp.bounded] = 0.0
+        return bool(self.qp.comm.allreduce(y.max(initial=0.0), op=MPI.MAX) > SHARE * box)
+
+    def destroy(self) -> None:
+        """Free the scaled matrix, which is as large as A; collective."""
+        self.A.destroy()
+
+
+def _polish(qp: BoundQP, linear: LinearSolver, x: PETSc.Vec, rtol: float) -> QPSolution:
+    """Round by complementarity: solve with the active set found, more often if it changes."""
+    z = reaction(qp, x)
+    active = on_bounded(qp, x, z).predicted()
+    found = QPSolution(x, z, active, check(qp, x, z), 0, 0, 0, "")
+    problem = HeldProblem(qp, linear, x.copy(), rtol)
+    try:
+        outcome = update(problem.hold, State.create(qp, active), qp.comm)
+    except LinearSolveFailed:
+        return found
+    polished = problem.solution(outcome, "")
+    return polished if polished.kkt.worst < found.kkt.worst else found

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: MIT
+"""The certificate of a converged step: residuals of equilibrium and of the contact laws."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx_mortar.algebra.parallel import maximum, ratio
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.interfaces.coupling import Link
+from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.interfaces.motions import along_and_across, relative_motions
+from dolfinx_mortar.interfaces.near import nodal_gaps
+from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.newton_method.residuals import Residuals
+from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.qp import Sliders
+from dolfinx_mortar.report.small_strain import LeftOut, find_left_out
+from dolfinx_mortar.step_report import Certificate, StepReport
+
+
+def _largest(comm: MPI.Comm, *arrays: Floats) -> Floats:
+    """Return the maxima of arrays over all ranks, 0 for empty ones."""
+    return maximum(comm, *(a.max(initial=0.0) for a in arrays))
+
+
+def operator_errors(link: Link, facet_length: float) -> tuple[float, float]:
+    """Return the linear-field error and the row-sum error of D and M; collective.
+
+    On a flat interface (D - M) X has no tangential part, whatever the gap; on a curved one it is
+    the gap times the angle between the projections and the nodal normals. Rows of D - M sum to
+    zero on every interface. Both over D_jj, the first also over the gap plus a facet length. Where
+    Dirichlet data give the directions of a tie different nodes, that holds for each direction.
+    """
+    sides, normals = link.sides, link.coupling.normals
+    judged = link.coupling.kept.T & normals.any(axis=1)  # Dirichlet data may leave no normal
+    v = link.Q.createVecRight()
+    v.set(1.0)
+    sums = np.abs(relative_motions(link, v)).max(initial=0.0)
+    d = normals.shape[1]
+    v.array[:] = sides.V.tabulate_dof_coordinates()[: sides.n_owned, :d].ravel()
+    along, across = along_and_across(relative_motions(link, v), normals)
+    linear = (across / (np.abs(along) + facet_length))[judged].max(initial=0.0)
+    linear, sums = maximum(sides.V.mesh.comm, linear, sums)
+    return float(linear), float(sums)
+
+
+def _balances(interfaces: list[Interface], facet_length: float) -> tuple[float, float]:
+    """Return the largest relative imbalances of forces and moments between the two sides."""
+    force = moment = 0.0
+    for i in interfaces:
+        scale = np.linalg.norm(i.force)
+        arm = np.linalg.norm(i.moment) + scale * facet_length
+        force = max(force, ratio(np.linalg.norm(i.force + i.master_force), scale))
+        moment = max(moment, ratio(np.linalg.norm(i.moment + i.master_moment), arm))
+    return force, moment
+
+
+def create_certificate(
+    problem: ContactProblem,
+    report: StepReport,
+    contacts: Contacts,
+    residual: Residuals,
+    sliders: Sliders | None = None,
+    left_out: LeftOut | None = None,
+) -> Certificate:
+    """Return the certificate of the present state, whose results are set; collective.
+
+    Args:
+        problem: the problem, in the geometry of the step's end.
+        report: iterations of the step.
+        contacts: the contact set.
+        residual: of equilibrium there.
+        sliders: slips and tangential reactions, with friction.
+        left_out: what the small strain leaves out; None measures it.
+    """
+    left_out = left_out or find_left_out(problem)
+    links, length = problem.system.links, problem.system.facet_length
+    gap: list[Floats] = [np.zeros(0)]
+    multiplier: list[Floats] = [np.zeros(0)]
+    nodal = nodal_gaps(links, problem.positions(), problem.n)
+    for link in links:
+        if link.interface.one_sided:
+            on = link.coupling.directions[:, 0]
+            gap.append(nodal[link.nodes[on]])
+            multiplier.append(link.interface.multiplier[on])
+    g, p = np.concatenate(gap), np.concatenate(multiplier)
+    deepest, tensile, pressure, product = _largest(problem.comm, -g, -p, np.abs(p), np.abs(g * p))
+    errors = [operator_errors(link, length) for link in links] or [(0.0, 0.0)]
+    force, moment = _balances(problem.interfaces, length)
+    kept = [link.coupling.kept.any(axis=1) for link in links]
+    covered = [link.coupling.coverage.share for link in links]
+    counts = [
+        sum(int(k.sum()) for k in kept),
+        sum(int(((c > 0) & ~k).sum()) for c, k in zip(covered, kept, strict=True)),
+        int(contacts.active.sum()),
+    ]
+    counts = problem.comm.allreduce(np.array(counts), op=MPI.SUM)
+    least = min((c[k].min(initial=1.0) for c, k in zip(covered, kept, strict=True)), default=1.0)
+    return Certificate(
+        equilibrium=residual.forces,
+        gap=ratio(deepest, length),
+        sign=ratio(tensile, pressure),
+        complementarity=ratio(product, pressure * length),
+        force_balance=force,
+        moment_balance=moment,
+        linear_field_error=max(e[0] for e in errors),
+        row_sum_error=max(e[1] for e in errors),
+        smallest_coverage=float(-maximum(problem.comm, -least)[0]),
+        kept_nodes=int(counts[0]),
+        removed_nodes=int(counts[1]),
+        active_nodes=int(counts[2]),
+        active_set_changes=sum(i.changed for i in report.iterations),
+        newton_iterations=report.newton_iterations,
+        qp_iterations=report.qp_iterations,
+        line_search_steps=sum(i.line_search_steps for i in report.iterations),
+        geometry_change=report.iterations[-1].geometry_change,
+        left_out_strain=left_out.relative,
+        left_out_work=left_out.work,
+        left_out_lengths=left_out.lengths,
+        rotation=left_out.rotation,
+        pretension=residual.pretension,
+        **({} if sliders is None else _friction(problem.comm, sliders, length)),
+    )
+
+
+def _friction(comm: MPI.Comm, sliders: Sliders, facet_length: float) -> dict[str, float]:
+    """Return the residuals of friction by name; collective."""
+    size, way = (np.linalg.norm(v, axis=1) for v in (sliders.reaction, sliders.slip))
+    most, work = sliders.limit, (sliders.reaction * sliders.slip).sum(axis=1)
+    sticks = (most > 0.0) & ~sliders.directions()[0].any(axis=1)
+    beyond, limit, stuck, gain = _largest(comm, size - most, most, way[sticks], -work)
+    whole, taken = comm.allreduce(np.array([most @ way, work.sum()]), op=MPI.SUM)
+    return {
+        "friction_cone": ratio(beyond, limit),
+        "friction_stick": ratio(stuck, facet_length),
+        "friction_work": ratio(max(whole - taken, 0.0), whole),
+        "friction_gain": ratio(gain, whole),
+    }

@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: MIT
+"""Results of the interfaces from the last balance of a step, and notes on them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.interfaces import results
+from dolfinx_mortar.interfaces.constraints import SlipLimits
+from dolfinx_mortar.interfaces.contact import Contact
+from dolfinx_mortar.interfaces.coupling import Link
+from dolfinx_mortar.interfaces.motions import relative_motions, slipped
+from dolfinx_mortar.interfaces.near import nodal_gaps
+from dolfinx_mortar.mortar.surface import coordinates, sum_at_nodes
+from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.newton_method.linearisation import Balance
+from dolfinx_mortar.persistence.lasting import Slips
+from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.solid.kinematics import on_axis
+
+log = logging.getLogger(__name__)
+
+# Of a facet. On a plane of symmetry a slave node stands still, and P u of the master is zero for
+# linear fields only: under a pressed ball up to 2e-5 of a facet are left.
+NO_SLIDING = 1e-3
+
+
+def set_results(
+    problem: ContactProblem,
+    balance: Balance,
+    contacts: Contacts,
+    jumps: Mapping[int, PETSc.Vec] | None = None,
+) -> Slips | None:
+    """Set the interfaces' resultants and Functions; return the slips until here; collective.
+
+    Reactions of equalities are the residual forces that they take; those of contact are D_jj times
+    the multipliers. Ties are as open as their jumps, see `StepData`. Tractions are shown per area
+    of the configuration at which the interface is taken, see `_growth`.
+    """
+    d, n = problem.d, problem.n
+    moved = problem.X + problem.u.x.array[: d * n].reshape(-1, d)
+    reaction = np.zeros(d * n)
+    reaction[balance.equal.dofs] = balance.reduced.array_r[balance.equal.dofs]
+    for pretension, force in balance.pretensions:
+        reaction[pretension.own] = pretension.reaction(balance.reduced, force)
+    reaction[balance.bounds.dofs] = contacts.reactions(balance)
+    if (limits := balance.limits) is not None:
+        some = limits.some
+        reaction[limits.tangential[some]] = contacts.tangential_reactions(limits)[some]
+    forces = reaction.reshape(-1, d)
+    gap = nodal_gaps(problem.system.links, problem.vector(moved), n)
+    growth = [_growth(problem, link) for link in problem.system.links]
+    for k, link in enumerate(problem.system.links):
+        frozen = link.interface.configuration(problem.configuration) is None
+        on = link.constrained
+        one_sided = link.interface.one_sided
+        active = contacts.active[link.nodes] if one_sided else link.coupling.kept.any(axis=1)
+        results.set_results(
+            link,
+            np.where(on, forces[link.nodes], 0.0),
+            gap[link.nodes] if one_sided else _opened(link, (jumps or {}).get(k)),
+            np.asarray(active & (on.any(axis=1) | (not one_sided))),
+            problem.X if frozen else moved,  # where the forces act
+            growth[k],
+        )
+    if balance.limits is None:
+        return None
+    return _set_sliding(problem, balance.limits, contacts, growth)
+
+
+def _growth(problem: ContactProblem, link: Link) -> Floats:
+    """Return the ratio (n,) of present to initial circumference at the slave nodes; collective.
+
+    D is integrated over the length of the section as it is now, but with 2 pi r at X: D_jj times
+    this is the area that a node has now. On the axis it is the mean of the other nodes of the
+    facets, to second order of their size. One elsewhere, and at X.
+    """
+    kinematics, slave = problem.solid.kinematics, link.sides.slave
+    u = link.interface.configuration(problem.configuration)
+    if kinematics.radius is None or u is None:
+        return np.ones(len(link.nodes))
+    now, at_X = (kinematics.weight(x.T) for x in (coordinates(slave, u), slave.X))
+    # zero on the axis; a node beyond it has no circumference
+    known = ~on_axis(kinematics, problem.V.mesh, slave.X) & (now > 0.0)
+    factor = np.where(known, now / np.where(known, at_X, 1.0), 0.0)
+    columns = np.stack([factor, known], axis=1)[slave.facets].sum(axis=1, keepdims=True)
+    around = sum_at_nodes(slave, np.repeat(columns, slave.facets.shape[1], axis=1))
+    mean = around[:, 0] / np.maximum(around[:, 1], 1.0)
+    return np.asarray(np.where(known, factor, mean)[: slave.owned])
+
+
+def _set_sliding(
+    problem: ContactProblem, limits: SlipLimits, contacts: Contacts, growth: Sequence[Floats]
+) -> Slips:
+    """Set the results of friction, those of the step added to what is committed; collective."""
+    n, d, committed = problem.n, problem.d, problem.committed
+    traction, slip = np.zeros((2, n, d))
+    assert contacts.sliding is not None
+    slides = np.asarray(contacts.sliding[limits.nodes].any(axis=1))
+    resisting = contacts.tangential_reactions(limits)
+    slips = np.where(slides[:, None], limits.slip, 0.0)  # of others it is round-off
+    traction[limits.nodes] = -limits.vectors(resisting) / limits.weight[:, None]
+    slip[limits.nodes] = limits.vectors(slips)
+    energy, status = np.zeros((2, n))
+    energy[limits.nodes] = (resisting * slips).sum(axis=1)
+    acts = contacts.active[limits.nodes] | (limits.cohesion > 0.0)
+    status[limits.nodes] = np.where(slides, 2.0, acts)
+    total = Slips(committed.slid.copy(), committed.dissipated.copy())
+    for k, link in enumerate(problem.system.links):
+        if isinstance(link.interface, Contact) and link.interface.sliding is not None:
+            nodes, carries = link.nodes, link.constrained[:, 0]
+            total.slid[k, nodes] += carries * np.linalg.norm(slip[nodes], axis=1)
+            total.dissipated[k, nodes] += carries * energy[nodes]
+            way, spent = total.slid[k, nodes], total.dissipated[k, nodes]
+            drag, last = (carries[:, None] * v[nodes] for v in (traction, slip))
+            drag /= growth[k][:, None]
+            results.set_sliding(link, drag, last, way, carries * status[nodes], spent)
+    return total
+
+
+def _opened(link: Link, jump: PETSc.Vec | None) -> Floats:
+    """Return how far (n,) a jump opens the sides along their normal."""
+    normals = link.coupling.normals
+    if jump is None:
+        return np.zeros(len(normals))
+    values = jump.array_r.reshape(-1, normals.shape[1])[link.nodes]
+    return np.asarray(-(values * normals).sum(axis=1))
+
+
+def notes_on_sliding(problem: ContactProblem, contacts: Contacts) -> list[str]:
+    """Return a note for every contact that has slid too far for frozen geometry; collective."""
+    if problem.geometry == "updated":
+        return []
+    notes, length = [], problem.system.facet_length
+    for link in problem.system.links:
+        slip = slipped(link, problem.vector(problem.u.x.array[: problem.d * problem.n]))
+        slip[~contacts.active[link.nodes]] = 0.0
+        farthest = float(maximum(problem.comm, slip.max(initial=0.0))[0])
+        if link.interface.one_sided and farthest > length:
+            notes.append(
+                f"{link.interface} has slid {farthest:.3g}, {farthest / length:.1f} facet lengths, "
+                "with frozen geometry, which is for small sliding; choose geometry='updated'"
+            )
+    return _told(problem, notes)
+
+
+def notes_on_lost_friction(problem: ContactProblem, contacts: Contacts) -> list[str]:
+    """Return a note for every contact that slides where its motion is prescribed; collective.
+
+    Dirichlet data leave no tangential unknown there, to which friction could be applied.
+    """
+    notes = []
+    moved = problem.vector(
+        problem.u.x.array[: problem.d * problem.n] - problem.committed.displacement
+    )
+    for link in problem.system.links:
+        if not link.interface.rough:
+            continue
+        relative, directions = _motion(link, moved), link.coupling.directions
+        on = contacts.active[link.nodes] & directions[:, 0]
+        lost = np.abs(np.where(on[:, None] & ~directions, relative, 0.0)).max(axis=1, initial=0.0)
+        slides = lost > NO_SLIDING * problem.system.facet_length
+        count = int(problem.comm.allreduce(int(slides.sum())))
+        if count:
+            farthest = float(maximum(problem.comm, lost.max(initial=0.0))[0])
+            notes.append(
+                f"{link.interface} has no friction at {count} slave nodes, which slide by up to "
+                f"{farthest:.3g} as Dirichlet data prescribe; let the other side be the slave, or "
+                "prescribe less"
+            )
+    return _told(problem, notes)
+
+
+def _motion(link: Link, moved: PETSc.Vec) -> Floats:
+    """Return R^T (v_j - P v) (n, d) at the slave nodes, prescribed directions too; collective."""
+    return np.asarray(np.einsum("nij,ni->nj", link.coupling.R, relative_motions(link, moved)[0]))
+
+
+def _told(problem: ContactProblem, notes: list[str]) -> list[str]:
+    """Return the notes; rank 0 logs them."""
+    if problem.comm.rank == 0:
+        for note in notes:
+            log.warning("%s", note)
+    return notes

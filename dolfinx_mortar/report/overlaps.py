@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: MIT
+"""Pointwise overlaps that the weighted gap averages out: a corner between coarse slave nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dolfinx import fem
+from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.geometry.elements import FacetElement
+from dolfinx_mortar.geometry.facets import (
+    Facets,
+    are_inside,
+    area_vectors,
+    facet_normals,
+    points_of,
+)
+from dolfinx_mortar.interfaces.coupling import Link
+from dolfinx_mortar.mortar.curvature_correction import point_heights
+from dolfinx_mortar.mortar.pairing import received_facets
+from dolfinx_mortar.mortar.surface import coordinates, facets_at
+
+# Largest pointwise overlap without a note, over the length of the finer facet. In 280 steps of the
+# tests (pins, balls, blocks and sockets, elastic, plastic, with friction) it is .04 at most, apart
+# from the sagittas of facets; a corner that is not seen sinks in as far as it is pressed.
+SUNK = 0.05
+LEAST_SHARE = 0.01
+"""Pairs of facets that face each other over less than this part of the smaller facet are left out:
+a body's far side is paired so where its edges come to lie over the other body's."""
+STEEP = 0.3
+"""Sine of the smallest angle between two crossing edges, and cosine of the largest angle between
+their common normal and the normals of the facets; beyond, this normal measures no overlap."""
+PARALLEL = 0.98
+"""Cosine of the angle between facets that count as parallel: 11 degrees. From an integration point
+to a corner the gap of such a pair changes by a twentieth of the facets or less."""
+_STEPS = 4
+"""Newton iterations for the closest point along a given direction; each doubles the digits."""
+
+
+def notes_on_overlaps(links: Sequence[Link], u: fem.Function) -> list[str]:
+    """Return a note for each contact whose sides overlap deeply at some point; collective.
+
+    The weighted gap of a node is a mean over its facets; a corner between the nodes is not in it.
+
+    Args:
+        links: the interfaces, coupled.
+        u: displacement.
+    """
+    return [note for link in links if link.interface.one_sided for note in _note(link, u)]
+
+
+def _note(link: Link, u: fem.Function) -> list[str]:
+    """Return the note on one contact, if any; collective."""
+    comm = link.sides.V.mesh.comm
+    share, pair, depth, place = _find_overlaps(link, u)
+    if link.pattern.smooth is not None and any_rank(comm, share.max(initial=0.0) > SUNK)[0]:
+        share = share - _sagittas(link, u)[pair]
+    mine = [(share[i], depth[i], place[i].tolist()) for i in np.argsort(share)[-1:]]
+    everywhere = [found for rank in comm.allgather(mine) for found in rank]
+    ratio, deepest, x = max(everywhere, default=(0.0, 0.0, []))
+    if ratio <= SUNK:
+        return []
+    return [
+        f"{link.interface}: around ({', '.join(f'{c:.4g}' for c in x)}) the sides lie "
+        f"{deepest:.3g} deep in each other, {ratio:.0%} of the finer facet there: nodes of "
+        f"slave={link.sides.slave.label} do not see an edge or corner between them; let the finer "
+        "or sharper side be the slave, or refine there"
+    ]
+
+
+def _sagittas(link: Link, u: fem.Function) -> Floats:
+    """Return how far (pairs,) facets of smooth sides stand off, over the finer one; collective."""
+    segments = link.coupling.segments
+    assert link.pattern.smooth is not None
+    heights = point_heights(link.pairing, segments, u, link.pattern.smooth)
+    result = np.zeros(len(link.pairing.pairs))
+    np.maximum.at(result, segments.pair, np.abs(heights))
+    slave, master = _facets(link, u)
+    return result / _finer(link, slave, master)
+
+
+def _facets(link: Link, u: fem.Function) -> tuple[Facets, Facets]:
+    """Return the facets of the slave and the received ones of the master at X + u; collective."""
+    pairing = link.pairing
+    return facets_at(pairing.slave, coordinates(pairing.slave, u)), received_facets(pairing, u)
+
+
+def _finer(link: Link, slave: Facets, master: Facets) -> Floats:
+    """Return the length of the smaller facet of each pair (pairs,)."""
+    s, m = link.pairing.pairs.T
+    return np.minimum(_lengths(slave)[s], _lengths(master)[m])
+
+
+def _find_overlaps(link: Link, u: fem.Function) -> tuple[Floats, Ints, Floats, Floats]:
+    """Return overlaps (p,) in parts of the finer facet, their pairs, depths and points (p, d).
+
+    At the integration points of the segments, at vertices of each side over facets of the other
+    where these may lie deeper than `SUNK`, and where edges of both sides cross. Collective.
+    """
+    pairing, segments = link.pairing, link.coupling.segments
+    slave, master = _facets(link, u)
+    finer, power = _finer(link, slave, master), slave.x.shape[2] - 1
+    shared = np.bincount(segments.pair, segments.weight, minlength=len(finer))
+    whole = (segments.facet_weights.sum(axis=1) / _lengths(slave) ** power)[pairing.pairs[:, 0]]
+    faces = shared > LEAST_SHARE * finer**power * whole
+    x_s = points_of(slave, segments.slave, segments.xi_s)
+    x_m = points_of(master, segments.master, segments.xi_m)
+    n = facet_normals(master)[segments.master]
+    pairs = np.flatnonzero(faces).astype(np.int32)
+    s, m = pairing.pairs[pairs].T
+    least = SUNK * finer[pairs]
+    found = [
+        (((x_m - x_s) * n).sum(axis=1), segments.pair, x_s),
+        _vertices_in(slave, s, master, m, pairs, least),
+        _vertices_in(master, m, slave, s, pairs, least),
+        *_crossing_edges(slave, s, master, m, pairs),
+    ]
+    depth, pair, x = (np.concatenate([part[i] for part in found]) for i in range(3))
+    depth = np.where(faces[pair] & (depth < pairing.deepest[pair]), depth, 0.0)
+    return depth / finer[pair], pair, depth, x
+
+
+def _bows(facets: Facets) -> Floats:
+    """Return how far (m,) nodes of facets lie off the plane through the middle of the vertices."""
+    middle = facets.x[:, list(facets.element.vertices)].mean(axis=1, keepdims=True)
+    off = np.einsum("mki,mi->mk", facets.x - middle, facet_normals(facets))
+    return np.asarray(np.abs(off).max(axis=1, initial=0.0))
+
+
+def _vertices_in(
+    one: Facets, a: Ints, other: Facets, b: Ints, pairs: Ints, least: Floats
+) -> tuple[Floats, Ints, Floats]:
+    """Return depths (p,) of vertices of facets a below facets b, their pairs, and the points.
+
+    Of those alone that may be deeper than the least (pairs,), so that few are located.
+    """
+    corners, normals = other.x[:, list(other.element.vertices)], facet_normals(other)
+    middle, n, found = corners.mean(axis=1)[b], normals[b], []
+    least = least - _bows(other)[b]
+    for k in one.element.vertices:
+        p = one.x[a, k]
+        deep = np.flatnonzero(((middle - p) * n).sum(axis=1) > least)
+        deep = deep[are_inside(corners[b[deep]], n[deep], p[deep])]
+        p, facets, along = p[deep], other[b[deep]], n[deep]
+        depth = ((opposite(facets, along, p) - p) * along).sum(axis=1)
+        found.append((depth, pairs[deep], p))
+    depths, which, points = zip(*found, strict=True)
+    return np.concatenate(depths), np.concatenate(which), np.concatenate(points)
+
+
+def opposite(facets: Facets, n: Floats, p: Floats) -> Floats:
+    """Return where (m, d) lines through points p (m, d) along n (m, d) meet facets (m,).
+
+    By Newton's method from the centre of the reference facet; one iteration where facets are flat.
+    """
+    element, every = facets.element, np.arange(len(p), dtype=np.int32)
+    xi = np.tile(element.points.mean(axis=0), (len(p), 1))
+    for _ in range(_STEPS if element.bilinear or element.degree > 1 else 1):
+        x = points_of(facets, every, xi)
+        tangents = np.einsum("mka,mki->mia", element.derivatives(xi), facets.x)
+        system = np.concatenate([tangents, n[:, :, None]], axis=2)
+        xi = xi + np.linalg.solve(system, (p - x)[:, :, None])[:, :-1, 0]
+    return points_of(facets, every, xi)
+
+
+def _crossing_edges(
+    slave: Facets, s: Ints, master: Facets, m: Ints, pairs: Ints
+) -> list[tuple[Floats, Ints, Floats]]:
+    """Return depths (p,) of edges of facets s below those of facets m, as `_vertices_in` does.
+
+    Along the common normal of two edges in space that leaves both facets, where they cross as seen
+    along it. Parallel facets are as deep everywhere.
+    """
+    n_s, n_m = facet_normals(slave)[s], facet_normals(master)[m]
+    inclined = (n_s * n_m).sum(axis=1) > -PARALLEL
+    if slave.x.shape[2] == 2 or not inclined.any():
+        return []
+    s, m, pairs = s[inclined], m[inclined], pairs[inclined]
+    n_s, n_m = n_s[inclined], n_m[inclined]
+    found = []
+    for i, i_end in _edges(slave.element):
+        p, dp = slave.x[s, i], slave.x[s, i_end] - slave.x[s, i]
+        for j, j_end in _edges(master.element):
+            q, dq = master.x[m, j], master.x[m, j_end] - master.x[m, j]
+            n = np.cross(dp, dq)
+            square = (n * n).sum(axis=1)
+            some = square > (STEEP * np.linalg.norm(dp, axis=1) * np.linalg.norm(dq, axis=1)) ** 2
+            ratios = np.divide(1.0, square, out=np.zeros_like(square), where=some)
+            at_p = (np.cross(q - p, dq) * n).sum(axis=1) * ratios
+            at_q = (np.cross(q - p, dp) * n).sum(axis=1) * ratios
+            some &= (np.abs(at_p - 0.5) <= 0.5) & (np.abs(at_q - 0.5) <= 0.5)
+            n *= (np.sign((n * n_m).sum(axis=1)) * np.sqrt(ratios))[:, None]
+            some &= ((n * n_m).sum(axis=1) > STEEP) & ((n * n_s).sum(axis=1) < -STEEP)
+            depth = ((q - p) * n).sum(axis=1)
+            found.append((depth[some], pairs[some], (p + at_p[:, None] * dp)[some]))
+    return found
+
+
+def _edges(element: FacetElement) -> list[tuple[int, int]]:
+    """Return the nodes at the ends of edges; second-order ones are two, up to their middles."""
+    n = len(element.vertices)
+    ends = [(i, (i + 1) % n) for i in range(n)]
+    if element.degree == 1:
+        return ends
+    return [half for i, end in ends for half in ((i, n + i), (n + i, end))]
+
+
+def _lengths(facets: Facets) -> Floats:
+    """Return the lengths (m,) of facets, in space the roots of their areas."""
+    size = np.linalg.norm(area_vectors(facets), axis=1)
+    return np.asarray(size ** (1 / (facets.x.shape[2] - 1)))

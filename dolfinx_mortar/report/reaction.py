@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: MIT
+"""Reactions: the forces that Dirichlet conditions exert on the bodies.
+
+At the end of a step internal forces F, external forces f, those of contacts and ties c, and those
+of the supports r balance, F(u) = f + c + r. In the unknowns y of u = T y a constraint acts on one
+unknown only, and a prescribed component of a node is an unknown of its own, also where the node
+carries a contact: there r is T^T (F - f), without any part of c.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx import fem
+from dolfinx.mesh import MeshTags
+from dolfinx_mortar.agreement import check_same_on_all_ranks
+from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.compat import on_same_mesh
+from dolfinx_mortar.mortar.surface import check_tag, check_tags
+from dolfinx_mortar.newton_method.linearisation import Balance, support_slots
+from dolfinx_mortar.persistence.lasting import SupportForces
+from dolfinx_mortar.problem.checks import check_problem
+from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.supports.dirichlet import marked_dofs, prescribed_dofs
+from dolfinx_mortar.tags import label, labels, names_of, tag_of
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """What a support exerts on the bodies."""
+
+    force: Floats  # (d,) resultant; of rings (what pushes outwards all around, axial force)
+    moment: Floats | float  # about a point: (3,) in space, in the plane the one out of it
+    about: Floats  # (d,) this point
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the record as plain numbers and lists."""
+        return {name: np.asarray(value).tolist() for name, value in vars(self).items()}
+
+
+def reaction(
+    problem: ContactProblem,
+    support: Any = None,
+    facet_tags: MeshTags | None = None,
+    *,
+    about: Sequence[float] | Floats | None = None,
+) -> Reaction:
+    """Return force and moment of a support in the last step that has converged; collective.
+
+        base = fem.dirichletbc(np.zeros(3), dofs, V)
+        problem = dm.ContactProblem(solid, interfaces, bcs=[base, symmetry])
+        dm.newton(problem)
+        dm.reaction(problem, base).force
+
+    R = sum r_i and M = sum (x_i - about) x r_i over the prescribed dofs i, with r = F(u) - f - c:
+    internal forces less loads (and springs) less what contacts and ties exert. R acts on the
+    bodies: without other supports it is the opposite of the loads. Of half a model it is half the
+    force, in the plane it is per thickness, of rings that of the whole ring. Points x are those at
+    which contacts act: X + u with a contact in updated geometry, otherwise X.
+
+    Args:
+        problem: after a step.
+        support: which prescribed dofs. One of the Dirichlet conditions, or a list of them; a tag,
+            or its name, for all that is prescribed at its nodes, those on its edges included,
+            whichever condition does it; an array of this rank's local dofs, d * node + component,
+            as ``bc.dof_indices()[0]`` and locate_dofs_topological on ``V.sub(k)`` return them (on V
+            itself that returns nodes: give the condition); None for all supports.
+        facet_tags: where a tag is looked up; may be left out if all interfaces have the same. Tags
+            of cells, edges and vertices do as well.
+        about: point of the moment, d numbers, by default the origin. Rings have none: forces on
+            them have no moment about points of the axis, and the moment is 0.
+
+    Returns:
+        Force, moment and point, the same on all ranks.
+
+    Raises:
+        ValueError: on all ranks, before the first step, for a support that is none (an unknown tag,
+            dofs that are out of range or not prescribed), and for a point that is none.
+    """
+    check_problem(problem, ContactProblem)
+    point = _check_point(problem, about)
+    mask = _find(problem, support, facet_tags)
+    if problem.committed.supports is None:
+        raise ValueError("problem has no reactions yet: solve a step first, newton(problem)")
+    (found,) = resultants(problem, [mask], point)
+    return found
+
+
+def reactions(problem: ContactProblem) -> list[Reaction]:
+    """Return the reaction of each of the Dirichlet conditions after a step; collective."""
+    masks = [prescribed_dofs(problem.V, [bc])[: problem.n] for bc in problem.bcs]
+    return resultants(problem, masks, np.zeros(problem.d))
+
+
+def support_forces(problem: ContactProblem, balance: Balance) -> SupportForces:
+    """Return the forces of the supports at the end of a step, and the points where they act."""
+    dofs, slots = support_slots(problem)
+    forces = np.zeros(problem.d * problem.n)
+    forces[dofs] = -balance.reduced.array_r[slots]
+    moved = any(i.configuration(problem.configuration) is not None for i in problem.interfaces)
+    u = problem.u.x.array[: forces.size].reshape(-1, problem.d)
+    return SupportForces(
+        forces.reshape(-1, problem.d), problem.X + u if moved else problem.X.copy()
+    )
+
+
+def resultants(problem: ContactProblem, masks: Sequence[Bools], about: Floats) -> list[Reaction]:
+    """Return the reactions of the owned components (n, d) that are marked; collective."""
+    supports, d = problem.committed.supports, problem.d
+    assert supports is not None
+    arms, forces = np.zeros((2, problem.n, 3))
+    arms[:, :d] = supports.points - about
+    sums = np.zeros((len(masks), 2, 3))
+    for k, mask in enumerate(masks):
+        forces[:, :d] = np.where(mask, supports.forces, 0.0)
+        sums[k] = forces.sum(axis=0), np.cross(arms, forces).sum(axis=0)
+    sums = problem.comm.allreduce(sums, op=MPI.SUM)
+    if problem.solid.kinematics.radius is not None:
+        sums[:, 1] = 0.0  # of a ring they cancel
+    return [
+        Reaction(force[:d], moment if d == 3 else float(moment[2]), about.copy())
+        for force, moment in sums
+    ]
+
+
+# -- what is asked for ---------------------------------------------------------------------------
+
+
+def _check_point(problem: ContactProblem, about: Any) -> Floats:
+    """Return the point of the moment if it is one; collective."""
+    given = about.tolist() if isinstance(about, np.ndarray) else about
+    check_same_on_all_ranks(problem.comm, about=given)
+    if given is None:
+        return np.zeros(problem.d)
+    if problem.solid.kinematics.radius is not None:
+        raise ValueError(
+            f"about is {about!r}, but forces on rings have no moment about points of the axis: "
+            "leave it out"
+        )
+    try:
+        point = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        point = np.zeros(0)
+    if point.shape != (problem.d,) or not np.isfinite(point).all():
+        raise ValueError(f"about is {about!r}: give {problem.d} finite coordinates of a point")
+    return point
+
+
+def _find(problem: ContactProblem, support: Any, facet_tags: Any) -> Bools:
+    """Return which owned components (n, d) belong to a support; collective."""
+    comm, held = problem.comm, problem.supports.owned
+    tag = isinstance(support, int | np.integer | str) and not isinstance(support, bool)
+    bcs = [support] if isinstance(support, fem.DirichletBC) else support
+    conditions = isinstance(bcs, list | tuple) and any(isinstance(b, fem.DirichletBC) for b in bcs)
+    kind = "tag" if tag else "conditions" if conditions else "None" if support is None else "dofs"
+    check_same_on_all_ranks(comm, support=str(support) if tag else kind)
+    if support is None:
+        return held
+    if tag:
+        return held & _tagged(problem, support, facet_tags)
+    dofs: list[Ints] = []
+    with raised_together(comm):
+        if conditions:
+            dofs = _dofs_of_conditions(problem, bcs)
+        else:
+            dofs = [_check_dofs(problem, support)]
+    mask = marked_dofs(problem.V, dofs)[: problem.n]
+    loose, count = comm.allreduce(np.array([(mask & ~held).sum(), mask.sum()]), op=MPI.SUM)
+    if loose:
+        raise ValueError(
+            f"support: {loose} of {count} dofs are not prescribed by problem.bcs. Dofs are "
+            "d * node + component; locate_dofs_topological(V, ..) returns nodes: give the "
+            "Dirichlet condition that is made of them"
+        )
+    return mask
+
+
+def _tagged(problem: ContactProblem, support: int | str, facet_tags: Any) -> Bools:
+    """Return the owned components (n, d) at the nodes of a tag, some of which are held."""
+    mesh, V = problem.V.mesh, problem.V
+    with raised_together(problem.comm):
+        tags = _tags_of(problem) if facet_tags is None else facet_tags
+        check_tags(tags)
+        if not on_same_mesh(tags, mesh):
+            raise ValueError("facet_tags is of another mesh than that of the displacement")
+        tag = tag_of(tags, support, "support")
+        check_tag("support", tag)
+        entities = tags.find(tag)
+    if not problem.comm.allreduce(len(entities), op=MPI.SUM):
+        own = problem.comm.allgather(np.unique(tags.values).tolist())
+        there = labels(tags, sorted(set(names_of(tags).values()).union(*own)))
+        raise ValueError(f"support is {support!r}: nothing has this tag; there are {there}")
+    mesh.topology.create_connectivity(tags.dim, mesh.topology.dim)
+    nodes = fem.locate_dofs_topological(V, tags.dim, entities)
+    dofs = (problem.d * nodes[:, None] + np.arange(problem.d)).ravel()
+    mask = marked_dofs(V, [dofs])[: problem.n]
+    if not problem.comm.allreduce(int((mask & problem.supports.owned).sum()), op=MPI.SUM):
+        raise ValueError(
+            f"support is {label(tags, tag)}, at whose nodes problem.bcs prescribe nothing, so that "
+            "nothing is exerted: give the tag of a support"
+        )
+    return mask
+
+
+def _tags_of(problem: ContactProblem) -> MeshTags:
+    """Return the tags of the interfaces if they share them."""
+    tags = [interface.facet_tags for interface in problem.interfaces]
+    if not tags or any(one is not tags[0] for one in tags):
+        raise ValueError(
+            "facet_tags is None, and the interfaces do not say which are meant: give the tags in "
+            "which the support is, reaction(problem, support, facet_tags)"
+        )
+    return tags[0]
+
+
+def _dofs_of_conditions(problem: ContactProblem, bcs: Sequence[Any]) -> list[Ints]:
+    """Return the local dofs if all are Dirichlet conditions on the problem's space."""
+    for bc in bcs:
+        space = getattr(bc, "function_space", None)
+        known = isinstance(bc, fem.DirichletBC)
+        if not known or not problem.V._cpp_object.contains(getattr(space, "_cpp_object", space)):
+            raise ValueError(f"support holds {bc!r}: give conditions that are in problem.bcs")
+    return [bc.dof_indices()[0] for bc in bcs]
+
+
+def _check_dofs(problem: ContactProblem, support: Any) -> Ints:
+    """Return local dofs if they are some of this rank."""
+    try:
+        dofs = np.asarray(support)
+    except ValueError:
+        dofs = np.zeros((0, 0))
+    if dofs.ndim != 1 or (dofs.size and dofs.dtype.kind not in "iu"):
+        raise ValueError(
+            f"support is {support!r}: give a Dirichlet condition, a tag, or an array of local dofs"
+        )
+    layout = problem.V.dofmap.index_map
+    size = problem.d * (layout.size_local + layout.num_ghosts)
+    bad = dofs[(dofs < 0) | (dofs >= size)]
+    if bad.size:
+        raise ValueError(f"support holds dof {bad[0]}: local dofs are 0 to {size - 1}")
+    return dofs.astype(np.int32)

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: MIT
+"""Rows of a table, or of a JSON file, with the numbers of load steps."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.disk import check_path
+from dolfinx_mortar.problem.checks import check_problem
+from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.step_report import LoadStep
+
+
+def summarise(step: LoadStep) -> dict[str, Any]:
+    """Return costs, residuals, forces and notes of a load step as a dictionary.
+
+        rows = [dm.summarise(step) | {"gap": gap()} for step in dm.load_steps(...)]
+
+    Args:
+        step: a committed load step.
+
+    Returns:
+        "time"; "parts", their number (more than one after cut-backs); over all parts the counts
+        "newton_iterations", "qp_iterations", "linear_iterations" and "factorisations", the
+        "residual_history", the "notes" and this rank's "seconds" by part of the work; of the last
+        part the "linear_solver" and the "certificate"; "forces", those on the slave side of each
+        interface; "reactions", "force" and "moment" about the origin of each of ``problem.bcs``,
+        see `reaction`. A step made by hand has neither.
+
+    Raises:
+        ValueError: for what is no load step.
+    """
+    if not isinstance(step, LoadStep):
+        raise ValueError(f"step is {step!r}: give a LoadStep, such as load_steps yields")
+    parts = step.parts
+    iterations = [iteration for part in parts for iteration in part.iterations]
+    work = sorted({name for part in parts for name in part.seconds})
+    return {
+        "time": step.time,
+        "parts": len(parts),
+        "newton_iterations": len(iterations),
+        "qp_iterations": sum(part.qp_iterations for part in parts),
+        "linear_iterations": sum(iteration.linear_iterations for iteration in iterations),
+        "factorisations": sum(part.factorisations for part in parts),
+        "residual_history": [r for part in parts for r in part.residual_history],
+        "notes": [note for part in parts for note in part.notes],
+        "seconds": {name: sum(part.seconds.get(name, 0.0) for part in parts) for name in work},
+        "linear_solver": step.report.linear_solver,
+        "certificate": step.report.as_dict()["certificate"],
+        "forces": step.forces,
+        "reactions": step.reactions,
+    }
+
+
+def write_summary(
+    path: str | os.PathLike[str],
+    problem: ContactProblem,
+    steps: Sequence[Mapping[str, Any]],
+    **more: Any,
+) -> None:
+    """Write the size of a problem and a row for every load step as JSON; collective.
+
+    Rank 0 writes. Arrays become lists, infinite and undefined numbers null, and whatever else JSON
+    does not know becomes text.
+
+    Args:
+        path: file to write; its folder must exist.
+        problem: gives "dofs", "cells", "ranks", and rank 0's "seconds" by part of the work.
+        steps: rows such as those of ``summarise``.
+        more: further entries.
+
+    Raises:
+        ValueError: for what is no path, no problem, or no list of rows (on all ranks).
+        OSError: if the file cannot be written (on all ranks).
+    """
+    check_problem(problem, ContactProblem)
+    path = check_path(problem.comm, path)
+    with raised_together(problem.comm):
+        _check_rows(steps)
+    V, comm = problem.solid.V, problem.comm
+    size = {
+        "dofs": V.dofmap.index_map.size_global * V.dofmap.index_map_bs,
+        "cells": V.mesh.topology.index_map(V.mesh.topology.dim).size_global,
+        "ranks": comm.size,
+        "seconds": problem.timings.seconds,
+    }
+    with raised_together(comm):
+        if comm.rank == 0:
+            text = json.dumps(_plain(size | more | {"steps": steps}), indent=1, allow_nan=False)
+            try:
+                Path(path).write_text(text)
+            except OSError as error:
+                said = error.strerror or str(error)
+                raise OSError(f"path is {os.fspath(path)!r}: {said}") from error
+
+
+def _check_rows(steps: Any) -> None:
+    """Raise a ValueError unless rows are a list of dictionaries."""
+    wanted = "give a list of rows, [dm.summarise(step) for step in ...]"
+    if not isinstance(steps, list | tuple):
+        raise ValueError(f"steps is {steps!r}: {wanted}")
+    for row in steps:
+        if not isinstance(row, Mapping):
+            raise ValueError(f"steps holds {row!r}: {wanted}")
+
+
+def _plain(value: Any) -> Any:
+    """Return what JSON can hold of a value.
+
+    >>> _plain({"x": np.array([1.0, np.nan]), "n": np.int32(2), "file": Path("a.xdmf"), 3: None})
+    {'x': [1.0, None], 'n': 2, 'file': 'a.xdmf', '3': None}
+    """
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, int | str) else str(value)

@@ -1,0 +1,260 @@
+# SPDX-License-Identifier: MIT
+"""The record of a load step: iterations, certificate, seconds; and the error that carries it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+
+class Timings:
+    """Wall-clock seconds by part of the work, this rank's."""
+
+    def __init__(self) -> None:
+        """Start with nothing measured."""
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, part: str) -> Iterator[None]:
+        """Add the time spent inside the ``with`` block to ``part``."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[part] = self.seconds.get(part, 0.0) + time.perf_counter() - start
+
+    def since(self, earlier: dict[str, float]) -> dict[str, float]:
+        """Return the seconds spent since a copy of ``seconds`` was taken."""
+        return {k: v - earlier.get(k, 0.0) for k, v in self.seconds.items()}
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """One Newton iteration: a tangent, a bound-constrained QP, a step."""
+
+    number: int
+    increment: float  # |du|_e / (|u|_e + |u + du|_e), elastic energy norm
+    force_residual: float  # projected force residual after the step, relative
+    contact_residual: float  # penetration and complementarity after the step, relative
+    kkt: float  # largest KKT residual of the QP, relative
+    active: int  # active contact nodes, all interfaces and ranks
+    changed: int  # active nodes that changed since the last iteration, weakly active ones left out
+    updates: int  # iterations of the QP backend
+    linear_iterations: int
+    factorisations: int
+    step_length: float  # accepted by the line search
+    line_search_steps: int  # shortenings before acceptance
+    geometry_change: float  # gap minus its prediction by the last linearisation, in facet lengths
+    geometry_held: bool  # the next iteration keeps the geometry, because its change does not shrink
+
+    def __str__(self) -> str:
+        """Return one line, for the log."""
+        return (
+            f"Newton {self.number:2d}: increment {self.increment:.2e}, "
+            f"forces {self.force_residual:.2e}, contact {self.contact_residual:.2e}, "
+            f"KKT {self.kkt:.1e}, active {self.active} ({self.changed:+d}), QP {self.updates}, "
+            f"CG {self.linear_iterations}, factorisations {self.factorisations}, "
+            f"step {self.step_length:.3g}{', geometry held' if self.geometry_held else ''}"
+        )
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Residuals of a converged step, each relative to its own scale.
+
+    Scales: forces to the largest of external, contact, reaction and element forces; lengths to the
+    mean slave facet; multipliers to the largest multiplier; tangential reactions to the largest
+    limit of friction, their energies to the limits times the slips. What the small strain leaves
+    out is that of the body in which it is felt most.
+    """
+
+    equilibrium: float  # forces on free unknowns
+    gap: float  # deepest violation of w_n <= gap
+    sign: float  # largest tensile multiplier
+    complementarity: float  # largest lambda_j * gap_j
+    force_balance: float  # resultants on slave and master side added up
+    moment_balance: float  # the same for moments about the origin
+    linear_field_error: float  # tangential part of x_s - P x_m per gap + facet length
+    row_sum_error: float  # largest row sum of D - M over D_jj
+    smallest_coverage: float  # covered share of the tributary length over kept slave nodes
+    kept_nodes: int
+    removed_nodes: int  # slave nodes whose dual function was shared out
+    active_nodes: int
+    active_set_changes: int
+    newton_iterations: int
+    qp_iterations: int
+    line_search_steps: int
+    geometry_change: float
+    friction_cone: float = 0.0  # largest tangential reaction beyond its limit
+    friction_stick: float = 0.0  # longest slip of a node that sticks
+    friction_work: float = 0.0  # what friction takes less than its limits over the slips
+    friction_gain: float = 0.0  # largest energy that a node gets from friction
+    left_out_strain: float = 0.0  # largest |H^T H| / 2, H = grad u, over the largest strain
+    left_out_work: float = 0.0  # share of rotations, left out, in the work of a body's stresses
+    left_out_lengths: float = 0.0  # mean of |H^T H| / 2 in a body
+    rotation: float = 0.0  # largest rotation, radians
+    pretension: float = 0.0  # force of a tie less its pretension, over the larger at the start
+
+
+@dataclass
+class StepReport:
+    """Report of one load step; ``print`` shows a table, ``as_dict`` goes to JSON."""
+
+    converged: bool = False
+    backend: str = ""
+    geometry: str = ""
+    linear_solver: str = ""
+    friction: str = ""  # how friction was linearised
+    rtol: float = 0.0
+    iterations: list[Iteration] = field(default_factory=list)
+    certificate: Certificate | None = None
+    cuts: int = 0  # failures of larger steps before this one, set by `load_steps`
+    notes: list[str] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def newton_iterations(self) -> int:
+        """Number of linearisations."""
+        return len(self.iterations)
+
+    @property
+    def qp_iterations(self) -> int:
+        """Iterations of the QP backend over the whole step."""
+        return sum(it.updates for it in self.iterations)
+
+    @property
+    def factorisations(self) -> int:
+        """Numerical factorisations (preconditioner set-ups) over the whole step."""
+        return sum(it.factorisations for it in self.iterations)
+
+    @property
+    def residual_history(self) -> list[float]:
+        """Energy-norm increments, one per Newton iteration."""
+        return [it.increment for it in self.iterations]
+
+    def note_friction(self, number: int, linearisation: str) -> None:
+        """Note how friction was linearised in an iteration, and from which one on otherwise."""
+        if not self.friction:
+            self.friction = linearisation
+        elif not self.friction.endswith(linearisation):
+            self.friction += f", from iteration {number} on {linearisation}"
+
+    def quote(self, number: int, text: str) -> None:
+        """Note what the QP backend says in an iteration, once for all that say the same."""
+        if not text:
+            return
+        for k, note in enumerate(self.notes):
+            head, _, said = note.partition(": ")
+            if said == text and head.startswith("iteration "):
+                self.notes[k] = f"{head}, {number}: {text}"
+                return
+        self.notes.append(f"iteration {number}: {text}")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the report as plain numbers, strings, lists and dictionaries."""
+        return asdict(self) | {
+            "newton_iterations": self.newton_iterations,
+            "qp_iterations": self.qp_iterations,
+            "factorisations": self.factorisations,
+            "residual_history": self.residual_history,
+        }
+
+    @classmethod
+    def from_dict(cls, given: Mapping[str, Any]) -> StepReport:
+        """Return the report that `as_dict` has written."""
+        names = {one.name for one in fields(cls)}
+        values = {name: value for name, value in given.items() if name in names}
+        values["iterations"] = [Iteration(**iteration) for iteration in given.get("iterations", [])]
+        if given.get("certificate") is not None:
+            values["certificate"] = Certificate(**given["certificate"])
+        return cls(**values)
+
+    def __str__(self) -> str:
+        """Return a table of the iterations, the certificate and the seconds."""
+        state = "converged" if self.converged else "NOT converged"
+        lines = [
+            f"{state} in {self.newton_iterations} Newton iterations "
+            f"({self.qp_iterations} QP, {self.factorisations} factorisations), "
+            f"{self.geometry} geometry, {self.backend}, {self.linear_solver}"
+            + (f", friction with {self.friction}" if self.friction else ""),
+            "  it  increment  force res. contact res.       KKT  active changed  QP  lin fact  step"
+            "  geometry",
+        ]
+        lines += [
+            f"{i.number:4d} {i.increment:10.2e} {i.force_residual:11.2e} {i.contact_residual:12.2e}"
+            f" {i.kkt:9.1e} {i.active:7d} {i.changed:7d} {i.updates:3d} {i.linear_iterations:4d}"
+            f" {i.factorisations:4d} {i.step_length:5.3g} {i.geometry_change:9.1e}"
+            f"{' held' if i.geometry_held else ''}"
+            for i in self.iterations
+        ]
+        if self.certificate is not None:
+            lines.append("certificate")
+            for name, value in asdict(self.certificate).items():
+                shown = f"{value:.2e}" if isinstance(value, float) else f"{value:d}"
+                lines.append(f"  {name.replace('_', ' '):<22} {shown}")
+        lines += [f"note: {note}" for note in self.notes]
+        lines.append("seconds: " + ", ".join(f"{k} {v:.3f}" for k, v in self.seconds.items()))
+        return "\n".join(lines)
+
+    __repr__ = __str__  # what notebooks show
+
+
+@dataclass(frozen=True)
+class LoadStep:
+    """A committed load step."""
+
+    number: int  # 1, 2, ...
+    time: float
+    report: StepReport  # of the last part
+    parts: list[StepReport] = field(default_factory=list)  # one, or several after cut-backs
+    forces: list[list[float]] = field(default_factory=list)  # on the slave side of each interface
+    # of each of problem.bcs: "force", "moment" and "about", see `Reaction`
+    reactions: list[dict[str, Any]] = field(default_factory=list)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the step as plain numbers, strings, lists and dictionaries."""
+        parts = [part.as_dict() for part in self.parts]
+        names = ("number", "time", "forces", "reactions")
+        return {name: getattr(self, name) for name in names} | {"parts": parts}
+
+    @classmethod
+    def from_dict(cls, given: Mapping[str, Any]) -> LoadStep:
+        """Return the step that `as_dict` has written."""
+        parts = [StepReport.from_dict(part) for part in given["parts"]]
+        results = given["forces"], given["reactions"]
+        return cls(given["number"], given["time"], parts[-1], parts, *results)
+
+    @property
+    def outcome(self) -> str:
+        """Where it has led and what it took, in a few words."""
+        iterations = sum(part.newton_iterations for part in self.parts)
+        cut = f" in {len(self.parts)} parts" if len(self.parts) > 1 else ""
+        certificate = self.report.certificate
+        active = certificate.active_nodes if certificate is not None else 0
+        return f"to {self.time:g}{cut}: {iterations} Newton iterations, {active} nodes in contact"
+
+    def __str__(self) -> str:
+        """Return one line."""
+        return f"step {self.number} {self.outcome}"
+
+    __repr__ = __str__
+
+
+class NewtonNotConverged(RuntimeError):
+    """Newton's method ended without a solution; ``report`` holds what happened.
+
+    The displacement and the committed state are as before the step: retry with a smaller one. Of a
+    step that `load_steps` has made in parts, they are as before the first part that fails.
+    """
+
+    def __init__(self, message: str, report: StepReport) -> None:
+        """Keep the report; it may be completed after the exception is made."""
+        super().__init__(message, report)
+        self.message, self.report = message, report
+
+    def __str__(self) -> str:
+        """Return the message and the report as it is now."""
+        return f"{self.message}\n{self.report}"

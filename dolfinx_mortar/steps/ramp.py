@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: MIT
+"""Ramps: values of Constants over load levels, given as tables and so as data."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx import fem
+from dolfinx_mortar.agreement import check_same_on_all_ranks
+from dolfinx_mortar.arguments import as_numbers
+from dolfinx_mortar.arrays import Floats
+
+Rows = list[list[float]]
+"""A table as JSON knows it: the level, then the components of the value, in every row."""
+
+# Of the largest level or value: what is calculated in another way differs by round-off.
+SAME = 1e-12
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """A Constant and its values over load levels, linear between the rows of a table."""
+
+    constant: fem.Constant
+    levels: Floats  # (n,), rising
+    values: Floats  # (n, components)
+
+    def at(self, level: float) -> Floats:
+        """Return the components of the value at a level within the table."""
+        return np.array([np.interp(level, self.levels, column) for column in self.values.T])
+
+    def set(self, level: float) -> None:
+        """Give the Constant its value at a level."""
+        self.constant.value[...] = self.at(level).reshape(self.constant.value.shape)
+
+    @property
+    def rows(self) -> Rows:
+        """The table."""
+        return [[*map(float, row)] for row in np.column_stack([self.levels, self.values])]
+
+
+def read_ramps(comm: MPI.Comm, ramp: Any) -> list[Ramp]:
+    """Return what a user gives as `ramp`, {Constant: [(level, value), ...]}; collective.
+
+    Raises:
+        ValueError: on all ranks, for what is no such table, naming which one and the remedy.
+    """
+    given: list[tuple[Any, Any]] = []
+    named = {"ramp": ramp}
+    if isinstance(ramp, Mapping):  # an iterator can be read only once
+        given = [(constant, _listed(table)) for constant, table in ramp.items()]
+        named = {"ramp": len(given)}
+        named |= {f"ramp: table {k}": one for k, (_, one) in enumerate(given, start=1)}
+        named |= {f"ramp: key {k}": one for k, (one, _) in enumerate(given, start=1)}
+    check_same_on_all_ranks(comm, **named)
+    if ramp is not None and not isinstance(ramp, Mapping):
+        raise ValueError(f"ramp is {ramp!r}: give a dictionary {{Constant: [(level, value), ...]}}")
+    return [_read(f"ramp: table {k}", *one) for k, one in enumerate(given, start=1)]
+
+
+def _listed(table: Any) -> Any:
+    """Return a table as a list of rows, and what is none as it is."""
+    rows = isinstance(table, Iterable) and not isinstance(table, Mapping | str | bytes)
+    return list(table) if rows else table
+
+
+def _read(name: str, constant: Any, table: Any) -> Ramp:
+    """Return one table, which must be a list of pairs."""
+    if not isinstance(constant, fem.Constant):
+        raise ValueError(
+            f"{name} is for {constant!r}: its key must be a dolfinx Constant, such as the value of "
+            "a Dirichlet condition or of a traction"
+        )
+    shape = constant.value.shape
+    wanted = f"give rows (level, value), at least two, with values of shape {shape}"
+    if not isinstance(table, list) or len(table) < 2:
+        raise ValueError(f"{name} is {table!r}: {wanted}")
+    rows = [_row(row, shape) for row in table]
+    for k, (given, row) in enumerate(zip(table, rows, strict=True), start=1):
+        if row is None:
+            raise ValueError(f"{name}: row {k} is {given!r}: {wanted}, in finite numbers")
+    levels, values = np.array(rows)[:, 0], np.array(rows)[:, 1:]
+    if (np.diff(levels) <= 0.0).any():
+        raise ValueError(f"{name} has levels {levels.tolist()}: they must rise from row to row")
+    return Ramp(constant, levels, values)
+
+
+def _row(row: Any, shape: tuple[int, ...]) -> list[float] | None:
+    """Return level and components of a row, None if it is no pair of finite numbers that fit."""
+    if not isinstance(row, Sequence | np.ndarray) or len(row) != 2:
+        return None
+    level, value = as_numbers(row[0]), as_numbers(row[1])
+    if level is None or value is None or (level.shape, value.shape) != ((), shape):
+        return None
+    numbers = [float(level), *map(float, value.ravel())]
+    return numbers if np.isfinite(numbers).all() else None
+
+
+def check_range(ramps: Sequence[Ramp], levels: Sequence[float]) -> None:
+    """Raise a ValueError unless all tables hold all levels, up to round-off.
+
+    Args:
+        ramps: the tables.
+        levels: those of a walk, with the one at which it begins.
+    """
+    slack = SAME * max(map(abs, levels))
+    for k, ramp in enumerate(ramps, start=1):
+        first, last = ramp.levels[[0, -1]]
+        if min(levels) < first - slack or max(levels) > last + slack:
+            raise ValueError(
+                f"ramp: table {k} holds levels from {first:g} to {last:g}, but the walk goes from "
+                f"{levels[0]:g} over levels between {min(levels):g} and {max(levels):g}: add rows "
+                "for these"
+            )
+
+
+def difference(saved: Sequence[Rows], ramps: Sequence[Ramp], walked: Sequence[float]) -> str:
+    """Return in words how tables differ from saved ones where a walk has been, "" if they do not.
+
+    Beyond the levels that were walked they may differ: a walk may be given another end.
+
+    Args:
+        saved: the tables of the walk.
+        ramps: those that are given now, for Constants in the same order.
+        walked: levels of the walk, with the one at which it began.
+    """
+    if len(saved) != len(ramps):
+        return f"there are {len(ramps)} tables now, {len(saved)} then"
+    low, high = min(walked), max(walked)
+    for k, (rows, ramp) in enumerate(zip(saved, ramps, strict=True), start=1):
+        table = np.array(rows)
+        old = Ramp(ramp.constant, table[:, 0], table[:, 1:])
+        if old.values.shape[1] != ramp.values.shape[1]:
+            return f"values of table {k} have another shape than then"
+        # polygons are the same if they agree at the corners of both
+        for level in np.unique(np.clip([low, high, *old.levels, *ramp.levels], low, high)):
+            then, now = old.at(level), ramp.at(level)
+            if (np.abs(then - now) > SAME * np.abs(old.values).max()).any():
+                return (
+                    f"table {k} gives {now.tolist()} at level {level:g} now, {then.tolist()} then"
+                )
+    return ""

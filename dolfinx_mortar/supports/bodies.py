@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: MIT
+"""Bodies: the connected parts of a mesh, and their unconstrained rigid-body modes."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from dolfinx import fem, la
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.solid.kinematics import translations_and_rotations
+
+Motion = Callable[[PETSc.Vec], Floats]
+# A rigid-body mode is constrained if the constraints resist it by more than this share of the mode
+# that they resist most.
+HELD = 1e-7
+# Two rigid motions that differ by less than this share have the same name.
+SAME = 1e-4
+# A coordinate of a body's centre that is less than this share of its radius is named 0.
+ORIGIN = 1e-3
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """Connected parts of the mesh behind a space."""
+
+    V: fem.FunctionSpace
+    count: int
+    label: Ints  # (owned nodes,) body of each node
+    centre: Floats  # (count, d) mean of the nodes' coordinates
+    radius: Floats  # (count,) root mean square distance of the nodes from the centre
+    motions: Callable[[Floats], dict[str, Floats]] = translations_and_rotations  # see `Kinematics`
+
+    def rigid_modes(self) -> list[tuple[int, str, PETSc.Vec]]:
+        """Return (body, name, displacement) of every rigid motion, rotations scaled by 1/radius."""
+        d = self.V.dofmap.index_map_bs
+        x = self.V.tabulate_dof_coordinates()[: len(self.label), :d]
+        modes = []
+        for body in range(self.count):
+            on = (self.label == body)[:, None]
+            arm = (x - self.centre[body]) / self.radius[body]
+            motions = self.motions(arm)
+            modes += [(body, name, self._vector(m * on)) for name, m in motions.items()]
+        return modes
+
+    @cached_property
+    def of_cells(self) -> Ints:
+        """The body (owned cells,) of each cell; collective."""
+        V = self.V
+        vector = la.vector(V.dofmap.index_map, 1)
+        vector.array[: len(self.label)] = self.label
+        vector.scatter_forward()
+        owned = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
+        return np.asarray(vector.array[V.dofmap.list[:owned, 0]], dtype=np.int32)
+
+    @property
+    def shifts(self) -> Bools:
+        """Which directions (d,) all points can move in together without strain."""
+        d = self.V.dofmap.index_map_bs
+        probes = np.vstack([np.zeros(d), np.eye(d)])  # modes are affine
+        motions = [motion.ravel() for motion in self.motions(probes).values()]
+        if not motions:
+            return np.zeros(d, dtype=bool)
+        basis, shifts = np.stack(motions, axis=1), np.tile(np.eye(d), (d + 1, 1))
+        left = shifts - basis @ np.linalg.lstsq(basis, shifts)[0]
+        return np.asarray(np.abs(left).max(axis=0) < SAME)
+
+    def _vector(self, values: Floats) -> PETSc.Vec:
+        layout, d = self.V.dofmap.index_map, self.V.dofmap.index_map_bs
+        vector = PETSc.Vec().createMPI(
+            (d * layout.size_local, d * layout.size_global), bsize=d, comm=self.V.mesh.comm
+        )
+        vector.array[:] = values.ravel()
+        return vector
+
+    def mean(self, values: Floats, where: Bools, group: Ints | None = None) -> Floats:
+        """Return the mean over each body of (owned nodes, d) values where marked, else 0.
+
+        Args:
+            values: nodal values.
+            where: (owned nodes, d) which of them count.
+            group: (count,) bodies with one number count as one.
+        """
+        total = np.zeros((self.count, 2, values.shape[1]))
+        np.add.at(total[:, 0], self.label, np.where(where, values, 0.0))
+        np.add.at(total[:, 1], self.label, where.astype(float))
+        total = self.V.mesh.comm.allreduce(total, op=MPI.SUM)
+        if group is not None:
+            for k in range(group.max() + 1):
+                total[group == k] = total[group == k].sum(axis=0)
+        return np.asarray(total[:, 0] / np.maximum(total[:, 1], 1.0))
+
+
+def find_bodies(
+    V: fem.FunctionSpace,
+    motions: Callable[[Floats], dict[str, Floats]] = translations_and_rotations,
+) -> Bodies:
+    """Find the connected parts of the mesh through the nodes that cells share; collective.
+
+    Args:
+        V: space of the displacement.
+        motions: the rigid-body modes, `rigid_motions` of the solid's kinematics.
+    """
+    layout, comm = V.dofmap.index_map, V.mesh.comm
+    n_owned, n_local = layout.size_local, layout.size_local + layout.num_ghosts
+    cells = V.dofmap.list
+    first, last = cells[:, :-1].ravel(), cells[:, 1:].ravel()
+    graph = coo_array((np.ones(len(first)), (first, last)), shape=(n_local, n_local))
+    parts, local = connected_components(graph, directed=False)
+
+    # Parts of different ranks are one body where a ghost of one part is owned by the other.
+    offset = comm.exscan(parts) or 0
+    vector = la.vector(layout, 1)
+    vector.array[:n_owned] = local[:n_owned] + offset
+    vector.scatter_forward()
+    touching = np.column_stack([local + offset, vector.array]).astype(np.int64)
+    links = np.concatenate(comm.allgather(np.unique(touching, axis=0)))
+    total = comm.allreduce(parts, op=MPI.SUM)
+    joined = coo_array((np.ones(len(links)), links.T), shape=(total, total))
+    count, body_of = connected_components(joined, directed=False)
+    label = body_of[local + offset][:n_owned].astype(np.int32)
+    used = np.concatenate(comm.allgather(np.unique(label)))
+    label = np.searchsorted(np.unique(used), label).astype(np.int32)
+    count = len(np.unique(used))
+
+    return dataclasses.replace(_measure(V, count, label), motions=motions)
+
+
+def find_tied_groups(bodies: Bodies, sides: Sequence[tuple[Bools, Bools]]) -> Ints:
+    """Return a number (count,) for each body that tied bodies have in common; collective.
+
+    Args:
+        bodies: the connected parts of the mesh.
+        sides: for each tie, marks of its slave and of its master nodes, (local nodes,) each.
+    """
+    n = len(bodies.label)
+    touched = np.zeros((len(sides), bodies.count))
+    for k, (slave, master) in enumerate(sides):
+        touched[k, bodies.label[slave[:n] | master[:n]]] = 1.0
+    touched = bodies.V.mesh.comm.allreduce(touched, op=MPI.SUM)  # arrays have no MAX
+    _, group = connected_components(touched.T @ touched, directed=False)
+    return np.asarray(group, dtype=np.int32)
+
+
+def _measure(V: fem.FunctionSpace, count: int, label: Ints) -> Bodies:
+    """Return bodies with their centres and radii; collective."""
+    d = V.dofmap.index_map_bs
+    x = V.tabulate_dof_coordinates()[: len(label), :d]
+    bodies = Bodies(V, count, label, np.zeros((count, d)), np.ones(count))
+    centre = bodies.mean(x, np.ones_like(x, dtype=bool))
+    square = bodies.mean((x - centre[label]) ** 2, np.ones_like(x, dtype=bool))
+    return Bodies(V, count, label, centre, np.sqrt(square.sum(axis=1)))
+
+
+def rigid_motions(bodies: Bodies) -> list[PETSc.Vec]:
+    """Return the rigid motions of the whole mesh as if it were one body; collective."""
+    everything = np.zeros_like(bodies.label)
+    whole = dataclasses.replace(_measure(bodies.V, 1, everything), motions=bodies.motions)
+    return [motion for _, _, motion in whole.rigid_modes()]
+
+
+def free_motions(
+    bodies: Bodies,
+    constraints: Sequence[Motion],
+    contacts: Sequence[Motion] = (),
+    facets: Sequence[Motion] = (),
+) -> list[str]:
+    """Name the rigid-body modes that no constraint resists; collective.
+
+    Args:
+        bodies: the bodies.
+        constraints: linear functions that return the constrained displacements (any number on each
+            rank) of a displacement vector: prescribed components, relative motions at ties.
+        contacts: such functions of contacts, which count as if they could also pull.
+        facets: such functions of what contacts resist only because a curved side is made of
+            facets: a pin that spins in a hole runs against their angles.
+
+    Returns:
+        The motions in the null space by name: of single bodies where possible, then of several
+        bodies together, then sums of motions; empty if all is held.
+    """
+    modes = bodies.rigid_modes()
+    if not modes:
+        return []
+    held, touching, uneven = (_gram(bodies, modes, f) for f in (constraints, contacts, facets))
+    scale = max(float((held + touching).diagonal().max()), np.finfo(float).tiny)
+    null = np.eye(len(modes))
+    # only of contacts a part is taken off: other constraints do not depend on facets
+    for form in (held, touching - uneven):
+        if null.shape[1] == 0:
+            return []
+        values, vectors = np.linalg.eigh(null.T @ form @ null / scale)
+        null = null @ vectors[:, values < HELD**2 * len(modes)]
+    rest = null
+    body = np.array([k for k, _, _ in modes])
+    named = [f"{name} of {name_of(bodies, [k])}" for k, name, _ in modes]
+    rest, found = _take_out(null, rest, dict(zip(named, np.eye(len(modes)), strict=True)))
+    for group in _groups(rest, body):
+        rest, together = _take_out(null, rest, _common_motions(bodies, group))
+        found += together
+    for motion in rest.T:
+        parts = np.flatnonzero(np.abs(motion) > 0.1 * np.abs(motion).max())
+        found.append(" + ".join(named[k] for k in parts))
+    return found
+
+
+def _gram(
+    bodies: Bodies, modes: list[tuple[int, str, PETSc.Vec]], functions: Sequence[Motion]
+) -> Floats:
+    """Return the sums (modes, modes) of f(v_a).f(v_b) over linear functions f; collective."""
+    rows = np.zeros((0, len(modes)))
+    if functions:
+        columns = [np.concatenate([f(v).ravel() for f in functions]) for _, _, v in modes]
+        rows = np.column_stack(columns)
+    return np.asarray(bodies.V.mesh.comm.allreduce(rows.T @ rows, op=MPI.SUM))
+
+
+def name_of(bodies: Bodies, group: list[int]) -> str:
+    """Return how a message calls a body, or several."""
+    size = bodies.radius[group].max()
+    centre = np.where(np.abs(bodies.centre[group]) < ORIGIN * size, 0.0, bodies.centre[group])
+    places = sorted([float(f"{x:.4g}") for x in row] for row in centre)
+    centres = ", ".join(map(str, places))
+    return (
+        f"the bodies around {centres} together" if len(group) > 1 else f"the body around {centres}"
+    )
+
+
+def _take_out(null: Floats, rest: Floats, motions: dict[str, Floats]) -> tuple[Floats, list[str]]:
+    """Return the rest (modes, k) of a null space without given motions, and which it had."""
+    found = []
+    for name, motion in motions.items():
+        unit = motion / np.linalg.norm(motion)
+        share = rest.T @ unit
+        inside = np.linalg.norm(unit - null @ (null.T @ unit)) < SAME
+        if inside and np.linalg.norm(share) > SAME:
+            found.append(name)
+            rest = rest @ np.linalg.svd(share[None])[2][1:].T
+    return rest, found
+
+
+def _groups(null: Floats, body: npt.NDArray[np.int_]) -> list[list[int]]:
+    """Return the sets of bodies that only move together in a null space (modes, k)."""
+    linked = np.abs(null @ null.T) > SAME
+    _, label = connected_components(linked | (body[:, None] == body), directed=False)
+    return [np.unique(body[label == k]).tolist() for k in np.unique(label)]
+
+
+def _common_motions(bodies: Bodies, group: list[int]) -> dict[str, Floats]:
+    """Return the rigid motions of a group of bodies as one, in terms of their rigid modes."""
+    count, d = bodies.centre.shape
+    middle = bodies.centre[group].mean(axis=0)
+    probes = np.vstack([np.zeros(d), np.eye(d)])  # modes are affine: so many points determine them
+    own = bodies.motions(probes)
+    basis = np.stack([motion.ravel() for motion in own.values()])
+    motions = np.zeros((len(own), count, len(own)))
+    for body in group:
+        at = bodies.centre[body] + bodies.radius[body] * probes - middle
+        wanted = np.stack([motion.ravel() for motion in bodies.motions(at).values()])
+        motions[:, body] = np.linalg.lstsq(basis.T, wanted.T)[0].T
+    who = name_of(bodies, group)
+    return {f"{n} of {who}": m.ravel() for n, m in zip(own, motions, strict=True)}

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: MIT
+"""Dirichlet conditions as marks and values of dofs, whichever ranks have located them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dolfinx import fem, la
+from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.geometry.tolerances import ROUND_OFF
+
+
+def prescribed_dofs(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> Bools:
+    """Return (local nodes, d): which displacement components are prescribed; collective.
+
+    Raises:
+        ValueError: on all ranks, for dofs that V, or the component of a condition, does not have.
+    """
+    with raised_together(V.mesh.comm):
+        for bc in bcs:
+            _check_dofs(V, bc)
+    return marked_dofs(V, [bc.dof_indices()[0] for bc in bcs])
+
+
+def marked_dofs(V: fem.FunctionSpace, dofs: Iterable[Ints]) -> Bools:
+    """Return (local nodes, d): which components any rank names by its local dofs; collective."""
+    d = V.dofmap.index_map_bs
+    marks = la.vector(V.dofmap.index_map, d)
+    marks.array[:] = 0.0
+    for some in dofs:
+        marks.array[some] = 1.0
+    marks.scatter_reverse(la.InsertMode.add)
+    marks.scatter_forward()
+    return np.asarray(marks.array > 0.0).reshape(-1, d)
+
+
+def _check_dofs(V: fem.FunctionSpace, bc: fem.DirichletBC) -> None:
+    """Raise a ValueError unless the dofs of a condition are some of its space."""
+    dofs, layout, d = bc.dof_indices()[0], V.dofmap.index_map, V.dofmap.index_map_bs
+    count = layout.size_local + layout.num_ghosts
+    outside = dofs[(dofs < 0) | (dofs >= d * count)]
+    if len(outside):
+        raise ValueError(
+            f"bcs holds a condition on the dof {outside[0] // d}: this rank has 0 to {count - 1}; "
+            "take dofs from dolfinx.fem.locate_dofs_topological or locate_dofs_geometrical"
+        )
+    component = bc.function_space.component()
+    if component and (dofs % d != component[0]).any():
+        raise ValueError(
+            f"bcs holds a condition on V.sub({component[0]}) at dofs of other components: locate "
+            f"its dofs on V.sub({component[0]}), not on V"
+        )
+
+
+def prescribed_values(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> Floats:
+    """Return the prescribed values at owned dofs, 0 where there is none; collective.
+
+    Raises:
+        ValueError: on all ranks, if conditions prescribe different values of one dof.
+    """
+    d, layout = V.dofmap.index_map_bs, V.dofmap.index_map
+    values, known = np.zeros((2, d * (layout.size_local + layout.num_ghosts)))
+    for bc in bcs:
+        bc.set(values)
+        known[bc.dof_indices()[0]] = 1.0
+    shared = la.vector(layout, 2 * d)
+    table = shared.array.reshape(-1, 2 * d)
+    table[:] = np.hstack([(known * values).reshape(-1, d), known.reshape(-1, d)])
+    shared.scatter_reverse(la.InsertMode.add)
+    own = slice(None, d * layout.size_local)
+    total, count = (table[: layout.size_local, part].ravel() for part in np.s_[:d, d:])
+    # The owner's own value is exact; the mean of the others' stands in where it has none.
+    target = np.where(known[own] > 0, values[own], total / np.maximum(count, 1.0))
+    _check_unique(V, bcs, target)
+    return target
+
+
+def _check_unique(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC], target: Floats) -> None:
+    """Raise a ValueError on all ranks if a condition has other values than the target.
+
+    Up to the round-off of interpolated values: that of coordinates and displacements; collective.
+    """
+    d, comm = V.dofmap.index_map_bs, V.mesh.comm
+    chosen = la.vector(V.dofmap.index_map, d)
+    chosen.array[: len(target)] = target
+    chosen.scatter_forward()
+    given, farthest, off = np.zeros((3, len(chosen.array)))
+    for bc in bcs:
+        bc.set(given)
+        dofs = bc.dof_indices()[0]
+        with np.errstate(invalid="ignore"):  # NaN and infinity are reported elsewhere
+            difference = np.abs(given[dofs] - chosen.array[dofs])
+        farther = difference > off[dofs]
+        off[dofs[farther]], farthest[dofs[farther]] = difference[farther], given[dofs[farther]]
+    X = V.tabulate_dof_coordinates()
+    sizes = (np.abs(x).max(initial=0.0) for x in (X, given))
+    allowed = ROUND_OFF * maximum(comm, *sizes).sum()
+    differ = np.flatnonzero(off > allowed)
+    if not any_rank(comm, len(differ) > 0)[0]:
+        return
+    told = ""
+    for i in differ[:1]:
+        x = np.where(np.abs(X[i // d]) > allowed, X[i // d], 0.0)[: V.mesh.geometry.dim]
+        place = ", ".join(f"{v:.4g}" for v in x)
+        told = f"{farthest[i]:.10g} and {chosen.array[i]:.10g} for V.sub({i % d}) at ({place})"
+    raise ValueError(
+        "bcs: conditions prescribe different displacements of one node, such as "
+        f"{next(filter(None, comm.allgather(told)))}: leave each node and component to one of "
+        "them, or give them equal values there"
+    )
+
+
+@dataclass(frozen=True)
+class Dirichlet:
+    """Dirichlet conditions of a problem; values are read anew at every step."""
+
+    V: fem.FunctionSpace
+    bcs: list[fem.DirichletBC]
+    fixed: Bools  # (local nodes, d) which components are prescribed
+
+    @property
+    def owned(self) -> Bools:
+        """Which components of the owned nodes are prescribed, (n, d)."""
+        return np.asarray(self.fixed[: self.V.dofmap.index_map.size_local])
+
+    def values(self) -> Floats:
+        """Return the prescribed values at owned dofs, 0 where there is none; collective."""
+        return prescribed_values(self.V, self.bcs)
+
+    def increment(self, target: Floats, u: Floats) -> Floats:
+        """Return prescribed minus present values, (owned nodes, d), 0 where free."""
+        difference = (target - u[: target.size]).reshape(self.owned.shape)
+        return np.where(self.owned, difference, 0.0)
+
+
+def create_dirichlet(V: fem.FunctionSpace, bcs: list[fem.DirichletBC]) -> Dirichlet:
+    """Find the prescribed dofs; collective.
+
+    Raises:
+        ValueError: on all ranks, for dofs that are none, and values that contradict each other.
+    """
+    supports = Dirichlet(V, bcs, prescribed_dofs(V, bcs))
+    supports.values()
+    return supports

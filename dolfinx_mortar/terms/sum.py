@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: MIT
+"""The sum over bodies and terms: energy, forces and tangent of a problem, each in one place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TypeVar
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.arguments import as_numbers
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.terms.term import Term
+from dolfinx_mortar.terms.weak_forms import DeadLoads
+
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class Energy:
+    """J(u) and the size of its terms."""
+
+    value: float
+    terms: float  # sum of the absolute values of what is added up
+
+
+@dataclass(frozen=True)
+class Terms:
+    """J(u) = Psi(u) + sum_k Pi_k(u), its first derivative and its second."""
+
+    solid: Solid
+    named: Sequence[tuple[str, Term]]  # by the name that messages use
+
+    @property
+    def comm(self) -> MPI.Comm:
+        """The ranks."""
+        return self.solid.mesh.comm
+
+    @property
+    def linear(self) -> bool:
+        """Whether the tangent is constant while what the user may change between steps is."""
+        return self.solid.linear and all(term.linear for _, term in self.named)
+
+    @property
+    def varying(self) -> bool:
+        """Whether the tangent may change between steps even so."""
+        return self.solid.varying or self.have_tangent
+
+    @property
+    def have_tangent(self) -> bool:
+        """Whether there is more than bodies and dead forces."""
+        return any(term.has_tangent for _, term in self.named)
+
+    # -- sums ------------------------------------------------------------------------------------
+
+    def energy(self) -> Energy | None:
+        """Return J(u), None if the bodies or a term have none; collective."""
+        if not self.solid.has_energy:
+            return None
+        sums = np.zeros(3)
+        for _, term in self.named:
+            addends = self._ask(term, partial(_addends, term))
+            sums += (0, 0, 1) if addends is None else (addends.sum(), np.abs(addends).sum(), 0)
+        self.comm.Allreduce(MPI.IN_PLACE, sums)
+        if sums[2] > 0.0:
+            return None
+        psi = self.solid.energy()
+        return Energy(psi + sums[0], abs(psi) + sums[1])
+
+    def assemble_forces(self, F: PETSc.Vec) -> float:
+        """Fill F with dJ/du; return the largest norm of the forces of a term; collective.
+
+        Those of the bodies are not among them: their scale are the unassembled element forces.
+        """
+        self.solid.assemble_residual(F)
+        one, largest = F.duplicate(), 0.0
+        for name, term in self.named:
+            one.array_w[:] = 0.0
+            self._ask(term, partial(term.add_forces, one))
+            one.assemble()
+            if not _is_ours(term) and not np.isfinite(one.norm()):
+                raise ValueError(f"{name}: add_forces gives NaN or infinity at the present u")
+            largest = max(largest, float(one.norm()))
+            F.axpy(1.0, one)
+        return largest
+
+    def assemble_tangent(self, K: PETSc.Mat) -> None:
+        """Fill K with d2J/du2; collective.
+
+        K stays symmetric; whether it stays definite is the affair of the terms: a soft foundation
+        is harmless, a load that grows with the displacement need not be.
+        """
+        self.solid.assemble_tangent(K)
+        self.add_tangents(K)
+
+    def add_tangents(self, K: PETSc.Mat) -> None:
+        """Add the tangents of the terms, without the bodies, on the pattern that K has; collective.
+
+        Raises:
+            ValueError: on all ranks, if a term gives NaN or infinity.
+        """
+        for _, term in self.named:
+            if not term.has_tangent:
+                continue
+            self._ask(term, partial(term.add_tangent, K))
+        K.assemble()  # once: what nobody has set by then is no longer in the pattern
+        own = [name for name, term in self.named if not _is_ours(term)]
+        if own and not np.isfinite(K.norm()):
+            raise ValueError(
+                f"{'; '.join(own)}: add_tangent gives NaN or infinity at the present u"
+            )
+
+    def create_matrix(self) -> PETSc.Mat:
+        """Create the matrix of the tangent: pattern of the mesh, and of what terms couple."""
+        K = self.solid.create_matrix()
+        blocks = [(name, dofs) for name, term in self.named for dofs in term.couplings]
+        if not any_rank(self.comm, bool(blocks))[0]:
+            return K
+        self.solid.assemble_tangent(K)  # entries that nobody has set are not kept
+        K.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
+        with raised_together(self.comm):
+            for name, dofs in blocks:
+                rows = _dofs(name, dofs, K.getSize()[0])
+                K.setValues(rows, rows, np.zeros((rows.size, rows.size)), addv=True)
+        K.assemble()
+        K.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, True)
+        K.zeroEntries()
+        return K
+
+    # -- the course of a step --------------------------------------------------------------------
+
+    def begin(self, start: float, end: float) -> None:
+        """Let all terms prepare a step between two load levels; collective.
+
+        Raises:
+            ValueError: on all ranks, if forces or the energy of a term are NaN or infinite.
+        """
+        for _, term in self.named:
+            self._ask(term, partial(term.begin, start, end))
+        self.check_energies()
+
+    def check_energies(self) -> None:
+        """Raise a ValueError on all ranks unless the energies of terms are finite at u; collective.
+
+        Those of dead loads are checked as forces.
+        """
+        for name, term in self.named:
+            if isinstance(term, DeadLoads):
+                continue
+            addends = self._ask(term, partial(_addends, term))
+            total = self.comm.allreduce(0.0 if addends is None else float(addends.sum()))
+            if not np.isfinite(total):
+                raise ValueError(
+                    f"{name} is {total} at the present displacement: check its coefficients"
+                )
+
+    def commit(self) -> None:
+        """Make the converged step the state of bodies and terms; collective."""
+        self.solid.commit()
+        for _, term in self.named:
+            self._ask(term, term.commit)
+
+    def roll_back(self) -> None:
+        """Let terms forget a step that has failed, perhaps on this rank only."""
+        for _, term in self.named:
+            term.roll_back()
+
+    # -- what may go wrong in terms of users -----------------------------------------------------
+
+    def _ask(self, term: Term, call: Callable[[], R]) -> R:
+        """Call a method; what fails on one rank is raised on all; collective."""
+        if _is_ours(term):
+            return call()
+        with raised_together(self.comm):
+            return call()
+
+
+def _is_ours(term: Term) -> bool:
+    """Tell whether a term is of this package: it fails on all ranks or on none."""
+    return type(term).__module__.startswith(f"{__name__.partition('.')[0]}.")
+
+
+def _addends(term: Term) -> Floats | None:
+    """Return the energy of a term as an array, None if it has none."""
+    given = term.energy()
+    if given is None:
+        return None
+    addends = as_numbers(given)
+    if addends is None:
+        raise ValueError(
+            f"{type(term).__name__}.energy() has returned {given!r}: return this rank's share of "
+            "the energy, a number, or None if there is no potential"
+        )
+    return np.atleast_1d(addends)
+
+
+def _dofs(name: str, dofs: object, n: int) -> np.ndarray:
+    """Return the global dofs of a dense block as PETSc knows them."""
+    given = np.asarray(dofs)
+    if given.ndim != 1 or given.dtype.kind not in "iu" or ((given < 0) | (given >= n)).any():
+        raise ValueError(
+            f"{name}: couplings holds {dofs!r}: give arrays of global dofs, integers from 0 to "
+            f"{n - 1}"
+        )
+    return given.astype(PETSc.IntType)

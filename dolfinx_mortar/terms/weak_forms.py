@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: MIT
+"""Terms in UFL: dead loads, and weak forms of the displacement.
+
+One step minimises J(v) = Psi(v) + sum Pi(v) - f.v. Forces f that do not depend on the displacement
+are the linear form ``loads``; what depends on it (springs, elastic foundations, conservative
+pressure, a viscous damper) is a `WeakForm`, whose derivatives UFL takes, so that energy, forces and
+tangent always fit.
+
+Both get the weight of the kinematics, as do the integrals over the bodies: t in inner(t, v) * ds is
+a traction whatever the kinematics, and the forces are those of the whole ring where these are
+axisymmetric.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from petsc4py import PETSc
+
+import numpy as np
+
+import ufl
+from dolfinx import fem, la
+from dolfinx.fem import petsc as fem_petsc
+from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.spaces import check_real
+from dolfinx_mortar.terms.term import Term
+from ufl.algorithms import estimate_total_polynomial_degree, expand_derivatives
+
+REMEDY = "give its potential instead, ContactProblem(..., potential=...)"
+
+
+class DeadLoads(Term):
+    """Forces f_i that do not follow the displacement: Pi(u) = -f.u.
+
+    The linear form of the external virtual work is assembled at the start of each step.
+    """
+
+    linear = True
+    has_tangent = False
+
+    def __init__(self, solid: Solid, loads: ufl.Form) -> None:
+        """Check and compile a linear form; collective.
+
+        Raises:
+            ValueError: if it cannot work, with the remedy.
+        """
+        check_loads(solid.u, loads)
+        self._u = solid.u
+        self._form = fem.form(_weighted(loads, solid))
+        self._vector = _vector(solid.V)
+
+    def begin(self, start: float, end: float) -> None:
+        """Assemble the forces; collective.
+
+        Raises:
+            ValueError: on all ranks, if they hold NaN or infinity.
+        """
+        bad = ~np.isfinite(_assemble(self._form, self._vector))
+        if any_rank(self._u.function_space.mesh.comm, bad.any())[0]:
+            raise ValueError(
+                "loads hold NaN or infinity: check the coefficients of the linear form"
+            )
+
+    @property
+    def f(self) -> Floats:
+        """The forces (n,) at the owned dofs."""
+        imap, bs = self._vector.index_map, self._vector.block_size
+        return np.asarray(self._vector.array[: bs * imap.size_local])
+
+    def energy(self) -> Floats:
+        """Return the addends -f_i u_i of this rank."""
+        f = self.f
+        return np.asarray(-f * self._u.x.array[: f.size])
+
+    def add_forces(self, F: PETSc.Vec) -> None:
+        """Subtract f."""
+        F.array_w[:] -= self.f
+
+    def add_tangent(self, K: PETSc.Mat) -> None:
+        """Add nothing: the forces are dead."""
+
+
+class WeakForm(Term):
+    """A functional Pi(u), or the residual of a weak form, added to that of the bodies.
+
+    With ``energy`` forces and tangent are its first and second derivative. With ``residual``, a
+    linear form R(u; v), the forces are R(u; phi_i) and the tangent is the symmetric part of dR/du:
+    Newton stays quadratic if R has a potential, and converges linearly otherwise.
+
+    Subclasses keep a state: Functions in the form that `commit` sets, Constants that `begin` sets
+    (see the guide).
+
+    Args:
+        solid: the bodies, whose ``solid.u`` is in the form.
+        energy: functional of ``solid.u``, for example ``0.5 * k * inner(u, u) * ds(3)`` for a bed
+            of springs; integrals over cells and exterior facets. They get the weight of the
+            solid's kinematics as a factor.
+        residual: linear form of a test function on ``solid.V`` instead.
+
+    Raises:
+        ValueError: if the form cannot work, with the remedy.
+    """
+
+    def __init__(
+        self, solid: Solid, *, energy: ufl.Form | None = None, residual: ufl.Form | None = None
+    ) -> None:
+        """Check and compile the forms; collective."""
+        u, V = solid.u, solid.V
+        name, form = ("energy", energy) if residual is None else ("residual", residual)
+        if (energy is None) == (residual is None):
+            raise ValueError("WeakForm: give either energy= or residual=")
+        check_form(u, name, form, arguments=0 if residual is None else 1)
+        form = _with_one_rule(_weighted(form, solid))
+        forces = ufl.derivative(form, u, ufl.TestFunction(V)) if residual is None else form
+        du = ufl.TrialFunction(V)
+        tangent = expand_derivatives(ufl.derivative(forces, u, du))
+        if residual is not None and not tangent.empty():
+            tangent = expand_derivatives(0.5 * (tangent + ufl.adjoint(tangent)))
+        self.u = u
+        self.linear = u not in tangent.coefficients()
+        self._energy = fem.form(form) if residual is None else None
+        self._forces = fem.form(forces)
+        self._tangent = None if tangent.empty() else fem.form(tangent)
+        self._vector = _vector(V)
+        self._given = {name: form}
+
+    def given(self) -> Mapping[str, Any]:
+        """Return what all ranks have to give the same; see `agreement`."""
+        return self._given
+
+    def energy(self) -> float | None:
+        """Return this rank's share of Pi(u), None for a residual."""
+        return None if self._energy is None else float(fem.assemble_scalar(self._energy))
+
+    def add_forces(self, F: PETSc.Vec) -> None:
+        """Add dPi/du or R(u; .) to the owned part of F; collective."""
+        F.array_w[:] += _assemble(self._forces, self._vector)[: F.local_size]
+
+    def add_tangent(self, K: PETSc.Mat) -> None:
+        """Add the second derivative; collective."""
+        if self._tangent is not None:
+            fem_petsc.assemble_matrix(K, self._tangent)
+
+
+def _vector(V: fem.FunctionSpace) -> la.Vector:
+    """Return a vector of V, with ghosts."""
+    return la.vector(V.dofmap.index_map, V.dofmap.index_map_bs)
+
+
+def _assemble(form: fem.Form, vector: la.Vector) -> Floats:
+    """Assemble a linear form into a vector; return its owned values; collective."""
+    vector.array[:] = 0.0
+    fem.assemble_vector(vector.array, form)
+    vector.scatter_reverse(la.InsertMode.add)
+    return np.asarray(vector.array[: vector.block_size * vector.index_map.size_local])
+
+
+def check_loads(u: fem.Function, loads: Any) -> None:
+    """Raise ValueError if the loads depend on the displacement.
+
+    They are assembled once at the start of a step; with the displacement inside, the answer would
+    be that of forces of the step before.
+    """
+    if isinstance(loads, ufl.Form) and any(_is_displacement(u, c) for c in loads.coefficients()):
+        raise ValueError(f"loads contain the displacement solid.u ({u.name}): {REMEDY}")
+
+
+WANTED = (
+    "give a functional of solid.u, for example 0.5 * k * inner(u, u) * ds",
+    "give a linear form of solid.u and a test function, for example k * inner(u, v) * ds",
+)
+
+
+def check_form(u: fem.Function, name: str, form: Any, *, arguments: int = 0) -> None:
+    """Raise ValueError unless a form of the displacement can be added.
+
+    Args:
+        u: the displacement.
+        name: how messages call the form.
+        form: what was given.
+        arguments: how many test functions it has to have, 0 or 1.
+    """
+    wanted = WANTED[arguments]
+    if isinstance(form, fem.Form):
+        raise ValueError(f"{name} is a compiled form: {wanted}, in UFL as before fem.form")
+    if not isinstance(form, ufl.Form):  # its repr may fill pages
+        raise ValueError(f"{name} is a {type(form).__name__}: {wanted}")
+    check_real(name, *form.coefficients(), *form.constants())
+    if len(form.arguments()) != arguments:
+        count = len(form.arguments())
+        expected = "one" if arguments else "none"
+        raise ValueError(f"{name} has {count} test or trial functions, not {expected}: {wanted}")
+    kinds = sorted({i.integral_type() for i in form.integrals()} - {"cell", "exterior_facet"})
+    if kinds:
+        raise ValueError(
+            f"{name}: integrals over {', '.join(kinds)}; only cells (dx) and exterior facets "
+            "(ds) are possible"
+        )
+    _check_spaces(u, name, form)
+
+
+def _check_spaces(u: fem.Function, name: str, form: ufl.Form) -> None:
+    """Raise ValueError unless a form contains u itself, and lives on its mesh only."""
+    coefficients = form.coefficients()
+    parts = [c for c in coefficients if c is not u and _is_displacement(u, c)]
+    if parts:
+        raise ValueError(f"{name} contains u.sub(i), which UFL cannot differentiate: write u[i]")
+    domain = u.function_space.mesh.ufl_domain()
+    if any(other != domain for other in form.ufl_domains()):
+        raise ValueError(f"{name} is on another mesh than solid.u: integrate over solid.mesh")
+    for c in coefficients:
+        if c.ufl_function_space().ufl_domain() != domain:
+            raise ValueError(f"{name}: the Function {c} is on another mesh than solid.u")
+    space = u.function_space.ufl_function_space()
+    if any(argument.ufl_function_space() != space for argument in form.arguments()):
+        raise ValueError(
+            f"{name}: the test function belongs to another space; make it with "
+            "TestFunction(u.function_space)"
+        )
+    if not any(c is u for c in coefficients):
+        raise ValueError(
+            f"{name} does not contain the displacement solid.u, so it exerts no force: write it "
+            "with that very Function"
+        )
+
+
+def _weighted(form: ufl.Form, solid: Solid) -> ufl.Form:
+    """Return a form with the weight of the kinematics in all integrals."""
+    kinematics = solid.kinematics
+    if kinematics.unweighted:
+        return form
+    factor = ufl.as_ufl(kinematics.weight(ufl.SpatialCoordinate(solid.mesh)))
+    return ufl.Form([i.reconstruct(integrand=factor * i.integrand()) for i in form.integrals()])
+
+
+def _with_one_rule(form: ufl.Form) -> ufl.Form:
+    """Return a form whose derivatives are integrated at the same points as itself.
+
+    UFL chooses the rule by the integrand, and chooses another for the derivative of a function
+    that is no polynomial: forces would then not be the derivative of the energy that is computed.
+    """
+    integrals = []
+    for integral in expand_derivatives(form).integrals():
+        metadata = dict(integral.metadata())
+        if metadata.get("quadrature_degree", -1) in (-1, "auto"):
+            degree = estimate_total_polynomial_degree(integral.integrand())
+            metadata["quadrature_degree"] = degree
+        integrals.append(integral.reconstruct(metadata=metadata))
+    return ufl.Form(integrals)
+
+
+def _is_displacement(u: fem.Function, coefficient: Any) -> bool:
+    """Tell whether a coefficient is u or shares its values, as u.sub(i) does; also without any."""
+    return isinstance(coefficient, fem.Function) and (coefficient.x._cpp_object is u.x._cpp_object)

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: MIT
+"""The examples as files: short, flat, run on one and on two ranks; each asserts its own result."""
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = sorted((Path(__file__).parent.parent / "examples").glob("*.py"))
+LINES = 60  # at most
+SAID = {  # what they print, by their last lines
+    "press_a_disc": ("peak 2478 MPa, Hertz 2461 MPa",),
+    "glue_two_meshes": ("1 iteration, largest error of the displacement",),
+    "tighten_a_bolt": ("pull 10000 N: bolt 22004 N", "pull 40000 N: bolt 40000 N"),
+}
+
+
+def test_there_are_three():
+    assert {path.stem for path in EXAMPLES} == set(SAID)
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_they_are_short_and_flat(path):
+    """So they can be pasted: no options, no other file; and they assert what they find."""
+    source = path.read_text()
+    assert len(source.splitlines()) <= LINES
+    assert any(isinstance(node, ast.Assert) for node in ast.walk(ast.parse(source)))
+    assert not re.search(r"argparse|__main__|__file__|sys\.path|^from tests", source, re.MULTILINE)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_they_run(path, ranks, tmp_path):
+    launcher = [] if ranks == 1 else ["mpirun", "-n", str(ranks)]
+    done = subprocess.run(
+        [*launcher, sys.executable, str(path)],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert all(words in done.stdout for words in SAID[path.stem])
+    assert (tmp_path / f"{path.stem}.png").stat().st_size > 5000

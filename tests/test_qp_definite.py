@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: MIT
+"""Matrices that are not symmetric, or not positive definite: who relies on `BoundQP.definite`."""
+
+from dataclasses import replace
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from programs import CYCLING, CYCLING_FORCE, from_arrays, gathered, membrane
+
+from dolfinx_mortar.qp import BoundQP, LinearSolver, QPNotSolved, UnusableQP, solve
+
+COMM = MPI.COMM_WORLD
+INF = np.inf
+N = 40
+
+pytestmark = pytest.mark.mpi
+
+
+def unsymmetric(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+    """Diffusion with a wind: an M-matrix, for which the conditions have one solution."""
+    wind = 0.6
+    A = 2.1 * np.eye(N) - (1 + wind) * np.eye(N, k=-1) - (1 - wind) * np.eye(N, k=1)
+    upper = np.where(np.arange(N) % 3, INF, np.where(np.arange(N) < N // 2, rng.random(N), 50.0))
+    return A, 0.2 * np.ones(N), upper
+
+
+def indefinite(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+    """Negative diagonal entries of both kinds of unknowns, and zeros.
+
+    Half of the unknowns have no bounds; condensed to the others, A_BB - A_BI A_II^-1 A_IB is
+    positive definite.
+    """
+    half = N // 2
+    A = np.zeros((N, N))
+    A[:half, :half] = -np.eye(half)
+    A[:2, :2] = [[0.0, -1.0], [-1.0, 0.0]]
+    own, coupling = np.full(half, -0.5), np.full(half, 1.5)
+    own[:3], coupling[:2] = (3.0, 3.0, 0.0), 0.1
+    A[half:, half:] = np.diag(own)
+    A[:half, half:] = np.diag(coupling) + 0.05 * rng.standard_normal((half, half))
+    A[half:, :half] = A[:half, half:].T
+    upper = np.where(np.arange(N) < half, INF, 0.1)
+    return A, rng.standard_normal(N), upper
+
+
+def spread(A: np.ndarray, b: np.ndarray, upper: np.ndarray) -> BoundQP:
+    return replace(from_arrays(A, b, np.full(N, -INF), upper, COMM), definite=False)
+
+
+@pytest.mark.parametrize("make", [unsymmetric, indefinite])
+@pytest.mark.parametrize("options", [{}, {"pc_type": "none"}])
+def test_the_conditions_hold(make, options, rng: np.random.Generator) -> None:
+    """By LU and GMRES without being asked; both bounds that are active and open ones."""
+    A, b, upper = make(rng)
+    linear = LinearSolver(COMM, prefix="general_", options=options)
+    found = solve(spread(A, b, upper), linear=linear, rtol=1e-12)
+    x = gathered(found.x)
+    z, some = b - A @ x, np.isfinite(upper)
+    assert np.abs(z[~some]).max() < 1e-10
+    assert z[some].min() > -1e-10 and (upper - x)[some].min() > -1e-10
+    assert np.abs(z[some] * (upper - x)[some]).max() < 1e-10
+    assert z[some].max() > 1e-3 < (upper - x)[some].max()
+    assert linear.description == f"gmres + {'none' if options else 'lu (mumps)'}"
+
+
+def test_an_old_factorisation_serves_gmres(rng: np.random.Generator) -> None:
+    A, b, upper = unsymmetric(rng)
+    qp, linear = spread(A, b, upper), LinearSolver(COMM, prefix="old_")
+    first = solve(qp, linear=linear)
+    diagonal = qp.A.getDiagonal()
+    diagonal.array[:] *= 1.001
+    qp.A.setDiagonal(diagonal)
+    second = solve(qp, linear=linear, start_active=first.active)
+    assert second.factorisations == 0 < second.linear_iterations
+
+
+def test_one_solver_takes_both_kinds(rng: np.random.Generator) -> None:
+    """The same matrix, said to be definite or not; Cholesky would read half of the other one."""
+    qp, linear = membrane(8), LinearSolver(COMM, prefix="both_")
+    expected = gathered(solve(qp, linear=linear).x)
+    assert linear.description == "cg + cholesky (mumps)"
+    found = solve(replace(qp, definite=False), linear=linear)
+    assert linear.description == "gmres + lu (mumps)"
+    np.testing.assert_allclose(gathered(found.x), expected, atol=1e-9)
+    solve(qp, linear=linear)
+    assert linear.description == "cg + cholesky (mumps)"
+
+
+def test_what_needs_a_definite_matrix_says_so(rng: np.random.Generator) -> None:
+    A, b, upper = indefinite(rng)
+    with pytest.raises(ValueError, match=r"'interior-point'.*definite matrix.*'active-set'"):
+        solve(spread(A, b, upper), "interior-point")
+    with pytest.raises(UnusableQP, match="entries <= 0"):
+        solve(replace(spread(A, b, upper), definite=True))
+    cycling = from_arrays(CYCLING, CYCLING_FORCE, np.full(3, -INF), np.zeros(3), COMM)
+    assert solve(cycling).kkt.satisfied(1e-10)
+    with pytest.raises(QPNotSolved, match=r"came back.*not said to be definite"):
+        solve(replace(cycling, definite=False))

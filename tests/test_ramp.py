@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: MIT
+"""Ramps: tables of Constants over load levels, as good as a function, and data besides."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx import fem
+from dolfinx_mortar.steps.ramp import check_range, difference, read_ramps
+from tests.checkpoint_program import LEVELS, Press
+from tests.checkpoint_runs import agree
+from tests.hertz_case import create_case
+from tests.pressed_blocks import PressedBlocks, rejected
+
+COMM = MPI.COMM_WORLD
+ROWS = [(0.0, (0.0, 0.0)), (0.6, (0.001, -0.005)), (1.0, (0.002, -0.008))]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Return a folder that all ranks see."""
+    return COMM.bcast(tmp_path)
+
+
+def by_function(constant, rows):
+    """Return the function of the level that a table stands for."""
+    levels, values = zip(*rows, strict=True)
+
+    def on_time(t):
+        columns = np.array(values).T
+        constant.value[:] = [np.interp(t, levels, column) for column in columns]
+
+    return on_time
+
+
+def constant(value):
+    """Return a Constant on any mesh."""
+    return fem.Constant(PressedBlocks().mesh, np.array(value))
+
+
+# -- the same as a function ------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_a_table_is_as_good_as_a_function():
+    """To the last bit, with a kink, with friction, up and down."""
+    one, other = (Press(friction=0.3) for _ in range(2))
+    list(one.walk(LEVELS, on_time=None, ramp={one.top: ROWS}))
+    list(other.walk(LEVELS, on_time=by_function(other.top, ROWS)))
+    agree(one.numbers(), other.numbers())
+    if COMM.size == 1:  # ranks add up in the order in which messages come
+        assert one.numbers() == other.numbers()
+        assert np.array_equal(one.problem.u.x.array, other.problem.u.x.array)
+
+
+@pytest.mark.serial
+def test_cuts_are_made_on_the_table():
+    """Levels between those given get the values between: bit for bit as from a function."""
+    mesh = dm.meshing.hertz(COMM, kind="paper")
+    one, other = (create_case(mesh, surface="facets") for _ in range(2))
+    rows, options = [(0.0, (0.0, 0.0)), (4.0, (0.0, -0.2))], {"max_it": 5}
+    (step,) = dm.load_steps(one.problem, [4.0], ramp={one.top: rows}, **options)
+    (same,) = dm.load_steps(other.problem, [4.0], on_time=by_function(other.top, rows), **options)
+    assert step.report.cuts == same.report.cuts > 0 and len(step.parts) > 1
+    assert np.array_equal(one.problem.u.x.array, other.problem.u.x.array)
+
+
+def test_a_function_finds_the_values_of_the_tables():
+    """Both may be given: the function is called last, for every level as often as there are."""
+    press, seen = Press(), []
+    kept = fem.Constant(press.mesh, 0.0)
+
+    def on_time(t):
+        seen.append((t, *press.top.value, float(kept.value)))
+
+    ramp = {press.top: ROWS, kept: [(0.0, 1.0), (1.0, 3.0)]}
+    list(press.walk([0.3, 0.6], on_time=on_time, ramp=ramp))
+    assert seen == [(0.3, 0.0005, -0.0025, 1.6), (0.6, 0.001, -0.005, 2.2)]
+
+
+def test_values_of_any_shape_and_tables_that_are_read_once():
+    tensor, number = constant(np.zeros((2, 2))), constant(0.0)
+    table = [(0.0, np.zeros((2, 2))), (2.0, np.array([[1.0, 2.0], [3.0, 4.0]]))]
+    pairs = np.column_stack([[0.0, 1.0, 2.0], [0.0, 5.0, 4.0]])
+    for ramp in ({tensor: iter(table), number: pairs}, {tensor: table, number: iter(pairs)}):
+        for one in read_ramps(COMM, ramp):
+            one.set(1.5)
+        assert tensor.value.tolist() == [[0.75, 1.5], [2.25, 3.0]] and number.value == 4.5
+
+
+# -- bad input -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        (None, "ramp: table 1 is None: give rows (level, value), at least two, with values of"),
+        ("text", "is 'text': give rows (level, value)"),
+        ({0.0: 1.0}, "is {0.0: 1.0}: give rows (level, value)"),
+        ([(0.0, (0.0, 0.0))], "at least two, with values of shape (2,)"),
+        ([(0.0, (0.0, 0.0)), (1.0, 2.0)], "row 2 is (1.0, 2.0): give rows"),
+        ([(0.0, (0.0, 0.0)), (1.0, (1.0, np.nan))], "in finite numbers"),
+        ([(np.inf, (0.0, 0.0)), (1.0, (1.0, 0.0))], "row 1 is (inf, (0.0, 0.0))"),
+        ([(0.0, (0.0, 0.0)), (1.0, (1.0, "x"))], "row 2 is"),
+        ([(0.0, (0.0, 0.0)), (True, (1.0, 1.0))], "row 2 is (True, (1.0, 1.0))"),
+        ([(0.0, (0.0, 0.0)), (1.0, (1.0, 1.0), 2.0)], "row 2 is"),
+        ([(0.0, (0.0, 0.0)), None], "row 2 is None"),
+        ([(0.0, (0.0, 0.0)), (0.0, (1.0, 1.0))], "levels [0.0, 0.0]: they must rise from row"),
+        ([(1.0, (0.0, 0.0)), (0.0, (1.0, 1.0))], "they must rise from row to row"),
+    ],
+)
+def test_tables_that_are_none(table, words):
+    with rejected("ramp: table 1", words):
+        read_ramps(COMM, {constant((0.0, 0.0)): table})
+
+
+def test_keys_that_are_none():
+    press = Press()
+    rows = [(0.0, 0.0), (1.0, 1.0)]
+    for ramp, words in (
+        ([(press.top, ROWS)], "give a dictionary {Constant: [(level, value), ...]}"),
+        (1.0, "ramp is 1.0: give a dictionary"),
+        ({"top": rows}, "ramp: table 1 is for 'top': its key must be a dolfinx Constant"),
+        ({press.top: ROWS, press.problem.u: rows}, "ramp: table 2 is for"),
+    ):
+        with rejected(words):
+            next(press.walk(LEVELS, on_time=None, ramp=ramp))
+    assert not press.problem.history
+
+
+def test_levels_that_a_table_does_not_hold():
+    """Before the first step, those at which a cut would ask, too."""
+    press = Press()
+    for rows, levels, start, words in (
+        (ROWS, [0.5, 1.1], None, "table 1 holds levels from 0 to 1, but the walk goes from 0"),
+        (ROWS[1:], [0.6, 1.0], None, "from 0.6 to 1, but the walk goes from 0 over levels between"),
+        (ROWS, [0.5], -0.1, "the walk goes from -0.1 over levels between -0.1 and 0.5: add rows"),
+    ):
+        with rejected("ramp: ", words):
+            next(press.walk(levels, on_time=None, ramp={press.top: rows}, start=start))
+    assert not press.problem.history
+    check_range(read_ramps(COMM, {press.top: ROWS}), [0.0, 1.0 + 1e-15])  # by round-off: none
+
+
+@pytest.mark.mpi
+@pytest.mark.skipif(COMM.size == 1, reason="for several ranks")
+def test_ranks_that_do_not_agree():
+    press = Press()
+    rows = [*ROWS[:-1], (1.0, (0.002, -0.008 - 0.001 * COMM.rank))]
+    with rejected("ramp: table 1 differs between the ranks", "give all ranks the same"):
+        next(press.walk(LEVELS, on_time=None, ramp={press.top: rows}))
+    with rejected("ramp differs between the ranks"):
+        given = {press.top: ROWS} if COMM.rank else None
+        next(press.walk(LEVELS, on_time=None, ramp=given))
+    other = fem.Constant(press.mesh, np.zeros(2 if COMM.rank else 3))
+    with rejected("ramp: key 1 differs between the ranks"):
+        next(press.walk(LEVELS, on_time=None, ramp={other: ROWS}))
+
+
+# -- restart ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_a_walk_goes_on_with_its_tables(folder):
+    """After three of four levels, in another numbering; the tables may end elsewhere."""
+    file = folder / "run.h5"
+    whole, first, second = Press(), Press(), Press(partition="stripes")
+    list(whole.walk(LEVELS, on_time=None, ramp={whole.top: ROWS}))
+    list(first.walk(LEVELS[:3], on_time=None, ramp={first.top: ROWS}, checkpoint=file))
+    farther = [*ROWS, (2.0, (0.5, -0.5))]
+    left = list(second.walk(LEVELS, on_time=None, ramp={second.top: farther}, checkpoint=file))
+    assert [step.number for step in left] == [4]
+    agree(second.numbers(), whole.numbers())
+    third = Press()
+    assert not list(third.walk(LEVELS, on_time=None, ramp={third.top: farther}, checkpoint=file))
+    assert np.allclose(third.top.value, [0.00137500, -0.006125])  # of level 0.75
+
+
+@pytest.mark.mpi
+def test_a_walk_does_not_go_on_with_other_tables(folder):
+    file = folder / "run.h5"
+    first = Press()
+    list(first.walk(LEVELS[:2], on_time=None, ramp={first.top: ROWS}, checkpoint=file))
+    other = [ROWS[0], (0.4, (0.001, -0.005)), ROWS[2]]
+    for rows, words in (
+        (other, "table 1 gives [0.001, -0.005] at level 0.4 now, [0.000666"),
+        ([(t, (0.0, v[1])) for t, v in ROWS], "at level 0.5 now, "),
+    ):
+        press = Press()
+        with rejected(
+            "ramp: ", words, f"the checkpoint {str(file)!r} was written: give the tables"
+        ):
+            next(press.walk(LEVELS, on_time=None, ramp={press.top: rows}, checkpoint=file))
+        assert not press.problem.history and not press.problem.u.x.array.any()
+    press = Press()
+    with rejected("ramp: there are 0 tables now, 1 then"):
+        next(press.walk(LEVELS, checkpoint=file))
+
+
+def test_tables_are_compared_where_the_walk_has_been():
+    """At the corners of both, and at the ends of the way; by more than round-off."""
+    number = constant(0.0)
+    rows = [(0.0, 0.0), (0.5, 1.0), (1.0, 0.0)]
+    (ramp,) = read_ramps(COMM, {number: rows})
+    saved = [ramp.rows]
+
+    def differs(rows, *walked):
+        return difference(saved, read_ramps(COMM, {number: rows}), walked)
+
+    assert not differs(rows, 0.0, 1.0)
+    assert not differs([(t, v * (1 + 1e-14)) for t, v in rows], 0.0, 1.0)
+    assert differs([(t, v * (1 + 1e-10)) for t, v in rows], 0.0, 1.0)
+    line = [(0.0, 0.0), (0.5, 1.0)]
+    assert not differs(line, 0.0, 0.5) and "at level 0.5" in differs([(0, 0), (1, 0)], 0.0, 0.5)
+    # they meet at the ends of the way and differ between
+    assert "at level 0.5 now" in differs([(0.0, 0.0), (1.0, 0.0)], 0.0, 1.0)
+    assert "at level 0.25 now" in differs([(0, 0), (0.25, 0.0), (0.5, 1), (1, 0)], 0.0, 1.0)
+    vector = read_ramps(COMM, {constant((0.0, 0.0)): ROWS})
+    assert "values of table 1 have another shape" in difference(saved, vector, [0.0, 1.0])
+
+
+def test_what_was_walked_comes_back_with_the_state(folder):
+    """A checkpoint that a restored problem writes knows the tables of the walk before."""
+    first, second, third = Press(), Press(), Press()
+    list(first.walk(LEVELS[:2], on_time=None, ramp={first.top: ROWS}))
+    first.problem.save(folder / "one.h5")
+    second.problem.restore(folder / "one.h5")
+    assert second.problem.committed.walk.ramp == first.problem.committed.walk.ramp != []
+    assert second.problem.committed.walk.start == 0.0
+    second.problem.save(folder / "two.h5")
+    other = [(t, (v[0], 2 * v[1])) for t, v in ROWS]
+    with rejected("ramp: table 1 gives"):
+        next(
+            third.walk(LEVELS, on_time=None, ramp={third.top: other}, checkpoint=folder / "two.h5")
+        )

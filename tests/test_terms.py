@@ -1,0 +1,390 @@
+# SPDX-License-Identifier: MIT
+"""Terms of users: those of the guide against closed forms, restart, ranks, and what goes wrong."""
+
+import re
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import fem, mesh
+from dolfinx_mortar.materials import Elastic
+from dolfinx_mortar.steps import load_steps as stepping
+
+pytestmark = pytest.mark.mpi
+COMM = MPI.COMM_WORLD
+GUIDE = Path(__file__).parent.parent / "docs" / "guide" / "terms.md"
+E, C = 1000.0, 40.0
+LEVELS = [0.5, 1.0, 2.0, 2.5]
+
+
+@pytest.fixture(scope="module")
+def guide():
+    """The classes of the guide, as its readers paste them."""
+    names = {}
+    for code in re.findall(r"```python\n(.*?)```", GUIDE.read_text(), re.DOTALL):
+        exec(compile(code.split("\nds = ")[0], str(GUIDE), "exec"), names)
+    return names
+
+
+def total(value):
+    """Sum over all ranks."""
+    return COMM.allreduce(float(value), op=MPI.SUM)
+
+
+class Bar:
+    """Bars of the unit height and width beside each other, pulled at the top, guided sideways."""
+
+    def __init__(self, count=1, shift=3.0, moved=0.0):
+        """Make the bodies; the last one's top is moved, along y, all others are clamped there."""
+        x = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+        # two cells in each, so that on two ranks there is something to share
+        points = np.concatenate([np.add(x, [shift * k, 0.0]) for k in range(count)])
+        cells = np.concatenate([np.array([[0, 1, 3], [0, 2, 3]]) + 4 * k for k in range(count)])
+        if COMM.rank > 0:
+            points, cells = np.zeros((0, 2)), np.zeros((0, 3), dtype=np.int64)
+        element = mesh.create_unit_square(MPI.COMM_SELF, 1, 1).ufl_domain()
+        self.mesh = mesh.create_mesh(COMM, cells, e=element, x=points)
+        self.V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
+        self.u = fem.Function(self.V)
+        self.solid = dm.Solid(self.u, Elastic(E, 0.0))
+        self.push = fem.Constant(self.mesh, moved)
+        top = lambda x: np.isclose(x[1], 1.0)  # noqa: E731
+        last = shift * (count - 1) - 0.5
+        self.bcs = [self.fix(0, lambda x: np.full(x.shape[1], True), 0.0)] if count == 1 else []
+        if count > 1:
+            self.bcs += [self.fix(i, lambda x: top(x) & (x[0] < last), 0.0) for i in (0, 1)]
+            self.bcs += [self.fix(0, lambda x: top(x) & (x[0] > last), 0.0)]
+        self.bcs.append(self.fix(1, lambda x: top(x) & (x[0] > last), self.push))
+        facets = mesh.locate_entities_boundary(self.mesh, 1, lambda x: np.isclose(x[1], 0.0))
+        tags = mesh.meshtags(self.mesh, 1, np.sort(facets), np.full(len(facets), 1, np.int32))
+        self.ds = ufl.Measure("ds", self.mesh, subdomain_data=tags)(1)
+
+    def fix(self, i, where, value):
+        """Prescribe a component."""
+        W = self.V.sub(i)
+        dofs = fem.locate_dofs_geometrical((W, W.collapse()[0]), where)[0]
+        value = value if isinstance(value, fem.Constant) else fem.Constant(self.mesh, value)
+        return fem.dirichletbc(value, dofs, W)
+
+    def problem(self, *terms, **options):
+        """Make the problem."""
+        return dm.ContactProblem(self.solid, bcs=self.bcs, terms=list(terms), **options)
+
+    def bottom(self):
+        """Return the displacement of the bottom, along y, which is the same at all its nodes."""
+        n = self.V.dofmap.index_map.size_local
+        x = self.V.tabulate_dof_coordinates()[:n]
+        own = self.u.x.array.reshape(-1, 2)[:n, 1][np.isclose(x[:, 1], 0.0)]
+        found = np.concatenate(COMM.allgather(own))
+        assert np.ptp(found) < 1e-12
+        return found[0]
+
+
+def damped(levels):
+    """Return the bottom's displacement: E (u_top - u) = c (u - u_n) / dt, a step at a time."""
+    u, last, found = 0.0, 0.0, []
+    for level in levels:
+        rate = C / (level - last)
+        u, last = (E * 0.01 * level + rate * u) / (E + rate), level
+        found.append(u)
+    return found
+
+
+def test_a_damper(guide):
+    bar = Bar()
+    problem = bar.problem(guide["Damper"](bar.solid, C, bar.ds))
+    found = []
+    for _ in dm.load_steps(problem, LEVELS, on_time=lambda t: setattr(bar.push, "value", 0.01 * t)):
+        found.append(bar.bottom())
+    assert np.allclose(found, damped(LEVELS), rtol=1e-10)
+
+
+def test_a_damper_after_a_restart(guide, tmp_path):
+    """Its state is in the checkpoint: the steps after it are those of the whole walk."""
+    file = COMM.bcast(str(tmp_path / "run.h5"))
+    for levels in (LEVELS[:2], LEVELS):
+        bar = Bar()
+        problem = bar.problem(guide["Damper"](bar.solid, C, bar.ds))
+        on_time = lambda t, push=bar.push: setattr(push, "value", 0.01 * t)  # noqa: E731
+        list(dm.load_steps(problem, levels, on_time=on_time, checkpoint=file))
+    assert np.isclose(bar.bottom(), damped(LEVELS)[-1], rtol=1e-10)
+    other = Bar()
+    with pytest.raises(ValueError, match=r"terms is \[\], in the checkpoint .*Damper: u_n"):
+        other.problem().restore(file)
+
+
+def test_a_failed_step_leaves_no_trace_in_a_damper(guide):
+    """After a try that has not converged the next step is the same to the last bit."""
+    found = []
+    for fails in (True, False):
+        bar = Bar(moved=-0.3)
+        hardening = dm.WeakForm(bar.solid, energy=1e4 * bar.u[1] ** 4 * bar.ds)
+        problem = bar.problem(guide["Damper"](bar.solid, C, bar.ds), hardening)
+        if fails:
+            with pytest.raises(dm.NewtonNotConverged):
+                dm.newton(problem, level=7.0, max_it=2)
+            assert not bar.u.x.array.any()
+        dm.newton(problem, level=0.5)
+        found.append(bar.bottom())
+    assert found[0] == found[1] and found[0] < -0.05
+
+
+def test_a_floor(guide):
+    """Pushed down by 0.3 onto a layer 0.1 below: E (0.3 - s) = k (s - 0.1)."""
+    bar, k = Bar(moved=-0.3), 250.0
+    forms = guide["floor"](bar.u, -0.1, k, bar.ds)
+    dm.newton(bar.problem(dm.WeakForm(bar.solid, energy=forms)), rtol=1e-10)
+    sunk = (E * 0.3 + k * 0.1) / (E + k)
+    assert np.isclose(-bar.bottom(), sunk, rtol=1e-10)
+    v = ufl.TestFunction(bar.V)
+    bar.u.x.array[:] = 0.0
+    residual = dm.WeakForm(bar.solid, residual=ufl.derivative(forms, bar.u, v))
+    report = dm.newton(bar.problem(residual), rtol=1e-10)
+    assert np.isclose(-bar.bottom(), sunk, rtol=1e-10) and report.converged
+
+
+def test_a_residual_without_potential(guide):
+    """A pressure that grows with the rotation has no potential; Newton ends all the same."""
+    bar = Bar(moved=-0.01)
+    u, v = bar.u, ufl.TestFunction(bar.V)
+    skew = 50.0 * (u[1] * v[0] + 0.0 * u[0] * v[1]) * bar.ds + 100.0 * u[1] * v[1] * bar.ds
+    dm.newton(bar.problem(dm.WeakForm(bar.solid, residual=skew)), rtol=1e-10, max_it=99)
+    assert np.isclose(bar.bottom(), -0.01 * E / (E + 100.0), rtol=1e-8)
+
+
+def test_a_cable(guide):
+    """Between the feet of two bars: its force is k times what it is longer, and both carry it."""
+    k = 300.0
+    bars = Bar(count=2, moved=-0.4)
+    cable = guide["Cable"](bars.solid, (1.0, 0.0), (3.0, 0.0), k)
+    problem = bars.problem(cable)
+    assert np.isclose(cable.length, 2.0)
+    report = dm.newton(problem, rtol=1e-11)
+    t, _distance, more = cable.stretch()
+    assert more > 1e-3 and report.newton_iterations < 9
+    history = report.residual_history
+    assert history[-1] < 1e-2 * history[-2] ** 1.5 or history[-1] < 1e-11  # not linear
+    carried = dm.reaction(problem, bars.bcs[-1]).force[1]
+    assert np.isclose(carried, k * more * t[1], rtol=1e-9)
+    assert np.isclose(total(cable.energy()), 0.5 * k * more**2, rtol=1e-12)
+
+
+def test_energy_forces_and_tangent_of_the_cable_fit(guide):
+    bars, h = Bar(count=2), 1e-6
+    terms = bars.problem(guide["Cable"](bars.solid, (1.0, 0.0), (3.0, 0.0), 300.0)).terms
+    rng = np.random.default_rng(3)
+    size, (first, last) = bars.V.dofmap.index_map.size_global, bars.V.dofmap.index_map.local_range
+    start, along = 0.1 * rng.normal(size=(2, size, 2))
+    n = last - first
+
+    def at(t):
+        bars.u.x.array[: 2 * n] = (start + t * along)[first:last].ravel()
+        bars.u.x.scatter_forward()
+        F = bars.u.x.petsc_vec.duplicate()
+        terms.assemble_forces(F)
+        return terms.energy().value, F.array.copy()
+
+    (e1, f1), (e0, f0), (_, f) = at(h), at(-h), at(0.0)
+    K, w = terms.create_matrix(), bars.u.x.petsc_vec.duplicate()
+    terms.assemble_tangent(K)
+    w.array[:] = along[first:last].ravel()
+    product = K * w
+    assert np.isclose((e1 - e0) / (2 * h), total(f @ w.array), rtol=1e-6)
+    assert total(((f1 - f0) / (2 * h) - product.array).sum()) < 1e-5
+    assert (
+        np.sqrt(total((((f1 - f0) / (2 * h) - product.array) ** 2).sum())) < 1e-5 * product.norm()
+    )
+
+
+def test_a_cable_holds_a_body(guide):
+    """The audit knows that a bar which nothing else holds along y hangs on a cable."""
+    bars = Bar(count=2)
+    bars.bcs = [*bars.bcs[:2], bars.fix(0, lambda x: x[0] > 2.0, 0.0)]
+    with pytest.raises(ValueError, match="nothing holds"):
+        bars.problem().audit()
+    cable = guide["Cable"](bars.solid, (1.0, 0.0), (3.0, 1.0), 300.0)  # aslant
+    bars.problem(cable).audit()
+
+
+# -- bad input -----------------------------------------------------------------------------------
+
+
+class Broken(dm.Term):
+    """A term that does what it is told, on one rank only."""
+
+    def __init__(self, **what):
+        """Keep the values to return, or the errors to raise, by method."""
+        self.what = what
+
+    def give(self, name):
+        """Return a value or raise an error on the last rank."""
+        value = self.what.get(name) if COMM.rank == COMM.size - 1 else None
+        if isinstance(value, Exception):
+            raise value
+        return value
+
+    def energy(self):
+        value = self.give("energy")
+        return 0.0 if value is None else value
+
+    def add_forces(self, F):
+        value = self.give("add_forces")
+        F.array_w[:] += 0.0 if value is None else value
+
+    def add_tangent(self, K):
+        value = self.give("add_tangent")
+        if value is not None:
+            first = K.getOwnershipRange()[0]
+            K.setValues([first], [first], [value], addv=True)
+
+    def begin(self, start, end):
+        self.give("begin")
+
+    def commit(self):
+        self.give("commit")
+
+
+class Told(Broken):
+    """Writes down what it is told."""
+
+    def __init__(self):
+        """Begin with nothing."""
+        super().__init__()
+        self.calls = []
+
+    def begin(self, start, end):
+        self.calls.append((start, end))
+
+    def commit(self):
+        self.calls.append("commit")
+
+    def roll_back(self):
+        self.calls.append("roll back")
+
+
+def test_what_a_term_is_told_in_the_course_of_a_walk(monkeypatch):
+    """A step that fails is rolled back, and begins anew as its first half."""
+    bar, told = Bar(), Told()
+    hardening = dm.WeakForm(bar.solid, energy=1e4 * bar.u[1] ** 4 * bar.ds)
+    problem = bar.problem(told, hardening)
+    solve, tried = stepping.solve_step, []
+
+    def short(problem, **options):
+        tried.append(options["level"])
+        return solve(problem, **options | {"max_it": 2 if len(tried) == 1 else 50})
+
+    monkeypatch.setattr(stepping, "solve_step", short)
+    list(dm.load_steps(problem, [1.0], on_time=lambda t: setattr(bar.push, "value", -0.3 * t)))
+    first, second = [(0.0, 0.5), "commit"], [(0.5, 1.0), "commit"]
+    assert told.calls == [(0.0, 1.0), "roll back", *first, *second]
+
+
+@pytest.mark.parametrize(
+    ("what", "kind", "message"),
+    [
+        ({"energy": np.nan}, ValueError, r"terms\[0\], a Broken is nan at the present"),
+        ({"energy": "x"}, ValueError, r"Broken\.energy\(\) has returned 'x'"),
+        ({"energy": KeyError("no table")}, Exception, "no table"),
+        ({"add_forces": np.inf}, ValueError, r"terms\[0\], a Broken: add_forces gives NaN"),
+        ({"add_forces": RuntimeError("of one rank")}, RuntimeError, "of one rank"),
+        ({"add_tangent": np.nan}, ValueError, r"terms\[0\], a Broken: add_tangent gives NaN"),
+        ({"begin": ValueError("too early")}, ValueError, "too early"),
+    ],
+)
+def test_what_one_rank_does_wrong_is_raised_on_all(what, kind, message):
+    bar = Bar(moved=0.01)
+    with pytest.raises(kind, match=message):
+        dm.newton(bar.problem(Broken(**what)))
+    assert not bar.u.x.array.any()
+
+
+def test_commit_fails_on_all_ranks():
+    bar = Bar(moved=0.01)
+    problem = bar.problem(Broken(commit=ValueError("full")))
+    dm.newton(problem)
+    with pytest.raises(ValueError, match="full"):
+        problem.commit()
+
+
+class Lacking(dm.Term):
+    """Has forces, but no tangent."""
+
+    def add_forces(self, F):
+        """Add nothing."""
+
+
+class Keeping(Broken):
+    """Has a state."""
+
+    def __init__(self, state):
+        """Keep it."""
+        super().__init__()
+        self.kept = state
+
+    @property
+    def state(self):
+        """What it was given."""
+        return self.kept
+
+
+def test_what_is_no_term_is_refused():
+    bar, other = Bar(), Bar()
+    same = Broken()
+    coupled = Broken()
+    coupled.couplings = [np.array([0, 10**6])]
+    elsewhere = fem.Function(other.V)
+    cells = fem.Function(fem.functionspace(bar.mesh, ("DG", 0)))
+    for terms, message in (
+        ([Broken], r"terms\[0\] is <class .*give an instance"),
+        ([3.0], r"terms\[0\] is 3\.0: give an instance of a subclass"),
+        ([Lacking()], r"terms\[0\], a Lacking, lacks add_tangent"),
+        ([same, same], "holds the same object .* twice"),
+        ([coupled], r"couplings holds array\(\[ *0, *1000000\]\): give arrays of global dofs"),
+        ([Keeping({"a/b": bar.u})], "has the name 'a/b'"),
+        ([Keeping([bar.u])], "give a dictionary of Functions by name"),
+        ([Keeping({"u_n": elsewhere})], "'u_n' is .* give a Function on solid.V"),
+        ([Keeping({"cells": cells})], "'cells' is .* give a Function on solid.V"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            bar.problem(*terms)
+    with pytest.raises(ValueError, match=r"^terms is 'springs': give a list"):
+        dm.ContactProblem(bar.solid, bcs=bar.bcs, terms="springs")
+    with pytest.raises(ValueError, match=r"level is nan: give a finite number"):
+        dm.newton(bar.problem(), level=np.nan)
+
+
+def test_weak_forms_that_cannot_work_are_refused():
+    bar = Bar()
+    u, v = bar.u, ufl.TestFunction(bar.V)
+    for forms, message in (
+        ({}, "give either energy= or residual="),
+        ({"energy": u[0] * bar.ds, "residual": u[0] * v[0] * bar.ds}, "give either energy="),
+        ({"energy": u[0] * v[0] * bar.ds}, "energy has 1 test or trial functions, not none"),
+        ({"residual": u[0] ** 2 * bar.ds}, "residual has 0 test or trial functions, not one"),
+        ({"residual": v[0] * bar.ds}, "residual does not contain the displacement"),
+        ({"energy": 2.0}, "energy is a float"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            dm.WeakForm(bar.solid, **forms)
+
+
+def test_without_energy_steps_are_whole(guide):
+    """A term without potential switches the line search off; the answer is the same."""
+
+    class Springs(dm.WeakForm):
+        """Tells no energy."""
+
+        def energy(self):
+            return None
+
+    bar = Bar(moved=-0.3)
+    problem = bar.problem(Springs(bar.solid, energy=guide["floor"](bar.u, -0.1, 250.0, bar.ds)))
+    assert problem.terms.energy() is None
+    report = dm.newton(problem, rtol=1e-10)
+    assert all(i.line_search_steps == 0 for i in report.iterations)
+    assert np.isclose(-bar.bottom(), (E * 0.3 + 25.0) / (E + 250.0), rtol=1e-10)
