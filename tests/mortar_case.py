@@ -4,12 +4,8 @@
 import numpy as np
 
 import dolfinx
-from dolfinx_mortar.mortar.operators import (
-    assemble_node_matrices,
-    default_keep,
-    find_segments,
-    node_weights,
-)
+from dolfinx_mortar.mortar.integrals import default_keep, find_segments, node_weights
+from dolfinx_mortar.mortar.operators import integrate_matrices
 from dolfinx_mortar.mortar.pairing import create_pairing
 from dolfinx_mortar.mortar.surface import create_surface
 
@@ -34,8 +30,14 @@ def pair_up(V, tags, slave, master, u=None):
     return create_pairing(V, *surfaces, u)
 
 
+def node_matrices(pairing, points, keep):
+    """Return D and M between nodes, as PETSc matrices."""
+    D, M = integrate_matrices(pairing, points, keep)
+    return pairing.D.matrix(D), pairing.M.matrix(M)
+
+
 def operators(pairing, u=None):
     """Return D and M of the nodes that are kept by default, and what was kept."""
     points, _ = find_segments(pairing, u)
     keep = default_keep(pairing, points, *node_weights(pairing, points))
-    return *assemble_node_matrices(pairing, points, keep), keep
+    return *node_matrices(pairing, points, keep), keep

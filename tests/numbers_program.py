@@ -18,18 +18,18 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar.geometry import area
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides, point_motions
-from dolfinx_mortar.mortar.operators import (
-    assemble_motions,
-    assemble_node_matrices,
+from dolfinx_mortar.mortar.integrals import (
     default_keep,
     find_segments,
     node_weights,
     weighted_duals,
 )
+from dolfinx_mortar.mortar.operators import integrate_motions
 from dolfinx_mortar.mortar.pairing import create_pairing
 from dolfinx_mortar.mortar.surface import create_surface
 from tests.meshes import two_blocks
 from tests.meshes_3d import two_boxes
+from tests.mortar_case import node_matrices
 from tests.surfaces import assemble, grid, joined, ring
 from tests.test_mortar import bend
 from tests.test_mortar_3d import curved
@@ -96,16 +96,16 @@ def operators(cases):
         pairing = create_pairing(V, *sides, None)
         segments, _ = find_segments(pairing, None)
         keep = default_keep(pairing, segments, *node_weights(pairing, segments))
-        f = pairing.D.createVecRight()
+        matrices = node_matrices(pairing, segments, keep)
+        f = matrices[0].createVecRight()
         f.array[:] = np.cos(V.tabulate_dof_coordinates() @ [1.0, 2.0, 0.5])
         kept.append(keep)
-        values += [(A * f).array.copy() for A in assemble_node_matrices(pairing, segments, keep)]
+        values += [(A * f).array.copy() for A in matrices]
         resultants += [v.sum() for v in values[-2:]]
         Phi, d = weighted_duals(pairing, segments, keep), V.dofmap.index_map_bs
         free = np.zeros((len(f.array), d), dtype=bool)
         at = point_motions(segments, find_smooth_sides(pairing, free, 40.0))
-        assemble_motions(pairing, segments, d * [Phi], at)
-        values.append((pairing.M * f).array.copy())  # of the last component
+        values.append(integrate_motions(pairing, segments, d * [Phi], at).ravel())
     near, far = ring(20)  # polygons of many corners
     values.append(assemble(grid([0, 1], [0, 1], k=4), joined(far, near)).used)
     return np.concatenate(kept), np.concatenate(values), np.array(resultants)

@@ -10,7 +10,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.mortar import operators
-from dolfinx_mortar.mortar.operators import LEAST_WEIGHT, find_segments
+from dolfinx_mortar.mortar.integrals import LEAST_WEIGHT, find_segments
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
 from tests.rings import SIDES, held_axis, largest
 

@@ -7,8 +7,7 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.interfaces.frames import create_frames
-from dolfinx_mortar.mortar.operators import (
-    assemble_node_matrices,
+from dolfinx_mortar.mortar.integrals import (
     default_keep,
     find_segments,
     node_weights,
@@ -29,6 +28,7 @@ from tests.block_piles import (
     to_global,
 )
 from tests.meshes_3d import two_boxes
+from tests.mortar_case import node_matrices
 
 ROUND_OFF = 1e-12
 
@@ -72,17 +72,17 @@ def test_nodes_without_multiplier_keep_the_axes():
 
 def choices(link):
     """Return D and M for each choice of nodes, assembled anew where there are several."""
+    pairing, operators = link.mortar
     if isinstance(link.interface, dm.Contact):
-        return [(to_dense(link.pairing.D), to_dense(link.pairing.M))]
-    points, _ = find_segments(link.pairing, None)
-    weights, slave = node_weights(link.pairing, points), link.sides.slave
-    found = []
-    for c in range(link.coupling.R.shape[1]):
-        allowed = ~link.sides.fixed[slave.nodes, c] & ~link.banned[slave.nodes]
-        keep = default_keep(link.pairing, points, *weights, allowed)
-        assembled = assemble_node_matrices(link.pairing, points, keep)
-        found.append([to_dense(A) for A in assembled])
-    return found
+        found = [(pairing.D.matrix(operators.D[:, 0]), pairing.M.matrix(operators.M[:, 0]))]
+    else:
+        points, _ = find_segments(pairing, None)
+        weights, slave, found = node_weights(pairing, points), link.sides.slave, []
+        for c in range(link.coupling.R.shape[1]):
+            allowed = ~link.sides.fixed[slave.nodes, c] & ~link.banned[slave.nodes]
+            keep = default_keep(pairing, points, *weights, allowed)
+            found.append(node_matrices(pairing, points, keep))
+    return [(to_dense(D), to_dense(M)) for D, M in found]
 
 
 def expected_transformation(problem):

@@ -131,7 +131,7 @@ def test_a_curved_slave_shows_the_angle_of_its_facets():
 def broken(link, choice):
     """Return the link with a tenth of D_jj moved to another master node, at one slave node."""
     P, p = link.coupling.P.copy(), link.pattern
-    of_M = np.arange(len(p.row)) >= p.from_D.size
+    of_M = np.arange(len(p.row)) >= p.split
     for j in np.flatnonzero(link.coupling.kept[:, choice])[:1]:
         P[np.flatnonzero(of_M & (p.row == j))[[0, -1]], choice] += [0.1, -0.1]
     return replace(link, coupling=replace(link.coupling, P=P))

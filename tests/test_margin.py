@@ -11,7 +11,7 @@ import pytest
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.mortar import receivers
-from dolfinx_mortar.mortar.operators import _best_nodes, find_segments
+from dolfinx_mortar.mortar.integrals import _best_nodes, find_segments
 from dolfinx_mortar.mortar.pairing import create_pairing, outside_margin
 from dolfinx_mortar.mortar.surface import create_surface
 from tests.meshes import TOP_OF_LOWER, UPPER, two_blocks

@@ -11,7 +11,7 @@ from dolfinx import fem
 from dolfinx_mortar.geometry.elements import LINE2, QUAD4
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
 from dolfinx_mortar.geometry.segments import create_segments
-from dolfinx_mortar.mortar.operators import find_segments
+from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.pairing import create_pairing, received_facets
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, skins, two_blocks

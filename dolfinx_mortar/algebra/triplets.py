@@ -1,18 +1,21 @@
 # SPDX-License-Identifier: MIT
-"""Matrices assembled from triplets on a fixed pattern, which petsc4py 3.22 does not wrap.
+"""Sums of triplets (row, column, value) over all ranks, on a fixed pattern.
 
-PETSc sorts the triplets once and plans the exchange of off-rank rows; every later assembly is one
-pass over the values. The sum of repeated entries does not depend on the order of messages.
+PETSc sorts the triplets once and plans the exchange of off-rank rows (MatSetPreallocationCOO, which
+petsc4py 3.22 does not wrap); every later sum is one pass over the values. The sum of repeated
+entries does not depend on the order of messages.
 """
 
 import ctypes
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.arrays import Ints, Longs
+from dolfinx_mortar.algebra.blocks import Layout
+from dolfinx_mortar.arrays import Floats, Ints, Longs
 
 # Symbols are looked up in the libraries that petsc4py itself is linked with.
 _lib = ctypes.CDLL(PETSc.__file__)
@@ -25,37 +28,51 @@ def _call(name: str, *arguments: object) -> None:
         raise PETSc.Error(error)
 
 
-def set_pattern(A: PETSc.Mat, rows: npt.ArrayLike, columns: npt.ArrayLike) -> None:
-    """Fix the pattern of A to the global entries (rows[k], columns[k]) (collective).
+class Triplets:
+    """Sums at the entries of a square matrix whose rows are divided among ranks (collective).
 
     Args:
-        A: AIJ matrix with sizes and type set.
-        rows: Global row (e,) of each entry; rows of other ranks are welcome.
-        columns: Global column (e,) of each entry.
+        comm: Communicator.
+        layout: How rows and columns are divided among its ranks.
+        rows: Global row (t,) of each triplet; rows of other ranks are welcome.
+        columns: Global column (t,) of each triplet.
+
+    Attributes:
+        rows: Owned row (e,) of each entry of this rank, local number; ascending.
+        columns: Its global column (e,), ascending within a row.
     """
-    i, j = (np.array(v, dtype=PETSc.IntType).ravel() for v in (rows, columns))  # PETSc reorders
-    assert i.size == j.size
-    for indices, size in zip((i, j), A.getSize(), strict=True):  # PETSc would write past the end
-        assert indices.size == 0 or (indices.min() >= 0 and indices.max() < size)
-    pointers = (ctypes.c_void_p(v.ctypes.data) for v in (i, j))
-    count = ctypes.c_ssize_t(i.size)
-    _call("MatSetPreallocationCOO", ctypes.c_void_p(A.handle), count, *pointers)
 
+    rows: Ints
+    columns: Longs
 
-def set_values(A: PETSc.Mat, values: npt.ArrayLike) -> None:
-    """Set A to the sum of the values (e,) at the entries of its pattern (collective)."""
-    v = np.ascontiguousarray(values, dtype=PETSc.ScalarType).ravel()
-    pointer = ctypes.c_void_p(v.ctypes.data)
-    _call(
-        "MatSetValuesCOO",
-        ctypes.c_void_p(A.handle),
-        pointer,
-        ctypes.c_int(PETSc.InsertMode.INSERT_VALUES),
-    )
+    def __init__(
+        self, comm: MPI.Intracomm, layout: Layout, rows: npt.ArrayLike, columns: npt.ArrayLike
+    ) -> None:
+        """Fix the pattern."""
+        i, j = (np.array(v, dtype=PETSc.IntType).ravel() for v in (rows, columns))  # PETSc sorts
+        assert i.size == j.size
+        for indices in (i, j):  # PETSc would write past the end
+            inside = (indices >= 0) & (indices < layout.size_global)
+            assert inside.all()
+        self._sums = PETSc.Mat().create(comm)
+        self._sums.setSizes([(layout.size_local, layout.size_global)] * 2)
+        self._sums.setType(PETSc.Mat.Type.AIJ)
+        pointers = (ctypes.c_void_p(v.ctypes.data) for v in (i, j))
+        count = ctypes.c_ssize_t(i.size)
+        _call("MatSetPreallocationCOO", ctypes.c_void_p(self._sums.handle), count, *pointers)
+        self.sum(np.zeros(i.size))
+        self._start, found, _ = self._sums.getValuesCSR()
+        own = np.arange(layout.size_local, dtype=np.int32)
+        self.rows, self.columns = np.repeat(own, np.diff(self._start)), found.astype(np.int64)
 
+    def sum(self, values: npt.ArrayLike) -> Floats:
+        """Return the sums (e,) of the values (t,) of the triplets (collective)."""
+        v = np.ascontiguousarray(values, dtype=PETSc.ScalarType).ravel()
+        pointer, mode = ctypes.c_void_p(v.ctypes.data), ctypes.c_int(PETSc.InsertMode.INSERT_VALUES)
+        _call("MatSetValuesCOO", ctypes.c_void_p(self._sums.handle), pointer, mode)
+        return np.array(self._sums.getValuesCSR()[2])
 
-def rows_and_columns(A: PETSc.Mat) -> tuple[Ints, Longs]:
-    """Return owned row (local) and column (global) of every entry in the pattern of A."""
-    indptr, columns, _ = A.getValuesCSR()
-    rows = np.repeat(np.arange(len(indptr) - 1, dtype=np.int32), np.diff(indptr))
-    return rows, columns.astype(np.int64)
+    def matrix(self, values: Floats) -> PETSc.Mat:
+        """Return a new matrix with the values (e,) at the entries (collective)."""
+        csr = self._start, self.columns.astype(PETSc.IntType), values
+        return PETSc.Mat().createAIJ(self._sums.getSizes(), csr=csr, comm=self._sums.comm)

@@ -24,7 +24,7 @@ from dolfinx_mortar.audit.stand_off import (
     warnings_on_straight_facets,
 )
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes, normals_at_nodes
-from dolfinx_mortar.interfaces.coupling import Link
+from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.motions import relative_motions
 from dolfinx_mortar.interfaces.pretension import describe_shear
 from dolfinx_mortar.interfaces.system import InterfaceSystem
@@ -84,7 +84,7 @@ class InterfaceAudit:
     removed_nodes: int  # face one, but without a multiplier (Dirichlet, claims)
     dirichlet_nodes: int  # face one, but Dirichlet data leave no direction to act in
     facing_away: int  # slave facets that touch master facets, but do not face them
-    size_ratio: float  # mean slave facet length over mean master facet length
+    size_ratio: float  # mean slave facet length over mean master facet length; 1 without a master
     least_gap: float  # smallest distance of a kept node to the master, negative in an overlap
     largest_gap: float
     edges: Edges | None = None  # of smooth surfaces
@@ -158,11 +158,13 @@ def create_audit(
             + "".join(reach.hint for reach in reaches)
         )
     for link in links:
-        _check_sides(link, bodies, x, increment)
+        if link.pairing:
+            _check_sides(link, bodies, x, increment)
     found = [_audit(link, x) for link in links]
-    stand_offs = find_stand_offs(links, at)
-    contacts = any(link.interface.one_sided for link in links)
-    free = free_motions(bodies, _held_motions(system, supports, springs)) if contacts else []
+    stand_offs = find_stand_offs(system.unilateral, at)
+    free = (
+        free_motions(bodies, _held_motions(system, supports, springs)) if system.unilateral else []
+    )
     by_contact = list(dict.fromkeys(motion.partition(" of ")[2] for motion in free))
     warnings = list(system.notes)
     if by_contact:
@@ -192,9 +194,8 @@ def find_loose_motions(
 
     A tie with a pretension resists all but the overlap of its sides.
     """
-    one_sided = [link for link in system.links if link.interface.one_sided]
-    contacts = [link.constrained_motion for link in one_sided]
-    facets = [_facet_motion(link) for link in one_sided]
+    contacts = [link.constrained_motion for link in system.unilateral]
+    facets = [_facet_motion(link) for link in system.unilateral]
     return free_motions(bodies, _held_motions(system, supports, springs), contacts, facets)
 
 
@@ -207,8 +208,8 @@ def _held_motions(
     for k, link in enumerate(system.links):
         if k in released:
             held.append(released[k].held_motion(link))
-        elif not link.interface.one_sided:
-            held.append(link.constrained_motion)
+        else:
+            held.append(link.held_motion)
     return held
 
 
@@ -222,7 +223,7 @@ def _facet_motion(link: Link) -> Motion:
     """
     comm = link.sides.V.mesh.comm
     edge = link.interface.feature_angle
-    angle = max(facet_angle(side, edge, comm) for side in (link.sides.slave, link.sides.master))
+    angle = max(facet_angle(side, edge, comm) for side in link.sides.surfaces)
     kept = link.coupling.directions[:, 0]
     normals = link.coupling.normals[kept]
 
@@ -307,7 +308,7 @@ def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec, increment: float) -> 
         normal[kept].max(initial=-np.inf),
         kept.any(),
         (link.sides.on_slave & link.sides.on_master).any(),
-        float(len(link.pairing.pairs)),
+        float(len(link.mortar[0].pairs)),
         link.coupling.coverage.reached.any(),
     )
     if joined and (deepest > DEEP * bodies.radius.max() or (facing and not reached)):
@@ -336,19 +337,20 @@ def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     counts = sides.V.mesh.comm.allreduce(
         np.array(
             [
-                *(len(s.facets) for s in (sides.slave, sides.master)),
+                len(sides.slave.facets),
+                0 if sides.master is None else len(sides.master.facets),
                 len(link.nodes),
                 kept.sum(),
                 (~covered).sum(),
                 (covered & ~kept).sum(),
                 (prescribed & ~link.banned[link.nodes]).sum(),
-                _count_facing_away(link.pairing),
+                _count_facing_away(link.pairing) if link.pairing else 0,
             ]
         ),
         op=MPI.SUM,
     )
-    lengths = [mean_facet_length(s) for s in (sides.slave, sides.master)]
-    ratio = float(lengths[0] / lengths[1])
+    lengths = [mean_facet_length(s) for s in sides.surfaces]
+    ratio = float(lengths[0] / lengths[-1])
     # what is round-off of the coordinates is no gap
     x = np.abs(sides.V.mesh.geometry.x).max(initial=0.0)
     size = EXACT * max(float(lengths[0]), float(maximum(sides.V.mesh.comm, x)[0]))
@@ -361,10 +363,8 @@ def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
 def _edges(link: Link) -> Edges:
     """Count where smooth surfaces keep their facets; collective."""
     sides, angle = link.sides, link.interface.feature_angle
-    on_slave, on_master = (
-        count_edges(side, sides.fixed, angle) for side in (sides.slave, sides.master)
-    )
-    nodes, without = on_slave + on_master
+    counts = np.array([count_edges(side, sides.fixed, angle) for side in sides.surfaces])
+    nodes, without = counts.sum(axis=0)
     return Edges(angle, int(nodes), int(without))
 
 

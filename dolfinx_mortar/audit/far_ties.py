@@ -10,9 +10,9 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.interfaces.coupling import Link
-from dolfinx_mortar.interfaces.tie import Tie
-from dolfinx_mortar.mortar.operators import (
+from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.mortar.integrals import (
     find_coverage,
     find_segments,
     node_weights,
@@ -24,7 +24,7 @@ from dolfinx_mortar.mortar.operators import (
 class TieReach:
     """What the audit has found for a tie at X, all ranks."""
 
-    tie: Tie
+    tie: Interface
     farthest: float  # largest distance of two points that are tied, 0 if none is
     share: float  # largest distance in parts of the larger facet there
     beyond: int  # slave nodes that face the master, but farther away than the tie reaches
@@ -66,12 +66,12 @@ class TieReach:
 
 
 def measure_reach(link: Link) -> TieReach | None:
-    """Measure a tie; None for other interfaces; collective."""
-    tie, pairing = link.interface, link.pairing
-    if not isinstance(tie, Tie):
+    """Measure a tie; None for interfaces without a limit of distance; collective."""
+    tie = link.interface
+    if not tie.near_only:
         return None
+    pairing, segments = link.mortar[0], link.mortar[1].segments  # ties are coupled at X
     everything, _ = find_segments(pairing, None)
-    segments = link.coupling.segments  # ties are coupled at X
     distances, larger = point_distances(pairing, segments, None)
     comm = link.sides.V.mesh.comm
     farthest, share = maximum(

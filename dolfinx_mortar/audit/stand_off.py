@@ -18,10 +18,16 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum, norm, ratio
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS
-from dolfinx_mortar.interfaces.coupling import Link, stand_off
 from dolfinx_mortar.interfaces.interface import Interface
-from dolfinx_mortar.mortar.curvature_correction import find_parting, find_smooth_sides
-from dolfinx_mortar.mortar.surface import mean_facet_length
+from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.mortar.curvature_correction import (
+    find_parting,
+    find_smooth_sides,
+    point_heights,
+)
+from dolfinx_mortar.mortar.integrals import weighted_duals
+from dolfinx_mortar.mortar.operators import mean_values
+from dolfinx_mortar.mortar.surface import accumulate, mean_facet_length
 
 # Pressures are inaccurate where the forces of the sagittas exceed this share of the contact
 # forces. A pin in its hole, on ten meshes: its peak pressure is right to 2 % where the share is
@@ -60,27 +66,29 @@ def find_stand_offs(links: Sequence[Link], u: fem.Function | None) -> list[Stand
     """Measure the contacts between facets; collective.
 
     Args:
-        links: the interfaces, coupled at X + u.
+        links: the contacts, coupled at X + u.
         u: displacement, None for X.
     """
-    return [_find_stand_off(link, u) for link in links if _is_of_facets(link)]
+    return [_find_stand_off(link, u) for link in links if link.pairing and _is_of_facets(link)]
 
 
 def _is_of_facets(link: Link) -> bool:
-    """Tell whether a link is a contact between facets that can stand off curved surfaces."""
-    of_facets = link.interface.one_sided and not link.interface.smooth
-    return of_facets and not link.sides.slave.curved
+    """Tell whether a contact is one between facets that can stand off curved surfaces."""
+    return not (link.interface.smooth or link.sides.slave.curved)
 
 
 def _find_stand_off(link: Link, u: fem.Function | None) -> StandOff:
-    pairing, sides = link.pairing, link.sides
+    pairing, segments, sides = link.mortar[0], link.mortar[1].segments, link.sides
     smooth = find_smooth_sides(pairing, sides.fixed, link.interface.feature_angle)
-    segments = link.coupling.segments
-    heights = stand_off(link, u, smooth)
+    kept = np.zeros(len(sides.slave.nodes))
+    kept[: sides.slave.owned] = link.coupling.kept[:, 0]
+    Phi = weighted_duals(pairing, segments, accumulate(sides.slave, kept) > 0)
+    at_points = point_heights(pairing, segments, u, smooth)
+    heights = mean_values(pairing, segments, Phi, link.coupling.weight[:, 0], at_points)
     uneven = _uneven(sides.V.mesh.comm, heights[link.coupling.kept[:, 0]])
     highest = float(maximum(sides.V.mesh.comm, np.abs(uneven).max(initial=0.0))[0])
     parting = find_parting(pairing, segments, u, smooth)
-    length = max(mean_facet_length(side) for side in (sides.slave, sides.master))
+    length = max(mean_facet_length(side) for side in sides.surfaces)
     return StandOff(link.interface, heights, highest, parting, highest / length)
 
 
@@ -119,21 +127,22 @@ def warnings_on_straight_facets(link: Link, u: fem.Function | None = None) -> li
         link: the interface, coupled at X + u.
         u: displacement, None for X.
     """
-    slave, contact = link.sides.slave, link.interface.one_sided
-    if slave.curved or slave.element.degree == 1 or (contact and not link.interface.smooth):
+    slave, interface = link.sides.slave, link.interface
+    if link.pairing is None or slave.curved or slave.element.degree == 1:
         return []
-    sides = find_smooth_sides(link.pairing, link.sides.fixed, link.interface.feature_angle)
+    where, how, only_close = interface.spoilt
+    if only_close and not interface.smooth:
+        return []
+    pairing, segments = link.mortar[0], link.mortar[1].segments
+    sides = find_smooth_sides(pairing, link.sides.fixed, interface.feature_angle)
     highest = max(np.abs(side.sagitta).max(initial=0.0) for side in sides)
     length = mean_facet_length(slave)
     if float(maximum(link.sides.V.mesh.comm, highest)[0]) <= HALF_OF_DIGITS * length:
         return []
-    where, how = "curved sides", "of ties of degree 2 scatter by some per cent on any mesh"
-    if contact:
-        if find_parting(link.pairing, link.coupling.segments, u, sides) >= CLOSE:
-            return []
-        where, how = "curved sides that fit closely", "of degree 2 are far off on coarse meshes"
+    if only_close and find_parting(pairing, segments, u, sides) >= CLOSE:
+        return []
     return [
-        f"{link.interface}: straight facets stand for {where}, where pressures {how}: take curved "
+        f"{interface}: straight facets stand for {where}, where pressures {how}: take curved "
         "cells (Gmsh: mesh.setOrder(2)) or displacements of degree 1"
     ]
 

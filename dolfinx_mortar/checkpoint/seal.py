@@ -20,7 +20,7 @@ from typing import IO
 from dolfinx_mortar.disk import CHECKPOINT
 
 # Raise this when what is written changes its meaning. 3: this head, no checksums of HDF5
-FORMAT = 4
+FORMAT = 5
 ROOM = 512  # the least that HDF5 leaves
 KIND = CHECKPOINT + b", format "
 CHECKSUM = b"sha256 of what follows: "

@@ -27,7 +27,8 @@ from dolfinx_mortar.algebra.congruence import Congruence
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.interfaces.claims import find_referenced
-from dolfinx_mortar.interfaces.coupling import Link, create_blocks
+from dolfinx_mortar.interfaces.coupling import create_blocks
+from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.pretension import Pretension, find_pretensions
 
 

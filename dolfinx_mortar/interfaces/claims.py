@@ -15,7 +15,7 @@ from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Ints
 from dolfinx_mortar.interfaces.coupling import Pattern, Sides, with_ghosts
 from dolfinx_mortar.interfaces.interface import Interface
-from dolfinx_mortar.mortar.operators import Coverage
+from dolfinx_mortar.mortar.integrals import Coverage
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ def referenced(sides: Sides, pattern: Pattern) -> Bools:
     """Return which owned nodes the candidate pairs of an interface depend on; collective."""
     layout = sides.V.dofmap.index_map
     count = PETSc.Vec().createMPI((sides.n_owned, layout.size_global), comm=sides.V.mesh.comm)
-    columns = pattern.column[pattern.from_D.size :].astype(PETSc.IntType)
+    columns = pattern.column[pattern.split :].astype(PETSc.IntType)
     count.setValues(columns, np.ones(len(columns)), addv=PETSc.InsertMode.ADD_VALUES)
     count.assemble()
     return np.asarray(count.array_r > 0)

@@ -49,6 +49,14 @@ def equalities(dofs: Ints, values: Floats, weight: Floats | None = None) -> Cons
     return Constraints(dofs.astype(np.int32), values, values, weight)
 
 
+def upper_bounds(nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
+    """Return w_n <= gap; see `Interface.constraints` for the arguments."""
+    on = directions[:, 0]
+    gap = -slip[on, 0]
+    dofs = (directions.shape[1] * nodes[on]).astype(np.int32)
+    return Constraints(dofs, np.full(len(gap), -np.inf), gap, D[on, 0])
+
+
 def join(parts: Sequence[Constraints]) -> Constraints:
     """Return the constraints of all parts."""
     columns = ([p.dofs, p.lower, p.upper, p.weight] for p in parts)

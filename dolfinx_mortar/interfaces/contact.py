@@ -20,18 +20,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from petsc4py import PETSc
+from mpi4py import MPI
 
 import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits
+from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, upper_bounds
 from dolfinx_mortar.interfaces.coulomb import Limit, create_law
-from dolfinx_mortar.interfaces.frames import create_frames
-from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Frame, Interface, NoResult
+from dolfinx_mortar.interfaces.frames import normal_frames
+from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, NoResult
+from dolfinx_mortar.interfaces.mortar_interface import Frame, MortarInterface
 from dolfinx_mortar.interfaces.nodal import check_mesh
+from dolfinx_mortar.mortar.operators import SmoothSides
 
 # A slave normal that loses more than this share of its length to Dirichlet data has no direction
 # left in which contact could act.
@@ -54,7 +56,7 @@ class SlidingFields:
         return [self.traction, self.step_slip, self.slip, self.status, self.energy]
 
 
-class Contact(Interface):
+class Contact(MortarInterface):
     """Unilateral contact: w_n <= gap, pressure >= 0, pressure * opening = 0; perhaps with friction.
 
     ``pressure`` (traction, >= 0 in compression), ``gap`` (>= 0 when open; not-a-number at slave
@@ -95,7 +97,9 @@ class Contact(Interface):
             or infinite limits, and both ``friction`` and ``tresca``.
     """
 
-    one_sided = True
+    unilateral = True
+    pressure_name = "contact pressure"
+    spoilt = "curved sides that fit closely", "of degree 2 are far off on coarse meshes", True
 
     def __init__(
         self,
@@ -151,7 +155,29 @@ class Contact(Interface):
     @property
     def functions(self) -> list[fem.Function]:
         """All nodal results."""
-        return super().functions + ([] if self.sliding is None else self.sliding.functions)
+        return super().functions + self.functions_of_friction
+
+    @property
+    def functions_of_friction(self) -> list[fem.Function]:
+        """Traction, slip of the step, slip, status and energy; none without friction."""
+        return [] if self.sliding is None else self.sliding.functions
+
+    def clear(self) -> None:
+        """Have no results, as before the first step; without communication."""
+        super().clear()
+        self.dissipated = 0.0
+
+    def sum_up(self, comm: MPI.Comm, nodes: Ints) -> None:
+        """Add up the dissipation at the owned slave nodes; collective."""
+        if self.sliding is not None:
+            energy = self.sliding.energy.x.array[nodes]
+            self.dissipated = comm.allreduce(float(energy.sum()), op=MPI.SUM)
+
+    def field(self, name: str) -> fem.Function | None:
+        """Return a field by the name under which it is written, None if there is none."""
+        if self.sliding is not None and name in ("status", "traction", "slip"):
+            return getattr(self.sliding, name)
+        return super().field(name)
 
     def keep(self) -> Any:
         """Return copies of the results, for `put_back`."""
@@ -205,17 +231,11 @@ class Contact(Interface):
 
         With friction the tangents are constrained, too, but for prescribed ones.
         """
-        n, d = normals.shape
-        some = kept[:, 0]
-        R, axes = np.tile(np.eye(d), (n, 1, 1)), np.arange(d, dtype=np.int32)
-        slot = np.where(fixed, axes, -1).astype(np.int32)
-        R[some], slot[some] = create_frames(normals[some], fixed[some])
-        on = some[:, None]
-        directions = on & (axes == 0)
+        R, slot, directions = normal_frames(normals, kept[:, 0], fixed)
         if self.law is not None:
-            prescribed = (slot[:, :, None] == axes).any(axis=1)
-            directions = on & ~prescribed
-        return Frame(R, slot, directions, np.where(on, normals, 0.0))
+            prescribed = (slot[:, :, None] == np.arange(R.shape[1])).any(axis=1)
+            directions = kept & ~prescribed
+        return Frame(R, slot, directions, np.where(kept, normals, 0.0))
 
     def blocks(self, P: Floats, frame: Frame, row: Ints) -> Floats:
         """Return P_jl n_j n_j^T, with friction P_jl R_j S_j R_j^T."""
@@ -225,16 +245,13 @@ class Contact(Interface):
         R = frame.R * frame.directions[:, None, :]
         return np.asarray(P[:, 0, None, None] * (R @ np.swapaxes(frame.R, 1, 2))[row])
 
-    def measured(self, x: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:
-        """Return the positions."""
-        return x
+    def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:
+        """Return that their heights correct the gap."""
+        return {"heights_of": smooth}
 
     def constraints(self, nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
         """Return w_n <= gap, the gap being minus the relative position along the normal."""
-        on = directions[:, 0]
-        gap = -slip[on, 0]
-        dofs = (directions.shape[1] * nodes[on]).astype(np.int32)
-        return Constraints(dofs, np.full(len(gap), -np.inf), gap, D[on, 0])
+        return upper_bounds(nodes, directions, slip, D)
 
     def slip_limits(
         self, nodes: Ints, directions: Bools, frames: Floats, slip: Floats, D: Floats, limit: Floats

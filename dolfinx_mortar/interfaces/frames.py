@@ -33,3 +33,21 @@ def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:
     slot = np.full((n, d), -1, dtype=np.int32)
     np.put_along_axis(slot, order, np.arange(1, d, dtype=np.int32)[None, :], axis=1)
     return R + 0.0, np.where(fixed, slot, -1).astype(np.int32)
+
+
+def normal_frames(normals: Floats, kept: Bools, fixed: Bools) -> tuple[Floats, Ints, Bools]:
+    """Return frames of which the normal is constrained at kept nodes; Cartesian ones elsewhere.
+
+    Args:
+        normals: (n, d) unit normals; zero in every prescribed direction.
+        kept: (n,) nodes that carry a multiplier.
+        fixed: (n, d) True where a Cartesian direction is prescribed.
+
+    Returns:
+        R (n, d, d) and slot (n, d) as of `create_frames`, and the constrained directions (n, d).
+    """
+    n, d = normals.shape
+    R, axes = np.tile(np.eye(d), (n, 1, 1)), np.arange(d, dtype=np.int32)
+    slot = np.where(fixed, axes, -1).astype(np.int32)
+    R[kept], slot[kept] = create_frames(normals[kept], fixed[kept])
+    return R, slot, kept[:, None] & (axes == 0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Interfaces between bodies as their user describes them, and their results."""
+"""What constrains a side of a body, as its user describes it, and its results."""
 
 from __future__ import annotations
 
@@ -7,16 +7,19 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
-from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.interfaces.constraints import Constraints
-from dolfinx_mortar.mortar.surface import check_tags
+from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits
+from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides, create_pattern, mark
+from dolfinx_mortar.mortar.integrals import Coverage
+from dolfinx_mortar.mortar.pairing import Pairing, Weight
+from dolfinx_mortar.mortar.surface import check_tags, create_surface, dependent_nodes
 from dolfinx_mortar.tags import check_tag, label, tag_of
 
 
@@ -27,16 +30,6 @@ class NoResult(RuntimeError, AttributeError):
         """Say what is missing, and what to do."""
         why = f": {why}" if why else " yet: solve a step first, newton(problem)"
         super().__init__(f"{interface} has no {name}{why}")
-
-
-@dataclass(frozen=True)
-class Frame:
-    """Directions at the owned slave nodes, and which of them an interface constrains."""
-
-    R: Floats  # (n, d, d) orthonormal, the columns are the directions
-    slot: Ints  # (n, d) column of R that is a prescribed Cartesian direction, else -1
-    directions: Bools  # (n, d) columns of R that are constrained
-    normals: Floats  # (n, d)
 
 
 @dataclass(frozen=True)
@@ -61,69 +54,42 @@ class Resultants:
     carries: Bools  # (n,) which of them have a multiplier
 
 
-SURFACES = ("smooth", "facets")
 # Facets whose normals differ by more degrees meet in an edge, unless the user says otherwise.
 FEATURE_ANGLE = 40.0
 
 
 class Interface:
-    """One pair of slave and master surfaces, marked in facet tags.
+    """What constrains the nodes of a slave side, marked in facet tags.
+
+    `Contact` and `Tie` do so by another side of the mesh. A kind of your own says in `couple` at
+    which nodes, along which directions and by how much; in `constraints` which bounds follow.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
         slave: tag, or name if the tags have names (see `Tags`), of the side that carries the
             multipliers and the integration (nonmortar side).
-        master: tag or name of the other side (mortar side).
-        surface: "facets", or "smooth" where they stand for smooth surfaces.
-        feature_angle: degrees between two facets from which on they meet in an edge, which stays
-            one; for smooth surfaces.
 
     Raises:
-        ValueError: for tags that are none, unknown names, and an unknown surface or angle.
+        ValueError: for tags that are none, and unknown names.
 
     After a step (see the subclasses for signs): ``force``, ``moment``, ``pressure``, ``gap`` and
     ``active``.
     """
 
-    one_sided: ClassVar[bool] = False  # can open: bounds on one side
+    unilateral: ClassVar[bool] = False  # can open: its bounds have one side
+    pressure_name: ClassVar[str] = "normal traction"  # as pictures call it
+    # where straight facets of degree 2 spoil pressures, how, and whether only in a close fit
+    spoilt: ClassVar[tuple[str, str, bool]] = "", "", False
+    smooth: bool = False  # whether facets stand for smooth surfaces
+    feature_angle: float = FEATURE_ANGLE
+    near_only: ClassVar[bool] = False  # partners have to lie within reach
+    within: float | None = None  # how far that is, as its user has given it
 
-    @property
-    def rough(self) -> bool:
-        """Whether it has friction."""
-        return False
-
-    @property
-    def acts_openly(self) -> bool:
-        """Whether it acts at slave nodes that are not closed, too."""
-        return not self.one_sided
-
-    def __init__(
-        self,
-        facet_tags: MeshTags,
-        *,
-        slave: int | str,
-        master: int | str,
-        surface: str = "smooth",
-        feature_angle: float = FEATURE_ANGLE,
-    ) -> None:
+    def __init__(self, facet_tags: MeshTags, *, slave: int | str) -> None:
         """Keep the description; surfaces are found when a problem takes the interface."""
         check_tags(facet_tags)
         self.slave: int = tag_of(facet_tags, slave, "slave")
-        self.master: int = tag_of(facet_tags, master, "master")
-        for name, tag in (("slave", self.slave), ("master", self.master)):
-            check_tag(name, tag)
-        if self.slave == self.master:
-            raise ValueError(
-                f"slave and master are both tag {label(facet_tags, self.slave)}: give two "
-                "different tags"
-            )
-        if not isinstance(surface, str) or surface not in SURFACES:
-            raise ValueError(f"surface is {surface!r}: choose 'smooth' or 'facets'")
-        if not is_number(feature_angle) or not 0.0 < feature_angle <= 180.0:
-            raise ValueError(
-                f"feature_angle is {feature_angle!r}: give degrees, 0 < feature_angle <= 180"
-            )
-        self.smooth, self.feature_angle = surface == "smooth", float(feature_angle)
+        check_tag("slave", self.slave)
         self.facet_tags = facet_tags
         self.owner: object = None  # the problem that has taken the interface
         self.fields: Fields | None = None
@@ -131,26 +97,16 @@ class Interface:
 
     def __repr__(self) -> str:
         """Name the class, the tags, and what is not the default."""
-        said = "" if self.smooth else ", surface='facets'"
-        if self.smooth and self.feature_angle != FEATURE_ANGLE:
-            said = f", feature_angle={self.feature_angle:g}"
-        return f"{type(self).__name__}({self.sides}{said})"
+        return f"{type(self).__name__}({self.sides})"
 
     @property
     def sides(self) -> str:
-        """How messages call the two sides."""
-        slave, master = (label(self.facet_tags, tag) for tag in (self.slave, self.master))
-        return f"slave={slave}, master={master}"
+        """How messages call the sides."""
+        return f"slave={label(self.facet_tags, self.slave)}"
 
     def given(self) -> dict[str, Any]:
         """Return what all ranks have to give the same, by name; see `agreement`."""
-        return {
-            "facet_tags": self.facet_tags,
-            "slave": self.slave,
-            "master": self.master,
-            "surface": "smooth" if self.smooth else "facets",
-            "feature_angle": self.feature_angle,
-        }
+        return {"facet_tags": self.facet_tags, "slave": self.slave}
 
     def check(self, V: fem.FunctionSpace) -> None:
         """Raise a ValueError unless a problem with the displacement's space can take it."""
@@ -163,46 +119,106 @@ class Interface:
             *(fem.Function(scalar, name=name) for name in ("pressure", "gap", "active"))
         )
 
-    # -- what a kind decides ---------------------------------------------------------------------
+    # -- surfaces, pairs, operators --------------------------------------------------------------
 
     def configuration(self, u: fem.Function | None) -> fem.Function | None:
         """Return the displacement at which the interface is taken, None for X."""
         return u
+
+    def find_sides(self, V: fem.FunctionSpace, fixed: Bools, weight: Weight | None = None) -> Sides:
+        """Return the surfaces in V: the slave's; collective.
+
+        Args:
+            V: the vector space of the displacement.
+            fixed: (local nodes, d) True where a direction of a node is prescribed.
+            weight: factor of all integrals over the interface, 1 if not given.
+        """
+        slave = create_surface(V, self.facet_tags, self.slave, "slave")
+        on_slave, dependent = mark(slave), dependent_nodes(slave)[: slave.owned]
+        nowhere = np.zeros_like(on_slave)
+        return Sides(V, slave, None, on_slave, nowhere, fixed, dependent, weight=weight)
+
+    def pair(
+        self,
+        sides: Sides,
+        u: fem.Function | None,
+        *,
+        again: bool,
+        earlier: tuple[Pairing | None, Pattern] | None = None,
+    ) -> tuple[Pairing | None, Pattern]:
+        """Pair the surfaces at X + u and fix the pattern of Q: empty without a master; collective.
+
+        Args:
+            sides: the surfaces.
+            u: displacement, None for X.
+            again: sides that have faced each other once may turn away; at first that is an error.
+            earlier: of an earlier search, which serves once more where the pairs are the same.
+        """
+        if earlier is not None:
+            return earlier
+        none = np.zeros(0, dtype=np.int32)
+        return None, create_pattern(sides, none, none.astype(np.int64), 0)
+
+    def has_slid(
+        self, sides: Sides, pairing: Pairing | None, u: fem.Function | None, near: Bools | None
+    ) -> bool:
+        """Tell whether the bodies slid out of the margin of the last search; collective.
+
+        Args:
+            sides: the surfaces.
+            pairing: their candidate pairs.
+            u: displacement.
+            near: slave nodes (n,) whose facets are looked at; None for all.
+        """
+        return False
+
+    def measure_coverage(
+        self, sides: Sides, pairing: Pairing | None, u: fem.Function | None
+    ) -> Coverage:
+        """Return how far the slave nodes face the master at X + u: all without one; collective."""
+        return full_coverage(sides)
+
+    def couple(
+        self,
+        sides: Sides,
+        pairing: Pairing | None,
+        pattern: Pattern,
+        banned: Bools,
+        u: fem.Function | None,
+        before: Coupling | None = None,
+    ) -> Coupling:
+        """Return frames, weights and Q at X + u; collective.
+
+        Args:
+            sides: the surfaces.
+            pairing: their candidate pairs.
+            pattern: of Q.
+            banned: (local nodes,) slave nodes that may not carry a multiplier.
+            u: displacement, None for X.
+            before: of the last geometry of the step; in its first one none.
+        """
+        raise NotImplementedError
+
+    # -- constraints -----------------------------------------------------------------------------
+
+    @property
+    def rough(self) -> bool:
+        """Whether it has friction."""
+        return False
+
+    @property
+    def acts_openly(self) -> bool:
+        """Whether it acts at slave nodes that are not closed, too."""
+        return not self.unilateral
 
     @property
     def released(self) -> tuple[float, ...] | None:
         """Direction along which sides overlap under a given force; None where there is none."""
         return None
 
-    def reach(self, sizes: Floats, nearest: float) -> Floats:
-        """Return how far apart (q,) partners may be; contacts meet from any distance.
-
-        Args:
-            sizes: (q,) diameter of the larger one of two facets.
-            nearest: least distance between the sides.
-        """
-        return np.full(len(sizes), np.inf)
-
-    def may_carry(self, left: Floats, fixed: Bools) -> Bools:
-        """Return (n, c): which nodes may carry a multiplier, for each of c choices of direction.
-
-        Args:
-            left: (n,) length of the unit normals without prescribed directions.
-            fixed: (n, d) directions with Dirichlet data.
-        """
-        raise NotImplementedError
-
-    def frame(self, normals: Floats, kept: Bools, fixed: Bools) -> Frame:
-        """Return the frames for unit normals (n, d), kept nodes (n, c), Dirichlet data (n, d)."""
-        raise NotImplementedError
-
-    def blocks(self, P: Floats, frame: Frame, row: Ints) -> Floats:
-        """Return the entries (e, d, d) of Q for P (e, c) in rows (e,) of the frame."""
-        raise NotImplementedError
-
     def measured(self, x: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:
-        """Return what the constraints speak of: positions x or displacements u."""
-        raise NotImplementedError
+        """Return the quantity that is constrained: positions x or displacements u."""
+        return x
 
     def constraints(self, nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
         """Return the bounds on further motion.
@@ -210,10 +226,41 @@ class Interface:
         Args:
             nodes: (n,) owned slave nodes.
             directions: (n, d) which directions of the frames are constrained.
-            slip: (n, d) relative motion of what is ``measured``, in the frames.
+            slip: (n, d) relative motion of what is ``measured``, in the frames; the first component
+                is minus the gap.
             D: (n, c) weights.
         """
         raise NotImplementedError
+
+    def limits(self) -> Floats | None:
+        """Return the limits of friction at the owned nodes, None without friction; collective."""
+        return None
+
+    def slip_limits(
+        self, nodes: Ints, directions: Bools, frames: Floats, slip: Floats, D: Floats, limit: Floats
+    ) -> SlipLimits:
+        """Return the limits of tangential reactions, see `Contact.slip_limits`."""
+        raise NotImplementedError
+
+    # -- what steps read and find ----------------------------------------------------------------
+
+    def jump_at(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:
+        """Return the displacement (n, d) that is no relative motion; None for none; collective."""
+        return None
+
+    def given_force(self) -> float | None:
+        """Return the resultant that is given along the direction ``released``; None for none."""
+        return None
+
+    def tighten(self, way: Floats) -> None:
+        """Keep by how much (d,) a step has let the sides overlap."""
+
+    def found(self) -> dict[str, list[float]]:
+        """Return what steps have found and no nodal result holds, for a checkpoint."""
+        return {}
+
+    def take_found(self, found: Mapping[str, list[float]]) -> None:
+        """Take over what `found` has returned."""
 
     # -- results ---------------------------------------------------------------------------------
 
@@ -222,6 +269,11 @@ class Interface:
         """All nodal results, of an interface that a problem has taken."""
         assert self.fields is not None
         return [self.fields.pressure, self.fields.gap, self.fields.active]
+
+    @property
+    def functions_of_friction(self) -> list[fem.Function]:
+        """Traction, slip of the step, slip, status and energy; none without friction."""
+        return []
 
     def keep(self) -> Any:
         """Return copies of the results, for `put_back`."""
@@ -232,6 +284,24 @@ class Interface:
         self.resultants, functions = kept
         for f, values in functions:
             f.x.array[:] = values
+
+    def clear(self) -> None:
+        """Have no results, as before the first step; without communication."""
+        self.resultants = None
+        for f in self.functions:
+            f.x.array[:] = 0.0
+
+    def sum_up(self, comm: MPI.Comm, nodes: Ints) -> None:
+        """Add up what is a sum over the nodal results of the owned slave nodes; collective."""
+
+    def shown(self, multiplier: Floats) -> Floats:
+        """Return the multipliers (n, d) in the frames as results show them."""
+        return multiplier[:, 0] if self.unilateral else multiplier
+
+    def field(self, name: str) -> fem.Function | None:
+        """Return a field by the name under which it is written, None if there is none."""
+        names = {"status": "active"}
+        return getattr(self.fields, names.get(name, name), None)
 
     def _result(self, record: Any, name: str) -> Any:
         if record is None:
@@ -322,6 +392,13 @@ class Interface:
         return {
             name: part if sizes.get(name, d) > 1 else part[:, 0] for name, part in parts.items()
         }
+
+
+def full_coverage(sides: Sides) -> Coverage:
+    """Return the coverage of slave nodes that all face the master."""
+    n = len(sides.nodes)
+    faces = np.ones(n, dtype=bool)
+    return Coverage(np.ones(n), faces, ~faces)
 
 
 def check_owned(interfaces: Iterable[Interface], owner: object) -> None:

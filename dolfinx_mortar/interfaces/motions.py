@@ -8,7 +8,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.interfaces.coupling import Link
+from dolfinx_mortar.interfaces.link import Link
 
 
 def relative_motions(link: Link, v: PETSc.Vec) -> Floats:

@@ -18,7 +18,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import Actives, Bools, Floats, Ints
-from dolfinx_mortar.interfaces.coupling import Link
+from dolfinx_mortar.interfaces.link import Link
 
 # What counts as near: this share of the largest prescribed increment, plus so many facet lengths.
 INCREMENT_SHARE, FACETS = 0.25, 2.0
@@ -38,7 +38,7 @@ def nodal_gaps(links: Sequence[Link], v: PETSc.Vec, n: int) -> Floats:
     """
     gap = np.full(n, np.inf)
     for link in links:
-        if link.interface.one_sided:
+        if link.interface.unilateral:
             normal = link.coupling.directions[:, 0]
             gap[link.nodes[normal]] = link.gaps(v)[normal]
     return gap

@@ -29,7 +29,7 @@ from dolfinx import fem
 from dolfinx_mortar.arguments import as_numbers, is_number
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.interfaces.constraints import Constraints
-from dolfinx_mortar.interfaces.coupling import Link
+from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.spaces import check_real
 
 Direction = Sequence[float] | Floats | None

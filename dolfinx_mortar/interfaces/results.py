@@ -11,9 +11,9 @@ import numpy as np
 
 from dolfinx import fem, la
 from dolfinx_mortar.arrays import Bools, Floats
-from dolfinx_mortar.interfaces.contact import Contact
-from dolfinx_mortar.interfaces.coupling import Link, Sides, with_ghosts
+from dolfinx_mortar.interfaces.coupling import Sides, with_ghosts
 from dolfinx_mortar.interfaces.interface import Interface, Resultants
+from dolfinx_mortar.interfaces.link import Link
 
 
 def set_results(
@@ -55,18 +55,16 @@ def set_sliding(
     link: Link, traction: Floats, step_slip: Floats, slip: Floats, status: Floats, energy: Floats
 ) -> None:
     """Set the results of friction at the owned slave nodes, (n, d) and (n,); collective."""
-    contact = link.interface
-    assert isinstance(contact, Contact) and contact.sliding is not None
-    shown = contact.sliding
+    interface, nodes = link.interface, link.nodes
     # on the axis, where nothing carries a multiplier, what is closed cannot slide
-    on = link.coupling.coverage.weightless & (contact.active.x.array[link.nodes] > 0.0)
+    on = link.coupling.coverage.weightless & (interface.active.x.array[nodes] > 0.0)
     status = np.where(on, 1.0, status)
     values = traction, step_slip, slip[:, None], status[:, None], energy[:, None]
-    for function, at_nodes in zip(shown.functions, values, strict=True):
+    for function, at_nodes in zip(interface.functions_of_friction, values, strict=True):
         function.x.array[:] = 0.0
-        function.x.array.reshape(-1, at_nodes.shape[1])[link.nodes] = at_nodes
+        function.x.array.reshape(-1, at_nodes.shape[1])[nodes] = at_nodes
         function.x.scatter_forward()
-    contact.dissipated = link.sides.V.mesh.comm.allreduce(float(energy.sum()), op=MPI.SUM)
+    interface.sum_up(link.sides.V.mesh.comm, nodes)
 
 
 def _resultants(link: Link, forces: Floats, multiplier: Floats, x: Floats) -> Resultants:
@@ -74,6 +72,8 @@ def _resultants(link: Link, forces: Floats, multiplier: Floats, x: Floats) -> Re
     n, d = link.sides.n_owned, forces.shape[1]
     f, points = np.zeros((2, n, 3)), np.zeros((n, 3))
     f[:, :, :d], points[:, :d] = link.transpose(forces), x
+    if link.sides.master is None:  # what is no part of the mesh takes the same forces
+        f[1] = -f[0]
     local = np.array([[-s.sum(axis=0), -np.cross(points, s).sum(axis=0)] for s in f])
     total = link.sides.V.mesh.comm.allreduce(local, op=MPI.SUM)
     return Resultants(
@@ -81,7 +81,7 @@ def _resultants(link: Link, forces: Floats, multiplier: Floats, x: Floats) -> Re
         moment=total[0, 1],
         master_force=total[1, 0, :d],
         master_moment=total[1, 1],
-        multiplier=multiplier[:, 0] if link.interface.one_sided else multiplier,
+        multiplier=link.interface.shown(multiplier),
         nodes=link.nodes,
         carries=np.asarray(link.coupling.kept.any(axis=1)),
     )
@@ -112,16 +112,6 @@ def _fill(function: fem.Function, link: Link, values: Floats, kept: Bools) -> No
         extended = np.where(with_ghosts(sides.V, covered), array[:, 0] / array[:, 1], np.nan)
     result = np.where(known[:, 1] > 0, known[:, 0], extended)
     function.x.array[:] = np.where(sides.on_slave, result, 0.0)
-
-
-def _field(interface: Interface, name: str) -> fem.Function | None:
-    """Return a field by the name under which it is written, None if there is none."""
-    assert interface.fields is not None
-    sliding = interface.sliding if isinstance(interface, Contact) else None
-    if name == "status" and sliding is None:
-        return interface.fields.active
-    source = sliding if name in ("status", "traction", "slip") else interface.fields
-    return getattr(source, name, None)
 
 
 def merge_results(
@@ -156,7 +146,7 @@ def _nodal(interface: Interface, name: str, size: int) -> Floats:
     gap = interface.fields.gap.x.array
     if name == "facing":
         return np.full((len(gap), 1), float(interface.resultants is not None))
-    field = _field(interface, name)
+    field = interface.field(name)
     if field is None:
         return np.zeros((len(gap), size))
     return np.asarray(field.x.array.reshape(-1, size))

@@ -13,32 +13,21 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem
+from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.claims import Claims, are_outdated, find_referenced, resolve_claims
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, join, join_limits
-from dolfinx_mortar.interfaces.contact import Contact
-from dolfinx_mortar.interfaces.coupling import (
-    Coupling,
-    Link,
-    Pattern,
-    Sides,
-    couple,
-    find_sides,
-    has_slid,
-    measure_coverage,
-    pair,
-    restrict,
-)
-from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides, check_coupling
+from dolfinx_mortar.interfaces.interface import Interface, full_coverage
+from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.near import find_reach, touches_far_nodes
 from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.interfaces.slip_partners import Partners, partners_of
-from dolfinx_mortar.mortar.operators import Coverage
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.passing import Middles
-from dolfinx_mortar.mortar.surface import mean_facet_length
+from dolfinx_mortar.mortar.surface import Surface, mean_facet_length
 
 
 @dataclass(frozen=True)
@@ -78,7 +67,7 @@ class Configuration:
         """
         missed: list[Floats] = [np.zeros(0)]
         for k, link in enumerate(self.links):
-            if not link.interface.one_sided:
+            if not link.interface.unilateral:
                 missed.append(link.relative(_without(u, jumps, k))[link.constrained])
         largest = np.abs(np.concatenate(missed)).max(initial=0.0)
         return float(maximum(u.comm.tompi4py(), largest)[0])
@@ -96,7 +85,9 @@ class Configuration:
 class Room:
     """The last search and the last T: their matrices serve once more where they fit."""
 
-    pairs: Sequence[tuple[Pairing, Pattern]] = ()  # of each interface; none before the first search
+    pairs: Sequence[
+        tuple[Pairing | None, Pattern]
+    ] = ()  # of each interface; none before the first search
     claims: Claims | None = None
     paired_at: Floats | None = None  # where that search was made
     transformation: Transformation | None = None
@@ -130,7 +121,7 @@ class InterfaceSystem:
     ) -> None:
         """Find the surfaces; collective."""
         self.V, self.interfaces = V, list(interfaces)
-        self.sides: list[Sides] = [find_sides(i, V, fixed, weight) for i in interfaces]
+        self.sides: list[Sides] = [i.find_sides(V, fixed, weight) for i in interfaces]
         self.facet_length = max((mean_facet_length(s.slave) for s in self.sides), default=1.0)
         self.present = Configuration()
         self._room = Room()
@@ -147,6 +138,35 @@ class InterfaceSystem:
     def links(self) -> Sequence[Link]:
         """The interfaces with their pairings and couplings, at present."""
         return self.present.links
+
+    @property
+    def unilateral(self) -> list[Link]:
+        """The links that can open: their bounds have one side."""
+        return [link for link in self.links if link.interface.unilateral]
+
+    @property
+    def contacts(self) -> list[Interface]:
+        """The interfaces that can open."""
+        return [interface for interface in self.interfaces if interface.unilateral]
+
+    @property
+    def ties(self) -> list[Interface]:
+        """The interfaces that cannot."""
+        return [interface for interface in self.interfaces if not interface.unilateral]
+
+    @property
+    def opposite(self) -> list[tuple[Surface, Surface] | None]:
+        """The sides of each interface that could pass through each other; None where none can."""
+        return [
+            (sides.slave, sides.master) if interface.unilateral and sides.master else None
+            for interface, sides in zip(self.interfaces, self.sides, strict=True)
+        ]
+
+    @property
+    def tied(self) -> list[tuple[Bools, Bools]]:
+        """Marks (local nodes,) of both sides of each interface that cannot open."""
+        pairs = zip(self.interfaces, self.sides, strict=True)
+        return [(s.on_slave, s.on_master) for i, s in pairs if not i.unilateral and s.master]
 
     @property
     def transformation(self) -> Transformation | None:
@@ -177,8 +197,8 @@ class InterfaceSystem:
         displacements = [i.configuration(u) for i in self.interfaces]
         unknown = [None] * len(self.interfaces)
         found = [
-            pair(interface, sides, v, again=self.faced, room=room)
-            for interface, sides, v, room in zip(
+            interface.pair(sides, v, again=self.faced, earlier=earlier)
+            for interface, sides, v, earlier in zip(
                 self.interfaces, self.sides, displacements, self._room.pairs or unknown, strict=True
             )
         ]
@@ -186,13 +206,13 @@ class InterfaceSystem:
         pairings, patterns = zip(*found, strict=True)
         if len(self.sides) > 1:
             coverage = [
-                measure_coverage(*of)
-                for of in zip(self.interfaces, pairings, displacements, strict=True)
+                interface.measure_coverage(*of)
+                for interface, *of in zip(
+                    self.interfaces, self.sides, pairings, displacements, strict=True
+                )
             ]
         else:  # nobody to share with
-            nodes = len(self.sides[0].nodes)
-            faces = np.ones(nodes, dtype=bool)
-            coverage = [Coverage(np.ones(nodes), faces, ~faces)]
+            coverage = [full_coverage(self.sides[0])]
         claims = resolve_claims(self.interfaces, self.sides, patterns, coverage)
         at = np.zeros(0) if u is None else u.x.array[: self.n * self.V.dofmap.bs].copy()
         self._room = replace(self._room, pairs=found, claims=claims, paired_at=at)
@@ -208,10 +228,11 @@ class InterfaceSystem:
         assert claims is not None
         for k, (interface, sides) in enumerate(zip(self.interfaces, self.sides, strict=True)):
             pairing, pattern = self._room.pairs[k]
-            parts = interface, sides, pairing, pattern, claims.banned[k]
-            lost = before.links[k].coupling if before else None
-            coupling = couple(*parts, interface.configuration(u), lost)
-            links.append(Link(*parts[:4], coupling, near[k], claims.banned[k]))
+            parts = sides, pairing, pattern, claims.banned[k], interface.configuration(u)
+            coupling = _couple(interface, parts, before.links[k].coupling if before else None)
+            links.append(
+                Link(interface, sides, pairing, pattern, coupling, near[k], claims.banned[k])
+            )
         return links
 
     def begin(self, u: fem.Function | None, known: Paired | None) -> Configuration:
@@ -254,7 +275,7 @@ class InterfaceSystem:
         reach = find_reach(found.links, x, self.n, increment, self.facet_length)
         links = found.links
         if found.searched or any_rank(self.V.mesh.comm, reach.missing(links))[0]:
-            links = [restrict(link, reach.near(link)) for link in links]
+            links = [replace(link, near=reach.near(link)) for link in links]
         return self._enter(replace(found, searched=False), links)
 
     def follow(self, u: fem.Function | None, x: PETSc.Vec, *, everywhere: bool = False) -> bool:
@@ -280,7 +301,7 @@ class InterfaceSystem:
             return self.enter(self.at(u, before), x, before.increment)
         reach = find_reach(links, x, self.n, before.increment, self.facet_length)
         if any_rank(self.V.mesh.comm, reach.missing(links))[0]:
-            return self._enter(before, [restrict(link, reach.near(link)) for link in links])
+            return self._enter(before, [replace(link, near=reach.near(link)) for link in links])
         before.transformation.update(links)
         self.present = replace(before, links=links)
         return False
@@ -304,16 +325,15 @@ class InterfaceSystem:
     def _slid(self, links: Sequence[Link], u: fem.Function | None, *, everywhere: bool) -> bool:
         """Tell whether sides slid out of the margins of their pairings; collective."""
         slid = [
-            has_slid(link, u, everywhere=everywhere)
+            link.interface.has_slid(link.sides, link.pairing, u, None if everywhere else link.near)
             for link in links
             if link.interface.configuration(u) is not None
         ]
         return any(slid)
 
     def _couple(self, link: Link, u: fem.Function | None) -> Coupling:
-        v = link.interface.configuration(u)
-        parts = link.interface, link.sides, link.pairing, link.pattern, link.banned
-        return couple(*parts, v, link.coupling)
+        parts = link.sides, link.pairing, link.pattern, link.banned
+        return _couple(link.interface, (*parts, link.interface.configuration(u)), link.coupling)
 
     def _are_outdated(self, claims: Claims, links: Sequence[Link]) -> bool:
         """Tell whether the claims must be settled anew; collective."""
@@ -391,7 +411,7 @@ class InterfaceSystem:
         """
         parts = []
         for link, limit, partner in zip(self.links, limits, partners, strict=True):
-            if limit is not None and isinstance(link.interface, Contact):
+            if limit is not None:
                 slip = link.relative(moved) if partner is None else partner.slip(link, moved)
                 weight = link.coupling.weight
                 at = link.nodes, link.constrained, link.frames
@@ -407,6 +427,15 @@ class InterfaceSystem:
             nodes, own = link.nodes[carries], link.slot[carries]
             slot[nodes] = np.where(own >= 0, own, slot[nodes])
         return slot
+
+
+def _couple(interface: Interface, parts: Any, before: Coupling | None) -> Coupling:
+    """Return what an interface's `couple` returns, checked; an error is one on all ranks."""
+    sides, _, pattern, *_ = parts
+    with raised_together(sides.V.mesh.comm):
+        found = interface.couple(*parts, before)
+        check_coupling(repr(interface), found, sides, pattern)
+    return found
 
 
 def _function(V: fem.FunctionSpace, owned: Floats) -> fem.Function:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from petsc4py import PETSc
@@ -11,12 +12,16 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
+from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import Constraints, equalities
-from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Frame, Interface
-from dolfinx_mortar.interfaces.jump import Jump, check_jump
+from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
+from dolfinx_mortar.interfaces.jump import Jump, check_jump, nodal_function, values_at
+from dolfinx_mortar.interfaces.mortar_interface import Frame, MortarInterface
+from dolfinx_mortar.interfaces.nodal import check_mesh
 from dolfinx_mortar.interfaces.pretension import Direction, Force, check_direction, check_force
+from dolfinx_mortar.mortar.operators import SmoothSides
 
 # Unless the user says how far, ties reach from the least distance of their sides to this part of
 # the larger facet more. Facets that stand for one smooth surface, or two at a constant distance,
@@ -25,7 +30,7 @@ from dolfinx_mortar.interfaces.pretension import Direction, Force, check_directi
 WITHIN = 0.5
 
 
-class Tie(Interface):
+class Tie(MortarInterface):
     """Mesh tying ("glue"): both sides move together in all directions, or a given jump apart.
 
     The constraint is u_slave - P u_master = jump + s n, with s = 0 unless there is a pretension:
@@ -77,6 +82,9 @@ class Tie(Interface):
         tightening: (d,) what is added to the jump everywhere: s n, set by every step with a
             pretension and by `preload`; zero before.
     """
+
+    spoilt = "curved sides", "of ties of degree 2 scatter by some per cent on any mesh", False
+    near_only = True
 
     def __init__(
         self,
@@ -180,13 +188,12 @@ class Tie(Interface):
         shown, self.tightening = kept
         super().put_back(shown)
 
-    def reach(self, sizes: Floats, nearest: float) -> Floats:
-        """Return how far apart (q,) partners may be: as the user said, or half a facet more.
+    def check(self, V: fem.FunctionSpace) -> None:
+        """Raise a ValueError for a jump on another mesh than V's."""
+        check_mesh("jump", self.jump, V)
 
-        Args:
-            sizes: (q,) diameter of the larger one of two facets.
-            nearest: least distance between the sides.
-        """
+    def reach(self, sizes: Floats, nearest: float) -> Floats:
+        """Return how far apart (q,) partners may be: as given, or half a facet beyond the least."""
         if self.within is not None:
             return np.full(len(sizes), self.within)
         return nearest + WITHIN * sizes
@@ -209,6 +216,10 @@ class Tie(Interface):
         """Return P_jl I."""
         return np.asarray(P[:, :, None] * np.eye(P.shape[1]))
 
+    def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:
+        """Return that the motions of their offsets complete P."""
+        return {"motions_of": smooth}
+
     def measured(self, x: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:
         """Return the displacements: the initial distance stays."""
         return u
@@ -218,6 +229,50 @@ class Tie(Interface):
         node, axis = np.nonzero(directions)
         dofs = (directions.shape[1] * nodes[node] + axis).astype(np.int32)
         return equalities(dofs, -slip[node, axis], D[node, axis])
+
+    def jump_at(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:
+        """Return jump and tightening (n, d) at slave nodes; None for none; collective.
+
+        Raises:
+            ValueError: on all ranks, if the jump lives on another mesh, or has another shape than a
+                vector at each node.
+        """
+        comm = V.mesh.comm
+        with raised_together(comm):
+            self.check(V)
+        if self.jump is None and not self.tightening.any():
+            return None
+        given = nodal_function(self.jump, V)
+        with raised_together(comm):
+            return values_at(given, V, nodes) + self.tightening
+
+    def given_force(self) -> float | None:
+        """Return the pretension; None for none.
+
+        Raises:
+            ValueError: on all ranks, if the value of a Constant is NaN or infinite.
+        """
+        if self.pretension is None:
+            return None
+        given = self.pretension
+        force = float(given.value if isinstance(given, fem.Constant) else given)
+        if not np.isfinite(force):
+            raise ValueError(
+                f"pretension of {self} is {force}: set the Constant to a finite number"
+            )
+        return force
+
+    def tighten(self, way: Floats) -> None:
+        """Add the overlap (d,) of a step to the tightening."""
+        self.tightening = self.tightening + way
+
+    def found(self) -> dict[str, list[float]]:
+        """Return the tightening: without it a restored problem would let the bolts go."""
+        return {"tightening": [float(component) for component in self.tightening]}
+
+    def take_found(self, found: Mapping[str, list[float]]) -> None:
+        """Take over the tightening."""
+        self.tightening = np.array(found["tightening"], dtype=float)
 
 
 def _check_within(within: Any) -> float | None:

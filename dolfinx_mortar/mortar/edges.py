@@ -37,7 +37,7 @@ from dolfinx_mortar.geometry.facets import (
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
 from dolfinx_mortar.mortar.dual import sums_of_products
-from dolfinx_mortar.mortar.operators import weighted_duals
+from dolfinx_mortar.mortar.integrals import weighted_duals
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
     Surface,

@@ -1,290 +1,148 @@
 # SPDX-License-Identifier: MIT
-r"""Mortar operators D and M of a pair of surfaces as PETSc matrices.
+r"""Mortar operators D and M of a pair of surfaces, and P = D^-1 M.
 
     D_jl = int Phi_j N_l^s,      M_jl = int Phi_j N_l^m      over the covered part of the slave side
 
-(eqs. 19 and 20 of the paper; the second function of eq. 20 has to be the master's)
-with the dual functions Phi_j of the kept slave nodes. D is diagonal over the kept nodes. Rows are
-integrated by the ranks that own the slave facets; copies of the master facets travel to them.
-
-The weight of a pairing, such as 2 pi r, is a factor of all these integrals. It is taken at the
-points of the slave side where they are at X: there it stays what it was, and positive.
+(eqs. 19 and 20 of the paper; the second function of eq. 20 has to be the master's) with the dual
+functions Phi_j of the slave nodes that carry a multiplier. D is diagonal over these nodes, but for
+mid-side nodes that depend on vertices. Nothing here knows which constraint the operators serve.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-
-from mpi4py import MPI
-from petsc4py import PETSc
+from dataclasses import dataclass
 
 import numpy as np
 
 import dolfinx
 from dolfinx.common import timed
-from dolfinx_mortar.algebra import triplets
-from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.geometry.elements import FacetElement
-from dolfinx_mortar.geometry.facets import Facets, facet_sizes, points_of, tributary_weights
-from dolfinx_mortar.geometry.segments import Segments, create_segments
-from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
-from dolfinx_mortar.mortar.dual import absorbed, covered_weights, dual_values, sums_of_products
-from dolfinx_mortar.mortar.pairing import Pairing, received_facets
-from dolfinx_mortar.mortar.surface import (
-    accumulate,
-    coordinates,
-    facets_at,
-    nodal_normals,
-    sum_at_nodes,
+from dolfinx_mortar.geometry.segments import Segments
+from dolfinx_mortar.mortar.curvature_correction import SmoothSide, point_heights, point_motions
+from dolfinx_mortar.mortar.dual import sums_of_products
+from dolfinx_mortar.mortar.edges import open_duals
+from dolfinx_mortar.mortar.integrals import (
+    Coverage,
+    default_keep,
+    find_coverage,
+    integrate_values,
+    node_weights,
+    weighted_duals,
 )
+from dolfinx_mortar.mortar.pairing import Pairing
 
 _CHUNK = 2**14
 """Points at which the motions of offsets are known at a time: 5 MB in 3D, against calls."""
-_OF_POINTS = "pair", "slave", "master", "xi_s", "xi_m", "weight"  # what segments say of each point
-LEAST_COVERAGE = 0.05
-"""A slave node carries a multiplier if more than this part of its tributary weight is covered."""
-STAYS = 0.5
-"""A node that has lost its multiplier in the course of a step, and got it back, keeps it down to
-this part of that coverage. Whether it carries moves the bodies, and with them its coverage: between
-.042 and .053 where the rim of a box presses into another one (sweep second3, seed 20001), to and
-fro for ever."""
 
-LEAST_WEIGHT = 0.01
-"""A node has a weight if it is more than this part of the area of its facets: those of straight
-facets have 1/36 or more, those on an axis phi^2/120, phi being the angle by which a facet bends."""
+SmoothSides = tuple[SmoothSide, SmoothSide]
 
 
-@timed("~Mortar: segments")
-def find_segments(pairing: Pairing, u: dolfinx.fem.Function | None) -> tuple[Segments, Floats]:
-    """Find the segments and the averaged slave normals (n, d) at X + u (collective).
+@dataclass(frozen=True, eq=False)
+class MortarOperators:
+    """D, M and P in one configuration, for each of c choices of the nodes with a multiplier.
 
-    Their weights contain that of the pairing.
+    A choice belongs to a direction of the multipliers: Dirichlet data may leave a node some of
+    them. Nodes are the n slave nodes that this rank owns; entries follow the patterns of the
+    pairing.
     """
-    slave = pairing.slave
-    x = coordinates(slave, u)
-    normals = nodal_normals(slave, x)
-    master = received_facets(pairing, u)
-    facets = facets_at(slave, x)
-    n_s = normals[slave.facets]
-    segments = create_segments(facets, n_s, master, pairing.pairs, pairing.deepest)
-    return _weigh(pairing, segments, facets), normals
+
+    segments: Segments
+    normals: Floats  # (n, d) outward unit normals
+    kept: Bools  # (n, c) nodes that carry a multiplier
+    D: Floats  # (e, c) entries of D; rows of other nodes vanish
+    M: Floats  # (f, c) entries of M
+    weight: Floats  # (n, c) D_jj, 0 where not kept
+    P: Floats  # (g, c) D_jj^-1 (M - D_other) on the pattern of P, D_other being D off its diagonal
+    heights: Floats  # (n,) by how much smooth surfaces are nearer than the facets; 0 for facets
+    coverage: Coverage
+    motions: Floats | None = None  # (f, d, d) D_jj^-1 int Phi_j A_l, see `point_motions`
 
 
-def point_distances(
-    pairing: Pairing, segments: Segments, u: dolfinx.fem.Function | None
-) -> tuple[Floats, Floats]:
-    """Return |x_s - x_m| at the points (q,), and the larger of their two facets (q,) (collective).
-
-    The size of a facet is its diameter at X.
-    """
-    slave = facets_at(pairing.slave, coordinates(pairing.slave, u))
-    offsets = points_of(slave, segments.slave, segments.xi_s)
-    offsets -= points_of(received_facets(pairing, u), segments.master, segments.xi_m)
-    sizes = facet_sizes(pairing.slave.X[pairing.slave.facets])
-    of_master = facet_sizes(pairing.master_X[pairing.master_facets])
-    larger = np.maximum(sizes[segments.slave], of_master[segments.master])
-    return np.linalg.norm(offsets, axis=1), larger
-
-
-def drop_far(
+def create_operators(
     pairing: Pairing,
-    segments: Segments,
     u: dolfinx.fem.Function | None,
-    reach: Callable[[Floats, float], Floats],
-) -> Segments:
-    """Return the segments without the pairs that are too far apart (collective).
-
-    A pair stays if all its points do, so that what stays is whole: functions of the nodes are
-    independent on it.
+    segments: Segments,
+    normals: Floats,
+    allowed: Bools,
+    *,
+    returned: Bools | None = None,
+    edges: Bools | None = None,
+    claimed: Bools | None = None,
+    heights_of: SmoothSides | None = None,
+    motions_of: SmoothSides | None = None,
+) -> MortarOperators:
+    """Integrate D and M over segments at X + u (collective).
 
     Args:
         pairing: The pair of surfaces.
-        segments: Its segments at X + u.
         u: Displacement, None for X.
-        reach: Largest distances (q,) for sizes of facets (q,), see `point_distances`, and the least
-            distance of all.
+        segments: Its segments at X + u.
+        normals: Outward unit normals (n, d) of the local slave nodes there.
+        allowed: Local slave nodes (n, c) that may carry a multiplier, for each choice.
+        returned: Those (n, c) that lost their multiplier in this step and got it back; none if not
+            given.
+        edges: Those (n,) on edges, where functions beside open facets differ; none if not given.
+        claimed: Those (n,) that have their multiplier elsewhere; none if not given.
+        heights_of: Smooth surfaces at X, by whose heights the gap is corrected.
+        motions_of: Smooth surfaces at X, by whose offsets P is corrected.
     """
-    distances, larger = point_distances(pairing, segments, u)
-    comm = pairing.slave.V.mesh.comm
-    nearest = float(comm.allreduce(distances.min(initial=np.inf), op=MPI.MIN))
-    far = distances > reach(larger, nearest) + HALF_OF_DIGITS * larger
-    near = (np.bincount(segments.pair, far, minlength=len(pairing.pairs)) == 0.0)[segments.pair]
-    points = {name: getattr(segments, name)[near] for name in _OF_POINTS}
-    return replace(segments, **points)
-
-
-def _weigh(pairing: Pairing, segments: Segments, facets: Facets) -> Segments:
-    """Return segments on the slave facets (m,) at X + u with the weight of the pairing."""
-    if pairing.weight is None:
-        return segments
-    at_X, xi = facets_at(pairing.slave, pairing.slave.X), facets.element.rule[0]
-    which = np.repeat(np.arange(len(facets.x), dtype=np.int32), len(xi))
-    points = points_of(at_X, which, np.tile(xi, (len(facets.x), 1)))
-    whole = pairing.weight(points).reshape(len(facets.x), len(xi))
-    at_points = pairing.weight(points_of(at_X, segments.slave, segments.xi_s))
-    return replace(
-        segments,
-        weight=segments.weight * at_points,
-        facet_weights=tributary_weights(facets, whole),
+    comm, own = pairing.slave.V.mesh.comm, slice(None, pairing.slave.owned)
+    covered, tributary = node_weights(pairing, segments)
+    # choices that keep the same nodes share one integration
+    differ = any_rank(comm, *(allowed != allowed[:, :1]).any(axis=0))
+    choices = [c if differ[c] else 0 for c in range(allowed.shape[1])]
+    Phi: dict[int, Floats] = {}
+    matrices: dict[int, tuple[Floats, Floats]] = {}
+    for c in sorted(set(choices)):
+        stays = None if returned is None else returned[:, c]
+        keep = default_keep(pairing, segments, covered, tributary, allowed[:, c], stays)
+        Phi[c] = weighted_duals(pairing, segments, keep)
+        if edges is not None:
+            others = np.zeros_like(keep) if claimed is None else claimed
+            Phi[c] = open_duals(pairing, segments, u, Phi[c], keep, edges, others)
+        matrices[c] = integrate_matrices(pairing, segments, keep, Phi[c])
+    entries_D, entries_M = (np.column_stack([matrices[c][i] for c in choices]) for i in (0, 1))
+    weight = np.zeros((pairing.slave.owned, len(choices)))
+    places, nodes = pairing.diagonal
+    weight[nodes] = entries_D[places]
+    inverse = _inverse(weight)
+    P = np.concatenate([-entries_D[pairing.off_diagonal], entries_M]) * inverse[pairing.row]
+    heights: Floats = np.zeros(pairing.slave.owned)
+    motions: Floats | None = None
+    if heights_of is not None:
+        at_points = point_heights(pairing, segments, u, heights_of)
+        heights = mean_values(pairing, segments, Phi[0], weight[:, 0], at_points)
+    if motions_of is not None:
+        at = point_motions(segments, motions_of)
+        motions = integrate_motions(pairing, segments, [Phi[c] for c in choices], at)
+        motions *= inverse[pairing.row[len(pairing.off_diagonal) :], :, None]
+    return MortarOperators(
+        segments=segments,
+        normals=normals[own],
+        kept=weight > 0,
+        D=entries_D,
+        M=entries_M,
+        weight=weight,
+        P=P,
+        heights=heights,
+        coverage=find_coverage(pairing, segments, covered, tributary),
+        motions=motions,
     )
 
 
-@timed("~Mortar: node weights")
-def node_weights(
-    pairing: Pairing, segments: Segments, keep: Bools | None = None
-) -> tuple[Floats, Floats]:
-    """Return int N~_j over the covered part and the whole slave side, (n,) each (collective).
-
-    The former is D_jj of eq. 19 where all nodes carry a multiplier and N~ is N, see `absorbed`.
-
-    Args:
-        pairing: The pair of surfaces.
-        segments: Its segments.
-        keep: Slave nodes (n,) that carry a multiplier; all if not given.
-    """
-    slave = pairing.slave
-    shares, kept = slave.element.shares, None if keep is None else keep[slave.facets]
-    N_s = slave.element.shape_functions(segments.xi_s)
-    N_s = absorbed(shares, N_s, None if kept is None else kept[segments.slave])
-    covered = covered_weights(N_s, segments.weight, segments.slave, len(slave.facets))
-    whole = absorbed(shares, segments.facet_weights, kept)
-    both = sum_at_nodes(slave, np.stack([covered, whole], axis=2))
-    return both[:, 0], both[:, 1]
-
-
-@dataclass(frozen=True)
-class Coverage:
-    """How far the owned slave nodes face the master."""
-
-    share: Floats  # (n,) covered share of the tributary weight
-    reached: Bools  # (n,) on a facet of which some part is covered
-    weightless: Bools  # (n,) without tributary weight: no multiplier, whatever is covered
-
-    @property
-    def faces(self) -> Bools:
-        """Which nodes (n,) face the master: enough is covered to carry a multiplier."""
-        return np.asarray(self.share > LEAST_COVERAGE)
-
-
-def find_coverage(
-    pairing: Pairing, segments: Segments, covered: Floats, tributary: Floats
-) -> Coverage:
-    """Return the coverage of the owned slave nodes; the weights are of `node_weights`."""
-    slave = pairing.slave
-    nodes = slave.facets[segments.covered].ravel()
-    reached = accumulate(slave, np.bincount(nodes, minlength=len(slave.nodes))) > 0
-    own, (none, facets) = slice(None, slave.owned), _find_weightless(pairing, segments)
-    share = np.where(none, facets, covered / np.where(none, 1.0, tributary))
-    return Coverage(np.asarray(share[own]), np.asarray(reached[own]), none[own])
-
-
-def _find_weightless(pairing: Pairing, segments: Segments) -> tuple[Bools, Floats]:
-    """Return the slave nodes (n,) without weight, and the covered share of nodes' facets (n,).
-
-    Of second order, with a weight 2 pi r, the functions of nodes on the axis integrate to nothing
-    but what the curvature of their facet leaves, of either sign: these have no D_jj. Collective.
-    """
-    slave = pairing.slave
-    if slave.element.degree == 1:  # positive functions
-        return np.zeros(len(slave.nodes), dtype=bool), np.zeros(len(slave.nodes))
-    whole = absorbed(slave.element.shares, segments.facet_weights)
-    covered = np.bincount(segments.slave, segments.weight, minlength=len(whole))
-    sizes = np.repeat(np.stack([whole.sum(axis=1), covered], axis=1)[:, None], whole.shape[1], 1)
-    sums = sum_at_nodes(slave, np.concatenate([whole[:, :, None], sizes], axis=2))
-    none = sums[:, 0] <= LEAST_WEIGHT * sums[:, 1]
-    return np.asarray(none), np.asarray(sums[:, 2] / np.maximum(sums[:, 1], TINY))
-
-
-def default_keep(
-    pairing: Pairing,
-    segments: Segments,
-    covered: Floats,
-    tributary: Floats,
-    allowed: Bools | None = None,
-    stays: Bools | None = None,
-) -> Bools:
-    """Choose the slave nodes that carry a multiplier, the same on any number of ranks (collective).
-
-    A node is kept if it has a weight of which more than 5 % is covered. Where that leaves a covered
-    facet without a kept node, the facet's best covered node is kept, so that no covered part of
-    the slave side is without multiplier.
-
-    Args:
-        pairing: The pair of surfaces.
-        segments: Its segments.
-        covered: Covered weight (n,) of each slave node, of `node_weights`.
-        tributary: Whole weight (n,), of `node_weights`.
-        allowed: Nodes (n,) that may be kept; all if not given.
-        stays: Nodes (n,) that are kept down to less, `STAYS`; none if not given.
-    """
-    least = LEAST_COVERAGE * np.where(False if stays is None else stays, STAYS, 1.0)
-    allowed = np.ones(len(covered), dtype=bool) if allowed is None else allowed
-    none, _ = _find_weightless(pairing, segments)
-    coverage = np.where(allowed & ~none, covered, 0.0) / np.where(none, 1.0, tributary)
-    keep = coverage > least
-    if pairing.slave.element.shares:  # vertices live on middles that have a function to give away
-        left = node_weights(pairing, segments, keep)[0] / np.where(none, 1.0, tributary)
-        coverage = np.where(left > HALF_OF_DIGITS * coverage, coverage, 0.0)
-        keep &= left > least
-    facets = pairing.slave.facets[segments.covered]
-    facets = facets[~keep[facets].any(axis=1) & (coverage[facets] > 0).any(axis=1)]
-    best = _best_nodes(coverage[facets], pairing.slave.X[facets])
-    rescued = np.bincount(facets[np.arange(len(facets)), best], minlength=len(covered))
-    return keep | (accumulate(pairing.slave, rescued) > 0)
-
-
-def _best_nodes(coverage: Floats, X: Floats) -> Ints:
-    """Return (m,) which node of each facet is covered best; of equal ones the last in space.
-
-    That is the one at the largest x, then y, then z, whatever the numbers and the round-off.
-
-    Args:
-        coverage: Covered part (m, k) of the nodes.
-        X: Coordinates (m, k, d).
-    """
-    best = coverage >= (1 - HALF_OF_DIGITS) * coverage.max(axis=1, initial=0.0)[:, None]
-    for x in np.moveaxis(X, 2, 0):
-        furthest = np.where(best, x, -np.inf).max(axis=1, initial=-np.inf)
-        best &= x >= (furthest - HALF_OF_DIGITS * facet_sizes(X))[:, None]
-    return np.asarray(np.argmax(best, axis=1), dtype=np.int32)
-
-
-def weighted_duals(pairing: Pairing, segments: Segments, keep: Bools) -> Floats:
-    """Return w Phi_j (q, k) at the points of the segments, w their weights.
-
-    Args:
-        pairing: The pair of surfaces.
-        segments: Its segments.
-        keep: Slave nodes (n,) that carry a multiplier; a node has the same value on all ranks.
-    """
-    element = pairing.slave.element
-    N_s, kept = element.shape_functions(segments.xi_s), keep[pairing.slave.facets]
-    N_s = absorbed(element.shares, N_s, kept[segments.slave])
-    Phi = dual_values(N_s, segments.weight, segments.slave, kept)
-    return np.asarray(Phi * segments.weight[:, None])
-
-
-def integrate_values(pairing: Pairing, segments: Segments, Phi: Floats, values: Floats) -> Floats:
-    """Return int Phi_j f (n,) at the slave nodes for values f (q,) at the points (collective).
-
-    Args:
-        pairing: The pair of surfaces.
-        segments: Its segments.
-        Phi: Weighted dual functions (q, k) of `weighted_duals`.
-        values: f.
-    """
-    slave = pairing.slave
-    count = len(slave.facets)
-    parts = [np.bincount(segments.slave, P * values, minlength=count) for P in Phi.T]
-    return sum_at_nodes(slave, np.stack(parts, axis=1)[:, :, None])[:, 0]
+def _inverse(weight: Floats) -> Floats:
+    """Return 1 / D_jj, zero where that is: at nodes without multiplier."""
+    return np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0)
 
 
 @timed("~Mortar: assemble D and M")
-def assemble_node_matrices(
+def integrate_matrices(
     pairing: Pairing, segments: Segments, keep: Bools, Phi: Floats | None = None
-) -> tuple[PETSc.Mat, PETSc.Mat]:
-    """Refill the matrices D (eq. 19) and M (eq. 20) of the pairing in place (collective).
+) -> tuple[Floats, Floats]:
+    """Return the entries of D (eq. 19) and M (eq. 20) on the patterns of the pairing (collective).
 
     Args:
         pairing: The pair of surfaces.
@@ -293,9 +151,9 @@ def assemble_node_matrices(
         Phi: Their weighted functions of `weighted_duals`, if they are at hand.
 
     Returns:
-        D and M in the numbering of V's nodes. Rows of removed nodes vanish; their columns in D do
-        not. Over the kept nodes D is diagonal, but for mid-side nodes that depend on vertices
-        (exactly: the other integrals vanish by construction, and their round-off is set to zero).
+        Entries (e,) of D and (f,) of M. Rows of removed nodes vanish; their columns in D do not.
+        Over the kept nodes D is diagonal, but for mid-side nodes that depend on vertices (exactly:
+        the other integrals vanish by construction, and their round-off is set to zero).
     """
     N_s = pairing.slave.element.shape_functions(segments.xi_s)
     N_m = pairing.master.element.shape_functions(segments.xi_m)
@@ -305,10 +163,8 @@ def assemble_node_matrices(
     blocks_D = sums_of_products(Phi, N_s, segments.slave, len(kept))[paired]
     both = kept[paired][:, :, None] & kept[paired][:, None, :]
     blocks_D[both & ~_in_D(pairing.slave.element)] = 0.0
-    triplets.set_values(pairing.D, blocks_D)
     blocks_M = sums_of_products(Phi, N_m, segments.pair, len(pairing.pairs))
-    triplets.set_values(pairing.M, blocks_M)
-    return pairing.D, pairing.M
+    return pairing.D.sum(blocks_D), pairing.M.sum(blocks_M)
 
 
 def _in_D(element: FacetElement) -> Bools:
@@ -320,15 +176,13 @@ def _in_D(element: FacetElement) -> Bools:
 
 
 @timed("~Mortar: assemble motions")
-def assemble_motions(
+def integrate_motions(
     pairing: Pairing,
     segments: Segments,
     Phi: Sequence[Floats],
     motions: Callable[[slice], Floats],
 ) -> Floats:
-    """Return int Phi_j A_l (e, d, d) at the entries of M (collective).
-
-    M serves as the room in which ranks add up, and has to be refilled.
+    """Return int Phi_j A_l (f, d, d) at the entries of M (collective).
 
     Args:
         pairing: The pair of surfaces.
@@ -344,8 +198,22 @@ def assemble_motions(
         for i, P in enumerate(Phi):
             rows = A[:, :, i].reshape(len(A), -1)
             blocks[i] += sums_of_products(P[part], rows, segments.pair[part], len(pairing.pairs))
-    columns = []
-    for values in np.moveaxis(blocks.reshape(d, -1, k, m, d), 4, 1).reshape(d * d, -1, k, m):
-        triplets.set_values(pairing.M, values)
-        columns.append(pairing.M.getValuesCSR()[2])
+    components = np.moveaxis(blocks.reshape(d, -1, k, m, d), 4, 1).reshape(d * d, -1, k, m)
+    columns = [pairing.M.sum(values) for values in components]
     return np.stack(columns, axis=1).reshape(-1, d, d)
+
+
+def mean_values(
+    pairing: Pairing, segments: Segments, Phi: Floats, weight: Floats, at_points: Floats
+) -> Floats:
+    """Return int Phi_j f / D_jj (n,) at the owned slave nodes (collective).
+
+    Args:
+        pairing: The pair of surfaces.
+        segments: Its segments.
+        Phi: Weighted dual functions (q, k) of `weighted_duals`.
+        weight: D_jj (n,); zero where that is.
+        at_points: f (q,).
+    """
+    total = integrate_values(pairing, segments, Phi, at_points)[: pairing.slave.owned]
+    return np.asarray(total * _inverse(weight))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -17,8 +18,8 @@ import numpy as np
 
 import dolfinx
 from dolfinx.common import timed
-from dolfinx_mortar.algebra import triplets
 from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.algebra.triplets import Triplets
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.facets import Facets, facet_normals
 from dolfinx_mortar.geometry.segments import (
@@ -43,7 +44,11 @@ parts from .25 to .9 stacks, edges and corners have the same iterations and forc
 
 @dataclass(frozen=True, eq=False)
 class Pairing:
-    """Candidate pairs of facets, found at one configuration with a margin, and their matrices."""
+    """Candidate pairs of facets, found at one configuration with a margin.
+
+    The matrices have a row for each slave node j that this rank owns; the columns of P = D^-1 (M -
+    D_other) are those of D off its diagonal, then those of M.
+    """
 
     slave: Surface
     master: Surface
@@ -57,8 +62,12 @@ class Pairing:
     scatter: PETSc.Scatter  # from a vector of V to the displacements of master_nodes
     source: PETSc.Vec  # a vector of V: from where `receive` scatters
     received: PETSc.Vec  # (d * nm) on this rank alone: target of the scatter
-    D: PETSc.Mat  # (nodes, nodes) of V: int Phi_j N_l^s, pattern of all candidate pairs
-    M: PETSc.Mat  # (nodes, nodes) of V: int Phi_j N_l^m, pattern of all candidate pairs
+    D: Triplets  # between nodes of V: int Phi_j N_l^s of all slave facets with candidates
+    M: Triplets  # between nodes of V: int Phi_j N_l^m of all candidate pairs
+    row: Ints  # (e,) index into the owned slave nodes of each entry of P
+    column: Longs  # (e,) global node of each entry of P
+    off_diagonal: Ints  # positions among D's entries of those of P that come from D
+    diagonal: tuple[Ints, Ints]  # positions of D_jj among D's entries, and indices of the nodes j
     weight: Weight | None = None  # of all integrals over the slave side; None for 1
 
 
@@ -99,25 +108,37 @@ def _create_scatter(
     return PETSc.Scatter().create(source, where, target, None), source, target
 
 
-def _create_matrices(
+def _create_triplets(
     slave: Surface, pairs: Ints, nodes: Longs, facets: Ints
-) -> tuple[PETSc.Mat, PETSc.Mat]:
-    """Create D and M with room for all candidate pairs (collective)."""
+) -> tuple[Triplets, Triplets]:
+    """Fix the patterns of D and M for all candidate pairs (collective)."""
     index_map = slave.V.dofmap.index_map
-    rows = index_map.local_to_global(slave.nodes)[slave.facets].astype(PETSc.IntType)
-    columns = nodes[facets].astype(PETSc.IntType)
-    paired = np.unique(pairs[:, 0])
-    matrices = []
-    for i, j in ((rows[paired], rows[paired]), (rows[pairs[:, 0]], columns[pairs[:, 1]])):
-        A = PETSc.Mat().create(slave.V.mesh.comm)
-        A.setSizes([(index_map.size_local, index_map.size_global)] * 2)
-        A.setType(PETSc.Mat.Type.AIJ)
+    rows = index_map.local_to_global(slave.nodes)[slave.facets]
+    paired, found = np.unique(pairs[:, 0]), []
+    for i, j in (
+        (rows[paired], rows[paired]),
+        (rows[pairs[:, 0]], nodes[facets][pairs[:, 1]]),
+    ):
         block = (len(i), i.shape[1], j.shape[1])
-        all_rows, all_columns = (np.broadcast_to(v, block) for v in (i[:, :, None], j[:, None]))
-        triplets.set_pattern(A, all_rows, all_columns)
-        triplets.set_values(A, np.zeros(all_rows.size))
-        matrices.append(A)
-    return matrices[0], matrices[1]
+        places = (np.broadcast_to(v, block) for v in (i[:, :, None], j[:, None]))
+        found.append(Triplets(slave.V.mesh.comm, index_map, *places))
+    return found[0], found[1]
+
+
+def _pattern_of_P(slave: Surface, D: Triplets, M: Triplets) -> dict[str, Any]:
+    """Return rows and columns of P, and where its entries and the D_jj lie among those of D."""
+    index_map = slave.V.dofmap.index_map
+    nodes = slave.nodes[: slave.owned]
+    position = np.full(index_map.size_local, -1, dtype=np.int32)
+    position[nodes] = np.arange(len(nodes), dtype=np.int32)
+    on = D.rows + index_map.local_range[0] == D.columns
+    off, diagonal = np.flatnonzero(~on), np.flatnonzero(on)
+    return {
+        "row": position[np.concatenate([D.rows[off], M.rows])],
+        "column": np.concatenate([D.columns[off], M.columns]),
+        "off_diagonal": off.astype(np.int32),
+        "diagonal": (diagonal.astype(np.int32), position[D.rows[diagonal]]),
+    }
 
 
 def _check_surfaces(
@@ -172,9 +193,9 @@ def create_pairing(
     moving: bool = True,
     again: bool = False,
     weight: Weight | None = None,
-    room: Pairing | None = None,
+    earlier: Pairing | None = None,
 ) -> Pairing:
-    """Find the candidate pairs at X + u and create the matrices for them (collective).
+    """Find the candidate pairs at X + u and fix the patterns of D and M for them (collective).
 
     Where the surfaces move, the pairs provide for a relative sliding by half an edge or more;
     `outside_margin` tells when that is used up, by sliding or by turning.
@@ -189,8 +210,8 @@ def create_pairing(
             there are no pairs. At first that is a mistake of tags.
         weight: Factor of all integrals over the slave side, 1 if not given. With 2 pi r those over
             a line are those over the surface that it sweeps.
-        room: An earlier one of the same surfaces, whose matrices serve once more where the pairs
-            are the same.
+        earlier: One of the same surfaces, whose patterns serve once more where the pairs are the
+            same.
 
     Raises:
         ValueError: On all ranks, if the sides share facets, belong to another space, u is not
@@ -212,10 +233,10 @@ def create_pairing(
     pairs = find_candidates(slaves, n_s, copies, margin)
     if not again:
         _check_facing(pairs, slave, master, n_s, facet_normals(masters))
-    same = room is not None and _has_pairs(room, pairs, nodes, facets)
-    if room is not None and comm.allreduce(same, op=MPI.LAND):
-        return replace(room, sent=receivers, groups=groups)
-    D, M = _create_matrices(slave, pairs, nodes, facets)
+    same = earlier is not None and _has_pairs(earlier, pairs, nodes, facets)
+    if earlier is not None and comm.allreduce(same, op=MPI.LAND):
+        return replace(earlier, sent=receivers, groups=groups)
+    D, M = _create_triplets(slave, pairs, nodes, facets)
     return Pairing(
         slave=slave,
         master=master,
@@ -231,6 +252,7 @@ def create_pairing(
         received=received,
         D=D,
         M=M,
+        **_pattern_of_P(slave, D, M),
         weight=weight,
     )
 

@@ -4,8 +4,8 @@ r"""The matrices D, M and N as the paper writes them (eqs. 16 to 20), for users 
 Eq. 16, B_I v <= c_I, with B_I = N^T (D - M) of eq. 17 and c_I = -N^T (D - M) X of eq. 18; the
 blocks of D and M are those of eqs. 19 and 20, times the identity.
 
-The solver does not take this way: it keeps one entry per pair of nodes (`operators`) and turns them
-into a change of basis (`interfaces.basis`). At edges and corners it has other normals and functions
+They are the solver's own `operators`, of which it keeps one entry per pair of nodes and makes a
+change of basis (`interfaces.basis`). At edges and corners it has other normals and functions
 than the averaged normals and dual functions here, unless `feature_angle` asks for them: `edges`.
 """
 
@@ -21,14 +21,9 @@ from scipy.sparse import csr_array, kron
 
 import dolfinx
 from dolfinx_mortar.arrays import Floats, Ints, Longs
-from dolfinx_mortar.mortar.edges import edge_normals, find_edges, open_duals
-from dolfinx_mortar.mortar.operators import (
-    assemble_node_matrices,
-    default_keep,
-    find_segments,
-    node_weights,
-    weighted_duals,
-)
+from dolfinx_mortar.mortar.edges import edge_normals, find_edges
+from dolfinx_mortar.mortar.integrals import find_segments
+from dolfinx_mortar.mortar.operators import create_operators
 from dolfinx_mortar.mortar.pairing import Weight, create_pairing
 from dolfinx_mortar.mortar.surface import create_surface
 
@@ -106,22 +101,21 @@ def assemble_mortar(
     surfaces.append(create_surface(V, facet_tags, master, "master"))
     pairing = create_pairing(V, *surfaces, u, moving=False, weight=weight)
     segments, normals = find_segments(pairing, u)
-    marks = None
+    returned, everything = None, np.ones((len(normals), 1), dtype=bool)
     if stays is not None:
         known = V.dofmap.index_map.local_to_global(surfaces[0].nodes.astype(np.int32))
-        marks = np.isin(known, np.concatenate(V.mesh.comm.allgather(np.asarray(stays))))
-    covered, tributary = node_weights(pairing, segments)
-    keep = default_keep(pairing, segments, covered, tributary, stays=marks)
-    Phi = weighted_duals(pairing, segments, keep)
+        returned = np.isin(known, np.concatenate(V.mesh.comm.allgather(np.asarray(stays))))[:, None]
     edges = None if feature_angle is None else find_edges(surfaces[0], feature_angle)
     if edges is not None:
         normals = edge_normals(pairing, segments, u, normals, edges)
-        Phi = open_duals(pairing, segments, u, Phi, keep, edges, np.zeros_like(keep))
-    node_D, node_M = assemble_node_matrices(pairing, segments, keep, Phi)
+    parts = pairing, u, segments, normals, everything
+    operators = create_operators(*parts, returned=returned, edges=edges)
     own = surfaces[0].nodes[: surfaces[0].owned]
-    kept = keep[: len(own)]
+    kept, normals = operators.kept[:, 0], operators.normals
+    node_D = pairing.D.matrix(operators.D[:, 0])
+    node_M = pairing.M.matrix(operators.M[:, 0])
     D, M = (_expand_rows(A, own[kept], V) for A in (node_D, node_M))
-    N = _create_normal_matrix(V.mesh.comm, normals[: len(own)][kept])
+    N = _create_normal_matrix(V.mesh.comm, normals[kept])
     x, relative, gap = D.createVecRight(), D.createVecLeft(), N.createVecRight()
     d = V.dofmap.index_map_bs
     x.array[:] = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local, :d].ravel()

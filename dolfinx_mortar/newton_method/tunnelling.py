@@ -41,13 +41,14 @@ def describe_passing(problem: ContactProblem) -> str:
 
 def _find_middles(problem: ContactProblem) -> list[tuple[Middles, Middles] | None]:
     """Return the middles of the bodies on both sides of each contact, None for ties; collective."""
-    if not problem.system.sides:
-        return []
-    body_of, found = problem.bodies.of_cells, []
+    if not any(problem.system.opposite):
+        return [None] * len(problem.interfaces)
+    body_of = problem.bodies.of_cells
+    found: list[tuple[Middles, Middles] | None] = []
     skin, cells = exterior_facets(problem.V)
-    for sides in problem.system.sides:
-        surfaces = sides.slave, sides.master
-        parts = [find_middles(s, body_of[cells_of(s)], skin, body_of[cells]) for s in surfaces]
-        found.append((parts[0], parts[1]))
-    one_sided = [interface.one_sided for interface in problem.interfaces]
-    return [pair if on else None for pair, on in zip(found, one_sided, strict=True)]
+    for surfaces in problem.system.opposite:
+        parts = [
+            find_middles(s, body_of[cells_of(s)], skin, body_of[cells]) for s in surfaces or ()
+        ]
+        found.append((parts[0], parts[1]) if parts else None)
+    return found

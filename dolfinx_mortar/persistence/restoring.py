@@ -15,8 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypedDict
 
-from mpi4py import MPI
-
 import numpy as np
 
 from dolfinx import fem
@@ -24,10 +22,8 @@ from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.checkpoint import check_form, read_about, read_tables, size_of
 from dolfinx_mortar.disk import check_path
-from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.interface import Interface, Resultants, check_owned
 from dolfinx_mortar.interfaces.system import Paired
-from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.persistence.identity import describe, differences, other_places
 from dolfinx_mortar.persistence.lasting import Lasting, Slips, SupportForces, Walk
 from dolfinx_mortar.persistence.saving import NODES, POINTS, RESULTANTS, SLIPS, name_of, places_of
@@ -87,7 +83,7 @@ class About(TypedDict):
     walk: SavedWalk | None
     steps: list[SavedStep]
     interfaces: list[dict[str, list[float]] | None]
-    tightening: list[list[float] | None]
+    found: list[dict[str, list[float]]]
 
 
 @dataclass(frozen=True)
@@ -125,10 +121,9 @@ class Saved:
             _set(field, shown[name] if name in shown else shown[same])
         committed.found_slips = Slips(*np.zeros((2, *committed.slid.shape)))
         for k, interface in enumerate(lasting.interfaces):
-            found = self.about["interfaces"][k]
-            _take(lasting, k, interface, found, self.tables.get(name_of(k), {}))
-            if isinstance(interface, Tie):
-                interface.tightening = np.array(self.about["tightening"][k], dtype=float)
+            resultants = self.about["interfaces"][k]
+            _take(lasting, k, interface, resultants, self.tables.get(name_of(k), {}))
+            interface.take_found(self.about["found"][k])
         committed.paired = committed.found_paired = self._paired()
         committed.begun = self.about["begun"]
         committed.level, committed.walked = self.about["level"], self.about["walked"]
@@ -232,19 +227,19 @@ def _check_interfaces(lasting: Lasting, about: About) -> None:
     d, n = lasting.solid.mesh.geometry.dim, len(lasting.interfaces)
     for k, material in enumerate(about["problem"]["materials"]):
         _check_vector(f"problem.materials[{k}].center", material["center"], d)
-    for name, found in (("interfaces", about["interfaces"]), ("tightening", about["tightening"])):
+    for name, found in (("interfaces", about["interfaces"]), ("found", about["found"])):
         if len(found) != n:
             raise ValueError(f"{name} has {len(found)} entries, but there are {n} interfaces")
     for k, interface in enumerate(lasting.interfaces):
-        resultants, tightening = about["interfaces"][k], about["tightening"][k]
+        resultants, saved, present = about["interfaces"][k], about["found"][k], interface.found()
         if resultants is not None:
             for name in RESULTANTS:
                 size = 3 if "moment" in name else d
                 _check_vector(f"interfaces[{k}].{name}", resultants.get(name), size)
-        if isinstance(interface, Tie):
-            _check_vector(f"tightening[{k}]", tightening, d)
-        elif tightening is not None:
-            raise ValueError(f"tightening[{k}] is {tightening}, but {interface} is no tie")
+        if saved.keys() != present.keys():
+            raise ValueError(f"found[{k}] is {saved}, but {interface} finds {[*present]}")
+        for name, value in present.items():
+            _check_vector(f"found[{k}].{name}", saved[name], len(value))
 
 
 def _check_vector(name: str, value: Sequence[float] | None, d: int) -> None:
@@ -266,10 +261,11 @@ def _columns(lasting: Lasting, table: str) -> dict[str, tuple[int, bool]]:
         return {n: (f.function_space.dofmap.bs, n.startswith("shown/")) for n, f in fields}
     (interface,) = (i for k, i in enumerate(lasting.interfaces) if name_of(k) == table)
     columns = {f.name: (f.function_space.dofmap.bs, False) for f in interface.functions}
-    if isinstance(interface, Contact) and interface.sliding is not None:
+    if interface.rough:
         columns |= dict.fromkeys(SLIPS, (1, False))
     columns["near"] = 1, True
-    return columns | {"multiplier": (1 if interface.one_sided else d, False), "carries": (1, False)}
+    components = interface.shown(np.zeros((1, d))).size
+    return columns | {"multiplier": (components, False), "carries": (1, False)}
 
 
 def _check_values(
@@ -302,22 +298,18 @@ def _take(
     values: Mapping[str, Floats],
 ) -> None:
     """Give an interface its results, or take them away; collective."""
-    for function in interface.functions:
-        function.x.array[:] = 0.0
-    if isinstance(interface, Contact):
-        interface.dissipated = 0.0
+    interface.clear()
     committed, ended = lasting.committed, lasting.committed.found_slips
     assert ended is not None
     committed.slid[k], committed.dissipated[k] = 0.0, 0.0
     if resultants is None:
-        interface.resultants = None
         return
     nodes = lasting.system.sides[k].nodes
     multiplier = values["multiplier"]
     vectors: dict[str, Floats] = {name: np.array(resultants[name], float) for name in RESULTANTS}
     interface.resultants = Resultants(
         **vectors,
-        multiplier=multiplier[:, 0] if interface.one_sided else multiplier,
+        multiplier=interface.shown(multiplier),
         nodes=nodes,
         carries=values["carries"][:, 0] > 0.0,
     )
@@ -325,11 +317,11 @@ def _take(
         at_nodes = values[function.name]
         function.x.array.reshape(-1, at_nodes.shape[1])[nodes] = at_nodes
         function.x.scatter_forward()
-    if isinstance(interface, Contact) and interface.sliding is not None:
+    if interface.rough:
         columns = committed.slid[k], committed.dissipated[k], ended.slid[k], ended.dissipated[k]
         for column, name in zip(columns, (*SLIPS, "slip", "energy"), strict=True):
             column[nodes] = values[name][:, 0]
-        interface.dissipated = lasting.comm.allreduce(float(values["energy"].sum()), op=MPI.SUM)
+    interface.sum_up(lasting.comm, nodes)
 
 
 def _set(f: fem.Function, values: Floats) -> None:

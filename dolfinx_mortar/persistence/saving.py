@@ -21,9 +21,7 @@ from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.checkpoint import Table, find_places, write
 from dolfinx_mortar.disk import check_path
-from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.interface import Interface, check_owned
-from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.persistence.identity import describe
 from dolfinx_mortar.persistence.lasting import Lasting
 
@@ -46,10 +44,7 @@ def save(lasting: Lasting, path: str | os.PathLike[str]) -> None:
         "walk": None if committed.walk is None else dataclasses.asdict(committed.walk),
         "steps": [step.as_dict() for step in committed.history],
         "interfaces": results,
-        # found, not given: a step without it would let the bolts go
-        "tightening": [
-            one.tightening.tolist() if isinstance(one, Tie) else None for one in lasting.interfaces
-        ],
+        "found": [interface.found() for interface in lasting.interfaces],
     }
     places = places_of(lasting, [result is not None for result in results])
     values = {NODES: _nodal(lasting), POINTS: _at_points(lasting)}
@@ -116,7 +111,7 @@ def _near(lasting: Lasting, k: int) -> dict[str, Floats]:
 def _slips(lasting: Lasting, k: int) -> dict[str, Floats]:
     """Return what friction has added up at the owned slave nodes, nothing without friction."""
     interface, nodes = lasting.interfaces[k], lasting.system.sides[k].nodes
-    if not (isinstance(interface, Contact) and interface.sliding is not None):
+    if not interface.rough:
         return {}
     columns = lasting.committed.slid[k], lasting.committed.dissipated[k]
     return {name: c[nodes, None] for name, c in zip(SLIPS, columns, strict=True)}

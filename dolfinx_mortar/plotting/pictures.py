@@ -173,7 +173,8 @@ def pressure(
         side = gather_facets(V, one.facet_tags, values, one.slave)
         sides += [] if side is None else [(repr(one), replace(side, x=side.at_nodes[MOVED]))]
     # one title for all sides: the pressure of a contact is a normal traction, too
-    title = "contact pressure" if all(one.one_sided for one in chosen) else "normal traction"
+    titles = {one.pressure_name for one in chosen}
+    title = titles.pop() if len(titles) == 1 else "normal traction"
     return _on_rank_0(
         V.mesh, drawer, lambda on: drawer.draw_pressure(on, sides, over, title), file, view, ax
     )

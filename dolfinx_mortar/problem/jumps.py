@@ -9,14 +9,11 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.interfaces.jump import extended, nodal_function, values_at
-from dolfinx_mortar.interfaces.nodal import check_mesh
+from dolfinx_mortar.interfaces.jump import extended
 from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.interfaces.system import InterfaceSystem
-from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.terms.term import Term
 
 
@@ -35,14 +32,9 @@ def read_jumps(system: InterfaceSystem, empty: PETSc.Vec) -> dict[int, PETSc.Vec
     """
     V, jumps = system.V, {}
     for k, (interface, sides) in enumerate(zip(system.interfaces, system.sides, strict=True)):
-        if not isinstance(interface, Tie):
+        values = interface.jump_at(V, sides.nodes)
+        if values is None:
             continue
-        check_jump_of(interface, V)
-        if interface.jump is None and not interface.tightening.any():
-            continue
-        given = nodal_function(interface.jump, V)
-        with raised_together(V.mesh.comm):
-            values = values_at(given, V, sides.nodes) + interface.tightening
         bad = V.mesh.comm.allreduce(int(np.sum(~np.isfinite(values))), op=MPI.SUM)
         if bad:
             raise ValueError(
@@ -83,16 +75,10 @@ class Pretensions(Term):
             ValueError: on all ranks, if the value of a Constant is NaN or infinite.
         """
         self.forces = {}
-        for k, tie in enumerate(self._system.interfaces):
-            if not isinstance(tie, Tie) or tie.pretension is None:
-                continue
-            given = tie.pretension
-            force = float(given.value if isinstance(given, fem.Constant) else given)
-            if not np.isfinite(force):
-                raise ValueError(
-                    f"pretension of {tie} is {force}: set the Constant to a finite number"
-                )
-            self.forces[k] = force
+        for k, interface in enumerate(self._system.interfaces):
+            force = interface.given_force()
+            if force is not None:
+                self.forces[k] = force
 
     def given(self) -> tuple[tuple[Pretension, float], ...]:
         """Return the unknowns in T with their forces."""
@@ -129,10 +115,8 @@ def tighten(
     found = dict(jumps)
     for pretension in system.pretensions:
         k = pretension.number
-        tie = system.interfaces[k]
-        assert isinstance(tie, Tie)
         way = system.overlap(pretension, u, jumps) * pretension.axis
-        tie.tightening = tie.tightening + way
+        system.interfaces[k].tighten(way)
         found[k] = jumps[k].copy() if k in jumps else 0.0 * u
         found[k].array.reshape(-1, len(way))[system.sides[k].nodes] += way
     return found
@@ -143,9 +127,3 @@ def diagonal(V: fem.FunctionSpace) -> float:
     x = V.tabulate_dof_coordinates()
     ends = maximum(V.mesh.comm, *x.max(axis=0, initial=-np.inf), *(-x).max(axis=0, initial=-np.inf))
     return float(np.linalg.norm(ends[:3] + ends[3:]))
-
-
-def check_jump_of(tie: Tie, V: fem.FunctionSpace) -> None:
-    """Raise a ValueError on all ranks unless a jump is on V's mesh; collective."""
-    with raised_together(V.mesh.comm):
-        check_mesh("jump", tie.jump, V)

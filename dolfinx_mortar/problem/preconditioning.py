@@ -66,7 +66,6 @@ def eliminated_dofs(system: InterfaceSystem, supports: Dirichlet) -> Ints:
     node, component = np.nonzero(supports.owned)
     parts = [d * node + system.slots()[node, component]]
     for link in system.links:
-        if not link.interface.one_sided:
-            k, axis = np.nonzero(link.constrained)
-            parts.append(d * link.nodes[k] + axis)
+        k, axis = np.nonzero(link.equal)
+        parts.append(d * link.nodes[k] + axis)
     return np.unique(np.concatenate(parts)).astype(np.int32)

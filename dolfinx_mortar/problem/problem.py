@@ -23,16 +23,14 @@ from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.audit.audit import Audit, create_audit, find_loose_motions
 from dolfinx_mortar.audit.mesh_audit import check_mesh
-from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.interface import Interface, check_owned
 from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.system import Configuration, InterfaceSystem
-from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.persistence import restoring, saving
 from dolfinx_mortar.persistence.lasting import Committed, Lasting
 from dolfinx_mortar.problem.checks import check_arguments
-from dolfinx_mortar.problem.jumps import Pretensions, check_jump_of, read_jumps
+from dolfinx_mortar.problem.jumps import Pretensions, read_jumps
 from dolfinx_mortar.problem.preconditioning import UnknownsOfBodies
 from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.qp import LinearSolver, check_options
@@ -96,9 +94,6 @@ class ContactProblem:
         with raised_together(solid.V.mesh.comm):  # before one is taken from another problem
             for side in sides:
                 side.check(solid.V)
-        for side in sides:
-            if isinstance(side, Tie):
-                check_jump_of(side, solid.V)
         check_options(solid.V.mesh.comm, petsc_options_prefix, petsc_options)
         self.solid, self.geometry = solid, geometry
         self.timings = Timings()
@@ -128,12 +123,7 @@ class ContactProblem:
                     self.K, self.system, self.supports, replace(self.bodies, motions=motions)
                 ),
             )
-        ties = [
-            (side.on_slave, side.on_master)
-            for side, interface in zip(self.system.sides, sides, strict=True)
-            if not interface.one_sided
-        ]
-        self.tied_groups = find_tied_groups(self.bodies, ties)
+        self.tied_groups = find_tied_groups(self.bodies, self.system.tied)
         self.committed = Committed(
             np.zeros(self.n, dtype=bool),
             self.u.x.array[: self.d * self.n].copy(),
@@ -199,14 +189,14 @@ class ContactProblem:
         return self.system.interfaces
 
     @property
-    def contacts(self) -> list[Contact]:
-        """The unilateral interfaces."""
-        return [i for i in self.interfaces if isinstance(i, Contact)]
+    def contacts(self) -> list[Any]:
+        """The unilateral interfaces: each a `Contact`, or of a kind of the user's."""
+        return self.system.contacts
 
     @property
-    def ties(self) -> list[Tie]:
-        """The tied interfaces."""
-        return [i for i in self.interfaces if isinstance(i, Tie)]
+    def ties(self) -> list[Any]:
+        """The other interfaces: each a `Tie`, or of a kind of the user's."""
+        return self.system.ties
 
     @property
     def configuration(self) -> fem.Function | None:
@@ -279,7 +269,7 @@ class ContactProblem:
         """Return what a step asks for at the present displacement; collective."""
         limits = []
         if self.system.has_friction:
-            limits = [i.limits() if isinstance(i, Contact) else None for i in self.interfaces]
+            limits = [interface.limits() for interface in self.interfaces]
         target = self.supports.values()
         for name, array, remedy in (
             ("bcs", target[self.supports.owned.ravel()], "check the values of the conditions"),

@@ -9,8 +9,8 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum, ratio
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.interfaces.coupling import Link
 from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.motions import along_and_across, relative_motions
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.newton_method.contacts import Contacts
@@ -81,14 +81,13 @@ def create_certificate(
     gap: list[Floats] = [np.zeros(0)]
     multiplier: list[Floats] = [np.zeros(0)]
     nodal = nodal_gaps(links, problem.positions(), problem.n)
-    for link in links:
-        if link.interface.one_sided:
-            on = link.coupling.directions[:, 0]
-            gap.append(nodal[link.nodes[on]])
-            multiplier.append(link.interface.multiplier[on])
+    for link in problem.system.unilateral:
+        on = link.coupling.directions[:, 0]
+        gap.append(nodal[link.nodes[on]])
+        multiplier.append(link.interface.multiplier[on])
     g, p = np.concatenate(gap), np.concatenate(multiplier)
     deepest, tensile, pressure, product = _largest(problem.comm, -g, -p, np.abs(p), np.abs(g * p))
-    errors = [operator_errors(link, length) for link in links] or [(0.0, 0.0)]
+    errors = [operator_errors(link, length) for link in links if link.pairing] or [(0.0, 0.0)]
     force, moment = _balances(problem.interfaces, length)
     kept = [link.coupling.kept.any(axis=1) for link in links]
     covered = [link.coupling.coverage.share for link in links]

@@ -14,8 +14,7 @@ from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces import results
 from dolfinx_mortar.interfaces.constraints import SlipLimits
-from dolfinx_mortar.interfaces.contact import Contact
-from dolfinx_mortar.interfaces.coupling import Link
+from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.motions import relative_motions, slipped
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.mortar.surface import coordinates, sum_at_nodes
@@ -60,13 +59,11 @@ def set_results(
     for k, link in enumerate(problem.system.links):
         frozen = link.interface.configuration(problem.configuration) is None
         on = link.constrained
-        one_sided = link.interface.one_sided
-        active = contacts.active[link.nodes] if one_sided else link.coupling.kept.any(axis=1)
         results.set_results(
             link,
             np.where(on, forces[link.nodes], 0.0),
-            gap[link.nodes] if one_sided else _opened(link, (jumps or {}).get(k)),
-            np.asarray(active & (on.any(axis=1) | (not one_sided))),
+            link.shown_gap(gap, (jumps or {}).get(k)),
+            link.acting(contacts.active),
             problem.X if frozen else moved,  # where the forces act
             growth[k],
         )
@@ -114,7 +111,7 @@ def _set_sliding(
     status[limits.nodes] = np.where(slides, 2.0, acts)
     total = Slips(committed.slid.copy(), committed.dissipated.copy())
     for k, link in enumerate(problem.system.links):
-        if isinstance(link.interface, Contact) and link.interface.sliding is not None:
+        if link.interface.rough:
             nodes, carries = link.nodes, link.constrained[:, 0]
             total.slid[k, nodes] += carries * np.linalg.norm(slip[nodes], axis=1)
             total.dissipated[k, nodes] += carries * energy[nodes]
@@ -125,25 +122,16 @@ def _set_sliding(
     return total
 
 
-def _opened(link: Link, jump: PETSc.Vec | None) -> Floats:
-    """Return how far (n,) a jump opens the sides along their normal."""
-    normals = link.coupling.normals
-    if jump is None:
-        return np.zeros(len(normals))
-    values = jump.array_r.reshape(-1, normals.shape[1])[link.nodes]
-    return np.asarray(-(values * normals).sum(axis=1))
-
-
 def notes_on_sliding(problem: ContactProblem, contacts: Contacts) -> list[str]:
     """Return a note for every contact that has slid too far for frozen geometry; collective."""
     if problem.geometry == "updated":
         return []
     notes, length = [], problem.system.facet_length
-    for link in problem.system.links:
+    for link in problem.system.unilateral:
         slip = slipped(link, problem.vector(problem.u.x.array[: problem.d * problem.n]))
         slip[~contacts.active[link.nodes]] = 0.0
         farthest = float(maximum(problem.comm, slip.max(initial=0.0))[0])
-        if link.interface.one_sided and farthest > length:
+        if farthest > length:
             notes.append(
                 f"{link.interface} has slid {farthest:.3g}, {farthest / length:.1f} facet lengths, "
                 "with frozen geometry, which is for small sliding; choose geometry='updated'"

@@ -18,7 +18,7 @@ from dolfinx_mortar.geometry.facets import (
     facet_normals,
     points_of,
 )
-from dolfinx_mortar.interfaces.coupling import Link
+from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.mortar.curvature_correction import point_heights
 from dolfinx_mortar.mortar.pairing import received_facets
 from dolfinx_mortar.mortar.surface import coordinates, facets_at
@@ -46,10 +46,10 @@ def notes_on_overlaps(links: Sequence[Link], u: fem.Function) -> list[str]:
     The weighted gap of a node is a mean over its facets; a corner between the nodes is not in it.
 
     Args:
-        links: the interfaces, coupled.
+        links: the contacts, coupled.
         u: displacement.
     """
-    return [note for link in links if link.interface.one_sided for note in _note(link, u)]
+    return [note for link in links if link.pairing for note in _note(link, u)]
 
 
 def _note(link: Link, u: fem.Function) -> list[str]:
@@ -73,10 +73,10 @@ def _note(link: Link, u: fem.Function) -> list[str]:
 
 def _sagittas(link: Link, u: fem.Function) -> Floats:
     """Return how far (pairs,) facets of smooth sides stand off, over the finer one; collective."""
-    segments = link.coupling.segments
+    pairing, segments = link.mortar[0], link.mortar[1].segments
     assert link.pattern.smooth is not None
-    heights = point_heights(link.pairing, segments, u, link.pattern.smooth)
-    result = np.zeros(len(link.pairing.pairs))
+    heights = point_heights(pairing, segments, u, link.pattern.smooth)
+    result = np.zeros(len(pairing.pairs))
     np.maximum.at(result, segments.pair, np.abs(heights))
     slave, master = _facets(link, u)
     return result / _finer(link, slave, master)
@@ -84,13 +84,13 @@ def _sagittas(link: Link, u: fem.Function) -> Floats:
 
 def _facets(link: Link, u: fem.Function) -> tuple[Facets, Facets]:
     """Return the facets of the slave and the received ones of the master at X + u; collective."""
-    pairing = link.pairing
+    pairing, _ = link.mortar
     return facets_at(pairing.slave, coordinates(pairing.slave, u)), received_facets(pairing, u)
 
 
 def _finer(link: Link, slave: Facets, master: Facets) -> Floats:
     """Return the length of the smaller facet of each pair (pairs,)."""
-    s, m = link.pairing.pairs.T
+    s, m = link.mortar[0].pairs.T
     return np.minimum(_lengths(slave)[s], _lengths(master)[m])
 
 
@@ -100,7 +100,7 @@ def _find_overlaps(link: Link, u: fem.Function) -> tuple[Floats, Ints, Floats, F
     At the integration points of the segments, at vertices of each side over facets of the other
     where these may lie deeper than `SUNK`, and where edges of both sides cross. Collective.
     """
-    pairing, segments = link.pairing, link.coupling.segments
+    pairing, segments = link.mortar[0], link.mortar[1].segments
     slave, master = _facets(link, u)
     finer, power = _finer(link, slave, master), slave.x.shape[2] - 1
     shared = np.bincount(segments.pair, segments.weight, minlength=len(finer))

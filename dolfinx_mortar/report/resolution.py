@@ -13,7 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from dolfinx_mortar.arrays import Bools, Floats, Longs
-from dolfinx_mortar.interfaces.coupling import Link
+from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.mortar.surface import accumulate, sum_at_nodes
 from dolfinx_mortar.newton_method.contacts import Contacts
 
@@ -31,13 +31,11 @@ def notes_on_few_nodes(links: Sequence[Link], contacts: Contacts) -> list[str]:
     A patch that reaches the ends of its sides is left out: its size is given by the model.
 
     Args:
-        links: the interfaces.
+        links: the contacts.
         contacts: which contacts are closed, and their multipliers.
     """
     notes = []
     for link in links:
-        if not link.interface.one_sided:
-            continue
         count, ends = _peak_patch(link, contacts)
         needed = NODES[link.sides.fixed.shape[1]]
         if 0 < count < needed and ends:
@@ -52,7 +50,7 @@ def notes_on_rims(links: Sequence[Link]) -> list[str]:
     """Return a note for each interface with nodes that lost and regained a multiplier; collective.
 
     They keep it although they are covered less than other nodes have to be
-    (`mortar.operators.STAYS`). Nodes that are well covered again are not noted.
+    (`mortar.integrals.STAYS`). Nodes that are well covered again are not noted.
     """
     notes = []
     for link in links:

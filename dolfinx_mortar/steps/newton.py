@@ -437,9 +437,10 @@ class _Step:
         stiffness[nodes] = iterate.stiffness.array_r[iterate.balance.bounds.dofs]
         found, links = problem.audit().stand_offs, problem.system.links
         report.notes += notes_on_facets(found, links, forces, stiffness)
-        report.notes += notes_on_few_nodes(links, contacts) + notes_on_rims(links)
+        report.notes += notes_on_few_nodes(problem.system.unilateral, contacts)
+        report.notes += notes_on_rims(links)
         if self.overlap == 0.0:  # what is left of an initial overlap lies deep by intention
-            report.notes += notes_on_overlaps(links, problem.u)
+            report.notes += notes_on_overlaps(problem.system.unilateral, problem.u)
         with problem.timings("results"):
             problem.solid.evaluate()
         u = problem.vector(problem.u.x.array[: problem.d * problem.n])

@@ -36,7 +36,7 @@ def check_axis(solid: Solid, supports: Dirichlet, sides: Sequence[Sides]) -> Non
             f"otherwise; prescribe 0 on V.sub({i}) at the nodes with x[{i}] = 0"
         )
     for side in sides:
-        for surface, name in ((side.slave, "slave"), (side.master, "master")):
+        for surface, name in zip(side.surfaces, ("slave", "master"), strict=False):
             flat = axis[surface.nodes[surface.facets]].all(axis=1)
             bad = V.mesh.comm.allreduce(int(np.sum(flat)), op=MPI.SUM)
             if bad:

@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: MIT
+"""Interfaces between two sides of the mesh, which dual mortar operators couple."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dolfinx import fem
+from dolfinx.mesh import MeshTags
+from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.arguments import is_number
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.geometry.segments import Segments
+from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
+from dolfinx_mortar.interfaces.coupling import (
+    Coupling,
+    Pattern,
+    Sides,
+    create_pattern,
+    mark,
+    with_ghosts,
+)
+from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface
+from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides
+from dolfinx_mortar.mortar.edges import edge_normals, find_edges
+from dolfinx_mortar.mortar.integrals import (
+    Coverage,
+    drop_far,
+    find_coverage,
+    find_segments,
+    node_weights,
+)
+from dolfinx_mortar.mortar.operators import SmoothSides, create_operators
+from dolfinx_mortar.mortar.pairing import Pairing, Weight, create_pairing, outside_margin
+from dolfinx_mortar.mortar.surface import accumulate, create_surface, dependent_nodes
+from dolfinx_mortar.tags import check_tag, label, tag_of
+
+SURFACES = ("smooth", "facets")
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Directions at the owned slave nodes, and which of them an interface constrains."""
+
+    R: Floats  # (n, d, d) orthonormal, the columns are the directions
+    slot: Ints  # (n, d) column of R that is a prescribed Cartesian direction, else -1
+    directions: Bools  # (n, d) columns of R that are constrained
+    normals: Floats  # (n, d)
+
+
+class MortarInterface(Interface):
+    """A slave and a master side, marked in facet tags, coupled by D and M.
+
+    Args:
+        facet_tags: facet markers on the mesh of the displacement.
+        slave: tag, or name if the tags have names (see `Tags`), of the side that carries the
+            multipliers and the integration (nonmortar side).
+        master: tag or name of the other side (mortar side).
+        surface: "facets", or "smooth" where they stand for smooth surfaces.
+        feature_angle: degrees between two facets from which on they meet in an edge, which stays
+            one; for smooth surfaces.
+
+    Raises:
+        ValueError: for tags that are none, unknown names, and an unknown surface or angle.
+    """
+
+    def __init__(
+        self,
+        facet_tags: MeshTags,
+        *,
+        slave: int | str,
+        master: int | str,
+        surface: str = "smooth",
+        feature_angle: float = FEATURE_ANGLE,
+    ) -> None:
+        """Keep the description; surfaces are found when a problem takes the interface."""
+        super().__init__(facet_tags, slave=slave)
+        self.master: int = tag_of(facet_tags, master, "master")
+        check_tag("master", self.master)
+        if self.slave == self.master:
+            raise ValueError(
+                f"slave and master are both tag {label(facet_tags, self.slave)}: give two "
+                "different tags"
+            )
+        if not isinstance(surface, str) or surface not in SURFACES:
+            raise ValueError(f"surface is {surface!r}: choose 'smooth' or 'facets'")
+        if not is_number(feature_angle) or not 0.0 < feature_angle <= 180.0:
+            raise ValueError(
+                f"feature_angle is {feature_angle!r}: give degrees, 0 < feature_angle <= 180"
+            )
+        self.smooth, self.feature_angle = surface == "smooth", float(feature_angle)
+
+    def __repr__(self) -> str:
+        """Name the class, the tags, and what is not the default."""
+        said = "" if self.smooth else ", surface='facets'"
+        if self.smooth and self.feature_angle != FEATURE_ANGLE:
+            said = f", feature_angle={self.feature_angle:g}"
+        return f"{super().__repr__()[:-1]}{said})"
+
+    @property
+    def sides(self) -> str:
+        """How messages call the two sides."""
+        return f"{super().sides}, master={label(self.facet_tags, self.master)}"
+
+    def given(self) -> dict[str, Any]:
+        """Return what all ranks have to give the same, by name; see `agreement`."""
+        return super().given() | {
+            "master": self.master,
+            "surface": "smooth" if self.smooth else "facets",
+            "feature_angle": self.feature_angle,
+        }
+
+    # -- what a kind decides ---------------------------------------------------------------------
+
+    def reach(self, sizes: Floats, nearest: float) -> Floats:
+        """Return how far apart (q,) partners may be, where the interface is ``near_only``.
+
+        Args:
+            sizes: (q,) diameter of the larger one of two facets.
+            nearest: least distance between the sides.
+        """
+        raise NotImplementedError
+
+    def may_carry(self, left: Floats, fixed: Bools) -> Bools:
+        """Return (n, c): which nodes may carry a multiplier, for each of c choices of direction.
+
+        Args:
+            left: (n,) length of the unit normals without prescribed directions.
+            fixed: (n, d) directions with Dirichlet data.
+        """
+        raise NotImplementedError
+
+    def frame(self, normals: Floats, kept: Bools, fixed: Bools) -> Frame:
+        """Return the frames for unit normals (n, d), kept nodes (n, c), Dirichlet data (n, d)."""
+        raise NotImplementedError
+
+    def blocks(self, P: Floats, frame: Frame, row: Ints) -> Floats:
+        """Return the entries (e, d, d) of Q for P (e, c) in rows (e,) of the frame."""
+        raise NotImplementedError
+
+    def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:
+        """Return which operators smooth surfaces correct, see `create_operators`."""
+        raise NotImplementedError
+
+    # -- surfaces, pairs, operators --------------------------------------------------------------
+
+    def find_sides(self, V: fem.FunctionSpace, fixed: Bools, weight: Weight | None = None) -> Sides:
+        """Return both surfaces in V, see `Interface.find_sides`; collective."""
+        slave = create_surface(V, self.facet_tags, self.slave, "slave")
+        master = create_surface(V, self.facet_tags, self.master, "master")
+        dependent = dependent_nodes(slave)[: slave.owned]
+        edges = find_edges(slave, self.feature_angle) if self.unilateral else None
+        return Sides(V, slave, master, mark(slave), mark(master), fixed, dependent, edges, weight)
+
+    def pair(
+        self,
+        sides: Sides,
+        u: fem.Function | None,
+        *,
+        again: bool,
+        earlier: tuple[Pairing | None, Pattern] | None = None,
+    ) -> tuple[Pairing, Pattern]:
+        """Pair slave and master facets at X + u, see `Interface.pair`; collective."""
+        assert sides.master is not None
+        known, pattern = (None, None) if earlier is None else earlier
+        options = {"again": again, "weight": sides.weight, "earlier": known}
+        surfaces = sides.slave, sides.master
+        pairing = create_pairing(sides.V, *surfaces, u, moving=u is not None, **options)
+        if known is not None and pattern is not None and pairing.D is known.D:
+            return pairing, pattern
+        smooth = None
+        if self.smooth and not sides.slave.curved:
+            smooth = find_smooth_sides(pairing, sides.fixed, self.feature_angle)
+        split = len(pairing.off_diagonal)
+        return pairing, create_pattern(sides, pairing.row, pairing.column, split, smooth)
+
+    def has_slid(
+        self, sides: Sides, pairing: Pairing | None, u: fem.Function | None, near: Bools | None
+    ) -> bool:
+        """Tell whether the bodies slid out of the margin, see `Interface.has_slid`; collective."""
+        assert pairing is not None
+        if near is None:
+            return outside_margin(pairing, u)
+        marks = np.zeros(sides.n_owned, dtype=bool)
+        marks[sides.nodes] = near
+        slave = sides.slave
+        among = with_ghosts(sides.V, marks)[slave.nodes][slave.facets].any(axis=1)
+        return outside_margin(pairing, u, among)
+
+    def find_partners(self, pairing: Pairing, u: fem.Function | None) -> tuple[Segments, Floats]:
+        """Return the segments that are coupled at X + u, and the slave normals; collective."""
+        segments, normals = find_segments(pairing, u)
+        if self.near_only:
+            segments = drop_far(pairing, segments, u, self.reach)
+        return segments, normals
+
+    def measure_coverage(
+        self, sides: Sides, pairing: Pairing | None, u: fem.Function | None
+    ) -> Coverage:
+        """Return how far the slave nodes face the master at X + u; collective."""
+        assert pairing is not None
+        segments, _ = self.find_partners(pairing, u)
+        return find_coverage(pairing, segments, *node_weights(pairing, segments))
+
+    def couple(
+        self,
+        sides: Sides,
+        pairing: Pairing | None,
+        pattern: Pattern,
+        banned: Bools,
+        u: fem.Function | None,
+        before: Coupling | None = None,
+    ) -> Coupling:
+        """Integrate D and M at X + u on the fixed pattern, see `Interface.couple`; collective."""
+        assert pairing is not None
+        segments, normals = self.find_partners(pairing, u)
+        if sides.edges is not None:
+            normals = edge_normals(pairing, segments, u, normals, sides.edges)
+        nodes, own = sides.slave.nodes, slice(None, sides.slave.owned)
+        free = normals * ~sides.fixed[nodes]
+        left = np.linalg.norm(free, axis=1)
+        allowed = self.may_carry(left, sides.fixed[nodes]) & ~banned[nodes, None]
+        operators = create_operators(
+            pairing,
+            u,
+            segments,
+            normals,
+            allowed,
+            returned=_returned(sides, before),
+            edges=sides.edges,
+            claimed=banned[nodes],
+            **({} if pattern.smooth is None else self.corrections(pattern.smooth)),
+        )
+        kept = operators.kept
+        lost = np.zeros_like(kept) if before is None else before.lost | (before.kept & ~kept)
+        some = (left > ROUND_OFF)[:, None]  # of less only round-off has a direction
+        direction = np.where(some, free / np.maximum(left, TINY)[:, None], 0.0)
+        frame = self.frame(direction[own], kept, sides.fixed[sides.nodes])
+        blocks = self.blocks(operators.P, frame, pattern.row)
+        if operators.motions is not None:
+            blocks[pattern.split :] += operators.motions
+        blocks.flags.writeable = False
+        return Coupling(
+            blocks=blocks,
+            P=operators.P,
+            R=frame.R,
+            slot=frame.slot,
+            directions=frame.directions,
+            kept=kept,
+            weight=operators.weight,
+            normals=frame.normals,
+            heights=operators.heights,
+            coverage=operators.coverage,
+            lost=lost,
+            operators=operators,
+        )
+
+
+def _returned(sides: Sides, before: Coupling | None) -> Bools | None:
+    """Return the local slave nodes (n, c) that have returned; None if none has; collective."""
+    if before is None or not any_rank(sides.V.mesh.comm, before.returned.any())[0]:
+        return None
+    marks = np.zeros((len(sides.slave.nodes), before.returned.shape[1]))
+    marks[: sides.slave.owned] = before.returned
+    return np.asarray(accumulate(sides.slave, marks) > 0)

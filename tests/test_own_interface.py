@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: MIT
+"""A kind of interface that a user writes: nodes against a rigid plane, without a master side."""
+
+from dataclasses import replace
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx_mortar.geometry.facets import tributary_weights
+from dolfinx_mortar.interfaces.constraints import upper_bounds
+from dolfinx_mortar.interfaces.coupling import Coupling
+from dolfinx_mortar.interfaces.frames import normal_frames
+from dolfinx_mortar.interfaces.interface import Interface, full_coverage
+from dolfinx_mortar.mortar.surface import facets_at, sum_at_nodes
+from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
+from tests.pressed_blocks import PressedBlocks, rejected
+
+COMM = MPI.COMM_WORLD
+pytestmark = pytest.mark.mpi
+E = 1000.0
+BAR = dm.Elastic(E, 0.0)
+STEEL = dm.VonMises(E, 0.3, 4.0, 100.0)
+
+
+class Plane(Interface):
+    """Slave nodes stay on the side n.(x - p) >= 0 of a rigid plane."""
+
+    unilateral = True
+    pressure_name = "contact pressure"
+
+    def __init__(self, facet_tags, *, slave, point, normal):
+        """Keep a point of the plane, and its normal towards the body."""
+        super().__init__(facet_tags, slave=slave)
+        self.point, self.normal = np.array(point), np.array(normal) / np.linalg.norm(normal)
+
+    def given(self):
+        return super().given() | {"point": self.point, "normal": self.normal}
+
+    def __repr__(self):
+        """Name what tells it from others."""
+        return f"Plane({self.sides}, point={self.point.tolist()}, normal={self.normal.tolist()})"
+
+    def couple(self, sides, pairing, pattern, banned, u, before=None):
+        slave, nodes = sides.slave, sides.nodes
+        n, d = len(nodes), len(self.normal)
+        areas = tributary_weights(facets_at(slave, slave.X))
+        areas = sum_at_nodes(slave, areas[:, :, None])[: slave.owned, 0]
+        fixed = sides.fixed[nodes]
+        kept = ~banned[nodes] & ~(fixed & (self.normal != 0.0)).any(axis=1)
+        normals = np.where(kept[:, None], -self.normal, 0.0)  # outward, of the body
+        R, slot, directions = normal_frames(normals, kept, fixed)
+        return Coupling(
+            blocks=np.zeros((0, d, d)),
+            P=np.zeros((0, 1)),
+            R=R,
+            slot=slot,
+            directions=directions,
+            kept=kept[:, None],
+            weight=(areas * kept)[:, None],
+            normals=normals,
+            heights=kept * (self.normal @ self.point),  # gap n.(x - p) = -n_j.x - h_j
+            coverage=full_coverage(sides),
+            lost=np.zeros((n, 1), dtype=bool),
+        )
+
+    def constraints(self, nodes, directions, slip, D):
+        return upper_bounds(nodes, directions, slip, D)
+
+
+class Pressed(PressedBlocks):
+    """Two tied blocks, turned by an angle, between a plane and a moved top."""
+
+    def __init__(self, angle=0.0, law=BAR, **options):
+        """Let the plane touch the lower block."""
+        super().__init__(angle=angle, jitter=0.2, **options)
+        c, s = np.cos(angle), np.sin(angle)
+        self.turned = np.array([[c, -s], [s, c]])
+        x0 = self.V.tabulate_dof_coordinates()[:, :2] @ self.turned  # before they were turned
+        lowest = COMM.allreduce(x0[:, 1].min(initial=np.inf), op=MPI.MIN)
+        self.plane = Plane(
+            self.facets, slave=BOTTOM, point=self.turned @ [0.0, lowest], normal=self.turned[:, 1]
+        )
+        self.law = law
+
+    def problem(self, interfaces=None, **options):
+        interfaces = [self.plane, self.tie()] if interfaces is None else interfaces
+        bcs = [self.bc(TOP, self.top)]
+        return super().problem(interfaces, bcs=bcs, law=self.law, **options)
+
+    def tie(self):
+        return dm.Tie(self.facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
+
+    def press(self, depth, along=0.0):
+        self.top.value = self.turned @ [along, -depth]
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4])
+@pytest.mark.parametrize("geometry", ["updated", "reference"])
+def test_uniform_pressure(angle, geometry):
+    """A bar of two blocks of height 1, no Poisson's ratio: p = E depth / 2 everywhere."""
+    case, depth = Pressed(angle), 0.02
+    problem = case.problem(geometry=geometry)
+    case.press(depth)
+    report = dm.newton(problem)
+    p = E * depth / 2.0
+    assert problem.contacts == [case.plane]
+    for interface in problem.interfaces:
+        on = interface.active.x.array > 0.0
+        assert interface.pressure.x.array[on] == pytest.approx(p, rel=1e-9)
+    force = case.plane.force @ case.turned
+    assert force == pytest.approx([0.0, p], abs=1e-10)
+    assert case.plane.master_force == pytest.approx(-case.plane.force, abs=1e-12)
+    support = dm.reaction(problem, TOP, facet_tags=case.facets).force
+    assert support == pytest.approx(-case.plane.force, abs=1e-9)
+    certificate = report.certificate
+    assert max(certificate.gap, certificate.sign, certificate.complementarity) < 1e-12
+    assert certificate.force_balance < 1e-10 and certificate.linear_field_error < 1e-12
+    audit = str(problem.audit())
+    assert repr(case.plane) in audit and "0 master facets" in audit
+
+
+def test_it_opens_and_slides():
+    """Nothing pulls: lifted, the plane has no force and the gap of the motion."""
+    case = Pressed()
+    problem = case.problem()
+    case.press(-0.01, along=0.1)
+    dm.newton(problem)
+    assert case.plane.force == pytest.approx([0.0, 0.0], abs=1e-12)
+    gap = case.plane.gather(problem.u)["gap"]
+    assert gap == pytest.approx(np.full(len(gap), 0.01), rel=1e-10)
+
+
+DEPTHS = {0.25: 0.005, 0.5: 0.01, 0.75: 0.004, 1.0: 0.012}
+
+
+def walk(case, problem, levels, **options):
+    """Press, lift and press again; return the forces."""
+
+    def on_time(level):
+        case.press(DEPTHS[level])
+
+    steps = dm.load_steps(problem, levels, on_time=on_time, **options)
+    return [case.plane.force.copy() for _ in steps]
+
+
+def test_a_plastic_walk_goes_on_from_a_checkpoint(tmp_path):
+    """To the last bit on the same ranks: a restored problem ends where the other one does."""
+    path = COMM.bcast(tmp_path / "state.h5")
+    levels, case = list(DEPTHS), Pressed(law=STEEL)
+    whole = walk(case, case.problem(), levels)
+    case = Pressed(law=STEEL)
+    problem = case.problem()
+    first = walk(case, problem, levels[:2])
+    problem.save(path)
+    case = Pressed(law=STEEL)
+    problem = case.problem()
+    problem.restore(path)
+    rest = walk(case, problem, levels[2:])
+    assert np.array([*first, *rest]) == pytest.approx(np.array(whole), rel=1e-10, abs=1e-12)
+    assert case.plane.multiplier.ndim == 1
+
+
+def test_it_is_written(tmp_path):
+    path = COMM.bcast(tmp_path / "steps.xdmf")
+    case = Pressed()
+    problem = case.problem()
+    case.press(0.02)
+    dm.newton(problem)
+    fields = problem.output_fields()
+    on = fields["status"].x.array > 0.0
+    assert fields["pressure"].x.array[on] == pytest.approx(E * 0.01, rel=1e-10)
+    with dm.Writer(path, problem) as writer:
+        writer.write(1.0)
+    assert path.exists()
+
+
+@pytest.mark.parametrize("name", ["couple", "constraints"])
+def test_a_method_is_missing(name):
+    case = Pressed()
+    kind = type("Half", (Plane,), {name: getattr(Interface, name)})
+    half = kind(case.facets, slave=BOTTOM, point=[0.0, -1.0], normal=[0.0, 1.0])
+    with rejected("interfaces holds Plane(slave=", f"lacks {name}()"):
+        case.problem(interfaces=[half])
+
+
+class Spoilt(Plane):
+    """A plane whose coupling is wrong on one rank, the last one that owns slave nodes."""
+
+    def __init__(self, *arguments, spoil, **options):
+        """Keep what makes a wrong coupling of a right one."""
+        super().__init__(*arguments, **options)
+        self.spoil = spoil
+
+    def couple(self, sides, *parts, **options):
+        found = super().couple(sides, *parts, **options)
+        last = COMM.allreduce(COMM.rank if len(sides.nodes) else -1, op=MPI.MAX)
+        return self.spoil(found) if COMM.rank == last else found
+
+
+def refuse(found):
+    raise KeyError("no plane here")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words", "error"),
+    [
+        (lambda c: replace(c, heights=c.heights + np.nan), ("heights", "NaN"), ValueError),
+        (lambda c: replace(c, heights=np.zeros(99)), ("heights", "(99,)", "must be"), ValueError),
+        (lambda c: None, ("couple() returns a NoneType", "Coupling"), ValueError),
+        (refuse, ("no plane here",), (KeyError, RuntimeError)),
+    ],
+)
+def test_a_wrong_coupling_is_an_error_on_all_ranks(spoil, words, error):
+    case = Pressed()
+    plane = case.plane
+    own = {"slave": BOTTOM, "point": plane.point, "normal": plane.normal, "spoil": spoil}
+    with rejected(*words, error=error):
+        problem = case.problem(interfaces=[Spoilt(case.facets, **own), case.tie()])
+        dm.newton(problem)
