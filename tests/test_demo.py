@@ -101,7 +101,8 @@ def test_demos_run_to_their_pictures(demo, ranks, tmp_path):
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("ranks", [1, 2])
 def test_the_ball_joint_shows_what_facets_do(ranks, tmp_path):
     """On the coarsest mesh: forces twice or three times those of smooth surfaces."""
     done = run("--meshes", "1", "--output", str(tmp_path), demo="ball_joint", ranks=ranks)

@@ -44,6 +44,7 @@ SLOW_ON_TWO = """
 """.split()
 SLOW_ON_THREE = "mortar_3d pretension preload_restart".split()
 QUICK = "mpi and not slow and not serial"
+SLOW = "mpi and not nightly and not serial"
 
 
 def run_on_ranks(ranks: int, selection: str, seconds: float, files: Iterable[str]) -> None:
@@ -85,8 +86,9 @@ def files_on(ranks: int, slow: bool) -> list[str]:
 @pytest.mark.serial
 @pytest.mark.parametrize("ranks", [2, 3])
 @pytest.mark.parametrize("slow", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_quick_tests_on_ranks(ranks: int, slow: bool) -> None:
-    run_on_ranks(ranks, QUICK, 1800.0 if slow else 900.0, files_on(ranks, slow))
+def test_tests_on_ranks(ranks: int, slow: bool) -> None:
+    selection, seconds = (SLOW, 1800.0) if slow else (QUICK, 900.0)
+    run_on_ranks(ranks, selection, seconds, files_on(ranks, slow))
 
 
 @pytest.mark.serial

@@ -254,7 +254,7 @@ def test_little_coverage(slave, cell, degree, covered):
 widths = st.lists(st.floats(0.2, 1.0), min_size=1, max_size=4)
 
 
-@hypothesis.settings(max_examples=15)
+@hypothesis.settings(max_examples=8)
 @hypothesis.given(
     splits=st.tuples(widths, widths, widths, widths),
     sizes=st.tuples(st.floats(0.7, 1.4), st.floats(0.7, 1.4)),
