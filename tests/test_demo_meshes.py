@@ -11,14 +11,10 @@ from demos.ball_joint.ball_in_socket import ball_in_socket
 from demos.shrink_fit.tubes import tubes
 from demos.tied_cylinder.ring_section import ring_section
 from dolfinx import fem
+from tests.integrals import integral
 
 COMM = MPI.COMM_WORLD
 RADII, LENGTH = np.array([1.0, 1.5, 2.5]), 3.0
-
-
-def integral(expression):
-    """Return the integral of a form over all ranks."""
-    return COMM.allreduce(fem.assemble_scalar(fem.form(expression)))
 
 
 @pytest.mark.mpi

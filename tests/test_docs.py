@@ -82,6 +82,7 @@ def test_the_tutorial_runs(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_the_programs_of_the_guide_run(tmp_path, monkeypatch, caplog, capsys):
     """Those of each page after the one of the first page, as its readers paste them."""
     monkeypatch.chdir(tmp_path)
@@ -384,6 +385,7 @@ def test_an_example_is_shown_as_it_is(example, tmp_path):
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_a_notebook_runs(tmp_path, monkeypatch, capsys):
     """That of the benchmark, cell by cell in an empty folder."""
     gallery = tool("gallery")

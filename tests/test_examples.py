@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.test_demo import shown
+
 EXAMPLES = sorted((Path(__file__).parent.parent / "examples").glob("*.py"))
 LINES = 60  # at most
 SAID = {  # what they print, by their last lines
@@ -32,17 +34,27 @@ def test_they_are_short_and_flat(path):
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_they_run(path, ranks, tmp_path):
-    launcher = [] if ranks == 1 else ["mpirun", "-n", str(ranks)]
+def test_they_run(path):
+    folder = shown(path.stem)
+    check(path, folder, (folder / "said.txt").read_text())
+
+
+@pytest.mark.serial
+@pytest.mark.slow
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_they_run_on_two_ranks(path, tmp_path):
     done = subprocess.run(
-        [*launcher, sys.executable, str(path)],
+        ["mpirun", "-n", "2", sys.executable, str(path)],
         cwd=tmp_path,
         capture_output=True,
         text=True,
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert all(words in done.stdout for words in SAID[path.stem])
-    assert (tmp_path / f"{path.stem}.png").stat().st_size > 5000
+    check(path, tmp_path, done.stdout)
+
+
+def check(path, folder, said):
+    assert all(words in said for words in SAID[path.stem])
+    assert (folder / f"{path.stem}.png").stat().st_size > 5000

@@ -37,6 +37,7 @@ def coarse(geometry, slave):
     return case
 
 
+@pytest.mark.slow
 def test_the_forces_of_another_code():
     """Tangential forces to all digits that are known, the stick zone to the node, up to sliding.
 

@@ -81,7 +81,7 @@ def between(slave, shift):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("slave", ["block", "disc"])
+@pytest.mark.parametrize("slave", ["block", pytest.param("disc", marks=pytest.mark.nightly)])
 def test_a_rolling_disc_has_carters_creep(slave):
     """Q comes to Carter's from a push that is too large and from one that is too small."""
     above, below = between(slave, 0.039), between(slave, 0.033)

@@ -85,6 +85,7 @@ def check(rows, h, traction):
     assert np.ptp(left) < 0.02 * half_spaces
 
 
+@pytest.mark.slow
 def test_a_ball_pushed_sideways():
     """Three facets in the radius of the contact."""
     rows = list(pushed_ball(0.25, "block", (0.003, 0.006)))

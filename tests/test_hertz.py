@@ -82,9 +82,8 @@ def test_second_order(geometry, slave, cell):
     assert zigzag(case) < 0.01
 
 
-@pytest.mark.parametrize(
-    "cell", ["triangle", pytest.param("quadrilateral", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
 def test_second_order_in_plastic_flow(cell):
     """Force and peak pressure of d = 0.2, where first order is 0.4 % too stiff."""
     case = create_case(create_mesh("graded", 0.1, cell=cell), slave="disc", degree=2)

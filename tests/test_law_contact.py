@@ -30,7 +30,9 @@ LAWS = {
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in ("mixed", "voce"))) for n in LAWS]
+)
 def test_pressed_blocks(name):
     """The law in one block, elastic in the other: pressed in three steps, and let go."""
     case = PressedBlocks()

@@ -30,6 +30,9 @@ IN_PARTS = 2  # the step that is made in parts, where one part fails on the way
 FAR, ASIDE = (3.0, -0.5), (0.15, -0.03)  # where no step leads, and a try
 
 
+GEOMETRIES = ["updated", pytest.param("reference", marks=pytest.mark.slow)]
+
+
 @dataclass
 class Pile:
     """The problem, and how it is loaded."""
@@ -128,7 +131,7 @@ def test_a_walk_again():
     check(None)
 
 
-@pytest.mark.parametrize("when", [0, 1, 3])
+@pytest.mark.parametrize("when", [0, 3, pytest.param(1, marks=pytest.mark.slow)])
 def test_an_audit(when):
     check(lambda pile, number: print(pile.problem.audit()) if number == when else None)
 
@@ -164,8 +167,8 @@ def test_what_is_written(tmp_path):
     check(look)
 
 
-@pytest.mark.parametrize("geometry", STARTS)
-@pytest.mark.parametrize("max_it", [1, 50])
+@pytest.mark.parametrize("geometry", GEOMETRIES)
+@pytest.mark.parametrize("max_it", [1, pytest.param(50, marks=pytest.mark.slow)])
 def test_a_step_that_fails(geometry, max_it):
     """At its first iteration, or where nothing leads."""
 
@@ -179,7 +182,7 @@ def test_a_step_that_fails(geometry, max_it):
     check(look, geometry)
 
 
-@pytest.mark.parametrize("geometry", STARTS)
+@pytest.mark.parametrize("geometry", GEOMETRIES)
 def test_a_step_that_is_taken_back(geometry):
     """With other options, and to somewhere else; what it shows stays until the next step."""
 
@@ -195,7 +198,7 @@ def test_a_step_that_is_taken_back(geometry):
 
 
 @pytest.mark.parametrize("fresh", [False, True])
-@pytest.mark.parametrize("geometry", STARTS)
+@pytest.mark.parametrize("geometry", GEOMETRIES)
 def test_a_checkpoint_that_is_restored(tmp_path, geometry, fresh):
     """Into the same problem, or into another one."""
     file = COMM.bcast(tmp_path) / "state.h5"

@@ -11,13 +11,10 @@ import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar import meshing
 from dolfinx_mortar.meshing import disc_on_block
+from tests.integrals import integral
 
 COMM = MPI.COMM_WORLD
 CELLS = ["triangle", "quadrilateral"]
-
-
-def integral(form: ufl.Form) -> float:
-    return COMM.allreduce(fem.assemble_scalar(fem.form(form)))
 
 
 def owned_counts(m: meshing.TaggedMesh) -> list[int]:

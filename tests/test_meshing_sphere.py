@@ -12,14 +12,11 @@ from dolfinx import fem
 from dolfinx.mesh import entities_to_geometry
 from dolfinx_mortar import compat, meshing
 from dolfinx_mortar.meshing import ball_on_block
+from tests.integrals import integral
 
 COMM = MPI.COMM_WORLD
 CELLS = ["hexahedron", "tetrahedron"]
 TAGS = (1, 2, 3, 4, 5, 6)
-
-
-def integral(form: ufl.Form) -> float:
-    return COMM.allreduce(fem.assemble_scalar(fem.form(form)))
 
 
 @pytest.mark.parametrize("cell", CELLS)

@@ -194,6 +194,7 @@ def test_multigrid_stays_where_a_factorisation_fails_too(monkeypatch):
     assert "gamg" in dm.newton(problem).linear_solver
 
 
+@pytest.mark.slow
 def test_a_step_that_stalls_asks_for_more_accurate_programs():
     """A soft block that flows: forces that a QP misses move it, otherwise 50 times and more."""
     case = create("friction", 51, "smooth")

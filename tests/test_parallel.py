@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The tests again, on more ranks.
 
-Those marked `mpi` on two or three by default, all of these on two when slow, and all that have not
-one rank only on three at night.
+Those marked `mpi` once for each change: quick files by the default run, the others by the slow one.
+At night, all that have not one rank only run on two and on three.
 """
 
 import os
@@ -24,24 +24,27 @@ LAUNCHER += ("PYTEST_XDIST_",)
 
 
 RANKS = "DOLFINX_MORTAR_TEST_RANKS"
-# By default each file has one number of ranks. On three, where a rank may be in the middle and own
-# nothing: all that is not named here, which is what pairs, sends, and solves. On two: what does to
-# a rank the same for any number. On one: what knows nothing of ranks, as laws and meshes, or stands
-# on what has run on three. The slow run has all on two, the nightly one on three.
+# Each file has one number of ranks. On three, where a rank may be in the middle and own nothing:
+# all that is not named here, which is what pairs, sends, and solves. On two: what does to a rank
+# the same for any number. The slow run has those that know little of ranks, as laws and meshes,
+# stand on what has run by default, or solve many problems: on two, and what pairs in space on
+# three.
 ON_TWO = """
-    agreement arguments audit checkpoint checkpoint_damage checkpoint_edits checkpoint_errors
-    checkpoint_files edges errors failures friction_errors jump jump_errors linear loads
-    looks_change_nothing mesh_audit msh newton output output_resume passing plotting preload
-    problem progress ramp reaction regions results small_strain smooth_contact solid solid_state
-    summary sweep tags terms tie_reach tying written_results
+    agreement arguments audit checkpoint_damage checkpoint_edits checkpoint_errors
+    checkpoint_files errors friction_errors jump_errors loads mesh_audit msh output_resume
+    problem progress ramp regions results solid summary tags terms tie_reach tying written_results
 """.split()
-ON_ONE = """
-    axisymmetric_contact axisymmetric_patch axisymmetry certificate curvature_jumps demo_meshes
-    eigenstrain hardening kinematics law_contact linearisation locking margin measure
-    orthotropic parameters patch_3d plane_stress pointwise preload_direction preload_several
-    qp_descent resolution smooth_3d smooth_second smooth_tie stand_off stress_laws undone user_laws
-    volumetric
+SLOW_ON_TWO = """
+    axisymmetric_contact axisymmetric_patch axisymmetry certificate checkpoint curvature_jumps
+    demo_meshes edges eigenstrain failures hardening jump kinematics law_contact linear
+    linearisation locking looks_change_nothing margin measure newton orthotropic output parameters
+    passing patch_3d plane_stress plotting pointwise preload preload_direction preload_several
+    qp_descent reaction resolution small_strain smooth_3d smooth_contact smooth_second smooth_tie
+    solid_state stand_off stress_laws sweep undone user_laws volumetric
 """.split()
+SLOW_ON_THREE = "mortar_3d pretension preload_restart".split()
+QUICK = "mpi and not slow and not serial"
+SLOW = "mpi and not nightly and not serial"
 
 
 def run_on_ranks(ranks: int, selection: str, seconds: float, files: Iterable[str]) -> None:
@@ -69,28 +72,28 @@ def test_ranks_form_one_job() -> None:
     assert COMM.allreduce(1) == COMM.size
 
 
-def files_on(ranks: int) -> list[str]:
-    """Return the test files that have this number of ranks by default."""
-    one, two = ({f"tests/test_{name}.py" for name in names} for names in (ON_ONE, ON_TWO))
+def files_on(ranks: int, slow: bool) -> list[str]:
+    """Return the test files that have this number of ranks, in the default or in the slow run."""
+    named = [ON_TWO, SLOW_ON_TWO, SLOW_ON_THREE]
+    on_two, slow_on_two, slow_on_three = ({f"tests/test_{n}.py" for n in names} for names in named)
     everything = {str(path.relative_to(ROOT)) for path in ROOT.glob("tests/test_*.py")}
-    assert one | two < everything
-    return sorted(two if ranks == 2 else everything - one - two)
+    rest = everything - on_two - slow_on_two - slow_on_three
+    assert len(rest) + sum(map(len, named)) == len(everything)  # each file once
+    quick = {2: on_two, 3: rest}
+    return sorted({2: slow_on_two, 3: slow_on_three}[ranks] if slow else quick[ranks])
 
 
 @pytest.mark.serial
 @pytest.mark.parametrize("ranks", [2, 3])
-def test_quick_tests_on_ranks(ranks: int) -> None:
-    run_on_ranks(ranks, "mpi and not slow and not serial", 900.0, files_on(ranks))
-
-
-@pytest.mark.serial
-@pytest.mark.slow
-def test_quick_tests_of_all_files_on_two_ranks() -> None:
-    run_on_ranks(2, "mpi and not slow and not serial", 1800.0, ["tests"])
+@pytest.mark.parametrize("slow", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_tests_on_ranks(ranks: int, slow: bool) -> None:
+    selection, seconds = (SLOW, 1800.0) if slow else (QUICK, 900.0)
+    run_on_ranks(ranks, selection, seconds, files_on(ranks, slow))
 
 
 @pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.nightly
-def test_all_tests_on_three_ranks() -> None:
-    run_on_ranks(3, "not slow and not serial", 3600.0, ["tests"])
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_all_tests_on_ranks(ranks: int) -> None:
+    run_on_ranks(ranks, "not slow and not serial", 3600.0, ["tests"])

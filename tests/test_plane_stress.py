@@ -77,7 +77,10 @@ def compare(flat: MaterialPoint, space: MaterialPoint, path: list, scale: float)
     return flowed
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name in ("mixed", "cone"))) for name in LAWS],
+)
 def test_plane_stress_is_the_spatial_law_without_stress_out_of_the_plane(name, rng):
     """On a random path with commits, against a root of the spatial law's sigma_zz."""
     path = np.cumsum([5e-3 * in_plane(rng) for _ in range(8)], axis=0)
@@ -126,7 +129,11 @@ def test_check_accepts_the_laws(name):
     assert report.skew < 1e-12 and report.state_error < 1e-12 and report.changed > 10
 
 
-@pytest.mark.parametrize("law", [dm.Elastic(1000.0, 0.3), TIMBER], ids=["isotropic", "timber"])
+@pytest.mark.parametrize(
+    "law",
+    [pytest.param(dm.Elastic(1000.0, 0.3), marks=pytest.mark.slow), TIMBER],
+    ids=["isotropic", "timber"],
+)
 def test_linear_laws_are_condensed_in_the_compiled_code(law, rng):
     """The same compliance in the plane, no unknown at points, and a constant tangent."""
     report = dm.materials.check(law, plane_stress=True)

@@ -111,7 +111,7 @@ def test_separation_and_contact_again_in_sixty_steps():
 
 
 @pytest.mark.parametrize("slave", ["block", "disc"])
-@pytest.mark.parametrize("depth", [0.1, 0.2, 0.4])
+@pytest.mark.parametrize("depth", [pytest.param(0.1, marks=pytest.mark.slow), 0.2, 0.4])
 def test_newton_iterations(depth, slave):
     """One step on the coarse mesh; frozen geometry is quadratic, updated a little slower."""
     mesh = create_mesh("paper", 0.05)

@@ -65,7 +65,10 @@ def test_the_law_in_numbers_is_the_law_in_ufl(cell, law):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize(("kinematics", "degree"), [("axisymmetric", 1), ("plane_strain", 2)])
+@pytest.mark.parametrize(
+    ("kinematics", "degree"),
+    [("axisymmetric", 1), pytest.param("plane_strain", 2, marks=pytest.mark.slow)],
+)
 def test_on_rings_and_of_second_order(kinematics, degree):
     """The strain around a ring, and the points of quadratic cells, reach the law."""
     domain = create_domain("triangle", 3)
@@ -89,6 +92,7 @@ def test_with_one_dilatation_per_cell(cell, kinematics):
 
 
 @pytest.mark.mpi
+@pytest.mark.slow
 def test_beside_laws_in_ufl_with_parameters_and_eigenstrain():
     """Three laws by tag, a Constant and a Function as parameters, and a thermal strain."""
     domain = create_domain("quadrilateral", 6)
@@ -137,7 +141,7 @@ def test_the_law_is_asked_only_when_something_has_changed():
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("kinematics", [None, "axisymmetric"])
+@pytest.mark.parametrize("kinematics", [None, pytest.param("axisymmetric", marks=pytest.mark.slow)])
 def test_the_volumetric_part_may_be_reduced(kinematics):
     """The law sees the deviator, as one in UFL does, and the mean stress is not counted twice."""
 

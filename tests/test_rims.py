@@ -65,6 +65,7 @@ def test_a_step_remembers_nothing_of_another():
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_a_box_whose_rim_carries_in_turns():
     """With the node its share is .053, without it .042: the geometry had gone to and fro for ever.
 

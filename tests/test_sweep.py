@@ -111,8 +111,9 @@ def test_random_problems(kind):
     ("kind", "seed"),
     [
         *(("hertz", 1), ("pile", 1), ("boxes3", 1), ("ring", 1), ("heated", 3)),
-        *(("second", 1), ("mixed", 1)),
-        *(("friction", 9), ("friction", 10), ("friction", 16), ("friction", 17)),
+        *(pytest.param(kind, 1, marks=pytest.mark.slow) for kind in ("second", "mixed")),
+        pytest.param("friction", 9, marks=pytest.mark.slow),
+        *(("friction", 10), ("friction", 16), ("friction", 17)),
     ],
 )
 def test_some_random_problems(kind, seed):

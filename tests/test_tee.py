@@ -100,10 +100,10 @@ def test_a_coarse_joint(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("friction", ["0", "0.2"])
+@pytest.mark.parametrize("friction", [pytest.param("0", marks=pytest.mark.nightly), "0.2"])
 def test_ranks_agree(friction, tmp_path):
     options = ("--layers", "2", "--steps", "2", "--pull", "0.6", "--friction", friction)
-    found = [rows_of(tmp_path / str(n), *options, ranks=n)[0] for n in (1, 2, 3)]
+    found = [rows_of(tmp_path / str(n), *options, ranks=n)[0] for n in (1, 3)]
     for rows in found:
         check_balance(rows, 30e3)
         for name in ("force", "bolt", "prying", "opening", "plastic_strain"):

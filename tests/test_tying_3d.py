@@ -88,7 +88,11 @@ def test_orders(cell, slave, transform):
 
 
 @pytest.mark.parametrize("slave", ["lower", "upper"])
-@pytest.mark.parametrize("curved", [False, True], ids=["flat", "cylinder"])
+@pytest.mark.parametrize(
+    "curved",
+    [False, pytest.param(True, marks=pytest.mark.slow)],
+    ids=["flat", "cylinder"],
+)
 def test_orders_of_second_order_hexahedra(slave, curved):
     """L2 order 3 and H1 order 2, on flat sides and on isoparametric cells of a cylinder."""
     shape = (to_sector, 2, 2) if curved else (None, 2, 1)

@@ -141,9 +141,9 @@ def text_of(demo: Demo) -> str:
 
 
 def state(files: list[Path], more: str) -> str:
-    """Return a number that changes with files, a text and the library."""
+    """Return a number that changes with files, a text, the library and Python."""
     files = [*files, *sorted((ROOT / "dolfinx_mortar").rglob("*.py"))]
-    text = b"\0".join([*(f.read_bytes() for f in files), more.encode()])
+    text = b"\0".join([*(f.read_bytes() for f in files), (more + sys.version).encode()])
     return hashlib.sha256(text).hexdigest()
 
 
