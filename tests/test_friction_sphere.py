@@ -95,7 +95,7 @@ def test_a_ball_pushed_sideways():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("slave", SIDES)
+@pytest.mark.parametrize("slave", ["block", pytest.param("ball", marks=pytest.mark.nightly)])
 def test_a_ball_pushed_to_and_fro(slave):
     """Six facets in the radius: tractions and energy of a closed loop."""
     rows = list(pushed_ball(0.125, slave, (0.005, -0.005, 0.005)))
