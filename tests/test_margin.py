@@ -10,7 +10,6 @@ import pytest
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.mortar import receivers
 from dolfinx_mortar.mortar.integrals import _best_nodes, find_segments
 from dolfinx_mortar.mortar.pairing import create_pairing, outside_margin
 from dolfinx_mortar.mortar.surface import create_surface
@@ -159,12 +158,21 @@ def test_margin_is_conservative(partition):
 
 
 @CELLS
-@pytest.mark.parametrize("groups", [8, 32])
-def test_groups_of_facets_only_cost(cell, groups, monkeypatch):
+@pytest.mark.parametrize("size", [1, 1000])
+def test_groups_of_facets_only_cost(cell, size, monkeypatch):
     """However many cones tell the others what a rank needs: the same candidates."""
-    expected = candidates(pair_up(cell)[0])
-    monkeypatch.setattr(receivers, "_GROUPS", groups)
-    assert candidates(pair_up(cell)[0]) == expected
+
+    def groups(x):
+        return [np.arange(a, min(a + size, len(x)), dtype=np.int32) for a in range(0, len(x), size)]
+
+    usual = pair_up(cell)[0]
+    facets = len(usual.slave.facets)
+    assert np.array_equal(np.sort(np.concatenate([*usual.groups, []])), np.arange(facets))
+    assert len(usual.groups) <= np.ceil(np.sqrt(facets))
+    monkeypatch.setattr("dolfinx_mortar.mortar.pairing.create_groups", groups)
+    other = pair_up(cell)[0]
+    assert len(other.groups) == -(-facets // size)
+    assert candidates(other) == candidates(usual)
 
 
 def test_equally_covered_nodes_are_chosen_by_place():

@@ -14,8 +14,7 @@ NUMBERS = [
     "BENDS", "BLUR", "EPS", "FACING", "HALF_OF_DIGITS", "JUMP", "LEAST_COVERAGE", "LEAST_WEIGHT",
     "OPEN", "ROUND_OFF", "STAYS", "THROUGH", "TINY", "VERTICES", "area._ACCURACY",
     "area._HIGHEST", "line._FREE", "line._STEPS", "operators._CHUNK", "polynomials._STEPS",
-    "receivers._GROUPS",
-    "search._BRANCHES", "segments._SLIDING", "surface._MOST_WARPED",
+    "segments._SLIDING", "surface._MOST_WARPED",
 ]  # fmt: skip
 # What its cases do not reach is judged with absurd values in test_smooth_3d (BENDS), in
 # test_axisymmetric_patch (LEAST_WEIGHT), and in test_elements (_STEPS of polynomials).

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Broad phase: which facets can lie over each other, at any distance, in n log n.
 
-A projection reaches as far as it must, so the region that belongs to a slave facet is a double
-cone of unbounded length, narrow as a rule. Facets are enclosed by balls in a hierarchy, and each
-cone descends into the balls that it meets. Trees of axis-aligned boxes (those of dolfinx) would
-have to be given boxes around the cones: of bounded length, and fat where the cones are oblique.
+The length of a projection is not bounded, so what a slave facet can be projected on lies in an
+unbounded double cone, as a rule a narrow one. Master facets are enclosed in a hierarchy of balls,
+and each cone is tested from the largest balls down to the smallest. Trees of axis-aligned boxes
+(those of dolfinx) would need bounded boxes around the cones, large ones where these are oblique.
 """
 
 from dataclasses import dataclass
@@ -12,16 +12,14 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.geometry.facets import bounding_balls
 from dolfinx_mortar.geometry.tolerances import EPS, HALF_OF_DIGITS, TINY
-
-_BRANCHES = 8  # balls that are enclosed by a ball of the next level, a power of 2
 
 
 @dataclass(frozen=True, eq=False)
 class Cones:
-    """Regions that the projections of slave facets, or of groups of them, cannot leave.
+    """Regions that contain the projections of slave facets, or of groups of them.
 
     A cone is the set of points p with |lateral part of p - c| <= radius + |axial part| * slope,
     lateral and axial with respect to its axis, on both sides of c.
@@ -68,19 +66,16 @@ def _meets(c, axis, radius, slope, p, rho):  # type: ignore[no-untyped-def]
 def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-untyped-def]
     """Return all pairs (cone, ball of the first level) that can meet.
 
-    Level l has the balls start[l] to start[l + 1]; the ball i of a level encloses the balls
-    i * _BRANCHES ... of the level below.
+    Level l has the balls start[l] to start[l + 1]; ball i of a level encloses the balls 2 i and
+    2 i + 1 of the level below.
     """
     pairs = np.empty((8 * (len(radius) + start[1]) + 64, 2), dtype=np.int32)
     levels = len(start) - 1
-    stack = np.empty((levels * _BRANCHES + start[levels] - start[levels - 1], 2), dtype=np.int32)
+    stack = np.empty((levels + 1, 2), dtype=np.int32)
     p = 0
     for s in range(len(radius)):
         c, a, r, t = centre[s], axis[s], radius[s], slope[s]
-        top = 0
-        for i in range(start[levels] - start[levels - 1]):
-            stack[top, 0], stack[top, 1] = levels - 1, i
-            top += 1
+        stack[0, 0], stack[0, 1], top = levels - 1, 0, 1
         while top > 0:
             top -= 1
             level, k = stack[top, 0], stack[top, 1]
@@ -88,7 +83,7 @@ def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-
                 continue
             if level > 0:
                 size = start[level] - start[level - 1]
-                for j in range(k * _BRANCHES, min((k + 1) * _BRANCHES, size)):
+                for j in range(2 * k, min(2 * k + 2, size)):
                     stack[top, 0], stack[top, 1] = level - 1, j
                     top += 1
                 continue
@@ -102,67 +97,32 @@ def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-
     return pairs[:p]
 
 
-@numba.njit(cache=True)
-def _select(order, value, a, b, middle):  # type: ignore[no-untyped-def]
-    """Reorder order[a:b] so that no value before `middle` is larger than one behind it."""
-    b -= 1
-    while a < b:
-        pivot = value[order[(a + b) // 2]]
-        i, j = a, b
-        while i <= j:
-            while value[order[i]] < pivot:
-                i += 1
-            while value[order[j]] > pivot:
-                j -= 1
-            if i <= j:
-                order[i], order[j] = order[j], order[i]
-                i += 1
-                j -= 1
-        if middle <= j:
-            b = j
-        elif middle >= i:
-            a = i
-        else:
-            return
+def sort_in_space(x: Floats) -> Longs:
+    """Return an order of points x (n, d) in which aligned blocks of 2^j points are compact.
 
-
-@numba.njit(cache=True)
-def _sort_in_space(x):  # type: ignore[no-untyped-def]
-    """Return an order of points x (d, n) in which aligned blocks of 2^j points are compact.
-
-    Ranges are halved across their longest side, again and again. The first half is always a power
-    of two, so that blocks never straddle a cut. Those of scipy's cKDTree do, and the search in its
-    order takes two to six times as long; halving by numpy.argpartition costs up to a third more.
+    Each is half of one twice as long, cut across its longest side. Blocks in the order of scipy's
+    cKDTree or of Morton's curve straddle cuts: the search takes two to four times as long.
     """
-    d, n = x.shape
-    order = np.arange(n)
-    stack = np.empty((64, 2), dtype=np.int64)
-    stack[0, 0], stack[0, 1], top = 0, n, 1
-    while top > 0:
-        top -= 1
-        a, b = stack[top, 0], stack[top, 1]
-        if b - a <= _BRANCHES:
-            continue
-        axis, widest = 0, -1.0
-        for i in range(d):
-            low, high = np.inf, -np.inf
-            for k in range(a, b):
-                low, high = min(low, x[i, order[k]]), max(high, x[i, order[k]])
-            if high - low > widest:
-                axis, widest = i, high - low
-        half = _BRANCHES
-        while 2 * half < b - a:
-            half *= 2
-        _select(order, x[axis], a, b, a + half)
-        stack[top, 0], stack[top, 1] = a, a + half
-        stack[top + 1, 0], stack[top + 1, 1] = a + half, b
-        top += 2
+    order = np.arange(len(x))
+    half = 1
+    while 2 * half < len(x):
+        half *= 2
+    while half > 0:
+        full = len(x) - len(x) % (2 * half)
+        for blocks in (order[:full].reshape(-1, 2 * half), order[None, full:]):  # views
+            if blocks.shape[1] > half:
+                points = x[blocks]
+                widest = np.argmax(np.ptp(points, axis=1), axis=1)[:, None, None]
+                along = np.take_along_axis(points, widest, axis=2)[:, :, 0]
+                halves = np.argpartition(along, half, axis=1)
+                blocks[:] = np.take_along_axis(blocks, halves, axis=1)
+        half //= 2
     return order
 
 
 def _enclose(centre: Floats, radius: Floats) -> tuple[Floats, Floats]:
-    """Return balls (centre, radius) around groups of _BRANCHES successive balls."""
-    first = np.arange(0, len(radius), _BRANCHES)
+    """Return balls (centre, radius) around pairs of successive balls."""
+    first = np.arange(0, len(radius), 2)
     count = np.diff(np.append(first, len(radius)))
     middle = np.add.reduceat(centre, first) / count[:, None]
     reach = np.linalg.norm(centre - np.repeat(middle, count, axis=0), axis=1) + radius
@@ -174,9 +134,9 @@ def find_meeting(cones: Cones, centre: Floats, radius: Floats) -> Ints:
     n = len(radius)
     if len(cones.radius) == 0 or n == 0:
         return np.empty((0, 2), dtype=np.int32)
-    order = _sort_in_space(np.ascontiguousarray(centre.T))  # neighbours in space become neighbours
-    levels = [(np.ascontiguousarray(centre[order]), radius[order])]
-    while len(levels[-1][1]) > _BRANCHES:
+    order = sort_in_space(centre)
+    levels = [(centre[order], radius[order])]
+    while len(levels[-1][1]) > 1:
         levels.append(_enclose(*levels[-1]))
     start = np.cumsum([0] + [len(rho) for _, rho in levels])
     balls, radii = (np.concatenate([level[i] for level in levels]) for i in range(2))

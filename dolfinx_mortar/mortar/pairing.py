@@ -58,7 +58,7 @@ class Pairing:
     master_X: Floats  # (nm, d) their reference coordinates
     deepest: Floats  # (p,) how far behind the slave facet a partner may lie; inf as a rule
     sent: Bools  # (own master facets, ranks): which ranks have received them
-    groups: list[Ints]  # slave facets of this rank in up to _GROUPS groups of neighbours
+    groups: list[Ints]  # slave facets of this rank in groups of neighbours
     scatter: PETSc.Scatter  # from a vector of V to the displacements of master_nodes
     source: PETSc.Vec  # a vector of V: from where `receive` scatters
     received: PETSc.Vec  # (d * nm) on this rank alone: target of the scatter

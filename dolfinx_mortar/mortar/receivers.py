@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Which ranks can need which facets of a surface: each tells the others where its own look to."""
+"""Which ranks can need which facets of a surface.
+
+Each rank sends the others a few cones that contain the projections of its own facets.
+"""
+
+from dataclasses import fields
 
 from mpi4py import MPI
 
@@ -7,24 +12,19 @@ import numpy as np
 
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls
-from dolfinx_mortar.geometry.search import Cones, create_cones, find_meeting
-
-_GROUPS = 16
-"""Cones by which a rank tells the others where it needs facets: message against copies."""
+from dolfinx_mortar.geometry.search import Cones, create_cones, find_meeting, sort_in_space
 
 
 def create_groups(x: Floats) -> list[Ints]:
-    """Divide facets x (m, k, d) into groups of neighbours, by halving along the longest side."""
-    groups: list[Ints] = [np.arange(len(x), dtype=np.int32)]
-    centre = x.mean(axis=1)
-    while len(groups) < _GROUPS and max(map(len, groups)) > 1:
-        halves: list[Ints] = []
-        for group in groups:
-            points = centre[group]
-            axis = np.argmax(np.ptp(points, axis=0)) if len(group) else 0
-            halves += np.array_split(group[np.argsort(points[:, axis], kind="stable")], 2)
-        groups = halves
-    return [group for group in groups if len(group)]
+    """Divide facets x (m, k, d) into groups of neighbours, at most sqrt(m) rounded up.
+
+    Few groups make short messages, small ones send few facets that are not needed.
+    """
+    order = sort_in_space(x.mean(axis=1)).astype(np.int32)
+    size = 1
+    while size**2 < len(x):  # powers of 2: those blocks are compact
+        size *= 2
+    return [order[first : first + size] for first in range(0, len(x), size)]
 
 
 def group_cones(x: Floats, directions: Floats, groups: list[Ints], margin: Floats) -> Cones:
@@ -36,27 +36,16 @@ def group_cones(x: Floats, directions: Floats, groups: list[Ints], margin: Float
         groups: Facets of each group.
         margin: Lateral margin (m,) of the facets.
     """
-    d = x.shape[2]
-    cones = [
-        create_cones(
-            x[group].reshape(1, -1, d),
-            directions[group].reshape(1, -1, d),
-            margin[group].max(keepdims=True),
-        )
-        for group in groups
-    ]
-    if not cones:
-        return Cones(np.empty((0, d)), np.empty((0, d)), np.empty(0), np.empty(0))
-    return Cones(
-        np.concatenate([cone.centre for cone in cones]),
-        np.concatenate([cone.axis for cone in cones]),
-        np.concatenate([cone.radius for cone in cones]),
-        np.concatenate([cone.slope for cone in cones]),
-    )
+    cones = [create_cones(x[:0], directions[:0], margin[:0])]  # there may be no group
+    for group in groups:
+        nodes, normals = (v[group].reshape(1, -1, x.shape[2]) for v in (x, directions))
+        cones.append(create_cones(nodes, normals, margin[group].max(keepdims=True)))
+    names = (field.name for field in fields(Cones))
+    return Cones(*(np.concatenate([getattr(cone, name) for cone in cones]) for name in names))
 
 
 def find_receivers(comm: MPI.Intracomm, cones: Cones, facets: Facets) -> Bools:
-    """Return (own facets, ranks): which ranks, each with its cones, can need them (collective)."""
+    """Return which of the own facets (m, ranks) ranks can need, by their cones (collective)."""
     needed = np.zeros((len(facets.x), comm.size), dtype=bool)
     balls = bounding_balls(facets.x)
     for rank, others in enumerate(comm.allgather(cones)):
