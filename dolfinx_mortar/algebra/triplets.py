@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Matrices assembled from triplets on a fixed pattern, which petsc4py 3.22 does not wrap.
 
-PETSc sorts the triplets once and plans the exchange of off-rank rows; every later assembly is one
+PETSc sorts the triplets and prepares the exchange of off-rank rows once; each later assembly is one
 pass over the values. The sum of repeated entries does not depend on the order of messages.
 """
 
@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from dolfinx_mortar.arrays import Ints, Longs
 
-# Symbols are looked up in the libraries that petsc4py itself is linked with.
+# This also finds the symbols of the libraries that petsc4py is linked with.
 _lib = ctypes.CDLL(PETSc.__file__)
 
 
@@ -30,8 +30,8 @@ def set_pattern(A: PETSc.Mat, rows: npt.ArrayLike, columns: npt.ArrayLike) -> No
 
     Args:
         A: AIJ matrix with sizes and type set.
-        rows: Global row (e,) of each entry; rows of other ranks are welcome.
-        columns: Global column (e,) of each entry.
+        rows: global row (e,) of each entry, of any rank.
+        columns: global column (e,) of each entry.
     """
     i, j = (np.array(v, dtype=PETSc.IntType).ravel() for v in (rows, columns))  # PETSc reorders
     assert i.size == j.size
