@@ -8,7 +8,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx_mortar.algebra.congruence import Congruence
-from dolfinx_mortar.qp import linear as linear_module
+from dolfinx_mortar.qp import MULTIGRID
 from dolfinx_mortar.qp.multigrid import Multigrid
 from tests.ball_case import create_problem
 from tests.sweep.problems import create
@@ -129,7 +129,7 @@ def test_plastic_step_reuses_the_set_up():
 def test_stagnating_solver_is_named(monkeypatch):
     """A preconditioner that does nothing within a few iterations gives an error, not an answer."""
     problem, _ = create_problem(petsc_options={"pc_type": "none"})
-    monkeypatch.setattr(linear_module, "MAX_ITERATIONS", 5)
+    monkeypatch.setitem(MULTIGRID, "ksp_max_it", 5)
     with pytest.raises(dm.NewtonNotConverged, match=r"residual is .* iterations"):
         dm.newton(problem)
     assert np.abs(problem.u.x.array).max(initial=0.0) == 0.0
@@ -141,7 +141,7 @@ def test_stagnating_solver_is_named(monkeypatch):
 @pytest.fixture
 def powerless(monkeypatch):
     """Iterations end after the first one."""
-    monkeypatch.setattr(linear_module, "MAX_ITERATIONS", 1)
+    monkeypatch.setitem(MULTIGRID, "ksp_max_it", 1)
 
 
 @pytest.mark.usefixtures("powerless")

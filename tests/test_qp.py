@@ -24,7 +24,7 @@ from dolfinx_mortar.qp import (
     solve,
     solver,
 )
-from dolfinx_mortar.qp.renewal import REFACTOR_AFTER
+from dolfinx_mortar.qp.preconditioner import RENEWAL_COST
 
 COMM = MPI.COMM_WORLD
 INF = np.inf
@@ -202,7 +202,8 @@ def test_a_neighbouring_active_set_costs_at_most_one_factorisation() -> None:
     assert active_everywhere(second) != active_everywhere(first)
     assert second.factorisations <= 1
     cold = solve(qp)
-    costs = [q.linear_iterations + REFACTOR_AFTER * q.factorisations for q in (second, cold)]
+    each = RENEWAL_COST["direct"]
+    costs = [q.linear_iterations + each * q.factorisations for q in (second, cold)]
     assert costs[0] < costs[1]
 
 
@@ -254,7 +255,7 @@ def test_data_without_a_solution(name: str) -> None:
             qp.lower.array[row] = PETSc.INFINITY
             qp.upper.array[row] = PETSc.INFINITY
     message = {"lower": "lower > upper", "nan bound": "NaN", "sign of infinity": "wrong sign"}.get(
-        name, f"The {name}"
+        name, f"used: {name}"
     )
     with pytest.raises(ValueError, match=message):
         solve(qp)

@@ -12,10 +12,9 @@ import pytest
 from programs import from_arrays, gathered
 from test_qp_friction import EXACT, INF, SELF, Problem, law_holds
 
-from dolfinx_mortar.qp import BoundQP, Friction, LinearSolver, active_set, held, solve
+from dolfinx_mortar.qp import BoundQP, Friction, LinearSolver, active_set, solve
 from dolfinx_mortar.qp.descent import descend, most_solves
-from dolfinx_mortar.qp.held import PATIENCE, HeldProblem, State
-from dolfinx_mortar.qp.updates import TIGHT
+from dolfinx_mortar.qp.held import HeldProblem, State
 
 FORCE = 0.01
 
@@ -113,25 +112,3 @@ def test_a_descent_is_given_up_after_its_most_solves(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("dolfinx_mortar.qp.descent.most_solves", lambda _: 2)
     outcome = descend(attached(p.qp(), 1e-12), start)
     assert outcome.reason == "friction still changed after 2 solves" and outcome.updates == 2
-
-
-def test_wandering_is_noticed() -> None:
-    """After PATIENCE solves that come no nearer; smaller steps may take longer."""
-    p = Problem(4, 4, 1)
-    problem = attached(p.qp(), 1e-10)
-    wrong = State.create(p.qp(), np.zeros(4, dtype=np.int8))
-    for share, late in ((0.0, True), (1.0, False)):
-        found = [problem.hold(wrong, TIGHT, share).hopeless for _ in range(PATIENCE + 1)]
-        assert found == [False] * PATIENCE + [late]
-        problem = attached(p.qp(), 1e-10)
-
-
-@pytest.mark.parametrize("patience", [0, 10**6])
-def test_patience_decides_costs_only(monkeypatch: pytest.MonkeyPatch, patience: int) -> None:
-    """None at all, or all of the rounds: another number of solves, the same answer."""
-    p = Problem(7, 12, 1, mu=0.8, coupling=10.0)
-    expected = solve(p.qp(), rtol=1e-12)
-    monkeypatch.setattr(held, "PATIENCE", patience)
-    solution = solve(p.qp(), rtol=1e-12)
-    np.testing.assert_allclose(solution.x.array_r, expected.x.array_r, atol=EXACT)
-    assert (solution.linearisation == active_set.GIVEN) == (patience == 0)

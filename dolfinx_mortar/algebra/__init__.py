@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Matrices and reductions that PETSc and mpi4py do not offer in the form we need.
+"""Matrices and reductions over ranks that PETSc and mpi4py do not offer.
 
-Triplets on a fixed pattern, d x d blocks between nodes, reductions of small arrays over the ranks.
-Knows nothing of finite elements: rows, columns and values only.
+Triplets on a fixed pattern, d x d blocks between nodes, congruence transformations, reductions of
+small arrays, errors raised on all ranks; without finite elements.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Matrices of d x d blocks between nodes, at fixed places in the rows of this rank."""
+"""Matrices of d x d blocks between nodes, on a fixed pattern."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ class Layout(Protocol):
 
 
 class BlockMatrix:
-    """AIJ matrix with d rows per node; the pattern is found per node, not per entry (collective).
+    """AIJ matrix of d x d blocks; its pattern is that of the blocks (collective).
 
-    Scipy's BSR brings the blocks to their rows; PETSc's own block format has no product with AIJ.
+    Scipy's BSR format sorts the blocks; PETSc's block format has no product with AIJ matrices.
 
     Args:
         comm: communicator.
         layout: how the nodes are divided among its ranks.
         d: rows and columns of a block.
         rows: owned node (p,) of each block, local number.
-        columns: node (p,) of each block, global number; places may repeat, values then add up.
+        columns: node (p,) of each block, global number; repeated blocks are added.
 
     Attributes:
-        matrix: the PETSc matrix, of the blocks that were filled in last; zero at first.
+        matrix: the PETSc matrix of the last blocks; zero at first.
     """
 
     def __init__(
@@ -73,9 +73,9 @@ class BlockMatrix:
         )
 
     def of(self, blocks: Floats) -> PETSc.Mat:
-        """Return the matrix of the blocks (p, d, d), which are those of one array (collective).
+        """Return the matrix of the blocks (p, d, d), refilled unless they are the last array.
 
-        Whoever has filled in others meanwhile does not matter; an array that is changed does.
+        The array must not be changed in place; collective.
         """
         if self._filled is not blocks:
             self.fill(blocks)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""(I + C)^T K (I + C) for C with few rows: as a matrix, and as an operator that is never formed."""
+"""(I + C)^T K (I + C) for C with few rows: as a matrix, and as an operator without a matrix."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dolfinx_mortar.arrays import Ints
 class Congruence:
     """(I + C)^T K (I + C) = K + K C + (K C)^T + C^T K C of a symmetric K, on a fixed pattern.
 
-    C has few rows, so that all but K itself is small. PETSc's product of three matrices takes three
+    C has few rows, so that all terms but K are small. PETSc's product of three matrices takes three
     to five times as long and more memory (measured at 39k unknowns in 3D, 1 and 2 ranks).
     """
 
@@ -25,7 +25,7 @@ class Congruence:
         self.KC = K.matMult(C)
         self.CtKC = self.Ct.matMult(self.KC)
         self.product = self.KC.duplicate(copy=True)
-        for part in (self.KC.transpose(PETSc.Mat()), self.CtKC, K):  # K last: copied once
+        for part in (self.KC.transpose(PETSc.Mat()), self.CtKC, K):  # K last: one copy
             self.product.axpy(1.0, part, other)
 
     def update(self, K: PETSc.Mat, C: PETSc.Mat) -> None:
@@ -35,13 +35,18 @@ class Congruence:
         KCt = self.KC.transpose(PETSc.Mat())
         self.Ct.matMult(self.KC, result=self.CtKC)
         self.product.zeroEntries()
-        for part in (self.KC, KCt, self.CtKC, K):  # in the order of a new one: the same round-off
+        for part in (
+            self.KC,
+            KCt,
+            self.CtKC,
+            K,
+        ):  # in the order of a new product: the same round-off
             self.product.axpy(1.0, part, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
         KCt.destroy()
 
 
 def decouple(matrix: PETSc.Mat, rows: Ints) -> None:
-    """Replace owned rows and their columns by those of an identity, scaled like the matrix."""
+    """Replace owned rows and their columns by those of the identity times the mean diagonal."""
     diagonal = matrix.getDiagonal()
     numbers = (rows + matrix.getOwnershipRange()[0]).astype(PETSc.IntType)
     matrix.zeroRowsColumns(numbers, diag=diagonal.sum() / diagonal.getSize())
@@ -50,16 +55,16 @@ def decouple(matrix: PETSc.Mat, rows: Ints) -> None:
 class CongruentOperator:
     """(I + C)^T K (I + C), decoupled at some unknowns, for changing K, C and unknowns.
 
-    With contact in 3D the matrix would have 2.3 times the entries of K and lose the equal rows of a
-    node, which make products fast: one takes 5 times as long as with K (22 thousand unknowns);
-    C costs a tenth of K.
+    With contact in 3D the matrix would have 2.3 times the entries of K, and no equal patterns of the
+    rows of a node, which make products fast: one takes 5 times as long as with K (22 thousand
+    unknowns), that with C a tenth of it.
 
     Attributes:
         matrix: a PETSc Mat of type python; its copy is an explicit matrix.
     """
 
     def __init__(self, K: PETSc.Mat) -> None:
-        """Begin with C = 0 and nothing decoupled."""
+        """Start with C = 0 and nothing decoupled."""
         self._product = _Product(K)
         self.matrix = PETSc.Mat().createPython(K.getSizes(), self._product, comm=K.comm)
         self.matrix.setUp()
@@ -85,7 +90,7 @@ class CongruentOperator:
         return self._product.scale
 
     def follow(self, C: PETSc.Mat | None, decoupled: Ints) -> None:
-        """Take over C (None for 0), decoupled owned unknowns, and the values of K; collective."""
+        """Set C (None for 0) and the decoupled owned unknowns; read the values of K; collective."""
         self._product.follow(C, decoupled)
         self.matrix.stateIncrease()
 
@@ -95,7 +100,7 @@ class CongruentOperator:
 
 
 class _Product:
-    """Context of the operator's Mat, which must not know that Mat: PETSc could not free the two."""
+    """Context of the operator's Mat, without a reference to it: PETSc could not free a cycle."""
 
     def __init__(self, K: PETSc.Mat) -> None:
         self.K = K

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Errors of some ranks, raised on all of them: otherwise the others would wait for ever."""
+"""Errors of some ranks, raised on all of them, so that no rank waits for another one for ever."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from mpi4py import MPI
 def raised_together(comm: MPI.Comm) -> Iterator[None]:
     """Run a block without collective calls; if it fails on some ranks, raise on all; collective.
 
-    A rank that failed raises its own error. The others raise one with its text and its rank: an
-    OSError for an OSError, a ValueError for a ValueError, otherwise a RuntimeError. They end as
-    that rank does where its block asks for that, with a KeyboardInterrupt or a SystemExit.
+    A rank that failed raises its own error. The others raise an error with its text and rank: an
+    OSError for an OSError, a ValueError for a ValueError, otherwise a RuntimeError. A
+    KeyboardInterrupt or SystemExit of one rank is raised on all.
 
     >>> with raised_together(MPI.COMM_SELF):
     ...     raise ValueError("E is -1")
@@ -31,7 +31,7 @@ def raised_together(comm: MPI.Comm) -> Iterator[None]:
 
 
 def raise_together(comm: MPI.Comm, own: BaseException | None) -> None:
-    """Raise an error that this rank has, or that another one has; collective.
+    """Raise the error of this rank, or of another one; collective.
 
     Args:
         comm: communicator.
@@ -42,8 +42,7 @@ def raise_together(comm: MPI.Comm, own: BaseException | None) -> None:
         raise own
     for rank, other in enumerate(found):
         if other is not None:
-            kind, told = other
-            # the status of a program that ends is no text
+            kind, told = other  # a text, or the exit status of a program
             raise _KINDS[kind](f"{told} (on rank {rank})" if isinstance(told, str) else told)
 
 
@@ -51,7 +50,7 @@ _KINDS = (OSError, ValueError, KeyboardInterrupt, SystemExit, RuntimeError)
 
 
 def _kind_and_text(error: BaseException) -> tuple[int, str | int]:
-    """Return the index of the kind that other ranks raise, and the text or the exit status."""
+    """Return the index in _KINDS of what other ranks raise, and the text or the exit status."""
     for index, kind in enumerate(_KINDS):
         if isinstance(error, kind):
             if isinstance(error, SystemExit) and not isinstance(error.code, str):

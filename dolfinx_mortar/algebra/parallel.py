@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Entry-wise reductions of small arrays over the ranks, and what else all ranks do together.
+"""Entry-wise reductions of small arrays over the ranks.
 
-Mpi4py's lower-case ``allreduce`` compares whole objects, which arrays refuse.
+Mpi4py's lower-case ``allreduce`` has no MAX of arrays, as it compares whole objects.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def norm(comm: MPI.Comm, *parts: Floats) -> float:
 
 
 def ratio(value: float | np.floating[Any], scale: float | np.floating[Any]) -> float:
-    """Return value / scale, where 0 / 0 is 0: nothing is no larger than nothing.
+    """Return value / scale, with 0 / 0 = 0.
 
     >>> ratio(1.0, 2.0), ratio(-0.0, 0.0), ratio(1.0, 0.0)
     (0.5, 0.0, inf)
@@ -54,9 +54,9 @@ def any_rank(comm: MPI.Comm, *flags: bool | np.bool_) -> Bools:
 
 
 def free_unused(comm: MPI.Comm) -> None:
-    """Free PETSc objects that Python has let go; collective.
+    """Free PETSc objects without references; collective.
 
-    On several ranks petsc4py only lists them, because the ranks' garbage collectors do not run at
-    the same time; without this call they pile up.
+    On several ranks petsc4py only lists them, because Python's garbage collectors run at different
+    times on the ranks.
     """
     PETSc.garbage_cleanup(comm)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Bound-constrained quadratic programs: their data, the backends, one check that judges them all.
+"""Bound-constrained quadratic programs: data, backends, and one check of their solutions.
 
-For the convex problem min 1/2 x'Ax - b'x over lower <= x <= upper, and the linear systems inside.
-Knows matrices, vectors and options of PETSc; must not know meshes, forms or contact.
+For min 1/2 x'Ax - b'x over lower <= x <= upper, with friction, and the linear systems inside.
+Uses PETSc matrices, vectors and options; imports nothing of meshes, forms or contact.
 """
 
 from dolfinx_mortar.qp.bound_qp import KKT, BoundQP, QPNotSolved, QPSolution, UnusableQP, check

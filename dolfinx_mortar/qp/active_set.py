@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Primal-dual active set: semi-smooth Newton on z = max(0, z + c (x - upper)) and its mirror image.
+"""Primal-dual active set: semi-smooth Newton on z = max(0, z + c (x - upper)), and on lower bounds.
 
-With friction on z_t = q min(1, s / |q|) as well, linearised exactly (`qp.friction`).
+With friction also on z_t = q min(1, s / |q|), see `qp.friction`.
 
-Where the bounded unknowns are few, `condensed` guesses the set first, and the updates only check
-it. Without friction and with a definite matrix, a cycle, and a set that leaves a body free, are
-handed to the interior point.
+If there are few bounded unknowns, the `condensed` QP predicts the active set, and the updates check
+it. Without friction and with a definite matrix, the interior point takes over after a cycle, and
+after a set that leaves a body unconstrained.
 """
 
 from dataclasses import replace
@@ -22,10 +22,7 @@ from dolfinx_mortar.qp.held import HeldProblem, State
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
 from dolfinx_mortar.qp.updates import LIMIT, LOOSE, TIGHT, Outcome, update
 
-# Of the largest error, from which on nodes with friction change sides: all of them, those half as
-# bad as the worst, the worst alone. Tried one after the other.
-SHARES = (0.0, 0.5, 1.0)
-# How friction was linearised: limits follow the pressure of the solution, or of the one before it
+# How friction was linearised: limits of the pressure of the solution, or of a solution before it
 EXACT, GIVEN = "exact linearisation", "given limits"
 
 
@@ -37,17 +34,17 @@ def solve(
     Args:
         qp: the problem.
         linear: linear solver, attached to qp.A.
-        start: first active set, and how closed nodes slip.
-        changes: bounded unknowns in which the solution is expected to differ from the first set,
-            None if that may be any number. Each may cost an iteration; more of them than a
-            factorisation is worth are better guessed by `condensed`. Were all guessed, plastic
-            steps of benchmarks/hertz_2d.py with 50 thousand unknowns would take 45 solves and 10
-            factorisations instead of 40 and 6.
+        start: initial active set and directions of slip.
+        changes: bounded unknowns in which the solution is expected to differ from the initial set;
+            None for any number. Each may cost an iteration. If they cost more than a factorisation,
+            the condensed QP predicts the set: always to predict it would take plastic steps of
+            benchmarks/hertz_2d.py with 50 thousand unknowns 45 solves and 10 factorisations instead
+            of 40 and 6.
         rtol: tolerance of the check.
 
     Returns:
-        The solution; its active set is one that solved the linear system, so that weakly active
-        unknowns may be on either side.
+        The solution; its active set is that of the last linear system, in which weakly active
+        unknowns may be in either state.
 
     Raises:
         QPNotSolved: if the interior point, called after a cycle or a failed solve, fails too.
@@ -71,16 +68,26 @@ def solve(
         reason = outcome.reason
     except LinearSolveFailed as error:
         reason = f"an active set could not be solved ({error})"
-    return _hand_over(qp, linear, rtol, reason)
+    if not qp.definite:
+        raise QPNotSolved(f"Active set: {reason}. The matrix is not said to be definite.")
+    try:
+        solution = interior_point.solve(qp, linear, rtol=rtol)
+    except (LinearSolveFailed, PETSc.Error, np.linalg.LinAlgError) as error:
+        raise QPNotSolved(
+            f"Active set: {reason}. The interior point failed as well ({error}). "
+            "Most often a body is unconstrained: add a support or a load that closes the contact."
+        ) from error
+    note = f"handed to the interior point: {reason}. {solution.note}".strip()
+    return replace(solution, note=note)
 
 
 def _solve_frictional(
     qp: BoundQP, linear: LinearSolver, x: PETSc.Vec, start: State, rtol: float
 ) -> QPSolution:
-    """Solve with friction: exactly linearised, or else for given limits again and again.
+    """Solve with friction: by consistent linearisation, or else by iteration over given limits.
 
     Raises:
-        QPNotSolved: if that fails, too.
+        QPNotSolved: if neither converges.
     """
     problem = HeldProblem(qp, linear, x, rtol)
     outcome = _update_frictional(problem, start, LOOSE)
@@ -96,7 +103,7 @@ def _solve_frictional(
 
 
 def _solve_given(problem: HeldProblem, state: State) -> QPSolution | None:
-    """Solve for the limits of the last solution until they are its own; None if it does not end."""
+    """Solve for the friction limits of the last solution until they agree; None if they do not."""
     qp, law = problem.qp, problem.qp.friction
     assert law is not None
     problem.solve(state, TIGHT)
@@ -117,17 +124,17 @@ def _solve_given(problem: HeldProblem, state: State) -> QPSolution | None:
 
 
 def _update_frictional(problem: HeldProblem, start: State, level: int) -> Outcome[State]:
-    """Update until a state stays: at first all nodes change sides at once, then only the worst.
+    """Update the state of all nodes at once, then only of those with the largest error.
 
-    All at once, they may go in circles, or let go of a body that only some of them hold. Against
-    circles there is a descent in the plane, which is sure to end.
+    All at once, states may cycle, or leave a body unconstrained that few nodes hold. In the plane
+    the descent, which always ends, is used against cycles instead.
     """
     outcome, first = Outcome(start, 0, "not tried"), start
     law = problem.qp.friction
     assert law is not None
-    for share in SHARES:
+    for worst in (False, True):
         try:
-            hold = partial(problem.hold, share=share)
+            hold = partial(problem.hold, worst=worst)
             outcome = update(hold, first, problem.qp.comm, level=level)
             if not outcome.reason or law.plane:
                 return outcome
@@ -138,18 +145,3 @@ def _update_frictional(problem: HeldProblem, start: State, level: int) -> Outcom
             problem.forget()
         level = TIGHT
     return outcome
-
-
-def _hand_over(qp: BoundQP, linear: LinearSolver, rtol: float, reason: str) -> QPSolution:
-    """Let the interior point finish, and say so."""
-    if not qp.definite:
-        raise QPNotSolved(f"Active set: {reason}. The matrix is not said to be definite.")
-    try:
-        solution = interior_point.solve(qp, linear, rtol=rtol)
-    except (LinearSolveFailed, PETSc.Error, np.linalg.LinAlgError) as error:
-        raise QPNotSolved(
-            f"Active set: {reason}. The interior point failed as well ({error}). "
-            "Most often a body can float away: add a support or a load that closes the contact."
-        ) from error
-    note = f"handed to the interior point: {reason}. {solution.note}".strip()
-    return replace(solution, note=note)

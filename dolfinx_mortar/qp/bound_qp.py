@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A quadratic program with bounds, and friction, its solution, and the check that judges it."""
+"""Quadratic program with bounds and friction: its data, its solution, the check of optimality."""
 
 from dataclasses import dataclass, fields
 
@@ -8,13 +8,9 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.parallel import maximum, ratio
-from dolfinx_mortar.arrays import Actives, Bools, Floats, Ints
+from dolfinx_mortar.algebra.parallel import any_rank, maximum, ratio
+from dolfinx_mortar.arrays import ROUND_OFF, Actives, Bools, Floats, Ints
 from dolfinx_mortar.qp.friction import Friction, Sliders
-
-EPS = float(np.finfo(np.float64).eps)
-# Round-off of A x, in units of eps |diag(A) x|: rows of a stiffness have 10 to 100 entries.
-ROUND_OFF = 16.0
 
 
 @dataclass(frozen=True)
@@ -23,9 +19,9 @@ class BoundQP:
 
     The Lagrange multiplier of the bounds, or reaction, is z = b - A x: z >= 0 at an active upper
     bound, z <= 0 at an active lower bound and z = 0 at a free unknown. With friction it has
-    tangential parts, see `qp.friction`; with limits that follow the pressure it is no minimisation
-    any more, nor is it if A is not definite: then these conditions are all that is asked for, and
-    they may have several solutions or none.
+    tangential components, see `qp.friction`. If friction limits depend on the pressure, or if A is
+    indefinite, there is no minimum: a solution is what satisfies these conditions, of which there
+    may be several or none.
     """
 
     A: PETSc.Mat  # (n, n)
@@ -34,9 +30,8 @@ class BoundQP:
     upper: PETSc.Vec  # (n,) PETSC_INFINITY where there is none
     bounded: Ints  # (k,) owned local indices of unknowns with a finite bound
     friction: Friction | None = None  # on all ranks or on none
-    # Whether A is symmetric, and positive definite on the unknowns that no bound can hold. Who
-    # relies on it asks here: Cholesky and conjugate gradients instead of LU and GMRES, the guess
-    # of the active set, the interior point, descents of the energy.
+    # Whether A is symmetric, and positive definite on the unknowns without bounds: required by
+    # Cholesky and conjugate gradients, the condensed QP, the interior point, energy descent.
     definite: bool = True
 
     @property
@@ -53,7 +48,7 @@ class BoundQP:
         return lower, upper
 
     def stiffness(self) -> Floats:
-        """Return |diag(A)| (n,), which makes a distance a force; no entry is 0 (collective)."""
+        """Return |diag(A)| (n,), which scales distances to forces; no entry is 0 (collective)."""
         diagonal = self.A.getDiagonal()
         if not self.definite:
             diagonal.abs()
@@ -64,19 +59,19 @@ class BoundQP:
 
 @dataclass(frozen=True)
 class Bounded:
-    """A candidate on the bounded unknowns."""
+    """Primal-dual iterate (x, z) on the bounded unknowns."""
 
     x: Floats  # (k,)
     z: Floats  # (k,) reaction b - A x
     lower: Floats  # (k,) -inf where there is none
     upper: Floats  # (k,) inf where there is none
-    stiffness: Floats  # (k,) |diag(A)|, which makes a distance a force
+    stiffness: Floats  # (k,) c = |diag(A)|, which scales distances to forces
 
     def predicted(self) -> Actives:
-        """Return the active set that the candidate says comes next.
+        """Return the next active set of the primal-dual active-set method.
 
         An unknown is at its upper bound if z + c (x - upper) > 0 and at its lower bound if
-        z + c (x - lower) < 0, with c = |diag(A)|, which makes both terms forces of one size.
+        z + c (x - lower) < 0, with c = |diag(A)|.
 
         >>> one = np.ones(3)
         >>> Bounded(np.array([0.5, 1.0, 2.0]), 0 * one, -one, one, one).predicted().tolist()
@@ -88,15 +83,15 @@ class Bounded:
         return active
 
     def strong(self, active: Actives, new: Actives, atol: float) -> Bools:
-        """Tell which unknowns differ between two sets by more than the accuracy of the forces.
+        """Tell which unknowns differ between two sets and are not weakly active.
 
         An unknown is weakly active if its reaction and its distance to the bound, times the
-        stiffness, are together below that accuracy: then either side is right.
+        stiffness, are together at most atol: then either state is correct.
         """
         return np.asarray(self.strength(active, new) > atol)
 
     def strength(self, active: Actives, new: Actives) -> Floats:
-        """Return the forces by which unknowns differ between two sets, 0 where they do not."""
+        """Return |z| + c |x - bound| of unknowns that differ between two sets, 0 at others."""
         side = np.where((active > 0) | (new > 0), self.upper, self.lower)
         side = np.where(np.isfinite(side), side, self.x)
         strength = np.abs(self.z) + self.stiffness * np.abs(self.x - side)
@@ -107,26 +102,24 @@ class Bounded:
 class KKT:
     """Residuals of the optimality conditions, each relative to its own scale.
 
-    Forces are measured by |b| + |z on bounded unknowns|, lengths by max |x|, so that no value
-    depends on the units. `force_floor` and `length_floor` are the round-off in the same measure.
+    The scale of forces is |b| + |z on bounded unknowns|, that of lengths max |x|, so that no value
+    depends on the units. `force_floor` and `length_floor` are the round-off over these scales.
     """
 
     stationarity: float  # |z| over free unknowns
     feasibility: float  # largest violation of a bound
-    sign: float  # largest reaction that pulls instead of pushes
-    complementarity: float  # largest min(|reaction|, distance to the bound that it belongs to)
+    sign: float  # largest reaction of the wrong sign
+    complementarity: float  # largest min(|reaction|, distance to its bound)
     force_floor: float
     length_floor: float
     unsolved: float = 0.0  # |z| over free unknowns, a force
-    friction: float = 0.0  # what tangential reactions miss of the law
+    friction: float = 0.0  # error of the tangential reactions in the law of friction
 
     def satisfied(self, rtol: float) -> bool:
         """Tell whether every residual is below rtol or below its round-off floor."""
         force, length = max(rtol, self.force_floor), max(rtol, self.length_floor)
         return bool(
-            self.stationarity <= force
-            and self.sign <= force
-            and self.friction <= force
+            max(self.stationarity, self.sign, self.friction) <= force
             and self.feasibility <= length
             and self.complementarity <= max(force, length)
         )
@@ -134,15 +127,14 @@ class KKT:
     @property
     def worst(self) -> float:
         """Return the largest of the residuals (inf if one is not a number)."""
-        normal = max(self.stationarity, self.feasibility, self.sign, self.complementarity)
-        worst = max(normal, self.friction)
         finite = all(np.isfinite(getattr(self, f.name)) for f in fields(self))
-        return worst if finite else float("inf")
+        residuals = self.stationarity, self.feasibility, self.sign, self.complementarity
+        return max(*residuals, self.friction) if finite else float("inf")
 
 
 @dataclass(frozen=True)
 class QPSolution:
-    """Solution of a BoundQP with what it took to find it."""
+    """Solution of a BoundQP and its cost."""
 
     x: PETSc.Vec  # (n,)
     z: PETSc.Vec  # (n,) reaction b - A x
@@ -155,7 +147,7 @@ class QPSolution:
     note: str = ""
     sliding: Floats | None = None  # (m, t) directions of slipping nodes, zero at others
     linearisation: str = ""  # of friction
-    changes: int | None = None  # unknowns in which the active set is not the one it began with
+    changes: int | None = None  # unknowns in which the active set differs from the initial one
 
 
 class QPNotSolved(RuntimeError):
@@ -183,37 +175,27 @@ def validate(qp: BoundQP) -> None:
             a number that is not finite in b or A, or indices out of range.
     """
     lower, upper = qp.lower.array_r, qp.upper.array_r
-    crossed = np.flatnonzero(lower > upper)
-    start = qp.b.getOwnershipRange()[0]
-    wrong = (lower >= PETSc.INFINITY) | (upper <= PETSc.NINFINITY)
-    diag = qp.A.getDiagonal().array_r
+    diagonal = qp.A.getDiagonal().array_r
     outside = (qp.bounded < 0) | (qp.bounded >= lower.size)
-    finite = (lower > PETSc.NINFINITY) | (upper < PETSc.INFINITY)
-    finite[qp.bounded[~outside]] = False
-    verdicts = [
-        ("bounded", f"{outside.sum()} indices are not owned by this rank", outside.any()),
-        ("bounded", f"{finite.sum()} unknowns with a finite bound are missing", finite.any()),
-        ("b", "it contains NaN or infinity; check loads and state", ~np.isfinite(qp.b.array_r)),
-        ("A", "its diagonal contains NaN or infinity; check the tangent", ~np.isfinite(diag)),
-        (
-            "A",
-            "its diagonal has entries <= 0, so it is not positive definite",
-            qp.definite & (diag <= 0.0),
+    unlisted = (lower > PETSc.NINFINITY) | (upper < PETSc.INFINITY)
+    unlisted[qp.bounded[~outside]] = False
+    wrong = (lower >= PETSc.INFINITY) | (upper <= PETSc.NINFINITY)
+    problems = {
+        "bounded: indices that this rank does not own": outside,
+        "bounded: unknowns with a finite bound are missing": unlisted,
+        "b: NaN or infinity; check loads and state": ~np.isfinite(qp.b.array_r),
+        "A: NaN or infinity on its diagonal; check the tangent": ~np.isfinite(diagonal),
+        "A: entries <= 0 on its diagonal, so it is not positive definite": (
+            qp.definite & (diagonal <= 0.0)
         ),
-        ("lower, upper", "they contain NaN", np.isnan(lower) | np.isnan(upper)),
-        ("lower, upper", "infinite bounds of the wrong sign", wrong),
-        (
-            "lower, upper",
-            f"lower > upper at unknowns {(crossed[:3] + start).tolist()}; no x can satisfy them",
-            crossed.size > 0,
-        ),
-    ]
-    found = np.array([np.any(bad) for _, _, bad in verdicts])
-    anywhere = np.empty_like(found)
-    qp.comm.Allreduce(found, anywhere, op=MPI.LOR)
-    for (name, text, _), bad in zip(verdicts, anywhere, strict=True):
+        "lower, upper: NaN": np.isnan(lower) | np.isnan(upper),
+        "lower, upper: infinite bounds of the wrong sign": wrong,
+        "lower, upper: lower > upper, which no x can satisfy": lower > upper,
+    }
+    found = any_rank(qp.comm, *map(np.any, problems.values()))
+    for text, bad in zip(problems, found, strict=True):
         if bad:
-            raise UnusableQP(f"The {name} of the quadratic program cannot be used: {text}.")
+            raise UnusableQP(f"The quadratic program cannot be used: {text}.")
 
 
 def reaction(qp: BoundQP, x: PETSc.Vec) -> PETSc.Vec:
@@ -225,20 +207,20 @@ def reaction(qp: BoundQP, x: PETSc.Vec) -> PETSc.Vec:
 
 
 def on_bounded(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec) -> Bounded:
-    """Return a candidate on this rank's bounded unknowns."""
+    """Return an iterate on this rank's bounded unknowns."""
     own = qp.bounded
     return Bounded(x.array_r[own], z.array_r[own], *qp.bounds(), qp.stiffness()[own])
 
 
 def on_friction(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec, found: Bounded) -> Sliders:
-    """Return a candidate on this rank's nodes with friction.
+    """Return an iterate on this rank's nodes with friction.
 
     Args:
         qp: the problem, with friction.
-        x: (n,) candidate.
+        x: (n,) iterate.
         z: (n,) b - A x.
-        found: the same on the bounded unknowns. The limit belongs to the reaction that closes what
-            overlaps, too: in a solution there is no overlap.
+        found: the same on the bounded unknowns. The limit is that of z_n + c (x_n - upper), which
+            includes the force that closes a penetration; a solution has none.
     """
     law = qp.friction
     assert law is not None
@@ -254,11 +236,11 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
 
     Args:
         qp: the problem.
-        x: (n,) candidate.
-        z: b - A x if it is at hand; computed otherwise.
+        x: (n,) iterate.
+        z: b - A x if known; computed otherwise.
 
     Returns:
-        The residuals; they are zero for the exact solution, whatever backend found it.
+        The residuals; they are zero for the exact solution.
     """
     z = reaction(qp, x) if z is None else z
     bounded = on_bounded(qp, x, z)
@@ -274,7 +256,7 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
         free[qp.friction.tangential[qp.friction.some]] = False
     over, under = np.maximum(xb - upper, 0.0), np.maximum(lower - xb, 0.0)
     pull = np.where(active == 0, 0.0, np.maximum(-active * zb, 0.0))
-    # the bound that a reaction belongs to follows from its sign; without one it is stationarity's
+    # the sign of a reaction says to which bound it belongs; if that is infinite, see stationarity
     side = np.where(zb > 0.0, upper, lower)
     distance = np.abs(np.where(np.isfinite(side), side, xb) - xb)
     bound = np.maximum(np.where(over > 0, np.abs(upper), 0), np.where(under > 0, np.abs(lower), 0))
@@ -282,7 +264,7 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     nearest = np.minimum(np.abs(lower), np.abs(upper)).min(initial=np.inf)
     tops = [a.max(initial=0.0) for a in largest] + [-nearest]
     x_top, bound_top, gap_top, pull_top, nearest = maximum(qp.comm, *tops)
-    # Where nothing acts, x and z are the round-off of guesses that went to the nearest bound.
+    # Without forces, x and z are round-off of initial guesses at the nearest bounds.
     moved = np.abs(x.array_r)
     if np.isfinite(nearest):
         moved[qp.bounded] = np.maximum(moved[qp.bounded], -nearest)
@@ -291,8 +273,8 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     squares = qp.comm.allreduce(np.array([v @ v for v in parts]))
     b2, zb2, free2, off2, wrong2, zt2 = np.sqrt(squares)
     force, length = b2 + np.hypot(zb2, zt2), max(x_top, bound_top)
-    # One of the two factors must vanish; a product would mix far bounds with round-off in z.
-    # Forces whose squares underflow (1e-170 of a step without loads) are none.
+    # One of the two must vanish; their product would mix distant bounds with round-off in z.
+    # Forces whose squares underflow (1e-170 in a step without loads) count as zero.
     tiny = np.finfo(float).tiny
     forces = np.abs(zb) / force if force > 0.0 else np.zeros_like(zb)
     both = np.minimum(forces, distance / max(length, tiny))
@@ -302,8 +284,8 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
         feasibility=ratio(gap_top, length),
         sign=ratio(pull_top, force),
         complementarity=float(both_top),
-        force_floor=ROUND_OFF * EPS * ratio(off2, force) if force > 0.0 else 0.0,
-        length_floor=ROUND_OFF * EPS,
+        force_floor=ROUND_OFF * ratio(off2, force) if force > 0.0 else 0.0,
+        length_floor=ROUND_OFF,
         unsolved=float(free2),
         friction=ratio(wrong2, force),
     )

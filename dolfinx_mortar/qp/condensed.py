@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: MIT
-"""A guess of the active set: the QP condensed to its bounded unknowns, on a dense model.
+"""Prediction of the active set: the QP condensed to its bounded unknowns, with a dense model.
 
-Factorise A once with all bounded unknowns B held. Then x_I follows from x_B by one solve, and what
-is left is a QP for x_B with the Schur complement S = A_BB - A_BI A_II^-1 A_IB. Applying S costs one
-solve; forming it would cost one per bounded unknown. So a dense model of S is kept on rank 0 (few
-unknowns have bounds), the model's QP is solved to the end, and the solve that checks the result
-gives one exact pair (v, S v) that improves the model (block BFGS). The first model is the square
-root of a graph Laplacian, because S is a half-order operator like the Dirichlet-to-Neumann map.
+A is factorised once with all bounded unknowns B held. Then x_I follows from x_B by one solve, and
+x_B is the solution of a QP with the Schur complement S = A_BB - A_BI A_II^-1 A_IB. To apply S costs
+one solve, to form it one per bounded unknown. So S is replaced by a dense model on rank 0 (few
+unknowns have bounds). The QP of the model is solved, and the solve that checks its solution gives
+one exact pair (v, S v), which updates the model (block BFGS). The initial model is the square root
+of a graph Laplacian, because S is an operator of order one like the Dirichlet-to-Neumann map.
 
-The guess depends on the QP alone. Nothing here is singular as long as the bounds, all active, hold
+The prediction depends on the QP alone. No matrix is singular if the bounds, all active, constrain
 the bodies.
 
 Solves + factorisations (each costs as much as 5 to 7 solves) of one step of
-benchmarks/hertz_2d.py, slave block, and its processor time without the guess over that with it:
+benchmarks/hertz_2d.py, slave block, and its processor time without prediction over that with it:
 
                                           with       without     time
     elastic, frozen,   5 thousand         5 + 2       3 + 1      0.82
@@ -33,9 +33,10 @@ from petsc4py import PETSc
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, eigh
+from scipy.sparse import csr_array
 
-from dolfinx_mortar.arrays import Actives, Floats, Ints, Longs
-from dolfinx_mortar.qp.bound_qp import EPS, ROUND_OFF, Bounded, BoundQP
+from dolfinx_mortar.arrays import EPS, ROUND_OFF, Actives, Floats, Ints
+from dolfinx_mortar.qp.bound_qp import Bounded, BoundQP
 from dolfinx_mortar.qp.held import SHARE
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
 from dolfinx_mortar.qp.updates import LIMIT, Found, update
@@ -44,7 +45,7 @@ T = TypeVar("T")
 
 
 def is_worthwhile(qp: BoundQP, linear: LinearSolver) -> bool:
-    """Tell whether a factorisation is at hand, S is definite and the model smaller than A.
+    """Tell whether the solver is direct, S definite and the model smaller than A (collective).
 
     Measured on strips of 6 to 120 thousand unknowns with 61 to 1001 bounded ones, in processor time
     with and without: 0.55 to 0.83 where the model has fewer entries than A, 0.92 with 1.15 times as
@@ -62,21 +63,21 @@ def predict(
 
     Args:
         qp: the problem.
-        linear: factorises A with all bounded unknowns held, unless it has done so.
+        linear: linear solver, attached to qp.A.
         x: (n,) out: the solution.
-        start: (k,) guess of the active set.
+        start: (k,) initial active set.
         rtol: residual of the free bounded unknowns relative to the forces.
 
     Returns:
-        The active set (k,), which the caller has to check. Once it stays, and the residual falls so
-        slowly that a factorisation with it held costs less than the solves to come, it is returned
-        as it is; so is the last one where round-off makes the model indefinite.
+        The active set (k,), to be checked by the caller. The iteration ends before rtol is reached
+        if the set is unchanged and a factorisation with it would cost less than further solves, or
+        if round-off makes the model indefinite.
 
     Raises:
         LinearSolveFailed: if A is singular even with all bounded unknowns held.
     """
     order = np.argsort(qp.bounded)
-    everywhere = Everywhere(qp.comm, qp.bounded[order], np.array(qp.comm.allgather(order.size)))
+    everywhere = Everywhere(qp.comm, qp.bounded[order], qp.comm.allgather(order.size))
     lower, upper = (everywhere.gather(bound[order]) for bound in qp.bounds())
     linear.factorise(everywhere.own)
     reduced = _Reduced(qp, linear, everywhere, x)
@@ -114,7 +115,7 @@ def predict(
 
 
 class _Reduced:
-    """The energy as a function of x_B alone, with x kept up to date."""
+    """The energy as a function of x_B, and its minimiser x for given x_B."""
 
     def __init__(
         self, qp: BoundQP, linear: LinearSolver, everywhere: Everywhere, x: PETSc.Vec
@@ -136,10 +137,9 @@ class _Reduced:
     def move(
         self, w: Floats, reached: Floats, rho: Floats, model: SchurModel | None
     ) -> tuple[Floats, Floats]:
-        """Go from w to `reached` if that lowers the energy, else to its minimum on the way.
+        """Step from w to `reached` if that decreases the energy, else to the minimum in between.
 
-        Along the way it is -t rho.d + t^2/2 d.Sd. The model learns the pair either way. Whole steps
-        put held unknowns exactly on their bounds.
+        In between it is -t rho.d + t^2/2 d.Sd. The pair (d, Sd) updates the model in both cases.
         """
         self.x.copy(self.before)
         after = self.force(reached)
@@ -162,13 +162,13 @@ class SchurModel:
     """A symmetric positive definite model of the Schur complement on the bounded unknowns.
 
     Attributes:
-        base: (k, k) before any pair is known.
+        base: (k, k) initial model.
         V: (k, j) directions, conjugate: V' W = 1.
         W: (k, j) S V.
     """
 
     def __init__(self, base: Floats) -> None:
-        """Begin without pairs."""
+        """Start without pairs."""
         self.base = base
         self.V, self.W = np.zeros((2, base.shape[0], 0))
 
@@ -185,7 +185,7 @@ class SchurModel:
         return np.asarray(0.5 * (M + M.T))
 
     def learn(self, v: Floats, w: Floats) -> None:
-        """Add the pair w = S v, made conjugate to the pairs at hand."""
+        """Add the pair w = S v, made conjugate to the present pairs."""
         whole = v @ w
         for _ in range(2):  # twice is enough
             c = self.W.T @ v
@@ -193,8 +193,8 @@ class SchurModel:
         energy = v @ w
         least = max(float(whole), float(np.linalg.norm(v) * np.linalg.norm(w)))
         if not energy > np.sqrt(EPS) * least:
-            return  # half of the digits are gone: what is left of the pair is mostly its errors
-        if self.V.shape[1] == 0:  # the first pair knows the scale
+            return  # v depends on the present pairs, up to half of the digits
+        if self.V.shape[1] == 0:  # the first pair scales the initial model
             self.base = self.base * (energy / (v @ self.base @ v))
         scale = 1.0 / np.sqrt(energy)
         self.V = np.column_stack([self.V, scale * v])
@@ -205,15 +205,15 @@ def half_laplacian(block: Floats) -> Floats:
     """Return diag^(1/2) sqrt(L) diag^(1/2), with L the Laplacian of the graph of A_BB.
 
     For linear elements on a curve this is the energy of the Dirichlet-to-Neumann map up to a
-    factor, whatever the mesh sizes; diag(A) brings in the stiffness. All edges weigh the same: the
-    entries of A_BB reflect the angles of the elements, which S hardly feels (measured on a graded
-    mesh: condition number of M^-1 S 6 without weights, 17 with |a_ij| as weights).
+    factor, for any mesh sizes. The graph has no weights: the entries of A_BB depend on the angles
+    of the elements, S hardly does (measured on a graded mesh: condition number of M^-1 S 6 without
+    weights, 17 with |a_ij| as weights).
     """
     diagonal = np.sqrt(np.diag(block))
-    edges = (np.abs(block) > ROUND_OFF * EPS * np.outer(diagonal, diagonal)).astype(np.float64)
+    edges = (np.abs(block) > ROUND_OFF * np.outer(diagonal, diagonal)).astype(np.float64)
     np.fill_diagonal(edges, 0.0)
     values, vectors = eigh(np.diag(edges.sum(axis=1)) - edges)
-    # the size of the body bounds the softest mode: one wavelength over all bounded unknowns
+    # the lowest mode has about one wavelength over all bounded unknowns
     shift = max(values.max(initial=0.0), 1.0) / max(1, values.size) ** 2
     root = (vectors * np.sqrt(np.maximum(values, 0.0) + shift)) @ vectors.T
     return np.asarray(root * np.outer(diagonal, diagonal))
@@ -222,17 +222,17 @@ def half_laplacian(block: Floats) -> Floats:
 def solve_dense(
     M: Floats, b: Floats, lower: Floats, upper: Floats, active: Actives
 ) -> tuple[Floats, Actives]:
-    """Minimise 1/2 d'Md - b'd over lower <= d <= upper by primal-dual active-set updates.
+    """Minimise 1/2 d'Md - b'd over lower <= d <= upper by the primal-dual active-set method.
 
     Args:
         M: (k, k) symmetric positive definite.
         b: (k,) force.
         lower: (k,) lower bounds, -inf where there is none.
         upper: (k,) upper bounds, inf where there is none.
-        active: (k,) guess: +1 at upper, -1 at lower, 0 free.
+        active: (k,) initial set: +1 at upper, -1 at lower, 0 free.
 
     Returns:
-        d (k,) and its active set (k,); of the last set where the updates cycle.
+        d (k,) and its active set (k,); after a cycle those of the last set.
 
     Raises:
         LinAlgError: if M is not positive definite.
@@ -248,7 +248,7 @@ def solve_dense(
         d, z = _with_active(M, b, np.where(active > 0, upper, lower), active)
         found = Bounded(d, z, lower, upper, np.diag(M))
         new = found.predicted()
-        noise = ROUND_OFF * EPS * float(np.linalg.norm(np.diag(M) * d))
+        noise = ROUND_OFF * float(np.linalg.norm(np.diag(M) * d))
         return Found(new, int(found.strong(active, new, noise).sum()), satisfied=True)
 
     last = update(hold, active, MPI.COMM_SELF).state
@@ -269,7 +269,7 @@ def _with_active(M: Floats, b: Floats, bound: Floats, active: Actives) -> tuple[
 def _solve_model(
     comm: MPI.Comm, model: SchurModel | None, problem: tuple[Floats, Floats, Floats, Actives]
 ) -> tuple[Floats, Actives]:
-    """Solve the model's QP on rank 0 and send the answer, so that it is bitwise the same."""
+    """Solve the QP of the model on rank 0; all ranks return the same bits (collective)."""
 
     def solve() -> tuple[Floats, Actives]:
         assert model is not None
@@ -284,44 +284,34 @@ def _solve_model(
 
 @dataclass(frozen=True)
 class Everywhere:
-    """The bounded unknowns of all ranks as one replicated vector, in rank order."""
+    """The bounded unknowns of all ranks, in rank order, as vectors that every rank has."""
 
     comm: MPI.Comm
     own: Ints  # this rank's bounded unknowns, ascending
-    counts: Longs  # (ranks,)
+    counts: list[int]  # of each rank
 
     @property
     def own_part(self) -> slice:
-        """This rank's part of a replicated vector."""
-        first = int(self.counts[: self.comm.rank].sum())
+        """This rank's part of such a vector."""
+        first = sum(self.counts[: self.comm.rank])
         return slice(first, first + self.own.size)
 
     def gather(self, values: Floats) -> Floats:
-        """Return the values of all ranks."""
-        result = np.empty(int(self.counts.sum()))
-        counts = [int(count) for count in self.counts]
-        own = np.ascontiguousarray(values, dtype=np.float64)
-        self.comm.Allgatherv(own, [result, counts, None, MPI.DOUBLE])
-        return result
+        """Return the values of all ranks (collective)."""
+        return np.concatenate(self.comm.allgather(values))
 
     def block(self, A: PETSc.Mat) -> Floats:
-        """Return A restricted to these unknowns, dense; on other ranks than 0 nothing."""
+        """Return A restricted to these unknowns, dense, on rank 0; empty elsewhere (collective)."""
         rows = (self.own + A.getOwnershipRange()[0]).astype(PETSc.IntType)
         index = PETSc.IS().createGeneral(rows, comm=A.comm)
         indptr, columns, values = A.createSubMatrix(index, index).getValuesCSR()
-        row = self.own_part.start + np.repeat(np.arange(self.own.size), np.diff(indptr))
-        parts = self.comm.gather((row, columns, values))
-        dense = np.zeros(2 * (int(self.counts.sum()) if parts else 0,))
-        for i, j, a in parts or []:
-            dense[i, j] = a
-        return dense
+        size = self.own.size, sum(self.counts)
+        parts = self.comm.gather(csr_array((values, columns, indptr), shape=size))
+        return np.vstack([part.toarray() for part in parts]) if parts else np.zeros((0, 0))
 
 
 def on_root(comm: MPI.Comm, function: Callable[[], T]) -> T | None:
-    """Return on rank 0 what a function returns, None elsewhere; raise on all ranks what it raises.
-
-    No rank waits for one that has failed (collective).
-    """
+    """Call a function on rank 0 and return its value there; raise its error on all; collective."""
     answer, error = None, None
     if comm.rank == 0:
         try:

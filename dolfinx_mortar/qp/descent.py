@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: MIT
-"""Friction with given limits s in the plane: a descent, which no set can come back in.
+"""Friction with given limits s in the plane: an active-set descent that cannot cycle.
 
-The solution is the minimum within the bounds of the convex
+The solution minimises, within the bounds, the convex
 
     J(x) = 1/2 x'Ax - b'x + sum_j s_j |x_t - rest|_j.
 
-In a state (which bounds are active, which nodes stick, to which side the others slip) J is a
-quadratic, and one solve finds its minimum. Updates of sets go there at once and read off the next
-state. Where a body is held by the friction of few nodes that is a leap: a belt on a drum, pulled at
-both ends alike, slips outwards from one node that sticks; if its neighbour should stick instead,
-that node slips as well, nothing holds the belt any more, half of it turns round, and so on. Here
-x goes as far along the way as J falls: to the first bound that it meets, to the node whose slip
-ends where J is least, which sticks (in the belt: the neighbour), or to the minimum. Only in a
-minimum of its state does it let bounds open that pull and nodes slip that resist by more than s:
-the method of Rosen (1960) and Fletcher (1971), for a sum of norms beside the quadratic. J falls
-from one minimum to the next, and there are finitely many.
+In a state (active bounds, sticking nodes, directions of the slipping ones) J is a quadratic, whose
+minimum takes one solve. Updates of the active set step to that minimum and read the next state from
+it. If few sticking nodes constrain a body, this may cycle: a belt on a drum, pulled equally at both
+ends, slips outwards from one sticking node; if its neighbour should stick instead, that node slips,
+too, and the unconstrained belt reverses its slip. Here x moves towards the minimum as far as J
+decreases: to the first bound, to the node whose slip vanishes where J is least on the way, which
+then sticks (in the belt: the neighbour), or to the minimum. Only in the minimum of a state are
+bounds with reactions of the wrong sign released, and sticking nodes with |z_t| > s: the method of
+Rosen (1960) and Fletcher (1971), for a quadratic and a sum of norms. J decreases from one such
+minimum to the next, and there are finitely many.
 """
 
 from __future__ import annotations
@@ -38,22 +38,21 @@ def descend(problem: HeldProblem, start: State, level: int = TIGHT) -> Outcome[S
     """Minimise J; the x and z of the problem are the solution (collective).
 
     Args:
-        problem: with friction in the plane, whose limits follow no pressure.
-        start: first state.
-        level: accuracy of the solution; solves on the way are as accurate as its square.
+        problem: with friction in the plane, for limits that do not depend on the pressure.
+        start: initial state.
+        level: accuracy of the solution; solves are as accurate as its square.
 
     Raises:
-        LinearSolveFailed: if a state leaves a body free.
+        LinearSolveFailed: if a state leaves a body unconstrained.
     """
     return _Descent(problem, start, level + 1).run()
 
 
 def most_solves(qp: BoundQP) -> int:
-    """Return after how many solves a descent is given up; collective.
+    """Return the largest number of solves of a descent; collective.
 
-    J falls from solve to solve, so it ends; with k bounds and m nodes it took at most k + m + 1
-    solves on 400 random problems of up to 39 nodes and on belts of up to 192, and half of that
-    from 10 nodes on.
+    With k bounds and m nodes it took at most k + m + 1 solves on 400 random problems of up to 39
+    nodes and on belts of up to 192, and half of that from 10 nodes on.
     """
     assert qp.friction is not None
     own = qp.bounded.size + qp.friction.normal.size
@@ -62,19 +61,19 @@ def most_solves(qp: BoundQP) -> int:
 
 @dataclass(frozen=True)
 class _Way:
-    """The straight way from x to the minimum of a state; shares of it."""
+    """The segment from x to the minimum of a state, in shares of its length."""
 
     slope: float  # of J in this state at x; 0 at the end
-    bounds: Floats  # (k,) where unknowns meet their bounds, inf where they do not
-    ends: Floats  # (m,) where slips end, inf where they do not
-    jumps: Floats  # (m,) by how much the slope of J rises there
+    bounds: Floats  # (k,) where unknowns reach their bounds, or inf
+    ends: Floats  # (m,) where slips vanish, or inf
+    jumps: Floats  # (m,) by which the slope of J increases there
 
     def least(self, comm: MPI.Comm) -> tuple[float, Bools, Bools]:
-        """Return where J is least within the bounds; collective.
+        """Minimise J along the segment within the bounds; collective.
 
         Returns:
-            The share of the way, the nodes (m,) that have changed sides by then, and those (m,)
-            whose slip ends there.
+            The share of the segment, the nodes (m,) whose slip has changed its sign up to there,
+            and those (m,) whose slip vanishes there.
         """
         farthest = min(1.0, -float(maximum(comm, -self.bounds.min(initial=1.0))[0]))
         everywhere = comm.allgather((self.ends, self.jumps))
@@ -82,7 +81,7 @@ class _Way:
         order = np.argsort(ends, kind="stable")
         order = order[ends[order] < farthest]
         corners = np.concatenate([[0.0], ends[order]])
-        # the slope after a corner, slope (1 - share) + rises, vanishes here
+        # where the slope after each corner, slope (1 - share) + sum of jumps, vanishes
         roots = 1.0 + np.concatenate([[0.0], np.cumsum(jumps[order])]) / self.slope
         reached = np.flatnonzero(roots <= np.append(corners[1:], farthest))
         last = int(reached[0]) if reached.size else order.size
@@ -97,10 +96,10 @@ class _Way:
 
 
 class _Descent:
-    """A point within the bounds, and the state that it is in."""
+    """A point within the bounds, and its state."""
 
     def __init__(self, problem: HeldProblem, start: State, level: int) -> None:
-        """Go to the solution in a state, and from there into the bounds."""
+        """Project the solution in a state onto the bounds."""
         self.problem, self.qp, self.level = problem, problem.qp, level
         assert problem.qp.friction is not None
         self.law: Friction = problem.qp.friction
@@ -119,7 +118,7 @@ class _Descent:
         return np.asarray((self.law.pick(x.array_r) - self.law.rest)[:, 0])
 
     def run(self) -> Outcome[State]:
-        """Go from state to state until none is lower."""
+        """Descend until the minimum of a state is that of J."""
         problem, most = self.problem, most_solves(self.qp)
         for updates in range(1, most + 1):
             atol = problem.solve(self.state, self.level)
@@ -133,17 +132,17 @@ class _Descent:
         return Outcome(self.state, most, f"friction still changed after {most} solves")
 
     def advance(self, atol: float) -> bool:
-        """Go towards the minimum of the state; tell whether that ended before it; collective."""
+        """Step towards the minimum of the state; tell whether it is not reached; collective."""
         problem, state, bounded = self.problem, self.state, self.qp.bounded
         d = problem.x.copy()
         d.axpy(-1.0, self.x)
         slope = d.dot(problem.z) - d.dot(self.z)  # -d'Ad
         step, turns = d.array_r[bounded], self.law.pick(d.array_r)[:, 0]
-        if -slope <= atol * d.norm():  # forces that are round-off do this work
+        if -slope <= atol * d.norm():  # within the round-off of the forces
             return False
         side = np.where(step > 0.0, problem.upper, problem.lower)
-        room = np.where(state.active == 0, side - self.x.array_r[bounded], np.inf)
-        bounds = np.divide(room, step, out=np.full_like(room, np.inf), where=step != 0.0)
+        distance = np.where(state.active == 0, side - self.x.array_r[bounded], np.inf)
+        bounds = np.divide(distance, step, out=np.full_like(step, np.inf), where=step != 0.0)
         against = state.slips(self.law) & (state.directions[:, 0] * turns < 0.0)
         ends = np.divide(-self.slip(self.x), turns, out=np.full_like(turns, np.inf), where=against)
         jumps = 2.0 * self.law.cohesion * np.abs(turns)
@@ -162,9 +161,9 @@ class _Descent:
         return share < 1.0
 
     def release(self, atol: float) -> int:
-        """Let bounds open that pull, and nodes slip beyond their limit; return how many.
+        """Release bounds with reactions of the wrong sign, and nodes beyond their limit.
 
-        Forces within a tolerance count for nothing; collective.
+        Returns their number; forces up to atol count as zero; collective.
         """
         state, law = self.state, self.law
         pulls = state.active * on_bounded(self.qp, self.x, self.z).z < -atol

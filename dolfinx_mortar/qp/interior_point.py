@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Interior point: PETSc TAO's bqpip, the counterpart of the quadprog that the paper calls.
+"""Interior point: PETSc TAO's bqpip for the scaled QP, as the paper uses quadprog.
 
-On the scaled QP, stopped and judged by the check on the data.
+It is stopped by the check of optimality.
 """
 
 from dataclasses import replace
@@ -11,34 +11,32 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_mortar.arrays import QUARTER_OF_DIGITS
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution, check, on_bounded, reaction
 from dolfinx_mortar.qp.held import SHARE, HeldProblem, State
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
 from dolfinx_mortar.qp.updates import LIMIT, update
 
-# Far bounds of unknowns that have none, in units of the largest scaled unknown
-BOX = 1e3
-
 
 def solve(qp: BoundQP, linear: LinearSolver, *, rtol: float) -> QPSolution:
     """Solve a bound-constrained QP, then once more with the active set found (collective).
 
-    The unknowns are scaled to a unit diagonal and a unit force, so that TAO's absolute constants
-    mean the same in all units. It starts from the interior of the bounds.
+    The unknowns are scaled to a unit diagonal and a unit force, because TAO has absolute constants.
+    Unknowns without bounds get distant ones, and more distant ones if the solution reaches them.
 
     Args:
         qp: the problem, symmetric and positive definite, without friction.
-        linear: its options go to the linear solver inside TAO; it makes the last solve.
+        linear: its options are those of the linear solver in TAO; it makes the last solve.
         rtol: tolerance of the KKT check that stops the iteration.
 
     Returns:
-        The solution before or after the last solve, whichever passes the check better.
+        The solution before or after the last solve, whichever has the smaller residuals.
     """
-    scaled = _Scaled(qp, linear)
+    scaled, box = _Scaled(qp, linear), 1.0 / QUARTER_OF_DIGITS
     try:
-        x, iterations, reason = _iterate(qp, linear, scaled, BOX, rtol)
-        if scaled.touches(BOX, x):
-            x, more, reason = _iterate(qp, linear, scaled, BOX**2, rtol)
+        x, iterations, reason = _iterate(qp, linear, scaled, box, rtol)
+        if scaled.touches(box, x):
+            x, more, reason = _iterate(qp, linear, scaled, box**2, rtol)
             iterations += more
     finally:
         scaled.destroy()
@@ -56,7 +54,7 @@ def solve(qp: BoundQP, linear: LinearSolver, *, rtol: float) -> QPSolution:
 def _iterate(
     qp: BoundQP, linear: LinearSolver, scaled: "_Scaled", box: float, rtol: float
 ) -> tuple[PETSc.Vec, int, int]:
-    """Run TAO within a box; return x, the iterations and TAO's reason to stop."""
+    """Run TAO within |y| <= box; return x, the iterations and TAO's reason to stop."""
     prefix = f"{linear.options.prefix}tao_"
     tao = PETSc.TAO().create(qp.A.comm)
     tao.setOptionsPrefix(prefix)
@@ -75,7 +73,7 @@ def _iterate(
     tao.setObjectiveGradient(objective, gradient)
     tao.setHessian(lambda *_: None, scaled.A)
     tao.setVariableBounds(scaled.bounds(box))
-    tao.setTolerances(gatol=0.0, grtol=0.0, gttol=0.0)  # it must not stop before our check does
+    tao.setTolerances(gatol=0.0, grtol=0.0, gttol=0.0)  # only our check stops it
     tao.setMaximumIterations(LIMIT)
     tao.setMonitor(stop)
     try:
@@ -88,11 +86,10 @@ def _iterate(
 
 
 class _Scaled:
-    """The QP in y = x / (s l), s = diag(A)^(-1/2), with a length l that makes y about 1.
+    """The QP in y = x / (s l), s = diag(A)^(-1/2), with a length l such that y is about 1.
 
-    The length comes from the solution with all bounded unknowns held where they are (or at the
-    nearest admissible value). Unknowns without a bound get one that is far away: the interior
-    point averages its complementarity over all bounds, and one at infinity spoils it.
+    The length is that of the solution with all bounded unknowns held at the admissible value
+    nearest to 0. No bound is infinite, because TAO averages the complementarity over all bounds.
     """
 
     def __init__(self, qp: BoundQP, linear: LinearSolver) -> None:
@@ -105,7 +102,7 @@ class _Scaled:
         x.set(0.0)
         x.array[qp.bounded] = np.clip(0.0, lower, upper)
         force = max(qp.b.norm(), reaction(qp, x).norm())
-        linear.solve(qp.b, x, np.sort(qp.bounded), atol=force / BOX)
+        linear.solve(qp.b, x, np.sort(qp.bounded), atol=QUARTER_OF_DIGITS * force)
         x.pointwiseDivide(x, self.s)
         self.length = x.norm(PETSc.NormType.INFINITY) or 1.0
         x.scale(1.0 / self.length)
@@ -118,7 +115,7 @@ class _Scaled:
         self.b.scale(1.0 / self.length)
 
     def bounds(self, box: float) -> tuple[PETSc.Vec, PETSc.Vec]:
-        """Return the bounds of y, which are far away in a box where there are none."""
+        """Return the bounds of y, -box and box where there are none."""
         own = self.qp.bounded
         sides = self.b.duplicate(), self.b.duplicate()
         for side, values, far in zip(sides, self.qp.bounds(), (-box, box), strict=True):
@@ -135,7 +132,7 @@ class _Scaled:
         return x
 
     def touches(self, box: float, x: PETSc.Vec) -> bool:
-        """Tell whether the far bounds are not far enough."""
+        """Tell whether unknowns without bounds come near the box; collective."""
         y = np.abs(x.array_r / (self.s.array_r * self.length))
         y[self.qp.bounded] = 0.0
         return bool(self.qp.comm.allreduce(y.max(initial=0.0), op=MPI.MAX) > SHARE * box)
@@ -146,7 +143,7 @@ class _Scaled:
 
 
 def _polish(qp: BoundQP, linear: LinearSolver, x: PETSc.Vec, rtol: float) -> QPSolution:
-    """Round by complementarity: solve with the active set found, more often if it changes."""
+    """Solve with the active set of x, and update it as often as it changes."""
     z = reaction(qp, x)
     active = on_bounded(qp, x, z).predicted()
     found = QPSolution(x, z, active, check(qp, x, z), 0, 0, 0, "")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Linear systems with some unknowns held, and the reuse of factorisations among them."""
+"""Linear systems with held unknowns, and the reuse of factorisations among them."""
 
 from __future__ import annotations
 
@@ -14,33 +14,34 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Ints
-from dolfinx_mortar.qp.bound_qp import EPS, ROUND_OFF
+from dolfinx_mortar.arrays import EPS, QUARTER_OF_DIGITS, ROUND_OFF, Ints
 from dolfinx_mortar.qp.friction import Sliding
 from dolfinx_mortar.qp.multigrid import Unknowns
 from dolfinx_mortar.qp.operator import Operator
 from dolfinx_mortar.qp.options import SolverOptions, check_options
-from dolfinx_mortar.qp.preconditioner import LinearCounts, Preconditioner
-from dolfinx_mortar.qp.renewal import REFACTOR_AFTER, SETUP_AFTER, Renewal, SlownessTest
+from dolfinx_mortar.qp.preconditioner import (
+    RENEWAL_COST,
+    LinearCounts,
+    Preconditioner,
+    Renewal,
+    SlownessTest,
+)
 from dolfinx_mortar.qp.updates import LIMIT
 
 log = logging.getLogger(__name__)
 
-MAX_ITERATIONS = 500
-# Unknowns of which a factorisation in 3D may replace multigrid: 219 thousand of hexahedra take
-# 4.1 GiB and 25 s (117 thousand 2.1 GiB and 10 s; MUMPS, one rank).
+# Largest order of a matrix in 3D whose factorisation may replace multigrid: 219 thousand unknowns
+# of hexahedra take 4.1 GiB and 25 s (117 thousand 2.1 GiB and 10 s; MUMPS, one rank).
 MOST_FACTORISED = 200_000
-# A well-posed stiffness matrix loses up to 6 to 8 digits; one that loses 12 is singular.
-SINGULAR_LOSS = 1e-4
 
 
 class LinearSolveFailed(RuntimeError):
-    """A linear system could not be solved; the message has the reason and the remedy."""
+    """A linear system could not be solved; the message says why and what to do."""
 
 
 @dataclass(frozen=True)
 class Attached:
-    """What belongs to one matrix, and goes with it."""
+    """Solvers and preconditioner of one matrix."""
 
     operator: Operator
     ksp: PETSc.KSP
@@ -61,25 +62,24 @@ class Attached:
 class LinearSolver:
     """Solve A_ff x_f = b_f - A_fc x_c for changing sets c of held unknowns and changing A.
 
-    The numeric factorisation of an earlier set or an earlier A preconditions conjugate gradients;
-    it is renewed as soon as the observed convergence promises that this is cheaper (`Renewal`).
+    The numeric factorisation for an earlier set or an earlier A preconditions conjugate gradients;
+    it is renewed as soon as the observed convergence predicts that this is cheaper (`Renewal`).
 
     Args:
         comm: communicator of the matrices.
         prefix: prefix of all PETSc options of this solver.
         options: PETSc options without prefix over the defaults (CG with MUMPS Cholesky, or GMRES
-            with LU for matrices that are not definite); what the user's options database has under
-            the prefix wins.
-        multigrid: precondition with it by default.
-        unknowns: those in which multigrid works, for solvers that are not direct; by default those
-            of the matrix.
+            with LU for matrices that are not definite); the user's options database takes
+            precedence.
+        multigrid: whether multigrid is the default preconditioner.
+        unknowns: those of multigrid; by default those of the matrix.
         refactor_after: iterations that cost as much as a new factorisation or set-up; measured
             values by default.
 
     Attributes:
         options: the PETSc options.
         unknowns: as above.
-        counts: what it has done so far.
+        counts: costs so far.
         description: name of the last method in use, for reports.
 
     Raises:
@@ -96,7 +96,7 @@ class LinearSolver:
         unknowns: Unknowns | None = None,
         refactor_after: int | None = None,
     ) -> None:
-        """Try the options; the large PETSc objects follow with the first matrix."""
+        """Check the options; the PETSc objects are created with the first matrix."""
         check_options(comm, prefix, options)
         self.options = SolverOptions(prefix, options, multigrid=multigrid)
         self.counts = LinearCounts()
@@ -112,43 +112,43 @@ class LinearSolver:
         return self.options.direct
 
     def factorise_instead(self) -> bool:
-        """Factorise from now on; False, and no change, where that is no remedy; collective.
+        """Factorise from now on; collective.
 
-        It is none if that is done already, if the user has chosen the method, or for a matrix that
-        is too large.
+        Returns:
+            False, without a change, if the solver is direct, if the user has chosen it, or if the
+            matrix is too large.
         """
-        known = self._attached is not None
-        small = known and self._operator.A.getSize()[0] <= MOST_FACTORISED
-        if self.direct or self.options.chosen or not small:
+        if self.direct or self.options.chosen or self._attached is None:
+            return False
+        if self._operator.A.getSize()[0] > MOST_FACTORISED:
             return False
         self.clear()
         self.options = SolverOptions(self.options.prefix, self.options.given)
         return True
 
     def take_up_multigrid(self) -> None:
-        """Go back from factorisations to multigrid; collective."""
+        """Return from factorisations to multigrid; collective."""
         self.clear()
         self.options = SolverOptions(self.options.prefix, self.options.given, multigrid=True)
 
     def attach(self, A: PETSc.Mat, *, definite: bool = True) -> None:
-        """Take A as the matrix of the next solves (collective).
+        """Set the matrix of the next solves (collective).
 
-        The factorisation at hand stays as preconditioner if A is the object seen before.
+        If it is the same object, its factorisation remains as preconditioner.
 
         Args:
             A: (n, n) matrix.
             definite: whether it is symmetric and positive definite, see `BoundQP`.
         """
         if self._attached is not None:
-            known = self._operator
-            if A.handle == known.A.handle and definite == known.definite:
+            before = self._operator
+            if A.handle == before.A.handle and definite == before.definite:
                 return
-        self.clear()  # and nothing is attached should an option prove wrong
+        self.clear()  # so that nothing is attached if an option raises an error
         self.options.definite = definite
         ksp = PETSc.KSP().create(self._comm)
         ksp.setOptionsPrefix(self.options.prefix)
         ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
-        ksp.setTolerances(max_it=MAX_ITERATIONS)
         with self.options.database(self.options.prefix):
             ksp.setFromOptions()
             operator = Operator(A, direct=self.direct, definite=definite)
@@ -158,29 +158,32 @@ class LinearSolver:
         elif ksp.getType() != "cg":
             ksp.setNormType(PETSc.KSP.NormType.DEFAULT)
         ksp.setOperators(operator.matrix)
-        after = SETUP_AFTER if not self.direct else REFACTOR_AFTER
-        renewal = Renewal(self._refactor_after or after, direct=self.direct)
-        sliding = _create_sliding_ksp(operator, ksp)
-        limit = ksp.getTolerances()[3]
-        dx = A.createVecRight()
+        sliding = PETSc.KSP().create(self._comm)
+        sliding.setType(PETSc.KSP.Type.GMRES)
+        sliding.setPCSide(PETSc.PC.Side.RIGHT)
+        sliding.setPC(PETSc.PC().createPython(Applied(ksp.getPC()), comm=self._comm))
+        sliding.setOperators(operator.sliding_matrix)
+        after = self._refactor_after or RENEWAL_COST["direct" if self.direct else "iterative"]
+        renewal = Renewal(after, direct=self.direct)
+        limit, dx = ksp.getTolerances()[3], A.createVecRight()
         self._attached = Attached(operator, ksp, sliding, preconditioner, renewal, limit, dx)
         self.description = f"{ksp.getType()} + {preconditioner.description}"
         self.counts.symbolic += 1
 
     def clear(self) -> None:
-        """Free the matrix and the factorisation: two at a time would need twice the memory."""
+        """Free the matrix and the factorisation; collective."""
         if self._attached is not None:
             self._attached.destroy()
         self._attached = None
 
     def forget(self) -> None:
-        """Let the next solve begin with a factorisation of its own; its pattern stays known."""
+        """Renew the numeric factorisation at the next solve."""
         if self._attached is not None:
             self._attached.preconditioner.held = None
 
     @property
     def attached(self) -> Attached:
-        """What belongs to the attached matrix."""
+        """Solvers and preconditioner of the present matrix."""
         assert self._attached is not None, "no matrix is attached"
         return self._attached
 
@@ -189,7 +192,7 @@ class LinearSolver:
         return self.attached.operator
 
     def factorise(self, held: Ints) -> None:
-        """Factorise A with these held, unless that is what the factorisation is of (collective).
+        """Factorise A with these unknowns held, unless that is the present one (collective).
 
         Raises:
             LinearSolveFailed: for a singular matrix or one that does not fit into memory.
@@ -207,7 +210,7 @@ class LinearSolver:
             )
 
     def apply(self, r: PETSc.Vec, x: PETSc.Vec) -> None:
-        """Apply the factorisation (or preconditioner) at hand once: x = F^-1 r."""
+        """Apply the present factorisation or preconditioner once: x = F^-1 r."""
         begin = perf_counter()
         self.attached.ksp.getPC().apply(r, x)
         self.counts.iterations += 1
@@ -230,42 +233,42 @@ class LinearSolver:
             x: (n,) in: values of the held unknowns and a guess for the others; out: solution.
             held: owned local indices of held unknowns, ascending.
             atol: largest 2-norm of b - A x over unknowns not held.
-            z: (n,) b - A x of the given x, if it is at hand.
-            sliding: nodes that slip, on all ranks or on none: there the reaction of their law
-                replaces 0 on the right.
+            z: (n,) b - A x of the given x, if known.
+            sliding: law of the slipping nodes, whose reactions replace 0 on the right; on all ranks
+                or on none.
 
         Returns:
             (n,) b - A x, also at held unknowns; the next call reuses the vector.
 
         Raises:
-            LinearSolveFailed: if the true residual stays above both atol and round-off, or if
+            LinearSolveFailed: if the true residual remains above both atol and round-off, or if
                 the solution is so large that the matrix must be singular.
         """
         operator = self._operator
-        operator.slide(sliding)
+        operator.sliding = sliding
         operator.hold(held)
         before = self.counts.iterations
         self.counts.solves += 1
-        missing = operator.residual(b, x, held) if z is None else operator.take(z, x)
-        first = norm = missing.norm()
+        first = norm = operator.residual(b, x, held, z).norm()
         if not norm <= atol:
             norm = self._correct(b, x, held, atol, norm)
         self._judge(b, x, (first, norm, atol), self.counts.iterations - before)
         return operator.z
 
     def _correct(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, atol: float, norm: float) -> float:
-        """Correct x until its residual, at first norm, is below atol or round-off; return it.
+        """Correct x until the norm of its residual is below atol or round-off; return it.
 
-        It ends as well where a new factorisation makes it no smaller.
+        It ends as well if a new factorisation does not reduce it.
         """
         for _ in range(LIMIT):
-            if self._is_far(held):
+            different = self.attached.preconditioner.differences(held)
+            if different is None or self.attached.renewal.is_far(different):
                 self.factorise(held)
             fresh = self.attached.preconditioner.is_of(held)
-            target, before = max(atol, self._operator.round_off(x) / ROUND_OFF), norm
+            target, before = max(atol, self._operator.round_off(x) * (EPS / ROUND_OFF)), norm
             self._sweep(max(target / norm, EPS))
             dx = self.attached.dx
-            dx.array[held] = 0.0  # an old factorisation may not know that they are held
+            dx.array[held] = 0.0  # an old factorisation may move them
             if np.isfinite(dx.norm()):
                 x.axpy(1.0, dx)
                 norm = self._operator.residual(b, x, held).norm()
@@ -275,30 +278,22 @@ class LinearSolver:
             if fresh and (exhausted or not norm < before):
                 break
             if not fresh:
-                if not self.direct and (self._diverged() or not norm < before):
+                diverged = self._ksp.getConvergedReason() < 0  # an old set-up may be indefinite
+                if not self.direct and (diverged or not norm < before):
                     self.counts.breakdowns += 1
                     if self._comm.rank == 0:
                         log.info("an old preconditioner failed and is set up anew")
                 self.factorise(held)
         return float(norm)
 
-    def _diverged(self) -> bool:
-        """Tell whether the last iteration broke down: an old set-up need not be definite."""
-        return bool(self._ksp.getConvergedReason() < 0)
-
     @property
     def _ksp(self) -> PETSc.KSP:
-        """The solver for the matrix at hand."""
+        """The solver without or with slipping nodes."""
         sliding = self._operator.sliding
         return self.attached.ksp if sliding is None else self.attached.sliding_ksp
 
-    def _is_far(self, held: Ints) -> bool:
-        """Tell whether the factorisation, if there is one, is of no use for this mask."""
-        different = self.attached.preconditioner.differences(held)
-        return different is None or self.attached.renewal.is_far(different)
-
     def _sweep(self, reduction: float) -> None:
-        """Solve for the correction dx of the present residual, to be reduced by a factor."""
+        """Solve for the correction dx that reduces the present residual by a factor."""
         begin = perf_counter()
         attached, held = self.attached, self._operator.held
         assert held is not None
@@ -317,18 +312,20 @@ class LinearSolver:
     def _judge(
         self, b: PETSc.Vec, x: PETSc.Vec, norms: tuple[float, float, float], iterations: int
     ) -> None:
-        """Raise if a solution is none; the norms are first and last residual and their limit."""
+        """Raise if x is no solution, by the first and last residual norm and their tolerance.
+
+        Nor is it one if its round-off is near the forces: a well-posed stiffness matrix leaves more
+        digits than QUARTER_OF_DIGITS, a singular one none.
+        """
         first, norm, atol = norms
         round_off = self._operator.round_off(x)
         tolerance = max(atol, round_off)
         if np.isfinite(norm) and norm <= tolerance:
             force = max(first, norm, b.norm())
-            if round_off <= SINGULAR_LOSS * force:
-                return
-            self._operator.residual(b, x, np.empty(0, dtype=np.int32))
-            # with the reactions of what is held, and what slips
-            force = max(force, self._operator.z.norm())
-            if round_off <= SINGULAR_LOSS * force or force == 0.0:
+            if round_off > QUARTER_OF_DIGITS * force:  # then with reactions of held unknowns, too
+                self._operator.residual(b, x, np.empty(0, dtype=np.int32))
+                force = max(force, self._operator.z.norm())
+            if round_off <= QUARTER_OF_DIGITS * force or force == 0.0:
                 return
             cause = f"its round-off {round_off:.1e} is near the forces {force:.1e}"
         else:
@@ -339,31 +336,20 @@ class LinearSolver:
             remedy = (
                 " Otherwise choose a direct solver (pc_type cholesky) or a better preconditioner."
             )
-        reason = self._ksp.getConvergedReason()
         raise LinearSolveFailed(
             f"The linear solver, {self.description}, gave no solution: {cause} (PETSc reason "
-            f"{reason}). A solution with large round-off comes from a "
+            f"{self._ksp.getConvergedReason()}). A solution with large round-off comes from a "
             f"singular matrix: a body is held by nothing.{remedy}"
         )
 
 
 class Applied:
-    """Context of a PETSc PC of type python: that of another solver."""
+    """Context of a PETSc PC of type python that applies another PC."""
 
     def __init__(self, pc: PETSc.PC) -> None:
-        """Keep it."""
+        """Store it."""
         self.pc = pc
 
     def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
         """Set z = M^-1 r (called by PETSc)."""
         self.pc.apply(r, z)
-
-
-def _create_sliding_ksp(operator: Operator, ksp: PETSc.KSP) -> PETSc.KSP:
-    """Return a solver for slipping nodes, with the preconditioner of another one."""
-    sliding = PETSc.KSP().create(ksp.comm)
-    sliding.setType(PETSc.KSP.Type.GMRES)
-    sliding.setPCSide(PETSc.PC.Side.RIGHT)  # so that its residuals are the true ones
-    sliding.setPC(PETSc.PC().createPython(Applied(ksp.getPC()), comm=ksp.comm))
-    sliding.setOperators(operator.sliding_matrix)
-    return sliding

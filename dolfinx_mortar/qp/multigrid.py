@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""An iterative solver's preconditioner: multigrid in unknowns that suit it, not in those of the QP.
+"""Multigrid preconditioner in unknowns v that may differ from the unknowns x of the QP.
 
-Where a bound holds an unknown, the unknown is right for multigrid: it drops out. Where the bound is
-open, the two sides move apart, and the unknown, their relative motion, mixes them: coarse functions
-of one body drag the other along (measured in 2D: 75 and 113 iterations on two meshes instead of 17
-and 23, in 3D 43 instead of 18). So the caller may give a matrix B in unknowns v of its own,
+An unknown at its bound is fixed and drops out of multigrid. At an open contact the unknown of the
+QP, the relative motion of the sides, is unsuitable: coarse functions couple the two bodies
+(measured in 2D: 75 and 113 iterations on two meshes instead of 17 and 23, in 3D 43 instead of 18).
+So multigrid may use a matrix B in other unknowns v,
 
-    x = (I - E) v,      M^-1 = (I - E) B^-1 (I - E)^T on unknowns that are not held now.
+    x = (I - E) v,      M^-1 = (I - E) B^-1 (I - E)^T on unknowns that are not held now,
 
-B is that of an earlier set of held unknowns, earlier geometry and tangent. Each unknown that has
-changed sides since costs an iteration or so, unless the finest level knows: there, residuals and
-smoother have the matrix of the moment; only the coarse levels are B's.
+where B belongs to an earlier set of held unknowns, geometry and tangent. Each unknown that has
+changed its state since costs about one iteration, unless the residuals and the smoother of the
+finest level use the present matrix; then only the coarse levels are those of B.
 """
 
 from __future__ import annotations
@@ -23,8 +23,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
-from dolfinx_mortar.arrays import Floats, Ints
-from dolfinx_mortar.qp.bound_qp import EPS
+from dolfinx_mortar.arrays import EPS, Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class Change:
     """The unknowns v of multigrid for one set of held unknowns."""
 
     E: PETSc.Mat | None  # (n, n) x = (I - E) v; None for E = 0
-    matrix: PETSc.Mat  # (n, n) of the QP in v, held unknowns decoupled; perhaps of type python
+    matrix: PETSc.Mat  # (n, n) of the QP in v, held unknowns decoupled; maybe of type python
 
 
 @dataclass(frozen=True)
@@ -41,28 +40,24 @@ class Preconditioning:
 
     B: PETSc.Mat  # (n, n) explicit: the matrix of the change
     change: Change
-    motions: list[PETSc.Vec]  # v that strain next to nothing, zero at held unknowns
+    motions: list[PETSc.Vec]  # near null space, zero at held unknowns
 
 
 class Unknowns(Protocol):
-    """Unknowns v that suit multigrid, for each set of held unknowns of the QP."""
+    """Unknowns v for each set of held unknowns of the QP."""
 
     def preconditioning(self, held: Ints) -> Preconditioning:
-        """Return what is needed for a set-up; collective."""
+        """Return the matrices of a set-up; collective."""
 
     def change(self, held: Ints) -> Change:
         """Return v for the present geometry; collective."""
 
 
 class OwnUnknowns:
-    """The unknowns of the QP themselves.
-
-    Args:
-        A: matrix of the QP.
-    """
+    """The unknowns v = x, for the matrix A of the QP."""
 
     def __init__(self, A: PETSc.Mat) -> None:
-        """Hold nothing."""
+        """Create the operator; nothing is held."""
         self.operator = CongruentOperator(A)
 
     def preconditioning(self, held: Ints) -> Preconditioning:
@@ -90,33 +85,11 @@ def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
     return basis
 
 
-class FreePart:
-    """Context of a PETSc Mat of type python: A on unknowns that are not held, without a copy of A.
-
-    For vectors that vanish at held unknowns.
-    """
-
-    def __init__(self, A: PETSc.Mat) -> None:
-        """Hold nothing."""
-        self.A = A
-        self.held: Ints = np.empty(0, dtype=np.int32)
-
-    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y = A x with zeros at held unknowns (called by PETSc)."""
-        self.A.mult(x, y)
-        y.array[self.held] = 0.0
-
-    def multTranspose(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y = A^T x with zeros at held unknowns (called by PETSc)."""
-        self.A.multTranspose(x, y)
-        y.array[self.held] = 0.0
-
-
 class Multigrid:
     """Context of a PETSc PC of type python: M^-1 above, with any PC for B^-1.
 
-    PETSc's GAMG follows the set, the geometry and the tangent on its finest level; of other PCs,
-    unknowns that are free but were held at the set-up get their diagonal.
+    The finest level of PETSc's GAMG uses the present matrix. With other PCs, unknowns that were
+    held at the set-up and are free now are preconditioned by their diagonal.
 
     Args:
         A: (n, n) matrix of the QP.
@@ -138,7 +111,7 @@ class Multigrid:
 
     @property
     def follows(self) -> bool:
-        """Tell whether the finest level has the matrix of the moment."""
+        """Tell whether the finest level uses the present matrix."""
         return bool(self.inner.getType() == PETSc.PC.Type.GAMG)
 
     def clear(self) -> None:
@@ -147,7 +120,7 @@ class Multigrid:
         self.B = self.E = None
 
     def renew(self, data: Preconditioning, held: Ints, *, definite: bool) -> None:
-        """Take another matrix; collective."""
+        """Set up with another matrix; collective."""
         data.B.setOption(PETSc.Mat.Option.SPD, definite)
         self.B, self.E, self.held_by_B = data.B, data.change.E, held
         basis = orthonormal(data.motions)
@@ -165,16 +138,16 @@ class Multigrid:
         self.inner.setReusePreconditioner(True)  # values of B change, the coarse levels stay
 
     def follow(self, change: Change, held: Ints) -> None:
-        """Say which unknowns are held now, and what v is; collective.
+        """Set the unknowns that are held now, and v; collective.
 
-        The matrix of the change is the object that the set-up was given, with other values.
+        The matrix of the change is the object of the set-up with other values.
         """
         assert self.B is not None, "not set up"
         self.E, self.held = change.E, held
-        self.B.setDiagonal(change.matrix.getDiagonal())  # the smoother reads nothing else of it
+        self.B.setDiagonal(change.matrix.getDiagonal())  # all that the smoother reads of B
 
     def hold(self, held: Ints, diagonal: Floats) -> None:
-        """Say which unknowns are held now, and the diagonal of the QP's matrix."""
+        """Set the unknowns that are held now, and the diagonal of the QP's matrix."""
         self.held = held
         self.freed = np.asarray(np.setdiff1d(self.held_by_B, held), dtype=np.int32)
         self.freed_diagonal = diagonal[self.freed]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Options of a linear solver: kept out of PETSc's database, checked early, and seen to be read."""
+"""Options of a linear solver: kept out of PETSc's database, checked early, reported if unused."""
 
 from __future__ import annotations
 
@@ -16,17 +16,22 @@ import numpy as np
 from dolfinx_mortar.algebra.parallel import any_rank
 
 DEFAULTS = {"ksp_type": "cg", "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
-# Over them for matrices that are not symmetric, or not positive definite.
+# Instead of them for matrices that are not symmetric, or not positive definite.
 GENERAL = {"ksp_type": "gmres", "pc_type": "lu"}
-# For three dimensions, where a factorisation takes too much time and memory.
-# The threshold drops entries that are zero up to round-off. Three smoothing steps instead of two:
-# 28 to 50 % fewer iterations, the same time on hexahedra and 10 to 25 % less on graded tetrahedra
-# (12k to 146k unknowns, with and without friction and plasticity); four gain no more.
-MULTIGRID = {"pc_type": "gamg", "pc_gamg_threshold": 0.005, "mg_levels_ksp_max_it": 3}
+# In three dimensions, where a factorisation takes too much time and memory. The threshold drops
+# entries that are zero up to round-off. Three smoothing steps instead of two: 28 to 50 % fewer
+# iterations, the same time on hexahedra and 10 to 25 % less on graded tetrahedra (12k to 146k
+# unknowns, with and without friction and plasticity); four gain no more.
+MULTIGRID = {
+    "pc_type": "gamg",
+    "pc_gamg_threshold": 0.005,
+    "mg_levels_ksp_max_it": 3,
+    "ksp_max_it": 500,
+}
 DIRECT = ("cholesky", "lu")
-# How options begin that choose a method or limit it; others only show what it does.
+# First letters of options that choose or limit a method; others only show what it does.
 OF_METHODS = ("pc_", "mg_", "ksp_type", "ksp_max_it")
-# PETSc reads them, but our own convergence test stops the iteration.
+# PETSc reads them, but our own convergence test ends the iteration.
 OVERRULED = {"ksp_rtol", "ksp_atol", "ksp_divtol"}
 VALUES = (str, int, float, bool, np.number, type(None))
 
@@ -44,19 +49,19 @@ def was_read(name: str) -> bool:
 
 
 class SolverOptions:
-    """PETSc options under a prefix; what the user's options database has there wins.
+    """PETSc options under a prefix; the user's options database takes precedence.
 
     Attributes:
         prefix: the prefix.
         given: the user's options without prefix.
-        grown: options that had to grow, such as workspaces.
+        grown: options that were enlarged, such as workspaces.
         definite: whether the defaults are those of symmetric positive definite matrices.
     """
 
     def __init__(
         self, prefix: str, options: Mapping[str, Any] | None, *, multigrid: bool = False
     ) -> None:
-        """Put the options over the defaults (CG with MUMPS Cholesky, or with multigrid)."""
+        """Set the options over the defaults (CG with MUMPS Cholesky, or with multigrid)."""
         self.prefix = prefix
         self.given = dict(options or {})
         self.grown: dict[str, Any] = {}
@@ -66,7 +71,7 @@ class SolverOptions:
         self._unread = {k for k, v in self.given.items() if k not in ours or v != ours[k]}
 
     def __getitem__(self, key: str) -> str:
-        """Return the value that PETSc will see."""
+        """Return the value that PETSc uses."""
         return str(PETSc.Options(self.prefix).getString(key, str(self.values[key])))
 
     @property
@@ -88,7 +93,7 @@ class SolverOptions:
 
     @contextmanager
     def database(self, prefix: str) -> Iterator[None]:
-        """Hold the options in PETSc's database: they are read at set-up as well as at creation."""
+        """Put the options into PETSc's database for a block, such as a creation or a set-up."""
         opts = PETSc.Options()
         values = self.values
         hidden = {k for k in values if opts.hasName(f"{prefix}{k}")}
@@ -104,15 +109,15 @@ class SolverOptions:
                 opts.delValue(f"{prefix}{key}")
 
     def unread(self) -> list[str]:
-        """Return the options of the user that have had no effect so far."""
+        """Return the user's options that PETSc has not read so far."""
         return sorted(self._unread)
 
 
 def check_options(comm: MPI.Comm, prefix: str, options: Mapping[str, Any] | None) -> None:
-    """Try options on a small matrix, on each rank alone (collective).
+    """Check options by a small matrix on each rank (collective).
 
     Args:
-        comm: communicator of the ranks that must agree.
+        comm: communicator.
         prefix: prefix of the options.
         options: options without prefix, over the defaults.
 

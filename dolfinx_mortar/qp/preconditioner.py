@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""The factorisation or multigrid at hand, and what it is of."""
+"""The present factorisation or multigrid set-up, its matrix, and when it is renewed.
+
+It is renewed as soon as that is cheaper than to continue with it. The decisions depend on
+residuals, not on clocks, so that they are the same on all ranks.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -17,7 +22,13 @@ from dolfinx_mortar.qp.operator import Operator
 from dolfinx_mortar.qp.options import SolverOptions
 from dolfinx_mortar.qp.updates import LIMIT
 
-# INFOG(1): workspace too small; ICNTL(14) is the percentage by which it exceeds the estimate.
+# Iterations that cost as much as a renewal. A numeric factorisation in 2D costs 5 to 7 solves with
+# it (5k, 50k and 200k unknowns, MUMPS). A set-up of multigrid in 3D costs 25 to 40 iterations
+# (GAMG, 30k to 120k unknowns); it is renewed when an old one has cost so many more than a new one
+# would have: at most twice the least is lost. With half of them the time is the same up to 43k
+# unknowns; at 148k an elastic step has a second set-up for its last ten iterations.
+RENEWAL_COST = {"direct": 6, "iterative": 40}
+# INFOG(1) of MUMPS: workspace too small; ICNTL(14) is the percentage above its estimate.
 WORKSPACE_ERRORS = (-8, -9)
 WORKSPACE = "mat_mumps_icntl_14"
 # INFOG(1): could not allocate, or not within its limit; and PETSc's PC_FACTOR_OUTMEMORY.
@@ -26,7 +37,7 @@ MEMORY_ERRORS, OUT_OF_MEMORY = (-7, -13, -18, -19, -20), 3
 
 @dataclass
 class LinearCounts:
-    """What the solver has done so far."""
+    """Costs so far."""
 
     symbolic: int = 0  # analyses of a pattern
     factorisations: int = 0  # numeric factorisations or preconditioner set-ups
@@ -37,14 +48,81 @@ class LinearCounts:
     seconds_solve: float = 0.0
 
 
+class Renewal:
+    """When to renew, from the convergence observed so far.
+
+    Attributes:
+        after: iterations that cost as much as a renewal.
+        direct: for a factorisation one solve decides, for multigrid the sum of all.
+    """
+
+    def __init__(self, after: int, *, direct: bool) -> None:
+        """Start without observations."""
+        self.after, self.direct = after, direct
+        self.fresh_rate = 0.0  # log of the reduction per iteration when it was new
+        self.excess = 0.0  # iterations above those of a new one, since it was new
+
+    def is_slow(self, norms: Sequence[float], wanted: float) -> bool:
+        """Tell whether the residual norms predict that a renewal is cheaper.
+
+        A rate counts from half as many iterations on as a renewal costs.
+        """
+        its = len(norms) - 1
+        if 2 * its < self.after or norms[-1] <= wanted:
+            return False
+        rate = np.log(norms[-1] / norms[0]) / its
+        return bool(rate >= 0.0 or np.log(wanted / norms[-1]) / rate > self.after)
+
+    def is_far(self, different: int) -> bool:
+        """Tell whether to renew without a try, for so many unknowns that are newly held or free.
+
+        Each is a change of rank one, and costs up to one iteration.
+        """
+        return (different if self.direct else self.excess) > self.after
+
+    def learn(self, norms: Sequence[float], *, stale: bool) -> None:
+        """Observe the residual norms of a solve with a new or an old set-up."""
+        its, reached = len(norms) - 1, 0.0
+        if its > 0 and norms[0] > 0.0:
+            reached = float(np.log(max(norms[-1] / norms[0], np.finfo(float).tiny)))
+        if not stale:
+            self.fresh_rate, self.excess = reached / max(its, 1), 0.0
+        elif self.fresh_rate < 0.0:
+            self.excess += its - reached / self.fresh_rate
+
+
+class SlownessTest:
+    """PETSc convergence test: at the tolerance, or when an old factorisation is too slow."""
+
+    def __init__(self, renewal: Renewal, reduction: float, limit: int, *, stale: bool) -> None:
+        """Set the reduction of the residual and the largest number of iterations."""
+        self.renewal, self.reduction, self.limit, self.stale = renewal, reduction, limit, stale
+        self.norms: list[float] = []
+
+    def __call__(self, ksp: PETSc.KSP, its: int, norm: float) -> int:
+        """Return PETSc's reason to stop, or that there is none."""
+        Reason = PETSc.KSP.ConvergedReason
+        self.norms.append(norm)
+        if not np.isfinite(norm):
+            return int(Reason.DIVERGED_NANORINF)
+        wanted = self.reduction * self.norms[0]
+        if norm <= wanted:
+            return int(Reason.CONVERGED_RTOL)
+        if its >= self.limit:
+            return int(Reason.DIVERGED_MAX_IT)
+        if self.stale and self.renewal.direct and self.renewal.is_slow(self.norms, wanted):
+            return int(Reason.CONVERGED_ITS)
+        return int(Reason.CONVERGED_ITERATING)
+
+
 class Preconditioner:
-    """M^-1 of an operator as it was at some time, for a KSP.
+    """M^-1 for an operator with an earlier matrix and earlier held unknowns.
 
     Args:
         operator: the operator.
-        ksp: its solver, which gets this preconditioner.
+        ksp: its solver, whose PC is set.
         options: PETSc options of both.
-        unknowns: in which multigrid works; by default those of the operator.
+        unknowns: those of multigrid; by default those of the operator.
     """
 
     def __init__(
@@ -56,10 +134,11 @@ class Preconditioner:
     ) -> None:
         """Create the PC; nothing is set up."""
         self.operator, self.ksp, self.options = operator, ksp, options
+        self.comm = ksp.comm.tompi4py()
         self.unknowns = OwnUnknowns(operator.A) if unknowns is None else unknowns
         self.held: Ints | None = None  # when it was set up
         self._state = -1  # of A at that time
-        # state of A, and held unknowns, that multigrid's finest level is of
+        # state of A, and held unknowns, of multigrid's finest level
         self._followed: tuple[int, Ints] = (-1, np.empty(0, dtype=np.int32))
         self.multigrid: Multigrid | None = None
         self.pc = ksp.getPC()
@@ -75,31 +154,30 @@ class Preconditioner:
         return f"{name} ({self.pc.getFactorSolverType()})" if self.options.direct else name
 
     def is_of(self, held: Ints) -> bool:
-        """Tell whether it is that of the present A with this mask (collective)."""
+        """Tell whether it is that of the present A with these unknowns held (collective)."""
         same = self.held is not None and np.array_equal(self.held, held)
-        comm = self.ksp.comm.tompi4py()
-        return self._state == self.operator.state and bool(comm.allreduce(same, op=MPI.LAND))
+        return self._state == self.operator.state and self.comm.allreduce(same, op=MPI.LAND)
 
     def differences(self, held: Ints) -> int | None:
-        """Return how many unknowns its mask differs by (collective); None if there is none."""
+        """Return in how many held unknowns it differs (collective); None if it is not set up."""
         if self.held is None:
             return None
-        return int(self.ksp.comm.tompi4py().allreduce(np.setxor1d(self.held, held).size))
+        return int(self.comm.allreduce(np.setxor1d(self.held, held).size))
 
     def clear(self) -> None:
-        """Free the factorisation or the levels, and let go of the matrices; collective.
+        """Free the factorisation or the levels, and release the matrices; collective.
 
-        PETSc keeps them in a PC that somebody else knows, also when the KSP is destroyed.
+        PETSc keeps them in a PC with other references, also when the KSP is destroyed.
         """
         self.ksp.getPC().reset()
         if self.multigrid is not None:
             self.multigrid.clear()
 
     def renew(self, held: Ints, counts: LinearCounts) -> str:
-        """Set up anew; return why it failed and what to do, or nothing (collective)."""
+        """Set up again; return cause and remedy of a failure, else "" (collective)."""
         if self.multigrid is not None:
             self.multigrid.clear()  # two at a time would need twice the memory
-        free_unused(self.ksp.comm.tompi4py())
+        free_unused(self.comm)
         if self.multigrid is None:
             self._factorise(counts)
         else:
@@ -112,13 +190,13 @@ class Preconditioner:
         if self.pc.getFailedReason() == 0:
             return ""
         self.held = None
-        why = f"({reason(self.pc)}). {remedy(self.pc)}"
+        why = describe_failure(self.pc)
         if self.multigrid is None:
-            self.pc.reset()  # PETSc would take a failed factor of the same matrix for a good one
+            self.pc.reset()  # PETSc would use a failed factor of the same matrix
         return why
 
     def follow(self, held: Ints) -> None:
-        """Let multigrid know what is held now; collective."""
+        """Set the present matrix and held unknowns of multigrid; collective."""
         if self.multigrid is None:
             return
         if not self.multigrid.follows:
@@ -126,69 +204,55 @@ class Preconditioner:
             return
         now = self.operator.state
         same = self._followed[0] == now and np.array_equal(self._followed[1], held)
-        if not self.ksp.comm.tompi4py().allreduce(same, op=MPI.LAND):
+        if not self.comm.allreduce(same, op=MPI.LAND):
             self.multigrid.follow(self.unknowns.change(held), held)
             self._followed = now, held.copy()
 
     def _factorise(self, counts: LinearCounts) -> None:
-        """Factorise the masked matrix, with more workspace if there was too little."""
+        """Factorise the matrix, with more workspace if MUMPS had too little."""
         self.pc.setReusePreconditioner(False)
         self.ksp.setOperators(self.operator.matrix)
         for _ in range(LIMIT):
             with self.options.database(self.options.prefix):
                 self.pc.setUp()
             counts.factorisations += 1
-            enough = enough_workspace(self.pc)
-            if enough is None:
+            if mumps_error(self.pc) not in WORKSPACE_ERRORS:
                 break
-            self.options.grown[WORKSPACE] = enough
-            if self.options[WORKSPACE] != str(enough):
-                break  # what the user's options database has wins, and cannot grow
+            twice = 2 * max(int(self.pc.getFactorMatrix().getMumpsIcntl(14)), 20)
+            self.options.grown[WORKSPACE] = twice
+            if self.options[WORKSPACE] != str(twice):
+                break  # the user's options database takes precedence
             self.pc.reset()  # a failed factor cannot be used again
             self.ksp.setOperators(self.operator.matrix)
             counts.symbolic += 1
         self.pc.setReusePreconditioner(True)
 
 
-# -- what MUMPS says about a factorisation that failed ----------------------------------------
-
-
-def mumps_factor(pc: PETSc.PC) -> PETSc.Mat | None:
-    """Return the factor if it is one of MUMPS."""
+def mumps_error(pc: PETSc.PC) -> int | None:
+    """Return INFOG(1) of a factorisation by MUMPS, None for other methods."""
     direct = pc.getType() in ("cholesky", "lu")
-    return pc.getFactorMatrix() if direct and pc.getFactorSolverType() == "mumps" else None
-
-
-def enough_workspace(pc: PETSc.PC) -> int | None:
-    """Return a value of ICNTL(14) that doubles the workspace, if that is why MUMPS failed."""
-    factor = mumps_factor(pc)
-    if factor is None or factor.getMumpsInfog(1) not in WORKSPACE_ERRORS:
+    if not direct or pc.getFactorSolverType() != "mumps":
         return None
-    return 2 * max(int(factor.getMumpsIcntl(14)), 20)
+    return int(pc.getFactorMatrix().getMumpsInfog(1))
 
 
-def reason(pc: PETSc.PC) -> str:
-    """Return the codes of a failure."""
-    factor = mumps_factor(pc)
-    code = f", MUMPS INFOG(1) = {factor.getMumpsInfog(1)}" if factor is not None else ""
-    return f"PETSc reason {pc.getFailedReason()}{code}"
-
-
-def remedy(pc: PETSc.PC) -> str:
-    """Say what to do about a failure."""
-    factor = mumps_factor(pc)
-    code = 0 if factor is None else factor.getMumpsInfog(1)
+def describe_failure(pc: PETSc.PC) -> str:
+    """Return the codes of a failure and what to do."""
+    code = mumps_error(pc)
+    reason = f"(PETSc reason {pc.getFailedReason()}"
+    reason += ")" if code is None else f", MUMPS INFOG(1) = {code})"
     if code in WORKSPACE_ERRORS:
         return (
-            f"PETSc's options database has -{pc.getOptionsPrefix()}{WORKSPACE}, which keeps the "
-            "workspace too small: raise it, or leave it out."
+            f"{reason}. PETSc's options database has -{pc.getOptionsPrefix()}{WORKSPACE}, which "
+            "keeps the workspace too small: raise it, or leave it out."
         )
     if code in MEMORY_ERRORS or pc.getFailedReason() == OUT_OF_MEMORY:
         return (
-            "It does not fit into memory. Use an iterative solver, as is the default in 3D: "
-            'petsc_options={"ksp_type": "cg", "pc_type": "gamg"}; or more ranks on more machines.'
+            f"{reason}. It does not fit into memory. Use an iterative solver, as is the default in "
+            '3D: petsc_options={"ksp_type": "cg", "pc_type": "gamg"}; or more ranks on more '
+            "machines."
         )
     return (
-        "Most often a body is held by nothing: add a Dirichlet condition or a contact that holds "
-        "it, or check the material constants."
+        f"{reason}. Most often a body is held by nothing: add a Dirichlet condition or a contact "
+        "that holds it, or check the material constants."
     )

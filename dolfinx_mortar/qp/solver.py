@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Solve a bound-constrained QP with a backend chosen by name, and judge what it returns."""
+"""Solve a bound-constrained QP with a backend chosen by name, and check the solution."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from dolfinx_mortar.qp.bound_qp import BoundQP, QPNotSolved, QPSolution, check, 
 from dolfinx_mortar.qp.held import State, nearest
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
 
-# What a backend may end in without a fault of the code.
+# Errors of a backend that are no fault of the code.
 FAILURES = (
     LinearSolveFailed,
     PETSc.Error,
@@ -39,13 +39,10 @@ def check_name(backend: str) -> None:
 
 
 def check_friction(backend: str, friction: bool) -> None:
-    """Raise ValueError if there is friction, and a backend that cannot take it.
-
-    The interior point knows bounds, no limits of reactions that follow the pressure.
-    """
+    """Raise ValueError if there is friction, and a backend that is for bounds only."""
     if friction and backend != ACTIVE_SET:
         raise ValueError(
-            f"qp is {backend!r}, which knows bounds only: with friction choose {ACTIVE_SET!r}"
+            f"qp is {backend!r}, which is for bounds only: with friction choose {ACTIVE_SET!r}"
         )
 
 
@@ -64,29 +61,26 @@ def solve(
     Args:
         qp: the problem.
         backend: "active-set", or for a definite matrix without friction "interior-point".
-        linear: linear solver, whose factorisation is reused if it was used before; a MUMPS
-            factorisation by default.
-        start_active: (k,) guess of the active set on ``qp.bounded``: +1 upper, -1 lower, 0 free.
-            By default every unknown at its nearest bound, which holds every body.
-        start_sliding: (m, t) guess of the directions of slip on ``qp.friction``, zero where it
-            sticks; by default everywhere.
+        linear: linear solver, whose factorisation is reused; by default a new one with MUMPS.
+        start_active: (k,) initial active set on ``qp.bounded``: +1 upper, -1 lower, 0 free. By
+            default every unknown at its bound nearest to zero, which constrains every body.
+        start_sliding: (m, t) initial directions of slip on ``qp.friction``, zero at sticking nodes;
+            by default everywhere.
         changes: bounded unknowns in which the solution is expected to differ from ``start_active``,
             such as `QPSolution.changes` of the Newton iteration before; by default any number. It
-            decides what the solution costs.
+            affects the cost only.
         rtol: tolerance of the KKT check, relative; round-off is the limit.
 
     Returns:
         The solution, which has passed the check.
 
     Raises:
-        ValueError: for an unknown backend, one that cannot take this problem, or data that have
-            no solution.
-        QPNotSolved: if the backend fails, or if its result fails the check; then the exception
-            carries it.
+        ValueError: for an unknown backend, one that is not for this problem, or data that have no
+            solution.
+        QPNotSolved: if the backend fails, or if its solution, then an attribute of the error, fails
+            the check.
     """
     check_name(backend)
-    if not isinstance(qp, BoundQP):
-        raise ValueError(f"qp is {qp!r}: give a BoundQP")
     check_friction(backend, qp.friction is not None)
     if backend == INTERIOR_POINT and not qp.definite:
         raise ValueError(
@@ -110,12 +104,11 @@ def solve(
             solution = active_set.solve(qp, linear, start=first, changes=changes, rtol=rtol)
     except FAILURES as error:
         raise QPNotSolved(f"The backend {backend!r} stopped{_cause(error, linear)}") from error
+    now = linear.counts
     solution = replace(
         solution,
-        linear_iterations=solution.linear_iterations + linear.counts.iterations - before.iterations,
-        factorisations=solution.factorisations
-        + linear.counts.factorisations
-        - before.factorisations,
+        linear_iterations=solution.linear_iterations + now.iterations - before.iterations,
+        factorisations=solution.factorisations + now.factorisations - before.factorisations,
     )
     if not solution.kkt.satisfied(rtol):
         raise QPNotSolved(
@@ -127,7 +120,7 @@ def solve(
 
 
 def _cause(error: Exception, linear: LinearSolver) -> str:
-    """Say what stopped a backend, and what to do about it."""
+    """Return the cause of a failure and what to do."""
     if isinstance(error, PETSc.Error):
         return (
             f" in PETSc: {error}. Check the options of the linear solver, {linear.options.values}"
@@ -139,10 +132,7 @@ def _cause(error: Exception, linear: LinearSolver) -> str:
 
 
 def _nothing_to_do(qp: BoundQP, backend: str) -> QPSolution | None:
-    """Return x = 0 if no force acts and no bound forbids it.
-
-    An iteration would only come near, and have nothing to measure its error against.
-    """
+    """Return x = 0 if that is the solution: an iteration would have no scale for its error."""
     lower, upper = qp.bounds()
     outside = bool((lower > 0.0).any() or (upper < 0.0).any())
     sliding = None
@@ -158,7 +148,7 @@ def _nothing_to_do(qp: BoundQP, backend: str) -> QPSolution | None:
 
 
 def _possible(qp: BoundQP, active: Actives) -> Actives:
-    """Return the set without unknowns at bounds that are infinitely far."""
+    """Return the set without unknowns at infinite bounds."""
     lower, upper = qp.bounds()
     active = np.where((active > 0) & np.isinf(upper), 0, active)
     return np.where((active < 0) & np.isinf(lower), 0, active).astype(np.int8)
