@@ -17,7 +17,7 @@ from dolfinx_mortar.interfaces.nodal import check_mesh
 from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.interfaces.tie import Tie
-from dolfinx_mortar.terms.term import Term
+from dolfinx_mortar.solid.term import Term
 
 
 def read_jumps(system: InterfaceSystem, empty: PETSc.Vec) -> dict[int, PETSc.Vec]:

@@ -157,16 +157,16 @@ class MeanDilatation:
         self.mean_stress.x.array[dofs] = bulk * change / cells.volumes
 
     def energy(self) -> float:
-        """Return sum_c K/2 V t^2 = p^2 V / (2 K) of the mean stress that is known; collective."""
+        """Return sum_c K/2 V t^2 = p^2 V / (2 K) over the owned cells, p as `follow` found it."""
         dofs, own = self.mean_stress.function_space.dofmap.list, slice(None, self._cells.owned)
         p = self.mean_stress.x.array[dofs[own, 0]]
-        return self._sum(p**2 * self._cells.volumes[own] / (2 * self._bulk()[own]))
+        return float((p**2 * self._cells.volumes[own] / (2 * self._bulk()[own])).sum())
 
     def norm_squared(self, v: fem.Function) -> float:
-        """Return sum_c K / V (B v)^2; collective."""
+        """Return sum_c K / V (B v)^2 over the owned cells."""
         cells, own = self._cells, slice(None, self._cells.owned)
         change = (cells.B[own] * v.x.array[cells.dofs[own]]).sum(axis=1)
-        return self._sum(self._bulk()[own] / cells.volumes[own] * change**2)
+        return float((self._bulk()[own] / cells.volumes[own] * change**2).sum())
 
     def add_tangent(self, K: PETSc.Mat) -> None:
         """Add B^T (K / V) B to a matrix with the pattern of the mesh; collective.
@@ -198,11 +198,6 @@ class MeanDilatation:
             w = weights[cells]
             bulk[cells] = (w * values).sum(axis=1) / w.sum(axis=1)
         return bulk
-
-    def _sum(self, values: Floats) -> float:
-        """Return the sum over all ranks."""
-        comm = self._u.function_space.mesh.comm
-        return float(comm.allreduce(float(values.sum()), op=MPI.SUM))
 
 
 def _bulk_modulus(region: Region, u: fem.Function, points: Floats) -> fem.Expression:

@@ -26,8 +26,8 @@ from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.spaces import check_real
-from dolfinx_mortar.terms.term import Term
 from ufl.algorithms import estimate_total_polynomial_degree, expand_derivatives
 
 REMEDY = "give its potential instead, ContactProblem(..., potential=...)"
