@@ -190,18 +190,17 @@ def test_the_elastic_norm_is_that_of_the_tangent(cell, kinematics):
     assert np.isclose(2 * total(solid.energy()), solid.elastic_norm(u) ** 2, rtol=1e-10)
 
 
-def test_a_tangent_follows_the_parameters(monkeypatch):
+def test_a_tangent_follows_the_parameters():
     """What is constant for given parameters is formed anew for others."""
     u = warped("quadrilateral")
-    soft, stiff = (dm.Solid(u, dm.Elastic(e, NU), volumetric="reduced") for e in (E, 2 * E))
-    K, wanted = soft.create_matrix(), stiff.create_matrix()
-    soft.assemble_tangent(K)
+    modulus = fem.Constant(u.function_space.mesh, E)
+    solid, stiff = (dm.Solid(u, dm.Elastic(e, NU), volumetric="reduced") for e in (modulus, 2 * E))
+    K, wanted = solid.create_matrix(), stiff.create_matrix()
+    solid.assemble_tangent(K)
     before = K.norm()
     stiff.assemble_tangent(wanted)
-    dilatation = soft._forms.dilatation
-    monkeypatch.setattr(dilatation, "_moduli", stiff._forms.dilatation._moduli)
-    monkeypatch.setattr(soft, "_forms", dataclasses.replace(stiff._forms, dilatation=dilatation))
-    soft.assemble_tangent(K)
+    modulus.value = 2 * E
+    solid.assemble_tangent(K)
     assert np.isclose(K.norm(), 2 * before, rtol=1e-12)
     wanted.axpy(-1.0, K)
     assert wanted.norm() < 1e-12 * before

@@ -22,7 +22,7 @@ from petsc4py import PETSc
 import numpy as np
 
 import ufl
-from dolfinx import fem, la, mesh
+from dolfinx import fem, mesh
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
@@ -39,7 +39,7 @@ from dolfinx_mortar.solid.points import PointFields
 from dolfinx_mortar.solid.pointwise import create_point_values, fill_point_values
 from dolfinx_mortar.solid.sources import Followed, follow_changed
 from dolfinx_mortar.solid.state import create_evaluations, create_field, create_state, fill_all
-from dolfinx_mortar.solid.term import Term
+from dolfinx_mortar.solid.term import Term, assemble
 from dolfinx_mortar.spaces import check_real, check_space
 
 # Written first, and if a law has them; then all internal variables and what the laws put out.
@@ -221,11 +221,7 @@ class Solid(Term):
     def add_forces(self, F: PETSc.Vec) -> None:
         """Add F(u)_i = int sigma : eps(phi_i) to the owned part of F; collective."""
         self.follow()
-        force = self._forms.force
-        force.array[:] = 0.0
-        fem.assemble_vector(force.array, self._forms.residual)
-        force.scatter_reverse(la.InsertMode.add)
-        F.array_w[:] += force.array[: F.local_size]
+        F.array_w[:] += assemble(self._forms.residual, self._forms.force)[: F.local_size]
 
     def add_tangent(self, K: PETSc.Mat) -> None:
         """Add the consistent tangent dF/du at u, symmetric, without boundary conditions."""

@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 
 from petsc4py import PETSc
 
-from dolfinx import fem
+import numpy as np
+
+from dolfinx import fem, la
 from dolfinx_mortar.arrays import Floats, Ints
 
 
@@ -68,3 +70,16 @@ class Term:
 
     def roll_back(self) -> None:
         """Forget a step that has failed; the committed state stands as it is."""
+
+
+def create_vector(V: fem.FunctionSpace) -> la.Vector:
+    """Return a vector of V, with ghosts."""
+    return la.vector(V.dofmap.index_map, V.dofmap.index_map_bs)
+
+
+def assemble(form: fem.Form, vector: la.Vector) -> Floats:
+    """Assemble a linear form into a vector; return a view of its owned values; collective."""
+    vector.array[:] = 0.0
+    fem.assemble_vector(vector.array, form)
+    vector.scatter_reverse(la.InsertMode.add)
+    return np.asarray(vector.array[: vector.block_size * vector.index_map.size_local])
