@@ -28,12 +28,12 @@ from dolfinx_mortar.qp import QPNotSolved
 from dolfinx_mortar.report.reaction import Reaction, reaction
 from dolfinx_mortar.report.summary import summarise, write_summary
 from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.step_report import LoadStep, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.load_steps import load_steps
 from dolfinx_mortar.steps.newton import newton
 from dolfinx_mortar.steps.preload import Preload, PreloadNotReached, preload
 from dolfinx_mortar.tags import Tags
-from dolfinx_mortar.terms.term import Term
 from dolfinx_mortar.terms.weak_forms import WeakForm
 
 __version__ = "0.1.0"

@@ -20,9 +20,9 @@ SOLVERS = {"direct": {}, "iterative": {"pc_type": "gamg"}}
 def test_a_linear_tangent_is_assembled_once(solver, what, monkeypatch):
     """Over all steps; once a step where a user may change values: of a potential, of parameters."""
     case, calls = PressedBlocks(), []
-    assemble = dm.Solid.assemble_tangent
+    assemble = dm.Solid.add_tangent
     monkeypatch.setattr(
-        dm.Solid, "assemble_tangent", lambda self, K: (calls.append(K), assemble(self, K))
+        dm.Solid, "add_tangent", lambda self, K: (calls.append(K), assemble(self, K))
     )
     k, E = (fem.Constant(case.mesh, default_scalar_type(1.0)) for _ in range(2))
     ds = ufl.Measure("ds", case.mesh, subdomain_data=case.facets)

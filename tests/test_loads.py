@@ -91,7 +91,7 @@ def test_forces_and_tangent_are_derivatives(d, name):
         F = u.x.petsc_vec.duplicate()
         solid.assemble_residual(F)
         term.add_forces(F)
-        return solid.energy() + total(term.energy()), F.array.copy()
+        return total(solid.energy()) + total(term.energy()), F.array.copy()
 
     (e1, f1), (e0, f0), (_, f) = state(h), state(-h), state(0.0)
     K = solid.create_matrix()

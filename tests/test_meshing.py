@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar import meshing
-from dolfinx_mortar.meshing import disc_on_block
+from dolfinx_mortar.meshing import disc_on_block, two_bodies
 from tests.integrals import integral
 
 COMM = MPI.COMM_WORLD
@@ -168,6 +168,7 @@ def test_meshing_is_deterministic_and_silent(capfd):
         ({"block": (30.0, 30.0, 10.0)}, "block"),
         ({"limit": 1.0}, "limit"),
         ({"limit": "10"}, "limit"),
+        ({"core": 0.0}, "core"),
         ({"gap": np.inf}, "gap"),
         ({"gap": None}, "gap"),
         ({"gap": -8.0}, "gap"),  # the block reaches the flat face
@@ -222,15 +223,18 @@ def test_no_gap_and_no_size_swallows_a_tag(radius, block, gap):
     assert integral(one * ds(4)) == pytest.approx(np.pi * radius, rel=1e-2)
 
 
-@pytest.mark.parametrize("factor", [0.5, 2.0])
+@pytest.mark.parametrize("factor", [0.0, 0.5, 2.0, 1e8])
 def test_tags_do_not_hang_on_a_tolerance(factor, monkeypatch):
-    before = count_tags(meshing.hertz(COMM, gap=0.1).facet_tags)
-    monkeypatch.setattr(disc_on_block, "ON_PLANE", factor * disc_on_block.ON_PLANE)
-    after = count_tags(meshing.hertz(COMM, gap=0.1).facet_tags)
-    assert np.array_equal(before, after)
+    """Half and twice as much change nothing; none at all, or the size of a body, does."""
+    options = {"gap": 0.1} if factor < 3.0 else {"h": 1.0, "core": 2.0}
+    make = meshing.hertz if factor < 3.0 else meshing.sphere  # which has nothing to mirror
+    before = count_tags(make(COMM, **options).facet_tags)
+    monkeypatch.setattr(two_bodies, "ON_PLANE", factor * two_bodies.ON_PLANE)
+    after = count_tags(make(COMM, **options).facet_tags)
+    assert np.array_equal(before, after) == (factor in (0.5, 2.0))
 
 
 def count_tags(tags):
     """Return how many facets of all ranks have each tag; another mesh may be split otherwise."""
     owned = tags.values[tags.indices < tags.topology.index_map(tags.dim).size_local]
-    return COMM.allreduce(np.bincount(owned, minlength=6))
+    return COMM.allreduce(np.bincount(owned, minlength=7))

@@ -93,7 +93,7 @@ def test_forces_and_tangent_are_derivatives(cell, kinematics):
     for side in (1, -1):
         u.x.array[:] = start + side * h * w.x.array
         ends.append(forces(solid))
-        energies.append(solid.energy())
+        energies.append(total(solid.energy()))
     work = at.dot(w.x.petsc_vec)
     assert abs((energies[0] - energies[1]) / (2 * h) - work) < 1e-7 * abs(work)
     difference = ends[0] - ends[1]
@@ -144,7 +144,7 @@ def test_patch(cell, kinematics):
     found = solid.fields.values("stress")
     assert largest(found - np.array(parts[: found.shape[2]])) < 1e-12 * E
     density = 0.5 * np.sum(stress * full)
-    assert np.isclose(solid.energy(), density * total(solid.fields.weights), rtol=1e-12)
+    assert np.isclose(total(solid.energy()), density * total(solid.fields.weights), rtol=1e-12)
 
 
 @pytest.mark.parametrize(("cell", "kinematics"), FLAT_BY_DEFAULT)
@@ -186,21 +186,20 @@ def test_the_elastic_norm_is_that_of_the_tangent(cell, kinematics):
         solid.assemble_tangent(K)
         K.mult(u.x.petsc_vec, product)
         assert np.isclose(solid.elastic_norm(u) ** 2, product.dot(u.x.petsc_vec), rtol=1e-10)
-    assert np.isclose(2 * solid.energy(), solid.elastic_norm(u) ** 2, rtol=1e-10)
+    assert np.isclose(2 * total(solid.energy()), solid.elastic_norm(u) ** 2, rtol=1e-10)
 
 
-def test_a_tangent_follows_the_parameters(monkeypatch):
+def test_a_tangent_follows_the_parameters():
     """What is constant for given parameters is formed anew for others."""
     u = warped("quadrilateral")
-    soft, stiff = (dm.Solid(u, dm.Elastic(e, NU), volumetric="reduced") for e in (E, 2 * E))
-    K, wanted = soft.create_matrix(), stiff.create_matrix()
-    soft.assemble_tangent(K)
+    modulus = fem.Constant(u.function_space.mesh, E)
+    solid, stiff = (dm.Solid(u, dm.Elastic(e, NU), volumetric="reduced") for e in (modulus, 2 * E))
+    K, wanted = solid.create_matrix(), stiff.create_matrix()
+    solid.assemble_tangent(K)
     before = K.norm()
     stiff.assemble_tangent(wanted)
-    dilatation = soft._forms.dilatation
-    monkeypatch.setattr(dilatation, "_moduli", stiff._forms.dilatation._moduli)
-    monkeypatch.setattr(soft, "_forms", dataclasses.replace(stiff._forms, dilatation=dilatation))
-    soft.assemble_tangent(K)
+    modulus.value = 2 * E
+    solid.assemble_tangent(K)
     assert np.isclose(K.norm(), 2 * before, rtol=1e-12)
     wanted.axpy(-1.0, K)
     assert wanted.norm() < 1e-12 * before
@@ -368,7 +367,7 @@ def test_laws_that_say_so_split(law):
         u.interpolate(lambda x, e=e: e @ x)
         solid = dm.Solid(u, law)
         solid.evaluate()
-        found.append((solid.energy(), [f.x.array.copy() for f in solid._staged.values()]))
+        found.append((total(solid.energy()), [f.x.array.copy() for f in solid._staged.values()]))
     bulk = E / (3 * (1 - 2 * NU))
     assert np.isclose(found[0][0] - found[1][0], bulk / 2 * trace**2, rtol=1e-12)
     for a, b in zip(found[0][1], found[1][1], strict=True):

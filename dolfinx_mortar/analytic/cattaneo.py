@@ -21,11 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_mortar.analytic.hertz import LineContact
-from dolfinx_mortar.analytic.inputs import check_positive, numbers
+from dolfinx_mortar.analytic.inputs import ROUND_OFF, check_positive, numbers
 from dolfinx_mortar.arrays import Floats
-
-# A force that closes a loop may exceed the range of the leg before it by this share of mu P.
-ROUND_OFF = 1e-12
 
 
 @dataclass(frozen=True)
@@ -125,17 +122,14 @@ def cattaneo_line(
     """Solve a line contact under a tangential force, or under several one after the other.
 
     Args:
-        contact: The contact under its normal force P, from `hertz_line`, of one material.
-        friction: Coefficient of friction mu.
-        force: Tangential force Q per unit thickness, |Q| <= mu P; or all of them, those at which
+        contact: under its normal force P, from `hertz_line`, of one material.
+        friction: coefficient of friction mu.
+        force: tangential force Q per unit thickness, |Q| <= mu P; or all of them, those at which
             it turned and the present one last. No change may be larger than the one before it, and
             the second not larger than twice the first force, which is when an earlier loop closes.
 
-    Returns:
-        Stick zone, traction, slip, and what is dissipated.
-
     Raises:
-        ValueError: For a number that is out of range, by the name of its argument.
+        ValueError: for a number that is out of range, by the name of its argument.
 
     >>> from dolfinx_mortar.analytic import hertz_line
     >>> contact = hertz_line(100.0, 8.0, 200e3, 0.3, 200e3, 0.3)
@@ -155,18 +149,11 @@ def cattaneo_line(
 def legs_of(
     force: float | tuple[float, ...], limit: float
 ) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
-    """Return the forces of a history, the weights of its legs, and their shares of the limit.
+    """Return the forces of a history, the weights of its legs, and their shares of the limit mu P.
 
-    Args:
-        force: the present tangential force, or those at which it turned and the present one.
-        limit: mu P.
-
-    Returns:
-        The forces; 1 for the first leg and 2 for the others, with the sign of the change; 1 - k,
-        the change of the force over weight and limit, from 0 to 1.
-
-    Raises:
-        ValueError: for what is no force, goes beyond the limit, closes a loop, or does not turn.
+    The weight is 1 for the first leg and 2 for the others, with the sign of the change; the share
+    is 1 - k, the change of the force over weight and limit, from 0 to 1. A ValueError tells what is
+    no force, goes beyond the limit, closes a loop, or does not turn.
     """
     history = np.atleast_1d(numbers("force", force))
     if history.ndim > 1 or not history.size:
@@ -177,7 +164,7 @@ def legs_of(
     weights = tuple(float(np.sign(c)) * size for c, size in zip(changes, sizes, strict=True))
     shares = [abs(c) / limit / size for c, size in zip(changes, sizes, strict=True)]
     for Q, share, before in zip(path, shares, [1.0, *shares], strict=False):
-        if share > before + ROUND_OFF:
+        if share > before + ROUND_OFF:  # a force that closes a loop may exceed its range by so much
             raise ValueError(
                 f"force = {force!r}: {Q:g} is beyond friction * P = {limit:g}, where all slides, "
                 "or closes a loop: leave out the forces inside loops that are closed."

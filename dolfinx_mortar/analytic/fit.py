@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.analytic.inputs import numbers
+from dolfinx_mortar.analytic.inputs import ROUND_OFF, numbers
 from dolfinx_mortar.arrays import Bools, Floats
 
 # A node is at the edge of a contact where p^2 has fallen below this share of p0^2: its facets reach
@@ -16,8 +16,6 @@ EDGE = 0.1
 # Nodes that must remain for the edge to be left out: on fewer, two at the edge are most of the
 # slope, and without them the fit follows the errors of the others.
 ENOUGH = 5
-# Distances whose squares differ by less than this share of the largest are one: by round-off.
-SAME_DISTANCE = 1e-12
 
 
 def fit_pressure(x: npt.ArrayLike, p: npt.ArrayLike) -> tuple[float, float]:
@@ -30,15 +28,15 @@ def fit_pressure(x: npt.ArrayLike, p: npt.ArrayLike) -> tuple[float, float]:
     predict is below a tenth of p0^2, are left out if five others remain.
 
     Args:
-        x: Distances of the active nodes from the middle of the contact, shape (n,).
-        p: Pressures at these nodes, positive in compression, shape (n,).
+        x: distances (n,) of the active nodes from the middle of the contact.
+        p: pressures (n,) at these nodes, positive in compression.
 
     Returns:
         Peak pressure p0 and half-width a; (nan, nan) where fewer than two distances are known or
         the pressure does not fall with the distance, as for a contact of very few nodes.
 
     Raises:
-        ValueError: For arrays of different shapes, or with members that are no finite numbers.
+        ValueError: for arrays of different shapes, or with members that are no finite numbers.
 
     >>> peak, width = fit_pressure([-3.0, 0.0, 3.0], [8.0, 10.0, 8.0])
     >>> round(peak, 12), round(width, 12)
@@ -67,7 +65,7 @@ def _leave_out(x: Floats, y: Floats, edge: Bools) -> tuple[Floats, Floats]:
 
 def _fit_line(x: Floats, y: Floats) -> tuple[float, float]:
     """Return (c0, c1) of the least-squares line y = c0 + c1 x; NaN for fewer than two x."""
-    if len(x) < 2 or np.ptp(x) <= SAME_DISTANCE * np.max(x):
+    if len(x) < 2 or np.ptp(x) <= ROUND_OFF * np.max(x):
         return np.nan, np.nan
     slope = float(np.sum((x - x.mean()) * (y - y.mean())) / np.sum((x - x.mean()) ** 2))
     return float(y.mean()) - slope * float(x.mean()), slope

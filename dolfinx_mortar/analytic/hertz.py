@@ -17,11 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
-from dolfinx_mortar.analytic.inputs import (
-    check_poisson,
-    check_positive,
-    numbers,
-)
+from dolfinx_mortar.analytic.inputs import check_poisson, check_positive, numbers
 from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import Floats
 
@@ -110,30 +106,15 @@ def effective_radius(radius: float | tuple[float, float]) -> float:
 
 
 def hertz_line(
-    force: float,
-    radius: float | tuple[float, float],
-    E1: float,
-    nu1: float,
-    E2: float,
-    nu2: float,
+    force: float, radius: float | tuple[float, float], E1: float, nu1: float, E2: float, nu2: float
 ) -> LineContact:
     """Solve the line contact of two cylinders (Johnson eqs. 4.43, 4.45), plane strain.
 
         a = sqrt(4 F R/(pi E*)),    p0 = 2 F/(pi a),    p(x) = p0 sqrt(1 - x^2/a^2)
 
-    Args:
-        force: Force F per unit thickness, positive in compression.
-        radius: Radius of a cylinder on a flat body, or the pair (R1, R2).
-        E1: Young's modulus of the first body.
-        nu1: Poisson's ratio of the first body.
-        E2: Young's modulus of the second body.
-        nu2: Poisson's ratio of the second body.
-
-    Returns:
-        Half-width, peak pressure and the pressure distribution.
-
-    Raises:
-        ValueError: For a number that is out of range, by the name of its argument.
+    The force F is per unit thickness, positive in compression; the radius that of a cylinder on a
+    flat body, or the pair (R1, R2); E and nu are Young's moduli and Poisson's ratios of both
+    bodies. A number that is out of range is a ValueError that names its argument.
 
     >>> c = hertz_line(10.0, 8.0, 200.0, 0.3, 200.0, 0.3)
     >>> round(c.half_width, 5), round(c.peak_pressure, 5)
@@ -146,30 +127,13 @@ def hertz_line(
 
 
 def hertz_point(
-    force: float,
-    radius: float | tuple[float, float],
-    E1: float,
-    nu1: float,
-    E2: float,
-    nu2: float,
+    force: float, radius: float | tuple[float, float], E1: float, nu1: float, E2: float, nu2: float
 ) -> PointContact:
     """Solve the point contact of two spheres (Johnson eqs. 4.22-4.24).
 
         a = (3 F R/(4 E*))^(1/3),    p0 = 3 F/(2 pi a^2),    delta = a^2/R
 
-    Args:
-        force: Force F, positive in compression.
-        radius: Radius of a sphere on a flat body, or the pair (R1, R2).
-        E1: Young's modulus of the first body.
-        nu1: Poisson's ratio of the first body.
-        E2: Young's modulus of the second body.
-        nu2: Poisson's ratio of the second body.
-
-    Returns:
-        Contact radius, peak pressure, approach and the pressure distribution.
-
-    Raises:
-        ValueError: For a number that is out of range, by the name of its argument.
+    Arguments and errors as for `hertz_line`; the force F is the whole one.
 
     >>> c = hertz_point(117808.787, (6.1237, 6.1237), 1e8, 0.29, 1e6, 0.29)
     >>> round(c.contact_radius, 5), round(c.peak_pressure / 1e5, 5)
@@ -188,15 +152,8 @@ def line_axis_stress(depth: npt.ArrayLike, nu: float) -> Floats:
 
         sigma_x = 2 z - (1 + 2 z^2)/s,    sigma_y = -1/s,    sigma_z = nu (sigma_x + sigma_y)
 
-    Args:
-        depth: Depth over the half-width a, shape (...), not negative.
-        nu: Poisson's ratio of the body.
-
-    Returns:
-        Stresses along the surface, normal to it and out of plane, shape (..., 3).
-
-    Raises:
-        ValueError: For a depth or a Poisson's ratio that is out of range.
+    Depths over the half-width a have any shape (...) and are not negative, else it is a ValueError;
+    the stresses along the surface, normal to it and out of plane have the shape (..., 3).
 
     >>> line_axis_stress(0.0, 0.25).tolist()
     [-1.0, -1.0, -0.5]
@@ -223,20 +180,8 @@ def first_yield_line(
     The von Mises stress is largest on the axis, and there either below the surface, at half to
     0.8 half-widths, or for nu below about 0.194 at it, where it is (1 - 2 nu) p0.
 
-    Args:
-        yield_stress: Uniaxial yield stress of the first body (sqrt(3/2) Y for the Frobenius
-            norm Y of the deviatoric stress).
-        radius: Radius of a cylinder on a flat body, or the pair (R1, R2).
-        E1: Young's modulus of the body that yields.
-        nu1: Poisson's ratio of the body that yields.
-        E2: Young's modulus of the other body.
-        nu2: Poisson's ratio of the other body.
-
-    Returns:
-        Peak pressure, half-width, force and depth at first yield.
-
-    Raises:
-        ValueError: For a number that is out of range, by the name of its argument.
+    The yield stress is the uniaxial one, sqrt(3/2) Y for the Frobenius norm Y of the deviatoric
+    stress; other arguments and errors as for `hertz_line`; the first body is the one that yields.
 
     >>> y = first_yield_line(450.0, 8.0, 206_900.0, 0.29, 206_900.0, 0.29)
     >>> round(y.peak_pressure, 1), round(y.half_width, 5), round(y.force, 1), round(y.depth, 4)

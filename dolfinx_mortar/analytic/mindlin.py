@@ -103,17 +103,8 @@ def mindlin_point(
 ) -> PartialSlipPoint:
     """Solve a point contact under a tangential force, or under several one after the other.
 
-    Args:
-        contact: The contact under its normal force P, from `hertz_point`, of one material.
-        friction: Coefficient of friction mu.
-        nu: Poisson's ratio of the material.
-        force: Tangential force Q, |Q| <= mu P; or all of them, as for `cattaneo_line`.
-
-    Returns:
-        Stick zone, traction, displacement, and what is dissipated.
-
-    Raises:
-        ValueError: For a number that is out of range, by the name of its argument.
+    Arguments and errors as for `cattaneo_line`, with the contact of `hertz_point`, the whole force,
+    and Poisson's ratio nu of the material.
 
     >>> from dolfinx_mortar.analytic import hertz_point
     >>> contact = hertz_point(100.0, 8.0, 200e3, 0.3, 200e3, 0.3)

@@ -38,10 +38,7 @@ class ShrinkFit:
             p(z) = p0 - (nu1 S/E1 - nu2 H/E2)/K,    dS/dz = 2 pi c mu p/A,    S(0) = 0
 
         where K = k1 + k2 are the compliances of Lame, u/(c p). The force F = A S(L) follows from
-        this linear equation.
-
-        Raises:
-            ValueError: for a friction or a length that is not positive.
+        this linear equation. A ValueError tells a friction or a length that is not positive.
         """
         check_positive(friction=friction, length=length)
         a, c, b = self.radii
@@ -72,19 +69,9 @@ def shrink_fit(
         p = (d/c)/(k1 + k2),    k1 = ((c^2 + a^2)/(c^2 - a^2) - nu1)/E1,
                                 k2 = ((b^2 + c^2)/(b^2 - c^2) + nu2)/E2
 
-    Args:
-        interference: d, by how much the radius of the hub's bore is too small.
-        radii: bore of the shaft a, where they meet c, outside of the hub b.
-        E1: Young's modulus of the shaft.
-        nu1: Poisson's ratio of the shaft.
-        E2: Young's modulus of the hub.
-        nu2: Poisson's ratio of the hub.
-
-    Returns:
-        The pressure, and the axial force that friction carries.
-
-    Raises:
-        ValueError: for a number that is out of range, by the name of its argument.
+    The interference d is by how much the radius of the hub's bore is too small. The radii are a of
+    the shaft's bore, c where they meet, b outside; E1 and nu1 belong to the shaft, E2 and nu2 to
+    the hub. A number that is out of range is a ValueError that names its argument.
 
     >>> s = shrink_fit(0.01, (10.0, 20.0, 30.0), 200e3, 0.3, 200e3, 0.3)
     >>> round(s.pressure, 4), round(s.sliding_force(0.2, 20.0) / 1e3, 3)

@@ -17,9 +17,9 @@ from dolfinx_mortar.materials.protocol import create_law
 from dolfinx_mortar.materials.tensor import COMPONENTS, INDEX
 
 PATHS, STRAINS = 8, 6  # random strain paths, and strains on each, over five decades
-# Of finite differences, relative to the strain; the better counts. The short one is nearly exact,
-# the long one survives the round-off of formulas that cancel at small strains.
-LENGTHS = (1e-5, 1e-3)
+# Of finite differences, relative to the strain; the better counts. At the short one truncation and
+# round-off are equal, the long one survives the round-off of formulas that cancel at small strains.
+LENGTHS = tuple(float(np.finfo(float).eps) ** (1 / n) for n in (3, 5))
 RTOL = 1e-5  # errors of central differences are near LENGTH^2 and eps/LENGTH
 SHEAR = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])  # how often a stored component is in a tensor
 

@@ -50,15 +50,7 @@ class CompiledLaw:
     """
 
     def __init__(self, material: Any, law: Law | None = None) -> None:
-        """Compile the law.
-
-        Args:
-            material: the parameters.
-            law: its parts; None looks them up.
-
-        Raises:
-            ValueError: if a method of the law raises or returns something wrong.
-        """
+        """Compile the law of a material; its mistakes are ValueErrors."""
         law = create_law("law", material) if law is None else law
         self.shapes = {name: (6,) if shape else () for name, shape in law.state.items()}
         self._name, names = law.name, [field.name for field in dataclasses.fields(material)]
@@ -93,10 +85,7 @@ class CompiledLaw:
     def __call__(self, strain: Floats, direction: Floats, state: Mapping[str, Floats]) -> Point:
         """Evaluate the law.
 
-        Args:
-            strain: stored components (6,).
-            direction: stored components (6,) of the direction of the tangent.
-            state: committed internal variables by name, () or (6,).
+        Strain, direction of the tangent and tensors of the committed state are stored, (6,).
         """
         committed = [np.atleast_1d(state[name]) for name in self.shapes]
         numbers = np.concatenate([strain, direction, [0.0], *committed, self._parameters])
@@ -123,12 +112,7 @@ class CompiledLaw:
 
 
 class PointwiseNumbers:
-    """A pointwise law at one point, as `CompiledLaw` is for one in UFL.
-
-    Attributes:
-        shapes: stored shape of the internal variables by name, () or (6,).
-        has_energy: never.
-    """
+    """A pointwise law at one point, as `CompiledLaw` is for one in UFL."""
 
     has_energy = False
 
@@ -159,11 +143,7 @@ class PointwiseNumbers:
 
 
 def number(law: Any, name: str) -> float:
-    """Return a parameter of a material as a number.
-
-    Raises:
-        ValueError: if it depends on place.
-    """
+    """Return a parameter of a material as a number; a ValueError if it depends on place."""
     value = getattr(law, name)
     if isinstance(value, ufl.Constant):
         return float(value.value)

@@ -26,8 +26,8 @@ from ufl.core.expr import Expr
 # Of the stress: what sigma_zz may be before the last iteration, as Newton's method doubles the
 # digits. At the end of the dead band of a yield condition, where stresses jump by 1e-10, none is 0.
 HALF_OF_DIGITS = float(np.sqrt(np.finfo(float).eps))
-# Halving alone, from an interval as wide as its end is far from zero, takes 53 iterations.
-MOST_ITERATIONS = 100
+# As many halvings as a number has binary digits, and as many iterations again to find an interval.
+MOST_ITERATIONS = 2 * int(np.finfo(float).nmant)
 NORMAL = ufl.as_tensor([[0.0, 0, 0], [0, 0, 0], [0, 0, 1.0]])
 
 

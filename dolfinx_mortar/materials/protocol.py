@@ -173,12 +173,7 @@ RESERVED = (
 
 
 def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
-    """Return the parts of a material's law.
-
-    Args:
-        name: how the user's argument is called.
-        material: what was given.
-        plane_stress: whether it is to leave no stress out of the plane.
+    """Return the parts of a material's law; `name` is that of the user's argument.
 
     Raises:
         ValueError: unless the material declares all that a law must.

@@ -43,14 +43,8 @@ def check_fields(law: Any) -> None:
 
 
 def check_parameters(law: str, **ranges: tuple[Parameter, float, float, bool]) -> None:
-    """Raise ValueError unless each parameter is a finite number in its range, or UFL.
-
-    Args:
-        law: name of the law, for the message.
-        ranges: parameter=(value, lower, upper, lower_allowed); the upper end is never allowed.
-    """
-    for name, (value, lower, upper, closed) in ranges.items():
-        limits = lower, upper, closed
+    """Raise ValueError unless each parameter=(value, *`Range`) is a finite number in it, or UFL."""
+    for name, (value, *limits) in ranges.items():
         if isinstance(value, Expr):
             continue
         if not is_number(value) or not _inside(np.asarray(value, float), *limits):
@@ -65,14 +59,7 @@ def wrong_values(
     rules: Callable[..., Any] | None,
     values: Mapping[str, Floats],
 ) -> dict[str, Bools]:
-    """Return the rules that do not hold, in words, and at which places (n,).
-
-    Args:
-        law: name of the law, for messages.
-        ranges: of the parameters.
-        rules: what the law asks of several parameters, see `conditions`.
-        values: parameters by name, (n,) each.
-    """
+    """Return the rules that do not hold, in words, and at which places (n,)."""
     found = {
         f"{name} in {interval(*limits)}": ~_inside(values[name], *limits)
         for name, limits in ranges.items()
@@ -86,11 +73,7 @@ def wrong_values(
 def conditions(
     law: str, rules: Callable[..., Any] | None, values: Mapping[str, Any]
 ) -> dict[str, Bools]:
-    """Return what a law asks of several parameters, in words, and whether or where it holds.
-
-    Raises:
-        ValueError: if the law raises, or does not return truth values that are as many.
-    """
+    """Return what a law asks of several parameters, in words, and whether or where it holds."""
     if rules is None:
         return {}
     shape = np.shape(next(iter(values.values()), 0.0))

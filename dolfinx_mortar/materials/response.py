@@ -13,12 +13,7 @@ import numpy as np
 import ufl
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.materials import plane_stress
-from dolfinx_mortar.materials.plane_stress import (
-    NORMAL,
-    condensed,
-    in_plane,
-    with_normal_strain,
-)
+from dolfinx_mortar.materials.plane_stress import NORMAL, condensed, in_plane, with_normal_strain
 from dolfinx_mortar.materials.protocol import Law
 from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.classes import Label, Variable
@@ -42,15 +37,8 @@ def respond(
 ) -> Response:
     """Return stress, energy and new internal variables of a law in UFL.
 
-    A law without a stress gives the derivative of its energy. In plane stress the law gets the
-    strain in the plane and that out of it which leaves no stress.
-
-    Args:
-        law: its parts.
-        strain: 3x3 UFL expression.
-        state: committed internal variables by name, () or (3, 3).
-        p: parameters as attributes.
-        z: strain out of the plane, where `law.condensed`.
+    The stress of a law without one is the derivative of its energy. In plane stress the law gets
+    the 3x3 strain in the plane, and that out of it which leaves no stress: z, if `law.condensed`.
 
     Raises:
         ValueError: if a method of the law raises, or returns something of the wrong shape or name.
@@ -100,11 +88,7 @@ def _equation(
 
 
 def elastic_response(law: Law, strain: Expr, p: Any) -> Expr:
-    """Return C : strain of a law, 3x3.
-
-    Raises:
-        ValueError: if the method raises, or returns something of another shape.
-    """
+    """Return C : strain of a law, 3x3; its mistakes are ValueErrors."""
 
     def elastic(e: Expr) -> Expr:
         return _call(law, "elastic_stress", (3, 3), e, p)
@@ -188,13 +172,8 @@ def values_at_points(
 ) -> PointValues:
     """Return what a law of arrays gives at q points.
 
-    In plane stress with the strain out of the plane that leaves no stress there.
-
-    Args:
-        law: its parts.
-        strain: (q, 3, 3), symmetric.
-        state: committed internal variables, (q,) or (q, 3, 3).
-        p: parameters by name, (q,) each.
+    For a symmetric strain (q, 3, 3), committed internal variables (q,) or (q, 3, 3), parameters
+    (q,); in plane stress with the strain out of the plane that leaves no stress there.
 
     Raises:
         ValueError: if it raises, or returns something of another form, name or shape.
@@ -232,11 +211,7 @@ def values_at_points(
 def _updated(
     law: Law, strain: Floats, state: Mapping[str, Floats], p: SimpleNamespace
 ) -> PointValues:
-    """Call a law of arrays at q points.
-
-    Raises:
-        ValueError: if it raises, or returns something of another form, name or shape.
-    """
+    """Call a law of arrays at q points, see `values_at_points`."""
     where, q = f"{law.name}.update", len(strain)
     assert law.update is not None
     try:

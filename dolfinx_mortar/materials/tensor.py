@@ -44,7 +44,7 @@ def frobenius_norm(c: np.ndarray) -> np.ndarray:
     >>> float(frobenius_norm(np.array([1.0, 0.0, 0.0, 2.0])))
     3.0
     """
-    return np.sqrt(np.sum(c[..., :3] ** 2, axis=-1) + 2 * np.sum(c[..., 3:] ** 2, axis=-1))
+    return np.sqrt(double_contraction(c, c))
 
 
 def double_contraction(a: np.ndarray, b: np.ndarray) -> np.ndarray:

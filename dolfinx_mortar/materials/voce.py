@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import numpy as np
+
 import ufl
 from dolfinx_mortar.materials.elastic import Elastic, shear_modulus
 from dolfinx_mortar.materials.protocol import Material
@@ -21,9 +23,9 @@ from dolfinx_mortar.materials.von_mises import (
 )
 from ufl.core.expr import Expr
 
-# Below, three terms of the series of omega in exp(y) are exact to round-off (the next one is
-# 8/3 exp(4 y)), and keep digits that y - ln w loses.
-SERIES_BELOW = -15.0
+# Below, exp(3 y) is round-off, and three terms of the series of omega in exp(y) are exact (the next
+# one is 8/3 exp(4 y)); they keep digits that y - ln w loses.
+SERIES_BELOW = float(np.log(np.cbrt(np.finfo(float).eps)))
 
 
 def wright_omega(y: Any) -> Expr:

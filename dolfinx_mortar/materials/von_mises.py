@@ -22,9 +22,8 @@ from ufl.core.expr import Expr
 # 1e-16 Y times the strain over the yield strain, so the band is wide enough for 1e5 of those.
 # Without it, 12-20 % of such points would count as plastic at the start of the next step.
 YIELD_TOLERANCE = 1e-10
-# Keeps |xi| differentiable at xi = 0; relative to Y, so independent of the units. At |xi| = Y any
-# guard below 1e-8, the root of round-off, changes nothing; its square must not vanish beside zero.
-NORM_GUARD = 1e-14
+# Of Y: keeps |xi| differentiable at xi = 0. At |xi| = Y its square is below round-off.
+NORM_GUARD = float(np.finfo(float).eps)
 # Names of the internal variables
 PLASTIC, ACCUMULATED = "plastic_strain", "accumulated_plastic_strain"
 

@@ -19,24 +19,20 @@ import numpy as np
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arguments import is_name
-from dolfinx_mortar.arrays import Bools, Floats, Longs
+from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.meshing.graded_octant import graded_octant
 from dolfinx_mortar.meshing.two_bodies import (
-    ON_PLANE,
     Arrays,
     TaggedMesh,
-    check_gap,
+    check_sizes,
     distribute,
-    exterior_facets,
     gmsh_model,
-    name_parts,
+    mirrored,
+    name_sides,
     positive,
     read_cells,
     set_graded_size,
 )
-
-CORE = 0.125  # radius of the finest part over the radius of the ball
-HXT = 10  # gmsh's number of its fast Delaunay algorithm
 
 
 def sphere(
@@ -75,76 +71,44 @@ def sphere(
         ValueError: if an argument is out of range, or not the same on all ranks.
         RuntimeError: if gmsh is missing or fails. All errors are raised on all ranks.
     """
-    given: dict[str, Any] = {
-        "cell": cell,
-        "h": h,
-        "radius": radius,
-        "block": block,
-        "gap": gap,
-        "core": core,
-    }
     with raised_together(comm):
-        sizes, core = _check(**given)
-    check_same_on_all_ranks(comm, **given, half=half)
+        if not is_name(cell, ("hexahedron", "tetrahedron")):
+            raise ValueError(f"cell = {cell!r} is not known; use 'hexahedron' or 'tetrahedron'.")
+        sizes = check_sizes(h, radius, block, gap, "ball", "width, length, thickness")
+        inner = _check_core(core, sizes, radius, block)
+    same = {"cell": cell, "h": h, "radius": radius, "block": block, "gap": gap, "core": core}
+    check_same_on_all_ranks(comm, **same, half=half)
     corner = np.array([block[0] / 2, block[1] / 2, block[2]])
 
     def create() -> tuple[Arrays, Arrays]:
-        if cell == "hexahedron":
-            bodies = (
-                _block_of_hexahedra(corner, core, sizes[0]),
-                _ball_of_hexahedra(radius, gap, core, sizes[1]),
-            )
-        else:
-            bodies = (
-                _block_of_tetrahedra(corner, core, sizes[0]),
-                _ball_of_tetrahedra(radius, gap, core, sizes[1]),
-            )
-        return (_mirrored(*bodies[0]), _mirrored(*bodies[1])) if half else bodies
+        of_hexahedra = cell == "hexahedron"
+        of_block = _block_of_hexahedra if of_hexahedra else _block_of_tetrahedra
+        of_ball = _ball_of_hexahedra if of_hexahedra else _ball_of_tetrahedra
+        bodies = of_block(corner, inner, sizes[0]), of_ball(radius, gap, inner, sizes[1])
+        return (mirrored(*bodies[0]), mirrored(*bodies[1])) if half else bodies
 
     mesh, first = distribute(comm, create, cell)
     mesh.name = "sphere"
-    in_block = mesh.topology.original_cell_index < first
-    facets, block_side, x = exterior_facets(mesh, in_block)
-    # on the scale of the body itself: the other one and the gap may be of any size
-    tolerance = ON_PLANE * np.where(block_side, block[2], radius)
-
-    def at(axis: int, position: float) -> Bools:
-        return np.abs(x[:, :, axis] - position).max(axis=1, initial=0.0) < tolerance
-
-    flat = ~block_side & at(2, radius + gap)
-    sides = {
-        "bottom": block_side & at(2, -block[2]),
-        "flat": flat,
-        "top": block_side & at(2, 0.0),
-        "sphere": ~block_side & ~flat,
-        "symmetry_x": at(0, 0.0),  # exterior in the quarter only
-        "symmetry_y": at(1, 0.0),
-    }
-    return name_parts(mesh, in_block, ("block", "ball"), facets, sides)
+    of = {"thickness": block[2], "radius": radius, "gap": gap}
+    planes = ("symmetry_x", "symmetry_y")  # the first is no side of the half
+    return name_sides(mesh, first, **of, names=("ball", "sphere"), planes=planes)
 
 
-def _check(
-    *, cell: str, h: Any, radius: float, block: tuple[float, ...], gap: float, core: float | None
-) -> tuple[tuple[float, ...], float]:
-    """Return the sizes of block and ball, and the core, or raise a ValueError."""
-    if not is_name(cell, ("hexahedron", "tetrahedron")):
-        raise ValueError(f"cell = {cell!r} is not known; use 'hexahedron' or 'tetrahedron'.")
-    sizes = positive("h", h, "block, ball", one=True)
-    positive("radius", radius, "of the ball")
-    width, length, thickness = positive("block", block, "width, length, thickness")
-    check_gap(gap, min(radius, thickness))
-    (inner,) = positive("core", CORE * radius if core is None else core, "of the finest part")
-    largest = 0.5 * min(radius, width / 2, length / 2, thickness)
+def _check_core(core: Any, sizes: tuple[float, ...], radius: float, block: Any) -> float:
+    """Return the size of the core, or raise a ValueError."""
+    (inner,) = positive("core", radius / 8 if core is None else core, "of the finest part")
+    largest = 0.5 * min(radius, block[0] / 2, block[1] / 2, block[2])
     if max(sizes) > inner:
         raise ValueError(
-            f"h = {h!r} must be at most {inner:g}, the core: by default an eighth of the radius."
+            f"h = {max(sizes):g} must be at most {inner:g}, the core, by default an eighth of the "
+            "radius."
         )
     if inner > largest:
         raise ValueError(
             f"core = {inner!r} must be at most {largest:g}, half of what the radius and the block "
             "leave."
         )
-    return sizes, inner
+    return inner
 
 
 def _block_of_hexahedra(corner: Floats, core: float, h: float) -> Arrays:
@@ -194,25 +158,6 @@ def _tetrahedra(
     nearest = int(np.linalg.norm(points - contact, axis=1).argmin())
     origin = gmsh.model.getEntities(0)[nearest][1]
     set_graded_size(gmsh, origin, h, core=core, limit=far / core, beyond=far - core)
-    gmsh.option.setNumber("Mesh.Algorithm3D", HXT)
+    gmsh.option.setNumber("Mesh.Algorithm3D", 10)  # HXT, a fast Delaunay algorithm
     gmsh.model.mesh.generate(3)
     return read_cells(gmsh, "tetrahedron")
-
-
-def _mirrored(x: Floats, cells: Longs) -> Arrays:
-    """Add the mirror image in x = 0, whose nodes are shared.
-
-    >>> nodes, cells = _mirrored(np.eye(4, 3), np.array([[0, 1, 2, 3]]))
-    >>> nodes[:, 0].tolist(), cells.tolist()
-    ([1.0, 0.0, 0.0, 0.0, -1.0], [[0, 1, 2, 3], [1, 4, 2, 3]])
-    """
-    near = np.abs(x[:, 0]) < ON_PLANE * np.ptp(x[:, 0])
-    x = np.where(near[:, None], [[0.0, 1.0, 1.0]], [[1.0, 1.0, 1.0]]) * x
-    image = np.arange(len(x))
-    image[~near] = len(x) + np.arange(np.count_nonzero(~near))
-    # an image is turned inside out; other orders of its nodes turn it back
-    turn = [1, 0, 2, 3] if cells.shape[1] == 4 else [4, 5, 6, 7, 0, 1, 2, 3]
-    return (
-        np.concatenate([x, x[~near] * [-1.0, 1.0, 1.0]]),
-        np.concatenate([cells, image[cells][:, turn]]),
-    )

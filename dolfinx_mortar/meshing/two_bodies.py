@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 import numpy as np
 
+import basix
 import basix.ufl
 import ufl
 from dolfinx import mesh as dmesh
@@ -33,10 +34,8 @@ GMSH_OPTIONS = {
     "Mesh.RecombinationAlgorithm": 1.0,
     "Mesh.RecombineAll": 0.0,
 }
-GMSH_TYPE = {"triangle": 2, "quadrilateral": 3, "tetrahedron": 4}
-NODES = {"triangle": 3, "quadrilateral": 4, "tetrahedron": 4, "hexahedron": 8}
-DIMENSION = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
-ON_PLANE = 1e-9  # a point closer to a plane, in sizes of its body, is on it
+# Of the size of a body: a point closer to a plane is on it.
+ON_PLANE = float(np.sqrt(np.finfo(float).eps))
 
 
 class TaggedMesh(NamedTuple):
@@ -77,15 +76,9 @@ def gmsh_model() -> Iterator[Any]:
 def set_graded_size(
     gmsh: Any, origin: int, h: float, *, core: float, limit: float, beyond: float
 ) -> None:
-    """Let the size be h within ``core`` of a point, then grow linearly to limit h over ``beyond``.
+    """Let the size be h within ``core`` of the point ``origin``, then grow to limit h.
 
-    Args:
-        gmsh: the module, with a synchronised model.
-        origin: number of the point.
-        h: smallest size.
-        core: distance from the point at which the growth starts.
-        limit: largest size over h.
-        beyond: length over which it is reached.
+    The growth is linear, over the length ``beyond``.
     """
     field = gmsh.model.mesh.field
     distance, size = field.add("Distance"), field.add("Threshold")
@@ -102,17 +95,41 @@ def set_graded_size(
 
 
 def read_cells(gmsh: Any, cell: str) -> Arrays:
-    """Return nodes (n, 3) and cells (m, k) of the current gmsh model, without unused points."""
+    """Return nodes (n, 3) and cells (m, k) of the current gmsh model, all of one kind."""
     tags, x, _ = gmsh.model.mesh.getNodes()
-    _, cells = gmsh.model.mesh.getElementsByType(GMSH_TYPE[cell])
+    _, (numbers,), (cells,) = gmsh.model.mesh.getElements(gmsh.model.getDimension())
     position = np.zeros(int(tags.max()) + 1, dtype=np.int64)
     position[tags] = np.arange(len(tags))
     # gmsh also lists points no cell uses, such as a circle's centre
     used, cells = np.unique(position[cells], return_inverse=True)
-    cells = cells.reshape(-1, NODES[cell])
+    cells = cells.reshape(len(numbers), -1)
     if cell == "quadrilateral":
         cells = cells[:, [0, 1, 3, 2]]  # gmsh goes around, dolfinx numbers like a tensor product
     return x.reshape(-1, 3)[used], cells
+
+
+def on_axis(x: Floats) -> Floats:
+    """Return nodes (n, d) with those at x = 0 up to round-off moved there."""
+    near = np.abs(x[:, 0]) < ON_PLANE * np.ptp(x[:, 0])
+    return np.column_stack([np.where(near, 0.0, x[:, 0]), x[:, 1:]])
+
+
+def mirrored(x: Floats, cells: Longs) -> Arrays:
+    """Add the mirror image in x = 0, whose nodes are shared.
+
+    >>> nodes, cells = mirrored(np.eye(4, 3), np.array([[0, 1, 2, 3]]))
+    >>> nodes[:, 0].tolist(), cells.tolist()
+    ([1.0, 0.0, 0.0, 0.0, -1.0], [[0, 1, 2, 3], [1, 4, 2, 3]])
+    """
+    x, d, k = on_axis(x), x.shape[1], cells.shape[1]
+    off = x[:, 0] != 0.0
+    image = np.arange(len(x))
+    image[off] = len(x) + np.arange(np.count_nonzero(off))
+    # an image is turned inside out; other orders of its nodes turn it back
+    turn = [4, 5, 6, 7, 0, 1, 2, 3] if k == 8 else [1, 0, 2, 3][:k]
+    turn = [1, 0, 3, 2] if (d, k) == (2, 4) else turn
+    sign = np.where(np.arange(d) == 0, -1.0, 1.0)
+    return np.concatenate([x, x[off] * sign]), np.concatenate([cells, image[cells][:, turn]])
 
 
 def distribute(
@@ -120,19 +137,13 @@ def distribute(
 ) -> tuple[dmesh.Mesh, int]:
     """Distribute the two bodies that ``create`` returns on rank 0; collective.
 
-    Args:
-        comm: communicator of the mesh.
-        create: returns the arrays of both bodies; the nodes of a cell in the order of dolfinx.
-        cell: name of the cells.
-        degree: of the cells.
-
-    Returns:
-        The mesh, and how many of the input cells, which come first, belong to the first body.
+    Returns the mesh, and how many of the input cells, which come first, belong to the first body.
+    The nodes of a cell are in the order of dolfinx.
 
     Raises:
         RuntimeError: if gmsh is missing or fails, on all ranks.
     """
-    d = DIMENSION[cell]
+    d = len(basix.geometry(basix.CellType[cell])[0])
     element = basix.ufl.element("Lagrange", cell, degree, shape=(d,))
     k = element.dim // d
     x: Floats = np.empty((0, d))
@@ -179,12 +190,8 @@ def name_parts(
 ) -> TaggedMesh:
     """Tag two bodies and their sides with 1, 2, 3 .. in the order of their names.
 
-    Args:
-        mesh: of both bodies.
-        in_first: (cells,) whether a local cell is in the first body.
-        bodies: their names.
-        facets: (m,) exterior facets.
-        sides: which of the facets belong to a side, by its name; the last side takes a facet.
+    A local cell is in the first body or not (cells,); an exterior facet (m,) belongs to the last
+    side that claims it.
     """
     values = np.where(in_first, 1, 2).astype(np.int32)
     every = np.arange(len(values), dtype=np.int32)
@@ -199,17 +206,40 @@ def name_parts(
     return TaggedMesh(mesh, Tags(cell_tags, next(names)), Tags(facet_tags, next(names)))
 
 
+def name_sides(
+    mesh: dmesh.Mesh,
+    first: int,
+    *,
+    thickness: float,
+    radius: float,
+    gap: float,
+    names: tuple[str, str],
+    planes: tuple[str, ...],
+) -> TaggedMesh:
+    """Name the first cells a block with its top at height 0, the others a round body above it.
+
+    The round body and its round side get the names; its flat side is at the height radius + gap.
+    The planes are names of the sides at x = 0, y = 0 ..
+    """
+    in_block = mesh.topology.original_cell_index < first
+    facets, of_block, x = exterior_facets(mesh, in_block)
+    # on the scale of the body itself: the other one and the gap may be of any size
+    tolerance = ON_PLANE * np.where(of_block, thickness, radius)
+    up = mesh.geometry.dim - 1
+
+    def at(axis: int, position: float) -> Bools:
+        return np.abs(x[:, :, axis] - position).max(axis=1, initial=0.0) < tolerance
+
+    flat = ~of_block & at(up, radius + gap)
+    sides = {"bottom": of_block & at(up, -thickness), "flat": flat, "top": of_block & at(up, 0.0)}
+    sides |= {names[1]: ~of_block & ~flat} | {n: at(axis, 0.0) for axis, n in enumerate(planes)}
+    return name_parts(mesh, in_block, ("block", names[0]), facets, sides)
+
+
 def positive(name: str, value: Any, parts: str, *, one: bool = False) -> tuple[float, ...]:
-    """Return positive, finite numbers.
+    """Return as many positive, finite numbers as there are parts in words; else a ValueError.
 
-    Args:
-        name: of the argument.
-        value: what was given for it.
-        parts: what the numbers are, separated by commas, which says how many there are.
-        one: whether one number may stand for all of them.
-
-    Raises:
-        ValueError: for anything else.
+    Where `one` is allowed, one number may stand for all of them.
     """
     count = len(parts.split(", "))
     numbers = as_numbers(value)
@@ -221,15 +251,19 @@ def positive(name: str, value: Any, parts: str, *, one: bool = False) -> tuple[f
     return tuple(float(number) for number in np.broadcast_to(numbers, count))
 
 
-def check_gap(gap: Any, deepest: float) -> None:
-    """Raise a ValueError unless bodies can be so far apart, or so deep in each other.
+def check_sizes(
+    h: Any, radius: Any, block: Any, gap: Any, body: str, sides: str
+) -> tuple[float, ...]:
+    """Return the element sizes of a block and of a round body on it; a ValueError names the rest.
 
-    Args:
-        gap: what was given for it.
-        deepest: the overlap at which one body reaches through the other one.
+    The block's sides are named in words, separated by commas; its thickness is the last.
     """
+    sizes = positive("h", h, f"block, {body}", one=True)
+    (r,) = positive("radius", radius, f"of the {body}")
+    deepest = min(r, positive("block", block, sides)[-1])
     if not (is_number(gap) and gap > -deepest):
         raise ValueError(
             f"gap = {gap!r} must be a number above {-deepest:g}, where one body reaches through "
             "the other one; use 0 for bodies that touch in a point."
         )
+    return sizes

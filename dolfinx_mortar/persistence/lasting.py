@@ -16,9 +16,9 @@ from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.system import InterfaceSystem, Paired
 from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.step_report import LoadStep
 from dolfinx_mortar.supports.dirichlet import Dirichlet
-from dolfinx_mortar.terms.term import Term
 
 COLUMN_OF_TERM = "term"
 

@@ -14,7 +14,7 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces.jump import extended
 from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.interfaces.system import InterfaceSystem
-from dolfinx_mortar.terms.term import Term
+from dolfinx_mortar.solid.term import Term
 
 
 def read_jumps(system: InterfaceSystem, empty: PETSc.Vec) -> dict[int, PETSc.Vec]:

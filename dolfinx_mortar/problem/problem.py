@@ -35,12 +35,12 @@ from dolfinx_mortar.problem.preconditioning import UnknownsOfBodies
 from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.qp import LinearSolver, check_options
 from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.step_report import LoadStep, Timings
 from dolfinx_mortar.supports.axis import check_axis, check_targets
 from dolfinx_mortar.supports.bodies import Bodies, find_bodies, find_tied_groups
 from dolfinx_mortar.supports.dirichlet import Dirichlet, create_dirichlet
-from dolfinx_mortar.terms.sum import Terms
-from dolfinx_mortar.terms.term import Term, check_terms
+from dolfinx_mortar.terms.sum import Terms, check_terms
 from dolfinx_mortar.terms.weak_forms import DeadLoads, WeakForm, check_form
 
 

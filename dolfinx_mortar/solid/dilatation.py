@@ -19,30 +19,30 @@ quadrilaterals in the plane, but misses the patch test on rings and warped hexah
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from functools import reduce
+from operator import add
 from typing import Any
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
-import basix
 import ufl
-from dolfinx import default_scalar_type, fem
-from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx import fem
+from dolfinx.fem import petsc as fem_petsc
+from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.arguments import is_name
+from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.response import elastic_response
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain
 from dolfinx_mortar.solid.kinematics import Kinematics, axisymmetric, plane_strain, spatial
-from dolfinx_mortar.solid.laws import Region
+from dolfinx_mortar.solid.laws import Region, measure, measures
+from dolfinx_mortar.solid.term import assemble, create_vector
+from ufl.core.expr import Expr
 
 CELLS = ("quadrilateral", "hexahedron")
-VOLUMETRIC = ("full", "reduced")
 # Their trace is linear in u, and the change of volume.
 TRACED = (plane_strain, axisymmetric, spatial)
-# Cells whose shape functions are tabulated at a time: 40 MB of hexahedra.
-_CHUNK = 2**15
 
 
 def create_dilatation(
@@ -56,18 +56,10 @@ def create_dilatation(
 ) -> MeanDilatation | None:
     """Return what takes the volumetric part in the mean, None for "full"; collective.
 
-    Args:
-        u: displacement.
-        given: "full" or "reduced".
-        regions: laws on cells.
-        kinematics: measure and weight.
-        degree: of the quadrature.
-        eigenstrain: what the laws do not see, if there is any.
-
     Raises:
-        ValueError: for an unknown choice, and where there is nothing that could be reduced.
+        ValueError: for another choice than "full" and "reduced", and where nothing can be reduced.
     """
-    if not isinstance(given, str) or given not in VOLUMETRIC:
+    if not is_name(given, ("full", "reduced")):
         raise ValueError(f"volumetric is {given!r}: choose 'full' or 'reduced'")
     if given == "full":
         return None
@@ -104,21 +96,6 @@ def _check_reducible(
         )
 
 
-@dataclass(frozen=True)
-class Cells:
-    """The dilatations of the local cells, ghosts included, as functions of their unknowns."""
-
-    dofs: Ints  # (m, n) local unknowns
-    B: Floats  # (m, n) int tr eps(phi_a)
-    weights: Floats  # (m, q) of the integration points
-    owned: int
-
-    @cached_property
-    def volumes(self) -> Floats:
-        """The volumes (m,), with the weight of the kinematics."""
-        return np.asarray(self.weights.sum(axis=1))
-
-
 class MeanDilatation:
     """The volumetric part of the bodies, in the mean over each cell.
 
@@ -134,125 +111,72 @@ class MeanDilatation:
         degree: int,
         eigenstrain: Eigenstrain | None,
     ) -> None:
-        """Tabulate the cells; collective."""
-        domain = u.function_space.mesh
-        self.mean_stress = fem.Function(fem.functionspace(domain, ("DG", 0)), name="mean_stress")
-        points, _ = map(np.asarray, basix.make_quadrature(domain.basix_cell(), degree))
-        self._u, self._eigenstrain = u, eigenstrain
-        self._cells = _tabulate(u, kinematics, degree)
-        self._laws = [(r.cells, _bulk_modulus(r, u, points)) for r in regions]
-        self._tables = [r.parameters.function for r in regions]
-        self._moduli: Floats | None = None
-        self._seen: list[Floats] = []
+        """Assemble B and V; collective."""
+        V = u.function_space
+        Q = fem.functionspace(V.mesh, ("DG", 0))
+        self.mean_stress = fem.Function(Q, name="mean_stress")
+        self._u, self._vector = u, create_vector(Q)
+        dx, parts = measure(V.mesh, degree), measures(V, regions, degree)
+        size = kinematics.weight(ufl.SpatialCoordinate(V.mesh)) * ufl.TestFunction(Q)
+        trace = ufl.tr(kinematics.virtual(u, ufl.TrialFunction(V)))
+        self._B = fem_petsc.assemble_matrix(fem.form(size * trace * dx))
+        self._B.assemble()
+        self._volumes = assemble(fem.form(size * dx), self._vector).copy()
+        moduli = [
+            _bulk_modulus(region) * size * on for region, on in zip(regions, parts, strict=True)
+        ]
+        self._modulus = fem.form(reduce(add, moduli))
+        free = None if eigenstrain is None else ufl.tr(eigenstrain.tensor) * size * dx
+        self._free = None if free is None else fem.form(free)
+        self._bulk = np.zeros_like(self._volumes)
         self._tangent: tuple[Floats, PETSc.Mat] | None = None
 
     def follow(self) -> None:
-        """Take over the displacement and the parameters of the laws; without communication."""
-        cells, bulk = self._cells, self._bulk()
-        change = np.einsum("ca,ca->c", cells.B, self._u.x.array[cells.dofs])
-        if self._eigenstrain is not None:
-            traces = self._eigenstrain.traces()[: len(change)]
-            change -= np.einsum("cq,cq->c", cells.weights, traces)
-        dofs = self.mean_stress.function_space.dofmap.list[: len(change), 0]
-        self.mean_stress.x.array[dofs] = bulk * change / cells.volumes
+        """Take over the displacement and the parameters of the laws; collective."""
+        self._bulk = assemble(self._modulus, self._vector) / self._volumes
+        change = self._change(self._u)
+        if self._free is not None:
+            change -= assemble(self._free, self._vector)
+        self.mean_stress.x.array[: len(change)] = self._bulk * change / self._volumes
+        self.mean_stress.x.scatter_forward()
+
+    def _change(self, v: fem.Function) -> Floats:
+        """Return B v of the owned cells; collective."""
+        return np.asarray((self._B * v.x.petsc_vec).array)
 
     def energy(self) -> float:
-        """Return sum_c K/2 V t^2 = p^2 V / (2 K) of the mean stress that is known; collective."""
-        dofs, own = self.mean_stress.function_space.dofmap.list, slice(None, self._cells.owned)
-        p = self.mean_stress.x.array[dofs[own, 0]]
-        return self._sum(p**2 * self._cells.volumes[own] / (2 * self._bulk()[own]))
+        """Return sum_c K/2 V t^2 = p^2 V / (2 K) over the owned cells, p as `follow` found it."""
+        p = self.mean_stress.x.array[: len(self._bulk)]
+        return float((p**2 * self._volumes / (2 * self._bulk)).sum())
 
     def norm_squared(self, v: fem.Function) -> float:
-        """Return sum_c K / V (B v)^2; collective."""
-        cells, own = self._cells, slice(None, self._cells.owned)
-        change = (cells.B[own] * v.x.array[cells.dofs[own]]).sum(axis=1)
-        return self._sum(self._bulk()[own] / cells.volumes[own] * change**2)
+        """Return sum_c K / V (B v)^2 over the owned cells; collective."""
+        return float((self._bulk / self._volumes * self._change(v) ** 2).sum())
 
     def add_tangent(self, K: PETSc.Mat) -> None:
         """Add B^T (K / V) B to a matrix with the pattern of the mesh; collective.
 
         It is formed once for given parameters of the laws.
         """
-        comm, bulk = self._u.function_space.mesh.comm, self._bulk()
-        same = self._tangent is not None and np.array_equal(self._tangent[0], bulk)
-        if comm.allreduce(not same, op=MPI.LOR):
+        same = self._tangent is not None and np.array_equal(self._tangent[0], self._bulk)
+        if any_rank(self._u.function_space.mesh.comm, not same)[0]:
             self._tangent = None  # before the new one needs the memory
-            self._tangent = bulk, _product(self._u.function_space, self._cells, bulk, K)
+            self._tangent = self._bulk, self._product(K)
         assert self._tangent is not None
         K.axpy(1.0, self._tangent[1], PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
 
-    def _bulk(self) -> Floats:
-        """Return the mean bulk modulus (m,) of the local cells, for the parameters as they are."""
-        now = [table.x.array for table in self._tables]
-        if self._moduli is None or not all(map(np.array_equal, now, self._seen)):
-            self._moduli, self._seen = self._mean_bulk(), [values.copy() for values in now]
-        return self._moduli
-
-    def _mean_bulk(self) -> Floats:
-        """Evaluate the mean bulk modulus (m,) of the local cells."""
-        weights = self._cells.weights
-        bulk = np.zeros(len(weights))
-        for cells, expression in self._laws:
-            values = expression.eval(self._u.function_space.mesh, cells)
-            values = np.asarray(values).reshape(len(cells), weights.shape[1])
-            w = weights[cells]
-            bulk[cells] = (w * values).sum(axis=1) / w.sum(axis=1)
-        return bulk
-
-    def _sum(self, values: Floats) -> float:
-        """Return the sum over all ranks."""
-        comm = self._u.function_space.mesh.comm
-        return float(comm.allreduce(float(values.sum()), op=MPI.SUM))
+    def _product(self, K: PETSc.Mat) -> PETSc.Mat:
+        """Return B^T (K / V) B on the pattern of a matrix K; collective."""
+        root, B = self._B.createVecLeft(), self._B.copy()
+        root.array[:] = np.sqrt(self._bulk / self._volumes)
+        B.diagonalScale(root)
+        result = K.duplicate(copy=False)
+        result.zeroEntries()
+        result.assemble()
+        result.axpy(1.0, B.transposeMatMult(B), PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        return result
 
 
-def _bulk_modulus(region: Region, u: fem.Function, points: Floats) -> fem.Expression:
-    """Compile the bulk modulus of a law, K = tr(C : I) / 9; collective."""
-    zero = fem.Constant(u.function_space.mesh, default_scalar_type(0.0))
-    stress = elastic_response(region.law, ufl.Identity(3) + zero * ufl.Identity(3), region.symbols)
-    return fem.Expression(ufl.tr(stress) / 9 + zero, points)
-
-
-def _tabulate(u: fem.Function, kinematics: Kinematics, degree: int) -> Cells:
-    """Integrate the traces of the shape functions over the local cells; collective."""
-    V = u.function_space
-    domain, bs = V.mesh, V.dofmap.bs
-    points, weights = map(np.asarray, basix.make_quadrature(domain.basix_cell(), degree))
-    x = ufl.SpatialCoordinate(domain)
-    size = kinematics.weight(x) * abs(ufl.JacobianDeterminant(domain))
-    zero = fem.Constant(domain, default_scalar_type(0.0))
-    volume = fem.Expression(size + zero, points)
-    trace = fem.Expression(ufl.tr(kinematics.virtual(u, ufl.TestFunction(V))), points)
-    imap = domain.topology.index_map(domain.topology.dim)
-    count, nodes = imap.size_local + imap.num_ghosts, V.dofmap.list
-    dofs = (bs * nodes[:count, :, None] + np.arange(bs)).reshape(count, -1).astype(np.int32)
-    w, B = np.zeros((count, len(weights))), np.zeros(dofs.shape)
-    for first in range(0, count, _CHUNK):
-        cells = np.arange(first, min(first + _CHUNK, count), dtype=np.int32)
-        part = slice(first, first + len(cells))
-        w[part] = np.asarray(volume.eval(domain, cells)).reshape(len(cells), -1) * weights
-        at_points = np.asarray(trace.eval(domain, cells)).reshape(len(cells), len(weights), -1)
-        B[part] = np.einsum("cq,cqa->ca", w[part], at_points)
-    return Cells(dofs, B, w, imap.size_local)
-
-
-def _product(V: fem.FunctionSpace, cells: Cells, bulk: Floats, K: PETSc.Mat) -> PETSc.Mat:
-    """Return B^T (K / V) B on the pattern of a matrix K; collective."""
-    own, bs = slice(None, cells.owned), V.dofmap.index_map_bs
-    imap = V.dofmap.index_map
-    nodes = imap.local_to_global((cells.dofs[own] // bs).ravel().astype(np.int32))
-    columns = bs * nodes + cells.dofs[own].ravel() % bs
-    root = np.sqrt(bulk[own] / cells.volumes[own])[:, None]
-    start = np.arange(cells.owned + 1) * cells.dofs.shape[1]
-    csr = (
-        start.astype(PETSc.IntType),
-        columns.astype(PETSc.IntType),
-        (root * cells.B[own]).ravel(),
-    )
-    sizes = ((cells.owned, None), (bs * imap.size_local, bs * imap.size_global))
-    B = PETSc.Mat().createAIJ(sizes, csr=csr, comm=V.mesh.comm)
-    product = B.transposeMatMult(B)
-    result = K.duplicate(copy=False)
-    result.zeroEntries()
-    result.assemble()
-    result.axpy(1.0, product, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
-    return result
+def _bulk_modulus(region: Region) -> Expr:
+    """Return the bulk modulus of a law in UFL, K = tr(C : I) / 9."""
+    return ufl.tr(elastic_response(region.law, ufl.Identity(3), region.symbols)) / 9

@@ -16,16 +16,22 @@ from mpi4py import MPI
 
 import numpy as np
 
-import basix.ufl
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arguments import as_numbers
-from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.arrays import Ints
+from dolfinx_mortar.materials.plane_stress import HALF_OF_DIGITS
 from dolfinx_mortar.materials.tensor import COMPONENTS, from_components, to_components
 from dolfinx_mortar.solid.laws import tags_of_cells
-from dolfinx_mortar.solid.sources import Followed, Source, check_source, create_source
+from dolfinx_mortar.solid.sources import (
+    Followed,
+    Source,
+    check_source,
+    create_source,
+    point_function,
+)
 from dolfinx_mortar.tags import by_tag, label, labels
 from ufl.algorithms.analysis import extract_arguments
 from ufl.core.expr import Expr
@@ -34,10 +40,6 @@ WANTED = (
     "give a scalar (the same in all three directions) or a 3x3 tensor, as a real number, an array, "
     "a Constant, a Function or UFL"
 )
-
-# Of the largest component: what a tensor may lack in symmetry, half of the digits, as derivatives
-# of interpolated fields lose some. A gradient in place of its symmetric part lacks the whole.
-SYMMETRIC = 1e-8
 
 
 class Eigenstrain(Followed):
@@ -49,21 +51,31 @@ class Eigenstrain(Followed):
     """
 
     def __init__(
-        self,
-        function: fem.Function,
-        sources: Sequence[Source],
-        vanishing: Sequence[fem.Expression | None],
+        self, u: fem.Function, parts: Sequence[tuple[str, Expr, Ints]], degree: int
     ) -> None:
-        """Keep what is there; `follow` fills the function.
+        """Compile the parts, each with name, scalar or 3x3 tensor and cells; collective.
 
-        Args:
-            function: at the integration points.
-            sources: of each part.
-            vanishing: of each part that is a tensor, what has to be zero: the components of its
-                skew part (3), then, in the plane, yz and xz.
+        `follow` fills the function.
         """
+        domain = u.function_space.mesh
+        d, full = domain.geometry.dim, any(value.ufl_shape for _, value, _ in parts)
+        shape = (len(COMPONENTS[d]),) if full else ()
+        function = point_function(domain, degree, shape, "eigenstrain")
+        sources: list[Source] = []
+        # of each part that is a tensor, what has to be zero: the components of its skew part, then,
+        # in the plane, yz and xz
+        self._vanishing: list[fem.Expression | None] = []
+        for name, value, cells in parts:
+            tensor = ufl.sym(value) if value.ufl_shape else value * ufl.Identity(3)
+            stored = to_components(tensor, shape[0]) if shape else value
+            sources.append(create_source(function, cells, name, stored))
+            zero = None
+            if value.ufl_shape:
+                terms = [value[i, j] - value[j, i] for i, j in ((0, 1), (1, 2), (0, 2))]
+                terms += [tensor[1, 2], tensor[0, 2]] if d == 2 else []
+                zero = create_source(function, cells, name, ufl.as_vector(terms)).expression
+            self._vanishing.append(zero)
         super().__init__(function, sources)
-        self._vanishing = list(vanishing)
 
     @property
     def tensor(self) -> Expr:
@@ -71,13 +83,6 @@ class Eigenstrain(Followed):
         if not self.function.ufl_shape:
             return self.function * ufl.Identity(3)
         return from_components(self.function)
-
-    def traces(self) -> Floats:
-        """Return its trace (cells, points) at the points of the local cells."""
-        dofmap = self.function.function_space.dofmap
-        values = self.function.x.array.reshape(-1, dofmap.bs)
-        trace = values[:, :3].sum(axis=1) if dofmap.bs > 1 else 3.0 * values[:, 0]
-        return np.asarray(trace[dofmap.list])
 
     def judge(self) -> None:
         """Raise a ValueError if it is NaN, infinite, not symmetric, or shears out of the plane."""
@@ -96,7 +101,8 @@ class Eigenstrain(Followed):
             largest = maximum(V.mesh.comm, np.abs(values[~undefined]).max(initial=0.0))[0]
             terms = 5 if V.mesh.geometry.dim == 2 else 3
             zero = np.asarray(vanishing.eval(V.mesh, cells)).reshape(len(undefined), terms)
-            skew = (np.abs(zero[:, :3]) > SYMMETRIC * largest).any(axis=1)
+            # half of the digits: derivatives of interpolated fields lose some
+            skew = (np.abs(zero[:, :3]) > HALF_OF_DIGITS * largest).any(axis=1)
             out_of_plane = (zero[:, 3:] != 0.0).any(axis=1) & ~undefined
         counts = np.array([part.sum() for part in (undefined, skew, out_of_plane)], dtype=int)
         bad = V.mesh.comm.allreduce(counts, op=MPI.SUM)
@@ -120,13 +126,7 @@ class Eigenstrain(Followed):
 def create_eigenstrain(
     u: fem.Function, given: Any, cell_tags: mesh.MeshTags | None, degree: int
 ) -> Eigenstrain | None:
-    """Return the eigenstrain that a user gives, None for none; collective.
-
-    Args:
-        u: displacement, on which it may not depend.
-        given: a scalar or 3x3 tensor for all cells, or one per cell tag; zero at other tags.
-        cell_tags: tags of the cells; needed with a dictionary.
-        degree: of the quadrature of the solid.
+    """Return the eigenstrain that a user gives, see `Solid`, None for none; collective.
 
     Raises:
         ValueError: on all ranks, for other shapes, unknown tags, tensors that are not symmetric,
@@ -138,24 +138,7 @@ def create_eigenstrain(
     for name, value, cells in _parts(domain, given, cell_tags):
         with raised_together(domain.comm):
             parts.append((name, _as_expression(u, name, value), cells))
-    shape = (len(COMPONENTS[domain.geometry.dim]),) if any(p[1].ufl_shape for p in parts) else ()
-    element = basix.ufl.quadrature_element(
-        domain.basix_cell(), value_shape=shape, scheme="default", degree=degree
-    )
-    field = fem.Function(fem.functionspace(domain, element), name="eigenstrain")
-    sources, vanishing = [], []
-    for name, value, cells in parts:
-        tensor = ufl.sym(value) if value.ufl_shape else value * ufl.Identity(3)
-        stored = to_components(tensor, shape[0]) if shape else value
-        sources.append(create_source(field, slice(None), cells, name, stored))
-        zero = None
-        if value.ufl_shape:
-            pairs = ((0, 1), (1, 2), (0, 2))
-            terms = [value[i, j] - value[j, i] for i, j in pairs]
-            terms += [tensor[1, 2], tensor[0, 2]] if domain.geometry.dim == 2 else []
-            zero = create_source(field, slice(None), cells, name, ufl.as_vector(terms)).expression
-        vanishing.append(zero)
-    found = Eigenstrain(field, sources, vanishing)
+    found = Eigenstrain(u, parts, degree)
     found.follow()
     return found
 

@@ -21,9 +21,11 @@ from dolfinx_mortar.materials.protocol import Law
 from dolfinx_mortar.materials.response import Response, elastic_response, respond
 from dolfinx_mortar.solid.dilatation import MeanDilatation
 from dolfinx_mortar.solid.kinematics import Kinematics
-from dolfinx_mortar.solid.laws import Region
+from dolfinx_mortar.solid.laws import Region, measures
 from dolfinx_mortar.solid.pointwise import PointValuesOfRegion
-from dolfinx_mortar.solid.state import Evaluation, committed_state
+from dolfinx_mortar.solid.sources import Source
+from dolfinx_mortar.solid.state import as_tensors
+from dolfinx_mortar.solid.term import create_vector
 from ufl.core.expr import Expr
 
 
@@ -39,7 +41,7 @@ class Forms:
     direction: fem.Function  # argument of elastic_norm
     force: la.Vector  # the residual with its ghosts
     dilatation: MeanDilatation | None  # what tangent, elastic_norm and energy leave out
-    evaluations: Sequence[Evaluation]  # of stress and new internal variables at the points
+    evaluations: Sequence[Source]  # of stress and new internal variables at the points
 
 
 def create_responses(
@@ -49,15 +51,10 @@ def create_responses(
     found: Mapping[Law, PointValuesOfRegion],
     mean_stress: fem.Function | None = None,
 ) -> list[Response]:
-    """Return what the law of each region makes of a strain, as UFL; collective.
+    """Return the response of the law of each region to a 3x3 strain, as UFL; collective.
 
-    Args:
-        strain: 3x3, what the laws see; with a mean stress the deviator.
-        regions: laws on cells.
-        state: committed internal variables.
-        found: what is found at points before each assembly.
-        mean_stress: of each cell, if that is known otherwise; the energies leave out what belongs
-            to it.
+    With a mean stress per cell the strain is a deviator, and the energies leave out the volumetric
+    part. What is `found` at points before each assembly comes with its response.
 
     Raises:
         ValueError: on all ranks, if a law raises or returns something wrong on any.
@@ -68,7 +65,7 @@ def create_responses(
             if region.law in found:
                 response = found[region.law].response
             else:
-                committed = committed_state(region, state)
+                committed = as_tensors(region, state)
                 response = respond(region.law, strain, committed, region.symbols)
             responses.append(response if mean_stress is None else _split(response, mean_stress))
     return responses
@@ -90,30 +87,23 @@ def create_forms(
     kinematics: Kinematics,
     degree: int,
     *,
-    evaluations: Sequence[Evaluation],
+    evaluations: Sequence[Source],
     dilatation: MeanDilatation | None = None,
 ) -> Forms:
     """Compile all forms that a Newton step needs; collective.
 
-    Args:
-        u: displacement.
-        regions: laws on cells.
-        responses: of the laws.
-        kinematics: measure and weight.
-        degree: of the quadrature.
-        evaluations: of stress and new internal variables, compiled.
-        dilatation: what takes the volumetric part in the mean over each cell, if the forms are to
-            leave that out.
+    The weak form F(u; v) = int sigma(eps) : d eps/du [v], its derivative, the potential, and the
+    two norms that scale residuals. With a dilatation they leave out the volumetric part.
     """
     V = u.function_space
-    measures = _measures(V, regions, degree)
+    parts = measures(V, regions, degree)
     weight = ufl.as_ufl(kinematics.weight(ufl.SpatialCoordinate(V.mesh)))
     v, direction = ufl.TestFunction(V), fem.Function(V)
     virtual, along = kinematics.virtual(u, v), kinematics.virtual(u, direction)
     along = along if dilatation is None else ufl.dev(along)
 
     def integral(densities: Sequence[Expr]) -> ufl.Form:
-        pairs = zip(densities, measures, strict=True)
+        pairs = zip(densities, parts, strict=True)
         return reduce(add, (weight * density * dx for density, dx in pairs))
 
     residual = integral([ufl.inner(r.stress, virtual) for r in responses])
@@ -130,7 +120,7 @@ def create_forms(
         element_force=fem.form(element_force),
         energy=fem.form(integral(energies)) if len(energies) == len(regions) else None,
         direction=direction,
-        force=la.vector(V.dofmap.index_map, V.dofmap.bs),
+        force=create_vector(V),
         dilatation=dilatation,
         evaluations=evaluations,
     )
@@ -158,19 +148,6 @@ def _tangent(
                 change += ufl.inner(response.stress, ufl.derivative(virtual, u, w))
             densities.append(change)
     return integral(densities)
-
-
-def _measures(V: fem.FunctionSpace, regions: Sequence[Region], degree: int) -> list[ufl.Measure]:
-    """Return the measure of the cells of each region."""
-    metadata = {"quadrature_degree": degree, "quadrature_scheme": "default"}
-    dx = ufl.Measure("dx", V.mesh, metadata=metadata)
-    if len(regions) == 1:
-        return [dx]
-    owned = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
-    # Numbers of the laws, not the user's tags: tags must not enter the compiled code.
-    domains = [(i, r.cells[r.cells < owned]) for i, r in enumerate(regions)]
-    dx = dx(subdomain_data=domains)
-    return [dx(i) for i in range(len(regions))]
 
 
 def _gradient_gram(V: fem.FunctionSpace) -> Floats:

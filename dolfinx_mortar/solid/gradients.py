@@ -101,14 +101,9 @@ class PointGradients:
         *,
         small: bool,
     ) -> None:
-        """Compile; collective.
+        """Compile for the points and components of the stress; collective.
 
-        Args:
-            u: displacement.
-            kinematics: the measure.
-            eigenstrain: what the laws do not see of the strain.
-            stress: quadrature Function, for its points and components.
-            small: whether the strain is linear in u.
+        The strain is small if it is linear in u.
         """
         self._space = stress.function_space
         size, strain = self._space.dofmap.bs, kinematics.measure(u)
@@ -134,13 +129,9 @@ class PointGradients:
 def elastic_stresses(
     regions: Sequence[Region], stress: fem.Function, strain: Floats, cells: Ints
 ) -> Floats:
-    """Return C : strain (k, components) at the points of given cells; collective, compiles.
+    """Return C : strain (k, components) at the points of some owned cells; collective, compiles.
 
-    Args:
-        regions: the laws.
-        stress: quadrature Function, for its points and components.
-        strain: (n, components) at the points of the owned cells.
-        cells: owned ones.
+    The strain (n, components) is that at the points of the stress in all owned cells.
     """
     space, field = stress.function_space, fem.Function(stress.function_space)
     size = space.dofmap.bs

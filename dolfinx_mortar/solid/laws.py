@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -12,13 +12,14 @@ from mpi4py import MPI
 
 import numpy as np
 
+import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.materials.protocol import RESERVED, Law, create_law
-from dolfinx_mortar.solid.parameters import ParameterTable, create_table
+from dolfinx_mortar.solid.parameters import ParameterTable
 from dolfinx_mortar.tags import by_tag, check_entities, label, labels
 
 UNTAGGED = int(np.iinfo(np.int32).min)
@@ -39,12 +40,9 @@ class Region:
         return self.parameters.symbols
 
     def output(self, state: Mapping[str, Floats], cells: Ints, points: int) -> dict[str, Floats]:
-        """Return the further fields of the law, (q,) or (q, components), q points cell by cell.
+        """Return the law's own fields, (q,) or (q, components), q points cell by cell.
 
-        Args:
-            state: internal variables at the points of the cells, (q,) or (q, components).
-            cells: local cells.
-            points: number of integration points per cell.
+        The state has the same shapes; `points` is the number of points per cell.
 
         Raises:
             ValueError: if the law raises or returns something wrong; the message names it.
@@ -77,14 +75,7 @@ def create_regions(
     degree: int,
     plane_stress: bool = False,
 ) -> list[Region]:
-    """Group the cells by law and store the parameters (collective).
-
-    Args:
-        u: displacement, on which no parameter may depend.
-        materials: one law for all cells, or a law per cell tag.
-        cell_tags: tags of the cells; needed with a law per tag.
-        degree: of the quadrature.
-        plane_stress: whether the laws leave no stress out of the plane.
+    """Group the cells by law and store the parameters; collective.
 
     Raises:
         ValueError: if a law lacks a part, tags and materials do not cover the cells
@@ -102,7 +93,7 @@ def create_regions(
         law = given[chosen[0]][1]
         own = [given[i][0] for i in chosen]
         cells = [np.flatnonzero(choice == i).astype(np.int32) for i in chosen]
-        table = create_table(u, law, own, cells, degree)
+        table = ParameterTable(u, law, own, cells, degree)
         table.follow()
         every = np.sort(np.concatenate(cells))
         regions.append(Region(law, every, table, tuple(zip(own, cells, strict=True))))
@@ -183,3 +174,20 @@ def _check_cover(domain: mesh.Mesh, cell_tags: mesh.MeshTags, values: Longs, tag
             f"materials: tag {labels(cell_tags, empty)} marks no cell; cell_tags has "
             f"{labels(cell_tags, found)}."
         )
+
+
+def measure(domain: mesh.Mesh, degree: int) -> ufl.Measure:
+    """Return the measure of all cells, by the quadrature of a solid."""
+    metadata = {"quadrature_degree": degree, "quadrature_scheme": "default"}
+    return ufl.Measure("dx", domain, metadata=metadata)
+
+
+def measures(V: fem.FunctionSpace, regions: Sequence[Region], degree: int) -> list[ufl.Measure]:
+    """Return the measure of the cells of each region."""
+    dx = measure(V.mesh, degree)
+    if len(regions) == 1:
+        return [dx]
+    owned = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
+    # Numbers of the laws, not the user's tags: tags must not enter the compiled code.
+    dx = dx(subdomain_data=[(i, r.cells[r.cells < owned]) for i, r in enumerate(regions)])
+    return [dx(i) for i in range(len(regions))]

@@ -13,13 +13,17 @@ from mpi4py import MPI
 
 import numpy as np
 
-import basix.ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.materials.protocol import Law
 from dolfinx_mortar.materials.ranges import wrong_values
-from dolfinx_mortar.solid.sources import Followed, Source, check_source, create_source
+from dolfinx_mortar.solid.sources import (
+    Followed,
+    check_source,
+    create_source,
+    point_function,
+)
 from ufl.checks import is_cellwise_constant
 from ufl.core.expr import Expr
 
@@ -34,24 +38,57 @@ class ParameterTable(Followed):
 
     def __init__(
         self,
+        u: fem.Function,
         law: Law,
-        cells: Ints,
-        function: fem.Function,
-        names: Sequence[str],
-        sources: Sequence[Source],
+        materials: Sequence[Any],
+        cells: Sequence[Ints],
+        degree: int,
     ) -> None:
-        """Keep what is there; `follow` fills in what may change.
+        """Create the parameters of materials of one law, with the numbers in; collective.
+
+        What may change is filled in by `follow`.
 
         Args:
-            law: whose parameters they are.
-            cells: its local cells, ghosts included.
-            function: with the numbers in.
-            names: of the parameters.
-            sources: of what may change.
+            u: displacement, on which no parameter may depend.
+            law: its parts.
+            materials: all of one class.
+            cells: local cells of each, ghosts included.
+            degree: of the quadrature of the solid.
+
+        Raises:
+            ValueError: on all ranks, if a parameter depends on u, belongs to another mesh or is
+                known at other points than those of the solid.
         """
+        self._law, self._cells = law, np.sort(np.concatenate(cells))
+        self._names = names = [field.name for field in dataclasses.fields(materials[0])]
+        given = [
+            (on, [getattr(material, name) for name in names])
+            for material, on in zip(materials, cells, strict=True)
+        ]
+        moving = [
+            (on, i, value)
+            for on, values in given
+            for i, value in enumerate(values)
+            if isinstance(value, Expr)
+        ]
+        for _, i, value in moving:
+            check_source(u, f"{law.name}: {names[i]}", value)
+        width = max(len(names), 1)  # a law may have no parameter at all
+        if all(is_cellwise_constant(value) for _, _, value in moving):
+            space = fem.functionspace(u.function_space.mesh, ("DG", 0, (width,)))
+            function = fem.Function(space)
+        else:
+            function = point_function(u.function_space.mesh, degree, (width,))
+        dofmap = function.function_space.dofmap
+        for on, values in given:
+            row = [0.0 if isinstance(value, Expr) else value for value in values] or [0.0]
+            function.x.array.reshape(-1, width)[dofmap.list[on]] = row
+        sources = [
+            create_source(function, on, f"{law.name}: {names[i]}", value, slice(i, i + 1))
+            for on, i, value in moving
+        ]
         super().__init__(function, sources)
         self.symbols = SimpleNamespace(**{name: function[i] for i, name in enumerate(names)})
-        self._law, self._cells, self._names = law, cells, list(names)
 
     def values(self, cells: Ints, points: int) -> SimpleNamespace:
         """Return the parameters by name at so many points of each cell, (cells * points,) each."""
@@ -106,56 +143,3 @@ def _extent(comm: MPI.Comm, values: Mapping[str, Floats], rule: str) -> str:
         undefined = comm.allreduce(bool(np.isnan(values[name]).any()), op=MPI.LOR)
         parts.append(f"{name} is NaN" if undefined else f"{name} is {low:.6g} to {high:.6g}")
     return ", ".join(parts)
-
-
-def create_table(
-    u: fem.Function, law: Law, materials: Sequence[Any], cells: Sequence[Ints], degree: int
-) -> ParameterTable:
-    """Create the parameters of materials of one law, with the numbers in; collective.
-
-    Args:
-        u: displacement, on which no parameter may depend.
-        law: its parts.
-        materials: all of one class.
-        cells: local cells of each, ghosts included.
-        degree: of the quadrature of the solid.
-
-    Raises:
-        ValueError: on all ranks, if a parameter depends on u, belongs to another mesh or is known
-            at other points than those of the solid.
-    """
-    domain = u.function_space.mesh
-    names = [field.name for field in dataclasses.fields(materials[0])]
-    moving = [
-        (getattr(material, name), on, i)
-        for material, on in zip(materials, cells, strict=True)
-        for i, name in enumerate(names)
-        if isinstance(getattr(material, name), Expr)
-    ]
-    for value, _, i in moving:
-        check_source(u, f"{law.name}: {names[i]}", value)
-    by_cell = all(is_cellwise_constant(value) for value, _, _ in moving)
-    width = max(len(names), 1)  # a law may have no parameter at all
-    function = _create_function(domain, None if by_cell else degree, (width,))
-    dofmap = function.function_space.dofmap
-    for material, on in zip(materials, cells, strict=True):
-        values = [getattr(material, name) for name in names]
-        row = [0.0 if isinstance(value, Expr) else value for value in values] or [0.0]
-        function.x.array.reshape(-1, width)[dofmap.list[on]] = row
-    sources = [
-        create_source(function, slice(i, i + 1), on, f"{law.name}: {names[i]}", value)
-        for value, on, i in moving
-    ]
-    return ParameterTable(law, np.sort(np.concatenate(cells)), function, names, sources)
-
-
-def _create_function(domain: mesh.Mesh, degree: int | None, shape: tuple[int, ...]) -> fem.Function:
-    """Create a Function for one value (degree None) or for values at all points of each cell."""
-    cell = domain.basix_cell()
-    if degree is None:
-        element = basix.ufl.element("DG", cell, 0, shape=shape)
-    else:
-        element = basix.ufl.quadrature_element(
-            cell, value_shape=shape, scheme="default", degree=degree
-        )
-    return fem.Function(fem.functionspace(domain, element))

@@ -12,13 +12,13 @@ from mpi4py import MPI
 
 import numpy as np
 
-import basix.ufl
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Ints
 from dolfinx_mortar.materials.tensor import COMPONENTS, frobenius_norm, vector_norm, von_mises
-from dolfinx_mortar.solid.laws import Region
+from dolfinx_mortar.solid.laws import Region, measure
+from dolfinx_mortar.solid.sources import point_function
 
 # Zero where no law has them: scripts need not know the materials. Name -> whether it is a tensor.
 PLASTIC_FIELDS = {"plastic_strain": True, "back_stress": True, "plastic": False}
@@ -42,12 +42,7 @@ class PointFields:
     ) -> None:
         """Keep references to the quadrature Functions, compile the weights; collective.
 
-        Args:
-            stress: stress components at the integration points.
-            state: internal variables.
-            regions: the laws, which may add fields such as the back stress.
-            degree: quadrature degree of the Functions.
-            weight: factor of the volume by the coordinates, see `Kinematics`.
+        The weight is that of the `Kinematics`; laws may add fields such as the back stress.
         """
         self._stored = {"stress": stress, **state}
         self._regions = regions
@@ -223,8 +218,8 @@ class PointFields:
         values, weights = self._values_everywhere(name), self.weights
         if name not in self._averages:
             shape = values.shape[2:]
-            element = basix.ufl.element("DG", self._mesh.basix_cell(), 0, shape=shape)
-            self._averages[name] = fem.Function(fem.functionspace(self._mesh, element), name=name)
+            space = fem.functionspace(self._mesh, ("DG", 0, shape))
+            self._averages[name] = fem.Function(space, name=name)
         average = self._averages[name]
         flat = values.reshape(*values.shape[:2], math.prod(values.shape[2:]))
         means = np.einsum("cq,cqi->ci", weights, flat) / weights.sum(axis=1)[:, None]
@@ -238,9 +233,6 @@ def _compile_weights(
     domain: mesh.Mesh, degree: int, weight: Callable[[Any], Any]
 ) -> tuple[fem.Form, Ints]:
     """Return the form of the integration weights, and where its vector has those of the cells."""
-    metadata = {"quadrature_degree": degree, "quadrature_scheme": "default"}
-    element = basix.ufl.quadrature_element(domain.basix_cell(), scheme="default", degree=degree)
-    Q = fem.functionspace(domain, element)
-    dx = ufl.Measure("dx", domain, metadata=metadata)
+    Q = point_function(domain, degree).function_space
     factor = ufl.as_ufl(weight(ufl.SpatialCoordinate(domain)))
-    return fem.form(factor * ufl.TestFunction(Q) * dx), Q.dofmap.list
+    return fem.form(factor * ufl.TestFunction(Q) * measure(domain, degree)), Q.dofmap.list

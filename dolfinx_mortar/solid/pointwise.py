@@ -16,7 +16,6 @@ from mpi4py import MPI
 import numba
 import numpy as np
 
-import basix.ufl
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar import compat
@@ -33,7 +32,8 @@ from dolfinx_mortar.materials.tensor import (
     to_components,
 )
 from dolfinx_mortar.solid.laws import Region
-from dolfinx_mortar.solid.state import committed_state, create_field
+from dolfinx_mortar.solid.sources import point_function
+from dolfinx_mortar.solid.state import as_tensors, create_field
 from ufl.core.expr import Expr
 
 
@@ -55,19 +55,16 @@ class PointValuesOfRegion(ABC):
         inputs: Sequence[fem.Function],
         degree: int,
     ) -> None:
-        """Note on what the values depend; collective.
-
-        Args:
-            region: the law and its cells.
-            strain: 3x3.
-            state: committed internal variables of the solid.
-            inputs: what the strain depends on.
-            degree: of the quadrature.
-        """
+        """Create what is filled; the inputs are what the 3x3 strain depends on; collective."""
         self.region = region
         self._committed = {name: state[name] for name in region.law.state}
         self._inputs = [*inputs, *self._committed.values(), region.parameters.function]
         self._seen: list[Floats] = []
+        self._create(strain, degree)
+
+    @abstractmethod
+    def _create(self, strain: Expr, degree: int) -> None:
+        """Create the Functions and the response, compile; collective."""
 
     def fill(self) -> None:
         """Evaluate the law, unless nothing has changed; without communication.
@@ -89,19 +86,11 @@ class PointValuesOfRegion(ABC):
 class NormalStrain(PointValuesOfRegion):
     """The strain out of the plane that leaves no stress there, for a law in UFL."""
 
-    def __init__(
-        self,
-        region: Region,
-        strain: Expr,
-        state: Mapping[str, fem.Function],
-        inputs: Sequence[fem.Function],
-        degree: int,
-    ) -> None:
+    def _create(self, strain: Expr, degree: int) -> None:
         """Create the Function and compile its equation; collective."""
-        super().__init__(region, strain, state, inputs, degree)
-        domain = region.parameters.function.function_space.mesh
+        region, domain = self.region, self.region.parameters.function.function_space.mesh
         self._strain = create_field(domain, degree, (), "strain_out_of_the_plane")
-        committed = committed_state(region, state)
+        committed = as_tensors(region, self._committed)
         with raised_together(domain.comm):
             self.response = respond(region.law, strain, committed, region.symbols, self._strain)
         assert self.response.equation is not None
@@ -129,34 +118,16 @@ class NormalStrain(PointValuesOfRegion):
 class PointwiseFields(PointValuesOfRegion):
     """Stress, tangent and new state of a law of arrays."""
 
-    def __init__(
-        self,
-        region: Region,
-        strain: Expr,
-        state: Mapping[str, fem.Function],
-        inputs: Sequence[fem.Function],
-        degree: int,
-    ) -> None:
+    def _create(self, strain: Expr, degree: int) -> None:
         """Create the Functions; collective."""
-        super().__init__(region, strain, state, inputs, degree)
-        domain = region.parameters.function.function_space.mesh
-        self._strain = create_field(domain, degree, (3, 3), "strain")
+        domain = self.region.parameters.function.function_space.mesh
         self._stress = create_field(domain, degree, (3, 3), "stress")
         size = self._stress.function_space.dofmap.bs
-        element = basix.ufl.quadrature_element(
-            domain.basix_cell(),
-            value_shape=(size * (size + 1) // 2,),
-            scheme="default",
-            degree=degree,
-        )
-        self._tangent = fem.Function(fem.functionspace(domain, element))
-        points = compat.interpolation_points(self._strain.function_space)
-        self._measured = fem.Expression(to_components(strain, size), points)
+        self._tangent = point_function(domain, degree, (len(_pairs(size)),))
+        points = compat.interpolation_points(self._stress.function_space)
+        self._strain = fem.Expression(to_components(strain, size), points)
         self._new = {name: f.copy() for name, f in self._committed.items()}
-        new = {
-            name: from_components(f) if region.law.state[name] else f
-            for name, f in self._new.items()
-        }
+        new = as_tensors(self.region, self._new)
         self.response = Response(from_components(self._stress), None, new, self._change)
 
     def _evaluate(self) -> None:
@@ -166,17 +137,16 @@ class PointwiseFields(PointValuesOfRegion):
             ValueError: if it raises, returns something of another form, or gives NaN.
         """
         cells = self.region.cells
-        self._strain.interpolate(self._measured, cells)
-        strain = tensor_of(_at(self._strain, cells))
+        V, size = self._stress.function_space, self._stress.function_space.dofmap.bs
+        strain = tensor_of(np.asarray(self._strain.eval(V.mesh, cells)).reshape(-1, size))
         state = {
             name: tensor_of(_at(f, cells)) if self.region.law.state[name] else _at(f, cells)[:, 0]
             for name, f in self._committed.items()
         }
-        points = self._strain.function_space.dofmap.list.shape[1]
+        points = V.dofmap.list.shape[1]
         p = self.region.parameters.values(cells, points)
         found = values_at_points(self.region.law, strain, state, p)
         self._judge(found, strain, points)
-        size = self._stress.function_space.dofmap.bs
         _set(self._stress, cells, stored(found.stress, size))
         _set(self._tangent, cells, packed(found.tangent, size))
         for name, f in self._new.items():
@@ -218,10 +188,7 @@ def create_point_values(
     inputs: Sequence[fem.Function],
     degree: int,
 ) -> dict[Law, PointValuesOfRegion]:
-    """Return what is found at points before each assembly, by law; collective.
-
-    See `PointValuesOfRegion` for the arguments.
-    """
+    """Return what is found at points before each assembly, by law; collective."""
     found: dict[Law, PointValuesOfRegion] = {}
     for region in regions:
         arguments = region, strain, state, inputs, degree

@@ -22,7 +22,7 @@ from petsc4py import PETSc
 import numpy as np
 
 import ufl
-from dolfinx import fem, la, mesh
+from dolfinx import fem, mesh
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
@@ -38,12 +38,8 @@ from dolfinx_mortar.solid.laws import create_regions
 from dolfinx_mortar.solid.points import PointFields
 from dolfinx_mortar.solid.pointwise import create_point_values, fill_point_values
 from dolfinx_mortar.solid.sources import Followed, follow_changed
-from dolfinx_mortar.solid.state import (
-    create_evaluations,
-    create_field,
-    create_state,
-    fill_all,
-)
+from dolfinx_mortar.solid.state import create_evaluations, create_field, create_state, fill_all
+from dolfinx_mortar.solid.term import Term, assemble
 from dolfinx_mortar.spaces import check_real, check_space
 
 # Written first, and if a law has them; then all internal variables and what the laws put out.
@@ -57,17 +53,12 @@ OUTPUT_FIELDS = (
 HIGHEST_RULE = 30
 
 
-class Solid:
+class Solid(Term):
     """Elasto-plastic bodies on one mesh, seen from the displacement u and the committed state.
 
     Attributes:
         u: displacement; its ghosts must be up to date in every call.
         kinematics: strain measure, weight and rigid motions; plane strain in 2D.
-        state: committed internal variables by name, quadrature Functions: those from which the
-            next step starts. What `fields` and `max` show is the state that `evaluate` found,
-            committed or not. Tensors are stored as (xx, yy, zz, xy) in 2D, which are (rr, zz,
-            theta theta, rz) of a ring, and (xx, yy, zz, xy, yz, xz) in 3D, the shear being the
-            tensor component.
         eigenstrain: the strain that the laws do not see, at the integration points, or None.
         stress: quadrature Function of the same components, filled by `evaluate`.
         regions: the cells of each law, with its parameters.
@@ -140,8 +131,8 @@ class Solid:
         check_radius(self.kinematics, self.mesh)
         degree = _degree(self.V, quadrature_degree)
         self.regions = create_regions(u, materials, cell_tags, degree, self.kinematics.plane_stress)
-        self.state = create_state(self.regions, self.mesh, degree)
-        self._staged = {name: f.copy() for name, f in self.state.items()}
+        self._committed = create_state(self.regions, self.mesh, degree)
+        self._staged = {name: f.copy() for name, f in self._committed.items()}
         self.stress = create_field(self.mesh, degree, (3, 3), "stress")
         self.eigenstrain = create_eigenstrain(u, eigenstrain, cell_tags, degree)
         dilatation = create_dilatation(
@@ -184,10 +175,19 @@ class Solid:
         return self.fields.degree
 
     @property
-    def linear(self) -> bool:
+    def state(self) -> Mapping[str, fem.Function]:
+        """Committed internal variables by name, quadrature Functions: a step starts from them.
+
+        What `fields` and `max` show is the state that `evaluate` found, committed or not. Tensors
+        are stored as (xx, yy, zz, xy) in 2D, which are (rr, zz, theta theta, rz) of a ring, and
+        (xx, yy, zz, xy, yz, xz) in 3D, the shear being the tensor component.
+        """
+        return self._committed
+
+    @property
+    def linear(self) -> bool:  # type: ignore[override]
         """Whether all laws and the strain are linear: a constant tangent while parameters are."""
-        laws = all(region.law.linear for region in self.regions)
-        return laws and self.gradients.small
+        return self.gradients.small and all(region.law.linear for region in self.regions)
 
     @property
     def varying(self) -> bool:
@@ -199,11 +199,6 @@ class Solid:
         """How the volumetric part is integrated, "full" or "reduced"."""
         return "full" if self._forms.dilatation is None else "reduced"
 
-    @property
-    def has_energy(self) -> bool:
-        """Whether all laws have a potential, so that `energy` works."""
-        return self._forms.energy is not None
-
     # -- one Newton iteration -------------------------------------------------------------------
 
     def create_matrix(self) -> PETSc.Mat:
@@ -212,41 +207,46 @@ class Solid:
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         return K
 
-    def assemble_tangent(self, K: PETSc.Mat) -> None:
-        """Fill K with the consistent tangent dF/du at u, symmetric, without boundary conditions."""
+    def energy(self) -> float | None:
+        """Return this rank's share of the incremental potential Psi(u); collective.
+
+        None if a law gives a stress but no potential.
+        """
+        if self._forms.energy is None:
+            return None
         self.follow()
-        K.zeroEntries()
+        share, dilatation = float(fem.assemble_scalar(self._forms.energy)), self._forms.dilatation
+        return share if dilatation is None else share + dilatation.energy()
+
+    def add_forces(self, F: PETSc.Vec) -> None:
+        """Add F(u)_i = int sigma : eps(phi_i) to the owned part of F; collective."""
+        self.follow()
+        F.array_w[:] += assemble(self._forms.residual, self._forms.force)[: F.local_size]
+
+    def add_tangent(self, K: PETSc.Mat) -> None:
+        """Add the consistent tangent dF/du at u, symmetric, without boundary conditions."""
+        self.follow()
         fem_petsc.assemble_matrix(K, self._forms.tangent)
         K.assemble()
         if self._forms.dilatation is not None:
             self._forms.dilatation.add_tangent(K)
 
     def assemble_residual(self, r: PETSc.Vec) -> None:
-        """Fill the owned part of r with the internal forces F(u)_i = int sigma : eps(phi_i)."""
-        self.follow()
-        force = self._forms.force
-        force.array[:] = 0.0
-        fem.assemble_vector(force.array, self._forms.residual)
-        force.scatter_reverse(la.InsertMode.add)
-        r.array_w[:] = force.array[: r.local_size]
+        """Fill the owned part of r with the internal forces, see `add_forces`; collective."""
+        r.array_w[:] = 0.0
+        self.add_forces(r)
 
-    def energy(self) -> float:
-        """Return the incremental potential Psi(u), the sum over all ranks.
-
-        Raises:
-            ValueError: if a law gives a stress but no potential.
-        """
-        if self._forms.energy is None:
-            raise ValueError("Solid.energy: a material gives a stress but no energy.")
-        energy, dilatation = self._sum(self._forms.energy), self._forms.dilatation
-        return energy + (0.0 if dilatation is None else dilatation.energy())
+    def assemble_tangent(self, K: PETSc.Mat) -> None:
+        """Fill K with the tangent, see `add_tangent`; collective."""
+        K.zeroEntries()
+        self.add_tangent(K)
 
     def elastic_norm(self, v: fem.Function) -> float:
         """Return the energy norm sqrt(int eps(v) : C : eps(v)) of a Function of V."""
+        self.follow()
         self._forms.direction.x.array[:] = v.x.array
-        square = self._sum(self._forms.elastic_norm)
-        square += 0.0 if self._forms.dilatation is None else self._forms.dilatation.norm_squared(v)
-        return math.sqrt(max(square, 0.0))
+        share, dilatation = fem.assemble_scalar(self._forms.elastic_norm), self._forms.dilatation
+        return self._root(share if dilatation is None else share + dilatation.norm_squared(v))
 
     def element_force_norm(self) -> float:
         """Return the norm of the unassembled element forces at u, sqrt(sum_e sum_a |f_ea|^2).
@@ -255,12 +255,12 @@ class Solid:
         for degree 1 on simplices; on other cells the gradients at the midpoint are used, and of
         rings the forces of the stress along them, which are never larger than the others, left out.
         """
-        return math.sqrt(max(self._sum(self._forms.element_force), 0.0))
-
-    def _sum(self, form: fem.Form) -> float:
-        """Assemble a scalar over all ranks."""
         self.follow()
-        return self.mesh.comm.allreduce(fem.assemble_scalar(form), op=MPI.SUM)
+        return self._root(fem.assemble_scalar(self._forms.element_force))
+
+    def _root(self, share: float) -> float:
+        """Return the root of a sum over all ranks."""
+        return math.sqrt(max(self.mesh.comm.allreduce(share, op=MPI.SUM), 0.0))
 
     # -- results and committed state ------------------------------------------------------------
 

@@ -12,8 +12,9 @@ from mpi4py import MPI
 
 import numpy as np
 
+import basix.ufl
 import ufl
-from dolfinx import default_scalar_type, fem
+from dolfinx import default_scalar_type, fem, mesh
 from dolfinx_mortar import compat
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.spaces import check_real
@@ -26,10 +27,31 @@ class Source:
     """An expression in some cells, which fills some components of a Function at its points."""
 
     name: str  # of what the user gave, for messages
-    cells: Ints  # local cells, ghosts included
+    function: fem.Function
     components: slice  # of the Function
+    cells: Ints  # local cells, ghosts included
     expression: fem.Expression
     inputs: tuple[Any, ...]  # the Constants and Functions that it depends on
+
+    @property
+    def dofs(self) -> Ints:
+        """The points (cells, points) of the cells, rows of the table of values."""
+        return np.asarray(self.function.function_space.dofmap.list[self.cells])
+
+    def evaluate(self) -> Floats:
+        """Return the values (cells, points * components); without communication."""
+        return np.asarray(self.expression.eval(self.function.function_space.mesh, self.cells))
+
+    def fill(self) -> None:
+        """Evaluate the expression into the Function."""
+        table = self.function.x.array.reshape(-1, self.function.function_space.dofmap.bs)
+        at = self.dofs, self.components
+        table[at] = self.evaluate().reshape(table[at].shape)
+
+    def undefined(self) -> int:
+        """Return at how many points of the cells the Function is NaN or infinite."""
+        values = self.function.x.array.reshape(-1, self.function.function_space.dofmap.bs)
+        return int(np.sum(~np.isfinite(values[self.dofs]).all(axis=-1)))
 
     def numbers(self) -> list[Floats]:
         """Return the numbers that it depends on."""
@@ -39,7 +61,7 @@ class Source:
 
 
 def create_source(
-    function: fem.Function, components: slice, cells: Ints, name: str, value: Expr
+    function: fem.Function, cells: Ints, name: str, value: Expr, components: slice = slice(None)
 ) -> Source:
     """Compile the evaluation of a scalar or a vector of components; collective.
 
@@ -57,7 +79,17 @@ def create_source(
             "quadrature space must have the quadrature_degree of the Solid."
         ) from error
     inputs = (*extract_coefficients(value), *extract_constants(value))
-    return Source(name, cells, components, expression, inputs)
+    return Source(name, function, components, cells, expression, inputs)
+
+
+def point_function(
+    domain: mesh.Mesh, degree: int, size: tuple[int, ...] = (), name: str | None = None
+) -> fem.Function:
+    """Create a Function of scalars, or of vectors of a size, at the points of a quadrature."""
+    element = basix.ufl.quadrature_element(
+        domain.basix_cell(), value_shape=size, scheme="default", degree=degree
+    )
+    return fem.Function(fem.functionspace(domain, element), name=name)
 
 
 def check_source(u: fem.Function, name: str, value: Expr) -> None:
@@ -98,13 +130,9 @@ class Followed(ABC):
         Raises:
             ValueError: on all ranks, if a value makes no sense; all are then as before.
         """
-        V = self.function.function_space
         before = self.function.x.array.copy()
-        table, dofs = self.function.x.array.reshape(-1, V.dofmap.bs), V.dofmap.list
         for source in self._sources:
-            at = dofs[source.cells], source.components
-            values = np.asarray(source.expression.eval(V.mesh, source.cells))
-            table[at] = values.reshape(table[at].shape)  # (cells, points, components)
+            source.fill()
         try:
             self.judge()
         except ValueError:

@@ -3,22 +3,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx import fem
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import as_numbers
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.solid.solid import Solid
-from dolfinx_mortar.terms.term import Term
+from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.terms.weak_forms import DeadLoads
 
 R = TypeVar("R")
@@ -34,10 +35,19 @@ class Energy:
 
 @dataclass(frozen=True)
 class Terms:
-    """J(u) = Psi(u) + sum_k Pi_k(u), its first derivative and its second."""
+    """J(u) = Psi(u) + sum_k Pi_k(u), its first derivative and its second.
+
+    The bodies are the first term. They are told apart only where their forces are no scale of
+    external ones, and where the stiffness of all other terms is asked for.
+    """
 
     solid: Solid
-    named: Sequence[tuple[str, Term]]  # by the name that messages use
+    named: Sequence[tuple[str, Term]]  # all others, by the name that messages use
+
+    @property
+    def every(self) -> list[Term]:
+        """The bodies, then the other terms."""
+        return [self.solid, *(term for _, term in self.named)]
 
     @property
     def comm(self) -> MPI.Comm:
@@ -47,7 +57,7 @@ class Terms:
     @property
     def linear(self) -> bool:
         """Whether the tangent is constant while what the user may change between steps is."""
-        return self.solid.linear and all(term.linear for _, term in self.named)
+        return all(term.linear for term in self.every)
 
     @property
     def varying(self) -> bool:
@@ -62,25 +72,21 @@ class Terms:
     # -- sums ------------------------------------------------------------------------------------
 
     def energy(self) -> Energy | None:
-        """Return J(u), None if the bodies or a term have none; collective."""
-        if not self.solid.has_energy:
-            return None
+        """Return J(u), None if a term has none; collective."""
         sums = np.zeros(3)
-        for _, term in self.named:
+        for term in self.every:
             addends = self._ask(term, partial(_addends, term))
             sums += (0, 0, 1) if addends is None else (addends.sum(), np.abs(addends).sum(), 0)
         self.comm.Allreduce(MPI.IN_PLACE, sums)
-        if sums[2] > 0.0:
-            return None
-        psi = self.solid.energy()
-        return Energy(psi + sums[0], abs(psi) + sums[1])
+        return None if sums[2] > 0.0 else Energy(sums[0], sums[1])
 
     def assemble_forces(self, F: PETSc.Vec) -> float:
         """Fill F with dJ/du; return the largest norm of the forces of a term; collective.
 
         Those of the bodies are not among them: their scale are the unassembled element forces.
         """
-        self.solid.assemble_residual(F)
+        F.array_w[:] = 0.0
+        self.solid.add_forces(F)
         one, largest = F.duplicate(), 0.0
         for name, term in self.named:
             one.array_w[:] = 0.0
@@ -98,7 +104,8 @@ class Terms:
         K stays symmetric; whether it stays definite is the affair of the terms: a soft foundation
         is harmless, a load that grows with the displacement need not be.
         """
-        self.solid.assemble_tangent(K)
+        K.zeroEntries()
+        self.solid.add_tangent(K)
         self.add_tangents(K)
 
     def add_tangents(self, K: PETSc.Mat) -> None:
@@ -124,7 +131,7 @@ class Terms:
         blocks = [(name, dofs) for name, term in self.named for dofs in term.couplings]
         if not any_rank(self.comm, bool(blocks))[0]:
             return K
-        self.solid.assemble_tangent(K)  # entries that nobody has set are not kept
+        self.solid.add_tangent(K)  # entries that nobody has set are not kept
         K.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
         with raised_together(self.comm):
             for name, dofs in blocks:
@@ -143,7 +150,7 @@ class Terms:
         Raises:
             ValueError: on all ranks, if forces or the energy of a term are NaN or infinite.
         """
-        for _, term in self.named:
+        for term in self.every:
             self._ask(term, partial(term.begin, start, end))
         self.check_energies()
 
@@ -163,14 +170,13 @@ class Terms:
                 )
 
     def commit(self) -> None:
-        """Make the converged step the state of bodies and terms; collective."""
-        self.solid.commit()
-        for _, term in self.named:
+        """Make the converged step the state of all terms; collective."""
+        for term in self.every:
             self._ask(term, term.commit)
 
     def roll_back(self) -> None:
         """Let terms forget a step that has failed, perhaps on this rank only."""
-        for _, term in self.named:
+        for term in self.every:
             term.roll_back()
 
     # -- what may go wrong in terms of users -----------------------------------------------------
@@ -211,3 +217,46 @@ def _dofs(name: str, dofs: object, n: int) -> np.ndarray:
             f"{n - 1}"
         )
     return given.astype(PETSc.IntType)
+
+
+def check_terms(comm: MPI.Comm, terms: Any, V: fem.FunctionSpace) -> list[Term]:
+    """Return terms as a list if they can take part; collective.
+
+    Raises:
+        ValueError: on all ranks, naming what is missing.
+    """
+    with raised_together(comm):
+        if not isinstance(terms, Sequence) or isinstance(terms, str):
+            raise ValueError(f"terms is {terms!r}: give a list of terms, [] for none")
+        for k, term in enumerate(terms):
+            if isinstance(term, type) or not isinstance(term, Term):
+                raise ValueError(
+                    f"terms[{k}] is {term!r}: give an instance of a subclass of dolfinx_mortar.Term"
+                )
+            if any(term is other for other in terms[:k]):
+                raise ValueError(f"terms holds the same object {term!r} twice: give it once")
+            for name in ("add_forces", "add_tangent"):
+                if getattr(type(term), name) is getattr(Term, name):
+                    raise ValueError(f"terms[{k}], a {type(term).__name__}, lacks {name}(): define")
+            _check_state(k, term, V)
+    return list(terms)
+
+
+def _check_state(k: int, term: Term, V: fem.FunctionSpace) -> None:
+    """Raise a ValueError unless the state of a term is made of nodal Functions on the mesh of V."""
+    what = f"state of terms[{k}], a {type(term).__name__}"
+    if not isinstance(term.state, Mapping):
+        raise ValueError(f"{what}, is {term.state!r}: give a dictionary of Functions by name")
+    nodes = V.dofmap.index_map
+    for name, f in term.state.items():
+        if not (isinstance(name, str) and name and "/" not in name):
+            raise ValueError(f"{what}, has the name {name!r}: give a text without '/'")
+        layout = f.function_space.dofmap.index_map if isinstance(f, fem.Function) else None
+        if (
+            layout is None
+            or f.function_space.mesh is not V.mesh
+            or ((layout.size_global, layout.size_local) != (nodes.size_global, nodes.size_local))
+        ):
+            raise ValueError(
+                f"{what}: {name!r} is {f!r}: give a Function on solid.V or its scalar space"
+            )

@@ -21,13 +21,13 @@ from petsc4py import PETSc
 import numpy as np
 
 import ufl
-from dolfinx import fem, la
+from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.solid.term import Term, assemble, create_vector
 from dolfinx_mortar.spaces import check_real
-from dolfinx_mortar.terms.term import Term
 from ufl.algorithms import estimate_total_polynomial_degree, expand_derivatives
 
 REMEDY = "give its potential instead, ContactProblem(..., potential=...)"
@@ -51,7 +51,7 @@ class DeadLoads(Term):
         check_loads(solid.u, loads)
         self._u = solid.u
         self._form = fem.form(_weighted(loads, solid))
-        self._vector = _vector(solid.V)
+        self._vector = create_vector(solid.V)
 
     def begin(self, start: float, end: float) -> None:
         """Assemble the forces; collective.
@@ -59,7 +59,7 @@ class DeadLoads(Term):
         Raises:
             ValueError: on all ranks, if they hold NaN or infinity.
         """
-        bad = ~np.isfinite(_assemble(self._form, self._vector))
+        bad = ~np.isfinite(assemble(self._form, self._vector))
         if any_rank(self._u.function_space.mesh.comm, bad.any())[0]:
             raise ValueError(
                 "loads hold NaN or infinity: check the coefficients of the linear form"
@@ -125,7 +125,7 @@ class WeakForm(Term):
         self._energy = fem.form(form) if residual is None else None
         self._forces = fem.form(forces)
         self._tangent = None if tangent.empty() else fem.form(tangent)
-        self._vector = _vector(V)
+        self._vector = create_vector(V)
         self._given = {name: form}
 
     def given(self) -> Mapping[str, Any]:
@@ -138,25 +138,12 @@ class WeakForm(Term):
 
     def add_forces(self, F: PETSc.Vec) -> None:
         """Add dPi/du or R(u; .) to the owned part of F; collective."""
-        F.array_w[:] += _assemble(self._forces, self._vector)[: F.local_size]
+        F.array_w[:] += assemble(self._forces, self._vector)[: F.local_size]
 
     def add_tangent(self, K: PETSc.Mat) -> None:
         """Add the second derivative; collective."""
         if self._tangent is not None:
             fem_petsc.assemble_matrix(K, self._tangent)
-
-
-def _vector(V: fem.FunctionSpace) -> la.Vector:
-    """Return a vector of V, with ghosts."""
-    return la.vector(V.dofmap.index_map, V.dofmap.index_map_bs)
-
-
-def _assemble(form: fem.Form, vector: la.Vector) -> Floats:
-    """Assemble a linear form into a vector; return its owned values; collective."""
-    vector.array[:] = 0.0
-    fem.assemble_vector(vector.array, form)
-    vector.scatter_reverse(la.InsertMode.add)
-    return np.asarray(vector.array[: vector.block_size * vector.index_map.size_local])
 
 
 def check_loads(u: fem.Function, loads: Any) -> None:

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: MIT
+"""A term of the energy: what bodies, loads and your own classes have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx import fem, la
+from dolfinx_mortar.arrays import Floats, Ints
+
+
+class Term:
+    """Energy Pi(u), a part of what a step minimises: the base of bodies, loads and your own terms.
+
+    Pass instances of yours in ``ContactProblem(..., terms=[...])``. The problem adds up
+
+        Pi(u),   F_i = dPi/du_i,   K_ij = d2Pi/du_i du_j
+
+    of all its terms; `WeakForm` does this for UFL. Write here what UFL does not reach: forces
+    between far points, tables, other programs. Of what is collective, a method may only do what
+    all ranks reach: an error is raised on all of them after the call.
+
+    Attributes:
+        linear: whether K is constant in a step, so that it need not be assembled at every iterate.
+        has_tangent: whether K is not zero.
+        couplings: global dofs (k,) that K couples beyond the pattern of the mesh, an array for each
+            dense block of k x k entries, the same on all ranks or each on one of them.
+        state: Functions on ``solid.V`` or its scalar space, by name, that `commit` sets: what the
+            next step starts from, and what a checkpoint holds.
+    """
+
+    linear: bool = False
+    has_tangent: bool = True
+    couplings: Sequence[Ints] = ()
+
+    @property
+    def state(self) -> Mapping[str, fem.Function]:
+        """Functions that go on from step to step, by name."""
+        return {}
+
+    def energy(self) -> float | Floats | None:
+        """Return this rank's share of Pi(u), or its addends; None if there is no potential.
+
+        Then there is no line search: Newton's steps are whole.
+        """
+        return None
+
+    def add_forces(self, F: PETSc.Vec) -> None:
+        """Add F_i to the internal forces, ``F.array`` of owned dofs or ``F.setValues`` of any."""
+        raise NotImplementedError
+
+    def add_tangent(self, K: PETSc.Mat) -> None:
+        """Add K_ij, symmetric, with ``K.setValues(.., addv=True)``, on the pattern that K has."""
+        raise NotImplementedError
+
+    def begin(self, start: float, end: float) -> None:
+        """Prepare a step.
+
+        Args:
+            start: load level of the committed state.
+            end: load level of the step; that of `load_steps`, or ``level`` of `newton`.
+        """
+
+    def commit(self) -> None:
+        """Make the converged step the state from which the next one starts."""
+
+    def roll_back(self) -> None:
+        """Forget a step that has failed; the committed state stands as it is."""
+
+
+def create_vector(V: fem.FunctionSpace) -> la.Vector:
+    """Return a vector of V, with ghosts."""
+    return la.vector(V.dofmap.index_map, V.dofmap.index_map_bs)
+
+
+def assemble(form: fem.Form, vector: la.Vector) -> Floats:
+    """Assemble a linear form into a vector; return a view of its owned values; collective."""
+    vector.array[:] = 0.0
+    fem.assemble_vector(vector.array, form)
+    vector.scatter_reverse(la.InsertMode.add)
+    return np.asarray(vector.array[: vector.block_size * vector.index_map.size_local])
