@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -44,6 +45,8 @@ from dolfinx_mortar.supports.dirichlet import Dirichlet, create_dirichlet
 from dolfinx_mortar.terms.sum import Terms
 from dolfinx_mortar.terms.term import Term, check_terms
 from dolfinx_mortar.terms.weak_forms import DeadLoads, WeakForm, check_form
+
+log = logging.getLogger(__name__)
 
 
 class ContactProblem:
@@ -139,7 +142,6 @@ class ContactProblem:
             self.u.x.array[: self.d * self.n].copy(),
             *np.zeros((2, len(sides), self.n)),
         )
-        self._audited: Audit | None = None
 
     # -- names for what lies deeper --------------------------------------------------------------
 
@@ -258,7 +260,8 @@ class ContactProblem:
         size = self.d * self.n
         self.u.x.array[:size] += self._mean(data.asked)
         self.u.x.scatter_forward()
-        notes = self._check_mesh() if self._audited is None else []
+        first = not self.committed.begun
+        notes = self._check_mesh() if first else []
         partners = self._partners(data.target) if data.limits else []
         with self.timings("mortar"):
             found = self.system.begin(self.configuration, self.committed.paired)
@@ -271,8 +274,12 @@ class ContactProblem:
         self._enter(found, data.increment)
         if self.linear.direct and not self.terms.linear:
             self.linear.forget()  # a step that was tried has left another factorisation
-        if self._audited is None:
-            self._audited = self._audit(data.increment, notes)
+        if first:
+            audit = self._audit(data.increment, notes)
+            if self.comm.rank == 0:
+                log.info("%s", "; ".join(map(str, audit.interfaces)) or "no interface")
+                for warning in audit.warnings:
+                    log.warning("%s", warning)
         return data
 
     def _read(self, level: float | None) -> StepData:
@@ -332,23 +339,21 @@ class ContactProblem:
             return found.partners(self._committed_positions())
 
     def audit(self) -> Audit:
-        """Return the geometry audit, made before the first step; collective.
+        """Return the geometry audit at the present displacement; collective.
 
-        Sides that are beyond each other are no error where the Dirichlet conditions, as they are
-        now, may bring them together.
+        The first step begins with one, too, and logs it. Sides that are beyond each other are no
+        error where the Dirichlet conditions, as they are now, may bring them together.
 
         Raises:
             ValueError: if nothing holds a body, a pair of surfaces cannot meet, or another problem
                 has taken over an interface.
         """
         self.check_owned()
-        if self._audited is None:
-            notes = self._check_mesh()
-            self.update_geometry(0.0)
-            asked = self.supports.increment(self.supports.values(), self.u.x.array)
-            increment = float(maximum(self.comm, np.abs(asked).max(initial=0.0))[0])
-            self._audited = self._audit(increment, notes)
-        return self._audited
+        notes = self._check_mesh()
+        self.update_geometry(0.0)
+        asked = self.supports.increment(self.supports.values(), self.u.x.array)
+        increment = float(maximum(self.comm, np.abs(asked).max(initial=0.0))[0])
+        return self._audit(increment, notes)
 
     def _check_mesh(self) -> list[str]:
         """Return what to say of the mesh; collective."""
