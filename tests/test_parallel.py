@@ -29,7 +29,7 @@ RANKS = "DOLFINX_MORTAR_TEST_RANKS"
 # a rank the same for any number. On one: what knows nothing of ranks, as laws and meshes, or stands
 # on what has run on three. The slow run has all on two, the nightly one on three.
 ON_TWO = """
-    agreement arguments audit checkpoint checkpoint_damage checkpoint_edits checkpoint_errors
+    agreement arguments audit checkpoint checkpoint_damage checkpoint_errors
     checkpoint_files edges errors failures friction_errors jump jump_errors linear loads
     looks_change_nothing mesh_audit msh newton output output_resume passing plotting preload
     problem progress ramp reaction regions results small_strain smooth_contact solid solid_state
