@@ -57,7 +57,6 @@ OTHERS = {
     "audit.stand_off",
     "report.resolution",
     "report.overlaps",
-    "persistence.identity",
     "steps.load_steps",
     "steps.preload",
     "steps.ramp",

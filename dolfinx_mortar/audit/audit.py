@@ -145,9 +145,7 @@ def create_audit(
     for link in links:
         _check_sides(link, bodies, x, increment)
     found = [_audit(link, x) for link in links]
-    contacts = any(link.interface.one_sided for link in links)
-    free = free_motions(bodies, _held_motions(system, supports, springs)) if contacts else []
-    by_contact = list(dict.fromkeys(motion.partition(" of ")[2] for motion in free))
+    by_contact = find_held_by_contact(bodies, system, supports, springs)
     warnings = list(system.notes)
     if by_contact:
         warnings.append(f"contact alone holds {'; '.join(by_contact)}: the loads must press it on")
@@ -157,6 +155,18 @@ def create_audit(
         warnings += _warnings(i)
         warnings += warnings_on_straight_facets(link, link.interface.configuration(at))
     return Audit(bodies.count, found, by_contact, warnings)
+
+
+def find_held_by_contact(
+    bodies: Bodies,
+    system: InterfaceSystem,
+    supports: Dirichlet,
+    springs: Callable[[PETSc.Vec], Floats],
+) -> list[str]:
+    """Return the names of the bodies that contact alone holds, see `create_audit`; collective."""
+    contacts = any(link.interface.one_sided for link in system.links)
+    free = free_motions(bodies, _held_motions(system, supports, springs)) if contacts else []
+    return list(dict.fromkeys(motion.partition(" of ")[2] for motion in free))
 
 
 def find_loose_motions(

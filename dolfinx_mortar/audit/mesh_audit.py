@@ -2,11 +2,9 @@
 """The audit of the mesh: coordinates that are NaN, cells collapsed, inverted or folded.
 
 The sign of one cell's Jacobian has no meaning, because dolfinx numbers a cell's nodes in any order.
-Compared are the signs within a quadrilateral or hexahedron, at the points of the Gauss rule with
-two points along each edge, and the sides of a facet on which two triangles or tetrahedra lie. A
-Jacobian that changes its sign at a corner only is noted: no integral sees it. Cells of degree two
-likewise, triangles as well: at the points of a rule exact for their mass, and at their nodes, where
-the Jacobian vanishes as soon as a node is a quarter of its edge off the middle.
+Compared are the signs within quadrilaterals, hexahedra and cells of degree two, at the points of a
+Gauss rule (of degree one with two points along each edge), and the sides of a facet on which two
+triangles or tetrahedra lie. A sign that changes at a corner only has no effect on integrals.
 """
 
 from __future__ import annotations
@@ -40,25 +38,22 @@ class _Cells:
     x: Floats  # (n, k, d) coordinates
 
 
-def check_mesh(mesh: Mesh) -> list[str]:
-    """Return notes on poor cells; raise a ValueError on all ranks for unsound ones; collective.
+def check_mesh(mesh: Mesh) -> None:
+    """Raise a ValueError on all ranks for unsound cells; collective.
 
     Unsound: geometry of a degree that is not supported, coordinates that are NaN or infinite, cells
     without volume, cells whose Jacobian changes sign, cells that overlap a neighbour. Bodies may
-    overlap each other. Cells that the package does not know at all are left to other checks.
+    overlap each other. Unsupported kinds of cells are left to other checks.
 
     Args:
         mesh: the mesh of all bodies.
 
-    Returns:
-        What may be mended, but need not.
-
     Raises:
-        ValueError: with what is wrong, how many cells, where the first ones are, and the remedy.
+        ValueError: with what is wrong, how many cells, where the first one is, and the remedy.
     """
     kind, d = mesh.topology.cell_name(), mesh.topology.dim
     if kind not in CELLS or mesh.geometry.dim != d:
-        return []
+        return
     degree = compat.cell_degree(mesh)
     if degree > HIGHEST:
         raise ValueError(
@@ -79,15 +74,6 @@ def check_mesh(mesh: Mesh) -> list[str]:
         what = "lie on the same side of a facet as a neighbour: one of the two is inverted or"
         remedy = "check that no node was moved through a cell"
         _reject(cells, _beside_neighbour(cells), f"{what} folded", remedy)
-    if kind in SIMPLICES and degree == 1:
-        return []
-    with np.errstate(under="ignore"):
-        corners = jacobians(cells.x, kind, np.asarray(_lagrange(kind, degree).points), degree)
-    where = (
-        "at a corner" if degree == 1 else "at a node: a middle node is far off its edge's middle"
-    )
-    poor = _describe(cells, _mixed(corners, noise), f"are turned inside out {where}")
-    return [f"{poor}; move the nodes there"] if poor else []
 
 
 def _lagrange(kind: str, degree: int) -> Any:
@@ -173,9 +159,6 @@ def _beside_neighbour(cells: _Cells) -> Bools:
     return np.asarray((np.abs(total.array[facets]) == 2.0).reshape(sides.shape).any(axis=1))
 
 
-# -- messages -------------------------------------------------------------------------------------
-
-
 def _reject(cells: _Cells, bad: Any, what: str, remedy: str) -> None:
     """Raise a ValueError on all ranks if any cell is bad; collective.
 
@@ -185,19 +168,13 @@ def _reject(cells: _Cells, bad: Any, what: str, remedy: str) -> None:
         what: what they are or have.
         remedy: what to do.
     """
-    if said := _describe(cells, bad, what):
-        raise ValueError(f"{said}; {remedy}")
-
-
-def _describe(cells: _Cells, bad: Any, what: str) -> str:
-    """Return how many cells are something, and where; nothing if none is; collective."""
     count, total = cells.mesh.comm.allreduce(np.array([bad.sum(), len(bad)]), op=MPI.SUM)
     if count == 0:
-        return ""
+        return
     x = cells.x[bad]
-    known = np.isfinite(x)
-    centres = np.where(known, x, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    finite = np.isfinite(x)
+    centres = np.where(finite, x, 0.0).sum(axis=1) / np.maximum(finite.sum(axis=1), 1)
     every = np.concatenate(cells.mesh.comm.allgather(centres))
     first, *others = sorted(tuple(float(f"{v:.4g}") + 0.0 for v in centre) for centre in every)
     more = " and elsewhere" if others else ""
-    return f"mesh: {count} of {total} cells {what}, around {first}{more}"
+    raise ValueError(f"mesh: {count} of {total} cells {what}, around {first}{more}; {remedy}")

@@ -118,8 +118,11 @@ def solve_step(
     max_it: int,
     overlap: float = 0.0,
     level: float | None = None,
+    audit: bool = True,
 ) -> StepReport:
     """Solve one load step, with an overlap that is left to later steps; see `newton`.
+
+    The first step begins with an audit unless its caller has made one.
 
     Where multigrid gives no solution, factorisations may: they are tried then, and stay in use
     unless they fail, too, when the first method was not the cause.
@@ -132,7 +135,7 @@ def solve_step(
         if overlap > 0.0:
             report.notes.append(f"the initial overlap is left {overlap:.3g} deep in this part")
         try:
-            _attempt(problem, report, max_it, overlap, level)
+            _attempt(problem, report, max_it, overlap, level, audit)
         except NewtonNotConverged as error:
             if given_up:
                 problem.linear.take_up_multigrid()
@@ -150,7 +153,12 @@ def solve_step(
 
 
 def _attempt(
-    problem: ContactProblem, report: StepReport, max_it: int, overlap: float, level: float | None
+    problem: ContactProblem,
+    report: StepReport,
+    max_it: int,
+    overlap: float,
+    level: float | None,
+    audit: bool,
 ) -> None:
     """Make a step and complete its report; undo it if it fails, and only then say why.
 
@@ -171,7 +179,8 @@ def _attempt(
     try:
         with problem.timings("total"):
             try:
-                _Step(problem, report, problem.begin_step(level), overlap).run(max_it)
+                data = problem.begin_step(level, audit=audit)
+                _Step(problem, report, data, overlap).run(max_it)
             except (failures.StepFailed, backends.QPNotSolved, backends.UnusableQP) as error:
                 reached = problem.u.x.array.copy()
                 undo()
