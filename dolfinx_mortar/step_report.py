@@ -51,13 +51,14 @@ class Iteration:
     geometry_held: bool  # the next iteration keeps the geometry, because its change does not shrink
 
     def __str__(self) -> str:
-        """Return one line, for the log."""
+        """Return one line, for the log and the report."""
         return (
             f"Newton {self.number:2d}: increment {self.increment:.2e}, "
             f"forces {self.force_residual:.2e}, contact {self.contact_residual:.2e}, "
             f"KKT {self.kkt:.1e}, active {self.active} ({self.changed:+d}), QP {self.updates}, "
             f"CG {self.linear_iterations}, factorisations {self.factorisations}, "
-            f"step {self.step_length:.3g}{', geometry held' if self.geometry_held else ''}"
+            f"step {self.step_length:.3g}, geometry {self.geometry_change:.1e}"
+            f"{' held' if self.geometry_held else ''}"
         )
 
 
@@ -180,15 +181,7 @@ class StepReport:
             f"({self.qp_iterations} QP, {self.factorisations} factorisations), "
             f"{self.geometry} geometry, {self.backend}, {self.linear_solver}"
             + (f", friction with {self.friction}" if self.friction else ""),
-            "  it  increment  force res. contact res.       KKT  active changed  QP  lin fact  step"
-            "  geometry",
-        ]
-        lines += [
-            f"{i.number:4d} {i.increment:10.2e} {i.force_residual:11.2e} {i.contact_residual:12.2e}"
-            f" {i.kkt:9.1e} {i.active:7d} {i.changed:7d} {i.updates:3d} {i.linear_iterations:4d}"
-            f" {i.factorisations:4d} {i.step_length:5.3g} {i.geometry_change:9.1e}"
-            f"{' held' if i.geometry_held else ''}"
-            for i in self.iterations
+            *map(str, self.iterations),
         ]
         if self.certificate is not None:
             lines.append("certificate")

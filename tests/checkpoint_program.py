@@ -112,7 +112,7 @@ def main(path, result, steps, moment=""):
         if writer is not None:
             writer.write(step.number)
         if made == [1, 2, 3] and moment == "write":
-            writing.ROWS, writing._Draft._complete = 8, die
+            writing.ROWS, writing.seal = 8, die
         if made == [1, 2, 3] and moment == "send":
             writing.ROWS = 8
             writing._parts = mortal(writing._parts)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from dolfinx_mortar.checkpoint import Table, read_about, read_tables, reading, write
-from dolfinx_mortar.checkpoint.seal import ROOM
+from dolfinx_mortar.checkpoint.seal import HEAD
 from tests.checkpoint_program import LEVELS, Press
 from tests.pressed_blocks import rejected
 
@@ -76,7 +76,7 @@ def test_no_bit_is_taken_for_another(good, tmp_path_factory, monkeypatch):
 def test_no_other_length_is_taken(good, tmp_path_factory, monkeypatch):
     _, content = good
     file = COMM.bcast(tmp_path_factory.mktemp("cuts") / "cut.h5")
-    for size in {0, 1, 40, 127, ROOM - 1, ROOM, len(content) // 2, len(content) - 1}:
+    for size in {0, 1, 40, 127, HEAD - 1, HEAD, len(content) // 2, len(content) - 1}:
         put(file, content[:size])
         refuse(file, monkeypatch)
     for more in (b"\0", content):
@@ -108,11 +108,11 @@ def test_other_programs_read_it(good):
     """HDF5 finds its data behind our lines, which are text; the checksum is that of sha256sum."""
     file, content = good
     with h5py.File(file) as opened:
-        assert opened.userblock_size == ROOM
+        assert opened.userblock_size == HEAD
         found = opened["tables/x/places"][:]
     assert np.array_equal(found[np.lexsort(found.T)], PLACES[np.lexsort(PLACES.T)])
     first, second, rest = content.split(b"\n", 2)
-    assert first == b"dolfinx_mortar checkpoint, format 4" and set(rest[:100]) == {0}
+    assert first == b"dolfinx_mortar checkpoint, format 5" and set(rest[:100]) == {0}
     told = subprocess.run(["sha256sum"], input=rest, capture_output=True, check=True).stdout
     assert second == b"sha256 of what follows: " + told.split()[0]
 
@@ -136,21 +136,21 @@ def test_a_place_that_is_met_twice(tmp_path, share):
             assert differ["x"] == f"1 of 20 are not in the checkpoint, such as that at ({x})"
 
 
-ROOM_CASES = [(1, 1, 10, 1), (1, 1, 0, 1), (3, 5, 100, 2), (3, 20, 7, 3), (30, 8, 13, 2)]
+SPACE_CASES = [(1, 1, 10, 1), (1, 1, 0, 1), (3, 5, 100, 2), (3, 20, 7, 3), (30, 8, 13, 2)]
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize(("tables", "fields", "rows", "width"), ROOM_CASES)
+@pytest.mark.parametrize(("tables", "fields", "rows", "width"), SPACE_CASES)
 @pytest.mark.parametrize("text", [10, 50_000])
-def test_the_room_asked_for(tmp_path, monkeypatch, tables, fields, rows, width, text):
-    """It is enough, and hardly more than the file takes: all its bytes, and 1 kB per array."""
+def test_the_space_asked_for(tmp_path, monkeypatch, tables, fields, rows, width, text):
+    """It is enough, and hardly more than the file takes: 8 kB per array, and for the file."""
     asked = []
     monkeypatch.setattr(
-        "dolfinx_mortar.checkpoint.writing.demand_room", lambda file, size: asked.append(size)
+        "dolfinx_mortar.checkpoint.writing.demand_space", lambda file, size: asked.append(size)
     )
     file, places = tmp_path / "x.h5", np.ones((rows, 4))
     values = {f"committed/plastic_strain_{k}": np.ones((rows, width)) for k in range(fields)}
     given = {f"table {k}": Table(places, values) for k in range(tables)}
     write(MPI.COMM_SELF, file, {"text": "x" * text}, given)
     size = os.path.getsize(file)
-    assert size <= asked[0] <= size + 1024 * tables * (fields + 2) + 8192
+    assert size <= asked[0] <= size + 8192 * (tables * (fields + 1) + 1)

@@ -1,25 +1,25 @@
 # SPDX-License-Identifier: MIT
-"""Room on the disk is asked for without a trace."""
+"""Space on the disk is asked for without a trace."""
 
 import resource
 
 import pytest
 
-from dolfinx_mortar.disk import demand_room
+from dolfinx_mortar.disk import demand_space
 
 pytestmark = pytest.mark.serial
 
 
-def test_asking_for_room_leaves_the_file_alone(tmp_path):
+def test_asking_for_space_leaves_the_file_alone(tmp_path):
     file = tmp_path / "out.h5"
     file.write_bytes(b"numbers")
-    demand_room(file, 10**6)
+    demand_space(file, 10**6)
     assert file.read_bytes() == b"numbers"
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (10**5, limits[1]))
     try:
-        with pytest.raises(OSError, match=r"no room for 1000000 bytes more: .*out\.h5"):
-            demand_room(file, 10**6)
+        with pytest.raises(OSError, match=r"no space for 1000000 bytes more: .*out\.h5"):
+            demand_space(file, 10**6)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert file.read_bytes() == b"numbers"
@@ -35,4 +35,4 @@ def test_file_systems_that_cannot_tell(tmp_path, monkeypatch, number):
     monkeypatch.setattr("dolfinx_mortar.disk.os.posix_fallocate", fail)
     file = tmp_path / "out.h5"
     file.touch()
-    demand_room(file, 10**6)
+    demand_space(file, 10**6)

@@ -37,7 +37,7 @@ BELOW = {
         *("algebra", "interfaces", "mortar", "qp"),
     },
     "report": {
-        *("newton_method", "problem", "persistence", "supports"),
+        *("newton_method", "problem", "persistence", "supports", "audit"),
         *("algebra", "geometry", "mortar", "interfaces", "materials", "solid", "qp"),
     },
     "steps": {

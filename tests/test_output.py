@@ -177,7 +177,7 @@ def test_notes_are_kept_and_escaped(folder):
 def test_bad_paths_are_named_on_all_ranks(folder):
     problem = Problem("triangle", 1)
     for path in (folder / "out.vtu", folder / "missing" / "out.xdmf"):
-        with pytest.raises(ValueError, match=r"^path = "):
+        with pytest.raises(ValueError, match=r"^path is "):
             Writer(path, problem)
 
 
@@ -219,7 +219,7 @@ def test_wrong_arguments_are_named_at_construction(folder):
         with pytest.raises(ValueError, match=r"^problem is .*give a ContactProblem"):
             Writer(folder / "out.xdmf", wrong)
     for path in (None, 3, folder / "out"):
-        with pytest.raises(ValueError, match=r"^path = .*\.xdmf"):
+        with pytest.raises(ValueError, match=r"^path is .*give the name of a file"):
             Writer(path, problem)
 
 
@@ -230,8 +230,7 @@ def test_times_rise(folder, t):
     with Writer(path, problem) as out:
         problem.t = 0.5
         out.write(0.5)
-        words = "a number" if t is None else "times have to rise"
-        words = words if t in (0.5, 0.25, None) else "finite number"
+        words = "times have to rise" if t in (0.5, 0.25) else "finite number"
         with pytest.raises(ValueError, match=rf"^t is .*{words}"):
             out.write(t)
         problem.t = 0.75
@@ -268,7 +267,7 @@ def test_what_is_not_finite_is_not_written(folder, name, number):
 
 @pytest.mark.parametrize("name", ["a\0b.xdmf", "\ud800.xdmf", "nu\0/x.xdmf"])
 def test_names_that_no_file_can_have(name):
-    with pytest.raises(ValueError, match=r"^path = .* must be the name of a file that ends in"):
+    with pytest.raises(ValueError, match=r"^path is .*give the name of a file"):
         Writer(name, Problem("triangle", 1))
 
 
@@ -289,7 +288,7 @@ def test_one_file_has_one_writer(folder, monkeypatch):
     first.write(0.0)
     monkeypatch.chdir(folder)
     for same in (path, "out.xdmf", folder / ".." / folder.name / "out.xdmf"):
-        with pytest.raises(ValueError, match="is open in another Writer: close it first"):
+        with pytest.raises(ValueError, match="open in another Writer: close it first"):
             Writer(same, problem)
     check_step(path, 0, 0.0, 1)
     COMM.Barrier()
@@ -345,7 +344,7 @@ def test_an_error_on_one_rank_is_raised_on_all(folder, monkeypatch):
 
 
 def test_a_full_disk_leaves_what_was_written(folder):
-    """The error names the file on all ranks; with room again, the step can be written."""
+    """The error names the file on all ranks; with space again, the step can be written."""
     problem, path = Problem("triangle", 1), folder / "out.xdmf"
     with Writer(path, problem) as out:
         out.write(0.0)
@@ -354,7 +353,7 @@ def test_a_full_disk_leaves_what_was_written(folder):
         problem.t = 1.0
         resource.setrlimit(resource.RLIMIT_FSIZE, (size + 2**10, unlimited[1]))
         try:
-            with pytest.raises(OSError, match=r"no room for \d+ bytes more.*out\.h5"):
+            with pytest.raises(OSError, match=r"no space for \d+ bytes more.*out\.h5"):
                 out.write(1.0)
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
@@ -367,12 +366,12 @@ def test_a_full_disk_leaves_what_was_written(folder):
     check_step(path, 1, 1.0, 2)
 
 
-def test_no_room_for_the_mesh(folder):
+def test_no_space_for_the_mesh(folder):
     problem, path = Problem("triangle", 1), folder / "out.xdmf"
     unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2**10, unlimited[1]))
     try:
-        with pytest.raises(OSError, match=r"no room for .*out\.h5"):
+        with pytest.raises(OSError, match=r"no space for .*out\.h5"):
             Writer(path, problem)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
@@ -380,10 +379,10 @@ def test_no_room_for_the_mesh(folder):
 
 
 @pytest.mark.parametrize("n", [4, 90])
-def test_the_room_asked_for_is_enough(folder, monkeypatch, n):
+def test_the_space_asked_for_is_enough(folder, monkeypatch, n):
     """No file grows by more than what was made sure of, for the mesh and for every step."""
     asked, files = [], dolfinx_mortar.output.files
-    monkeypatch.setattr(files, "demand_room", lambda file, size: asked.append(size))
+    monkeypatch.setattr(files, "demand_space", lambda file, size: asked.append(size))
     m = mesh.create_rectangle(COMM, [[0.0, 0.0], [2.0, 1.0]], (n, n))
     problem, path = Problem("triangle", 1), folder / "out.xdmf"
     problem.solid = SimpleNamespace(V=fem.functionspace(m, ("Lagrange", 1, (2,))))

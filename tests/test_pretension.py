@@ -355,7 +355,7 @@ def test_a_checkpoint_under_a_pretension(tmp_path):
 
 @pytest.mark.mpi
 def test_nothing_resists():
-    """Said before the first step; later, when the tie is released, by the step that fails."""
+    """Told at the first step; later, when the tie is released, by the step that fails."""
     case = Bar("quadrilateral")
     case.tie.pretension = 30.0
     problem = case.problem([case.hold(BOTTOM)])
@@ -363,6 +363,7 @@ def test_nothing_resists():
         dm.newton(problem)
     case.tie.pretension = None
     dm.newton(problem)
+    problem.commit()
     case.tie.pretension = 30.0
     with rejected("nothing resists", "hold both ends", error=dm.NewtonNotConverged):
         dm.newton(problem)

@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -17,13 +16,10 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.audit.far_ties import TieReach, measure_reach
-from dolfinx_mortar.audit.stand_off import (
-    StandOff,
-    find_stand_offs,
-    warning_on_facets,
-    warnings_on_straight_facets,
-)
+from dolfinx_mortar.audit.stand_off import warnings_on_straight_facets
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes, normals_at_nodes
+from dolfinx_mortar.geometry.segments import FACING
+from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.motions import relative_motions
 from dolfinx_mortar.interfaces.pretension import describe_shear
@@ -39,23 +35,13 @@ from dolfinx_mortar.mortar.surface import (
 from dolfinx_mortar.supports.bodies import Bodies, Motion, free_motions
 from dolfinx_mortar.supports.dirichlet import Dirichlet
 
-log = logging.getLogger(__name__)
-
 # A slave facet this many times longer than the master's makes the contact pressure coarse.
 COARSE = 2.0
-# Facets whose normals have a larger product face away from each other; at a right angle, around a
-# corner, they merely have no partners.
-BACK = 0.1
-# Sides with common nodes that overlap by this part of a body's radius face each other through it.
-DEEP = 0.5
-ROUND_OFF = 1e-14  # of the square of a sine
 # What is said of bodies that nothing holds where the overlap of a tie is free
 PRETENSION_HINT = (
     ". A tie with a pretension does not hold its sides against its direction: supports, other ties "
     "or contacts have to, at both ends of the bolt"
 )
-# Gaps below this share of the coordinates are printed as zero.
-EXACT = 1e-12
 
 
 @dataclass(frozen=True)
@@ -111,7 +97,6 @@ class Audit:
     interfaces: list[InterfaceAudit]
     held_by_contact: list[str]  # names of bodies that nothing but contact holds
     warnings: list[str]
-    stand_offs: list[StandOff] = field(default_factory=list)  # of contacts between facets
 
     def __str__(self) -> str:
         """Return one line per interface and warning."""
@@ -161,27 +146,29 @@ def create_audit(
         if link.pairing:
             _check_sides(link, bodies, x, increment)
     found = [_audit(link, x) for link in links]
-    stand_offs = find_stand_offs(system.unilateral, at)
-    free = (
-        free_motions(bodies, _held_motions(system, supports, springs)) if system.unilateral else []
-    )
-    by_contact = list(dict.fromkeys(motion.partition(" of ")[2] for motion in free))
+    by_contact = find_held_by_contact(bodies, system, supports, springs)
     warnings = list(system.notes)
     if by_contact:
         warnings.append(f"contact alone holds {'; '.join(by_contact)}: the loads must press it on")
     shears = [describe_shear(links[one.number], one.axis) for one in system.pretensions]
     warnings += [shear for shear in shears if shear]
     for link, i in zip(links, found, strict=True):
-        of_facets = next((s for s in stand_offs if s.interface is link.interface), None)
-        pressed = max(increment, -i.least_gap) / float(bodies.radius.max())
-        warnings += _warnings(i, of_facets, pressed)
+        warnings += _warnings(i)
         warnings += warnings_on_straight_facets(link, link.interface.configuration(at))
-    audit = Audit(bodies.count, found, by_contact, warnings, stand_offs)
-    if bodies.V.mesh.comm.rank == 0:
-        log.info("%s", "; ".join(map(str, found)) or "no interface")
-        for warning in warnings:
-            log.warning("%s", warning)
-    return audit
+    return Audit(bodies.count, found, by_contact, warnings)
+
+
+def find_held_by_contact(
+    bodies: Bodies,
+    system: InterfaceSystem,
+    supports: Dirichlet,
+    springs: Callable[[PETSc.Vec], Floats],
+) -> list[str]:
+    """Return the names of the bodies that contact alone holds, see `create_audit`; collective."""
+    if not system.unilateral:
+        return []
+    free = free_motions(bodies, _held_motions(system, supports, springs))
+    return list(dict.fromkeys(motion.partition(" of ")[2] for motion in free))
 
 
 def find_loose_motions(
@@ -249,14 +236,8 @@ def facet_angle(surface: Surface, feature_angle: float, comm: MPI.Comm) -> float
     return float(np.arcsin(np.sqrt(total[0] / max(total[1], 1.0))))
 
 
-def _warnings(i: InterfaceAudit, facets: StandOff | None, pressed: float) -> list[str]:
-    """Return the warnings about an interface.
-
-    Args:
-        i: the counts.
-        facets: how they stand for curved sides, if they do.
-        pressed: overlap or increment over the size of a body.
-    """
+def _warnings(i: InterfaceAudit) -> list[str]:
+    """Return the warnings about an interface."""
     warnings = []
     if i.kept_nodes == 0:
         warnings.append(
@@ -265,14 +246,12 @@ def _warnings(i: InterfaceAudit, facets: StandOff | None, pressed: float) -> lis
         )
     if i.reach is not None and i.reach.warning:
         warnings.append(i.reach.warning)
-    if facets is not None and facets.matters(pressed):
-        warnings.append(warning_on_facets(facets, finer=i.size_ratio < 1.0))
     if i.edges is not None and i.edges.without_normal:
         warnings.append(
             f"{i.name}: {i.edges.without_normal} nodes have no normal, because facets there look "
             "away from each other; the facets count there, not the smooth surface"
         )
-    if i.size_ratio > COARSE and not (facets is not None and facets.close):
+    if i.size_ratio > COARSE:
         warnings.append(
             f"{i.name}: slave facets are {i.size_ratio:.1f} times as long as master facets; "
             "let the finer side be the slave"
@@ -311,7 +290,7 @@ def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec, increment: float) -> 
         float(len(link.mortar[0].pairs)),
         link.coupling.coverage.reached.any(),
     )
-    if joined and (deepest > DEEP * bodies.radius.max() or (facing and not reached)):
+    if joined and (deepest > bodies.radius.max() or (facing and not reached)):
         how_deep = f", {deepest:.3g} deep" if some else ""
         raise ValueError(
             f"{interface.sides} are parts of one surface "
@@ -353,7 +332,7 @@ def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     ratio = float(lengths[0] / lengths[-1])
     # what is round-off of the coordinates is no gap
     x = np.abs(sides.V.mesh.geometry.x).max(initial=0.0)
-    size = EXACT * max(float(lengths[0]), float(maximum(sides.V.mesh.comm, x)[0]))
+    size = ROUND_OFF * max(float(lengths[0]), float(maximum(sides.V.mesh.comm, x)[0]))
     ends = [0.0 if abs(end) < size or np.isinf(end) else float(end) for end in (-least, largest)]
     edges = _edges(link) if link.pattern.smooth else None
     row = *map(int, counts), ratio, *ends, edges, measure_reach(link)
@@ -369,9 +348,10 @@ def _edges(link: Link) -> Edges:
 
 
 def _count_facing_away(pairing: Pairing) -> int:
-    """Return how many slave facets of this rank touch a master facet that does not face them.
+    """Return how many slave facets of this rank touch a master facet that looks the same way.
 
-    "Touch" means that the nearest master facet is within one facet length at X.
+    "Touch" means that the nearest master facet is within one facet length at X. Facets at a right
+    angle, around a corner, merely have no partners.
     """
     x_s = pairing.slave.X[pairing.slave.facets]
     x_m = pairing.master_X[pairing.master_facets]
@@ -381,4 +361,4 @@ def _count_facing_away(pairing: Pairing) -> int:
     n_s = facet_normals(Facets(pairing.slave.element, x_s))
     n_m = facet_normals(Facets(pairing.master.element, x_m))
     opposed = np.einsum("mi,mi->m", n_s, n_m[nearest])
-    return int(((distance < facet_sizes(x_s)) & (opposed > BACK)).sum())
+    return int(((distance < facet_sizes(x_s)) & (opposed > FACING)).sum())

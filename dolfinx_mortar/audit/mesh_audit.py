@@ -2,13 +2,9 @@
 """The audit of the mesh: coordinates that are NaN, cells collapsed, inverted or folded.
 
 The sign of one cell's Jacobian has no meaning, because dolfinx numbers a cell's nodes in any order.
-Compared are the signs within a quadrilateral or hexahedron, at the points of the Gauss rule with
-two points along each edge, and those of neighbours. Two cells that share a facet lie on opposite
-sides of it: the sum over both of sign times orientation of the facet is 0 inside a sound mesh, +1
-or -1 on its surface, and +2 or -2 where both lie on the same side. A Jacobian that changes its sign
-at a corner only is noted: no integral sees it. Cells of degree two likewise, triangles as well: at
-the points of a rule exact for their mass, and at their nodes, where the Jacobian vanishes as soon
-as a node is a quarter of its edge off the middle.
+Compared are the signs within quadrilaterals, hexahedra and cells of degree two, at the points of a
+Gauss rule (of degree one with two points along each edge), and the sides of a facet on which two
+triangles or tetrahedra lie. A sign that changes at a corner only has no effect on integrals.
 """
 
 from __future__ import annotations
@@ -19,22 +15,17 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import basix
 from dolfinx import la
 from dolfinx.mesh import Mesh
 from dolfinx_mortar import compat
 from dolfinx_mortar.arrays import Bools, Floats, Longs
+from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.spaces import HIGHEST
 
 SIMPLICES = ("triangle", "tetrahedron")
 CELLS = (*SIMPLICES, "quadrilateral", "hexahedron")
-# Round-off of a Jacobian in units of EPS |x| h^(d-1), with |x| the cell's largest coordinate and h
-# its longest edge: some products of differences of coordinates.
-ROUND_OFF = 32.0 * np.finfo(float).eps
-# Places that a message names.
-NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -47,25 +38,22 @@ class _Cells:
     x: Floats  # (n, k, d) coordinates
 
 
-def check_mesh(mesh: Mesh) -> list[str]:
-    """Return notes on poor cells; raise a ValueError on all ranks for unsound ones; collective.
+def check_mesh(mesh: Mesh) -> None:
+    """Raise a ValueError on all ranks for unsound cells; collective.
 
     Unsound: geometry of a degree that is not supported, coordinates that are NaN or infinite, cells
     without volume, cells whose Jacobian changes sign, cells that overlap a neighbour. Bodies may
-    overlap each other. Cells that the package does not know at all are left to other checks.
+    overlap each other. Unsupported kinds of cells are left to other checks.
 
     Args:
         mesh: the mesh of all bodies.
 
-    Returns:
-        What may be mended, but need not.
-
     Raises:
-        ValueError: with what is wrong, how many cells, where the first ones are, and the remedy.
+        ValueError: with what is wrong, how many cells, where the first one is, and the remedy.
     """
     kind, d = mesh.topology.cell_name(), mesh.topology.dim
     if kind not in CELLS or mesh.geometry.dim != d:
-        return []
+        return
     degree = compat.cell_degree(mesh)
     if degree > HIGHEST:
         raise ValueError(
@@ -82,21 +70,10 @@ def check_mesh(mesh: Mesh) -> list[str]:
     order = "the nodes of a cell are in dolfinx's order (a tensor product, not around it)"
     remedy = f"check that no node was moved too far, and that {order}"
     _reject(cells, _mixed(J, noise), "are inverted: the Jacobian changes sign inside", remedy)
-    _reject(
-        cells,
-        _beside_neighbour(cells, np.sign(J.sum(axis=1))),
-        "lie on the same side of a facet as a neighbour: one of the two is inverted or folded",
-        "check that no node was moved through a cell",
-    )
-    if kind in SIMPLICES and degree == 1:
-        return []
-    with np.errstate(under="ignore"):
-        corners = jacobians(cells.x, kind, np.asarray(_lagrange(kind, degree).points), degree)
-    where = (
-        "at a corner" if degree == 1 else "at a node: a middle node is far off its edge's middle"
-    )
-    poor = _describe(cells, _mixed(corners, noise), f"are turned inside out {where}")
-    return [f"{poor}; move the nodes there"] if poor else []
+    if kind in SIMPLICES:
+        what = "lie on the same side of a facet as a neighbour: one of the two is inverted or"
+        remedy = "check that no node was moved through a cell"
+        _reject(cells, _beside_neighbour(cells), f"{what} folded", remedy)
 
 
 def _lagrange(kind: str, degree: int) -> Any:
@@ -142,7 +119,10 @@ def _determinants(columns: list[Floats]) -> Floats:
 
 
 def _round_off(x: Floats) -> Floats:
-    """Return what round-off may make of the Jacobian of cells x (n, k, d)."""
+    """Return the error of the Jacobian of cells x (n, k, d), EPS |x| h^(d-1) times operations.
+
+    |x| is the cell's largest coordinate, h its longest edge.
+    """
     d = x.shape[2]
     extent = (x.max(axis=1) - x.min(axis=1)).max(axis=1)
     return ROUND_OFF * np.abs(x).max(axis=(1, 2)) * extent ** (d - 1)
@@ -157,62 +137,26 @@ def _own_cells(mesh: Mesh, kind: str) -> _Cells:
     return _Cells(mesh, kind, np.asarray(nodes, dtype=np.int64).reshape(dofs.shape), x)
 
 
-# -- which side of a facet ------------------------------------------------------------------------
+def _beside_neighbour(cells: _Cells) -> Bools:
+    """Tell which simplices (n,) lie on the same side of a facet as their neighbour; collective.
 
-
-def _beside_neighbour(cells: _Cells, sign: Floats) -> Bools:
-    """Tell which cells (n,) lie on the same side of a facet as their neighbour; collective.
-
-    Args:
-        cells: the owned cells.
-        sign: (n,) of their Jacobians.
+    The sides are the signs of det(x_1 - x_0, .., x_d - x_0) with the facet's vertices in the order
+    of their global numbers and the cell's other vertex last. In a sound mesh they add up to 0.
     """
-    topology = cells.mesh.topology
-    d = topology.dim
+    topology, d = cells.mesh.topology, cells.x.shape[2]
     topology.create_entities(d - 1)
     topology.create_connectivity(d, d - 1)
-    ways = _ways_around(cells)
-    facets = topology.connectivity(d, d - 1).array[: ways.size].reshape(ways.shape)
-    total = _sum_over_cells(cells.mesh, facets, sign[:, None] * ways)
-    return np.asarray((np.abs(total[facets]) == 2.0).any(axis=1))
-
-
-def _sum_over_cells(mesh: Mesh, facets: npt.NDArray[np.int32], values: Floats) -> Floats:
-    """Return the sums (local facets,) of the cells' values (n, f) at their facets; collective."""
-    total = la.vector(mesh.topology.index_map(mesh.topology.dim - 1))
-    count = len(total.array)
-    total.array[:] = np.bincount(facets.ravel(), values.ravel(), minlength=count)
+    order = np.argsort(cells.nodes[:, : d + 1], axis=1)
+    x = np.take_along_axis(cells.x, order[:, :, None], axis=1)
+    sign = np.sign(_determinants([x[:, i] - x[:, 0] for i in range(1, d + 1)]))
+    # facet i does not have vertex i, which goes to the end past all vertices of larger numbers
+    sides = sign[:, None] * (-1.0) ** np.argsort(order, axis=1)
+    facets = topology.connectivity(d, d - 1).array[: sides.size]
+    total = la.vector(topology.index_map(d - 1))
+    total.array[:] = np.bincount(facets, sides.ravel(), minlength=len(total.array))
     total.scatter_reverse(la.InsertMode.add)
     total.scatter_forward()
-    return np.array(total.array)
-
-
-def _ways_around(cells: _Cells) -> Floats:
-    """Return (n, f) +1 where a facet, as the cell sees it from outside, is passed by its numbers.
-
-    Seen from outside and in the reference cell; a negative Jacobian turns it round. A facet is
-    passed from its smallest number towards the smaller one of the two numbers beside that.
-    """
-    kind = basix.CellType[cells.kind]
-    corners, entities = np.asarray(basix.geometry(kind)), basix.topology(kind)[cells.x.shape[2] - 1]
-    ways = np.empty((len(cells.nodes), len(entities)))
-    for i, entity in enumerate(entities):
-        loop = [entity[k] for k in ((0, 1, 3, 2) if len(entity) == 4 else range(len(entity)))]
-        out = corners[loop].mean(axis=0) - corners.mean(axis=0)
-        sides = [corners[loop[1]] - corners[loop[0]], corners[loop[-1]] - corners[loop[0]]]
-        outside = np.sign(np.linalg.det([*sides[: len(out) - 1], out]))
-        numbers = cells.nodes[:, loop]
-        least = numbers.argmin(axis=1)[:, None]
-        after, before = (
-            np.take_along_axis(numbers, (least + step) % len(loop), axis=1)[:, 0]
-            for step in (1, -1)
-        )
-        forward = least[:, 0] == 0 if len(loop) == 2 else after < before
-        ways[:, i] = np.where(forward, outside, -outside)
-    return ways
-
-
-# -- messages -------------------------------------------------------------------------------------
+    return np.asarray((np.abs(total.array[facets]) == 2.0).reshape(sides.shape).any(axis=1))
 
 
 def _reject(cells: _Cells, bad: Any, what: str, remedy: str) -> None:
@@ -224,23 +168,13 @@ def _reject(cells: _Cells, bad: Any, what: str, remedy: str) -> None:
         what: what they are or have.
         remedy: what to do.
     """
-    if said := _describe(cells, bad, what):
-        raise ValueError(f"{said}; {remedy}")
-
-
-def _describe(cells: _Cells, bad: Any, what: str) -> str:
-    """Return how many cells are something, and where; nothing if none is; collective."""
     count, total = cells.mesh.comm.allreduce(np.array([bad.sum(), len(bad)]), op=MPI.SUM)
     if count == 0:
-        return ""
-    return f"mesh: {count} of {total} cells {what}, around {_places(cells, bad)}"
-
-
-def _places(cells: _Cells, bad: Bools) -> str:
-    """Return the centres of the first bad cells, in the order of their coordinates; collective."""
+        return
     x = cells.x[bad]
-    known = np.isfinite(x)
-    centres = np.where(known, x, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    finite = np.isfinite(x)
+    centres = np.where(finite, x, 0.0).sum(axis=1) / np.maximum(finite.sum(axis=1), 1)
     every = np.concatenate(cells.mesh.comm.allgather(centres))
-    places = sorted(tuple(float(f"{v:.4g}") + 0.0 for v in centre) for centre in every)
-    return ", ".join(map(str, places[:NAMED])) + (" ..." if len(places) > NAMED else "")
+    first, *others = sorted(tuple(float(f"{v:.4g}") + 0.0 for v in centre) for centre in every)
+    more = " and elsewhere" if others else ""
+    raise ValueError(f"mesh: {count} of {total} cells {what}, around {first}{more}; {remedy}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether facets approximate curved sides well enough, judged after a step from its contact.
+"""Whether facets approximate curved sides well enough: before a step, and after it.
 
 Facets deviate from the curved surface by their sagittas, which enter the gaps with different shares
 from node to node. The forces K^_jj times these differences are compared with the contact forces.
@@ -8,7 +8,6 @@ from node to node. The forces K^_jj times these differences are compared with th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from mpi4py import MPI
 
@@ -18,7 +17,6 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum, norm, ratio
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS
-from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.mortar.curvature_correction import (
     find_parting,
@@ -42,75 +40,26 @@ SPOILT = 0.2
 CLOSE = 0.5
 
 
-@dataclass(frozen=True)
-class StandOff:
-    """What the audit has found for a contact between facets, at its owned slave nodes."""
-
-    interface: Interface
-    heights: Floats  # (n,) by how much smooth surfaces would be nearer
-    uneven: float  # the largest difference from their mean, all ranks
-    parting: float  # see `find_parting`
-    slope: float  # uneven over the length of the larger facets
-
-    @property
-    def close(self) -> bool:
-        """Tell whether the sides fit closely."""
-        return self.parting < CLOSE
-
-    def matters(self, strain: float) -> bool:
-        """Tell whether pressures may suffer where sides are pressed in, for a body, by a strain."""
-        return self.close and self.slope > SPOILT * strain
-
-
-def find_stand_offs(links: Sequence[Link], u: fem.Function | None) -> list[StandOff]:
-    """Measure the contacts between facets; collective.
-
-    Args:
-        links: the contacts, coupled at X + u.
-        u: displacement, None for X.
-    """
-    return [_find_stand_off(link, u) for link in links if link.pairing and _is_of_facets(link)]
-
-
 def _is_of_facets(link: Link) -> bool:
     """Tell whether a contact is one between facets that can stand off curved surfaces."""
-    return not (link.interface.smooth or link.sides.slave.curved)
+    return bool(link.pairing) and not (link.interface.smooth or link.sides.slave.curved)
 
 
-def _find_stand_off(link: Link, u: fem.Function | None) -> StandOff:
-    pairing, segments, sides = link.mortar[0], link.mortar[1].segments, link.sides
+def _heights(link: Link, u: fem.Function | None) -> Floats:
+    """Return by how much (n,) smooth surfaces would be nearer at the slave nodes; collective."""
+    (pairing, operators), sides = link.mortar, link.sides
     smooth = find_smooth_sides(pairing, sides.fixed, link.interface.feature_angle)
     kept = np.zeros(len(sides.slave.nodes))
     kept[: sides.slave.owned] = link.coupling.kept[:, 0]
-    Phi = weighted_duals(pairing, segments, accumulate(sides.slave, kept) > 0)
-    at_points = point_heights(pairing, segments, u, smooth)
-    heights = mean_values(pairing, segments, Phi, link.coupling.weight[:, 0], at_points)
-    uneven = _uneven(sides.V.mesh.comm, heights[link.coupling.kept[:, 0]])
-    highest = float(maximum(sides.V.mesh.comm, np.abs(uneven).max(initial=0.0))[0])
-    parting = find_parting(pairing, segments, u, smooth)
-    length = max(mean_facet_length(side) for side in sides.surfaces)
-    return StandOff(link.interface, heights, highest, parting, highest / length)
+    Phi = weighted_duals(pairing, operators.segments, accumulate(sides.slave, kept) > 0)
+    at_points = point_heights(pairing, operators.segments, u, smooth)
+    return mean_values(pairing, operators.segments, Phi, operators.weight[:, 0], at_points)
 
 
 def _uneven(comm: MPI.Comm, heights: Floats) -> Floats:
     """Return the differences from the mean over all ranks; collective."""
     total, count = comm.allreduce(np.array([heights.sum(), len(heights)]))
     return np.asarray(heights - total / max(count, 1))
-
-
-def warning_on_facets(found: StandOff, finer: bool) -> str:
-    """Return the warning before a step about sides that fit closely.
-
-    Args:
-        found: what the audit has measured.
-        finer: whether the slave side is the finer one.
-    """
-    swap = ", or else let the coarser side be the slave" if finer else ""
-    return (
-        f"{found.interface}: the sides fit so closely that the gap grows no faster than facets "
-        f"stand off the curved surfaces, by {found.uneven:.2g} more here than there; pressures "
-        f"and forces may be wrong: choose Contact(..., surface='smooth'){swap}"
-    )
 
 
 def warnings_on_straight_facets(link: Link, u: fem.Function | None = None) -> list[str]:
@@ -148,22 +97,27 @@ def warnings_on_straight_facets(link: Link, u: fem.Function | None = None) -> li
 
 
 def notes_on_facets(
-    found: Sequence[StandOff], links: Sequence[Link], forces: Floats, stiffness: Floats
+    links: Sequence[Link], u: fem.Function | None, forces: Floats, stiffness: Floats
 ) -> list[str]:
     """Return a note for each contact whose facets make its pressures inaccurate; collective.
 
+    Smooth surfaces would be nearer by heights h_j; the forces K^_jj (h_j - mean of h), over the
+    contact forces z_j, are the share by which pressures are wrong.
+
     Args:
-        found: what the audit has measured.
-        links: the interfaces.
+        links: the contacts, coupled at X + u.
+        u: displacement, None for X.
         forces: (owned nodes,) of contact.
         stiffness: (owned nodes,) force per gap, K^_jj.
     """
     notes = []
-    for mine in found:
-        link = next(link for link in links if link.interface is mine.interface)
+    for link in links:
+        if not _is_of_facets(link):
+            continue
+        heights = _heights(link, u)
         comm, on = link.sides.V.mesh.comm, forces[link.nodes] > 0.0
-        h, k, z = mine.heights[on], stiffness[link.nodes][on], forces[link.nodes][on]
-        uneven = _uneven(comm, h)
+        uneven = _uneven(comm, heights[on])
+        k, z = stiffness[link.nodes][on], forces[link.nodes][on]
         share = ratio(norm(comm, k * uneven), norm(comm, z))
         if share > SPOILT:
             highest = float(maximum(comm, np.abs(uneven).max(initial=0.0))[0])

@@ -1,19 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Places: what tells nodes and integration points apart, whatever the ranks and the numbering.
+"""Places: coordinates that identify nodes and integration points on any ranks, in any numbering.
 
-Numbers of cells and nodes depend on the ranks, and the numbers of the input are there for meshes
-that were read or made in the same order only, not for refined ones. Coordinates are the same in any
-case, but sides in contact have nodes at one point; so the place of a node, or of an integration
-point, is
+Numbers of cells and nodes depend on the ranks, and numbers of the input are kept only for meshes
+that were read or made in the same order, not for refined ones. Coordinates alone are not unique:
+sides in contact have nodes at the same point. The place of a node, or of an integration point, is
 
-    (x, c),    c the mean of the midpoints of the cells that it belongs to.
+    (x, c),    c the mean of the midpoints of its cells,
 
-Two sides that touch have their cells on different sides, so their places differ.
+and c differs between two sides that touch.
 """
 
 from __future__ import annotations
-
-from mpi4py import MPI
 
 import numpy as np
 
@@ -55,8 +52,3 @@ def box_of(places: Floats) -> Floats:
     [[0.0, 2.0], [1.0, 3.0]]
     """
     return np.array([places.min(axis=0, initial=np.inf), places.max(axis=0, initial=-np.inf)])
-
-
-def count_all(comm: MPI.Comm, places: Floats) -> int:
-    """Return how many places all ranks have; collective."""
-    return int(comm.allreduce(len(places), op=MPI.SUM))

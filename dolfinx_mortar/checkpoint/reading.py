@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Reading: every rank finds the rows of its own places.
 
-The pieces of a file come from ranks, so they are compact, and a rank reads those only whose boxes
+Each piece of a file was written by one rank, so it is compact: a rank reads the pieces whose boxes
 meet its own. Rows are matched by the nearest place.
 """
 
@@ -11,7 +11,6 @@ import errno
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,17 +21,17 @@ from scipy.spatial import cKDTree
 
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Floats, Longs
-from dolfinx_mortar.checkpoint.places import box_of, count_all
+from dolfinx_mortar.checkpoint.places import box_of
 from dolfinx_mortar.checkpoint.seal import check_seal
 from dolfinx_mortar.checkpoint.writing import import_h5py, version
 
-# Of the largest coordinate: places farther apart are different ones. Round-off is a thousandth of
-# it, and what is moved by as much has the same strains to as many digits.
+# Tolerance of a place, over the largest coordinate. Round-off is a thousandth of it, and strains of
+# nodes that are displaced by as much are the same to ten digits.
 SAME_PLACE = 1e-10
 
 
 def read_about(comm: MPI.Comm, path: Path) -> dict[str, Any]:
-    """Return what a file says about itself; collective.
+    """Return the JSON part of a file; collective.
 
     Raises:
         OSError: on all ranks, if there is no such file, or it cannot be read.
@@ -45,10 +44,7 @@ def read_about(comm: MPI.Comm, path: Path) -> dict[str, Any]:
             _check_kind(path)
             with _opened(path) as file:
                 _check_version(path, file)
-                text = _array(file, "about", "u1", 1)
-                about = json.loads(text[:].tobytes())
-                if not isinstance(about, dict):
-                    raise ValueError(f"about is {about!r}")
+                about = json.loads(file["about"][:].tobytes())
     return dict(comm.bcast(about))
 
 
@@ -64,19 +60,19 @@ def read_tables(
         size: largest coordinate, which scales what counts as the same place.
 
     Returns:
-        Values (n, c) by field by table, and for the tables whose places are others what differs.
+        Values (n, c) by field by table; and by table, in words, how places differ, if they do.
 
     Raises:
-        ValueError: on all ranks, if a table is missing or not as `write` makes it, naming it.
+        ValueError: on all ranks, if a table is missing.
     """
-    totals = {name: count_all(comm, own) for name, own in places.items()}
+    totals = {name: comm.allreduce(len(own), op=MPI.SUM) for name, own in places.items()}
     found: dict[str, dict[str, Floats]] = {}
     hits: dict[str, Longs] = {}
     there: dict[str, int] = {}
     with raised_together(comm), _opened(path) as file:
         for name, own in places.items():
-            table = _Rows.of(file, f"tables/{name}")
-            there[name] = len(table.places)
+            table = file[f"tables/{name}"]
+            there[name] = len(table["places"])
             found[name], hits[name] = _read_table(table, own, SAME_PLACE * size)
     differences = {}
     for name, total in totals.items():
@@ -90,7 +86,7 @@ def _difference(comm: MPI.Comm, own: Floats, hits: Longs, total: int, there: int
     """Return in words how places differ from those of the file, nothing if they do not."""
     if total != there:
         return f"there are {total}, in the checkpoint {there}"
-    # where one is met twice, another one is missing, as the numbers are the same: why comes first
+    # numbers are equal, so where one is there twice another one is missing: name the cause first
     for wrong, text in ((hits > 1, "there more than once"), (hits == 0, "not in the checkpoint")):
         some = comm.allgather((int(wrong.sum()), own[wrong][:1, : own.shape[1] // 2]))
         count = sum(n for n, _ in some)
@@ -101,83 +97,34 @@ def _difference(comm: MPI.Comm, own: Floats, hits: Longs, total: int, there: int
     return ""
 
 
-@dataclass(frozen=True)
-class _Rows:
-    """A table of a file, whose arrays are as `write` makes them."""
-
-    name: str
-    places: Any  # (N, k)
-    pieces: Floats  # (p, 2 + 2k)
-    values: dict[str, Any]  # (N, c) by name
-
-    @classmethod
-    def of(cls, file: Any, name: str) -> _Rows:
-        """Return a table.
-
-        Raises:
-            ValueError: if something is missing or of another form, naming it.
-        """
-        places = _array(file, f"{name}/places", "f8", 2)
-        n, k = places.shape
-        pieces = _array(file, f"{name}/pieces", "f8", 2)[:]
-        first, rows = pieces[:, :2].T if pieces.shape[1] == 2 + 2 * k else np.full((2, 1), np.nan)
-        if not np.array_equal(np.cumsum(rows) - rows, first) or rows.sum() != n or (rows < 0).any():
-            raise ValueError(f"{name}/pieces are not those of {n} places")
-        values = {}
-        for field in _fields(file[name]):
-            values[field] = _array(file, f"{name}/values/{field}", "f8", 2)
-            if len(values[field]) != n:
-                raise ValueError(f"{name}/values/{field} has {len(values[field])} rows, not {n}")
-        return cls(name, places, pieces, values)
-
-
-def _array(file: Any, name: str, kind: str, dimensions: int) -> Any:
-    """Return an array of a file.
-
-    Raises:
-        ValueError: if there is none of this name, of numbers of this kind, and of so many
-            dimensions.
-    """
-    if name not in file:
-        raise ValueError(f"{name} is missing")
-    array = file[name]
-    shape, dtype = getattr(array, "shape", None), getattr(array, "dtype", None)
-    if shape is None or dtype != np.dtype(kind) or len(shape) != dimensions:
-        what = "a group" if shape is None else f"{dtype} of shape {shape}"
-        raise ValueError(f"{name} is {what}: need {np.dtype(kind)} of {dimensions} dimensions")
-    return array
-
-
-def _fields(table: Any) -> list[str]:
-    """Return the names of the values of a table, also those that have several parts."""
-    names: list[str] = []
+def _columns(table: Any) -> dict[str, Any]:
+    """Return the arrays (N, c) of a table by name, which may contain slashes."""
+    columns: dict[str, Any] = {}
 
     def visit(name: str, item: Any) -> None:
-        if hasattr(item, "shape") or not len(item):  # no column is an empty group
-            names.append(name)
+        if hasattr(item, "shape"):
+            columns[name] = item
 
-    if hasattr(table.get("values"), "visititems"):
+    if "values" in table:
         table["values"].visititems(visit)
-    return names
+    return columns
 
 
-def _read_table(table: _Rows, own: Floats, tolerance: float) -> tuple[dict[str, Floats], Longs]:
+def _read_table(table: Any, own: Floats, tolerance: float) -> tuple[dict[str, Floats], Longs]:
     """Return the values at own places (n, k), and how many rows were found for each."""
-    values = {name: np.zeros((len(own), c.shape[1])) for name, c in table.values.items()}
+    columns = _columns(table)
+    values = {name: np.zeros((len(own), c.shape[1])) for name, c in columns.items()}
     hits = np.zeros(len(own), dtype=np.int64)
-    if not len(own) or table.places.shape[1] != own.shape[1]:
+    if not len(own) or table["places"].shape[1] != own.shape[1]:
         return values, hits
     tree = cKDTree(own)
-    for first, count in _near(table.pieces, box_of(own), tolerance):
+    for first, count in _near(table["pieces"][:], box_of(own), tolerance):
         rows = slice(first, first + count)
-        places = table.places[rows]
-        if not np.isfinite(places).all():
-            raise ValueError(f"{table.name}/places holds NaN or infinity")
-        distance, at = tree.query(places, distance_upper_bound=tolerance)
+        distance, at = tree.query(table["places"][rows], distance_upper_bound=tolerance)
         hit = np.isfinite(distance)
         if hit.any():
             np.add.at(hits, at[hit], 1)
-            for name, column in table.values.items():
+            for name, column in columns.items():
                 values[name][at[hit]] = column[rows][hit]
     return values, hits
 
@@ -221,14 +168,11 @@ def _check_version(path: Path, file: Any) -> None:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """Open a file for reading; what is wrong in it is a ValueError that names the file.
-
-    Its checksum was right, so what is wrong then was so when it was written.
-    """
+    """Open a file for reading; errors in its contents become a ValueError that names the file."""
     try:
         with import_h5py().File(path, "r", locking="best-effort") as file:
             yield file
     except (PermissionError, FileNotFoundError, BlockingIOError):
         raise
     except (OSError, KeyError, RuntimeError, TypeError, ValueError) as error:
-        raise ValueError(f"path is {str(path)!r}, which cannot be taken over: {error}") from error
+        raise ValueError(f"path is {str(path)!r}, which cannot be read: {error}") from error

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """The head of a file: its kind, its format, and the checksum of all that follows.
 
-    dolfinx_mortar checkpoint, format 4
+    dolfinx_mortar checkpoint, format 5
     sha256 of what follows: 64 hexadecimal digits
     zeros to byte 512, and from there on HDF5
 
-HDF5 leaves this room to programs (its "user block"); h5py, h5dump and the like look for their data
+HDF5 leaves the head to programs (its "user block"); h5py, h5dump and the like look for their data
 behind it. A damaged file can crash HDF5, so it is not opened before the checksum has been found
 right. The head is written last: a file that is not complete has none.
 """
@@ -19,9 +19,9 @@ from typing import IO
 
 from dolfinx_mortar.disk import CHECKPOINT
 
-# Raise this when what is written changes its meaning. 3: this head, no checksums of HDF5
+# Raise this when what is written changes its meaning
 FORMAT = 5
-ROOM = 512  # the least that HDF5 leaves
+HEAD = 512  # bytes: the least that HDF5 leaves
 KIND = CHECKPOINT + b", format "
 CHECKSUM = b"sha256 of what follows: "
 HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -29,7 +29,7 @@ _FIRST = re.compile(re.escape(KIND) + rb"(\d+)\n")
 
 
 def seal(file: Path) -> None:
-    """Write the head of a file that is complete and leaves room for it."""
+    """Write the head of a file that is complete otherwise."""
     first = KIND + str(FORMAT).encode() + b"\n" + CHECKSUM
     with file.open("r+b") as stream:
         stream.seek(len(first) + 65)  # 64 digits and the end of the line
@@ -39,14 +39,14 @@ def seal(file: Path) -> None:
 
 
 def check_seal(file: Path) -> None:
-    """Read a file and see that it is whole.
+    """Compare a file with its checksum.
 
     Raises:
         OSError: if it cannot be read.
         ValueError: if it is no checkpoint, of another format, or not as it was written.
     """
     with file.open("rb") as stream:
-        first = _FIRST.match(stream.readline(ROOM))
+        first = _FIRST.match(stream.readline(HEAD))
         if first is None:
             raise ValueError(f"path is {str(file)!r}, which is no checkpoint: {_kind(stream)}")
         if int(first[1]) != FORMAT:
@@ -54,7 +54,7 @@ def check_seal(file: Path) -> None:
                 f"path is {str(file)!r}, a checkpoint of format {int(first[1])}; this version of "
                 f"dolfinx_mortar reads format {FORMAT}: go on with the version that has written it"
             )
-        second = stream.readline(ROOM)
+        second = stream.readline(HEAD)
         if second != CHECKSUM + _digest(stream) + b"\n":
             raise ValueError(
                 f"path is {str(file)!r}, which is cut off, damaged or changed since it was written "
@@ -63,16 +63,16 @@ def check_seal(file: Path) -> None:
 
 
 def _digest(stream: IO[bytes]) -> bytes:
-    """Return the digits of the checksum from where a stream is."""
+    """Return the digits of the checksum of the rest of a stream."""
     return hashlib.file_digest(stream, "sha256").hexdigest().encode()  # type: ignore[arg-type]
 
 
 def _kind(stream: IO[bytes]) -> str:
-    """Return in words what a file may be whose first line is none of ours."""
+    """Return in words what a file may be whose first line is not that of a checkpoint."""
     stream.seek(0)
-    start = stream.read(ROOM)
+    start = stream.read(HEAD)
     if start.startswith(HDF5):
         return "an HDF5 file of another kind, or written by a version before format 3: go on there"
-    if len(start) == ROOM and not any(start):
+    if len(start) == HEAD and not any(start):
         return "its writer was stopped before it was complete: take the last complete one"
     return "a file of another kind"

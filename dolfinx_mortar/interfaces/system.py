@@ -429,11 +429,11 @@ class InterfaceSystem:
         return slot
 
 
-def _couple(interface: Interface, parts: Any, before: Coupling | None) -> Coupling:
+def _couple(interface: Interface, parts: tuple[Any, ...], before: Coupling | None) -> Coupling:
     """Return what an interface's `couple` returns, checked; an error is one on all ranks."""
-    sides, _, pattern, *_ = parts
+    sides, pairing, pattern, banned, u = parts
     with raised_together(sides.V.mesh.comm):
-        found = interface.couple(*parts, before)
+        found = interface.couple(sides, pairing, pattern, banned, u, before)
         check_coupling(repr(interface), found, sides, pattern)
     return found
 

@@ -117,8 +117,9 @@ def create_operators(
         heights = mean_values(pairing, segments, Phi[0], weight[:, 0], at_points)
     if motions_of is not None:
         at = point_motions(segments, motions_of)
-        motions = integrate_motions(pairing, segments, [Phi[c] for c in choices], at)
-        motions *= inverse[pairing.row[len(pairing.off_diagonal) :], :, None]
+        row = pairing.row[len(pairing.off_diagonal) :]
+        total = integrate_motions(pairing, segments, [Phi[c] for c in choices], at)
+        motions = total * inverse[row, :, None]
     return MortarOperators(
         segments=segments,
         normals=normals[own],

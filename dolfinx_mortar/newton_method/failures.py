@@ -62,7 +62,7 @@ def explain(
             "supports, ties or contacts have to hold both ends of the bolt against the direction, "
             f"which points out of the slave side for tension. {message}"
         )
-    elif held := problem.audit().held_by_contact:
+    elif held := problem.held_by_contact():
         if problem.system.has_friction:  # solvers report this cause in several ways
             message = f"{TOO_MUCH}: {message}"
         message += (

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Results for ParaView and meshio: one XDMF file over the steps, one grid per step.
 
-Fields come as Functions by name and leave as files; it must not know what they mean, nor how a
-problem found them.
+Fields are Functions by name; their meaning plays no part, nor how a problem has computed them.
 """
 
 from dolfinx_mortar.output.writer import Writer

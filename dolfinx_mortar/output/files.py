@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""The two files of a writer: ownership, room on the disk, the XML document."""
+"""The two files of a writer: ownership, space on the disk, the XML document."""
 
 from __future__ import annotations
 
 import json
-import os
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
@@ -15,20 +14,24 @@ from weakref import WeakValueDictionary
 from mpi4py import MPI
 
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.disk import demand_room, is_checkpoint
+from dolfinx_mortar.disk import (
+    demand_space,
+    draft_of,
+    is_checkpoint,
+    replace_by_draft,
+    space_for,
+)
 
-# The writers that are open in this program, by path, on rank 0; a second one would spoil the file.
+# The open writers of this program by path, on rank 0: one for each file.
 _WRITERS: WeakValueDictionary[Path, Any] = WeakValueDictionary()
 # Characters that XML cannot hold.
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-# HDF5 keeps an index beside the numbers: bytes per file and per field.
-FILE_MARGIN, FIELD_MARGIN = 2**16, 2**13
 
 
 def claim_files(comm: MPI.Comm, path: Path, data: Path, writer: Any, *, resume: bool) -> None:
-    """Make sure that both files can be created by this writer alone; collective.
+    """Reserve both files for one writer; collective.
 
-    What an earlier run left under these names is removed, but for the XDMF file that is resumed.
+    Earlier files of these names are removed, except an XDMF file that is resumed.
 
     Raises:
         ValueError: on all ranks, if rank 0 cannot create them or another writer has them.
@@ -36,11 +39,11 @@ def claim_files(comm: MPI.Comm, path: Path, data: Path, writer: Any, *, resume: 
     with raised_together(comm):
         if comm.rank == 0:
             if path.resolve() in _WRITERS:
-                raise ValueError(f"path = {str(path)!r} is open in another Writer: close it first.")
+                raise ValueError(f"path is {str(path)!r}, open in another Writer: close it first.")
             try:
                 if is_checkpoint(data):
                     raise ValueError(
-                        f"path = {str(path)!r}: its numbers would go to {str(data)!r}, which is a "
+                        f"path is {str(path)!r}: its numbers would go to {str(data)!r}, which is a "
                         "checkpoint; choose another name."
                     )
                 if not resume:
@@ -49,39 +52,35 @@ def claim_files(comm: MPI.Comm, path: Path, data: Path, writer: Any, *, resume: 
                     pass
             except OSError as error:
                 raise ValueError(
-                    f"path = {str(path)!r} cannot be written ({error.strerror}); choose an "
+                    f"path is {str(path)!r}, which cannot be written ({error.strerror}); choose an "
                     "existing, writable folder."
                 ) from error
             _WRITERS[path.resolve()] = writer
 
 
 def release_files(path: Path, writer: Any) -> None:
-    """Let another writer have the files."""
+    """Make the files available to other writers."""
     if _WRITERS.get(path.resolve()) is writer:
         del _WRITERS[path.resolve()]
 
 
-def demand_room_of_step(comm: MPI.Comm, path: Path, data: Path, size: int, fields: int) -> None:
+def demand_space_for_step(comm: MPI.Comm, path: Path, data: Path, size: int, fields: int) -> None:
     """Raise on all ranks unless the HDF5 file can grow by what a step needs; collective.
 
-    A disk that fills while ranks write together would leave a broken file, and ranks that wait for
-    each other.
+    A disk that is full during a parallel write leaves a broken file and a deadlock.
 
     Args:
         comm: communicator.
         path: the XDMF file.
         data: the HDF5 file.
-        size: bytes of numbers of this rank.
+        size: bytes of the values of this rank.
         fields: number of fields.
-
-    Raises:
-        OSError: if not, naming the file; what was written before can be read.
     """
-    total = comm.allreduce(size) + FILE_MARGIN + FIELD_MARGIN * fields
+    total = space_for(fields, comm.allreduce(size))
     with raised_together(comm):
         if comm.rank == 0:
             total += path.stat().st_size if path.exists() else 0  # its next version
-            demand_room(data, total)
+            demand_space(data, total)
 
 
 def create_tree(notes: Mapping[str, Any]) -> tuple[ET.Element, ET.Element]:
@@ -140,21 +139,17 @@ def field_keys(names: Iterable[str]) -> dict[str, str]:
 
 
 def replace_tree(comm: MPI.Comm, path: Path, root: ET.Element) -> None:
-    """Rewrite the XDMF file; a reader finds the old or the new one, never a half; collective.
+    """Replace the XDMF file in one move; collective.
 
     Raises:
         OSError: on all ranks, naming the file.
     """
     with raised_together(comm):
         if comm.rank == 0:
-            draft = path.with_suffix(".xdmf.part")
+            ET.indent(root)
             try:
-                with draft.open("wb") as file:
-                    ET.indent(root)
-                    ET.ElementTree(root).write(file, "utf-8", xml_declaration=True)
-                    file.flush()
-                    os.fsync(file.fileno())
-                draft.replace(path)
+                draft_of(path).write_bytes(ET.tostring(root, "utf-8", xml_declaration=True))
+                replace_by_draft(path)
             except OSError as error:
-                draft.unlink(missing_ok=True)
+                draft_of(path).unlink(missing_ok=True)
                 raise OSError(error.errno, error.strerror, str(path)) from error

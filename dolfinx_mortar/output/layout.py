@@ -52,14 +52,12 @@ class Layout:
         """Raise a ValueError, without communication, for fields that cannot be written."""
         for name, function in fields.items():
             if function.function_space.mesh is not self.V.mesh:
-                raise ValueError(
-                    f"output field {name!r} lives on another mesh than the displacement."
-                )
+                raise ValueError(f"output field {name!r} is on another mesh than the displacement.")
 
     def values(self, name: str, function: fem.Function) -> tuple[Floats, str]:
         """Return the owned values, padded, shape (n, components), and "Node" or "Cell"; collective.
 
-        What is of another degree than the displacement is interpolated in a space of its own.
+        A Function of another degree than the displacement is interpolated.
         """
         degree = function.function_space.ufl_element().degree
         if degree != 0 and degree != self.element.degree:
@@ -69,9 +67,9 @@ class Layout:
         return _pad(values, function.ufl_shape), "Cell" if degree == 0 else "Node"
 
     def _permutation(self, name: str, space: fem.FunctionSpace) -> Ints:
-        """Local nodes (or cells) of a space in the order of V's owned nodes (or the owned cells).
+        """Return the nodes (or cells) of a space in the order of V's owned nodes (or owned cells).
 
-        The numbering of a space is dolfinx's affair: two spaces of the same element need not agree.
+        Two spaces of the same element may number their nodes differently.
         """
         known, rows = self._rows.get(name, (None, np.empty(0, dtype=np.int32)))
         if known is not space:

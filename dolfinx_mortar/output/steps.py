@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -13,19 +12,19 @@ from mpi4py import MPI
 
 from dolfinx_mortar.algebra.errors import raised_together
 
-# What a grid says beside its fields: load steps made when it was written, numbering of its mesh
+# Names of what a grid contains beside fields: number of load steps, digest of mesh and numbering
 DONE, MESH = "load steps", "mesh"
 
 
 @dataclass(frozen=True)
 class Step:
-    """A grid with all that is written of one step."""
+    """A grid of the XDMF file: all data of one step."""
 
     grid: ET.Element
-    done: int  # load steps that the problem had made
+    done: int  # load steps completed before it was written
     time: float
-    mesh: str  # tells meshes, and how their nodes are numbered, from others
-    earlier: bool = False  # another run has written it
+    mesh: str  # digest of the mesh with its numbering of nodes
+    earlier: bool = False  # written by an earlier run
 
     @property
     def files(self) -> set[str]:
@@ -33,16 +32,16 @@ class Step:
         return {str(item.text).partition(":")[0].strip() for item in self.grid.iter("DataItem")}
 
     def remember(self) -> None:
-        """Write into the grid what a later run has to know."""
+        """Store in the grid what `read_steps` needs."""
         for name, value in ((DONE, self.done), (MESH, self.mesh)):
             ET.SubElement(self.grid, "Information", Name=name, Value=str(value))
 
 
 def read_steps(comm: MPI.Comm, path: Path) -> list[Step]:
-    """Return the steps that an earlier run has left in a file, none without a file; collective.
+    """Return the steps in the file of an earlier run, none without a file; collective.
 
     Raises:
-        ValueError: on all ranks, if it is no file of a `Writer`, or its numbers are gone.
+        ValueError: on all ranks, if it is no file of a `Writer`, or its HDF5 files are missing.
     """
     steps: list[Step] = []
     with raised_together(comm):
@@ -51,20 +50,20 @@ def read_steps(comm: MPI.Comm, path: Path) -> list[Step]:
                 steps = _steps(ET.parse(path).getroot())
             except (ET.ParseError, OSError, ValueError, TypeError, AttributeError) as error:
                 raise ValueError(
-                    f"path = {str(path)!r} cannot be resumed, as no Writer of this version has "
-                    f"written it ({error}): give another name."
+                    f"path is {str(path)!r}, which cannot be resumed, as no Writer of this version "
+                    f"has written it ({error}): give another name."
                 ) from error
             gone = {name for s in steps for name in s.files if not (path.parent / name).is_file()}
             if gone:
                 raise ValueError(
-                    f"path = {str(path)!r} cannot be resumed, as {', '.join(sorted(gone))} with "
-                    "its numbers is gone: give another name."
+                    f"path is {str(path)!r}, which cannot be resumed, as "
+                    f"{', '.join(sorted(gone))} with its numbers is gone: give another name."
                 )
     return list(comm.bcast(steps))
 
 
 def _steps(root: ET.Element) -> list[Step]:
-    """Return the records of the grids; an error if they are not where a Writer has them."""
+    """Return the steps of a document; an error if it has another structure than a Writer's."""
     collection = root.find("Domain/Grid[@Name='steps']")
     if root.tag != "Xdmf" or collection is None:
         raise ValueError("it has no steps")
@@ -72,26 +71,25 @@ def _steps(root: ET.Element) -> list[Step]:
 
 
 def _step(grid: ET.Element) -> Step:
-    """Return the record of a grid; an error if something is missing."""
-    said = {i.get("Name"): i.get("Value") for i in grid.findall("Information")}
-    if not {DONE, MESH} <= set(said):
-        raise ValueError("it does not say which load steps it has")
+    """Return the step of a grid; an error if something is missing."""
+    found = {i.get("Name"): i.get("Value") for i in grid.findall("Information")}
+    if not {DONE, MESH} <= set(found):
+        raise ValueError("a grid has no number of load steps")
     time = float(grid.find("Time").get("Value"))  # type: ignore[union-attr, arg-type]
-    return Step(grid, int(said[DONE] or ""), time, str(said[MESH]), earlier=True)
+    return Step(grid, int(found[DONE] or ""), time, str(found[MESH]), earlier=True)
 
 
 def insert(steps: Sequence[Step], new: Step, *, made: bool) -> list[Step]:
-    """Return the steps with a new one in its place, and without those of an earlier run that go.
+    """Return the steps in order of time with a new one, less those of an earlier run it replaces.
 
-    A load step that is made anew takes away all that an earlier run has written of it and of later
-    ones. What is written of a state that a checkpoint has brought takes away the same only, as
-    another checkpoint may follow. Before the first load step none may have been read yet: what was
-    written then goes, from this time on.
+    A load step computed by this run replaces itself and all later ones. A state restored from a
+    checkpoint replaces only itself, as a later checkpoint may follow. Before the first load step,
+    steps without load steps are replaced from the new time on.
 
     Args:
         steps: in the file.
-        new: another one.
-        made: its load step has been made here, and does not come from a checkpoint.
+        new: the new one.
+        made: whether its load step was computed by this run, not restored from a checkpoint.
 
     Raises:
         ValueError: if times would not rise.
@@ -126,14 +124,3 @@ def free_name(path: Path, steps: Iterable[Step]) -> Path:
         number += 1
         file = path.with_suffix(f".{number}.h5")
     return file
-
-
-def check_time(t: object) -> float:
-    """Return a time as a number, or raise a ValueError."""
-    try:
-        time = float(t)  # type: ignore[arg-type]
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"t is {t!r}: give the time or load of the step, a number.") from error
-    if not math.isfinite(time):
-        raise ValueError(f"t is {time}: give the time or load of the step, a finite number.")
-    return time

@@ -17,9 +17,7 @@ import os
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
-from types import TracebackType
-from typing import Any, Protocol
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -29,35 +27,21 @@ import numpy as np
 from dolfinx import default_scalar_type, fem, plot
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raise_together, raised_together
+from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.output.files import (
     claim_files,
     create_tree,
-    demand_room_of_step,
+    demand_space_for_step,
     field_keys,
     release_files,
     replace_tree,
 )
 from dolfinx_mortar.output.layout import KINDS, TOPOLOGY, Layout
-from dolfinx_mortar.output.steps import Step, check_time, free_name, insert, read_steps
+from dolfinx_mortar.output.steps import Step, free_name, insert, read_steps
 
 log = logging.getLogger(__name__)
-
-
-class HasSpace(Protocol):
-    """The part of a solid that the writer reads."""
-
-    V: fem.FunctionSpace  # vector Lagrange space of the displacement
-
-
-class HasOutput(Protocol):
-    """The part of a problem that the writer reads."""
-
-    solid: HasSpace
-    # and, if load steps are counted, steps_done: see `ContactProblem.steps_done`
-
-    def output_fields(self) -> dict[str, fem.Function]:
-        """Return the current fields by name; see `Writer`."""
 
 
 class Writer:
@@ -81,7 +65,7 @@ class Writer:
     def __init__(
         self,
         path: str | os.PathLike[str],
-        problem: HasOutput,
+        problem: Any,
         *,
         notes: Mapping[str, Any] | None = None,
         resume: bool = False,
@@ -91,26 +75,29 @@ class Writer:
         Args:
             path: File to write, ending in .xdmf; the numbers go next to it, ending in .h5. Earlier
                 files of these names are replaced; the folder must exist.
-            problem: Problem with ``solid.V`` and ``output_fields()``.
+            problem: A `ContactProblem`, or what else has ``solid.V`` and ``output_fields()``, and
+                perhaps ``steps_done``.
             notes: Kept in the file, such as {"units": "mm, MPa"}; texts as they are, other values
                 in JSON.
-            resume: Go on with the file of an earlier run, if there is one: its steps stay, and one
-                that is made again, after a checkpoint, takes the place of what was written for it.
-                New numbers go to an HDF5 file of their own, such as out.2.h5.
+            resume: Continue the file of an earlier run, if there is one: its steps stay, and a
+                step computed again, after a checkpoint, replaces the earlier one. New values go to
+                another HDF5 file, such as out.2.h5.
 
         Raises:
-            ValueError: If the suffix is another, the files cannot be written or are open in another
-                Writer, notes are no JSON values, the problem is none, what is to be resumed is no
-                file of a Writer or its numbers are gone, or the cells are of a kind that XDMF has
-                no name for (on all ranks).
-            OSError: If there is no room on the disk (on all ranks).
+            ValueError: For another suffix, files that cannot be written or are open in another
+                Writer, notes that are no JSON values, something else than a problem, a file to be
+                resumed that is not a Writer's or has lost its HDF5 files, or cells without a name
+                in XDMF (on all ranks).
+            OSError: If there is no space on the disk (on all ranks).
         """
         V = _space(problem)
         self.comm: MPI.Intracomm = V.mesh.comm
         cell = V.mesh.topology.cell_type.name, V.dofmap.dof_layout.num_dofs
-        check_same_on_all_ranks(self.comm, path=path, resume=resume)
+        self.path = check_path(self.comm, path)
+        check_same_on_all_ranks(self.comm, resume=resume)
         with raised_together(self.comm):
-            self.path = _path(path)
+            if self.path.suffix != ".xdmf":
+                raise ValueError(f"path is {str(path)!r}: give the name of a file ending in .xdmf.")
             self._root, self._collection = create_tree({} if notes is None else notes)
             if not isinstance(resume, bool):
                 raise ValueError(f"resume is {resume!r}: give True or False.")
@@ -137,7 +124,7 @@ class Writer:
         Raises:
             ValueError: After `close`, for a time that does not rise, for fields of another mesh,
                 with names that collide, or with values that are NaN or infinite.
-            OSError: If there is no room on the disk, naming the file; what was written before
+            OSError: If there is no space on the disk, naming the file; what was written before
                 stays readable, and the step may be written again.
         """
         if not self._open:
@@ -146,8 +133,10 @@ class Writer:
         number = sum(not step.earlier for step in self._steps)
         grid = ET.Element("Grid", GridType="Uniform")
         with raised_together(self.comm):
+            if not is_number(t):
+                raise ValueError(f"t is {t!r}: give the time or load of the step, a finite number.")
             done, brought = getattr(self.problem, "steps_done", (0, 0))
-            step = Step(grid, done, check_time(t), self._mesh)
+            step = Step(grid, done, float(t), self._mesh)
             steps = insert(self._steps, step, made=done > brought)
             keys = field_keys(fields)
             self._layout.check(fields)
@@ -158,13 +147,13 @@ class Writer:
         self._check_finite({name: values for name, (values, _) in found.items()})
         grid.extend(self._grid_head)
         size = sum(values.nbytes for values, _ in found.values())
-        demand_room_of_step(self.comm, self.path, self._data, size, len(found))
+        demand_space_for_step(self.comm, self.path, self._data, size, len(found))
         with self._viewer("a") as viewer:
             for name, (values, centre) in found.items():
                 kind = KINDS.get(values.shape[1], "Matrix")
-                attribute = ET.SubElement(grid, "Attribute", Name=name, AttributeType=kind)
-                attribute.set("Center", centre)
-                attribute.append(self._write_values(viewer, f"{keys[name]}_{number:06d}", values))
+                about = {"Name": name, "AttributeType": kind, "Center": centre}
+                item = self._write_values(viewer, f"{keys[name]}_{number:06d}", values)
+                ET.SubElement(grid, "Attribute", about).append(item)
         self._collection[:] = [one.grid for one in steps]
         replace_tree(self.comm, self.path, self._root)
         self._steps = steps
@@ -180,7 +169,7 @@ class Writer:
                 )
 
     def close(self) -> None:
-        """End the writing; everything is on disk already, so this only lets go of the files."""
+        """End the writing: other writers may use the files; collective."""
         self._leave()
         self.comm.Barrier()
 
@@ -192,13 +181,8 @@ class Writer:
         """Return the writer."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close; an exception may have been raised on one rank only, so wait for nobody then."""
+    def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:
+        """Close; without a barrier after an exception, which may be that of one rank."""
         if kind is None:
             self.close()
         else:
@@ -206,7 +190,7 @@ class Writer:
 
     @contextmanager
     def _viewer(self, mode: str) -> Iterator[PETSc.Viewer]:
-        """Open the HDF5 file for a block, and close it; collective."""
+        """Open the HDF5 file within a ``with`` block; collective."""
         viewer = PETSc.Viewer()
         self._together(lambda: viewer.createHDF5(str(self._data), mode, comm=self.comm))
         try:
@@ -215,7 +199,7 @@ class Writer:
             self._together(viewer.destroy)
 
     def _together(self, action: Callable[[], Any]) -> None:
-        """Do what all ranks do together; an error on one is raised on all, naming the file."""
+        """Do something collective; an error on one rank is raised on all, naming the file."""
         failed = None
         try:
             action()
@@ -224,20 +208,19 @@ class Writer:
         raise_together(self.comm, failed)
 
     def _write_mesh(self, V: fem.FunctionSpace, topology: str) -> list[ET.Element]:
-        """Write cells and points once; every step's grid refers to them.
+        """Write cells and points, to which the grids of all steps refer; return these references.
 
-        Those of an earlier run are as good where nodes and cells are numbered in the same way.
+        Those of an earlier run serve if nodes and cells are numbered in the same way.
         """
         nodes, _, _ = plot.vtk_mesh(V)
         k = V.dofmap.dof_layout.num_dofs
         local = nodes.reshape(-1, k + 1)[:, 1:]  # the first column repeats the number of nodes
         cells = V.dofmap.index_map.local_to_global(local.reshape(-1).astype(np.int32))
         x = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local]
-        head, geometry = ET.Element("Topology", TopologyType=topology), ET.Element("Geometry")
         shape = V.mesh.topology.index_map(V.mesh.topology.dim).size_global, k
-        head.set("NumberOfElements", str(shape[0]))
+        head = ET.Element("Topology", TopologyType=topology, NumberOfElements=str(shape[0]))
         head.append(self._item("cells", shape, "Int", np.dtype(PETSc.IntType).itemsize))
-        geometry.set("GeometryType", "XYZ")
+        geometry = ET.Element("Geometry", GeometryType="XYZ")
         self._mesh = _digest(self.comm, cells, x)
         for step in self._steps:
             if step.mesh == self._mesh:
@@ -245,12 +228,12 @@ class Writer:
                     return [one for one in step.grid if one.tag in ("Topology", "Geometry")]
         if self._steps and self.comm.rank == 0:
             log.warning(
-                "%s: nodes are numbered in another way than in its earlier steps, as on other "
-                "ranks; ParaView reads the mesh of each step, but meshio that of the first only",
+                "%s: nodes are numbered in another way than in its earlier steps, as on another "
+                "number of ranks; ParaView reads the mesh of each step, meshio only the first one",
                 self.path,
             )
         size = cells.nbytes + x.nbytes
-        demand_room_of_step(self.comm, self.path, self._data, size, 2)
+        demand_space_for_step(self.comm, self.path, self._data, size, 2)
         with self._viewer("w") as viewer:
             indices = PETSc.IS().createGeneral(cells.astype(PETSc.IntType), comm=self.comm)
             indices.setBlockSize(k)
@@ -276,9 +259,8 @@ class Writer:
         return self._item(key, (rows, components) if components > 1 else (rows,), "Float", 8)
 
     def _item(self, key: str, shape: tuple[int, ...], kind: str, precision: int) -> ET.Element:
-        item = ET.Element("DataItem", Dimensions=" ".join(map(str, shape)), NumberType=kind)
-        item.set("Precision", str(precision))
-        item.set("Format", "HDF")
+        about = {"NumberType": kind, "Precision": str(precision), "Format": "HDF"}
+        item = ET.Element("DataItem", about, Dimensions=" ".join(map(str, shape)))
         item.text = f"{self._data.name}:/{key}"
         return item
 
@@ -293,20 +275,7 @@ def _space(problem: Any) -> fem.FunctionSpace:
     return V
 
 
-def _path(path: Any) -> Path:
-    """Return a path that ends in .xdmf, or raise ValueError."""
-    try:
-        name = os.fsencode(path)  # a TypeError, or a ValueError for what no file can be called
-        good = Path(path).suffix == ".xdmf" and b"\0" not in name
-    except (TypeError, ValueError):
-        good = False
-    if not good:
-        given = repr(str(path) if isinstance(path, os.PathLike) else path)
-        raise ValueError(f"path = {given} must be the name of a file that ends in .xdmf.")
-    return Path(path)
-
-
 def _digest(comm: MPI.Comm, cells: Ints, x: Floats) -> str:
-    """Return a text that tells cells and points of all ranks from others; collective."""
+    """Return a digest of cells and points of all ranks; collective."""
     own = hashlib.sha256(cells.astype(np.int64).tobytes() + x.astype(np.float64).tobytes())
     return hashlib.sha256("".join(comm.allgather(own.hexdigest())).encode()).hexdigest()

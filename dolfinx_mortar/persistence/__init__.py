@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""What goes on from step to step, and how it is saved, checked and taken over.
-
-Knows nothing of how a step is solved.
-"""
+"""The committed state of a problem: how it is saved, compared and restored."""

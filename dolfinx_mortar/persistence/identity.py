@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
 """The identity of a problem, independent of ranks, by which a checkpoint is matched with it.
 
-Loads, supports and whatever else a program sets anew are not part of it.
+Loads, supports and other data that a program sets before each step are not part of it.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from numbers import Real
 from typing import Any
 
@@ -15,34 +15,35 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx import mesh
 from dolfinx_mortar import compat
-from dolfinx_mortar.arrays import Ints
+from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.persistence.lasting import Lasting
+from dolfinx_mortar.solid.solid import Solid
 
-# Of the largest coordinate: by so much the means of cells may differ. Sums of a million midpoints
-# lose less.
-SAME_MEAN = 1e-9
 VARYING = "changing"
+Identity = Mapping[str, Mapping[str, Any]]  # value by name by subject, of what JSON can hold
 
 
-def describe(lasting: Lasting) -> dict[str, Any]:
-    """Return the identity of a problem as JSON; collective.
+def describe(lasting: Lasting) -> dict[str, dict[str, Any]]:
+    """Return the identity of a problem; collective.
 
     Numbers of cells and nodes, degrees, kinematics, geometry, terms with a state, interfaces, and
-    of every material its law, its parameters and internal variables, and how many cells it has, and
-    where. A law is known by its name: changes of its code are not seen, nor are the values of
-    parameters that may change between steps.
+    of every material its law, its parameters and internal variables, and how many cells it has. A
+    law is known by its name: changes of its code are not seen, nor are the values of parameters
+    that may change between steps.
     """
     solid, V = lasting.solid, lasting.solid.V
+    domain, cells = V.mesh, V.mesh.topology.index_map(V.mesh.topology.dim)
+    parts = _parts(solid)
     stateful = [(name, term) for name, term in lasting.terms if term.state]
-    domain, imap = V.mesh, V.mesh.topology.index_map(V.mesh.topology.dim)
+    own = [int((part < cells.size_local).sum()) for _, part in parts]
+    counts = domain.comm.allreduce(np.array(own, dtype=int), op=MPI.SUM).tolist()
     return {
         "mesh": {
             "dimension": domain.geometry.dim,
             "cell": domain.topology.cell_name(),
             "degree": compat.cell_degree(domain),
-            "cells": imap.size_global,
+            "cells": cells.size_global,
         },
         "displacement": {
             "degree": V.element.basix_element.degree,
@@ -52,96 +53,54 @@ def describe(lasting: Lasting) -> dict[str, Any]:
             "kinematics": solid.kinematics.name,
             "quadrature_degree": solid.quadrature_degree,
             "volumetric": solid.volumetric,
+            "materials": ", ".join(type(material).__name__ for material, _ in parts),
         },
         "problem": {
             "geometry": lasting.geometry,
+            "interfaces": ", ".join(map(repr, lasting.interfaces)),
             "terms": [f"{name}: {', '.join(sorted(term.state))}" for name, term in stateful],
         },
-        "interfaces": [repr(interface) for interface in lasting.interfaces],
-        "materials": [
-            _material(domain, material, cells)
-            for region in solid.regions
-            for material, cells in region.parts
-        ],
+    } | {
+        f"material {k}, {type(material).__name__}": _describe_material(material) | {"cells": count}
+        for k, ((material, _), count) in enumerate(zip(parts, counts, strict=True))
     }
 
 
-def _material(domain: mesh.Mesh, material: Any, cells: Ints) -> dict[str, Any]:
-    """Return the identity of a material and its cells; collective."""
-    tdim, d = domain.topology.dim, domain.geometry.dim
-    own = cells[cells < domain.topology.index_map(tdim).size_local]
-    count = domain.comm.allreduce(len(own), op=MPI.SUM)
-    total = mesh.compute_midpoints(domain, tdim, own).sum(axis=0)[:d]
-    total = domain.comm.allreduce(total, op=MPI.SUM)
+def _parts(solid: Solid) -> list[tuple[Any, Ints]]:
+    """Return the materials with their local cells."""
+    return [part for region in solid.regions for part in region.parts]
+
+
+def _describe_material(material: Any) -> dict[str, Any]:
+    """Return parameters and internal variables of a material."""
     parameters = {f.name: getattr(material, f.name) for f in dataclasses.fields(material)}
-    return {
-        "law": type(material).__name__,
-        "parameters": {
-            n: float(v) if isinstance(v, Real) else VARYING for n, v in parameters.items()
-        },
-        "state": {name: list(shape) for name, shape in sorted(material.state.items())},
-        "cells": count,
-        "center": (total / max(count, 1)).tolist(),
-    }
+    numbers = {n: float(v) if isinstance(v, Real) else VARYING for n, v in parameters.items()}
+    return numbers | {"state": {n: list(shape) for n, shape in sorted(material.state.items())}}
 
 
-def differences(saved: Mapping[str, Any], present: Mapping[str, Any]) -> list[str]:
+def material_numbers(solid: Solid) -> Floats:
+    """Return the number of the material (points, 1) at the owned integration points."""
+    dofmap = solid.stress.function_space.dofmap
+    numbers = np.zeros((dofmap.index_map.size_local + dofmap.index_map.num_ghosts, 1))
+    for k, (_, cells) in enumerate(_parts(solid)):
+        numbers[dofmap.list[cells].ravel()] = k
+    return numbers[: dofmap.index_map.size_local]
+
+
+def differences(saved: Identity, present: Identity) -> list[str]:
     """Return in words how the problem of a checkpoint differs from the present one.
+
+    Only subjects that both have; which materials there are is an entry of "solid".
 
     Args:
         saved: what `describe` has returned for that problem.
         present: the same for this one.
     """
-    found = []
-    for group in ("mesh", "displacement", "solid", "problem"):
-        found += _compare(group, saved[group], present[group])
-    found += _compare_lists("interfaces", saved["interfaces"], present["interfaces"])
-    old, new = saved["materials"], present["materials"]
-    laws = [[material["law"] for material in materials] for materials in (old, new)]
-    if laws[0] != laws[1]:
-        return [*found, *_compare_lists("materials", *laws)]
-    for one, other in zip(old, new, strict=True):
-        name = f"material {other['law']}"
-        found += _compare(name, one["parameters"], other["parameters"])
-        for key in ("state", "cells"):
-            found += _compare(name, {key: one[key]}, {key: other[key]})
-    return found
-
-
-def other_places(saved: Mapping[str, Any], present: Mapping[str, Any], size: float) -> list[str]:
-    """Return in words which materials have as many cells of the same mesh, but others.
-
-    Args:
-        saved: what `describe` has returned for the problem of the checkpoint.
-        present: the same for this one.
-        size: largest coordinate of the mesh.
-    """
     return [
-        f"material {new['law']}: its cells lie around {_point(new['center'])}, in the checkpoint "
-        f"around {_point(old['center'])}"
-        for old, new in zip(saved["materials"], present["materials"], strict=True)
-        if not np.allclose(old["center"], new["center"], rtol=0.0, atol=SAME_MEAN * size)
+        f"{subject}: {name} is {new.get(name, 'missing')!r}, in the checkpoint "
+        f"{saved[subject].get(name, 'missing')!r}"
+        for subject, new in present.items()
+        if subject in saved
+        for name in {**saved[subject], **new}
+        if saved[subject].get(name) != new.get(name)
     ]
-
-
-def _compare(name: str, saved: Mapping[str, Any], present: Mapping[str, Any]) -> list[str]:
-    """Return in words which entries differ."""
-    return [
-        f"{name}: {key} is {present.get(key, 'missing')!r}, in the checkpoint "
-        f"{saved.get(key, 'missing')!r}"
-        for key in {**saved, **present}
-        if saved.get(key) != present.get(key)
-    ]
-
-
-def _compare_lists(name: str, saved: Sequence[str], present: Sequence[str]) -> list[str]:
-    """Return in words how lists differ, if they do."""
-    if list(saved) == list(present):
-        return []
-    return [
-        f"{name}: {', '.join(present) or 'none'}, in the checkpoint {', '.join(saved) or 'none'}"
-    ]
-
-
-def _point(x: Any) -> str:
-    return "(" + ", ".join(f"{v:.6g}" for v in x) + ")"

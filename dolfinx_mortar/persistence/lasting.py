@@ -27,11 +27,11 @@ COLUMN_OF_TERM = "term"
 class SupportForces:
     """What supports exert on the bodies at the end of a step."""
 
-    forces: Floats  # (owned nodes, d), zero where nothing is prescribed
-    points: Floats  # (owned nodes, d) where they act
+    forces: Floats  # (owned nodes, d), zero without a Dirichlet condition
+    points: Floats  # (owned nodes, d) at which they act
 
 
-@dataclass(frozen=True, eq=False)  # known by itself: two walks may have the same levels
+@dataclass(frozen=True, eq=False)  # compared by identity: two calls may have the same levels
 class Walk:
     """A call of `load_steps`."""
 
@@ -41,32 +41,32 @@ class Walk:
 
 @dataclass(frozen=True)
 class Slips:
-    """What friction has added up since the start, for each interface and owned node."""
+    """Totals of friction since the start."""
 
-    slid: Floats  # (interfaces, owned nodes) length of the way that nodes have slipped
-    dissipated: Floats  # (interfaces, owned nodes) energy that friction has taken there
+    slid: Floats  # (interfaces, owned nodes) length of the slip path
+    dissipated: Floats  # (interfaces, owned nodes) energy dissipated by friction
 
 
 @dataclass
 class Committed:
-    """What the next step starts from, beside the displacement and the internal variables."""
+    """The state from which the next step starts, beside u and the internal variables."""
 
     active: Bools  # (owned nodes,) closed contacts of the last step that has converged
     displacement: Floats  # (n,) owned, from which slips are measured
-    slid: Floats  # (interfaces, owned nodes) length of the way that nodes have slipped
-    dissipated: Floats  # (interfaces, owned nodes) energy that friction has taken there
+    slid: Floats  # (interfaces, owned nodes), see `Slips`
+    dissipated: Floats  # (interfaces, owned nodes), see `Slips`
     begun: bool = False  # a step has been committed
-    sliding: Floats | None = None  # (owned nodes, d) directions in which closed nodes slip, or 0
-    found_at: Floats | None = None  # (n,) displacement where the last step has found all this
+    sliding: Floats | None = None  # (owned nodes, d) slip directions of closed nodes, 0 if stuck
+    found_at: Floats | None = None  # (n,) displacement at which the last step has ended
     found_slips: Slips | None = None  # at the end of the last step, with friction
     found_paired: Paired | None = None  # where the last step has paired the surfaces
     paired: Paired | None = None  # the same of the last commit
     earlier: tuple[Bools, Floats | None] | None = None  # closed contacts of the last commit
     level: float = 0.0  # load level, of the last step of `load_steps`
     history: list[LoadStep] = field(default_factory=list)  # all steps of `load_steps`
-    brought: int = 0  # how many of them a checkpoint has brought
+    brought: int = 0  # how many of them a checkpoint has restored
     walked: int = 0  # how many of them belong to the last call
-    walk: Walk | None = None  # the last call of `load_steps`, the only one that may go on
+    walk: Walk | None = None  # the last call of `load_steps`, the only one that may continue
     supports: SupportForces | None = None  # of the last step that has converged
 
     @property
@@ -81,7 +81,7 @@ class Committed:
     def has_ended_at(self, comm: MPI.Comm, u: Floats) -> bool:
         """Tell whether the last step has ended at a displacement (n,); collective.
 
-        Not so if the displacement has been put back since: then nothing of that step counts.
+        If the displacement has been reset since, the results of that step are not used.
         """
         elsewhere = self.found_at is None or not np.array_equal(self.found_at, u)
         return not any_rank(comm, elsewhere)[0]
@@ -96,7 +96,7 @@ class Committed:
         return self.earlier or (np.zeros_like(self.active), None)
 
     def commit(self, comm: MPI.Comm, u: Floats) -> None:
-        """Take over what the step that has ended at a displacement (n,) has found; collective."""
+        """Commit the results of the step that has ended at a displacement (n,); collective."""
         self.begun = True
         ended = self.has_ended_at(comm, u)
         self.paired = self.found_paired if ended else self.paired
@@ -108,7 +108,7 @@ class Committed:
 
 @dataclass(frozen=True)
 class Lasting:
-    """Where the state of a problem lives, and what tells the problem from others."""
+    """The parts of a problem that have a state or identify it, for checkpoints."""
 
     solid: Solid
     interfaces: Sequence[Interface]
@@ -125,7 +125,7 @@ class Lasting:
 
     @property
     def states_of_terms(self) -> dict[str, fem.Function]:
-        """What terms keep from step to step, by the name of its column in a checkpoint."""
+        """States of the terms by the name of their column in a checkpoint."""
         return {
             f"{COLUMN_OF_TERM} {k} {name}": f
             for k, (_, term) in enumerate(self.terms)

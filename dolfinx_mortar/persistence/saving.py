@@ -2,9 +2,9 @@
 """Saving the committed state of a problem in a checkpoint; the counterpart is `restoring`.
 
 Displacement, internal variables, stress, closed contacts, slips, forces of supports and load level;
-results of the interfaces (multipliers, pressures, gaps, resultants); how far bolts are tightened;
-the history of the load steps, and the tables of their ramps. What a program sets anew before a step
-is not saved: loads, supports, jumps, parameters and eigenstrain that may change.
+results of the interfaces (multipliers, pressures, gaps, resultants); tightening of ties; history of
+the load steps, and the tables of their ramps. Data that a program sets before each step are not
+saved: loads, supports, jumps, parameters and eigenstrain that may change.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.checkpoint import Table, find_places, write
 from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.interfaces.interface import Interface, check_owned
-from dolfinx_mortar.persistence.identity import describe
+from dolfinx_mortar.persistence.identity import describe, material_numbers
 from dolfinx_mortar.persistence.lasting import Lasting
 
 NODES, POINTS = "nodes", "points"
@@ -55,7 +55,7 @@ def save(lasting: Lasting, path: str | os.PathLike[str]) -> None:
     write(lasting.comm, file, about, tables)
 
 
-# -- what there is on this rank ------------------------------------------------------------------
+# -- values of this rank -------------------------------------------------------------------------
 
 
 def places_of(lasting: Lasting, results: Sequence[bool]) -> dict[str, Floats]:
@@ -84,13 +84,13 @@ def _nodal(lasting: Lasting) -> dict[str, Floats]:
 
 
 def _at_points(lasting: Lasting) -> dict[str, Floats]:
-    """Return the fields at the owned points; what is shown only where it is not committed."""
+    """Return the fields at the owned points; those that are shown only if not committed as well."""
     fields = {name: _owned(f) for name, f in lasting.solid.lasting_fields().items()}
     for name in [name for name in fields if name.startswith("shown/")]:
         differs = not np.array_equal(fields[name], fields[name.replace("shown/", "committed/")])
         if not any_rank(lasting.comm, differs)[0]:
             del fields[name]
-    return fields
+    return fields | {"material": material_numbers(lasting.solid)}
 
 
 def _on_interface(interface: Interface) -> dict[str, Floats]:
@@ -103,13 +103,13 @@ def _on_interface(interface: Interface) -> dict[str, Floats]:
 
 
 def _near(lasting: Lasting, k: int) -> dict[str, Floats]:
-    """Return which owned slave nodes T holds, nothing before the first commit."""
+    """Return which owned slave nodes are transformed by T, nothing before the first commit."""
     paired = lasting.committed.paired
     return {} if paired is None else {"near": paired.near[k][:, None].astype(float)}
 
 
 def _slips(lasting: Lasting, k: int) -> dict[str, Floats]:
-    """Return what friction has added up at the owned slave nodes, nothing without friction."""
+    """Return total slip and dissipation at the owned slave nodes, nothing without friction."""
     interface, nodes = lasting.interfaces[k], lasting.system.sides[k].nodes
     if not interface.rough:
         return {}

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""What is drawn, on rank 0: cells or facets with values, gathered from all ranks."""
+"""Cells or facets with values, gathered from all ranks on rank 0."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import cycle, pairwise
+from itertools import cycle
 
 import numpy as np
 
@@ -16,20 +16,7 @@ from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.geometry.elements import FACETS_OF
 from dolfinx_mortar.tags import names_of
 
-# By number of nodes of a triangle or quadrilateral: vertices and middles of edges in turns.
-WAY_AROUND = {
-    3: (0, 1, 2),
-    4: (0, 1, 2, 3),
-    6: (0, 3, 1, 4, 2, 5),
-    9: (0, 4, 1, 5, 2, 6, 3, 7),
-}
-# Triangles of linear colours, by number of nodes of a cell.
-TRIANGLES = {
-    3: ((0, 1, 2),),
-    4: ((0, 1, 2), (0, 2, 3)),
-    6: ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)),
-    9: tuple((a, b, 8) for a, b in pairwise((*WAY_AROUND[9], 0))),
-}
+SIDES = ("#d62728", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2")
 NO_TAG = np.iinfo(np.int32).min
 Values = Mapping[str, np.ndarray]
 
@@ -39,7 +26,7 @@ class Parts:
     """Cells in the plane, or facets, with values at their nodes and of themselves."""
 
     x: Floats  # (n, 3)
-    nodes: Longs  # (m, k): vertices on the way around, middles of edges, the one inside
+    nodes: Longs  # (m, k): vertices in order around the part, middles of edges, the one inside
     at_nodes: Values  # (n,) or (n, c)
     of_parts: Values  # (m,)
 
@@ -115,16 +102,32 @@ def _gather(V: fem.FunctionSpace, nodes: Longs, at_nodes: Values, of_parts: Valu
     )
 
 
+def polygons_of(parts: Parts) -> Longs:
+    """Return the nodes (m, p) around cells or facets: vertices, with middles of edges between."""
+    k = parts.nodes.shape[1]
+    n = 3 if k in (3, 6) else 4
+    return parts.nodes if k == n else parts.nodes[:, np.arange(2 * n).reshape(2, n).T.ravel()]
+
+
 def triangles_of(parts: Parts) -> Longs:
-    """Return the nodes (m, 3) of triangles that fill cells or facets, part after part."""
-    corners = np.array(TRIANGLES[parts.nodes.shape[1]])
-    return parts.nodes[:, corners].reshape(-1, 3)
+    """Return the nodes (t, 3) of triangles that fill cells or facets, part after part.
+
+    They meet at the node inside, or else at the first but one of the polygon: a middle if there are
+    some, from which no other two nodes lie on one line.
+    """
+    around = polygons_of(parts)
+    if parts.nodes.shape[1] > around.shape[1]:
+        tip, rim = parts.nodes[:, -1:], np.hstack([around, around[:, :1]])
+    else:
+        tip, rim = around[:, 1:2], np.hstack([around[:, 2:], around[:, :1]])
+    corners = np.broadcast_arrays(tip, rim[:, :-1], rim[:, 1:])
+    return np.stack(corners, axis=2).reshape(-1, 3)
 
 
 def groups(
     parts: Parts, tags: dmesh.MeshTags | None, colours: Sequence[str]
 ) -> Iterator[tuple[str, str, Parts]]:
-    """Yield name, colour and parts of each tag that there is; colours recur if they are few."""
+    """Yield name, colour and parts of each tag; colours are repeated if there are too few."""
     values = parts.of_parts["tag"]
     names = {tag: name for name, tag in names_of(tags).items()} | {NO_TAG: "no tag"}
     for tag, colour in zip(np.unique(values), cycle(colours), strict=False):

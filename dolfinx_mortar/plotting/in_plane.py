@@ -13,16 +13,13 @@ from matplotlib.patches import Patch
 
 from dolfinx import mesh as dmesh
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.plotting.gathered import WAY_AROUND, Parts, groups, triangles_of
+from dolfinx_mortar.plotting.gathered import SIDES, Parts, groups, polygons_of, triangles_of
 
 BODIES = ("#c6d8ea", "#ecd3b4", "#cfe3c4", "#dccbe6", "#e8e0b0", "#d9d9d9")
-SIDES = ("#d62728", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2")
-EDGES = 1e3  # cells from which on their edges become thinner, so as not to hide the colours
-MARGIN = 0.4  # of the loaded length, shown on both sides of it
 
 
 def begin(file: Any, ax: Any, panes: int) -> Any:
-    """Return axes: given ones, of a figure that pyplot shows, or of one for a file only."""
+    """Return axes: given ones, of a figure of pyplot, or of a figure for a file only."""
     if ax is not None:
         return ax
     figure = pyplot.figure(layout="constrained") if file is None else Figure(layout="constrained")
@@ -72,7 +69,7 @@ def draw_field(axes: Any, cells: Parts, name: str) -> None:
 
 
 def draw_pressure(axes: Any, sides: list[tuple[str, Parts]], over: str | None, title: str) -> None:
-    """Draw pressures over x or y, facet by facet, where there are some and a little beside."""
+    """Draw pressures over x or y, facet by facet, where there are some and as far again beside."""
     axis = "xy".index(over) if over else int(np.argmax(sum(_extents(side) for _, side in sides)))
     for (name, side), colour in zip(sides, SIDES * len(sides), strict=False):
         order = _in_order(side)
@@ -82,8 +79,7 @@ def draw_pressure(axes: Any, sides: list[tuple[str, Parts]], over: str | None, t
         axes.plot(s, p, ".-", color=colour, ms=4, lw=1.0, label=name)
     loaded = np.concatenate([s.x[s.at_nodes["pressure"] != 0.0, axis] for _, s in sides])
     if len(loaded) > 1:
-        margin = MARGIN * np.ptp(loaded)
-        axes.set_xlim(loaded.min() - margin, loaded.max() + margin)
+        axes.set_xlim(loaded.min() - np.ptp(loaded), loaded.max() + np.ptp(loaded))
     axes.set(xlabel="xy"[axis], ylabel=title)
     axes.grid(alpha=0.3)
     axes.legend(fontsize="small")
@@ -100,11 +96,9 @@ def _in_order(facets: Parts) -> Any:
 
 
 def _add_cells(axes: Any, cells: Parts, **style: Any) -> Any:
-    """Draw cells as polygons along their nodes."""
-    around = cells.nodes[:, WAY_AROUND[cells.nodes.shape[1]]]
-    polygons: Any = cells.x[around][:, :, :2]
-    width = min(0.5, EDGES / max(len(around), 1))
-    drawn = PolyCollection(polygons, linewidth=width, cmap="viridis", **style)
+    """Draw cells as polygons along their nodes, with edges that do not hide their colours."""
+    polygons: Any = cells.x[polygons_of(cells)][:, :, :2]
+    drawn = PolyCollection(polygons, linewidth=0.2, cmap="viridis", **style)
     axes.add_collection(drawn)
     return drawn
 

@@ -17,10 +17,9 @@ import pyvista
 
 from dolfinx import mesh as dmesh
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.plotting.gathered import WAY_AROUND, Parts, groups, triangles_of
+from dolfinx_mortar.plotting.gathered import SIDES, Parts, groups, polygons_of, triangles_of
 
 BODIES = ("#6f9bc4", "#cf9650", "#7fae69", "#a583bd", "#b5a53c", "#909090")  # also of their names
-SIDES = ("#d62728", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2")
 
 
 def begin(file: Any, ax: Any, panes: int) -> Any:
@@ -41,7 +40,7 @@ def begin(file: Any, ax: Any, panes: int) -> Any:
 
 
 def finish(plotter: Any, file: Any, view: Any) -> None:
-    """Look from the asked direction, and write a picture if there is a file for it."""
+    """Set the direction of view, and write a picture if there is a file for it."""
     if view is not None:
         _look(plotter, np.asarray(view, dtype=float))
     if file is not None:
@@ -122,8 +121,7 @@ def _add_facets(plotter: Any, facets: Parts, **style: Any) -> None:
     # edges lie in front of their facets, also of those that are seen at an angle
     actor.mapper.resolve = "polygon_offset"
     actor.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(2.0, 2.0)
-    edges = _surface(facets, facets.nodes[:, WAY_AROUND[facets.nodes.shape[1]]])
-    edges = edges.extract_all_edges()
+    edges = _surface(facets, polygons_of(facets)).extract_all_edges()
     plotter.add_mesh(edges, color="#303030", line_width=1, opacity=0.4, lighting=False)
 
 
@@ -142,10 +140,10 @@ def _describe(plotter: Any, entries: list[tuple[str, str]]) -> None:
 
 
 def find_screen() -> None:
-    """Make sure that VTK can draw, and set ``pyvista.OFF_SCREEN`` where nobody would see a window.
+    """Make sure that VTK can draw; set ``pyvista.OFF_SCREEN`` without a screen.
 
-    A VTK before 9.4, as in Debian 13, has X windows only, and ends the program where no X server
-    answers: one in memory (Xvfb) is started then.
+    A VTK before 9.4, as in Debian 13, draws in X windows only and ends the program if no X server
+    answers. Then one in memory (Xvfb) is started.
 
     Raises:
         RuntimeError: if there is neither.
@@ -177,7 +175,7 @@ def _connect(display: str) -> bool:
 
 
 def _start() -> str:
-    """Start an X server in memory, which ends when nobody is connected; return its display."""
+    """Start an X server in memory, which ends after its last client; return its display."""
     server = subprocess.Popen(
         "Xvfb -displayfd 1 -terminate -nolisten tcp -screen 0 1600x1200x24".split(),
         stdin=subprocess.DEVNULL,

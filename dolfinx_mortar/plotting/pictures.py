@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The three pictures: what is asked for is checked and gathered, then drawn on rank 0."""
+"""The three pictures: arguments are checked, fields gathered, and rank 0 draws."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from dolfinx_mortar.plotting.gathered import NO_TAG, Values, gather_bodies, gath
 from dolfinx_mortar.spaces import CELLS
 
 File = str | os.PathLike[str] | None
-MOVED = " moved"  # the name of positions among values at nodes; no field has it
+MOVED = " moved"  # name of the positions among values at nodes; not a name of a field
 
 
 def mesh(
@@ -50,7 +50,7 @@ def mesh(
         all ranks but 0.
 
     Raises:
-        ValueError: for what is no mesh, tags of another one, `view` in the plane, `ax` in space.
+        ValueError: for no mesh, tags of another one, `view` in the plane, `ax` in space.
         ImportError: without matplotlib or PyVista; the message names the extra.
         RuntimeError: in space, if there is no screen to draw on.
     """
@@ -93,23 +93,20 @@ def field(
     Args:
         problem: a `ContactProblem`, or a `Solid`.
         name: of a scalar field of `Solid.cell_values`, such as "von_mises", "stress_yy" or
-            "plastic_strain_norm", drawn as computed, a colour per cell; "displacement" for its
-            length, or "displacement_x"; or a Function of your own: one value per cell (DG0), or a
-            scalar or vector (of which the length is drawn) that is continuous.
+            "plastic_strain_norm", with one colour per cell; "displacement" for its length, or
+            "displacement_x"; or another Function: one value per cell (DG0), or a continuous scalar
+            or vector (of which the length is drawn).
         scale: by how much displacements are enlarged.
-        file: picture to write (.png); no window is opened then.
-        view: in space, the direction (x, y, z) to look from.
-        ax: axes of matplotlib to draw in, in the plane.
+        file: as for `mesh`.
+        view: as for `mesh`.
+        ax: as for `mesh`.
 
     Returns:
-        matplotlib's axes in the plane, PyVista's plotter in space (call its ``show()``), None on
-        all ranks but 0.
+        What `mesh` returns.
 
     Raises:
         ValueError: for unknown names (the message lists those there are), tensors, Functions of
-            another mesh or that jump from cell to cell, and `view` in the plane, `ax` in space.
-        ImportError: without matplotlib or PyVista; the message names the extra.
-        RuntimeError: in space, if there is no screen to draw on.
+            another mesh or that jump from cell to cell; else as `mesh` does.
     """
     solid = getattr(problem, "solid", problem)
     V: fem.FunctionSpace = solid.V
@@ -135,30 +132,25 @@ def pressure(
 ) -> Any:
     """Draw the contact pressure: along the slave side in the plane, over it in space.
 
-    Collective; all is gathered on rank 0. Ties are drawn if they are asked for, or if there is
-    nothing else: their normal traction, positive in compression like a pressure, and negative where
-    the tie pulls.
+    Collective; all is gathered on rank 0. Of ties the normal traction is drawn, positive in
+    compression like a pressure and negative in tension.
 
     Args:
         problem: a `ContactProblem` that has made a step.
-        interfaces: which of its interfaces, one or several; if not given its contacts, or its ties
-            where it has none.
-        over: in the plane, "x" or "y"; if not given, the one along which the sides extend farther.
-        file: picture to write (.png); no window is opened then.
-        view: in space, the direction (x, y, z) to look from.
-        ax: axes of matplotlib to draw in, in the plane.
+        interfaces: one or several of its interfaces, by default its contacts, or its ties if it
+            has none.
+        over: in the plane, "x" or "y", by default the axis along which the sides are longer.
+        file: as for `mesh`.
+        view: as for `mesh`.
+        ax: as for `mesh`.
 
     Returns:
-        matplotlib's axes in the plane, PyVista's plotter in space (call its ``show()``), None on
-        all ranks but 0.
+        What `mesh` returns.
 
     Raises:
-        ValueError: for interfaces of other problems, also of one made later that has taken them
-            over, problems without any, unknown ``over``, and `view` in the plane, `over` or `ax`
-            in space.
+        ValueError: for interfaces of other problems, or used by one made later, problems without
+            any, unknown ``over``, and `over` in space; else as `mesh` does.
         NoResult: before the first step, a RuntimeError.
-        ImportError: without matplotlib or PyVista; the message names the extra.
-        RuntimeError: in space, if there is no screen to draw on.
     """
     chosen = _chosen(problem, interfaces)
     V: fem.FunctionSpace = problem.solid.V
@@ -168,7 +160,7 @@ def pressure(
     moved = _moved(V, problem.solid.u, 1.0)
     sides = []
     for one in chosen:
-        one.force  # noqa: B018 - says that a step has to be made first
+        one.force  # noqa: B018 - an error before the first step
         values = {"pressure": one.pressure.x.array, **moved}
         side = gather_facets(V, one.facet_tags, values, one.slave)
         sides += [] if side is None else [(repr(one), replace(side, x=side.at_nodes[MOVED]))]
@@ -191,12 +183,9 @@ def _chosen(problem: Any, interfaces: Any) -> list[Any]:
                 f"interfaces: {interface!r} is none of this problem's, {problem.interfaces}."
             )
     if not asked:
-        said = (
-            "problem has no contact or tie to draw"
-            if interfaces is None
-            else f"interfaces is {interfaces!r}"
-        )
-        raise ValueError(f"{said}; interfaces of the problem: {problem.interfaces}.")
+        none = "problem has no contact or tie to draw"
+        none = none if interfaces is None else f"interfaces is {interfaces!r}"
+        raise ValueError(f"{none}; interfaces of the problem: {problem.interfaces}.")
     return asked
 
 
@@ -226,11 +215,11 @@ def _values_of(V: fem.FunctionSpace, function: fem.Function) -> tuple[str, Value
     """Return what is drawn of a Function.
 
     Raises:
-        ValueError: if it lives on another mesh, or is neither constant in cells nor continuous.
+        ValueError: if it is on another mesh, or is neither constant in cells nor continuous.
     """
     name, space = function.name, function.function_space
     if space.mesh is not V.mesh:
-        raise ValueError(f"name: the Function {name!r} lives on another mesh than the bodies.")
+        raise ValueError(f"name: the Function {name!r} is on another mesh than the bodies.")
     d, element = V.mesh.geometry.dim, space.ufl_element()
     if function.ufl_shape not in ((), (d,)):
         raise ValueError(
@@ -277,13 +266,13 @@ def _length(values: np.ndarray, component: int | None) -> np.ndarray:
 
 
 def _drawer(domain: dmesh.Mesh, view: Any, ax: Any) -> Any:
-    """Return the module that draws on rank 0; imported on all ranks, so that they fail together.
+    """Return the module that draws on rank 0, imported on all ranks; collective.
 
-    Axes may be given on rank 0 alone, where they are. Collective.
+    Axes may be given on rank 0 alone.
 
     Raises:
         ImportError: if its library is not installed; the message names the extra that brings it.
-        ValueError: for what goes with the other one only.
+        ValueError: for an argument of the other module.
     """
     dim = domain.geometry.dim
     with raised_together(domain.comm):
@@ -311,7 +300,7 @@ def _on_rank_0(
     ax: Any,
     panes: int = 1,
 ) -> Any:
-    """Draw on rank 0 and return what was drawn on; errors are raised on all ranks; collective."""
+    """Draw on rank 0 and return axes or plotter; errors are raised on all ranks; collective."""
     result = None
     with raised_together(domain.comm):
         if domain.comm.rank == 0:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a problem may be made of: checks of its arguments, the same on all ranks."""
+"""Checks of the arguments of a problem and of its steps, the same on all ranks."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ def check_arguments(
     geometry: str,
     **options: Any,
 ) -> tuple[list[Interface], list[fem.DirichletBC], dict[str, Changing]]:
-    """Check what a problem shall be made of; collective.
+    """Check the arguments of a problem; collective.
 
     Returns:
         Interfaces and Dirichlet conditions as lists, and the Constants in the arguments by name,
-        in which ranks must agree at every step; none on one rank.
+        which are compared over the ranks at every step; none on one rank.
 
     Raises:
-        ValueError: if not, naming the argument and the remedy.
+        ValueError: for invalid arguments, with the remedy.
     """
     if not isinstance(solid, Solid):
         raise ValueError(f"solid is {solid!r}: give a Solid(u, materials, cell_tags)")
@@ -72,7 +72,7 @@ def check_arguments(
 
 
 def check_problem(problem: Any, kind: type) -> None:
-    """Raise a ValueError unless a problem is of its kind, which lies above this module."""
+    """Raise a ValueError unless a problem is of its class, which this module cannot import."""
     if not isinstance(problem, kind):
         raise ValueError(
             f"problem is {problem!r}: give a {kind.__name__}(solid, interfaces, bcs=...)"
@@ -80,13 +80,7 @@ def check_problem(problem: Any, kind: type) -> None:
 
 
 def check_controls(qp: Any, rtol: Any, max_it: Any) -> None:
-    """Raise a ValueError unless the controls of Newton's method make sense.
-
-    Args:
-        qp: name of the QP backend.
-        rtol: relative tolerance.
-        max_it: largest number of iterations.
-    """
+    """Raise a ValueError unless the controls of Newton's method are valid, see `newton`."""
     backends.check_name(qp)
     if not (is_number(rtol) and 0.0 < float(rtol) < 1.0):
         raise ValueError(f"rtol is {rtol!r}: need a number, 0 < rtol < 1")
@@ -97,17 +91,10 @@ def check_controls(qp: Any, rtol: Any, max_it: Any) -> None:
 def check_load_steps(
     times: Any, start: Any, max_cuts: Any, cuts: Any, comm: MPI.Comm | None = None
 ) -> list[float]:
-    """Return the load levels as numbers if they and the rules for cuts make sense; collective.
-
-    Args:
-        times: load levels.
-        start: level of the committed state, None for the one that was reached last.
-        max_cuts: largest number of halvings of a step.
-        cuts: "halve" or "none".
-        comm: ranks that have to agree.
+    """Return the load levels as numbers if the arguments are valid, see `load_steps`; collective.
 
     Raises:
-        ValueError: for what cannot work, naming the argument and the remedy.
+        ValueError: for invalid arguments, with the remedy.
     """
     levels = _unrolled(times)
     if comm is not None:
@@ -130,11 +117,7 @@ def check_load_steps(
 
 
 def check_every(comm: MPI.Comm, checkpoint: Any, every: Any) -> Path | None:
-    """Return where checkpoints go, None for nowhere, if how often makes sense; collective.
-
-    Raises:
-        ValueError: if not, naming the argument.
-    """
+    """Return the file of checkpoints, None for none, if both arguments are valid; collective."""
     check_same_on_all_ranks(comm, every=every)
     if not is_integer(every) or every < 1:
         raise ValueError(f"every is {every!r}: need an integer, every >= 1")
@@ -148,7 +131,7 @@ def check_every(comm: MPI.Comm, checkpoint: Any, every: Any) -> Path | None:
 
 
 def _unrolled(values: Any) -> Any:
-    """Return a list of what can be iterated over only once; texts and all else as they are."""
+    """Return iterables as lists, arrays, too; texts and anything else unchanged."""
     values = values.tolist() if isinstance(values, np.ndarray) else values
     text = isinstance(values, str | bytes)
     return list(values) if isinstance(values, Iterable) and not text else values
@@ -177,7 +160,7 @@ def _check_interfaces(interfaces: list[Any]) -> list[Interface]:
 
 
 def _check_weight(solid: Solid) -> None:
-    """Raise a ValueError on all ranks unless the weight is one that interfaces can evaluate."""
+    """Raise a ValueError on all ranks unless interfaces can evaluate the weight."""
     x = np.array(solid.mesh.geometry.x[:, : solid.mesh.geometry.dim], dtype=np.float64)
     i = solid.kinematics.radius
     if i is not None:

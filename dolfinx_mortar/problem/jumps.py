@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The jumps and pretensions of ties: read at the start of a step, set at its end."""
+"""Jumps and pretensions of ties: read at the start of a step, set at its end."""
 
 from __future__ import annotations
 
@@ -18,17 +18,15 @@ from dolfinx_mortar.solid.term import Term
 
 
 def read_jumps(system: InterfaceSystem, empty: PETSc.Vec) -> dict[int, PETSc.Vec]:
-    """Return the displacements (n,) that ties ask of their slave sides, by number; collective.
-
-    Ties without a jump are left out.
+    """Return the jumps of ties as displacements (n,) of their slave sides by number; collective.
 
     Args:
         system: the interfaces.
-        empty: a vector of the displacement, to make others like it.
+        empty: a vector of the displacement, which is duplicated.
 
     Raises:
-        ValueError: on all ranks, if a jump lives on another mesh, has another shape than a vector
-            at each slave node, holds NaN or infinity, or is longer than the model.
+        ValueError: on all ranks, if a jump is on another mesh, has another shape than a vector
+            at each slave node, has NaN or infinite values, or is longer than the model.
     """
     V, jumps = system.V, {}
     for k, (interface, sides) in enumerate(zip(system.interfaces, system.sides, strict=True)):
@@ -38,7 +36,7 @@ def read_jumps(system: InterfaceSystem, empty: PETSc.Vec) -> dict[int, PETSc.Vec
         bad = V.mesh.comm.allreduce(int(np.sum(~np.isfinite(values))), op=MPI.SUM)
         if bad:
             raise ValueError(
-                f"jump: {bad} values of {interface} are NaN or infinite; check what it is made of"
+                f"jump: {bad} values of {interface} are NaN or infinite; check its data"
             )
         longest = float(maximum(V.mesh.comm, np.abs(values).max(initial=0.0))[0])
         if longest > (size := diagonal(V)):
@@ -105,7 +103,7 @@ class Pretensions(Term):
 def tighten(
     system: InterfaceSystem, u: PETSc.Vec, jumps: dict[int, PETSc.Vec]
 ) -> dict[int, PETSc.Vec]:
-    """Add the overlaps of a step to the tightenings of its ties; return the new jumps; collective.
+    """Add the overlaps of a step to the tightening of its ties; return the new jumps; collective.
 
     Args:
         system: the interfaces, with the T of the step.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What multigrid works on: the tangent in unknowns in which open contacts let the bodies go."""
+"""The matrix of multigrid: the tangent in unknowns without coupling across open contacts."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from dolfinx_mortar.supports.dirichlet import Dirichlet
 
 
 class UnknownsOfBodies:
-    """The unknowns of multigrid: those of the QP, changed back where contact is open.
+    """The unknowns of multigrid: those of the QP, but displacements where contact is open.
 
     The near-null space are the rigid motions of the whole. In the unknowns of the QP they have
-    w_n = 0 at all covered slave nodes, which is right only where contact is closed; where it is
-    open, the unknowns are changed back (`Transformation.uncouple`).
+    w_n = 0 at all covered slave nodes, which is right only where contact is closed; elsewhere the
+    change of basis is reversed (`Transformation.uncouple`).
 
     Args:
         K: the tangent.
@@ -32,15 +32,15 @@ class UnknownsOfBodies:
     def __init__(
         self, K: PETSc.Mat, system: InterfaceSystem, supports: Dirichlet, bodies: Bodies
     ) -> None:
-        """Keep what changes by itself."""
+        """Store the parts, which are up to date at each call."""
         self.system, self.supports, self.bodies = system, supports, bodies
         self.operator = CongruentOperator(K)
 
     def preconditioning(self, held: Ints) -> Preconditioning:
-        """Return what is needed for a set-up; collective.
+        """Return the matrix and near-null space of a set-up; collective.
 
         Args:
-            held: owned unknowns of y that are held at their bounds.
+            held: owned unknowns of y at their bounds.
         """
         T, change = self.system.transformation, self.change(held)
         motions = rigid_motions(self.bodies)
@@ -61,7 +61,7 @@ class UnknownsOfBodies:
 
 
 def eliminated_dofs(system: InterfaceSystem, supports: Dirichlet) -> Ints:
-    """Return the owned unknowns of y that Dirichlet data and ties leave no freedom."""
+    """Return the owned unknowns of y that Dirichlet data or ties prescribe."""
     d = supports.V.dofmap.index_map_bs
     node, component = np.nonzero(supports.owned)
     parts = [d * node + system.slots()[node, component]]

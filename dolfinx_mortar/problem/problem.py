@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -21,7 +22,7 @@ from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import Bools, Floats
-from dolfinx_mortar.audit.audit import Audit, create_audit, find_loose_motions
+from dolfinx_mortar.audit.audit import Audit, create_audit, find_held_by_contact, find_loose_motions
 from dolfinx_mortar.audit.mesh_audit import check_mesh
 from dolfinx_mortar.interfaces.interface import Interface, check_owned
 from dolfinx_mortar.interfaces.results import merge_results
@@ -43,6 +44,8 @@ from dolfinx_mortar.supports.dirichlet import Dirichlet, create_dirichlet
 from dolfinx_mortar.terms.sum import Terms, check_terms
 from dolfinx_mortar.terms.weak_forms import DeadLoads, WeakForm, check_form
 
+log = logging.getLogger(__name__)
+
 
 class ContactProblem:
     """Elasto-plastic bodies with contact and mesh tying under Dirichlet data and loads.
@@ -51,24 +54,24 @@ class ContactProblem:
 
     Args:
         solid: the bodies: displacement, materials, committed state.
-        interfaces: contacts and ties; none is plain elasto-plasticity. A slave node that several
-            interfaces want belongs to the first one whose master it faces.
+        interfaces: contacts and ties; none is plain elasto-plasticity. A slave node of several
+            interfaces belongs to the first one whose master it faces.
         bcs: Dirichlet conditions on the space of ``solid.u`` or its components; their values are
-            read anew at every step.
-        loads: linear form of the external virtual work, assembled anew at every step.
+            read at the start of every step.
+        loads: linear form of the external virtual work, assembled at the start of every step.
         potential: functional of ``solid.u`` added to Psi (springs, elastic foundations,
             conservative pressure); its derivatives are taken by UFL. Both get the weight of the
             solid's kinematics as a factor: with "axisymmetric" write tractions, not 2 pi r of them.
-        terms: what else adds energy, forces and stiffness, see `Term` and `WeakForm`.
+        terms: further energies, forces and stiffnesses, see `Term` and `WeakForm`.
         geometry: "updated" rebuilds normals, segments, D, M and gaps from X + u in every Newton
             iteration, "reference" freezes them at X.
         petsc_options_prefix: prefix of the linear solver's PETSc options.
-        petsc_options: options of the linear solver, without the prefix. A key that PETSc does not
-            know is named in the report; ``report.linear_solver`` names the method in use. Unless
-            one is named here, multigrid that fails in 3D gives way to a factorisation.
+        petsc_options: options of the linear solver, without the prefix. The report lists keys
+            without effect; ``report.linear_solver`` is the method in use. Unless one is given here,
+            multigrid that fails in 3D is replaced by a factorisation.
 
     Raises:
-        ValueError: for arguments that cannot work, on all ranks, with the remedy.
+        ValueError: for invalid arguments, on all ranks, with the remedy.
     """
 
     def __init__(
@@ -84,7 +87,7 @@ class ContactProblem:
         petsc_options_prefix: str = "dolfinx_mortar_",
         petsc_options: Mapping[str, Any] | None = None,
     ) -> None:
-        """Check the arguments and create everything that later steps refill."""
+        """Check the arguments; create matrices, solver and interfaces; collective."""
         sides, conditions, self._changing = check_arguments(
             *(solid, interfaces, bcs, loads, potential, geometry),
             terms=terms,
@@ -129,9 +132,8 @@ class ContactProblem:
             self.u.x.array[: self.d * self.n].copy(),
             *np.zeros((2, len(sides), self.n)),
         )
-        self._audited: Audit | None = None
 
-    # -- names for what lies deeper --------------------------------------------------------------
+    # -- parts -----------------------------------------------------------------------------------
 
     @property
     def u(self) -> fem.Function:
@@ -160,7 +162,7 @@ class ContactProblem:
 
     @property
     def n(self) -> int:
-        """How many nodes this rank owns."""
+        """Number of nodes that this rank owns."""
         return int(self.V.dofmap.index_map.size_local)
 
     @property
@@ -212,43 +214,46 @@ class ContactProblem:
     # -- a step ----------------------------------------------------------------------------------
 
     def check_ranks(self, **controls: Any) -> None:
-        """Raise a ValueError on all ranks unless they agree in what a step reads; collective.
+        """Raise a ValueError on all ranks unless all data of a step are the same; collective.
 
         Constants in loads, supports, laws, eigenstrain and limits of friction, the jumps of ties,
         and the controls of the step. One reduction of 16 bytes.
         """
-        known = self.solid.changing | self._changing
+        constants = self.solid.changing | self._changing
         # last: a jump may be another object now
-        check_same_on_all_ranks(self.comm, **controls, **known, interfaces=self.interfaces)
+        check_same_on_all_ranks(self.comm, **controls, **constants, interfaces=self.interfaces)
 
     def check_owned(self) -> None:
-        """Raise a ValueError if an interface, with its results, belongs to a problem made later."""
+        """Raise a ValueError if a problem made later uses one of the interfaces."""
         check_owned(self.interfaces, self.supports)
 
-    def begin_step(self, level: float | None = None) -> StepData:
-        """Read loads, Dirichlet values and jumps, move the bodies with them, pair; collective.
+    def begin_step(self, level: float | None = None, *, audit: bool = True) -> StepData:
+        """Read loads, Dirichlet values and jumps, predict u, pair the surfaces; collective.
 
-        Every body, or tied group of bodies, is moved as a whole by the mean of its prescribed
-        increments. That strains nothing, and takes from the first QP what would be forty times the
-        contact force in the paper's problem; and a disc that is pressed down by many facet lengths
-        meets other partners than where it started. There the surfaces are paired anew if they
-        have slid past their partners: a step depends on the displacement and the committed state
-        alone, whatever else has been tried or looked at.
+        The prediction moves every body, or tied group of bodies, as a whole by the mean of its
+        prescribed increments, without strain. It removes from the first QP what would be forty
+        times the contact force in the paper's problem, and a disc that is pressed down by many
+        facet lengths has other partners there than at its start. The surfaces are paired again if
+        they have slid past their partners. A step is a function of the displacement and the
+        committed state: failed steps, audits or output before it have no influence.
 
         Args:
             level: load level of the step, for its terms; None for that of the committed state.
+            audit: whether a step from the initial state begins with an audit.
 
         Raises:
-            ValueError: on NaN or infinity in one of them, the displacement, the potential or the
-                coordinates; for conditions that contradict each other, limits of friction below 0,
-                points that leave an axis, jumps that cannot be, interfaces of another problem.
+            ValueError: for NaN or infinity in the data, the displacement, the potential or the
+                coordinates; for contradictory conditions, limits of friction below 0, points that
+                leave an axis, invalid jumps, interfaces of another problem.
         """
         self.check_owned()
         data = self._read(level)
         size = self.d * self.n
         self.u.x.array[:size] += self._mean(data.asked)
         self.u.x.scatter_forward()
-        notes = self._check_mesh() if self._audited is None else []
+        audit = audit and not self.committed.begun
+        if audit:
+            self._check_mesh()
         partners = self._partners(data.target) if data.limits else []
         with self.timings("mortar"):
             found = self.system.begin(self.configuration, self.committed.paired)
@@ -261,12 +266,16 @@ class ContactProblem:
         self._enter(found, data.increment)
         if self.linear.direct and not self.terms.linear:
             self.linear.forget()  # a step that was tried has left another factorisation
-        if self._audited is None:
-            self._audited = self._audit(data.increment, notes)
+        if audit:
+            audited = self._audit(data.increment)
+            if self.comm.rank == 0:
+                log.info("%s", "; ".join(map(str, audited.interfaces)) or "no interface")
+                for warning in audited.warnings:
+                    log.warning("%s", warning)
         return data
 
     def _read(self, level: float | None) -> StepData:
-        """Return what a step asks for at the present displacement; collective."""
+        """Return the data of a step that starts at the present displacement; collective."""
         limits = []
         if self.system.has_friction:
             limits = [interface.limits() for interface in self.interfaces]
@@ -290,9 +299,9 @@ class ContactProblem:
         return StepData(target, asked, largest, jumps, contacts, limits)
 
     def _mean(self, asked: Floats) -> Floats:
-        """Return the displacement (n,) of bodies moved by the mean of what is asked; collective."""
+        """Return the displacement (n,) of bodies moved by their mean increments; collective."""
         mean = self.bodies.mean(asked, self.supports.owned, self.tied_groups)[self.bodies.label]
-        return np.asarray(mean * self.bodies.shifts).ravel()  # a ring has no shift across its axis
+        return np.asarray(mean * self.bodies.shifts).ravel()  # rings move along their axis only
 
     def _committed_positions(self) -> PETSc.Vec:
         """Return the positions (n,) from which slips count."""
@@ -301,8 +310,8 @@ class ContactProblem:
     def _partners(self, target: Floats) -> list[Partners | None]:
         """Return the partners from which slips are measured; none for those at u; collective.
 
-        They are those at the last commit, whatever has been tried since. In the first step the
-        sides may meet only where the supports move them.
+        They are those at the last commit; in the first step those where the supports move the
+        bodies, as the sides may not face each other before.
         """
         if not self.system.has_friction:
             return []
@@ -322,47 +331,48 @@ class ContactProblem:
             return found.partners(self._committed_positions())
 
     def audit(self) -> Audit:
-        """Return the geometry audit, made before the first step; collective.
+        """Return the geometry audit at the present displacement; collective.
 
-        Sides that are beyond each other are no error where the Dirichlet conditions, as they are
-        now, may bring them together.
+        The first step begins with one, too, and logs it. Sides that are beyond each other are no
+        error where the Dirichlet conditions, as they are now, may bring them together.
 
         Raises:
             ValueError: if nothing holds a body, a pair of surfaces cannot meet, or another problem
-                has taken over an interface.
+                uses one of the interfaces.
         """
         self.check_owned()
-        if self._audited is None:
-            notes = self._check_mesh()
-            self.update_geometry(0.0)
-            asked = self.supports.increment(self.supports.values(), self.u.x.array)
-            increment = float(maximum(self.comm, np.abs(asked).max(initial=0.0))[0])
-            self._audited = self._audit(increment, notes)
-        return self._audited
+        self._check_mesh()
+        self.update_geometry(0.0)
+        asked = self.supports.increment(self.supports.values(), self.u.x.array)
+        increment = float(maximum(self.comm, np.abs(asked).max(initial=0.0))[0])
+        return self._audit(increment)
 
-    def _check_mesh(self) -> list[str]:
-        """Return what to say of the mesh; collective."""
-        notes = check_mesh(self.V.mesh)
+    def _check_mesh(self) -> None:
+        """Raise a ValueError for a mesh that is not sound; collective."""
+        check_mesh(self.V.mesh)
         check_axis(self.solid, self.supports, self.system.sides)
-        return notes
 
-    def _audit(self, increment: float, notes: list[str]) -> Audit:
+    def _audit(self, increment: float) -> Audit:
         """Audit the present configuration; collective."""
         springs = self._resistance_of_potential()
         at, parts = self.configuration, (self.bodies, self.system, self.supports)
-        audit = create_audit(*parts, self.positions(), springs, at=at, increment=increment)
-        return replace(audit, warnings=audit.warnings + notes)
+        return create_audit(*parts, self.positions(), springs, at=at, increment=increment)
 
     def loose_motions(self) -> list[str]:
-        """Return the names of the rigid motions that nothing resists; collective.
+        """Return the names of rigid-body modes without resistance at present; collective.
 
-        In the geometry of the moment, with the overlaps of ties with a pretension free.
+        The overlaps of ties with a pretension are free.
         """
         springs = self._resistance_of_potential()
         return find_loose_motions(self.bodies, self.system, self.supports, springs)
 
+    def held_by_contact(self) -> list[str]:
+        """Return the names of the bodies that contact alone holds at present; collective."""
+        springs = self._resistance_of_potential()
+        return find_held_by_contact(self.bodies, self.system, self.supports, springs)
+
     def _resistance_of_potential(self) -> Callable[[PETSc.Vec], Floats]:
-        """Return the forces of the terms against a motion, over their largest stiffness."""
+        """Return the function v -> forces of the terms against v over their largest stiffness."""
         if not self.terms.have_tangent:
             return lambda v: np.zeros(0)
         self.terms.check_energies()
@@ -375,21 +385,21 @@ class ContactProblem:
         return lambda v: np.asarray((springs * v).array_r / scale)
 
     def update_geometry(self, increment: float) -> None:
-        """Pair the surfaces at X + u (at X if frozen), and make D, M, N and T there; collective.
+        """Pair the surfaces at X + u (at X if frozen), and compute D, M, N and T; collective.
 
         Args:
-            increment: largest motion that the step asks for.
+            increment: largest prescribed increment of the step.
         """
         with self.timings("mortar"):
             found = self.system.at(self.configuration)
         self._enter(found, increment)
 
     def follow_geometry(self, *, everywhere: bool = False) -> None:
-        """Go on to X + u in the course of a step, which knows the last geometry; collective.
+        """Update the geometry to X + u within a step; collective.
 
         Args:
-            everywhere: ask whether whole surfaces have slid past their partners, not only where
-                they are near.
+            everywhere: pair again if the surfaces have slid past their partners anywhere, not only
+                near the contact.
         """
         at, x = self.configuration, self.positions()
         with self.timings("mortar"):
@@ -397,7 +407,7 @@ class ContactProblem:
                 self.linear.clear()  # before the new product needs the memory
 
     def _enter(self, found: Configuration, increment: float) -> None:
-        """Take a configuration at u as the present one; collective."""
+        """Make a configuration at u the present one; collective."""
         with self.timings("mortar"):
             if self.system.enter(found, self.positions(), increment):
                 self.linear.clear()  # before the new product needs the memory
@@ -414,7 +424,7 @@ class ContactProblem:
         """Make the converged step the state from which the next one starts; collective.
 
         Raises:
-            ValueError: if a problem made later has taken over an interface, with its slips.
+            ValueError: if a problem made later uses one of the interfaces.
         """
         self.check_owned()
         with self.timings("commit"):
@@ -423,70 +433,68 @@ class ContactProblem:
 
     @property
     def lasting(self) -> Lasting:
-        """What goes on from step to step."""
+        """The parts with a state, for checkpoints."""
         parts = self.solid, self.interfaces, self.system, self.supports
         return Lasting(*parts, self.geometry, self.committed, self.terms.named)
 
     @property
     def history(self) -> list[LoadStep]:
-        """The steps that `load_steps` has made, those before the last checkpoint included."""
+        """The steps of `load_steps`, including those before a restored checkpoint."""
         return self.committed.history
 
     @property
     def steps_done(self) -> tuple[int, int]:
-        """How many load steps have led here, and how many of them a checkpoint has brought."""
+        """Number of load steps so far, and how many of them were restored from a checkpoint."""
         return len(self.committed.history), self.committed.brought
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a checkpoint, from which `restore` goes on on any number of ranks; collective.
+        """Write a checkpoint, which `restore` reads on any number of ranks; collective.
 
         Displacement, internal variables, stress, closed contacts and slips, load level, results
-        of the interfaces, how far `preload` has tightened ties, and `history`. Not what a program
-        sets anew: loads, supports, jumps, parameters and eigenstrain that may change. An older file
-        of this name is replaced in one move, when the new one is complete and on the disk; a writer
-        that is stopped leaves it as it was. Nodes are known by their coordinates and those of their
-        cells, so bodies that lie on each other cell by cell cannot be restored.
+        of the interfaces, tightening of ties, and `history`. Not the data that a program sets
+        before each step: loads, supports, jumps, parameters and eigenstrain that may change. An
+        older file of this name is replaced in one move, when the new one is complete and on the
+        disk. Nodes are identified by their coordinates and those of their cells, so bodies that lie
+        on each other cell by cell cannot be restored.
 
         Args:
             path: the file, HDF5; its folder must exist.
 
         Raises:
             OSError: on all ranks, if it cannot be written; the older one stays.
-            ValueError: if a problem made later has taken over an interface, with its results.
+            ValueError: if a problem made later uses one of the interfaces.
             RuntimeError: if h5py is missing (an ImportError on rank 0).
         """
         with self.timings("checkpoint"):
             saving.save(self.lasting, path)
 
     def restore(self, path: str | os.PathLike[str]) -> None:
-        """Take over the state of a checkpoint, written on any number of ranks; collective.
+        """Restore the state of a checkpoint, written on any number of ranks; collective.
 
-        The problem must be made as that one was: mesh, materials, interfaces. Nodes and points are
-        found by their coordinates, so the mesh may be numbered in any way. Set loads, and what else
-        changes, to the load level (``committed.level``) before something is evaluated, and where
-        parameters do, call ``solid.follow()`` before something is shown; `load_steps` does both.
+        Mesh, materials and interfaces must be the same; the mesh may be numbered in any way. Set
+        loads and other changing data to the load level (``committed.level``) before an evaluation,
+        and if parameters change call ``solid.follow()`` before output; `load_steps` does both.
 
         Args:
-            path: what `save` or `load_steps` has written.
+            path: file of `save` or `load_steps`.
 
         Raises:
             OSError: on all ranks, if there is no such file, or it cannot be read.
             ValueError: on all ranks, if it is no checkpoint, cut off or damaged, of another version
-                or another problem; the message names what differs. Nothing is changed then.
+                or another problem; the message names the differences. Nothing is changed then.
         """
         with self.timings("checkpoint"):
             restoring.read(self.lasting, path).put()
 
     def output_fields(self) -> dict[str, fem.Function]:
-        """Return the Functions worth writing, by name; collective.
+        """Return the Functions for output by name; collective.
 
-        The displacement, ``solid.output_fields()``, and the interfaces' pressure, gap and status
-        with "facing", 1 at slave nodes that face a master: elsewhere there is no gap, written as 0.
-        With friction also "traction" and "slip" (see `Contact`), and a status of 1 is stick, 2
-        slip.
+        The displacement, ``solid.output_fields()``, and the interfaces' pressure, gap, status and
+        "facing", 1 at slave nodes that face a master; elsewhere the gap is 0. With friction also
+        "traction" and "slip" (see `Contact`), and a status of 1 is stick, 2 slip.
 
         Raises:
-            ValueError: if a problem made later has taken over an interface, with its results.
+            ValueError: if a problem made later uses one of the interfaces.
         """
         self.check_owned()
         fields = {"displacement": self.u} | self.solid.output_fields()

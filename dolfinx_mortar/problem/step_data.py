@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a step reads once, at its start."""
+"""The data of a step, read once at its start."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class StepData:
 
     target: Floats  # (n,) prescribed displacements, 0 where there is none
     asked: Floats  # (owned nodes, d) prescribed minus present values at the start
-    increment: float  # the largest of them, and of what ties have to open, all ranks
+    increment: float  # the largest of them, and of the changes of jumps, all ranks
     jumps: dict[int, PETSc.Vec] = field(default_factory=dict)  # (n,) of ties, by their number
-    # closed contacts (owned nodes,) and slip directions (owned nodes, d) to begin with
+    # initial guess: closed contacts (owned nodes,) and slip directions (owned nodes, d)
     contacts: tuple[Bools, Floats | None] = (np.zeros(0, dtype=bool), None)
-    # with friction, for each interface: limits (owned nodes,), and from which points of the master
-    # slips are measured, None for those of the moment
+    # with friction, for each interface: limits (owned nodes,), and the points of the master from
+    # which slips are measured, None for the present ones
     limits: Sequence[Floats | None] = ()
     partners: Sequence[Partners | None] = ()

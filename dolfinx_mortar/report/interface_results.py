@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
 
 from petsc4py import PETSc
@@ -23,8 +22,6 @@ from dolfinx_mortar.newton_method.linearisation import Balance
 from dolfinx_mortar.persistence.lasting import Slips
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.solid.kinematics import on_axis
-
-log = logging.getLogger(__name__)
 
 # Of a facet. On a plane of symmetry a slave node stands still, and P u of the master is zero for
 # linear fields only: under a pressed ball up to 2e-5 of a facet are left.
@@ -136,7 +133,7 @@ def notes_on_sliding(problem: ContactProblem, contacts: Contacts) -> list[str]:
                 f"{link.interface} has slid {farthest:.3g}, {farthest / length:.1f} facet lengths, "
                 "with frozen geometry, which is for small sliding; choose geometry='updated'"
             )
-    return _told(problem, notes)
+    return notes
 
 
 def notes_on_lost_friction(problem: ContactProblem, contacts: Contacts) -> list[str]:
@@ -163,17 +160,9 @@ def notes_on_lost_friction(problem: ContactProblem, contacts: Contacts) -> list[
                 f"{farthest:.3g} as Dirichlet data prescribe; let the other side be the slave, or "
                 "prescribe less"
             )
-    return _told(problem, notes)
+    return notes
 
 
 def _motion(link: Link, moved: PETSc.Vec) -> Floats:
     """Return R^T (v_j - P v) (n, d) at the slave nodes, prescribed directions too; collective."""
     return np.asarray(np.einsum("nij,ni->nj", link.coupling.R, relative_motions(link, moved)[0]))
-
-
-def _told(problem: ContactProblem, notes: list[str]) -> list[str]:
-    """Return the notes; rank 0 logs them."""
-    if problem.comm.rank == 0:
-        for note in notes:
-            log.warning("%s", note)
-    return notes

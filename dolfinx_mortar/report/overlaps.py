@@ -18,6 +18,8 @@ from dolfinx_mortar.geometry.facets import (
     facet_normals,
     points_of,
 )
+from dolfinx_mortar.geometry.segments import FACING
+from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.mortar.curvature_correction import point_heights
 from dolfinx_mortar.mortar.pairing import received_facets
@@ -27,17 +29,6 @@ from dolfinx_mortar.mortar.surface import coordinates, facets_at
 # tests (pins, balls, blocks and sockets, elastic, plastic, with friction) it is .04 at most, apart
 # from the sagittas of facets; a corner that is not seen sinks in as far as it is pressed.
 SUNK = 0.05
-LEAST_SHARE = 0.01
-"""Pairs of facets that face each other over less than this part of the smaller facet are left out:
-a body's far side is paired so where its edges come to lie over the other body's."""
-STEEP = 0.3
-"""Sine of the smallest angle between two crossing edges, and cosine of the largest angle between
-their common normal and the normals of the facets; beyond, this normal measures no overlap."""
-PARALLEL = 0.98
-"""Cosine of the angle between facets that count as parallel: 11 degrees. From an integration point
-to a corner the gap of such a pair changes by a twentieth of the facets or less."""
-_STEPS = 4
-"""Newton iterations for the closest point along a given direction; each doubles the digits."""
 
 
 def notes_on_overlaps(links: Sequence[Link], u: fem.Function) -> list[str]:
@@ -98,14 +89,16 @@ def _find_overlaps(link: Link, u: fem.Function) -> tuple[Floats, Ints, Floats, F
     """Return overlaps (p,) in parts of the finer facet, their pairs, depths and points (p, d).
 
     At the integration points of the segments, at vertices of each side over facets of the other
-    where these may lie deeper than `SUNK`, and where edges of both sides cross. Collective.
+    where these may lie deeper than `SUNK`, and where edges of both sides cross. Pairs of facets
+    that face each other over less than `SUNK` of the smaller one are left out: a body's far side is
+    paired so where its edges come to lie over the other body's. Collective.
     """
     pairing, segments = link.mortar[0], link.mortar[1].segments
     slave, master = _facets(link, u)
     finer, power = _finer(link, slave, master), slave.x.shape[2] - 1
     shared = np.bincount(segments.pair, segments.weight, minlength=len(finer))
     whole = (segments.facet_weights.sum(axis=1) / _lengths(slave) ** power)[pairing.pairs[:, 0]]
-    faces = shared > LEAST_SHARE * finer**power * whole
+    faces = shared > SUNK * finer**power * whole
     x_s = points_of(slave, segments.slave, segments.xi_s)
     x_m = points_of(master, segments.master, segments.xi_m)
     n = facet_normals(master)[segments.master]
@@ -154,15 +147,18 @@ def _vertices_in(
 def opposite(facets: Facets, n: Floats, p: Floats) -> Floats:
     """Return where (m, d) lines through points p (m, d) along n (m, d) meet facets (m,).
 
-    By Newton's method from the centre of the reference facet; one iteration where facets are flat.
+    By Newton's method from the centre of the reference facet, until its steps shrink no more.
     """
     element, every = facets.element, np.arange(len(p), dtype=np.int32)
     xi = np.tile(element.points.mean(axis=0), (len(p), 1))
-    for _ in range(_STEPS if element.bilinear or element.degree > 1 else 1):
+    last, longest = np.inf, 1.0
+    while HALF_OF_DIGITS < longest < last:
         x = points_of(facets, every, xi)
         tangents = np.einsum("mka,mki->mia", element.derivatives(xi), facets.x)
         system = np.concatenate([tangents, n[:, :, None]], axis=2)
-        xi = xi + np.linalg.solve(system, (p - x)[:, :, None])[:, :-1, 0]
+        step = np.linalg.solve(system, (p - x)[:, :, None])[:, :-1, 0]
+        xi = xi + step
+        last, longest = longest, float(np.abs(step).max(initial=0.0))
     return points_of(facets, every, xi)
 
 
@@ -172,10 +168,11 @@ def _crossing_edges(
     """Return depths (p,) of edges of facets s below those of facets m, as `_vertices_in` does.
 
     Along the common normal of two edges in space that leaves both facets, where they cross as seen
-    along it. Parallel facets are as deep everywhere.
+    along it. Left out are edges that are parallel but for `FACING`, and facets over which the gap
+    changes by less than `SUNK` from an integration point to a corner, a quarter of their length.
     """
     n_s, n_m = facet_normals(slave)[s], facet_normals(master)[m]
-    inclined = (n_s * n_m).sum(axis=1) > -PARALLEL
+    inclined = (n_s * n_m).sum(axis=1) > -np.sqrt(1.0 - (4 * SUNK) ** 2)
     if slave.x.shape[2] == 2 or not inclined.any():
         return []
     s, m, pairs = s[inclined], m[inclined], pairs[inclined]
@@ -187,13 +184,13 @@ def _crossing_edges(
             q, dq = master.x[m, j], master.x[m, j_end] - master.x[m, j]
             n = np.cross(dp, dq)
             square = (n * n).sum(axis=1)
-            some = square > (STEEP * np.linalg.norm(dp, axis=1) * np.linalg.norm(dq, axis=1)) ** 2
+            some = square > (FACING * np.linalg.norm(dp, axis=1) * np.linalg.norm(dq, axis=1)) ** 2
             ratios = np.divide(1.0, square, out=np.zeros_like(square), where=some)
             at_p = (np.cross(q - p, dq) * n).sum(axis=1) * ratios
             at_q = (np.cross(q - p, dp) * n).sum(axis=1) * ratios
             some &= (np.abs(at_p - 0.5) <= 0.5) & (np.abs(at_q - 0.5) <= 0.5)
             n *= (np.sign((n * n_m).sum(axis=1)) * np.sqrt(ratios))[:, None]
-            some &= ((n * n_m).sum(axis=1) > STEEP) & ((n * n_s).sum(axis=1) < -STEEP)
+            some &= ((n * n_m).sum(axis=1) > FACING) & ((n * n_s).sum(axis=1) < -FACING)
             depth = ((q - p) * n).sum(axis=1)
             found.append((depth[some], pairs[some], (p + at_p[:, None] * dp)[some]))
     return found

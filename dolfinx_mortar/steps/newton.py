@@ -30,7 +30,6 @@ from dolfinx_mortar import qp as backends
 from dolfinx_mortar.algebra.parallel import free_unused, maximum
 from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import Actives, Floats
-from dolfinx_mortar.audit.stand_off import notes_on_facets
 from dolfinx_mortar.interfaces.near import predict_active
 from dolfinx_mortar.newton_method import failures
 from dolfinx_mortar.newton_method.contacts import Contacts, find_sliders, found_by, go_on
@@ -61,15 +60,10 @@ from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.qp import QPSolution
 from dolfinx_mortar.report.certificate import create_certificate
-from dolfinx_mortar.report.interface_results import (
-    notes_on_lost_friction,
-    notes_on_sliding,
-    set_results,
-)
-from dolfinx_mortar.report.overlaps import notes_on_overlaps
+from dolfinx_mortar.report.interface_results import set_results
+from dolfinx_mortar.report.notes import StepEnd, find_notes
 from dolfinx_mortar.report.reaction import support_forces
-from dolfinx_mortar.report.resolution import notes_on_few_nodes, notes_on_rims
-from dolfinx_mortar.report.small_strain import find_left_out, notes_on_small_strain
+from dolfinx_mortar.report.small_strain import find_left_out
 from dolfinx_mortar.step_report import Iteration, NewtonNotConverged, StepReport
 from dolfinx_mortar.terms.sum import Energy
 
@@ -124,8 +118,11 @@ def solve_step(
     max_it: int,
     overlap: float = 0.0,
     level: float | None = None,
+    audit: bool = True,
 ) -> StepReport:
     """Solve one load step, with an overlap that is left to later steps; see `newton`.
+
+    The first step begins with an audit unless its caller has made one.
 
     Where multigrid gives no solution, factorisations may: they are tried then, and stay in use
     unless they fail, too, when the first method was not the cause.
@@ -138,7 +135,7 @@ def solve_step(
         if overlap > 0.0:
             report.notes.append(f"the initial overlap is left {overlap:.3g} deep in this part")
         try:
-            _attempt(problem, report, max_it, overlap, level)
+            _attempt(problem, report, max_it, overlap, level, audit)
         except NewtonNotConverged as error:
             if given_up:
                 problem.linear.take_up_multigrid()
@@ -156,7 +153,12 @@ def solve_step(
 
 
 def _attempt(
-    problem: ContactProblem, report: StepReport, max_it: int, overlap: float, level: float | None
+    problem: ContactProblem,
+    report: StepReport,
+    max_it: int,
+    overlap: float,
+    level: float | None,
+    audit: bool,
 ) -> None:
     """Make a step and complete its report; undo it if it fails, and only then say why.
 
@@ -177,7 +179,8 @@ def _attempt(
     try:
         with problem.timings("total"):
             try:
-                _Step(problem, report, problem.begin_step(level), overlap).run(max_it)
+                data = problem.begin_step(level, audit=audit)
+                _Step(problem, report, data, overlap).run(max_it)
             except (failures.StepFailed, backends.QPNotSolved, backends.UnusableQP) as error:
                 reached = problem.u.x.array.copy()
                 undo()
@@ -429,18 +432,6 @@ class _Step:
         """Set what the step has found."""
         problem, report = self.problem, self.report
         contacts = iterate.contacts
-        report.notes += notes_on_sliding(problem, contacts)
-        report.notes += notes_on_lost_friction(problem, contacts)
-        forces, stiffness = np.zeros(problem.n), np.zeros(problem.n)
-        nodes = iterate.balance.nodes
-        forces[nodes] = contacts.reactions(iterate.balance)
-        stiffness[nodes] = iterate.stiffness.array_r[iterate.balance.bounds.dofs]
-        found, links = problem.audit().stand_offs, problem.system.links
-        report.notes += notes_on_facets(found, links, forces, stiffness)
-        report.notes += notes_on_few_nodes(problem.system.unilateral, contacts)
-        report.notes += notes_on_rims(links)
-        if self.overlap == 0.0:  # what is left of an initial overlap lies deep by intention
-            report.notes += notes_on_overlaps(problem.system.unilateral, problem.u)
         with problem.timings("results"):
             problem.solid.evaluate()
         u = problem.vector(problem.u.x.array[: problem.d * problem.n])
@@ -451,7 +442,9 @@ class _Step:
             noise = gap_round_off(problem.u)
             sliders = find_sliders(limits, contacts, iterate.stiffness, noise)
         left_out = find_left_out(problem)
-        report.notes += notes_on_small_strain(problem, left_out)
+        stiffness = iterate.stiffness.array_r
+        end = StepEnd(problem, iterate.balance, contacts, stiffness, self.overlap, left_out)
+        report.notes += find_notes(end)
         report.certificate = create_certificate(
             problem, report, contacts, residual, sliders, left_out
         )

@@ -137,10 +137,13 @@ def preload(
     problem.check_ranks(**named, rtol=rtol, max_it=max_it, qp=qp)
     check_controls(qp, rtol, max_it)
     axes = [_check(problem, *one) for one in zip(ties, forces, directions, strict=True)]
+    problem.audit()  # without pretensions; the sides have to be paired
+    for one, n in zip(ties, axes, strict=True):
+        _check_axis(problem, one, n)
     with _all_as_before(problem), _pulled(ties, forces, axes):
         before = [one.tightening for one in ties]
         try:
-            report = solve_step(problem, qp=qp, rtol=rtol, max_it=max_it)
+            report = solve_step(problem, qp=qp, rtol=rtol, max_it=max_it, audit=False)
         except NewtonNotConverged as error:
             cause = error.message.removesuffix(AS_BEFORE)
             raise _failure(ties, forces, axes, cause, error.report) from error
@@ -183,7 +186,7 @@ def _by_tie(forces: Mapping[Any, Any], force: Any, direction: Any) -> tuple[list
 
 
 def _check(problem: ContactProblem, tie: Any, force: Any, direction: Any) -> Floats:
-    """Return the unit vector of the direction if all arguments make sense; collective."""
+    """Return the unit vector of the direction if the arguments are valid; collective."""
     other = not any(tie is one for one in problem.ties)
     if any_rank(problem.comm, other)[0]:
         raise ValueError(f"tie is {tie!r}: give one of problem.ties")
@@ -195,14 +198,16 @@ def _check(problem: ContactProblem, tie: Any, force: Any, direction: Any) -> Flo
         )
     if not is_number(force):
         raise ValueError(f"force is {force!r}: give a finite number, the resultant of the bolt")
-    n = check_direction(direction, problem.d)
-    problem.audit()  # the sides have to be paired
+    return check_direction(direction, problem.d)
+
+
+def _check_axis(problem: ContactProblem, tie: Tie, n: Floats) -> None:
+    """Raise a ValueError if a tie cannot be tightened along a unit vector; collective."""
     link = problem.system.link(tie)
     find_axis(link, n)
     shear = describe_shear(link, n)
     if shear and problem.comm.rank == 0:
         log.warning("%s", shear)
-    return n
 
 
 def _failure(

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: MIT
+"""Notes on a step that has converged: diagnoses of one signature, made one after the other."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.audit.stand_off import notes_on_facets
+from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.newton_method.linearisation import Balance
+from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.report.interface_results import notes_on_lost_friction, notes_on_sliding
+from dolfinx_mortar.report.overlaps import notes_on_overlaps
+from dolfinx_mortar.report.resolution import notes_on_few_nodes, notes_on_rims
+from dolfinx_mortar.report.small_strain import LeftOut, notes_on_small_strain
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class StepEnd:
+    """The end of a step, as diagnoses read it."""
+
+    problem: ContactProblem  # in the geometry of the end, its stresses evaluated
+    balance: Balance
+    contacts: Contacts
+    stiffness: Floats  # (n,) owned, diagonal of the last K^
+    overlap: float  # of the sides at X, left to later steps
+    left_out: LeftOut
+
+    @property
+    def links(self) -> Sequence[Link]:
+        """The interfaces as they are coupled."""
+        return self.problem.system.links
+
+    @property
+    def unilateral(self) -> Sequence[Link]:
+        """Those of them that can open."""
+        return self.problem.system.unilateral
+
+
+Diagnosis = Callable[[StepEnd], list[str]]  # collective; returns the same notes on all ranks
+
+
+def _facets(end: StepEnd) -> list[str]:
+    forces, stiffness = np.zeros((2, end.problem.n))
+    forces[end.balance.nodes] = end.contacts.reactions(end.balance)
+    stiffness[end.balance.nodes] = end.stiffness[end.balance.bounds.dofs]
+    return notes_on_facets(end.unilateral, end.problem.configuration, forces, stiffness)
+
+
+def _overlaps(end: StepEnd) -> list[str]:
+    # an initial overlap of which a part is left is as deep as was asked for
+    return notes_on_overlaps(end.unilateral, end.problem.u) if end.overlap == 0.0 else []
+
+
+DIAGNOSES: tuple[Diagnosis, ...] = (
+    lambda end: notes_on_sliding(end.problem, end.contacts),
+    lambda end: notes_on_lost_friction(end.problem, end.contacts),
+    _facets,
+    lambda end: notes_on_few_nodes(end.unilateral, end.contacts),
+    lambda end: notes_on_rims(end.links),
+    _overlaps,
+    lambda end: notes_on_small_strain(end.problem, end.left_out),
+)
+
+
+def find_notes(end: StepEnd) -> list[str]:
+    """Return the notes of all diagnoses; rank 0 logs them; collective."""
+    notes = [note for diagnose in DIAGNOSES for note in diagnose(end)]
+    if end.problem.comm.rank == 0:
+        for note in notes:
+            log.warning("%s", note)
+    return notes
