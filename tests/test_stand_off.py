@@ -35,7 +35,7 @@ def test_how_far_curvatures_are_apart(clearance):
     problem.audit()
     (link,) = problem.system.links
     smooth = find_smooth_sides(link.pairing, link.sides.fixed, link.interface.feature_angle)
-    parting = find_parting(link.pairing, link.coupling.segments, problem.u, smooth)
+    parting = find_parting(link.pairing, link.mortar[1].segments, problem.u, smooth)
     assert parting == pytest.approx(clearance / 10.0, rel=1e-3)
 
 
