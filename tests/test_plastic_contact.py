@@ -105,6 +105,7 @@ def test_separation_and_contact_again():
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_separation_and_contact_again_in_sixty_steps():
     """The same on fine elements in sixty steps."""
     cycle("graded", 20)
@@ -119,6 +120,7 @@ def test_newton_iterations(depth, slave):
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("slave", ["block", "disc"])
 @pytest.mark.parametrize("depth", [0.1, 0.2, 0.4])
 def test_newton_iterations_on_fine_elements(depth, slave):
