@@ -46,7 +46,7 @@ def hertz(force):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("surface", ["smooth", "facets"])
+@pytest.mark.parametrize("surface", [pytest.param("smooth", marks=pytest.mark.nightly), "facets"])
 def test_convergence_to_hertz(surface):
     """Force within 1 % of its limit, radius 2 %, pressure 3 % with 8 facets across the radius.
 
