@@ -203,7 +203,13 @@ def test_backends_agree():
     assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
 
 
-@pytest.mark.parametrize("length, stress", [(1e6, 1.0), (1e-6, 1.0), (1.0, 1e6), (1.0, 1e-6)])
+@pytest.mark.parametrize(
+    "length, stress",
+    [
+        *((1e6, 1.0), (1.0, 1e-6)),
+        *(pytest.param(*units, marks=pytest.mark.slow) for units in ((1e-6, 1.0), (1.0, 1e6))),
+    ],
+)
 def test_units(length, stress):
     """Units of length and stress change no dimensionless result and no iteration count."""
     results = []
