@@ -138,9 +138,8 @@ def test_ball_on_a_rigid_flat(cell, at_the_pole):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize(
-    "cell", ["quadrilateral", pytest.param("triangle", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("cell", ["quadrilateral", "triangle"])
 def test_half_as_many_facets_of_second_order_are_better(cell):
     """Half as many facets: pressures to 0.2 %, at the pole, which has no multiplier, to 0.5 %."""
     mesh_and_tags = ball_on_flat(RADIUS, (10, 12), cell=cell)

@@ -57,7 +57,13 @@ def test_a_run_that_is_killed_goes_on(tmp_path, at_once, moment):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("moment", "before", "after"),
-    [("step", 2, 3), ("send", 2, 1), ("send", 3, 2), ("write", 2, 3), ("replace", 3, 2)],
+    [
+        *(("step", 2, 3), ("send", 3, 2), ("send", 2, 1)),
+        *(
+            pytest.param(*at, marks=pytest.mark.nightly)
+            for at in (("write", 2, 3), ("replace", 3, 2))
+        ),
+    ],
 )
 def test_a_job_of_several_ranks_that_is_killed_goes_on(tmp_path, at_once, moment, before, after):
     """On other ranks; the parts of the checkpoint that all had sent come to nothing."""

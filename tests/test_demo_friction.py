@@ -35,6 +35,7 @@ def check_cattaneo(found, h, traction, energy):
     return rows, loop
 
 
+@pytest.mark.slow
 def test_a_disc_pushed_to_and_fro(tmp_path):
     """On a coarse mesh, a seventh of the half width, with one step for each push."""
     found = summary(tmp_path, "cattaneo", "--h", "0.15", "--steps", "1")

@@ -215,6 +215,7 @@ def turned_pair(steps, degrees):
     return problem, contact, A
 
 
+@pytest.mark.slow
 def test_turning_together_is_no_slip():
     """Thirty degrees in thirty steps: nothing slips, all tractions are those of the stress.
 

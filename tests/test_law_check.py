@@ -111,6 +111,7 @@ def test_check_says_where_the_values_differ():
     assert wanted / given == pytest.approx(1.001, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_potential_that_is_not_convex_is_reported():
     """Softening: the energy bends down beyond a strain; by how much is known."""
 

@@ -8,6 +8,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
+from tests.choice import quick
 from tests.meshes import LOWER, UPPER
 from tests.pointwise_laws import Compiled
 from tests.pressed_blocks import PressedBlocks
@@ -30,9 +31,7 @@ LAWS = {
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in ("mixed", "voce"))) for n in LAWS]
-)
+@pytest.mark.parametrize("name", quick(LAWS, "drucker-prager", "orthotropic"))
 def test_pressed_blocks(name):
     """The law in one block, elastic in the other: pressed in three steps, and let go."""
     case = PressedBlocks()
@@ -52,7 +51,7 @@ def test_pressed_blocks(name):
 
 
 @pytest.mark.parametrize("volumetric", ["full", pytest.param("reduced", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", quick(LAWS, "drucker-prager", "orthotropic", "voce"))
 @pytest.mark.parametrize(
     "cell", ["quadrilateral", pytest.param("hexahedron", marks=pytest.mark.slow)]
 )
@@ -92,7 +91,8 @@ def test_plane_stress_has_no_volume_to_reduce():
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("degree", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("degree", [1, 2])
 def test_all_laws_in_one_solid(degree):
     """Forces are the sum over the stripes, each with its law beside the same soft neighbours."""
     domain = create_domain("triangle", 10 // degree)

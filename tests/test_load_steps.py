@@ -78,6 +78,7 @@ def test_an_error_of_the_users_function_reaches_all_ranks():
         list(dm.load_steps(case.problem, [1.0], on_time=on_time))
 
 
+@pytest.mark.slow
 def test_an_overlap_is_reduced_in_parts():
     """Two plastic bodies overlap by more than one step of few iterations can push apart."""
     case = create_case(dm.meshing.hertz(COMM, kind="paper", gap=-0.2))

@@ -37,7 +37,7 @@ def error(element, degree, volumetric, level):
         ("Q1", 1, "full", 0.02),
         ("Q1", 1, "reduced", 0.006),
         ("P1", 2, "full", 0.006),
-        ("Q1", 2, "full", 0.006),
+        pytest.param("Q1", 2, "full", 0.006, marks=pytest.mark.slow),
     ],
     ids=["P1", "Q1", "Q1 reduced", "P2", "Q2"],
 )
@@ -49,6 +49,7 @@ def test_error_at_equal_unknowns(element, degree, volumetric, allowed):
     assert 0.85 * allowed < found < allowed
 
 
+@pytest.mark.slow
 def test_triangles_of_either_degree_have_one_limit():
     values = {
         degree: [LIMIT * (1 - error("P1", degree, "full", level)[1]) for level in levels]

@@ -22,6 +22,7 @@ from dolfinx_mortar.newton_method.watch import Watch
 from dolfinx_mortar.steps import newton as newton_module
 from tests.ball_case import create_problem
 from tests.block_piles import ABOVE, BELOW, EAST, PILE, WEST, Blocks
+from tests.choice import quick
 from tests.hertz_case import ELASTIC, PLASTIC, create_case
 from tests.meshes import BOTTOM, TOP
 from tests.pressed_blocks import PressedBlocks, rejected
@@ -313,7 +314,7 @@ def test_a_geometry_that_would_cycle_is_held(kind, seed, monkeypatch):
 
 
 @pytest.mark.parametrize("slave", ["block", "disc"])
-@pytest.mark.parametrize("steps", [1, 10])
+@pytest.mark.parametrize("steps", quick([1, 10], 1))
 def test_a_drag_beyond_the_search_margin(slave, steps):
     """Pressed by 0.05 and dragged by 2 mm over many facets: the force is that of a disc at x = 2.
 

@@ -235,6 +235,7 @@ def test_an_absurd_factor_shows(module, name, factor):
     assert not same(module, name, factor)
 
 
+@pytest.mark.slow
 def test_what_is_usual():
     """Nothing flows twice; what fits is accepted, what does not is named; one x is no fit."""
     assert usual("materials.comparison") == [

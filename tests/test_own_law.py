@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+from tests.choice import quick
 from tests.material_point import MaterialPoint
 
 ROOT = Path(__file__).parent.parent
@@ -39,7 +40,7 @@ def test_the_law_fits_itself(version):
     assert report.state_error < 1e-14 and report.lowest > 0.0
 
 
-@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("version", quick(VERSIONS, "numpy", "jax"))
 def test_with_the_exponent_one_it_is_linear_hardening(version):
     """On a path that turns: the stress of VonMises with H = Y / k0."""
     point = MaterialPoint(demo.LAWS[version](E, NU, Y, K0, 1.0))

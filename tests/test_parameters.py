@@ -15,6 +15,7 @@ import dolfinx
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
+from tests.choice import quick
 from tests.meshes import BOTTOM
 from tests.pressed_blocks import PressedBlocks
 from tests.solid_case import (
@@ -79,7 +80,7 @@ def numbers(solid):
 @pytest.mark.parametrize(
     "cell", ["triangle", pytest.param("quadrilateral", marks=pytest.mark.slow)]
 )
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", quick(KINDS, "Constant", "Lagrange", "expression"))
 def test_a_parameter_may_be_whatever_has_the_value(kind, cell):
     """Numbers, Constants, Functions and expressions of equal values make equal solids."""
     domain = create_domain(cell)

@@ -16,6 +16,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.mortar.surface import accumulate, create_surface
+from tests.choice import quick
 from tests.meshes_3d import (
     BOTTOM,
     BOTTOM_OF_UPPER,
@@ -196,9 +197,7 @@ def test_equal_sizes(slave, cell, degree, hold):
 
 @SLAVES
 @CELLS
-@pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
-)
+@pytest.mark.parametrize("seed", quick(range(3), 0))
 def test_jittered_and_inclined(slave, cell, degree, seed):
     """Facets of any shape on an inclined plane."""
     check(
@@ -218,7 +217,7 @@ SIZES = {
 
 @SLAVES
 @CELLS
-@pytest.mark.parametrize("sizes", SIZES)
+@pytest.mark.parametrize("sizes", quick(SIZES, "lower larger", "crossed"))
 @pytest.mark.parametrize("turn", [pytest.param(None, marks=pytest.mark.slow), TILTED])
 def test_unequal_sizes(slave, cell, degree, sizes, turn):
     """The slave side is larger or smaller than the master side, straight or inclined."""
@@ -236,8 +235,7 @@ def test_unequal_sizes(slave, cell, degree, sizes, turn):
 @pytest.mark.parametrize(
     "covered",
     [
-        *(0.5, 1e-3),
-        *(pytest.param(share, marks=pytest.mark.slow) for share in (0.1, 0.05, 0.01)),
+        *quick((0.5, 0.1, 0.05, 0.01, 1e-3), 1e-3),
         pytest.param(1e-6, marks=pytest.mark.mpi),
     ],
 )

@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 
 import dolfinx_mortar as dm
 import ufl
+from tests.choice import quick
 from tests.pointwise_laws import Radial
 from tests.pressed_blocks import PressedBlocks, rejected
 from tests.solid_case import create_displacement, create_domain
@@ -77,10 +78,7 @@ def compare(flat: MaterialPoint, space: MaterialPoint, path: list, scale: float)
     return flowed
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[pytest.mark.slow] * (name in ("mixed", "cone"))) for name in LAWS],
-)
+@pytest.mark.parametrize("name", quick(LAWS, "perfect", "kinematic", "stress", "arrays"))
 def test_plane_stress_is_the_spatial_law_without_stress_out_of_the_plane(name, rng):
     """On a random path with commits, against a root of the spatial law's sigma_zz."""
     path = np.cumsum([5e-3 * in_plane(rng) for _ in range(8)], axis=0)
@@ -121,7 +119,7 @@ def test_any_parameters(nu, powers, size, seed):
 TIMBER = dm.Orthotropic(11e3, 600.0, 900.0, 0.4, 0.3, 0.3, 700.0, 800.0, 70.0, yaw=0.4)
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", quick(LAWS, "perfect", "kinematic", "stress", "arrays"))
 def test_check_accepts_the_laws(name):
     report = dm.materials.check(LAWS[name], plane_stress=True)
     assert np.isnan(report.energy_error) == (name in ("stress", "arrays"))
@@ -256,7 +254,7 @@ def test_it_is_refused_in_space():
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("name", ["perfect", "mixed", "arrays"])
+@pytest.mark.parametrize("name", quick(["perfect", "mixed", "arrays"], "perfect", "arrays"))
 def test_pressed_plates(name):
     """Contact of plates that flow converges, without stress out of the plane."""
     case = PressedBlocks()

@@ -105,6 +105,7 @@ def test_separation_and_contact_again():
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_separation_and_contact_again_in_sixty_steps():
     """The same on fine elements in sixty steps."""
     cycle("graded", 20)
@@ -119,6 +120,7 @@ def test_newton_iterations(depth, slave):
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("slave", ["block", "disc"])
 @pytest.mark.parametrize("depth", [0.1, 0.2, 0.4])
 def test_newton_iterations_on_fine_elements(depth, slave):
@@ -201,7 +203,13 @@ def test_backends_agree():
     assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
 
 
-@pytest.mark.parametrize("length, stress", [(1e6, 1.0), (1e-6, 1.0), (1.0, 1e6), (1.0, 1e-6)])
+@pytest.mark.parametrize(
+    "length, stress",
+    [
+        *((1e6, 1.0), (1.0, 1e-6)),
+        *(pytest.param(*units, marks=pytest.mark.slow) for units in ((1e-6, 1.0), (1.0, 1e6))),
+    ],
+)
 def test_units(length, stress):
     """Units of length and stress change no dimensionless result and no iteration count."""
     results = []

@@ -79,9 +79,9 @@ def test_on_rings_and_of_second_order(kinematics, degree):
 
 
 @pytest.mark.mpi
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("cell", "kinematics"),
-    [("quadrilateral", "axisymmetric"), pytest.param("hexahedron", None, marks=pytest.mark.slow)],
+    ("cell", "kinematics"), [("quadrilateral", "axisymmetric"), ("hexahedron", None)]
 )
 def test_with_one_dilatation_per_cell(cell, kinematics):
     """The law sees the deviator; the mean stress, and its tangent, come in once."""

@@ -56,6 +56,7 @@ def test_a_table_is_as_good_as_a_function():
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_cuts_are_made_on_the_table():
     """Levels between those given get the values between: bit for bit as from a function."""
     mesh = dm.meshing.hertz(COMM, kind="paper")

@@ -267,7 +267,8 @@ def test_the_pressure_of_tied_facets_is_of_first_order():
     assert errors[1, 0] > 8 * pressure_errors("quadrilateral", (4,), "smooth", 3)[0, 0]
 
 
-@pytest.mark.parametrize("slave", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("slave", [2, 3])
 def test_the_pressure_of_tied_spheres_is_lames(slave):
     errors = pressure_errors("hexahedron", (1, 2), "smooth", slave)
     assert np.log2(errors[0] / errors[1]).min() > 1.6 and errors[1, 0] < 9e-4

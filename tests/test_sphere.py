@@ -46,7 +46,7 @@ def hertz(force):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("surface", ["smooth", "facets"])
+@pytest.mark.parametrize("surface", [pytest.param("smooth", marks=pytest.mark.nightly), "facets"])
 def test_convergence_to_hertz(surface):
     """Force within 1 % of its limit, radius 2 %, pressure 3 % with 8 facets across the radius.
 
@@ -75,7 +75,10 @@ def test_convergence_to_hertz(surface):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("geometry", "difference"), [("reference", 0.01), ("updated", 0.002)])
+@pytest.mark.parametrize(
+    ("geometry", "difference"),
+    [pytest.param("reference", 0.01, marks=pytest.mark.nightly), ("updated", 0.002)],
+)
 def test_slave_may_be_either_side(geometry, difference):
     forces = [solve(0.0884, slave, geometry=geometry)[0] for slave in ("block", "ball")]
     print(f"{geometry}: forces {forces}")
@@ -92,7 +95,8 @@ def check_against_hertz(geometry, slave):
     assert peak == pytest.approx(peak_pressure, rel=0.015)
 
 
-@pytest.mark.parametrize("slave", ["block", pytest.param("ball", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("slave", ["block", "ball"])
 def test_contact_radius_is_hertz(slave):
     check_against_hertz("reference", slave)
 

@@ -9,6 +9,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
+from tests.choice import quick
 from tests.meshes_3d import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_boxes
 
 COMM = MPI.COMM_WORLD
@@ -87,12 +88,8 @@ def test_orders(cell, slave, transform):
     check_orders((2, 4, 6), cell, slave, transform)
 
 
-@pytest.mark.parametrize("slave", ["lower", "upper"])
-@pytest.mark.parametrize(
-    "curved",
-    [False, pytest.param(True, marks=pytest.mark.slow)],
-    ids=["flat", "cylinder"],
-)
+@pytest.mark.parametrize("slave", quick(["lower", "upper"], "lower"))
+@pytest.mark.parametrize("curved", quick([False, True], False), ids=["flat", "cylinder"])
 def test_orders_of_second_order_hexahedra(slave, curved):
     """L2 order 3 and H1 order 2, on flat sides and on isoparametric cells of a cylinder."""
     shape = (to_sector, 2, 2) if curved else (None, 2, 1)
