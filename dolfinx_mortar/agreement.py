@@ -28,7 +28,6 @@ from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 from ufl.domain import extract_unique_domain
 
-DIGITS = 16  # characters of a signature: 64 bits tell two apart
 SHOWN = 60  # characters of a value in a message, at most
 
 
@@ -205,4 +204,4 @@ def _signature(value: Expr | ufl.Form) -> str:
         if domain is None:
             return str(value)
         value = ufl.inner(value, value) * ufl.dx(domain)
-    return str(value.signature())[:DIGITS]
+    return str(value.signature())

@@ -16,5 +16,9 @@ Actives = npt.NDArray[np.int8]
 EPS = float(np.finfo(np.float64).eps)
 ROUND_OFF = 16 * EPS
 """Error of a sum of products over the size of its terms, such as of a matrix times a vector."""
-QUARTER_OF_DIGITS = float(np.sqrt(np.sqrt(EPS)))
-"""What has lost more than three quarters of its digits is smaller than this share of its terms."""
+HALF_OF_DIGITS = float(np.sqrt(EPS))
+"""Error of what comes from a difference of squares."""
+QUARTER_OF_DIGITS = float(np.sqrt(HALF_OF_DIGITS))
+"""Share of its terms below which a difference has lost three quarters of its digits."""
+SAME = HALF_OF_DIGITS * QUARTER_OF_DIGITS
+"""Relative difference of values that are equal but were calculated in different ways."""

@@ -131,7 +131,7 @@ def test_a_walk_that_is_done_yields_nothing(folder, caplog):
 @pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
 def test_levels_are_the_same_up_to_round_off(factor, folder, monkeypatch):
     """So that a walk goes farther with levels that are calculated in another way."""
-    monkeypatch.setattr("dolfinx_mortar.steps.load_steps.SAME_LEVEL", factor * 1e-12)
+    monkeypatch.setattr("dolfinx_mortar.steps.load_steps.SAME", factor * 1e-12)
     file, farther = folder / "x.h5", np.linspace(0.0, 1.0, 11)[1:5]
     first = [0.1, 0.2, 0.3]
     assert farther[2] != first[2]

@@ -172,7 +172,7 @@ def test_a_preload_begins_with_them(monkeypatch):
         return report
 
     monkeypatch.setattr(preload_module, "solve_step", watched)
-    monkeypatch.setattr(preload_module, "FARTHEST", 1e-9)
+    monkeypatch.setattr(preload_module, "diagonal", lambda V: 1e-9)
     with pytest.raises(dm.PreloadNotReached):
         dm.preload(problem, glue, -0.5, [0.0, -1.0])
     assert begun == [True]

@@ -8,13 +8,13 @@ from mpi4py import MPI
 import pytest
 
 import dolfinx_mortar as dm
+from dolfinx_mortar.arrays import EPS
 from dolfinx_mortar.newton_method import line_search
 from dolfinx_mortar.newton_method.linearisation import (
     find_balance,
     linearise,
     to_displacement,
 )
-from dolfinx_mortar.newton_method.residuals import EPS
 from dolfinx_mortar.steps import newton as newton_module
 from dolfinx_mortar.steps.newton import solve_step
 from dolfinx_mortar.terms.sum import Terms

@@ -40,7 +40,7 @@ class Congruence:
             KCt,
             self.CtKC,
             K,
-        ):  # in the order of a new product: the same round-off
+        ):  # as in __init__: the same round-off
             self.product.axpy(1.0, part, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
         KCt.destroy()
 
@@ -55,8 +55,8 @@ def decouple(matrix: PETSc.Mat, rows: Ints) -> None:
 class CongruentOperator:
     """(I + C)^T K (I + C), decoupled at some unknowns, for changing K, C and unknowns.
 
-    With contact in 3D the matrix would have 2.3 times the entries of K, and no equal patterns of the
-    rows of a node, which make products fast: one takes 5 times as long as with K (22 thousand
+    With contact in 3D the matrix would have 2.3 times the entries of K, and no equal patterns of
+    the rows of a node, which make products fast: one takes 5 times as long as with K (22 thousand
     unknowns), that with C a tenth of it.
 
     Attributes:

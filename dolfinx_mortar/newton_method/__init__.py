@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""One Newton iterate: residuals, the QP made of them, the step length, when it is done.
+"""One Newton iteration: residuals, the QP subproblem, its accuracy, line search, convergence.
 
-Knows nothing of the insides of a backend, and nothing of load levels.
+Independent of the QP backend and of load levels.
 """

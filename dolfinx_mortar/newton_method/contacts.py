@@ -5,12 +5,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.interfaces.constraints import SlipLimits
 from dolfinx_mortar.newton_method.linearisation import Balance, Linearisation
@@ -44,10 +42,6 @@ class Contacts:
         along = limits.along(self.sliding[limits.nodes])
         size = np.linalg.norm(along, axis=1, keepdims=True)
         return np.divide(along, size, out=np.zeros_like(along), where=size > 0.0)
-
-    def largest(self, comm: MPI.Comm) -> float:
-        """Return the largest multiplier; collective."""
-        return float(maximum(comm, self.multipliers.max(initial=0.0))[0])
 
 
 def go_on(

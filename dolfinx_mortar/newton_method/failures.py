@@ -3,9 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 from mpi4py import MPI
 
 import numpy as np
@@ -15,10 +12,8 @@ from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.step_report import NewtonNotConverged, StepReport
 from dolfinx_mortar.supports.bodies import name_of
 
-# A body that floats off does not strain. One that flows in more than this share of its volume does.
-FLOWING = 0.1
-# A body whose tangent is softer than this share of its elastic stiffness, along its own
-# displacement, has reached its limit load; hardening laws of metals are ten times stiffer and more.
+# Bodies whose tangent is softer than this share of their elastic stiffness, along the displacement,
+# have reached a limit load; hardening laws of metals are ten times stiffer and more.
 SOFT = 0.01
 # Last sentence of the message about a single step.
 AS_BEFORE = (
@@ -51,8 +46,13 @@ def explain(
     if not isinstance(error, StepFailed):
         number, cause = len(report.iterations) + 1, message.rstrip(". ")
         message = f"the QP of Newton iteration {number}: {cause}"
-    with _put_at(problem, at):
+    before, shown = problem.u.x.array.copy(), problem.solid.keep()
+    try:
+        problem.u.x.array[:] = at
         flowing = describe_flow(problem)
+    finally:
+        problem.u.x.array[:] = before
+        problem.solid.put_back(shown)
     if flowing:  # a singular matrix is reported by the solver as a body that nothing holds
         report.notes.append(message)
         message = flowing
@@ -71,18 +71,6 @@ def explain(
         )
     message += _describe_own_laws(problem)
     return NewtonNotConverged(f"{message}{AS_BEFORE}", report)
-
-
-@contextmanager
-def _put_at(problem: ContactProblem, u: Floats) -> Iterator[None]:
-    """Evaluate at another displacement; what is shown is as before afterwards."""
-    before, shown = problem.u.x.array.copy(), problem.solid.keep()
-    problem.u.x.array[:] = u
-    try:
-        yield
-    finally:
-        problem.u.x.array[:] = before
-        problem.solid.put_back(shown)
 
 
 def unsettled(problem: ContactProblem) -> str:
@@ -111,46 +99,30 @@ def _describe_own_laws(problem: ContactProblem) -> str:
 
 
 def describe_flow(problem: ContactProblem) -> str:
-    """Say which body flows plastically, and in which share of its volume; collective."""
+    """Say which body flows, and in which share of its volume, at a limit load; collective.
+
+    There u.K u, with the tangent K, is small beside u.K_e u, with the elastic stiffness.
+    """
+    solid, u = problem.solid, problem.u
     try:
-        problem.solid.evaluate()
+        solid.evaluate()
     except ValueError:  # not a number: nothing to be learnt from this iterate
         return ""
-    shares = flow_shares(problem)
-    body = int(np.argmax(shares))
-    if shares[body] <= FLOWING or stiffness_left(problem) > SOFT:
+    solid.assemble_tangent(problem.K)  # the next step assembles its own
+    step = problem.vector(u.x.array[: problem.d * problem.n])
+    if not step.dot(problem.K * step) < SOFT * solid.elastic_norm(u) ** 2:
+        return ""
+    flowing, weights = solid.flowing(), solid.fields.weights  # since the committed state
+    body, count = problem.bodies.of_cells[: len(weights)], problem.bodies.count
+    parts = [(weights * part).sum(axis=1) for part in (flowing, np.ones_like(weights))]
+    volumes = np.stack([np.bincount(body, part, minlength=count) for part in parts])
+    flow, whole = problem.comm.allreduce(volumes, op=MPI.SUM)
+    most = int(np.argmax(flow / whole))
+    if flow[most] == 0.0:
         return ""
     return (
-        f"limit load? {name_of(problem.bodies, [body])} flows in {100 * shares[body]:.0f} % of its "
-        "volume at the last iterate; without hardening a law carries no more than its limit load: "
-        "reduce the load, or give the law hardening"
+        f"limit load? {name_of(problem.bodies, [most])} flows in "
+        f"{100 * flow[most] / whole[most]:.0f} % of its volume at the last iterate; without "
+        "hardening a law carries no more than its limit load: reduce the load, or give the law "
+        "hardening"
     )
-
-
-def stiffness_left(problem: ContactProblem) -> float:
-    """Return u.K u over u.K_e u, K_e the elastic stiffness; 1 where nothing is strained.
-
-    K is the tangent at the present displacement; collective.
-    """
-    problem.solid.assemble_tangent(problem.K)  # the next step assembles its own
-    u = problem.vector(problem.u.x.array[: problem.d * problem.n])
-    elastic = problem.solid.elastic_norm(problem.u) ** 2
-    return float(u.dot(problem.K * u) / elastic) if elastic > 0.0 else 1.0
-
-
-def flow_shares(problem: ContactProblem) -> Floats:
-    """Return the share (bodies,) of each body's volume whose internal variables change; collective.
-
-    Between the committed state and what `Solid.evaluate` has found last.
-    """
-    flowing, weights = problem.solid.flowing(), problem.solid.fields.weights
-    body = problem.bodies.of_cells[: len(weights)]
-    count = problem.bodies.count
-    volumes = np.stack(
-        [
-            np.bincount(body, (weights * part).sum(axis=1), minlength=count)
-            for part in (flowing, np.ones_like(weights))
-        ]
-    )
-    flow, whole = problem.comm.allreduce(volumes, op=MPI.SUM)
-    return np.asarray(flow / whole)

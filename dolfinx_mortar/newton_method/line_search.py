@@ -11,20 +11,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import EPS, Floats
 from dolfinx_mortar.newton_method.linearisation import Linearisation
-from dolfinx_mortar.newton_method.residuals import EPS, gap_round_off, round_off
+from dolfinx_mortar.newton_method.residuals import gap_round_off, round_off
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPSolution
 from dolfinx_mortar.terms.sum import Energy
 
+# Share of the decrease promised by the slope that is enough; and the smallest length of a step.
 ARMIJO = 1e-4
-MAX_HALVINGS = 12
 
 
 class NoDescent(RuntimeError):
@@ -74,23 +73,23 @@ def search(
         The length, the number of halvings, and J at the end.
 
     Raises:
-        NoDescent: if 12 halvings do not suffice.
+        NoDescent: if the length falls to ARMIJO.
     """
     path = create_path(problem, lin, solved, du, multiplier)
     cells = problem.V.mesh.topology.index_map(problem.V.mesh.topology.dim).size_global
-    first = _sum(problem.comm, path.excess(0.0))
+    first = problem.comm.allreduce(path.excess(0.0))
     promise = find_slope(problem, lin, path)
-    length = 1.0
-    for halvings in range(MAX_HALVINGS + 1):
+    length, halvings = 1.0, 0
+    while length > ARMIJO:
         move(problem, path.start + length * path.du)
-        after, penalty = problem.terms.energy(), _sum(problem.comm, path.excess(length))
+        after, penalty = problem.terms.energy(), problem.comm.allreduce(path.excess(length))
         assert after is not None  # as before
         # a sum of n terms of one size loses about sqrt(n) units of round-off
         noise = EPS * np.sqrt(cells) * (before.terms + after.terms + first + penalty) + path.noise
         target = before.value + first + ARMIJO * length * min(promise, 0.0)
         if after.value + penalty <= target + noise:
             return length, halvings, after
-        length *= 0.5
+        length, halvings = 0.5 * length, halvings + 1
     move(problem, path.start)
     raise NoDescent("the line search found no step that lowers the energy")
 
@@ -108,7 +107,7 @@ def create_path(
     held = lin.balance.reduced.array_r[lin.balance.equal.dofs]
     slip, slide, limits = _friction(lin, solved)
     local = np.abs(solved.z.array_r[bounds.dofs]).sum() + np.abs(held).sum() + limits.sum()
-    touching = _sum(problem.comm, float(local))
+    touching = problem.comm.allreduce(float(local))
     unbalanced = round_off(problem.u, lin.diagonal) + solved.kkt.unsolved
     lost = gap_round_off(problem.u)
     return Direction(
@@ -145,11 +144,7 @@ def find_slope(problem: ContactProblem, lin: Linearisation, path: Direction) -> 
     whole step is the derivative at its start.
     """
     local = -float(lin.balance.r.array_r @ path.du) + path.excess(1.0) - path.excess(0.0)
-    return _sum(problem.comm, local)
-
-
-def _sum(comm: MPI.Comm, value: float) -> float:
-    return float(comm.allreduce(value, op=MPI.SUM))
+    return float(problem.comm.allreduce(local))
 
 
 def move(problem: ContactProblem, values: Floats) -> None:

@@ -15,7 +15,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Actives, Floats, Ints
+from dolfinx_mortar.arrays import Actives, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, equalities, join
 from dolfinx_mortar.interfaces.pretension import Pretension
@@ -75,7 +75,8 @@ def find_balance(problem: ContactProblem, data: StepData, overlap: float = 0.0) 
         reduced = to_reduced(problem.system.transformation, r)
         u = problem.vector(problem.u.x.array[: r.local_size])
         found = problem.system.constraints(problem.positions(), u, data.jumps)
-        asked = _dirichlet_constraints(problem, data, u.array_r)
+        dofs, slots = support_slots(problem)
+        asked = equalities(slots, data.target[dofs] - u.array_r[dofs])
         limits = None
         if data.limits:
             u.array[:] -= problem.committed.displacement
@@ -86,12 +87,6 @@ def find_balance(problem: ContactProblem, data: StepData, overlap: float = 0.0) 
     supported = join([asked, equal])
     pretensions = problem.pretensions.given()
     return Balance(r, reduced, supported, bounds, elements, external, limits, pretensions)
-
-
-def _dirichlet_constraints(problem: ContactProblem, data: StepData, u: Floats) -> Constraints:
-    """Return prescribed minus present values as equalities of unknowns of y."""
-    dofs, slots = support_slots(problem)
-    return equalities(slots, data.target[dofs] - u[dofs])
 
 
 def support_slots(problem: ContactProblem) -> tuple[Ints, Ints]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Convergence: KKT residuals of the nonlinear problem, each over its tolerance.
+"""Convergence: KKT residuals of the nonlinear problem over their tolerances, accuracy of QPs.
 
 Forces are relative to the largest force of the step, a penetration counts as the force that would
 undo it, a complementarity defect as the work of the multiplier in the gap, and both are at most
@@ -9,6 +9,7 @@ the step and the round-off of K u are the scales.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -19,19 +20,18 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from dolfinx_mortar.algebra.parallel import maximum, norm, ratio
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import ROUND_OFF, Floats
 from dolfinx_mortar.newton_method.contacts import Contacts, find_sliders
 from dolfinx_mortar.newton_method.linearisation import Balance
 
-EPS = float(np.finfo(float).eps)
-# A row of a stiffness matrix sums up, in absolute values, to 2 to 4 times its diagonal entry, so
-# that |K| |u| <= 4 |diag(K) u|.
-ROW_SUM = 4.0
-# Operations behind a gap: a coordinate times a shape function, summed over a few facets
-GAP_OPERATIONS = 16.0
-# rtol times this share of the step's first residual, K times the prescribed increment, is
-# tolerated: the accuracy asked of the linear solver, and the only scale of a stress-free step.
-FIRST_SHARE = 1e-3
+# The error allowed to a QP, as a share of the residual that the contraction seen so far promises
+# for the next iterate (Eisenstat and Walker 1996). Digits are cheap with a factorisation only.
+FORCING = {"direct": 1e-3, "iterative": 1e-1}
+# One digit: a QP may leave this share of what the step allows; the first QP of a nonlinear step,
+# before any contraction is known, and each one after an iteration that has not lowered the
+# residual, are so much more accurate. The error may be the cause: where a body flows, small forces
+# that a QP misses are large motions.
+DIGIT = 0.1
 
 
 @dataclass(frozen=True)
@@ -58,18 +58,18 @@ class Residuals:
 
 
 def round_off(u: fem.Function, diagonal: PETSc.Vec, extent: float = np.inf) -> float:
-    """Return the round-off of K u, EPS times the norm of |K| |u|; collective.
+    """Return the round-off of K u, ROUND_OFF times the norm of diag(K) u; collective.
 
     Displacements count up to the ``extent`` of mesh and supports: where a singular tangent gives
     larger ones, they must not loosen the force tolerance.
     """
     near = np.clip(u.x.array[: diagonal.local_size], -extent, extent)
-    return ROW_SUM * EPS * norm(u.function_space.mesh.comm, diagonal.array_r * near)
+    return ROUND_OFF * norm(u.function_space.mesh.comm, diagonal.array_r * near)
 
 
 def gap_round_off(u: fem.Function) -> float:
     """Return the round-off of gaps, which are differences of coordinates; collective."""
-    return GAP_OPERATIONS * EPS * find_extent(u.function_space.mesh, u.x.array)
+    return ROUND_OFF * find_extent(u.function_space.mesh, u.x.array)
 
 
 def find_extent(mesh: Mesh, displacement: Floats) -> float:
@@ -130,10 +130,11 @@ def measure(
     free[balance.equal.dofs] = 0.0
     forces, floor = norm(comm, free), round_off(u, diagonal, scales.extent)
     acting = max(scales.begun, largest_force(comm, balance, carried))
-    scale = max(acting, FIRST_SHARE * scales.first)
+    # the residual that a QP may leave at the start is the only scale of a stress-free step
+    scale = max(acting, tightest(rtol) / rtol * scales.first)
     limit = max(rtol * scale, floor)
-    if acting <= floor:  # nothing acts but the round-off of K u, which is a share of |K| |u|
-        scale = max(scale, floor / EPS)
+    if acting <= floor:  # nothing acts but the round-off of K u
+        scale = max(scale, floor / ROUND_OFF)
 
     active, gap = contacts.active[balance.nodes], balance.bounds.upper
     off = np.maximum(np.where(active, np.abs(gap), np.maximum(-gap, 0.0)) - noise, 0.0)
@@ -155,3 +156,40 @@ def measure(
         tension_off = max(tension_off, ratio(abs(left), tension))
         excess = max(excess, ratio(abs(left), max(rtol * tension, floor)))
     return Residuals(ratio(forces, scale), contact, excess, limit, tension_off)
+
+
+def tightest(rtol: float) -> float:
+    """Return the relative tolerance of the only QP of a linear step of tolerance rtol.
+
+    >>> tightest(1e-6)
+    1e-09
+    """
+    return max(ROUND_OFF, FORCING["direct"] * rtol)
+
+
+def next_tolerance(kind: str, rtol: float, size: float, residuals: Sequence[Residuals]) -> float:
+    """Return the relative tolerance of the next QP of a nonlinear step.
+
+    The error allowed is a share of the residual that the last contraction promises for the next
+    iterate, in a tail that gains one digit an iteration one digit and a bit.
+
+    Args:
+        kind: "direct" or "iterative".
+        rtol: tolerance of the step.
+        size: norm of the QP's right-hand side.
+        residuals: of the iterates so far.
+
+    >>> next_tolerance("iterative", 1e-6, 1.0, [])
+    0.01
+    """
+    first = DIGIT * FORCING[kind]
+    if not residuals:
+        return max(tightest(rtol), first)
+    last = residuals[-1]
+    before = residuals[-2].excess if len(residuals) > 1 else np.inf
+    contraction = min(1.0, last.excess / before) if 0.0 < before < np.inf else 1.0
+    least = int(np.argmin([residual.excess for residual in residuals]))
+    stalled = len(residuals) - 1 - least
+    share = FORCING[kind] * DIGIT**stalled * contraction
+    allowed = max(DIGIT, share * last.excess) * last.limit
+    return float(max(tightest(rtol), min(first, allowed / size if size > 0.0 else 1.0)))

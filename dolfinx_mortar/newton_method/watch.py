@@ -35,13 +35,6 @@ class Watch:
         return Watch(self.moving, held=grows, change=change, forces=forces, rises=rises)
 
 
-def at_nodes(count: int, balance: Balance, values: Floats) -> Floats:
-    """Return values (k,) of bounded unknowns at the owned nodes (count,), nan where is none."""
-    nodal = np.full(count, np.nan)
-    nodal[balance.nodes] = values
-    return nodal
-
-
 def find_change(
     comm: MPI.Comm, balance: Balance, contacts: Contacts, predicted: Floats
 ) -> tuple[float, float]:

@@ -37,9 +37,8 @@ def solve(
         start: initial active set and directions of slip.
         changes: bounded unknowns in which the solution is expected to differ from the initial set;
             None for any number. Each may cost an iteration. If they cost more than a factorisation,
-            the condensed QP predicts the set: always to predict it would take plastic steps of
-            benchmarks/hertz_2d.py with 50 thousand unknowns 45 solves and 10 factorisations instead
-            of 40 and 6.
+            the condensed QP predicts the set (always to predict it would take plastic steps of
+            benchmarks/hertz_2d.py with 50 thousand unknowns 4 more factorisations).
         rtol: tolerance of the check.
 
     Returns:

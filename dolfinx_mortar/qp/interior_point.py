@@ -6,12 +6,11 @@ It is stopped by the check of optimality.
 
 from dataclasses import replace
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.arrays import QUARTER_OF_DIGITS
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, QUARTER_OF_DIGITS
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution, check, on_bounded, reaction
 from dolfinx_mortar.qp.held import SHARE, HeldProblem, State
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
@@ -22,7 +21,7 @@ def solve(qp: BoundQP, linear: LinearSolver, *, rtol: float) -> QPSolution:
     """Solve a bound-constrained QP, then once more with the active set found (collective).
 
     The unknowns are scaled to a unit diagonal and a unit force, because TAO has absolute constants.
-    Unknowns without bounds get distant ones, and more distant ones if the solution reaches them.
+    Unknowns without bounds get distant ones.
 
     Args:
         qp: the problem, symmetric and positive definite, without friction.
@@ -32,12 +31,9 @@ def solve(qp: BoundQP, linear: LinearSolver, *, rtol: float) -> QPSolution:
     Returns:
         The solution before or after the last solve, whichever has the smaller residuals.
     """
-    scaled, box = _Scaled(qp, linear), 1.0 / QUARTER_OF_DIGITS
+    scaled = _Scaled(qp, linear)
     try:
-        x, iterations, reason = _iterate(qp, linear, scaled, box, rtol)
-        if scaled.touches(box, x):
-            x, more, reason = _iterate(qp, linear, scaled, box**2, rtol)
-            iterations += more
+        x, iterations, reason = _iterate(qp, linear, scaled, 1.0 / HALF_OF_DIGITS, rtol)
     finally:
         scaled.destroy()
     polished = _polish(qp, linear, x, rtol)
@@ -130,12 +126,6 @@ class _Scaled:
         x.pointwiseMult(y, self.s)
         x.scale(self.length)
         return x
-
-    def touches(self, box: float, x: PETSc.Vec) -> bool:
-        """Tell whether unknowns without bounds come near the box; collective."""
-        y = np.abs(x.array_r / (self.s.array_r * self.length))
-        y[self.qp.bounded] = 0.0
-        return bool(self.qp.comm.allreduce(y.max(initial=0.0), op=MPI.MAX) > SHARE * box)
 
     def destroy(self) -> None:
         """Free the scaled matrix, which is as large as A; collective."""

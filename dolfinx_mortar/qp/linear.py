@@ -245,7 +245,7 @@ class LinearSolver:
                 the solution is so large that the matrix must be singular.
         """
         operator = self._operator
-        operator.sliding = sliding
+        operator.free.sliding = sliding
         operator.hold(held)
         before = self.counts.iterations
         self.counts.solves += 1
@@ -289,8 +289,8 @@ class LinearSolver:
     @property
     def _ksp(self) -> PETSc.KSP:
         """The solver without or with slipping nodes."""
-        sliding = self._operator.sliding
-        return self.attached.ksp if sliding is None else self.attached.sliding_ksp
+        sliding = self._operator.free.sliding is not None
+        return self.attached.sliding_ksp if sliding else self.attached.ksp
 
     def _sweep(self, reduction: float) -> None:
         """Solve for the correction dx that reduces the present residual by a factor."""

@@ -23,7 +23,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
-from dolfinx_mortar.arrays import EPS, Floats, Ints
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
         for _ in range(2):  # twice is enough
             for other in basis:
                 vector.axpy(-other.dot(vector), other)
-        if vector.norm() > np.sqrt(EPS) * whole:  # what is left has half of its digits
+        if vector.norm() > HALF_OF_DIGITS * whole:  # what is left has half of its digits
             vector.normalize()
             basis.append(vector)
     return basis

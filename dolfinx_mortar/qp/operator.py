@@ -53,8 +53,9 @@ class Operator:
     Attributes:
         A: the matrix.
         definite: as above.
+        free: A on free unknowns, and the law of slipping nodes, on all ranks or on none.
         matrix: the one of the linear system without slipping nodes, which is factorised.
-        sliding_matrix: A with the rows of slipping nodes replaced by those of their law.
+        sliding_matrix: the one with the rows of slipping nodes replaced by those of their law.
         held: owned local indices of held unknowns, ascending; None before the first.
         z: b - A x of the last residual.
         r: the same with zeros at held unknowns, and the error in the law at slipping nodes.
@@ -67,14 +68,12 @@ class Operator:
         self.z, self.r = A.createVecRight(), A.createVecRight()
         self._diagonal = A.getDiagonal()
         self._state = -1  # of A when unknowns were held last
-        self._free, self._slippery = None if direct else FreePart(A), FreePart(A)
-        if self._free is None:
-            self.matrix = A.duplicate(copy=True)
+        self.free = FreePart(A)
+        self.sliding_matrix = PETSc.Mat().createPython(A.getSizes(), self.free, A.comm)
+        self.matrix = A.duplicate(copy=True) if direct else self.sliding_matrix
+        if direct:
             self.matrix.setOption(PETSc.Mat.Option.SPD, definite)
             self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        else:
-            self.matrix = PETSc.Mat().createPython(A.getSizes(), self._free, A.comm)
-        self.sliding_matrix = PETSc.Mat().createPython(A.getSizes(), self._slippery, A.comm)
 
     @property
     def state(self) -> int:
@@ -86,15 +85,6 @@ class Operator:
         """Owned diagonal of A."""
         return np.asarray(self._diagonal.array_r)
 
-    @property
-    def sliding(self) -> Sliding | None:
-        """The law of slipping nodes, on all ranks or on none."""
-        return self._slippery.sliding
-
-    @sliding.setter
-    def sliding(self, law: Sliding | None) -> None:
-        self._slippery.sliding = law
-
     def hold(self, held: Ints) -> None:
         """Hold these unknowns of the present A (collective)."""
         same = self.held is not None and np.array_equal(self.held, held)
@@ -102,12 +92,10 @@ class Operator:
         if self._state == self.state and comm.allreduce(same, op=MPI.LAND):
             return
         self.A.getDiagonal(self._diagonal)
-        if self._free is None:
+        if self.matrix is not self.sliding_matrix:
             self.A.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
             decouple(self.matrix, held)
-        else:
-            self._free.held = held
-        self._slippery.held = held
+        self.free.held = held
         self.held, self._state = held.copy(), self.state
 
     def residual(
@@ -120,9 +108,9 @@ class Operator:
         else:
             z.copy(self.z)
         self.z.copy(self.r)
-        if self.sliding is not None:
-            values, law = self.z.array_r, self.sliding.law
-            law.put(self.r.array, law.pick(values) - self.sliding.reaction(x.array_r, values))
+        if (sliding := self.free.sliding) is not None:
+            values, law = self.z.array_r, sliding.law
+            law.put(self.r.array, law.pick(values) - sliding.reaction(x.array_r, values))
         self.r.array[held] = 0.0
         return self.r
 
@@ -134,5 +122,5 @@ class Operator:
 
     def destroy(self) -> None:
         """Free the matrices."""
-        self.matrix.destroy()
         self.sliding_matrix.destroy()
+        self.matrix.destroy()

@@ -3,7 +3,6 @@
 
 from dataclasses import replace
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -133,18 +132,13 @@ def _cause(error: Exception, linear: LinearSolver) -> str:
 
 def _nothing_to_do(qp: BoundQP, backend: str) -> QPSolution | None:
     """Return x = 0 if that is the solution: an iteration would have no scale for its error."""
-    lower, upper = qp.bounds()
-    outside = bool((lower > 0.0).any() or (upper < 0.0).any())
-    sliding = None
-    if qp.friction is not None:
-        outside, sliding = outside or bool(qp.friction.rest.any()), 0.0 * qp.friction.rest
-    if qp.comm.allreduce(outside or bool(qp.b.array_r.any()), op=MPI.LOR):
-        return None
-    x, z = qp.b.duplicate(), qp.b.duplicate()
+    x = qp.b.duplicate()
     x.set(0.0)
-    z.set(0.0)
+    if qp.b.norm() > 0.0 or (kkt := check(qp, x, x.copy())).worst > 0.0:
+        return None
     active = np.zeros(qp.bounded.size, dtype=np.int8)
-    return QPSolution(x, z, active, check(qp, x, z), 0, 0, 0, backend, sliding=sliding)
+    sliding = None if qp.friction is None else 0.0 * qp.friction.rest
+    return QPSolution(x, x.copy(), active, kkt, 0, 0, 0, backend, sliding=sliding)
 
 
 def _possible(qp: BoundQP, active: Actives) -> Actives:

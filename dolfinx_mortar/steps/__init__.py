@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""The drivers: one load step (`newton`), load levels (`load_steps`), bolts (`preload`)."""
+"""Drivers: one load step (`newton`), load levels (`load_steps`), bolts (`preload`)."""

@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: MIT
-"""Load steps: Newton, commit, and smaller steps after a failure."""
+"""Load steps: Newton's method, commit, smaller steps after a failure, checkpoints."""
 
 from __future__ import annotations
 
 import logging
 import math
 import os
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+from mpi4py import MPI
 
 import numpy.typing as npt
 
@@ -17,6 +20,7 @@ from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arrays import SAME
 from dolfinx_mortar.checkpoint import check_folder
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.newton_method.failures import AS_BEFORE
@@ -27,25 +31,21 @@ from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.reaction import reactions
 from dolfinx_mortar.step_report import LoadStep, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.newton import solve_step
-from dolfinx_mortar.steps.progress import lines
 from dolfinx_mortar.steps.ramp import Ramp, check_range, difference, read_ramps
 
 log = logging.getLogger(__name__)
 
-# Of the largest level: levels that are calculated in another way differ by round-off.
-SAME_LEVEL = 1e-12
-
 
 @dataclass(frozen=True)
 class Level:
-    """A point on the loading path."""
+    """A point on the load path."""
 
     time: float
     overlap: float = 0.0  # depth by which the sides may still overlap
     share: float = 1.0  # of the step that ends here, a binary fraction
 
     def between(self, reached: Level) -> Level:
-        """Return the level halfway from where one is."""
+        """Return the level halfway from the one reached."""
         return Level(
             (reached.time + self.time) / 2.0,
             (reached.overlap + self.overlap) / 2.0,
@@ -53,20 +53,20 @@ class Level:
         )
 
     def cuts(self, reached: Level) -> int:
-        """Return how often the whole step has been halved to get the part from where one is."""
+        """Return how often the step has been halved for the part from the level reached."""
         return round(-math.log2(self.share - reached.share))
 
 
 @dataclass(frozen=True)
 class Loading:
-    """What a load level sets: the Constants of ramps, then what a user's function does."""
+    """The loads of a level: Constants of ramps, then a user's function."""
 
     ramps: Sequence[Ramp]
     on_time: Callable[[float], None] | None
 
     @property
     def changes(self) -> bool:
-        """Whether another level may be another load."""
+        """Whether loads depend on the level."""
         return bool(self.ramps) or self.on_time is not None
 
     def set(self, problem: ContactProblem, level: float) -> None:
@@ -79,16 +79,16 @@ class Loading:
 
 
 @dataclass
-class Keeper:
-    """A walk under way: writes its checkpoints, if it has any, where there is something new."""
+class Checkpoint:
+    """The file of a run, written when the committed state is new."""
 
     problem: ContactProblem
-    file: Path | None
-    walk: Walk  # what the problem knows it by
-    new: bool = False  # something has been committed since the last file
+    file: Path | None  # None for no checkpoints
+    walk: Walk
+    new: bool = False
 
     def check_alone(self) -> None:
-        """Raise a ValueError if another walk has begun: each would go on from the other's state."""
+        """Raise a ValueError if another run has started: each would change the other's state."""
         if self.problem.committed.walk is not self.walk:
             raise ValueError(
                 "problem: a second load_steps has begun on it before this one was done, and has "
@@ -118,60 +118,58 @@ def load_steps(
     checkpoint: str | os.PathLike[str] | None = None,
     every: int = 1,
 ) -> Iterator[LoadStep]:
-    """Walk through load levels: set the loads, solve, commit, yield; collective.
+    """Step through load levels: set the loads, solve, commit, yield; collective.
 
         for step in dm.load_steps(problem, [0.5, 1.0], ramp={push: [(0.0, 0.0), (1.0, -0.1)]}):
             print(step.time, contact.force)
 
-    A step that does not converge is halved, up to ``max_cuts`` times; the parts are committed one
-    by one (the loading path matters to plasticity, they belong to the answer). Sides that overlap
-    at the start of such a step are pushed apart in the same parts.
+    A step that does not converge is halved, up to ``max_cuts`` times, and its parts are committed
+    (they are part of the solution, as plasticity depends on the load path). An overlap of the sides
+    at the start of such a step is removed in the same parts.
 
     Args:
         problem: the bodies and their constraints.
-        times: load levels in the order of the loading; they may fall.
+        times: load levels in the order of loading; they may decrease.
         ramp: a table for each Constant that changes, ``{push: [(0.0, 0.0), (1.0, -0.1)]}``: rows
-            (level, value) with levels that rise, between which the value is linear. Values have the
-            shape of the Constant. Tables must hold all levels, ``start`` too.
-        on_time: sets what tables cannot say for a level, also for levels between two times; called
-            after the Constants of ``ramp`` have their values. It may be called twice for a level,
-            where a step is cut or a run goes on, so what it sets must depend on the level alone.
-        start: level of the committed state; by default the last one that ``load_steps`` has
-            reached on this problem, 0 at first.
+            (level, value) with increasing levels, between which the value is linear. Values have
+            the shape of the Constant. Tables must contain all levels, and ``start``.
+        on_time: function of the level that sets other loads, also for levels between two times,
+            after the Constants of ``ramp``. It may be called twice for a level, if a step is cut or
+            a run is continued, so what it sets must depend on the level alone.
+        start: level of the committed state; by default the last level of ``load_steps`` on this
+            problem, at first 0.
         qp: as in ``newton``.
         rtol: as in ``newton``.
         max_it: as in ``newton``.
-        cuts: "halve", or "none" to fail where a step does not converge as it is.
+        cuts: "halve", or "none" for an error where a step does not converge.
         max_cuts: largest number of halvings of one step.
-        progress: print a line for each step on rank 0; None does if there is more than one step,
-            nobody has configured logging, and it is no notebook. The log has them at level INFO.
-        checkpoint: file, see below; a walk of its own has a file of its own.
+        progress: print a line for each step on rank 0; None prints if there is more than one step
+            and logging is not configured, except in notebooks. The log has the lines at level INFO.
+        checkpoint: file, see below; each run needs its own.
         every: write it after so many steps, and after the last one.
 
-    With ``checkpoint`` a program that was killed goes on where it was when it is run again. If the
-    file is there, the state of the problem becomes that of the checkpoint, ``ramp`` and ``on_time``
-    set its level, and only the steps that are left are made and yielded, with their numbers; the
-    log says so. Of a walk that was finished none are left. The steps before are in
-    ``problem.history``. ``times`` has to begin with the levels that were reached, up to round-off;
-    more may follow than at first. So have tables of ``ramp`` to be as they were, in their order, as
-    far as the walk has come. The file is written when the body of the loop is done with a
-    step, so what the body does may be done twice, but is never left out; a loop that is left by
-    ``break`` does not write the last step. ``Writer(.., resume=True)`` has each step once even so.
-    A step that fails for good writes what has been committed since the last file, whatever
-    ``every``: the steps before it, and those of its parts that have converged. To begin anew,
+    With ``checkpoint`` a program that was killed continues when it is run again. If the file
+    exists, its state is restored, ``ramp`` and ``on_time`` set its level, and only the remaining
+    steps are made and yielded, with their numbers. The steps before are in ``problem.history``. The
+    first entries of ``times`` have to be the levels that were reached, up to round-off; more may
+    follow than at first. The tables of ``ramp`` have to be the same, in the same order, up to the
+    level reached. The file is written after the body of the loop, which may therefore be run twice
+    for a step, but is never left out; after ``break`` the last step is not written.
+    ``Writer(.., resume=True)`` has each step once even so. If a step fails, what has been committed
+    since the last file is written: the steps before it, and its converged parts. To start again,
     delete the file.
 
     Yields:
-        One ``LoadStep`` for every entry of ``times`` that is not yet done.
+        One ``LoadStep`` for every remaining entry of ``times``.
 
     Raises:
-        ValueError: for arguments that make no sense, and for a checkpoint of another problem, with
-            other levels, cut off or of another version; where a second walk has begun before this
-            one is done; on all ranks.
+        ValueError: for invalid arguments, for a checkpoint of another problem or with other levels,
+            truncated or of another version, and if a second run starts before this one ends; on all
+            ranks.
         OSError: if a checkpoint cannot be written or read, on all ranks; after a step that has
-            failed, too, whose error is then the ``__context__``.
-        NewtonNotConverged: when the smallest step fails, too. Steps yielded before are committed,
-            and those parts of the last one that have converged: the message says what is kept.
+            failed, the error of the step is its ``__context__``.
+        NewtonNotConverged: if the smallest step fails, too. Steps yielded before are committed, and
+            the converged parts of the last one: the message says which.
     """
     check_problem(problem, ContactProblem)
     check_same_on_all_ranks(problem.comm, on_time=on_time)
@@ -187,47 +185,43 @@ def load_steps(
     check_range(loading.ramps, [begin, *levels])
     committed.level, committed.walked = begin, 0
     if file is not None:
-        begin = _go_on(problem, file, levels, loading, begin)
+        begin = _continue(problem, file, levels, loading, begin)
     committed.walk = Walk(begin, [one.rows for one in loading.ramps])
-    keeper = Keeper(problem, file, committed.walk)
+    written = Checkpoint(problem, file, committed.walk)
     done = committed.walked
     tell = lines(problem.comm, False if progress is None and len(levels) == 1 else progress)
     for number, time in enumerate(levels[done:], start=done + 1):
-        parts = _walk(problem, number, time, loading, most, options, keeper)
+        parts = _walk(problem, number, time, loading, most, options, written)
         supports = [one.as_dict() for one in reactions(problem)]
-        step = LoadStep(number, time, parts[-1], parts, _forces(problem), supports)
+        forces = [list(map(float, interface.force)) for interface in problem.interfaces]
+        step = LoadStep(number, time, parts[-1], parts, forces, supports)
         committed.history.append(step)
         committed.walked = number
         tell(f"load step {number} of {len(levels)} {step.outcome}")
         yield step
-        keeper.check_alone()
+        written.check_alone()
         if number % every == 0 or number == len(levels):
-            keeper.write()
+            written.write()
 
 
-def _forces(problem: ContactProblem) -> list[list[float]]:
-    """Return the resultants on the slave sides."""
-    return [list(map(float, interface.force)) for interface in problem.interfaces]
-
-
-def _go_on(
+def _continue(
     problem: ContactProblem,
     file: Path,
     levels: list[float],
     loading: Loading,
     begin: float,
 ) -> float:
-    """Restore a checkpoint if there is one, and see that the next can be written; collective.
+    """Restore a checkpoint if there is one, and check that the next can be written; collective.
 
     Returns:
-        The level at which the walk began: `begin` if there is no checkpoint.
+        The initial level of the run: `begin` without a checkpoint.
 
     Raises:
-        ValueError: on all ranks, if the levels do not begin with those that it has reached, or
-            tables are others than until there.
+        ValueError: on all ranks, if the first levels are not those that it has reached, or if
+            tables differ up to there.
         OSError: on all ranks, if no file can be written there.
     """
-    # the others may not reach the folder; a name that cannot be is an error of the check
+    # other ranks may have no access to the folder; the check has the errors of wrong names
     if not problem.comm.bcast(problem.comm.rank == 0 and os.path.exists(file)):
         check_folder(problem.comm, file)
         return begin
@@ -235,11 +229,11 @@ def _go_on(
     walk = saved.walk
     _check_walked(levels, walk, file)
     _check_tables(loading.ramps, saved, file)
-    if len(walk) < len(levels):  # told now, not after the next step
+    if len(walk) < len(levels):  # an error now rather than after the next step
         check_folder(problem.comm, file)
     saved.put()
     loading.set(problem, problem.committed.level)
-    problem.solid.follow()  # what laws put out rests on parameters, too
+    problem.solid.follow()  # results of laws depend on parameters, too
     if problem.comm.rank == 0:
         left = "nothing is left to do" if len(walk) == len(levels) else "going on from there"
         log.warning(
@@ -251,10 +245,10 @@ def _go_on(
 
 
 def _check_walked(levels: list[float], walk: list[float], file: Path) -> None:
-    """Raise a ValueError unless levels begin with those that were walked, up to round-off."""
+    """Raise a ValueError unless the first levels are those reached, up to round-off."""
     size = max(map(abs, walk), default=0.0)
     for k, reached in enumerate(walk):
-        if k == len(levels) or abs(levels[k] - reached) > SAME_LEVEL * size:
+        if k == len(levels) or abs(levels[k] - reached) > SAME * size:
             given = levels[k] if k < len(levels) else "missing"
             raise ValueError(
                 f"times: level {k + 1} is {given}, but the checkpoint {str(file)!r} has walked "
@@ -264,7 +258,7 @@ def _check_walked(levels: list[float], walk: list[float], file: Path) -> None:
 
 
 def _check_tables(ramps: Sequence[Ramp], saved: Saved, file: Path) -> None:
-    """Raise a ValueError unless tables are those of the saved walk, as far as it has come."""
+    """Raise a ValueError unless tables are those of the saved run, up to the level reached."""
     before = saved.about["walk"]
     if before is None or not saved.walk:
         return
@@ -283,16 +277,16 @@ def _walk(
     loading: Loading,
     most: int,
     options: dict[str, Any],
-    keeper: Keeper,
+    written: Checkpoint,
 ) -> list[StepReport]:
-    """Go to a level, in parts where that fails; return the reports of the parts; collective."""
+    """Step to a level, in parts if that fails; return the reports of the parts; collective."""
     parts: list[StepReport] = []
     reached, pending = Level(problem.committed.level, share=0.0), [Level(time)]
     failures = 0
     while pending:
         level = pending[-1]
         loading.set(problem, level.time)
-        keeper.check_alone()
+        written.check_alone()
         try:
             report = solve_step(problem, overlap=level.overlap, level=level.time, **options)
         except NewtonNotConverged as error:
@@ -303,16 +297,20 @@ def _walk(
             way = level.time != reached.time and loading.changes
             if level.cuts(reached) >= most or not (way or level.overlap != reached.overlap):
                 cause = error.message.removesuffix(AS_BEFORE)
-                told = _describe(number, time, level, reached, most, cause)
-                error.message = f"{told}. {_describe_kept(len(parts), reached)}"
-                keeper.write()  # all ranks are here, and the last part has left no trace
+                made = f"{level.cuts(reached)} of {most} cuts"
+                error.message = (
+                    f"load step {number} to time {time:g} failed from {reached.time:g} to "
+                    f"{level.time:g}, after {made} (the last level that converged is "
+                    f"{reached.time:g}): {cause}. {_describe_kept(len(parts), reached)}"
+                )
+                written.write()  # the last part is undone, on all ranks
                 raise
             if problem.comm.rank == 0:
                 log.warning("no convergence at %g, trying half the step", level.time)
             pending.append(level.between(reached))
             continue
         problem.commit()
-        keeper.new, problem.committed.level = True, level.time
+        written.new, problem.committed.level = True, level.time
         reached = level
         parts.append(report)
         pending.pop()
@@ -324,9 +322,9 @@ def _walk(
 
 
 def find_overlap(problem: ContactProblem, rtol: float) -> float:
-    """Return how deep sides overlap at the present displacement; collective.
+    """Return the depth of overlaps at the present displacement; collective.
 
-    Less than rtol facet lengths is what a converged step leaves, and counts as nothing.
+    Up to rtol facet lengths, the tolerance of a step, count as 0.
     """
     problem.update_geometry(0.0)
     gap = nodal_gaps(problem.system.links, problem.positions(), problem.n)
@@ -334,19 +332,8 @@ def find_overlap(problem: ContactProblem, rtol: float) -> float:
     return deepest if deepest > rtol * problem.system.facet_length else 0.0
 
 
-def _describe(
-    number: int, time: float, level: Level, reached: Level, most: int, message: str
-) -> str:
-    """Return the message of a step that has failed for good."""
-    cuts = f"{level.cuts(reached)} of {most} cuts"
-    return (
-        f"load step {number} to time {time:g} failed from {reached.time:g} to {level.time:g}, "
-        f"after {cuts} (the last level that converged is {reached.time:g}): {message}"
-    )
-
-
 def _describe_kept(parts: int, reached: Level) -> str:
-    """Say where a step that has failed for good leaves the problem, by what has converged of it."""
+    """Say which state a failed step leaves, given the number of its converged parts."""
     if not parts:
         return "The displacement and the committed state are as before the step"
     count = "1 part of it that has" if parts == 1 else f"{parts} parts of it that have"
@@ -355,3 +342,29 @@ def _describe_kept(parts: int, reached: Level) -> str:
         f"The {count} converged stay committed: displacement, state and results are those at level "
         f"{reached.time:g}{still}; a next walk goes on from there"
     )
+
+
+def lines(comm: MPI.Comm, wanted: bool | None) -> Callable[[str], None]:
+    """Return a function that logs a line on rank 0, and prints it unless the log is shown.
+
+    Args:
+        comm: communicator.
+        wanted: whether to print; None prints if logging is not configured, except in notebooks.
+
+    Raises:
+        ValueError: on all ranks, if ``wanted`` is none of the three on any; collective.
+    """
+    with raised_together(comm):
+        if not (wanted is None or isinstance(wanted, bool)):
+            raise ValueError(f"progress is {wanted!r}: choose True, False or None")
+    if comm.rank != 0:
+        return lambda line: None
+    notebook = type(sys.stderr).__module__.partition(".")[0] == "ipykernel"
+    shown = not (log.hasHandlers() or notebook) if wanted is None else wanted
+
+    def tell(line: str) -> None:
+        log.info("%s", line)
+        if shown and not (log.hasHandlers() and log.isEnabledFor(logging.INFO)):
+            print(line, file=sys.stderr, flush=True)
+
+    return tell

@@ -3,15 +3,15 @@
 
 One iteration, at u with contacts (active set, multipliers) and a geometry:
 
-    1  solve min 1/2 dy.K^ dy - r^.dy, lower <= dy <= upper          as accurate as 5 will show
-    2  u <- u + t T dy, t by line search; the QP's reactions are the new multipliers
-    3  rebuild normals, segments, D, M and T at u, unless the geometry is held and Newton has not
-       yet converged in it
+    1  solve min 1/2 dy.K^ dy - r^.dy, lower <= dy <= upper, as accurately as the residual requires
+    2  u <- u + t T dy, t by line search; the reactions of the QP are the new multipliers
+    3  rebuild normals, segments, D, M and T at u, unless the geometry is frozen and Newton's method
+       has not yet converged in it
     4  residuals of forces and contact at u, in that geometry, with these multipliers
-    5  done if all are within what is allowed
+    5  converged if all are within their tolerances
 
-The geometry is a fixed point that is watched: it is rebuilt after every iteration as long as its
-change or the residual shrinks; where neither does, it is held until Newton has converged in it.
+Updates of the geometry are a fixed-point iteration: one after every iteration while their change
+or the residual decreases; otherwise the geometry is frozen until Newton's method has converged.
 """
 
 from __future__ import annotations
@@ -29,11 +29,10 @@ from dolfinx import fem
 from dolfinx_mortar import qp as backends
 from dolfinx_mortar.algebra.parallel import free_unused, maximum
 from dolfinx_mortar.arguments import is_number
-from dolfinx_mortar.arrays import Actives, Floats
+from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Actives, Floats
 from dolfinx_mortar.interfaces.near import predict_active
 from dolfinx_mortar.newton_method import failures
 from dolfinx_mortar.newton_method.contacts import Contacts, find_sliders, found_by, go_on
-from dolfinx_mortar.newton_method.forcing import next_tolerance, tightest
 from dolfinx_mortar.newton_method.line_search import NoDescent, move, search
 from dolfinx_mortar.newton_method.linearisation import (
     Balance,
@@ -51,9 +50,11 @@ from dolfinx_mortar.newton_method.residuals import (
     gap_round_off,
     largest_force,
     measure,
+    next_tolerance,
+    tightest,
 )
 from dolfinx_mortar.newton_method.tunnelling import describe_passing
-from dolfinx_mortar.newton_method.watch import MOST_RISES, Watch, at_nodes, find_change
+from dolfinx_mortar.newton_method.watch import MOST_RISES, Watch, find_change
 from dolfinx_mortar.problem.checks import check_controls, check_problem
 from dolfinx_mortar.problem.jumps import tighten
 from dolfinx_mortar.problem.problem import ContactProblem
@@ -69,9 +70,6 @@ from dolfinx_mortar.terms.sum import Energy
 
 log = logging.getLogger(__name__)
 
-# A step that is longer than so many times the model is no step of a small strain.
-FARTHEST = 1e3
-
 
 def newton(
     problem: ContactProblem,
@@ -81,28 +79,27 @@ def newton(
     max_it: int = 50,
     level: float | None = None,
 ) -> StepReport:
-    """Solve one load step, from the present u and contacts and the committed state; collective.
+    """Solve one load step, from the present u and the committed state; collective.
 
     At the iterate u^k the energy is replaced by its quadratic model (paper, eq. 9) and the
-    bound-constrained QP is solved (eq. 10), warm-started from the last contact set and the last
-    directions of slip. The step is shortened on J(v) + s sum_j D_jj (w_n - gap)_+ if that merit
-    does not fall. Where a material has a stress but no energy, there is no J, and all steps are
-    whole.
+    bound-constrained QP is solved (eq. 10), warm-started from the last active set and the last
+    directions of slip. A line search on J(v) + s sum_j D_jj (w_n - gap)_+ shortens the step; laws
+    with a stress but no energy have no J, and no line search.
 
     Args:
         problem: the bodies and their constraints; ``problem.commit()`` accepts the step.
         qp: name of the QP backend, see ``dolfinx_mortar.qp.available()``.
-        rtol: tolerance for the residuals of forces and contact, relative to the largest forces of
+        rtol: tolerance of the residuals of forces and contact, relative to the largest forces of
             the step and their work; round-off is the limit.
         max_it: largest number of Newton iterations.
-        level: load level at which the step ends, for terms that depend on it, see `Term.begin`.
+        level: load level at the end of the step, for terms that depend on it, see `Term.begin`.
 
     Returns:
         The report of the converged step.
 
     Raises:
         NewtonNotConverged: with the report attached; u and the committed state are as before.
-        ValueError: for an unknown backend or bad tolerance, or input that ``begin_step`` rejects.
+        ValueError: for an unknown backend, a bad tolerance, or other input, on all ranks.
     """
     check_problem(problem, ContactProblem)
     if level is not None and not is_number(level):
@@ -120,12 +117,12 @@ def solve_step(
     level: float | None = None,
     audit: bool = True,
 ) -> StepReport:
-    """Solve one load step, with an overlap that is left to later steps; see `newton`.
+    """Solve one load step, with an initial overlap that later steps remove; see `newton`.
 
     The first step begins with an audit unless its caller has made one.
 
-    Where multigrid gives no solution, factorisations may: they are tried then, and stay in use
-    unless they fail, too, when the first method was not the cause.
+    If multigrid fails, the step is repeated with factorisations, which later steps then use, too;
+    if they fail as well, multigrid remains.
     """
     problem.check_ranks(qp=qp, rtol=rtol, max_it=max_it, level=level)
     check_controls(qp, rtol, max_it)
@@ -133,7 +130,7 @@ def solve_step(
     while True:
         report = StepReport(backend=qp, geometry=problem.geometry, rtol=rtol)
         if overlap > 0.0:
-            report.notes.append(f"the initial overlap is left {overlap:.3g} deep in this part")
+            report.notes.append(f"an initial overlap of {overlap:.3g} remains in this part")
         try:
             _attempt(problem, report, max_it, overlap, level, audit)
         except NewtonNotConverged as error:
@@ -152,6 +149,26 @@ def solve_step(
         return report
 
 
+class Before:
+    """Displacement, results and contact set before a step."""
+
+    def __init__(self, problem: ContactProblem) -> None:
+        """Copy them."""
+        self.problem, committed = problem, problem.committed
+        self.u, self.shown = problem.u.x.array.copy(), problem.solid.keep()
+        self.results = [(interface, interface.keep()) for interface in problem.interfaces]
+        self.found = committed.contacts, committed.supports
+
+    def restore(self) -> None:
+        """Undo the step, perhaps on this rank only."""
+        self.problem.u.x.array[:] = self.u
+        self.problem.solid.put_back(self.shown)
+        self.problem.terms.roll_back()
+        self.problem.committed.contacts, self.problem.committed.supports = self.found
+        for interface, kept in self.results:
+            interface.put_back(kept)
+
+
 def _attempt(
     problem: ContactProblem,
     report: StepReport,
@@ -160,22 +177,8 @@ def _attempt(
     level: float | None,
     audit: bool,
 ) -> None:
-    """Make a step and complete its report; undo it if it fails, and only then say why.
-
-    Results of the interfaces are put back, too, as they are set before the certificate judges them:
-    resultants, pressures, slips, dissipation.
-    """
-    before, shown = problem.u.x.array.copy(), problem.solid.keep()
-    results = [(interface, interface.keep()) for interface in problem.interfaces]
-    earlier = dict(problem.timings.seconds)
-
-    def undo() -> None:
-        problem.u.x.array[:] = before
-        problem.solid.put_back(shown)
-        problem.terms.roll_back()
-        for interface, kept in results:
-            interface.put_back(kept)
-
+    """Make a step and complete its report; if it fails, undo it first, then find the cause."""
+    before, earlier = Before(problem), dict(problem.timings.seconds)
     try:
         with problem.timings("total"):
             try:
@@ -183,10 +186,10 @@ def _attempt(
                 _Step(problem, report, data, overlap).run(max_it)
             except (failures.StepFailed, backends.QPNotSolved, backends.UnusableQP) as error:
                 reached = problem.u.x.array.copy()
-                undo()
+                before.restore()
                 raise failures.explain(problem, report, error, reached) from error
-            except BaseException:  # perhaps of this rank only, which must not wait for the others
-                undo()
+            except BaseException:  # perhaps of this rank only: no communication
+                before.restore()
                 raise
     finally:
         report.seconds = problem.timings.since(earlier)
@@ -200,16 +203,16 @@ def _attempt(
 
 @dataclass(frozen=True)
 class Iterate:
-    """What one iteration hands to the next."""
+    """Data of an iterate for the next iteration."""
 
     balance: Balance
     contacts: Contacts
     scales: Scales
     energy: Energy | None  # J(u), where a line search may need it
     norm: float  # |u|_e
-    largest: float  # largest multiplier seen in the step
+    largest: float  # largest multiplier so far
     stiffness: PETSc.Vec  # diagonal of the last K^
-    changes: int | None = None  # bounds in which the last QP's active set was not its first
+    changes: int | None = None  # bounds that the last QP has changed in the active set
 
 
 class _Step:
@@ -220,10 +223,10 @@ class _Step:
     ) -> None:
         self.problem, self.report, self.data, self.overlap = problem, report, data, overlap
         self.linear = problem.terms.linear
-        self.direction = fem.Function(problem.V)  # the step, for its norm
+        self.direction = fem.Function(problem.V)  # du, for its norm
 
     def run(self, max_it: int) -> None:
-        """Iterate until done; set the results and the certificate."""
+        """Iterate until convergence; set the results and the certificate."""
         problem = self.problem
         watch = Watch(problem.geometry == "updated" and bool(problem.contacts))  # ties stay at X
         iterate, start = self.first()
@@ -238,12 +241,12 @@ class _Step:
                     self.check_passing()
                     self.finish(iterate, residual)
                     return
-                iterate = replace(iterate, balance=self.balance())  # T is another one now
+                iterate = replace(iterate, balance=self.balance())  # with another T
             start = iterate.contacts.active[iterate.balance.nodes].astype(np.int8)
         raise failures.StepFailed(f"Newton did not converge in max_it={max_it} iterations")
 
     def first(self) -> tuple[Iterate, Actives]:
-        """Return the iterate to start from, and a guess of the contact set."""
+        """Return the initial iterate, and the initial active set of its QP."""
         problem = self.problem
         balance = self.balance()
         contacts = go_on(self.data.contacts, balance.limits, gap_round_off(problem.u))
@@ -272,11 +275,10 @@ class _Step:
         watch: Watch,
         residuals: list[Residuals],
     ) -> tuple[Iterate, Watch, Residuals]:
-        """Solve a QP, step, follow the geometry, judge and record."""
+        """Make one Newton iteration and record it in the report."""
         problem, report = self.problem, self.report
         free_unused(problem.comm)
-        # values that the user may change between steps
-        tangent = not self.linear or (number == 1 and problem.terms.varying)
+        tangent = not self.linear or (number == 1 and problem.terms.varying)  # by parameters
         lin = linearise(problem, old.balance, tangent=tangent)
         scales = old.scales
         if number == 1:
@@ -287,7 +289,8 @@ class _Step:
         report.quote(number, solved.note)
         report.note_friction(number, solved.linearisation)
         contacts = found_by(lin, solved, problem.n)
-        largest = max(old.largest, contacts.largest(problem.comm))
+        multiplier = maximum(problem.comm, contacts.multipliers.max(initial=0.0))[0]
+        largest = max(old.largest, float(multiplier))
 
         du = to_displacement(problem.system.transformation, solved.x)
         self.check_distance(du, scales.extent)
@@ -297,8 +300,8 @@ class _Step:
         increment = increment / (old.norm + norm) if old.norm + norm > 0.0 else 0.0
 
         bounds = lin.balance.bounds
-        left = bounds.upper - length * solved.x.array_r[bounds.dofs]
-        predicted = at_nodes(problem.n, lin.balance, left)
+        predicted = np.full(problem.n, np.nan)  # gaps
+        predicted[lin.balance.nodes] = bounds.upper - length * solved.x.array_r[bounds.dofs]
 
         def judge(balance: Balance) -> Residuals:
             return measure(problem.u, balance, contacts, lin.diagonal, scales, norm, report.rtol)
@@ -348,15 +351,15 @@ class _Step:
                 changes=old.changes,
                 rtol=rtol,
             )
-        # An iterative solver comes near what supports and ties ask for; it is known exactly.
+        # supports and ties are satisfied exactly, also by an iterative solver
         equal = lin.balance.equal
         solved.x.array[equal.dofs] = equal.upper
         return solved
 
     def check_distance(self, du: PETSc.Vec, extent: float) -> None:
-        """Raise if a step exceeds the model by far: a singular tangent may solve to anything."""
+        """Raise if a step is far longer than the model: the tangent is singular."""
         farthest = du.norm(PETSc.NormType.INFINITY)
-        if not farthest <= FARTHEST * extent:
+        if not QUARTER_OF_DIGITS * farthest <= extent:
             raise failures.StepFailed(
                 f"a step goes {farthest:.1e} far, in a model of size {extent:.1e}: the tangent is "
                 "singular, so nothing holds a body, or nothing resists its flow"
@@ -372,9 +375,9 @@ class _Step:
     ) -> tuple[float, int, Energy | None]:
         """Move u along the step; return its length, the halvings, and J.
 
-        Where supports or ties still ask for a motion, the energy must be free to rise, and a law
-        may have none: then the whole step is taken. Supports that have only moved their bodies
-        rigidly, at the start of the step, ask for nothing any more.
+        The step is whole if there is no energy, or if supports or ties still prescribe increments,
+        for which the energy may increase; they do not once the supports have moved their bodies
+        rigidly at the start of the step.
         """
         problem = self.problem
         own = du.local_size
@@ -396,7 +399,7 @@ class _Step:
         contacts: Contacts,
         predicted: Floats,
     ) -> tuple[Balance, Residuals, Watch, float]:
-        """Rebuild the geometry at u unless it stands or is held; return what is found there."""
+        """Update the geometry unless it is constant or frozen; return balance and residuals."""
         problem = self.problem
         if not watch.moving or watch.held:
             balance = self.balance()
@@ -413,7 +416,7 @@ class _Step:
         return balance, residual, watch, change / problem.system.facet_length
 
     def geometry_is_complete(self) -> bool:
-        """Tell whether the whole surfaces agree: partners far away, and nodes outside T."""
+        """Tell whether all touching facets are paired and all their nodes in T; else add them."""
         problem = self.problem
         with problem.timings("mortar"):
             complete = problem.system.is_complete(problem.configuration, problem.positions())
@@ -422,14 +425,14 @@ class _Step:
         return complete
 
     def check_passing(self) -> None:
-        """Raise if bodies have passed through each other on their way."""
+        """Raise if bodies have passed through each other."""
         with self.problem.timings("mortar"):
             passed = describe_passing(self.problem)
-        if passed:  # whatever flows or floats where they have gone is no cause
+        if passed:  # other causes need not be looked for
             raise NewtonNotConverged(f"{passed}{failures.AS_BEFORE}", self.report)
 
     def finish(self, iterate: Iterate, residual: Residuals) -> None:
-        """Set what the step has found."""
+        """Set the results of the step."""
         problem, report = self.problem, self.report
         contacts = iterate.contacts
         with problem.timings("results"):
@@ -448,7 +451,7 @@ class _Step:
         report.certificate = create_certificate(
             problem, report, contacts, residual, sliders, left_out
         )
-        supports = support_forces(problem, iterate.balance)  # last, nothing fails any more
+        supports = support_forces(problem, iterate.balance)  # last, for no error may follow
         committed = problem.committed
         committed.contacts = contacts.active, contacts.sliding
         committed.found_slips, committed.supports = slips, supports

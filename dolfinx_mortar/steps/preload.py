@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Tightening of bolts: one step in which the forces of ties are given, and their jumps found."""
+"""Tightening of bolts: one step in which the forces of ties are given and their jumps unknown."""
 
 from __future__ import annotations
 
@@ -23,19 +23,16 @@ from dolfinx_mortar.problem.checks import check_controls, check_problem
 from dolfinx_mortar.problem.jumps import diagonal
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.step_report import NewtonNotConverged, StepReport
-from dolfinx_mortar.steps.newton import solve_step
+from dolfinx_mortar.steps.newton import Before, solve_step
 
 log = logging.getLogger(__name__)
 
-# Of the diagonal of the model: a longer jump is none of a small strain.
-FARTHEST = 0.1
-
 
 class PreloadNotReached(RuntimeError):
-    """A preload that the model does not carry; all is as before.
+    """A preload that the model does not carry; the state is as before.
 
     Attributes:
-        report: of the step that has failed, or led too far.
+        report: of the step that has failed, or has given too long a jump.
     """
 
     def __init__(self, message: str, report: StepReport) -> None:
@@ -49,8 +46,8 @@ class Preload:
     """A tightened bolt."""
 
     jump: Floats  # (d,) the tie's tightening, which stays
-    force: float  # reached, along the direction
-    report: StepReport = field(repr=False)  # of the step, for all bolts that it has tightened
+    force: float  # along the direction
+    report: StepReport = field(repr=False)  # of the step, which may tighten several bolts
 
 
 Direction = Sequence[float] | Floats
@@ -91,7 +88,7 @@ def preload(
     max_it: int = 50,
     qp: str = "active-set",
 ) -> Any:
-    """Tighten bolts that are cut by ties, by one step with given forces; commit; collective.
+    """Tighten bolts cut by ties in one step with given forces, and commit it; collective.
 
         preload(problem, bolt, 37e3, [0, 0, -1])
         preload(problem, {left: 37e3, right: 37e3}, direction=[0, 0, -1])
@@ -100,31 +97,30 @@ def preload(
     ``tie.force @ n == force`` along the unit vector n of the direction, under the present loads and
     supports. For a bolt n points out of the slave side, into the master side: then the sides
     overlap by s, as if the shank were shorter by that, and a positive force is tension. s n is kept
-    in ``tie.tightening``, so that later steps hold the jump while the force follows the loads. A
-    tie that has been tightened before is tightened, or loosened, from where it is. Bolts in a
-    dictionary have their forces all together; those that are tightened by calls of their own change
-    the forces of those before. ``Tie(..., pretension=force)`` gives the force in steps of any
-    driver.
+    in ``tie.tightening``: later steps hold the jump constant, and the force depends on the loads. A
+    tie that has been tightened before may be tightened further, or loosened. Bolts of one
+    dictionary have their forces at the same time; those of a later call change the forces of
+    earlier ones. ``Tie(..., pretension=force)`` gives the force in steps of any driver.
 
     Args:
-        problem: bodies and constraints, with the loads and supports of the moment.
+        problem: bodies and constraints, with their present loads and supports.
         tie: one of its ties, or several with their forces.
-        force: resultant in force units, of the part of the bolt that is modelled: of half a bolt on
-            a plane of symmetry, give half the force. Negative: the sides are pushed apart.
-        direction: d numbers, of any length; of several bolts, for all of them or by tie.
-        rtol: as in `newton`; each force is also met to this share of it, or of the force before if
-            that is larger.
+        force: resultant of the part of the bolt in the model: half the force of a bolt on a plane
+            of symmetry. A negative one pushes the sides apart.
+        direction: vector (d,) of any length; of several bolts, for all of them or by tie.
+        rtol: as in `newton`; also the error of each force, relative to the larger one of the force
+            and that before.
         max_it: as in `newton`.
         qp: as in `newton`.
 
     Returns:
-        Jump, force and report; of several bolts by tie. The step is committed, as those of
-        `load_steps` are; the level and the history of these stay as they are.
+        Jump, force and report; of several bolts by tie. The step is committed, without an entry in
+        the history of `load_steps`, and at the same level.
 
     Raises:
-        ValueError: for arguments that make no sense, on all ranks.
-        PreloadNotReached: if the model does not carry a force: nothing resists, the direction is
-            wrong, bodies flow or let go, or the step does not converge. Displacement, results,
+        ValueError: for invalid arguments, on all ranks.
+        PreloadNotReached: if the model does not carry a force: nothing resists it, the direction is
+            wrong, bodies flow or separate, or the step does not converge. Displacement, results,
             jumps and committed state are then as before.
     """
     check_problem(problem, ContactProblem)
@@ -140,20 +136,18 @@ def preload(
     problem.audit()  # without pretensions; the sides have to be paired
     for one, n in zip(ties, axes, strict=True):
         _check_axis(problem, one, n)
-    with _all_as_before(problem), _pulled(ties, forces, axes):
-        before = [one.tightening for one in ties]
+    before, start = Before(problem), [one.tightening for one in ties]
+    with _pulled(ties, forces, axes):
         try:
             report = solve_step(problem, qp=qp, rtol=rtol, max_it=max_it, audit=False)
         except NewtonNotConverged as error:
             cause = error.message.removesuffix(AS_BEFORE)
             raise _failure(ties, forces, axes, cause, error.report) from error
-        after = [one.tightening for one in ties]
-        way = max(float(np.linalg.norm(b - a)) for a, b in zip(before, after, strict=True))
-        if way > FARTHEST * diagonal(problem.V):
-            cause = (
-                f"a jump of {way:.4g} would do, more than {FARTHEST:.0%} of the model's diagonal"
-            )
-            raise _failure(ties, forces, axes, cause, report)
+    change = max(float(np.linalg.norm(a.tightening - b)) for a, b in zip(ties, start, strict=True))
+    if change > diagonal(problem.V):
+        before.restore()
+        cause = f"it needs a jump of {change:.4g}, more than the model's diagonal"
+        raise _failure(ties, forces, axes, cause, report)
     problem.commit()
     found = {
         one: Preload(one.tightening.copy(), float(one.force @ n), report)
@@ -166,14 +160,13 @@ def _by_tie(forces: Mapping[Any, Any], force: Any, direction: Any) -> tuple[list
     """Return ties, their forces and directions.
 
     Raises:
-        ValueError: if there are no bolts, a force beside them, or directions of other ones.
+        ValueError: without bolts, for a force besides them, or directions of other ties.
     """
     if not forces:
-        raise ValueError("tie is an empty dictionary: give bolts and their forces, {tie: force}")
+        raise ValueError("tie is an empty dictionary: give {tie: force}")
     if force is not None:
         raise ValueError(
-            f"force is {force!r}, but the forces are given with the ties: leave it out, and give "
-            "direction=..."
+            f"force is {force!r}, but tie has the forces: leave it out, and give direction=..."
         )
     if not isinstance(direction, Mapping):
         direction = dict.fromkeys(forces, direction)
@@ -193,8 +186,8 @@ def _check(problem: ContactProblem, tie: Any, force: Any, direction: Any) -> Flo
     check_owned(problem.interfaces, problem.supports)
     if tie.pretension is not None:
         raise ValueError(
-            f"tie is {tie!r}, which has pretension={tie.pretension!r}: every step tightens it, so "
-            "set tie.pretension to the force, or to None before"
+            f"tie is {tie!r}, which has pretension={tie.pretension!r} in every step: set that to "
+            "the force, or to None"
         )
     if not is_number(force):
         raise ValueError(f"force is {force!r}: give a finite number, the resultant of the bolt")
@@ -217,22 +210,22 @@ def _failure(
     cause: str,
     report: StepReport,
 ) -> PreloadNotReached:
-    """Return the error of a preload that is not reached."""
+    """Return the error."""
     bolts = [
         f"{force:g} along the direction [{', '.join(f'{x:.4g}' for x in n)}] of {tie}"
         for tie, force, n in zip(ties, forces, axes, strict=True)
     ]
     return PreloadNotReached(
-        f"force {'; '.join(bolts)}: {cause}. The force may be more than the bolt's stiffness gives "
-        "(check units, of force and stiffness). Where smaller steps help, tighten in parts, by "
-        "calls with rising forces. Displacement, jump and committed state are as before",
+        f"force {'; '.join(bolts)}: {cause}. The force may be too large for the stiffness of the "
+        "bolt (check units of both). Otherwise tighten in several calls, with increasing forces. "
+        "Displacement, jump and committed state are as before",
         report,
     )
 
 
 @contextmanager
 def _pulled(ties: Sequence[Tie], forces: Sequence[float], axes: Sequence[Floats]) -> Iterator[None]:
-    """Give ties their pretensions for a step."""
+    """Set the pretensions of ties for a block."""
     directions = [tie.direction for tie in ties]
     for tie, force, n in zip(ties, forces, axes, strict=True):
         tie.pretension, tie.direction = float(force), n
@@ -241,20 +234,3 @@ def _pulled(ties: Sequence[Tie], forces: Sequence[float], axes: Sequence[Floats]
     finally:
         for tie, direction in zip(ties, directions, strict=True):
             tie.pretension, tie.direction = None, direction
-
-
-@contextmanager
-def _all_as_before(problem: ContactProblem) -> Iterator[None]:
-    """Put displacement, results, tightenings and contact set back if something fails."""
-    u, shown, contacts = problem.u.x.array.copy(), problem.solid.keep(), problem.committed.contacts
-    supports = problem.committed.supports
-    results = [(one, one.keep()) for one in problem.interfaces]
-    try:
-        yield
-    except BaseException:
-        problem.u.x.array[:] = u
-        problem.solid.put_back(shown)
-        problem.committed.contacts, problem.committed.supports = contacts, supports
-        for one, kept in results:
-            one.put_back(kept)
-        raise

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Ramps: values of Constants over load levels, given as tables and so as data."""
+"""Ramps: values of Constants over load levels, given by tables."""
 
 from __future__ import annotations
 
@@ -14,13 +14,10 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.arguments import as_numbers
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import SAME, Floats
 
 Rows = list[list[float]]
-"""A table as JSON knows it: the level, then the components of the value, in every row."""
-
-# Of the largest level or value: what is calculated in another way differs by round-off.
-SAME = 1e-12
+"""A table in JSON: in every row the level, then the components of the value."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +25,7 @@ class Ramp:
     """A Constant and its values over load levels, linear between the rows of a table."""
 
     constant: fem.Constant
-    levels: Floats  # (n,), rising
+    levels: Floats  # (n,), increasing
     values: Floats  # (n, components)
 
     def at(self, level: float) -> Floats:
@@ -46,14 +43,14 @@ class Ramp:
 
 
 def read_ramps(comm: MPI.Comm, ramp: Any) -> list[Ramp]:
-    """Return what a user gives as `ramp`, {Constant: [(level, value), ...]}; collective.
+    """Return the ramps of {Constant: [(level, value), ...]}; collective.
 
     Raises:
-        ValueError: on all ranks, for what is no such table, naming which one and the remedy.
+        ValueError: on all ranks, for an invalid table, with its number and the remedy.
     """
     given: list[tuple[Any, Any]] = []
     named = {"ramp": ramp}
-    if isinstance(ramp, Mapping):  # an iterator can be read only once
+    if isinstance(ramp, Mapping):
         given = [(constant, _listed(table)) for constant, table in ramp.items()]
         named = {"ramp": len(given)}
         named |= {f"ramp: table {k}": one for k, (_, one) in enumerate(given, start=1)}
@@ -65,13 +62,13 @@ def read_ramps(comm: MPI.Comm, ramp: Any) -> list[Ramp]:
 
 
 def _listed(table: Any) -> Any:
-    """Return a table as a list of rows, and what is none as it is."""
+    """Return a table as a list of rows (an iterator can be read only once), other values as is."""
     rows = isinstance(table, Iterable) and not isinstance(table, Mapping | str | bytes)
     return list(table) if rows else table
 
 
 def _read(name: str, constant: Any, table: Any) -> Ramp:
-    """Return one table, which must be a list of pairs."""
+    """Return the ramp of one table."""
     if not isinstance(constant, fem.Constant):
         raise ValueError(
             f"{name} is for {constant!r}: its key must be a dolfinx Constant, such as the value of "
@@ -92,7 +89,7 @@ def _read(name: str, constant: Any, table: Any) -> Ramp:
 
 
 def _row(row: Any, shape: tuple[int, ...]) -> list[float] | None:
-    """Return level and components of a row, None if it is no pair of finite numbers that fit."""
+    """Return level and components of a row, None if it is no pair of finite numbers."""
     if not isinstance(row, Sequence | np.ndarray) or len(row) != 2:
         return None
     level, value = as_numbers(row[0]), as_numbers(row[1])
@@ -103,32 +100,24 @@ def _row(row: Any, shape: tuple[int, ...]) -> list[float] | None:
 
 
 def check_range(ramps: Sequence[Ramp], levels: Sequence[float]) -> None:
-    """Raise a ValueError unless all tables hold all levels, up to round-off.
-
-    Args:
-        ramps: the tables.
-        levels: those of a walk, with the one at which it begins.
-    """
+    """Raise a ValueError unless all tables contain all levels of a run, up to round-off."""
     slack = SAME * max(map(abs, levels))
     for k, ramp in enumerate(ramps, start=1):
         first, last = ramp.levels[[0, -1]]
         if min(levels) < first - slack or max(levels) > last + slack:
             raise ValueError(
                 f"ramp: table {k} holds levels from {first:g} to {last:g}, but the walk goes from "
-                f"{levels[0]:g} over levels between {min(levels):g} and {max(levels):g}: add rows "
-                "for these"
+                f"{levels[0]:g} over levels between {min(levels):g} and {max(levels):g}: add rows"
             )
 
 
 def difference(saved: Sequence[Rows], ramps: Sequence[Ramp], walked: Sequence[float]) -> str:
-    """Return in words how tables differ from saved ones where a walk has been, "" if they do not.
-
-    Beyond the levels that were walked they may differ: a walk may be given another end.
+    """Say how tables differ from saved ones between the levels reached, "" if they do not.
 
     Args:
-        saved: the tables of the walk.
-        ramps: those that are given now, for Constants in the same order.
-        walked: levels of the walk, with the one at which it began.
+        saved: the tables of the saved run.
+        ramps: those given now, for Constants in the same order.
+        walked: levels of the run, with the initial one.
     """
     if len(saved) != len(ramps):
         return f"there are {len(ramps)} tables now, {len(saved)} then"
@@ -138,7 +127,7 @@ def difference(saved: Sequence[Rows], ramps: Sequence[Ramp], walked: Sequence[fl
         old = Ramp(ramp.constant, table[:, 0], table[:, 1:])
         if old.values.shape[1] != ramp.values.shape[1]:
             return f"values of table {k} have another shape than then"
-        # polygons are the same if they agree at the corners of both
+        # piecewise linear functions are equal if they agree at the nodes of both
         for level in np.unique(np.clip([low, high, *old.levels, *ramp.levels], low, high)):
             then, now = old.at(level), ramp.at(level)
             if (np.abs(then - now) > SAME * np.abs(old.values).max()).any():

@@ -17,17 +17,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from dolfinx import fem, la
-from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, ROUND_OFF, Bools, Floats, Ints
 from dolfinx_mortar.solid.kinematics import translations_and_rotations
 
 Motion = Callable[[PETSc.Vec], Floats]
-# A rigid-body mode is constrained if the constraints resist it by more than this share of the mode
-# that they resist most.
-HELD = 1e-7
-# Two rigid motions that differ by less than this share have the same name.
-SAME = 1e-4
-# A coordinate of a body's centre that is less than this share of its radius is named 0.
-ORIGIN = 1e-3
 
 
 @dataclass(frozen=True)
@@ -73,7 +66,7 @@ class Bodies:
             return np.zeros(d, dtype=bool)
         basis, shifts = np.stack(motions, axis=1), np.tile(np.eye(d), (d + 1, 1))
         left = shifts - basis @ np.linalg.lstsq(basis, shifts)[0]
-        return np.asarray(np.abs(left).max(axis=0) < SAME)
+        return np.asarray(np.abs(left).max(axis=0) < QUARTER_OF_DIGITS)
 
     def _vector(self, values: Floats) -> PETSc.Vec:
         layout, d = self.V.dofmap.index_map, self.V.dofmap.index_map_bs
@@ -200,7 +193,7 @@ def free_motions(
         if null.shape[1] == 0:
             return []
         values, vectors = np.linalg.eigh(null.T @ form @ null / scale)
-        null = null @ vectors[:, values < HELD**2 * len(modes)]
+        null = null @ vectors[:, values < ROUND_OFF * len(modes)]  # that of sums of squares
     rest = null
     body = np.array([k for k, _, _ in modes])
     named = [f"{name} of {name_of(bodies, [k])}" for k, name, _ in modes]
@@ -228,7 +221,9 @@ def _gram(
 def name_of(bodies: Bodies, group: list[int]) -> str:
     """Return how a message calls a body, or several."""
     size = bodies.radius[group].max()
-    centre = np.where(np.abs(bodies.centre[group]) < ORIGIN * size, 0.0, bodies.centre[group])
+    centre = np.where(
+        np.abs(bodies.centre[group]) < QUARTER_OF_DIGITS * size, 0.0, bodies.centre[group]
+    )
     places = sorted([float(f"{x:.4g}") for x in row] for row in centre)
     centres = ", ".join(map(str, places))
     return (
@@ -242,8 +237,8 @@ def _take_out(null: Floats, rest: Floats, motions: dict[str, Floats]) -> tuple[F
     for name, motion in motions.items():
         unit = motion / np.linalg.norm(motion)
         share = rest.T @ unit
-        inside = np.linalg.norm(unit - null @ (null.T @ unit)) < SAME
-        if inside and np.linalg.norm(share) > SAME:
+        inside = np.linalg.norm(unit - null @ (null.T @ unit)) < QUARTER_OF_DIGITS
+        if inside and np.linalg.norm(share) > QUARTER_OF_DIGITS:
             found.append(name)
             rest = rest @ np.linalg.svd(share[None])[2][1:].T
     return rest, found
@@ -251,7 +246,7 @@ def _take_out(null: Floats, rest: Floats, motions: dict[str, Floats]) -> tuple[F
 
 def _groups(null: Floats, body: npt.NDArray[np.int_]) -> list[list[int]]:
     """Return the sets of bodies that only move together in a null space (modes, k)."""
-    linked = np.abs(null @ null.T) > SAME
+    linked = np.abs(null @ null.T) > QUARTER_OF_DIGITS
     _, label = connected_components(linked | (body[:, None] == body), directed=False)
     return [np.unique(body[label == k]).tolist() for k in np.unique(label)]
 
