@@ -25,20 +25,12 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-import basix
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.geometry import polygons
-from dolfinx_mortar.geometry.elements import FacetElement
+from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.parts import PartPoints, on_facets, pairs_of_parts, parts_of
-from dolfinx_mortar.geometry.plane import (
-    create_planes,
-    height_at,
-    inverse,
-    project,
-    slopes,
-    stretch,
-)
+from dolfinx_mortar.geometry.parts import on_facets, pairs_of_parts, parts_of
+from dolfinx_mortar.geometry.plane import create_planes, height_at, inverse, project, slopes
 from dolfinx_mortar.geometry.polygons import VERTICES
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
@@ -53,19 +45,19 @@ def _rules() -> tuple[Floats, Floats, Longs]:
     """Return points, weights (sum 1) and first points of the rules of degree 2, 4, ... ."""
     points, weights, start = [], [], [0]
     for degree in range(2, _HIGHEST + 2, 2):
-        p, w = (np.asarray(a) for a in basix.make_quadrature(basix.CellType.triangle, degree))
+        p, w = triangle_rule(degree)
         points.append(p)
-        weights.append(w / w.sum())
+        weights.append(w)
         start.append(start[-1] + len(w))
     return np.concatenate(points), np.concatenate(weights), np.array(start, dtype=np.int64)
 
 
 @numba.njit(cache=True)
-def _distance(S, M, bilinear, x, y):  # type: ignore[no-untyped-def]
-    """Return the distance of two projected facets at (x, y)."""
+def _depth(S, M, bilinear, x, y):  # type: ignore[no-untyped-def]
+    """Return how far the projected facet M lies below S at (x, y)."""
     xi, eta, _ = inverse(S, bilinear[0], x, y)
     r, s, _ = inverse(M, bilinear[1], x, y)
-    return abs(height_at(S, bilinear[0], xi, eta) - height_at(M, bilinear[1], r, s))
+    return height_at(S, bilinear[0], xi, eta) - height_at(M, bilinear[1], r, s)
 
 
 @numba.njit(cache=True)
@@ -80,30 +72,13 @@ def _overlap(P, Q):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _any_overlap(M, count):  # type: ignore[no-untyped-def]
-    """Tell whether any of the first `count` facets overlap; sweep from left to right."""
+    """Tell whether any of the first `count` projected facets overlap."""
     low, high = np.empty(count), np.empty(count)
-    order, active = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
     for i in range(count):
-        low[i], high[i] = np.inf, -np.inf
-        for k in range(M.shape[1]):
-            low[i], high[i] = min(low[i], M[i, k, 0]), max(high[i], M[i, k, 0])
-        k = i  # insertion, since argsort takes seconds to compile
-        while k > 0 and low[order[k - 1]] > low[i]:
-            order[k] = order[k - 1]
-            k -= 1
-        order[k] = i
-    a = 0
-    for i in order:
-        left = 0
-        for k in range(a):
-            j = active[k]
-            if high[j] > low[i]:
-                active[left] = j
-                left += 1
-                if _overlap(M[i], M[j]):
-                    return True
-        active[left] = i
-        a = left + 1
+        low[i], high[i] = M[i, :, 0].min(), M[i, :, 0].max()
+        for j in range(i):
+            if high[j] > low[i] and high[i] > low[j] and _overlap(M[i], M[j]):
+                return True
     return False
 
 
@@ -123,7 +98,7 @@ def _is_hidden(S, M, bilinear, i, j, pieces, sizes, common, spare):  # type: ign
     if polygons.is_thin(common, size):
         return False
     _, x, y = polygons.measure(common, size)
-    behind = _distance(S, M[b], bilinear, x, y) < _distance(S, M[a], bilinear, x, y)
+    behind = abs(_depth(S, M[b], bilinear, x, y)) < abs(_depth(S, M[a], bilinear, x, y))
     return behind if i == a else not behind
 
 
@@ -138,17 +113,21 @@ def _copy(P, n, Q):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _make_room(pieces, sizes, owner, count):  # type: ignore[no-untyped-def]
-    """Return the arrays with room for the pieces of one difference."""
-    room = len(sizes)
-    if count + VERTICES <= room:
+def _doubled(a):  # type: ignore[no-untyped-def]
+    """Return an array of twice the length that begins with the contiguous array a."""
+    result = np.empty((2 * len(a),) + a.shape[1:], a.dtype)  # noqa: RUF005
+    x, y = a.reshape(-1), result.reshape(-1)
+    for i in range(len(x)):
+        y[i] = x[i]
+    return result
+
+
+@numba.njit(cache=True)
+def _enlarged(pieces, sizes, owner, count):  # type: ignore[no-untyped-def]
+    """Return the arrays with space for the pieces of one more difference."""
+    if count + VERTICES <= len(sizes):
         return pieces, sizes, owner
-    longer = np.empty((2 * room, VERTICES, 2))
-    more, whose = np.zeros(2 * room, np.int64), np.zeros(2 * room, np.int64)
-    for i in range(count):
-        more[i], whose[i] = sizes[i], owner[i]
-        _copy(pieces[i], sizes[i], longer[i])
-    return longer, more, whose
+    return _doubled(pieces), _doubled(sizes), _doubled(owner)
 
 
 @numba.njit(cache=True)
@@ -167,7 +146,7 @@ def _keep_nearest(S, M, bilinear, given, given_sizes, n):  # type: ignore[no-unt
     count = 0
     for i in range(n):
         first = count
-        pieces, sizes, owner = _make_room(pieces, sizes, owner, count)
+        pieces, sizes, owner = _enlarged(pieces, sizes, owner, count)
         sizes[count], owner[count] = given_sizes[i], i
         _copy(given[i], given_sizes[i], pieces[count])
         count += 1
@@ -175,8 +154,8 @@ def _keep_nearest(S, M, bilinear, given, given_sizes, n):  # type: ignore[no-unt
             if not _is_hidden(S, M, bilinear, i, j, given, given_sizes, common, spare):
                 continue
             k = first
-            while k < count:  # room for one more corner per cut
-                pieces, sizes, owner = _make_room(pieces, sizes, owner, count)
+            while k < count:  # a cut adds a corner at most
+                pieces, sizes, owner = _enlarged(pieces, sizes, owner, count)
                 if sizes[k] + 2 * M.shape[1] > VERTICES:
                     sizes[k], sizes[count] = polygons.halve(pieces[k], sizes[k], pieces[count])
                     owner[count] = i
@@ -184,7 +163,7 @@ def _keep_nearest(S, M, bilinear, given, given_sizes, n):  # type: ignore[no-unt
                 else:
                     k += 1
             for k in range(first, count):
-                pieces, sizes, owner = _make_room(pieces, sizes, owner, count)
+                pieces, sizes, owner = _enlarged(pieces, sizes, owner, count)
                 sign = polygons.orientation(M[j], M.shape[1])
                 _copy(pieces[k], sizes[k], common)
                 size, sizes[k], before = sizes[k], 0, count
@@ -195,15 +174,6 @@ def _keep_nearest(S, M, bilinear, given, given_sizes, n):  # type: ignore[no-unt
                     for h in range(before, count):
                         owner[h] = i
     return pieces, sizes, owner, count
-
-
-@numba.njit(cache=True)
-def _depth(S, M, bilinear, P, n):  # type: ignore[no-untyped-def]
-    """Return how far facet M lies below S, in the middle of the polygon P that they share."""
-    _, x, y = polygons.measure(P, n)
-    xi, eta, _ = inverse(S, bilinear[0], x, y)
-    r, s, _ = inverse(M, bilinear[1], x, y)
-    return height_at(S, bilinear[0], xi, eta) - height_at(M, bilinear[1], r, s)
 
 
 @numba.njit(cache=True)
@@ -225,8 +195,10 @@ def _clip(  # type: ignore[no-untyped-def]
         size = polygons.intersect(S, k, P, n, sign, pieces[count], spare)
         if polygons.is_thin(pieces[count], size):
             continue
-        if deepest[r] < np.inf and _depth(S, P, bilinear, pieces[count], size) > deepest[r]:
-            continue  # across a body
+        if deepest[r] < np.inf:
+            _, x, y = polygons.measure(pieces[count], size)
+            if _depth(S, P, bilinear, x, y) > deepest[r]:
+                continue  # across a body
         sizes[count], row[count] = size, r
         count += 1
     return count
@@ -236,11 +208,7 @@ def _clip(  # type: ignore[no-untyped-def]
 def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
     """Append the triangles of a polygon, those of round-off excepted; return the new arrays."""
     if t + VERTICES > len(which):
-        more, longer = np.empty(2 * len(which), np.int64), np.empty((2 * len(which), 3, 2))
-        for i in range(t):
-            more[i] = which[i]
-            _copy(corners[i], 3, longer[i])
-        which, corners = more, longer
+        which, corners = _doubled(which), _doubled(corners)
     least = ROUND_OFF * polygons.measure(P, n)[0]
     for v in range(1, n - 1):
         ux, uy = P[v, 0] - P[0, 0], P[v, 1] - P[0, 1]
@@ -285,27 +253,22 @@ def _triangulate(x_s, x_m, bilinear, pairs, deepest, centre, axes):  # type: ign
 
 
 @numba.njit(cache=True)
-def _variation(P, bilinear, corners):  # type: ignore[no-untyped-def]
-    """Return the relative change of the Jacobian of a projected facet over a triangle."""
+def _changes(P, bilinear, corners):  # type: ignore[no-untyped-def]
+    """Return changes of a projected facet over a triangle, by its values at the corners.
+
+    The relative change of the Jacobian, and the largest squared difference of slopes.
+    """
     if not bilinear:
-        return 0.0
-    low, high = np.inf, 0.0
+        return 0.0, 0.0
+    low, high, turn = np.inf, 0.0, 0.0
+    s0, s1 = np.empty(3), np.empty(3)
     for v in range(3):
-        J = inverse(P, bilinear, corners[v, 0], corners[v, 1])[2]
+        xi, eta, J = inverse(P, bilinear, corners[v, 0], corners[v, 1])
         low, high = min(low, J), max(high, J)
-    return (high - low) / (high + low)
-
-
-@numba.njit(cache=True)
-def _turn(P, bilinear, corners):  # type: ignore[no-untyped-def]
-    """Return how far the slopes of a projected facet differ between the corners of a triangle."""
-    s0, s1, turn = np.empty(3), np.empty(3), 0.0
-    for v in range(3):
-        xi, eta, _ = inverse(P, bilinear, corners[v, 0], corners[v, 1])
         s0[v], s1[v] = slopes(P, bilinear, xi, eta)
     for v in range(3):
         turn = max(turn, (s0[v] - s0[v - 1]) ** 2 + (s1[v] - s1[v - 1]) ** 2)
-    return np.sqrt(turn)
+    return (high - low) / (high + low), turn
 
 
 @numba.njit(cache=True)
@@ -322,10 +285,9 @@ def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners, least
         s, m = pairs[which[t]]
         project(x_s[s], centre[s], axes[s], S)
         project(x_m[m], centre[s], axes[s], M)
-        variation = _variation(S, bilinear[0], corners[t])
-        variation += _variation(M, bilinear[1], corners[t])
-        # the weight holds sqrt(1 + slope^2)
-        variation = max(variation, _turn(S, bilinear[0], corners[t]) ** 2 / 2)
+        variation, turn = _changes(S, bilinear[0], corners[t])
+        variation += _changes(M, bilinear[1], corners[t])[0]
+        variation = max(variation, turn / 2)  # the weight contains sqrt(1 + slope^2)
         degree = float(least)
         if variation > 0.0:
             # the singularities of the inverse maps lie 1 / variation triangles away
@@ -361,8 +323,8 @@ def _place(  # type: ignore[no-untyped-def]
             y = c[0, 1] + points[i, 0] * uy + points[i, 1] * vy
             xi_s[q, 0], xi_s[q, 1], _ = inverse(S, bilinear[0], x, y)
             xi_m[q, 0], xi_m[q, 1], _ = inverse(M, bilinear[1], x, y)
-            ratio = stretch(S, bilinear[0], xi_s[q, 0], xi_s[q, 1])
-            weight[q] = weights[i] * area * ratio
+            s0, s1 = slopes(S, bilinear[0], xi_s[q, 0], xi_s[q, 1])
+            weight[q] = weights[i] * area * np.sqrt(1 + s0 * s0 + s1 * s1)
             pair[q] = which[t]
             q += 1
     return pair, xi_s, xi_m, weight
@@ -396,8 +358,8 @@ def place_points(
     pair, xi_s, xi_m, weight = _place(*sides, centre, axes, radius, which, corners, rule, *_rules())
     if slave.element.part is None and master.element.part is None:
         return pair, xi_s, xi_m, weight
-    part_s, part_m = of_parts[pair].T
-    return of[pair], *on_facets(slave, master, PartPoints(part_s, part_m, xi_s, xi_m, weight))
+    points = {"xi_s": xi_s, "xi_m": xi_m, "weight": weight}
+    return of[pair], *on_facets(slave, master, of_parts[pair], **points)
 
 
 def _least_degree(slave: FacetElement, master: FacetElement) -> int:

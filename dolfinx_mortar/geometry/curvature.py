@@ -177,12 +177,6 @@ def sagitta_tensors(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats
     return np.asarray((product + np.swapaxes(product, 2, 3)) / 2)
 
 
-def _edges(facets: Facets) -> Floats:
-    """Return x_b - x_a (m, e, d) for the pairs of nodes of facets."""
-    a, b = node_pairs(facets)
-    return np.asarray(facets.x[:, b] - facets.x[:, a])
-
-
 def curvatures(facets: Facets, sagitta: Floats) -> Floats:
     """Return K (m, d, d) of facets, tangential and symmetric: e_ab.K e_ab = c_ab, least squares.
 

@@ -39,12 +39,19 @@ def project(x, centre, axes, P):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
+def _bilinear(P, i):  # type: ignore[no-untyped-def]
+    """Return m, a, b, c of component i of a bilinear map m + xi a + eta b + xi eta c."""
+    p, q, r, s = P[0, i], P[1, i], P[2, i], P[3, i]
+    return (p + q + r + s) / 4, (q + r - p - s) / 4, (r + s - p - q) / 4, (p + r - q - s) / 4
+
+
+@numba.njit(cache=True)
 def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
     """Return xi, eta and the size of the Jacobian where the projected facet P meets (x, y).
 
-    The bilinear map is m + xi a + eta b + xi eta c. With p = m - (x, y), the cross product of
-    p + xi a + eta (b + xi c) = 0 and b + xi c is C + B xi + A xi^2 = 0, and the derivative of its
-    left-hand side is the Jacobian: the root inside is the one where it has the sign of a x b.
+    With p = m - (x, y) of the bilinear map, the cross product of p + xi a + eta (b + xi c) = 0 and
+    b + xi c is C + B xi + A xi^2 = 0, and the derivative of its left-hand side is the Jacobian: the
+    root inside is the one where it has the sign of a x b.
     """
     if not bilinear:
         a0, a1, b0, b1 = P[1, 0] - P[0, 0], P[1, 1] - P[0, 1], P[2, 0] - P[0, 0], P[2, 1] - P[0, 1]
@@ -53,20 +60,8 @@ def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
         xi = (p0 * b1 - p1 * b0) / J
         # by projection on b: on slivers xi is inexact, but the point stays where it is
         return xi, ((p0 - xi * a0) * b0 + (p1 - xi * a1) * b1) / (b0 * b0 + b1 * b1), abs(J)
-    a0, a1 = (
-        (P[1, 0] + P[2, 0] - P[0, 0] - P[3, 0]) / 4,
-        (P[1, 1] + P[2, 1] - P[0, 1] - P[3, 1]) / 4,
-    )
-    b0, b1 = (
-        (P[2, 0] + P[3, 0] - P[0, 0] - P[1, 0]) / 4,
-        (P[2, 1] + P[3, 1] - P[0, 1] - P[1, 1]) / 4,
-    )
-    c0, c1 = (
-        (P[0, 0] + P[2, 0] - P[1, 0] - P[3, 0]) / 4,
-        (P[0, 1] + P[2, 1] - P[1, 1] - P[3, 1]) / 4,
-    )
-    p0 = (P[0, 0] + P[1, 0] + P[2, 0] + P[3, 0]) / 4 - x
-    p1 = (P[0, 1] + P[1, 1] + P[2, 1] + P[3, 1]) / 4 - y
+    (m0, a0, b0, c0), (m1, a1, b1, c1) = _bilinear(P, 0), _bilinear(P, 1)
+    p0, p1 = m0 - x, m1 - y
     A = a0 * c1 - a1 * c0
     centre = a0 * b1 - a1 * b0
     B = centre + p0 * c1 - p1 * c0
@@ -87,38 +82,24 @@ def height_at(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
     """Return the height of the point (xi, eta) of a facet over the plane."""
     if not bilinear:
         return (1 - xi - eta) * P[0, 2] + xi * P[1, 2] + eta * P[2, 2]
-    low = (1 - xi) * P[0, 2] + (1 + xi) * P[1, 2]
-    high = (1 - xi) * P[3, 2] + (1 + xi) * P[2, 2]
-    return ((1 - eta) * low + (1 + eta) * high) / 4
-
-
-@numba.njit(cache=True)
-def _normal(P, xi, eta):  # type: ignore[no-untyped-def]
-    """Return a normal of a bilinear facet at (xi, eta), of any length."""
-    a, b = np.empty(3), np.empty(3)
-    for i in range(3):
-        a[i] = (1 - eta) * (P[1, i] - P[0, i]) + (1 + eta) * (P[2, i] - P[3, i])
-        b[i] = (1 - xi) * (P[3, i] - P[0, i]) + (1 + xi) * (P[2, i] - P[1, i])
-    n0, n1 = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2]
-    return n0, n1, a[0] * b[1] - a[1] * b[0]
-
-
-@numba.njit(cache=True)
-def stretch(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
-    """Return the area of a facet per area in the plane at (xi, eta)."""
-    if not bilinear:
-        return 1.0
-    n0, n1, n2 = _normal(P, xi, eta)
-    return np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) / abs(n2)
+    m, a, b, c = _bilinear(P, 2)
+    return m + xi * a + eta * (b + xi * c)
 
 
 @numba.njit(cache=True)
 def slopes(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
-    """Return the two slopes of a facet against the plane at (xi, eta)."""
+    """Return the two slopes of a facet against the plane at (xi, eta): minus those of its normal.
+
+    The area of the facet per area in the plane is sqrt(1 + s_0^2 + s_1^2).
+    """
     if not bilinear:
         return 0.0, 0.0
-    n0, n1, n2 = _normal(P, xi, eta)
-    return -n0 / n2, -n1 / n2
+    (_, a0, b0, c0), (_, a1, b1, c1) = _bilinear(P, 0), _bilinear(P, 1)
+    _, a2, b2, c2 = _bilinear(P, 2)
+    a0, a1, a2 = a0 + eta * c0, a1 + eta * c1, a2 + eta * c2
+    b0, b1, b2 = b0 + xi * c0, b1 + xi * c1, b2 + xi * c2
+    n2 = a0 * b1 - a1 * b0
+    return (a2 * b1 - a1 * b2) / n2, (a0 * b2 - a2 * b0) / n2
 
 
 @numba.njit(cache=True)
