@@ -11,12 +11,12 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 NUMBERS = [
-    "BENDS", "BLUR", "EPS", "FACING", "HALF_OF_DIGITS", "JUMP", "LEAST_COVERAGE", "LEAST_WEIGHT",
-    "OPEN", "ROUND_OFF", "STAYS", "THROUGH", "TINY", "VERTICES", "area._ACCURACY",
+    "BLUR", "EPS", "FACING", "HALF_OF_DIGITS", "JUMP", "LEAST_COVERAGE", "LEAST_WEIGHT",
+    "OPEN", "PROJECTIONS", "ROUND_OFF", "STAYS", "THROUGH", "TINY", "VERTICES", "area._ACCURACY",
     "area._HIGHEST", "operators._CHUNK", "parts._STEPS",
     "segments._SLIDING", "surface._MOST_WARPED",
 ]  # fmt: skip
-# What its cases do not reach is judged with absurd values in test_smooth_3d (BENDS), in
+# What its cases do not reach is judged with absurd values in test_smooth_3d (PROJECTIONS), in
 # test_axisymmetric_patch (LEAST_WEIGHT), and in test_elements (_STEPS of parts).
 DEFINITIONS = {"ALPHA"}  # of the multipliers' space, not of accuracy: see test_tying_3d
 SAME = 1e-12

@@ -4,9 +4,9 @@ r"""The matrices D, M and N as the paper writes them (eqs. 16 to 20), for users 
 Eq. 16, B_I v <= c_I, with B_I = N^T (D - M) of eq. 17 and c_I = -N^T (D - M) X of eq. 18; the
 blocks of D and M are those of eqs. 19 and 20, times the identity.
 
-The solver does not take this way: it keeps one entry per pair of nodes (`operators`) and turns them
-into a change of basis (`interfaces.basis`). At edges and corners it has other normals and functions
-than the averaged normals and dual functions here, unless `feature_angle` asks for them: `edges`.
+The solver does not use these: it stores one entry per pair of nodes (`operators`) and makes a
+change of basis of them (`interfaces.basis`). At edges and corners it has the normals and functions
+of `edges`, which come here with `feature_angle`.
 """
 
 from __future__ import annotations
