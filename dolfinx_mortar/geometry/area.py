@@ -35,9 +35,12 @@ from dolfinx_mortar.geometry.polygons import VERTICES
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 _HIGHEST = 24
-"""Degree of the finest quadrature."""
+"""Highest degree of the quadrature, which limits it on facets of low quality, as said above."""
 _ACCURACY = 1e-12
-"""Relative error of the integrals of shape functions where the inverse map is no polynomial."""
+"""Relative error allowed to integrals of shape functions where the inverse map is no polynomial.
+
+Both sides exchange a constant pressure up to this error. With EPS degrees are a third higher.
+"""
 
 
 @cache
@@ -64,7 +67,7 @@ def _depth(S, M, bilinear, x, y):  # type: ignore[no-untyped-def]
 def _overlap(P, Q):  # type: ignore[no-untyped-def]
     """Tell whether two projected facets share more than a line."""
     p, q = P.shape[0], Q.shape[0]
-    # a negative distance: facets that overlap by less than thin polygons are beside each other
+    # a negative distance: an overlap as narrow as a thin polygon is none
     if polygons.is_beside(P, p, Q, q, polygons.orientation(P, p), -64 * ROUND_OFF):
         return False
     return not polygons.is_beside(Q, q, P, p, polygons.orientation(Q, q), -64 * ROUND_OFF)
@@ -84,10 +87,10 @@ def _any_overlap(M, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _is_hidden(S, M, bilinear, i, j, pieces, sizes, common, spare):  # type: ignore[no-untyped-def]
-    """Tell whether facet j is nearer to the slave than facet i, behind the same part of it.
+    """Tell whether facet j is nearer to the slave than facet i where their projections overlap.
 
-    Both orders look at the same point: facets that coincide or cross would else hide each other,
-    or neither the other, by round-off.
+    The distances are compared at one point, whatever the order: of facets that coincide or cross,
+    one and only one hides the other.
     """
     a, b = min(i, j), max(i, j)
     if a == b or not _overlap(M[a], M[b]):
@@ -102,7 +105,7 @@ def _is_hidden(S, M, bilinear, i, j, pieces, sizes, common, spare):  # type: ign
     return behind if i == a else not behind
 
 
-# Loops in place of slices: array assignments take a second each to compile.
+# Loops in place of slices: each array assignment takes a second to compile.
 
 
 @numba.njit(cache=True)
@@ -132,10 +135,10 @@ def _enlarged(pieces, sizes, owner, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _keep_nearest(S, M, bilinear, given, given_sizes, n):  # type: ignore[no-untyped-def]
-    """Return polygons that cover the same without overlap; the nearest master gets each part.
+    """Return polygons that cover the same area without overlap, each with the nearest master.
 
-    What a master facet hides is cut off by that facet's own edges; those of the polygons can be as
-    short as round-off and have no direction.
+    A polygon is cut by the edges of the projected facet that hides it, not by those of another
+    polygon, which can be as short as round-off and then have no direction.
 
     Returns:
         Polygons, their sizes, their masters, their number.
@@ -198,7 +201,7 @@ def _clip(  # type: ignore[no-untyped-def]
         if deepest[r] < np.inf:
             _, x, y = polygons.measure(pieces[count], size)
             if _depth(S, P, bilinear, x, y) > deepest[r]:
-                continue  # across a body
+                continue  # on the far side of the body
         sizes[count], row[count] = size, r
         count += 1
     return count
@@ -206,7 +209,7 @@ def _clip(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
-    """Append the triangles of a polygon, those of round-off excepted; return the new arrays."""
+    """Append the triangles of a polygon that are larger than round-off; return the new arrays."""
     if t + VERTICES > len(which):
         which, corners = _doubled(which), _doubled(corners)
     least = ROUND_OFF * polygons.measure(P, n)[0]

@@ -5,11 +5,11 @@ A slave facet is x_s(xi) = sum_i N_i(xi) x_i with xi in [-1, 1], and it is proje
 interpolated averaged nodal normals n(xi) = sum_i N_i n_i (not normalised). The point x_m(eta) of
 the master facet that belongs to xi solves (x_s(xi) - x_m(eta)) x n(xi) = 0.
 
-Second-order facets are taken as they are, not as two chords: the ends of a segment are where the
+Second-order facets are clipped as parabolas, not as two chords: the ends of a segment are where the
 normals of the curved slave facet meet the ends of the curved master facet, so that no function has
 a kink inside a segment. With chords, ends and normals are off by a share of the sagitta, and the
-master's function is continued beyond its ends. The kernels see the polynomials a + b xi + c xi^2,
-in which straight facets have c = 0.
+master's functions are extrapolated beyond their ends. The kernels take the coefficients of
+a + b xi + c xi^2; straight facets have c = 0.
 """
 
 from typing import Any
@@ -130,7 +130,7 @@ def _clip(x_s, n_s, x_m, ends_m, pairs, deepest):  # type: ignore[no-untyped-def
         c = 0
         while r < p and pairs[r, 0] == s:
             y = ends_m[pairs[r, 1]]
-            # the two sides run against each other
+            # the two sides are passed in opposite directions
             a = _project_node(x_s[s], n_s[s], y[1, 0], y[1, 1])
             b = _project_node(x_s[s], n_s[s], y[0, 0], y[0, 1])
             if b - a > 8 * ROUND_OFF:
@@ -184,8 +184,8 @@ def _polynomials(element: FacetElement, v: Floats) -> Floats:
     """
     N = element.shape_functions(np.array([[-1.0], [0.0], [1.0]]))
     a, b, c = np.moveaxis(N @ v, 1, 0)
-    bend = (a + c) / 2 - b if element.degree > 1 else np.zeros_like(b)
-    return np.ascontiguousarray(np.stack([b, (c - a) / 2, bend], axis=1))
+    square = (a + c) / 2 - b if element.degree > 1 else np.zeros_like(b)
+    return np.ascontiguousarray(np.stack([b, (c - a) / 2, square], axis=1))
 
 
 def place_points(

@@ -14,9 +14,9 @@ import numpy as np
 from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, ROUND_OFF
 
 VERTICES = 32
-"""Room for the vertices of a polygon; two quadrilaterals make 8, differences add one per cut.
+"""Space for the vertices of a polygon (cost only).
 
-A cut of a convex polygon adds one vertex. Callers halve polygons before the room is used up.
+Two quadrilaterals have 8 in common; each cut adds one, and polygons are halved before it is full.
 """
 
 
@@ -88,8 +88,8 @@ def is_thin(P, n):  # type: ignore[no-untyped-def]
 def orientation(P, n):  # type: ignore[no-untyped-def]
     """Return 1 or -1 for an anticlockwise or clockwise convex polygon, 0 for anything else.
 
-    A corner is straight if it has less than half of the digits of the area at all corners: the
-    inverse map of a quadrilateral ends there. Corners of a triangle have equal areas.
+    A corner is straight if its area is less than HALF_OF_DIGITS of the sum over the corners: there
+    a quadrilateral has no inverse map. Corners of a triangle have equal areas.
     """
     least, most, whole = np.inf, -np.inf, 0.0
     for i in range(n):
@@ -141,7 +141,7 @@ def is_beside(P, n, Q, m, sign, distance):  # type: ignore[no-untyped-def]
 def subtract(P, n, Q, m, sign, pieces, sizes, count, spare):  # type: ignore[no-untyped-def]
     """Append the convex pieces of P without Q, of the given orientation; return the new count.
 
-    Each edge of Q cuts off what lies beyond it, and hands on the rest.
+    Each edge of Q cuts off a piece beyond it; the next edge cuts the rest.
     """
     rest = np.empty((VERTICES, 2))
     for i in range(n):

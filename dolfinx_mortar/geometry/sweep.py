@@ -30,8 +30,8 @@ def flat_parts(facets: Facets) -> Floats:
 def find_passing(p: tuple[Floats, Floats], x: tuple[Floats, Floats]) -> Longs:
     """Return which points (q,) pass from before a facet to behind it, ascending.
 
-    Points, vertices and the distances between them are taken to move linearly in time, which they
-    do in the frame of a facet unless it turns.
+    Points, vertices and distances are taken as linear in time, which they are in the frame of a
+    facet that does not rotate.
 
     Args:
         p: points (n, d) at the start and at the end.
