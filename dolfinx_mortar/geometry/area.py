@@ -126,57 +126,39 @@ def _doubled(a):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _enlarged(pieces, sizes, owner, count):  # type: ignore[no-untyped-def]
-    """Return the arrays with space for the pieces of one more difference."""
-    if count + VERTICES <= len(sizes):
-        return pieces, sizes, owner
-    return _doubled(pieces), _doubled(sizes), _doubled(owner)
+def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyped-def]
+    """Return the parts of polygon i that no other of the n facets hides: points, sizes, number.
 
-
-@numba.njit(cache=True)
-def _keep_nearest(S, M, bilinear, given, given_sizes, n):  # type: ignore[no-untyped-def]
-    """Return polygons that cover the same area without overlap, each with the nearest master.
-
-    A polygon is cut by the edges of the projected facet that hides it, not by those of another
-    polygon, which can be as short as round-off and then have no direction.
-
-    Returns:
-        Polygons, their sizes, their masters, their number.
+    The polygon is cut by the edges of the projected facets that hide it, not by those of other
+    polygons, which can be as short as round-off and then have no direction.
     """
-    pieces = np.empty((2 * n + VERTICES, VERTICES, 2))
-    sizes, owner = np.zeros(len(pieces), np.int64), np.zeros(len(pieces), np.int64)
+    pieces, sizes = np.empty((2 * VERTICES, VERTICES, 2)), np.empty(2 * VERTICES, np.int64)
     common, spare = np.empty((VERTICES, 2)), np.empty((VERTICES, 2))
-    count = 0
-    for i in range(n):
-        first = count
-        pieces, sizes, owner = _enlarged(pieces, sizes, owner, count)
-        sizes[count], owner[count] = given_sizes[i], i
-        _copy(given[i], given_sizes[i], pieces[count])
-        count += 1
-        for j in range(n):
-            if not _is_hidden(S, M, bilinear, i, j, given, given_sizes, common, spare):
-                continue
-            k = first
-            while k < count:  # a cut adds a corner at most
-                pieces, sizes, owner = _enlarged(pieces, sizes, owner, count)
-                if sizes[k] + 2 * M.shape[1] > VERTICES:
-                    sizes[k], sizes[count] = polygons.halve(pieces[k], sizes[k], pieces[count])
-                    owner[count] = i
-                    count += 1
-                else:
-                    k += 1
-            for k in range(first, count):
-                pieces, sizes, owner = _enlarged(pieces, sizes, owner, count)
-                sign = polygons.orientation(M[j], M.shape[1])
-                _copy(pieces[k], sizes[k], common)
-                size, sizes[k], before = sizes[k], 0, count
-                if size > 2:
-                    count = polygons.subtract(
-                        common, size, M[j], M.shape[1], sign, pieces, sizes, count, spare
-                    )
-                    for h in range(before, count):
-                        owner[h] = i
-    return pieces, sizes, owner, count
+    _copy(given[i], given_sizes[i], pieces[0])
+    sizes[0], count = given_sizes[i], 1
+    for j in range(n):
+        if not _is_hidden(S, M, bilinear, i, j, given, given_sizes, common, spare):
+            continue
+        sign = polygons.orientation(M[j], M.shape[1])
+        k = 0
+        while k < count:  # a cut adds a corner at most
+            if count + VERTICES > len(sizes):
+                pieces, sizes = _doubled(pieces), _doubled(sizes)
+            if sizes[k] + 2 * M.shape[1] > VERTICES:
+                sizes[k], sizes[count] = polygons.halve(pieces[k], sizes[k], pieces[count])
+                count += 1
+            else:
+                k += 1
+        for k in range(count):
+            if count + VERTICES > len(sizes):
+                pieces, sizes = _doubled(pieces), _doubled(sizes)
+            size, sizes[k] = sizes[k], 0
+            _copy(pieces[k], size, common)
+            if size > 2:
+                count = polygons.subtract(
+                    common, size, M[j], M.shape[1], sign, pieces, sizes, count, spare
+                )
+    return pieces, sizes, count
 
 
 @numba.njit(cache=True)
@@ -243,15 +225,15 @@ def _triangulate(x_s, x_m, bilinear, pairs, deepest, centre, axes):  # type: ign
         project(x_s[s], centre[s], axes[s], S)
         c, a = centre[s], axes[s]
         n = _clip(S, x_m, bilinear, pairs, deepest, first, last, c, a, M, pieces, sizes, row)
-        owner = np.empty(n, np.int64)
+        overlap = _any_overlap(M, n)
         for i in range(n):
-            owner[i] = i
-        if _any_overlap(M, n):
-            pieces, sizes, owner, n = _keep_nearest(S, M, bilinear, pieces, sizes, n)
-        for i in range(n):
-            if sizes[i] > 2:
-                pair = row[owner[i]]
-                which, corners, t = _append_fan(pieces[i], sizes[i], which, corners, t, pair)
+            if not overlap:
+                which, corners, t = _append_fan(pieces[i], sizes[i], which, corners, t, row[i])
+                continue
+            parts, counts, count = _visible(S, M, bilinear, pieces, sizes, i, n)
+            for k in range(count):
+                if counts[k] > 2:
+                    which, corners, t = _append_fan(parts[k], counts[k], which, corners, t, row[i])
     return which[:t], corners[:t]
 
 
