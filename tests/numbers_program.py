@@ -17,7 +17,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.geometry import area, polygons
+from dolfinx_mortar.geometry import area, plane
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides, point_motions
 from dolfinx_mortar.mortar.operators import (
     assemble_motions,
@@ -47,7 +47,7 @@ ABSURD = {
     "area._ACCURACY": 1.0, "area._HIGHEST": 2,
 }  # fmt: skip
 calls = {"halve": 0}
-halve = polygons.halve
+halve = plane.halve
 
 
 def count_halves(*polygon):
@@ -89,7 +89,7 @@ def scaled(value, factor):
 
 def pairs():
     """Return pairs of surfaces in contact, all with curved sides and partly covered."""
-    plane = two_blocks(
+    blocks = two_blocks(
         MPI.COMM_SELF, (8, 1), (6, 1), x_lower=(-1, 1.1), x_upper=(-1.2, 0.9), gap=0.1,
         jitter=0.5, transform=bend,
     )  # fmt: skip
@@ -98,10 +98,10 @@ def pairs():
         two_boxes(MPI.COMM_SELF, (2, 2, 1), (2, 3, 1), cell=cell, **options)
         for cell in ("tetrahedron", "hexahedron")
     ]
-    for mesh, _, tags in (plane, *boxes):
+    for mesh, _, tags in (blocks, *boxes):
         V = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
         yield V, tags, (3, 4)
-        if mesh is plane[0]:
+        if mesh is blocks[0]:
             yield V, tags, (4, 3)
 
 
@@ -151,13 +151,13 @@ def main():
             replace(name, scaled(value, factor))
             table[name].append(change(cases, expected))
         replace(name, value)
-    polygons.halve = count_halves
+    plane.halve = count_halves
     for factor in (1, 0.5):
-        replace("VERTICES", scaled(polygons.VERTICES, factor))
+        replace("VERTICES", scaled(plane.VERTICES, factor))
         calls["halve"] = 0
         operators(cases)
         table.setdefault("halves", []).append(calls["halve"])
-    replace("VERTICES", 2 * polygons.VERTICES)
+    replace("VERTICES", 2 * plane.VERTICES)
     usual, table["absurd"] = numbers(), {}
     for name, value in ABSURD.items():
         replace(name, value)

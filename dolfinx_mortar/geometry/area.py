@@ -26,12 +26,18 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_mortar.arrays import Floats, Ints, Longs
-from dolfinx_mortar.geometry import polygons
+from dolfinx_mortar.geometry import plane
 from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.geometry.parts import on_facets, pairs_of_parts, parts_of
-from dolfinx_mortar.geometry.plane import create_planes, height_at, inverse, project, slopes
-from dolfinx_mortar.geometry.polygons import VERTICES
+from dolfinx_mortar.geometry.plane import (
+    VERTICES,
+    create_planes,
+    height_at,
+    inverse,
+    project,
+    slopes,
+)
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 _HIGHEST = 24
@@ -68,9 +74,9 @@ def _overlap(P, Q):  # type: ignore[no-untyped-def]
     """Tell whether two projected facets share more than a line."""
     p, q = P.shape[0], Q.shape[0]
     # a negative distance: an overlap as narrow as a thin polygon is none
-    if polygons.is_beside(P, p, Q, q, polygons.orientation(P, p), -64 * ROUND_OFF):
+    if plane.is_beside(P, p, Q, q, plane.orientation(P, p), -64 * ROUND_OFF):
         return False
-    return not polygons.is_beside(Q, q, P, p, polygons.orientation(Q, q), -64 * ROUND_OFF)
+    return not plane.is_beside(Q, q, P, p, plane.orientation(Q, q), -64 * ROUND_OFF)
 
 
 @numba.njit(cache=True)
@@ -96,11 +102,11 @@ def _is_hidden(S, M, bilinear, i, j, pieces, sizes, common, spare):  # type: ign
     if a == b or not _overlap(M[a], M[b]):
         return False
     n = M.shape[1]
-    sign = polygons.orientation(M[b], n)
-    size = polygons.intersect(pieces[a], sizes[a], M[b], n, sign, common, spare)
-    if polygons.is_thin(common, size):
+    sign = plane.orientation(M[b], n)
+    size = plane.intersect(pieces[a], sizes[a], M[b], n, sign, common, spare)
+    if plane.is_thin(common, size):
         return False
-    _, x, y = polygons.measure(common, size)
+    _, x, y = plane.measure(common, size)
     behind = abs(_depth(S, M[b], bilinear, x, y)) < abs(_depth(S, M[a], bilinear, x, y))
     return behind if i == a else not behind
 
@@ -139,13 +145,13 @@ def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyp
     for j in range(n):
         if not _is_hidden(S, M, bilinear, i, j, given, given_sizes, common, spare):
             continue
-        sign = polygons.orientation(M[j], M.shape[1])
+        sign = plane.orientation(M[j], M.shape[1])
         k = 0
         while k < count:  # a cut adds a corner at most
             if count + VERTICES > len(sizes):
                 pieces, sizes = _doubled(pieces), _doubled(sizes)
             if sizes[k] + 2 * M.shape[1] > VERTICES:
-                sizes[k], sizes[count] = polygons.halve(pieces[k], sizes[k], pieces[count])
+                sizes[k], sizes[count] = plane.halve(pieces[k], sizes[k], pieces[count])
                 count += 1
             else:
                 k += 1
@@ -155,7 +161,7 @@ def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyp
             size, sizes[k] = sizes[k], 0
             _copy(pieces[k], size, common)
             if size > 2:
-                count = polygons.subtract(
+                count = plane.subtract(
                     common, size, M[j], M.shape[1], sign, pieces, sizes, count, spare
                 )
     return pieces, sizes, count
@@ -169,19 +175,19 @@ def _clip(  # type: ignore[no-untyped-def]
     spare = np.empty((VERTICES, 2))
     count = 0
     k, n = S.shape[0], x_m.shape[1]
-    if polygons.orientation(S, k) <= 0:
+    if plane.orientation(S, k) <= 0:
         return 0  # folded: no inverse map
     for r in range(first, last):
         P = M[count]
         project(x_m[pairs[r, 1]], centre, axes, P)
-        sign = polygons.orientation(P, n)
-        if sign == 0 or polygons.is_beside(P, n, S, k, sign, 0.0):
+        sign = plane.orientation(P, n)
+        if sign == 0 or plane.is_beside(P, n, S, k, sign, 0.0):
             continue
-        size = polygons.intersect(S, k, P, n, sign, pieces[count], spare)
-        if polygons.is_thin(pieces[count], size):
+        size = plane.intersect(S, k, P, n, sign, pieces[count], spare)
+        if plane.is_thin(pieces[count], size):
             continue
         if deepest[r] < np.inf:
-            _, x, y = polygons.measure(pieces[count], size)
+            _, x, y = plane.measure(pieces[count], size)
             if _depth(S, P, bilinear, x, y) > deepest[r]:
                 continue  # on the far side of the body
         sizes[count], row[count] = size, r
@@ -194,7 +200,7 @@ def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
     """Append the triangles of a polygon that are larger than round-off; return the new arrays."""
     if t + VERTICES > len(which):
         which, corners = _doubled(which), _doubled(corners)
-    least = ROUND_OFF * polygons.measure(P, n)[0]
+    least = ROUND_OFF * plane.measure(P, n)[0]
     for v in range(1, n - 1):
         ux, uy = P[v, 0] - P[0, 0], P[v, 1] - P[0, 1]
         vx, vy = P[v + 1, 0] - P[0, 0], P[v + 1, 1] - P[0, 1]
