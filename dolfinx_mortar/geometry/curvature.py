@@ -203,13 +203,6 @@ def curvatures(facets: Facets, sagitta: Floats) -> Floats:
     return np.asarray(np.einsum("mki,mkl,mlj->mij", B, K, B))
 
 
-def isotropic(facets: Facets, K: Floats) -> Floats:
-    """Return the isotropic part of curvatures, tr K / 2 (I - n n^T) (m, 3, 3), as of a sphere."""
-    n = facet_normals(facets)
-    plane = np.eye(n.shape[1]) - n[:, :, None] * n[:, None, :]
-    return np.asarray(0.5 * np.trace(K, axis1=1, axis2=2)[:, None, None] * plane)
-
-
 def common_sagittas(facets: Facets, sagitta: Floats, K_other: Floats) -> Floats:
     """Return c_ab (m, e) of the surface that two sides share where they touch.
 

@@ -19,7 +19,6 @@ from dolfinx_mortar.geometry.curvature import (
     end_angles,
     heights,
     heights_of_arcs,
-    isotropic,
     one_ring_sums,
     sagitta_tensors,
     unit,
@@ -119,7 +118,10 @@ def _deviators(surface: Surface, facets: Facets, normals: NodeNormals) -> Floats
     """
     K = curvatures(facets, edge_sagittas(facets, normals, surface.facets))
     known = np.asarray(normals.regular[surface.facets].all(axis=1))
-    K = (K - isotropic(facets, K)) * known[:, None, None]
+    n = facet_normals(facets)
+    tangential = np.eye(3) - n[:, :, None] * n[:, None, :]
+    K -= 0.5 * np.trace(K, axis1=1, axis2=2)[:, None, None] * tangential
+    K *= known[:, None, None]
     columns = np.column_stack([K.reshape(-1, 9), known])[:, None]
     total = sum_at_nodes(surface, np.repeat(columns, surface.facets.shape[1], axis=1))
     return np.asarray((total[:, :-1] / np.maximum(total[:, -1:], 1.0)).reshape(-1, 3, 3))
