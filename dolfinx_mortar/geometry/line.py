@@ -73,7 +73,7 @@ def _project_node(x, n, y0, y1):  # type: ignore[no-untyped-def]
 def _opposite(x, n, y, xi):  # type: ignore[no-untyped-def]
     """Return eta on the master facet y (3, 2) that the normal of the slave facet meets at xi.
 
-    Of the two roots of a curved facet that one which the facet without curvature has.
+    Of the two roots of a curved facet, the one that tends to the root of the straight facet.
     """
     n0, n1 = _at(n, xi, 0), _at(n, xi, 1)
     C = (y[0, 0] - _at(x, xi, 0)) * n1 - (y[0, 1] - _at(x, xi, 1)) * n0

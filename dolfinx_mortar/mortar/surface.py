@@ -49,7 +49,7 @@ class Surface:
 
     V: dolfinx.fem.FunctionSpace
     tag: int
-    label: str  # how messages call it
+    label: str  # of its tag, for messages
     nodes: Ints  # (n,) local nodes, ascending: owned ones first, ghosts after them
     owned: int  # number of owned nodes
     element: FacetElement
@@ -154,7 +154,7 @@ def _order_outwards(X: Floats, nodes: Ints, cells: Ints, V: dolfinx.fem.Function
 
 
 def _create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, PETSc.Vec]:
-    """Add the nodes that only other ranks use to their owner's; number them for `accumulate`."""
+    """Add the nodes used only by other ranks to their owner's; number them for `accumulate`."""
     index_map = V.dofmap.index_map
     number = dolfinx.la.vector(index_map)
     number.array[:] = 0.0
