@@ -20,7 +20,7 @@ Value = TypeVar("Value")
 class Tags(mesh.MeshTags):
     """Tags of cells or facets that have names.
 
-    They can be used wherever dolfinx's ``MeshTags`` can. Names can be used for tags in this package:
+    They can be used wherever dolfinx's ``MeshTags`` can; names can stand for tags in this package:
     `Contact`, `Tie`, the keys of materials and eigenstrains, ``find``. UFL's measures take integers
     only: ``ds(facet_tags.tag("top"))``.
 
