@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which displacement spaces are supported; the only check of it, for all floors."""
+"""Check of displacement spaces: which are supported; for all floors."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def check_space(V: dolfinx.fem.FunctionSpace, name: str = "V") -> None:
         name: the argument that it comes from, for messages.
 
     Raises:
-        ValueError: For what is no space, meshes in single precision, a complex PETSc, cells of
-            other types or dimensions, parts of larger spaces, other elements than vector Lagrange
-            of degree 1 or 2, and cells of a higher degree than the displacement.
+        ValueError: For what is no function space, meshes in single precision, a complex PETSc,
+            other cell types or dimensions, subspaces, other elements than vector Lagrange of
+            degree 1 or 2, and cells of a higher degree than the displacement.
     """
     if not isinstance(V, dolfinx.fem.FunctionSpace):
         raise ValueError(f"{name} is {V!r}: give a dolfinx.fem.FunctionSpace of displacements.")

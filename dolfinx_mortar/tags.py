@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Tags with names: what marks cells or facets, and what a user calls them; for all floors."""
+"""Tags of cells or facets with names; for all floors."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ Value = TypeVar("Value")
 class Tags(mesh.MeshTags):
     """Tags of cells or facets that have names.
 
-    Whatever takes a dolfinx ``MeshTags`` takes this, and whatever takes a tag in this package takes
-    a name then: `Contact`, `Tie`, the keys of materials and eigenstrains, ``find``. For UFL's
-    measures, which know integers only, ``ds(facet_tags.tag("top"))``.
+    They can be used wherever dolfinx's ``MeshTags`` can; names can stand for tags in this package:
+    `Contact`, `Tie`, the keys of materials and eigenstrains, ``find``. UFL's measures take integers
+    only: ``ds(facet_tags.tag("top"))``.
 
         facet_tags = dm.Tags(facet_tags, {"ball": 3, "plate": 4})
 
@@ -38,8 +38,8 @@ class Tags(mesh.MeshTags):
             names: tag by name, the same on all ranks.
 
         Raises:
-            ValueError: for tags that are none, and names that are no texts or stand for no integer
-                of 32 bits.
+            ValueError: for what is no MeshTags, names that are no strings, and tags that are no
+                integers of 32 bits.
         """
         if not isinstance(tags, mesh.MeshTags):
             raise ValueError(f"tags is {tags!r}: give a dolfinx.mesh.MeshTags.")
@@ -104,7 +104,7 @@ def check_entities(name: str, tags: mesh.MeshTags) -> None:
 
 
 def tag_of(tags: Any, given: Any, argument: str) -> Any:
-    """Return the tag that a name stands for; what is no text is returned as it is, to be judged.
+    """Return the tag of a name; what is not a string is returned as it is, without a check.
 
     Args:
         tags: what the argument chooses from, a `Tags` if it has names.
@@ -112,7 +112,7 @@ def tag_of(tags: Any, given: Any, argument: str) -> Any:
         argument: its name, for messages.
 
     Raises:
-        ValueError: for a text that is no name; without communication.
+        ValueError: for a string that is no name; without communication.
     """
     if not isinstance(given, str):
         return given
@@ -136,7 +136,7 @@ def by_tag(tags: Any, given: Mapping[Any, Value], argument: str) -> dict[Any, Va
     """Return a dictionary by name or tag as one by tag.
 
     Raises:
-        ValueError: for a text that is no name, and a tag that is given twice.
+        ValueError: for a string that is no name, and a tag that is given twice.
     """
     found: dict[Any, Value] = {}
     for key, value in given.items():
@@ -155,11 +155,11 @@ def names_of(tags: Any) -> Mapping[str, int]:
 
 
 def label(tags: Any, tag: Any) -> str:
-    """Return how messages call a tag: by its name in quotes, otherwise by its number."""
+    """Return the text for a tag in messages: its name in quotes, otherwise its number."""
     return next((repr(name) for name, of in names_of(tags).items() if of == tag), str(tag))
 
 
 def labels(tags: Any, chosen: Iterable[Any]) -> str:
-    """Return how messages call several tags, with names and numbers."""
+    """Return the text for several tags in messages, with names and numbers."""
     names = {tag: f"{name!r} ({tag})" for name, tag in names_of(tags).items()}
     return ", ".join(names.get(tag, str(tag)) for tag in chosen)

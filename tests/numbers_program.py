@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Halve and double each number of geometry and mortar; print how the operators change, as JSON.
 
-Run without compilation (NUMBA_DISABLE_JIT=1): compiled kernels would keep the number they had.
+And how they change with absurd values of those that only kernels see. Run without compilation
+(NUMBA_DISABLE_JIT=1): compiled kernels would keep the number they had.
 """
 
 import json
@@ -16,7 +17,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.geometry import area
+from dolfinx_mortar.geometry import area, plane
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides, point_motions
 from dolfinx_mortar.mortar.integrals import (
     default_keep,
@@ -39,6 +40,20 @@ ROOMS = [
     for floor in ("geometry", "mortar")
     for file in sorted(Path(import_module(f"dolfinx_mortar.{floor}").__path__[0]).glob("[!_]*.py"))
 ]
+
+
+ABSURD = {
+    "EPS": 10.0, "HALF_OF_DIGITS": 1.0, "ROUND_OFF": 0.1, "TINY": 1.0,
+    "area._ACCURACY": 1.0, "area._HIGHEST": 2,
+}  # fmt: skip
+calls = {"halve": 0}
+halve = plane.halve
+
+
+def count_halves(*polygon):
+    """Halve a polygon that has more vertices than there is space for."""
+    calls["halve"] += 1
+    return halve(*polygon)
 
 
 def numbers():
@@ -74,7 +89,7 @@ def scaled(value, factor):
 
 def pairs():
     """Return pairs of surfaces in contact, all with curved sides and partly covered."""
-    plane = two_blocks(
+    blocks = two_blocks(
         MPI.COMM_SELF, (8, 1), (6, 1), x_lower=(-1, 1.1), x_upper=(-1.2, 0.9), gap=0.1,
         jitter=0.5, transform=bend,
     )  # fmt: skip
@@ -83,16 +98,18 @@ def pairs():
         two_boxes(MPI.COMM_SELF, (2, 2, 1), (2, 3, 1), cell=cell, **options)
         for cell in ("tetrahedron", "hexahedron")
     ]
-    for mesh, _, tags in (plane, *boxes):
+    for mesh, _, tags in (blocks, *boxes):
         V = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
-        yield V, tags
+        yield V, tags, (3, 4)
+        if mesh is blocks[0]:
+            yield V, tags, (4, 3)
 
 
 def operators(cases):
     """Return nodes kept, D and M times fields, motions of arms, and resultants, for all cases."""
     kept, values, resultants = [], [], []
-    for V, tags in cases:
-        sides = [create_surface(V, tags, tag, name) for tag, name in ((3, "slave"), (4, "master"))]
+    for V, tags, numbers_of_sides in cases:
+        sides = [create_surface(V, tags, tag, "side") for tag in numbers_of_sides]
         pairing = create_pairing(V, *sides, None)
         segments, _ = find_segments(pairing, None)
         keep = default_keep(pairing, segments, *node_weights(pairing, segments))
@@ -134,10 +151,18 @@ def main():
             replace(name, scaled(value, factor))
             table[name].append(change(cases, expected))
         replace(name, value)
-    value = numbers()["ROUND_OFF"]
-    replace("ROUND_OFF", 0.1)
-    table["absurd"] = [change(cases, expected)]
-    replace("ROUND_OFF", value)
+    plane.halve = count_halves
+    for factor in (1, 0.5):
+        replace("VERTICES", scaled(plane.VERTICES, factor))
+        calls["halve"] = 0
+        operators(cases)
+        table.setdefault("halves", []).append(calls["halve"])
+    replace("VERTICES", 2 * plane.VERTICES)
+    usual, table["absurd"] = numbers(), {}
+    for name, value in ABSURD.items():
+        replace(name, value)
+        table["absurd"][name] = change(cases, expected)
+        replace(name, usual[name])
     table["again"] = [change(cases, expected)]
     json.dump(table, sys.stdout)
 

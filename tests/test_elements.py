@@ -10,7 +10,7 @@ import pytest
 import basix
 import dolfinx
 import dolfinx_mortar
-from dolfinx_mortar.geometry import polynomials
+from dolfinx_mortar.geometry import parts as parts_module
 from dolfinx_mortar.geometry.elements import FACETS_OF, LINE2, LINE3, QUAD4, QUAD9, TRI3, TRI6
 from dolfinx_mortar.geometry.facets import (
     Facets,
@@ -23,13 +23,14 @@ from dolfinx_mortar.geometry.facets import (
     tributary_weights,
 )
 from dolfinx_mortar.geometry.parts import (
+    coefficients,
     count,
+    meet,
     pairs_of_parts,
     parts_of,
     stretches,
     to_facets,
 )
-from dolfinx_mortar.geometry.polynomials import meet
 from dolfinx_mortar.spaces import CELLS, HIGHEST
 
 FIRST_ORDER, SECOND_ORDER = [LINE2, TRI3, QUAD4], [LINE3, TRI6, QUAD9]
@@ -230,11 +231,11 @@ def test_newton_reaches_curved_facets_or_says_so(element, monkeypatch):
         height = bend * (0.1 * xi[:, 0] ** 2 - 0.07 * xi[:, 0] * xi[:, 1])
         facets = Facets(element, np.column_stack([xi, height])[None])
         n = x - points_of(facets, which, at)
-        given = polynomials.coefficients(facets), which, at + 0.1, x, n, each
+        given = coefficients(facets), which, at + 0.1, x, n, each
         assert np.abs(meet(facets, which, at + 0.1, x, n, each) - at).max() < 1e-13
         for steps in (0, 1, 2):  # too few: the kernel as Python sees the number
-            monkeypatch.setattr(polynomials, "_STEPS", steps)
-            assert np.isnan(polynomials._meet.py_func(*given)).all()
+            monkeypatch.setattr(parts_module, "_STEPS", steps)
+            assert np.isnan(parts_module._meet.py_func(*given)).all()
             monkeypatch.undo()
     aside = x + np.array([100.0, 0.0, 0.0])
     n = np.tile([0.1, 0.0, 1.0], (6, 1))

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""No number in geometry and mortar decides an answer: halved or doubled, each gives the same."""
+"""No number in geometry and mortar decides an answer: halved or doubled, each gives the same.
+
+And an absurd value of each makes a test fail.
+"""
 
 import json
 import os
@@ -9,15 +12,67 @@ from pathlib import Path
 
 import pytest
 
+from dolfinx_mortar.geometry import segments
+from dolfinx_mortar.mortar import curvature_correction, dual, edges, surface
+from tests import (
+    test_curvature_jumps,
+    test_dual,
+    test_edges,
+    test_margin,
+    test_segments_3d,
+    test_surface,
+)
+
 ROOT = Path(__file__).resolve().parent.parent
 NUMBERS = [
-    "BENDS", "BLUR", "EPS", "FACING", "HALF_OF_DIGITS", "JUMP", "LEAST_COVERAGE", "LEAST_WEIGHT",
-    "OPEN", "ROUND_OFF", "STAYS", "THROUGH", "TINY", "VERTICES", "area._ACCURACY",
-    "area._HIGHEST", "line._FREE", "line._STEPS", "operators._CHUNK", "polynomials._STEPS",
+    "BLUR", "EPS", "FACING", "HALF_OF_DIGITS", "JUMP", "LEAST_COVERAGE", "LEAST_WEIGHT",
+    "OPEN", "PROJECTIONS", "ROUND_OFF", "STAYS", "THROUGH", "TINY", "VERTICES", "area._ACCURACY",
+    "area._HIGHEST", "operators._CHUNK", "parts._STEPS",
     "segments._SLIDING", "surface._MOST_WARPED",
 ]  # fmt: skip
-# What its cases do not reach is judged with absurd values in test_smooth_3d (BENDS), in
-# test_axisymmetric_patch (LEAST_WEIGHT), and in test_elements (_STEPS of polynomials).
+# Numbers that its cases do not reach: absurd values, and tests that fail with them. LEAST_WEIGHT is
+# in test_axisymmetric_patch, PROJECTIONS in test_smooth_3d, _STEPS of parts, which only a kernel
+# sees, in test_elements.
+FELT = {
+    "ALPHA": (
+        dual,
+        (0.2, 0.01),
+        test_dual.test_vertices_of_six_node_facets_are_the_centres_of_their_functions,
+    ),
+    "BLUR": (
+        edges,
+        (10.0,),
+        lambda: test_edges.test_forces_of_crossing_edges_are_normal_to_both(*test_edges.SIDES),
+    ),
+    "FACING": (
+        segments,
+        (0.0, 0.9),
+        lambda: [
+            test_segments_3d.test_what_stands_steeper_than_a_fifth_does_not_face(cosine)
+            for cosine in (0.18, 0.22)
+        ],
+    ),
+    "JUMP": (
+        curvature_correction,
+        (0.5,),
+        lambda: test_curvature_jumps.test_what_varies_smoothly_does_not_jump(3.0, 32, 0.25),
+    ),
+    "OPEN": (
+        edges,
+        (1e12,),
+        test_edges.test_a_corner_beside_a_clamped_node_does_not_sink_in,
+    ),
+    "_MOST_WARPED": (
+        surface,
+        (0.0, 0.9),
+        lambda: [test_surface.test_how_far_a_facet_may_be_warped(c) for c in (0.29, 0.31)],
+    ),
+    "_SLIDING": (
+        segments,
+        ({2: 0.0, 3: 0.0}, {2: 9.0, 3: 9.0}),
+        lambda: test_margin.test_margin_of_sliding("stripes"),
+    ),
+}
 DEFINITIONS = {"ALPHA"}  # of the multipliers' space, not of accuracy: see test_tying_3d
 SAME = 1e-12
 pytestmark = [pytest.mark.serial, pytest.mark.slow]
@@ -34,7 +89,7 @@ def changes():
 
 
 def test_no_number_is_left_out(changes):
-    assert sorted(changes.keys() - {"absurd", "again"} - DEFINITIONS) == NUMBERS
+    assert sorted(changes.keys() - {"absurd", "again", "halves"} - DEFINITIONS) == NUMBERS
 
 
 @pytest.mark.parametrize("name", [name for name in NUMBERS if name != "LEAST_COVERAGE"])
@@ -48,6 +103,23 @@ def test_coverage_decides_who_carries_but_not_what(changes):
 
 
 def test_the_kernels_see_the_numbers(changes):
-    """With a round-off of a tenth of a facet the operators are others, and afterwards as before."""
-    assert changes["absurd"][0][0] > 1e-3
+    """With absurd ones, such as a round-off of a tenth, the operators change."""
+    assert {name: found for name, found in changes["absurd"].items() if found[0] < 1e-6} == {}
     assert changes["again"][0] == [0.0, 0.0]
+
+
+def test_the_space_for_vertices_is_used_up(changes):
+    """Polygons are halved with half of it, which changes nothing, as `test_same_operators` says."""
+    assert changes["halves"][1] > changes["halves"][0]
+
+
+@pytest.mark.parametrize("name", FELT)
+def test_an_absurd_value_fails(name, monkeypatch):
+    module, values, test = FELT[name]
+    usual = getattr(module, name)
+    for value in values:
+        monkeypatch.setattr(module, name, value)
+        with pytest.raises((AssertionError, RuntimeError, ValueError, pytest.fail.Exception)):
+            test()
+        monkeypatch.setattr(module, name, usual)
+    test()

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dolfinx_mortar.geometry import facets, polygons, segments
+from dolfinx_mortar.geometry import facets, plane, segments
 from dolfinx_mortar.geometry.elements import QUAD4
 from tests.meshes_3d import rotation
 from tests.surfaces import Side, assemble, grid, joined, ring, triangles
@@ -369,10 +369,10 @@ def test_corners_that_are_straight_are_no_corners():
     """A quadrilateral with one is refused; a sliver of a triangle has none, and is not."""
     straight = np.array([[0.0, 0], [1, 0], [0.5, 0.5 + 1e-12], [0, 1]])
     sliver = np.array([[0.0, 0], [1, 0], [0.3, 1e-12]])
-    assert polygons.orientation(straight, 4) == 0
-    assert polygons.orientation(sliver, 3) == 1
-    assert polygons.orientation(sliver[::-1].copy(), 3) == -1
-    assert polygons.orientation(1e-6 * CORNERS[[0, 1, 3, 2]], 4) == 1
+    assert plane.orientation(straight, 4) == 0
+    assert plane.orientation(sliver, 3) == 1
+    assert plane.orientation(sliver[::-1].copy(), 3) == -1
+    assert plane.orientation(1e-6 * CORNERS[[0, 1, 3, 2]], 4) == 1
 
 
 def test_inverse_map_takes_the_root_inside():

@@ -84,16 +84,16 @@ def test_normals_of_a_cylinder_on_uneven_triangles(monkeypatch):
         fixed = np.abs(surface.X) < 1e-9
         fixed[:, 1] = False
         exact = surface.X * [-0.1, -0.1, 0.0]
-        for bends in (0, smooth.BENDS, 2 * smooth.BENDS):
-            monkeypatch.setattr(smooth, "BENDS", bends)
+        for count in (0, smooth.PROJECTIONS, 2 * smooth.PROJECTIONS):
+            monkeypatch.setattr(smooth, "PROJECTIONS", count)
             found = smooth.smooth_normals(surface, surface.X, fixed, 40.0)
             monkeypatch.undo()
             rim = fixed[:, 0] & found.open  # where it meets the plane of symmetry, within that
             assert np.abs(found.n[rim, 0]).max(initial=0.0) == 0.0
             assert MPI.COMM_WORLD.allreduce(rim.sum()) == 2
             square = ((found.n - exact)[found.regular] ** 2).sum()
-            count = MPI.COMM_WORLD.allreduce(found.regular.sum())
-            error[h, bends] = np.sqrt(MPI.COMM_WORLD.allreduce(square) / count)
+            regular = MPI.COMM_WORLD.allreduce(found.regular.sum())
+            error[h, count] = np.sqrt(MPI.COMM_WORLD.allreduce(square) / regular)
     assert error[0.5, 2] < 0.02 * error[0.5, 0]
     assert error[1.0, 2] > 4.0 * error[0.5, 2]
     assert error[0.5, 4] > 0.7 * error[0.5, 2]

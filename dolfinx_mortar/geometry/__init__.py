@@ -2,5 +2,5 @@
 """Facets in space: search, projection, clipping, quadrature points.
 
 Arrays of node coordinates in, index arrays and quadrature points out.
-Knows nothing of dofs, ranks or PETSc.
+No dofs, no ranks, no PETSc.
 """

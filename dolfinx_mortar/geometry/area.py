@@ -25,27 +25,28 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-import basix
 from dolfinx_mortar.arrays import Floats, Ints, Longs
-from dolfinx_mortar.geometry import polygons
-from dolfinx_mortar.geometry.elements import FacetElement
+from dolfinx_mortar.geometry import plane
+from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.parts import PartPoints, on_facets, pairs_of_parts, parts_of
+from dolfinx_mortar.geometry.parts import on_facets, pairs_of_parts, parts_of
 from dolfinx_mortar.geometry.plane import (
+    VERTICES,
     create_planes,
     height_at,
     inverse,
     project,
     slopes,
-    stretch,
 )
-from dolfinx_mortar.geometry.polygons import VERTICES
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 _HIGHEST = 24
-"""Degree of the finest quadrature."""
+"""Highest degree of the quadrature, which limits it on facets of low quality, as said above."""
 _ACCURACY = 1e-12
-"""Relative error of the integrals of shape functions where the inverse map is no polynomial."""
+"""Relative error allowed to integrals of shape functions where the inverse map is no polynomial.
+
+Both sides exchange a constant pressure up to this error. With EPS degrees are a third higher.
+"""
 
 
 @cache
@@ -53,81 +54,64 @@ def _rules() -> tuple[Floats, Floats, Longs]:
     """Return points, weights (sum 1) and first points of the rules of degree 2, 4, ... ."""
     points, weights, start = [], [], [0]
     for degree in range(2, _HIGHEST + 2, 2):
-        p, w = (np.asarray(a) for a in basix.make_quadrature(basix.CellType.triangle, degree))
+        p, w = triangle_rule(degree)
         points.append(p)
-        weights.append(w / w.sum())
+        weights.append(w)
         start.append(start[-1] + len(w))
     return np.concatenate(points), np.concatenate(weights), np.array(start, dtype=np.int64)
 
 
 @numba.njit(cache=True)
-def _distance(S, M, bilinear, x, y):  # type: ignore[no-untyped-def]
-    """Return the distance of two projected facets at (x, y)."""
+def _depth(S, M, bilinear, x, y):  # type: ignore[no-untyped-def]
+    """Return how far the projected facet M lies below S at (x, y)."""
     xi, eta, _ = inverse(S, bilinear[0], x, y)
     r, s, _ = inverse(M, bilinear[1], x, y)
-    return abs(height_at(S, bilinear[0], xi, eta) - height_at(M, bilinear[1], r, s))
+    return height_at(S, bilinear[0], xi, eta) - height_at(M, bilinear[1], r, s)
 
 
 @numba.njit(cache=True)
 def _overlap(P, Q):  # type: ignore[no-untyped-def]
     """Tell whether two projected facets share more than a line."""
     p, q = P.shape[0], Q.shape[0]
-    # a negative distance: facets that overlap by less than thin polygons are beside each other
-    if polygons.is_beside(P, p, Q, q, polygons.orientation(P, p), -64 * ROUND_OFF):
+    # a negative distance: an overlap as narrow as a thin polygon is none
+    if plane.is_beside(P, p, Q, q, plane.orientation(P, p), -64 * ROUND_OFF):
         return False
-    return not polygons.is_beside(Q, q, P, p, polygons.orientation(Q, q), -64 * ROUND_OFF)
+    return not plane.is_beside(Q, q, P, p, plane.orientation(Q, q), -64 * ROUND_OFF)
 
 
 @numba.njit(cache=True)
 def _any_overlap(M, count):  # type: ignore[no-untyped-def]
-    """Tell whether any of the first `count` facets overlap; sweep from left to right."""
+    """Tell whether any of the first `count` projected facets overlap."""
     low, high = np.empty(count), np.empty(count)
-    order, active = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
     for i in range(count):
-        low[i], high[i] = np.inf, -np.inf
-        for k in range(M.shape[1]):
-            low[i], high[i] = min(low[i], M[i, k, 0]), max(high[i], M[i, k, 0])
-        k = i  # insertion, since argsort takes seconds to compile
-        while k > 0 and low[order[k - 1]] > low[i]:
-            order[k] = order[k - 1]
-            k -= 1
-        order[k] = i
-    a = 0
-    for i in order:
-        left = 0
-        for k in range(a):
-            j = active[k]
-            if high[j] > low[i]:
-                active[left] = j
-                left += 1
-                if _overlap(M[i], M[j]):
-                    return True
-        active[left] = i
-        a = left + 1
+        low[i], high[i] = M[i, :, 0].min(), M[i, :, 0].max()
+        for j in range(i):
+            if high[j] > low[i] and high[i] > low[j] and _overlap(M[i], M[j]):
+                return True
     return False
 
 
 @numba.njit(cache=True)
 def _is_hidden(S, M, bilinear, i, j, pieces, sizes, common, spare):  # type: ignore[no-untyped-def]
-    """Tell whether facet j is nearer to the slave than facet i, behind the same part of it.
+    """Tell whether facet j is nearer to the slave than facet i where their projections overlap.
 
-    Both orders look at the same point: facets that coincide or cross would else hide each other,
-    or neither the other, by round-off.
+    The distances are compared at one point, whatever the order: of facets that coincide or cross,
+    one and only one hides the other.
     """
     a, b = min(i, j), max(i, j)
     if a == b or not _overlap(M[a], M[b]):
         return False
     n = M.shape[1]
-    sign = polygons.orientation(M[b], n)
-    size = polygons.intersect(pieces[a], sizes[a], M[b], n, sign, common, spare)
-    if polygons.is_thin(common, size):
+    sign = plane.orientation(M[b], n)
+    size = plane.intersect(pieces[a], sizes[a], M[b], n, sign, common, spare)
+    if plane.is_thin(common, size):
         return False
-    _, x, y = polygons.measure(common, size)
-    behind = _distance(S, M[b], bilinear, x, y) < _distance(S, M[a], bilinear, x, y)
+    _, x, y = plane.measure(common, size)
+    behind = abs(_depth(S, M[b], bilinear, x, y)) < abs(_depth(S, M[a], bilinear, x, y))
     return behind if i == a else not behind
 
 
-# Loops in place of slices: array assignments take a second each to compile.
+# Loops in place of slices: each array assignment takes a second to compile.
 
 
 @numba.njit(cache=True)
@@ -138,72 +122,49 @@ def _copy(P, n, Q):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _make_room(pieces, sizes, owner, count):  # type: ignore[no-untyped-def]
-    """Return the arrays with room for the pieces of one difference."""
-    room = len(sizes)
-    if count + VERTICES <= room:
-        return pieces, sizes, owner
-    longer = np.empty((2 * room, VERTICES, 2))
-    more, whose = np.zeros(2 * room, np.int64), np.zeros(2 * room, np.int64)
-    for i in range(count):
-        more[i], whose[i] = sizes[i], owner[i]
-        _copy(pieces[i], sizes[i], longer[i])
-    return longer, more, whose
+def _doubled(a):  # type: ignore[no-untyped-def]
+    """Return an array of twice the length that begins with the contiguous array a."""
+    result = np.empty((2 * len(a),) + a.shape[1:], a.dtype)  # noqa: RUF005
+    x, y = a.reshape(-1), result.reshape(-1)
+    for i in range(len(x)):
+        y[i] = x[i]
+    return result
 
 
 @numba.njit(cache=True)
-def _keep_nearest(S, M, bilinear, given, given_sizes, n):  # type: ignore[no-untyped-def]
-    """Return polygons that cover the same without overlap; the nearest master gets each part.
+def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyped-def]
+    """Return the parts of polygon i that no other of the n facets hides: points, sizes, number.
 
-    What a master facet hides is cut off by that facet's own edges; those of the polygons can be as
-    short as round-off and have no direction.
-
-    Returns:
-        Polygons, their sizes, their masters, their number.
+    The polygon is cut by the edges of the projected facets that hide it, not by those of other
+    polygons, which can be as short as round-off and then have no direction.
     """
-    pieces = np.empty((2 * n + VERTICES, VERTICES, 2))
-    sizes, owner = np.zeros(len(pieces), np.int64), np.zeros(len(pieces), np.int64)
+    pieces, sizes = np.empty((2 * VERTICES, VERTICES, 2)), np.empty(2 * VERTICES, np.int64)
     common, spare = np.empty((VERTICES, 2)), np.empty((VERTICES, 2))
-    count = 0
-    for i in range(n):
-        first = count
-        pieces, sizes, owner = _make_room(pieces, sizes, owner, count)
-        sizes[count], owner[count] = given_sizes[i], i
-        _copy(given[i], given_sizes[i], pieces[count])
-        count += 1
-        for j in range(n):
-            if not _is_hidden(S, M, bilinear, i, j, given, given_sizes, common, spare):
-                continue
-            k = first
-            while k < count:  # room for one more corner per cut
-                pieces, sizes, owner = _make_room(pieces, sizes, owner, count)
-                if sizes[k] + 2 * M.shape[1] > VERTICES:
-                    sizes[k], sizes[count] = polygons.halve(pieces[k], sizes[k], pieces[count])
-                    owner[count] = i
-                    count += 1
-                else:
-                    k += 1
-            for k in range(first, count):
-                pieces, sizes, owner = _make_room(pieces, sizes, owner, count)
-                sign = polygons.orientation(M[j], M.shape[1])
-                _copy(pieces[k], sizes[k], common)
-                size, sizes[k], before = sizes[k], 0, count
-                if size > 2:
-                    count = polygons.subtract(
-                        common, size, M[j], M.shape[1], sign, pieces, sizes, count, spare
-                    )
-                    for h in range(before, count):
-                        owner[h] = i
-    return pieces, sizes, owner, count
-
-
-@numba.njit(cache=True)
-def _depth(S, M, bilinear, P, n):  # type: ignore[no-untyped-def]
-    """Return how far facet M lies below S, in the middle of the polygon P that they share."""
-    _, x, y = polygons.measure(P, n)
-    xi, eta, _ = inverse(S, bilinear[0], x, y)
-    r, s, _ = inverse(M, bilinear[1], x, y)
-    return height_at(S, bilinear[0], xi, eta) - height_at(M, bilinear[1], r, s)
+    _copy(given[i], given_sizes[i], pieces[0])
+    sizes[0], count = given_sizes[i], 1
+    for j in range(n):
+        if not _is_hidden(S, M, bilinear, i, j, given, given_sizes, common, spare):
+            continue
+        sign = plane.orientation(M[j], M.shape[1])
+        k = 0
+        while k < count:  # a cut adds a corner at most
+            if count + VERTICES > len(sizes):
+                pieces, sizes = _doubled(pieces), _doubled(sizes)
+            if sizes[k] + 2 * M.shape[1] > VERTICES:
+                sizes[k], sizes[count] = plane.halve(pieces[k], sizes[k], pieces[count])
+                count += 1
+            else:
+                k += 1
+        for k in range(count):
+            if count + VERTICES > len(sizes):
+                pieces, sizes = _doubled(pieces), _doubled(sizes)
+            size, sizes[k] = sizes[k], 0
+            _copy(pieces[k], size, common)
+            if size > 2:
+                count = plane.subtract(
+                    common, size, M[j], M.shape[1], sign, pieces, sizes, count, spare
+                )
+    return pieces, sizes, count
 
 
 @numba.njit(cache=True)
@@ -214,19 +175,21 @@ def _clip(  # type: ignore[no-untyped-def]
     spare = np.empty((VERTICES, 2))
     count = 0
     k, n = S.shape[0], x_m.shape[1]
-    if polygons.orientation(S, k) <= 0:
+    if plane.orientation(S, k) <= 0:
         return 0  # folded: no inverse map
     for r in range(first, last):
         P = M[count]
         project(x_m[pairs[r, 1]], centre, axes, P)
-        sign = polygons.orientation(P, n)
-        if sign == 0 or polygons.is_beside(P, n, S, k, sign, 0.0):
+        sign = plane.orientation(P, n)
+        if sign == 0 or plane.is_beside(P, n, S, k, sign, 0.0):
             continue
-        size = polygons.intersect(S, k, P, n, sign, pieces[count], spare)
-        if polygons.is_thin(pieces[count], size):
+        size = plane.intersect(S, k, P, n, sign, pieces[count], spare)
+        if plane.is_thin(pieces[count], size):
             continue
-        if deepest[r] < np.inf and _depth(S, P, bilinear, pieces[count], size) > deepest[r]:
-            continue  # across a body
+        if deepest[r] < np.inf:
+            _, x, y = plane.measure(pieces[count], size)
+            if _depth(S, P, bilinear, x, y) > deepest[r]:
+                continue  # on the far side of the body
         sizes[count], row[count] = size, r
         count += 1
     return count
@@ -234,14 +197,10 @@ def _clip(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
-    """Append the triangles of a polygon, those of round-off excepted; return the new arrays."""
+    """Append the triangles of a polygon that are larger than round-off; return the new arrays."""
     if t + VERTICES > len(which):
-        more, longer = np.empty(2 * len(which), np.int64), np.empty((2 * len(which), 3, 2))
-        for i in range(t):
-            more[i] = which[i]
-            _copy(corners[i], 3, longer[i])
-        which, corners = more, longer
-    least = ROUND_OFF * polygons.measure(P, n)[0]
+        which, corners = _doubled(which), _doubled(corners)
+    least = ROUND_OFF * plane.measure(P, n)[0]
     for v in range(1, n - 1):
         ux, uy = P[v, 0] - P[0, 0], P[v, 1] - P[0, 1]
         vx, vy = P[v + 1, 0] - P[0, 0], P[v + 1, 1] - P[0, 1]
@@ -272,40 +231,35 @@ def _triangulate(x_s, x_m, bilinear, pairs, deepest, centre, axes):  # type: ign
         project(x_s[s], centre[s], axes[s], S)
         c, a = centre[s], axes[s]
         n = _clip(S, x_m, bilinear, pairs, deepest, first, last, c, a, M, pieces, sizes, row)
-        owner = np.empty(n, np.int64)
+        overlap = _any_overlap(M, n)
         for i in range(n):
-            owner[i] = i
-        if _any_overlap(M, n):
-            pieces, sizes, owner, n = _keep_nearest(S, M, bilinear, pieces, sizes, n)
-        for i in range(n):
-            if sizes[i] > 2:
-                pair = row[owner[i]]
-                which, corners, t = _append_fan(pieces[i], sizes[i], which, corners, t, pair)
+            if not overlap:
+                which, corners, t = _append_fan(pieces[i], sizes[i], which, corners, t, row[i])
+                continue
+            parts, counts, count = _visible(S, M, bilinear, pieces, sizes, i, n)
+            for k in range(count):
+                if counts[k] > 2:
+                    which, corners, t = _append_fan(parts[k], counts[k], which, corners, t, row[i])
     return which[:t], corners[:t]
 
 
 @numba.njit(cache=True)
-def _variation(P, bilinear, corners):  # type: ignore[no-untyped-def]
-    """Return the relative change of the Jacobian of a projected facet over a triangle."""
+def _changes(P, bilinear, corners):  # type: ignore[no-untyped-def]
+    """Return changes of a projected facet over a triangle, by its values at the corners.
+
+    The relative change of the Jacobian, and the largest squared difference of slopes.
+    """
     if not bilinear:
-        return 0.0
-    low, high = np.inf, 0.0
+        return 0.0, 0.0
+    low, high, turn = np.inf, 0.0, 0.0
+    s0, s1 = np.empty(3), np.empty(3)
     for v in range(3):
-        J = inverse(P, bilinear, corners[v, 0], corners[v, 1])[2]
+        xi, eta, J = inverse(P, bilinear, corners[v, 0], corners[v, 1])
         low, high = min(low, J), max(high, J)
-    return (high - low) / (high + low)
-
-
-@numba.njit(cache=True)
-def _turn(P, bilinear, corners):  # type: ignore[no-untyped-def]
-    """Return how far the slopes of a projected facet differ between the corners of a triangle."""
-    s0, s1, turn = np.empty(3), np.empty(3), 0.0
-    for v in range(3):
-        xi, eta, _ = inverse(P, bilinear, corners[v, 0], corners[v, 1])
         s0[v], s1[v] = slopes(P, bilinear, xi, eta)
     for v in range(3):
         turn = max(turn, (s0[v] - s0[v - 1]) ** 2 + (s1[v] - s1[v - 1]) ** 2)
-    return np.sqrt(turn)
+    return (high - low) / (high + low), turn
 
 
 @numba.njit(cache=True)
@@ -322,10 +276,9 @@ def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners, least
         s, m = pairs[which[t]]
         project(x_s[s], centre[s], axes[s], S)
         project(x_m[m], centre[s], axes[s], M)
-        variation = _variation(S, bilinear[0], corners[t])
-        variation += _variation(M, bilinear[1], corners[t])
-        # the weight holds sqrt(1 + slope^2)
-        variation = max(variation, _turn(S, bilinear[0], corners[t]) ** 2 / 2)
+        variation, turn = _changes(S, bilinear[0], corners[t])
+        variation += _changes(M, bilinear[1], corners[t])[0]
+        variation = max(variation, turn / 2)  # the weight contains sqrt(1 + slope^2)
         degree = float(least)
         if variation > 0.0:
             # the singularities of the inverse maps lie 1 / variation triangles away
@@ -361,8 +314,8 @@ def _place(  # type: ignore[no-untyped-def]
             y = c[0, 1] + points[i, 0] * uy + points[i, 1] * vy
             xi_s[q, 0], xi_s[q, 1], _ = inverse(S, bilinear[0], x, y)
             xi_m[q, 0], xi_m[q, 1], _ = inverse(M, bilinear[1], x, y)
-            ratio = stretch(S, bilinear[0], xi_s[q, 0], xi_s[q, 1])
-            weight[q] = weights[i] * area * ratio
+            s0, s1 = slopes(S, bilinear[0], xi_s[q, 0], xi_s[q, 1])
+            weight[q] = weights[i] * area * np.sqrt(1 + s0 * s0 + s1 * s1)
             pair[q] = which[t]
             q += 1
     return pair, xi_s, xi_m, weight
@@ -396,8 +349,8 @@ def place_points(
     pair, xi_s, xi_m, weight = _place(*sides, centre, axes, radius, which, corners, rule, *_rules())
     if slave.element.part is None and master.element.part is None:
         return pair, xi_s, xi_m, weight
-    part_s, part_m = of_parts[pair].T
-    return of[pair], *on_facets(slave, master, PartPoints(part_s, part_m, xi_s, xi_m, weight))
+    points = {"xi_s": xi_s, "xi_m": xi_m, "weight": weight}
+    return of[pair], *on_facets(slave, master, of_parts[pair], **points)
 
 
 def _least_degree(slave: FacetElement, master: FacetElement) -> int:

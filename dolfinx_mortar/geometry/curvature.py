@@ -1,40 +1,41 @@
 # SPDX-License-Identifier: MIT
-r"""Smooth surfaces through the nodes of facets: their normals, and how high they stand above these.
+r"""Smooth surfaces through the nodes of facets: their normals, and their heights over the facets.
 
-Facets stand off the surface that they stand for by their sagittas; where two curved sides fit
-closely, these are as large as the gap. With unit normals n_a at the nodes x_a the height is
+Facets deviate from the curved surface that they approximate by their sagittas; where two curved
+sides fit closely, these are as large as the gap. With unit normals n_a at the nodes x_a the height
+of the smooth surface over a facet is
 
     h = 1/2 sum_{a<b} N_a N_b c_ab,     c_ab = (n_b - n_a).(x_b - x_a)
 
 over all pairs of nodes. On a sphere of radius R, c_ab = |x_b - x_a|^2 / R, and by Lagrange's
 identity h is exact to leading order wherever the nodes lie; on plane sides it vanishes.
 
-Where two sides touch they are one surface, and the facets of both stand off that one. Bodies of one
-stiffness bend each other to the mean of their curvatures, K = (K_s - K_m) / 2 with e_ab.K e_ab =
-c_ab and each sign for its own outward normal; sides that fit closely have it from the start. So
-c_ab is the mean of a side's own and of what the other one's curvature would make of its edges.
-(With its own alone, a ball on a block, frozen, has to be flattened by its sagittas: forces of
-Hertz' contact are 1 to 10 % too large. With the mean they are as with facets, which suit it, and
-closely fitting sides have the same answers to 0.5 %.)
+Where two sides touch they share one surface, and heights are taken from that one. Bodies of equal
+stiffness deform to the mean of their curvatures, K = (K_s - K_m) / 2 with e_ab.K e_ab = c_ab, each
+for its own outward normal; sides that fit closely have this curvature from the start. So c_ab is
+the mean of a side's own and of the one that the curvature of the other side gives its edges. (With
+its own alone, a ball on a block, on frozen surfaces, has to be flattened by its sagittas: forces of
+Hertz' contact are 1 to 10 % too large. With the mean they are as without heights, and closely
+fitting sides have the same results to 0.5 %.)
 
-The c_ab are those at X. At X + u they would follow every node that comes into contact: 7 % more
-Newton iterations than with facets over 79 random problems, and one that fails; with X 7 % fewer,
-none that fails, and the same answers to 0.1 % where sides fit closely.
+The c_ab are those at X. Those at X + u would depend on every node that comes into contact: 7 % more
+Newton iterations than without heights over 79 random problems, one of which fails; with X 7 %
+fewer, none fails, and the same results to 0.1 % where sides fit closely.
 
-Second-order facets that are straight at X stand off likewise, by functions of their vertices, but
-they bend with u: what is left of the sagittas is that of X, stretched as the bodies are along the
-normal, and each side has its own c_ab. Facets of a curved mesh are that surface themselves, to
-higher order, and have no heights.
+Second-order facets that are straight at X have such heights, too, as functions of their vertices.
+But they become curved with u: what is left of the sagittas is that of X, times the stretch of the
+bodies along the normal, and each side has its own c_ab. Facets of a curved mesh approximate the
+surface to higher order, and have no heights.
 
 The normals are those of Max (J. Graphics Tools 4, 1999), n_a ~ sum (e_1 x e_2) / (|e_1|^2 |e_2|^2)
 over the facets at the node, with e_1 and e_2 its edges there; in the plane the chords' normals over
 their lengths. They are exact on spheres and circles whatever the mesh, if facets lie all around the
-node. Where a flat meets a fillet they deviate by up to a quarter of the angle between its facets,
-and would curve the flat; so in the plane facets at a jump of curvature have the curvature of their
-other end (`normal_changes`). Elsewhere in space they deviate where the one-ring is uneven, by a
-share of the angle between facets, which spoils pressures: so edges are first projected into the
-tangent plane, by half of |e|^2 times the curvature along them, as found with the sums before,
-without the part that is a sphere's.
+node. Where a flat part meets a fillet they deviate by up to a quarter of the angle between its
+facets, and would make the flat part curved; so in the plane facets at a jump of curvature have the
+curvature of their other end (`normal_changes`). In space they deviate on surfaces other than
+spheres where the one-ring is uneven, by a share of the angle between facets, which is seen in the
+pressures: so edges are first projected on the tangent plane, by half of |e|^2 times the curvature
+along them, as found with the sums before, without its isotropic part (that of a sphere).
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ class NodeNormals:
 
     @property
     def regular(self) -> Bools:
-        """Nodes (n,) with facets all around, on a surface of one curvature."""
+        """Nodes (n,) inside a surface without edge or jump of curvature."""
         smooth = ~self.open & ~self.sharp
         return np.asarray(smooth if self.jumps is None else smooth & ~self.jumps)
 
@@ -68,17 +69,16 @@ class NodeNormals:
 def one_ring_sums(
     facets: Facets, n: Floats | None = None, K: Floats | None = None
 ) -> tuple[Floats, Floats]:
-    """Return what each facet (m,) adds to the sums over the one-rings of its nodes.
+    """Return the terms of each facet (m,) in the sums over the one-rings of its nodes.
 
     Args:
         facets: the facets.
         n: normals (m, k, d) at their nodes as known so far.
-        K: curvatures (m, k, d, d) there, by which edges are bent back into the tangent plane.
+        K: curvatures (m, k, d, d) there, by which edges are projected on the tangent plane.
 
     Returns:
-        The parts (m, k, d) of the normals, and parts (m, k, c) of a sum that vanishes where facets
-        lie all around the node: each edge of the one-ring adds to it on one side what it takes on
-        the other.
+        The terms (m, k, d) of the normals, and terms (m, k, c) of a sum that vanishes where facets
+        lie all around the node: each edge of the one-ring occurs twice, with opposite signs.
 
     >>> from dolfinx_mortar.geometry.elements import LINE2
     >>> n, around = one_ring_sums(Facets(LINE2, np.array([[[2.0, 0.0], [0.0, 0.0]]])))
@@ -89,27 +89,25 @@ def one_ring_sums(
     if x.shape[2] == 2:
         area = area_vectors(facets)
         chord = (area / np.maximum((area**2).sum(axis=1), TINY)[:, None])[:, None]
-        ends = np.zeros((1, facets.element.nodes, 1))  # facets lie on both sides of a middle
+        ends = np.zeros((1, facets.element.nodes, 1))  # a mid-side node is no end
         ends[0, :2, 0] = -1.0, 1.0
         return np.repeat(chord, facets.element.nodes, axis=1), np.repeat(ends, len(x), axis=0)
     ahead, behind = (np.roll(x, turn, axis=1) - x for turn in (-1, 1))
     if n is not None and K is not None:
         corners = np.array(facets.element.vertices)
-        ahead, behind = (_bent_back(e, n[:, corners], K[:, corners]) for e in (ahead, behind))
+        ahead, behind = (_projected(e, n[:, corners], K[:, corners]) for e in (ahead, behind))
     ahead, behind = _inverted(ahead), _inverted(behind)
     normals = np.asarray(np.cross(ahead, behind), dtype=np.float64)
-    middles = (
-        facets.element.nodes - x.shape[1]
-    )  # flat there, as far as the one-ring of a node tells
+    middles = facets.element.nodes - x.shape[1]  # flat there, for all that one-rings show
     flat = np.repeat(facet_normals(facets)[:, None], middles, axis=1)
     around = np.concatenate([ahead - behind, np.zeros_like(flat)], axis=1)
     return np.concatenate([normals, flat], axis=1), around
 
 
 def end_angles(facets: Facets, n: Floats) -> tuple[Floats, Floats]:
-    """Return by how much lines bend away from the tangents at their ends, (m, 2), and lengths (m,).
+    """Return the sines of the angles (m, 2) between lines and tangents at their ends, and lengths.
 
-    As sines of the angles: on a circle of radius R half of the length over R, of any grading.
+    On a circle of radius R a sine is half of the length over R, whatever the lengths (m,).
 
     Args:
         facets: lines (m,), in the plane.
@@ -122,28 +120,25 @@ def end_angles(facets: Facets, n: Floats) -> tuple[Floats, Floats]:
     return np.asarray((ends * n * along).sum(axis=2)), length
 
 
-def _bent_back(e: Floats, n: Floats, K: Floats) -> Floats:
-    """Return edges (m, k, d) without what curvature takes them below the tangent plane.
-
-    e + 1/2 |e|^2 (t.K t) n with the direction t of e in the plane.
-    """
+def _projected(e: Floats, n: Floats, K: Floats) -> Floats:
+    """Return edges e + 1/2 |e|^2 (t.K t) n (m, k, d) on the tangent plane, t their directions."""
     t = unit(e - np.einsum("mki,mki->mk", e, n)[..., None] * n)
     below = 0.5 * (e**2).sum(axis=2) * np.einsum("mki,mkij,mkj->mk", t, K, t)
     return np.asarray(e + below[..., None] * n)
 
 
 def _inverted(e: Floats) -> Floats:
-    """Return e / |e|^2: spheres through the origin become planes, which is why the sum is exact."""
+    """Return e / |e|^2; spheres through the origin become planes, so that the sums are exact."""
     return np.asarray(e / np.maximum((e**2).sum(axis=-1), TINY)[..., None])
 
 
 def normal_changes(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
-    """Return by how much normals turn, m_ab (m, e, d), for the pairs of nodes of facets.
+    """Return the changes of normals m_ab (m, e, d), n_b - n_a as a rule, for pairs of nodes.
 
-    Where one end has no normal or may have a one-sided one, the surface keeps the curvature of the
-    other end, m_ab = 2 n_b, exact on spheres and cylinders. Between two open nodes, on the rim,
-    their difference counts, in which the deviation cancels; between two nodes of which one lies on
-    a sharp edge and none is regular, the edge is straight.
+    Where one end has no normal or may have a one-sided one, the curvature is that of the other end,
+    m_ab = 2 n_b, exact on spheres and cylinders. Between two open nodes, on the rim, the difference
+    is taken, in which the deviation cancels; between two nodes of which one lies on a sharp edge
+    and none is regular, the facet is straight.
 
     Args:
         facets: the facets (m,).
@@ -168,19 +163,13 @@ def edge_sagittas(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
 def sagitta_tensors(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
     """Return C_ab (m, e, d, d), the symmetric part of m_ab (x_b - x_a)^T; its trace is c_ab.
 
-    Where the surface is stretched by a strain E, c_ab grows by C_ab : E. Of m_ab the part in the
-    facet counts: what is left of a normal would have another one in a facet of the other side.
+    A strain E of the surface changes c_ab by C_ab : E. Only the part of m_ab in the facet's plane
+    is taken, so that C_ab is tangential.
     """
-    turn, n = normal_changes(facets, normals, nodes), facet_normals(facets)[:, None]
-    turn -= (turn * n).sum(axis=2, keepdims=True) * n
-    product = turn[..., :, None] * edges(facets)[..., None, :]
+    change, n = normal_changes(facets, normals, nodes), facet_normals(facets)[:, None]
+    change -= (change * n).sum(axis=2, keepdims=True) * n
+    product = change[..., :, None] * edges(facets)[..., None, :]
     return np.asarray((product + np.swapaxes(product, 2, 3)) / 2)
-
-
-def _edges(facets: Facets) -> Floats:
-    """Return x_b - x_a (m, e, d) for the pairs of nodes of facets."""
-    a, b = node_pairs(facets)
-    return np.asarray(facets.x[:, b] - facets.x[:, a])
 
 
 def curvatures(facets: Facets, sagitta: Floats) -> Floats:
@@ -206,19 +195,12 @@ def curvatures(facets: Facets, sagitta: Floats) -> Floats:
     p = unit(p) * np.linalg.norm(e, axis=2)[:, :, None]  # on spheres, c_ab is |e|^2 / R
     A = p[:, :, i] * p[:, :, j] * np.where(i == j, 1.0, 2.0)
     normal = np.einsum("mea,meb->mab", A, A)
-    size = EPS * np.trace(normal, axis1=1, axis2=2) + TINY  # needles say nothing across themselves
+    size = EPS * np.trace(normal, axis1=1, axis2=2) + TINY  # needles: nothing across them
     normal = normal + size[:, None, None] * np.eye(len(i))
     k = np.linalg.solve(normal, np.einsum("mea,me->ma", A, sagitta)[:, :, None])[:, :, 0]
     K = np.empty((len(e), d - 1, d - 1))
     K[:, i, j] = K[:, j, i] = k
     return np.asarray(np.einsum("mki,mkl,mlj->mij", B, K, B))
-
-
-def isotropic(facets: Facets, K: Floats) -> Floats:
-    """Return tr K / 2 (I - n n^T) (m, 3, 3): the part of curvatures that is that of a sphere."""
-    n = facet_normals(facets)
-    plane = np.eye(n.shape[1]) - n[:, :, None] * n[:, None, :]
-    return np.asarray(0.5 * np.trace(K, axis1=1, axis2=2)[:, None, None] * plane)
 
 
 def common_sagittas(facets: Facets, sagitta: Floats, K_other: Floats) -> Floats:
@@ -234,7 +216,7 @@ def common_sagittas(facets: Facets, sagitta: Floats, K_other: Floats) -> Floats:
 
 
 def heights(facets: Facets, sagitta: Floats, which: Ints, xi: Floats) -> Floats:
-    """Return how far (q,) the smooth surface stands above points of facets, along their normals.
+    """Return the heights (q,) of the smooth surface over points of facets, along their normals.
 
     Args:
         facets: facets of the side.
@@ -252,9 +234,9 @@ def heights_of_arcs(facets: Facets, sagitta: Floats, which: Ints, h: Floats) -> 
     """Return the heights (q,) over chords that are exact on circles, of those of `heights` (q,).
 
     With the curvature k = c_ab / L^2 and cos b the cosine between chord and tangent at its ends,
-    sin b = k L / 2, the point h over the chord lies on the circle if (h + cos b / k)^2 is what is
-    left of 1 / k^2 beside the chord: h^2 k + 2 h cos b = 2 h_0. Pressures of second order feel the
-    difference, which is of fourth order: 3 % at a pin in a hole with 30 facets.
+    sin b = k L / 2, the point at the height h over the chord lies on the circle if
+    h^2 k + 2 h cos b = 2 h_0. The difference is of fourth order and matters for second-order
+    elements: 3 % of the pressure at a pin in a hole with 30 facets.
 
     Args:
         facets: facets (m,) in the plane.

@@ -148,8 +148,9 @@ def _gauss(n: int, tdim: int) -> tuple[Floats, Floats]:
 
 def triangle_rule(degree: int) -> tuple[Floats, Floats]:
     """Return points (q, 2) and weights (q,), sum 1, of a rule of such a degree on the triangle."""
-    points, weights = basix.make_quadrature(basix.CellType.triangle, degree)
-    return np.asarray(points, dtype=np.float64), np.asarray(weights / weights.sum())
+    found = basix.make_quadrature(basix.CellType.triangle, degree)
+    points, weights = (np.asarray(part, dtype=np.float64) for part in found)
+    return points, weights / weights.sum()
 
 
 LINE2 = FacetElement(

@@ -27,8 +27,8 @@ class Facets:
 def area_vectors(facets: Facets) -> Floats:
     """Return the integral (m, d) of the outward unit normal over facets.
 
-    In 2D it is (t_y, -t_x) with t = x_2 - x_1, in 3D it points to where the nodes run around
-    anticlockwise.
+    In 2D it is (t_y, -t_x) with t = x_2 - x_1; seen from its tip in 3D, the nodes are in
+    anticlockwise order.
 
     Example:
         >>> from dolfinx_mortar.geometry.elements import QUAD4
@@ -60,7 +60,7 @@ def facet_normals(facets: Facets) -> Floats:
 def normals_at_nodes(facets: Facets) -> Floats:
     """Return the outward unit normals (m, k, d) that facets have at their nodes.
 
-    First-order facets have their mean normal everywhere, warped ones too.
+    On first-order facets the mean normal, also where they are warped.
     """
     element, m = facets.element, len(facets.x)
     if element.degree == 1:
@@ -119,8 +119,8 @@ def _normals(a: Floats) -> Floats:
 def bounding_balls(x: Floats) -> tuple[Floats, Floats]:
     """Return centre (m, d) and radius (m,) of balls around the nodes x (m, k, d) of facets.
 
-    They hold the facets: second-order ones leave the hull of their nodes, but not the ball, unless
-    they are so bent or uneven that the audit refuses them.
+    They contain the facets. Second-order facets are not in the convex hull of their nodes, but in
+    the ball unless they are so distorted that the audit refuses them.
     """
     centre = x.mean(axis=1)
     return centre, np.sqrt(((x - centre[:, None]) ** 2).sum(axis=2).max(axis=1, initial=0.0))
@@ -132,7 +132,7 @@ def facet_sizes(x: Floats) -> Floats:
 
 
 def are_inside(x: Floats, n: Floats, p: Floats) -> Bools:
-    """Tell (m,) whether points lie over facets; on a common edge, over each of them.
+    """Tell (m,) whether projections of points lie in facets, edges included.
 
     Args:
         x: Vertices (m, k, d).
@@ -152,9 +152,9 @@ def are_inside(x: Floats, n: Floats, p: Floats) -> Bools:
 
 
 def scaled_normals(facets: Facets, xi: Floats) -> Floats:
-    """Return normals (m, q, d) of facets at xi (q, d-1), as long as the facet is there.
+    """Return normals (m, q, d) of facets at xi (q, d-1); their length is the Jacobian of the map.
 
-    That is the length or area per part of the reference facet.
+    Relative to the size of the reference facet, so that their means over it are areas.
     """
     dN = facets.element.derivatives(xi)
     return facets.element.size * _normals(np.einsum("qka,mki->mqai", dN, facets.x))
@@ -180,11 +180,11 @@ def tributary_weights(facets: Facets, factor: Floats | None = None) -> Floats:
 
 
 def distortions(facets: Facets) -> Floats:
-    """Return the quality (m,) of the worst node of facets: 1 is perfect, 0 or less is useless.
+    """Return the least quality (m,) over the nodes of facets: 1 is best, 0 or less degenerate.
 
-    It is the cosine between the normal there and the mean normal; on second-order facets, or that
-    part of their mean length or area that they have there, whichever is less, so that nodes off the
-    middle count. It is negative where the facet is folded or inverted. Degenerate facets have 0.
+    It is the cosine between the normal there and the mean normal; on second-order facets, the ratio
+    of the Jacobian there to its mean if that is less, so that mid-side nodes off the middle count.
+    It is negative where the facet is folded or inverted. Degenerate facets have 0.
 
     Example:
         >>> from dolfinx_mortar.geometry.elements import QUAD4
@@ -195,7 +195,7 @@ def distortions(facets: Facets) -> Floats:
     element = facets.element
     x = facets.x[:, element.vertices]
     size = np.maximum(bounding_balls(x)[1], TINY)
-    # the normal of a narrow facet has as few digits as its height
+    # the normal of a narrow facet is as inexact as its height
     area = np.linalg.norm(area_vectors(facets), axis=1)
     least = HALF_OF_DIGITS * size ** (x.shape[2] - 1)
     large = area > least

@@ -5,11 +5,11 @@ A slave facet is x_s(xi) = sum_i N_i(xi) x_i with xi in [-1, 1], and it is proje
 interpolated averaged nodal normals n(xi) = sum_i N_i n_i (not normalised). The point x_m(eta) of
 the master facet that belongs to xi solves (x_s(xi) - x_m(eta)) x n(xi) = 0.
 
-Second-order facets are taken as they are, not as two chords: the ends of a segment are where the
+Second-order facets are clipped as parabolas, not as two chords: the ends of a segment are where the
 normals of the curved slave facet meet the ends of the curved master facet, so that no function has
 a kink inside a segment. With chords, ends and normals are off by a share of the sagitta, and the
-master's function is continued beyond its ends. The kernels see the polynomials a + b xi + c xi^2,
-in which straight facets have c = 0.
+master's functions are extrapolated beyond their ends. The kernels take the coefficients of
+a + b xi + c xi^2; straight facets have c = 0.
 """
 
 from typing import Any
@@ -22,11 +22,6 @@ from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.geometry.tolerances import EPS, ROUND_OFF
-
-_STEPS, _FREE = 64, 10
-"""Steps of the search for a root, and after how many the interval is halved: 54 halvings take the
-interval from 2 to less than 2 EPS, so that the root is found whatever the first ten steps were.
-"""
 
 
 @numba.njit(cache=True)
@@ -50,38 +45,38 @@ def _project_node(x, n, y0, y1):  # type: ignore[no-untyped-def]
     """Return xi in [-1, 1] of the slave facet whose normal meets y; beyond an end, that end.
 
     f(xi) = (x(xi) - y) x n(xi) falls along the facet as long as y is nearer than the point where
-    the normals of a concave facet meet; there is no answer (nan) behind that point. Newton's steps
-    find the root, and halving where they leave the interval in which it is known to lie.
+    the normals of a concave facet meet; there is no answer (nan) behind that point. The root is
+    bracketed: the interval is halved unless Newton's step stays in it and is at most half of the
+    last step, so that the loop ends whatever f is.
     """
     first, last = _moment(x, n, y0, y1, -1.0)[0], _moment(x, n, y0, y1, 1.0)[0]
     if first <= 0.0 or last >= 0.0:
         if first <= 0.0 and last >= 0.0:
             return np.nan
         return -1.0 if first <= 0.0 else 1.0
-    low, high = -1.0, 1.0
+    low, high, step = -1.0, 1.0, 2.0
     xi = (first + last) / (first - last)  # of the chord of f
-    for step in range(_STEPS):
+    while step > 2 * EPS:
         f, slope = _moment(x, n, y0, y1, xi)
         if f > 0.0:
             low = xi
         else:
             high = xi
         new = xi - f / slope if slope < 0.0 else np.inf
-        if step >= _FREE or not low <= new <= high:
+        if not (low <= new <= high and abs(new - xi) <= max(step / 2, 2 * EPS)):
             new = (low + high) / 2
-        if abs(new - xi) <= 2 * EPS:
-            return new
-        xi = new
+        step, xi = abs(new - xi), new
     return xi
 
 
 @numba.njit(cache=True)
-def _meet(y, p0, p1, n0, n1):  # type: ignore[no-untyped-def]
-    """Return eta where the master y (3, 2) meets the line through p along n.
+def _opposite(x, n, y, xi):  # type: ignore[no-untyped-def]
+    """Return eta on the master facet y (3, 2) that the normal of the slave facet meets at xi.
 
-    Of the two roots of a curved facet that one which the facet without curvature has.
+    Of the two roots of a curved facet, the one that tends to the root of the straight facet.
     """
-    C = (y[0, 0] - p0) * n1 - (y[0, 1] - p1) * n0
+    n0, n1 = _at(n, xi, 0), _at(n, xi, 1)
+    C = (y[0, 0] - _at(x, xi, 0)) * n1 - (y[0, 1] - _at(x, xi, 1)) * n0
     B = y[1, 0] * n1 - y[1, 1] * n0
     A = y[2, 0] * n1 - y[2, 1] * n0
     root = np.sqrt(max(B * B - 4 * A * C, 0.0))  # the form that does not cancel
@@ -89,27 +84,15 @@ def _meet(y, p0, p1, n0, n1):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _opposite(x, n, y, xi):  # type: ignore[no-untyped-def]
-    """Return eta on the master facet y that the normal of the slave facet meets at xi."""
-    return _meet(y, _at(x, xi, 0), _at(x, xi, 1), _at(n, xi, 0), _at(n, xi, 1))
+def _distances(x, n, y, xi):  # type: ignore[no-untyped-def]
+    """Return the distance along n(xi) to the master facet y, and how far y lies behind the slave.
 
-
-@numba.njit(cache=True)
-def _distance(x, n, y, xi):  # type: ignore[no-untyped-def]
-    """Return the distance along n(xi) from the slave facet to the master facet y."""
-    eta = _opposite(x, n, y, xi)
-    square = 0.0
-    for i in range(2):
-        square += (_at(x, xi, i) - _at(y, eta, i)) ** 2
-    return np.sqrt(square)
-
-
-@numba.njit(cache=True)
-def _depth(x, n, y, xi):  # type: ignore[no-untyped-def]
-    """Return how far behind the slave facet, against its mean normal, the master facet y lies."""
+    The latter against the slave's mean normal.
+    """
     eta = _opposite(x, n, y, xi)
     p0, p1 = _at(x, xi, 0) - _at(y, eta, 0), _at(x, xi, 1) - _at(y, eta, 1)
-    return (p0 * x[1, 1] - p1 * x[1, 0]) / np.sqrt(x[1, 0] ** 2 + x[1, 1] ** 2)
+    depth = (p0 * x[1, 1] - p1 * x[1, 0]) / np.sqrt(x[1, 0] ** 2 + x[1, 1] ** 2)
+    return np.sqrt(p0 * p0 + p1 * p1), depth
 
 
 @numba.njit(cache=True)
@@ -118,10 +101,8 @@ def _nearest(x, n, x_m, master, deepest, low, high, a, b):  # type: ignore[no-un
     best, least = -1, np.inf
     for c in range(len(master)):
         if low[c] <= a and high[c] >= b:
-            y, middle = x_m[master[c]], (a + b) / 2
-            distance = _distance(x, n, y, middle)
-            across = distance > deepest[c] and _depth(x, n, y, middle) > deepest[c]
-            if distance < least and not across:
+            distance, depth = _distances(x, n, x_m[master[c]], (a + b) / 2)
+            if distance < least and depth <= deepest[c]:
                 best, least = c, distance
     return best
 
@@ -149,7 +130,7 @@ def _clip(x_s, n_s, x_m, ends_m, pairs, deepest):  # type: ignore[no-untyped-def
         c = 0
         while r < p and pairs[r, 0] == s:
             y = ends_m[pairs[r, 1]]
-            # the two sides run against each other
+            # the two sides are passed in opposite directions
             a = _project_node(x_s[s], n_s[s], y[1, 0], y[1, 1])
             b = _project_node(x_s[s], n_s[s], y[0, 0], y[0, 1])
             if b - a > 8 * ROUND_OFF:
@@ -203,8 +184,8 @@ def _polynomials(element: FacetElement, v: Floats) -> Floats:
     """
     N = element.shape_functions(np.array([[-1.0], [0.0], [1.0]]))
     a, b, c = np.moveaxis(N @ v, 1, 0)
-    bend = (a + c) / 2 - b if element.degree > 1 else np.zeros_like(b)
-    return np.ascontiguousarray(np.stack([b, (c - a) / 2, bend], axis=1))
+    square = (a + c) / 2 - b if element.degree > 1 else np.zeros_like(b)
+    return np.ascontiguousarray(np.stack([b, (c - a) / 2, square], axis=1))
 
 
 def place_points(

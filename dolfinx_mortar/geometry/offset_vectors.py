@@ -1,23 +1,23 @@
 # SPDX-License-Identifier: MIT
-r"""How the offset vector between two tied points moves with the surface at its foot.
+r"""Change of the offset vector between two tied points with the displacement of the master.
 
-Facets of two sides that stand for one surface do not touch: the points x_s and x_m of a segment
-are apart by the offset vector r = x_s - x_m, which moves with the bodies. To tie the points by
-u_s = u_m resists a rotation by strains of the size of r, and lets forces at both ends of r have a
-moment. What is right to first order is
+The facets of two sides that approximate one surface do not touch: the points x_s and x_m of a
+segment differ by the offset vector r = x_s - x_m, which moves with the bodies. The constraint
+u_s = u_m resists a rotation by strains of the size of r, and its forces at the ends of r have a
+moment. To first order the constraint is
 
     u_s = u_m + (grad u) r_t - (r.n) (grad u)^T n + n (H : E),      r_t = r - (r.n) n
 
 with the surface gradient grad u = sum_l u_l grad N_l^T of the master's displacement at x_m and its
-normal n. The first two terms go on to the foot of x_s on the tangent plane and turn the rest of the
-vector with the normal, delta n = -(grad u)^T n: a rigid motion u = a + W x gives W r, exactly,
-whatever the surfaces and however far they are apart. Transposed, the force at x_s acts on the
-master with the moment that it has, so moments balance.
+normal n. The first two terms are the displacement at the foot of x_s on the tangent plane; the
+third is the rotation of the normal part of r, delta n = -(grad u)^T n. A rigid motion u = a + W x
+gives W r, exactly, for all surfaces and distances. The transpose applies the force at x_s to the
+master with its moment, so moments balance.
 
-The last term is the height of the smooth surfaces over the facets (`smooth`), which grows with the
-radius: H = 1/2 sum_{a<b} N_a N_b C_ab of both sides, of trace h, and the strain E of the surface,
-the symmetric tangential part of grad u. A dilatation u = c x of spheres makes h grow by c h; a
-rigid motion has no E, and plane sides no H.
+The last term is the change of the height of the smooth surfaces over the facets (`curvature`):
+H = 1/2 sum_{a<b} N_a N_b C_ab of both sides, of trace h, and the strain E of the surface, the
+symmetric tangential part of grad u. A dilatation u = c x of spheres changes h by c h; rigid motions
+have no E, and plane sides no H.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from dolfinx_mortar.geometry.facets import Facets, surface_gradients
 
 
 def offset_motions(facets: Facets, which: Ints, xi: Floats, offsets: Floats, H: Floats) -> Floats:
-    """Return A_l (q, k, d, d) with which offsets move by sum_l A_l u_l.
+    """Return A_l (q, k, d, d): offset vectors change by sum_l A_l u_l.
 
     A_l = (r.g_l) I - (r.n) g_l n^T + n (H_t g_l)^T with g_l = grad N_l and the tangential part H_t
     of H.

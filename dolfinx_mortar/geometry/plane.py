@@ -1,14 +1,167 @@
 # SPDX-License-Identifier: MIT
-"""Facets in the auxiliary plane of a slave facet: projection, inverse maps, distances (3D)."""
+"""Auxiliary planes of slave facets, and the convex polygons in them (compiled kernels, 3D).
+
+Lengths in a plane are relative: the slave facet has radius 1. A polygon is an array of vertices,
+anticlockwise, of which the first `n` count. Vertices that are nearer to a line than ROUND_OFF are
+taken to lie on it.
+
+Numba's cache of a caller in another file does not notice changes here: touch that file, too.
+"""
 
 import numba
 import numpy as np
 
 from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.geometry import polygons
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls, facet_normals
 from dolfinx_mortar.geometry.parts import count, pairs_of_parts, parts_of
-from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
+from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, ROUND_OFF, TINY
+
+VERTICES = 32
+"""Space for the vertices of a polygon (cost only).
+
+Two quadrilaterals have 8 in common; each cut adds one, and polygons are halved before it is full.
+"""
+
+
+@numba.njit(cache=True)
+def cut(P, n, ax, ay, bx, by, Q):  # type: ignore[no-untyped-def]
+    """Write the part of P on the left of the line from a to b into Q; return its size."""
+    dx, dy = bx - ax, by - ay
+    length = np.sqrt(dx * dx + dy * dy)
+    dx, dy = dx / length, dy / length
+    m = 0
+    before = n - 1
+    d0 = dx * (P[before, 1] - ay) - dy * (P[before, 0] - ax)
+    for i in range(n):
+        d1 = dx * (P[i, 1] - ay) - dy * (P[i, 0] - ax)
+        apart = (d0 < -ROUND_OFF and d1 > ROUND_OFF) or (d0 > ROUND_OFF and d1 < -ROUND_OFF)
+        if apart and m < VERTICES:
+            t = d0 / (d0 - d1)
+            Q[m, 0] = P[before, 0] + t * (P[i, 0] - P[before, 0])
+            Q[m, 1] = P[before, 1] + t * (P[i, 1] - P[before, 1])
+            m += 1
+        if d1 >= -ROUND_OFF and m < VERTICES:
+            Q[m, 0], Q[m, 1] = P[i, 0], P[i, 1]
+            m += 1
+        before, d0 = i, d1
+    return m
+
+
+@numba.njit(cache=True)
+def halve(P, n, Q):  # type: ignore[no-untyped-def]
+    """Leave one half of P on this side of a diagonal, write the other into Q; return the sizes."""
+    half = n // 2
+    for k in range(half, n):
+        Q[k - half, 0], Q[k - half, 1] = P[k, 0], P[k, 1]
+    Q[n - half, 0], Q[n - half, 1] = P[0, 0], P[0, 1]
+    return half + 1, n - half + 1
+
+
+@numba.njit(cache=True)
+def measure(P, n):  # type: ignore[no-untyped-def]
+    """Return area and centroid (the mean of the vertices where there is no area) of P."""
+    area, x, y, mx, my = 0.0, 0.0, 0.0, P[0, 0], P[0, 1]
+    for i in range(1, n):
+        mx, my = mx + P[i, 0], my + P[i, 1]
+    mx, my = mx / n, my / n
+    for i in range(n):
+        j = i + 1 if i + 1 < n else 0
+        ux, uy = P[i, 0] - mx, P[i, 1] - my
+        vx, vy = P[j, 0] - mx, P[j, 1] - my
+        part = (ux * vy - uy * vx) / 2
+        area += part
+        x, y = x + part * (ux + vx) / 3, y + part * (uy + vy) / 3
+    if area > 0.0:
+        mx, my = mx + x / area, my + y / area
+    return area, mx, my
+
+
+@numba.njit(cache=True)
+def is_thin(P, n):  # type: ignore[no-untyped-def]
+    """Tell whether P is as narrow as the errors of some cuts, or no polygon at all."""
+    if n < 3:
+        return True
+    square = 0.0
+    for i in range(1, n):
+        square = max(square, (P[i, 0] - P[0, 0]) ** 2 + (P[i, 1] - P[0, 1]) ** 2)
+    return measure(P, n)[0] <= 8 * ROUND_OFF * np.sqrt(square)
+
+
+@numba.njit(cache=True)
+def orientation(P, n):  # type: ignore[no-untyped-def]
+    """Return 1 or -1 for an anticlockwise or clockwise convex polygon, 0 for anything else.
+
+    A corner is straight if its area is less than HALF_OF_DIGITS of the sum over the corners: there
+    a quadrilateral has no inverse map. Corners of a triangle have equal areas.
+    """
+    least, most, whole = np.inf, -np.inf, 0.0
+    for i in range(n):
+        j, h = (i + 1) % n, (i + n - 1) % n
+        ux, uy = P[j, 0] - P[i, 0], P[j, 1] - P[i, 1]
+        vx, vy = P[h, 0] - P[i, 0], P[h, 1] - P[i, 1]
+        corner = ux * vy - uy * vx
+        least, most, whole = min(least, corner), max(most, corner), whole + abs(corner)
+    if least > HALF_OF_DIGITS * whole:
+        return 1
+    return -1 if most < -HALF_OF_DIGITS * whole else 0
+
+
+@numba.njit(cache=True)
+def intersect(P, n, Q, m, sign, out, spare):  # type: ignore[no-untyped-def]
+    """Write P cut by the convex Q of the given orientation into out; return its size."""
+    for i in range(n):
+        out[i, 0], out[i, 1] = P[i, 0], P[i, 1]
+    for i in range(m):
+        j = i + 1 if i + 1 < m else 0
+        a, b = (i, j) if sign > 0 else (j, i)
+        n = cut(out, n, Q[a, 0], Q[a, 1], Q[b, 0], Q[b, 1], spare)
+        for k in range(n):
+            out[k, 0], out[k, 1] = spare[k, 0], spare[k, 1]
+        if n < 3:
+            return 0
+    return n
+
+
+@numba.njit(cache=True)
+def is_beside(P, n, Q, m, sign, distance):  # type: ignore[no-untyped-def]
+    """Tell whether some edge of P, of the given orientation, has all of Q beyond a distance."""
+    for i in range(n):
+        j = i + 1 if i + 1 < n else 0
+        dx, dy = sign * (P[j, 0] - P[i, 0]), sign * (P[j, 1] - P[i, 1])
+        length = np.sqrt(dx * dx + dy * dy)
+        beside = length > 0.0
+        for k in range(m):
+            d = dx * (Q[k, 1] - P[i, 1]) - dy * (Q[k, 0] - P[i, 0])
+            if d > -distance * length:
+                beside = False
+                break
+        if beside:
+            return True
+    return False
+
+
+@numba.njit(cache=True)
+def subtract(P, n, Q, m, sign, pieces, sizes, count, spare):  # type: ignore[no-untyped-def]
+    """Append the convex pieces of P without Q, of the given orientation; return the new count.
+
+    Each edge of Q cuts off a piece beyond it; the next edge cuts the rest.
+    """
+    rest = np.empty((VERTICES, 2))
+    for i in range(n):
+        rest[i, 0], rest[i, 1] = P[i, 0], P[i, 1]
+    for i in range(m):
+        j = i + 1 if i + 1 < m else 0
+        a, b = (i, j) if sign > 0 else (j, i)
+        size = cut(rest, n, Q[b, 0], Q[b, 1], Q[a, 0], Q[a, 1], pieces[count])
+        if not is_thin(pieces[count], size):
+            sizes[count] = size
+            count += 1
+        n = cut(rest, n, Q[a, 0], Q[a, 1], Q[b, 0], Q[b, 1], spare)
+        for k in range(n):
+            rest[k, 0], rest[k, 1] = spare[k, 0], spare[k, 1]
+        if n < 3:
+            break
+    return count
 
 
 def create_planes(slave: Facets) -> tuple[Floats, Floats, Floats]:
@@ -39,12 +192,19 @@ def project(x, centre, axes, P):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
+def _bilinear(P, i):  # type: ignore[no-untyped-def]
+    """Return m, a, b, c of component i of a bilinear map m + xi a + eta b + xi eta c."""
+    p, q, r, s = P[0, i], P[1, i], P[2, i], P[3, i]
+    return (p + q + r + s) / 4, (q + r - p - s) / 4, (r + s - p - q) / 4, (p + r - q - s) / 4
+
+
+@numba.njit(cache=True)
 def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
     """Return xi, eta and the size of the Jacobian where the projected facet P meets (x, y).
 
-    The bilinear map is m + xi a + eta b + xi eta c. With p = m - (x, y), the cross product of
-    p + xi a + eta (b + xi c) = 0 and b + xi c is C + B xi + A xi^2 = 0, and the derivative of its
-    left-hand side is the Jacobian: the root inside is the one where it has the sign of a x b.
+    With p = m - (x, y) of the bilinear map, the cross product of p + xi a + eta (b + xi c) = 0 and
+    b + xi c is C + B xi + A xi^2 = 0, and the derivative of its left-hand side is the Jacobian: the
+    root inside is the one where it has the sign of a x b.
     """
     if not bilinear:
         a0, a1, b0, b1 = P[1, 0] - P[0, 0], P[1, 1] - P[0, 1], P[2, 0] - P[0, 0], P[2, 1] - P[0, 1]
@@ -53,20 +213,8 @@ def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
         xi = (p0 * b1 - p1 * b0) / J
         # by projection on b: on slivers xi is inexact, but the point stays where it is
         return xi, ((p0 - xi * a0) * b0 + (p1 - xi * a1) * b1) / (b0 * b0 + b1 * b1), abs(J)
-    a0, a1 = (
-        (P[1, 0] + P[2, 0] - P[0, 0] - P[3, 0]) / 4,
-        (P[1, 1] + P[2, 1] - P[0, 1] - P[3, 1]) / 4,
-    )
-    b0, b1 = (
-        (P[2, 0] + P[3, 0] - P[0, 0] - P[1, 0]) / 4,
-        (P[2, 1] + P[3, 1] - P[0, 1] - P[1, 1]) / 4,
-    )
-    c0, c1 = (
-        (P[0, 0] + P[2, 0] - P[1, 0] - P[3, 0]) / 4,
-        (P[0, 1] + P[2, 1] - P[1, 1] - P[3, 1]) / 4,
-    )
-    p0 = (P[0, 0] + P[1, 0] + P[2, 0] + P[3, 0]) / 4 - x
-    p1 = (P[0, 1] + P[1, 1] + P[2, 1] + P[3, 1]) / 4 - y
+    (m0, a0, b0, c0), (m1, a1, b1, c1) = _bilinear(P, 0), _bilinear(P, 1)
+    p0, p1 = m0 - x, m1 - y
     A = a0 * c1 - a1 * c0
     centre = a0 * b1 - a1 * b0
     B = centre + p0 * c1 - p1 * c0
@@ -87,38 +235,24 @@ def height_at(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
     """Return the height of the point (xi, eta) of a facet over the plane."""
     if not bilinear:
         return (1 - xi - eta) * P[0, 2] + xi * P[1, 2] + eta * P[2, 2]
-    low = (1 - xi) * P[0, 2] + (1 + xi) * P[1, 2]
-    high = (1 - xi) * P[3, 2] + (1 + xi) * P[2, 2]
-    return ((1 - eta) * low + (1 + eta) * high) / 4
-
-
-@numba.njit(cache=True)
-def _normal(P, xi, eta):  # type: ignore[no-untyped-def]
-    """Return a normal of a bilinear facet at (xi, eta), of any length."""
-    a, b = np.empty(3), np.empty(3)
-    for i in range(3):
-        a[i] = (1 - eta) * (P[1, i] - P[0, i]) + (1 + eta) * (P[2, i] - P[3, i])
-        b[i] = (1 - xi) * (P[3, i] - P[0, i]) + (1 + xi) * (P[2, i] - P[1, i])
-    n0, n1 = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2]
-    return n0, n1, a[0] * b[1] - a[1] * b[0]
-
-
-@numba.njit(cache=True)
-def stretch(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
-    """Return the area of a facet per area in the plane at (xi, eta)."""
-    if not bilinear:
-        return 1.0
-    n0, n1, n2 = _normal(P, xi, eta)
-    return np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) / abs(n2)
+    m, a, b, c = _bilinear(P, 2)
+    return m + xi * a + eta * (b + xi * c)
 
 
 @numba.njit(cache=True)
 def slopes(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
-    """Return the two slopes of a facet against the plane at (xi, eta)."""
+    """Return the two slopes of a facet against the plane at (xi, eta): minus those of its normal.
+
+    The area of the facet per area in the plane is sqrt(1 + s_0^2 + s_1^2).
+    """
     if not bilinear:
         return 0.0, 0.0
-    n0, n1, n2 = _normal(P, xi, eta)
-    return -n0 / n2, -n1 / n2
+    (_, a0, b0, c0), (_, a1, b1, c1) = _bilinear(P, 0), _bilinear(P, 1)
+    _, a2, b2, c2 = _bilinear(P, 2)
+    a0, a1, a2 = a0 + eta * c0, a1 + eta * c1, a2 + eta * c2
+    b0, b1, b2 = b0 + xi * c0, b1 + xi * c1, b2 + xi * c2
+    n2 = a0 * b1 - a1 * b0
+    return (a2 * b1 - a1 * b2) / n2, (a0 * b2 - a2 * b0) / n2
 
 
 @numba.njit(cache=True)
@@ -131,13 +265,13 @@ def _are_near(x_s, x_m, pairs, centre, axes, radius, margin):  # type: ignore[no
         s = pairs[p, 0]
         if p == 0 or s != pairs[p - 1, 0]:
             project(x_s[s], centre[s], axes[s], S)
-            convex = polygons.orientation(S, k)
+            convex = orientation(S, k)
         project(x_m[pairs[p, 1]], centre[s], axes[s], M)
         reach = margin[s] / radius[s] + HALF_OF_DIGITS
-        sign = polygons.orientation(M, n)
-        if convex != 0 and polygons.is_beside(S, k, M, n, convex, reach):
+        sign = orientation(M, n)
+        if convex != 0 and is_beside(S, k, M, n, convex, reach):
             near[p] = False
-        elif sign != 0 and polygons.is_beside(M, n, S, k, sign, reach):
+        elif sign != 0 and is_beside(M, n, S, k, sign, reach):
             near[p] = False
     return near
 

@@ -66,12 +66,13 @@ def _meets(c, axis, radius, slope, p, rho):  # type: ignore[no-untyped-def]
 def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-untyped-def]
     """Return all pairs (cone, ball of the first level) that can meet.
 
-    Level l has the balls start[l] to start[l + 1]; ball i of a level encloses the balls 2 i and
-    2 i + 1 of the level below.
+    Level l has the balls start[l] to start[l + 1]; ball i of a level encloses the balls i b to
+    (i + 1) b - 1 of the level below, b = 2^d.
     """
+    branches = 2 ** centre.shape[1]
     pairs = np.empty((8 * (len(radius) + start[1]) + 64, 2), dtype=np.int32)
     levels = len(start) - 1
-    stack = np.empty((levels + 1, 2), dtype=np.int32)
+    stack = np.empty((levels * branches, 2), dtype=np.int32)
     p = 0
     for s in range(len(radius)):
         c, a, r, t = centre[s], axis[s], radius[s], slope[s]
@@ -83,7 +84,7 @@ def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-
                 continue
             if level > 0:
                 size = start[level] - start[level - 1]
-                for j in range(2 * k, min(2 * k + 2, size)):
+                for j in range(branches * k, min(branches * (k + 1), size)):
                     stack[top, 0], stack[top, 1] = level - 1, j
                     top += 1
                 continue
@@ -98,19 +99,19 @@ def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-
 
 
 def sort_in_space(x: Floats) -> Longs:
-    """Return an order of points x (n, d) in which aligned blocks of 2^j points are compact.
+    """Return an order of points x (n, d) with compact aligned blocks of 2^j points, j >= d.
 
     Each is half of one twice as long, cut across its longest side. Blocks in the order of scipy's
     cKDTree or of Morton's curve straddle cuts: the search takes two to four times as long.
     """
     order = np.arange(len(x))
-    half = 1
+    half = smallest = 2 ** x.shape[1]
     while 2 * half < len(x):
         half *= 2
-    while half > 0:
+    while half >= smallest:
         full = len(x) - len(x) % (2 * half)
         for blocks in (order[:full].reshape(-1, 2 * half), order[None, full:]):  # views
-            if blocks.shape[1] > half:
+            if len(blocks) and blocks.shape[1] > half:
                 points = x[blocks]
                 widest = np.argmax(np.ptp(points, axis=1), axis=1)[:, None, None]
                 along = np.take_along_axis(points, widest, axis=2)[:, :, 0]
@@ -121,8 +122,8 @@ def sort_in_space(x: Floats) -> Longs:
 
 
 def _enclose(centre: Floats, radius: Floats) -> tuple[Floats, Floats]:
-    """Return balls (centre, radius) around pairs of successive balls."""
-    first = np.arange(0, len(radius), 2)
+    """Return balls (centre, radius) around groups of 2^d successive balls."""
+    first = np.arange(0, len(radius), 2 ** centre.shape[1])
     count = np.diff(np.append(first, len(radius)))
     middle = np.add.reduceat(centre, first) / count[:, None]
     reach = np.linalg.norm(centre - np.repeat(middle, count, axis=0), axis=1) + radius

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-r"""Which part of a slave facet lies over which master facet, and quadrature points there.
+r"""Segments: the parts of slave facets that are projected on one master facet, with their points.
 
-What depends on the space dimension, apart from the area vector of a facet, is chosen here: the
-directions of projection, clipping and splitting (`line`, `area`).
+This module chooses by the space dimension, except for area vectors: directions of projection,
+clipping and splitting (`line`, `area`).
 
 A slave facet is projected along the interpolated averaged nodal normals in 2D, along its own mean
 normal in 3D.
@@ -28,11 +28,11 @@ from dolfinx_mortar.geometry.tolerances import TINY
 FACING = 0.2
 """A master facet faces a slave facet if n_s . n_m < -FACING for all n_s of the slave facet.
 
-Projected on the slave it shrinks to that part of its size; what stands steeper is the flank of a
-body, whose nodes would get the forces of a point of the slave from far along the side.
+A decision: the projection on the slave is FACING times as large, and steeper facets are taken for
+the flanks of a body, on which one slave point would act over five times its length.
 """
 _SLIDING = {2: 1.0, 3: 0.35}
-"""Margin in parts of a slave facet's diameter, by dimension: candidates against new searches."""
+"""Margin over a slave facet's diameter, by dimension (cost only: candidates against searches)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,16 +81,16 @@ def bounding_directions(slave: Facets, n_s: Floats) -> Floats:
         return n.reshape(len(slave.x), count(slave.element), 3)
     if slave.element.degree == 1:
         return n_s
-    v = len(slave.element.vertices)  # between them vectors leave the cone: Bezier's point bounds it
-    bow = 2 * n_s[:, v:] - n_s[:, :v].mean(axis=1, keepdims=True)
-    n_s = np.concatenate([n_s[:, :v], bow], axis=1)
+    v = len(slave.element.vertices)
+    control = 2 * n_s[:, v:] - n_s[:, :v].mean(axis=1, keepdims=True)  # of the Bezier curve
+    n_s = np.concatenate([n_s[:, :v], control], axis=1)
     return np.asarray(n_s / np.maximum(np.linalg.norm(n_s, axis=2, keepdims=True), TINY))
 
 
 def sliding_margins(x_s: Floats) -> Floats:
-    """Return the sliding (m,) for which the candidates of slave facets x_s (m, k, d) provide.
+    """Return the sliding (m,) within which candidates of slave facets x_s (m, k, d) suffice.
 
-    It is one facet in 2D. In 3D, where the candidates grow with the area, it is about half an edge.
+    It is one facet in 2D and about half an edge in 3D, where candidates grow with the area.
     """
     return _SLIDING[x_s.shape[2]] * facet_sizes(x_s)
 
@@ -126,8 +126,8 @@ def create_segments(
 ) -> Segments:
     """Project, clip, split and place quadrature points.
 
-    Where several master facets lie behind each other, the one at the smallest distance covers the
-    slave; what lies too deep behind the slave facet, across a body, covers and hides nothing.
+    Where projections of several master facets overlap, the nearest one covers the slave. Facets too
+    deep behind the slave facet, on the far side of a body, cover and hide nothing.
 
     Args:
         slave: Slave facets (ms,).

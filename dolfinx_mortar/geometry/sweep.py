@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""Points and facets that move during a step: which point passes through which facet, inwards."""
+"""Which points pass through facets from outside to inside, while both move during a step."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dolfinx_mortar.arrays import Bools, Floats, Longs
-from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
+from dolfinx_mortar.arrays import Floats, Longs
+from dolfinx_mortar.geometry.elements import LINE2, TRI3
+from dolfinx_mortar.geometry.facets import Facets, are_inside, facet_normals
+from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS
 
 
 def flat_parts(facets: Facets) -> Floats:
@@ -29,8 +30,8 @@ def flat_parts(facets: Facets) -> Floats:
 def find_passing(p: tuple[Floats, Floats], x: tuple[Floats, Floats]) -> Longs:
     """Return which points (q,) pass from before a facet to behind it, ascending.
 
-    Points, vertices and the distances between them are taken to move linearly in time, which they
-    do in the frame of a facet unless it turns.
+    Points, vertices and distances are taken as linear in time, which they are in the frame of a
+    facet that does not rotate.
 
     Args:
         p: points (n, d) at the start and at the end.
@@ -47,7 +48,7 @@ def find_passing(p: tuple[Floats, Floats], x: tuple[Floats, Floats]) -> Longs:
     """
     if len(p[0]) == 0 or len(x[0]) == 0:
         return np.zeros(0, dtype=np.int64)
-    carried = (x[1] - x[0]).mean(axis=(0, 1))  # what both do together is no passing
+    carried = (x[1] - x[0]).mean(axis=(0, 1))  # a common translation does not count
     p, x = (p[0], p[1] - carried), (x[0], x[1] - carried)
     middle = (x[0] + x[1]).mean(axis=1) / 2
     reach = np.linalg.norm(np.stack(x) - middle[:, None], axis=3).max()
@@ -57,33 +58,12 @@ def find_passing(p: tuple[Floats, Floats], x: tuple[Floats, Floats]) -> Longs:
     )
     a = np.repeat(np.arange(len(near)), [len(b) for b in near])
     b = np.concatenate([np.array(b, dtype=np.int64) for b in near])
-    distance = [_distances(p[k][a], x[k][b]) for k in (0, 1)]
-    crossing = (distance[0] > 0.0) & (distance[1] <= 0.0)
+    element = LINE2 if x[0].shape[2] == 2 else TRI3
+    normals = [facet_normals(Facets(element, y)) for y in x]
+    d0, d1 = (((p[k][a] - x[k][b, 0]) * normals[k][b]).sum(axis=1) for k in (0, 1))
+    crossing = (d0 > 0.0) & (d1 <= 0.0)
     a, b = a[crossing], b[crossing]
-    d0, d1 = (d[crossing] for d in distance)
-    t = (d0 / (d0 - d1))[:, None]
+    t = (d0[crossing] / (d0 - d1)[crossing])[:, None]
     at = p[0][a] + t * (p[1][a] - p[0][a])
-    facet = x[0][b] + t[:, None] * (x[1][b] - x[0][b])
-    return np.unique(a[_inside(at, facet)])
-
-
-def _distances(p: Floats, x: Floats) -> Floats:
-    """Return the distances (n,) of points (n, d) before the planes of facets (n, d, d)."""
-    edge = x[:, 1] - x[:, 0]
-    if p.shape[1] == 2:
-        n = edge[:, ::-1] * [1.0, -1.0]
-    else:
-        n = np.asarray(np.cross(edge, x[:, 2] - x[:, 0]), dtype=np.float64)
-    size = np.maximum(np.linalg.norm(n, axis=1), TINY)
-    return np.asarray(((p - x[:, 0]) * n).sum(axis=1) / size)
-
-
-def _inside(p: Floats, x: Floats) -> Bools:
-    """Tell whether the projections of points (n, d) lie in facets (n, d, d), edges included."""
-    edges = np.swapaxes(x[:, 1:] - x[:, :1], 1, 2)  # (n, d, d - 1)
-    gram = np.swapaxes(edges, 1, 2) @ edges
-    right = np.einsum("nij,ni->nj", edges, p - x[:, 0])
-    # of a facet that is no more than a line, or a point, any solution will do
-    share = (np.linalg.pinv(gram, hermitian=True) @ right[:, :, None])[:, :, 0]
-    least = np.minimum(share.min(axis=1), 1.0 - share.sum(axis=1))
-    return np.asarray(least >= -HALF_OF_DIGITS)
+    facets = x[0][b] + t[:, None] * (x[1][b] - x[0][b])
+    return np.unique(a[are_inside(facets, facet_normals(Facets(element, facets)), at)])

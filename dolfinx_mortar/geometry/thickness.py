@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How thick a body is behind the facets of a side that runs around it."""
+"""Thickness of a body behind the facets of a side that encloses it."""
 
 import numpy as np
 
@@ -17,14 +17,15 @@ from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS
 
 
 def thickness(facets: Facets, others: Facets) -> Floats:
-    """Return the distance (m,) from facets through their body to the next facet that looks away.
+    """Return the thickness (m,) of the body behind facets.
 
-    From the middle of a facet against its outward normal to the first of the other facets that
-    lies across; infinite where there is none. Facets count as the flat ones of their vertices.
+    The distance from the middle of a facet, against its outward normal, to the nearest of the other
+    facets that faces the opposite way; infinite where there is none. Facets are taken as the flat
+    ones of their vertices.
 
     Args:
         facets: Facets (m,).
-        others: Facets of the same side, these ones among them or not.
+        others: Facets of the same side, with or without these ones.
 
     Example:
         >>> from dolfinx_mortar.geometry.elements import LINE2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The one round-off of the geometry, in parts of the facet that is looked at.
+"""Round-off of the geometry, relative to the size of a facet.
 
 Numba compiles it in and does not notice a change here: touch the files with kernels, too.
 """
@@ -8,11 +8,11 @@ import numpy as np
 
 EPS = float(np.finfo(float).eps)
 ROUND_OFF = 512 * EPS
-"""Error of a length over the size of its facet: facets may lie some hundred sizes off the origin.
+"""Error of a length relative to its facet, where coordinates are up to some hundred times as large.
 
-Where errors add up, a small multiple of it stands in the text.
+Where errors add up, a small multiple of it is used.
 """
 HALF_OF_DIGITS = float(np.sqrt(EPS))
-"""Error of what comes from a difference of squares; what has no more digits left is nothing."""
+"""Relative error of the root of a difference of squares; what is smaller counts as zero."""
 TINY = float(np.finfo(float).tiny)
-"""Added to what must not be zero."""
+"""Least divisor, in place of zero."""

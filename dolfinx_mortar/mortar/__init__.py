@@ -2,5 +2,5 @@
 """Surfaces of a mesh, pairs of facets over all ranks, dual functions, D and M.
 
 `paper` has D, M and N as the paper writes them; the solver uses `operators`.
-Knows nothing of mechanics: no material, no force, no constraint.
+No mechanics: no materials, forces or constraints.
 """

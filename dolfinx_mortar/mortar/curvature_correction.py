@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The smooth surfaces that facets stand for: the gap between them, and how they are tied."""
+"""Smooth surfaces over the facets of two sides: corrections of their gap and of offset vectors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from dolfinx_mortar.geometry.curvature import (
     end_angles,
     heights,
     heights_of_arcs,
-    isotropic,
     one_ring_sums,
     sagitta_tensors,
     unit,
@@ -37,28 +36,32 @@ from dolfinx_mortar.mortar.surface import (
     thickness_stretches,
 )
 
-# How often edges are bent back in 3D. On a cylinder with uneven triangles, a tenth of its radius
-# long, normals are off by 4e-3 without (rms; 0.04 of the angle between facets), 3e-4 after one
-# time, 1e-4 after two and three; with half the size by 1.4e-3, 7e-5, 1.6e-5 and 1.3e-5.
-BENDS = 2
-# A jump of curvature in the plane changes it so many times more than both facets beyond do. It is
-# infinite for parts of constant curvature with three facets each, and never more than 2.7 on 800
-# ellipses with axes 1 : 1.2 to 4 and 6 to 96 facets a quarter, even, graded or displaced by .3 of
-# a facet, where it goes to 1 with the size of the facets.
+PROJECTIONS = 2
+"""How often edges are projected on the tangent plane in space.
+
+On a cylinder with uneven triangles, a tenth of its radius long, the errors of normals (rms) are
+4e-3 without projection (0.04 of the angle between facets), 3e-4 with one, 1e-4 with two and three;
+with half the size 1.4e-3, 7e-5, 1.6e-5 and 1.3e-5.
+"""
 JUMP = 3.0
+"""A change of curvature at a node in the plane is a jump if it is so many times those at its
+neighbours. Between parts of constant curvature with three facets each the ratio is infinite; it is
+at most 2.7 on 800 ellipses with axes 1 : 1.2 to 4 and 6 to 96 facets a quarter, even, graded or
+displaced by .3 of a facet, and tends to 1 with the size of the facets.
+"""
 
 
 def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: float) -> NodeNormals:
     """Return the normals of the smooth surface at the nodes; collective.
 
-    There is none, and n = 0, where a facet looks away from the sum over all: at a cusp, between
-    opposite facets, and where a one-ring closes so that it cancels. On a plane of symmetry facets
-    are completed by their mirror images, which takes from the normal the components with Dirichlet
-    data; but not where that turns it by more than half of the feature angle: what holds the end of
-    a surface need not be its symmetry.
+    There is none, n = 0, where the normal of a facet has no positive component along the sum: at a
+    cusp, between opposite facets, and where the sum over a closed one-ring cancels. On a plane of
+    symmetry facets are completed by their mirror images, which removes the components with
+    Dirichlet data from the normal; but not where its direction would change by more than half of
+    the feature angle: a support at the end of a surface need not be a symmetry.
 
-    In space the sums of `one_ring_sums` are exact on spheres only. So edges are projected by what
-    the curvatures that these normals give differ from a sphere's, and summed anew.
+    In space the sums of `one_ring_sums` are exact on spheres only. So edges are projected by the
+    deviatoric part of the curvatures that these normals give, and summed anew.
 
     Args:
         surface: the surface.
@@ -67,11 +70,11 @@ def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: flo
         feature_angle: degrees between facets from which on they meet in an edge.
     """
     facets = facets_at(surface, x)
-    normals = _judge(surface, facets, one_ring_sums(facets), fixed, feature_angle)
-    for _ in range(BENDS if x.shape[1] > 2 else 0):
-        K = _bends(surface, facets, normals)[surface.facets]
+    normals = _classify(surface, facets, one_ring_sums(facets), fixed, feature_angle)
+    for _ in range(PROJECTIONS if x.shape[1] > 2 else 0):
+        K = _deviators(surface, facets, normals)[surface.facets]
         parts = one_ring_sums(facets, normals.n[surface.facets], K)
-        normals = _judge(surface, facets, parts, fixed, feature_angle)
+        normals = _classify(surface, facets, parts, fixed, feature_angle)
     if x.shape[1] == 2:
         normals = replace(normals, jumps=_find_jumps(surface, facets, normals))
     return normals
@@ -80,14 +83,14 @@ def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: flo
 def _find_jumps(surface: Surface, facets: Facets, normals: NodeNormals) -> Bools:
     """Return at which nodes (n,) in the plane the curvature jumps; collective.
 
-    Curvatures at nodes are the turn of the surface over the length of the facets there, its change
-    along facets is the difference of their ends'. A jump at a node spreads over its two facets, and
-    those beyond know nothing of it. Where these lie at an edge or a rim, nobody knows.
+    The curvature at a node is the angle between its facets over their mean length, its change along
+    a facet the difference between its ends. A jump at a node is seen in its two facets, and not in
+    those beyond; if one of these lies at an edge or a rim, there is nothing to compare with.
     """
     ends = surface.facets[:, :2]
-    turn, length = end_angles(facets, normals.n[ends])
+    angles, length = end_angles(facets, normals.n[ends])
     halves = np.repeat(length[:, None] / 2, 2, axis=1)
-    total = _at_ends(surface, np.stack([turn, halves], axis=2))
+    total = _at_ends(surface, np.stack([angles, halves], axis=2))
     curvature = total[:, 0] / np.maximum(total[:, 1], TINY)
     known = normals.regular[ends].all(axis=1)
     change = np.where(known, np.diff(curvature[ends], axis=1)[:, 0], 0.0)
@@ -95,11 +98,11 @@ def _find_jumps(surface: Surface, facets: Facets, normals: NodeNormals) -> Bools
     across, around, count = _at_ends(surface, both).T
     beyond = around[ends[:, ::-1]] - np.abs(change)[:, None]  # of the facet at the other end
     size = np.abs(across)
-    largest = size[ends] > size[ends[:, ::-1]]  # beside long facets it spreads to short ones' ends
+    largest = size[ends] > size[ends[:, ::-1]]  # a jump is seen at both ends of short facets
     sure = (count[ends[:, ::-1]] == 2.0) & largest
     others, neighbours = _at_ends(surface, np.stack([beyond, sure], axis=2)).T
-    feelable = size * total[:, 1] > HALF_OF_DIGITS  # an angle
-    return np.asarray((size > JUMP * others) & (neighbours == 2.0) & feelable)
+    above_round_off = size * total[:, 1] > HALF_OF_DIGITS  # an angle
+    return np.asarray((size > JUMP * others) & (neighbours == 2.0) & above_round_off)
 
 
 def _at_ends(surface: Surface, values: Floats) -> Floats:
@@ -108,44 +111,46 @@ def _at_ends(surface: Surface, values: Floats) -> Floats:
     return sum_at_nodes(surface, np.concatenate([values, np.zeros((m, k - 2, values.shape[2]))], 1))
 
 
-def _bends(surface: Surface, facets: Facets, normals: NodeNormals) -> Floats:
-    """Return the curvatures (n, d, d) at the nodes by which edges are projected; collective.
+def _deviators(surface: Surface, facets: Facets, normals: NodeNormals) -> Floats:
+    """Return the deviatoric curvatures (n, d, d) at nodes, for projections of edges; collective.
 
-    The means over the facets of a one-ring that have regular normals only, without the part of a
-    sphere, for which the sums are exact.
+    Means over those facets of a one-ring that have regular normals only.
     """
     K = curvatures(facets, edge_sagittas(facets, normals, surface.facets))
     known = np.asarray(normals.regular[surface.facets].all(axis=1))
-    K = (K - isotropic(facets, K)) * known[:, None, None]
+    n = facet_normals(facets)
+    tangential = np.eye(3) - n[:, :, None] * n[:, None, :]
+    K -= 0.5 * np.trace(K, axis1=1, axis2=2)[:, None, None] * tangential
+    K *= known[:, None, None]
     columns = np.column_stack([K.reshape(-1, 9), known])[:, None]
     total = sum_at_nodes(surface, np.repeat(columns, surface.facets.shape[1], axis=1))
     return np.asarray((total[:, :-1] / np.maximum(total[:, -1:], 1.0)).reshape(-1, 3, 3))
 
 
-def _judge(
+def _classify(
     surface: Surface,
     facets: Facets,
     parts: tuple[Floats, Floats],
     fixed: Bools,
     feature_angle: float,
 ) -> NodeNormals:
-    """Return the normals of sums over one-rings, and what they are good for; collective."""
+    """Return the normals of sums over one-rings, and which are open or sharp; collective."""
     n, around = parts
     columns = np.concatenate([n, around, np.abs(around).sum(axis=2, keepdims=True)], axis=2)
     total = sum_at_nodes(surface, columns)
     d = fixed.shape[1]
     n, gap, size = unit(total[:, :d]), total[:, d:-1], total[:, -1]
     is_open = np.linalg.norm(gap, axis=1) > HALF_OF_DIGITS * size
+    limits = np.cos(np.radians(feature_angle / 2)), HALF_OF_DIGITS  # of cosines
     mirrored = unit(np.where(fixed, 0.0, n))
-    turn = np.einsum("ni,ni->n", mirrored, n)
-    straightened = is_open & fixed.any(axis=1) & (turn > np.cos(np.radians(feature_angle / 2)))
+    cosine = np.einsum("ni,ni->n", mirrored, n)
+    straightened = is_open & fixed.any(axis=1) & (cosine > limits[0])
     completed = straightened
     if d > 2:  # one mirror closes a one-ring that begins and ends on it; in the plane any does
         off_plane = np.linalg.norm(np.where(fixed, gap, 0.0), axis=1) > HALF_OF_DIGITS * size
         completed = straightened & ((fixed.sum(axis=1) > 1) | ~off_plane)
     n = np.where(straightened[:, None], mirrored, n)  # where a rim meets the plane, too
     along = np.einsum("mki,mi->mk", n[surface.facets], facet_normals(facets))
-    limits = np.cos(np.radians(feature_angle / 2)), HALF_OF_DIGITS
     beyond = np.stack([along < limit for limit in limits], axis=2)
     counts = sum_at_nodes(surface, beyond)
     n = np.where(counts[:, 1:] > 0, 0.0, n)
@@ -175,17 +180,13 @@ def find_smooth_sides(
         feature_angle: see `smooth_normals`.
     """
     slave, master = pairing.slave, pairing.master
-    n_s = smooth_normals(slave, slave.X, fixed[slave.nodes], feature_angle)
-    own = smooth_normals(master, master.X, fixed[master.nodes], feature_angle)
-    n_m = _received(pairing, own)
-    return (
-        _smooth_side(facets_at(slave, slave.X), n_s, slave.facets),
-        _smooth_side(received_facets(pairing, None), n_m, pairing.master_facets),
+    n_s, n_m = (
+        smooth_normals(side, side.X, fixed[side.nodes], feature_angle) for side in (slave, master)
     )
-
-
-def _smooth_side(facets: Facets, normals: NodeNormals, nodes: Ints) -> SmoothSide:
-    return SmoothSide(facets, normals, nodes, edge_sagittas(facets, normals, nodes))
+    on_slave = facets_at(slave, slave.X), n_s, slave.facets
+    on_master = received_facets(pairing, None), _received(pairing, n_m), pairing.master_facets
+    a, b = (SmoothSide(*side, edge_sagittas(*side)) for side in (on_slave, on_master))
+    return a, b
 
 
 @dataclass(frozen=True)
@@ -205,8 +206,8 @@ def find_curved(
 ) -> tuple[Curved, Curved]:
     """Return the slave's and the master's facets of pairs, with their curvatures; collective.
 
-    The facets are those at X + u, the c_ab those at X, which rigid motions keep: normals of
-    deformed facets would follow every node that comes into contact, and Newton these.
+    The facets are those at X + u, the c_ab those at X, which rigid motions do not change; see
+    `dolfinx_mortar.geometry.curvature` for the reason.
 
     Args:
         pairing: the pair of surfaces.
@@ -239,14 +240,14 @@ def point_heights(
     u: dolfinx.fem.Function | None,
     sides: tuple[SmoothSide, SmoothSide],
 ) -> Floats:
-    """Return by how much (q,) the smooth surfaces are nearer than the facets; collective.
+    """Return by how much (q,) the gap of the smooth surfaces is less than that of the facets.
 
-    The facets of both sides stand off the surface that these share where they touch; those of
-    second order, which bend, each off its own. Their middles move with the bodies below (or above)
-    the surface, so that they stand off by h (1 + e_n) with the strain e_n along the normal. With h
-    alone vertices and middles have gaps that differ by h e_n, whose pressures, E h e_n over the
-    length of a facet, are of first order: 10 % between heated rings of 18 and 24 facets. At X,
-    where no strain is known, they remain.
+    Heights are taken from the surface that both sides share where they touch; for second order,
+    where facets become curved with u, each side has its own. There mid-side nodes move with the
+    bodies below (or above) the surface, so that heights are h (1 + e_n) with the strain e_n along
+    the normal. With h alone the gaps of vertices and mid-side nodes differ by h e_n; the pressures
+    of that, E h e_n over the length of a facet, are of first order: 10 % between heated rings of 18
+    and 24 facets. At X there is no strain, and heights are h. Collective.
 
     Args:
         pairing: the pair of surfaces.
@@ -272,7 +273,7 @@ def point_heights(
 
 
 def _facet_stretches(pairing: Pairing, u: dolfinx.fem.Function) -> tuple[Floats, Floats]:
-    """Return by which factors heights have grown on slave (m, 1) and master facets; collective."""
+    """Return the factors of heights on slave (m, 1) and master facets (m', 1); collective."""
     slave, own = (thickness_stretches(side, u) for side in (pairing.slave, pairing.master))
     columns = np.zeros((len(own), pairing.slave.X.shape[1]))
     columns[:, 0] = own
@@ -284,9 +285,9 @@ def _facet_stretches(pairing: Pairing, u: dolfinx.fem.Function) -> tuple[Floats,
 def point_motions(
     segments: Segments, sides: tuple[SmoothSide, SmoothSide]
 ) -> Callable[[slice], Floats]:
-    """Return a function that gives A_l (q, k, d, d) at a part of the points.
+    """Return a function that gives A_l (q, k, d, d) of offset vectors at a part of the points.
 
-    By these the offsets from master to slave move, see `dolfinx_mortar.geometry.offset_vectors`.
+    See `dolfinx_mortar.geometry.offset_vectors`.
 
     Args:
         segments: the segments at X.
@@ -313,8 +314,8 @@ def find_parting(
 ) -> float:
     """Return the mean of |k_s + k_m| over that of the larger of |k_s|, |k_m|, k = tr K; collective.
 
-    Over the area where the sides face each other: 1 for a ball on a plane, c / R for a pin in a
-    hole of radius R with the clearance c, infinite for planes, which have no facets to speak of.
+    Over the covered area: 1 for a ball on a plane, c / R for a pin in a hole of radius R with the
+    clearance c, infinite for planes.
     The arguments are those of `point_heights`.
     """
     pairs, of = _meeting(segments)
@@ -343,11 +344,8 @@ def count_edges(surface: Surface, fixed: Bools, feature_angle: float) -> Ints:
 
 def _received(pairing: Pairing, own: NodeNormals) -> NodeNormals:
     """Return the normals at the master nodes that this rank has received; collective."""
-    kind = np.zeros_like(own.n)
-    kind[:, 0], kind[:, 1] = own.open, own.sharp
-    n, kind = receive(pairing, own.n), receive(pairing, kind)
-    found = NodeNormals(n, kind[:, 0] > 0.5, kind[:, 1] > 0.5)
-    if own.jumps is None:
-        return found
-    jumps = receive(pairing, np.repeat(own.jumps[:, None].astype(float), own.n.shape[1], axis=1))
-    return replace(found, jumps=jumps[:, 0] > 0.5)
+    flags = np.zeros_like(own.n)
+    flags[:, 0] = own.open + 2 * own.sharp + (0 if own.jumps is None else 4 * own.jumps)
+    n, flags = receive(pairing, own.n), receive(pairing, flags)
+    found = np.rint(flags[:, 0]).astype(np.int32)
+    return NodeNormals(n, *((found & flag) > 0 for flag in (1, 2, 4)))

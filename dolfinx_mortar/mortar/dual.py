@@ -15,27 +15,27 @@ the kept nodes are biorthogonal among themselves, Phi_i = sum_j A_ij N_j over th
 what their sum misses of 1, which is orthogonal to all N_j kept, is shared out to them in equal
 parts. So constants stay in the space of multipliers and D stays diagonal over the kept nodes,
 however little is covered, and of a three-node facet none exceeds 4 where the vertex beyond is
-removed. (To share out removed functions of the whole basis does the same, but these grow like one
-over the covered part: 21 at a fifth, 700 at a hundredth.)
+removed. (To share out removed functions of the whole basis has the same properties, but its
+functions grow as the inverse of the covered part: 21 at a fifth, 700 at a hundredth.)
 
-Vertex functions of six-node triangles integrate to zero, so D would be singular. There vertices
-take a share of the functions of the middles beside them (Popp, Wohlmuth, Gee and Wall, SIAM J. Sci.
-Comput. 34, 2012),
+Vertex functions of six-node triangles integrate to zero, so D would be singular. So a share of the
+mid-side functions is added to them (Popp, Wohlmuth, Gee and Wall, SIAM J. Sci. Comput. 34, 2012),
 
     N~_v = N_v + alpha sum_m N_m,      N~_m = (1 - 2 alpha) N_m,      alpha = 1 / 12,
 
 and Phi is biorthogonal to N~. For the displacement's own functions that leaves D_vv and D_mm on the
-diagonal, and D_mv = -alpha D_mm at the two ends of an edge: middles depend on their ends. A middle
-without multiplier gives nothing away, so that no vertex depends on another one.
+diagonal, and D_mv = -alpha D_mm at the two ends of an edge: mid-side nodes depend on their ends.
+The function of a mid-side node without multiplier is not added, so that no vertex depends on
+another one.
 
-With alpha = 1/12 the centre of N~_v is the vertex, on every flat facet by itself, as those of the
-other facets' functions are their nodes; that of N~_m lies a fifth of the way to the opposite vertex
-whatever alpha is, on each side of the edge. So linears are nearly, not quite in the space. Ties of
-blocks of tetrahedra, the coarser side as slave, have the orders 3.0 and 1.98 in L2 and H1 (jittered
-2.9 and 1.86); with the 1/5 of the paper 2.54 and 1.54, which is what constants alone give, and an
-error 1.5 times as large. Pressures of a ball on a block, eight facets across the contact radius,
-leave Hertz' by 1.0 % (rms over the inner 0.7 of the radius), with 1/5 by 0.7 %; forces are the same
-to 5e-4.
+With alpha = 1/12 the centroid of N~_v is the vertex, on every flat facet by itself, as for the
+other facets, where the centroids of functions are their nodes; that of N~_m lies a fifth of the way
+to the opposite vertex whatever alpha is, on each side of the edge. So linear functions are nearly,
+not quite in the space. Ties of blocks of tetrahedra, the coarser side as slave, have the orders 3.0
+and 1.98 in L2 and H1 (jittered 2.9 and 1.86); with the 1/5 of that paper 2.54 and 1.54, which is
+what constants alone give, and an error 1.5 times as large. Pressures of a ball on a block, eight
+facets across the contact radius, differ from Hertz' by 1.0 % (rms over the inner 0.7 of the
+radius), with 1/5 by 0.7 %; forces are the same to 5e-4.
 """
 
 from __future__ import annotations
@@ -49,7 +49,11 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 ALPHA = 1 / 12
-"""Share of a middle's function that each end of its edge takes."""
+"""Share of a mid-side function that is added to each end of its edge: int (x - x_v) N~_v = 0.
+
+With the area A and the edges d_1, d_2 at v, int N_v = 0, int (x - x_v) N_v = -A/60 (d_1 + d_2), and
+int (x - x_v) sum_m N_m = A/5 (d_1 + d_2) of the two mid-side functions.
+"""
 
 
 def absorbed(
@@ -58,7 +62,7 @@ def absorbed(
     """Return N~ (q, k) for values N (q, k) of the slave shape functions, or of their integrals.
 
     Args:
-        shares: of the FacetElement: middles and the two ends of their edges.
+        shares: of the FacetElement: mid-side nodes and the two ends of their edges.
         values: N.
         kept: (q, k) whether the nodes have multipliers; all if not given.
 

@@ -1,25 +1,25 @@
 # SPDX-License-Identifier: MIT
-r"""Normals at the edges and corners of a slave side.
+r"""Normals and dual functions at the edges and corners of a slave side.
 
-There the average over all facets mixes in those that face nobody, and where an edge meets an edge
-neither side has a normal that both could keep. What contact may act along is a direction that both
-sides have in their normal cones: the facet's where a corner or an edge meets a facet of either
-side, t_s x t_m where two edges with the tangents t cross, the mean where they are parallel. With
-the weights w of the points of a node's segments these cases are one,
+There the averaged normal contains facets that face nothing, and where an edge meets an edge no
+normal of either side is one of contact. Contact acts along a direction in the normal cones of both
+sides: that of the facet where a corner or an edge meets a facet of either side, t_s x t_m where two
+edges with the tangents t cross, the mean where they are parallel. With the weights w of the points
+of a node's segments one formula gives them all,
 
     a = unit sum w N_j n_s,                                  b = -unit sum w N_j n_m,
     C_s = sum w N_j n_s n_s^T / sum w N_j + eps I,           C_m likewise of n_m,
     n_j = unit [(C_s^-1 + C_m^-1)^-1 (a + b)],
 
 by the parallel sum of two matrices (Anderson and Duffin, J. Math. Anal. Appl. 26, 1969), whose
-range is the intersection of their ranges. It moves continuously with the parts that are covered.
+range is the intersection of their ranges. It is a continuous function of what is covered.
 
-Nor is the gap of a corner that of its facets. Where a node of theirs has no multiplier, since
-Dirichlet data take its directions or little of it is covered, the others take its dual function,
-so that a constant pressure acts on all that is covered. But where the facets stand open, up to
-where that node is, the gap of the corner then is a mean over the opening: the corner sinks in
-until that vanishes. There the function stays what it was, without a constraint: the other ones are
-biorthogonal to it, too, and see the gap at their own nodes.
+Nor is the gap of a corner that of its facets. If a node of them has no multiplier, because of
+Dirichlet data or of little coverage, its dual function is shared out to the others, so that a
+constant pressure acts on all that is covered. But where the facets are open up to that node, the
+gap of the corner then is a mean over the opening, and the corner penetrates until that vanishes.
+There the dual function is not shared out, and has no constraint: the other functions are
+biorthogonal to it, too, and have the gaps at their own nodes.
 """
 
 import numpy as np
@@ -49,24 +49,25 @@ from dolfinx_mortar.mortar.surface import (
 )
 
 BLUR = 1e-3
-"""eps: of directions that only one side has this part counts, and 1 of those that both have.
+"""eps: weight of directions in the normal cone of one side only, against 1 of those in both.
 
-From 1e-4 to 1e-2 edges and corners need the same iterations, give or take two; where tilted edges
-cross, forces lean by .004 at most, with 1e-2 by .04.
+With 1e-4 to 1e-2 edges and corners take the same iterations, within two; where edges aslant cross,
+the direction of the force is off by .004 at most, with 1e-2 by .04.
 """
 
 OPEN = 0.05
-"""A facet stands open at a node if the gap there is this part of its size; it is closed at none.
+"""Share of the size of a facet from which on a gap at its node counts as open, see `open_duals`.
 
-In between, functions are shared out in parts. So deep may a corner sink in before a note says so.
+Between 0 and this share, dual functions are shared out in part. The penetration of a corner is at
+most as large; a note of the report says so.
 """
 
 
 def find_edges(surface: Surface, feature_angle: float) -> Bools | None:
     """Return the nodes (n,) on convex edges and corners at X, None without any; collective.
 
-    That is where a facet leaves the averaged normal by more than half of the feature angle, and
-    the facets fall off from the node along that normal.
+    The normal of some facet there differs from the averaged normal by more than half of the feature
+    angle, and the facets lie below the node along that normal.
 
     Args:
         surface: The surface.
@@ -120,7 +121,7 @@ def edge_normals(
     found = (C[0] @ both)[:, :, 0]
     length = np.linalg.norm(found, axis=1, keepdims=True)
     result = np.copy(normals)
-    least = HALF_OF_DIGITS * BLUR  # both point out of the slave; if not, they have no meaning
+    least = HALF_OF_DIGITS * BLUR  # it vanishes where a and b are opposite
     result[edges] = np.where(length > least, found / np.maximum(length, TINY), normals[edges])
     return result
 
@@ -134,9 +135,7 @@ def open_duals(
     edges: Bools,
     claimed: Bools,
 ) -> Floats:
-    """Return the weighted dual functions (q, k), those beside edges as they are on open facets.
-
-    Collective.
+    """Return the weighted dual functions (q, k), not shared out beside open edges; collective.
 
     Args:
         pairing: The pair of surfaces.
@@ -145,7 +144,7 @@ def open_duals(
         Phi: Functions (q, k) of `weighted_duals` for the nodes kept.
         keep: Nodes (n,) that carry a multiplier.
         edges: Nodes (n,) on edges, of `find_edges`.
-        claimed: Nodes (n,) that have their multiplier elsewhere: theirs are shared out as always.
+        claimed: Nodes (n,) with a multiplier of another interface: always shared out.
     """
     slave, nodes = pairing.slave, pairing.slave.facets
     at_edges = nodes[np.asarray((edges & keep)[nodes].any(axis=1))]
@@ -161,9 +160,9 @@ def open_duals(
 def _closed(
     pairing: Pairing, segments: Segments, u: dolfinx.fem.Function | None, silent: Bools
 ) -> Floats:
-    """Return which part (m,) of the functions of silent nodes slave facets share out; collective.
+    """Return the part (m,) in which slave facets share out functions of silent nodes; collective.
 
-    1 where these nodes are closed, 0 where one of them is open; 1 without any.
+    1 where these nodes are closed, 0 where one of them is open; 1 without such nodes.
     """
     slave = pairing.slave
     facets = facets_at(slave, coordinates(slave, u))

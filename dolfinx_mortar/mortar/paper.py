@@ -80,20 +80,20 @@ def assemble_mortar(
     B_I = N^T (D - M) (eq. 17) and c_I = -N^T (D - M) X (eq. 18); the weighted gap is c_I - B_I u.
 
     Args:
-        V: Vector Lagrange space of degree 1 on the mesh of all bodies.
+        V: Vector Lagrange space on the mesh of all bodies.
         facet_tags: Facet tags of the same mesh.
         slave: Tag, or name if the tags have names, of the side that carries the multipliers.
         master: Tag or name of the other side.
         u: Displacement; segments, normals and gap belong to X + u.
         weight: Factor of all integrals at points X of the slave side, (q, d) -> (q,), such as
             2 pi r; 1 if not given.
-        stays: Global nodes that keep their multiplier where they are hardly covered, as those do
-            that a step has found to lose and get it back in turn.
-        feature_angle: Degrees between slave facets from which on they meet in an edge, where nodes
-            then have the normals and functions that `Contact` gives them; no edges if not given.
+        stays: Global nodes that keep their multiplier down to a lower coverage (`Contact` does this
+            with nodes that lose and regain it within a step).
+        feature_angle: Degrees between slave facets from which on they meet in an edge, with the
+            normals and dual functions of `Contact` there; no edges if not given.
 
     Raises:
-        ValueError: On all ranks, for tags, spaces and displacements that make no sense.
+        ValueError: On all ranks, for tags, spaces and displacements that do not fit.
     """
     if weight is not None and not callable(weight):
         raise ValueError(f"weight is {weight!r}: give a function of points (q, d), or None")

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Whether one side has passed through the other in a step, so that nothing of it is in reach.
+"""Whether one side has passed through the other in a step, so that contact no longer finds it.
 
-Partners that lie deeper than a part of the thinner body are none (`THROUGH`), and beyond an edge
-there is nothing to see, so a side that moves far enough in one step meets nothing on its way. What
-tells is the middle of a body, as far behind each of its facets: it never lies in the other body,
-unless that has passed through.
+Facets deeper than a part of the thinner body are no partners (`THROUGH`), and there are none beyond
+an edge, so a side that moves far enough in one step has no partners at its end. The test is on the
+middle of the body behind each facet: as long as the sides have not passed through each other, it
+does not lie in the other body.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ class Middles:
     """The middle of the bodies behind the facets of a surface."""
 
     surface: Surface
-    depth: Floats  # (m,) how deep behind each facet, at X
+    depth: Floats  # (m,) its distance from each facet at X
 
 
 def find_middles(surface: Surface, body_of: Ints, skin: Facets, bodies: Ints) -> Middles:
-    """Measure the bodies behind a surface, whatever is tagged; collective.
+    """Return the middles of the bodies behind a surface, by all their exterior facets; collective.
 
-    Up to their own skin: where bodies overlap, that of another one is no end of them.
+    Bodies are measured one by one, since they may overlap.
 
     Args:
         surface: the surface.
@@ -57,16 +57,16 @@ class Passing:
     """What has passed through a surface, over all ranks."""
 
     surface: Surface  # through which
-    count: int  # facets of the other side whose middle of the body has passed
+    count: int  # facets of the other side behind which the middle of the body has passed
     place: tuple[float, ...]  # of one of these facets, at the start
-    depth: float  # how deep the middle lies behind that facet
+    depth: float  # distance of the middle from that facet
 
 
 def is_far(slave: Middles, master: Middles, before: Floats, now: Floats) -> bool:
-    """Tell whether two sides have moved so far towards each other that one may be through.
+    """Tell whether two sides have moved so far that one may have passed through the other.
 
-    By more than the middle of the thinnest body lies deep: steps begin where sides touch at most.
-    No facets are looked at; collective.
+    That takes a relative displacement of the depth of the least middle, as sides touch at most at
+    the start of a step. No facets are looked at; collective.
 
     Args:
         slave: one side.
@@ -87,9 +87,9 @@ def is_far(slave: Middles, master: Middles, before: Floats, now: Floats) -> bool
 def find_passed(
     slave: Middles, master: Middles, before: fem.Function, now: fem.Function
 ) -> Passing | None:
-    """Return through which side the other one has passed, None if neither; collective.
+    """Return the side through which the other one has passed, None if neither; collective.
 
-    All ranks get all facets of a side: ask `is_far` first.
+    All ranks get all facets of a side: call `is_far` first.
 
     Args:
         slave: one side.
@@ -97,22 +97,18 @@ def find_passed(
         before: displacement at the start of the step.
         now: displacement at its end.
     """
-    for own, other in ((slave, master), (master, slave)):
-        found = _passed(own, other.surface, before, now)
-        if found is not None:
-            return found
-    return None
+    found = _passed(slave, master.surface, before, now)
+    return _passed(master, slave.surface, before, now) if found is None else found
 
 
 def _passed(
     side: Middles, other: Surface, before: fem.Function, now: fem.Function
 ) -> Passing | None:
-    """Return what of a body has passed through a surface; collective."""
+    """Return how middles of a side have passed through another surface; collective."""
     own, comm = side.surface, other.V.mesh.comm
     finite = np.isfinite(side.depth)
     facets = [facets_at(own, coordinates(own, u))[finite] for u in (before, now)]
-    depth = side.depth[finite]
-    corners = np.array(own.element.vertices)
+    depth, corners = side.depth[finite], np.array(own.element.vertices)
     faces = [f.x[:, corners].mean(axis=1) for f in facets]
     middles = [x - depth[:, None] * facet_normals(f) for x, f in zip(faces, facets, strict=True)]
     parts = [flat_parts(facets_at(other, coordinates(other, u))) for u in (before, now)]

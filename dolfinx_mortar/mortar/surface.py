@@ -31,10 +31,10 @@ from dolfinx_mortar.spaces import check_space
 from dolfinx_mortar.tags import check_entities, check_tag, label, labels, tag_of
 
 _MOST_WARPED = 0.3
-"""Smallest cosine between the normal at a corner of a quadrilateral and its mean normal.
+"""Least quality of facets that are accepted, see `distortions`: a verdict on meshes.
 
-The facet is projected along the latter, so that it is stretched by more than three there; bodies
-deform, and at 0 it folds.
+It is the cosine between the normal at a corner and the mean normal, along which the facet is
+projected: at .3 areas are divided by more than three, and a deformation to 0 would fold it.
 """
 
 
@@ -49,7 +49,7 @@ class Surface:
 
     V: dolfinx.fem.FunctionSpace
     tag: int
-    label: str  # how messages call it
+    label: str  # of its tag, for messages
     nodes: Ints  # (n,) local nodes, ascending: owned ones first, ghosts after them
     owned: int  # number of owned nodes
     element: FacetElement
@@ -61,7 +61,7 @@ class Surface:
 
     @property
     def curved(self) -> bool:
-        """Whether the mesh is of higher degree: its facets do not stand for a surface, they are."""
+        """Whether the mesh has curved cells, whose facets need no correction of their curvature."""
         return compat.cell_degree(self.V.mesh) > 1
 
 
@@ -154,7 +154,7 @@ def _order_outwards(X: Floats, nodes: Ints, cells: Ints, V: dolfinx.fem.Function
 
 
 def _create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, PETSc.Vec]:
-    """Add the nodes that only other ranks use to their owner's; number them for `accumulate`."""
+    """Add the nodes used only by other ranks to their owner's; number them for `accumulate`."""
     index_map = V.dofmap.index_map
     number = dolfinx.la.vector(index_map)
     number.array[:] = 0.0
@@ -237,8 +237,8 @@ def create_surface(
 def _thickness(facets: Facets, V: dolfinx.fem.FunctionSpace) -> Floats:
     """Return how thick (m,) the body is behind the facets of a side; collective.
 
-    Up to a facet of this side, on any rank. Where a side that runs around a body leaves out a face,
-    its support for example, up to the body's surface; other sides see no more than themselves.
+    Up to a facet of this side, on any rank. Where a side encloses a body but for a face, such as
+    its support, up to all exterior facets.
     """
     result = thickness_behind(facets, facets, V.mesh.comm)
     unknown = np.isinf(result)
@@ -333,10 +333,10 @@ def nodal_normals(surface: Surface, x: Floats) -> Floats:
 
 
 def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
-    """Return by which factor (n,) what lies along the normals at X has grown (collective).
+    """Return the stretch 1 / |F^-T n| (n,) of the bodies along the normals at X (collective).
 
-    At the nodes, the mean over their facets of that in the middle: the stretch of the volume of the
-    cell behind over that of the area, 1 / |F^-T n|, to which rotations do nothing.
+    At the nodes, the mean over their facets of the stretch at the centre: that of the volume of the
+    cell behind over that of the area. Rotations do not change it.
     """
     V, element = surface.V, surface.element
     cell, d = V.mesh.basix_cell(), V.mesh.geometry.dim
@@ -346,12 +346,12 @@ def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
     slopes = V.element.basix_element.tabulate(1, middles)[1:, :, :, 0][:, local]
     nodes, middle = V.dofmap.list[cells], element.points[list(element.vertices)].mean(axis=0)
     X = V.tabulate_dof_coordinates()[:, :d]
-    volumes, areas = [], []
+    heights = []
     for x in (X, X + u.x.array.reshape(-1, d)):
-        volumes.append(np.linalg.det(np.einsum("amk,mki->mai", slopes, x[nodes])))
+        volume = np.linalg.det(np.einsum("amk,mki->mai", slopes, x[nodes]))
         normals = scaled_normals(facets_at(surface, x[surface.nodes]), middle[None])[:, 0]
-        areas.append(np.linalg.norm(normals, axis=1))
-    stretch = np.abs(volumes[1] / volumes[0]) * areas[0] / np.maximum(areas[1], TINY)
+        heights.append(volume / np.maximum(np.linalg.norm(normals, axis=1), TINY))
+    stretch = np.abs(heights[1] / heights[0])
     columns = np.stack([stretch, np.ones_like(stretch)], axis=1)[:, None]
     total = sum_at_nodes(surface, np.repeat(columns, element.nodes, axis=1))
     return np.asarray(total[:, 0] / total[:, 1])
