@@ -25,8 +25,7 @@ BELOW = {
     "supports": {"algebra", "geometry", "interfaces", "solid"},
     "audit": {"supports", *("algebra", "geometry", "mortar", "interfaces")},
     "persistence": {
-        *("supports", "terms"),
-        *("algebra", "checkpoint", "interfaces", "materials", "solid"),
+        *("supports", "algebra", "checkpoint", "interfaces", "materials", "solid"),
     },
     "problem": {
         *("audit", "persistence", "supports", "terms"),

@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 
 import dolfinx_mortar as dm
 import ufl
+from dolfinx_mortar.materials import plane_stress
 from tests.choice import quick
 from tests.pointwise_laws import Radial
 from tests.pressed_blocks import PressedBlocks, rejected
@@ -213,8 +214,9 @@ class SlackArrays(dm.materials.PointwiseLaw):
 def test_a_law_that_always_pulls_is_an_error_on_all_ranks(law):
     """No strain out of the plane leaves no stress: that is noticed, not a number."""
     solid = dm.Solid(create_displacement(create_domain("triangle")), law, kinematics="plane_stress")
+    after = f"after {plane_stress.MOST_ITERATIONS} iter"
     for ask in (solid.evaluate, solid.element_force_norm):
-        with rejected(type(law).__name__, "no strain out of the plane was found", "after 100 iter"):
+        with rejected(type(law).__name__, "no strain out of the plane was found", after):
             ask()
     with rejected("plane stress"):
         dm.materials.check(law, plane_stress=True)

@@ -89,13 +89,9 @@ class PartialSlip:
 
         It is the one exerted by the body that pushes with Q on the other one: its integral is Q.
         """
-        x, a, p0 = numbers("x", x), self.contact.half_width, self.contact.peak_pressure
-        total = np.zeros_like(x)
-        for w, c in zip(self.weights, self.stick_half_widths, strict=True):
-            # (c/a) sqrt(1 - x^2/c^2) = sqrt(c^2 - x^2)/a, which c = 0 does not mind
-            outer, inner = (np.sqrt(np.maximum(0.0, b**2 - x**2)) / a for b in (a, c))
-            total += w * self.friction * p0 * (outer - inner)
-        return np.asarray(total)
+        at, limit = self.contact, self.friction * self.contact.peak_pressure
+        legs = self.weights, self.stick_half_widths
+        return limit * traction_of_legs(numbers("x", x), at.half_width, *legs)
 
     def slip(self, x: npt.ArrayLike) -> Floats:
         """Return how far the body that pushes has slid on the other one, NaN outside the contact.
@@ -144,6 +140,18 @@ def cattaneo_line(
     path, weights, shares = legs_of(force, friction * contact.force)
     widths = tuple(contact.half_width * float(np.sqrt(1.0 - share)) for share in shares)
     return PartialSlip(contact, float(friction), path, weights, widths)
+
+
+def traction_of_legs(
+    x: Floats, a: float, weights: tuple[float, ...], sticks: tuple[float, ...]
+) -> Floats:
+    """Return the shear traction over mu p0, the sum over legs that stick where |x| < c."""
+    total = np.zeros_like(x)
+    for w, c in zip(weights, sticks, strict=True):
+        # (c/a) sqrt(1 - x^2/c^2) = sqrt(c^2 - x^2)/a, which c = 0 does not mind
+        outer, inner = (np.sqrt(np.maximum(0.0, b**2 - x**2)) / a for b in (a, c))
+        total += w * (outer - inner)
+    return np.asarray(total)
 
 
 def legs_of(

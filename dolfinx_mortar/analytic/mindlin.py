@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.analytic.cattaneo import legs_of
+from dolfinx_mortar.analytic.cattaneo import legs_of, traction_of_legs
 from dolfinx_mortar.analytic.hertz import PointContact
 from dolfinx_mortar.analytic.inputs import check_poisson, check_positive, numbers
 from dolfinx_mortar.arrays import Floats
@@ -86,16 +86,10 @@ class PartialSlipPoint:
         return 3.0 * self.friction * at.force * (2.0 - self.nu) / stiffness
 
     def traction(self, r: npt.ArrayLike) -> Floats:
-        """Return the shear traction at distances r from the middle, zero outside the contact.
-
-        It is the one exerted by the body that pushes with Q on the other one: its integral is Q.
-        """
-        r, a, p0 = numbers("r", r), self.contact.contact_radius, self.contact.peak_pressure
-        total = np.zeros_like(r)
-        for w, c in zip(self.weights, self.stick_radii, strict=True):
-            outer, inner = (np.sqrt(np.maximum(0.0, b**2 - r**2)) / a for b in (a, c))
-            total += w * self.friction * p0 * (outer - inner)
-        return np.asarray(total)
+        """Return the shear traction at distances r from the middle, as `PartialSlip.traction`."""
+        at, limit = self.contact, self.friction * self.contact.peak_pressure
+        legs = self.weights, self.stick_radii
+        return limit * traction_of_legs(numbers("r", r), at.contact_radius, *legs)
 
 
 def mindlin_point(

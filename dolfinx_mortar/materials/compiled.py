@@ -53,22 +53,12 @@ class CompiledLaw:
         """Compile the law of a material; its mistakes are ValueErrors."""
         law = create_law("law", material) if law is None else law
         self.shapes = {name: (6,) if shape else () for name, shape in law.state.items()}
-        self._name, names = law.name, [field.name for field in dataclasses.fields(material)]
-        self._parameters = [number(material, name) for name in names]
-        count = 13 + sum(6 if shape else 1 for shape in self.shapes.values()) + len(names)
-        numbers = constants(count)
-        rest = iter(range(13, count))
-
-        def take(shape: tuple[int, ...]) -> Expr:
-            if not shape:
-                return numbers[next(rest)]
-            return from_components(ufl.as_vector([numbers[next(rest)] for _ in range(6)]))
-
-        strain = from_components(ufl.as_vector([numbers[i] for i in range(6)]))
-        along = from_components(ufl.as_vector([numbers[i] for i in range(6, 12)]))
-        state = {name: take(shape) for name, shape in self.shapes.items()}
-        p = SimpleNamespace(**{name: take(()) for name in names})
-        response = respond(law, strain, state, p, numbers[12] if law.condensed else None)
+        given = parameters(material)
+        self._name, self._parameters = law.name, list(given.values())
+        strain, along, z, *rest = symbols((6,), (6,), (), *self.shapes.values(), *[()] * len(given))
+        state = dict(zip(self.shapes, rest, strict=False))
+        p = SimpleNamespace(**dict(zip(given, rest[len(state) :], strict=True)))
+        response = respond(law, strain, state, p, z if law.condensed else None)
         self.has_energy = response.energy is not None
         # One by one: UFL compares equal parts of what is compiled together, tree by tree.
         elastic, change = elastic_response(law, strain, p), response.change(along)
@@ -119,14 +109,12 @@ class PointwiseNumbers:
     def __init__(self, material: Any, law: Law) -> None:
         """Compile the elastic stress; the rest are numbers anyway."""
         self.shapes = {name: (6,) if shape else () for name, shape in law.state.items()}
-        self._law = law
-        names = [field.name for field in dataclasses.fields(material)]
-        self._p = {name: number(material, name) for name in names}
-        numbers = constants(6 + len(names))
-        strain = from_components(ufl.as_vector([numbers[i] for i in range(6)]))
-        p = SimpleNamespace(**{name: numbers[6 + i] for i, name in enumerate(names)})
-        elastic = elastic_response(law, strain, p)
-        (self._elastic,) = compile_vectors([ufl.as_vector(entries(elastic))])
+        self._law, self._p = law, parameters(material)
+        strain, *rest = symbols((6,), *[()] * len(self._p))
+        p = SimpleNamespace(**dict(zip(self._p, rest, strict=True)))
+        (self._elastic,) = compile_vectors(
+            [ufl.as_vector(entries(elastic_response(law, strain, p)))]
+        )
 
     def __call__(self, strain: Floats, direction: Floats, state: Mapping[str, Floats]) -> Point:
         """Evaluate the law, see `CompiledLaw`."""
@@ -142,17 +130,18 @@ class PointwiseNumbers:
         return Point(found.stress[0], elastic, change, np.nan, new)
 
 
-def number(law: Any, name: str) -> float:
-    """Return a parameter of a material as a number; a ValueError if it depends on place."""
-    value = getattr(law, name)
-    if isinstance(value, ufl.Constant):
-        return float(value.value)
-    if isinstance(value, Expr):
-        raise ValueError(
-            f"{type(law).__name__}: {name} = {value} depends on place; try the law out with "
-            f"numbers, dataclasses.replace(law, {name}=...)."
-        )
-    return float(value)
+def parameters(material: Any) -> dict[str, float]:
+    """Return the parameters of a material as numbers; a ValueError if one depends on place."""
+    numbers = {}
+    for field in dataclasses.fields(material):
+        value = getattr(material, field.name)
+        if isinstance(value, Expr) and not isinstance(value, ufl.Constant):
+            raise ValueError(
+                f"{type(material).__name__}: {field.name} = {value} depends on place; try the law "
+                f"out with numbers, dataclasses.replace(law, {field.name}=...)."
+            )
+        numbers[field.name] = float(getattr(value, "value", value))
+    return numbers
 
 
 def entries(tensor: Expr) -> list[Expr]:
@@ -164,6 +153,18 @@ def constants(count: int) -> ufl.Constant:
     """Return numbers of which `compile_vectors` makes the argument of functions."""
     domain = ufl.Mesh(basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,)))
     return ufl.Constant(domain, shape=(count,))
+
+
+def symbols(*shapes: tuple[int, ...]) -> list[Expr]:
+    """Return `constants` in turn as scalars, (), and tensors of stored components, (6,)."""
+    numbers = constants(sum(6 if shape else 1 for shape in shapes))
+    rest = iter(range(len(numbers)))
+    return [
+        from_components(ufl.as_vector([numbers[next(rest)] for _ in range(6)]))
+        if shape
+        else numbers[next(rest)]
+        for shape in shapes
+    ]
 
 
 def compile_vectors(vectors: list[Expr]) -> list[Callable[[Floats], Floats]]:

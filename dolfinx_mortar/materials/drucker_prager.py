@@ -17,7 +17,7 @@ from ufl.core.expr import Expr
 
 
 class _Return(NamedTuple):
-    """The way back from a trial stress."""
+    """The return mapping of a trial stress."""
 
     s: Expr  # trial deviator, 3x3
     norm: Expr  # |s|
@@ -33,8 +33,8 @@ class DruckerPrager(Material):
 
         |dev sigma| + beta p <= Y,      p = tr(sigma) / 3 (tension positive), apex at p = Y / beta
 
-    With e = eps - ep_n, trial stress s + p I = C e, excess f = |s| + beta p - Y and bulk modulus K,
-    a stress outside goes back to the nearest one in the metric of the elastic energy:
+    With e = eps - ep_n, trial stress s + p I = C e, yield function f = |s| + beta p - Y and bulk
+    modulus K, the return mapping is the closest-point projection in the elastic energy:
 
         cone  g = f / (2 mu + K beta^2),   sigma = (p - K beta g) I + (1 - 2 mu g / |s|) s
         apex  sigma = Y / beta I,          where 2 mu g > |s|
@@ -45,8 +45,8 @@ class DruckerPrager(Material):
         psi = 1/2 e:C:e - f^2 / (2 (2 mu + K beta^2))      on the cone
         psi = Y / beta tr e - (Y / beta)^2 / (2 K)          at the apex.
 
-    Plastic flow dilates: tr dep = beta |dev dep|. Nothing hardens, so there are limit loads, and a
-    part that is torn off everywhere (all its points at the apex) has no stiffness.
+    Plastic flow dilates: tr dep = beta |dev dep|. There is no hardening, so there are limit loads,
+    and a part whose points are all at the apex has no stiffness.
 
     Raises:
         ValueError: if E <= 0, nu is outside (-1, 0.5), Y <= 0, beta <= 0 or a number is not finite.
@@ -114,7 +114,7 @@ class DruckerPrager(Material):
 
     @staticmethod
     def _return(strain: Expr, state: Mapping[str, Expr], p: Any) -> _Return:
-        """Return how the trial stress goes back."""
+        """Return the return mapping of the trial stress."""
         elastic = strain - state["plastic_strain"]
         mu, K = shear_modulus(p), bulk_modulus(p)
         s, mean = 2 * mu * ufl.dev(elastic), K * ufl.tr(elastic)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Plane stress: the strain out of the plane is an unknown of each point, condensed there.
+"""Plane stress by local condensation: the strain out of the plane is an unknown of each point.
 
 With the strain e in the plane and z out of it, a law gives sigma(e, z) with the moduli C. Then
 
@@ -65,17 +65,14 @@ def solve(law: str, equation: Equation, shape: tuple[int, int]) -> Floats:
 
     Newton's method from z = 0, so that z depends on strain and state alone. sigma_zz grows with z
     where the potential is convex: the root lies between the z that gave pressure and tension, and
-    where an iterate would leave that interval, it is halved, down to neighbouring numbers. Where
+    where an iterate would leave that interval, it is bisected, down to neighbouring numbers. Where
     C_zzzz is not positive, steps are those of the elastic modulus, and double.
 
-    Args:
-        law: its name, for the message.
-        equation: what is to vanish, its derivative and scales; see `Equation`.
-        shape: number of rows that the equation evaluates together, such as cells, and of points in
-            each.
+    The shape is the number of rows that the equation evaluates together, such as cells, and that of
+    points in each.
 
     Raises:
-        ValueError: if there are points at which no z is found.
+        ValueError: if there are points at which no z is found; the message names the law.
     """
     z, low, high = np.zeros(shape), np.full(shape, -np.inf), np.full(shape, np.inf)
     rows: Ints = np.arange(shape[0], dtype=np.int32)

@@ -80,7 +80,8 @@ class VonMisesVoce(Material):
         R(k) = Y + H k + Q (1 - exp(-b k)),      k = int |dep|.
 
     The increment g of k in a step is the root of |xi| = (2 mu + a) g + R(k_n + g), in closed form
-    by Wright's omega function (`increment`). Stress and tangent are those of the radial return,
+    by Wright's omega function (`increment`). Stress and consistent tangent are those of the radial
+    return mapping,
 
         sigma = C (eps - ep_n) - 2 mu g n,       dg / d|xi| = 1 / (2 mu + a + R'(k_n + g)),
 

@@ -44,7 +44,7 @@ class VonMises(Material):
         xi = 2 mu dev(eps) - (2 mu + a) ep_n          (deviatoric stress minus back stress a ep_n)
 
     and the accumulated plastic strain k_n = int |dep|, a point yields when |xi| > Y + H k_n in the
-    Frobenius norm, and then (radial return)
+    Frobenius norm, and then (return mapping along the radius)
 
         dgam  = (|xi| - Y - H k_n)_+ / (2 mu + a + H),   n = xi / |xi|,   k = k_n + dgam
         sigma = C (eps - ep_n) - 2 mu dgam n,   ep = ep_n + dgam n,   back stress = a ep.

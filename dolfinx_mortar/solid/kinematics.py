@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Kinematics: what makes a problem plane, axisymmetric or spatial, in one frozen record.
 
-A law sees the 3x3 strain that the measure gives and nothing else; all integrals, over bodies, their
-surfaces and interfaces, see the weight; what asks which motions nothing holds sees the rigid
-motions.
+Laws get the 3x3 strain of the measure and nothing else; all integrals, over bodies, their surfaces
+and interfaces, have the weight as a factor; the check for unconstrained rigid-body modes uses the
+rigid motions.
 """
 
 from __future__ import annotations

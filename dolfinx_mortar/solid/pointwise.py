@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""What is found at the integration points before each assembly, as Functions that forms read.
+"""Local equations at the integration points, solved before each assembly; forms read the results.
 
-Of laws of arrays their stress, tangent and new state; of other laws in plane stress the strain out
-of the plane.
+Laws of arrays give stress, consistent tangent and new internal variables; local condensation for
+plane stress gives the strain out of the plane.
 """
 
 from __future__ import annotations

@@ -317,7 +317,7 @@ class Solid(Term):
         Nothing that is shown changes.
         """
         for name, staged in self._staged.items():
-            self.state[name].x.array[:] = staged.x.array
+            self._committed[name].x.array[:] = staged.x.array
 
     def lasting_fields(self) -> dict[str, fem.Function]:
         """Return what lasts from step to step at the integration points, by name.

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""What the user may change between steps, at points of the bodies: parameters, eigenstrain."""
+"""Expressions evaluated at points of the bodies: stress and state, parameters, eigenstrain.
+
+Parameters and eigenstrain may change between steps: they are followed.
+"""
 
 from __future__ import annotations
 

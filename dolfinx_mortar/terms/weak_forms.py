@@ -147,11 +147,7 @@ class WeakForm(Term):
 
 
 def check_loads(u: fem.Function, loads: Any) -> None:
-    """Raise ValueError if the loads depend on the displacement.
-
-    They are assembled once at the start of a step; with the displacement inside, the answer would
-    be that of forces of the step before.
-    """
+    """Raise ValueError if loads depend on u: they are assembled once, at the start of a step."""
     if isinstance(loads, ufl.Form) and any(_is_displacement(u, c) for c in loads.coefficients()):
         raise ValueError(f"loads contain the displacement solid.u ({u.name}): {REMEDY}")
 
@@ -163,14 +159,7 @@ WANTED = (
 
 
 def check_form(u: fem.Function, name: str, form: Any, *, arguments: int = 0) -> None:
-    """Raise ValueError unless a form of the displacement can be added.
-
-    Args:
-        u: the displacement.
-        name: how messages call the form.
-        form: what was given.
-        arguments: how many test functions it has to have, 0 or 1.
-    """
+    """Raise ValueError unless a form of u with so many test functions, 0 or 1, can be added."""
     wanted = WANTED[arguments]
     if isinstance(form, fem.Form):
         raise ValueError(f"{name} is a compiled form: {wanted}, in UFL as before fem.form")
