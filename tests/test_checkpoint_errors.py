@@ -152,12 +152,12 @@ def test_the_same_materials_in_other_cells(folder, monkeypatch):
     soft = dm.Elastic(1e5, 0.3)
     one, other = Press(law={1: STEEL, 2: soft}), Press(law={2: STEEL, 1: soft})
     one.problem.save(folder / "x.h5")
-    assert not differences(*[describe(one.problem.lasting)] * 2)
+    assert not differences(*[describe(one.problem.state)] * 2)
     with rejected("Elastic: cells is 40, in the checkpoint 60", "VonMises: cells is 60, in the"):
         other.problem.restore(folder / "x.h5")
     numbers = material_numbers(one.problem.solid)
     counts = COMM.allreduce(np.array([(numbers == k).sum() for k in range(2)]))
-    cells = [describe(one.problem.lasting)[f"material {k}"]["cells"] for k in KINDS]
+    cells = [describe(one.problem.state)[f"material {k}"]["cells"] for k in KINDS]
     assert counts.tolist() == cells  # one point in each
     first = [np.flatnonzero(numbers == k)[:1] if COMM.rank == 0 else [] for k in range(2)]
     for k, at in enumerate(first):

@@ -22,7 +22,9 @@ def told(case, problem, direction, caplog):
     """Return what is said of a direction, on rank 0."""
     caplog.clear()
     with caplog.at_level(logging.WARNING, logger="dolfinx_mortar.steps.preload"):
-        preload_module._check(problem, case.tie, 1.0, direction)
+        n = preload_module._check(problem, case.tie, 1.0, direction)
+        problem.audit()
+        preload_module._check_axis(problem, case.tie, n)
     lines = [r.getMessage() for r in caplog.records if r.name.endswith("preload")]
     return COMM.bcast(lines)
 

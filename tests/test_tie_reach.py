@@ -144,7 +144,7 @@ def test_what_a_tie_says():
     shown = [repr(p.interfaces[0]) for p in problems]
     assert shown[0] == "Tie(slave=3, master=4)"
     assert shown[1] == shown[2] == "Tie(slave=3, master=4, within=0.1)"
-    saved, *present = [describe(p.lasting) for p in problems[1:]]
+    saved, *present = [describe(p.state) for p in problems[1:]]
     assert [len(differences(saved, other)) for other in present] == [0, 1]
 
 

@@ -17,14 +17,14 @@ import numpy as np
 
 from dolfinx_mortar import compat
 from dolfinx_mortar.arrays import Floats, Ints
-from dolfinx_mortar.persistence.lasting import Lasting
+from dolfinx_mortar.persistence.committed import ProblemState
 from dolfinx_mortar.solid.solid import Solid
 
 VARYING = "changing"
 Identity = Mapping[str, Mapping[str, Any]]  # value by name by subject, of what JSON can hold
 
 
-def describe(lasting: Lasting) -> dict[str, dict[str, Any]]:
+def describe(state: ProblemState) -> dict[str, dict[str, Any]]:
     """Return the identity of a problem; collective.
 
     Numbers of cells and nodes, degrees, kinematics, geometry, terms with a state, interfaces, and
@@ -32,10 +32,10 @@ def describe(lasting: Lasting) -> dict[str, dict[str, Any]]:
     law is known by its name: changes of its code are not seen, nor are the values of parameters
     that may change between steps.
     """
-    solid, V = lasting.solid, lasting.solid.V
+    solid, V = state.solid, state.solid.V
     domain, cells = V.mesh, V.mesh.topology.index_map(V.mesh.topology.dim)
     parts = _parts(solid)
-    stateful = [(name, term) for name, term in lasting.terms if term.state]
+    stateful = [(name, term) for name, term in state.terms if term.state]
     own = [int((part < cells.size_local).sum()) for _, part in parts]
     counts = domain.comm.allreduce(np.array(own, dtype=int), op=MPI.SUM).tolist()
     return {
@@ -56,8 +56,8 @@ def describe(lasting: Lasting) -> dict[str, dict[str, Any]]:
             "materials": ", ".join(type(material).__name__ for material, _ in parts),
         },
         "problem": {
-            "geometry": lasting.geometry,
-            "interfaces": ", ".join(map(repr, lasting.interfaces)),
+            "geometry": state.geometry,
+            "interfaces": ", ".join(map(repr, state.interfaces)),
             "terms": [f"{name}: {', '.join(sorted(term.state))}" for name, term in stateful],
         },
     } | {

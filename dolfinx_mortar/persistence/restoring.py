@@ -21,8 +21,8 @@ from dolfinx_mortar.checkpoint import read_about, read_tables, size_of
 from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.interfaces.interface import Interface, Resultants, check_owned
 from dolfinx_mortar.interfaces.system import Paired
+from dolfinx_mortar.persistence.committed import ProblemState, Slips, SupportForces, Walk
 from dolfinx_mortar.persistence.identity import describe, differences, material_numbers
-from dolfinx_mortar.persistence.lasting import Lasting, Slips, SupportForces, Walk
 from dolfinx_mortar.persistence.saving import NODES, POINTS, RESULTANTS, SLIPS, name_of, places_of
 from dolfinx_mortar.step_report import LoadStep
 
@@ -33,7 +33,7 @@ Tables = Mapping[str, Mapping[str, Floats]]
 class Saved:
     """A checkpoint of this problem, read and compared, but not yet restored."""
 
-    lasting: Lasting
+    state: ProblemState
     about: Mapping[str, Any]
     tables: Tables
     steps: list[LoadStep]  # the history
@@ -45,9 +45,9 @@ class Saved:
 
     def put(self) -> None:
         """Make it the state of the problem; collective."""
-        lasting, committed = self.lasting, self.lasting.committed
-        _set(lasting.u, self.tables[NODES]["displacement"])
-        for name, f in lasting.states_of_terms.items():
+        state, committed = self.state, self.state.committed
+        _set(state.u, self.tables[NODES]["displacement"])
+        for name, f in state.states_of_terms.items():
             _set(f, self.tables[NODES][name])
         closed = self.tables[NODES]["active"][:, 0] > 0.0
         # without a column, begin stuck
@@ -59,13 +59,13 @@ class Saved:
         before = self.tables[NODES].get("committed", self.tables[NODES]["displacement"])
         committed.displacement = before.flatten()
         shown = self.tables[POINTS]
-        for name, field in lasting.solid.lasting_fields().items():
+        for name, field in state.solid.lasting_fields().items():
             same = name.replace("shown/", "committed/")
             _set(field, shown[name] if name in shown else shown[same])
         committed.found_slips = Slips(*np.zeros((2, *committed.slid.shape)))
-        for k, interface in enumerate(lasting.interfaces):
+        for k, interface in enumerate(state.interfaces):
             resultants = self.about["interfaces"][k]
-            _take(lasting, k, interface, resultants, self.tables.get(name_of(k), {}))
+            _take(state, k, interface, resultants, self.tables.get(name_of(k), {}))
             interface.take_found(self.about["found"][k])
         committed.paired = committed.found_paired = self._paired()
         committed.begun = self.about["begun"]
@@ -73,21 +73,21 @@ class Saved:
         walk = self.about["walk"]
         committed.walk = None if walk is None else Walk(**walk)
         committed.history[:], committed.brought = self.steps, len(self.steps)
-        lasting.system.faced = True
+        state.system.faced = True
 
     def _paired(self) -> Paired | None:
         """Return where the surfaces were paired; None where that is not known."""
-        lasting, tables = self.lasting, self.tables
+        state, tables = self.state, self.tables
         at = tables[NODES].get("paired", np.zeros((0, 1))).flatten()
-        near = [tables.get(name_of(k), {}).get("near") for k in range(len(lasting.interfaces))]
+        near = [tables.get(name_of(k), {}).get("near") for k in range(len(state.interfaces))]
         known = [marks[:, 0] > 0.0 for marks in near if marks is not None]
         complete = len(known) == len(near) and "paired" in tables[NODES]
-        if lasting.geometry == "reference":
+        if state.geometry == "reference":
             complete = len(known) == len(near)
         return Paired(at, known) if complete else None
 
 
-def read(lasting: Lasting, path: str | os.PathLike[str]) -> Saved:
+def read(state: ProblemState, path: str | os.PathLike[str]) -> Saved:
     """Read a checkpoint of this problem, from any number of ranks; collective.
 
     Raises:
@@ -96,30 +96,30 @@ def read(lasting: Lasting, path: str | os.PathLike[str]) -> Saved:
             of another problem, with all differences in the message; or if an interface is used by
             a problem made later.
     """
-    file, comm = check_path(lasting.comm, path), lasting.comm
-    check_owned(lasting.interfaces, lasting.supports)
+    file, comm = check_path(state.comm, path), state.comm
+    check_owned(state.interfaces, state.supports)
     about = read_about(comm, file)
-    wrong = differences(about["problem"], describe(lasting))
+    wrong = differences(about["problem"], describe(state))
     tables: Tables = {}
     if not wrong:
-        places = places_of(lasting, [found is not None for found in about["interfaces"]])
+        places = places_of(state, [found is not None for found in about["interfaces"]])
         names = {NODES: "mesh, nodes", POINTS: "mesh, integration points"}
-        names |= {name_of(k): f"{i}, slave nodes" for k, i in enumerate(lasting.interfaces)}
-        tables, others = read_tables(comm, file, places, size_of(lasting.solid.V.mesh))
+        names |= {name_of(k): f"{i}, slave nodes" for k, i in enumerate(state.interfaces)}
+        tables, others = read_tables(comm, file, places, size_of(state.solid.V.mesh))
         wrong = [f"{names[name]}: {text}" for name, text in others.items()]
     if not wrong:
-        here = material_numbers(lasting.solid)
+        here = material_numbers(state.solid)
         moved = comm.allreduce(int((tables[POINTS]["material"] != here).sum()), op=MPI.SUM)
         wrong = [f"solid: {moved} integration points have another material"] if moved else []
     if wrong:
         raise ValueError(
             f"path is {str(file)!r}, a checkpoint of another problem: {'; '.join(wrong)}"
         )
-    return Saved(lasting, about, tables, [LoadStep.from_dict(step) for step in about["steps"]])
+    return Saved(state, about, tables, [LoadStep.from_dict(step) for step in about["steps"]])
 
 
 def _take(
-    lasting: Lasting,
+    state: ProblemState,
     k: int,
     interface: Interface,
     resultants: Mapping[str, list[float]] | None,
@@ -127,12 +127,12 @@ def _take(
 ) -> None:
     """Give an interface its results, or take them away; collective."""
     interface.clear()
-    committed, ended = lasting.committed, lasting.committed.found_slips
+    committed, ended = state.committed, state.committed.found_slips
     assert ended is not None
     committed.slid[k], committed.dissipated[k] = 0.0, 0.0
     if resultants is None:
         return
-    nodes = lasting.system.sides[k].nodes
+    nodes = state.system.sides[k].nodes
     multiplier = values["multiplier"]
     vectors: dict[str, Floats] = {name: np.array(resultants[name], float) for name in RESULTANTS}
     interface.resultants = Resultants(
@@ -149,7 +149,7 @@ def _take(
         columns = committed.slid[k], committed.dissipated[k], ended.slid[k], ended.dissipated[k]
         for column, name in zip(columns, (*SLIPS, "slip", "energy"), strict=True):
             column[nodes] = values[name][:, 0]
-    interface.sum_up(lasting.comm, nodes)
+    interface.sum_up(state.comm, nodes)
 
 
 def _set(f: fem.Function, values: Floats) -> None:

@@ -22,75 +22,75 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.checkpoint import Table, find_places, write
 from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.interfaces.interface import Interface, check_owned
+from dolfinx_mortar.persistence.committed import ProblemState
 from dolfinx_mortar.persistence.identity import describe, material_numbers
-from dolfinx_mortar.persistence.lasting import Lasting
 
 NODES, POINTS = "nodes", "points"
 SLIPS = ("slid", "dissipated")
 RESULTANTS = ("force", "moment", "master_force", "master_moment")
 
 
-def save(lasting: Lasting, path: str | os.PathLike[str]) -> None:
+def save(state: ProblemState, path: str | os.PathLike[str]) -> None:
     """Write a checkpoint; see `ContactProblem.save`."""
-    file = check_path(lasting.comm, path)
-    check_owned(lasting.interfaces, lasting.supports)
-    committed = lasting.committed
-    results = [_resultants(interface) for interface in lasting.interfaces]
+    file = check_path(state.comm, path)
+    check_owned(state.interfaces, state.supports)
+    committed = state.committed
+    results = [_resultants(interface) for interface in state.interfaces]
     about = {
-        "problem": describe(lasting),
+        "problem": describe(state),
         "begun": committed.begun,
         "level": committed.level,
         "walked": committed.walked,
         "walk": None if committed.walk is None else dataclasses.asdict(committed.walk),
         "steps": [step.as_dict() for step in committed.history],
         "interfaces": results,
-        "found": [interface.found() for interface in lasting.interfaces],
+        "found": [interface.found() for interface in state.interfaces],
     }
-    places = places_of(lasting, [result is not None for result in results])
-    values = {NODES: _nodal(lasting), POINTS: _at_points(lasting)}
-    for k, interface in enumerate(lasting.interfaces):
+    places = places_of(state, [result is not None for result in results])
+    values = {NODES: _nodal(state), POINTS: _at_points(state)}
+    for k, interface in enumerate(state.interfaces):
         if results[k] is not None:
-            values[name_of(k)] = _on_interface(interface) | _slips(lasting, k) | _near(lasting, k)
+            values[name_of(k)] = _on_interface(interface) | _slips(state, k) | _near(state, k)
     tables = {name: Table(places[name], values[name]) for name in places}
-    write(lasting.comm, file, about, tables)
+    write(state.comm, file, about, tables)
 
 
 # -- values of this rank -------------------------------------------------------------------------
 
 
-def places_of(lasting: Lasting, results: Sequence[bool]) -> dict[str, Floats]:
+def places_of(state: ProblemState, results: Sequence[bool]) -> dict[str, Floats]:
     """Return the places of the tables; interfaces without results have none; collective."""
-    nodes = find_places(lasting.solid.V)
-    sides = enumerate(lasting.system.sides)
-    return {NODES: nodes, POINTS: find_places(lasting.solid.stress.function_space)} | {
+    nodes = find_places(state.solid.V)
+    sides = enumerate(state.system.sides)
+    return {NODES: nodes, POINTS: find_places(state.solid.stress.function_space)} | {
         name_of(k): nodes[side.nodes] for k, side in sides if results[k]
     }
 
 
-def _nodal(lasting: Lasting) -> dict[str, Floats]:
-    u = _owned(lasting.u)
-    active, sliding = lasting.committed.contacts_at(lasting.comm, u.ravel())
+def _nodal(state: ProblemState) -> dict[str, Floats]:
+    u = _owned(state.u)
+    active, sliding = state.committed.contacts_at(state.comm, u.ravel())
     found = {"displacement": u, "active": active[:, None].astype(float)}
-    if (paired := lasting.committed.paired) is not None and len(paired.at):
+    if (paired := state.committed.paired) is not None and len(paired.at):
         found["paired"] = paired.at.reshape(u.shape)
-    if (supports := lasting.committed.supports) is not None:
+    if (supports := state.committed.supports) is not None:
         found["supports"] = np.hstack([supports.forces, supports.points])
-    if lasting.system.has_friction:  # slips are measured from it
-        d = lasting.solid.V.dofmap.index_map_bs
+    if state.system.has_friction:  # slips are measured from it
+        d = state.solid.V.dofmap.index_map_bs
         if sliding is not None:
             found["sliding"] = sliding
-        found["committed"] = lasting.committed.displacement.reshape(-1, d)
-    return found | {name: _owned(f) for name, f in lasting.states_of_terms.items()}
+        found["committed"] = state.committed.displacement.reshape(-1, d)
+    return found | {name: _owned(f) for name, f in state.states_of_terms.items()}
 
 
-def _at_points(lasting: Lasting) -> dict[str, Floats]:
+def _at_points(state: ProblemState) -> dict[str, Floats]:
     """Return the fields at the owned points; those that are shown only if not committed as well."""
-    fields = {name: _owned(f) for name, f in lasting.solid.lasting_fields().items()}
+    fields = {name: _owned(f) for name, f in state.solid.lasting_fields().items()}
     for name in [name for name in fields if name.startswith("shown/")]:
         differs = not np.array_equal(fields[name], fields[name.replace("shown/", "committed/")])
-        if not any_rank(lasting.comm, differs)[0]:
+        if not any_rank(state.comm, differs)[0]:
             del fields[name]
-    return fields | {"material": material_numbers(lasting.solid)}
+    return fields | {"material": material_numbers(state.solid)}
 
 
 def _on_interface(interface: Interface) -> dict[str, Floats]:
@@ -102,18 +102,18 @@ def _on_interface(interface: Interface) -> dict[str, Floats]:
     return nodal | {"multiplier": multiplier, "carries": found.carries[:, None].astype(float)}
 
 
-def _near(lasting: Lasting, k: int) -> dict[str, Floats]:
+def _near(state: ProblemState, k: int) -> dict[str, Floats]:
     """Return which owned slave nodes are transformed by T, nothing before the first commit."""
-    paired = lasting.committed.paired
+    paired = state.committed.paired
     return {} if paired is None else {"near": paired.near[k][:, None].astype(float)}
 
 
-def _slips(lasting: Lasting, k: int) -> dict[str, Floats]:
+def _slips(state: ProblemState, k: int) -> dict[str, Floats]:
     """Return total slip and dissipation at the owned slave nodes, nothing without friction."""
-    interface, nodes = lasting.interfaces[k], lasting.system.sides[k].nodes
+    interface, nodes = state.interfaces[k], state.system.sides[k].nodes
     if not interface.rough:
         return {}
-    columns = lasting.committed.slid[k], lasting.committed.dissipated[k]
+    columns = state.committed.slid[k], state.committed.dissipated[k]
     return {name: c[nodes, None] for name, c in zip(SLIPS, columns, strict=True)}
 
 

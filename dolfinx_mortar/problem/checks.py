@@ -118,16 +118,15 @@ def check_load_steps(
 
 def check_every(comm: MPI.Comm, checkpoint: Any, every: Any) -> Path | None:
     """Return the file of checkpoints, None for none, if both arguments are valid; collective."""
-    check_same_on_all_ranks(comm, every=every)
+    given = None if checkpoint is None else "a file"
+    check_same_on_all_ranks(comm, every=every, checkpoint=given)
     if not is_integer(every) or every < 1:
         raise ValueError(f"every is {every!r}: need an integer, every >= 1")
-    given = comm.allgather(checkpoint is None)
-    if any(given) and every != 1:
+    if given:
+        return check_path(comm, checkpoint, "checkpoint")
+    if every != 1:
         raise ValueError(f"every is {every!r}, but there is no checkpoint: give its file")
-    if any(given):
-        check_same_on_all_ranks(comm, checkpoint=checkpoint)
-        return None
-    return check_path(comm, checkpoint, "checkpoint")
+    return None
 
 
 def _unrolled(values: Any) -> Any:

@@ -29,7 +29,7 @@ from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.system import Configuration, InterfaceSystem
 from dolfinx_mortar.persistence import restoring, saving
-from dolfinx_mortar.persistence.lasting import Committed, Lasting
+from dolfinx_mortar.persistence.committed import Committed, ProblemState
 from dolfinx_mortar.problem.checks import check_arguments
 from dolfinx_mortar.problem.jumps import Pretensions, read_jumps
 from dolfinx_mortar.problem.preconditioning import UnknownsOfBodies
@@ -432,10 +432,10 @@ class ContactProblem:
             self.committed.commit(self.comm, self.u.x.array[: self.d * self.n])
 
     @property
-    def lasting(self) -> Lasting:
+    def state(self) -> ProblemState:
         """The parts with a state, for checkpoints."""
         parts = self.solid, self.interfaces, self.system, self.supports
-        return Lasting(*parts, self.geometry, self.committed, self.terms.named)
+        return ProblemState(*parts, self.geometry, self.committed, self.terms.named)
 
     @property
     def history(self) -> list[LoadStep]:
@@ -466,7 +466,7 @@ class ContactProblem:
             RuntimeError: if h5py is missing (an ImportError on rank 0).
         """
         with self.timings("checkpoint"):
-            saving.save(self.lasting, path)
+            saving.save(self.state, path)
 
     def restore(self, path: str | os.PathLike[str]) -> None:
         """Restore the state of a checkpoint, written on any number of ranks; collective.
@@ -484,7 +484,7 @@ class ContactProblem:
                 or another problem; the message names the differences. Nothing is changed then.
         """
         with self.timings("checkpoint"):
-            restoring.read(self.lasting, path).put()
+            restoring.read(self.state, path).put()
 
     def output_fields(self) -> dict[str, fem.Function]:
         """Return the Functions for output by name; collective.

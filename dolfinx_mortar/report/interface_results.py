@@ -19,7 +19,7 @@ from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.mortar.surface import coordinates, sum_at_nodes
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.linearisation import Balance
-from dolfinx_mortar.persistence.lasting import Slips
+from dolfinx_mortar.persistence.committed import Slips
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.solid.kinematics import on_axis
 

@@ -25,7 +25,7 @@ from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.compat import on_same_mesh
 from dolfinx_mortar.mortar.surface import check_tag, check_tags
 from dolfinx_mortar.newton_method.linearisation import Balance, support_slots
-from dolfinx_mortar.persistence.lasting import SupportForces
+from dolfinx_mortar.persistence.committed import SupportForces
 from dolfinx_mortar.problem.checks import check_problem
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.supports.dirichlet import marked_dofs, prescribed_dofs

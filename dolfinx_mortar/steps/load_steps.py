@@ -24,7 +24,7 @@ from dolfinx_mortar.arrays import SAME
 from dolfinx_mortar.checkpoint import check_folder
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.newton_method.failures import AS_BEFORE
-from dolfinx_mortar.persistence.lasting import Walk
+from dolfinx_mortar.persistence.committed import Walk
 from dolfinx_mortar.persistence.restoring import Saved, read
 from dolfinx_mortar.problem.checks import check_every, check_load_steps, check_problem
 from dolfinx_mortar.problem.problem import ContactProblem
@@ -225,7 +225,7 @@ def _continue(
     if not problem.comm.bcast(problem.comm.rank == 0 and os.path.exists(file)):
         check_folder(problem.comm, file)
         return begin
-    saved = read(problem.lasting, file)
+    saved = read(problem.state, file)
     walk = saved.walk
     _check_walked(levels, walk, file)
     _check_tables(loading.ramps, saved, file)

@@ -107,7 +107,7 @@ class Committed:
 
 
 @dataclass(frozen=True)
-class Lasting:
+class ProblemState:
     """The parts of a problem that have a state or identify it, for checkpoints."""
 
     solid: Solid
