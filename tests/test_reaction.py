@@ -131,7 +131,9 @@ def test_moments_in_space():
     about, pull = np.array([0.1, -0.2, 0.3]), np.array([1.0, 2.0, 3.0])
     expected = -np.cross(np.array([0.5, 0.5, 1.0]) - about, pull)
     (bc,) = problem.bcs
-    for support in ("foot", 4, np.int32(4), bc, [bc], None):
+    nodes = fem.locate_dofs_topological(problem.V, 2, tags.find("foot"))
+    dofs = (3 * nodes[:, None] + np.arange(3)).ravel()
+    for support in ("foot", 4, np.int32(4), bc, [bc], dofs, None):
         facet_tags = tags if isinstance(support, str | int | np.int32) else None
         found = dm.reaction(problem, support, facet_tags, about=about)
         assert found.force == pytest.approx(-pull, rel=1e-9)
@@ -222,6 +224,9 @@ def test_supports_that_are_none():
     dm.newton(problem)
     (bc,) = problem.bcs
     other = fem.dirichletbc(np.zeros(3), np.zeros(0, np.int32), cube()[0].V)
+    top = fem.locate_dofs_topological(problem.V.sub(0), 2, tags.find("head"))
+    last = 3 * len(problem.u.x.array)
+    none = np.zeros(0, np.int32)
     for words, support, facet_tags in (
         (("facet_tags is None", "reaction(problem, support, facet_tags)"), 4, None),
         (("facet_tags is 7",), 4, 7),
@@ -230,9 +235,12 @@ def test_supports_that_are_none():
         (("support is 4294967300", "32 bits"), 2**32 + 4, tags),
         (("support is 'head'", "prescribe nothing"), "head", tags),
         (("of another mesh",), "foot", cube()[1]),
-        (("support holds -1",), [-1], None),
-        (("support holds 4.5",), 4.5, None),
-        (("support holds True",), True, None),
+        (("support holds dof -1",), [-1], None),
+        (("support holds dof",), [last] if COMM.rank == 0 else none, None),
+        (("not prescribed by problem.bcs", "returns nodes"), top, None),
+        (("support is 4.5",), 4.5, None),
+        (("support is True",), True, None),
+        (("support is [[",), [[1, 2], [3]], None),
         (("support holds", "problem.bcs"), [bc, 3], None),
         (("support holds", "problem.bcs"), other, None),
     ):

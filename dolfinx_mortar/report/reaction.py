@@ -21,7 +21,7 @@ from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.compat import on_same_mesh
 from dolfinx_mortar.mortar.surface import check_tag, check_tags
 from dolfinx_mortar.newton_method.linearisation import Balance, support_slots
@@ -69,7 +69,9 @@ def reaction(
         problem: after a step.
         support: which prescribed dofs. One of the Dirichlet conditions, or a list of them; a tag,
             or its name, for all that is prescribed at its nodes, those on its edges included,
-            whichever condition does it; None for all supports.
+            whichever condition does it; an array of this rank's local dofs, d * node + component,
+            as ``bc.dof_indices()[0]`` and locate_dofs_topological on ``V.sub(k)`` return them (on V
+            itself that returns nodes: give the condition); None for all supports.
         facet_tags: where a tag is looked up; may be left out if all interfaces have the same. Tags
             of cells, edges and vertices do as well.
         about: point of the moment, d numbers, by default the origin. Rings have none: forces on
@@ -80,7 +82,7 @@ def reaction(
 
     Raises:
         ValueError: on all ranks, before the first step, for a support that is none (an unknown tag,
-            a condition that is not the problem's), and for a point that is none.
+            dofs that are out of range or not prescribed), and for a point that is none.
     """
     check_problem(problem, ContactProblem)
     point = _check_point(problem, about)
@@ -153,20 +155,31 @@ def _check_point(problem: ContactProblem, about: Any) -> Floats:
 
 def _find(problem: ContactProblem, support: Any, facet_tags: Any) -> Bools:
     """Return which owned components (n, d) belong to a support; collective."""
+    comm, held = problem.comm, problem.supports.owned
     tag = isinstance(support, int | np.integer | str) and not isinstance(support, bool)
-    check_same_on_all_ranks(problem.comm, support=str(support) if tag else support is None)
+    bcs = [support] if isinstance(support, fem.DirichletBC) else support
+    conditions = isinstance(bcs, list | tuple) and any(isinstance(b, fem.DirichletBC) for b in bcs)
+    kind = "tag" if tag else "conditions" if conditions else "None" if support is None else "dofs"
+    check_same_on_all_ranks(comm, support=str(support) if tag else kind)
     if support is None:
-        return problem.supports.owned
+        return held
     if tag:
-        return problem.supports.owned & _tagged(problem, support, facet_tags)
-    bcs = support if isinstance(support, list | tuple) else [support]
-    with raised_together(problem.comm):
-        for bc in bcs:
-            if not any(bc is one for one in problem.bcs):
-                raise ValueError(
-                    f"support holds {bc!r}: give conditions that are in problem.bcs, or a tag"
-                )
-    return prescribed_dofs(problem.V, bcs)[: problem.n]
+        return held & _tagged(problem, support, facet_tags)
+    dofs: list[Ints] = []
+    with raised_together(comm):
+        if conditions:
+            dofs = _dofs_of_conditions(problem, bcs)
+        else:
+            dofs = [_check_dofs(problem, support)]
+    mask = marked_dofs(problem.V, dofs)[: problem.n]
+    loose, count = comm.allreduce(np.array([(mask & ~held).sum(), mask.sum()]), op=MPI.SUM)
+    if loose:
+        raise ValueError(
+            f"support: {loose} of {count} dofs are not prescribed by problem.bcs. Dofs are "
+            "d * node + component; locate_dofs_topological(V, ..) returns nodes: give the "
+            "Dirichlet condition that is made of them"
+        )
+    return mask
 
 
 def _tagged(problem: ContactProblem, support: int | str, facet_tags: Any) -> Bools:
@@ -205,3 +218,31 @@ def _tags_of(problem: ContactProblem) -> MeshTags:
             "which the support is, reaction(problem, support, facet_tags)"
         )
     return tags[0]
+
+
+def _dofs_of_conditions(problem: ContactProblem, bcs: Sequence[Any]) -> list[Ints]:
+    """Return the local dofs if all are Dirichlet conditions on the problem's space."""
+    for bc in bcs:
+        space = getattr(bc, "function_space", None)
+        known = isinstance(bc, fem.DirichletBC)
+        if not known or not problem.V._cpp_object.contains(getattr(space, "_cpp_object", space)):
+            raise ValueError(f"support holds {bc!r}: give conditions that are in problem.bcs")
+    return [bc.dof_indices()[0] for bc in bcs]
+
+
+def _check_dofs(problem: ContactProblem, support: Any) -> Ints:
+    """Return local dofs if they are some of this rank."""
+    try:
+        dofs = np.asarray(support)
+    except ValueError:
+        dofs = np.zeros((0, 0))
+    if dofs.ndim != 1 or (dofs.size and dofs.dtype.kind not in "iu"):
+        raise ValueError(
+            f"support is {support!r}: give a Dirichlet condition, a tag, or an array of local dofs"
+        )
+    layout = problem.V.dofmap.index_map
+    size = problem.d * (layout.size_local + layout.num_ghosts)
+    bad = dofs[(dofs < 0) | (dofs >= size)]
+    if bad.size:
+        raise ValueError(f"support holds dof {bad[0]}: local dofs are 0 to {size - 1}")
+    return dofs.astype(np.int32)
