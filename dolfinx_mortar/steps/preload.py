@@ -186,8 +186,8 @@ def _check(problem: ContactProblem, tie: Any, force: Any, direction: Any) -> Flo
     check_owned(problem.interfaces, problem.supports)
     if tie.pretension is not None:
         raise ValueError(
-            f"tie is {tie!r}, which has pretension={tie.pretension!r} in every step: set that to "
-            "the force, or to None"
+            f"tie is {tie!r}, and every step tightens it to pretension={tie.pretension!r}: set "
+            "tie.pretension to the force, or to None before"
         )
     if not is_number(force):
         raise ValueError(f"force is {force!r}: give a finite number, the resultant of the bolt")
@@ -217,7 +217,7 @@ def _failure(
     ]
     return PreloadNotReached(
         f"force {'; '.join(bolts)}: {cause}. The force may be too large for the stiffness of the "
-        "bolt (check units of both). Otherwise tighten in several calls, with increasing forces. "
+        "bolt (check units of both). Otherwise tighten in parts, by calls with increasing forces. "
         "Displacement, jump and committed state are as before",
         report,
     )
