@@ -44,7 +44,8 @@ def check_fields(law: Any) -> None:
 
 def check_parameters(law: str, **ranges: tuple[Parameter, float, float, bool]) -> None:
     """Raise ValueError unless each parameter=(value, *`Range`) is a finite number in it, or UFL."""
-    for name, (value, *limits) in ranges.items():
+    for name, (value, lower, upper, closed) in ranges.items():
+        limits = lower, upper, closed
         if isinstance(value, Expr):
             continue
         if not is_number(value) or not _inside(np.asarray(value, float), *limits):

@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Bools, Floats, Longs
+from dolfinx_mortar.arrays import Floats, Longs
 from dolfinx_mortar.meshing.two_bodies import Arrays
 
 
@@ -62,16 +62,10 @@ def _shell_cells(n: int, far: Longs, shells: int) -> Longs:
     facets = []
     for axis in range(3):
         on = [corner for corner in range(8) if corner >> (2 - axis) & 1]
-        face = cube[:, on]
-        facets.append(face[(position[face] >= 0).all(axis=1) & _touches(face, axis, n)])
+        coordinate = cube[:, on] // (n + 1) ** (2 - axis) % (n + 1)
+        facets.append(cube[:, on][(coordinate == n).all(axis=1)])
     quads = position[np.concatenate(facets)]
     levels = [far] + [
         (n + 1) ** 3 + len(far) * level + np.arange(len(far)) for level in range(shells)
     ]
     return np.concatenate([np.hstack([low[quads], high[quads]]) for low, high in pairwise(levels)])
-
-
-def _touches(face: Longs, axis: int, n: int) -> Bools:
-    """Tell which faces of lattice nodes lie on the far face of an axis."""
-    coordinate = face // (n + 1) ** (2 - axis) % (n + 1)
-    return np.asarray((coordinate == n).all(axis=1))

@@ -143,7 +143,7 @@ def distribute(
     Raises:
         RuntimeError: if gmsh is missing or fails, on all ranks.
     """
-    d = len(basix.geometry(basix.CellType[cell])[0])
+    d = np.asarray(basix.geometry(basix.CellType[cell])).shape[1]
     element = basix.ufl.element("Lagrange", cell, degree, shape=(d,))
     k = element.dim // d
     x: Floats = np.empty((0, d))

@@ -59,11 +59,7 @@ class Gradients:
         return _half_square(H, self.strain.shape)
 
     def turned(self, stress: Floats) -> Floats:
-        """Return stress : W^T W / 2 (n,), the part of a small strain's rotation W alone.
-
-        Args:
-            stress: (n, 4 or 6).
-        """
+        """Return stress : W^T W / 2 (n,), the part of a small strain's rotation W alone."""
         if not self.small:
             return np.zeros(len(stress))
         W: dict[tuple[int, int], Floats] = {}
@@ -148,5 +144,5 @@ def elastic_stresses(
 
 def _axial(gradient: Expr) -> Expr:
     """Return the axial vector of the skew part of grad u, of which the plane has the last entry."""
-    pairs = [(1, 0)] if gradient.ufl_shape[0] == 2 else [(2, 1), (0, 2), (1, 0)]
+    pairs = TURNS[2:] if gradient.ufl_shape[0] == 2 else TURNS
     return ufl.as_vector([(gradient[i, j] - gradient[j, i]) / 2 for i, j in pairs])
