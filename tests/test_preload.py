@@ -200,7 +200,7 @@ def test_plastic_collapse():
 def test_too_few_iterations():
     case, problem = loaded(law=dm.VonMises(E, NU, 2.0, 10.0))
     watched = Watched(case, problem)
-    words = ("not converge in max_it=2 iterations", "tighten in several calls", "as before")
+    words = ("not converge in max_it=2 iterations", "tighten in parts", "as before")
     with rejected(*words, error=dm.PreloadNotReached):
         dm.preload(problem, case.tie, 3.0, outwards(case), max_it=2)
     assert watched.unchanged()

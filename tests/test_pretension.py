@@ -404,7 +404,7 @@ def test_directions_that_do_not_fit(monkeypatch):
     case.tie.pretension, case.tie.direction = 3.0, -outwards(case)
     with rejected("direction is ", "into the slave side", "turn it round"):
         dm.newton(problem)
-    with rejected("tie is ", "pretension=3.0", "or to None"):
+    with rejected("tie is ", "pretension=3.0", "or to None before"):
         dm.preload(problem, case.tie, 3.0, outwards(case))
     case.tie.direction = None
     monkeypatch.setattr(module, "AROUND", 2.0)  # as if the cut went around a shank
