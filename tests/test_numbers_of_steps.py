@@ -208,8 +208,7 @@ LARGE = (
     "ARMIJO",
     "SAME_DEPTH",
 )
-ABSURD = dict.fromkeys(LARGE, 1e12)  # 0 for the others
-ABSURD["arrays.ROUND_OFF"] = 0.0
+ABSURD = dict.fromkeys(LARGE, 1e12) | {"arrays.ROUND_OFF": 1e-12}  # 0 for the others
 
 
 @pytest.mark.slow

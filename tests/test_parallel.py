@@ -30,7 +30,7 @@ RANKS = "DOLFINX_MORTAR_TEST_RANKS"
 # stand on what has run by default, or solve many problems: on two, and what pairs in space on
 # three.
 ON_TWO = """
-    agreement arguments audit checkpoint_damage checkpoint_edits checkpoint_errors
+    agreement arguments audit checkpoint_damage checkpoint_errors
     checkpoint_files errors friction_errors jump_errors loads mesh_audit msh output_resume
     problem progress ramp regions results solid summary tags terms tie_reach tying written_results
 """.split()

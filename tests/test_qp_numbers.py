@@ -17,7 +17,7 @@ from dolfinx_mortar.qp import LinearSolver, QPNotSolved, solve
 COMM = MPI.COMM_WORLD
 
 # What the floor still has in numbers: all are costs, or units of round-off.
-COSTS = {"RENEWAL_COST": 0.2}
+COSTS = {"RENEWAL_COST": 0.2, "HALF_OF_DIGITS": 1e12}
 DECIDE = {"LIMIT": 0.0, "ROUND_OFF": 1e12, "SHARE": 1e12, "QUARTER_OF_DIGITS": 1e-12}
 ABSURD = COSTS | DECIDE  # with factors that must be felt
 NUMBERS = sorted(ABSURD)

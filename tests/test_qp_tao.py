@@ -30,7 +30,7 @@ def recorded(monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str) -> 
     return found
 
 
-def test_far_bounds_are_moved_where_they_are_reached(
+def test_distant_bounds_are_not_reached(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Held at its bound, the first unknown keeps the second in place; free, both go far."""
@@ -48,7 +48,7 @@ def test_far_bounds_are_moved_where_they_are_reached(
     qp = from_arrays(A, b, np.full(2, -INF), np.array([0.0, INF]), COMM)
     found = gathered(solve(qp, "interior-point", rtol=1e-6).x)
     np.testing.assert_allclose(found, np.linalg.solve(A, b), rtol=1e-4)
-    assert len(scaled) == 1 and not scaled[0].A  # both boxes share one copy of A
+    assert len(scaled) == 1 and not scaled[0].A
 
 
 @pytest.mark.mpi
