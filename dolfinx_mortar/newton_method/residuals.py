@@ -179,7 +179,7 @@ def next_tolerance(kind: str, rtol: float, size: float, residuals: Sequence[Resi
         size: norm of the QP's right-hand side.
         residuals: of the iterates so far.
 
-    >>> next_tolerance("iterative", 1e-6, 1.0, [])
+    >>> round(next_tolerance("iterative", 1e-6, 1.0, []), 12)
     0.01
     """
     first = DIGIT * FORCING[kind]

@@ -80,6 +80,8 @@ def solve(
             the check.
     """
     check_name(backend)
+    if not isinstance(qp, BoundQP):
+        raise ValueError(f"qp is {qp!r}: give a BoundQP")
     check_friction(backend, qp.friction is not None)
     if backend == INTERIOR_POINT and not qp.definite:
         raise ValueError(
