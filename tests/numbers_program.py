@@ -122,7 +122,8 @@ def operators(cases):
         Phi, d = weighted_duals(pairing, segments, keep), V.dofmap.index_map_bs
         free = np.zeros((len(f.array), d), dtype=bool)
         at = point_motions(segments, find_smooth_sides(pairing, free, 40.0))
-        values.append(integrate_motions(pairing, segments, d * [Phi], at).ravel())
+        motions = integrate_motions(pairing, segments, d * [Phi], at)
+        values.append((pairing.M.matrix(motions[:, -1, -1]) * f).array.copy())
     near, far = ring(20)  # polygons of many corners
     values.append(assemble(grid([0, 1], [0, 1], k=4), joined(far, near)).used)
     return np.concatenate(kept), np.concatenate(values), np.array(resultants)
