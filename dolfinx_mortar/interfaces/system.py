@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -340,6 +341,21 @@ class InterfaceSystem:
         patterns = [link.pattern for link in links]
         coverage = [link.coupling.coverage for link in links]
         return are_outdated(claims, self.sides, patterns, coverage)
+
+    @contextmanager
+    def put_back(self) -> Iterator[None]:
+        """Restore the present configuration after the block; the first one stays; collective.
+
+        So an audit between steps is no search of the next step, and leaves its matrices alone.
+        """
+        present, room = self.present, self._room
+        try:
+            yield
+        finally:  # an error may be one of this rank only: no communication
+            if present.transformation is not None:
+                self.present, self._room = present, room
+        if present.transformation is not None:
+            present.transformation.update(present.links)  # the block may have refilled it
 
     def is_complete(self, u: fem.Function | None, x: PETSc.Vec) -> bool:
         """Tell whether no slave node outside T may be in contact; collective.
