@@ -51,6 +51,10 @@ def read_jumps(system: InterfaceSystem, empty: PETSc.Vec) -> dict[int, PETSc.Vec
     return jumps
 
 
+class TooFar(Exception):
+    """A pretension needs an overlap longer than the model."""
+
+
 class Pretensions(Term):
     """The work -sum_k F_k s_k of the pretensions of ties on their overlaps, see `Pretension`.
 
@@ -109,11 +113,23 @@ def tighten(
         system: the interfaces, with the T of the step.
         u: (n,) displacement at the end of the step.
         jumps: as `read_jumps` has returned them at its start.
+
+    Raises:
+        TooFar: on all ranks, for an overlap longer than the model's diagonal; nothing is added.
     """
+    overlaps = [system.overlap(pretension, u, jumps) for pretension in system.pretensions]
+    size = diagonal(system.V) if overlaps else 0.0
+    for pretension, overlap in zip(system.pretensions, overlaps, strict=True):
+        if abs(overlap) > size:
+            raise TooFar(
+                f"the pretension of {system.interfaces[pretension.number]} needs an overlap of "
+                f"{abs(overlap):.4g}, more than the model's diagonal, {size:.4g}: the force may be "
+                "too large for the stiffness of the bolt (check units of both)"
+            )
     found = dict(jumps)
-    for pretension in system.pretensions:
+    for pretension, overlap in zip(system.pretensions, overlaps, strict=True):
         k = pretension.number
-        way = system.overlap(pretension, u, jumps) * pretension.axis
+        way = overlap * pretension.axis
         system.interfaces[k].tighten(way)
         found[k] = jumps[k].copy() if k in jumps else 0.0 * u
         found[k].array.reshape(-1, len(way))[system.sides[k].nodes] += way

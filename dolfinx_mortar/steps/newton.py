@@ -56,7 +56,7 @@ from dolfinx_mortar.newton_method.residuals import (
 from dolfinx_mortar.newton_method.tunnelling import describe_passing
 from dolfinx_mortar.newton_method.watch import MOST_RISES, Watch, find_change
 from dolfinx_mortar.problem.checks import check_controls, check_problem
-from dolfinx_mortar.problem.jumps import tighten
+from dolfinx_mortar.problem.jumps import TooFar, tighten
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.qp import QPSolution
@@ -438,7 +438,10 @@ class _Step:
         with problem.timings("results"):
             problem.solid.evaluate()
         u = problem.vector(problem.u.x.array[: problem.d * problem.n])
-        jumps = tighten(problem.system, u, self.data.jumps)
+        try:
+            jumps = tighten(problem.system, u, self.data.jumps)
+        except TooFar as error:
+            raise failures.StepFailed(str(error)) from error
         slips = set_results(problem, iterate.balance, contacts, jumps)
         sliders = None
         if (limits := iterate.balance.limits) is not None:

@@ -9,8 +9,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, overload
 
-import numpy as np
-
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import is_number
@@ -20,10 +18,9 @@ from dolfinx_mortar.interfaces.pretension import check_direction, describe_shear
 from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.newton_method.failures import AS_BEFORE
 from dolfinx_mortar.problem.checks import check_controls, check_problem
-from dolfinx_mortar.problem.jumps import diagonal
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.step_report import NewtonNotConverged, StepReport
-from dolfinx_mortar.steps.newton import Before, solve_step
+from dolfinx_mortar.steps.newton import solve_step
 
 log = logging.getLogger(__name__)
 
@@ -32,7 +29,7 @@ class PreloadNotReached(RuntimeError):
     """A preload that the model does not carry; the state is as before.
 
     Attributes:
-        report: of the step that has failed, or has given too long a jump.
+        report: of the step that has failed.
     """
 
     def __init__(self, message: str, report: StepReport) -> None:
@@ -136,18 +133,12 @@ def preload(
     problem.audit()  # without pretensions; the sides have to be paired
     for one, n in zip(ties, axes, strict=True):
         _check_axis(problem, one, n)
-    before, start = Before(problem), [one.tightening for one in ties]
     with _pulled(ties, forces, axes):
         try:
             report = solve_step(problem, qp=qp, rtol=rtol, max_it=max_it, audit=False)
         except NewtonNotConverged as error:
             cause = error.message.removesuffix(AS_BEFORE)
             raise _failure(ties, forces, axes, cause, error.report) from error
-    change = max(float(np.linalg.norm(a.tightening - b)) for a, b in zip(ties, start, strict=True))
-    if change > diagonal(problem.V):
-        before.restore()
-        cause = f"it needs a jump of {change:.4g}, more than the model's diagonal"
-        raise _failure(ties, forces, axes, cause, report)
     problem.commit()
     found = {
         one: Preload(one.tightening.copy(), float(one.force @ n), report)
