@@ -37,7 +37,7 @@ from dolfinx_mortar.supports.dirichlet import Dirichlet
 
 # A slave facet this many times longer than the master's makes the contact pressure coarse.
 COARSE = 2.0
-# What is said of bodies that nothing holds where the overlap of a tie is free
+# Added to the message about unconstrained bodies where the overlap of a tie is free
 PRETENSION_HINT = (
     ". A tie with a pretension does not hold its sides against its direction: supports, other ties "
     "or contacts have to, at both ends of the bolt"
@@ -264,8 +264,8 @@ def _warnings(i: InterfaceAudit) -> list[str]:
     if i.dirichlet_nodes:
         warnings.append(
             f"{i.name}: at {i.dirichlet_nodes} slave nodes that face the master, Dirichlet data "
-            "prescribe the motion that the interface would constrain, and win; let the other side "
-            "be the slave, or prescribe less"
+            "prescribe the motion that the interface would constrain, and take precedence; let the "
+            "other side be the slave, or prescribe less"
         )
     return warnings
 
@@ -275,7 +275,7 @@ def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec, increment: float) -> 
 
     That is so if every slave node is deeper inside the master body than any body is large, and
     deeper than the prescribed motions of both sides, for which smaller steps help; smaller overlaps
-    are ordinary input. Where the two sides are parts of one surface, it is so as soon as a slave
+    are admissible. Where the two sides are parts of one surface, it is so as soon as a slave
     node lies that deep (faces of a crack share nodes, too, but do not overlap), or if all facets
     that face each other do so across the body.
     """

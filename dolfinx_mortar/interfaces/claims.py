@@ -20,7 +20,7 @@ from dolfinx_mortar.mortar.integrals import Coverage
 
 @dataclass(frozen=True)
 class Claims:
-    """The owners of slave nodes that several interfaces want, and what follows."""
+    """The owners of slave nodes that several interfaces claim, and the order of the interfaces."""
 
     owner: Ints  # (owned nodes,) the interface that may keep it
     banned: list[Bools]  # for each interface (local nodes,): slave nodes that it may not keep

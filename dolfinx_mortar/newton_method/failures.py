@@ -28,7 +28,7 @@ TOO_MUCH = (
 
 
 class StepFailed(Exception):
-    """A step ends without a solution; nothing has been put back or looked into yet."""
+    """A step ends without a solution; nothing has been undone or diagnosed yet."""
 
 
 def explain(

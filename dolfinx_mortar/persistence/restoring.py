@@ -125,7 +125,7 @@ def _take(
     resultants: Mapping[str, list[float]] | None,
     values: Mapping[str, Floats],
 ) -> None:
-    """Give an interface its results, or take them away; collective."""
+    """Set the results of an interface, or clear them; collective."""
     interface.clear()
     committed, ended = state.committed, state.committed.found_slips
     assert ended is not None

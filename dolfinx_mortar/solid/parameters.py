@@ -110,7 +110,7 @@ class ParameterTable(Followed):
         values = vars(self.values(owned, points))
         wrong: dict[str, Bools] = {}
         with raised_together(domain.comm):
-            if len(owned):  # rules of users need not know what to say of nothing
+            if len(owned):  # rules of users need not handle empty arrays
                 law = self._law
                 wrong = wrong_values(law.name, law.ranges, law.conditions, values)
         rules = sorted(set().union(*domain.comm.allgather(set(wrong))))

@@ -451,7 +451,7 @@ class _Step:
         report.certificate = create_certificate(
             problem, report, contacts, residual, sliders, left_out
         )
-        supports = support_forces(problem, iterate.balance)  # last, for no error may follow
+        supports = support_forces(problem, iterate.balance)  # last, as no error may follow
         committed = problem.committed
         committed.contacts = contacts.active, contacts.sliding
         committed.found_slips, committed.supports = slips, supports
