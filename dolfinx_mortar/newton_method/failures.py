@@ -109,7 +109,7 @@ def describe_flow(problem: ContactProblem) -> str:
     except ValueError:  # not a number: nothing to be learnt from this iterate
         return ""
     solid.assemble_tangent(problem.K)  # the next step assembles its own
-    step = problem.vector(u.x.array[: problem.d * problem.n])
+    step = problem.vector(problem.owned_u)
     if not step.dot(problem.K * step) < SOFT * solid.elastic_norm(u) ** 2:
         return ""
     flowing, weights = solid.flowing(), solid.fields.weights  # since the committed state

@@ -125,7 +125,7 @@ def notes_on_sliding(problem: ContactProblem, contacts: Contacts) -> list[str]:
         return []
     notes, length = [], problem.system.facet_length
     for link in problem.system.unilateral:
-        slip = slipped(link, problem.vector(problem.u.x.array[: problem.d * problem.n]))
+        slip = slipped(link, problem.vector(problem.owned_u))
         slip[~contacts.active[link.nodes]] = 0.0
         farthest = float(maximum(problem.comm, slip.max(initial=0.0))[0])
         if farthest > length:
@@ -142,9 +142,7 @@ def notes_on_lost_friction(problem: ContactProblem, contacts: Contacts) -> list[
     Dirichlet data leave no tangential unknown there, to which friction could be applied.
     """
     notes = []
-    moved = problem.vector(
-        problem.u.x.array[: problem.d * problem.n] - problem.committed.displacement
-    )
+    moved = problem.vector(problem.owned_u - problem.committed.displacement)
     for link in problem.system.links:
         if not link.interface.rough:
             continue
