@@ -20,8 +20,7 @@ from dolfinx_mortar.audit.stand_off import warnings_on_straight_facets
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes, normals_at_nodes
 from dolfinx_mortar.geometry.segments import FACING
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
-from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.motions import relative_motions
+from dolfinx_mortar.interfaces.link import Link, relative_motions
 from dolfinx_mortar.interfaces.pretension import describe_shear
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.curvature_correction import count_edges

@@ -18,8 +18,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.arrays import Bools, Floats
-from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.motions import node_motions
+from dolfinx_mortar.interfaces.link import Link, node_motions
 
 
 @dataclass(frozen=True)
