@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The dolfinx calls that changed between 0.9 and 0.11: one function per changed API."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -6,8 +6,6 @@ Elasticity, section 28. The change of the pressure by axial stresses is that of 
 plane, as in the pull-out of fibres (A. Takaku, R. G. C. Arridge, J. Phys. D 6 (1973) 2038-2047).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The geometry audit before the first step: errors and warnings about sides and bodies."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ Facets deviate from the curved surface by their sagittas, which enter the gaps w
 from node to node. The forces K^_jj times these differences are compared with the contact forces.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from mpi4py import MPI

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Which interface a slave node belongs to, and in which order the interfaces' bases multiply."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

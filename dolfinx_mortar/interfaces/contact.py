@@ -14,8 +14,6 @@ lambda_j g_j = 0 are bounds in the basis of `dolfinx_mortar.interfaces.basis`, w
 the reaction of that bound is D_jj lambda_j.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Limits of friction as their user gives them: coefficients, or tractions."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from numbers import Real
 from typing import TypeAlias

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The jump of a tie: forms in which it may be given, and its values at the slave nodes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

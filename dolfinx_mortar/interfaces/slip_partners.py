@@ -9,8 +9,6 @@ it stays with. Measured: an elasto-plastic step of Hertz with updated geometry, 
 thousand unknowns, takes 10 Newton iterations instead of 15; 7 without friction.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from petsc4py import PETSc

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Mesh tying."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

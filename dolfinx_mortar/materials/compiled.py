@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """A law as a compiled function of numbers: the code that a solid runs, without any mesh."""
 
-from __future__ import annotations
-
 import dataclasses
 import tempfile
 from collections.abc import Callable, Mapping

@@ -6,8 +6,6 @@ The weight of a pairing, such as 2 pi r, is a factor of all these integrals. It 
 points of the slave side where they are at X: there it stays what it was, and positive.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

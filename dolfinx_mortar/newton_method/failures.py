@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Why a step has failed: a limit load, a body that nothing holds, or friction."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The committed state of a problem in one record, of which checkpoints are made."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

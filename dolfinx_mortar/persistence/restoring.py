@@ -4,8 +4,6 @@
 Its checksum shows that it is as it was written, so its contents are not validated.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass

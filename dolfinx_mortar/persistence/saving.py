@@ -7,8 +7,6 @@ the load steps, and the tables of their ramps. Data that a program sets before e
 saved: loads, supports, jumps, parameters and eigenstrain that may change.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import os
 from collections.abc import Sequence

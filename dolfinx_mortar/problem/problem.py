@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Bodies, interfaces, supports and loads of a load step."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Callable, Mapping, Sequence

@@ -17,8 +17,6 @@ Rosen (1960) and Fletcher (1971), for a quadratic and a sum of norms. J decrease
 minimum to the next, and there are finitely many.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from mpi4py import MPI

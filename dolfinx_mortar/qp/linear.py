@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Linear systems with held unknowns, and the reuse of factorisations among them."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass

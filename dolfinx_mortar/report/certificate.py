@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The certificate of a converged step: residuals of equilibrium and of the contact laws."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

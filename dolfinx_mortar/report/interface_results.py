@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Results of the interfaces from the last balance of a step, and notes on them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from petsc4py import PETSc

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Pointwise overlaps that the weighted gap averages out: a corner between coarse slave nodes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

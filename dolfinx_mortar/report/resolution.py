@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Whether the contact patch with the largest pressure has enough nodes to resolve it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations
 

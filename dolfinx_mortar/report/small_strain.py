@@ -6,8 +6,6 @@ it is about e / 2 relatively, which is also what different measures of finite st
 rotation by an angle a it is a^2 / 2, an error in any measure.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from mpi4py import MPI

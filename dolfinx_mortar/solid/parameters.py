@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Parameters of a law in its cells: numbers, and what the user may change between steps."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Mapping, Sequence

@@ -10,8 +10,6 @@ the parameters, which live in Functions. Parameters that the user changes are fo
 is assembled or evaluated next.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

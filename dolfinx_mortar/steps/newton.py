@@ -14,8 +14,6 @@ Updates of the geometry are a fixed-point iteration: one after every iteration w
 or the residual decreases; otherwise the geometry is frozen until Newton's method has converged.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace

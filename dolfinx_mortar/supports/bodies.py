@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Bodies: the connected parts of a mesh, and their unconstrained rigid-body modes."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

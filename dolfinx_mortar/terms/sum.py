@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The sum over bodies and terms: energy, forces and tangent of a problem, each in one place."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
