@@ -24,14 +24,6 @@ def on_same_mesh(tags: mesh.MeshTags, domain: mesh.Mesh) -> bool:
     return unwrapped(tags.topology) is unwrapped(domain.topology)
 
 
-def cell_partitioner(ghosts: mesh.GhostMode) -> Any:
-    """Return the default partitioner with such ghosts (0.11 asks for the cells per facet)."""
-    try:
-        return mesh.create_cell_partitioner(ghosts, 2)
-    except TypeError:
-        return mesh.create_cell_partitioner(ghosts)
-
-
 def cell_degree(domain: mesh.Mesh) -> int:
     """Return the degree of the cells' geometry (0.11 has a list of maps, one per cell type)."""
     geometry: Any = domain.geometry
