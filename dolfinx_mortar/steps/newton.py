@@ -134,7 +134,7 @@ def solve_step(
             _attempt(problem, report, max_it, overlap, level, audit)
         except NewtonNotConverged as error:
             if given_up:
-                problem.linear.take_up_multigrid()
+                problem.linear.return_to_multigrid()
                 raise
             by_solver = isinstance(error.__cause__, backends.QPNotSolved)
             if not (by_solver and problem.linear.factorise_instead()):
