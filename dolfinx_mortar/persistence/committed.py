@@ -43,7 +43,7 @@ class Slips:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class StepOutcome:
     """What a converged step leaves for `Committed.commit`."""
 
     at: Floats  # (n,) displacement at the end of the step
@@ -71,7 +71,7 @@ class Committed:
     walk: Walk | None = None  # the last call of `load_steps`, the only one that may continue
     supports: SupportForces | None = None  # of the last step that has converged
 
-    def commit(self, u: Floats, outcome: Outcome | None) -> None:
+    def commit(self, u: Floats, outcome: StepOutcome | None) -> None:
         """Commit the displacement (n,), with the outcome of the step that has ended there."""
         self.begun, self.displacement = True, u.copy()
         if outcome is None:

@@ -19,7 +19,13 @@ from dolfinx_mortar.checkpoint import read_about, read_tables, size_of
 from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.interfaces.interface import Resultants, check_owned
 from dolfinx_mortar.interfaces.system import Paired
-from dolfinx_mortar.persistence.committed import Outcome, ProblemState, Slips, SupportForces, Walk
+from dolfinx_mortar.persistence.committed import (
+    ProblemState,
+    Slips,
+    StepOutcome,
+    SupportForces,
+    Walk,
+)
 from dolfinx_mortar.persistence.identity import describe, differences, material_numbers
 from dolfinx_mortar.persistence.saving import NODES, POINTS, RESULTANTS, SLIPS, name_of, places_of
 from dolfinx_mortar.step_report import LoadStep
@@ -41,7 +47,7 @@ class Saved:
         """The levels that the last call of `load_steps` has reached."""
         return [step.time for step in self.steps[len(self.steps) - self.about["walked"] :]]
 
-    def put(self) -> Outcome:
+    def put(self) -> StepOutcome:
         """Make it the state of the problem; return what a commit takes over; collective."""
         state, committed = self.state, self.state.committed
         _set(state.u, self.tables[NODES]["displacement"])
@@ -72,7 +78,7 @@ class Saved:
         committed.history[:], committed.brought = self.steps, len(self.steps)
         state.system.faced = True
         u = self.tables[NODES]["displacement"].flatten()
-        return Outcome(u, committed.active, committed.sliding, committed.paired, slips)
+        return StepOutcome(u, committed.active, committed.sliding, committed.paired, slips)
 
     def _paired(self) -> Paired | None:
         """Return where the surfaces were paired; None where that is not known."""

@@ -20,7 +20,7 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.checkpoint import Table, find_places, write
 from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.interfaces.interface import Interface, check_owned
-from dolfinx_mortar.persistence.committed import Committed, Outcome, ProblemState
+from dolfinx_mortar.persistence.committed import Committed, ProblemState, StepOutcome
 from dolfinx_mortar.persistence.identity import describe, material_numbers
 
 NODES, POINTS = "nodes", "points"
@@ -28,7 +28,7 @@ SLIPS = ("slid", "dissipated")
 RESULTANTS = ("force", "moment", "master_force", "master_moment")
 
 
-def save(state: ProblemState, path: str | os.PathLike[str], outcome: Outcome | None) -> None:
+def save(state: ProblemState, path: str | os.PathLike[str], outcome: StepOutcome | None) -> None:
     """Write a checkpoint, with the outcome of a step not yet committed; `ContactProblem.save`."""
     file = check_path(state.comm, path)
     check_owned(state.interfaces, state.supports)
@@ -65,7 +65,7 @@ def places_of(state: ProblemState, results: Sequence[bool]) -> dict[str, Floats]
     }
 
 
-def _nodal(state: ProblemState, last: Outcome | Committed) -> dict[str, Floats]:
+def _nodal(state: ProblemState, last: StepOutcome | Committed) -> dict[str, Floats]:
     u = _owned(state.u)
     found = {"displacement": u, "active": last.active[:, None].astype(float)}
     if (paired := state.committed.paired) is not None and len(paired.at):

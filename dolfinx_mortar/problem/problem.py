@@ -27,7 +27,7 @@ from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.system import Configuration, InterfaceSystem
 from dolfinx_mortar.persistence import restoring, saving
-from dolfinx_mortar.persistence.committed import Committed, Outcome, ProblemState
+from dolfinx_mortar.persistence.committed import Committed, ProblemState, StepOutcome
 from dolfinx_mortar.problem.checks import check_arguments
 from dolfinx_mortar.problem.jumps import Pretensions, read_jumps
 from dolfinx_mortar.problem.preconditioning import UnknownsOfBodies
@@ -127,7 +127,7 @@ class ContactProblem:
             )
         slips = np.zeros((2, len(sides), self.n))
         self.committed = Committed(np.zeros(self.n, dtype=bool), self.owned_u.copy(), *slips)
-        self.outcome: Outcome | None = None  # of the last step, until it is committed
+        self.outcome: StepOutcome | None = None  # of the last step, until it is committed
 
     # -- parts -----------------------------------------------------------------------------------
 
@@ -433,7 +433,7 @@ class ContactProblem:
             self.committed.commit(self.owned_u, self.ended_here())
             self.outcome = None
 
-    def ended_here(self) -> Outcome | None:
+    def ended_here(self) -> StepOutcome | None:
         """Return the outcome of the last step, None if u has been reset since; collective."""
         elsewhere = self.outcome is None or not np.array_equal(self.outcome.at, self.owned_u)
         return None if any_rank(self.comm, elsewhere)[0] else self.outcome

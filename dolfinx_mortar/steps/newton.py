@@ -53,7 +53,7 @@ from dolfinx_mortar.newton_method.residuals import (
 )
 from dolfinx_mortar.newton_method.tunnelling import describe_passing
 from dolfinx_mortar.newton_method.watch import MOST_RISES, Watch, find_change
-from dolfinx_mortar.persistence.committed import Outcome
+from dolfinx_mortar.persistence.committed import StepOutcome
 from dolfinx_mortar.problem.checks import check_controls, check_problem
 from dolfinx_mortar.problem.jumps import tighten
 from dolfinx_mortar.problem.problem import ContactProblem
@@ -452,7 +452,7 @@ class _Step:
         )
         supports = support_forces(problem, iterate.balance)  # last, as no error may follow
         at, paired = problem.owned_u.copy(), problem.system.present.paired
-        outcome = Outcome(at, contacts.active, contacts.sliding, paired, slips)
+        outcome = StepOutcome(at, contacts.active, contacts.sliding, paired, slips)
         problem.outcome, problem.committed.supports = outcome, supports
         report.converged = True
 
