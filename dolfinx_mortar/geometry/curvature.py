@@ -38,6 +38,8 @@ pressures: so edges are first projected on the tangent plane, by half of |e|^2 t
 along them, as found with the sums before, without its isotropic part (that of a sphere).
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from itertools import combinations
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """An interface in one configuration: relative motions, gaps, and the transpose of both."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 from petsc4py import PETSc

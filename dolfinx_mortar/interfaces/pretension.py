@@ -14,6 +14,8 @@ F / e_p at node p and its negative, spread by P, on the master side. T^T takes t
 entry F of s, and to nothing else.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

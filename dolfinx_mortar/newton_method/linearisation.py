@@ -6,6 +6,8 @@ another QP is needed. Newton's method, the line search, the certificate and the 
 both are immutable.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 
 from mpi4py import MPI

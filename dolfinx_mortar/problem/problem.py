@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Bodies, interfaces, supports and loads of a load step."""
 
+from __future__ import annotations
+
 import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
