@@ -68,7 +68,7 @@ def block(cells: int) -> tuple[fem.FunctionSpace, BoundQP]:
 def plain(A: PETSc.Mat) -> tuple[float, float, float]:
     """Return seconds of symbolic + numeric factorisation, of numeric alone, of one solve."""
     linear = LinearSolver(COMM, prefix="plain_")
-    linear.attach(A)
+    linear.set_matrix(A)
     none = np.zeros(0, dtype=np.int32)
     r, x = A.createVecRight(), A.createVecRight()
     r.set(1.0)

@@ -8,8 +8,6 @@ Functions, signatures of UFL, and the values of Constants. Values of Functions, 
 cells belong to the parts of the mesh, and may differ; so may what a function of points returns.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import os

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Checks of arguments that all rooms share, without communication."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection
 from numbers import Integral, Real

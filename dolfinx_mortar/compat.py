@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The dolfinx calls that changed between 0.9 and 0.11: one function per changed API."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -24,14 +22,6 @@ def on_same_mesh(tags: mesh.MeshTags, domain: mesh.Mesh) -> bool:
         return getattr(topology, "_cpp_object", topology)
 
     return unwrapped(tags.topology) is unwrapped(domain.topology)
-
-
-def cell_partitioner(ghosts: mesh.GhostMode) -> Any:
-    """Return the default partitioner with such ghosts (0.11 asks for the cells per facet)."""
-    try:
-        return mesh.create_cell_partitioner(ghosts, 2)
-    except TypeError:
-        return mesh.create_cell_partitioner(ghosts)
 
 
 def cell_degree(domain: mesh.Mesh) -> int:

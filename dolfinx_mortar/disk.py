@@ -6,8 +6,6 @@ that would be replaced is a checkpoint: ``Writer("run.xdmf", ..)`` and ``checkpo
 the same one.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 from contextlib import suppress

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Check of displacement spaces: which are supported; for all floors."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from petsc4py import PETSc

@@ -69,7 +69,7 @@ class Certificate:
     Scales: forces to the largest of external, contact, reaction and element forces; lengths to the
     mean slave facet; multipliers to the largest multiplier; tangential reactions to the largest
     limit of friction, their energies to the limits times the slips. What the small strain leaves
-    out is that of the body in which it is felt most.
+    out is that of the body with the largest share.
     """
 
     equilibrium: float  # forces on free unknowns
@@ -91,7 +91,7 @@ class Certificate:
     geometry_change: float
     friction_cone: float = 0.0  # largest tangential reaction beyond its limit
     friction_stick: float = 0.0  # longest slip of a node that sticks
-    friction_work: float = 0.0  # what friction takes less than its limits over the slips
+    friction_work: float = 0.0  # limits times slips, less the dissipation
     friction_gain: float = 0.0  # largest energy that a node gets from friction
     left_out_strain: float = 0.0  # largest |H^T H| / 2, H = grad u, over the largest strain
     left_out_work: float = 0.0  # share of rotations, left out, in the work of a body's stresses
@@ -222,7 +222,7 @@ class LoadStep:
 
     @property
     def outcome(self) -> str:
-        """Where it has led and what it took, in a few words."""
+        """Result and cost, in a few words."""
         iterations = sum(part.newton_iterations for part in self.parts)
         cut = f" in {len(self.parts)} parts" if len(self.parts) > 1 else ""
         certificate = self.report.certificate

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Tags of cells or facets with names; for all floors."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from types import MappingProxyType

@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 import basix.ufl
 import dolfinx
-from dolfinx_mortar import compat
 
 LOWER, UPPER = 1, 2
 BOTTOM, TOP, TOP_OF_LOWER, BOTTOM_OF_UPPER, LEFT, RIGHT = 1, 2, 3, 4, 5, 6
@@ -71,7 +70,11 @@ def _partitioner(partition: str, comm: MPI.Comm, stripes: npt.NDArray[np.int32])
     if comm.size == 1 or partition == "graph":
         return None
     if partition == "shared_facet":
-        return compat.cell_partitioner(dolfinx.mesh.GhostMode.shared_facet)
+        ghosts = dolfinx.mesh.GhostMode.shared_facet
+        try:
+            return dolfinx.mesh.create_cell_partitioner(ghosts, 2)
+        except TypeError:  # before 0.11, which asks for the cells per facet
+            return dolfinx.mesh.create_cell_partitioner(ghosts)
 
     def send(*_):
         destinations = dolfinx.graph.adjacencylist(stripes.reshape(-1, 1))

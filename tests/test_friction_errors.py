@@ -9,6 +9,9 @@ import pytest
 import basix.ufl
 import dolfinx_mortar as dm
 from dolfinx import fem
+from dolfinx.mesh import CellType, create_unit_square
+from dolfinx_mortar.interfaces import coulomb
+from dolfinx_mortar.interfaces.coulomb import FrictionLaw
 from tests.friction_case import COMM, create
 from tests.meshes import two_blocks
 from tests.pressed_blocks import rejected, some_rank
@@ -137,6 +140,19 @@ def test_a_constant_that_goes_bad_between_steps(case, name, bad):
     assert np.array_equal(case.contact.force, force)
     value.value = 0.1
     assert dm.newton(case.problem).converged
+
+
+@pytest.mark.mpi
+def test_a_zero_of_another_degree_is_no_negative_limit(monkeypatch):
+    """Interpolation from degree 3 to quadrilaterals of degree 1 leaves its round-off."""
+    grid = create_unit_square(COMM, 5, 5, CellType.quadrilateral)
+    given = fem.Function(fem.functionspace(grid, ("Lagrange", 3)))
+    given.interpolate(lambda x: np.where(x[0] < 0.5, 0.0, 0.3 + x[1]))
+    law, linear = FrictionLaw("friction", given), fem.functionspace(grid, ("Lagrange", 1))
+    assert law.values(linear).min(initial=0.0) == 0.0
+    monkeypatch.setattr(coulomb, "ROUND_OFF", 0.0)
+    with rejected("friction", "finite and >= 0"):
+        law.values(linear)
 
 
 @pytest.mark.mpi

@@ -54,7 +54,7 @@ def cost(report):
 
 @pytest.mark.parametrize("way", [0.03, 0.05, 0.1, 0.2])
 def test_a_block_of_a_tower_slides_on(way):
-    """By the weakest interface, at its limit; begun stuck, it lets go of itself and fails."""
+    """By the weakest interface, at its limit; begun stuck, nodes slip one by one and it fails."""
     tower = Tower()
     for before in (0.0, 0.01, 0.03):
         tower.push(before)

@@ -83,7 +83,7 @@ def test_sliding_turns_work_into_dissipation(cell, slave):
 
 
 def loop(steps):
-    """Push to and fro in so many steps; return work, change of energy, and dissipation.
+    """Push back and forth in so many steps; return work, change of energy, and dissipation.
 
     The work is that of the top by the trapezoidal rule.
     """

@@ -51,7 +51,7 @@ def solved(linear: LinearSolver, qp: BoundQP, held: np.ndarray) -> float:
     """Solve from zero; return the relative residual on the unknowns that are not held."""
     x = qp.b.duplicate()
     x.set(0.0)
-    linear.attach(qp.A)
+    linear.set_matrix(qp.A)
     linear.solve(qp.b, x, held, atol=RTOL * qp.b.norm())
     r = qp.b - qp.A * x
     r.array[held] = 0.0
@@ -62,7 +62,7 @@ def solved(linear: LinearSolver, qp: BoundQP, held: np.ndarray) -> float:
 @pytest.mark.mpi
 def test_held_unknowns_keep_their_values(qp: BoundQP) -> None:
     linear = LinearSolver(COMM, prefix="held_")
-    linear.attach(qp.A)
+    linear.set_matrix(qp.A)
     x = qp.b.duplicate()
     x.set(0.0)
     x.array[qp.bounded] = 0.25
@@ -95,7 +95,7 @@ def test_a_slow_old_factorisation_is_renewed_at_once(qp: BoundQP) -> None:
     before = linear.counts.iterations
     assert solved(linear, qp, none()) <= RTOL
     assert linear.counts.factorisations == 2
-    assert linear.counts.iterations - before <= 4 + linear.attached.renewal.after
+    assert linear.counts.iterations - before <= 4 + linear.setup.renewal.after
 
 
 @pytest.mark.mpi
@@ -155,7 +155,7 @@ def test_options_of_the_user_win_and_ours_leave_no_trace(
 def test_options_reach_mumps(qp: BoundQP) -> None:
     linear = LinearSolver(COMM, prefix="reach_", options={"mat_mumps_icntl_7": 2})
     solved(linear, qp, none())
-    factor = linear.attached.ksp.getPC().getFactorMatrix()
+    factor = linear.setup.ksp.getPC().getFactorMatrix()
     assert factor.getMumpsIcntl(7) == 2
 
 
@@ -165,7 +165,7 @@ def test_too_small_a_workspace_is_enlarged() -> None:
     qp.b.set(1.0)
     linear = LinearSolver(COMM, prefix="small_", options={"mat_mumps_icntl_14": -70})
     assert solved(linear, qp, none()) <= RTOL
-    assert linear.attached.ksp.getPC().getFactorMatrix().getMumpsIcntl(14) > 0
+    assert linear.setup.ksp.getPC().getFactorMatrix().getMumpsIcntl(14) > 0
 
 
 @pytest.mark.mpi
@@ -271,7 +271,7 @@ def test_the_limit_of_iterations_is_an_option(
     linear = LinearSolver(COMM, prefix="limit_", options=options)
     with pytest.raises(LinearSolveFailed, match="the residual is"):
         solved(linear, qp, none())
-    assert linear.attached.max_iterations == 5 and linear.counts.iterations <= 10
+    assert linear.setup.max_iterations == 5 and linear.counts.iterations <= 10
     assert linear.options.unread() == []
 
 
@@ -349,9 +349,9 @@ def test_a_class_is_small() -> None:
     solved(linear, qp, none())
     parts = (
         linear,
-        linear.attached.operator,
-        linear.attached.renewal,
-        linear.attached.preconditioner,
+        linear.setup.operator,
+        linear.setup.renewal,
+        linear.setup.preconditioner,
         linear.options,
     )
     assert max(len(vars(part)) for part in parts) <= 12
@@ -366,8 +366,8 @@ def test_clear_frees_the_matrices_and_the_factorisation(qp: BoundQP, pc: str) ->
     """Nobody but this test holds them afterwards: not the KSP's PC, nor that of multigrid."""
     linear = LinearSolver(COMM, prefix="clear_", options={"pc_type": pc})
     solved(linear, qp, qp.bounded)
-    preconditioner, operator = linear.attached.preconditioner, weakref.ref(linear.attached.operator)
-    outer, inner = linear.attached.ksp.getPC(), preconditioner.pc
+    preconditioner, operator = linear.setup.preconditioner, weakref.ref(linear.setup.operator)
+    outer, inner = linear.setup.ksp.getPC(), preconditioner.pc
     matrices = {
         "cholesky": lambda: (inner.getFactorMatrix(), inner.getOperators()[1]),
         "gamg": lambda: (outer.getOperators()[0], inner.getOperators()[1]),

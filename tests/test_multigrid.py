@@ -230,7 +230,7 @@ def test_one_set_up_serves_all_geometries(moved, monkeypatch):
 
 def test_the_finest_level_is_the_matrix_of_the_moment(moved):
     """(I - E)^T A (I - E) of the last set and geometry, not of the set-up; so its diagonal."""
-    linear = moved[0].linear.attached
+    linear = moved[0].linear.setup
     multigrid, held = linear.preconditioner.multigrid, linear.operator.held
     assert not linear.preconditioner.is_of(held)  # it is an old set-up
     E, (finest, B) = multigrid.E, multigrid.inner.getOperators()
@@ -251,9 +251,9 @@ def test_the_same_matrix_is_followed_once(moved, monkeypatch):
     linear, asked = moved[0].linear, []
     change = linear.unknowns.change
     monkeypatch.setattr(linear.unknowns, "change", lambda held: asked.append(held) or change(held))
-    held = linear.attached.operator.held
+    held = linear.setup.operator.held
     for now in (held, held, held[:0], held[:0], held):
-        linear.attached.preconditioner.follow(now)
+        linear.setup.preconditioner.follow(now)
     assert len(asked) == 2  # the last solve was of this set
 
 

@@ -45,10 +45,9 @@ NUMBERS = {
 }
 # judged below, in test_smooth_second, test_stand_off, test_resolution, in
 # test_edges, in those of checkpoints, in test_preload, in test_friction_bodies, in
-# test_friction_errors, in test_tie_reach, in test_small_strain, and in test_ramp
+# test_tie_reach, in test_small_strain, and in test_ramp
 OTHERS = {
     "interfaces.contact",
-    "interfaces.coulomb",
     "interfaces.interface",
     "interfaces.tie",
     "audit.stand_off",

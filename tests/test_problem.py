@@ -196,7 +196,7 @@ def test_values_that_change_in_time():
 
 @pytest.mark.mpi
 def test_no_vector_of_petsc_is_made_of_a_displacement(monkeypatch):
-    """It would be destroyed where Python lets go of u, which ranks do at different times.
+    """It would be destroyed where Python deletes u, which ranks do at different times.
 
     The next one of its space, as of a second problem on the same mesh, would then wait for ever.
     """

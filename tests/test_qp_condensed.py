@@ -38,7 +38,7 @@ def test_a_model_that_breaks_down_is_only_a_lost_guess(
 @pytest.mark.mpi
 def test_a_step_that_would_raise_the_energy_ends_at_its_minimum() -> None:
     qp, linear = membrane(12, force=1.0), LinearSolver(COMM, prefix="minimum_")
-    linear.attach(qp.A)
+    linear.set_matrix(qp.A)
     own = qp.bounded
     everywhere = condensed.Everywhere(COMM, own, np.array(COMM.allgather(own.size)))
     linear.factorise(own)

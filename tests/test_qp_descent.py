@@ -79,7 +79,7 @@ def test_a_belt_on_a_drum(mu: float) -> None:
 def attached(qp: BoundQP, rtol: float) -> HeldProblem:
     """Return it with a linear solver, from x = 0."""
     linear = LinearSolver(SELF, prefix="descent_")
-    linear.attach(qp.A)
+    linear.set_matrix(qp.A)
     x = qp.b.duplicate()
     x.set(0.0)
     return HeldProblem(qp, linear, x, rtol)

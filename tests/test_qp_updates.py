@@ -162,7 +162,7 @@ def test_loose_solves_are_accurate_to_a_share_of_the_reactions(level: int) -> No
     """Those that come out, not those of a guess, which are 40 times as large."""
     qp, rtol = membrane(24), 1e-8
     linear = LinearSolver(COMM, prefix="share_", options={"pc_type": "jacobi"})
-    linear.attach(qp.A)
+    linear.set_matrix(qp.A)
     x = qp.b.duplicate()
     x.set(0.0)
     x.array[:] = 3.0 * np.cos(5.0 * np.arange(*x.getOwnershipRange()))
@@ -182,7 +182,7 @@ def test_a_small_step_under_large_forces() -> None:
     A, b = np.diag([1e12, 1.0]), np.array([1e6, 2e-6])
     qp = from_arrays(A, b, np.full(2, -INF), np.array([INF, 1e-6]), COMM)
     linear = LinearSolver(COMM, prefix="small_step_")
-    linear.attach(qp.A)
+    linear.set_matrix(qp.A)
     problem = HeldProblem(qp, linear, qp.b.duplicate(), 1e-4)
     first = State.create(qp, np.zeros(qp.bounded.size, dtype=np.int8))
     outcome = update(problem.hold, first, COMM)

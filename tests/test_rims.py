@@ -50,7 +50,7 @@ def test_who_has_returned_stays():
     assert rim.carries(0.053) and not rim.carries(0.042)
     assert rim.notes == []
     assert rim.carries(0.053) and rim.carries(0.042) and rim.carries(0.026)
-    assert len(rim.notes) == 1 and "whether 1 slave nodes" in rim.notes[0]
+    assert len(rim.notes) == 1 and ": 1 slave nodes at the rim" in rim.notes[0]
     assert rim.carries(0.06) and rim.notes == []  # it has only been elsewhere on the way
     assert not rim.carries(0.024) and not rim.carries(0.042) and rim.carries(0.053)
 
@@ -67,7 +67,7 @@ def test_a_step_remembers_nothing_of_another():
 @pytest.mark.serial
 @pytest.mark.slow
 def test_a_box_whose_rim_carries_in_turns():
-    """With the node its share is .053, without it .042: the geometry had gone to and fro for ever.
+    """With a multiplier its share is .042, without .053: the geometry had alternated without end.
 
     Of second order; the check knows which nodes have stayed, and nothing else of them.
     """

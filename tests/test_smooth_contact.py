@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Contact between smooth surfaces: what it mends, on any mesh, slave and ranks; its arguments."""
+"""Contact between smooth surfaces: its effect, on any mesh, slave and ranks; its arguments."""
 
 from mpi4py import MPI
 

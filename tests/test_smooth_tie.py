@@ -179,7 +179,7 @@ def test_the_operator_does_not_depend_on_the_ranks(cell, partition):
     assert found[0] == pytest.approx(found[1], abs=1e-12)
 
 
-# -- what it mends ---------------------------------------------------------------------------------
+# -- what it corrects ------------------------------------------------------------------------------
 
 
 def create_shells(cell, k):

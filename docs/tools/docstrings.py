@@ -19,7 +19,8 @@ LITERAL = re.compile(r"(``.*?``|`[^`]+`)")
 ARRAY = re.compile(
     r"~?(?:numpy\.)?ndarray\[tuple\[int, \.\.\.\], ~?(?:numpy\.)?dtype\[~?(?:numpy\.)?(\w+)\]\]"
 )
-ARRAYS = {"float64": "Floats", "int8": "Actives", "int32": "Ints", "int64": "Longs"}
+ARRAYS = {"float64": "Floats", "bool": "Bools"}
+ARRAYS |= {"int8": "Actives", "int32": "Ints", "int64": "Longs"}
 PROMPT = re.compile(r"\s*>>> ")
 
 
@@ -90,8 +91,8 @@ def named_types(signature: str) -> str:
 
     Defaults that are made anew for each object are three dots.
 
-    >>> named_types("(x: TypeAliasForwardRef('Floats')) -> ndarray[tuple[int, ...], dtype[int32]]")
-    '(x: Floats) -> Ints'
+    >>> named_types("(x: TypeAliasForwardRef('Floats')) -> ndarray[tuple[int, ...], dtype[bool]]")
+    '(x: Floats) -> Bools'
     >>> named_types("(parts: list[StepReport] = <factory>)")
     '(parts: list[StepReport] = ...)'
     """

@@ -90,7 +90,7 @@ DEMOS = [
     Demo(
         "ball_joint",
         "Sides that fit closely, on coarse meshes: with facets the force is that of the mesh.",
-        {"pressure.png": "Pressure on the ball for each mesh, with facets and smooth surfaces."},
+        {"pressure.png": "Pressure on the ball, first two meshes, facets and smooth surfaces."},
     ),
     Demo(
         "tied_cylinder",

@@ -259,7 +259,7 @@ def pushed_disc_of_the_paper() -> Iterator[Row]:
 
 
 @case(
-    "Disc pushed to and fro, a twentieth of the half width (demo cattaneo)",
+    "Disc pushed back and forth, a twentieth of the half width (demo cattaneo)",
     "Cattaneo, Mindlin, Deresiewicz, for half spaces, at our forces; the computed stick zone ends "
     "within a facet, of which the middle is taken",
 )
@@ -276,7 +276,7 @@ def partial_slip() -> Iterator[Row]:
 
 
 @case(
-    "Half ball on a block, pushed to and fro in 3D (hexahedra, a sixth of the radius)",
+    "Half ball on a block, pushed back and forth in 3D (hexahedra, a sixth of the radius)",
     "Mindlin, Deresiewicz, for half spaces, at our forces",
 )
 def partial_slip_in_space() -> Iterator[Row]:

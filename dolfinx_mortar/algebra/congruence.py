@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """(I + C)^T K (I + C) for C with few rows: as a matrix, and as an operator without a matrix."""
 
-from __future__ import annotations
-
 from petsc4py import PETSc
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Errors of some ranks, raised on all of them, so that no rank waits for another one for ever."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

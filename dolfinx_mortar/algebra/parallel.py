@@ -4,8 +4,6 @@
 Mpi4py's lower-case ``allreduce`` has no MAX of arrays, as it compares whole objects.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from mpi4py import MPI

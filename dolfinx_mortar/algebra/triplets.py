@@ -34,7 +34,7 @@ class Triplets:
     Args:
         comm: Communicator.
         layout: How rows and columns are divided among its ranks.
-        rows: Global row (t,) of each triplet; rows of other ranks are welcome.
+        rows: Global row (t,) of each triplet, of any rank.
         columns: Global column (t,) of each triplet.
 
     Attributes:

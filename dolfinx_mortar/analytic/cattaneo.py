@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Line contact with friction under a tangential force that comes and goes, with partial slip.
+"""Line contact with friction under a varying tangential force, with partial slip.
 
 The half spaces are of one material, and the normal force is applied first and then held. A
 tangential force Q (per unit thickness) that one body exerts on the other makes the edges slip and
@@ -69,7 +69,7 @@ class PartialSlip:
 
     @property
     def displacement(self) -> float:
-        """What partial slip adds to the displacement of the bodies, relative to each other.
+        """The part of the relative displacement of the bodies that is due to partial slip.
 
         Distant points of half spaces have no finite displacement in the plane. Where the contact
         sticks as a whole, bodies of finite size move by C Q, with their own compliance C; this is
@@ -148,7 +148,7 @@ def traction_of_legs(
     """Return the shear traction over mu p0, the sum over legs that stick where |x| < c."""
     total = np.zeros_like(x)
     for w, c in zip(weights, sticks, strict=True):
-        # (c/a) sqrt(1 - x^2/c^2) = sqrt(c^2 - x^2)/a, which c = 0 does not mind
+        # (c/a) sqrt(1 - x^2/c^2) = sqrt(c^2 - x^2)/a, which holds for c = 0, too
         outer, inner = (np.sqrt(np.maximum(0.0, b**2 - x**2)) / a for b in (a, c))
         total += w * (outer - inner)
     return np.asarray(total)

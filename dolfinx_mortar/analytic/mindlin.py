@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Point contact with friction under a tangential force that comes and goes, with partial slip.
+"""Point contact with friction under a varying tangential force, with partial slip.
 
 Two spheres of one material under a normal force that is held. As in line contact (`cattaneo`) the
 edge slips, and each turn of the force starts a first loading anew with twice the friction; here

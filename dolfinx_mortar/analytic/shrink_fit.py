@@ -6,8 +6,6 @@ Elasticity, section 28. The change of the pressure by axial stresses is that of 
 plane, as in the pull-out of fibres (A. Takaku, R. G. C. Arridge, J. Phys. D 6 (1973) 2038-2047).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,7 +36,7 @@ class ShrinkFit:
             p(z) = p0 - (nu1 S/E1 - nu2 H/E2)/K,    dS/dz = 2 pi c mu p/A,    S(0) = 0
 
         where K = k1 + k2 are the compliances of Lame, u/(c p). The force F = A S(L) follows from
-        this linear equation. A ValueError tells a friction or a length that is not positive.
+        this linear equation. A friction or a length that is not positive is a ValueError.
         """
         check_positive(friction=friction, length=length)
         a, c, b = self.radii

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""What would go wrong, named before the first step: mesh, sides, partners, free bodies."""
+"""Checks before the first step: mesh, sides, partners, unconstrained bodies."""

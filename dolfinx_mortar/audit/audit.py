@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The geometry audit before the first step: errors and warnings about sides and bodies."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -20,8 +18,7 @@ from dolfinx_mortar.audit.stand_off import warnings_on_straight_facets
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes, normals_at_nodes
 from dolfinx_mortar.geometry.segments import FACING
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
-from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.motions import relative_motions
+from dolfinx_mortar.interfaces.link import Link, relative_motions
 from dolfinx_mortar.interfaces.pretension import describe_shear
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.curvature_correction import count_edges
@@ -37,7 +34,7 @@ from dolfinx_mortar.supports.dirichlet import Dirichlet
 
 # A slave facet this many times longer than the master's makes the contact pressure coarse.
 COARSE = 2.0
-# What is said of bodies that nothing holds where the overlap of a tie is free
+# Added to the message about unconstrained bodies where the overlap of a tie is free
 PRETENSION_HINT = (
     ". A tie with a pretension does not hold its sides against its direction: supports, other ties "
     "or contacts have to, at both ends of the bolt"
@@ -264,8 +261,8 @@ def _warnings(i: InterfaceAudit) -> list[str]:
     if i.dirichlet_nodes:
         warnings.append(
             f"{i.name}: at {i.dirichlet_nodes} slave nodes that face the master, Dirichlet data "
-            "prescribe the motion that the interface would constrain, and win; let the other side "
-            "be the slave, or prescribe less"
+            "prescribe the motion that the interface would constrain, and take precedence; let the "
+            "other side be the slave, or prescribe less"
         )
     return warnings
 
@@ -275,7 +272,7 @@ def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec, increment: float) -> 
 
     That is so if every slave node is deeper inside the master body than any body is large, and
     deeper than the prescribed motions of both sides, for which smaller steps help; smaller overlaps
-    are ordinary input. Where the two sides are parts of one surface, it is so as soon as a slave
+    are admissible. Where the two sides are parts of one surface, it is so as soon as a slave
     node lies that deep (faces of a crack share nodes, too, but do not overlap), or if all facets
     that face each other do so across the body.
     """

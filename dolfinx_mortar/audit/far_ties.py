@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Distances of tied points, and slave nodes beyond the reach of a tie."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from mpi4py import MPI

@@ -7,8 +7,6 @@ Gauss rule (of degree one with two points along each edge), and the sides of a f
 triangles or tetrahedra lie. A sign that changes at a corner only has no effect on integrals.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Whether facets approximate curved sides well enough: before a step, and after it.
+"""Whether facets approximate curved sides well enough: degree 2 before a step, others after it.
 
 Facets deviate from the curved surface by their sagittas, which enter the gaps with different shares
 from node to node. The forces K^_jj times these differences are compared with the contact forces.
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 
@@ -122,8 +120,8 @@ def notes_on_facets(
         if share > SPOILT:
             highest = float(maximum(comm, np.abs(uneven).max(initial=0.0))[0])
             notes.append(
-                f"{link.interface}: facets stand off the curved sides by {highest:.2g} more here "
-                f"than there, worth {100 * share:.0f} % of the contact forces, so that pressures "
-                "may be wrong; choose Contact(..., surface='smooth')"
+                f"{link.interface}: facets stand off the curved sides by lengths that differ by up "
+                f"to {highest:.2g} from their mean, which amounts to {100 * share:.0f} % of the "
+                "contact forces: pressures may be wrong; choose Contact(..., surface='smooth')"
             )
     return notes

@@ -10,8 +10,6 @@ sides in contact have nodes at the same point. The place of a node, or of an int
 and c differs between two sides that touch.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from dolfinx import fem, la, mesh

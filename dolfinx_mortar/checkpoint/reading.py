@@ -5,8 +5,6 @@ Each piece of a file was written by one rank, so it is compact: a rank reads the
 meet its own. Rows are matched by the nearest place.
 """
 
-from __future__ import annotations
-
 import errno
 import json
 from collections.abc import Iterator, Mapping

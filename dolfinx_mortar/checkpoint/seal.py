@@ -10,8 +10,6 @@ behind it. A damaged file can crash HDF5, so it is not opened before the checksu
 right. The head is written last: a file that is not complete has none.
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 from pathlib import Path

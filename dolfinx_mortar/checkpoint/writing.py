@@ -14,8 +14,6 @@ with its checksum, flushed to the disk and then renamed: whenever the program is
 complete file under the right name, the old or the new one.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 from collections import defaultdict

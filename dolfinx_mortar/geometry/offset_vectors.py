@@ -20,8 +20,6 @@ symmetric tangential part of grad u. A dilatation u = c x of spheres changes h b
 have no E, and plane sides no H.
 """
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 

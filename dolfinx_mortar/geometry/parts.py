@@ -9,8 +9,6 @@ Facets of all types are x = sum_ab c_ab xi^a eta^b with a, b <= 2, so that one k
 point and its two tangents take a third of the operations that shape functions do.
 """
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Which points pass through facets from outside to inside, while both move during a step."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import cKDTree
 

@@ -14,8 +14,6 @@ nodes on the left. A tie with a pretension has one unknown more, which takes the
 w: T S for T, see `pretension`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from petsc4py import PETSc

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Which interface a slave node belongs to, and in which order the interfaces' bases multiply."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,7 +18,7 @@ from dolfinx_mortar.mortar.integrals import Coverage
 
 @dataclass(frozen=True)
 class Claims:
-    """The owners of slave nodes that several interfaces want, and what follows."""
+    """The owners of slave nodes that several interfaces claim, and the order of the interfaces."""
 
     owner: Ints  # (owned nodes,) the interface that may keep it
     banned: list[Bools]  # for each interface (local nodes,): slave nodes that it may not keep

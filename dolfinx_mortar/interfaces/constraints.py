@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What an interface, or a support, asks of unknowns of y: bounds on them, limits of reactions."""
+"""Bounds on unknowns of y by an interface or a support, and limits of their reactions."""
 
 from __future__ import annotations
 

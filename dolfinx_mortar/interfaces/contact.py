@@ -14,8 +14,6 @@ lambda_j g_j = 0 are bounds in the basis of `dolfinx_mortar.interfaces.basis`, w
 the reaction of that bound is D_jj lambda_j.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -48,7 +46,7 @@ class SlidingFields:
     step_slip: fem.Function
     slip: fem.Function
     status: fem.Function
-    energy: fem.Function  # that friction has taken at a node since the start
+    energy: fem.Function  # dissipated by friction at a node since the start
 
     @property
     def functions(self) -> list[fem.Function]:
@@ -63,23 +61,24 @@ class Contact(MortarInterface):
     nodes that face no master) and ``active`` (1 in contact, else 0) are Functions that vanish off
     the slave side. ``force`` is the resultant exerted on the slave side, -sum_j D_jj lambda_j n_j,
     friction included. ``pressure`` and ``traction`` are per area of the slave side at X + u with
-    the problem's geometry="updated", so that their integral over it is the force; at X with
-    "reference". The two differ by the strain of the surface.
+    the problem's geometry="updated", at X with "reference"; the two differ by the strain of the
+    surface. Nodal values are those of the part that faces the master: where that is all of the
+    slave side, their integral over it is the force, elsewhere it is larger.
 
     With friction, |tau| <= mu p, and where it slips tau = mu p against
     the slip of the step: the tangential motion of the slave side relative to the master since the
     last commit, R_t^T (D^-1 (D - M) (u - u_committed)). Then there are, as Functions that vanish
     off the slave side, ``traction`` (tangential, exerted on the slave side), ``step_slip`` (of the
-    last step), ``slip`` (length of the way that each node has slipped since the start), ``status``
-    (0 open, 1 stick, 2 slip), and ``dissipation``, the energy that friction has taken since the
-    start. Directions with Dirichlet data are left to those data.
+    last step), ``slip`` (length of the slip path of each node since the start), ``status``
+    (0 open, 1 stick, 2 slip), and ``dissipation``, the energy dissipated by friction since the
+    start. In directions with Dirichlet data there is no friction.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
         slave: tag of the side that carries the multipliers, or its name, see `Tags`.
         master: tag or name of the other side.
         surface: "smooth" measures the gap between the smooth surfaces through the nodes of the
-            facets, g_j - sum_q w Phi_j (h_s + h_m) / D_jj with the heights h of
+            facets, g_j - sum_q w Phi_j (h_s + h_m) with the heights h of
             `dolfinx_mortar.geometry.curvature`; "facets" between the facets, as the paper does.
             D, M and N are the same.
         feature_angle: degrees between two facets from which on they meet in an edge, which stays
@@ -302,7 +301,7 @@ class Contact(MortarInterface):
 
     @property
     def slip(self) -> fem.Function:
-        """Length of the way that the nodes have slipped since the start, the last step included."""
+        """Length of the slip path of the nodes since the start, the last step included."""
         return self._of_friction("slip")
 
     @property
@@ -312,7 +311,7 @@ class Contact(MortarInterface):
 
     @property
     def dissipation(self) -> float:
-        """Energy that friction has taken since the start, the last step included."""
+        """Energy dissipated by friction since the start, the last step included."""
         self._of_friction("status")
         return self.dissipated
 

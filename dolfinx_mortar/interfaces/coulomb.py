@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Limits of friction as their user gives them: coefficients, or tractions."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from numbers import Real
 from typing import TypeAlias
@@ -12,14 +10,12 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arguments import is_number
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import ROUND_OFF, Floats
 from dolfinx_mortar.interfaces.nodal import check_nodal
 
 Limit: TypeAlias = float | fem.Constant | fem.Function
 
 REMEDY = "give a number, a scalar fem.Constant, or a scalar Lagrange fem.Function"
-# Of the largest value: what interpolation leaves of a zero between spaces of other degrees
-ROUND_OFF = 1e-14
 
 
 @dataclass(frozen=True)
@@ -45,6 +41,7 @@ class FrictionLaw:
             at_nodes.interpolate(self.value)
             values = np.asarray(at_nodes.x.array[:n], dtype=np.float64)
             largest = maximum(comm, np.abs(values).max(initial=0.0))[0]
+            # interpolation from another degree leaves the round-off of a zero
             none = np.isfinite(values) & (values < 0.0) & (values >= -ROUND_OFF * largest)
             values[none] = 0.0
         else:

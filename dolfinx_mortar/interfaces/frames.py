@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Orthonormal frames of slave nodes: the normal first, prescribed axes among the tangents."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from dolfinx_mortar.arrays import Bools, Floats, Ints

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The jump that a tie shall have: what it may be given as, and its values at the slave nodes."""
-
-from __future__ import annotations
+"""The jump of a tie: forms in which it may be given, and its values at the slave nodes."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -90,7 +88,7 @@ def values_at(jump: Any, V: fem.FunctionSpace, nodes: Ints) -> Floats:
         return np.tile(jump.value, (len(nodes), 1))
     if isinstance(jump, np.ndarray):
         return np.tile(jump, (len(nodes), 1))
-    if not len(nodes):  # functions need not think of no points
+    if not len(nodes):  # functions need not handle an empty set of points
         return np.zeros((0, d))
     x = np.ascontiguousarray(V.tabulate_dof_coordinates()[nodes].T)
     found = as_numbers(jump(x))

@@ -6,8 +6,6 @@ factorisation, and new pairs wherever curved sides slide past each other at a di
 the near nodes only, and the gaps of the others are watched: the choice costs time, never accuracy.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """What a user gives as a Function of an interface: one value at every node, on the bodies' mesh."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from dolfinx import fem

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Results of a step: resultants, nodal tractions and gaps, merged where slave sides meet."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from mpi4py import MPI

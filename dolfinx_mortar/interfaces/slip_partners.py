@@ -9,8 +9,6 @@ it stays with. Measured: an elasto-plastic step of Hertz with updated geometry, 
 thousand unknowns, takes 10 Newton iterations instead of 15; 7 without friction.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from petsc4py import PETSc
@@ -18,8 +16,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.arrays import Bools, Floats
-from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.motions import node_motions
+from dolfinx_mortar.interfaces.link import Link, node_motions
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from dolfinx_mortar.mortar.surface import Surface, mean_facet_length
 
 @dataclass(frozen=True)
 class Paired:
-    """Where surfaces were paired, and which nodes T holds: what tells pairs, claims and T."""
+    """Where surfaces were paired, and which nodes T holds: they determine pairs, claims and T."""
 
     at: Floats  # (n,) displacement; empty for X
     near: Sequence[Bools]  # of each interface (slave nodes,)
@@ -190,7 +190,7 @@ class InterfaceSystem:
 
         Args:
             u: displacement, None for X.
-            before: of the same step, which knows who has lost a multiplier.
+            before: of the same step, with the nodes that have lost a multiplier in it.
         """
         if not self.interfaces:
             return Configuration()

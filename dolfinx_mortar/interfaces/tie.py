@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Mesh tying."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
@@ -267,7 +265,7 @@ class Tie(MortarInterface):
         self.tightening = self.tightening + way
 
     def found(self) -> dict[str, list[float]]:
-        """Return the tightening: without it a restored problem would let the bolts go."""
+        """Return the tightening: without it the bolts of a restored problem would be loose."""
         return {"tightening": [float(component) for component in self.tightening]}
 
     def take_found(self, found: Mapping[str, list[float]]) -> None:

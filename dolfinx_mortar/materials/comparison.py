@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """A law against itself: stress and energy, tangent and stress, state and stress must fit."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """A law as a compiled function of numbers: the code that a solid runs, without any mesh."""
 
-from __future__ import annotations
-
 import dataclasses
 import tempfile
 from collections.abc import Callable, Mapping
@@ -170,7 +168,7 @@ def symbols(*shapes: tuple[int, ...]) -> list[Expr]:
 def compile_vectors(vectors: list[Expr]) -> list[Callable[[Floats], Floats]]:
     """Return for each expression a function of the constants (n,) that gives its values."""
     where = np.full((1, 3), 0.25)
-    # A number of its own tells each from its equals, whose code would have the same name.
+    # A number of its own distinguishes equal expressions, whose code would have the same name.
     told = [ufl.as_vector([*vector, ufl.as_ufl(k + 1.0)]) for k, vector in enumerate(vectors)]
     # In a folder of its own, so that ranks that compile at the same time do not meet.
     with tempfile.TemporaryDirectory() as folder:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Orthotropic linear elasticity: wood, fibre composites, rolled plates."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

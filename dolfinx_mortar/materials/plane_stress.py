@@ -11,8 +11,6 @@ compiled code; for all others Newton's method finds z before anything is assembl
 zeros out of the plane by construction.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """What a material law is: parameters, and its response in UFL or as a function of arrays."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

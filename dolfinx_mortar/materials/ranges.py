@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Parameters of a law: numbers, or UFL scalars that may change; and the ranges they must be in."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping
 from numbers import Real

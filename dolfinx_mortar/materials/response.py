@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """What a law makes of a strain: its methods called, and what they return judged."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace

@@ -13,8 +13,6 @@ gdim stored components, in order
 ==== ==========================
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 import ufl

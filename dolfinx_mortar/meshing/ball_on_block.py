@@ -8,8 +8,6 @@ ball's surface and the sphere of radius 2R to the flat face, and as it is confor
 cells stay so. Tetrahedra come from gmsh.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from mpi4py import MPI

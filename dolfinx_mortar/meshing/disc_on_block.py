@@ -6,8 +6,6 @@ which is then mirrored, so that the mesh has the symmetry of the problem; and in
 own, so that no node is shared where the bodies touch.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

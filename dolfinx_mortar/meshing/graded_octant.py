@@ -7,8 +7,6 @@ little larger. So cells grow in proportion to their distance from the origin, ne
 everywhere, about n^3 (1 + 3 log(outer radius / edge of the cube)) of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Meshes of a user's own: files of Gmsh, with the names of their physical groups."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections import Counter

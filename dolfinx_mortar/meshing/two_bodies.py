@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Two bodies in one distributed mesh: from arrays on one rank, or from gmsh, with names."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, NamedTuple

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Smooth surfaces over the facets of two sides: corrections of their gap and of offset vectors."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -38,8 +38,6 @@ facets across the contact radius, differ from Hertz' by 1.0 % (rms over the inne
 radius), with 1/5 by 0.7 %; forces are the same to 5e-4.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numba

@@ -6,8 +6,6 @@ The weight of a pairing, such as 2 pi r, is a factor of all these integrals. It 
 points of the slave side where they are at X: there it stays what it was, and positive.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -36,9 +34,9 @@ LEAST_COVERAGE = 0.05
 """A slave node carries a multiplier if more than this part of its tributary weight is covered."""
 STAYS = 0.5
 """A node that has lost its multiplier in the course of a step, and got it back, keeps it down to
-this part of that coverage. Whether it carries moves the bodies, and with them its coverage: between
-.042 and .053 where the rim of a box presses into another one (sweep second3, seed 20001), to and
-fro for ever."""
+this part of that coverage. Its multiplier moves the bodies, and so changes its coverage: where the
+rim of a box presses into another one (sweep second3, seed 20001) it alternated without end between
+.042 with a multiplier and .053 without one."""
 
 LEAST_WEIGHT = 0.01
 """A node has a weight if it is more than this part of the area of its facets: those of straight
@@ -213,7 +211,7 @@ def default_keep(
     none, _ = _find_weightless(pairing, segments)
     coverage = np.where(allowed & ~none, covered, 0.0) / np.where(none, 1.0, tributary)
     keep = coverage > least
-    if pairing.slave.element.shares:  # vertices live on middles that have a function to give away
+    if pairing.slave.element.shares:  # a vertex needs mid-side nodes whose functions it shares
         left = node_weights(pairing, segments, keep)[0] / np.where(none, 1.0, tributary)
         coverage = np.where(left > HALF_OF_DIGITS * coverage, coverage, 0.0)
         keep &= left > least

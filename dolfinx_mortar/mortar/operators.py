@@ -8,8 +8,6 @@ functions Phi_j of the slave nodes that carry a multiplier. D is diagonal over t
 mid-side nodes that depend on vertices. Nothing here knows which constraint the operators serve.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

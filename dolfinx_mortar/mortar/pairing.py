@@ -273,8 +273,8 @@ def _master_coordinates(
     """Return the coordinates X + u (nm, d) of the received master nodes (collective)."""
     if u is None:
         return X
-    # Not from u.x.petsc_vec: dolfinx destroys that when Python lets go of u, which ranks do at
-    # different times, and the next such vector of the space would then wait for ever.
+    # Not from u.x.petsc_vec: dolfinx destroys that when Python deletes u, which ranks do at
+    # different times, and the next such vector of the space would then wait without end.
     source.array_w[:] = u.x.array[: source.local_size]
     scatter.scatter(source, received)
     return X + received.array_r.reshape(X.shape)

@@ -7,8 +7,6 @@ middle of the body behind each facet: as long as the sides have not passed throu
 does not lie in the other body.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from mpi4py import MPI

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The active set of an iterate and its Lagrange multipliers: the warm start of the next QP."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from petsc4py import PETSc

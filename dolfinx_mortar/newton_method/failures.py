@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Why a step has failed: a limit load, a body that nothing holds, or friction."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np
@@ -28,7 +26,7 @@ TOO_MUCH = (
 
 
 class StepFailed(Exception):
-    """A step ends without a solution; nothing has been put back or looked into yet."""
+    """A step ends without a solution; nothing has been undone or diagnosed yet."""
 
 
 def explain(
@@ -109,7 +107,7 @@ def describe_flow(problem: ContactProblem) -> str:
     except ValueError:  # not a number: nothing to be learnt from this iterate
         return ""
     solid.assemble_tangent(problem.K)  # the next step assembles its own
-    step = problem.vector(u.x.array[: problem.d * problem.n])
+    step = problem.vector(problem.owned_u)
     if not step.dot(problem.K * step) < SOFT * solid.elastic_norm(u) ** 2:
         return ""
     flowing, weights = solid.flowing(), solid.fields.weights  # since the committed state

@@ -7,8 +7,6 @@ step is accepted if phi satisfies Armijo's condition up to the round-off of its 
 which its values carry no information; there the residuals decide.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from petsc4py import PETSc

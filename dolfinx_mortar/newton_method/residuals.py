@@ -7,8 +7,6 @@ rtol facet lengths. In rigid motion or after unloading there is no force: then t
 the step and the round-off of K u are the scales.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Tunnelling: a step in which bodies have passed through each other is rejected."""
 
-from __future__ import annotations
-
 from dolfinx import fem
 from dolfinx_mortar.mortar.passing import Middles, find_middles, find_passed, is_far
 from dolfinx_mortar.mortar.surface import cells_of, exterior_facets

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The two files of a writer: ownership, space on the disk, the XML document."""
 
-from __future__ import annotations
-
 import json
 import re
 import xml.etree.ElementTree as ET

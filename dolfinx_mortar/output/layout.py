@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """From Functions to rows of numbers in the order of the file's nodes or cells."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

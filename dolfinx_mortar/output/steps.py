@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The steps in an XDMF file: their order, and which steps of an earlier run are replaced."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

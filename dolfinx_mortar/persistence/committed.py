@@ -1,17 +1,12 @@
 # SPDX-License-Identifier: MIT
 """The committed state of a problem in one record, of which checkpoints are made."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from mpi4py import MPI
 
-import numpy as np
-
 from dolfinx import fem
-from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.system import InterfaceSystem, Paired
@@ -47,21 +42,28 @@ class Slips:
     dissipated: Floats  # (interfaces, owned nodes) energy dissipated by friction
 
 
+@dataclass(frozen=True)
+class StepOutcome:
+    """What a converged step leaves for `Committed.commit`."""
+
+    at: Floats  # (n,) displacement at the end of the step
+    active: Bools  # (owned nodes,) closed contacts
+    sliding: Floats | None  # (owned nodes, d) slip directions of closed nodes, 0 if stuck
+    paired: Paired | None  # where the surfaces were paired
+    slips: Slips | None  # with friction
+
+
 @dataclass
 class Committed:
     """The state from which the next step starts, beside u and the internal variables."""
 
-    active: Bools  # (owned nodes,) closed contacts of the last step that has converged
+    active: Bools  # (owned nodes,) closed contacts
     displacement: Floats  # (n,) owned, from which slips are measured
     slid: Floats  # (interfaces, owned nodes), see `Slips`
     dissipated: Floats  # (interfaces, owned nodes), see `Slips`
     begun: bool = False  # a step has been committed
     sliding: Floats | None = None  # (owned nodes, d) slip directions of closed nodes, 0 if stuck
-    found_at: Floats | None = None  # (n,) displacement at which the last step has ended
-    found_slips: Slips | None = None  # at the end of the last step, with friction
-    found_paired: Paired | None = None  # where the last step has paired the surfaces
-    paired: Paired | None = None  # the same of the last commit
-    earlier: tuple[Bools, Floats | None] | None = None  # closed contacts of the last commit
+    paired: Paired | None = None  # where the surfaces were paired
     level: float = 0.0  # load level, of the last step of `load_steps`
     history: list[LoadStep] = field(default_factory=list)  # all steps of `load_steps`
     brought: int = 0  # how many of them a checkpoint has restored
@@ -69,41 +71,14 @@ class Committed:
     walk: Walk | None = None  # the last call of `load_steps`, the only one that may continue
     supports: SupportForces | None = None  # of the last step that has converged
 
-    @property
-    def contacts(self) -> tuple[Bools, Floats | None]:
-        """Active set and directions of slip at closed nodes, of the last step that converged."""
-        return self.active, self.sliding
-
-    @contacts.setter
-    def contacts(self, found: tuple[Bools, Floats | None]) -> None:
-        self.active, self.sliding = found
-
-    def has_ended_at(self, comm: MPI.Comm, u: Floats) -> bool:
-        """Tell whether the last step has ended at a displacement (n,); collective.
-
-        If the displacement has been reset since, the results of that step are not used.
-        """
-        elsewhere = self.found_at is None or not np.array_equal(self.found_at, u)
-        return not any_rank(comm, elsewhere)[0]
-
-    def contacts_at(self, comm: MPI.Comm, u: Floats) -> tuple[Bools, Floats | None]:
-        """Return the contacts that a step from a displacement (n,) begins with; collective.
-
-        Those of the last step if it has ended there, otherwise those of the last commit.
-        """
-        if self.found_at is None or self.has_ended_at(comm, u):
-            return self.contacts
-        return self.earlier or (np.zeros_like(self.active), None)
-
-    def commit(self, comm: MPI.Comm, u: Floats) -> None:
-        """Commit the results of the step that has ended at a displacement (n,); collective."""
-        self.begun = True
-        ended = self.has_ended_at(comm, u)
-        self.paired = self.found_paired if ended else self.paired
-        if self.found_slips is not None and ended:
-            self.slid, self.dissipated = self.found_slips.slid, self.found_slips.dissipated
-        self.contacts = self.earlier = self.contacts_at(comm, u)
-        self.displacement, self.found_at = u.copy(), u.copy()
+    def commit(self, u: Floats, outcome: StepOutcome | None) -> None:
+        """Commit the displacement (n,), with the outcome of the step that has ended there."""
+        self.begun, self.displacement = True, u.copy()
+        if outcome is None:
+            return
+        self.active, self.sliding, self.paired = outcome.active, outcome.sliding, outcome.paired
+        if outcome.slips is not None:
+            self.slid, self.dissipated = outcome.slips.slid, outcome.slips.dissipated
 
 
 @dataclass(frozen=True)

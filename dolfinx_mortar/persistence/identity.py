@@ -4,8 +4,6 @@
 Loads, supports and other data that a program sets before each step are not part of it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from numbers import Real

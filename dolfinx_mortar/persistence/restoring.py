@@ -4,8 +4,6 @@
 Its checksum shows that it is as it was written, so its contents are not validated.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,9 +17,15 @@ from dolfinx import fem
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.checkpoint import read_about, read_tables, size_of
 from dolfinx_mortar.disk import check_path
-from dolfinx_mortar.interfaces.interface import Interface, Resultants, check_owned
+from dolfinx_mortar.interfaces.interface import Resultants, check_owned
 from dolfinx_mortar.interfaces.system import Paired
-from dolfinx_mortar.persistence.committed import ProblemState, Slips, SupportForces, Walk
+from dolfinx_mortar.persistence.committed import (
+    ProblemState,
+    Slips,
+    StepOutcome,
+    SupportForces,
+    Walk,
+)
 from dolfinx_mortar.persistence.identity import describe, differences, material_numbers
 from dolfinx_mortar.persistence.saving import NODES, POINTS, RESULTANTS, SLIPS, name_of, places_of
 from dolfinx_mortar.step_report import LoadStep
@@ -43,16 +47,15 @@ class Saved:
         """The levels that the last call of `load_steps` has reached."""
         return [step.time for step in self.steps[len(self.steps) - self.about["walked"] :]]
 
-    def put(self) -> None:
-        """Make it the state of the problem; collective."""
+    def put(self) -> StepOutcome:
+        """Make it the state of the problem; return what a commit takes over; collective."""
         state, committed = self.state, self.state.committed
         _set(state.u, self.tables[NODES]["displacement"])
         for name, f in state.states_of_terms.items():
             _set(f, self.tables[NODES][name])
         closed = self.tables[NODES]["active"][:, 0] > 0.0
         # without a column, begin stuck
-        committed.contacts = committed.earlier = closed, self.tables[NODES].get("sliding")
-        committed.found_at = self.tables[NODES]["displacement"].flatten()
+        committed.active, committed.sliding = closed, self.tables[NODES].get("sliding")
         supports = self.tables[NODES].get("supports")
         halves = None if supports is None else np.split(supports, 2, axis=1)
         committed.supports = None if halves is None else SupportForces(*halves)
@@ -62,18 +65,20 @@ class Saved:
         for name, field in state.solid.lasting_fields().items():
             same = name.replace("shown/", "committed/")
             _set(field, shown[name] if name in shown else shown[same])
-        committed.found_slips = Slips(*np.zeros((2, *committed.slid.shape)))
+        slips = Slips(*np.zeros((2, *committed.slid.shape)))
         for k, interface in enumerate(state.interfaces):
             resultants = self.about["interfaces"][k]
-            _take(state, k, interface, resultants, self.tables.get(name_of(k), {}))
+            _take(state, k, slips, resultants, self.tables.get(name_of(k), {}))
             interface.take_found(self.about["found"][k])
-        committed.paired = committed.found_paired = self._paired()
+        committed.paired = self._paired()
         committed.begun = self.about["begun"]
         committed.level, committed.walked = self.about["level"], self.about["walked"]
         walk = self.about["walk"]
         committed.walk = None if walk is None else Walk(**walk)
         committed.history[:], committed.brought = self.steps, len(self.steps)
         state.system.faced = True
+        u = self.tables[NODES]["displacement"].flatten()
+        return StepOutcome(u, committed.active, committed.sliding, committed.paired, slips)
 
     def _paired(self) -> Paired | None:
         """Return where the surfaces were paired; None where that is not known."""
@@ -121,14 +126,13 @@ def read(state: ProblemState, path: str | os.PathLike[str]) -> Saved:
 def _take(
     state: ProblemState,
     k: int,
-    interface: Interface,
+    ended: Slips,
     resultants: Mapping[str, list[float]] | None,
     values: Mapping[str, Floats],
 ) -> None:
-    """Give an interface its results, or take them away; collective."""
+    """Set the results of an interface, or clear them, and the slips; collective."""
+    interface, committed = state.interfaces[k], state.committed
     interface.clear()
-    committed, ended = state.committed, state.committed.found_slips
-    assert ended is not None
     committed.slid[k], committed.dissipated[k] = 0.0, 0.0
     if resultants is None:
         return

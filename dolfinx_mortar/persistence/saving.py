@@ -7,8 +7,6 @@ the load steps, and the tables of their ramps. Data that a program sets before e
 saved: loads, supports, jumps, parameters and eigenstrain that may change.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import os
 from collections.abc import Sequence
@@ -22,7 +20,7 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.checkpoint import Table, find_places, write
 from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.interfaces.interface import Interface, check_owned
-from dolfinx_mortar.persistence.committed import ProblemState
+from dolfinx_mortar.persistence.committed import Committed, ProblemState, StepOutcome
 from dolfinx_mortar.persistence.identity import describe, material_numbers
 
 NODES, POINTS = "nodes", "points"
@@ -30,8 +28,8 @@ SLIPS = ("slid", "dissipated")
 RESULTANTS = ("force", "moment", "master_force", "master_moment")
 
 
-def save(state: ProblemState, path: str | os.PathLike[str]) -> None:
-    """Write a checkpoint; see `ContactProblem.save`."""
+def save(state: ProblemState, path: str | os.PathLike[str], outcome: StepOutcome | None) -> None:
+    """Write a checkpoint, with the outcome of a step not yet committed; `ContactProblem.save`."""
     file = check_path(state.comm, path)
     check_owned(state.interfaces, state.supports)
     committed = state.committed
@@ -47,7 +45,7 @@ def save(state: ProblemState, path: str | os.PathLike[str]) -> None:
         "found": [interface.found() for interface in state.interfaces],
     }
     places = places_of(state, [result is not None for result in results])
-    values = {NODES: _nodal(state), POINTS: _at_points(state)}
+    values = {NODES: _nodal(state, outcome or state.committed), POINTS: _at_points(state)}
     for k, interface in enumerate(state.interfaces):
         if results[k] is not None:
             values[name_of(k)] = _on_interface(interface) | _slips(state, k) | _near(state, k)
@@ -67,18 +65,17 @@ def places_of(state: ProblemState, results: Sequence[bool]) -> dict[str, Floats]
     }
 
 
-def _nodal(state: ProblemState) -> dict[str, Floats]:
+def _nodal(state: ProblemState, last: StepOutcome | Committed) -> dict[str, Floats]:
     u = _owned(state.u)
-    active, sliding = state.committed.contacts_at(state.comm, u.ravel())
-    found = {"displacement": u, "active": active[:, None].astype(float)}
+    found = {"displacement": u, "active": last.active[:, None].astype(float)}
     if (paired := state.committed.paired) is not None and len(paired.at):
         found["paired"] = paired.at.reshape(u.shape)
     if (supports := state.committed.supports) is not None:
         found["supports"] = np.hstack([supports.forces, supports.points])
     if state.system.has_friction:  # slips are measured from it
         d = state.solid.V.dofmap.index_map_bs
-        if sliding is not None:
-            found["sliding"] = sliding
+        if last.sliding is not None:
+            found["sliding"] = last.sliding
         found["committed"] = state.committed.displacement.reshape(-1, d)
     return found | {name: _owned(f) for name, f in state.states_of_terms.items()}
 

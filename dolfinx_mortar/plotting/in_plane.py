@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Bodies in the plane, drawn by matplotlib."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Bodies in space, drawn by PyVista, also without a screen."""
 
-from __future__ import annotations
-
 import ctypes
 import ctypes.util
 import os

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The three pictures: arguments are checked, fields gathered, and rank 0 draws."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Checks of the arguments of a problem and of its steps, the same on all ranks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any

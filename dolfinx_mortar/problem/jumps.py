@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Jumps and pretensions of ties: read at the start of a step, set at its end."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 from petsc4py import PETSc
 

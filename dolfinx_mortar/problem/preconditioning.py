@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The matrix of multigrid: the tangent in unknowns without coupling across open contacts."""
 
-from __future__ import annotations
-
 from petsc4py import PETSc
 
 import numpy as np

@@ -29,7 +29,7 @@ from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.system import Configuration, InterfaceSystem
 from dolfinx_mortar.persistence import restoring, saving
-from dolfinx_mortar.persistence.committed import Committed, ProblemState
+from dolfinx_mortar.persistence.committed import Committed, ProblemState, StepOutcome
 from dolfinx_mortar.problem.checks import check_arguments
 from dolfinx_mortar.problem.jumps import Pretensions, read_jumps
 from dolfinx_mortar.problem.preconditioning import UnknownsOfBodies
@@ -39,7 +39,7 @@ from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.step_report import LoadStep, Timings
 from dolfinx_mortar.supports.axis import check_axis, check_targets
-from dolfinx_mortar.supports.bodies import Bodies, find_bodies, find_tied_groups
+from dolfinx_mortar.supports.bodies import Bodies, find_bodies, with_ties
 from dolfinx_mortar.supports.dirichlet import Dirichlet, create_dirichlet
 from dolfinx_mortar.terms.sum import Terms, check_terms
 from dolfinx_mortar.terms.weak_forms import DeadLoads, WeakForm, check_form
@@ -112,7 +112,8 @@ class ContactProblem:
         if self.ties:
             named = [*self.terms.named, ("pretension", self.pretensions)]
             self.terms = replace(self.terms, named=named)
-        self.bodies: Bodies = find_bodies(self.V, kinematics.rigid_motions)
+        bodies = find_bodies(self.V, kinematics.rigid_motions)
+        self.bodies: Bodies = with_ties(bodies, self.system.tied)
         motions = kinematics.nearly_rigid or kinematics.rigid_motions
         with self.timings("setup"):
             self.operator = CongruentOperator(self.terms.create_matrix())
@@ -126,12 +127,9 @@ class ContactProblem:
                     self.K, self.system, self.supports, replace(self.bodies, motions=motions)
                 ),
             )
-        self.tied_groups = find_tied_groups(self.bodies, self.system.tied)
-        self.committed = Committed(
-            np.zeros(self.n, dtype=bool),
-            self.u.x.array[: self.d * self.n].copy(),
-            *np.zeros((2, len(sides), self.n)),
-        )
+        slips = np.zeros((2, len(sides), self.n))
+        self.committed = Committed(np.zeros(self.n, dtype=bool), self.owned_u.copy(), *slips)
+        self.outcome: StepOutcome | None = None  # of the last step, until it is committed
 
     # -- parts -----------------------------------------------------------------------------------
 
@@ -139,6 +137,11 @@ class ContactProblem:
     def u(self) -> fem.Function:
         """The displacement."""
         return self.solid.u
+
+    @property
+    def owned_u(self) -> Floats:
+        """Its values (n,) at the owned dofs, a view."""
+        return np.asarray(self.u.x.array[: self.d * self.n])
 
     @property
     def K(self) -> PETSc.Mat:
@@ -248,8 +251,7 @@ class ContactProblem:
         """
         self.check_owned()
         data = self._read(level)
-        size = self.d * self.n
-        self.u.x.array[:size] += self._mean(data.asked)
+        self.owned_u[:] += self._mean(data.asked)
         self.u.x.scatter_forward()
         audit = audit and not self.committed.begun
         if audit:
@@ -257,7 +259,7 @@ class ContactProblem:
         partners = self._partners(data.target) if data.limits else []
         with self.timings("mortar"):
             found = self.system.begin(self.configuration, self.committed.paired)
-            u = self.vector(self.u.x.array[:size])
+            u = self.vector(self.owned_u)
             data = replace(
                 data,
                 increment=max(data.increment, found.largest_slip(u, data.jumps)),
@@ -295,12 +297,13 @@ class ContactProblem:
         jumps = read_jumps(self.system, self.vector())
         asked = self.supports.increment(target, self.u.x.array)
         largest = float(maximum(self.comm, np.abs(asked).max(initial=0.0))[0])
-        contacts = self.committed.contacts_at(self.comm, self.u.x.array[: self.d * self.n])
+        last = self.ended_here() or self.committed
+        contacts = last.active, last.sliding
         return StepData(target, asked, largest, jumps, contacts, limits)
 
     def _mean(self, asked: Floats) -> Floats:
         """Return the displacement (n,) of bodies moved by their mean increments; collective."""
-        mean = self.bodies.mean(asked, self.supports.owned, self.tied_groups)[self.bodies.label]
+        mean = self.bodies.mean(asked, self.supports.owned)[self.bodies.label]
         return np.asarray(mean * self.bodies.shifts).ravel()  # rings move along their axis only
 
     def _committed_positions(self) -> PETSc.Vec:
@@ -433,7 +436,13 @@ class ContactProblem:
         self.check_owned()
         with self.timings("commit"):
             self.terms.commit()
-            self.committed.commit(self.comm, self.u.x.array[: self.d * self.n])
+            self.committed.commit(self.owned_u, self.ended_here())
+            self.outcome = None
+
+    def ended_here(self) -> StepOutcome | None:
+        """Return the outcome of the last step, None if u has been reset since; collective."""
+        elsewhere = self.outcome is None or not np.array_equal(self.outcome.at, self.owned_u)
+        return None if any_rank(self.comm, elsewhere)[0] else self.outcome
 
     @property
     def state(self) -> ProblemState:
@@ -470,7 +479,7 @@ class ContactProblem:
             RuntimeError: if h5py is missing (an ImportError on rank 0).
         """
         with self.timings("checkpoint"):
-            saving.save(self.state, path)
+            saving.save(self.state, path, self.ended_here())
 
     def restore(self, path: str | os.PathLike[str]) -> None:
         """Restore the state of a checkpoint, written on any number of ranks; collective.
@@ -488,7 +497,7 @@ class ContactProblem:
                 or another problem; the message names the differences. Nothing is changed then.
         """
         with self.timings("checkpoint"):
-            restoring.read(self.state, path).put()
+            self.outcome = restoring.read(self.state, path).put()
 
     def output_fields(self) -> dict[str, fem.Function]:
         """Return the Functions for output by name; collective.

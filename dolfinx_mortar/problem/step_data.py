@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The data of a step, read once at its start."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

@@ -33,7 +33,7 @@ def solve(
 
     Args:
         qp: the problem.
-        linear: linear solver, attached to qp.A.
+        linear: linear solver, set up for qp.A.
         start: initial active set and directions of slip.
         changes: bounded unknowns in which the solution is expected to differ from the initial set;
             None for any number. Each may cost an iteration. If they cost more than a factorisation,
@@ -56,7 +56,7 @@ def solve(
         level, first = LOOSE, start
         if condensed.is_worthwhile(qp, linear):
             level = TIGHT
-            if changes is None or changes > linear.attached.renewal.after:
+            if changes is None or changes > linear.setup.renewal.after:
                 guess = condensed.predict(qp, linear, x, start.active, rtol=rtol)
                 first = replace(start, active=guess)
         problem = HeldProblem(qp, linear, x, rtol)

@@ -63,7 +63,7 @@ def predict(
 
     Args:
         qp: the problem.
-        linear: linear solver, attached to qp.A.
+        linear: linear solver, set up for qp.A.
         x: (n,) out: the solution.
         start: (k,) initial active set.
         rtol: residual of the free bounded unknowns relative to the forces.
@@ -94,13 +94,13 @@ def predict(
             before = active
             d, active = _solve_model(qp.comm, model, (rho, lower - w, upper - w, active))
             force = max(float(np.linalg.norm(rho)), b_norm)
-            tolerance = max(SHARE**2 * rtol * force, linear.attached.operator.round_off(x))
+            tolerance = max(SHARE**2 * rtol * force, linear.setup.operator.round_off(x))
             if not np.array_equal(active, before):
                 norms.clear()  # residuals of different sets have no rate
             reached, held = w + d, active != 0
             norms.append(float(np.linalg.norm(rho[~held])))
             stays = np.array_equal(reached[held], w[held])
-            slow = linear.attached.renewal.is_slow(norms, tolerance)
+            slow = linear.setup.renewal.is_slow(norms, tolerance)
             if stays and (norms[-1] <= tolerance or (slow and np.array_equal(active, before))):
                 break
             reached[held] = np.where(active > 0, upper, lower)[held]
@@ -127,7 +127,7 @@ class _Reduced:
         """Set x_B = w, solve for x_I and return (b - A x)_B = minus the reduced gradient."""
         own, x = self.everywhere.own, self.x
         x.array[own] = w[self.everywhere.own_part]
-        self.linear.apply(self.linear.attached.operator.residual(self.qp.b, x, own), self.dx)
+        self.linear.apply(self.linear.setup.operator.residual(self.qp.b, x, own), self.dx)
         self.dx.array[own] = 0.0
         x.axpy(1.0, self.dx)
         self.qp.A.mult(x, self.z)

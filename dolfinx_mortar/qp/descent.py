@@ -17,8 +17,6 @@ Rosen (1960) and Fletcher (1971), for a quadratic and a sum of norms. J decrease
 minimum to the next, and there are finitely many.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -122,7 +120,7 @@ class _Descent:
         problem, most = self.problem, most_solves(self.qp)
         for updates in range(1, most + 1):
             atol = problem.solve(self.state, self.level)
-            atol = max(atol, problem.linear.attached.operator.round_off(problem.x))
+            atol = max(atol, problem.linear.setup.operator.round_off(problem.x))
             if self.advance(atol):
                 continue
             if self.release(atol) == 0:

@@ -94,7 +94,7 @@ class HeldProblem:
 
     Args:
         qp: the problem.
-        linear: linear solver, attached to qp.A.
+        linear: linear solver, set up for qp.A.
         x: (n,) in: initial guess; out: the last solution.
         rtol: tolerance of the check.
     """
@@ -131,7 +131,7 @@ class HeldProblem:
         atol = self.solve(state, level)
         law = self.qp.friction
         found = on_bounded(self.qp, self.x, self.z)
-        atol = max(atol, self.linear.attached.operator.round_off(self.x))
+        atol = max(atol, self.linear.setup.operator.round_off(self.x))
         new = State(found.predicted(), state.directions, state.stiffness)
         strength = found.strength(state.active, new.active)
         changes = int((strength > atol).sum())

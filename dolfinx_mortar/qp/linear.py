@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Linear systems with held unknowns, and the reuse of factorisations among them."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -40,7 +38,7 @@ class LinearSolveFailed(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Attached:
+class MatrixSetup:
     """Solvers and preconditioner of one matrix."""
 
     operator: Operator
@@ -104,7 +102,7 @@ class LinearSolver:
         self.unknowns = unknowns
         self._refactor_after = refactor_after
         self.description = "not used yet"
-        self._attached: Attached | None = None
+        self._setup: MatrixSetup | None = None
 
     @property
     def direct(self) -> bool:
@@ -118,7 +116,7 @@ class LinearSolver:
             False, without a change, if the solver is direct, if the user has chosen it, or if the
             matrix is too large.
         """
-        if self.direct or self.options.chosen or self._attached is None:
+        if self.direct or self.options.chosen or self._setup is None:
             return False
         if self._operator.A.getSize()[0] > MOST_FACTORISED:
             return False
@@ -126,12 +124,12 @@ class LinearSolver:
         self.options = SolverOptions(self.options.prefix, self.options.given)
         return True
 
-    def take_up_multigrid(self) -> None:
+    def return_to_multigrid(self) -> None:
         """Return from factorisations to multigrid; collective."""
         self.clear()
         self.options = SolverOptions(self.options.prefix, self.options.given, multigrid=True)
 
-    def attach(self, A: PETSc.Mat, *, definite: bool = True) -> None:
+    def set_matrix(self, A: PETSc.Mat, *, definite: bool = True) -> None:
         """Set the matrix of the next solves (collective).
 
         If it is the same object, its factorisation remains as preconditioner.
@@ -140,11 +138,11 @@ class LinearSolver:
             A: (n, n) matrix.
             definite: whether it is symmetric and positive definite, see `BoundQP`.
         """
-        if self._attached is not None:
+        if self._setup is not None:
             before = self._operator
             if A.handle == before.A.handle and definite == before.definite:
                 return
-        self.clear()  # so that nothing is attached if an option raises an error
+        self.clear()  # so that no matrix is set if an option raises an error
         self.options.definite = definite
         ksp = PETSc.KSP().create(self._comm)
         ksp.setOptionsPrefix(self.options.prefix)
@@ -166,30 +164,30 @@ class LinearSolver:
         after = self._refactor_after or RENEWAL_COST["direct" if self.direct else "iterative"]
         renewal = Renewal(after, direct=self.direct)
         limit, dx = ksp.getTolerances()[3], A.createVecRight()
-        self._attached = Attached(operator, ksp, sliding, preconditioner, renewal, limit, dx)
+        self._setup = MatrixSetup(operator, ksp, sliding, preconditioner, renewal, limit, dx)
         self.description = f"{ksp.getType()} + {preconditioner.description}"
         self.counts.symbolic += 1
 
     def clear(self) -> None:
         """Free the matrix and the factorisation; collective."""
-        if self._attached is not None:
-            self._attached.destroy()
-        self._attached = None
+        if self._setup is not None:
+            self._setup.destroy()
+        self._setup = None
 
     def forget(self) -> None:
         """Renew the numeric factorisation at the next solve."""
-        if self._attached is not None:
-            self._attached.preconditioner.held = None
+        if self._setup is not None:
+            self._setup.preconditioner.held = None
 
     @property
-    def attached(self) -> Attached:
+    def setup(self) -> MatrixSetup:
         """Solvers and preconditioner of the present matrix."""
-        assert self._attached is not None, "no matrix is attached"
-        return self._attached
+        assert self._setup is not None, "no matrix is set"
+        return self._setup
 
     @property
     def _operator(self) -> Operator:
-        return self.attached.operator
+        return self.setup.operator
 
     def factorise(self, held: Ints) -> None:
         """Factorise A with these unknowns held, unless that is the present one (collective).
@@ -198,10 +196,10 @@ class LinearSolver:
             LinearSolveFailed: for a singular matrix or one that does not fit into memory.
         """
         self._operator.hold(held)
-        if self.attached.preconditioner.is_of(held):
+        if self.setup.preconditioner.is_of(held):
             return
         begin = perf_counter()
-        failure = self.attached.preconditioner.renew(held, self.counts)
+        failure = self.setup.preconditioner.renew(held, self.counts)
         self.counts.seconds_factor += perf_counter() - begin
         if failure:
             order = self._operator.matrix.size[0]
@@ -212,7 +210,7 @@ class LinearSolver:
     def apply(self, r: PETSc.Vec, x: PETSc.Vec) -> None:
         """Apply the present factorisation or preconditioner once: x = F^-1 r."""
         begin = perf_counter()
-        self.attached.ksp.getPC().apply(r, x)
+        self.setup.ksp.getPC().apply(r, x)
         self.counts.iterations += 1
         self.counts.seconds_solve += perf_counter() - begin
 
@@ -261,20 +259,20 @@ class LinearSolver:
         It ends as well if a new factorisation does not reduce it.
         """
         for _ in range(LIMIT):
-            different = self.attached.preconditioner.differences(held)
-            if different is None or self.attached.renewal.is_far(different):
+            different = self.setup.preconditioner.differences(held)
+            if different is None or self.setup.renewal.is_far(different):
                 self.factorise(held)
-            fresh = self.attached.preconditioner.is_of(held)
+            fresh = self.setup.preconditioner.is_of(held)
             target, before = max(atol, self._operator.round_off(x) * (EPS / ROUND_OFF)), norm
             self._sweep(max(target / norm, EPS))
-            dx = self.attached.dx
+            dx = self.setup.dx
             dx.array[held] = 0.0  # an old factorisation may move them
             if np.isfinite(dx.norm()):
                 x.axpy(1.0, dx)
                 norm = self._operator.residual(b, x, held).norm()
             if norm <= max(atol, self._operator.round_off(x)):
                 break
-            exhausted = self._ksp.getIterationNumber() >= self.attached.max_iterations
+            exhausted = self._ksp.getIterationNumber() >= self.setup.max_iterations
             if fresh and (exhausted or not norm < before):
                 break
             if not fresh:
@@ -290,23 +288,23 @@ class LinearSolver:
     def _ksp(self) -> PETSc.KSP:
         """The solver without or with slipping nodes."""
         sliding = self._operator.free.sliding is not None
-        return self.attached.sliding_ksp if sliding else self.attached.ksp
+        return self.setup.sliding_ksp if sliding else self.setup.ksp
 
     def _sweep(self, reduction: float) -> None:
         """Solve for the correction dx that reduces the present residual by a factor."""
         begin = perf_counter()
-        attached, held = self.attached, self._operator.held
+        setup, held = self.setup, self._operator.held
         assert held is not None
-        attached.preconditioner.follow(held)
-        stale = not attached.preconditioner.is_of(held)
-        test = SlownessTest(attached.renewal, reduction, attached.max_iterations, stale=stale)
+        setup.preconditioner.follow(held)
+        stale = not setup.preconditioner.is_of(held)
+        test = SlownessTest(setup.renewal, reduction, setup.max_iterations, stale=stale)
         ksp = self._ksp
         if ksp.getType() != "preonly":
             ksp.setConvergenceTest(test)
-        ksp.setTolerances(max_it=attached.max_iterations)
-        ksp.solve(attached.operator.r, attached.dx)
+        ksp.setTolerances(max_it=setup.max_iterations)
+        ksp.solve(setup.operator.r, setup.dx)
         self.counts.iterations += max(1, ksp.getIterationNumber())
-        attached.renewal.learn(test.norms, stale=stale)
+        setup.renewal.learn(test.norms, stale=stale)
         self.counts.seconds_solve += perf_counter() - begin
 
     def _judge(

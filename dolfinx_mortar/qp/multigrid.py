@@ -13,8 +13,6 @@ changed its state since costs about one iteration, unless the residuals and the 
 finest level use the present matrix; then only the coarse levels are those of B.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

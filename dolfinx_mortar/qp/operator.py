@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The matrix of a linear system with fixed unknowns and slipping nodes, and its residuals."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 from petsc4py import PETSc
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Options of a linear solver: kept out of PETSc's database, checked early, reported if unused."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

@@ -5,8 +5,6 @@ It is renewed as soon as that is cheaper than to continue with it. The decisions
 residuals, not on clocks, so that they are the same on all ranks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

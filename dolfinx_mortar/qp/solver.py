@@ -97,7 +97,7 @@ def solve(
     start = _possible(qp, start)
     before = replace(linear.counts)
     try:
-        linear.attach(qp.A, definite=qp.definite)
+        linear.set_matrix(qp.A, definite=qp.definite)
         if backend == INTERIOR_POINT:
             solution = interior_point.solve(qp, linear, rtol=rtol)
         else:

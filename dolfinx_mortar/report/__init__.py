@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""What a converged step tells: certificate, results of interfaces, reactions, notes, tables."""
+"""The report of a converged step: certificate, results of interfaces, reactions, notes, tables."""

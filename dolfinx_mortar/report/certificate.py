@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The certificate of a converged step: residuals of equilibrium and of the contact laws."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np
@@ -10,8 +8,7 @@ import numpy as np
 from dolfinx_mortar.algebra.parallel import maximum, ratio
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces.interface import Interface
-from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.motions import along_and_across, relative_motions
+from dolfinx_mortar.interfaces.link import Link, along_and_across, relative_motions
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.residuals import Residuals

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Results of the interfaces from the last balance of a step, and notes on them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from petsc4py import PETSc
@@ -13,8 +11,7 @@ from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces import results
 from dolfinx_mortar.interfaces.constraints import SlipLimits
-from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.motions import relative_motions, slipped
+from dolfinx_mortar.interfaces.link import Link, relative_motions, slipped
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.mortar.surface import coordinates, sum_at_nodes
 from dolfinx_mortar.newton_method.contacts import Contacts
@@ -125,7 +122,7 @@ def notes_on_sliding(problem: ContactProblem, contacts: Contacts) -> list[str]:
         return []
     notes, length = [], problem.system.facet_length
     for link in problem.system.unilateral:
-        slip = slipped(link, problem.vector(problem.u.x.array[: problem.d * problem.n]))
+        slip = slipped(link, problem.vector(problem.owned_u))
         slip[~contacts.active[link.nodes]] = 0.0
         farthest = float(maximum(problem.comm, slip.max(initial=0.0))[0])
         if farthest > length:
@@ -142,9 +139,7 @@ def notes_on_lost_friction(problem: ContactProblem, contacts: Contacts) -> list[
     Dirichlet data leave no tangential unknown there, to which friction could be applied.
     """
     notes = []
-    moved = problem.vector(
-        problem.u.x.array[: problem.d * problem.n] - problem.committed.displacement
-    )
+    moved = problem.vector(problem.owned_u - problem.committed.displacement)
     for link in problem.system.links:
         if not link.interface.rough:
             continue

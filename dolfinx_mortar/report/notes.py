@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Notes on a step that has converged: diagnoses of one signature, made one after the other."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

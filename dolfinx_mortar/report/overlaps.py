@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Pointwise overlaps that the weighted gap averages out: a corner between coarse slave nodes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -27,7 +25,7 @@ from dolfinx_mortar.mortar.surface import coordinates, facets_at
 
 # Largest pointwise overlap without a note, over the length of the finer facet. In 280 steps of the
 # tests (pins, balls, blocks and sockets, elastic, plastic, with friction) it is .04 at most, apart
-# from the sagittas of facets; a corner that is not seen sinks in as far as it is pressed.
+# from the sagittas of facets; a corner between nodes penetrates as far as it is pressed.
 SUNK = 0.05
 
 
@@ -57,8 +55,8 @@ def _note(link: Link, u: fem.Function) -> list[str]:
     return [
         f"{link.interface}: around ({', '.join(f'{c:.4g}' for c in x)}) the sides lie "
         f"{deepest:.3g} deep in each other, {ratio:.0%} of the finer facet there: nodes of "
-        f"slave={link.sides.slave.label} do not see an edge or corner between them; let the finer "
-        "or sharper side be the slave, or refine there"
+        f"slave={link.sides.slave.label} have no gap at an edge or corner between them; let the "
+        "finer or sharper side be the slave, or refine there"
     ]
 
 

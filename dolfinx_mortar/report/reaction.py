@@ -7,8 +7,6 @@ unknown only, and a prescribed component of a node is an unknown of its own, als
 carries a contact: there r is T^T (F - f), without any part of c.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

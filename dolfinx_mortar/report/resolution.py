@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Whether the contact patch with the largest pressure has enough nodes to resolve it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -58,9 +56,9 @@ def notes_on_rims(links: Sequence[Link]) -> list[str]:
         own = int((link.coupling.returned.any(axis=1) & ~faces).sum())
         if count := link.sides.V.mesh.comm.allreduce(own, op=MPI.SUM):
             notes.append(
-                f"{link.interface}: whether {count} slave nodes at the rim of the other side carry "
-                "moves the bodies so far that they would carry no more, and the reverse; they "
-                "carry, which a finer mesh at the rim makes a small matter"
+                f"{link.interface}: {count} slave nodes at the rim of the other side gained and "
+                "lost their multiplier in turn, as each state moves the bodies into the other one; "
+                "they keep it. A finer mesh at the rim makes the difference small"
             )
     return notes
 

@@ -6,8 +6,6 @@ it is about e / 2 relatively, which is also what different measures of finite st
 rotation by an angle a it is a^2 / 2, an error in any measure.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -28,7 +26,7 @@ from dolfinx_mortar.supports.bodies import name_of
 # turned as one by 1, 2, 5 degrees have forces that are 1.7, 6.7, 42 % too high, for a share of
 # 1.7, 6.4, 31 %. What is pressed in has at most 1.5 % (a half disc by a twentieth of its radius,
 # with 7 % strain and 7 degrees at the edge), 1.7 % (a sphere likewise), 0.5 % (a bent flange):
-# there Hencky's strain changes forces by 1.4 %, Green's by -5 %, so no measure is the right one.
+# there Hencky's strain changes forces by 1.4 %, Green's by -5.5 %, so no measure is the right one.
 TURNED = 0.02
 # Or where the mean of |H^T H|, twice the term, over a body's volume or where its stresses work, is
 # as large: energies are quadratic in lengths. Lengths are wrong by half of that, or by 0.7 of the
@@ -125,7 +123,7 @@ def notes_on_small_strain(problem: ContactProblem, found: LeftOut) -> list[str]:
     return [
         f"{name_of(bodies, [found.worst])}{others} turns by up to {np.degrees(turn):.1f} degrees, "
         f"and the small strain leaves out up to {left:.2g}, near {at}, where the largest strain in "
-        f"the bodies is {found.largest:.2g}: worth a stress of {worth:.3g} there (norm; the "
+        f"the bodies is {found.largest:.2g}: this is a stress of {worth:.3g} there (norm; the "
         f"largest shown is {shown:.3g}), {found.work:.1%} of the work of the stresses and "
         f"{found.lengths:.1%} of lengths. Turn or strain it less, let X be nearer to where it "
         "turns to, or choose a finite strain, see 'What it cannot do' in the guide"

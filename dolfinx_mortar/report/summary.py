@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Rows of a table, or of a JSON file, with the numbers of load steps."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -6,8 +6,6 @@ assembled until something that it depends on changes; what is compiled for the b
 values only.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from numbers import Number
 from typing import Any

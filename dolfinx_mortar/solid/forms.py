@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Energy, internal forces and tangent of the bodies as compiled forms."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ Lagrange's strain is e + H^T H / 2. A small strain takes e; of a rotation by an 
 rigid, it leaves out a^2 / 2 in both directions across the axis.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

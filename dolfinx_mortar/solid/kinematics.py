@@ -6,8 +6,6 @@ and interfaces, have the weight as a factor; the check for unconstrained rigid-b
 rigid motions.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Which law holds in which cells: the user's tags turned into one region per law."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace

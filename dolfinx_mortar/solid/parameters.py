@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Parameters of a law in its cells: numbers, and what the user may change between steps."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Mapping, Sequence
@@ -110,7 +108,7 @@ class ParameterTable(Followed):
         values = vars(self.values(owned, points))
         wrong: dict[str, Bools] = {}
         with raised_together(domain.comm):
-            if len(owned):  # rules of users need not know what to say of nothing
+            if len(owned):  # rules of users need not handle empty arrays
                 law = self._law
                 wrong = wrong_values(law.name, law.ranges, law.conditions, values)
         rules = sorted(set().union(*domain.comm.allgather(set(wrong))))

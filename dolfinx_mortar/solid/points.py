@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Stress, internal variables and their norms at the integration points, as arrays."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property

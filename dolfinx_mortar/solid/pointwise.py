@@ -5,8 +5,6 @@ Laws of arrays give stress, consistent tangent and new internal variables; local
 plane stress gives the strain out of the plane.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -10,8 +10,6 @@ the parameters, which live in Functions. Parameters that the user changes are fo
 is assembled or evaluated next.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -42,7 +40,7 @@ from dolfinx_mortar.solid.state import create_evaluations, create_field, create_
 from dolfinx_mortar.solid.term import Term, assemble
 from dolfinx_mortar.spaces import check_real, check_space
 
-# Written first, and if a law has them; then all internal variables and what the laws put out.
+# Written first, and if a law has them; then all internal variables and the output of the laws.
 OUTPUT_FIELDS = (
     *("stress", "von_mises", "plastic_strain", "plastic_strain_norm"),
     *("back_stress_norm", "hardening"),
@@ -149,7 +147,7 @@ class Solid(Term):
         weight = self.kinematics.weight
         self.fields = PointFields(self.stress, self._staged, self.regions, degree, weight)
         with raised_together(self.mesh.comm):
-            self.fields.bases  # noqa: B018 - judges what the laws put out
+            self.fields.bases  # noqa: B018 - checks the output of the laws
         evaluations = create_evaluations(self.regions, responses, self._staged, self.stress)
         laws = self.regions, responses
         self._forms = create_forms(
@@ -280,8 +278,8 @@ class Solid(Term):
     def keep(self) -> list[tuple[fem.Function, Floats]]:
         """Return copies of what is shown and of the parameters behind it, for `put_back`.
 
-        A second evaluation would not do: u may have been set since, or nothing evaluated yet, and
-        a law that depends on the size of a step flows on.
+        A second evaluation would differ: u may have been set since, or nothing evaluated yet, and
+        a law that depends on the size of a step would flow further.
         """
         shown = [self.stress, *self._staged.values()]
         functions = shown + [followed.function for followed in self._followed()]

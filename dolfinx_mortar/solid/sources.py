@@ -4,8 +4,6 @@
 Parameters and eigenstrain may change between steps: they are followed.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Functions at the integration points: stress, internal variables, and what fills them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from mpi4py import MPI

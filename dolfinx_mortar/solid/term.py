@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """A term of the energy: what bodies, loads and your own classes have in common."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from petsc4py import PETSc

@@ -231,7 +231,7 @@ def _continue(
     _check_tables(loading.ramps, saved, file)
     if len(walk) < len(levels):  # an error now rather than after the next step
         check_folder(problem.comm, file)
-    saved.put()
+    problem.outcome = saved.put()
     loading.set(problem, problem.committed.level)
     problem.solid.follow()  # results of laws depend on parameters, too
     if problem.comm.rank == 0:

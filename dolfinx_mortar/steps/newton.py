@@ -14,8 +14,6 @@ Updates of the geometry are a fixed-point iteration: one after every iteration w
 or the residual decreases; otherwise the geometry is frozen until Newton's method has converged.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -55,6 +53,7 @@ from dolfinx_mortar.newton_method.residuals import (
 )
 from dolfinx_mortar.newton_method.tunnelling import describe_passing
 from dolfinx_mortar.newton_method.watch import MOST_RISES, Watch, find_change
+from dolfinx_mortar.persistence.committed import StepOutcome
 from dolfinx_mortar.problem.checks import check_controls, check_problem
 from dolfinx_mortar.problem.jumps import TooFar, tighten
 from dolfinx_mortar.problem.problem import ContactProblem
@@ -135,7 +134,7 @@ def solve_step(
             _attempt(problem, report, max_it, overlap, level, audit)
         except NewtonNotConverged as error:
             if given_up:
-                problem.linear.take_up_multigrid()
+                problem.linear.return_to_multigrid()
                 raise
             by_solver = isinstance(error.__cause__, backends.QPNotSolved)
             if not (by_solver and problem.linear.factorise_instead()):
@@ -154,17 +153,17 @@ class Before:
 
     def __init__(self, problem: ContactProblem) -> None:
         """Copy them."""
-        self.problem, committed = problem, problem.committed
+        self.problem = problem
         self.u, self.shown = problem.u.x.array.copy(), problem.solid.keep()
         self.results = [(interface, interface.keep()) for interface in problem.interfaces]
-        self.found = committed.contacts, committed.supports
+        self.found = problem.outcome, problem.committed.supports
 
     def restore(self) -> None:
         """Undo the step, perhaps on this rank only."""
         self.problem.u.x.array[:] = self.u
         self.problem.solid.put_back(self.shown)
         self.problem.terms.roll_back()
-        self.problem.committed.contacts, self.problem.committed.supports = self.found
+        self.problem.outcome, self.problem.committed.supports = self.found
         for interface, kept in self.results:
             interface.put_back(kept)
 
@@ -437,7 +436,7 @@ class _Step:
         contacts = iterate.contacts
         with problem.timings("results"):
             problem.solid.evaluate()
-        u = problem.vector(problem.u.x.array[: problem.d * problem.n])
+        u = problem.vector(problem.owned_u)
         try:
             jumps = tighten(problem.system, u, self.data.jumps)
         except TooFar as error:
@@ -454,12 +453,10 @@ class _Step:
         report.certificate = create_certificate(
             problem, report, contacts, residual, sliders, left_out
         )
-        supports = support_forces(problem, iterate.balance)  # last, for no error may follow
-        committed = problem.committed
-        committed.contacts = contacts.active, contacts.sliding
-        committed.found_slips, committed.supports = slips, supports
-        committed.found_paired = problem.system.present.paired
-        committed.found_at = problem.u.x.array[: problem.d * problem.n].copy()
+        supports = support_forces(problem, iterate.balance)  # last, as no error may follow
+        at, paired = problem.owned_u.copy(), problem.system.present.paired
+        outcome = StepOutcome(at, contacts.active, contacts.sliding, paired, slips)
+        problem.outcome, problem.committed.supports = outcome, supports
         report.converged = True
 
     def elastic_norm(self, du: PETSc.Vec) -> float:

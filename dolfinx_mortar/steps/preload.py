@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Tightening of bolts: one step in which the forces of ties are given and their jumps unknown."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Ramps: values of Constants over load levels, given by tables."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Checks of the axis of rotation: nodes that must be held there, facets that cannot lie on it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from mpi4py import MPI

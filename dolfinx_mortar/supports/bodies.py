@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Bodies: the connected parts of a mesh, and their unconstrained rigid-body modes."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -33,6 +31,7 @@ class Bodies:
     centre: Floats  # (count, d) mean of the nodes' coordinates
     radius: Floats  # (count,) root mean square distance of the nodes from the centre
     motions: Callable[[Floats], dict[str, Floats]] = translations_and_rotations  # see `Kinematics`
+    group: Ints | None = None  # (count,) a number that tied bodies have in common
 
     def rigid_modes(self) -> list[tuple[int, str, PETSc.Vec]]:
         """Return (body, name, displacement) of every rigid motion, rotations scaled by 1/radius."""
@@ -76,21 +75,18 @@ class Bodies:
         vector.array[:] = values.ravel()
         return vector
 
-    def mean(self, values: Floats, where: Bools, group: Ints | None = None) -> Floats:
+    def mean(self, values: Floats, where: Bools) -> Floats:
         """Return the mean over each body of (owned nodes, d) values where marked, else 0.
 
-        Args:
-            values: nodal values.
-            where: (owned nodes, d) which of them count.
-            group: (count,) bodies with one number count as one.
+        Tied bodies count as one; collective.
         """
         total = np.zeros((self.count, 2, values.shape[1]))
         np.add.at(total[:, 0], self.label, np.where(where, values, 0.0))
         np.add.at(total[:, 1], self.label, where.astype(float))
         total = self.V.mesh.comm.allreduce(total, op=MPI.SUM)
-        if group is not None:
-            for k in range(group.max() + 1):
-                total[group == k] = total[group == k].sum(axis=0)
+        if self.group is not None:
+            for k in range(self.group.max() + 1):
+                total[self.group == k] = total[self.group == k].sum(axis=0)
         return np.asarray(total[:, 0] / np.maximum(total[:, 1], 1.0))
 
 
@@ -129,8 +125,8 @@ def find_bodies(
     return dataclasses.replace(_measure(V, count, label), motions=motions)
 
 
-def find_tied_groups(bodies: Bodies, sides: Sequence[tuple[Bools, Bools]]) -> Ints:
-    """Return a number (count,) for each body that tied bodies have in common; collective.
+def with_ties(bodies: Bodies, sides: Sequence[tuple[Bools, Bools]]) -> Bodies:
+    """Return the bodies with the groups in which they are tied; collective.
 
     Args:
         bodies: the connected parts of the mesh.
@@ -142,7 +138,7 @@ def find_tied_groups(bodies: Bodies, sides: Sequence[tuple[Bools, Bools]]) -> In
         touched[k, bodies.label[slave[:n] | master[:n]]] = 1.0
     touched = bodies.V.mesh.comm.allreduce(touched, op=MPI.SUM)  # arrays have no MAX
     _, group = connected_components(touched.T @ touched, directed=False)
-    return np.asarray(group, dtype=np.int32)
+    return dataclasses.replace(bodies, group=np.asarray(group, dtype=np.int32))
 
 
 def _measure(V: fem.FunctionSpace, count: int, label: Ints) -> Bodies:

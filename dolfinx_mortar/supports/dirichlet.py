@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Dirichlet conditions as marks and values of dofs, whichever ranks have located them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 

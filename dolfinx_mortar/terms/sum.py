@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The sum over bodies and terms: energy, forces and tangent of a problem, each in one place."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -101,8 +99,8 @@ class Terms:
     def assemble_tangent(self, K: PETSc.Mat) -> None:
         """Fill K with d2J/du2; collective.
 
-        K stays symmetric; whether it stays definite is the affair of the terms: a soft foundation
-        is harmless, a load that grows with the displacement need not be.
+        K stays symmetric; whether it stays definite depends on the terms: a foundation adds
+        stiffness, a load that grows with the displacement takes some away.
         """
         K.zeroEntries()
         self.solid.add_tangent(K)

@@ -11,8 +11,6 @@ a traction whatever the kinematics, and the forces are those of the whole ring w
 axisymmetric.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
