@@ -268,21 +268,6 @@ def test_other_smoothers_and_methods_get_a_matrix(options, moved):
     assert contact.force == pytest.approx(moved[1].force, rel=1e-6, abs=1e-5)
 
 
-def test_a_small_turn_of_the_surface_costs_no_iterations(moved):
-    """The old levels know the unknowns of the new geometry: they are as good as new ones."""
-    problem, counts = moved[0], []
-    for fresh in (False, True):
-        linear = problem.linear
-        held, (b, x) = linear.attached.operator.held, (problem.vector() for _ in range(2))
-        if fresh:
-            linear.forget()
-        b.array[:] = np.cos(np.arange(b.local_size))
-        before = linear.counts.iterations
-        linear.solve(b, x, held, atol=1e-6 * b.norm())
-        counts.append(linear.counts.iterations - before)
-    assert counts[0] <= 1.2 * counts[1]
-
-
 def test_the_same_matrix_is_followed_once(moved, monkeypatch):
     linear, asked = moved[0].linear, []
     change = linear.unknowns.change
