@@ -171,7 +171,7 @@ def _diagonal_change(K: PETSc.Mat, C: PETSc.Mat) -> PETSc.Vec:
     Its entry j is sum_r C_rj (2 K_rj + (K C)_rj), over the rows r of C that are not zero.
     """
     entries = _scipy(C)
-    rows = np.flatnonzero(np.diff(entries.indptr))
+    rows = np.flatnonzero(np.diff(entries.indptr)).astype(np.int32)
     K_r = _rows(K, rows)
     twice = 2.0 * _scipy(K_r) + _scipy(K_r.matMult(C))
     terms = entries[rows].multiply(twice).tocoo()

@@ -198,7 +198,7 @@ class Terms:
 
 def _is_ours(kind: type[Term] | Callable[..., None]) -> bool:
     """Tell whether a class or function is of this package: it fails on all ranks or on none."""
-    return kind.__module__.startswith(f"{__name__.partition('.')[0]}.")
+    return str(kind.__module__).startswith(f"{__name__.partition('.')[0]}.")
 
 
 def _addends(term: Term) -> Floats | None:
