@@ -53,6 +53,19 @@ def test_frames_are_orthonormal(d, rng):
         assert R[j, :, slot[j, i]] == pytest.approx(np.eye(d)[i], abs=ROUND_OFF)
 
 
+def test_tangents_turn_with_the_normal(rng):
+    """As little as it does: they do not swap where their axes have equal shares in it."""
+    even = np.ones((50, 2)) * rng.uniform(-0.5, 0.5, (50, 1))
+    turned = even + 1e-3 * rng.normal(size=(50, 2))
+    for axis in range(3):
+        some, others = (
+            create_frames(n / np.linalg.norm(n, axis=1, keepdims=True), np.zeros((50, 3), bool))[0]
+            for n in (np.insert(part, axis, 1.0, axis=1) for part in (even, turned))
+        )
+        turn = np.abs(some - others).max(axis=(1, 2))
+        assert (turn < 5.0 * np.linalg.norm(even - turned, axis=1)).all()
+
+
 def test_nodes_without_multiplier_keep_the_axes():
     """Contact makes frames for kept nodes; at the others every prescribed axis is itself."""
     contact = Blocks(PILE[:2]).join(dm.Contact, (1, ABOVE), (2, BELOW))

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The QP of an iterate: the same in either form; a constant tangent is not assembled again."""
 
+from petsc4py import PETSc
+
 import numpy as np
 import pytest
 
@@ -58,3 +60,29 @@ def test_both_forms_are_one_program():
     for formed, applied in zip(*found, strict=True):
         assert formed.any()
         assert np.abs(formed - applied).max() < 1e-12 * np.abs(formed).max()
+
+
+class OwnSpring(dm.Term):
+    """A term of a user's that may add whole matrices."""
+
+    has_tangent = True
+
+    def add_forces(self, F):
+        """Add nothing at rest."""
+
+    def add_tangent(self, K):
+        """Add a matrix of its own, in AIJ."""
+        K.assemble()
+        K.axpy(1.0, PETSc.Mat().createConstantDiagonal(K.getSizes(), 1e-9, K.comm).convert("aij"))
+
+
+@pytest.mark.parametrize(
+    ("solver", "terms", "blocks"),
+    [("iterative", [], True), ("direct", [], False), ("iterative", [OwnSpring()], False)],
+)
+def test_the_tangent_is_stored_in_blocks(solver, terms, blocks):
+    """Where nobody multiplies it with a matrix or adds one."""
+    problem = PressedBlocks().problem(petsc_options=SOLVERS[solver], terms=terms)
+    assert ("baij" in problem.K.getType()) == blocks
+    dm.newton(problem)
+    assert problem.linear.direct == (solver == "direct")

@@ -2,6 +2,7 @@
 """Contact in 3D by conjugate gradients and multigrid: the basis, the answer, the failures."""
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import pytest
@@ -245,6 +246,26 @@ def test_the_finest_level_is_the_matrix_of_the_moment(moved):
     found = finest * v
     assert (found - expected).norm() < 1e-12 * found.norm()
     assert (B.getDiagonal() - finest.getDiagonal()).norm() == 0.0
+
+
+def test_no_more_is_kept_than_cycles_read(moved):
+    """Of B its diagonal, other levels in blocks; PETSc's options are what they were."""
+    inner = moved[0].linear.attached.preconditioner.multigrid.inner
+    assert inner.getOperators()[1].getType() == "diagonal"
+    finest = inner.getMGLevels() - 1
+    levels = [inner.getMGSmoother(k).getOperators()[0] for k in range(1, finest)]
+    assert levels and all("baij" in level.getType() for level in levels)
+    assert not PETSc.Options().hasName("matptap_via")
+
+
+@pytest.mark.parametrize("options", [{"mg_levels_pc_type": "sor"}, {"pc_type": "bjacobi"}])
+def test_other_smoothers_and_methods_get_a_matrix(options, moved):
+    """Of B itself, in AIJ: they read more of it than its diagonal."""
+    problem, contact = moving_problem(petsc_options={"pc_type": "gamg"} | options)
+    dm.newton(problem)
+    B = problem.linear.attached.preconditioner.multigrid.inner.getOperators()[1]
+    assert B.getType().endswith("aij") and "baij" not in B.getType()
+    assert contact.force == pytest.approx(moved[1].force, rel=1e-6, abs=1e-5)
 
 
 def test_the_same_matrix_is_followed_once(moved, monkeypatch):

@@ -10,6 +10,7 @@ import pytest
 from programs import CYCLING, CYCLING_FORCE, from_arrays, gathered, membrane
 
 from dolfinx_mortar.qp import BoundQP, LinearSolver, QPNotSolved, UnusableQP, solve
+from dolfinx_mortar.qp.multigrid import Multigrid, OwnUnknowns
 
 COMM = MPI.COMM_WORLD
 INF = np.inf
@@ -98,3 +99,21 @@ def test_what_needs_a_definite_matrix_says_so(rng: np.random.Generator) -> None:
     assert solve(cycling).kkt.satisfied(1e-10)
     with pytest.raises(QPNotSolved, match=r"came back.*not said to be definite"):
         solve(replace(cycling, definite=False))
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_zero_on_the_diagonal_divides_nothing() -> None:
+    """There the preconditioner stays what it is, so that it has no unit."""
+    A = spread(np.eye(N), np.ones(N), np.full(N, INF)).A
+    multigrid = Multigrid(A, "zero_")
+    multigrid.inner.setType("none")
+    data = OwnUnknowns(A).preconditioning(np.zeros(0, np.int32))
+    r = A.createVecRight()
+    own = np.arange(r.local_size, dtype=np.int32)
+    multigrid.renew(data, own, definite=False)
+    diagonal = np.where(own % 2, 0.0, 4.0)
+    multigrid.hold(own[:0], diagonal)
+    z = r.duplicate()
+    r.set(8.0)
+    multigrid.apply(multigrid.inner, r, z)
+    assert z.array_r.tolist() == np.where(own % 2, 8.0, 2.0).tolist()

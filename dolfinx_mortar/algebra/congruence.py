@@ -1,12 +1,25 @@
 # SPDX-License-Identifier: MIT
 """(I + C)^T K (I + C) for C with few rows: as a matrix, and as an operator without a matrix."""
 
+import logging
+
 from petsc4py import PETSc
 
 import numpy as np
 from scipy.sparse import csr_array
 
 from dolfinx_mortar.arrays import Ints
+
+log = logging.getLogger(__name__)
+
+
+def as_aij(K: PETSc.Mat) -> PETSc.Mat:
+    """Return K if its format is AIJ, else a copy, for methods that take no blocks; collective."""
+    if "baij" not in K.getType():
+        return K
+    if K.comm.rank == 0:
+        log.debug("a matrix of order %d is copied from blocks to AIJ", K.getSize()[0])
+    return K.convert("aij", out=PETSc.Mat())
 
 
 class Congruence:
@@ -18,7 +31,7 @@ class Congruence:
 
     def __init__(self, K: PETSc.Mat, C: PETSc.Mat) -> None:
         """Analyse the patterns; collective."""
-        other = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+        K, other = as_aij(K), PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
         self.Ct = C.transpose(PETSc.Mat())
         self.KC = K.matMult(C)
         self.CtKC = self.Ct.matMult(self.KC)
@@ -28,6 +41,7 @@ class Congruence:
 
     def update(self, K: PETSc.Mat, C: PETSc.Mat) -> None:
         """Refill the product from new values on the same patterns; collective."""
+        K = as_aij(K)
         C.transpose(self.Ct)
         K.matMult(C, result=self.KC)
         KCt = self.KC.transpose(PETSc.Mat())
@@ -141,7 +155,10 @@ class _Product:
 
     def duplicate(self, mat: PETSc.Mat, op: int) -> PETSc.Mat:
         """Return the explicit matrix."""
-        explicit = self.K.copy() if self.C is None else Congruence(self.K, self.C).product
+        if self.C is not None:
+            explicit = Congruence(self.K, self.C).product
+        else:
+            explicit = self.K.convert("aij", out=PETSc.Mat())
         decouple(explicit, self.decoupled)
         return explicit
 
@@ -152,15 +169,25 @@ def _diagonal_change(K: PETSc.Mat, C: PETSc.Mat) -> PETSc.Vec:
     Its entry j is sum_r C_rj (2 K_rj + (K C)_rj), over the rows r of C that are not zero.
     """
     entries = _scipy(C)
-    rows = np.flatnonzero(np.diff(entries.indptr))
-    numbers = (rows + C.getOwnershipRange()[0]).astype(PETSc.IntType)
-    K_r = K.createSubMatrix(PETSc.IS().createGeneral(numbers, comm=K.comm))
+    rows = np.flatnonzero(np.diff(entries.indptr)).astype(np.int32)
+    K_r = _rows(K, rows)
     twice = 2.0 * _scipy(K_r) + _scipy(K_r.matMult(C))
     terms = entries[rows].multiply(twice).tocoo()
     change = K.createVecRight()
     change.setValues(terms.col.astype(PETSc.IntType), terms.data, PETSc.InsertMode.ADD_VALUES)
     change.assemble()
     return change
+
+
+def _rows(K: PETSc.Mat, rows: Ints) -> PETSc.Mat:
+    """Return owned rows of K in AIJ; collective."""
+    first = K.getOwnershipRange()[0]
+    found = [K.getRow(int(first + row)) for row in rows]
+    indptr = np.cumsum([0, *(len(columns) for columns, _ in found)], dtype=PETSc.IntType)
+    columns = np.concatenate([np.zeros(0, PETSc.IntType), *(columns for columns, _ in found)])
+    values = np.concatenate([np.zeros(0), *(values for _, values in found)])
+    sizes = (len(rows), PETSc.DECIDE), K.getSizes()[1]
+    return PETSc.Mat().createAIJ(sizes, csr=(indptr, columns, values), comm=K.comm)
 
 
 def _scipy(matrix: PETSc.Mat) -> csr_array:

@@ -22,9 +22,11 @@ def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:
     ([[0.0, 1.0], [-1.0, 0.0]], [1, -1])
     """
     n, d = normals.shape
-    # Axes in the order of growing share in n: prescribed ones have none and come first, the one
-    # closest to n is left out, so that [n, axes] is never singular.
+    # The axis closest to n, none of the prescribed ones, is left out, so that [n, axes] is never
+    # singular. The others keep their order: sorted by their share in n, tangents would swap when n
+    # turns a little, and old levels of multigrid would know them no more (37 iterations for 23).
     order = np.argsort(np.abs(normals) - 2.0 * fixed, axis=1, kind="stable")[:, : d - 1]
+    order = np.sort(order, axis=1)
     columns = np.concatenate([normals[:, None, :], np.eye(d)[order]], axis=1)
     R, upper = np.linalg.qr(np.swapaxes(columns, 1, 2))
     R = R * np.sign(np.einsum("nii->ni", upper))[:, None, :]

@@ -15,6 +15,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_mortar.algebra.congruence import as_aij
 from dolfinx_mortar.arrays import Actives, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, equalities, join
@@ -134,7 +135,7 @@ def _law(limits: SlipLimits, bounds: Constraints, n: int) -> Friction:
 def _form(problem: ContactProblem, balance: Balance) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
     """Return K^ = T^T K T and r^ after, and the diagonal of K^ before the elimination."""
     T = problem.system.transformation
-    A = problem.K if T is None else T.transform(problem.K)
+    A = as_aij(problem.K) if T is None else T.transform(problem.K)
     b, dy = balance.reduced.copy(), problem.vector()
     dy.array[balance.equal.dofs] = balance.equal.upper
     diagonal = A.getDiagonal()

@@ -116,16 +116,17 @@ class ContactProblem:
         self.bodies: Bodies = with_ties(bodies, self.system.tied)
         motions = kinematics.nearly_rigid or kinematics.rigid_motions
         with self.timings("setup"):
-            self.operator = CongruentOperator(self.terms.create_matrix())
             self.linear = LinearSolver(
                 self.comm,
                 prefix=petsc_options_prefix,
                 options=petsc_options,
                 multigrid=self.d == 3,
-                # not the problem: a reference to it would keep its matrices alive
-                unknowns=UnknownsOfBodies(
-                    self.K, self.system, self.supports, replace(self.bodies, motions=motions)
-                ),
+            )
+            K = self.terms.create_matrix(blocks=not self.linear.direct)
+            self.operator = CongruentOperator(K)
+            # not the problem: a reference to it would keep its matrices alive
+            self.linear.unknowns = UnknownsOfBodies(
+                K, self.system, self.supports, replace(self.bodies, motions=motions)
             )
         slips = np.zeros((2, len(sides), self.n))
         self.committed = Committed(np.zeros(self.n, dtype=bool), self.owned_u.copy(), *slips)

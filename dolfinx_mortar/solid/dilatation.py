@@ -30,6 +30,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
+from dolfinx_mortar.algebra.congruence import as_aij
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import is_name
 from dolfinx_mortar.arrays import Floats
@@ -170,11 +171,11 @@ class MeanDilatation:
         root, B = self._B.createVecLeft(), self._B.copy()
         root.array[:] = np.sqrt(self._bulk / self._volumes)
         B.diagonalScale(root)
-        result = K.duplicate(copy=False)
+        result = as_aij(K).duplicate(copy=False)
         result.zeroEntries()
         result.assemble()
         result.axpy(1.0, B.transposeMatMult(B), PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
-        return result
+        return result.convert(K.getType())
 
 
 def _bulk_modulus(region: Region) -> Expr:

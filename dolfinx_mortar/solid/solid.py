@@ -199,9 +199,13 @@ class Solid(Term):
 
     # -- one Newton iteration -------------------------------------------------------------------
 
-    def create_matrix(self) -> PETSc.Mat:
-        """Create the matrix of the tangent: V's layout, pattern of the mesh, no entries."""
-        K = fem_petsc.create_matrix(self._forms.tangent)
+    def create_matrix(self, kind: str = "aij") -> PETSc.Mat:
+        """Create the matrix of the tangent: V's layout, pattern of the mesh, no entries.
+
+        Args:
+            kind: "aij", or "baij" for blocks of nodes.
+        """
+        K = fem_petsc.create_matrix(self._forms.tangent, kind)
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         return K
 
