@@ -123,7 +123,7 @@ def measure_limit(mesh: dm.meshing.TaggedMesh, degree: int) -> float:
     seconds = perf_counter() - begin
     held = np.flatnonzero(problem.supports.owned.ravel()).astype(np.int32)
     linear = LinearSolver(COMM, prefix="limit_", multigrid=True, unknowns=Plain(problem))
-    linear.attach(problem.K)
+    linear.set_matrix(problem.K)
     b = problem.vector(np.cos(problem.X))
     linear.solve(b, problem.vector(), held, atol=1e-6 * b.norm())
     counts = linear.counts

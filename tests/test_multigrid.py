@@ -250,7 +250,7 @@ def test_the_finest_level_is_the_matrix_of_the_moment(moved):
 
 def test_no_more_is_kept_than_cycles_read(moved):
     """Of B its diagonal, other levels in blocks; PETSc's options are what they were."""
-    inner = moved[0].linear.attached.preconditioner.multigrid.inner
+    inner = moved[0].linear.setup.preconditioner.multigrid.inner
     assert inner.getOperators()[1].getType() == "diagonal"
     finest = inner.getMGLevels() - 1
     levels = [inner.getMGSmoother(k).getOperators()[0] for k in range(1, finest)]
@@ -263,7 +263,7 @@ def test_other_smoothers_and_methods_get_a_matrix(options, moved):
     """Of B itself, in AIJ: they read more of it than its diagonal."""
     problem, contact = moving_problem(petsc_options={"pc_type": "gamg"} | options)
     dm.newton(problem)
-    B = problem.linear.attached.preconditioner.multigrid.inner.getOperators()[1]
+    B = problem.linear.setup.preconditioner.multigrid.inner.getOperators()[1]
     assert B.getType().endswith("aij") and "baij" not in B.getType()
     assert contact.force == pytest.approx(moved[1].force, rel=1e-6, abs=1e-5)
 
