@@ -202,6 +202,21 @@ def test_of_second_order_the_pole_carries_no_multiplier(bend):
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize("slave", ["upper", "lower"])
+def test_a_pole_that_touches_alone_is_noted(slave):
+    """Contact radii from a thirtieth of a facet on; with a force, or parted, there is no note."""
+    mesh_and_tags = ball_on_flat(0.05, (1, 1), cell="triangle")
+    for depth, noted in ((-1e-6, False), (2.5e-6, True), (1e-4, True), (1e-2, False)):
+        problem, contact = pressed_ball(
+            mesh_and_tags, dm.Elastic(E, NU), depth, slave=slave, degree=2
+        )
+        notes = [note for note in dm.newton(problem).notes if "deep in each other" in note]
+        assert len(notes) == noted and (contact.force[1] != 0.0) == (depth == 1e-2)
+        if noted:
+            assert f"{depth:.3g} deep in each other without a force" in notes[0]
+
+
+@pytest.mark.mpi
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
 def test_a_ball_of_second_order(cell):
     """Hertz with six facets in contact; at the pole the pressure is that of its neighbours."""

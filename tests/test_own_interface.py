@@ -14,6 +14,7 @@ from dolfinx_mortar.interfaces.constraints import upper_bounds
 from dolfinx_mortar.interfaces.coupling import Coupling
 from dolfinx_mortar.interfaces.frames import normal_frames
 from dolfinx_mortar.interfaces.interface import Interface, full_coverage
+from dolfinx_mortar.interfaces.mortar_interface import MortarInterface
 from dolfinx_mortar.mortar.surface import facets_at, sum_at_nodes
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
 from tests.pressed_blocks import PressedBlocks, rejected
@@ -177,13 +178,23 @@ def test_it_is_written(tmp_path):
     assert path.exists()
 
 
-@pytest.mark.parametrize("name", ["couple", "constraints"])
-def test_a_method_is_missing(name):
+@pytest.mark.parametrize(
+    ("base", "names"),
+    [
+        (Interface, ["couple", "constraints"]),
+        (MortarInterface, ["constraints", "may_carry", "frame", "blocks", "corrections"]),
+    ],
+)
+def test_python_names_what_a_kind_lacks(base, names):
+    """Each of the methods alone, of a kind that has all others."""
     case = Pressed()
-    kind = type("Half", (Plane,), {name: getattr(Interface, name)})
-    half = kind(case.facets, slave=BOTTOM, point=[0.0, -1.0], normal=[0.0, 1.0])
-    with rejected("interfaces holds Plane(slave=", f"lacks {name}()"):
-        case.problem(interfaces=[half])
+    sides = {"slave": BOTTOM} | ({} if base is Interface else {"master": TOP})
+    whole = dict.fromkeys(names, lambda *_: None)
+    type("Whole", (base,), whole)(case.facets, **sides)
+    for name in names:
+        half = type("Half", (base,), {n: f for n, f in whole.items() if n != name})
+        with pytest.raises(TypeError, match=f"abstract class Half .*method '?{name}'?$"):
+            half(case.facets, **sides)
 
 
 class Spoilt(Plane):

@@ -21,7 +21,6 @@ from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.link import Link, relative_motions
 from dolfinx_mortar.interfaces.pretension import describe_shear
 from dolfinx_mortar.interfaces.system import InterfaceSystem
-from dolfinx_mortar.mortar.curvature_correction import count_edges
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import (
     Surface,
@@ -338,10 +337,10 @@ def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
 
 def _edges(link: Link) -> Edges:
     """Count where smooth surfaces keep their facets; collective."""
-    sides, angle = link.sides, link.interface.feature_angle
-    counts = np.array([count_edges(side, sides.fixed, angle) for side in sides.surfaces])
-    nodes, without = counts.sum(axis=0)
-    return Edges(angle, int(nodes), int(without))
+    assert link.pattern.smooth is not None
+    own = np.sum([side.edges for side in link.pattern.smooth], axis=0)
+    nodes, without = link.sides.V.mesh.comm.allreduce(own)
+    return Edges(link.interface.feature_angle, int(nodes), int(without))
 
 
 def _count_facing_away(pairing: Pairing) -> int:

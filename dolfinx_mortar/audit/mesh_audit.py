@@ -8,6 +8,7 @@ triangles or tetrahedra lie. A sign that changes at a corner only has no effect 
 """
 
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 from mpi4py import MPI
@@ -28,12 +29,12 @@ CELLS = (*SIMPLICES, "quadrilateral", "hexahedron")
 
 @dataclass(frozen=True)
 class _Cells:
-    """The cells that this rank owns."""
+    """The cells that this rank owns; those of a node side by side, so that loops run over cells."""
 
     mesh: Mesh
     kind: str
-    nodes: Longs  # (n, k) global numbers
-    x: Floats  # (n, k, d) coordinates
+    nodes: Longs  # (k, n) global numbers
+    x: Floats  # (k, d, n) coordinates
 
 
 def check_mesh(mesh: Mesh) -> None:
@@ -58,12 +59,12 @@ def check_mesh(mesh: Mesh) -> None:
             f"mesh: the geometry has degree {degree}; make the mesh with degree 1 or {HIGHEST}"
         )
     cells = _own_cells(mesh, kind)
-    bad = np.any(~np.isfinite(cells.x), axis=(1, 2))
+    bad = ~np.isfinite(cells.x).all(axis=(0, 1))
     _reject(cells, bad, "have coordinates that are NaN or infinite", "check the mesh")
     with np.errstate(under="ignore"):
-        noise = _round_off(cells.x)[:, None]
+        noise = _round_off(cells.x)
         J = jacobians(cells.x, kind, _points(kind, degree), degree)
-    collapsed = (np.abs(J) <= noise).all(axis=1)
+    collapsed = (np.abs(J) <= noise).all(axis=0)
     _reject(cells, collapsed, "have collapsed, without volume", "remesh there")
     order = "the nodes of a cell are in dolfinx's order (a tensor product, not around it)"
     remedy = f"check that no node was moved too far, and that {order}"
@@ -81,15 +82,14 @@ def _lagrange(kind: str, degree: int) -> Any:
 
 
 def jacobians(x: Floats, kind: str, points: Floats, degree: int = 1) -> Floats:
-    """Return the Jacobians (n, q) of cells x (n, k, d) at reference points (q, d).
+    """Return the Jacobians (q, n) of cells x (k, d, n) at reference points (q, d).
 
-    >>> square = np.array([[[0.0, 0.0], [2.0, 0.0], [0.0, 1.0], [2.0, 1.0]]])
+    >>> square = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 1.0], [2.0, 1.0]])[:, :, None]
     >>> jacobians(square, "quadrilateral", np.array([[0.25, 0.5]])).round(12).tolist()
     [[2.0]]
     """
     slopes = np.asarray(_lagrange(kind, degree).tabulate(1, points))[1:, :, :, 0]  # (d, q, k)
-    columns = [np.matmul(slope, x).reshape(-1, len(slopes)) for slope in slopes]
-    return _determinants(columns).reshape(len(x), len(points))
+    return _determinants([np.tensordot(slope, x, 1) for slope in slopes])
 
 
 def _points(kind: str, degree: int) -> Floats:
@@ -104,34 +104,37 @@ def _points(kind: str, degree: int) -> Floats:
 
 
 def _mixed(J: Floats, noise: Floats) -> Bools:
-    """Tell in which cells (n,) Jacobians (n, q) have both signs, beyond round-off."""
-    return np.asarray((J > noise).any(axis=1) & (J < -noise).any(axis=1))
+    """Tell in which cells (n,) Jacobians (q, n) have both signs, beyond round-off."""
+    return np.asarray((J > noise).any(axis=0) & (J < -noise).any(axis=0))
 
 
-def _determinants(columns: list[Floats]) -> Floats:
-    """Return the determinants (n,) of d vectors (n, d)."""
-    if len(columns) == 2:
-        a, b = columns
-        return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-    return np.einsum("ni,ni->n", np.cross(columns[0], columns[1]), columns[2])
+def _determinants(vectors: list[Floats]) -> Floats:
+    """Return the determinants (.., n) of d vectors (.., d, n)."""
+    components = [np.moveaxis(v, -2, 0) for v in vectors]
+    if len(vectors) == 2:
+        (a, b), (c, d) = components
+        return np.asarray(a * d - b * c)
+    (a, b, c), (d, e, f), (g, h, i) = components
+    return np.asarray((b * f - c * e) * g + (c * d - a * f) * h + (a * e - b * d) * i)
 
 
 def _round_off(x: Floats) -> Floats:
-    """Return the error of the Jacobian of cells x (n, k, d), EPS |x| h^(d-1) times operations.
+    """Return the error of the Jacobian of cells x (k, d, n), EPS |x| h^(d-1) times operations.
 
     |x| is the cell's largest coordinate, h its longest edge.
     """
-    d = x.shape[2]
-    extent = (x.max(axis=1) - x.min(axis=1)).max(axis=1)
-    return ROUND_OFF * np.abs(x).max(axis=(1, 2)) * extent ** (d - 1)
+    most, least = x.max(axis=0), x.min(axis=0)
+    largest, extent = np.maximum(most, -least).max(axis=0), (most - least).max(axis=0)
+    return np.asarray(ROUND_OFF * largest * extent ** (x.shape[1] - 1))
 
 
 def _own_cells(mesh: Mesh, kind: str) -> _Cells:
     """Collect numbers and coordinates of the owned cells' nodes."""
     d, geometry = mesh.topology.dim, mesh.geometry
     dofs = compat.cell_nodes(mesh)[: mesh.topology.index_map(d).size_local]
+    dofs = np.ascontiguousarray(dofs.T)
     nodes = geometry.index_map().local_to_global(dofs.ravel().astype(np.int32))
-    x = np.asarray(geometry.x[:, :d], dtype=np.float64)[dofs]
+    x = np.stack([np.asarray(geometry.x[:, i], dtype=np.float64)[dofs] for i in range(d)], axis=1)
     return _Cells(mesh, kind, np.asarray(nodes, dtype=np.int64).reshape(dofs.shape), x)
 
 
@@ -139,22 +142,26 @@ def _beside_neighbour(cells: _Cells) -> Bools:
     """Tell which simplices (n,) lie on the same side of a facet as their neighbour; collective.
 
     The sides are the signs of det(x_1 - x_0, .., x_d - x_0) with the facet's vertices in the order
-    of their global numbers and the cell's other vertex last. In a sound mesh they add up to 0.
+    of their global numbers and the cell's other vertex last. In a sound mesh they add up to 0. The
+    order of numbers changes the sign once for each pair of vertices that it exchanges.
     """
-    topology, d = cells.mesh.topology, cells.x.shape[2]
+    topology, d = cells.mesh.topology, cells.x.shape[1]
     topology.create_entities(d - 1)
     topology.create_connectivity(d, d - 1)
-    order = np.argsort(cells.nodes[:, : d + 1], axis=1)
-    x = np.take_along_axis(cells.x, order[:, :, None], axis=1)
-    sign = np.sign(_determinants([x[:, i] - x[:, 0] for i in range(1, d + 1)]))
+    x, nodes = cells.x[: d + 1], cells.nodes[: d + 1]
     # facet i does not have vertex i, which goes to the end past all vertices of larger numbers
-    sides = sign[:, None] * (-1.0) ** np.argsort(order, axis=1)
-    facets = topology.connectivity(d, d - 1).array[: sides.size]
+    sides = np.tile(np.sign(_determinants([x[i] - x[0] for i in range(1, d + 1)])), (d + 1, 1))
+    for i, j in combinations(range(d + 1), 2):
+        ordered = np.where(nodes[i] < nodes[j], 1.0, -1.0)
+        sides *= ordered
+        sides[i] *= -ordered
+        sides[j] *= ordered
+    facets = topology.connectivity(d, d - 1).array[: sides.size].reshape(-1, d + 1).T
     total = la.vector(topology.index_map(d - 1))
-    total.array[:] = np.bincount(facets, sides.ravel(), minlength=len(total.array))
+    total.array[:] = np.bincount(facets.ravel(), sides.ravel(), minlength=len(total.array))
     total.scatter_reverse(la.InsertMode.add)
     total.scatter_forward()
-    return np.asarray((np.abs(total.array[facets]) == 2.0).reshape(sides.shape).any(axis=1))
+    return np.asarray((np.abs(total.array) == 2.0)[facets].any(axis=0))
 
 
 def _reject(cells: _Cells, bad: Any, what: str, remedy: str) -> None:
@@ -169,7 +176,7 @@ def _reject(cells: _Cells, bad: Any, what: str, remedy: str) -> None:
     count, total = cells.mesh.comm.allreduce(np.array([bad.sum(), len(bad)]), op=MPI.SUM)
     if count == 0:
         return
-    x = cells.x[bad]
+    x = np.moveaxis(cells.x[:, :, bad], 2, 0)
     finite = np.isfinite(x)
     centres = np.where(finite, x, 0.0).sum(axis=1) / np.maximum(finite.sum(axis=1), 1)
     every = np.concatenate(cells.mesh.comm.allgather(centres))

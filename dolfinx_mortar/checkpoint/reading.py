@@ -42,7 +42,7 @@ def read_about(comm: MPI.Comm, path: Path) -> dict[str, Any]:
             _check_kind(path)
             with _opened(path) as file:
                 _check_version(path, file)
-                about = json.loads(file["about"][:].tobytes())
+                about = dict(json.loads(file["about"][:].tobytes()))
     return dict(comm.bcast(about))
 
 
@@ -61,7 +61,7 @@ def read_tables(
         Values (n, c) by field by table; and by table, in words, how places differ, if they do.
 
     Raises:
-        ValueError: on all ranks, if a table is missing.
+        ValueError: on all ranks, if a table is missing or not as `write` makes it.
     """
     totals = {name: comm.allreduce(len(own), op=MPI.SUM) for name, own in places.items()}
     found: dict[str, dict[str, Floats]] = {}
@@ -70,6 +70,7 @@ def read_tables(
     with raised_together(comm), _opened(path) as file:
         for name, own in places.items():
             table = file[f"tables/{name}"]
+            _check_table(name, table)
             there[name] = len(table["places"])
             found[name], hits[name] = _read_table(table, own, SAME_PLACE * size)
     differences = {}
@@ -106,6 +107,25 @@ def _columns(table: Any) -> dict[str, Any]:
     if "values" in table:
         table["values"].visititems(visit)
     return columns
+
+
+def _check_table(name: str, table: Any) -> None:
+    """Raise a ValueError unless the arrays of a table are as `write` makes them."""
+    arrays = {"places": table["places"], "pieces": table["pieces"]}
+    arrays |= {f"values/{field}": column for field, column in _columns(table).items()}
+    for field, array in arrays.items():
+        shape, dtype = getattr(array, "shape", None), getattr(array, "dtype", None)
+        if dtype != np.float64 or shape is None or len(shape) != 2:
+            what = "a group" if shape is None else f"{dtype} of shape {shape}"
+            raise ValueError(f"tables/{name}/{field} is {what}: need float64 of 2 dimensions")
+    n, k = arrays["places"].shape
+    pieces = arrays.pop("pieces")[:]
+    first, rows = pieces[:, :2].T if pieces.shape[1] == 2 + 2 * k else np.full((2, 1), np.nan)
+    if not np.array_equal(np.cumsum(rows) - rows, first) or rows.sum() != n or (rows < 0).any():
+        raise ValueError(f"tables/{name}/pieces are not those of {n} places")
+    for field, array in arrays.items():
+        if len(array) != n:
+            raise ValueError(f"tables/{name}/{field} has {len(array)} rows: need {n}")
 
 
 def _read_table(table: Any, own: Floats, tolerance: float) -> tuple[dict[str, Floats], Longs]:
@@ -173,4 +193,7 @@ def _opened(path: Path) -> Iterator[Any]:
     except (PermissionError, FileNotFoundError, BlockingIOError):
         raise
     except (OSError, KeyError, RuntimeError, TypeError, ValueError) as error:
-        raise ValueError(f"path is {str(path)!r}, which cannot be read: {error}") from error
+        raise ValueError(
+            f"path is {str(path)!r}, which cannot be restored: {error}; take a file as it was "
+            "written"
+        ) from error

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -58,7 +59,7 @@ class Resultants:
 FEATURE_ANGLE = 40.0
 
 
-class Interface:
+class Interface(ABC):
     """What constrains the nodes of a slave side, marked in facet tags.
 
     `Contact` and `Tie` do so by another side of the mesh. A kind of your own says in `couple` at
@@ -178,6 +179,7 @@ class Interface:
         """Return how far the slave nodes face the master at X + u: all without one; collective."""
         return full_coverage(sides)
 
+    @abstractmethod
     def couple(
         self,
         sides: Sides,
@@ -197,7 +199,6 @@ class Interface:
             u: displacement, None for X.
             before: of the last geometry of the step; in its first one none.
         """
-        raise NotImplementedError
 
     # -- constraints -----------------------------------------------------------------------------
 
@@ -220,6 +221,7 @@ class Interface:
         """Return the quantity that is constrained: positions x or displacements u."""
         return x
 
+    @abstractmethod
     def constraints(self, nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
         """Return the bounds on further motion.
 
@@ -230,7 +232,6 @@ class Interface:
                 is minus the gap.
             D: (n, c) weights.
         """
-        raise NotImplementedError
 
     def limits(self) -> Floats | None:
         """Return the limits of friction at the owned nodes, None without friction; collective."""
@@ -239,7 +240,7 @@ class Interface:
     def slip_limits(
         self, nodes: Ints, directions: Bools, frames: Floats, slip: Floats, D: Floats, limit: Floats
     ) -> SlipLimits:
-        """Return the limits of tangential reactions, see `Contact.slip_limits`."""
+        """Return the limits of tangential reactions where it is rough, see `Contact`."""
         raise NotImplementedError
 
     # -- what steps read and find ----------------------------------------------------------------
@@ -256,7 +257,10 @@ class Interface:
         """Keep by how much (d,) a step has let the sides overlap."""
 
     def found(self) -> dict[str, list[float]]:
-        """Return what steps have found and no nodal result holds, for a checkpoint."""
+        """Return what steps have found and no nodal result holds, for a checkpoint.
+
+        Finite numbers in lists whose names and lengths do not change.
+        """
         return {}
 
     def take_found(self, found: Mapping[str, list[float]]) -> None:

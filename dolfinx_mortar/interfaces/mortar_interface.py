@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
@@ -122,8 +123,9 @@ class MortarInterface(Interface):
             sizes: (q,) diameter of the larger one of two facets.
             nearest: least distance between the sides.
         """
-        raise NotImplementedError
+        return np.full(len(sizes), np.inf)
 
+    @abstractmethod
     def may_carry(self, left: Floats, fixed: Bools) -> Bools:
         """Return (n, c): which nodes may carry a multiplier, for each of c choices of direction.
 
@@ -131,19 +133,18 @@ class MortarInterface(Interface):
             left: (n,) length of the unit normals without prescribed directions.
             fixed: (n, d) directions with Dirichlet data.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def frame(self, normals: Floats, kept: Bools, fixed: Bools) -> Frame:
         """Return the frames for unit normals (n, d), kept nodes (n, c), Dirichlet data (n, d)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def blocks(self, P: Floats, frame: Frame, row: Ints) -> Floats:
         """Return the entries (e, d, d) of Q for P (e, c) in rows (e,) of the frame."""
-        raise NotImplementedError
 
+    @abstractmethod
     def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:
         """Return which operators smooth surfaces correct, see `create_operators`."""
-        raise NotImplementedError
 
     # -- surfaces, pairs, operators --------------------------------------------------------------
 

@@ -164,6 +164,7 @@ class SmoothSide:
     normals: NodeNormals  # of all nodes
     nodes: Ints  # (m, k) which of them are the facets'
     sagitta: Floats  # (m, e) c_ab of `edge_sagittas`
+    edges: Ints  # (2,) owned nodes of the surface on an edge, and those of them without a normal
 
 
 @timed("~Mortar: smooth surfaces")
@@ -183,8 +184,16 @@ def find_smooth_sides(
     )
     on_slave = facets_at(slave, slave.X), n_s, slave.facets
     on_master = received_facets(pairing, None), _received(pairing, n_m), pairing.master_facets
-    a, b = (SmoothSide(*side, edge_sagittas(*side)) for side in (on_slave, on_master))
+    counts = count_edges(n_s, slave.owned), count_edges(n_m, master.owned)
+    sides = zip((on_slave, on_master), counts, strict=True)
+    a, b = (SmoothSide(*side, edge_sagittas(*side), edges) for side, edges in sides)
     return a, b
+
+
+def count_edges(normals: NodeNormals, owned: int) -> Ints:
+    """Return how many owned nodes lie on an edge, and how many of them have no normal."""
+    none = np.abs(normals.n[:owned]).max(axis=1, initial=0.0) == 0.0
+    return np.array([normals.sharp[:owned].sum(), none.sum()], dtype=np.int32)
 
 
 @dataclass(frozen=True)
@@ -324,20 +333,6 @@ def find_parting(
     local = np.array([size @ np.abs(k_s + k_m), size @ np.maximum(np.abs(k_s), np.abs(k_m))])
     apart, curved = pairing.slave.V.mesh.comm.allreduce(local)
     return float(apart / curved) if curved > 0.0 else np.inf
-
-
-def count_edges(surface: Surface, fixed: Bools, feature_angle: float) -> Ints:
-    """Return how many nodes lie on an edge at X, and how many of them have no normal; collective.
-
-    Args:
-        surface: the surface.
-        fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
-        feature_angle: see `smooth_normals`.
-    """
-    normals = smooth_normals(surface, surface.X, fixed[surface.nodes], feature_angle)
-    none = np.abs(normals.n).max(axis=1) == 0.0
-    local = [marks[: surface.owned].sum() for marks in (normals.sharp, none)]
-    return np.asarray(surface.V.mesh.comm.allreduce(np.array(local, dtype=np.int32)))
 
 
 def _received(pairing: Pairing, own: NodeNormals) -> NodeNormals:

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Restoring a checkpoint: it is compared with the problem before any of the state is changed.
-
-Its checksum shows that it is as it was written, so its contents are not validated.
-"""
+"""Restoring a checkpoint: all of it is checked before any of the state is changed."""
 
 import os
 from collections.abc import Mapping
@@ -14,6 +11,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx import fem
+from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.checkpoint import read_about, read_tables, size_of
 from dolfinx_mortar.disk import check_path
@@ -26,8 +24,18 @@ from dolfinx_mortar.persistence.committed import (
     SupportForces,
     Walk,
 )
+from dolfinx_mortar.persistence.contents import (
+    NODES,
+    POINTS,
+    RESULTANTS,
+    SLIPS,
+    check_about,
+    check_values,
+    name_of,
+    named,
+)
 from dolfinx_mortar.persistence.identity import describe, differences, material_numbers
-from dolfinx_mortar.persistence.saving import NODES, POINTS, RESULTANTS, SLIPS, name_of, places_of
+from dolfinx_mortar.persistence.saving import places_of
 from dolfinx_mortar.step_report import LoadStep
 
 Tables = Mapping[str, Mapping[str, Floats]]
@@ -35,7 +43,7 @@ Tables = Mapping[str, Mapping[str, Floats]]
 
 @dataclass(frozen=True)
 class Saved:
-    """A checkpoint of this problem, read and compared, but not yet restored."""
+    """A checkpoint of this problem, read and checked, but not yet restored."""
 
     state: ProblemState
     about: Mapping[str, Any]
@@ -48,7 +56,12 @@ class Saved:
         return [step.time for step in self.steps[len(self.steps) - self.about["walked"] :]]
 
     def put(self) -> StepOutcome:
-        """Make it the state of the problem; return what a commit takes over; collective."""
+        """Make it the state of the problem; return what a commit takes over; collective.
+
+        Raises:
+            Exception: on all ranks, that of `Interface.take_found`; nothing is changed.
+        """
+        self._take_found()
         state, committed = self.state, self.state.committed
         _set(state.u, self.tables[NODES]["displacement"])
         for name, f in state.states_of_terms.items():
@@ -66,10 +79,8 @@ class Saved:
             same = name.replace("shown/", "committed/")
             _set(field, shown[name] if name in shown else shown[same])
         slips = Slips(*np.zeros((2, *committed.slid.shape)))
-        for k, interface in enumerate(state.interfaces):
-            resultants = self.about["interfaces"][k]
+        for k, resultants in enumerate(self.about["interfaces"]):
             _take(state, k, slips, resultants, self.tables.get(name_of(k), {}))
-            interface.take_found(self.about["found"][k])
         committed.paired = self._paired()
         committed.begun = self.about["begun"]
         committed.level, committed.walked = self.about["level"], self.about["walked"]
@@ -79,6 +90,19 @@ class Saved:
         state.system.faced = True
         u = self.tables[NODES]["displacement"].flatten()
         return StepOutcome(u, committed.active, committed.sliding, committed.paired, slips)
+
+    def _take_found(self) -> None:
+        """Give the interfaces what steps have found; they stay as they are if one refuses it."""
+        interfaces = self.state.interfaces
+        kept = [interface.keep() for interface in interfaces]
+        try:
+            with raised_together(self.state.comm):
+                for interface, found in zip(interfaces, self.about["found"], strict=True):
+                    interface.take_found(found)
+        except BaseException:
+            for interface, before in zip(interfaces, kept, strict=True):
+                interface.put_back(before)
+            raise
 
     def _paired(self) -> Paired | None:
         """Return where the surfaces were paired; None where that is not known."""
@@ -98,13 +122,17 @@ def read(state: ProblemState, path: str | os.PathLike[str]) -> Saved:
     Raises:
         OSError: on all ranks, if there is no such file, or it cannot be read.
         ValueError: on all ranks, if it is no checkpoint, cut off or damaged, of another version or
-            of another problem, with all differences in the message; or if an interface is used by
-            a problem made later.
+            of another problem, with all differences in the message; if it holds what no such
+            problem can have; or if an interface is used by a problem made later.
     """
     file, comm = check_path(state.comm, path), state.comm
     check_owned(state.interfaces, state.supports)
-    about = read_about(comm, file)
-    wrong = differences(about["problem"], describe(state))
+    about, present = read_about(comm, file), describe(state)
+    with raised_together(comm), named(file):
+        wrong = differences(about["problem"], present)
+        if not wrong:
+            check_about(state, about, present)
+            steps = [LoadStep.from_dict(step) for step in about["steps"]]
     tables: Tables = {}
     if not wrong:
         places = places_of(state, [found is not None for found in about["interfaces"]])
@@ -113,6 +141,9 @@ def read(state: ProblemState, path: str | os.PathLike[str]) -> Saved:
         tables, others = read_tables(comm, file, places, size_of(state.solid.V.mesh))
         wrong = [f"{names[name]}: {text}" for name, text in others.items()]
     if not wrong:
+        with raised_together(comm), named(file):
+            for name, values in tables.items():
+                check_values(state, name, values)
         here = material_numbers(state.solid)
         moved = comm.allreduce(int((tables[POINTS]["material"] != here).sum()), op=MPI.SUM)
         wrong = [f"solid: {moved} integration points have another material"] if moved else []
@@ -120,7 +151,7 @@ def read(state: ProblemState, path: str | os.PathLike[str]) -> Saved:
         raise ValueError(
             f"path is {str(file)!r}, a checkpoint of another problem: {'; '.join(wrong)}"
         )
-    return Saved(state, about, tables, [LoadStep.from_dict(step) for step in about["steps"]])
+    return Saved(state, about, tables, steps)
 
 
 def _take(

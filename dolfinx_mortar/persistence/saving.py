@@ -15,17 +15,22 @@ from typing import Any
 import numpy as np
 
 from dolfinx import fem
+from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.checkpoint import Table, find_places, write
 from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.interfaces.interface import Interface, check_owned
 from dolfinx_mortar.persistence.committed import Committed, ProblemState, StepOutcome
+from dolfinx_mortar.persistence.contents import (
+    NODES,
+    POINTS,
+    RESULTANTS,
+    SLIPS,
+    check_values,
+    name_of,
+)
 from dolfinx_mortar.persistence.identity import describe, material_numbers
-
-NODES, POINTS = "nodes", "points"
-SLIPS = ("slid", "dissipated")
-RESULTANTS = ("force", "moment", "master_force", "master_moment")
 
 
 def save(state: ProblemState, path: str | os.PathLike[str], outcome: StepOutcome | None) -> None:
@@ -49,6 +54,9 @@ def save(state: ProblemState, path: str | os.PathLike[str], outcome: StepOutcome
     for k, interface in enumerate(state.interfaces):
         if results[k] is not None:
             values[name_of(k)] = _on_interface(interface) | _slips(state, k) | _near(state, k)
+    with raised_together(state.comm):  # no restart could read what is not finite
+        for name in places:
+            check_values(state, name, values[name])
     tables = {name: Table(places[name], values[name]) for name in places}
     write(state.comm, file, about, tables)
 
@@ -118,11 +126,6 @@ def _resultants(interface: Interface) -> dict[str, Any] | None:
     """Return the resultants, None before the first step."""
     found = interface.resultants
     return None if found is None else {n: getattr(found, n).tolist() for n in RESULTANTS}
-
-
-def name_of(k: int) -> str:
-    """Return the name of the table of an interface."""
-    return f"interface {k}"
 
 
 def _owned(f: fem.Function) -> Floats:

@@ -148,9 +148,6 @@ def _check_interfaces(interfaces: list[Any]) -> list[Interface]:
     for k, interface in enumerate(interfaces):
         if not isinstance(interface, Interface):
             raise ValueError(f"interfaces holds {interface!r}: give Contact or Tie objects")
-        for name in ("couple", "constraints"):
-            if getattr(type(interface), name) is getattr(Interface, name):
-                raise ValueError(f"interfaces holds {interface!r}, which lacks {name}(): define it")
         if any(interface is other for other in interfaces[:k]):
             raise ValueError(f"interfaces holds the same object {interface!r} twice: give it once")
     return interfaces

@@ -31,6 +31,7 @@ class StepEnd:
     stiffness: Floats  # (n,) owned, diagonal of the last K^
     overlap: float  # of the sides at X, left to later steps
     left_out: LeftOut
+    rtol: float  # of the step
 
     @property
     def links(self) -> Sequence[Link]:
@@ -54,8 +55,9 @@ def _facets(end: StepEnd) -> list[str]:
 
 
 def _overlaps(end: StepEnd) -> list[str]:
-    # an initial overlap of which a part is left is as deep as was asked for
-    return notes_on_overlaps(end.unilateral, end.problem.u) if end.overlap == 0.0 else []
+    if end.overlap > 0.0:  # of an initial overlap a part is left, which is as deep as was asked for
+        return []
+    return notes_on_overlaps(end.unilateral, end.problem.u, end.contacts.active, end.rtol)
 
 
 DIAGNOSES: tuple[Diagnosis, ...] = (

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """A term of the energy: what bodies, loads and your own classes have in common."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 
 from petsc4py import PETSc
@@ -11,7 +12,7 @@ from dolfinx import fem, la
 from dolfinx_mortar.arrays import Floats, Ints
 
 
-class Term:
+class Term(ABC):
     """Energy Pi(u), a part of what a step minimises: the base of bodies, loads and your own terms.
 
     Pass instances of yours in ``ContactProblem(..., terms=[...])``. The problem adds up
@@ -20,7 +21,8 @@ class Term:
 
     of all its terms; `WeakForm` does this for UFL. Write here what UFL does not reach: forces
     between far points, tables, other programs. Of what is collective, a method may only do what
-    all ranks reach: an error is raised on all of them after the call.
+    all ranks reach: an error is raised on all of them after the call. Your class has to define
+    `add_forces` and `add_tangent`.
 
     Attributes:
         linear: whether K is constant in a step, so that it need not be assembled at every iterate.
@@ -47,13 +49,13 @@ class Term:
         """
         return None
 
+    @abstractmethod
     def add_forces(self, F: PETSc.Vec) -> None:
         """Add F_i to the internal forces, ``F.array`` of owned dofs or ``F.setValues`` of any."""
-        raise NotImplementedError
 
+    @abstractmethod
     def add_tangent(self, K: PETSc.Mat) -> None:
         """Add K_ij, symmetric, with ``K.setValues(.., addv=True)``, on the pattern that K has."""
-        raise NotImplementedError
 
     def begin(self, start: float, end: float) -> None:
         """Prepare a step.

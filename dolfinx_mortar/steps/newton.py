@@ -448,7 +448,8 @@ class _Step:
             sliders = find_sliders(limits, contacts, iterate.stiffness, noise)
         left_out = find_left_out(problem)
         stiffness = iterate.stiffness.array_r
-        end = StepEnd(problem, iterate.balance, contacts, stiffness, self.overlap, left_out)
+        how = self.overlap, left_out, report.rtol
+        end = StepEnd(problem, iterate.balance, contacts, stiffness, *how)
         report.notes += find_notes(end)
         report.certificate = create_certificate(
             problem, report, contacts, residual, sliders, left_out

@@ -240,9 +240,6 @@ def check_terms(comm: MPI.Comm, terms: Any, V: fem.FunctionSpace) -> list[Term]:
                 )
             if any(term is other for other in terms[:k]):
                 raise ValueError(f"terms holds the same object {term!r} twice: give it once")
-            for name in ("add_forces", "add_tangent"):
-                if getattr(type(term), name) is getattr(Term, name):
-                    raise ValueError(f"terms[{k}], a {type(term).__name__}, lacks {name}(): define")
             _check_state(k, term, V)
     return list(terms)
 

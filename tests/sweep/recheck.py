@@ -57,7 +57,7 @@ def residuals(
         contact_forces += forces
         found = {name: max(value, found.get(name, 0.0)) for name, value in worst.items()}
     sizes = [np.abs(a).max(initial=0.0) for a in (internal, external, contact_forces)]
-    sizes += [begun, 1e-9 * _stiffest(case) * _travel(case)]
+    sizes += [begun, 1e-9 * _stiffest(case) * _travel(case) * _length(case)]
     rest = np.abs((internal + contact_forces - external)[free]).max(initial=0.0)
     scale, rest = (comm.allreduce(float(a), op=MPI.MAX) for a in (max(sizes), rest))
     return {"equilibrium": rest / max(scale, TINY)} | found
@@ -71,6 +71,17 @@ def largest_force(case: RandomProblem) -> float:
     """Return the largest force of the stress on an unknown; collective."""
     local = float(np.abs(_stress_forces(case)).max(initial=0.0))
     return float(case.problem.V.mesh.comm.allreduce(local, op=MPI.MAX))
+
+
+def _length(case: RandomProblem) -> float:
+    """Return the largest circumference of rings, 1 of others; collective.
+
+    Forces of rings are those of the whole circumference, of plane problems per thickness: modulus
+    times displacement is a force of the latter only.
+    """
+    mesh = case.problem.V.mesh
+    largest = 2 * np.pi * float(mesh.geometry.x[:, 0].max(initial=0.0)) if is_ring(case) else 1.0
+    return float(mesh.comm.allreduce(largest, op=MPI.MAX))
 
 
 def _travel(case: RandomProblem) -> float:
