@@ -12,9 +12,9 @@ and the slave facet, which is 1 for plane facets.
 Facets of second order are clipped as a whole where all are straight and flat, else in four parts.
 
 On flat triangles the points integrate Phi_j N_l exactly, and so they do on parallelograms. The
-inverse map of other quadrilaterals is not a polynomial, nor is the cosine on warped ones; there the degree
-of the quadrature grows with the change of the Jacobian and of the slopes over a triangle, so that
-the two sides still exchange a constant pressure without loss. Measured, in parts of the facet:
+inverse map of other quadrilaterals is not a polynomial, nor is the cosine on warped ones; there the
+degree of the quadrature grows with the change of the Jacobian and of the slopes over a triangle, so
+that the two sides still exchange a constant pressure without loss. Measured, in parts of the facet:
 1e-14 where no corner of a quadrilateral has a quality (`facets.distortions`) below 0.6. Where one
 has less, the degree ends at the highest there is, and the error grows to 1e-8 at 0.3, where a mesh
 is refused.
