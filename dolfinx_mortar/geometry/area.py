@@ -352,9 +352,9 @@ def place_points(
         Index into the pairs (q,), xi_s (q, 2), xi_m (q, 2) and weight (q,) of the points.
     """
     least = _least_degree(slave.element, master.element)
-    straight = first_order(slave), first_order(master)
-    if straight[0] is not None and straight[1] is not None:
-        slave, master = straight
+    simple_s, simple_m = first_order(slave), first_order(master)
+    if simple_s is not None and simple_m is not None:
+        slave, master = simple_s, simple_m
     parts_s, parts_m = parts_of(slave), parts_of(master)
     of_parts, of = pairs_of_parts(pairs, slave.element, master.element)
     centre, axes, radius = create_planes(parts_s)
