@@ -25,12 +25,13 @@ from dolfinx_mortar.geometry.facets import (
 from dolfinx_mortar.geometry.parts import (
     coefficients,
     count,
+    first_order,
     meet,
+    on_facets,
     pairs_of_parts,
     parts_of,
-    stretches,
-    to_facets,
 )
+from dolfinx_mortar.geometry.plane import create_planes
 from dolfinx_mortar.spaces import CELLS, HIGHEST
 
 FIRST_ORDER, SECOND_ORDER = [LINE2, TRI3, QUAD4], [LINE3, TRI6, QUAD9]
@@ -186,7 +187,10 @@ def test_every_cell_that_u_may_have_has_facets():
 
 @parametrize([TRI3, QUAD4, TRI6, QUAD9])
 def test_parts_tile_their_facet(element):
-    """On straight facets a point of a part is that point of the facet; areas add up."""
+    """On straight facets a point of a part is that point of the facet; areas add up.
+
+    Two sides that coincide share all their points.
+    """
     rng = np.random.default_rng(7)
     corners = rng.uniform(-1, 1, (3, 4 if element.bilinear else 3, 3))
     x = element.vertex_functions(element.points) @ corners
@@ -195,12 +199,39 @@ def test_parts_tile_their_facet(element):
     assert len(parts.x) == s * len(x) and parts.element.degree == 1
     part = np.arange(3 * s, dtype=np.int32)
     xi = rng.uniform(0.0, 0.5, (3 * s, 2))
-    on = to_facets(element, part, xi)
+    of, both = {"xi_s": xi, "xi_m": xi, "weight": np.ones(3 * s)}, np.stack([part, part], axis=1)
+    on, back, weight = on_facets(facets, facets, create_planes(parts)[1], both, **of)
     assert np.abs(points_of(facets, part // s, on) - points_of(parts, part, xi)).max() < 1e-14
-    assert np.abs(stretches(facets, part // s, on, part, xi) - 1).max() < 1e-12
+    assert np.abs(back - on).max() < 1e-13 and np.abs(weight - 1).max() < 1e-12
     areas = tributary_weights(parts).sum(axis=1).reshape(3, s).sum(axis=1)
     smooth = 1e-2 if element.bilinear else 1e-14  # the area of warped ones is no polynomial
     assert tributary_weights(facets).sum(axis=1) == pytest.approx(areas, rel=smooth)
+
+
+@parametrize([TRI6, QUAD9])
+def test_straight_facets_need_no_parts(element):
+    rng = np.random.default_rng(9)
+    corners = rng.uniform(-1, 1, (2, len(element.vertices), 3))
+    if element.bilinear:
+        corners[:, 3] = corners[:, :3].mean(axis=1)  # planes
+    x = element.vertex_functions(element.points) @ corners
+    simple = first_order(Facets(element, x))
+    assert simple is not None and simple.element.degree == 1 and (simple.x == corners).all()
+    for which, by in ((-1, 1e-9), (0, 1e-9 * element.bilinear)):  # a middle, a corner
+        bent = x.copy()
+        bent[1, which] += by * facet_normals(simple)[1]
+        assert by == 0 or first_order(Facets(element, bent)) is None
+    assert first_order(simple) is simple
+
+
+def lines(facets, at, x, n):
+    """Return where lines through x (q, 3) along n (q, 3) meet the first facet, found from `at`."""
+    found = np.empty(at.shape)
+    for q in range(len(at)):
+        tangents = np.linalg.svd(n[q, None])[2][1:]
+        P = (tangents @ coefficients(facets)[0])[None]
+        found[q] = parts_module.meet(P, *(tangents @ x[q]), *at[q])
+    return found
 
 
 @parametrize([TRI6, QUAD9])
@@ -212,12 +243,11 @@ def test_lines_meet_curved_facets(element):
     at = np.random.default_rng(8).uniform(0.0, 0.3, (6, 2))
     shift = 0.0 if element.bilinear else 0.3
     x = np.column_stack([at - shift, np.full(6, -2.0)])
-    which, n = np.zeros(6, dtype=np.int32), np.array([[0.0, 0.0, 1.0]])
-    assert np.abs(meet(facets, which, at + 0.05, x, n, which) - at).max() < 1e-13
+    which, n = np.zeros(6, dtype=np.int32), np.tile([0.0, 0.0, 1.0], (6, 1))
+    assert np.abs(lines(facets, at + 0.05, x, n) - at).max() < 1e-13
     slanted = x + np.array([0.3, 0.0, 0.0])
     n = slanted - points_of(facets, which, at)
-    found = meet(facets, which, at, slanted, n, np.arange(6, dtype=np.int32))
-    assert np.abs(found - at).max() < 1e-13
+    assert np.abs(lines(facets, at, slanted, n) - at).max() < 1e-13
 
 
 @parametrize([TRI6, QUAD9])
@@ -226,21 +256,19 @@ def test_newton_reaches_curved_facets_or_says_so(element, monkeypatch):
     xi = element.points if element.bilinear else element.points - 0.3
     at = np.random.default_rng(8).uniform(0.0, 0.3, (6, 2))
     x = np.column_stack([at + 0.5, np.full(6, -1.0)])  # lines aslant, off by a tenth
-    which, each = np.zeros(6, dtype=np.int32), np.arange(6, dtype=np.int32)
+    which = np.zeros(6, dtype=np.int32)
     for bend in (1.0, 10.0):
         height = bend * (0.1 * xi[:, 0] ** 2 - 0.07 * xi[:, 0] * xi[:, 1])
         facets = Facets(element, np.column_stack([xi, height])[None])
         n = x - points_of(facets, which, at)
-        given = coefficients(facets), which, at + 0.1, x, n, each
-        assert np.abs(meet(facets, which, at + 0.1, x, n, each) - at).max() < 1e-13
+        assert np.abs(lines(facets, at + 0.1, x, n) - at).max() < 1e-13
         for steps in (0, 1, 2):  # too few: the kernel as Python sees the number
             monkeypatch.setattr(parts_module, "_STEPS", steps)
-            assert np.isnan(parts_module._meet.py_func(*given)).all()
+            monkeypatch.setattr(parts_module, "meet", meet.py_func)
+            assert np.isnan(lines(facets, at + 0.1, x, n)).all()
             monkeypatch.undo()
-    aside = x + np.array([100.0, 0.0, 0.0])
-    n = np.tile([0.1, 0.0, 1.0], (6, 1))
-    found = meet(facets, which, at, aside - np.array([0.0, 0.0, 1e3]), n, each)
-    assert np.isnan(found).all()  # no such point on the paraboloid
+    aside = x + np.array([100.0, 0.0, -1e3])
+    assert np.isnan(lines(facets, at, aside, np.tile([0.1, 0.0, 1.0], (6, 1)))).all()  # none there
 
 
 def test_pairs_of_parts_are_ordered_and_complete():

@@ -17,6 +17,7 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar.materials import Elastic, VonMises
 from dolfinx_mortar.materials.tensor import from_components
+from dolfinx_mortar.solid.forms import REASSOCIATE
 from dolfinx_mortar.solid.kinematics import kinematics_of_dimension
 from dolfinx_mortar.solid.solid import Solid
 from tests.solid_case import (
@@ -205,6 +206,24 @@ def test_a_step_compiles_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert solid.plastic_area() > 0.0 and solid.gradients.evaluate().left_out.any()
     with pytest.raises(AssertionError, match="was created"):
         fem.form(ufl.div(solid.u) * ufl.dx)  # the refusal works
+
+
+def test_only_sums_of_the_tangent_may_be_reordered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The user's options of the compiler hold for all forms."""
+    given, compile_form = [], dolfinx.jit.ffcx_jit
+
+    def look(comm: Any, form: Any, *args: Any, jit_options: Any = None, **others: Any) -> Any:
+        if isinstance(form, ufl.Form):
+            options = dolfinx.jit.get_options(jit_options)["cffi_extra_compile_args"]
+            given.append((len(form.arguments()), set(options)))
+        return compile_form(comm, form, *args, jit_options=jit_options, **others)
+
+    monkeypatch.setattr(dolfinx.jit, "ffcx_jit", look)
+    Solid(create_displacement(create_domain("triangle")), STEEL)
+    usual = set(dolfinx.jit.get_options()["cffi_extra_compile_args"])
+    assert {arguments for arguments, _ in given} == {0, 1, 2} and usual
+    for arguments, options in given:
+        assert options == (usual | set(REASSOCIATE) if arguments == 2 else usual)
 
 
 def test_units_of_length() -> None:

@@ -14,8 +14,8 @@ import numpy as np
 
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
-from dolfinx_mortar.geometry.facets import Facets, facet_normals
-from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS
+from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
+from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, ROUND_OFF
 
 _STEPS = 32
 """Limit of Newton's steps to a curved facet; the coordinates of a line that is not met are NaN.
@@ -39,6 +39,25 @@ def parts_of(facets: Facets) -> Facets:
     return Facets(element.part, np.ascontiguousarray(x.reshape(-1, *x.shape[2:])))
 
 
+def first_order(facets: Facets) -> Facets | None:
+    """Return facets of first order that are these facets, None unless all are straight and flat.
+
+    Their reference coordinates are the same. Nodes count as straight within round-off of a facet.
+    """
+    element, x = facets.element, facets.x
+    if element.part is None:
+        return facets
+    corners = x[:, list(element.vertices)]
+    off = x - element.vertex_functions(element.points) @ corners
+    heights = np.einsum(
+        "mki,mi->mk", corners - corners.mean(axis=1, keepdims=True), facet_normals(facets)
+    )
+    limit = 8 * ROUND_OFF * facet_sizes(x)[:, None]
+    if (np.abs(off).max(axis=2, initial=0.0) > limit).any() or (np.abs(heights) > limit).any():
+        return None
+    return Facets(element.part, np.ascontiguousarray(corners))
+
+
 def pairs_of_parts(pairs: Ints, slave: FacetElement, master: FacetElement) -> tuple[Ints, Ints]:
     """Return the pairs of parts (p', 2), ordered by the slave's, and the pair (p',) of each.
 
@@ -50,20 +69,33 @@ def pairs_of_parts(pairs: Ints, slave: FacetElement, master: FacetElement) -> tu
     a, b = count(slave), count(master)
     if a * b == 1:
         return pairs, np.arange(len(pairs), dtype=np.int32)
-    of = np.repeat(np.arange(len(pairs)), a * b)
-    i, j = (np.tile(k.ravel(), len(pairs)) for k in np.indices((a, b)))
-    every = np.stack([pairs[of, 0] * a + i, pairs[of, 1] * b + j], axis=1)
-    order = np.argsort(every[:, 0], kind="stable")
-    return every[order].astype(np.int32), of[order].astype(np.int32)
+    every, of = _all_pairs(pairs, a, b)
+    return every, of
 
 
-def to_facets(element: FacetElement, part: Ints, xi: Floats) -> Floats:
-    """Return the reference coordinates (q, d-1) on facets of points xi on their parts (q,)."""
-    if element.part is None:
-        return xi
+@numba.njit(cache=True)
+def _all_pairs(pairs, a, b):  # type: ignore[no-untyped-def]
+    """See `pairs_of_parts`; slave facets have a parts, master facets b."""
+    size = len(pairs) * a * b
+    every, of = np.empty((size, 2), np.int32), np.empty(size, np.int32)
+    first, k = 0, 0
+    while first < len(pairs):
+        last = first
+        while last < len(pairs) and pairs[last, 0] == pairs[first, 0]:
+            last += 1
+        for i in range(a):
+            for p in range(first, last):
+                for j in range(b):
+                    every[k, 0], every[k, 1], of[k] = pairs[p, 0] * a + i, pairs[p, 1] * b + j, p
+                    k += 1
+        first = last
+    return every, of
+
+
+def _on_reference(element: FacetElement) -> Floats:
+    """Return the coefficients (s, 3, 9) of the parts of the reference facet."""
     x = element.points[np.array(element.sub_facets)]  # (s, k', d-1)
-    parts = Facets(element.part, np.pad(x, ((0, 0), (0, 0), (0, 1))))
-    return np.asarray(points_at(coefficients(parts), part % count(element), xi)[:, :2])
+    return coefficients(Facets(element.part or element, np.pad(x, ((0, 0), (0, 0), (0, 1)))))
 
 
 def coefficients(facets: Facets) -> Floats:
@@ -85,125 +117,104 @@ def coefficients(facets: Facets) -> Floats:
     return np.ascontiguousarray(np.swapaxes(to_c @ facets.x, 1, 2))
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _component(c, r, s):  # type: ignore[no-untyped-def]
-    """Return one component of a point and of its tangents at (r, s)."""
-    low, mid = c[0] + s * (c[1] + s * c[2]), c[3] + s * (c[4] + s * c[5])
-    high = c[6] + s * (c[7] + s * c[8])
-    along = (c[1] + 2 * s * c[2]) + r * ((c[4] + 2 * s * c[5]) + r * (c[7] + 2 * s * c[8]))
-    return low + r * (mid + r * high), mid + 2 * r * high, along
+# Facets by number: a view of each would cost as much as a point.
 
 
 @numba.njit(cache=True, error_model="numpy")
-def points_at(c, which, xi):  # type: ignore[no-untyped-def]
-    """Return the points (q, 3) of facets at xi (q, 2), as `points_of`, in a fifth of the time."""
-    x = np.empty((len(which), 3))
-    for q in range(len(which)):
-        for i in range(3):
-            x[q, i] = _component(c[which[q], i], xi[q, 0], xi[q, 1])[0]
-    return x
+def _component(c, m, i, r, s):  # type: ignore[no-untyped-def]
+    """Return component i of a point of facet m, and of its tangents, at (r, s)."""
+    c1, c2, c4, c5, c7, c8 = c[m, i, 1], c[m, i, 2], c[m, i, 4], c[m, i, 5], c[m, i, 7], c[m, i, 8]
+    mid, high = c[m, i, 3] + s * (c4 + s * c5), c[m, i, 6] + s * (c7 + s * c8)
+    along = (c1 + 2 * s * c2) + r * ((c4 + 2 * s * c5) + r * (c7 + 2 * s * c8))
+    return c[m, i, 0] + s * (c1 + s * c2) + r * (mid + r * high), mid + 2 * r * high, along
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _area(c, r, s):  # type: ignore[no-untyped-def]
-    """Return the area of a facet (3, 9) at (r, s) per area of the reference facet."""
-    _, a0, b0 = _component(c[0], r, s)
-    _, a1, b1 = _component(c[1], r, s)
-    _, a2, b2 = _component(c[2], r, s)
+def _point(c, m, r, s):  # type: ignore[no-untyped-def]
+    """Return a point of facet m, three numbers, and the area there per reference area."""
+    x0, a0, b0 = _component(c, m, 0, r, s)
+    x1, a1, b1 = _component(c, m, 1, r, s)
+    x2, a2, b2 = _component(c, m, 2, r, s)
     n0, n1, n2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
-    return np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+    return x0, x1, x2, np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def area_ratios(c, which, xi, c_part, part, xi_part):  # type: ignore[no-untyped-def]
-    """Return the area (q,) of facets at xi (q, 2) over that of others at xi_part (q, 2)."""
-    ratio = np.empty(len(which))
-    for q in range(len(which)):
-        whole = _area(c[which[q]], xi[q, 0], xi[q, 1])
-        ratio[q] = whole / _area(c_part[part[q]], xi_part[q, 0], xi_part[q, 1])
-    return ratio
-
-
-def stretches(facets: Facets, which: Ints, xi: Floats, part: Ints, xi_part: Floats) -> Floats:
-    """Return the area (q,) of facets at points over that of their parts there.
-
-    Args:
-        facets: the facets (m,).
-        which: (q,) facet of each point.
-        xi: (q, 2) its coordinates there.
-        part: (q,) part of each point.
-        xi_part: (q, 2) its coordinates there.
-    """
-    parts = parts_of(facets)
-    scale = facets.element.size / (count(facets.element) * parts.element.size)
-    ratios = area_ratios(coefficients(facets), which, xi, coefficients(parts), part, xi_part)
-    return np.asarray(scale * ratios)
+def _project(c, m, axes, i, P):  # type: ignore[no-untyped-def]
+    """Write the coefficients of facet m along the tangents of plane i into P (1, 2, 9)."""
+    for a in range(2):
+        for k in range(9):
+            P[0, a, k] = 0.0
+            for j in range(3):
+                P[0, a, k] += axes[i, a, j] * c[m, j, k]
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _step(c, r, s, x, n):  # type: ignore[no-untyped-def]
-    """Return Newton's step from (r, s) towards the line through x along n.
+def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
+    """Return where a facet projected on a plane, P (1, 2, 9), has the point (x, y), or NaN.
 
-    With a, b the tangents and e = x - x(r, s): e + t n = a dr + b ds, multiplied by the cross
-    products of a and b with n.
+    By Newton's method from (r, s), where the point is on a part of the facet.
     """
-    y0, a0, b0 = _component(c[0], r, s)
-    y1, a1, b1 = _component(c[1], r, s)
-    y2, a2, b2 = _component(c[2], r, s)
-    e0, e1, e2 = x[0] - y0, x[1] - y1, x[2] - y2
-    u0, u1, u2 = b1 * n[2] - b2 * n[1], b2 * n[0] - b0 * n[2], b0 * n[1] - b1 * n[0]
-    v0, v1, v2 = a1 * n[2] - a2 * n[1], a2 * n[0] - a0 * n[2], a0 * n[1] - a1 * n[0]
-    size = a0 * u0 + a1 * u1 + a2 * u2
-    return (e0 * u0 + e1 * u1 + e2 * u2) / size, -(e0 * v0 + e1 * v1 + e2 * v2) / size
+    for _ in range(_STEPS):
+        y0, a0, b0 = _component(P, 0, 0, r, s)
+        y1, a1, b1 = _component(P, 0, 1, r, s)
+        e0, e1, size = x - y0, y - y1, a0 * b1 - a1 * b0
+        dr, ds = (e0 * b1 - e1 * b0) / size, (a0 * e1 - a1 * e0) / size
+        r, s = r + dr, s + ds
+        if max(abs(dr), abs(ds)) <= HALF_OF_DIGITS:  # the next one is round-off
+            return r, s
+    return np.nan, np.nan
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _meet(c, which, xi, x, n, direction):  # type: ignore[no-untyped-def]
-    """See `meet`; the direction of a point is n[direction[q]]."""
-    found = np.empty(xi.shape)
-    for q in range(len(which)):
-        r, s = xi[q, 0], xi[q, 1]
-        for _ in range(_STEPS):
-            dr, ds = _step(c[which[q]], r, s, x[q], n[direction[q]])
-            r, s = r + dr, s + ds
-            if max(abs(dr), abs(ds)) <= HALF_OF_DIGITS:  # the next one is round-off
-                break
-        else:
-            r = s = np.nan
-        found[q, 0], found[q, 1] = r, s
-    return found
-
-
-def meet(facets: Facets, which: Ints, xi: Floats, x: Floats, n: Floats, direction: Ints) -> Floats:
-    """Return the coordinates (q, 2) at which lines through x meet curved facets, NaN if nowhere.
-
-    Args:
-        facets: the facets (m,).
-        which: (q,) facet of each point.
-        xi: (q, 2) where its parts are met.
-        x: (q, 3) points.
-        n: (v, 3) directions.
-        direction: (q,) which of them a line has.
-    """
-    return np.asarray(_meet(coefficients(facets), which, xi, x, n, direction))
+def _place(  # type: ignore[no-untyped-def]
+    slave, slave_parts, master, reference_s, reference_m, axes, part, xi_s, xi_m, weight, scale
+):
+    """See `on_facets`; facets by their coefficients."""
+    on_s, on_m, area = np.empty(xi_s.shape), np.empty(xi_m.shape), np.empty(len(weight))
+    P = np.empty((1, 2, 9))
+    a, b = len(reference_s), len(reference_m)
+    for q in range(len(weight)):
+        i, j = part[q, 0], part[q, 1]
+        if q == 0 or i != part[q - 1, 0] or j != part[q - 1, 1]:
+            _project(master, j // b, axes, i, P)
+        of_part = _point(slave_parts, i, xi_s[q, 0], xi_s[q, 1])[3]
+        r, s, _, _ = _point(reference_s, i % a, xi_s[q, 0], xi_s[q, 1])
+        x, y, z, of_facet = _point(slave, i // a, r, s)
+        on_s[q, 0], on_s[q, 1], area[q] = r, s, weight[q] * scale * of_facet / of_part
+        u = axes[i, 0, 0] * x + axes[i, 0, 1] * y + axes[i, 0, 2] * z
+        v = axes[i, 1, 0] * x + axes[i, 1, 1] * y + axes[i, 1, 2] * z
+        r, s, _, _ = _point(reference_m, j % b, xi_m[q, 0], xi_m[q, 1])
+        on_m[q, 0], on_m[q, 1] = meet(P, u, v, r, s)
+    return on_s, on_m, area
 
 
 def on_facets(
-    slave: Facets, master: Facets, part: Ints, *, xi_s: Floats, xi_m: Floats, weight: Floats
+    slave: Facets,
+    master: Facets,
+    axes: Floats,
+    part: Ints,
+    *,
+    xi_s: Floats,
+    xi_m: Floats,
+    weight: Floats,
 ) -> tuple[Floats, Floats, Floats]:
     """Return xi_s, xi_m (q, 2) and weights (q,) of points on the facets' true surfaces.
 
+    Coordinates of the master are NaN where the line through a point does not meet it.
+
     Args:
-        slave: Slave facets (ms,), whose parts are projected along their mean normals.
+        slave: Slave facets (ms,).
         master: Master facets (mm,).
+        axes: Of the planes (ms * s, 3, 3) of the slave's parts, which are projected along the last.
         part: (q, 2) parts of slave and master that lie over each other.
         xi_s: (q, 2) reference coordinates on the slave's part.
         xi_m: (q, 2) and on the master's.
         weight: (q,) of the slave's part.
     """
-    part_s, part_m = part.T
-    s, m = part_s // count(slave.element), part_m // count(master.element)
-    xi = to_facets(slave.element, part_s, xi_s)
-    weight = weight * stretches(slave, s, xi, part_s, xi_s)
-    x, n = points_at(coefficients(slave), s, xi), facet_normals(parts_of(slave))
-    return xi, meet(master, m, to_facets(master.element, part_m, xi_m), x, n, part_s), weight
+    parts = parts_of(slave)
+    scale = slave.element.size / (count(slave.element) * parts.element.size)
+    facets = (coefficients(f) for f in (slave, parts, master))
+    references = (_on_reference(f.element) for f in (slave, master))
+    on_s, on_m, area = _place(*facets, *references, axes, part, xi_s, xi_m, weight, scale)
+    return on_s, on_m, area

@@ -120,7 +120,7 @@ def _weigh(pairing: Pairing, segments: Segments, facets: Facets) -> Segments:
 
 @timed("~Mortar: node weights")
 def node_weights(
-    pairing: Pairing, segments: Segments, keep: Bools | None = None
+    pairing: Pairing, segments: Segments, keep: Bools | None = None, N_s: Floats | None = None
 ) -> tuple[Floats, Floats]:
     """Return int N~_j over the covered part and the whole slave side, (n,) each (collective).
 
@@ -130,13 +130,13 @@ def node_weights(
         pairing: The pair of surfaces.
         segments: Its segments.
         keep: Slave nodes (n,) that carry a multiplier; all if not given.
+        N_s: Values (q, k) of the slave shape functions, if they are at hand.
     """
     slave = pairing.slave
     shares, kept = slave.element.shares, None if keep is None else keep[slave.facets]
-    N_s = slave.element.shape_functions(segments.xi_s)
-    N_s = absorbed(shares, N_s, None if kept is None else kept[segments.slave])
+    N_s = slave.element.shape_functions(segments.xi_s) if N_s is None else N_s
     covered = covered_weights(N_s, segments.weight, segments.slave, len(slave.facets))
-    whole = absorbed(shares, segments.facet_weights, kept)
+    covered, whole = (absorbed(shares, v, kept) for v in (covered, segments.facet_weights))
     both = sum_at_nodes(slave, np.stack([covered, whole], axis=2))
     return both[:, 0], both[:, 1]
 
@@ -191,6 +191,7 @@ def default_keep(
     tributary: Floats,
     allowed: Bools | None = None,
     stays: Bools | None = None,
+    N_s: Floats | None = None,
 ) -> Bools:
     """Choose the slave nodes that carry a multiplier, the same on any number of ranks (collective).
 
@@ -205,6 +206,7 @@ def default_keep(
         tributary: Whole weight (n,), of `node_weights`.
         allowed: Nodes (n,) that may be kept; all if not given.
         stays: Nodes (n,) that are kept down to less, `STAYS`; none if not given.
+        N_s: Values (q, k) of the slave shape functions, if they are at hand.
     """
     least = LEAST_COVERAGE * np.where(False if stays is None else stays, STAYS, 1.0)
     allowed = np.ones(len(covered), dtype=bool) if allowed is None else allowed
@@ -212,7 +214,7 @@ def default_keep(
     coverage = np.where(allowed & ~none, covered, 0.0) / np.where(none, 1.0, tributary)
     keep = coverage > least
     if pairing.slave.element.shares:  # a vertex needs mid-side nodes whose functions it shares
-        left = node_weights(pairing, segments, keep)[0] / np.where(none, 1.0, tributary)
+        left = node_weights(pairing, segments, keep, N_s)[0] / np.where(none, 1.0, tributary)
         coverage = np.where(left > HALF_OF_DIGITS * coverage, coverage, 0.0)
         keep &= left > least
     facets = pairing.slave.facets[segments.covered]
@@ -238,16 +240,19 @@ def _best_nodes(coverage: Floats, X: Floats) -> Ints:
     return np.asarray(np.argmax(best, axis=1), dtype=np.int32)
 
 
-def weighted_duals(pairing: Pairing, segments: Segments, keep: Bools) -> Floats:
+def weighted_duals(
+    pairing: Pairing, segments: Segments, keep: Bools, N_s: Floats | None = None
+) -> Floats:
     """Return w Phi_j (q, k) at the points of the segments, w their weights.
 
     Args:
         pairing: The pair of surfaces.
         segments: Its segments.
         keep: Slave nodes (n,) that carry a multiplier; a node has the same value on all ranks.
+        N_s: Values (q, k) of the slave shape functions, if they are at hand.
     """
-    element = pairing.slave.element
-    N_s, kept = element.shape_functions(segments.xi_s), keep[pairing.slave.facets]
+    element, kept = pairing.slave.element, keep[pairing.slave.facets]
+    N_s = element.shape_functions(segments.xi_s) if N_s is None else N_s
     N_s = absorbed(element.shares, N_s, kept[segments.slave])
     Phi = dual_values(N_s, segments.weight, segments.slave, kept)
     return np.asarray(Phi * segments.weight[:, None])

@@ -88,7 +88,8 @@ def create_operators(
         motions_of: Smooth surfaces at X, by whose offsets P is corrected.
     """
     comm, own = pairing.slave.V.mesh.comm, slice(None, pairing.slave.owned)
-    covered, tributary = node_weights(pairing, segments)
+    N_s = pairing.slave.element.shape_functions(segments.xi_s)
+    covered, tributary = node_weights(pairing, segments, N_s=N_s)
     # choices that keep the same nodes share one integration
     differ = any_rank(comm, *(allowed != allowed[:, :1]).any(axis=0))
     choices = [c if differ[c] else 0 for c in range(allowed.shape[1])]
@@ -96,12 +97,12 @@ def create_operators(
     matrices: dict[int, tuple[Floats, Floats]] = {}
     for c in sorted(set(choices)):
         stays = None if returned is None else returned[:, c]
-        keep = default_keep(pairing, segments, covered, tributary, allowed[:, c], stays)
-        Phi[c] = weighted_duals(pairing, segments, keep)
+        keep = default_keep(pairing, segments, covered, tributary, allowed[:, c], stays, N_s)
+        Phi[c] = weighted_duals(pairing, segments, keep, N_s)
         if edges is not None:
             others = np.zeros_like(keep) if claimed is None else claimed
             Phi[c] = open_duals(pairing, segments, u, Phi[c], keep, edges, others)
-        matrices[c] = integrate_matrices(pairing, segments, keep, Phi[c])
+        matrices[c] = integrate_matrices(pairing, segments, keep, Phi[c], N_s)
     entries_D, entries_M = (np.column_stack([matrices[c][i] for c in choices]) for i in (0, 1))
     weight = np.zeros((pairing.slave.owned, len(choices)))
     places, nodes = pairing.diagonal
@@ -139,7 +140,11 @@ def _inverse(weight: Floats) -> Floats:
 
 @timed("~Mortar: assemble D and M")
 def integrate_matrices(
-    pairing: Pairing, segments: Segments, keep: Bools, Phi: Floats | None = None
+    pairing: Pairing,
+    segments: Segments,
+    keep: Bools,
+    Phi: Floats | None = None,
+    N_s: Floats | None = None,
 ) -> tuple[Floats, Floats]:
     """Return the entries of D (eq. 19) and M (eq. 20) on the patterns of the pairing (collective).
 
@@ -148,13 +153,14 @@ def integrate_matrices(
         segments: Its segments.
         keep: Slave nodes (n,) that carry a multiplier; a node has the same value on all ranks.
         Phi: Their weighted functions of `weighted_duals`, if they are at hand.
+        N_s: Values (q, k) of the slave shape functions, if they are at hand.
 
     Returns:
         Entries (e,) of D and (f,) of M. Rows of removed nodes vanish; their columns in D do not.
         Over the kept nodes D is diagonal, but for mid-side nodes that depend on vertices (exactly:
         the other integrals vanish by construction, and their round-off is set to zero).
     """
-    N_s = pairing.slave.element.shape_functions(segments.xi_s)
+    N_s = pairing.slave.element.shape_functions(segments.xi_s) if N_s is None else N_s
     N_m = pairing.master.element.shape_functions(segments.xi_m)
     kept = keep[pairing.slave.facets]
     Phi = weighted_duals(pairing, segments, keep) if Phi is None else Phi

@@ -43,7 +43,7 @@ def find_middles(surface: Surface, body_of: Ints, skin: Facets, bodies: Ints) ->
     """
     comm, facets = surface.V.mesh.comm, facets_at(surface, surface.X)
     depth = np.full(len(body_of), np.inf)
-    for body in np.unique(np.concatenate(comm.allgather(body_of))):
+    for body in np.unique(np.concatenate(comm.allgather(np.unique(body_of)))):
         mine = np.flatnonzero(body_of == body)
         thickness = thickness_behind(facets[mine], skin[np.flatnonzero(bodies == body)], comm)
         depth[mine] = THROUGH * thickness

@@ -34,7 +34,7 @@ TURNS = ((2, 1), (0, 2), (1, 0))
 
 @dataclass(frozen=True)
 class Gradients:
-    """Values at the n integration points of the owned cells, cell by cell.
+    """Values at the n integration points of some cells, cell by cell.
 
     Tensors have their stored components (n, 4 or 6), each of which is contiguous in memory.
     """
@@ -110,11 +110,16 @@ class PointGradients:
         self._compiled = fem.Expression(ufl.as_vector(entries), points)
         self.small = small
 
-    def evaluate(self) -> Gradients:
-        """Return strain and rotation at u, whose ghosts are up to date; without communication."""
+    def evaluate(self, cells: Ints | None = None) -> Gradients:
+        """Return strain and rotation at u, whose ghosts are up to date; without communication.
+
+        In some cells, or in all that this rank owns.
+        """
         domain, size = self._space.mesh, self._space.dofmap.bs
-        owned = np.arange(domain.topology.index_map(domain.topology.dim).size_local, dtype="i4")
-        found = np.asarray(self._compiled.eval(domain, owned)).reshape(-1, self._entries)
+        if cells is None:
+            owned = domain.topology.index_map(domain.topology.dim).size_local
+            cells = np.arange(owned, dtype=np.int32)
+        found = np.asarray(self._compiled.eval(domain, cells)).reshape(-1, self._entries)
         values: Floats = np.asfortranarray(found)
         strain, rotation, seen = np.split(values, [size, size + self._axes], axis=1)
         return Gradients(strain, seen if seen.shape[1] else strain, rotation, self.small)
