@@ -13,6 +13,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+from scipy.linalg import LinAlgError
 
 from dolfinx_mortar.arrays import EPS, QUARTER_OF_DIGITS, ROUND_OFF, Ints
 from dolfinx_mortar.qp.friction import Sliding
@@ -26,6 +27,7 @@ from dolfinx_mortar.qp.preconditioner import (
     Renewal,
     SlownessTest,
 )
+from dolfinx_mortar.qp.schur import SchurComplement
 from dolfinx_mortar.qp.updates import LIMIT
 
 log = logging.getLogger(__name__)
@@ -131,7 +133,7 @@ class LinearSolver:
         self.clear()
         self.options = SolverOptions(self.options.prefix, self.options.given, multigrid=True)
 
-    def attach(self, A: PETSc.Mat, *, definite: bool = True) -> None:
+    def attach(self, A: PETSc.Mat, *, definite: bool = True, apart: Ints | None = None) -> None:
         """Set the matrix of the next solves (collective).
 
         If it is the same object, its factorisation remains as preconditioner.
@@ -139,10 +141,12 @@ class LinearSolver:
         Args:
             A: (n, n) matrix.
             definite: whether it is symmetric and positive definite, see `BoundQP`.
+            apart: the only unknowns that will be held, see `schur.set_apart`; None for any.
         """
         if self._attached is not None:
             before = self._operator
-            if A.handle == before.A.handle and definite == before.definite:
+            same = A.handle == before.A.handle and definite == before.definite
+            if same and self.attached.preconditioner.serves(apart):
                 return
         self.clear()  # so that nothing is attached if an option raises an error
         self.options.definite = definite
@@ -151,8 +155,10 @@ class LinearSolver:
         ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
         with self.options.database(self.options.prefix):
             ksp.setFromOptions()
-            operator = Operator(A, direct=self.direct, definite=definite)
-            preconditioner = Preconditioner(operator, ksp, self.options, self.unknowns)
+            schur = None if apart is None else SchurComplement(apart)
+            copied = self.direct and schur is None
+            operator = Operator(A, direct=copied, definite=definite)
+            preconditioner = Preconditioner(operator, ksp, self.options, self.unknowns, schur)
         if ksp.getType() == "gmres":
             ksp.setPCSide(PETSc.PC.Side.RIGHT)  # so that its residuals are the true ones
         elif ksp.getType() != "cg":
@@ -212,6 +218,9 @@ class LinearSolver:
     def apply(self, r: PETSc.Vec, x: PETSc.Vec) -> None:
         """Apply the present factorisation or preconditioner once: x = F^-1 r."""
         begin = perf_counter()
+        held = self._operator.held
+        assert held is not None
+        self.attached.preconditioner.follow(held)
         self.attached.ksp.getPC().apply(r, x)
         self.counts.iterations += 1
         self.counts.seconds_solve += perf_counter() - begin
@@ -297,7 +306,10 @@ class LinearSolver:
         begin = perf_counter()
         attached, held = self.attached, self._operator.held
         assert held is not None
-        attached.preconditioner.follow(held)
+        try:
+            attached.preconditioner.follow(held)
+        except LinAlgError as error:
+            raise LinearSolveFailed(f"a body is held by nothing ({error})") from error
         stale = not attached.preconditioner.is_of(held)
         test = SlownessTest(attached.renewal, reduction, attached.max_iterations, stale=stale)
         ksp = self._ksp

@@ -348,7 +348,8 @@ class _Step:
                 self.problem.linear,
                 start_active=start,
                 start_sliding=old.contacts.directions(old.balance.limits),
-                changes=old.changes,
+                # a linear law has its set after the first QP: geometries change it hardly
+                changes=0 if self.linear and old.changes is not None else old.changes,
                 rtol=rtol,
             )
         # supports and ties are satisfied exactly, also by an iterative solver
