@@ -55,7 +55,7 @@ class State:
         if law is None:
             return State(active, np.zeros((0, 1)), np.zeros(0))
         d = np.zeros(law.rest.shape) if sliding is None else sliding
-        diagonal = law.pick(qp.stiffness())
+        diagonal = law.pick(qp.stiffness)
         return State(active, d, law.across * diagonal.max(axis=1, initial=0.0))
 
     @staticmethod
