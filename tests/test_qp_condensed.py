@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The QP condensed to its bounded unknowns: the dense model, and where it breaks down."""
 
+from dataclasses import replace
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -11,6 +13,8 @@ from scipy.linalg import cholesky
 
 from dolfinx_mortar.qp import LinearSolver, QPNotSolved, condensed, solve
 from dolfinx_mortar.qp.condensed import SchurModel, half_laplacian, on_root
+from dolfinx_mortar.qp.linear import LinearSolveFailed
+from dolfinx_mortar.qp.schur import set_apart
 
 COMM = MPI.COMM_WORLD
 INF = np.inf
@@ -136,11 +140,11 @@ def _dense(A: PETSc.Mat) -> np.ndarray:
 def test_memory_that_ends_on_the_first_rank_ends_the_solve_on_all(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def full(*_: object) -> None:
+    def full(*_: object, **__: object) -> None:
         raise MemoryError("full")
 
     if COMM.rank == 0:
-        monkeypatch.setattr(condensed, "half_laplacian", full)
+        monkeypatch.setattr(condensed, "SchurModel", full)
     with pytest.raises(QPNotSolved, match="MemoryError, full"):
         solve(membrane(16))
 
@@ -154,3 +158,56 @@ def test_residuals_have_a_rate_within_one_set_only() -> None:
     linear = LinearSolver(COMM, prefix="rate_", refactor_after=2)
     start = np.zeros(qp.bounded.size, dtype=np.int8)
     assert solve(qp, linear=linear, start_active=start).note == ""
+
+
+@pytest.mark.mpi
+def test_one_factorisation_serves_all_sets() -> None:
+    """With its unknowns apart, S is that of the dense matrix, and a set costs no other one."""
+    qp = membrane(12, comm=MPI.COMM_SELF, force=1.0)
+    linear = LinearSolver(MPI.COMM_SELF, prefix="apart_")
+    apart = set_apart(qp, linear.options)
+    assert apart is not None
+    linear.set_matrix(qp.A, apart=apart)
+    A, x = _dense(qp.A), qp.b.duplicate()
+    inside = np.setdiff1d(np.arange(A.shape[0]), apart)
+    for held in (apart, apart[::2], apart[:3], apart[:0]):
+        x.set(0.0)
+        x.array[held] = 1.0
+        linear.solve(qp.b, x, held.astype(np.int32), atol=1e-12)
+        free = np.setdiff1d(np.arange(A.shape[0]), held)
+        right = qp.b.array_r[free] - A[np.ix_(free, held)].sum(axis=1)
+        np.testing.assert_allclose(x.array_r[free], np.linalg.solve(A[np.ix_(free, free)], right))
+    assert (linear.counts.factorisations, linear.counts.iterations) == (1, 4)
+    schur = linear.setup.preconditioner.schur
+    assert schur is not None
+    coupled = A[np.ix_(apart, inside)]
+    expected = A[np.ix_(apart, apart)] - coupled @ np.linalg.solve(
+        A[np.ix_(inside, inside)], coupled.T
+    )
+    np.testing.assert_allclose(schur.S, expected, atol=1e-12 * np.abs(expected).max())
+
+
+@pytest.mark.mpi
+def test_a_set_that_holds_no_body_is_found_in_the_complement() -> None:
+    qp = membrane(12, comm=MPI.COMM_SELF, held=False, force=1.0)
+    qp.A.shift(-1e-6)  # a singular S has pivots of either sign
+    linear = LinearSolver(MPI.COMM_SELF, prefix="loose_")
+    linear.set_matrix(qp.A, apart=set_apart(qp, linear.options))
+    none = np.zeros(0, dtype=np.int32)
+    with pytest.raises(LinearSolveFailed, match="leading minor"):
+        linear.solve(qp.b, qp.b.duplicate(), none, atol=0.0)
+
+
+@pytest.mark.mpi
+def test_other_bounds_have_another_complement() -> None:
+    """Of the same matrix: held unknowns are among those that the factorisation leaves for last."""
+    qp, linear = membrane(12, comm=MPI.COMM_SELF), LinearSolver(MPI.COMM_SELF, prefix="other_")
+    for bounded in (qp.bounded[:6], qp.bounded, qp.bounded[3:]):
+        none = np.setdiff1d(qp.bounded, bounded)
+        lower, upper = qp.lower.copy(), qp.upper.copy()
+        lower.array[none], upper.array[none] = PETSc.NINFINITY, PETSc.INFINITY
+        other = replace(qp, bounded=bounded, lower=lower, upper=upper)
+        alone = solve(other, linear=LinearSolver(MPI.COMM_SELF, prefix="alone_"))
+        again = solve(other, linear=linear)
+        np.testing.assert_allclose(again.x.array_r, alone.x.array_r, atol=1e-12)
+        assert (again.active == alone.active).all()

@@ -66,10 +66,12 @@ class BlockMatrix:
         start = np.searchsorted(row, np.arange(n + 1))
         zeros = np.zeros((len(places), d, d))
         self.blocks = bsr_array((zeros, column, start), shape=(d * n, d * N))
+        self.blocks.data[:] = np.arange(zeros.size).reshape(zeros.shape)
         csr = self.blocks.tocsr()
+        self._order = csr.data.astype(np.int64)  # of the entries of all blocks, row by row
         self.indptr, self.indices = (v.astype(PETSc.IntType) for v in (csr.indptr, csr.indices))
         self.matrix = PETSc.Mat().createAIJ(
-            [(d * n, d * N)] * 2, csr=(self.indptr, self.indices, csr.data), comm=comm
+            [(d * n, d * N)] * 2, csr=(self.indptr, self.indices, 0.0 * csr.data), comm=comm
         )
 
     def of(self, blocks: Floats) -> PETSc.Mat:
@@ -90,5 +92,5 @@ class BlockMatrix:
             np.add.at(values, self.places, blocks)
         else:
             values[self.places] = blocks
-        self.matrix.setValuesCSR(self.indptr, self.indices, self.blocks.tocsr().data)
+        self.matrix.setValuesCSR(self.indptr, self.indices, values.ravel()[self._order])
         self.matrix.assemble()

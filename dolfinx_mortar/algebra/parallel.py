@@ -20,12 +20,12 @@ def maximum(comm: MPI.Comm, *values: float | np.bool_) -> Floats:
     >>> maximum(MPI.COMM_SELF, 1.0, 2.0).tolist()
     [1.0, 2.0]
     """
-    local = np.array(values, dtype=float)
-    undefined = np.isnan(local)
-    result = np.empty(2 * local.size)
-    comm.Allreduce(np.concatenate([np.where(undefined, 0.0, local), undefined]), result, op=MPI.MAX)
-    largest, undefined = np.split(result, 2)
-    return np.where(undefined > 0.0, np.nan, largest)
+    defined = [0.0 if value != value else float(value) for value in values]  # NaN is not itself
+    result = np.array(defined + [float(value != value) for value in values])
+    comm.Allreduce(MPI.IN_PLACE, result, op=MPI.MAX)
+    largest, undefined = result[: len(values)], result[len(values) :] > 0.0
+    largest[undefined] = np.nan
+    return largest
 
 
 def norm(comm: MPI.Comm, *parts: Floats) -> float:

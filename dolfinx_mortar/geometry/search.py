@@ -16,6 +16,9 @@ from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.geometry.facets import bounding_balls
 from dolfinx_mortar.geometry.tolerances import EPS, HALF_OF_DIGITS, TINY
 
+# Testing so many pairs of cones and balls takes .1 ms, less than sorting the balls (.3 to 1 ms).
+FEW_PAIRS = 2**14
+
 
 @dataclass(frozen=True, eq=False)
 class Cones:
@@ -135,7 +138,8 @@ def find_meeting(cones: Cones, centre: Floats, radius: Floats) -> Ints:
     n = len(radius)
     if len(cones.radius) == 0 or n == 0:
         return np.empty((0, 2), dtype=np.int32)
-    order = sort_in_space(centre)
+    few = len(cones.radius) * n <= FEW_PAIRS
+    order = np.arange(n) if few else sort_in_space(centre)
     levels = [(centre[order], radius[order])]
     while len(levels[-1][1]) > 1:
         levels.append(_enclose(*levels[-1]))

@@ -2,6 +2,7 @@
 """Quadratic program with bounds and friction: its data, its solution, the check of optimality."""
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -47,8 +48,9 @@ class BoundQP:
         upper[upper >= PETSc.INFINITY] = np.inf
         return lower, upper
 
+    @cached_property
     def stiffness(self) -> Floats:
-        """Return |diag(A)| (n,), which scales distances to forces; no entry is 0 (collective)."""
+        """|diag(A)| (n,), which scales distances to forces; no entry is 0 (collective)."""
         diagonal = self.A.getDiagonal()
         if not self.definite:
             diagonal.abs()
@@ -209,7 +211,7 @@ def reaction(qp: BoundQP, x: PETSc.Vec) -> PETSc.Vec:
 def on_bounded(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec) -> Bounded:
     """Return an iterate on this rank's bounded unknowns."""
     own = qp.bounded
-    return Bounded(x.array_r[own], z.array_r[own], *qp.bounds(), qp.stiffness()[own])
+    return Bounded(x.array_r[own], z.array_r[own], *qp.bounds(), qp.stiffness[own])
 
 
 def on_friction(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec, found: Bounded) -> Sliders:
@@ -227,7 +229,7 @@ def on_friction(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec, found: Bounded) -> Slid
     n = law.normal
     pressing = found.z[n] + found.stiffness[n] * (found.x[n] - found.upper[n])
     limit = law.limit(pressing)
-    slip, stiffness = law.pick(x.array_r) - law.rest, law.means(qp.stiffness())
+    slip, stiffness = law.pick(x.array_r) - law.rest, law.means(qp.stiffness)
     return Sliders(law, slip, law.pick(z.array_r), limit, stiffness)
 
 
@@ -268,7 +270,7 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     moved = np.abs(x.array_r)
     if np.isfinite(nearest):
         moved[qp.bounded] = np.maximum(moved[qp.bounded], -nearest)
-    round_off = qp.stiffness() * moved
+    round_off = qp.stiffness * moved
     parts = (qp.b.array_r, zb, z.array_r[free], round_off, wrong, zt)
     squares = qp.comm.allreduce(np.array([v @ v for v in parts]))
     b2, zb2, free2, off2, wrong2, zt2 = np.sqrt(squares)

@@ -11,6 +11,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+from scipy.linalg import LinAlgError
 
 from dolfinx_mortar.arrays import EPS, QUARTER_OF_DIGITS, ROUND_OFF, Ints
 from dolfinx_mortar.qp.friction import Sliding
@@ -24,6 +25,7 @@ from dolfinx_mortar.qp.preconditioner import (
     Renewal,
     SlownessTest,
 )
+from dolfinx_mortar.qp.schur import SchurComplement
 from dolfinx_mortar.qp.updates import LIMIT
 
 log = logging.getLogger(__name__)
@@ -129,7 +131,7 @@ class LinearSolver:
         self.clear()
         self.options = SolverOptions(self.options.prefix, self.options.given, multigrid=True)
 
-    def set_matrix(self, A: PETSc.Mat, *, definite: bool = True) -> None:
+    def set_matrix(self, A: PETSc.Mat, *, definite: bool = True, apart: Ints | None = None) -> None:
         """Set the matrix of the next solves (collective).
 
         If it is the same object, its factorisation remains as preconditioner.
@@ -137,10 +139,12 @@ class LinearSolver:
         Args:
             A: (n, n) matrix.
             definite: whether it is symmetric and positive definite, see `BoundQP`.
+            apart: the only unknowns that will be held, see `schur.set_apart`; None for any.
         """
         if self._setup is not None:
             before = self._operator
-            if A.handle == before.A.handle and definite == before.definite:
+            same = A.handle == before.A.handle and definite == before.definite
+            if same and self.setup.preconditioner.serves(apart):
                 return
         self.clear()  # so that no matrix is set if an option raises an error
         self.options.definite = definite
@@ -149,8 +153,10 @@ class LinearSolver:
         ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
         with self.options.database(self.options.prefix):
             ksp.setFromOptions()
-            operator = Operator(A, direct=self.direct, definite=definite)
-            preconditioner = Preconditioner(operator, ksp, self.options, self.unknowns)
+            schur = None if apart is None else SchurComplement(apart)
+            copied = self.direct and schur is None
+            operator = Operator(A, direct=copied, definite=definite)
+            preconditioner = Preconditioner(operator, ksp, self.options, self.unknowns, schur)
         if ksp.getType() == "gmres":
             ksp.setPCSide(PETSc.PC.Side.RIGHT)  # so that its residuals are the true ones
         elif ksp.getType() != "cg":
@@ -210,6 +216,9 @@ class LinearSolver:
     def apply(self, r: PETSc.Vec, x: PETSc.Vec) -> None:
         """Apply the present factorisation or preconditioner once: x = F^-1 r."""
         begin = perf_counter()
+        held = self._operator.held
+        assert held is not None
+        self.setup.preconditioner.follow(held)
         self.setup.ksp.getPC().apply(r, x)
         self.counts.iterations += 1
         self.counts.seconds_solve += perf_counter() - begin
@@ -295,7 +304,10 @@ class LinearSolver:
         begin = perf_counter()
         setup, held = self.setup, self._operator.held
         assert held is not None
-        setup.preconditioner.follow(held)
+        try:
+            setup.preconditioner.follow(held)
+        except LinAlgError as error:
+            raise LinearSolveFailed(f"a body is held by nothing ({error})") from error
         stale = not setup.preconditioner.is_of(held)
         test = SlownessTest(setup.renewal, reduction, setup.max_iterations, stale=stale)
         ksp = self._ksp

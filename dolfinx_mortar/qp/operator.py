@@ -45,14 +45,15 @@ class Operator:
 
     Args:
         A: the matrix.
-        direct: whether it is to be factorised.
+        direct: whether it is to be factorised with some unknowns held.
         definite: whether A is symmetric and positive definite, see `BoundQP`.
 
     Attributes:
         A: the matrix.
         definite: as above.
         free: A on free unknowns, and the law of slipping nodes, on all ranks or on none.
-        matrix: the one of the linear system without slipping nodes, which is factorised.
+        matrix: the one of the linear system without slipping nodes.
+        factorised: the same as a matrix, A itself unless ``direct``.
         sliding_matrix: the one with the rows of slipping nodes replaced by those of their law.
         held: owned local indices of held unknowns, ascending; None before the first.
         z: b - A x of the last residual.
@@ -69,6 +70,7 @@ class Operator:
         self.free = FreePart(A)
         self.sliding_matrix = PETSc.Mat().createPython(A.getSizes(), self.free, A.comm)
         self.matrix = A.duplicate(copy=True) if direct else self.sliding_matrix
+        self.factorised = self.matrix if direct else A
         if direct:
             self.matrix.setOption(PETSc.Mat.Option.SPD, definite)
             self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)

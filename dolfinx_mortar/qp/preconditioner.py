@@ -18,6 +18,7 @@ from dolfinx_mortar.arrays import Ints
 from dolfinx_mortar.qp.multigrid import Multigrid, OwnUnknowns, Unknowns
 from dolfinx_mortar.qp.operator import Operator
 from dolfinx_mortar.qp.options import SolverOptions
+from dolfinx_mortar.qp.schur import SchurComplement
 from dolfinx_mortar.qp.updates import LIMIT
 
 # Iterations that cost as much as a renewal. A numeric factorisation in 2D costs 5 to 7 solves with
@@ -121,6 +122,7 @@ class Preconditioner:
         ksp: its solver, whose PC is set.
         options: PETSc options of both.
         unknowns: those of multigrid; by default those of the operator.
+        schur: of a factorisation that serves any set of its unknowns held; None for others.
     """
 
     def __init__(
@@ -129,9 +131,11 @@ class Preconditioner:
         ksp: PETSc.KSP,
         options: SolverOptions,
         unknowns: Unknowns | None,
+        schur: SchurComplement | None = None,
     ) -> None:
         """Create the PC; nothing is set up."""
         self.operator, self.ksp, self.options = operator, ksp, options
+        self.schur = schur
         self.comm = ksp.comm.tompi4py()
         self.unknowns = OwnUnknowns(operator.A) if unknowns is None else unknowns
         self.held: Ints | None = None  # when it was set up
@@ -140,6 +144,8 @@ class Preconditioner:
         self._followed: tuple[int, Ints] = (-1, np.empty(0, dtype=np.int32))
         self.multigrid: Multigrid | None = None
         self.pc = ksp.getPC()
+        if schur is not None:
+            operator.A.setOption(PETSc.Mat.Option.SPD, True)
         if not options.direct:
             self.multigrid = Multigrid(operator.A, options.prefix)
             self.pc = self.multigrid.inner
@@ -151,15 +157,23 @@ class Preconditioner:
         name = str(self.pc.getType())
         return f"{name} ({self.pc.getFactorSolverType()})" if self.options.direct else name
 
+    def serves(self, apart: Ints | None) -> bool:
+        """Tell whether it serves where only these unknowns are held; None for any."""
+        if self.schur is None or apart is None:
+            return self.schur is None and apart is None
+        return np.array_equal(apart, self.schur.unknowns)
+
     def is_of(self, held: Ints) -> bool:
         """Tell whether it is that of the present A with these unknowns held (collective)."""
-        same = self.held is not None and np.array_equal(self.held, held)
+        same = self.held is not None and (self.schur is not None or np.array_equal(self.held, held))
         return self._state == self.operator.state and self.comm.allreduce(same, op=MPI.LAND)
 
     def differences(self, held: Ints) -> int | None:
         """Return in how many held unknowns it differs (collective); None if it is not set up."""
         if self.held is None:
             return None
+        if self.schur is not None:
+            return 0
         return int(self.comm.allreduce(np.setxor1d(self.held, held).size))
 
     def clear(self) -> None:
@@ -186,15 +200,19 @@ class Preconditioner:
             counts.factorisations += 1
         self.held, self._state = held.copy(), self.operator.state
         if self.pc.getFailedReason() == 0:
+            if self.schur is not None and self.schur.prepared:
+                self.schur.read(self.pc)
             return ""
         self.held = None
         why = describe_failure(self.pc)
         if self.multigrid is None:
-            self.pc.reset()  # PETSc would use a failed factor of the same matrix
+            self._reset()  # PETSc would use a failed factor of the same matrix
         return why
 
     def follow(self, held: Ints) -> None:
-        """Set the present matrix and held unknowns of multigrid; collective."""
+        """Set the held unknowns of S, and those and the matrix of multigrid; collective."""
+        if self.schur is not None and self.schur.prepared:
+            self.schur.hold(self.pc, held)
         if self.multigrid is None:
             return
         if not self.multigrid.follows:
@@ -209,9 +227,11 @@ class Preconditioner:
     def _factorise(self, counts: LinearCounts) -> None:
         """Factorise the matrix, with more workspace if MUMPS had too little."""
         self.pc.setReusePreconditioner(False)
-        self.ksp.setOperators(self.operator.matrix)
+        self.ksp.setOperators(self.operator.matrix, self.operator.factorised)
         for _ in range(LIMIT):
             with self.options.database(self.options.prefix):
+                if self.schur is not None:
+                    self.schur.prepare(self.pc)
                 self.pc.setUp()
             counts.factorisations += 1
             if mumps_error(self.pc) not in WORKSPACE_ERRORS:
@@ -220,10 +240,16 @@ class Preconditioner:
             self.options.grown[WORKSPACE] = twice
             if self.options[WORKSPACE] != str(twice):
                 break  # the user's options database takes precedence
-            self.pc.reset()  # a failed factor cannot be used again
-            self.ksp.setOperators(self.operator.matrix)
+            self._reset()  # a failed factor cannot be used again
+            self.ksp.setOperators(self.operator.matrix, self.operator.factorised)
             counts.symbolic += 1
         self.pc.setReusePreconditioner(True)
+
+    def _reset(self) -> None:
+        """Free a factorisation."""
+        self.pc.reset()
+        if self.schur is not None:
+            self.schur.prepared = False
 
 
 def mumps_error(pc: PETSc.PC) -> int | None:

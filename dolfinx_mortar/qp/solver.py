@@ -13,6 +13,7 @@ from dolfinx_mortar.qp import active_set, interior_point
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPNotSolved, QPSolution, check, validate
 from dolfinx_mortar.qp.held import State, nearest
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
+from dolfinx_mortar.qp.schur import set_apart
 
 # Errors of a backend that are no fault of the code.
 FAILURES = (
@@ -97,7 +98,8 @@ def solve(
     start = _possible(qp, start)
     before = replace(linear.counts)
     try:
-        linear.set_matrix(qp.A, definite=qp.definite)
+        apart = set_apart(qp, linear.options) if backend == ACTIVE_SET else None
+        linear.set_matrix(qp.A, definite=qp.definite, apart=apart)
         if backend == INTERIOR_POINT:
             solution = interior_point.solve(qp, linear, rtol=rtol)
         else:
