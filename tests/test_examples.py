@@ -3,12 +3,11 @@
 
 import ast
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from tests import jobs
 from tests.test_demo import shown
 
 EXAMPLES = sorted((Path(__file__).parent.parent / "examples").glob("*.py"))
@@ -44,13 +43,7 @@ def test_they_run(path):
 @pytest.mark.slow
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_they_run_on_two_ranks(path, tmp_path):
-    done = subprocess.run(
-        ["mpirun", "-n", "2", sys.executable, str(path)],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = jobs.run(2, path, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     check(path, tmp_path, done.stdout)
 
