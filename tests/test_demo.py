@@ -37,6 +37,7 @@ def test_steps_are_counted_from_one(demo, steps):
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_elastic_bodies_have_no_plastic_numbers(tmp_path):
     done = run("--material", "elastic", "--displacement", "0.05", "--output", str(tmp_path))
     assert done.returncode == 0, done.stderr
