@@ -13,7 +13,11 @@ def quick(cases: Iterable[Any], *chosen: Any) -> list[Any]:
 
 
 def crosswise(first: Sequence[Any], second: Sequence[Any]) -> list[Any]:
-    """Return all pairs to parametrize with; quick ones have every value of both, not every pair."""
+    """Return all pairs to parametrize with; quick ones have every value of both, not every pair.
+
+    >>> [pair.values for pair in crosswise("ab", "xyz") if not pair.marks]
+    [('a', 'x'), ('a', 'z'), ('b', 'y')]
+    """
     few = min(len(first), len(second))
     return [
         _case((*_values(a), *_values(b)), i % few == j % few)

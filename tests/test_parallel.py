@@ -78,6 +78,15 @@ def test_tests_on_ranks(ranks: int, slow: bool) -> None:
 
 @pytest.mark.serial
 @pytest.mark.slow
+def test_slow_tests_for_ranks_are_in_files_of_the_slow_run() -> None:
+    """The default run takes the quick ones of its files only, so a slow one would be lost."""
+    lost = ["--collect-only", "-m", f"{SLOW} and slow", *files_on(2, False), *files_on(3, False)]
+    done = jobs.run(1, "-m", "pytest", "-q", *lost, cwd=jobs.ROOT)
+    assert done.returncode == pytest.ExitCode.NO_TESTS_COLLECTED, done.stdout
+
+
+@pytest.mark.serial
+@pytest.mark.slow
 @pytest.mark.nightly
 @pytest.mark.parametrize("ranks", [2, 3])
 def test_all_tests_on_ranks(ranks: int) -> None:
