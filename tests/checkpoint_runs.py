@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Runs that are compared with one that goes through: in this program, and as jobs of their own."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 
+from tests import jobs
 from tests.checkpoint_program import Press
-from tests.test_parallel import LAUNCHER, ROOT
 
 SAME = 1e-10
 PROGRAM = Path(__file__).parent / "checkpoint_program.py"
@@ -35,9 +32,5 @@ def agree(found, expected):
 
 def run(ranks, *arguments):
     """Run the program on some ranks and return its exit code and output."""
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(LAUNCHER)}
-    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), environment.get("PYTHONPATH", "")])
-    launcher = [] if ranks == 1 else ["mpirun", "-n", str(ranks)]
-    command = [*launcher, sys.executable, str(PROGRAM), *map(str, arguments)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    done = jobs.run(ranks, PROGRAM, *arguments, seconds=300.0)
     return done.returncode, done.stdout + done.stderr

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Which cases of a test the default run has."""
+"""Which cases of a test the default run has; the slow run has the others."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import pytest
@@ -9,4 +9,28 @@ import pytest
 
 def quick(cases: Iterable[Any], *chosen: Any) -> list[Any]:
     """Return cases to parametrize with, slow but for those chosen."""
-    return [c if c in chosen else pytest.param(c, marks=pytest.mark.slow) for c in cases]
+    return [_case(c, c in chosen) for c in cases]
+
+
+def crosswise(first: Sequence[Any], second: Sequence[Any]) -> list[Any]:
+    """Return all pairs to parametrize with; quick ones have every value of both, not every pair.
+
+    >>> [pair.values for pair in crosswise("ab", "xyz") if not pair.marks]
+    [('a', 'x'), ('a', 'z'), ('b', 'y')]
+    """
+    few = min(len(first), len(second))
+    return [
+        _case((*_values(a), *_values(b)), i % few == j % few)
+        for i, a in enumerate(first)
+        for j, b in enumerate(second)
+    ]
+
+
+def _case(case: Any, is_quick: bool) -> Any:
+    """Return a case, with values for several names if it is a tuple."""
+    return pytest.param(*_values(case), marks=() if is_quick else pytest.mark.slow)
+
+
+def _values(case: Any) -> tuple[Any, ...]:
+    """Return a tuple as it is, anything else as the only value."""
+    return case if isinstance(case, tuple) else (case,)

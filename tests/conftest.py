@@ -3,8 +3,10 @@
 
 import gc
 import os
+import shutil
+import tempfile
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 from mpi4py import MPI
@@ -13,6 +15,8 @@ from petsc4py import PETSc
 import hypothesis
 import numpy as np
 import pytest
+
+from tests import alone
 
 COMM = MPI.COMM_WORLD
 WAIT = 60.0  # seconds a failed test waits for the other ranks before it ends the whole run
@@ -32,7 +36,7 @@ hypothesis.settings.load_profile("ranks")
 def pytest_cmdline_main(config: pytest.Config) -> None:
     """Use the cores where whole folders are run; one process where files are named, or on ranks."""
     whole = config.args_source is not pytest.Config.ArgsSource.ARGS
-    single = COMM.size == 1 and "PYTEST_XDIST_WORKER" not in os.environ
+    single = COMM.size == 1 and alone.WORKER not in os.environ
     if whole and single and getattr(config.option, "numprocesses", 0) is None:
         config.option.numprocesses = min(len(os.sched_getaffinity(0)), WORKERS)
         config.option.dist = "worksteal"  # neighbours stay together, and so do their fixtures
@@ -40,15 +44,21 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_configure(config: pytest.Config) -> None:
-    """Let only rank 0 write to the terminal."""
+    """Let only rank 0 write to the terminal; make the locks of the workers."""
+    if getattr(config.option, "numprocesses", None) and alone.WORKER not in os.environ:
+        folder = os.environ[alone.FOLDER] = tempfile.mkdtemp(prefix="locks-")
+        config.add_cleanup(lambda: shutil.rmtree(folder))
     terminal = config.pluginmanager.get_plugin("terminalreporter")
     if COMM.rank > 0 and terminal is not None:
         terminal._tw._file = open(os.devnull, "w")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip what is meant for one rank when there are more; start with what takes longest."""
-    items.sort(key=lambda item: item.path.name != "test_parallel.py")
+    """Skip what is meant for one rank when there are more; end with the runs on ranks.
+
+    By then the workers have compiled, each on a core of its own, what ranks would wait for.
+    """
+    items.sort(key=lambda item: item.path.name in ("test_parallel.py", "test_ranks.py"))
     if COMM.size > 1:
         for item in items:
             if "serial" in item.keywords:
@@ -64,6 +74,13 @@ def pytest_collection_finish() -> None:
         gc.disable()
         gc.collect()
         gc.freeze()
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_protocol() -> Iterator[None]:
+    """Let tests that start ranks be alone."""
+    with alone.shared():
+        yield
 
 
 @pytest.hookimpl(hookwrapper=True)

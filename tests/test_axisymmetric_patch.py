@@ -11,6 +11,7 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar.mortar import integrals
 from dolfinx_mortar.mortar.integrals import LEAST_WEIGHT, find_segments
+from tests.choice import crosswise
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
 from tests.rings import SIDES, held_axis, largest
 
@@ -128,8 +129,7 @@ RADII = {
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
-@pytest.mark.parametrize("slave", SIDES)
+@pytest.mark.parametrize(("kind", "slave"), crosswise([dm.Contact, dm.Tie], SIDES))
 @pytest.mark.parametrize("radii", RADII)
 def test_patch(radii, slave, kind):
     """Uniaxial stress across a flat interface: exact, from the axis to the rim."""
@@ -139,8 +139,7 @@ def test_patch(radii, slave, kind):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
-@pytest.mark.parametrize("slave", SIDES)
+@pytest.mark.parametrize(("kind", "slave"), crosswise([dm.Contact, dm.Tie], SIDES))
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
 @pytest.mark.parametrize("radii", ["disc", "ring"])
 def test_patch_of_second_order(radii, cell, slave, kind):

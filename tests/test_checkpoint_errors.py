@@ -174,8 +174,13 @@ def test_the_same_materials_in_other_cells(folder, monkeypatch):
     ("degree", "options", "word"),
     [
         (2, {}, "displacement: degree is 2, in the checkpoint 1"),
-        (1, {"quadrature_degree": 3}, "solid: quadrature_degree is 3, in the checkpoint 1"),
-        (1, {"kinematics": "plane_stress"}, "solid: kinematics is 'plane stress', in the"),
+        *(
+            pytest.param(1, *case, marks=pytest.mark.slow)
+            for case in (
+                ({"quadrature_degree": 3}, "solid: quadrature_degree is 3, in the checkpoint 1"),
+                ({"kinematics": "plane_stress"}, "solid: kinematics is 'plane stress', in the"),
+            )
+        ),
     ],
 )
 def test_another_solid(good, degree, options, word):

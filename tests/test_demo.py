@@ -4,12 +4,11 @@
 import json
 import math
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from tests import jobs
 from tests.test_docs import tool
 
 DEMOS = Path(__file__).parent.parent / "demos"
@@ -17,13 +16,7 @@ SOCKET_FORCE = 67.8e3  # N, of 120 thousand unknowns in hexahedra, and 67.96 of 
 
 
 def run(*options, demo="hertz", ranks=1):
-    launcher = [] if ranks == 1 else ["mpirun", "-n", str(ranks)]
-    return subprocess.run(
-        [*launcher, sys.executable, str(DEMOS / demo / f"{demo}.py"), *options],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    return jobs.run(ranks, DEMOS / demo / f"{demo}.py", *options)
 
 
 def shown(name):
@@ -44,6 +37,7 @@ def test_steps_are_counted_from_one(demo, steps):
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_elastic_bodies_have_no_plastic_numbers(tmp_path):
     done = run("--material", "elastic", "--displacement", "0.05", "--output", str(tmp_path))
     assert done.returncode == 0, done.stderr

@@ -3,12 +3,12 @@
 
 import ast
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from tests import jobs
+from tests.choice import quick
 from tests.test_demo import shown
 
 EXAMPLES = sorted((Path(__file__).parent.parent / "examples").glob("*.py"))
@@ -34,7 +34,7 @@ def test_they_are_short_and_flat(path):
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", quick(EXAMPLES, EXAMPLES[-1]), ids=lambda path: path.stem)
 def test_they_run(path):
     folder = shown(path.stem)
     check(path, folder, (folder / "said.txt").read_text())
@@ -44,13 +44,7 @@ def test_they_run(path):
 @pytest.mark.slow
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_they_run_on_two_ranks(path, tmp_path):
-    done = subprocess.run(
-        ["mpirun", "-n", "2", sys.executable, str(path)],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = jobs.run(2, path, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     check(path, tmp_path, done.stdout)
 

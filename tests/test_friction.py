@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+from tests.choice import crosswise
 from tests.friction_case import COMM, create
 
 EXACT = 1e-10
@@ -66,8 +67,9 @@ def test_it_slides_at_the_limit(cell, degree):
 
 
 @pytest.mark.parametrize("cell", CELLS[2])
-@pytest.mark.parametrize("slave", ["lower", "upper"])
-@pytest.mark.parametrize("geometry", ["reference", "updated"])
+@pytest.mark.parametrize(
+    ("slave", "geometry"), crosswise(["lower", "upper"], ["reference", "updated"])
+)
 @pytest.mark.parametrize("way", [PUSH, -PUSH])
 def test_the_resultants_of_a_sliding_block(cell, slave, geometry, way):
     """T = mu N in the plane, whichever side is the slave, and T goes with the push."""
@@ -145,8 +147,9 @@ def test_below_the_limit_it_sticks():
 
 
 @pytest.mark.parametrize("cell", ["quadrilateral", "tetrahedron"])
-@pytest.mark.parametrize("slave", ["lower", "upper"])
-@pytest.mark.parametrize("geometry", ["reference", "updated"])
+@pytest.mark.parametrize(
+    ("slave", "geometry"), crosswise(["lower", "upper"], ["reference", "updated"])
+)
 @pytest.mark.parametrize("surface", ["facets", "smooth"])
 def test_action_is_reaction(cell, slave, geometry, surface):
     """Forces and moments on the two sides, about the origin, cancel."""

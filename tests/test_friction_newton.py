@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+from tests.choice import crosswise
 from tests.friction_case import ELASTIC, create
 from tests.hertz_case import PLASTIC as FLOWING
 from tests.hertz_case import create_case, create_mesh
@@ -35,8 +36,10 @@ def iterations(case, **options):
     [PLASTIC, *(pytest.param(law, marks=pytest.mark.slow) for law in (ELASTIC, IDEAL))],
     ids=["plastic", "elastic", "ideal"],
 )
-@pytest.mark.parametrize(("cell", "degree"), [("triangle", 2), ("hexahedron", 1)])
-@pytest.mark.parametrize("geometry", ["reference", "updated"])
+@pytest.mark.parametrize(
+    ("geometry", "cell", "degree"),
+    crosswise(["reference", "updated"], [("triangle", 2), ("hexahedron", 1)]),
+)
 def test_friction_costs_few_iterations(law, cell, degree, geometry):
     """While it is pressed, against the same without friction; pushes strain only with it.
 
@@ -53,8 +56,9 @@ def test_friction_costs_few_iterations(law, cell, degree, geometry):
 
 
 @pytest.mark.parametrize("mu", [pytest.param(0.6, marks=pytest.mark.slow), 1.0])
-@pytest.mark.parametrize("cell", ["quadrilateral", "tetrahedron"])
-@pytest.mark.parametrize("geometry", ["reference", "updated"])
+@pytest.mark.parametrize(
+    ("geometry", "cell"), crosswise(["reference", "updated"], ["quadrilateral", "tetrahedron"])
+)
 def test_much_friction(mu, cell, geometry):
     """Plastic blocks still converge without cuts; the law holds at the end."""
     case = create(cell, friction=mu, law=PLASTIC, geometry=geometry)

@@ -8,6 +8,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from tests.block_piles import ABOVE, BELOW, create_blocks
+from tests.choice import crosswise
 from tests.glued_bar import CELLS, COMM, CONFINED, NU, Bar, E, largest
 from tests.meshes import BOTTOM, TOP
 from tests.test_smooth_tie import to_arc, to_sphere
@@ -16,8 +17,7 @@ EXACT = 1e-9
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("slave", ["upper", "lower"])
-@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize(("slave", "degree"), crosswise(["upper", "lower"], [1, 2]))
 @pytest.mark.parametrize("cell", CELLS)
 def test_a_jump_between_clamped_ends_strains_uniformly(cell, degree, slave):
     """The stress is E_c J / L, where J opens, and L = 2; both slaves, non-matching meshes."""
@@ -42,8 +42,7 @@ def test_a_jump_between_clamped_ends_strains_uniformly(cell, degree, slave):
     assert np.allclose(on["pressure"], CONFINED * J / 2, rtol=1e-7)
 
 
-@pytest.mark.parametrize("slave", ["upper", "lower"])
-@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize(("slave", "degree"), crosswise(["upper", "lower"], [1, 2]))
 @pytest.mark.parametrize("cell", CELLS)
 def test_a_free_end_goes_along(cell, degree, slave):
     """The upper body moves as a whole, whichever side is the slave, and nothing is strained.
@@ -91,8 +90,7 @@ def test_a_linear_jump_turns_the_body(cell, degree, slave, kind):
     assert case.error(exact) < EXACT * 1e-3
 
 
-@pytest.mark.parametrize("slave", ["upper", "lower"])
-@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize(("slave", "cell"), crosswise(["upper", "lower"], CELLS))
 @pytest.mark.parametrize("gap", [0.0, 0.2])
 def test_curved_sides_jump_as_a_whole(cell, slave, gap):
     """Also where they stand apart and stand for smooth surfaces, whose master turns an arm."""
@@ -104,8 +102,9 @@ def test_curved_sides_jump_as_a_whole(cell, slave, gap):
     assert case.error(lambda x, upper: upper[:, None] * J) < EXACT * 1e-3
 
 
-@pytest.mark.parametrize("slave", ["upper", "lower"])
-@pytest.mark.parametrize("cell", ["quadrilateral", "tetrahedron"])
+@pytest.mark.parametrize(
+    ("slave", "cell"), crosswise(["upper", "lower"], ["quadrilateral", "tetrahedron"])
+)
 def test_jumps_and_loads_add_up(cell, slave):
     """In elasticity displacements and forces of a jump, a load and supports are a sum."""
     case = Bar(cell, slave=slave, degree=2)

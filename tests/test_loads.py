@@ -14,6 +14,7 @@ from dolfinx_mortar.materials import Elastic
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.terms.sum import Terms
 from dolfinx_mortar.terms.weak_forms import DeadLoads, WeakForm, check_form, check_loads
+from tests.choice import quick
 
 pytestmark = pytest.mark.mpi
 COMM = MPI.COMM_WORLD
@@ -72,7 +73,7 @@ def potentials(u, ds):
     }
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", quick(NAMES, "hardening", "one-sided", "both"))
 @pytest.mark.parametrize("d", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_forces_and_tangent_are_derivatives(d, name):
     """Energy, forces and tangent of each functional fit, beside forces and tangent of a solid."""

@@ -35,7 +35,7 @@ def error(element, degree, volumetric, level):
     [
         ("P1", 1, "full", 0.037),
         ("Q1", 1, "full", 0.02),
-        ("Q1", 1, "reduced", 0.006),
+        pytest.param("Q1", 1, "reduced", 0.006, marks=pytest.mark.slow),
         ("P1", 2, "full", 0.006),
         pytest.param("Q1", 2, "full", 0.006, marks=pytest.mark.slow),
     ],

@@ -16,6 +16,7 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from tests.block_piles import ABOVE, BELOW, COMM, Blocks
+from tests.choice import quick
 
 WHY = "PETSc adds up what two other ranks send in the order in which it comes"
 pytestmark = [pytest.mark.mpi, pytest.mark.skipif(COMM.size > 2, reason=WHY)]
@@ -131,7 +132,7 @@ def test_a_walk_again():
     check(None)
 
 
-@pytest.mark.parametrize("when", [0, 3, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("when", quick([0, 1, 3], 3))
 def test_an_audit(when):
     check(lambda pile, number: print(pile.problem.audit()) if number == when else None)
 
@@ -212,7 +213,7 @@ def test_a_step_that_is_taken_back(geometry):
     check(look, geometry)
 
 
-@pytest.mark.parametrize("fresh", [False, True])
+@pytest.mark.parametrize("fresh", quick([False, True], True))
 @pytest.mark.parametrize("geometry", GEOMETRIES)
 def test_a_checkpoint_that_is_restored(tmp_path, geometry, fresh):
     """Into the same problem, or into another one."""

@@ -6,23 +6,15 @@ At night, all that have not one rank only run on two and on three.
 """
 
 import os
-import subprocess
-import sys
 from collections.abc import Iterable
-from pathlib import Path
 
 from mpi4py import MPI
 
 import pytest
 
+from tests import jobs
+
 COMM = MPI.COMM_WORLD
-ROOT = Path(__file__).resolve().parent.parent
-# what a launcher tells its ranks, and pytest its workers; a second one below would take itself for
-# one of them
-LAUNCHER = ("OMPI_COMM_", "OMPI_APP_", "OMPI_FIRST_", "PMIX_", "PRTE_JOB", "PRTE_LAUNCHED", "PMI_")
-LAUNCHER += ("PYTEST_XDIST_",)
-
-
 RANKS = "DOLFINX_MORTAR_TEST_RANKS"
 # Each file has one number of ranks. On three, where a rank may be in the middle and own nothing:
 # all that is not named here, which is what pairs, sends, and solves. On two: what does to a rank
@@ -30,40 +22,33 @@ RANKS = "DOLFINX_MORTAR_TEST_RANKS"
 # stand on what has run by default, or solve many problems: on two, and what pairs in space on
 # three.
 ON_TWO = """
-    agreement arguments audit checkpoint_damage checkpoint_errors
-    checkpoint_files errors friction_errors jump_errors loads mesh_audit msh output_resume
-    problem progress ramp regions results solid summary tags terms tie_reach tying written_results
+    agreement arguments audit checkpoint_damage checkpoint_files errors friction_errors jump_errors
+    mesh_audit msh problem progress regions results summary tags terms written_results
 """.split()
 SLOW_ON_TWO = """
-    axisymmetric_contact axisymmetric_patch axisymmetry certificate checkpoint curvature_jumps
-    demo_meshes edges eigenstrain failures jump kinematics law_contact linear
-    linearisation locking looks_change_nothing margin measure newton orthotropic output parameters
-    passing patch_3d plane_stress plotting pointwise preload preload_direction preload_several
-    qp_descent reaction resolution small_strain smooth_3d smooth_contact smooth_second smooth_tie
-    solid_state stand_off stress_laws sweep undone user_laws volumetric
+    axisymmetric_contact axisymmetric_patch axisymmetry certificate checkpoint checkpoint_errors
+    curvature_jumps demo_meshes edges eigenstrain failures jump kinematics law_contact linear
+    linearisation loads locking looks_change_nothing margin measure newton orthotropic output
+    output_resume parameters passing patch_3d plane_stress plotting pointwise preload
+    preload_direction preload_several qp_descent ramp reaction resolution small_strain smooth_3d
+    smooth_contact smooth_second smooth_tie solid solid_state stand_off stress_laws sweep tie_reach
+    tying undone user_laws volumetric
 """.split()
-SLOW_ON_THREE = "mortar_3d pretension preload_restart".split()
+SLOW_ON_THREE = """
+    friction_state mortar_3d near own_interface pretension preload_restart stack
+""".split()
 QUICK = "mpi and not slow and not serial"
 SLOW = "mpi and not nightly and not serial"
 
 
 def run_on_ranks(ranks: int, selection: str, seconds: float, files: Iterable[str]) -> None:
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(LAUNCHER)}
-    environment.pop("PYTEST_ADDOPTS", None)
-    environment[RANKS] = str(ranks)
-    tests = [sys.executable, "-m", "pytest", *files, "-p", "no:cacheprovider", "-x", "-q"]
-    command = ["mpirun", "-n", str(ranks), *tests, "-m", selection]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
-    with subprocess.Popen(command, cwd=ROOT, env=environment, text=True, **pipes) as job:
-        try:
-            output, _ = job.communicate(timeout=seconds)
-        except subprocess.TimeoutExpired:
-            job.terminate()  # the launcher takes its ranks along; a kill would leave them behind
-            output, _ = job.communicate()
-            output += f"\nended after {seconds} s"
-    if job.returncode != 0:
-        last = "\n".join(output.splitlines()[-80:])
-        pytest.fail(f"{' '.join(command)}\nexit code {job.returncode}\n{last}", pytrace=False)
+    arguments = ["-m", "pytest", *files, "-p", "no:cacheprovider", "-x", "-q", "-m", selection]
+    variables = {RANKS: str(ranks), "PYTEST_ADDOPTS": ""}
+    done = jobs.run(ranks, *arguments, cwd=jobs.ROOT, seconds=seconds, variables=variables)
+    if done.returncode != 0:
+        last = "\n".join((done.stdout + done.stderr).splitlines()[-80:])
+        command = " ".join(done.args)
+        pytest.fail(f"{command}\nexit code {done.returncode}\n{last}", pytrace=False)
 
 
 @pytest.mark.mpi
@@ -76,8 +61,8 @@ def files_on(ranks: int, slow: bool) -> list[str]:
     """Return the test files that have this number of ranks, in the default or in the slow run."""
     named = [ON_TWO, SLOW_ON_TWO, SLOW_ON_THREE]
     on_two, slow_on_two, slow_on_three = ({f"tests/test_{n}.py" for n in names} for names in named)
-    paths = [path for path in ROOT.glob("tests/test_*.py") if "mark.mpi" in path.read_text()]
-    rest = {str(p.relative_to(ROOT)) for p in paths} - on_two - slow_on_two - slow_on_three
+    paths = [path for path in jobs.ROOT.glob("tests/test_*.py") if "mark.mpi" in path.read_text()]
+    rest = {str(p.relative_to(jobs.ROOT)) for p in paths} - on_two - slow_on_two - slow_on_three
     assert len(rest) + sum(map(len, named)) == len(paths)  # each file once
     quick = {2: on_two, 3: rest}
     return sorted({2: slow_on_two, 3: slow_on_three}[ranks] if slow else quick[ranks])
@@ -89,6 +74,15 @@ def files_on(ranks: int, slow: bool) -> list[str]:
 def test_tests_on_ranks(ranks: int, slow: bool) -> None:
     selection, seconds = (SLOW, 1800.0) if slow else (QUICK, 900.0)
     run_on_ranks(ranks, selection, seconds, files_on(ranks, slow))
+
+
+@pytest.mark.serial
+@pytest.mark.slow
+def test_slow_tests_for_ranks_are_in_files_of_the_slow_run() -> None:
+    """The default run takes the quick ones of its files only, so a slow one would be lost."""
+    lost = ["--collect-only", "-m", f"{SLOW} and slow", *files_on(2, False), *files_on(3, False)]
+    done = jobs.run(1, "-m", "pytest", "-q", *lost, cwd=jobs.ROOT)
+    assert done.returncode == pytest.ExitCode.NO_TESTS_COLLECTED, done.stdout
 
 
 @pytest.mark.serial

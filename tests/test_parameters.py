@@ -80,7 +80,7 @@ def numbers(solid):
 @pytest.mark.parametrize(
     "cell", ["triangle", pytest.param("quadrilateral", marks=pytest.mark.slow)]
 )
-@pytest.mark.parametrize("kind", quick(KINDS, "Constant", "Lagrange", "expression"))
+@pytest.mark.parametrize("kind", quick(KINDS, "Constant", "expression"))
 def test_a_parameter_may_be_whatever_has_the_value(kind, cell):
     """Numbers, Constants, Functions and expressions of equal values make equal solids."""
     domain = create_domain(cell)

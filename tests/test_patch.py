@@ -12,6 +12,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.algebra.parallel import maximum
+from tests.choice import crosswise
 from tests.meshes import two_blocks
 
 E, NU, P = 1000.0, 0.4, 10.0
@@ -170,8 +171,9 @@ def test_little_coverage(slave, covered, degree):
     assert kept == degree * (len(long) - 1) + 1 - sum(share <= 0.05 for share in shares)
 
 
-@pytest.mark.parametrize("slave", ["lower", "upper"])
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize(
+    ("slave", "cell"), crosswise(["lower", "upper"], ["triangle", "quadrilateral"])
+)
 @pytest.mark.parametrize("lengths", LENGTHS)
 @DEGREES
 def test_inclined(slave, cell, lengths, degree):

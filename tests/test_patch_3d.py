@@ -16,7 +16,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.mortar.surface import accumulate, create_surface
-from tests.choice import quick
+from tests.choice import crosswise, quick
 from tests.meshes_3d import (
     BOTTOM,
     BOTTOM_OF_UPPER,
@@ -182,21 +182,18 @@ def check(problem, contact, exact):
 
 
 KINDS = [(cell, degree) for cell in ("tetrahedron", "hexahedron") for degree in (1, 2)]
-CELLS = pytest.mark.parametrize("cell, degree", KINDS)
-SLAVES = pytest.mark.parametrize("slave", ["lower", "upper"])
+CASES = pytest.mark.parametrize(("slave", "cell", "degree"), crosswise(["lower", "upper"], KINDS))
 
 
 @pytest.mark.mpi
-@SLAVES
-@CELLS
+@CASES
 @pytest.mark.parametrize("hold", ["planes", "nodes"])
 def test_equal_sizes(slave, cell, degree, hold):
     """Symmetry planes cut through the contact, or nothing holds its edges."""
     check(*solve_patch(slave, cell=cell, degree=degree, hold=hold))
 
 
-@SLAVES
-@CELLS
+@CASES
 @pytest.mark.parametrize("seed", quick(range(3), 0))
 def test_jittered_and_inclined(slave, cell, degree, seed):
     """Facets of any shape on an inclined plane."""
@@ -215,8 +212,7 @@ SIZES = {
 }
 
 
-@SLAVES
-@CELLS
+@CASES
 @pytest.mark.parametrize("sizes", quick(SIZES, "lower larger", "crossed"))
 @pytest.mark.parametrize("turn", [pytest.param(None, marks=pytest.mark.slow), TILTED])
 def test_unequal_sizes(slave, cell, degree, sizes, turn):
@@ -230,8 +226,7 @@ def test_unequal_sizes(slave, cell, degree, sizes, turn):
     )
 
 
-@SLAVES
-@CELLS
+@CASES
 @pytest.mark.parametrize(
     "covered",
     [

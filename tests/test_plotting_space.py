@@ -16,6 +16,7 @@ from msh_files import boxes, msh_file
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.plotting.gathered import gather_bodies
+from tests import jobs
 
 COMM = MPI.COMM_WORLD
 FIRST = COMM.rank == 0
@@ -81,14 +82,12 @@ def columns(model):
     ("order", "degree", "ranks"),
     [(2, 2, 1), (1, 1, 1), (1, 2, 3)],
 )
-def test_bodies_in_space_without_a_screen(order, degree, ranks, tmp_path):
+def test_bodies_in_space_without_a_screen(order, degree, ranks, monkeypatch, tmp_path):
     """As a program of its own: what VTK cannot do ends the program."""
     pytest.importorskip("pyvista")
+    monkeypatch.delenv("DISPLAY", raising=False)
     with msh_file(columns, ElementOrder=order) as file:
-        run = [sys.executable, "-c", SPACE, str(file), str(tmp_path), str(degree)]
-        run = run if ranks == 1 else ["mpirun", "--oversubscribe", "-n", str(ranks), *run]
-        environment = {k: v for k, v in os.environ.items() if k != "DISPLAY"}
-        done = subprocess.run(run, capture_output=True, text=True, check=False, env=environment)
+        done = jobs.run(ranks, "-c", SPACE, file, tmp_path, degree)
     assert done.returncode == 0 and "drawn" in done.stdout, done.stderr
     assert all((tmp_path / f"{name}.png").stat().st_size > 5000 for name in ("mesh", "field"))
 

@@ -12,6 +12,7 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.solid.pointwise import packed
+from tests.choice import crosswise
 from tests.pointwise_laws import IDENTITY, UNIT, VOLUME, Compiled, Radial
 from tests.pressed_blocks import PressedBlocks
 from tests.solid_case import (
@@ -54,8 +55,9 @@ def compare(solid, other):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("law", [Radial, Compiled])
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral", "tetrahedron"])
+@pytest.mark.parametrize(
+    ("law", "cell"), crosswise([Radial, Compiled], ["triangle", "quadrilateral", "tetrahedron"])
+)
 def test_the_law_in_numbers_is_the_law_in_ufl(cell, law):
     """NumPy and numba against UFL: forces, tangent, stress, state over two steps."""
     domain = create_domain(cell, 3)

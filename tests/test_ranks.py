@@ -2,15 +2,12 @@
 """The same numbers on 1, 2 and 3 ranks: force, multipliers, displacement, however split."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.test_parallel import LAUNCHER, ROOT
+from tests import jobs
 
 SAME = 1e-10
 PROGRAM = Path(__file__).parent / "ranks_program.py"
@@ -21,11 +18,7 @@ pytestmark = pytest.mark.serial
 def run(ranks: int, folder: Path) -> dict:
     """Return the results of the program on some ranks."""
     result = folder / f"{ranks}.json"
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(LAUNCHER)}
-    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), environment.get("PYTHONPATH", "")])
-    launcher = [] if ranks == 1 else ["mpirun", "-n", str(ranks)]
-    command = [*launcher, sys.executable, str(PROGRAM), str(result)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    done = jobs.run(ranks, PROGRAM, result, seconds=300.0)
     assert done.returncode == 0, done.stdout + done.stderr
     return json.loads(result.read_text())
 

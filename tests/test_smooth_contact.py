@@ -8,6 +8,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
+from tests.choice import crosswise
 from tests.close_fits import OVERLAP, create_pin, create_shrink_fit
 from tests.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
 from tests.pressed_blocks import PressedBlocks, rejected
@@ -49,8 +50,7 @@ def test_a_pin_in_its_hole(counts, swap):
     assert found["pressure"].max() == pytest.approx(PEAK, rel=0.015)
 
 
-@pytest.mark.parametrize("order", [1, 2])
-@pytest.mark.parametrize("swap", [False, True])
+@pytest.mark.parametrize(("order", "swap"), crosswise([1, 2], [False, True]))
 @pytest.mark.parametrize(
     "counts",
     [(30, 44), (44, 30), *(pytest.param(n, marks=pytest.mark.slow) for n in ((60, 88), (88, 60)))],

@@ -12,6 +12,7 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.audit.stand_off import warnings_on_straight_facets
 from dolfinx_mortar.mortar import operators
+from tests.choice import crosswise
 from tests.close_fits import hold, rings
 from tests.meshes import two_blocks
 from tests.meshes_3d import two_boxes
@@ -82,8 +83,7 @@ def spin(x):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("swap", [False, True])
-@pytest.mark.parametrize("gap", [0.0, 0.3])
+@pytest.mark.parametrize(("swap", "gap"), crosswise([False, True], [0.0, 0.3]))
 @pytest.mark.parametrize("cell", CELLS)
 def test_rigid_motions_are_no_slip(cell, gap, swap):
     """Exactly, on uneven meshes of curved sides, also of such that are far apart."""

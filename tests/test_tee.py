@@ -2,8 +2,6 @@
 """Resistances of T-stubs, and the demo of a bolted one: preload, prying, yielding, equilibrium."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +9,7 @@ import pytest
 from PIL import Image
 
 from demos.bolted_tee.tee_stub import tee_stub
+from tests import jobs
 
 pytestmark = pytest.mark.serial
 
@@ -51,13 +50,7 @@ def test_patterns_of_a_wide_stub(e, length_1, length_2, lever):
 
 
 def run(*options, ranks=1):
-    launcher = [] if ranks == 1 else ["mpirun", "-n", str(ranks)]
-    return subprocess.run(
-        [*launcher, sys.executable, str(DEMO / "bolted_tee.py"), *options],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    return jobs.run(ranks, DEMO / "bolted_tee.py", *options)
 
 
 def rows_of(folder, *options, ranks=1):

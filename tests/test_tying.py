@@ -10,7 +10,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
-from tests.choice import quick
+from tests.choice import crosswise, quick
 from tests.meshes import two_blocks
 
 E, NU = 1000.0, 0.3
@@ -106,8 +106,9 @@ def solve_smooth(n, slave, cell, degree=1, transform=None, order=1):
     return [np.sqrt(COMM.allreduce(fem.assemble_scalar(fem.form(s * dx)))) for s in squares]
 
 
-@pytest.mark.parametrize("slave", ["lower", "upper"])
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize(
+    ("slave", "cell"), crosswise(["lower", "upper"], ["triangle", "quadrilateral"])
+)
 def test_orders(slave, cell):
     """L2 order 2 and H1 order 1 on non-matching meshes, coarse or fine side as slave."""
     errors = np.array([solve_smooth(n, slave, cell) for n in (2, 4, 8)])
@@ -117,8 +118,9 @@ def test_orders(slave, cell):
 
 
 @pytest.mark.parametrize("slave", quick(["lower", "upper"], "lower"))
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
-@pytest.mark.parametrize("curved", [False, True], ids=["straight", "curved"])
+@pytest.mark.parametrize(
+    ("curved", "cell"), crosswise([False, True], ["triangle", "quadrilateral"])
+)
 def test_orders_of_second_order(slave, cell, curved):
     """L2 order 3 and H1 order 2, on a straight interface and on isoparametric cells of a wave."""
     kind = {"transform": bend, "order": 2} if curved else {}

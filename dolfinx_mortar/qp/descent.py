@@ -49,8 +49,8 @@ def descend(problem: HeldProblem, start: State, level: int = TIGHT) -> Outcome[S
 def most_solves(qp: BoundQP) -> int:
     """Return the largest number of solves of a descent; collective.
 
-    With k bounds and m nodes it took at most k + m + 1 solves on 400 random problems of up to 39
-    nodes and on belts of up to 192, and half of that from 10 nodes on.
+    With k bounds and m nodes it took at most 1.8 (k + m + 1) solves from random states of 12,000
+    random problems, and at most k + m + 1 on belts of up to 192 nodes.
     """
     assert qp.friction is not None
     own = qp.bounded.size + qp.friction.normal.size

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: MIT
+"""Runs on ranks have the machine to themselves while workers of pytest-xdist run the tests.
+
+A rank that waits for a message yields its core. Beside other tests it gets the core back after
+their time slice, some milliseconds, and every message takes that long: 330 tests of 100 s on three
+ranks had not ended after 600 s. So each worker shares a lock with the others during each of its
+tests, and a test that starts ranks holds it alone.
+"""
+
+import fcntl
+import functools
+import os
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from pathlib import Path
+from typing import IO
+
+FOLDER = "DOLFINX_MORTAR_TEST_LOCKS"  # of the locks of a run; its workers inherit the name
+WORKER = "PYTEST_XDIST_WORKER"  # set by pytest-xdist
+
+
+class Machine:
+    """Two locks: a room, and its door, which is shut while somebody wants or has the room alone."""
+
+    def __init__(self, folder: Path) -> None:
+        """Open the files of the locks."""
+        self.door, self.room = ((folder / name).open("a") for name in ("door", "room"))
+
+    @contextmanager
+    def shared(self) -> Iterator[None]:
+        """Run beside others that share it, when nobody waits to have it alone."""
+        with _locked(self.door, fcntl.LOCK_SH):
+            pass
+        with _locked(self.room, fcntl.LOCK_SH):
+            yield
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Within `shared`: wait for the others to end their tests, and keep them from the next."""
+        fcntl.flock(self.room, fcntl.LOCK_UN)
+        with _locked(self.door, fcntl.LOCK_EX):
+            fcntl.flock(self.room, fcntl.LOCK_EX)
+            try:
+                yield
+            finally:
+                fcntl.flock(self.room, fcntl.LOCK_SH)
+
+
+@contextmanager
+def _locked(file: IO[str], how: int) -> Iterator[None]:
+    """Hold a lock."""
+    fcntl.flock(file, how)
+    try:
+        yield
+    finally:
+        fcntl.flock(file, fcntl.LOCK_UN)
+
+
+@functools.cache
+def _machine() -> Machine | None:
+    """Return the locks of this worker, none in a run of a single process."""
+    both = WORKER in os.environ and FOLDER in os.environ
+    return Machine(Path(os.environ[FOLDER])) if both else None
+
+
+def shared() -> AbstractContextManager[None]:
+    """Hold the machine beside other workers."""
+    machine = _machine()
+    return machine.shared() if machine else nullcontext()
+
+
+def alone() -> AbstractContextManager[None]:
+    """Have the machine alone, within a test."""
+    machine = _machine()
+    return machine.alone() if machine else nullcontext()
