@@ -39,8 +39,10 @@ def set_apart(qp: BoundQP, options: SolverOptions) -> Ints | None:
     """Return the unknowns that a factorisation may leave for last; None for an ordinary one.
 
     These are the bounded ones, ascending, on one rank, without friction (which holds others, too),
-    if S has no more entries than A.
+    if S has no more entries than A, and if PETSc's library shows the function.
     """
+    if not hasattr(_lib, "MatFactorSetSchurIS"):  # a petsc4py that hides its symbols
+        return None
     k = qp.bounded.size
     mumps = options["pc_type"] == "cholesky" and options["pc_factor_mat_solver_type"] == "mumps"
     serial = qp.comm.size == 1 and qp.definite and qp.friction is None
@@ -120,6 +122,3 @@ class _Entries:
         _call("MatDenseRestoreArray", self.S, _at(self.first))
         unfactored = 0  # MAT_FACTOR_SCHUR_UNFACTORED
         _call("MatFactorRestoreSchurComplement", self.factor, _at(self.S), unfactored)
-
-
-_at = ctypes.byref
