@@ -23,7 +23,7 @@ from dolfinx_mortar.interfaces.coupling import (
     mark,
     with_ghosts,
 )
-from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface
+from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface, ask
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides
 from dolfinx_mortar.mortar.edges import edge_normals, find_edges
 from dolfinx_mortar.mortar.integrals import (
@@ -222,7 +222,8 @@ class MortarInterface(Interface):
         nodes, own = sides.slave.nodes, slice(None, sides.slave.owned)
         free = normals * ~sides.fixed[nodes]
         left = np.linalg.norm(free, axis=1)
-        allowed = self.may_carry(left, sides.fixed[nodes]) & ~banned[nodes, None]
+        may = ask(sides.V.mesh.comm, self, "may_carry", left, sides.fixed[nodes])
+        allowed = may & ~banned[nodes, None]
         operators = create_operators(
             pairing,
             u,
@@ -238,7 +239,9 @@ class MortarInterface(Interface):
         lost = np.zeros_like(kept) if before is None else before.lost | (before.kept & ~kept)
         some = (left > ROUND_OFF)[:, None]  # of less only round-off has a direction
         direction = np.where(some, free / np.maximum(left, TINY)[:, None], 0.0)
-        frame = self.frame(direction[own], kept, sides.fixed[sides.nodes])
+        frame = ask(
+            sides.V.mesh.comm, self, "frame", direction[own], kept, sides.fixed[sides.nodes]
+        )
         blocks = self.blocks(operators.P, frame, pattern.row)
         if operators.motions is not None:
             blocks[pattern.split :] += operators.motions

@@ -19,7 +19,7 @@ from dolfinx import fem
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.checkpoint import read_about, read_tables, size_of
 from dolfinx_mortar.disk import check_path
-from dolfinx_mortar.interfaces.interface import Interface, Resultants, check_owned
+from dolfinx_mortar.interfaces.interface import Interface, Resultants, ask, check_owned
 from dolfinx_mortar.interfaces.system import Paired
 from dolfinx_mortar.persistence.committed import ProblemState, Slips, SupportForces, Walk
 from dolfinx_mortar.persistence.identity import describe, differences, material_numbers
@@ -66,7 +66,7 @@ class Saved:
         for k, interface in enumerate(state.interfaces):
             resultants = self.about["interfaces"][k]
             _take(state, k, interface, resultants, self.tables.get(name_of(k), {}))
-            interface.take_found(self.about["found"][k])
+            ask(state.comm, interface, "take_found", self.about["found"][k])
         committed.paired = committed.found_paired = self._paired()
         committed.begun = self.about["begun"]
         committed.level, committed.walked = self.about["level"], self.about["walked"]
