@@ -234,13 +234,15 @@ class Broken(dm.Term):
 
     def add_forces(self, F):
         value = self.give("add_forces")
+        if isinstance(value, str):
+            return F.array * 2.0
         F.array_w[:] += 0.0 if value is None else value
 
     def add_tangent(self, K):
         value = self.give("add_tangent")
         if value is not None:
             first = K.getOwnershipRange()[0]
-            K.setValues([first], [first], [value], addv=True)
+            K.setValues([first], [first + np.size(value) - 1], [np.max(value)], addv=True)
 
     def begin(self, start, end):
         self.give("begin")
@@ -293,7 +295,10 @@ def test_what_a_term_is_told_in_the_course_of_a_walk(monkeypatch):
         ({"add_forces": np.inf}, ValueError, r"terms\[0\], a Broken: add_forces gives NaN"),
         ({"add_forces": RuntimeError("of one rank")}, RuntimeError, "of one rank"),
         ({"add_tangent": np.nan}, ValueError, r"terms\[0\], a Broken: add_tangent gives NaN"),
-        ({"begin": ValueError("too early")}, ValueError, "too early"),
+        ({"begin": ValueError("too early")}, ValueError, r"a Broken: begin\(\): too early"),
+        ({"add_forces": "returned"}, ValueError, r"a Broken: add_forces\(\): it returns a ndarray"),
+        ({"add_forces": np.zeros(99)}, ValueError, r"a Broken: add_forces\(\): .*\(99,\)"),
+        ({"add_tangent": [0.0, 1e3]}, ValueError, r"a Broken: add_tangent\(\) is not symmetric"),
     ],
 )
 def test_what_one_rank_does_wrong_is_raised_on_all(what, kind, message):
@@ -301,6 +306,30 @@ def test_what_one_rank_does_wrong_is_raised_on_all(what, kind, message):
     with pytest.raises(kind, match=message):
         dm.newton(bar.problem(Broken(**what)))
     assert not bar.u.x.array.any()
+
+
+def test_entries_beyond_the_pattern_are_named(guide):
+    """A rank adds to a row of another one, which finds it out when the matrix is assembled."""
+
+    class Far(guide["Cable"]):
+        def add_tangent(self, K):
+            owns = any(end == 0 for end, _ in self.own)
+            adding = COMM.allreduce(COMM.size if owns else COMM.rank, op=MPI.MIN) % COMM.size
+            if COMM.rank == adding:
+                K.setValues(self.dofs, self.dofs, np.ones((4, 4)), addv=True)
+
+    bars = Bar(count=2)
+    far = Far(bars.solid, (1.0, 0.0), (3.0, 0.0), 300.0)
+    far.couplings = []
+    with pytest.raises(ValueError, match=r"a Far: add_tangent\(\): an entry .* couplings"):
+        dm.newton(bars.problem(far))
+
+
+def test_a_tangent_with_a_zero_diagonal(guide):
+    """The energy of one component in the other: where that one is held, nothing changes."""
+    bar = Bar(moved=0.01)
+    dm.newton(bar.problem(potential=50.0 * bar.u[0] * bar.u[1] * bar.ds), rtol=1e-10)
+    assert np.isclose(bar.bottom(), 0.01, rtol=1e-8)
 
 
 def test_commit_fails_on_all_ranks():
@@ -316,6 +345,13 @@ class Lacking(dm.Term):
 
     def add_forces(self, F):
         """Add nothing."""
+
+
+class Timeless(Broken):
+    """Begins without the levels."""
+
+    def begin(self):
+        """Do nothing."""
 
 
 class Keeping(Broken):
@@ -343,6 +379,7 @@ def test_what_is_no_term_is_refused():
         ([Broken], r"terms\[0\] is <class .*give an instance"),
         ([3.0], r"terms\[0\] is 3\.0: give an instance of a subclass"),
         ([Lacking()], r"terms\[0\], a Lacking, lacks add_tangent"),
+        ([Timeless()], r"a Timeless: begin\(\) is called as begin\(start, end\)"),
         ([same, same], "holds the same object .* twice"),
         ([coupled], r"couplings holds array\(\[ *0, *1000000\]\): give arrays of global dofs"),
         ([Keeping({"a/b": bar.u})], "has the name 'a/b'"),

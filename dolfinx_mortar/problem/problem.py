@@ -372,16 +372,12 @@ class ContactProblem:
         return find_held_by_contact(self.bodies, self.system, self.supports, springs)
 
     def _resistance_of_potential(self) -> Callable[[PETSc.Vec], Floats]:
-        """Return the function v -> forces of the terms against v over their largest stiffness."""
+        """Return the function v -> forces of the terms against v over the norm of their tangent."""
         if not self.terms.have_tangent:
             return lambda v: np.zeros(0)
         self.terms.check_energies()
-        springs = self.terms.create_matrix()
-        springs.zeroEntries()
-        self.terms.add_tangents(springs)
-        springs.assemble()
-        stiffest = np.abs(springs.getDiagonal().array_r).max(initial=0.0)
-        scale = max(float(maximum(self.comm, stiffest)[0]), np.finfo(float).tiny)
+        springs = self.terms.stiffness()
+        scale = max(springs.norm(PETSc.NormType.INFINITY), np.finfo(float).tiny)
         return lambda v: np.asarray((springs * v).array_r / scale)
 
     def update_geometry(self, increment: float) -> None:
