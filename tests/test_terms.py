@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Terms of users: those of the guide against closed forms, restart, ranks, and what goes wrong."""
 
+import ast
 import re
 from pathlib import Path
 
@@ -29,6 +30,15 @@ def guide():
     for code in re.findall(r"```python\n(.*?)```", GUIDE.read_text(), re.DOTALL):
         exec(compile(code.split("\nds = ")[0], str(GUIDE), "exec"), names)
     return names
+
+
+def test_terms_of_the_guide_are_short():
+    """At most 30 lines each."""
+    codes = re.findall(r"```python\n(.*?)```", GUIDE.read_text(), re.DOTALL)
+    kinds = (ast.ClassDef, ast.FunctionDef)
+    found = [part for code in codes for part in ast.parse(code).body if isinstance(part, kinds)]
+    assert [part.name for part in found] == ["Damper", "Cable", "floor"]
+    assert all(part.end_lineno - part.lineno < 30 for part in found)
 
 
 def total(value):
@@ -313,7 +323,7 @@ def test_entries_beyond_the_pattern_are_named(guide):
 
     class Far(guide["Cable"]):
         def add_tangent(self, K):
-            owns = any(end == 0 for end, _ in self.own)
+            owns = self.at[0].any()
             adding = COMM.allreduce(COMM.size if owns else COMM.rank, op=MPI.MIN) % COMM.size
             if COMM.rank == adding:
                 K.setValues(self.dofs, self.dofs, np.ones((4, 4)), addv=True)
