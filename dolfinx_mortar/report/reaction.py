@@ -83,9 +83,11 @@ def reaction(
 
     Raises:
         ValueError: on all ranks, before the first step, for a support that is none (an unknown tag,
-            dofs that are out of range or not prescribed), and for a point that is none.
+            dofs that are out of range or not prescribed), for a point that is none, and if a
+            problem made later uses one of the interfaces.
     """
     check_problem(problem, ContactProblem)
+    problem.check_owned()
     point = _check_point(problem, about)
     mask = _find(problem, support, facet_tags)
     if problem.committed.supports is None:
