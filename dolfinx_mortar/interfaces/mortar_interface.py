@@ -11,7 +11,6 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
@@ -25,7 +24,7 @@ from dolfinx_mortar.interfaces.coupling import (
 )
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface, ask
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides
-from dolfinx_mortar.mortar.edges import edge_normals, find_edges
+from dolfinx_mortar.mortar.edges import check_angle, edge_normals, find_edges
 from dolfinx_mortar.mortar.integrals import (
     Coverage,
     drop_far,
@@ -87,11 +86,7 @@ class MortarInterface(Interface):
             )
         if not isinstance(surface, str) or surface not in SURFACES:
             raise ValueError(f"surface is {surface!r}: choose 'smooth' or 'facets'")
-        if not is_number(feature_angle) or not 0.0 < feature_angle <= 180.0:
-            raise ValueError(
-                f"feature_angle is {feature_angle!r}: give degrees, 0 < feature_angle <= 180"
-            )
-        self.smooth, self.feature_angle = surface == "smooth", float(feature_angle)
+        self.smooth, self.feature_angle = surface == "smooth", check_angle(feature_angle)
 
     def __repr__(self) -> str:
         """Name the class, the tags, and what is not the default."""
