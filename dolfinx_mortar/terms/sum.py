@@ -25,6 +25,10 @@ from dolfinx_mortar.terms.weak_forms import DeadLoads
 
 R = TypeVar("R")
 
+NO_PLACE = (
+    "an entry lies beyond the pattern of the matrix: declare the dofs in couplings, an array of "
+    "global numbers for all that are coupled to each other"
+)
 OUT_OF_RANGE = 63  # PETSC_ERR_ARG_OUTOFRANGE
 CALLED_WITH = {  # the arguments of what a term may define
     "energy": (),
@@ -130,15 +134,19 @@ class Terms:
         Raises:
             ValueError: on all ranks, if a term gives NaN or infinity.
         """
+        if self._of_users:  # an error within the assembly of a row's rank leaves others waiting
+            K.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
+        before = K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["mallocs"]
         for name, term in self.named:
             if term.has_tangent:
                 self._ask(f"{name}: add_tangent()", term, partial(_add, term.add_tangent, K))
         if not self._of_users:
             K.assemble()  # once: what nobody has set by then is no longer in the pattern
             return
-        # entries of another rank's rows fail on that rank
-        with raised_together(self.comm), named(f"{self._of_users}: add_tangent()"):
-            _within_pattern(K.assemble)
+        K.assemble()
+        K.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, True)
+        if K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["mallocs"] > before:
+            raise ValueError(f"{self._of_users}: add_tangent(): {NO_PLACE}")
         if not np.isfinite(K.norm()):
             raise ValueError(
                 f"{self._of_users}: add_tangent gives NaN or infinity at the present u"
@@ -262,10 +270,7 @@ def _within_pattern(call: Callable[[], R]) -> R:
     except PETSc.Error as error:
         if error.ierr != OUT_OF_RANGE:
             raise
-        raise ValueError(
-            "an entry lies beyond the pattern of the matrix: declare the dofs in couplings, an "
-            "array of global numbers for all that are coupled to each other"
-        ) from error
+        raise ValueError(NO_PLACE) from error
 
 
 def _addends(term: Term) -> Floats | None:
