@@ -85,6 +85,14 @@ def floors():
     return found
 
 
+def test_no_two_modules_share_a_name():
+    """A room may have a module of its own name."""
+    rooms = [p.parent.name for p in PACKAGE.rglob("__init__.py") if p.parent != PACKAGE]
+    modules = [p for p in PACKAGE.rglob("*.py") if p.stem not in ("__init__", p.parent.name)]
+    names = rooms + [p.stem for p in modules]
+    assert sorted(names) == sorted(set(names))
+
+
 def test_imports_point_down():
     wrong = {
         str(file.relative_to(PACKAGE)): sorted(ours - BELOW[floor])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+from dolfinx import fem
 from dolfinx_mortar.geometry.facets import tributary_weights
 from dolfinx_mortar.interfaces.constraints import upper_bounds
 from dolfinx_mortar.interfaces.coupling import Coupling
@@ -197,37 +198,51 @@ def test_python_names_what_a_kind_lacks(base, names):
             half(case.facets, **sides)
 
 
-class Spoilt(Plane):
-    """A plane whose coupling is wrong on one rank, the last one that owns slave nodes."""
+SPOILT = [  # method, what it returns instead or raises, words of the message
+    ("couple", lambda c: replace(c, heights=c.heights + np.nan), ("heights", "NaN")),
+    ("couple", lambda c: replace(c, heights=np.zeros(99)), ("heights", "(99,)", "must be")),
+    ("couple", lambda c: None, ("returns a NoneType", "Coupling")),
+    ("couple", KeyError("no plane"), ("no plane",)),
+    ("constraints", lambda c: replace(c, upper=c.upper * np.nan), ("upper with NaN",)),
+    ("constraints", lambda c: replace(c, dofs=c.dofs + 10**6), ("no unknowns", "each once")),
+    ("constraints", lambda c: replace(c, weight=-c.weight), ("a weight that is not positive",)),
+    ("constraints", lambda c: None, ("returns a NoneType: return a Constraints",)),
+    ("constraints", KeyError("no bound"), ("no bound",)),
+    ("measured", KeyError("no motion"), ("no motion",)),
+    ("find_sides", lambda s: None, ("returns a NoneType: return a Sides",)),
+    ("pair", KeyError("no partners"), ("no partners",)),
+    ("check", KeyError("no space"), ("no space",)),
+    ("shown", lambda z: None, ("returns a NoneType: return a ndarray",)),
+    ("found", KeyError("lost"), ("lost",)),
+]
 
-    def __init__(self, *arguments, spoil, **options):
-        """Keep what makes a wrong coupling of a right one."""
-        super().__init__(*arguments, **options)
-        self.spoil = spoil
 
-    def couple(self, sides, *parts, **options):
-        found = super().couple(sides, *parts, **options)
-        last = COMM.allreduce(COMM.rank if len(sides.nodes) else -1, op=MPI.MAX)
-        return self.spoil(found) if COMM.rank == last else found
+def spoilt(method, how, on):
+    """Return a kind of plane with a method that goes wrong on one rank alone."""
+
+    def wrong(self, *arguments, **options):
+        found = getattr(Plane, method)(self, *arguments, **options)
+        if COMM.rank != on:
+            return found
+        if isinstance(how, Exception):
+            raise how
+        return how(found)
+
+    return type("Spoilt", (Plane,), {method: wrong})
 
 
-def refuse(found):
-    raise KeyError("no plane here")
-
-
-@pytest.mark.parametrize(
-    ("spoil", "words", "error"),
-    [
-        (lambda c: replace(c, heights=c.heights + np.nan), ("heights", "NaN"), ValueError),
-        (lambda c: replace(c, heights=np.zeros(99)), ("heights", "(99,)", "must be"), ValueError),
-        (lambda c: None, ("couple() returns a NoneType", "Coupling"), ValueError),
-        (refuse, ("no plane here",), (KeyError, RuntimeError)),
-    ],
-)
-def test_a_wrong_coupling_is_an_error_on_all_ranks(spoil, words, error):
-    case = Pressed()
-    plane = case.plane
-    own = {"slave": BOTTOM, "point": plane.point, "normal": plane.normal, "spoil": spoil}
-    with rejected(*words, error=error):
-        problem = case.problem(interfaces=[Spoilt(case.facets, **own), case.tie()])
+@pytest.mark.parametrize(("method", "how", "words"), SPOILT)
+def test_what_goes_wrong_on_one_rank_is_an_error_on_all(method, how, words, tmp_path):
+    path, case = COMM.bcast(tmp_path / "state.h5"), Pressed()
+    nodes = fem.locate_dofs_topological(case.V, 1, case.facets.find(BOTTOM))
+    owns = (nodes < case.V.dofmap.index_map.size_local).any()
+    last = COMM.allreduce(COMM.rank if owns else -1, op=MPI.MAX)
+    own = {"slave": BOTTOM, "point": case.plane.point, "normal": case.plane.normal}
+    plane = spoilt(method, how, last)(case.facets, **own)
+    who = () if method == "check" else (f"Plane(slave={BOTTOM}", f"{method}()")
+    raised = isinstance(how, Exception)
+    with rejected(*who, *words, error=(KeyError, RuntimeError) if raised else ValueError):
+        problem = case.problem(interfaces=[plane, case.tie()])
+        case.press(0.01)
         dm.newton(problem)
+        problem.save(path)

@@ -75,6 +75,7 @@ def test_nothing_is_shown_of_an_interface_that_another_problem_has(tmp_path):
         first.output_fields,
         lambda: dm.plotting.pressure(first),
         first.audit,
+        lambda: dm.reaction(first, BOTTOM, facet_tags=case.facets),
         first.commit,
         lambda: first.save(folder / "first.h5"),
         lambda: list(dm.load_steps(first, [1.0])),

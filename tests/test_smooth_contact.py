@@ -180,6 +180,13 @@ def test_bad_feature_angle(bad, kind):
         kind(polygon_tags(), slave=1, master=2, feature_angle=bad)
 
 
+def test_bad_feature_angle_of_the_matrices():
+    case, sides = PressedBlocks(), {"slave": TOP_OF_LOWER, "master": BOTTOM_OF_UPPER}
+    for bad in (np.nan, "x", 0.0):
+        with rejected("feature_angle is", "degrees"):
+            dm.assemble_mortar(case.V, case.facets, **sides, feature_angle=bad)
+
+
 def polygon_tags():
     """Return tags of something."""
     m = mesh.create_unit_square(MPI.COMM_SELF, 1, 1)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Terms of users: those of the guide against closed forms, restart, ranks, and what goes wrong."""
 
+import ast
 import re
 from pathlib import Path
 
@@ -29,6 +30,15 @@ def guide():
     for code in re.findall(r"```python\n(.*?)```", GUIDE.read_text(), re.DOTALL):
         exec(compile(code.split("\nds = ")[0], str(GUIDE), "exec"), names)
     return names
+
+
+def test_terms_of_the_guide_are_short():
+    """At most 30 lines each."""
+    codes = re.findall(r"```python\n(.*?)```", GUIDE.read_text(), re.DOTALL)
+    kinds = (ast.ClassDef, ast.FunctionDef)
+    found = [part for code in codes for part in ast.parse(code).body if isinstance(part, kinds)]
+    assert [part.name for part in found] == ["Damper", "Cable", "floor"]
+    assert all(part.end_lineno - part.lineno < 30 for part in found)
 
 
 def total(value):
@@ -217,7 +227,7 @@ def test_a_cable_holds_a_body(guide):
 class Broken(dm.Term):
     """A term that does what it is told, on one rank only."""
 
-    rank = COMM.size - 1
+    on = COMM.size - 1
 
     def __init__(self, **what):
         """Keep the values to return, or the errors to raise, by method."""
@@ -225,7 +235,7 @@ class Broken(dm.Term):
 
     def give(self, name):
         """Return a value or raise an error on that rank."""
-        value = self.what.get(name) if COMM.rank == self.rank else None
+        value = self.what.get(name) if COMM.rank == self.on else None
         if isinstance(value, Exception):
             raise value
         return value
@@ -236,13 +246,15 @@ class Broken(dm.Term):
 
     def add_forces(self, F):
         value = self.give("add_forces")
+        if isinstance(value, str):
+            return F.array * 2.0
         F.array_w[:] += 0.0 if value is None else value
 
     def add_tangent(self, K):
         value = self.give("add_tangent")
         if value is not None:
             first = K.getOwnershipRange()[0]
-            K.setValues([first], [first], [value], addv=True)
+            K.setValues([first], [first + np.size(value) - 1], [np.max(value)], addv=True)
 
     def begin(self, start, end):
         self.give("begin")
@@ -295,16 +307,43 @@ def test_what_a_term_is_told_in_the_course_of_a_walk(monkeypatch):
         ({"add_forces": np.inf}, ValueError, r"terms\[0\], a Broken: add_forces gives NaN"),
         ({"add_forces": RuntimeError("of one rank")}, RuntimeError, "of one rank"),
         ({"add_tangent": np.nan}, ValueError, r"terms\[0\], a Broken: add_tangent gives NaN"),
-        ({"begin": ValueError("too early")}, ValueError, "too early"),
+        ({"begin": ValueError("too early")}, ValueError, r"a Broken: begin\(\): too early"),
+        ({"add_forces": "returned"}, ValueError, r"a Broken: add_forces\(\): it returns a ndarray"),
+        ({"add_forces": np.zeros(99)}, ValueError, r"a Broken: add_forces\(\): .*\(99,\)"),
+        ({"add_tangent": [0.0, 1e3]}, ValueError, r"a Broken: add_tangent\(\) is not symmetric"),
     ],
 )
 def test_what_one_rank_does_wrong_is_raised_on_all(what, kind, message):
-    bar, term = Bar(moved=0.01), Broken(**what)
-    owns = bar.V.dofmap.index_map.size_local > 0  # without nodes there is nothing to spoil
-    term.rank = COMM.allreduce(COMM.rank if owns else 0, op=MPI.MAX)
+    bar, broken = Bar(moved=0.01), Broken(**what)
+    owns = bar.V.dofmap.index_map.size_local > 0  # of three ranks one has nothing
+    broken.on = COMM.allreduce(COMM.rank if owns else -1, op=MPI.MAX)
     with pytest.raises(kind, match=message):
-        dm.newton(bar.problem(term))
+        dm.newton(bar.problem(broken))
     assert not bar.u.x.array.any()
+
+
+def test_entries_beyond_the_pattern_are_named(guide):
+    """A rank adds to a row of another one, which finds it out when the matrix is assembled."""
+
+    class Far(guide["Cable"]):
+        def add_tangent(self, K):
+            owns = self.at[0].any()
+            adding = COMM.allreduce(COMM.size if owns else COMM.rank, op=MPI.MIN) % COMM.size
+            if COMM.rank == adding:
+                K.setValues(self.dofs, self.dofs, np.ones((4, 4)), addv=True)
+
+    bars = Bar(count=2)
+    far = Far(bars.solid, (1.0, 0.0), (3.0, 0.0), 300.0)
+    far.couplings = []
+    with pytest.raises(ValueError, match=r"a Far: add_tangent\(\): an entry .* couplings"):
+        dm.newton(bars.problem(far))
+
+
+def test_a_tangent_with_a_zero_diagonal(guide):
+    """The energy of one component in the other: where that one is held, nothing changes."""
+    bar = Bar(moved=0.01)
+    dm.newton(bar.problem(potential=50.0 * bar.u[0] * bar.u[1] * bar.ds), rtol=1e-10)
+    assert np.isclose(bar.bottom(), 0.01, rtol=1e-8)
 
 
 def test_commit_fails_on_all_ranks():
@@ -313,6 +352,13 @@ def test_commit_fails_on_all_ranks():
     dm.newton(problem)
     with pytest.raises(ValueError, match="full"):
         problem.commit()
+
+
+class Timeless(Broken):
+    """Begins without the levels."""
+
+    def begin(self):
+        """Do nothing."""
 
 
 class Keeping(Broken):
@@ -346,6 +392,7 @@ def test_what_is_no_term_is_refused():
     for terms, message in (
         ([Broken], r"terms\[0\] is <class .*give an instance"),
         ([3.0], r"terms\[0\] is 3\.0: give an instance of a subclass"),
+        ([Timeless()], r"a Timeless: begin\(\) is called as begin\(start, end\)"),
         ([same, same], "holds the same object .* twice"),
         ([coupled], r"couplings holds array\(\[ *0, *1000000\]\): give arrays of global dofs"),
         ([Keeping({"a/b": bar.u})], "has the name 'a/b'"),

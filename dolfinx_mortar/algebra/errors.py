@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Errors of some ranks, raised on all of them, so that no rank waits for another one for ever."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from mpi4py import MPI
 
@@ -26,6 +27,36 @@ def raised_together(comm: MPI.Comm) -> Iterator[None]:
     except (Exception, KeyboardInterrupt, SystemExit) as error:
         own = error
     raise_together(comm, own)
+
+
+@contextmanager
+def named(name: str) -> Iterator[None]:
+    """Run a block whose errors say in their text, or in a note, whose they are.
+
+    >>> with named("Plane(slave=3): couple()"):
+    ...     raise ValueError("no plane here")
+    Traceback (most recent call last):
+    ValueError: Plane(slave=3): couple(): no plane here
+    """
+    try:
+        yield
+    except Exception as error:
+        if len(error.args) == 1 and isinstance(error.args[0], str):
+            if name not in error.args[0]:
+                error.args = (f"{name}: {error.args[0]}",)
+        else:
+            error.add_note(f"in {name}")
+        raise
+
+
+def is_ours(thing: object) -> bool:
+    """Tell whether a class of this package made it: that fails on all ranks or on none."""
+    return is_defined_here(type(thing))
+
+
+def is_defined_here(made: Callable[..., Any]) -> bool:
+    """Tell whether a class or function is one of this package."""
+    return str(made.__module__).startswith(f"{__name__.partition('.')[0]}.")
 
 
 def raise_together(comm: MPI.Comm, own: BaseException | None) -> None:
@@ -53,5 +84,10 @@ def _kind_and_text(error: BaseException) -> tuple[int, str | int]:
         if isinstance(error, kind):
             if isinstance(error, SystemExit) and not isinstance(error.code, str):
                 return index, error.code if isinstance(error.code, int) else int(bool(error.code))
-            return index, str(error)
-    return len(_KINDS) - 1, f"{type(error).__name__}: {error}"
+            return index, _text(error)
+    return len(_KINDS) - 1, f"{type(error).__name__}: {_text(error)}"
+
+
+def _text(error: BaseException) -> str:
+    """Return the message of an error with its notes."""
+    return "; ".join([str(error), *getattr(error, "__notes__", [])])

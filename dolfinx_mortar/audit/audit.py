@@ -18,6 +18,7 @@ from dolfinx_mortar.audit.stand_off import warnings_on_straight_facets
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes, normals_at_nodes
 from dolfinx_mortar.geometry.segments import FACING
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
+from dolfinx_mortar.interfaces.interface import ask
 from dolfinx_mortar.interfaces.link import Link, relative_motions
 from dolfinx_mortar.interfaces.pretension import describe_shear
 from dolfinx_mortar.interfaces.system import InterfaceSystem
@@ -150,7 +151,8 @@ def create_audit(
     warnings += [shear for shear in shears if shear]
     for link, i in zip(links, found, strict=True):
         warnings += _warnings(i)
-        warnings += warnings_on_straight_facets(link, link.interface.configuration(at))
+        taken = ask(bodies.V.mesh.comm, link.interface, "configuration", at)
+        warnings += warnings_on_straight_facets(link, taken)
     return Audit(bodies.count, found, by_contact, warnings)
 
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -37,6 +37,64 @@ class Constraints:
     def select(self, mask: Bools) -> Constraints:
         """Return some of the constraints."""
         return Constraints(self.dofs[mask], self.lower[mask], self.upper[mask], self.weight[mask])
+
+
+def check_shapes(
+    name: str, found: object, shapes: Mapping[str, tuple[int, ...]], *, infinite: bool = False
+) -> None:
+    """Raise a ValueError unless the arrays of a record have their shapes and no NaN.
+
+    Args:
+        name: how the message begins.
+        found: the record.
+        shapes: of its fields, by name.
+        infinite: whether values may be infinite.
+    """
+    for field, shape in shapes.items():
+        values = np.asarray(getattr(found, field))
+        if values.shape != shape:
+            raise ValueError(f"{name} {field} of shape {values.shape}: it must be {shape}")
+        if np.isnan(values).any() or not (infinite or np.isfinite(values).all()):
+            raise ValueError(f"{name} {field} with NaN{'' if infinite else ' or infinity'}")
+
+
+def check_constraints(name: str, found: Constraints, nodes: Ints, directions: Bools) -> None:
+    """Raise a ValueError unless bounds can be those of an interface.
+
+    Args:
+        name: how the message begins.
+        found: the bounds.
+        nodes: (n,) owned slave nodes.
+        directions: (n, d) which directions of the frames are constrained.
+    """
+    shape = np.shape(found.dofs)[:1]
+    check_shapes(name, found, {"dofs": shape, "weight": shape})
+    check_shapes(name, found, {"lower": shape, "upper": shape}, infinite=True)
+    d = directions.shape[1]
+    known = (d * nodes[:, None] + np.arange(d))[directions]
+    if len(np.unique(found.dofs)) < len(found.dofs) or not np.isin(found.dofs, known).all():
+        raise ValueError(
+            f"{name} dofs that are no unknowns of the constrained directions, or twice the same: "
+            "give d * node + direction, each once"
+        )
+    if (found.lower > found.upper).any() or (found.weight <= 0.0).any():
+        raise ValueError(f"{name} lower > upper or a weight that is not positive")
+
+
+def check_limits(name: str, found: SlipLimits, d: int) -> None:
+    """Raise a ValueError unless the arrays of `SlipLimits` fit each other, without NaN.
+
+    Args:
+        name: how the message begins.
+        found: the limits.
+        d: dimension of the space.
+    """
+    m = np.shape(found.nodes)[0] if np.ndim(found.nodes) else 0
+    one: dict[str, tuple[int, ...]] = dict.fromkeys(
+        ("nodes", "normal", "coefficient", "cohesion", "weight"), (m,)
+    )
+    more = {"tangential": (m, d - 1), "axes": (m, d - 1, d), "slip": (m, d - 1)}
+    check_shapes(name, found, one | more)
 
 
 def equalities(dofs: Ints, values: Floats, weight: Floats | None = None) -> Constraints:

@@ -22,6 +22,7 @@ import numpy as np
 from dolfinx import fem, la
 from dolfinx_mortar.algebra.blocks import BlockMatrix
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.interfaces.constraints import check_shapes
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide
 from dolfinx_mortar.mortar.integrals import Coverage
 from dolfinx_mortar.mortar.operators import MortarOperators
@@ -119,14 +120,7 @@ def check_coupling(name: str, found: object, sides: Sides, pattern: Pattern) -> 
         "heights": (n,),
         "lost": (n, c),
     }
-    for field, shape in shapes.items():
-        values = np.asarray(getattr(found, field))
-        if values.shape != shape:
-            raise ValueError(
-                f"{name}: couple() returns {field} of shape {values.shape}: it must be {shape}"
-            )
-        if not np.isfinite(values).all():
-            raise ValueError(f"{name}: couple() returns {field} with NaN or infinity")
+    check_shapes(f"{name}: couple() returns", found, shapes)
 
 
 def create_blocks(V: fem.FunctionSpace, rows: Ints, columns: Longs) -> BlockMatrix:

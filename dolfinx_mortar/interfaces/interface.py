@@ -6,6 +6,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from types import NoneType
 from typing import Any, ClassVar
 
 from mpi4py import MPI
@@ -15,8 +16,14 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
+from dolfinx_mortar.algebra.errors import is_ours, named, raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits
+from dolfinx_mortar.interfaces.constraints import (
+    Constraints,
+    SlipLimits,
+    check_constraints,
+    check_limits,
+)
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides, create_pattern, mark
 from dolfinx_mortar.mortar.integrals import Coverage
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
@@ -64,6 +71,8 @@ class Interface(ABC):
 
     `Contact` and `Tie` do so by another side of the mesh. A kind of your own says in `couple` at
     which nodes, along which directions and by how much; in `constraints` which bounds follow.
+    What its methods raise on one rank is raised on all when the call is over. So of what is
+    collective, a method may only do what all ranks reach.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
@@ -403,6 +412,59 @@ def full_coverage(sides: Sides) -> Coverage:
     n = len(sides.nodes)
     faces = np.ones(n, dtype=bool)
     return Coverage(np.ones(n), faces, ~faces)
+
+
+def ask(comm: MPI.Comm, interface: Interface, method: str, *args: Any, **options: Any) -> Any:
+    """Return what a method of an interface returns, checked if it is of a user's kind; collective.
+
+    There an error of one rank is raised on all, when the method has returned or failed: where it
+    is collective itself, all ranks have to get to its end. The kinds of this package pay nothing.
+
+    Args:
+        comm: communicator.
+        interface: of any kind.
+        method: its name.
+        args: of the method.
+        options: of the method.
+
+    Raises:
+        ValueError: on all ranks, naming interface and method, for what cannot be returned.
+    """
+    call = getattr(interface, method)
+    if is_ours(interface):
+        return call(*args, **options)
+    with raised_together(comm), named(f"{interface!r}: {method}()"):
+        found = call(*args, **options)
+        _check_returned(f"{interface!r}: {method}() returns", method, found, args)
+    return found
+
+
+_RETURNS: Mapping[str, tuple[type, ...]] = {
+    "configuration": (fem.Function, NoneType),
+    "find_sides": (Sides,),
+    "pair": (tuple,),
+    "measure_coverage": (Coverage,),
+    "measured": (PETSc.Vec,),
+    "constraints": (Constraints,),
+    "limits": (np.ndarray, NoneType),
+    "slip_limits": (SlipLimits,),
+    "jump_at": (np.ndarray, NoneType),
+    "found": (dict,),
+    "shown": (np.ndarray,),
+    "may_carry": (np.ndarray,),
+}
+
+
+def _check_returned(name: str, method: str, found: object, args: tuple[Any, ...]) -> None:
+    """Raise a ValueError unless a method of an interface may return this."""
+    kinds = _RETURNS.get(method, (object,))
+    if not isinstance(found, kinds):
+        wanted = " or ".join("None" if k is NoneType else k.__name__ for k in kinds)
+        raise ValueError(f"{name} a {type(found).__name__}: return a {wanted}")
+    if isinstance(found, Constraints):
+        check_constraints(name, found, *args[:2])
+    if isinstance(found, SlipLimits):
+        check_limits(name, found, args[1].shape[1])
 
 
 def check_owned(interfaces: Iterable[Interface], owner: object) -> None:

@@ -12,7 +12,6 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
@@ -24,9 +23,9 @@ from dolfinx_mortar.interfaces.coupling import (
     mark,
     with_ghosts,
 )
-from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface
+from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface, ask
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides
-from dolfinx_mortar.mortar.edges import edge_normals, find_edges
+from dolfinx_mortar.mortar.edges import check_angle, edge_normals, find_edges
 from dolfinx_mortar.mortar.integrals import (
     Coverage,
     drop_far,
@@ -88,11 +87,7 @@ class MortarInterface(Interface):
             )
         if not isinstance(surface, str) or surface not in SURFACES:
             raise ValueError(f"surface is {surface!r}: choose 'smooth' or 'facets'")
-        if not is_number(feature_angle) or not 0.0 < feature_angle <= 180.0:
-            raise ValueError(
-                f"feature_angle is {feature_angle!r}: give degrees, 0 < feature_angle <= 180"
-            )
-        self.smooth, self.feature_angle = surface == "smooth", float(feature_angle)
+        self.smooth, self.feature_angle = surface == "smooth", check_angle(feature_angle)
 
     def __repr__(self) -> str:
         """Name the class, the tags, and what is not the default."""
@@ -223,7 +218,8 @@ class MortarInterface(Interface):
         nodes, own = sides.slave.nodes, slice(None, sides.slave.owned)
         free = normals * ~sides.fixed[nodes]
         left = np.linalg.norm(free, axis=1)
-        allowed = self.may_carry(left, sides.fixed[nodes]) & ~banned[nodes, None]
+        may = ask(sides.V.mesh.comm, self, "may_carry", left, sides.fixed[nodes])
+        allowed = may & ~banned[nodes, None]
         operators = create_operators(
             pairing,
             u,
@@ -239,7 +235,9 @@ class MortarInterface(Interface):
         lost = np.zeros_like(kept) if before is None else before.lost | (before.kept & ~kept)
         some = (left > ROUND_OFF)[:, None]  # of less only round-off has a direction
         direction = np.where(some, free / np.maximum(left, TINY)[:, None], 0.0)
-        frame = self.frame(direction[own], kept, sides.fixed[sides.nodes])
+        frame = ask(
+            sides.V.mesh.comm, self, "frame", direction[own], kept, sides.fixed[sides.nodes]
+        )
         blocks = self.blocks(operators.P, frame, pattern.row)
         if operators.motions is not None:
             blocks[pattern.split :] += operators.motions

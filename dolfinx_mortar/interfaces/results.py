@@ -10,7 +10,7 @@ import numpy as np
 from dolfinx import fem, la
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.interfaces.coupling import Sides, with_ghosts
-from dolfinx_mortar.interfaces.interface import Interface, Resultants
+from dolfinx_mortar.interfaces.interface import Interface, Resultants, ask
 from dolfinx_mortar.interfaces.link import Link
 
 
@@ -62,7 +62,8 @@ def set_sliding(
         function.x.array[:] = 0.0
         function.x.array.reshape(-1, at_nodes.shape[1])[nodes] = at_nodes
         function.x.scatter_forward()
-    interface.sum_up(link.sides.V.mesh.comm, nodes)
+    comm = link.sides.V.mesh.comm
+    ask(comm, interface, "sum_up", comm, nodes)
 
 
 def _resultants(link: Link, forces: Floats, multiplier: Floats, x: Floats) -> Resultants:
@@ -79,7 +80,7 @@ def _resultants(link: Link, forces: Floats, multiplier: Floats, x: Floats) -> Re
         moment=total[0, 1],
         master_force=total[1, 0, :d],
         master_moment=total[1, 1],
-        multiplier=link.interface.shown(multiplier),
+        multiplier=ask(link.sides.V.mesh.comm, link.interface, "shown", multiplier),
         nodes=link.nodes,
         carries=np.asarray(link.coupling.kept.any(axis=1)),
     )
@@ -144,7 +145,7 @@ def _nodal(interface: Interface, name: str, size: int) -> Floats:
     gap = interface.fields.gap.x.array
     if name == "facing":
         return np.full((len(gap), 1), float(interface.resultants is not None))
-    field = interface.field(name)
+    field = ask(interface.fields.gap.function_space.mesh.comm, interface, "field", name)
     if field is None:
         return np.zeros((len(gap), size))
     return np.asarray(field.x.array.reshape(-1, size))

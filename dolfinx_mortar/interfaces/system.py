@@ -14,14 +14,14 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.errors import named, raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.claims import Claims, are_outdated, find_referenced, resolve_claims
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, join, join_limits
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides, check_coupling
-from dolfinx_mortar.interfaces.interface import Interface, full_coverage
+from dolfinx_mortar.interfaces.interface import Interface, ask, full_coverage
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.near import find_reach, touches_far_nodes
 from dolfinx_mortar.interfaces.pretension import Pretension
@@ -122,7 +122,9 @@ class InterfaceSystem:
     ) -> None:
         """Find the surfaces; collective."""
         self.V, self.interfaces = V, list(interfaces)
-        self.sides: list[Sides] = [i.find_sides(V, fixed, weight) for i in interfaces]
+        self.sides: list[Sides] = [
+            ask(V.mesh.comm, i, "find_sides", V, fixed, weight) for i in interfaces
+        ]
         self.facet_length = max((mean_facet_length(s.slave) for s in self.sides), default=1.0)
         self.present = Configuration()
         self._room = Room()
@@ -195,10 +197,11 @@ class InterfaceSystem:
         if not self.interfaces:
             return Configuration()
         self.searches += 1
-        displacements = [i.configuration(u) for i in self.interfaces]
+        comm = self.V.mesh.comm
+        displacements = [ask(comm, i, "configuration", u) for i in self.interfaces]
         unknown = [None] * len(self.interfaces)
         found = [
-            interface.pair(sides, v, again=self.faced, earlier=earlier)
+            ask(comm, interface, "pair", sides, v, again=self.faced, earlier=earlier)
             for interface, sides, v, earlier in zip(
                 self.interfaces, self.sides, displacements, self._room.pairs or unknown, strict=True
             )
@@ -207,7 +210,7 @@ class InterfaceSystem:
         pairings, patterns = zip(*found, strict=True)
         if len(self.sides) > 1:
             coverage = [
-                interface.measure_coverage(*of)
+                ask(comm, interface, "measure_coverage", *of)
                 for interface, *of in zip(
                     self.interfaces, self.sides, pairings, displacements, strict=True
                 )
@@ -229,7 +232,8 @@ class InterfaceSystem:
         assert claims is not None
         for k, (interface, sides) in enumerate(zip(self.interfaces, self.sides, strict=True)):
             pairing, pattern = self._room.pairs[k]
-            parts = sides, pairing, pattern, claims.banned[k], interface.configuration(u)
+            at = ask(self.V.mesh.comm, interface, "configuration", u)
+            parts = sides, pairing, pattern, claims.banned[k], at
             coupling = _couple(interface, parts, before.links[k].coupling if before else None)
             links.append(
                 Link(interface, sides, pairing, pattern, coupling, near[k], claims.banned[k])
@@ -325,16 +329,17 @@ class InterfaceSystem:
 
     def _slid(self, links: Sequence[Link], u: fem.Function | None, *, everywhere: bool) -> bool:
         """Tell whether sides slid out of the margins of their pairings; collective."""
-        slid = [
-            link.interface.has_slid(link.sides, link.pairing, u, None if everywhere else link.near)
-            for link in links
-            if link.interface.configuration(u) is not None
-        ]
+        comm, slid = self.V.mesh.comm, []
+        for link in links:
+            if ask(comm, link.interface, "configuration", u) is not None:
+                of = link.sides, link.pairing, u, None if everywhere else link.near
+                slid.append(ask(comm, link.interface, "has_slid", *of))
         return any(slid)
 
     def _couple(self, link: Link, u: fem.Function | None) -> Coupling:
         parts = link.sides, link.pairing, link.pattern, link.banned
-        return _couple(link.interface, (*parts, link.interface.configuration(u)), link.coupling)
+        at = ask(self.V.mesh.comm, link.interface, "configuration", u)
+        return _couple(link.interface, (*parts, at), link.coupling)
 
     def _are_outdated(self, claims: Claims, links: Sequence[Link]) -> bool:
         """Tell whether the claims must be settled anew; collective."""
@@ -380,12 +385,13 @@ class InterfaceSystem:
             jumps: (n,) by the number of an interface: a displacement of its slave side that is no
                 relative motion; none if not given.
         """
-        parts = []
+        comm, parts = self.V.mesh.comm, []
         for k, link in enumerate(self.links):
-            slip = link.relative(_without(link.interface.measured(x, u), jumps, k))
+            measured = ask(comm, link.interface, "measured", x, u)
+            slip = link.relative(_without(measured, jumps, k))
             slip[:, 0] += link.coupling.heights
-            directions, weight = link.constrained, link.coupling.weight
-            found = link.interface.constraints(link.nodes, directions, slip, weight)
+            at = link.nodes, link.constrained, slip, link.coupling.weight
+            found = ask(comm, link.interface, "constraints", *at)
             for pretension in self.pretensions:
                 if pretension.number == k:
                     found, _ = pretension.free(found)
@@ -405,7 +411,8 @@ class InterfaceSystem:
         link = self.links[pretension.number]
         slip = link.relative(_without(u, jumps, pretension.number))
         at = link.nodes, link.constrained, slip, link.coupling.weight
-        return pretension.free(link.interface.constraints(*at))[1]
+        found = ask(self.V.mesh.comm, link.interface, "constraints", *at)
+        return pretension.free(found)[1]
 
     @property
     def has_friction(self) -> bool:
@@ -429,9 +436,8 @@ class InterfaceSystem:
         for link, limit, partner in zip(self.links, limits, partners, strict=True):
             if limit is not None:
                 slip = link.relative(moved) if partner is None else partner.slip(link, moved)
-                weight = link.coupling.weight
-                at = link.nodes, link.constrained, link.frames
-                parts.append(link.interface.slip_limits(*at, slip, weight, limit))
+                at = link.nodes, link.constrained, link.frames, slip, link.coupling.weight
+                parts.append(ask(moved.comm.tompi4py(), link.interface, "slip_limits", *at, limit))
         return join_limits(parts) if parts else None
 
     def slots(self) -> Ints:
@@ -448,7 +454,7 @@ class InterfaceSystem:
 def _couple(interface: Interface, parts: tuple[Any, ...], before: Coupling | None) -> Coupling:
     """Return what an interface's `couple` returns, checked; an error is one on all ranks."""
     sides, pairing, pattern, banned, u = parts
-    with raised_together(sides.V.mesh.comm):
+    with raised_together(sides.V.mesh.comm), named(f"{interface!r}: couple()"):
         found = interface.couple(sides, pairing, pattern, banned, u, before)
         check_coupling(repr(interface), found, sides, pattern)
     return found

@@ -22,10 +22,13 @@ There the dual function is not shared out, and has no constraint: the other func
 biorthogonal to it, too, and have the gaps at their own nodes.
 """
 
+from typing import Any
+
 import numpy as np
 
 import dolfinx
 from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.geometry.curvature import unit
 from dolfinx_mortar.geometry.facets import (
@@ -61,6 +64,19 @@ OPEN = 0.05
 Between 0 and this share, dual functions are shared out in part. The penetration of a corner is at
 most as large; a note of the report says so.
 """
+
+
+def check_angle(feature_angle: Any) -> float:
+    """Return the angle from which on facets meet in an edge, if it is one.
+
+    Raises:
+        ValueError: unless 0 < feature_angle <= 180.
+    """
+    if not is_number(feature_angle) or not 0.0 < feature_angle <= 180.0:
+        raise ValueError(
+            f"feature_angle is {feature_angle!r}: give degrees, 0 < feature_angle <= 180"
+        )
+    return float(feature_angle)
 
 
 def find_edges(surface: Surface, feature_angle: float) -> Bools | None:

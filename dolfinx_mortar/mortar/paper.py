@@ -21,7 +21,7 @@ from scipy.sparse import csr_array, kron
 
 import dolfinx
 from dolfinx_mortar.arrays import Floats, Ints, Longs
-from dolfinx_mortar.mortar.edges import edge_normals, find_edges
+from dolfinx_mortar.mortar.edges import check_angle, edge_normals, find_edges
 from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.operators import create_operators
 from dolfinx_mortar.mortar.pairing import Weight, create_pairing
@@ -97,6 +97,8 @@ def assemble_mortar(
     """
     if weight is not None and not callable(weight):
         raise ValueError(f"weight is {weight!r}: give a function of points (q, d), or None")
+    if feature_angle is not None:
+        check_angle(feature_angle)
     surfaces = [create_surface(V, facet_tags, slave, "slave")]
     surfaces.append(create_surface(V, facet_tags, master, "master"))
     pairing = create_pairing(V, *surfaces, u, moving=False, weight=weight)

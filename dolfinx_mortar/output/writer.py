@@ -38,8 +38,8 @@ from dolfinx_mortar.output.files import (
     release_files,
     replace_tree,
 )
+from dolfinx_mortar.output.grids import Step, free_name, insert, read_steps
 from dolfinx_mortar.output.layout import KINDS, TOPOLOGY, Layout
-from dolfinx_mortar.output.steps import Step, free_name, insert, read_steps
 
 log = logging.getLogger(__name__)
 

@@ -20,7 +20,7 @@ from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.checkpoint import Table, find_places, write
 from dolfinx_mortar.disk import check_path
-from dolfinx_mortar.interfaces.interface import Interface, check_owned
+from dolfinx_mortar.interfaces.interface import Interface, ask, check_owned
 from dolfinx_mortar.persistence.committed import Committed, ProblemState, StepOutcome
 from dolfinx_mortar.persistence.contents import (
     NODES,
@@ -47,7 +47,7 @@ def save(state: ProblemState, path: str | os.PathLike[str], outcome: StepOutcome
         "walk": None if committed.walk is None else dataclasses.asdict(committed.walk),
         "steps": [step.as_dict() for step in committed.history],
         "interfaces": results,
-        "found": [interface.found() for interface in state.interfaces],
+        "found": [ask(state.comm, interface, "found") for interface in state.interfaces],
     }
     places = places_of(state, [result is not None for result in results])
     values = {NODES: _nodal(state, outcome or state.committed), POINTS: _at_points(state)}

@@ -62,7 +62,7 @@ def mesh(
         sound = isinstance(tags, dmesh.MeshTags) and compat.on_same_mesh(tags, mesh)
         if tags is not None and (not sound or tags.dim != dim):
             raise ValueError(f"{name} is {tags!r}: give tags of dimension {dim} of this mesh.")
-    drawer = _drawer(mesh, view, ax)
+    drawer = _drawer(mesh, file, view, ax)
     values: Ints = np.full(mesh.topology.index_map(tdim).size_local, NO_TAG, dtype=np.int32)
     if cell_tags is not None:
         inside = cell_tags.indices < len(values)
@@ -107,8 +107,10 @@ def field(
             another mesh or that jump from cell to cell; else as `mesh` does.
     """
     solid = getattr(problem, "solid", problem)
-    V: fem.FunctionSpace = solid.V
-    drawer = _drawer(V.mesh, view, ax)
+    V = getattr(solid, "V", None)
+    if not isinstance(V, fem.FunctionSpace) or not hasattr(solid, "cell_values"):
+        raise ValueError(f"problem is {problem!r}: give a ContactProblem or a Solid.")
+    drawer = _drawer(V.mesh, file, view, ax)
     title, at_nodes, of_cells = _values(solid, name)
     bodies = gather_bodies(V, {**at_nodes, **_moved(V, solid.u, scale)}, of_cells)
 
@@ -154,7 +156,7 @@ def pressure(
     V: fem.FunctionSpace = problem.solid.V
     if over is not None and (V.mesh.geometry.dim == 3 or not is_name(over, ("x", "y"))):
         raise ValueError(f"over is {over!r}: choose 'x' or 'y' in the plane, nothing in space.")
-    drawer = _drawer(V.mesh, view, ax)
+    drawer = _drawer(V.mesh, file, view, ax)
     moved = _moved(V, problem.solid.u, 1.0)
     sides = []
     for one in chosen:
@@ -172,6 +174,8 @@ def pressure(
 
 def _chosen(problem: Any, interfaces: Any) -> list[Any]:
     """Return the interfaces to draw."""
+    if not hasattr(problem, "check_owned"):
+        raise ValueError(f"problem is {problem!r}: give a ContactProblem.")
     problem.check_owned()
     asked = (problem.contacts or problem.interfaces) if interfaces is None else interfaces
     asked = list(asked) if isinstance(asked, list | tuple) else [asked]
@@ -263,17 +267,19 @@ def _length(values: np.ndarray, component: int | None) -> np.ndarray:
     return np.asarray(np.linalg.norm(values, axis=1))
 
 
-def _drawer(domain: dmesh.Mesh, view: Any, ax: Any) -> Any:
+def _drawer(domain: dmesh.Mesh, file: File, view: Any, ax: Any) -> Any:
     """Return the module that draws on rank 0, imported on all ranks; collective.
 
     Axes may be given on rank 0 alone.
 
     Raises:
         ImportError: if its library is not installed; the message names the extra that brings it.
-        ValueError: for an argument of the other module.
+        ValueError: for an argument of the other module, and a file that is no name.
     """
     dim = domain.geometry.dim
     with raised_together(domain.comm):
+        if file is not None and not isinstance(file, str | os.PathLike):
+            raise ValueError(f"file is {file!r}: give the name of a picture, or None for none.")
         if dim == 2 and view is not None:
             raise ValueError(f"view is {view!r}: for bodies in space only; leave it out.")
         if dim == 3 and ax is not None:

@@ -9,6 +9,7 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.interfaces.interface import ask
 from dolfinx_mortar.interfaces.jump import extended
 from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.interfaces.system import InterfaceSystem
@@ -28,7 +29,7 @@ def read_jumps(system: InterfaceSystem, empty: PETSc.Vec) -> dict[int, PETSc.Vec
     """
     V, jumps = system.V, {}
     for k, (interface, sides) in enumerate(zip(system.interfaces, system.sides, strict=True)):
-        values = interface.jump_at(V, sides.nodes)
+        values = ask(V.mesh.comm, interface, "jump_at", V, sides.nodes)
         if values is None:
             continue
         bad = V.mesh.comm.allreduce(int(np.sum(~np.isfinite(values))), op=MPI.SUM)
@@ -76,7 +77,7 @@ class Pretensions(Term):
         """
         self.forces = {}
         for k, interface in enumerate(self._system.interfaces):
-            force = interface.given_force()
+            force = ask(self._system.V.mesh.comm, interface, "given_force")
             if force is not None:
                 self.forces[k] = force
 
@@ -128,7 +129,7 @@ def tighten(
     for pretension, overlap in zip(system.pretensions, overlaps, strict=True):
         k = pretension.number
         way = overlap * pretension.axis
-        system.interfaces[k].tighten(way)
+        ask(system.V.mesh.comm, system.interfaces[k], "tighten", way)
         found[k] = jumps[k].copy() if k in jumps else 0.0 * u
         found[k].array.reshape(-1, len(way))[system.sides[k].nodes] += way
     return found

@@ -24,7 +24,7 @@ from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.audit.audit import Audit, create_audit, find_held_by_contact, find_loose_motions
 from dolfinx_mortar.audit.mesh_audit import check_mesh
-from dolfinx_mortar.interfaces.interface import Interface, check_owned
+from dolfinx_mortar.interfaces.interface import Interface, ask, check_owned
 from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.system import Configuration, InterfaceSystem
@@ -107,7 +107,7 @@ class ContactProblem:
             at_points = None if kinematics.unweighted else kinematics.weights_at
             self.system = InterfaceSystem(self.V, sides, self.supports.fixed, at_points)
             for interface in sides:
-                interface.take(self.supports, self.V)
+                ask(self.comm, interface, "take", self.supports, self.V)
         self.pretensions = Pretensions(solid.u, self.system)
         if self.ties:
             named = [*self.terms.named, ("pretension", self.pretensions)]
@@ -281,7 +281,7 @@ class ContactProblem:
         """Return the data of a step that starts at the present displacement; collective."""
         limits = []
         if self.system.has_friction:
-            limits = [interface.limits() for interface in self.interfaces]
+            limits = [ask(self.comm, interface, "limits") for interface in self.interfaces]
         target = self.supports.values()
         for name, array, remedy in (
             ("bcs", target[self.supports.owned.ravel()], "check the values of the conditions"),
@@ -380,16 +380,12 @@ class ContactProblem:
         return find_held_by_contact(self.bodies, self.system, self.supports, springs)
 
     def _resistance_of_potential(self) -> Callable[[PETSc.Vec], Floats]:
-        """Return the function v -> forces of the terms against v over their largest stiffness."""
+        """Return the function v -> forces of the terms against v over the norm of their tangent."""
         if not self.terms.have_tangent:
             return lambda v: np.zeros(0)
         self.terms.check_energies()
-        springs = self.terms.create_matrix()
-        springs.zeroEntries()
-        self.terms.add_tangents(springs)
-        springs.assemble()
-        stiffest = np.abs(springs.getDiagonal().array_r).max(initial=0.0)
-        scale = max(float(maximum(self.comm, stiffest)[0]), np.finfo(float).tiny)
+        springs = self.terms.stiffness()
+        scale = max(springs.norm(PETSc.NormType.INFINITY), np.finfo(float).tiny)
         return lambda v: np.asarray((springs * v).array_r / scale)
 
     def update_geometry(self, increment: float) -> None:

@@ -11,6 +11,7 @@ from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces import results
 from dolfinx_mortar.interfaces.constraints import SlipLimits
+from dolfinx_mortar.interfaces.interface import ask
 from dolfinx_mortar.interfaces.link import Link, relative_motions, slipped
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.mortar.surface import coordinates, sum_at_nodes
@@ -51,7 +52,7 @@ def set_results(
     gap = nodal_gaps(problem.system.links, problem.vector(moved), n)
     growth = [_growth(problem, link) for link in problem.system.links]
     for k, link in enumerate(problem.system.links):
-        frozen = link.interface.configuration(problem.configuration) is None
+        frozen = ask(problem.comm, link.interface, "configuration", problem.configuration) is None
         on = link.constrained
         results.set_results(
             link,
@@ -74,7 +75,7 @@ def _growth(problem: ContactProblem, link: Link) -> Floats:
     facets, to second order of their size. One elsewhere, and at X.
     """
     kinematics, slave = problem.solid.kinematics, link.sides.slave
-    u = link.interface.configuration(problem.configuration)
+    u = ask(problem.comm, link.interface, "configuration", problem.configuration)
     if kinematics.radius is None or u is None:
         return np.ones(len(link.nodes))
     now, at_X = (kinematics.weight(x.T) for x in (coordinates(slave, u), slave.X))

@@ -21,6 +21,7 @@ from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.compat import on_same_mesh
+from dolfinx_mortar.interfaces.interface import ask
 from dolfinx_mortar.mortar.surface import check_tag, check_tags
 from dolfinx_mortar.newton_method.linearisation import Balance, support_slots
 from dolfinx_mortar.persistence.committed import SupportForces
@@ -80,9 +81,11 @@ def reaction(
 
     Raises:
         ValueError: on all ranks, before the first step, for a support that is none (an unknown tag,
-            dofs that are out of range or not prescribed), and for a point that is none.
+            dofs that are out of range or not prescribed), for a point that is none, and if a
+            problem made later uses one of the interfaces.
     """
     check_problem(problem, ContactProblem)
+    problem.check_owned()
     point = _check_point(problem, about)
     mask = _find(problem, support, facet_tags)
     if problem.committed.supports is None:
@@ -98,11 +101,14 @@ def reactions(problem: ContactProblem) -> list[Reaction]:
 
 
 def support_forces(problem: ContactProblem, balance: Balance) -> SupportForces:
-    """Return the forces of the supports at the end of a step, and the points where they act."""
+    """Return the forces of the supports after a step, and where they act; collective."""
     dofs, slots = support_slots(problem)
     forces = np.zeros(problem.d * problem.n)
     forces[dofs] = -balance.reduced.array_r[slots]
-    moved = any(i.configuration(problem.configuration) is not None for i in problem.interfaces)
+    asked = [
+        ask(problem.comm, i, "configuration", problem.configuration) for i in problem.interfaces
+    ]
+    moved = any(at is not None for at in asked)
     u = problem.u.x.array[: forces.size].reshape(-1, problem.d)
     return SupportForces(
         forces.reshape(-1, problem.d), problem.X + u if moved else problem.X.copy()

@@ -28,6 +28,7 @@ from dolfinx_mortar import qp as backends
 from dolfinx_mortar.algebra.parallel import free_unused, maximum
 from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Actives, Floats
+from dolfinx_mortar.interfaces.interface import ask
 from dolfinx_mortar.interfaces.near import predict_active
 from dolfinx_mortar.newton_method import failures
 from dolfinx_mortar.newton_method.contacts import Contacts, find_sliders, found_by, go_on
@@ -155,7 +156,7 @@ class Before:
         """Copy them."""
         self.problem = problem
         self.u, self.shown = problem.u.x.array.copy(), problem.solid.keep()
-        self.results = [(interface, interface.keep()) for interface in problem.interfaces]
+        self.results = [(i, ask(problem.comm, i, "keep")) for i in problem.interfaces]
         self.found = problem.outcome, problem.committed.supports
 
     def restore(self) -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The sum over bodies and terms: energy, forces and tangent of a problem, each in one place."""
 
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -12,15 +13,29 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.errors import is_defined_here, is_ours, named, raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import as_numbers
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Floats
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.terms.weak_forms import DeadLoads
 
 R = TypeVar("R")
+
+NO_PLACE = (
+    "an entry lies beyond the pattern of the matrix: declare the dofs in couplings, an array of "
+    "global numbers for all that are coupled to each other"
+)
+OUT_OF_RANGE = 63  # PETSC_ERR_ARG_OUTOFRANGE
+CALLED_WITH = {  # the arguments of what a term may define
+    "energy": (),
+    "add_forces": ("F",),
+    "add_tangent": ("K",),
+    "begin": ("start", "end"),
+    "commit": (),
+    "roll_back": (),
+}
 
 
 @dataclass(frozen=True)
@@ -48,6 +63,11 @@ class Terms:
         return [self.solid, *(term for _, term in self.named)]
 
     @property
+    def _every(self) -> list[tuple[str, Term]]:
+        """All terms with their names."""
+        return [("solid", self.solid), *self.named]
+
+    @property
     def comm(self) -> MPI.Comm:
         """The ranks."""
         return self.solid.mesh.comm
@@ -72,8 +92,8 @@ class Terms:
     def energy(self) -> Energy | None:
         """Return J(u), None if a term has none; collective."""
         sums = np.zeros(3)
-        for term in self.every:
-            addends = self._ask(term, partial(_addends, term))
+        for name, term in self._every:
+            addends = self._ask(name, term, partial(_addends, term))
             sums += (0, 0, 1) if addends is None else (addends.sum(), np.abs(addends).sum(), 0)
         self.comm.Allreduce(MPI.IN_PLACE, sums)
         return None if sums[2] > 0.0 else Energy(sums[0], sums[1])
@@ -88,9 +108,9 @@ class Terms:
         one, largest = F.duplicate(), 0.0
         for name, term in self.named:
             one.array_w[:] = 0.0
-            self._ask(term, partial(term.add_forces, one))
+            self._ask(f"{name}: add_forces()", term, partial(_add, term.add_forces, one))
             one.assemble()
-            if not _is_ours(type(term)) and not np.isfinite(one.norm()):
+            if not is_ours(term) and not np.isfinite(one.norm()):
                 raise ValueError(f"{name}: add_forces gives NaN or infinity at the present u")
             largest = max(largest, float(one.norm()))
             F.axpy(1.0, one)
@@ -112,15 +132,59 @@ class Terms:
         Raises:
             ValueError: on all ranks, if a term gives NaN or infinity.
         """
-        for _, term in self.named:
-            if not term.has_tangent:
-                continue
-            self._ask(term, partial(term.add_tangent, K))
-        K.assemble()  # once: what nobody has set by then is no longer in the pattern
-        own = [name for name, term in self.named if not _is_ours(type(term))]
-        if own and not np.isfinite(K.norm()):
+        if self._of_users:  # an error within the assembly of a row's rank leaves others waiting
+            K.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
+        before = K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["mallocs"]
+        for name, term in self.named:
+            if term.has_tangent:
+                self._ask(f"{name}: add_tangent()", term, partial(_add, term.add_tangent, K))
+        if not self._of_users:
+            K.assemble()  # once: what nobody has set by then is no longer in the pattern
+            return
+        K.assemble()
+        K.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, True)
+        if K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["mallocs"] > before:
+            raise ValueError(f"{self._of_users}: add_tangent(): {NO_PLACE}")
+        if not np.isfinite(K.norm()):
             raise ValueError(
-                f"{'; '.join(own)}: add_tangent gives NaN or infinity at the present u"
+                f"{self._of_users}: add_tangent gives NaN or infinity at the present u"
+            )
+
+    @property
+    def _of_users(self) -> str:
+        """The names of the terms of a user's that have a tangent."""
+        own = [name for name, term in self.named if term.has_tangent and not is_ours(term)]
+        return "; ".join(own)
+
+    def stiffness(self) -> PETSc.Mat:
+        """Return the tangent of all terms but the bodies; collective.
+
+        Raises:
+            ValueError: on all ranks, for NaN or infinity, and if terms of a user's are not
+                symmetric. A term that is zero at the present u is not found out.
+        """
+        K = self.create_matrix()
+        K.zeroEntries()
+        self.add_tangents(K)
+        if self._of_users:
+            self._check_symmetric(K)
+        return K
+
+    def _check_symmetric(self, K: PETSc.Mat) -> None:
+        """Raise a ValueError on all ranks unless v.K w = w.K v for v and w at random; collective.
+
+        With normal entries of v and w the root mean square of the difference is |K - K^T|. From
+        differences half of the digits are right; a quarter of them is asked for.
+        """
+        v, w = K.createVecs()
+        rng = np.random.default_rng(self.comm.rank)
+        v.array[:], w.array[:] = rng.normal(size=(2, v.local_size))
+        skew = abs(v.dot(K * w) - w.dot(K * v))
+        if skew > QUARTER_OF_DIGITS * K.norm():
+            raise ValueError(
+                f"{self._of_users}: add_tangent() is not symmetric, |K - K^T| is about "
+                f"{skew / K.norm():.2g} |K|: K has to be the second derivative of an energy, which "
+                "is; without one, add the symmetric part"
             )
 
     def create_matrix(self, *, blocks: bool = False) -> PETSc.Mat:
@@ -131,7 +195,7 @@ class Terms:
                 assembly takes half and products 60 % of the time of AIJ (48 thousand unknowns in
                 space), but PETSc has no products with other matrices, and no sums.
         """
-        ours = all(_is_ours(type(term).add_tangent) for _, term in self.named)
+        ours = all(is_defined_here(type(term).add_tangent) for _, term in self.named)
         K = self.solid.create_matrix("baij" if blocks and ours else "aij")
         dense = [(name, dofs) for name, term in self.named for dofs in term.couplings]
         if not any_rank(self.comm, bool(dense))[0]:
@@ -155,8 +219,8 @@ class Terms:
         Raises:
             ValueError: on all ranks, if forces or the energy of a term are NaN or infinite.
         """
-        for term in self.every:
-            self._ask(term, partial(term.begin, start, end))
+        for name, term in self._every:
+            self._ask(f"{name}: begin()", term, partial(term.begin, start, end))
         self.check_energies()
 
     def check_energies(self) -> None:
@@ -167,7 +231,7 @@ class Terms:
         for name, term in self.named:
             if isinstance(term, DeadLoads):
                 continue
-            addends = self._ask(term, partial(_addends, term))
+            addends = self._ask(name, term, partial(_addends, term))
             total = self.comm.allreduce(0.0 if addends is None else float(addends.sum()))
             if not np.isfinite(total):
                 raise ValueError(
@@ -176,8 +240,8 @@ class Terms:
 
     def commit(self) -> None:
         """Make the converged step the state of all terms; collective."""
-        for term in self.every:
-            self._ask(term, term.commit)
+        for name, term in self._every:
+            self._ask(f"{name}: commit()", term, term.commit)
 
     def roll_back(self) -> None:
         """Let terms forget a step that has failed, perhaps on this rank only."""
@@ -186,17 +250,32 @@ class Terms:
 
     # -- what may go wrong in terms of users -----------------------------------------------------
 
-    def _ask(self, term: Term, call: Callable[[], R]) -> R:
-        """Call a method; what fails on one rank is raised on all; collective."""
-        if _is_ours(type(term)):
+    def _ask(self, name: str, term: Term, call: Callable[[], R]) -> R:
+        """Call a method; what fails on one rank is raised on all, with its name; collective."""
+        if is_ours(term):
             return call()
-        with raised_together(self.comm):
+        with raised_together(self.comm), named(name):
             return call()
 
 
-def _is_ours(kind: type[Term] | Callable[..., None]) -> bool:
-    """Tell whether a class or function is of this package: it fails on all ranks or on none."""
-    return str(kind.__module__).startswith(f"{__name__.partition('.')[0]}.")
+def _add(method: Callable[[Any], object], to: PETSc.Vec | PETSc.Mat) -> None:
+    """Let a term add to a vector or a matrix; what it returns instead would be lost."""
+    returned = _within_pattern(partial(method, to))
+    if returned is not None:
+        raise ValueError(
+            f"it returns a {type(returned).__name__}, which nobody reads: add to its argument, "
+            "F.array[:] += .. or K.setValues(.., addv=True), and return nothing"
+        )
+
+
+def _within_pattern(call: Callable[[], R]) -> R:
+    """Call what sets entries; say where PETSc has no place for one."""
+    try:
+        return call()
+    except PETSc.Error as error:
+        if error.ierr != OUT_OF_RANGE:
+            raise
+        raise ValueError(NO_PLACE) from error
 
 
 def _addends(term: Term) -> Floats | None:
@@ -240,8 +319,22 @@ def check_terms(comm: MPI.Comm, terms: Any, V: fem.FunctionSpace) -> list[Term]:
                 )
             if any(term is other for other in terms[:k]):
                 raise ValueError(f"terms holds the same object {term!r} twice: give it once")
+            _check_signatures(k, term)
             _check_state(k, term, V)
     return list(terms)
+
+
+def _check_signatures(k: int, term: Term) -> None:
+    """Raise a ValueError unless the methods of a term take what they are called with."""
+    for name, arguments in CALLED_WITH.items():
+        signature = inspect.signature(getattr(term, name))
+        try:
+            signature.bind(*arguments)
+        except TypeError as error:
+            raise ValueError(
+                f"terms[{k}], a {type(term).__name__}: {name}{signature} is called as "
+                f"{name}({', '.join(arguments)}): {error}"
+            ) from error
 
 
 def _check_state(k: int, term: Term, V: fem.FunctionSpace) -> None:
