@@ -46,8 +46,8 @@ class Source:
     def fill(self) -> None:
         """Evaluate the expression into the Function."""
         table = self.function.x.array.reshape(-1, self.function.function_space.dofmap.bs)
-        dofs = self.dofs
-        table[dofs, self.components] = self.evaluate().reshape(*dofs.shape, -1)
+        dofs, count = self.dofs, table[:0, self.components].shape[1]
+        table[dofs, self.components] = self.evaluate().reshape(*dofs.shape, count)
 
     def undefined(self) -> int:
         """Return at how many points of the cells the Function is NaN or infinite."""
