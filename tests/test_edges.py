@@ -60,7 +60,7 @@ STACKS = {
 @SLAVES
 @pytest.mark.parametrize("name", STACKS)
 def test_whole_skins_do_what_their_sides_do(name, slave, master):
-    """In as many iterations, with the same force; averaged normals take five times as many."""
+    """In no more iterations, with the same force; averaged normals take five times as many."""
     found = []
     for whole in (False, True):
         b = PressedBlocks(**STACKS[name])
@@ -70,7 +70,7 @@ def test_whole_skins_do_what_their_sides_do(name, slave, master):
         report = dm.newton(b.problem([contact]))
         found.append((report.newton_iterations, contact.force))
     (expected, force), (iterations, of_skins) = found
-    assert iterations == expected
+    assert iterations <= expected
     assert np.abs(of_skins - force).max() < 1e-3 * np.abs(force).max()
 
 

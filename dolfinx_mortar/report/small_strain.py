@@ -59,7 +59,7 @@ class LeftOut:
 
 
 def _measure(solid: Solid, cells: slice) -> Floats:
-    """Return of owned cells the rows of `find_left_out` (8, cells), from values at their points."""
+    """Return of some owned cells the rows of `find_left_out` (8, cells), from values at points."""
     volume = solid.fields.weights[cells]
     points, dofmap = volume.shape[1], solid.stress.function_space.dofmap
 
@@ -69,9 +69,9 @@ def _measure(solid: Solid, cells: slice) -> Floats:
     def peak(values: Floats) -> Floats:
         return np.asarray(values.reshape(-1, points).max(axis=1))
 
-    first, last, _ = cells.indices(len(solid.fields.weights))
-    found = solid.gradients.evaluate(np.arange(first, last, dtype=np.int32))
-    shown = solid.stress.x.array.reshape(-1, dofmap.bs)[dofmap.list[cells].ravel()]
+    own = np.arange(len(solid.fields.weights), dtype=np.int32)[cells]  # ghosts come after them
+    found = solid.gradients.evaluate(own)
+    shown = solid.stress.x.array.reshape(-1, dofmap.bs)[dofmap.list[own].ravel()]
     stress: Floats = np.asfortranarray(shown)
     size, strains = frobenius_norm(found.left_out), frobenius_norm(found.strain)
     seen = strains if found.seen is found.strain else frobenius_norm(found.seen)
