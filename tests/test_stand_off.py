@@ -10,7 +10,7 @@ import dolfinx_mortar as dm
 from dolfinx import mesh
 from dolfinx_mortar.audit import stand_off
 from dolfinx_mortar.mortar.curvature_correction import find_parting, find_smooth_sides
-from tests.close_fits import create_pin
+from tests.close_fits import create_pin, create_shrink_fit
 from tests.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
 from tests.pressed_blocks import PressedBlocks
 from tests.test_smooth_contact import PEAK
@@ -84,3 +84,15 @@ def test_the_share_that_is_told_of(factor, told, monkeypatch):
     for counts, swap in (((64, 96), True), ((64, 96), False)):
         report, _ = create_pin(counts, swap, surface="facets").solve()
         assert any("surface='smooth'" in note for note in report.notes) == told
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("pressure", "told"), [(10.0, True), (-10.0, False)])
+def test_facets_that_keep_sides_apart_are_told_of(pressure, told):
+    """Rings that fit, of which the inner one is pressed against the outer one, or away from it."""
+    options = {"overlap": 0.0, "pressure": pressure, "surface": "facets"}
+    case = create_shrink_fit((48, 68), False, **options)
+    report = dm.newton(case.problem)
+    assert not case.contact.pressure.x.array.any()
+    assert any("keep the curved sides apart" in note for note in report.notes) == told
+    assert bool(report.notes) == told

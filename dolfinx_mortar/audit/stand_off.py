@@ -10,11 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.parallel import maximum, norm, ratio
+from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm, ratio
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS
 from dolfinx_mortar.interfaces.link import Link
@@ -97,16 +98,22 @@ def warnings_on_straight_facets(link: Link, u: fem.Function | None = None) -> li
 
 
 def notes_on_facets(
-    links: Sequence[Link], u: fem.Function | None, forces: Floats, stiffness: Floats
+    links: Sequence[Link],
+    x: PETSc.Vec,
+    u: fem.Function | None,
+    forces: Floats,
+    stiffness: Floats,
 ) -> list[str]:
     """Return a note for each contact whose facets make its pressures inaccurate; collective.
 
     Smooth surfaces would be nearer by heights h_j; the forces K^_jj (h_j - mean of h), over the
-    contact forces z_j, are the share by which pressures are wrong.
+    contact forces z_j, are the share by which pressures are wrong. Where no node carries, smooth
+    surfaces that overlap show that the facets keep the sides apart.
 
     Args:
         links: the contacts, coupled at X + u.
-        u: displacement, None for X.
+        x: where the nodes are, X + u.
+        u: displacement by which facets have moved, None for X.
         forces: (owned nodes,) of contact.
         stiffness: (owned nodes,) force per gap, K^_jj.
     """
@@ -114,16 +121,36 @@ def notes_on_facets(
     for link in links:
         if not _is_of_facets(link):
             continue
-        heights = _heights(link, u)
-        comm, on = link.sides.V.mesh.comm, forces[link.nodes] > 0.0
-        uneven = _uneven(comm, heights[on])
+        heights, on = _heights(link, u), forces[link.nodes] > 0.0
+        carries = any_rank(link.sides.V.mesh.comm, on.any())[0]
         k, z = stiffness[link.nodes][on], forces[link.nodes][on]
-        share = ratio(norm(comm, k * uneven), norm(comm, z))
-        if share > SPOILT:
-            highest = float(maximum(comm, np.abs(uneven).max(initial=0.0))[0])
-            notes.append(
-                f"{link.interface}: facets stand off the curved sides by {highest:.2g} more here "
-                f"than there, worth {100 * share:.0f} % of the contact forces, so that pressures "
-                "may be wrong; choose Contact(..., surface='smooth')"
-            )
+        notes += _uneven_facets(link, heights[on], k, z) if carries else _apart(link, x, heights)
     return notes
+
+
+def _uneven_facets(link: Link, heights: Floats, k: Floats, z: Floats) -> list[str]:
+    """Return the note on a contact whose nodes (c,) carry forces z; collective."""
+    comm = link.sides.V.mesh.comm
+    uneven = _uneven(comm, heights)
+    share = ratio(norm(comm, k * uneven), norm(comm, z))
+    if share <= SPOILT:
+        return []
+    highest = float(maximum(comm, np.abs(uneven).max(initial=0.0))[0])
+    return [
+        f"{link.interface}: facets stand off the curved sides by {highest:.2g} more here "
+        f"than there, worth {100 * share:.0f} % of the contact forces, so that pressures "
+        "may be wrong; choose Contact(..., surface='smooth')"
+    ]
+
+
+def _apart(link: Link, x: PETSc.Vec, heights: Floats) -> list[str]:
+    """Return the note on a contact without forces whose smooth surfaces overlap; collective."""
+    deep = np.where(link.coupling.kept[:, 0], heights - link.gaps(x), 0.0)
+    deepest = float(maximum(link.sides.V.mesh.comm, deep.max(initial=0.0))[0])
+    if deepest <= HALF_OF_DIGITS * mean_facet_length(link.sides.slave):
+        return []
+    return [
+        f"{link.interface}: no node carries, but smooth surfaces through the nodes would overlap "
+        f"by {deepest:.2g}: facets keep the curved sides apart, so that forces are missing; "
+        "choose Contact(..., surface='smooth'), or refine"
+    ]

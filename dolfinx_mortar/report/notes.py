@@ -53,7 +53,8 @@ def _facets(end: StepEnd) -> list[str]:
     forces, stiffness = np.zeros((2, end.problem.n))
     forces[end.balance.nodes] = end.contacts.reactions(end.balance)
     stiffness[end.balance.nodes] = end.stiffness[end.balance.bounds.dofs]
-    return notes_on_facets(end.unilateral, end.problem.configuration, forces, stiffness)
+    x, u = end.problem.positions(), end.problem.configuration
+    return notes_on_facets(end.unilateral, x, u, forces, stiffness)
 
 
 def _overlaps(end: StepEnd) -> list[str]:
