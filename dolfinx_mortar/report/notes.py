@@ -10,14 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.audit.stand_off import notes_on_facets
+from dolfinx_mortar.audit.stand_off import note_on_facets
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.linearisation import Balance
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.interface_results import notes_on_lost_friction, notes_on_sliding
 from dolfinx_mortar.report.overlaps import notes_on_overlaps
-from dolfinx_mortar.report.resolution import notes_on_few_nodes, notes_on_rims
+from dolfinx_mortar.report.resolution import note_on_few_nodes, notes_on_rims
 from dolfinx_mortar.report.small_strain import LeftOut, notes_on_small_strain
 
 log = logging.getLogger(__name__)
@@ -49,12 +49,17 @@ class StepEnd:
 Diagnosis = Callable[[StepEnd], list[str]]  # collective; returns the same notes on all ranks
 
 
-def _facets(end: StepEnd) -> list[str]:
+def _pressures(end: StepEnd) -> list[str]:
     forces, stiffness = np.zeros((2, end.problem.n))
     forces[end.balance.nodes] = end.contacts.reactions(end.balance)
     stiffness[end.balance.nodes] = end.stiffness[end.balance.bounds.dofs]
     x, u = end.problem.positions(), end.problem.configuration
-    return notes_on_facets(end.unilateral, x, u, forces, stiffness)
+    of_facets = [note_on_facets(link, x, u, forces, stiffness) for link in end.unilateral]
+    few = [
+        note_on_few_nodes(link, end.contacts, not spoilt)
+        for link, spoilt in zip(end.unilateral, of_facets, strict=True)
+    ]
+    return [note for note in of_facets + few if note]
 
 
 def _overlaps(end: StepEnd) -> list[str]:
@@ -66,8 +71,7 @@ def _overlaps(end: StepEnd) -> list[str]:
 DIAGNOSES: tuple[Diagnosis, ...] = (
     lambda end: notes_on_sliding(end.problem, end.contacts),
     lambda end: notes_on_lost_friction(end.problem, end.contacts),
-    _facets,
-    lambda end: notes_on_few_nodes(end.unilateral, end.contacts),
+    _pressures,
     lambda end: notes_on_rims(end.links),
     _overlaps,
     lambda end: notes_on_small_strain(end.problem, end.left_out),
