@@ -42,7 +42,7 @@ def find_unheld(link: Link, prescribed: Bools) -> Unheld | None:
     slave, segments = link.sides.slave, link.mortar[1].segments
     marks = np.zeros(len(slave.nodes))
     marks[: slave.owned] = prescribed
-    bare = (accumulate(slave, marks) > 0)[slave.facets].all(axis=1)
+    bare = np.asarray((accumulate(slave, marks) > 0)[slave.facets].all(axis=1))
     met = np.unique(np.column_stack([segments.slave, segments.master]), axis=0)[:, 0]
     bare &= np.bincount(met, minlength=len(bare)) > 1
     places = slave.X[slave.facets[bare]].mean(axis=1)
