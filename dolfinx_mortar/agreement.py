@@ -78,6 +78,33 @@ def check_same_on_all_ranks(comm: MPI.Comm, **named_values: Any) -> dict[str, Ch
     return {name: part for name, part in parts.items() if isinstance(part, Changing)}
 
 
+def find_constants(value: Any) -> list[Any] | None:
+    """Return the Constants in what a user has given; None where an object is not known inside.
+
+    That is what a user has programmed: laws, terms, interfaces, functions of points.
+
+    >>> find_constants({"nu": 0.3}), find_constants([abs])
+    ([], None)
+    """
+    if isinstance(value, Changing | fem.Constant):
+        return [value.constant if isinstance(value, Changing) else value]
+    if isinstance(value, Expr | ufl.Form):
+        return list(extract_constants(value))
+    if _plain(value) is not None or isinstance(value, mesh.MeshTags):
+        return []
+    package = type(value).__module__.partition(".")[0]
+    ours = package in ("dolfinx", __name__.partition(".")[0]) or isinstance(value, Mapping)
+    if not (ours or isinstance(value, list | tuple)):
+        return None
+    found: list[Any] = []
+    for entry in _taken_apart("", value)[1].values():
+        inside = find_constants(entry)
+        if inside is None:
+            return None
+        found += inside
+    return found
+
+
 def _difference(texts: Sequence[Mapping[str, str]]) -> str:
     """Say what the first value is in which ranks differ, from the texts of all ranks."""
     for name in dict.fromkeys(name for own in texts for name in own):

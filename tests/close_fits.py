@@ -143,7 +143,16 @@ class ShrinkFit:
 
 
 def create_shrink_fit(
-    counts, swap, *, overlap=OVERLAP, geometry="updated", comm=COMM, degree=1, order=1, **options
+    counts,
+    swap,
+    *,
+    overlap=OVERLAP,
+    pressure=0.0,
+    geometry="updated",
+    comm=COMM,
+    degree=1,
+    order=1,
+    **options,
 ):
     """Create the rings 10 to 20 and 20 to 30, with facets in such numbers where they meet.
 
@@ -151,6 +160,7 @@ def create_shrink_fit(
         counts: numbers of facets of the inner and the outer ring.
         swap: the outer ring is the slave, not the inner one.
         overlap: of the radii.
+        pressure: in the inner ring.
         geometry: of the problem.
         comm: communicator of the mesh.
         degree: of the displacement.
@@ -160,7 +170,8 @@ def create_shrink_fit(
     a, b, c = 10.0, 20.0, 30.0
     domain, tags = rings(comm, (a, b + overlap), (b, c), counts, (16, 16), order)
     V = fem.functionspace(domain, ("Lagrange", degree, (2,)))
-    inside = mesh.locate_entities(domain, 2, lambda x: np.hypot(x[0], x[1]) < b + overlap / 2)
+    limit = b + overlap / 2 + 1e-6
+    inside = mesh.locate_entities(domain, 2, lambda x: np.hypot(x[0], x[1]) < limit)
     values = np.full(domain.topology.index_map(2).size_local, 2, dtype=np.int32)
     values[inside[inside < len(values)]] = 1
     cells = mesh.meshtags(domain, 2, np.arange(len(values), dtype=np.int32), values)
@@ -168,5 +179,11 @@ def create_shrink_fit(
     slave, master = (3, 2) if swap else (2, 3)
     contact = dm.Contact(tags, slave=slave, master=master, **options)
     bcs = [*hold(V, a), *hold(V, c)]
-    problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=geometry)
-    return ShrinkFit(problem, contact, lame_pressure(a, b, c, overlap, *STEELS))
+    loads = None
+    if pressure:
+        ds, n = ufl.Measure("ds", domain, subdomain_data=tags), ufl.FacetNormal(domain)
+        loads = -pressure * ufl.inner(n, ufl.TestFunction(V)) * ds(1)
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs, loads=loads, geometry=geometry)
+    E, nu = STEELS[0]
+    widened = overlap + 2 * (1 - nu**2) * pressure * a**2 * b / (E * (b**2 - a**2))
+    return ShrinkFit(problem, contact, lame_pressure(a, b, c, widened, *STEELS))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+import ufl
 from dolfinx import fem
 from dolfinx_mortar.steps.ramp import check_range, difference, read_ramps
 from tests.checkpoint_program import LEVELS, Press
@@ -53,6 +54,48 @@ def test_a_table_is_as_good_as_a_function():
     if COMM.size == 1:  # ranks add up in the order in which messages come
         assert one.numbers() == other.numbers()
         assert np.array_equal(one.problem.u.x.array, other.problem.u.x.array)
+
+
+@pytest.mark.mpi
+def test_a_table_that_nothing_reads_is_told_of():
+    """Of a support that was given a copy, once; not where a function may read what it likes."""
+    case = PressedBlocks()
+    read = {name: fem.Constant(case.mesh, 0.0) for name in ("load", "spring", "friction", "warm")}
+    copied, modulus = fem.Constant(case.mesh, np.zeros(2)), fem.Constant(case.mesh, 1e3)
+    v = ufl.TestFunction(case.V)
+    solid = dm.Solid(case.u, dm.Elastic(modulus, 0.3), eigenstrain=2 * read["warm"])
+    contact = dm.Contact(case.facets, slave=3, master=4, friction=read["friction"])
+    spring = dm.WeakForm(solid, energy=read["spring"] * ufl.inner(case.u, case.u) * ufl.dx)
+    problem = dm.ContactProblem(
+        solid, [contact], bcs=case.bcs(), loads=read["load"] * v[0] * ufl.dx, terms=[spring]
+    )
+    ramp = {one: [(0, one.value), (2, one.value)] for one in [*read.values(), modulus, case.top]}
+    ramp[copied] = [(0, (0, 0)), (2, (0, -1))]
+
+    def told(**options):
+        steps = list(dm.load_steps(problem, [1, 2], start=0, ramp=ramp, progress=False, **options))
+        return [
+            [n for n in step.report.notes if "is for a Constant that nothing" in n]
+            for step in steps
+        ]
+
+    first, second = told()
+    assert len(first) == 1 and first[0].startswith("ramp: table 7 ") and not second
+    assert told(on_time=lambda t: None) == [[], []]
+    own = dm.ContactProblem(solid, [contact], bcs=case.bcs(), terms=[Nothing()])
+    assert own.constants() is None
+
+
+class Nothing(dm.Term):
+    """A term of a user's own, which might read any Constant."""
+
+    has_tangent = False
+
+    def add_forces(self, F):
+        """Add none."""
+
+    def add_tangent(self, K):
+        """Add none."""
 
 
 @pytest.mark.serial

@@ -13,6 +13,7 @@ from dolfinx_mortar.report.resolution import _measure
 from tests.ball_case import create_problem
 from tests.close_fits import create_pin, create_shrink_fit
 from tests.hertz_case import ELASTIC, create_case, create_mesh
+from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
 from tests.pressed_blocks import PressedBlocks
 
 COMM = MPI.COMM_WORLD
@@ -74,3 +75,16 @@ def test_sides_that_touch_altogether_have_nothing_to_resolve():
     """Five nodes over the whole width of a block, and all nodes of a coarse ring."""
     assert not said(dm.newton(PressedBlocks().problem()))
     assert not said(dm.newton(create_shrink_fit((48, 40), True).problem))
+
+
+@pytest.mark.mpi
+def test_forces_of_round_off_have_no_peak():
+    """A block on a wider one is lifted, and put down again without a force."""
+    blocks = PressedBlocks(
+        n_lower=(12, 3), n_upper=(5, 4), x_lower=(0.0, 4.0), cell="quadrilateral"
+    )
+    problem = blocks.problem([blocks.contact(slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER)])
+    for depth in (1e-3, 0.0, -1e-3, 0.0):
+        blocks.top.value[1] = -depth
+        assert not dm.newton(problem).notes
+        problem.commit()

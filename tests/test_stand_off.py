@@ -9,8 +9,12 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import mesh
 from dolfinx_mortar.audit import stand_off
-from dolfinx_mortar.mortar.curvature_correction import find_parting, find_smooth_sides
-from tests.close_fits import create_pin
+from dolfinx_mortar.mortar.curvature_correction import (
+    find_parting,
+    find_smooth_sides,
+    missed_heights,
+)
+from tests.close_fits import create_pin, create_shrink_fit
 from tests.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
 from tests.pressed_blocks import PressedBlocks
 from tests.test_smooth_contact import PEAK
@@ -84,3 +88,51 @@ def test_the_share_that_is_told_of(factor, told, monkeypatch):
     for counts, swap in (((64, 96), True), ((64, 96), False)):
         report, _ = create_pin(counts, swap, surface="facets").solve()
         assert any("surface='smooth'" in note for note in report.notes) == told
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("pressure", "told"), [(10.0, True), (-10.0, False)])
+def test_facets_that_keep_sides_apart_are_told_of(pressure, told):
+    """Rings that fit, of which the inner one is pressed against the outer one, or away from it."""
+    options = {"overlap": 0.0, "pressure": pressure, "surface": "facets"}
+    case = create_shrink_fit((48, 68), False, **options)
+    report = dm.newton(case.problem)
+    assert not case.contact.pressure.x.array.any()
+    assert any("keep the curved sides apart" in note for note in report.notes) == told
+    assert bool(report.notes) == told
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("swap", "pressure"), [(False, 1.0), (True, 10.0), (True, 1000.0)])
+def test_heights_that_are_known_too_little_are_told_of(swap, pressure):
+    """Rings that fit, where the largest or least pressure is wrong by more than a fifth."""
+    case = create_shrink_fit((48, 68), swap, overlap=0.0, pressure=pressure)
+    report = dm.newton(case.problem)
+    found = case.contact.gather(case.problem.u)["pressure"] / case.pressure
+    spoilt = bool(np.abs(found - 1.0).max() > 0.2)
+    assert spoilt == (pressure < 100.0)
+    assert (
+        any("smooth surfaces through the nodes are known to" in n for n in report.notes) == spoilt
+    )
+    assert not any("forces and moments are" in note for note in report.notes)
+
+
+def test_forces_that_are_missing_for_want_of_heights():
+    """An overlap that is less than what 16 and 24 facets know: no node carries."""
+    case = create_shrink_fit((16, 24), True, overlap=0.002)
+    (note,) = dm.newton(case.problem).notes
+    assert not case.contact.pressure.x.array.any() and "forces may be missing; refine" in note
+
+
+@pytest.mark.mpi
+def test_arcs_over_chords():
+    """What heights miss of a circle, in the mean; of a common one on both sides."""
+    problem = create_shrink_fit((48, 72), False, overlap=0.0).problem
+    problem.audit()
+    (link,) = problem.system.links
+    missed = np.concatenate(COMM.allgather(stand_off._means(link, None, missed_heights)))
+    R, at = 20.0, np.pi / np.array([48.0, 72.0])  # half of the angles
+    segment = R * (at - np.sin(2 * at) / 2) / (2 * np.sin(at))  # area over chord
+    chord = 2 * R * np.sin(at)
+    inner, outer = segment - chord**2 / (12 * R)
+    assert missed.mean() == pytest.approx(inner - outer, rel=0.02)

@@ -111,3 +111,28 @@ def test_orders_of_second_order_tetrahedra(slave, curved):
     """
     shape = (to_sector, 2, 2) if curved else (None, 2, 1)
     check_orders((1, 2), "tetrahedron", slave, *shape, expected=(3.0, 2.0))
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("cell", "finer"), [("tetrahedron", 0), ("tetrahedron", 1), ("hexahedron", 0)]
+)
+def test_corner_facets_without_a_multiplier_are_told_of(cell, finer):
+    """A linear field, given on all walls: exact unless such facets meet several of the master."""
+    mesh, _, facets = two_boxes(COMM, (3, 3, 1), (2, 2, 1), cell=cell)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    given = fem.Function(V)
+    given.interpolate(lambda x: 1e-3 * np.array([x[1] - 2 * x[0], x[2], x[0] - 3 * x[2]]))
+    dofs = [fem.locate_dofs_topological(V, 2, facets.find(tag)) for tag in OUTER]
+    bc = fem.dirichletbc(given, np.unique(np.concatenate(dofs)))
+    slave, master = (BOTTOM_OF_UPPER, TOP_OF_LOWER)[:: -1 if finer else 1]
+    tie = dm.Tie(facets, slave=slave, master=master)
+    solid = dm.Solid(fem.Function(V), dm.Elastic(E, NU))
+    problem = dm.ContactProblem(solid, [tie], bcs=[bc])
+    (audited,) = problem.audit().interfaces
+    dm.newton(problem, rtol=1e-10)
+    off = np.abs(solid.u.x.array - given.x.array).max(initial=0.0)
+    exact = COMM.allreduce(off, op=MPI.MAX) < 1e-12
+    assert exact == (audited.unheld is None)
+    told = "2 slave facets (one around" in "".join(problem.audit().warnings)
+    assert told == (not exact) == (cell == "tetrahedron" and not finer)

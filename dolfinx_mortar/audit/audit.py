@@ -15,6 +15,7 @@ from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.audit.far_ties import TieReach, measure_reach
 from dolfinx_mortar.audit.stand_off import warnings_on_straight_facets
+from dolfinx_mortar.audit.unheld import Unheld, find_unheld
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes, normals_at_nodes
 from dolfinx_mortar.geometry.segments import FACING
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
@@ -72,6 +73,7 @@ class InterfaceAudit:
     largest_gap: float
     edges: Edges | None = None  # of smooth surfaces
     reach: TieReach | None = None  # of ties
+    unheld: Unheld | None = None  # where Dirichlet data leave no multiplier
 
     def __str__(self) -> str:
         """Return one line."""
@@ -260,10 +262,16 @@ def _warnings(i: InterfaceAudit) -> list[str]:
             "mark only facets that can touch"
         )
     if i.dirichlet_nodes:
+        remedy = "let the other side be the slave, or prescribe less"
+        if i.unheld is not None:
+            remedy = (
+                f"{i.unheld} have no multiplier at all, and the master is not held to them: let "
+                "the finer side be the slave, or mesh so that each of its facets has a free node"
+            )
         warnings.append(
             f"{i.name}: at {i.dirichlet_nodes} slave nodes that face the master, Dirichlet data "
-            "prescribe the motion that the interface would constrain, and take precedence; let the "
-            "other side be the slave, or prescribe less"
+            "prescribe the motion that the interface would constrain, and take precedence; "
+            f"{remedy}"
         )
     return warnings
 
@@ -333,7 +341,8 @@ def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     size = ROUND_OFF * max(float(lengths[0]), float(maximum(sides.V.mesh.comm, x)[0]))
     ends = [0.0 if abs(end) < size or np.isinf(end) else float(end) for end in (-least, largest)]
     edges = _edges(link) if link.pattern.smooth else None
-    row = *map(int, counts), ratio, *ends, edges, measure_reach(link)
+    unheld = find_unheld(link, prescribed)
+    row = *map(int, counts), ratio, *ends, edges, measure_reach(link), unheld
     return InterfaceAudit(repr(link.interface), *row)  # type: ignore[arg-type]
 
 

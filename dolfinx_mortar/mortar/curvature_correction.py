@@ -17,6 +17,7 @@ from dolfinx_mortar.geometry.curvature import (
     end_angles,
     heights,
     heights_of_arcs,
+    missed_sagittas,
     one_ring_sums,
     sagitta_tensors,
     unit,
@@ -267,7 +268,7 @@ def point_heights(
     c_s, c_m = a.sagitta, b.sagitta
     second = pairing.slave.element.degree > 1
     if not second:
-        c_s, c_m = common_sagittas(a.facets, c_s, b.K), common_sagittas(b.facets, c_m, a.K)
+        c_s, c_m = _common(a, b)
     elif u is not None:
         s, m = _facet_stretches(pairing, u)
         c_s, c_m = c_s * s[pairing.pairs[pairs, 0]], c_m * m[pairing.pairs[pairs, 1]]
@@ -277,6 +278,31 @@ def point_heights(
         h_s = heights_of_arcs(a.facets, c_s[:, 0], of, h_s)
         h_m = heights_of_arcs(b.facets, c_m[:, 0], of, h_m)
     return np.asarray(h_s + h_m)
+
+
+def missed_heights(
+    pairing: Pairing,
+    segments: Segments,
+    u: dolfinx.fem.Function | None,
+    sides: tuple[SmoothSide, SmoothSide],
+) -> Floats:
+    """Return by how much (q,) heights of degree 1 miss those of arcs; collective.
+
+    The next term of their series, see `missed_sagittas`. The arguments are those of
+    `point_heights`.
+    """
+    pairs, of = _meeting(segments)
+    a, b = find_curved(pairing, u, sides, pairs)
+    c_s, c_m = (
+        missed_sagittas(side.facets, c) for side, c in zip((a, b), _common(a, b), strict=True)
+    )
+    h_s = heights(a.facets, c_s, of, segments.xi_s)
+    return np.asarray(h_s + heights(b.facets, c_m, of, segments.xi_m))
+
+
+def _common(a: Curved, b: Curved) -> tuple[Floats, Floats]:
+    """Return the c_ab of both sides of the surface that they share where they touch."""
+    return common_sagittas(a.facets, a.sagitta, b.K), common_sagittas(b.facets, b.sagitta, a.K)
 
 
 def _facet_stretches(pairing: Pairing, u: dolfinx.fem.Function) -> tuple[Floats, Floats]:

@@ -17,7 +17,7 @@ import numpy as np
 
 import ufl
 from dolfinx import fem
-from dolfinx_mortar.agreement import check_same_on_all_ranks
+from dolfinx_mortar.agreement import check_same_on_all_ranks, find_constants
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
@@ -99,6 +99,7 @@ class ContactProblem:
                 side.check(solid.V)
         check_options(solid.V.mesh.comm, petsc_options_prefix, petsc_options)
         self.solid, self.geometry = solid, geometry
+        self._constants = find_constants([conditions, loads, potential, *terms])
         self.timings = Timings()
         kinematics = solid.kinematics
         self.terms = _create_terms(solid, loads, potential, terms)
@@ -226,6 +227,16 @@ class ContactProblem:
         constants = self.solid.changing | self._changing
         # last: a jump may be another object now
         check_same_on_all_ranks(self.comm, **controls, **constants, interfaces=self.interfaces)
+
+    def constants(self) -> list[Any] | None:
+        """Return the Constants that steps read; None where parts of a user's own may read more."""
+        parts = self.solid.constants, self._constants, find_constants(self.interfaces)
+        found: list[Any] = []
+        for part in parts:
+            if part is None:
+                return None
+            found += part
+        return found
 
     def check_owned(self) -> None:
         """Raise a ValueError if a problem made later uses one of the interfaces."""

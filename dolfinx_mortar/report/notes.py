@@ -7,15 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.audit.stand_off import notes_on_facets
+from dolfinx_mortar.audit.stand_off import note_on_facets
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.linearisation import Balance
+from dolfinx_mortar.newton_method.residuals import gap_round_off
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.interface_results import notes_on_lost_friction, notes_on_sliding
 from dolfinx_mortar.report.overlaps import notes_on_overlaps
-from dolfinx_mortar.report.resolution import notes_on_few_nodes, notes_on_rims
+from dolfinx_mortar.report.resolution import note_on_few_nodes, notes_on_rims
 from dolfinx_mortar.report.small_strain import LeftOut, notes_on_small_strain
 
 log = logging.getLogger(__name__)
@@ -32,6 +34,7 @@ class StepEnd:
     overlap: float  # of the sides at X, left to later steps
     left_out: LeftOut
     rtol: float  # of the step
+    limit: float  # norm of the forces that it may leave out of balance
 
     @property
     def links(self) -> Sequence[Link]:
@@ -47,11 +50,20 @@ class StepEnd:
 Diagnosis = Callable[[StepEnd], list[str]]  # collective; returns the same notes on all ranks
 
 
-def _facets(end: StepEnd) -> list[str]:
+def _pressures(end: StepEnd) -> list[str]:
     forces, stiffness = np.zeros((2, end.problem.n))
     forces[end.balance.nodes] = end.contacts.reactions(end.balance)
     stiffness[end.balance.nodes] = end.stiffness[end.balance.bounds.dofs]
-    return notes_on_facets(end.unilateral, end.problem.configuration, forces, stiffness)
+    # less than what is left out of balance, or than gaps are worth that are round-off, is nothing
+    forces[forces <= np.maximum(end.limit, stiffness * gap_round_off(end.problem.u))] = 0.0
+    x, u = end.problem.positions(), end.problem.configuration
+    notes, few = [], []
+    for link in end.unilateral:
+        spoilt = note_on_facets(link, x, u, forces, stiffness)
+        notes += [spoilt] if spoilt else []
+        if any_rank(end.problem.comm, forces[link.nodes].any())[0]:
+            few.append(note_on_few_nodes(link, end.contacts, not spoilt))
+    return notes + [note for note in few if note]
 
 
 def _overlaps(end: StepEnd) -> list[str]:
@@ -63,8 +75,7 @@ def _overlaps(end: StepEnd) -> list[str]:
 DIAGNOSES: tuple[Diagnosis, ...] = (
     lambda end: notes_on_sliding(end.problem, end.contacts),
     lambda end: notes_on_lost_friction(end.problem, end.contacts),
-    _facets,
-    lambda end: notes_on_few_nodes(end.unilateral, end.contacts),
+    _pressures,
     lambda end: notes_on_rims(end.links),
     _overlaps,
     lambda end: notes_on_small_strain(end.problem, end.left_out),

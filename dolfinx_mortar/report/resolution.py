@@ -23,25 +23,25 @@ from dolfinx_mortar.newton_method.contacts import Contacts
 NODES = {2: 7, 3: 17}
 
 
-def notes_on_few_nodes(links: Sequence[Link], contacts: Contacts) -> list[str]:
-    """Return a note for each contact whose largest pressure is not resolved; collective.
+def note_on_few_nodes(link: Link, contacts: Contacts, sure: bool = True) -> str:
+    """Return the note on a contact whose largest pressure is not resolved, or ""; collective.
 
     A patch that reaches the ends of its sides is left out: its size is given by the model.
 
     Args:
-        links: the contacts.
+        link: the contact.
         contacts: which contacts are closed, and their multipliers.
+        sure: whether facets do not spoil its forces, as far as is known.
     """
-    notes = []
-    for link in links:
-        count, ends = _peak_patch(link, contacts)
-        needed = NODES[link.sides.fixed.shape[1]]
-        if 0 < count < needed and ends:
-            notes.append(
-                f"{link.interface}: the largest pressure is that of {count} nodes in contact and "
-                f"not resolved, for which it takes {needed}; forces and moments are; refine there"
-            )
-    return notes
+    count, ends = _peak_patch(link, contacts)
+    needed = NODES[link.sides.fixed.shape[1]]
+    if not 0 < count < needed or not ends:
+        return ""
+    forces = "forces and moments are; " if sure else ""
+    return (
+        f"{link.interface}: the largest pressure is that of {count} nodes in contact and "
+        f"not resolved, for which it takes {needed}; {forces}refine there"
+    )
 
 
 def notes_on_rims(links: Sequence[Link]) -> list[str]:

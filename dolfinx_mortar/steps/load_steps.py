@@ -31,7 +31,7 @@ from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.reaction import reactions
 from dolfinx_mortar.step_report import LoadStep, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.newton import solve_step
-from dolfinx_mortar.steps.ramp import Ramp, check_range, difference, read_ramps
+from dolfinx_mortar.steps.ramp import Ramp, check_range, difference, notes_on_unread, read_ramps
 
 log = logging.getLogger(__name__)
 
@@ -132,7 +132,8 @@ def load_steps(
         times: load levels in the order of loading; they may decrease.
         ramp: a table for each Constant that changes, ``{push: [(0.0, 0.0), (1.0, -0.1)]}``: rows
             (level, value) with increasing levels, between which the value is linear. Values have
-            the shape of the Constant. Tables must contain all levels, and ``start``.
+            the shape of the Constant. Tables must contain all levels, and ``start``. A note says
+            where nothing reads a Constant.
         on_time: function of the level that sets other loads, also for levels between two times,
             after the Constants of ``ramp``. It may be called twice for a level, if a step is cut or
             a run is continued, so what it sets must depend on the level alone.
@@ -189,9 +190,11 @@ def load_steps(
     committed.walk = Walk(begin, [one.rows for one in loading.ramps])
     written = Checkpoint(problem, file, committed.walk)
     done = committed.walked
+    idle = _idle(problem, loading)
     tell = lines(problem.comm, False if progress is None and len(levels) == 1 else progress)
     for number, time in enumerate(levels[done:], start=done + 1):
         parts = _walk(problem, number, time, loading, most, options, written)
+        parts[-1].notes += idle if number == done + 1 else []
         supports = [one.as_dict() for one in reactions(problem)]
         forces = [list(map(float, interface.force)) for interface in problem.interfaces]
         step = LoadStep(number, time, parts[-1], parts, forces, supports)
@@ -202,6 +205,17 @@ def load_steps(
         written.check_alone()
         if number % every == 0 or number == len(levels):
             written.write()
+
+
+def _idle(problem: ContactProblem, loading: Loading) -> list[str]:
+    """Return notes on tables without effect, which rank 0 logs; none if a function may use them."""
+    if loading.on_time is not None:
+        return []
+    notes = notes_on_unread(loading.ramps, problem.constants())
+    if problem.comm.rank == 0:
+        for note in notes:
+            log.warning("%s", note)
+    return notes
 
 
 def _continue(

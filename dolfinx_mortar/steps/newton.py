@@ -453,7 +453,7 @@ class _Step:
             sliders = find_sliders(limits, contacts, iterate.stiffness, noise)
         left_out = find_left_out(problem)
         stiffness = iterate.stiffness.array_r
-        how = self.overlap, left_out, report.rtol
+        how = self.overlap, left_out, report.rtol, residual.limit
         end = StepEnd(problem, iterate.balance, contacts, stiffness, *how)
         report.notes += find_notes(end)
         report.certificate = create_certificate(

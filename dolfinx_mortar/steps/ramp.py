@@ -97,6 +97,32 @@ def _row(row: Any, shape: tuple[int, ...]) -> list[float] | None:
     return numbers if np.isfinite(numbers).all() else None
 
 
+def notes_on_unread(ramps: Sequence[Ramp], read: Sequence[Any] | None) -> list[str]:
+    """Return a note for each table whose Constant no part of a problem reads.
+
+    Conditions hold Constants of C++; two are the same if their values are at the same place.
+
+    Args:
+        ramps: the tables.
+        read: the Constants that steps read; None if that is not known.
+    """
+    if read is None:
+        return []
+    places = {_place(constant) for constant in read}
+    return [
+        f"ramp: table {k} is for a Constant that nothing in the problem reads, so that it loads "
+        "nothing: give the Constant itself to the form, law or condition, "
+        "dirichletbc(push, ..) and not dirichletbc(push.value, ..), which copies its value"
+        for k, ramp in enumerate(ramps, start=1)
+        if _place(ramp.constant) not in places
+    ]
+
+
+def _place(constant: Any) -> int:
+    """Return the address of a Constant's value."""
+    return int(np.asarray(constant.value).__array_interface__["data"][0])
+
+
 def check_range(ramps: Sequence[Ramp], levels: Sequence[float]) -> None:
     """Raise a ValueError unless all tables contain all levels of a run, up to round-off."""
     slack = SAME * max(map(abs, levels))
