@@ -58,9 +58,9 @@ class LeftOut:
         return ratio(self.strain, self.largest)
 
 
-def _measure(solid: Solid, cells: slice) -> Floats:
+def _measure(solid: Solid, weights: Floats, cells: slice) -> Floats:
     """Return of some owned cells the rows of `find_left_out` (8, cells), from values at points."""
-    volume = solid.fields.weights[cells]
+    volume = weights[cells]
     points, dofmap = volume.shape[1], solid.stress.function_space.dofmap
 
     def per_cell(values: Floats) -> Floats:
@@ -69,7 +69,7 @@ def _measure(solid: Solid, cells: slice) -> Floats:
     def peak(values: Floats) -> Floats:
         return np.asarray(values.reshape(-1, points).max(axis=1))
 
-    own = np.arange(len(solid.fields.weights), dtype=np.int32)[cells]  # ghosts come after them
+    own = np.arange(len(weights), dtype=np.int32)[cells]  # ghosts come after them
     found = solid.gradients.evaluate(own)
     shown = solid.stress.x.array.reshape(-1, dofmap.bs)[dofmap.list[own].ravel()]
     stress: Floats = np.asfortranarray(shown)
@@ -88,8 +88,9 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
     One evaluation of grad u at the integration points, of some cells at a time.
     """
     solid, comm, count = problem.solid, problem.comm, problem.bodies.count
-    body = problem.bodies.of_cells
-    parts = [_measure(solid, slice(i, i + _CHUNK)) for i in range(0, len(body), _CHUNK)]
+    body, weights = problem.bodies.of_cells, solid.fields.weights  # assembled by all ranks
+    chunks = [slice(i, i + _CHUNK) for i in range(0, len(body), _CHUNK)]
+    parts = [_measure(solid, weights, cells) for cells in chunks]
     columns = np.concatenate([np.zeros((8, 0)), *parts], axis=1)
     space, left, work, made, size, *highest = columns
     summed = (space, left, work, work * left / space, made)
