@@ -48,6 +48,14 @@ class Changing:
         return f"Constant {_plain(np.asarray(self.constant.value))}"
 
 
+@dataclasses.dataclass(frozen=True)
+class Inputs:
+    """The Constants among the arguments of bodies or of a problem."""
+
+    changing: Mapping[str, Changing]  # by name, to be compared among ranks; none on one rank
+    constants: list[Any] | None  # all of them, see `find_constants`
+
+
 def check_same_on_all_ranks(comm: MPI.Comm, **named_values: Any) -> dict[str, Changing]:
     """Raise a ValueError on all ranks where a value is not the same on all of them; collective.
 

@@ -112,6 +112,7 @@ def test_all_ranks_write_and_each_goes_on_alone(folder, at_once):
     agree(press.numbers(), at_once)
 
 
+@pytest.mark.slow
 def test_a_walk_that_is_done_yields_nothing(folder, caplog):
     file, press, fresh = folder / "done.h5", Press(), Press()
     list(press.walk(LEVELS[:2], checkpoint=file))
@@ -129,6 +130,7 @@ def test_a_walk_that_is_done_yields_nothing(folder, caplog):
             list(Press().walk(others, checkpoint=file))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", quick([0.5, 1.0, 2.0], 0.5))
 def test_levels_are_the_same_up_to_round_off(factor, folder, monkeypatch):
     """So that a walk goes farther with levels that are calculated in another way."""
@@ -160,6 +162,7 @@ def test_a_run_that_is_restored_pairs_where_the_other_has(folder):
     assert np.array_equal(first.at, other.at)
 
 
+@pytest.mark.slow
 def test_sides_that_no_longer_face_each_other(folder):
     """At the begin that is a mistake of tags, later it is not."""
 
@@ -186,6 +189,7 @@ def test_a_problem_may_be_restored_before_its_walk(folder):
     assert [step.time for step in fresh.problem.history] == LEVELS[:3]
 
 
+@pytest.mark.slow
 def test_how_often(folder, monkeypatch):
     press, written = Press(), []
     monkeypatch.setattr(

@@ -152,6 +152,7 @@ def test_an_audit_of_elastic_bodies():
     assert COMM.allreduce(np.array_equal(*ends), op=MPI.LAND)
 
 
+@pytest.mark.slow
 def test_saving(tmp_path):
     file = COMM.bcast(tmp_path) / "state.h5"
     check(lambda pile, number: pile.problem.save(file))
@@ -173,6 +174,7 @@ def test_what_is_read():
     check(look)
 
 
+@pytest.mark.slow
 def test_what_is_written(tmp_path):
     folder = COMM.bcast(tmp_path)
 

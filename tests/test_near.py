@@ -59,6 +59,7 @@ def test_nodes_left_out_too_many_are_taken_back(monkeypatch, geometry, slave):
     assert len(chosen) > 1 and few[2] > usual[2]  # it had to find out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slave", quick(["block", "disc"], "block"))
 def test_a_step_of_many_facets_needs_one_search(slave):
     """Partners are taken where the supports move the body, not where it starts."""

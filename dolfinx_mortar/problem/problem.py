@@ -17,7 +17,7 @@ import numpy as np
 
 import ufl
 from dolfinx import fem
-from dolfinx_mortar.agreement import check_same_on_all_ranks, find_constants
+from dolfinx_mortar.agreement import Inputs, check_same_on_all_ranks, find_constants
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
@@ -88,7 +88,7 @@ class ContactProblem:
         petsc_options: Mapping[str, Any] | None = None,
     ) -> None:
         """Check the arguments; create matrices, solver and interfaces; collective."""
-        sides, conditions, self._changing = check_arguments(
+        sides, conditions, changing = check_arguments(
             *(solid, interfaces, bcs, loads, potential, geometry),
             terms=terms,
             petsc_options_prefix=petsc_options_prefix,
@@ -99,7 +99,7 @@ class ContactProblem:
                 side.check(solid.V)
         check_options(solid.V.mesh.comm, petsc_options_prefix, petsc_options)
         self.solid, self.geometry = solid, geometry
-        self._constants = find_constants([conditions, loads, potential, *terms])
+        self._inputs = Inputs(changing, find_constants([conditions, loads, potential, *terms]))
         self.timings = Timings()
         kinematics = solid.kinematics
         self.terms = _create_terms(solid, loads, potential, terms)
@@ -224,13 +224,14 @@ class ContactProblem:
         Constants in loads, supports, laws, eigenstrain and limits of friction, the jumps of ties,
         and the controls of the step. One reduction of 16 bytes.
         """
-        constants = self.solid.changing | self._changing
+        constants = {**self.solid.inputs.changing, **self._inputs.changing}
         # last: a jump may be another object now
         check_same_on_all_ranks(self.comm, **controls, **constants, interfaces=self.interfaces)
 
     def constants(self) -> list[Any] | None:
         """Return the Constants that steps read; None where parts of a user's own may read more."""
-        parts = self.solid.constants, self._constants, find_constants(self.interfaces)
+        parts = [i.constants for i in (self.solid.inputs, self._inputs)]
+        parts.append(find_constants(self.interfaces))
         found: list[Any] = []
         for part in parts:
             if part is None:

@@ -22,7 +22,7 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from dolfinx.fem import petsc as fem_petsc
-from dolfinx_mortar.agreement import check_same_on_all_ranks, find_constants
+from dolfinx_mortar.agreement import Inputs, check_same_on_all_ranks, find_constants
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arguments import is_integer
 from dolfinx_mortar.arrays import Bools, Floats
@@ -62,8 +62,7 @@ class Solid(Term):
         regions: the cells of each law, with its parameters.
         fields: what `evaluate` found, at the integration points.
         gradients: strain and rotation at u, at the integration points.
-        changing: the Constants in the arguments by name, in which ranks must agree at every step.
-        constants: those in laws and eigenstrain, None where a law cannot be looked into.
+        inputs: the Constants in the arguments, in which ranks must agree at every step.
     """
 
     def __init__(
@@ -113,7 +112,7 @@ class Solid(Term):
         if not isinstance(u, fem.Function):
             raise ValueError(f"u must be a dolfinx.fem.Function (the displacement), not {type(u)}.")
         # before anything that ranks do together
-        self.changing = check_same_on_all_ranks(
+        changing = check_same_on_all_ranks(
             u.function_space.mesh.comm,
             u=u,
             materials=materials,
@@ -123,7 +122,7 @@ class Solid(Term):
             eigenstrain=eigenstrain,
             volumetric=volumetric,
         )
-        self.constants = find_constants([materials, eigenstrain])
+        self.inputs = Inputs(changing, find_constants([materials, eigenstrain]))
         check_real("u", u)
         check_space(u.function_space, "u")
         self.u = u
