@@ -22,20 +22,21 @@ RANKS = "DOLFINX_MORTAR_TEST_RANKS"
 # stand on what has run by default, or solve many problems: on two, and what pairs in space on
 # three.
 ON_TWO = """
-    agreement arguments audit checkpoint_damage checkpoint_files errors friction_errors jump_errors
-    mesh_audit msh problem progress regions results summary tags terms written_results
+    agreement arguments checkpoint_files errors friction_errors mesh_audit msh problem progress
+    regions results summary tags terms written_results
 """.split()
 SLOW_ON_TWO = """
-    axisymmetric_contact axisymmetric_patch axisymmetry certificate checkpoint checkpoint_errors
-    curvature_jumps demo_meshes edges eigenstrain failures jump kinematics law_contact linear
-    linearisation loads locking looks_change_nothing margin measure newton orthotropic output
-    output_resume parameters passing patch_3d plane_stress plotting pointwise preload
-    preload_direction preload_several qp_descent ramp reaction resolution small_strain smooth_3d
-    smooth_contact smooth_second smooth_tie solid solid_state stand_off stress_laws sweep tie_reach
-    tying undone user_laws volumetric
+    audit axisymmetric_contact axisymmetric_patch axisymmetry certificate checkpoint
+    checkpoint_damage checkpoint_errors curvature_jumps demo_meshes edges eigenstrain failures
+    jump jump_errors kinematics law_contact linear linearisation loads locking
+    looks_change_nothing margin measure newton orthotropic output output_resume parameters passing
+    patch_3d plane_stress plotting pointwise preload preload_direction preload_several qp_descent
+    ramp reaction resolution small_strain smooth_3d smooth_contact smooth_second smooth_tie solid
+    solid_state stand_off stress_laws sweep tie_reach tying undone user_laws volumetric
 """.split()
 SLOW_ON_THREE = """
-    friction_state mortar_3d near own_interface pretension preload_restart stack
+    friction_path friction_state load_steps mortar_3d near numbers_of_steps own_interface
+    plotting_space preload_restart pretension skins stack
 """.split()
 QUICK = "mpi and not slow and not serial"
 SLOW = "mpi and not nightly and not serial"
