@@ -25,9 +25,9 @@ from tests import (
 
 ROOT = Path(__file__).resolve().parent.parent
 NUMBERS = [
-    "BLUR", "EPS", "FACING", "FEW_PAIRS", "HALF_OF_DIGITS", "JUMP", "LEAST_COVERAGE", "LEAST_WEIGHT",
-    "OPEN", "PROJECTIONS", "ROUND_OFF", "STAYS", "THROUGH", "TINY", "VERTICES", "area._ACCURACY",
-    "area._HIGHEST", "operators._CHUNK", "parts._STEPS",
+    "BLUR", "EPS", "FACING", "FEW_PAIRS", "HALF_OF_DIGITS", "JUMP", "LEAST_COVERAGE",
+    "LEAST_WEIGHT", "OPEN", "PROJECTIONS", "ROUND_OFF", "STAYS", "THROUGH", "TINY", "VERTICES",
+    "area._ACCURACY", "area._HIGHEST", "operators._CHUNK", "parts._STEPS",
     "segments._SLIDING", "surface._MOST_WARPED",
 ]  # fmt: skip
 # Numbers that its cases do not reach: absurd values, and tests that fail with them. LEAST_WEIGHT is
