@@ -9,10 +9,10 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from programs import from_arrays, gathered, membrane
-from scipy.linalg import cholesky
+from scipy.linalg import LinAlgError, cholesky
 
 from dolfinx_mortar.qp import LinearSolver, QPNotSolved, condensed, solve
-from dolfinx_mortar.qp.condensed import SchurModel, half_laplacian, on_root
+from dolfinx_mortar.qp.condensed import SchurModel, half_laplacian, on_root, solve_dense
 from dolfinx_mortar.qp.linear import LinearSolveFailed
 from dolfinx_mortar.qp.schur import set_apart
 
@@ -211,3 +211,14 @@ def test_other_bounds_have_another_complement() -> None:
         again = solve(other, linear=linear)
         np.testing.assert_allclose(again.x.array_r, alone.x.array_r, atol=1e-12)
         assert (again.active == alone.active).all()
+
+
+def test_a_body_that_contact_alone_holds_has_a_singular_model(rng):
+    """Round-off leaves a pivot that may be positive; the answer would be any number."""
+    none, far = np.zeros(6, dtype=np.int8), np.full(6, 9.0)
+    for _ in range(20):
+        weights = np.triu(rng.random((6, 6)), 1)
+        weights += weights.T
+        laplacian = np.diag(weights.sum(axis=1)) - weights
+        with pytest.raises(LinAlgError):
+            solve_dense(laplacian, rng.random(6), -far, far, none)

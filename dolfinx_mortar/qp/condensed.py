@@ -41,7 +41,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, eigh
 from scipy.sparse import csr_array
 
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, ROUND_OFF, Actives, Floats, Ints
+from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, ROUND_OFF, Actives, Floats, Ints
 from dolfinx_mortar.qp.bound_qp import Bounded, BoundQP
 from dolfinx_mortar.qp.held import SHARE
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
@@ -246,11 +246,20 @@ def solve_dense(
 
 
 def _with_active(M: Floats, b: Floats, bound: Floats, active: Actives) -> tuple[Floats, Floats]:
-    """Return d with its active entries at the bound, and z = b - M d, exactly 0 at free ones."""
+    """Return d with its active entries at the bound, and z = b - M d, exactly 0 at free ones.
+
+    Raises:
+        LinAlgError: if M is singular on the free entries: a pivot is no more than its round-off,
+            which for a Cholesky factorisation of order k is k EPS M_jj.
+    """
     free = active == 0
     d = np.where(free, 0.0, bound)
     if free.any():
-        d[free] = cho_solve(cho_factor(M[np.ix_(free, free)]), (b - M @ d)[free])
+        part = M[np.ix_(free, free)]
+        factor = cho_factor(part)
+        if (np.diag(factor[0]) ** 2 <= len(part) * EPS * np.diag(part)).any():
+            raise LinAlgError("M is singular: contact alone holds a body")
+        d[free] = cho_solve(factor, (b - M @ d)[free])
     z = b - M @ d
     z[free] = 0.0
     return d, z
