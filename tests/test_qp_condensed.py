@@ -222,3 +222,6 @@ def test_a_body_that_contact_alone_holds_has_a_singular_model(rng):
         laplacian = np.diag(weights.sum(axis=1)) - weights
         with pytest.raises(LinAlgError):
             solve_dense(laplacian, rng.random(6), -far, far, none)
+    held, upper = np.ones(2, dtype=np.int8), np.zeros(2)
+    with pytest.raises(LinAlgError):  # also where all bounds hold
+        solve_dense(np.diag([1.0, -1e-14]), np.ones(2), np.full(2, -np.inf), upper, held)

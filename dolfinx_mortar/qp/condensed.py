@@ -233,6 +233,8 @@ def solve_dense(
     >>> d.tolist(), active.tolist()
     ([0.25, 0.5], [1, 0])
     """
+    if not (np.diag(M) > 0.0).all():  # it scales distances, infinite ones, too
+        raise LinAlgError("M is not positive definite")
 
     def hold(active: Actives, level: int) -> Found[Actives]:
         d, z = _with_active(M, b, np.where(active > 0, upper, lower), active)
