@@ -20,8 +20,9 @@ from petsc4py import PETSc
 import numpy as np
 
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
+from dolfinx.mesh import CellType, Mesh, MeshTags
 from dolfinx_mortar.agreement import Inputs, check_same_on_all_ranks, find_constants
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arguments import is_integer
@@ -69,7 +70,7 @@ class Solid(Term):
         self,
         u: fem.Function,
         materials: Material | Mapping[int | str, Material],
-        cell_tags: mesh.MeshTags | None = None,
+        cell_tags: MeshTags | None = None,
         *,
         quadrature_degree: int | None = None,
         kinematics: str | Kinematics | None = None,
@@ -164,7 +165,7 @@ class Solid(Term):
         return self.u.function_space
 
     @property
-    def mesh(self) -> mesh.Mesh:
+    def mesh(self) -> Mesh:
         """The mesh of all bodies."""
         return self.V.mesh
 
@@ -392,5 +393,5 @@ def _degree(V: fem.FunctionSpace, given: int | None) -> int:
             )
         return int(given)
     p = V.element.basix_element.degree
-    simplex = V.mesh.topology.cell_type in (mesh.CellType.triangle, mesh.CellType.tetrahedron)
+    simplex = V.mesh.topology.cell_type in (CellType.triangle, CellType.tetrahedron)
     return max(2 * (p - 1), 1) if simplex else 2 * p
