@@ -158,7 +158,7 @@ def test_bad_places_are_named(x):
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
 def test_loops_close_up_to_round_off(factor, monkeypatch):
-    """To and fro between the same forces, as sums have them; a per mille more is refused."""
+    """Back and forth between the same forces, as sums have them; a per mille more is refused."""
     monkeypatch.setattr(cattaneo, "ROUND_OFF", factor * cattaneo.ROUND_OFF)
     Q = 0.3 * LIMIT
     expected = analytic.cattaneo_line(CONTACT, MU, [Q, -Q, Q]).dissipation
