@@ -145,35 +145,81 @@ def powerless(monkeypatch):
     monkeypatch.setitem(MULTIGRID, "ksp_max_it", 1)
 
 
+def ramped(**options):
+    """The ball in two levels: the problem, the contact, and the levels' arguments."""
+    problem, contact = create_problem(depth=0.0, **options)
+    flat = problem.bcs[5].g.value
+    return problem, contact, {"on_time": lambda level: np.copyto(flat, -0.2 * level)}
+
+
 @pytest.mark.usefixtures("powerless")
-def test_a_factorisation_finishes_what_multigrid_cannot(solved):
-    """The step is made again, the report says so, and the next steps are factorised at once."""
-    problem, contact = create_problem()
-    report = dm.newton(problem)
-    assert "mumps" in report.linear_solver
-    (note,) = (note for note in report.notes if "factorised" in note)
-    assert note.startswith("cg + gamg gave no solution")
+def test_newton_names_the_remedy_and_tries_no_other_solver(solved):
+    problem, _ = create_problem()
+    with pytest.raises(dm.NewtonNotConverged, match="choose a factorisation") as caught:
+        dm.newton(problem)
+    assert "gamg" in caught.value.report.linear_solver and not problem.linear.direct
+    assert np.abs(problem.u.x.array).max(initial=0.0) == 0.0
+    remedy = {"pc_type": "cholesky"}
+    assert f"petsc_options={remedy}" in caught.value.message
+    problem, contact = create_problem(petsc_options=remedy)
+    assert "mumps" in dm.newton(problem).linear_solver
     assert contact.force == pytest.approx(solved[1].force, rel=1e-6, abs=1e-5)
-    problem.commit()
-    again = dm.newton(problem)
-    assert "mumps" in again.linear_solver and not again.notes
+
+
+def test_load_steps_factorise_what_multigrid_cannot(solved, monkeypatch, caplog):
+    """The step is made again and says so, the next factorise at once; then all is as before."""
+    problem, contact, levels = ramped()
+    tried, solve = [], dm.qp.solve
+
+    def watched(qp, backend, linear, **options):
+        tried.append("direct" if linear.direct else "iterative")
+        return solve(qp, backend, linear, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(dm.qp, "solve", watched)
+        patch.setitem(MULTIGRID, "ksp_max_it", 1)
+        steps = list(dm.load_steps(problem, [0.5, 1.0], **levels))
+    assert tried.count("iterative") == 1 and tried[0] == "iterative"  # not once for each step
+    assert all("mumps" in step.report.linear_solver for step in steps)
+    assert [step.report.cuts for step in steps] == [0, 0]
+    first, second = (step.report.notes for step in steps)
+    (note,) = (note for note in first if "factorised" in note)
+    assert note.startswith("cg + gamg gave no solution")
+    assert not any("factorised" in note for note in second)
+    assert COMM.rank > 0 or "trying a factorisation" in caplog.text
+    assert contact.force == pytest.approx(solved[1].force, rel=1e-6, abs=1e-5)
+    assert not problem.linear.direct  # the problem has the solver of its options
+    assert "gamg" in dm.newton(problem).linear_solver
+
+
+@pytest.mark.usefixtures("powerless")
+def test_factorised_steps_are_those_of_a_problem_that_factorises():
+    """No digit depends on how the factorisation was chosen."""
+    forces = []
+    for options in ({}, {"pc_type": "cholesky"}):
+        problem, contact, levels = ramped(petsc_options=options)
+        list(dm.load_steps(problem, [0.5, 1.0], **levels))
+        forces.append((problem.u.x.array.copy(), contact.force))
+    assert np.array_equal(forces[0][0], forces[1][0])
+    assert np.array_equal(forces[0][1], forces[1][1])
 
 
 @pytest.mark.parametrize("options", [{"pc_type": "gamg"}, {"ksp_max_it": 1}])
 @pytest.mark.usefixtures("powerless")
 def test_the_linear_solver_of_the_user_stays(options):
-    problem, _ = create_problem(petsc_options=options)
-    with pytest.raises(dm.NewtonNotConverged, match="choose a direct solver"):
-        dm.newton(problem)
-    assert not problem.linear.direct
+    problem, _, levels = ramped(petsc_options=options)
+    with pytest.raises(dm.NewtonNotConverged, match="choose a factorisation") as caught:
+        list(dm.load_steps(problem, [1.0], max_cuts=0, **levels))
+    assert "gamg" in caught.value.report.linear_solver
 
 
 @pytest.mark.usefixtures("powerless")
 def test_a_large_matrix_is_not_factorised(monkeypatch):
-    problem, _ = create_problem()
+    problem, _, levels = ramped()
     monkeypatch.setattr("dolfinx_mortar.qp.linear.MOST_FACTORISED", 100)
-    with pytest.raises(dm.NewtonNotConverged, match="choose a direct solver"):
-        dm.newton(problem)
+    with pytest.raises(dm.NewtonNotConverged, match="choose a factorisation") as caught:
+        list(dm.load_steps(problem, [1.0], max_cuts=0, **levels))
+    assert "gamg" in caught.value.report.linear_solver
 
 
 def test_multigrid_stays_where_a_factorisation_fails_too(monkeypatch):
@@ -181,18 +227,17 @@ def test_multigrid_stays_where_a_factorisation_fails_too(monkeypatch):
     asked, solve = [], dm.qp.solve
 
     def refuse(qp, backend, linear, **options):
-        solve(qp, backend, linear, **options)
         asked.append(linear.direct)
+        if len(asked) > 2:
+            return solve(qp, backend, linear, **options)
+        solve(qp, backend, linear, **options)
         raise dm.qp.QPNotSolved("no solution")
 
-    problem, _ = create_problem()
-    with monkeypatch.context() as patch:
-        patch.setattr(dm.qp, "solve", refuse)
-        with pytest.raises(dm.NewtonNotConverged, match="no solution"):
-            dm.newton(problem)
-    assert asked == [False, True]
-    assert not problem.linear.direct
-    assert "gamg" in dm.newton(problem).linear_solver
+    problem, _, levels = ramped()
+    monkeypatch.setattr(dm.qp, "solve", refuse)
+    (step,) = dm.load_steps(problem, [1.0], **levels)
+    assert asked[:2] == [False, True] and not any(asked[2:])
+    assert step.report.cuts == 1 and "gamg" in step.report.linear_solver
 
 
 @pytest.mark.slow

@@ -138,9 +138,14 @@ class Transformation:
             pretension.lower(u)
         return u
 
+    @property
+    def formed(self) -> bool:
+        """Whether T^T K T has been formed."""
+        return bool(self._congruences)
+
     def transform(self, K: PETSc.Mat) -> PETSc.Mat:
         """Return T^T K T, refilled in place from the second call on; collective."""
-        fresh = not self._congruences
+        fresh = not self.formed
         for k, factor in enumerate(self.factors):
             if fresh:
                 self._congruences.append(Congruence(K, factor.C))

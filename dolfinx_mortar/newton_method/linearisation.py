@@ -22,7 +22,7 @@ from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, equal
 from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.problem.step_data import StepData
-from dolfinx_mortar.qp import BoundQP, Friction, QPSolution
+from dolfinx_mortar.qp import BoundQP, Friction, LinearSolver, QPSolution
 
 
 @dataclass(frozen=True)
@@ -97,20 +97,29 @@ def support_slots(problem: ContactProblem) -> tuple[Ints, Ints]:
     return problem.d * node + component, slots
 
 
-def linearise(problem: ContactProblem, balance: Balance, *, tangent: bool = True) -> Linearisation:
+def linearise(
+    problem: ContactProblem,
+    balance: Balance,
+    *,
+    tangent: bool = True,
+    linear: LinearSolver | None = None,
+) -> Linearisation:
     """Assemble min 1/2 dy.K^ dy - r^.dy with its bounds at the present u; collective.
 
     Args:
         problem: the problem, in the geometry of the balance.
         balance: forces and constraints.
         tangent: assemble K anew; a linear law needs it once.
+        linear: linear solver of the QP; that of the problem by default.
     """
-    T = problem.system.transformation
-    formed = problem.linear.direct  # a factorisation needs the matrix, an iteration its products
+    T, linear = problem.system.transformation, linear or problem.linear
+    formed = linear.direct  # a factorisation needs the matrix, an iteration its products
     spoilt = formed and T is None  # by the elimination, then in K itself
     if tangent or spoilt or not problem.K.isAssembled():
         with problem.timings("assembly"):
             problem.terms.assemble_tangent(problem.K)
+    if formed and T is not None and not T.formed:
+        linear.clear()  # before the new product needs the memory
     with problem.timings("transform"):
         A, b, diagonal = (_form if formed else _follow)(problem, balance)
         lower, upper = problem.vector(), problem.vector()

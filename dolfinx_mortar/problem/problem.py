@@ -68,7 +68,7 @@ class ContactProblem:
         petsc_options_prefix: prefix of the linear solver's PETSc options.
         petsc_options: options of the linear solver, without the prefix. The report lists keys
             without effect; ``report.linear_solver`` is the method in use. Unless one is given here,
-            multigrid that fails in 3D is replaced by a factorisation.
+            `load_steps` replaces multigrid that fails in 3D by a factorisation.
 
     Raises:
         ValueError: for invalid arguments, on all ranks, with the remedy.
@@ -279,8 +279,6 @@ class ContactProblem:
                 partners=partners or found.partners(self._committed_positions()),
             )
         self._enter(found, data.increment)
-        if self.linear.direct and not self.terms.linear:
-            self.linear.forget()  # a step that was tried has left another factorisation
         if audit:
             audited = self._audit(data.increment)
             if self.comm.rank == 0:
@@ -420,13 +418,13 @@ class ContactProblem:
         at, x = self.configuration, self.positions()
         with self.timings("mortar"):
             if self.system.follow(at, x, everywhere=everywhere):
-                self.linear.clear()  # before the new product needs the memory
+                self.linear.clear()  # multigrid levels belong to a T
 
     def _enter(self, found: Configuration, increment: float) -> None:
         """Make a configuration at u the present one; collective."""
         with self.timings("mortar"):
             if self.system.enter(found, self.positions(), increment):
-                self.linear.clear()  # before the new product needs the memory
+                self.linear.clear()  # multigrid levels belong to a T
 
     def positions(self) -> PETSc.Vec:
         """Return X + u as a vector."""

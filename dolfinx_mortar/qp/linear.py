@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Linear systems with held unknowns, and the reuse of factorisations among them."""
 
+from __future__ import annotations
+
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -111,25 +113,29 @@ class LinearSolver:
         """Tell whether the preconditioner is a factorisation."""
         return self.options.direct
 
-    def factorise_instead(self) -> bool:
-        """Factorise from now on; collective.
+    def factorising(self) -> LinearSolver | None:
+        """Return a solver that factorises instead, and free the matrices of this one; collective.
 
         Returns:
-            False, without a change, if the solver is direct, if the user has chosen it, or if the
-            matrix is too large.
+            None if the solver is direct, if the user has chosen it, or if the matrix is too large.
         """
         if self.direct or self.options.chosen or self._setup is None:
-            return False
+            return None
         if self._operator.A.getSize()[0] > MOST_FACTORISED:
-            return False
+            return None
         self.clear()
-        self.options = SolverOptions(self.options.prefix, self.options.given)
-        return True
+        prefix, given = self.options.prefix, self.options.given
+        return LinearSolver(self._comm, prefix=prefix, options=given)
 
-    def return_to_multigrid(self) -> None:
-        """Return from factorisations to multigrid; collective."""
-        self.clear()
-        self.options = SolverOptions(self.options.prefix, self.options.given, multigrid=True)
+    @property
+    def remedy(self) -> str:
+        """What a user may do if an iteration gives no solution; empty for a factorisation."""
+        if self.direct:
+            return ""
+        return (
+            " Otherwise choose a factorisation, petsc_options={'pc_type': 'cholesky'}, or a better "
+            "preconditioner."
+        )
 
     def set_matrix(self, A: PETSc.Mat, *, definite: bool = True, apart: Ints | None = None) -> None:
         """Set the matrix of the next solves (collective).
@@ -340,16 +346,12 @@ class LinearSolver:
             cause = f"its round-off {round_off:.1e} is near the forces {force:.1e}"
         else:
             cause = f"the residual is {norm:.1e}, not {tolerance:.1e}"
-        remedy = ""
         if not self.direct:
             cause += f" after {iterations} iterations"
-            remedy = (
-                " Otherwise choose a direct solver (pc_type cholesky) or a better preconditioner."
-            )
         raise LinearSolveFailed(
             f"The linear solver, {self.description}, gave no solution: {cause} (PETSc reason "
             f"{self._ksp.getConvergedReason()}). A solution with large round-off comes from a "
-            f"singular matrix: a body is held by nothing.{remedy}"
+            f"singular matrix: a body is held by nothing.{self.remedy}"
         )
 
 

@@ -116,7 +116,7 @@ def solve(
     if not solution.kkt.satisfied(rtol):
         raise QPNotSolved(
             f"The solution of the backend {backend!r} fails the check at rtol={rtol:g}: "
-            f"{solution.kkt}. {solution.note}",
+            f"{solution.kkt}. {solution.note}{linear.remedy}",
             solution,
         )
     return solution

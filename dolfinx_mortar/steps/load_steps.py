@@ -10,7 +10,6 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from mpi4py import MPI
 
@@ -28,6 +27,7 @@ from dolfinx_mortar.persistence.committed import Walk
 from dolfinx_mortar.persistence.restoring import Saved, read
 from dolfinx_mortar.problem.checks import check_every, check_load_steps, check_problem
 from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.qp import LinearSolver, QPNotSolved
 from dolfinx_mortar.report.reaction import reactions
 from dolfinx_mortar.step_report import LoadStep, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.newton import solve_step
@@ -79,6 +79,51 @@ class Loading:
 
 
 @dataclass
+class Solves:
+    """How the steps of a walk are solved; with factorisations from where multigrid has failed."""
+
+    problem: ContactProblem
+    qp: str
+    rtol: float
+    max_it: int
+    factorising: LinearSolver | None = None  # in place of the problem's
+
+    def to(self, level: Level) -> StepReport:
+        """Solve a step to a level, if multigrid fails with a factorisation; collective.
+
+        If that fails as well, the next steps try multigrid again: the step was too large, or
+        nothing holds a body.
+        """
+        try:
+            return self._solve(level, self.factorising)
+        except NewtonNotConverged as error:
+            failed, given_up = isinstance(error.__cause__, QPNotSolved), error.report.linear_solver
+            factorising = self.problem.linear.factorising() if failed else None
+            if factorising is None:
+                raise
+        if self.problem.comm.rank == 0:
+            log.warning("%s gave no solution at %g, trying a factorisation", given_up, level.time)
+        report = self._solve(level, factorising)
+        self.factorising = factorising
+        report.notes.append(
+            f"{given_up} gave no solution: this step and the next ones of these load steps are "
+            "factorised (petsc_options={'pc_type': 'cholesky'} does so from the start)"
+        )
+        return report
+
+    def _solve(self, level: Level, linear: LinearSolver | None) -> StepReport:
+        return solve_step(
+            self.problem,
+            qp=self.qp,
+            rtol=self.rtol,
+            max_it=self.max_it,
+            overlap=level.overlap,
+            level=level.time,
+            linear=linear,
+        )
+
+
+@dataclass
 class Checkpoint:
     """The file of a run, written when the committed state is new."""
 
@@ -125,7 +170,9 @@ def load_steps(
 
     A step that does not converge is halved, up to ``max_cuts`` times, and its parts are committed
     (they are part of the solution, as plasticity depends on the load path). An overlap of the sides
-    at the start of such a step is removed in the same parts.
+    at the start of such a step is removed in the same parts. If multigrid gives no solution, the
+    step is repeated with a factorisation, and all later steps are factorised (unless
+    ``petsc_options`` choose a method, or beyond 200 000 unknowns); a note says so.
 
     Args:
         problem: the bodies and their constraints.
@@ -180,7 +227,7 @@ def load_steps(
         raise ValueError(f"on_time is {on_time!r}: give a function of the load level, or None")
     file = check_every(problem.comm, checkpoint, every)
     most = max_cuts if cuts == "halve" else 0
-    options = {"qp": qp, "rtol": rtol, "max_it": max_it}
+    solves = Solves(problem, qp, rtol, max_it)
     committed = problem.committed
     begin = committed.level if start is None else float(start)
     check_range(loading.ramps, [begin, *levels])
@@ -193,7 +240,7 @@ def load_steps(
     idle = _idle(problem, loading)
     tell = lines(problem.comm, False if progress is None and len(levels) == 1 else progress)
     for number, time in enumerate(levels[done:], start=done + 1):
-        parts = _walk(problem, number, time, loading, most, options, written)
+        parts = _walk(solves, number, time, loading, most, written)
         parts[-1].notes += idle if number == done + 1 else []
         supports = [one.as_dict() for one in reactions(problem)]
         forces = [list(map(float, interface.force)) for interface in problem.interfaces]
@@ -285,15 +332,10 @@ def _check_tables(ramps: Sequence[Ramp], saved: Saved, file: Path) -> None:
 
 
 def _walk(
-    problem: ContactProblem,
-    number: int,
-    time: float,
-    loading: Loading,
-    most: int,
-    options: dict[str, Any],
-    written: Checkpoint,
+    solves: Solves, number: int, time: float, loading: Loading, most: int, written: Checkpoint
 ) -> list[StepReport]:
     """Step to a level, in parts if that fails; return the reports of the parts; collective."""
+    problem = solves.problem
     parts: list[StepReport] = []
     reached, pending = Level(problem.committed.level, share=0.0), [Level(time)]
     failures = 0
@@ -302,11 +344,11 @@ def _walk(
         loading.set(problem, level.time)
         written.check_alone()
         try:
-            report = solve_step(problem, overlap=level.overlap, level=level.time, **options)
+            report = solves.to(level)
         except NewtonNotConverged as error:
             failures += 1
             if not parts:
-                overlap = find_overlap(problem, options["rtol"])
+                overlap = find_overlap(problem, solves.rtol)
                 reached = replace(reached, overlap=overlap)
             way = level.time != reached.time and loading.changes
             if level.cuts(reached) >= most or not (way or level.overlap != reached.overlap):

@@ -59,7 +59,7 @@ from dolfinx_mortar.problem.checks import check_controls, check_problem
 from dolfinx_mortar.problem.jumps import TooFar, tighten
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.problem.step_data import StepData
-from dolfinx_mortar.qp import QPSolution
+from dolfinx_mortar.qp import LinearSolver, QPSolution
 from dolfinx_mortar.report.certificate import create_certificate
 from dolfinx_mortar.report.interface_results import set_results
 from dolfinx_mortar.report.notes import StepEnd, find_notes
@@ -116,37 +116,48 @@ def solve_step(
     overlap: float = 0.0,
     level: float | None = None,
     audit: bool = True,
+    linear: LinearSolver | None = None,
 ) -> StepReport:
-    """Solve one load step, with an initial overlap that later steps remove; see `newton`.
+    """Solve one load step; see `newton`.
 
-    The first step begins with an audit unless its caller has made one.
-
-    If multigrid fails, the step is repeated with factorisations, which later steps then use, too;
-    if they fail as well, multigrid remains.
+    Args:
+        problem: as in `newton`.
+        qp: as in `newton`.
+        rtol: as in `newton`.
+        max_it: as in `newton`.
+        overlap: depth by which the sides may still overlap at the end, if they do at the start.
+        level: as in `newton`.
+        audit: whether the first step of the problem begins with an audit.
+        linear: linear solver of the step; that of the problem by default.
     """
     problem.check_ranks(qp=qp, rtol=rtol, max_it=max_it, level=level)
     check_controls(qp, rtol, max_it)
-    given_up = ""
-    while True:
-        report = StepReport(backend=qp, geometry=problem.geometry, rtol=rtol)
-        if overlap > 0.0:
-            report.notes.append(f"an initial overlap of {overlap:.3g} remains in this part")
-        try:
-            _attempt(problem, report, max_it, overlap, level, audit)
-        except NewtonNotConverged as error:
-            if given_up:
-                problem.linear.return_to_multigrid()
+    report = StepReport(backend=qp, geometry=problem.geometry, rtol=rtol)
+    if overlap > 0.0:
+        report.notes.append(f"an initial overlap of {overlap:.3g} remains in this part")
+    linear = linear or problem.linear
+    before, earlier = Before(problem), dict(problem.timings.seconds)
+    try:
+        with problem.timings("total"):
+            try:
+                data = problem.begin_step(level, audit=audit)
+                _Step(problem, report, data, overlap, linear).run(max_it)
+            except (failures.StepFailed, backends.QPNotSolved, backends.UnusableQP) as error:
+                reached = problem.u.x.array.copy()
+                before.restore()
+                raise failures.explain(problem, report, error, reached) from error
+            except BaseException:  # perhaps of this rank only: no communication
+                before.restore()
                 raise
-            by_solver = isinstance(error.__cause__, backends.QPNotSolved)
-            if not (by_solver and problem.linear.factorise_instead()):
-                raise
-            given_up = report.linear_solver
-            continue
-        if given_up:
+    finally:
+        report.seconds = problem.timings.since(earlier)
+        report.linear_solver = linear.description
+        if report.converged and (unread := linear.options.unread()):
             report.notes.append(
-                f"{given_up} gave no solution: this step and the next ones are factorised"
+                f"petsc_options without effect: {', '.join(unread)}; misspelt, or of no use here"
             )
-        return report
+        report.notes += [note for note in problem.system.notes if note not in report.notes]
+    return report
 
 
 class Before:
@@ -169,38 +180,6 @@ class Before:
             interface.put_back(kept)
 
 
-def _attempt(
-    problem: ContactProblem,
-    report: StepReport,
-    max_it: int,
-    overlap: float,
-    level: float | None,
-    audit: bool,
-) -> None:
-    """Make a step and complete its report; if it fails, undo it first, then find the cause."""
-    before, earlier = Before(problem), dict(problem.timings.seconds)
-    try:
-        with problem.timings("total"):
-            try:
-                data = problem.begin_step(level, audit=audit)
-                _Step(problem, report, data, overlap).run(max_it)
-            except (failures.StepFailed, backends.QPNotSolved, backends.UnusableQP) as error:
-                reached = problem.u.x.array.copy()
-                before.restore()
-                raise failures.explain(problem, report, error, reached) from error
-            except BaseException:  # perhaps of this rank only: no communication
-                before.restore()
-                raise
-    finally:
-        report.seconds = problem.timings.since(earlier)
-        report.linear_solver = problem.linear.description
-        if report.converged and (unread := problem.linear.options.unread()):
-            report.notes.append(
-                f"petsc_options without effect: {', '.join(unread)}; misspelt, or of no use here"
-            )
-        report.notes += [note for note in problem.system.notes if note not in report.notes]
-
-
 @dataclass(frozen=True)
 class Iterate:
     """Data of an iterate for the next iteration."""
@@ -219,10 +198,17 @@ class _Step:
     """One load step in progress."""
 
     def __init__(
-        self, problem: ContactProblem, report: StepReport, data: StepData, overlap: float
+        self,
+        problem: ContactProblem,
+        report: StepReport,
+        data: StepData,
+        overlap: float,
+        solver: LinearSolver,
     ) -> None:
         self.problem, self.report, self.data, self.overlap = problem, report, data, overlap
-        self.linear = problem.terms.linear
+        self.linear, self.solver = problem.terms.linear, solver
+        if solver.direct and not self.linear:
+            solver.forget()  # a step that was tried has left another factorisation
         self.direction = fem.Function(problem.V)  # du, for its norm
 
     def run(self, max_it: int) -> None:
@@ -279,7 +265,7 @@ class _Step:
         problem, report = self.problem, self.report
         free_unused(problem.comm)
         tangent = not self.linear or (number == 1 and problem.terms.varying)  # by parameters
-        lin = linearise(problem, old.balance, tangent=tangent)
+        lin = linearise(problem, old.balance, tangent=tangent, linear=self.solver)
         scales = old.scales
         if number == 1:
             lifted = problem.vector(self.data.asked)
@@ -338,7 +324,7 @@ class _Step:
             return tightest(self.report.rtol)  # one QP is the whole step
         # where only the geometry changes, the factorisation is that of the first QP: 2 to 4 of 12
         # to 18 solves are saved by not asking it for more digits
-        new = self.problem.linear.direct and not (self.linear and residuals)
+        new = self.solver.direct and not (self.linear and residuals)
         kind = "direct" if new else "iterative"
         return next_tolerance(kind, self.report.rtol, lin.qp.b.norm(), residuals)
 
@@ -348,7 +334,7 @@ class _Step:
             solved = backends.solve(
                 lin.qp,
                 self.report.backend,
-                self.problem.linear,
+                self.solver,
                 start_active=start,
                 start_sliding=old.contacts.directions(old.balance.limits),
                 # a linear law has its set after the first QP: geometries change it hardly
