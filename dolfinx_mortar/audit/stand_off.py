@@ -56,11 +56,6 @@ Find = Callable[
 ]
 
 
-def _is_of_facets(link: Link) -> bool:
-    """Tell whether a contact is one between facets that can stand off curved surfaces."""
-    return bool(link.pairing) and not (link.interface.smooth or link.sides.slave.curved)
-
-
 def _means(link: Link, u: fem.Function | None, find: Find) -> Floats:
     """Return the means (n,) at the slave nodes of what smooth sides have at points; collective."""
     (pairing, operators), sides = link.mortar, link.sides
