@@ -93,7 +93,7 @@ def _solve_frictional(
     if not outcome.reason:
         return replace(problem.solution(outcome, "active-set"), linearisation=EXACT)
     try:
-        found = _solve_given(problem, problem.best or State.holding(qp))
+        found = _solve_given(problem, problem.best.state if problem.best else State.holding(qp))
     except LinearSolveFailed:
         found = None
     if found is None:
@@ -137,7 +137,7 @@ def _update_frictional(problem: HeldProblem, start: State, level: int) -> Outcom
             outcome = update(hold, first, problem.qp.comm, level=level)
             if not outcome.reason or law.plane:
                 return outcome
-            first = problem.best or start
+            first = problem.best.state if problem.best else start
         except LinearSolveFailed as error:
             reason = f"an active set could not be solved ({error})"
             outcome, first = Outcome(first, 0, reason), State.holding(problem.qp)

@@ -104,7 +104,7 @@ class _Descent:
         problem.solve(start, level)
         self.x = problem.x.copy()
         bounded = self.qp.bounded
-        self.x.array[bounded] = np.clip(self.x.array_r[bounded], problem.lower, problem.upper)
+        self.x.array[bounded] = np.clip(self.x.array_r[bounded], *problem.bounds)
         slip = self.slip(self.x)
         turned = start.slips(self.law) & (slip != 0.0)
         sides = np.where(turned, np.sign(slip), start.directions[:, 0])
@@ -138,7 +138,8 @@ class _Descent:
         step, turns = d.array_r[bounded], self.law.pick(d.array_r)[:, 0]
         if -slope <= atol * d.norm():  # within the round-off of the forces
             return False
-        side = np.where(step > 0.0, problem.upper, problem.lower)
+        lower, upper = problem.bounds
+        side = np.where(step > 0.0, upper, lower)
         distance = np.where(state.active == 0, side - self.x.array_r[bounded], np.inf)
         bounds = np.divide(distance, step, out=np.full_like(step, np.inf), where=step != 0.0)
         against = state.slips(self.law) & (state.directions[:, 0] * turns < 0.0)

@@ -7,7 +7,7 @@ reaction of the law takes the place of 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from petsc4py import PETSc
 
@@ -85,6 +85,14 @@ class State:
         return State(np.where(active, new.active, self.active), directions, stiffness)
 
 
+@dataclass(frozen=True)
+class Best:
+    """The state with the least error in the law of friction so far."""
+
+    state: State
+    error: float  # a force
+
+
 class HeldProblem:
     """The QP with a given active set, for `updates.update`.
 
@@ -103,12 +111,11 @@ class HeldProblem:
     def __init__(self, qp: BoundQP, linear: LinearSolver, x: PETSc.Vec, rtol: float) -> None:
         """Calculate the forces of the guess."""
         self.qp, self.linear, self.x, self.rtol = qp, linear, x, rtol
-        self.lower, self.upper = qp.bounds()
+        self.bounds = qp.bounds()
         self.z = reaction(qp, x)
         self.b_norm, self.guessed = qp.b.norm(), self.z.norm()
         self.reactions: float | None = None  # at the bounds; unknown before the first solve
-        self.best: State | None = None  # the one with the least error in the law of friction
-        self.least = np.inf  # that error, a force
+        self.best: Best | None = None
         self.level = LOOSE  # of the last solve
         self._checked: tuple[PETSc.Vec, KKT] | None = None  # z of the last check, its residuals
 
@@ -129,7 +136,7 @@ class HeldProblem:
             LinearSolveFailed: if the state leaves a body unconstrained.
         """
         if level > self.level:  # smaller errors become visible
-            self.level, self.least = level, np.inf
+            self.level, self.best = level, self.best and replace(self.best, error=np.inf)
         atol = self.solve(state, level)
         law = self.qp.friction
         found = on_bounded(self.qp, self.x, self.z)
@@ -144,8 +151,9 @@ class HeldProblem:
             new = State(new.active, *sliders.directions(state.directions))
             missing = np.where(state.slips(law) != new.slips(law), missing, 0.0)
             tops = maximum(self.qp.comm, strength.max(initial=0.0), missing.max(initial=0.0))
-            if (largest := float(tops.max())) < self.least:
-                self.best, self.least = state, largest
+            largest = float(tops.max())
+            if largest < (self.best.error if self.best else np.inf):
+                self.best = Best(state, largest)
             if worst:
                 new = state.towards(new, strength >= largest, missing >= largest)
         changes = int(self.qp.comm.allreduce(changes))
@@ -153,9 +161,9 @@ class HeldProblem:
 
     def solve(self, state: State, level: int) -> float:
         """Solve in a state; x and z are the solution; return the tolerance (collective)."""
-        active = state.active
+        active, (lower, upper) = state.active, self.bounds
         on = active != 0
-        held, values = self.qp.bounded[on], np.where(active > 0, self.upper, self.lower)[on]
+        held, values = self.qp.bounded[on], np.where(active > 0, upper, lower)[on]
         sliding = None
         if (law := self.qp.friction) is not None:
             stuck = state.sticks(law)
