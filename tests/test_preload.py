@@ -206,6 +206,17 @@ def test_too_few_iterations():
     assert watched.unchanged()
 
 
+def test_a_linear_solver_that_fails_is_named_with_its_remedy():
+    """As `newton` does: only `load_steps` tries another one."""
+    case = Bar("hexahedron")
+    last = case.d - 1
+    bcs = [*case.rollers(), case.hold(BOTTOM, last), case.hold(TOP, last)]
+    problem = case.problem(bcs, petsc_options={"ksp_max_it": 1, "pc_type": "gamg"})
+    with rejected("choose a factorisation", "as before", error=dm.PreloadNotReached):
+        dm.preload(problem, case.tie, 3.0, outwards(case))
+    assert largest(case.u.x.array) == 0.0 and not case.tie.tightening.any()
+
+
 @pytest.mark.mpi
 def test_a_step_that_leads_too_far_is_undone(monkeypatch):
     """The next step starts from the contacts that were closed before: none, the plates gape."""
