@@ -5,7 +5,7 @@ It is renewed as soon as that is cheaper than to continue with it. The decisions
 residuals, not on clocks, so that they are the same on all ranks.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -91,11 +91,28 @@ class Renewal:
 
 
 class SlownessTest:
-    """PETSc convergence test: at the tolerance, or when an old factorisation is too slow."""
+    """PETSc convergence test: at the tolerance, or when an old factorisation is too slow.
 
-    def __init__(self, renewal: Renewal, reduction: float, limit: int, *, stale: bool) -> None:
-        """Set the reduction of the residual and the largest number of iterations."""
+    Args:
+        renewal: what has been observed.
+        reduction: of the residual.
+        limit: largest number of iterations.
+        stale: whether the factorisation is an old one.
+        go_on: returns at the tolerance the reduction with which to go on, 0 to end.
+    """
+
+    def __init__(
+        self,
+        renewal: Renewal,
+        reduction: float,
+        limit: int,
+        *,
+        stale: bool,
+        go_on: Callable[[], float] = lambda: 0.0,
+    ) -> None:
+        """Start without observations."""
         self.renewal, self.reduction, self.limit, self.stale = renewal, reduction, limit, stale
+        self.go_on = go_on
         self.norms: list[float] = []
 
     def __call__(self, ksp: PETSc.KSP, its: int, norm: float) -> int:
@@ -104,9 +121,10 @@ class SlownessTest:
         self.norms.append(norm)
         if not np.isfinite(norm):
             return int(Reason.DIVERGED_NANORINF)
-        wanted = self.reduction * self.norms[0]
-        if norm <= wanted:
-            return int(Reason.CONVERGED_RTOL)
+        while norm <= (wanted := self.reduction * self.norms[0]):
+            self.reduction = self.go_on()
+            if self.reduction == 0.0:
+                return int(Reason.CONVERGED_RTOL)
         if its >= self.limit:
             return int(Reason.DIVERGED_MAX_IT)
         if self.stale and self.renewal.direct and self.renewal.is_slow(self.norms, wanted):
@@ -196,7 +214,7 @@ class Preconditioner:
             with self.options.database(self.options.prefix):
                 data = self.unknowns.preconditioning(held)
                 self.multigrid.renew(data, held, definite=self.operator.definite)
-                self._followed = -1, held
+                self._followed = self.operator.state, held.copy()
             counts.factorisations += 1
         self.held, self._state = held.copy(), self.operator.state
         if self.pc.getFailedReason() == 0:
