@@ -217,7 +217,9 @@ def _split(matrix: PETSc.Mat, marks: Floats) -> tuple[PETSc.Mat, PETSc.Mat]:
     of_columns = _values_at(all_marks, there)[place]
     within = np.abs(of_columns) == np.abs(marks[rows])
     between = ~within & (of_columns > 0.0) & (marks[rows] > 0.0)
-    inside, outside = (_select(matrix, rows[on], columns[on], values[on]) for on in (within, between))
+    inside, outside = (
+        _select(matrix, rows[on], columns[on], values[on]) for on in (within, between)
+    )
     return inside, outside
 
 

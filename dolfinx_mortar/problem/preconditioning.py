@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The matrix of multigrid: the tangent in unknowns without coupling across open contacts."""
 
-from petsc4py import PETSc
-
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
@@ -56,7 +54,9 @@ class UnknownsOfBodies:
     def _parts(self) -> Ints:
         """Return the body (n,) of each owned unknown, where tied bodies are one."""
         label, group = self.bodies.label, self.bodies.group
-        return np.repeat(label if group is None else group[label], self.supports.V.dofmap.index_map_bs)
+        return np.repeat(
+            label if group is None else group[label], self.supports.V.dofmap.index_map_bs
+        )
 
     def change(self, held: Ints) -> Change:
         """Return v for the present geometry, contacts and tangent; collective."""

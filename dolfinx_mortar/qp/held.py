@@ -15,7 +15,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm
-from dolfinx_mortar.arrays import ROUND_OFF, Actives, Bools, Floats
+from dolfinx_mortar.arrays import ROUND_OFF, Actives, Bools, Floats, Ints
 from dolfinx_mortar.qp.bound_qp import (
     KKT,
     BoundQP,

@@ -39,7 +39,7 @@ class LinearSolveFailed(RuntimeError):
     """A linear system could not be solved; the message says why and what to do."""
 
 
-# Asked with a solution x and its b - A x, zero nowhere: the tolerance with which to go on, 0 to end.
+# Asked with a solution x and its b - A x: the tolerance with which to go on, 0 to end.
 GoOn = Callable[[PETSc.Vec, PETSc.Vec], float]
 
 
@@ -315,6 +315,8 @@ class LinearSolver:
                 diverged = self._ksp.getConvergedReason() < 0  # an old set-up may be indefinite
                 if not self.direct and (diverged or not norm < before):
                     self.counts.breakdowns += 1
+                    if norm < before and self.setup.renewal.restarts():
+                        continue
                     if self._comm.rank == 0:
                         log.info("an old preconditioner failed and is set up anew")
                 self.factorise(held)

@@ -27,6 +27,8 @@ from dolfinx_mortar.qp.updates import LIMIT
 # would have: at most twice the least is lost. With half of them the time is the same up to 43k
 # unknowns; at 148k an elastic step has a second set-up for its last ten iterations.
 RENEWAL_COST = {"direct": 6, "iterative": 40}
+# A breakdown of conjugate gradients with an old set-up that has reduced the residual.
+SHARE_OF_RESTART = 0.25
 # INFOG(1) of MUMPS: workspace too small; ICNTL(14) is the percentage above its estimate.
 WORKSPACE_ERRORS = (-8, -9)
 WORKSPACE = "mat_mumps_icntl_14"
@@ -75,9 +77,15 @@ class Renewal:
     def is_far(self, different: int) -> bool:
         """Tell whether to renew without a try, for so many unknowns that are newly held or free.
 
-        Each is a change of rank one, and costs up to one iteration.
+        Each is a change of rank one, and costs a factorisation up to one iteration. Multigrid
+        follows on its finest level, and is judged by what its iterations have cost.
         """
         return (different if self.direct else self.excess) > self.after
+
+    def restarts(self) -> bool:
+        """Tell whether to go on after a breakdown: each counts as a share of a renewal."""
+        self.excess += SHARE_OF_RESTART * self.after
+        return self.excess <= self.after
 
     def learn(self, norms: Sequence[float], *, stale: bool) -> None:
         """Observe the residual norms of a solve with a new or an old set-up."""
