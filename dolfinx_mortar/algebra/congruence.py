@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """(I + C)^T K (I + C) for C with few rows: as a matrix, and as an operator without a matrix."""
 
+from __future__ import annotations
+
 import logging
 
 from petsc4py import PETSc
@@ -8,7 +10,8 @@ from petsc4py import PETSc
 import numpy as np
 from scipy.sparse import csr_array
 
-from dolfinx_mortar.arrays import Ints
+from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.arrays import Floats, Ints
 
 log = logging.getLogger(__name__)
 
@@ -75,9 +78,9 @@ class CongruentOperator:
         matrix: a PETSc Mat of type python; its copy is an explicit matrix.
     """
 
-    def __init__(self, K: PETSc.Mat) -> None:
-        """Start with C = 0 and nothing decoupled."""
-        self._product = _Product(K)
+    def __init__(self, K: PETSc.Mat, rows: RowsOf | None = None) -> None:
+        """Start with C = 0 and nothing decoupled; operators of one K may share its rows."""
+        self._product = _Product(K, RowsOf(K) if rows is None else rows)
         self.matrix = PETSc.Mat().createPython(K.getSizes(), self._product, comm=K.comm)
         self.matrix.setUp()
 
@@ -85,6 +88,11 @@ class CongruentOperator:
     def K(self) -> PETSc.Mat:
         """The matrix in the middle."""
         return self._product.K
+
+    @property
+    def rows(self) -> RowsOf:
+        """Rows of K."""
+        return self._product.rows
 
     @property
     def decoupled(self) -> Ints:
@@ -110,12 +118,23 @@ class CongruentOperator:
         """Set y to the product with x, nothing decoupled; collective."""
         self._product.whole(x, y)
 
+    def split(self, parts: Ints) -> tuple[PETSc.Mat, PETSc.Mat | None]:
+        """Return the explicit matrix in two, B within the parts and X between them; collective.
+
+        Args:
+            parts: (n,) number of the part of each owned unknown; K has no entries between parts.
+
+        Returns:
+            B, and X with rows near C only; None for C = 0.
+        """
+        return self._product.split(parts)
+
 
 class _Product:
     """Context of the operator's Mat, without a reference to it: PETSc could not free a cycle."""
 
-    def __init__(self, K: PETSc.Mat) -> None:
-        self.K = K
+    def __init__(self, K: PETSc.Mat, rows: RowsOf) -> None:
+        self.K, self.rows = K, rows
         self.C: PETSc.Mat | None = None
         self.decoupled: Ints = np.empty(0, dtype=np.int32)
         self.diagonal, self.scale = K.createVecRight(), 1.0
@@ -125,7 +144,7 @@ class _Product:
         self.C, self.decoupled = C, decoupled
         self.K.getDiagonal(self.diagonal)
         if C is not None:
-            self.diagonal.axpy(1.0, _diagonal_change(self.K, C))
+            self.diagonal.axpy(1.0, self.rows.diagonal_change(C))
         self.scale = self.diagonal.sum() / self.diagonal.getSize()
 
     def whole(self, x: PETSc.Vec, y: PETSc.Vec, *, transposed: bool = False) -> None:
@@ -162,21 +181,96 @@ class _Product:
         decouple(explicit, self.decoupled)
         return explicit
 
+    def split(self, parts: Ints) -> tuple[PETSc.Mat, PETSc.Mat | None]:
+        within, between = self.K.convert("aij", out=PETSc.Mat()), None
+        if self.C is not None:
+            change, coupled = _change(within, self.C), np.ones(len(parts))
+            coupled[self.decoupled] = -1.0
+            inside, between = _split(change, coupled * (parts + 1.0))
+            within.axpy(1.0, inside, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+        decouple(within, self.decoupled)
+        return within, between
 
-def _diagonal_change(K: PETSc.Mat, C: PETSc.Mat) -> PETSc.Vec:
-    """Return the diagonal of K C + (K C)^T + C^T K C; collective.
 
-    Its entry j is sum_r C_rj (2 K_rj + (K C)_rj), over the rows r of C that are not zero.
-    """
-    entries = _scipy(C)
-    rows = np.flatnonzero(np.diff(entries.indptr)).astype(np.int32)
-    K_r = _rows(K, rows)
-    twice = 2.0 * _scipy(K_r) + _scipy(K_r.matMult(C))
-    terms = entries[rows].multiply(twice).tocoo()
-    change = K.createVecRight()
-    change.setValues(terms.col.astype(PETSc.IntType), terms.data, PETSc.InsertMode.ADD_VALUES)
-    change.assemble()
+def _change(K: PETSc.Mat, C: PETSc.Mat) -> PETSc.Mat:
+    """Return K C + (K C)^T + C^T K C; collective."""
+    other = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+    KC = K.matMult(C)
+    change = C.transpose(PETSc.Mat()).matMult(KC)
+    for part in (KC, KC.transpose(PETSc.Mat())):
+        change.axpy(1.0, part, other)
     return change
+
+
+def _split(matrix: PETSc.Mat, marks: Floats) -> tuple[PETSc.Mat, PETSc.Mat]:
+    """Return the entries within parts, and those between them and not decoupled; collective.
+
+    Args:
+        matrix: (n, n) with few entries.
+        marks: (n,) number of the part of each owned unknown, from 1; negative where decoupled.
+    """
+    indptr, columns, values = matrix.getValuesCSR()
+    rows = np.repeat(np.arange(len(indptr) - 1), np.diff(indptr))
+    there, place = np.unique(columns, return_inverse=True)
+    all_marks = matrix.createVecRight()
+    all_marks.array[:] = marks
+    of_columns = _values_at(all_marks, there)[place]
+    within = np.abs(of_columns) == np.abs(marks[rows])
+    between = ~within & (of_columns > 0.0) & (marks[rows] > 0.0)
+    inside, outside = (
+        _select(matrix, rows[on], columns[on], values[on]) for on in (within, between)
+    )
+    return inside, outside
+
+
+def _values_at(vector: PETSc.Vec, numbers: Ints) -> Floats:
+    """Return the values at global numbers, of any rank; collective."""
+    found = PETSc.Vec().createSeq(len(numbers))
+    there = PETSc.IS().createGeneral(numbers.astype(PETSc.IntType))
+    PETSc.Scatter().create(vector, there, found, None).scatter(vector, found)
+    return np.asarray(found.array)
+
+
+def _select(like: PETSc.Mat, rows: Ints, columns: Ints, values: Floats) -> PETSc.Mat:
+    """Return a matrix of entries in owned rows, which ascend, and global columns; collective."""
+    counts = np.bincount(rows, minlength=like.getLocalSize()[0])
+    indptr = np.concatenate([[0], np.cumsum(counts)]).astype(PETSc.IntType)
+    csr = indptr, columns.astype(PETSc.IntType), values
+    return PETSc.Mat().createAIJ(like.getSizes(), csr=csr, comm=like.comm)
+
+
+class RowsOf:
+    """Rows of K where C has some, kept until K changes: changes of basis have the same rows."""
+
+    def __init__(self, K: PETSc.Mat) -> None:
+        """Keep nothing yet."""
+        self.K = K
+        self._state = -1
+        self._rows: Ints = np.empty(0, dtype=np.int32)
+        self._kept: PETSc.Mat | None = None
+
+    def including(self, rows: Ints) -> tuple[Ints, PETSc.Mat]:
+        """Return owned rows, among them these, and K on them in AIJ; collective."""
+        state = int(self.K.stateGet())
+        lacks = state != self._state or not np.isin(rows, self._rows).all()
+        if self._kept is None or any_rank(self.K.comm.tompi4py(), lacks)[0]:
+            self._state, self._rows, self._kept = state, rows, _rows(self.K, rows)
+        return self._rows, self._kept
+
+    def diagonal_change(self, C: PETSc.Mat) -> PETSc.Vec:
+        """Return the diagonal of K C + (K C)^T + C^T K C; collective.
+
+        Its entry j is sum_r C_rj (2 K_rj + (K C)_rj), over the rows r of C that are not zero.
+        """
+        entries = _scipy(C)
+        rows = np.flatnonzero(np.diff(entries.indptr)).astype(np.int32)
+        rows, K_r = self.including(rows)
+        twice = 2.0 * _scipy(K_r) + _scipy(K_r.matMult(C))
+        terms = entries[rows].multiply(twice).tocoo()
+        change = self.K.createVecRight()
+        change.setValues(terms.col.astype(PETSc.IntType), terms.data, PETSc.InsertMode.ADD_VALUES)
+        change.assemble()
+        return change
 
 
 def _rows(K: PETSc.Mat, rows: Ints) -> PETSc.Mat:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The matrix of multigrid: the tangent in unknowns without coupling across open contacts."""
 
-from petsc4py import PETSc
-
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
@@ -21,18 +19,22 @@ class UnknownsOfBodies:
     change of basis is reversed (`Transformation.uncouple`).
 
     Args:
-        K: the tangent.
+        operator: that of the QP, with the tangent K.
         system: the interfaces, with T up to date.
         supports: the Dirichlet conditions.
         bodies: the connected parts of the mesh.
     """
 
     def __init__(
-        self, K: PETSc.Mat, system: InterfaceSystem, supports: Dirichlet, bodies: Bodies
+        self,
+        operator: CongruentOperator,
+        system: InterfaceSystem,
+        supports: Dirichlet,
+        bodies: Bodies,
     ) -> None:
         """Store the parts, which are up to date at each call."""
         self.system, self.supports, self.bodies = system, supports, bodies
-        self.operator = CongruentOperator(K)
+        self.operator = CongruentOperator(operator.K, operator.rows)
 
     def preconditioning(self, held: Ints) -> Preconditioning:
         """Return the matrix and near-null space of a set-up; collective.
@@ -46,7 +48,15 @@ class UnknownsOfBodies:
             motions = [T.uncoupled(motion, change.E) for motion in motions]
         for motion in motions:
             motion.array[self.operator.decoupled] = 0.0
-        return Preconditioning(change.matrix.copy(), change, motions)
+        B, between = self.operator.split(self._parts())
+        return Preconditioning(B, change, motions, between)
+
+    def _parts(self) -> Ints:
+        """Return the body (n,) of each owned unknown, where tied bodies are one."""
+        label, group = self.bodies.label, self.bodies.group
+        return np.repeat(
+            label if group is None else group[label], self.supports.V.dofmap.index_map_bs
+        )
 
     def change(self, held: Ints) -> Change:
         """Return v for the present geometry, contacts and tangent; collective."""

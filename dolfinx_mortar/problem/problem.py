@@ -127,7 +127,7 @@ class ContactProblem:
             self.operator = CongruentOperator(K)
             # not the problem: a reference to it would keep its matrices alive
             self.linear.unknowns = UnknownsOfBodies(
-                K, self.system, self.supports, replace(self.bodies, motions=motions)
+                self.operator, self.system, self.supports, replace(self.bodies, motions=motions)
             )
         slips = np.zeros((2, len(sides), self.n))
         self.committed = Committed(np.zeros(self.n, dtype=bool), self.owned_u.copy(), *slips)

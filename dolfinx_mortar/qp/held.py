@@ -8,13 +8,14 @@ reaction of the law takes the place of 0.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm
-from dolfinx_mortar.arrays import ROUND_OFF, Actives, Bools, Floats
+from dolfinx_mortar.arrays import ROUND_OFF, Actives, Bools, Floats, Ints
 from dolfinx_mortar.qp.bound_qp import (
     KKT,
     BoundQP,
@@ -30,6 +31,8 @@ from dolfinx_mortar.qp.updates import LIMIT, LOOSE, TIGHT, Found, Outcome
 
 # Solves are this much more accurate than the check, whose scale may decrease meanwhile.
 SHARE = 0.5
+# An iteration whose solution the check refuses goes on by digits.
+DIGIT = 0.1
 
 
 def nearest(qp: BoundQP) -> Actives:
@@ -115,8 +118,11 @@ class HeldProblem:
         self.z = reaction(qp, x)
         self.b_norm, self.guessed = qp.b.norm(), self.z.norm()
         self.reactions: float | None = None  # at the bounds; unknown before the first solve
+        # a factorisation takes one iteration or two, friction another method
+        self.continued = qp.friction is None and not linear.direct
         self.best: Best | None = None
         self.level = LOOSE  # of the last solve
+        self.asked = np.inf  # its tolerance
         self._checked: tuple[PETSc.Vec, KKT] | None = None  # z of the last check, its residuals
 
     def forget(self) -> None:
@@ -137,7 +143,7 @@ class HeldProblem:
         """
         if level > self.level:  # smaller errors become visible
             self.level, self.best = level, self.best and replace(self.best, error=np.inf)
-        atol = self.solve(state, level)
+        atol = self.solve(state, self.level)
         law = self.qp.friction
         found = on_bounded(self.qp, self.x, self.z)
         atol = max(atol, self.linear.setup.operator.round_off(self.x))
@@ -157,13 +163,17 @@ class HeldProblem:
             if worst:
                 new = state.towards(new, strength >= largest, missing >= largest)
         changes = int(self.qp.comm.allreduce(changes))
-        return Found(new, changes, changes == 0 and level >= TIGHT and self._is_accurate(level))
+        satisfied = changes == 0 and self.level >= TIGHT and self._is_accurate(self.level)
+        if self.continued and self.level >= TIGHT and changes == 0 and not satisfied:
+            # more digits of the same set would not help where weakly active unknowns are wrong
+            changes = int(self.qp.comm.allreduce(int((new.active != state.active).sum())))
+        return Found(new, changes, satisfied)
 
     def solve(self, state: State, level: int) -> float:
         """Solve in a state; x and z are the solution; return the tolerance (collective)."""
-        active, (lower, upper) = state.active, self.bounds
+        qp, active, (lower, upper) = self.qp, state.active, self.bounds
         on = active != 0
-        held, values = self.qp.bounded[on], np.where(active > 0, upper, lower)[on]
+        held, values = qp.bounded[on], np.where(active > 0, upper, lower)[on]
         sliding = None
         if (law := self.qp.friction) is not None:
             stuck = state.sticks(law)
@@ -176,17 +186,42 @@ class HeldProblem:
         held = np.sort(held)
         if self.reactions is None:
             self.reactions = max(self.guessed, self.z.norm())
-        atol = self._tolerance(level)
+        self.asked = self._tolerance(level)
+        go_on = partial(self._go_on, state, held) if self.continued else None
         for _ in range(LIMIT):  # until the tolerance holds with the reactions of the solution
             solved = self.linear.solve(
-                self.qp.b, self.x, held, atol=SHARE * atol, z=self.z, sliding=sliding
+                qp.b, self.x, held, atol=SHARE * self.asked, z=self.z, sliding=sliding, go_on=go_on
             )
             self.z = solved.copy()
-            self.reactions = norm(self.qp.comm, self.z.array_r[held])
-            reached, atol = atol, self._tolerance(level)
-            if SHARE * reached <= atol:
+            self.reactions = norm(qp.comm, self.z.array_r[held])
+            reached, self.asked = self.asked, self._tolerance(self.level)
+            if SHARE * reached <= self.asked:
                 break
         return reached
+
+    def _go_on(self, state: State, held: Ints, x: PETSc.Vec, z: PETSc.Vec) -> float:
+        """Return the tolerance with which an iteration goes on from x, z = b - A x; 0 to end.
+
+        It ends where the state changes, or where the check is satisfied; collective.
+        """
+        self.reactions = norm(self.qp.comm, z.array_r[held])
+        atol = self._tolerance(self.level)
+        if SHARE * self.asked > atol:  # of the reactions before
+            self.asked = atol
+            return SHARE * atol
+        found = on_bounded(self.qp, x, z)
+        strength = found.strength(state.active, found.predicted())
+        if any_rank(self.qp.comm, (strength > min(atol, self._tolerance(TIGHT))).any())[0]:
+            return 0.0  # a change that is weak now, but not at the end
+        if self.level < TIGHT:
+            self.level, self.asked = self.level + 1, self._tolerance(self.level + 1)
+            return SHARE * self.asked
+        wrong = any_rank(self.qp.comm, (strength > 0.0).any())[0]
+        self.asked *= DIGIT
+        exhausted = self.asked < ROUND_OFF * max(self.b_norm, self.reactions)
+        if wrong or exhausted or check(self.qp, x, z).satisfied(self.rtol):
+            return 0.0
+        return SHARE * self.asked
 
     def _sliding(self, law: Friction, state: State) -> Sliding | None:
         """Return the linearised law of slipping nodes, None if no rank has any; collective."""

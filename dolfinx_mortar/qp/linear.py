@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
@@ -39,6 +39,27 @@ MOST_FACTORISED = 200_000
 
 class LinearSolveFailed(RuntimeError):
     """A linear system could not be solved; the message says why and what to do."""
+
+
+# Asked with a solution x and its b - A x: the tolerance with which to go on, 0 to end.
+GoOn = Callable[[PETSc.Vec, PETSc.Vec], float]
+
+
+@dataclass
+class Aim:
+    """The tolerance of a solve, which may change on the way."""
+
+    atol: float
+    go_on: GoOn | None = None
+
+    def next(self, x: PETSc.Vec, z: PETSc.Vec) -> float:
+        """Return the tolerance with which to go on from a solution, 0 to end; collective."""
+        new = 0.0 if self.go_on is None else self.go_on(x, z)
+        if new > 0.0:
+            self.atol = new
+        else:
+            self.go_on = None
+        return new
 
 
 @dataclass(frozen=True)
@@ -238,6 +259,7 @@ class LinearSolver:
         atol: float,
         z: PETSc.Vec | None = None,
         sliding: Sliding | None = None,
+        go_on: GoOn | None = None,
     ) -> PETSc.Vec:
         """Solve for the unknowns that are not held, in place (collective).
 
@@ -249,6 +271,8 @@ class LinearSolver:
             z: (n,) b - A x of the given x, if known.
             sliding: law of the slipping nodes, whose reactions replace 0 on the right; on all ranks
                 or on none.
+            go_on: asked at the tolerance for a smaller one, with which conjugate gradients continue
+                where they are; iterations that were restarted would lose what they have learnt.
 
         Returns:
             (n,) b - A x, also at held unknowns; the next call reuses the vector.
@@ -263,13 +287,16 @@ class LinearSolver:
         before = self.counts.iterations
         self.counts.solves += 1
         first = norm = operator.residual(b, x, held, z).norm()
-        if not norm <= atol:
-            norm = self._correct(b, x, held, atol, norm)
-        self._judge(b, x, (first, norm, atol), self.counts.iterations - before)
+        aim = Aim(atol, go_on)
+        while norm <= aim.atol and aim.next(x, operator.z) > 0.0:
+            pass
+        if not norm <= aim.atol:
+            norm = self._correct(b, x, held, aim, norm)
+        self._judge(b, x, (first, norm, aim.atol), self.counts.iterations - before)
         return operator.z
 
-    def _correct(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, atol: float, norm: float) -> float:
-        """Correct x until the norm of its residual is below atol or round-off; return it.
+    def _correct(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, aim: Aim, norm: float) -> float:
+        """Correct x until the norm of its residual is below the tolerance or round-off; return it.
 
         It ends as well if a new factorisation does not reduce it.
         """
@@ -278,14 +305,14 @@ class LinearSolver:
             if different is None or self.setup.renewal.is_far(different):
                 self.factorise(held)
             fresh = self.setup.preconditioner.is_of(held)
-            target, before = max(atol, self._operator.round_off(x) * (EPS / ROUND_OFF)), norm
-            self._sweep(max(target / norm, EPS))
+            before = norm
+            self._sweep(b, x, aim, norm)
             dx = self.setup.dx
             dx.array[held] = 0.0  # an old factorisation may move them
             if np.isfinite(dx.norm()):
                 x.axpy(1.0, dx)
                 norm = self._operator.residual(b, x, held).norm()
-            if norm <= max(atol, self._operator.round_off(x)):
+            if norm <= max(aim.atol, self._operator.round_off(x)):
                 break
             exhausted = self._ksp.getIterationNumber() >= self.setup.max_iterations
             if fresh and (exhausted or not norm < before):
@@ -294,6 +321,8 @@ class LinearSolver:
                 diverged = self._ksp.getConvergedReason() < 0  # an old set-up may be indefinite
                 if not self.direct and (diverged or not norm < before):
                     self.counts.breakdowns += 1
+                    if norm < before and self.setup.renewal.restarts():
+                        continue
                     if self._comm.rank == 0:
                         log.info("an old preconditioner failed and is set up anew")
                 self.factorise(held)
@@ -305,8 +334,8 @@ class LinearSolver:
         sliding = self._operator.free.sliding is not None
         return self.setup.sliding_ksp if sliding else self.setup.ksp
 
-    def _sweep(self, reduction: float) -> None:
-        """Solve for the correction dx that reduces the present residual by a factor."""
+    def _sweep(self, b: PETSc.Vec, x: PETSc.Vec, aim: Aim, norm: float) -> None:
+        """Solve for the correction dx that takes the residual from a norm to the tolerance."""
         begin = perf_counter()
         setup, held = self.setup, self._operator.held
         assert held is not None
@@ -315,8 +344,23 @@ class LinearSolver:
         except LinAlgError as error:
             raise LinearSolveFailed(f"a body is held by nothing ({error})") from error
         stale = not setup.preconditioner.is_of(held)
-        test = SlownessTest(setup.renewal, reduction, setup.max_iterations, stale=stale)
-        ksp = self._ksp
+        ksp, floor = self._ksp, self._operator.round_off(x) * (EPS / ROUND_OFF)
+
+        def share(atol: float) -> float:
+            return max(max(atol, floor) / norm, EPS)
+
+        def go_on() -> float:
+            if aim.go_on is None or ksp.getType() != "cg":  # others form dx at their end
+                return 0.0
+            now, z = x + ksp.getSolution(), b.copy()
+            setup.operator.A.mult(now, z)
+            z.aypx(-1.0, b)
+            atol = aim.next(now, z)
+            return share(atol) if atol > 0.0 else 0.0
+
+        test = SlownessTest(
+            setup.renewal, share(aim.atol), setup.max_iterations, stale=stale, go_on=go_on
+        )
         if ksp.getType() != "preonly":
             ksp.setConvergenceTest(test)
         ksp.setTolerances(max_it=setup.max_iterations)

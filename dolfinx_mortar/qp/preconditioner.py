@@ -5,7 +5,7 @@ It is renewed as soon as that is cheaper than to continue with it. The decisions
 residuals, not on clocks, so that they are the same on all ranks.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -27,6 +27,8 @@ from dolfinx_mortar.qp.updates import LIMIT
 # would have: at most twice the least is lost. With half of them the time is the same up to 43k
 # unknowns; at 148k an elastic step has a second set-up for its last ten iterations.
 RENEWAL_COST = {"direct": 6, "iterative": 40}
+# A breakdown of conjugate gradients with an old set-up that has reduced the residual.
+SHARE_OF_RESTART = 0.25
 # INFOG(1) of MUMPS: workspace too small; ICNTL(14) is the percentage above its estimate.
 WORKSPACE_ERRORS = (-8, -9)
 WORKSPACE = "mat_mumps_icntl_14"
@@ -75,9 +77,15 @@ class Renewal:
     def is_far(self, different: int) -> bool:
         """Tell whether to renew without a try, for so many unknowns that are newly held or free.
 
-        Each is a change of rank one, and costs up to one iteration.
+        Each is a change of rank one, and costs a factorisation up to one iteration. Multigrid
+        follows on its finest level, and is judged by what its iterations have cost.
         """
         return (different if self.direct else self.excess) > self.after
+
+    def restarts(self) -> bool:
+        """Tell whether to go on after a breakdown: each counts as a share of a renewal."""
+        self.excess += SHARE_OF_RESTART * self.after
+        return self.excess <= self.after
 
     def learn(self, norms: Sequence[float], *, stale: bool) -> None:
         """Observe the residual norms of a solve with a new or an old set-up."""
@@ -91,11 +99,28 @@ class Renewal:
 
 
 class SlownessTest:
-    """PETSc convergence test: at the tolerance, or when an old factorisation is too slow."""
+    """PETSc convergence test: at the tolerance, or when an old factorisation is too slow.
 
-    def __init__(self, renewal: Renewal, reduction: float, limit: int, *, stale: bool) -> None:
-        """Set the reduction of the residual and the largest number of iterations."""
+    Args:
+        renewal: what has been observed.
+        reduction: of the residual.
+        limit: largest number of iterations.
+        stale: whether the factorisation is an old one.
+        go_on: returns at the tolerance the reduction with which to go on, 0 to end.
+    """
+
+    def __init__(
+        self,
+        renewal: Renewal,
+        reduction: float,
+        limit: int,
+        *,
+        stale: bool,
+        go_on: Callable[[], float] = lambda: 0.0,
+    ) -> None:
+        """Start without observations."""
         self.renewal, self.reduction, self.limit, self.stale = renewal, reduction, limit, stale
+        self.go_on = go_on
         self.norms: list[float] = []
 
     def __call__(self, ksp: PETSc.KSP, its: int, norm: float) -> int:
@@ -104,9 +129,10 @@ class SlownessTest:
         self.norms.append(norm)
         if not np.isfinite(norm):
             return int(Reason.DIVERGED_NANORINF)
-        wanted = self.reduction * self.norms[0]
-        if norm <= wanted:
-            return int(Reason.CONVERGED_RTOL)
+        while norm <= (wanted := self.reduction * self.norms[0]):
+            self.reduction = self.go_on()
+            if self.reduction == 0.0:
+                return int(Reason.CONVERGED_RTOL)
         if its >= self.limit:
             return int(Reason.DIVERGED_MAX_IT)
         if self.stale and self.renewal.direct and self.renewal.is_slow(self.norms, wanted):
@@ -196,7 +222,7 @@ class Preconditioner:
             with self.options.database(self.options.prefix):
                 data = self.unknowns.preconditioning(held)
                 self.multigrid.renew(data, held, definite=self.operator.definite)
-                self._followed = -1, held
+                self._followed = self.operator.state, held.copy()
             counts.factorisations += 1
         self.held, self._state = held.copy(), self.operator.state
         if self.pc.getFailedReason() == 0:
