@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.materials.ranges import Range
+from dolfinx_mortar.materials.ranges import Range, named_parameters
 from ufl.core.expr import Expr
 
 
@@ -19,8 +19,9 @@ class Material(Protocol):
     """A frozen dataclass whose fields are the parameters, with the law as static methods.
 
     A law knows no mesh. It gets the strain (3x3 UFL), the committed state and the parameters `p`
-    (attributes named like the fields) as UFL symbols, so that the compiled code is the same for all
-    values of the parameters, be they numbers or what may change (see `Parameter`). Then either of
+    (attributes named like the fields; of a tuple of numbers a tuple) as UFL symbols, so that the
+    compiled code is the same for all values of the parameters, be they numbers or what may change
+    (see `Parameter`). Then either of
 
     * `energy(strain, state, p)`, the incremental potential psi of the step; the stress is
       d psi / d strain and the tangent its derivative, both taken by UFL, or
@@ -232,7 +233,8 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
 
 def _check_parameters(law: Law, material: Any) -> None:
     """Raise ValueError unless the parameters are numbers or UFL, and ranges name parameters."""
-    names = [field.name for field in dataclasses.fields(material)]
+    given = named_parameters(material)
+    names = list(given)
     for name in law.ranges:
         if name not in names:
             raise ValueError(
@@ -240,12 +242,12 @@ def _check_parameters(law: Law, material: Any) -> None:
                 f"{', '.join(names) or 'none'}."
             )
     for name in names:
-        value = getattr(material, name)
+        value = given[name]
         if not isinstance(value, Real) and not (isinstance(value, Expr) and value.ufl_shape == ()):
             raise ValueError(
                 f"{law.name}: the parameter {name} = {value!r} is no number, and no scalar "
-                "Constant, Function or UFL expression; a field that is no parameter is declared as "
-                "ClassVar."
+                "Constant, Function or UFL expression, or a tuple of these; a field that is no "
+                "parameter is declared as ClassVar."
             )
 
 

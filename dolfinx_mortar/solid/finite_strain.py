@@ -10,6 +10,7 @@ import numpy as np
 
 import ufl
 from dolfinx import fem
+from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import is_name
 from dolfinx_mortar.materials.response import Response
 from dolfinx_mortar.solid.at_points import middle_of
@@ -55,8 +56,8 @@ class Volumes:
         self._comm = domain.comm
 
     def inverted(self) -> bool:
-        """Tell whether J at u is no positive number at a point of this rank's; no communication."""
-        return not bool((self._now() > 0.0).all())
+        """Tell whether J at u is no positive number at any point; collective."""
+        return bool(any_rank(self._comm, not (self._now() > 0.0).all())[0])
 
     def smallest(self) -> float:
         """Return the smallest J at u, NaN if one is undefined; collective."""

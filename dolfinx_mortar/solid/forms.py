@@ -12,7 +12,7 @@ import numpy as np
 
 import basix
 import ufl
-from dolfinx import fem, la
+from dolfinx import default_scalar_type, fem, la
 from dolfinx.jit import get_options
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Floats
@@ -109,9 +109,7 @@ def create_forms(
     parts = measures(V, regions, degree)
     weight = ufl.as_ufl(kinematics.weight(ufl.SpatialCoordinate(V.mesh)))
     v, direction = ufl.TestFunction(V), fem.Function(V)
-    virtual, along = kinematics.virtual(u, v), kinematics.virtual(u, direction)
-    if kinematics.finite:  # a turn of the deformed body has no norm
-        along = ufl.sym(ufl.transpose(kinematics.measure(u)) * along)
+    virtual, along = kinematics.virtual(u, v), _unturned(kinematics, u, direction)
     along = along if dilatation is None else ufl.dev(along)
 
     def integral(densities: Sequence[Expr]) -> ufl.Form:
@@ -136,6 +134,46 @@ def create_forms(
         dilatation=dilatation,
         evaluations=evaluations,
     )
+
+
+def create_elastic(
+    u: fem.Function, regions: Sequence[Region], kinematics: Kinematics, degree: int
+) -> tuple[fem.Form, fem.Constant]:
+    """Return factor * int eps(v) : C : eps(w), the second derivative of `Forms.elastic_norm`.
+
+    With the factor; collective.
+    """
+    V = u.function_space
+    factor = fem.Constant(V.mesh, default_scalar_type(1.0))
+    weight = factor * ufl.as_ufl(kinematics.weight(ufl.SpatialCoordinate(V.mesh)))
+    strains = (_unturned(kinematics, u, f(V)) for f in (ufl.TestFunction, ufl.TrialFunction))
+    of_v, of_w = strains
+    terms = []
+    for region, dx in zip(regions, measures(V, regions, degree), strict=True):
+        stress = elastic_response(region.law, of_w, region.symbols)
+        terms.append(weight * ufl.inner(stress, of_v) * dx)
+    return fem.form(reduce(add, terms)), factor
+
+
+def create_moduli(
+    regions: Sequence[Region], kinematics: Kinematics, stress: fem.Function
+) -> fem.Form:
+    """Return int |C : (e_x e_y + e_y e_x)|, which is an energy, at one point of each cell."""
+    domain = stress.function_space.mesh
+    weight = ufl.as_ufl(kinematics.weight(ufl.SpatialCoordinate(domain)))
+    shear = ufl.as_tensor([[0, 1, 0], [1, 0, 0], [0, 0, 0]])
+    terms = []
+    V = fem.functionspace(domain, ("DG", 0))
+    for region, dx in zip(regions, measures(V, regions, 1), strict=True):
+        modulus = elastic_response(region.law, shear, region.symbols)
+        terms.append(weight * ufl.sqrt(ufl.inner(modulus, modulus)) * dx)
+    return fem.form(reduce(add, terms))
+
+
+def _unturned(kinematics: Kinematics, u: fem.Function, v: Expr) -> Expr:
+    """Return the strain that v causes at u, of which turns of the deformed body have none."""
+    along = kinematics.virtual(u, v)
+    return ufl.sym(ufl.transpose(kinematics.measure(u)) * along) if kinematics.finite else along
 
 
 def _tangent(

@@ -12,6 +12,7 @@ is assembled or evaluated next.
 
 import math
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -31,7 +32,7 @@ from dolfinx_mortar.materials import Material
 from dolfinx_mortar.solid.dilatation import create_dilatation
 from dolfinx_mortar.solid.eigenstrain import create_eigenstrain
 from dolfinx_mortar.solid.finite_strain import Volumes, as_cauchy, check_finite
-from dolfinx_mortar.solid.forms import create_forms, create_responses
+from dolfinx_mortar.solid.forms import create_elastic, create_forms, create_moduli, create_responses
 from dolfinx_mortar.solid.gradients import PointGradients
 from dolfinx_mortar.solid.kinematics import Kinematics, check_radius, choose_kinematics
 from dolfinx_mortar.solid.laws import create_regions
@@ -233,11 +234,12 @@ class Solid(Term):
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         return K
 
-    def energy(self) -> float | None:
+    def energy(self) -> float | Floats | None:
         """Return this rank's share of the incremental potential Psi(u); collective.
 
-        None if a law gives a stress but no potential. Infinite on a rank where a point of a finite
-        strain has no positive volume, det F <= 0.
+        None if a law gives a stress but no potential. Infinite where any point of a finite strain
+        has no positive volume, det F <= 0. At finite strain with two more addends, whose sum is
+        zero: energies of F are differences of numbers near the moduli, which is their round-off.
         """
         if self._forms.energy is None:
             return None
@@ -245,7 +247,13 @@ class Solid(Term):
             return math.inf
         self.follow()
         share, dilatation = float(fem.assemble_scalar(self._forms.energy)), self._forms.dilatation
-        return share if dilatation is None else share + dilatation.energy()
+        share = share if dilatation is None else share + dilatation.energy()
+        return share if self.volumes is None else np.array([share, self._moduli, -self._moduli])
+
+    @cached_property
+    def _moduli(self) -> float:
+        """The integral over this rank's cells of the norm of the elastic stress of a unit shear."""
+        return float(fem.assemble_scalar(create_moduli(self.regions, self.kinematics, self.stress)))
 
     def add_forces(self, F: PETSc.Vec) -> None:
         """Add F(u)_i = int sigma : eps(phi_i) to the owned part of F; collective."""
@@ -259,6 +267,18 @@ class Solid(Term):
         K.assemble()
         if self._forms.dilatation is not None:
             self._forms.dilatation.add_tangent(K)
+
+    def add_elastic(self, K: PETSc.Mat, factor: float) -> None:
+        """Add a multiple of the stiffness of `elastic_norm`, which is positive; collective."""
+        form, share = self._elastic
+        share.value = factor
+        fem_petsc.assemble_matrix(K, form)
+        K.assemble()
+
+    @cached_property
+    def _elastic(self) -> tuple[Any, fem.Constant]:
+        """The form of the elastic stiffness, and its factor; few steps need it."""
+        return create_elastic(self.u, self.regions, self.kinematics, self.quadrature_degree)
 
     def assemble_residual(self, r: PETSc.Vec) -> None:
         """Fill the owned part of r with the internal forces, see `add_forces`; collective."""
