@@ -77,6 +77,11 @@ class Ogden(PointwiseLaw):
         return np.asarray(psi)
 
     @staticmethod
+    def volumetric(J: Expr, p: Any) -> Expr:
+        """Return the part of psi that only depends on the volume, in UFL."""
+        return p.K / 2 * (J - 1) ** 2
+
+    @staticmethod
     def update(
         F: Floats, state: Mapping[str, Floats], p: SimpleNamespace
     ) -> tuple[Floats, Floats, dict[str, Floats]]:

@@ -43,8 +43,9 @@ class Material(Protocol):
     at X, `stress(F, state, p)` the first Piola-Kirchhoff stress P = d psi / dF, `tangent` dP/dF :
     direction, of a direction that is not symmetric either. Only `elastic_stress` is still that of a
     small strain, at F = I. psi has to be objective, psi(Q F) = psi(F) for rotations Q, which a
-    function of C = F^T F is. It needs ``Solid(.., strain="finite")``. Of all others the
-    solid makes laws of F itself.
+    function of C = F^T F is. A part of psi that depends on J = det F alone may be stated as
+    `volumetric(J, p)`, in UFL, for ``volumetric="reduced"``. Such a law needs ``Solid(..,
+    strain="finite")``. Of all others the solid makes laws of F itself.
 
     Attributes:
         strain: "small", what the law gets as its first argument is a small strain, or "finite", F.
@@ -161,6 +162,7 @@ class Law:
     update: Callable[..., Any] | None
     output: Callable[..., Any] | None
     conditions: Callable[..., Any] | None
+    volumetric: Callable[..., Any] | None  # of a law of F: the part U(J) of its energy
 
     @property
     def condensed(self) -> bool:
@@ -225,6 +227,7 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
         ranges=getattr(kind, "ranges", {}),
         output=_method(kind, "output"),
         conditions=_method(kind, "conditions"),
+        volumetric=_method(kind, "volumetric"),
         **parts,
     )
     _check_parameters(law, material)

@@ -18,7 +18,7 @@ from dolfinx_mortar.solid.sources import create_source, point_function
 from ufl.core.expr import Expr
 
 
-def check_finite(strain: Any, eigenstrain: Any, volumetric: Any) -> None:
+def check_finite(strain: Any, eigenstrain: Any) -> None:
     """Raise a ValueError for an unknown strain, and what a finite one does not go with."""
     if not is_name(strain, ("small", "finite")):
         raise ValueError(f"strain is {strain!r}: choose 'small' or 'finite'")
@@ -29,10 +29,6 @@ def check_finite(strain: Any, eigenstrain: Any, volumetric: Any) -> None:
             "strain is 'finite', and eigenstrain is given: a strain without stress is subtracted "
             "from a small strain, while F would have to be split into a product; leave it away, or "
             "choose strain='small'"
-        )
-    if volumetric == "reduced":
-        raise ValueError(
-            "strain is 'finite', and volumetric 'reduced' is for a small one: choose 'full'"
         )
 
 

@@ -21,6 +21,7 @@ from dolfinx_mortar.materials.response import Response, elastic_response, respon
 from dolfinx_mortar.solid.dilatation import MeanDilatation
 from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.laws import Region, measures
+from dolfinx_mortar.solid.mean_volume import MeanVolume
 from dolfinx_mortar.solid.pointwise import PointValuesOfRegion
 from dolfinx_mortar.solid.sources import Source
 from dolfinx_mortar.solid.state import as_tensors
@@ -50,7 +51,9 @@ class Forms:
     energy: fem.Form | None  # Psi, if all laws have a potential
     direction: fem.Function  # argument of elastic_norm
     force: la.Vector  # the residual with its ghosts
-    dilatation: MeanDilatation | None  # what tangent, elastic_norm and energy leave out
+    dilatation: (
+        MeanDilatation | MeanVolume | None
+    )  # what tangent, elastic_norm and energy leave out
     evaluations: Sequence[Source]  # of stress and new internal variables at the points
 
 
@@ -98,7 +101,7 @@ def create_forms(
     degree: int,
     *,
     evaluations: Sequence[Source],
-    dilatation: MeanDilatation | None = None,
+    dilatation: MeanDilatation | MeanVolume | None = None,
 ) -> Forms:
     """Compile all forms that a Newton step needs; collective.
 

@@ -29,13 +29,14 @@ from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arguments import is_integer
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.materials import Material
-from dolfinx_mortar.solid.dilatation import create_dilatation
+from dolfinx_mortar.solid.dilatation import MeanDilatation
 from dolfinx_mortar.solid.eigenstrain import create_eigenstrain
 from dolfinx_mortar.solid.finite_strain import Volumes, as_cauchy, check_finite
 from dolfinx_mortar.solid.forms import create_elastic, create_forms, create_moduli, create_responses
 from dolfinx_mortar.solid.gradients import PointGradients
 from dolfinx_mortar.solid.kinematics import Kinematics, check_radius, choose_kinematics
 from dolfinx_mortar.solid.laws import create_regions
+from dolfinx_mortar.solid.mean_volume import MeanVolume, create_dilatation
 from dolfinx_mortar.solid.points import PointFields
 from dolfinx_mortar.solid.pointwise import create_point_values, fill_point_values
 from dolfinx_mortar.solid.sources import Followed, follow_changed
@@ -136,7 +137,7 @@ class Solid(Term):
         check_space(u.function_space, "u")
         self.u = u
         self.kinematics = choose_kinematics(kinematics, self.mesh.geometry.dim)
-        check_finite(strain, eigenstrain, volumetric)
+        check_finite(strain, eigenstrain)
         if strain == "finite":
             self.kinematics = self.kinematics.of_finite_strain()
         check_radius(self.kinematics, self.mesh)
@@ -146,19 +147,25 @@ class Solid(Term):
         self._staged = {name: f.copy() for name, f in self._committed.items()}
         self.stress = create_field(self.mesh, degree, (3, 3), "stress")
         self.eigenstrain = create_eigenstrain(u, eigenstrain, cell_tags, degree)
-        dilatation = create_dilatation(
-            u, volumetric, self.regions, self.kinematics, degree, eigenstrain=self.eigenstrain
-        )
+        self._compile(volumetric, degree)
+
+    def _compile(self, volumetric: str, degree: int) -> None:
+        """Compile the forms, and what is evaluated at points; collective."""
+        u, finite = self.u, self.kinematics.finite
+        how = u, volumetric, self.regions, self.kinematics, degree
+        dilatation = create_dilatation(*how, eigenstrain=self.eigenstrain)
         measured = self.kinematics.measure(u)
         seen = measured if self.eigenstrain is None else measured - self.eigenstrain.tensor
         mean_stress = None
-        if dilatation is not None:  # the laws, pointwise ones too, see the deviator only
+        if isinstance(dilatation, MeanDilatation):  # laws, pointwise ones too, see the deviator
             seen, mean_stress = ufl.dev(seen), dilatation.mean_stress
         inputs = [u] if self.eigenstrain is None else [u, self.eigenstrain.function]
-        finite = self.kinematics.finite
         found = create_point_values(self.regions, seen, self.state, inputs, degree, finite=finite)
         self._found = found
         responses = create_responses(seen, self.regions, self.state, self._found, mean_stress)
+        if isinstance(dilatation, MeanVolume):
+            pairs = zip(self.regions, responses, strict=True)
+            responses = [dilatation.complete(*pair) for pair in pairs]
         weight = self.kinematics.weight
         self.volumes = Volumes(u, measured, degree) if finite else None
         shown = self._staged if self.volumes is None else {**self._staged, "J": self.volumes.J}
