@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.materials.ranges import Range
+from dolfinx_mortar.materials.ranges import Range, named_parameters
 from ufl.core.expr import Expr
 
 
@@ -19,8 +19,9 @@ class Material(Protocol):
     """A frozen dataclass whose fields are the parameters, with the law as static methods.
 
     A law knows no mesh. It gets the strain (3x3 UFL), the committed state and the parameters `p`
-    (attributes named like the fields) as UFL symbols, so that the compiled code is the same for all
-    values of the parameters, be they numbers or what may change (see `Parameter`). Then either of
+    (attributes named like the fields; of a tuple of numbers a tuple) as UFL symbols, so that the
+    compiled code is the same for all values of the parameters, be they numbers or what may change
+    (see `Parameter`). Then either of
 
     * `energy(strain, state, p)`, the incremental potential psi of the step; the stress is
       d psi / d strain and the tangent its derivative, both taken by UFL, or
@@ -37,7 +38,17 @@ class Material(Protocol):
 
     A law may inherit from this class, which has no memory and no output, or just look like it.
 
+    **Finite strain.** A law with ``strain = "finite"`` gets the deformation gradient F (3x3, not
+    symmetric, det F > 0) where the others get the strain: `energy(F, state, p)` is psi per volume
+    at X, `stress(F, state, p)` the first Piola-Kirchhoff stress P = d psi / dF, `tangent` dP/dF :
+    direction, of a direction that is not symmetric either. Only `elastic_stress` is still that of a
+    small strain, at F = I. psi has to be objective, psi(Q F) = psi(F) for rotations Q, which a
+    function of C = F^T F is. A part of psi that depends on J = det F alone may be stated as
+    `volumetric(J, p)`, in UFL, for ``volumetric="reduced"``. Such a law needs ``Solid(..,
+    strain="finite")``. Of all others the solid makes laws of F itself.
+
     Attributes:
+        strain: "small", what the law gets as its first argument is a small strain, or "finite", F.
         state: internal variables, name -> shape; () or (3, 3) (symmetric). A property where the
             parameters decide which there are.
         linear: True if the stress is a linear function of the strain and nothing else.
@@ -55,6 +66,7 @@ class Material(Protocol):
     state: ClassVar[Mapping[str, tuple[int, ...]]]
     linear: ClassVar[bool]
     ranges: ClassVar[Mapping[str, Range]] = {}
+    strain: ClassVar[str] = "small"
 
     @staticmethod
     def elastic_stress(strain: Expr, p: Any) -> Expr:
@@ -100,6 +112,9 @@ class PointwiseLaw(Material):
             def update(strain, state, p):
                 return stresses(strain, p.E, p.nu), tangents(strain, p.E, p.nu), {}
 
+    With ``strain = "finite"`` the first argument is F (q, 3, 3), the stress P and the tangent
+    dP_ij/dF_kl; such a law may have a potential for the line search, `energy(F, state, p)`, psi
+    (q,) of arrays.
     """
 
     state: ClassVar[Mapping[str, tuple[int, ...]]] = {}
@@ -133,6 +148,7 @@ class Law:
     """
 
     name: str
+    strain: str  # "small" or "finite": what the first argument of the methods is
     plane_stress: bool  # whether the strain out of the plane is what leaves no stress there
     state: Mapping[str, tuple[int, ...]]
     linear: bool
@@ -146,6 +162,7 @@ class Law:
     update: Callable[..., Any] | None
     output: Callable[..., Any] | None
     conditions: Callable[..., Any] | None
+    volumetric: Callable[..., Any] | None  # of a law of F: the part U(J) of its energy
 
     @property
     def condensed(self) -> bool:
@@ -164,7 +181,7 @@ _REMEDIES = {
 }
 # Fields that are written beside those of the laws; a law must not hide them.
 RESERVED = (
-    *("stress", "von_mises"),
+    *("stress", "von_mises", "J"),
     *("displacement", "pressure", "gap", "facing", "status"),
     *("traction", "slip"),
 )
@@ -195,8 +212,14 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
             f"{name} = {material!r} is not a material: {kind.__name__} has no "
             f"{', no '.join(missing)}; {remedies}."
         )
+    strain = getattr(kind, "strain", "small")
+    if strain not in ("small", "finite"):
+        raise ValueError(
+            f"{kind.__name__}: strain is {strain!r}: declare ClassVar 'small' or 'finite'."
+        )
     law = Law(
         name=kind.__name__,
+        strain=strain,
         plane_stress=plane_stress,
         state=_checked_state(kind.__name__, state),
         linear=bool(linear),
@@ -204,6 +227,7 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
         ranges=getattr(kind, "ranges", {}),
         output=_method(kind, "output"),
         conditions=_method(kind, "conditions"),
+        volumetric=_method(kind, "volumetric"),
         **parts,
     )
     _check_parameters(law, material)
@@ -212,7 +236,8 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
 
 def _check_parameters(law: Law, material: Any) -> None:
     """Raise ValueError unless the parameters are numbers or UFL, and ranges name parameters."""
-    names = [field.name for field in dataclasses.fields(material)]
+    given = named_parameters(material)
+    names = list(given)
     for name in law.ranges:
         if name not in names:
             raise ValueError(
@@ -220,12 +245,12 @@ def _check_parameters(law: Law, material: Any) -> None:
                 f"{', '.join(names) or 'none'}."
             )
     for name in names:
-        value = getattr(material, name)
+        value = given[name]
         if not isinstance(value, Real) and not (isinstance(value, Expr) and value.ufl_shape == ()):
             raise ValueError(
                 f"{law.name}: the parameter {name} = {value!r} is no number, and no scalar "
-                "Constant, Function or UFL expression; a field that is no parameter is declared as "
-                "ClassVar."
+                "Constant, Function or UFL expression, or a tuple of these; a field that is no "
+                "parameter is declared as ClassVar."
             )
 
 

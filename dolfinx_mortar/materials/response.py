@@ -184,7 +184,7 @@ def values_at_points(
     def at(points: Ints, z: Floats) -> PointValues:
         strain = whole[points]
         strain[:, 2, 2] = z
-        here = SimpleNamespace(**{name: value[points] for name, value in vars(p).items()})
+        here = SimpleNamespace(**{name: _at(value, points) for name, value in vars(p).items()})
         return _updated(law, strain, {n: v[points] for n, v in state.items()}, here)
 
     def equation(points: Ints, z: Floats) -> Floats:
@@ -204,6 +204,11 @@ def values_at_points(
     for axis in range(1, 5):
         np.moveaxis(tangent, axis, 1)[:, 2] = 0.0
     return PointValues(stress, tangent, found.state)
+
+
+def _at(value: Any, points: Ints) -> Any:
+    """Return a parameter, or a tuple of parameters, at some points."""
+    return tuple(v[points] for v in value) if isinstance(value, tuple) else value[points]
 
 
 def _updated(
@@ -227,13 +232,13 @@ def _updated(
         given, declared = (", ".join(sorted(names)) or "nothing" for names in (new, law.state))
         raise ValueError(f"{where} returns the state {given}, but `state` declares {declared}.")
     return PointValues(
-        _shaped_array(f"{where}: the stress", stress, (q, 3, 3)),
-        _shaped_array(f"{where}: the tangent", tangent, (q, 3, 3, 3, 3)),
-        {n: _shaped_array(f"{where}: {n}", new[n], (q, *shape)) for n, shape in law.state.items()},
+        shaped_array(f"{where}: the stress", stress, (q, 3, 3)),
+        shaped_array(f"{where}: the tangent", tangent, (q, 3, 3, 3, 3)),
+        {n: shaped_array(f"{where}: {n}", new[n], (q, *shape)) for n, shape in law.state.items()},
     )
 
 
-def _shaped_array(what: str, value: Any, shape: tuple[int, ...]) -> Floats:
+def shaped_array(what: str, value: Any, shape: tuple[int, ...]) -> Floats:
     """Return an array of the shape, or raise a ValueError."""
     try:
         array = np.asarray(value, dtype=np.float64)

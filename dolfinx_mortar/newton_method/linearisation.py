@@ -102,6 +102,7 @@ def linearise(
     balance: Balance,
     *,
     tangent: bool = True,
+    shift: float = 0.0,
     linear: LinearSolver | None = None,
 ) -> Linearisation:
     """Assemble min 1/2 dy.K^ dy - r^.dy with its bounds at the present u; collective.
@@ -110,6 +111,7 @@ def linearise(
         problem: the problem, in the geometry of the balance.
         balance: forces and constraints.
         tangent: assemble K anew; a linear law needs it once.
+        shift: multiple of the elastic stiffness that makes an indefinite K convex.
         linear: linear solver of the QP; that of the problem by default.
     """
     T, linear = problem.system.transformation, linear or problem.linear
@@ -118,6 +120,8 @@ def linearise(
     if tangent or spoilt or not problem.K.isAssembled():
         with problem.timings("assembly"):
             problem.terms.assemble_tangent(problem.K)
+            if shift > 0.0:
+                problem.solid.add_elastic(problem.K, shift)
     if formed and T is not None and not T.formed:
         linear.clear()  # before the new product needs the memory
     with problem.timings("transform"):
