@@ -54,6 +54,16 @@ class Start:
     numbers: Floats  # (q, n), the arguments of a law in UFL, with space for the strain
 
 
+@dataclass(frozen=True)
+class FiniteValues:
+    """The answer of a law to a deformation at q points."""
+
+    stress: Floats  # P = d psi / dF (q, 3, 3)
+    tangent: Floats  # dP / dF (q, 3, 3, 3, 3)
+    energy: Floats  # psi (q,), per volume of the undeformed body; NaN without a potential
+    state: dict[str, Floats]  # at the end of the step, (q,) or (q, 3, 3)
+
+
 class LogarithmicLaw:
     """A small-strain law as a function of H = F - I at points, see the module.
 
@@ -136,6 +146,29 @@ class LogarithmicLaw:
                 else:
                     new[name][some] = values
         return new
+
+    def values(
+        self, F: Floats, state: Mapping[str, Floats], parameters: Mapping[str, Floats]
+    ) -> FiniteValues:
+        """Return everything at q points, as tensors.
+
+        Args:
+            F: deformation gradient (q, 3, 3).
+            state: committed internal variables by name, (q,) or (q, 3, 3).
+            parameters: by name, (q,).
+        """
+        q, k = len(F), len(self.components)
+        H = np.ascontiguousarray(F - np.eye(3))
+        P, A, psi = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.full(q, np.nan)
+        start = self.start(state, parameters)
+        self.respond(start, H, P, A, psi)
+        rows, columns = self.components.T
+        stress, tangent = np.zeros((q, 3, 3)), np.zeros((q, 3, 3, 3, 3))
+        stress[:, rows, columns] = P
+        for t, (n, o) in enumerate(zip(*np.triu_indices(k), strict=True)):
+            first, second = self.components[n], self.components[o]
+            tangent[:, *first, *second] = tangent[:, *second, *first] = A[:, t]
+        return FiniteValues(stress, tangent, psi, self.update(start, H))
 
     def _decompose(self, start: Start, H: Floats, some: slice) -> list[Floats]:
         """Return x, logs, N, y, m, see `logarithms`, at some points."""
