@@ -8,6 +8,7 @@ It must not know of meshes, functions or contact; `check` tries a law out withou
 from dolfinx_mortar.materials.comparison import check
 from dolfinx_mortar.materials.drucker_prager import DruckerPrager
 from dolfinx_mortar.materials.elastic import Elastic
+from dolfinx_mortar.materials.neo_hooke import NeoHooke
 from dolfinx_mortar.materials.orthotropic import Orthotropic
 from dolfinx_mortar.materials.protocol import Material, PointwiseLaw
 from dolfinx_mortar.materials.voce import VonMisesVoce
@@ -17,6 +18,7 @@ __all__ = [
     "DruckerPrager",
     "Elastic",
     "Material",
+    "NeoHooke",
     "Orthotropic",
     "PointwiseLaw",
     "VonMises",

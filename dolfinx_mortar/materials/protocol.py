@@ -41,7 +41,16 @@ class Material(Protocol):
 
     A law may inherit from this class, which has no memory and no output, or just look like it.
 
+    **Finite strain.** A law with ``strain = "finite"`` gets the deformation gradient F (3x3, not
+    symmetric, det F > 0) where the others get the strain: `energy(F, state, p)` is psi per volume
+    at X, `stress(F, state, p)` the first Piola-Kirchhoff stress P = d psi / dF, `tangent` dP/dF :
+    direction, of a direction that is not symmetric either. Only `elastic_stress` is still that of a
+    small strain, at F = I. psi has to be objective, psi(Q F) = psi(F) for rotations Q, which a
+    function of C = F^T F is. It needs ``Solid(.., strain="finite")``. Of all others the
+    solid makes laws of F itself.
+
     Attributes:
+        strain: "small", what the law gets as its first argument is a small strain, or "finite", F.
         state: internal variables, name -> shape; () or (3, 3) (symmetric). A property where the
             parameters decide which there are.
         linear: True if the stress is a linear function of the strain and nothing else.
@@ -63,6 +72,7 @@ class Material(Protocol):
     state: ClassVar[Mapping[str, tuple[int, ...]]]
     linear: ClassVar[bool]
     ranges: ClassVar[Mapping[str, Range]] = {}
+    strain: ClassVar[str] = "small"
 
     @staticmethod
     def elastic_stress(strain: Expr, p: Any) -> Expr:
@@ -108,6 +118,9 @@ class PointwiseLaw(Material):
             def update(strain, state, p):
                 return stresses(strain, p.E, p.nu), tangents(strain, p.E, p.nu), {}
 
+    With ``strain = "finite"`` the first argument is F (q, 3, 3), the stress P and the tangent
+    dP_ij/dF_kl; such a law may have a potential for the line search, `energy(F, state, p)`, psi
+    (q,) of arrays.
     """
 
     state: ClassVar[Mapping[str, tuple[int, ...]]] = {}
@@ -141,6 +154,7 @@ class Law:
     """
 
     name: str
+    strain: str  # "small" or "finite": what the first argument of the methods is
     plane_stress: bool  # whether the strain out of the plane is what leaves no stress there
     state: Mapping[str, tuple[int, ...]]
     linear: bool
@@ -173,7 +187,7 @@ _REMEDIES = {
 }
 # Fields that are written beside those of the laws; a law must not hide them.
 RESERVED = (
-    *("stress", "von_mises"),
+    *("stress", "von_mises", "J"),
     *("displacement", "pressure", "gap", "facing", "status"),
     *("traction", "slip"),
 )
@@ -204,8 +218,14 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
             f"{name} = {material!r} is not a material: {kind.__name__} has no "
             f"{', no '.join(missing)}; {remedies}."
         )
+    strain = getattr(kind, "strain", "small")
+    if strain not in ("small", "finite"):
+        raise ValueError(
+            f"{kind.__name__}: strain is {strain!r}: declare ClassVar 'small' or 'finite'."
+        )
     law = Law(
         name=kind.__name__,
+        strain=strain,
         plane_stress=plane_stress,
         state=_checked_state(kind.__name__, state),
         linear=bool(linear),

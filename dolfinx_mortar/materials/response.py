@@ -227,13 +227,13 @@ def _updated(
         given, declared = (", ".join(sorted(names)) or "nothing" for names in (new, law.state))
         raise ValueError(f"{where} returns the state {given}, but `state` declares {declared}.")
     return PointValues(
-        _shaped_array(f"{where}: the stress", stress, (q, 3, 3)),
-        _shaped_array(f"{where}: the tangent", tangent, (q, 3, 3, 3, 3)),
-        {n: _shaped_array(f"{where}: {n}", new[n], (q, *shape)) for n, shape in law.state.items()},
+        shaped_array(f"{where}: the stress", stress, (q, 3, 3)),
+        shaped_array(f"{where}: the tangent", tangent, (q, 3, 3, 3, 3)),
+        {n: shaped_array(f"{where}: {n}", new[n], (q, *shape)) for n, shape in law.state.items()},
     )
 
 
-def _shaped_array(what: str, value: Any, shape: tuple[int, ...]) -> Floats:
+def shaped_array(what: str, value: Any, shape: tuple[int, ...]) -> Floats:
     """Return an array of the shape, or raise a ValueError."""
     try:
         array = np.asarray(value, dtype=np.float64)

@@ -20,6 +20,11 @@ from dolfinx_mortar.arrays import Floats
 from ufl.core.expr import Expr
 
 COMPONENTS = {2: ("xx", "yy", "zz", "xy"), 3: ("xx", "yy", "zz", "xy", "yz", "xz")}
+# Row and column of each entry of F or P that may be non-zero, which are stored in this order.
+GRADIENT = {
+    2: ((0, 0), (0, 1), (1, 0), (1, 1), (2, 2)),
+    3: tuple((i, j) for i in range(3) for j in range(3)),
+}
 # Row and column of each stored component.
 INDEX = tuple(("xyz".index(name[0]), "xyz".index(name[1])) for name in COMPONENTS[3])
 

@@ -110,6 +110,8 @@ def create_forms(
     weight = ufl.as_ufl(kinematics.weight(ufl.SpatialCoordinate(V.mesh)))
     v, direction = ufl.TestFunction(V), fem.Function(V)
     virtual, along = kinematics.virtual(u, v), kinematics.virtual(u, direction)
+    if kinematics.finite:  # a turn of the deformed body has no norm
+        along = ufl.sym(ufl.transpose(kinematics.measure(u)) * along)
     along = along if dilatation is None else ufl.dev(along)
 
     def integral(densities: Sequence[Expr]) -> ufl.Form:

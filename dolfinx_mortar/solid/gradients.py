@@ -100,7 +100,7 @@ class PointGradients:
         The strain is small if it is linear in u.
         """
         self._space = stress.function_space
-        size, strain = self._space.dofmap.bs, kinematics.measure(u)
+        size, strain = self._space.dofmap.bs, kinematics.strain(u)
         parts = [to_components(strain, size), _axial(ufl.grad(u))]
         if eigenstrain is not None:
             parts.append(to_components(strain - eigenstrain.tensor, size))

@@ -48,6 +48,40 @@ class Kinematics:
     plane_stress: bool = False
     # as `rigid_motions`: what strains a small piece little, for multigrid; None for just these
     nearly_rigid: Callable[[Floats], dict[str, Floats]] | None = None
+    # displacement -> deformation gradient F, 3x3; None if bodies cannot have a finite strain
+    gradient: Callable[[Expr], Expr] | None = None
+    finite: bool = False  # whether the measure is F, not a strain, see `of_finite_strain`
+
+    def of_finite_strain(self) -> "Kinematics":
+        """Return these kinematics with F as measure, of which P is the work-conjugate stress.
+
+        The weak form is int P : dF[v], so that all that holds of a strain that is linear in u holds
+        of F.
+
+        Raises:
+            ValueError: if there is no deformation gradient, or in plane stress.
+        """
+        why = "strain is 'finite', which is for the kinematics 'plane strain', 'axisymmetric' and "
+        if self.plane_stress:
+            raise ValueError(
+                f"{why}'spatial': in 'plane stress' the thickness would be an unknown at every "
+                "point, which only the small strain solves for; choose strain='small', or a "
+                "mesh in 3D"
+            )
+        if self.gradient is None:
+            raise ValueError(
+                f"{why}'spatial', or with a gradient: {self.name!r} has none; give "
+                "Kinematics(..., gradient=), displacement -> F (3x3)"
+            )
+        name = f"{self.name}, finite strain"
+        return dataclasses.replace(self, name=name, measure=self.gradient, finite=True)
+
+    def strain(self, u: Expr) -> Expr:
+        """Return the strain at u: that of the measure, Green and Lagrange's where it is F."""
+        measured = self.measure(u)
+        if not self.finite:
+            return measured
+        return (ufl.transpose(measured) * measured - ufl.Identity(3)) / 2
 
     def virtual(self, u: Expr, v: Expr) -> Expr:
         """Return the strain that v causes at u, linear in v: d measure(u)/du [v]."""
@@ -99,6 +133,28 @@ def _padded_symmetric_gradient(u: Expr) -> Expr:
     return ufl.as_tensor([[g[0, 0], g[0, 1], 0], [g[1, 0], g[1, 1], 0], [0, 0, 0]])
 
 
+def _gradient(u: Expr) -> Expr:
+    """Return F = I + grad u of a displacement in space."""
+    return ufl.Identity(3) + ufl.grad(u)
+
+
+def _padded_gradient(u: Expr) -> Expr:
+    """Return F of a displacement in the plane: no stretch out of the plane."""
+    return _with_stretch(u, 1)
+
+
+def _meridian_gradient(u: Expr) -> Expr:
+    """Return F of a ring by the displacement (u_r, u_z), in the order r, z, theta."""
+    r = ufl.SpatialCoordinate(ufl.domain.extract_unique_domain(u))[0]
+    return _with_stretch(u, 1 + u[0] / r)
+
+
+def _with_stretch(u: Expr, stretch: Any) -> Expr:
+    """Return F of a displacement in the plane, with a stretch out of it."""
+    g = ufl.grad(u)
+    return ufl.as_tensor([[1 + g[0, 0], g[0, 1], 0], [g[1, 0], 1 + g[1, 1], 0], [0, 0, stretch]])
+
+
 def _meridian_strain(u: Expr) -> Expr:
     """Return the small strain of a ring by the displacement (u_r, u_z) of its section.
 
@@ -145,7 +201,12 @@ def translations_and_rotations(x: Floats) -> dict[str, Floats]:
 
 
 plane_strain = Kinematics(
-    "plane strain", _padded_symmetric_gradient, _unit, translations_and_rotations, dimension=2
+    "plane strain",
+    _padded_symmetric_gradient,
+    _unit,
+    translations_and_rotations,
+    dimension=2,
+    gradient=_padded_gradient,
 )
 plane_stress = dataclasses.replace(plane_strain, name="plane stress", plane_stress=True)
 axisymmetric = Kinematics(
@@ -157,8 +218,16 @@ axisymmetric = Kinematics(
     radius=0,
     # u_r / r is small beside the gradients; without these, iterations grow with the mesh
     nearly_rigid=translations_and_rotations,
+    gradient=_meridian_gradient,
 )
-spatial = Kinematics("spatial", _symmetric_gradient, _unit, translations_and_rotations, dimension=3)
+spatial = Kinematics(
+    "spatial",
+    _symmetric_gradient,
+    _unit,
+    translations_and_rotations,
+    dimension=3,
+    gradient=_gradient,
+)
 KINEMATICS = {
     "plane_strain": plane_strain,
     "plane_stress": plane_stress,

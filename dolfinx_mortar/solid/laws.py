@@ -17,6 +17,7 @@ from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.materials.protocol import RESERVED, Law, create_law
+from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.parameters import ParameterTable
 from dolfinx_mortar.tags import by_tag, check_entities, label, labels
 
@@ -71,7 +72,7 @@ def create_regions(
     materials: Material | Mapping[int | str, Material],
     cell_tags: mesh.MeshTags | None,
     degree: int,
-    plane_stress: bool = False,
+    kinematics: Kinematics,
 ) -> list[Region]:
     """Group the cells by law and store the parameters; collective.
 
@@ -79,7 +80,14 @@ def create_regions(
         ValueError: if a law lacks a part, tags and materials do not cover the cells
             exactly, or a parameter is out of its range, belongs to another mesh or depends on u.
     """
-    given, choice = _material_of_cells(u.function_space.mesh, materials, cell_tags, plane_stress)
+    how = kinematics.plane_stress
+    given, choice = _material_of_cells(u.function_space.mesh, materials, cell_tags, how)
+    for _, law in given:
+        if law.strain == "finite" and not kinematics.finite:
+            raise ValueError(
+                f"materials: {law.name} is a law of the deformation gradient: choose "
+                "Solid(.., strain='finite')"
+            )
     # Those of one class and state are one region. Sorted by name so that the same laws make the
     # same forms in any order of the dictionary.
     alike: dict[Any, list[int]] = {}

@@ -5,9 +5,7 @@ Laws of arrays give stress, consistent tangent and new internal variables; local
 plane stress gives the strain out of the plane.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from mpi4py import MPI
 
@@ -15,7 +13,7 @@ import numba
 import numpy as np
 
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Floats, Ints
@@ -29,56 +27,18 @@ from dolfinx_mortar.materials.tensor import (
     tensor_of,
     to_components,
 )
+from dolfinx_mortar.solid.at_points import (
+    PointValuesOfRegion,
+    middle_of,
+    pairs,
+    set_points,
+    symmetric_rows,
+)
+from dolfinx_mortar.solid.finite_points import FinitePointFields
 from dolfinx_mortar.solid.laws import Region
 from dolfinx_mortar.solid.sources import point_function
 from dolfinx_mortar.solid.state import as_tensors, create_field
 from ufl.core.expr import Expr
-
-
-class PointValuesOfRegion(ABC):
-    """What is found at the points of a region before anything is assembled.
-
-    Attributes:
-        region: the law and its cells.
-        response: of the law, in terms of what is found.
-    """
-
-    response: Response
-
-    def __init__(
-        self,
-        region: Region,
-        strain: Expr,
-        state: Mapping[str, fem.Function],
-        inputs: Sequence[fem.Function],
-        degree: int,
-    ) -> None:
-        """Create what is filled; the inputs are what the 3x3 strain depends on; collective."""
-        self.region = region
-        self._committed = {name: state[name] for name in region.law.state}
-        self._inputs = [*inputs, *self._committed.values(), region.parameters.function]
-        self._seen: list[Floats] = []
-        self._create(strain, degree)
-
-    @abstractmethod
-    def _create(self, strain: Expr, degree: int) -> None:
-        """Create the Functions and the response, compile; collective."""
-
-    def fill(self) -> None:
-        """Evaluate the law, unless nothing has changed; without communication.
-
-        Raises:
-            ValueError: if the law fails; the values are then as before.
-        """
-        now = [f.x.array for f in self._inputs]
-        if len(self._seen) == len(now) and all(map(np.array_equal, now, self._seen)):
-            return
-        self._evaluate()
-        self._seen = [values.copy() for values in now]
-
-    @abstractmethod
-    def _evaluate(self) -> None:
-        """Fill the Functions."""
 
 
 class NormalStrain(PointValuesOfRegion):
@@ -121,7 +81,7 @@ class PointwiseFields(PointValuesOfRegion):
         domain = self.region.parameters.function.function_space.mesh
         self._stress = create_field(domain, degree, (3, 3), "stress")
         size = self._stress.function_space.dofmap.bs
-        self._tangent = point_function(domain, degree, (len(_pairs(size)),))
+        self._tangent = point_function(domain, degree, (len(pairs(size)),))
         points = compat.interpolation_points(self._stress.function_space)
         self._strain = fem.Expression(to_components(strain, size), points)
         self._new = {name: f.copy() for name, f in self._committed.items()}
@@ -137,24 +97,21 @@ class PointwiseFields(PointValuesOfRegion):
         cells = self.region.cells
         V, size = self._stress.function_space, self._stress.function_space.dofmap.bs
         strain = tensor_of(np.asarray(self._strain.eval(V.mesh, cells)).reshape(-1, size))
-        state = {
-            name: tensor_of(_at(f, cells)) if self.region.law.state[name] else _at(f, cells)[:, 0]
-            for name, f in self._committed.items()
-        }
+        state = self._state_at(cells)
         points = V.dofmap.list.shape[1]
         p = self.region.parameters.values(cells, points)
         found = values_at_points(self.region.law, strain, state, p)
         self._judge(found, strain, points)
-        _set(self._stress, cells, stored(found.stress, size))
-        _set(self._tangent, cells, packed(found.tangent, size))
+        set_points(self._stress, cells, stored(found.stress, size))
+        set_points(self._tangent, cells, packed(found.tangent, size))
         for name, f in self._new.items():
             new = found.state[name]
-            _set(f, cells, stored(new, size) if new.ndim == 3 else new[:, None])
+            set_points(f, cells, stored(new, size) if new.ndim == 3 else new[:, None])
 
     def _change(self, direction: Expr) -> Expr:
         """Return the tangent times a direction, 3x3."""
         size = self._stress.function_space.dofmap.bs
-        e, rows = to_components(direction, size), _matrix(self._tangent, size)
+        e, rows = to_components(direction, size), symmetric_rows(self._tangent, size)
         # a stored shear stands for two components
         sums = [
             sum(rows[i][j] * (1 if j < 3 else 2) * e[j] for j in range(size)) for i in range(size)
@@ -166,15 +123,11 @@ class PointwiseFields(PointValuesOfRegion):
         undefined = np.flatnonzero(found.undefined)
         if undefined.size:
             cell, point = divmod(int(undefined[0]), points)
-            domain = self._stress.function_space.mesh
-            x = mesh.compute_midpoints(
-                domain, domain.topology.dim, self.region.cells[cell : cell + 1]
-            )[0]
-            middle = ", ".join(f"{v:.4g}" for v in x[: domain.geometry.dim])
+            middle = middle_of(self._stress.function_space.mesh, self.region.cells[cell])
             values = ", ".join(f"{v:.6g}" for v in stored(strain[undefined[:1]])[0])
             raise ValueError(
                 f"{self.region.law.name}.update gives NaN or infinity at {undefined.size} "
-                f"integration points, first at point {point} of the cell around ({middle}), where "
+                f"integration points, first at point {point} of the cell around {middle}, where "
                 f"the strain (xx, yy, zz, xy, yz, xz) is ({values})."
             )
 
@@ -185,12 +138,19 @@ def create_point_values(
     state: Mapping[str, fem.Function],
     inputs: Sequence[fem.Function],
     degree: int,
+    *,
+    finite: bool = False,
 ) -> dict[Law, PointValuesOfRegion]:
-    """Return what is found at points before each assembly, by law; collective."""
+    """Return what is found at points before each assembly, by law; collective.
+
+    The strain is F where strains are finite; of laws in UFL only those of F read it themselves.
+    """
     found: dict[Law, PointValuesOfRegion] = {}
     for region in regions:
         arguments = region, strain, state, inputs, degree
-        if region.law.update is not None:
+        if finite and (region.law.update is not None or region.law.strain == "small"):
+            found[region.law] = FinitePointFields(*arguments)
+        elif region.law.update is not None:
             found[region.law] = PointwiseFields(*arguments)
         elif region.law.condensed:
             found[region.law] = NormalStrain(*arguments)
@@ -209,30 +169,13 @@ def fill_point_values(comm: MPI.Comm, found: Mapping[Law, PointValuesOfRegion]) 
                 values.fill()
 
 
-def _at(f: fem.Function, cells: Any) -> Floats:
-    """Return the values (q, components) at the points of some cells."""
-    dofmap = f.function_space.dofmap
-    return np.asarray(f.x.array.reshape(-1, dofmap.bs)[dofmap.list[cells].ravel()])
-
-
-def _set(f: fem.Function, cells: Any, values: Floats) -> None:
-    """Set the values (q, components) at the points of some cells."""
-    dofmap = f.function_space.dofmap
-    f.x.array.reshape(-1, dofmap.bs)[dofmap.list[cells].ravel()] = values
-
-
-def _pairs(size: int) -> list[tuple[int, int]]:
-    """Return rows and columns of the upper triangle, row by row."""
-    return [(i, j) for i in range(size) for j in range(i, size)]
-
-
 def packed(tangent: Floats, size: int) -> Floats:
     """Return the upper triangle of the stored part of tangents (q, 3, 3, 3, 3), row by row.
 
     Entry (I, J) is the mean of what the symmetries of strain, stress and energy make equal.
     """
-    terms = np.empty((len(_pairs(size)), 4), dtype=np.int64)
-    for t, (a, b) in enumerate(_pairs(size)):
+    terms = np.empty((len(pairs(size)), 4), dtype=np.int64)
+    for t, (a, b) in enumerate(pairs(size)):
         (i, j), (k, m) = INDEX[a], INDEX[b]
         ways = [(i, j, k, m), (i, j, m, k), (k, m, i, j), (k, m, j, i)]
         terms[t] = [np.ravel_multi_index(way, (3, 3, 3, 3)) for way in ways]
@@ -251,9 +194,3 @@ def _means(values, terms):  # type: ignore[no-untyped-def]
             a, b, c, d = terms[t]
             means[q, t] = (values[q, a] + values[q, b] + values[q, c] + values[q, d]) / 4
     return means
-
-
-def _matrix(upper: fem.Function, size: int) -> list[list[Expr]]:
-    """Return the rows of a symmetric matrix that is stored by its upper triangle."""
-    number = {pair: k for k, pair in enumerate(_pairs(size))}
-    return [[upper[number[min(i, j), max(i, j)]] for j in range(size)] for i in range(size)]

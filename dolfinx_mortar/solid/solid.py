@@ -30,6 +30,7 @@ from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.solid.dilatation import create_dilatation
 from dolfinx_mortar.solid.eigenstrain import create_eigenstrain
+from dolfinx_mortar.solid.finite_strain import Volumes, as_cauchy, check_finite
 from dolfinx_mortar.solid.forms import create_forms, create_responses
 from dolfinx_mortar.solid.gradients import PointGradients
 from dolfinx_mortar.solid.kinematics import Kinematics, check_radius, choose_kinematics
@@ -59,7 +60,8 @@ class Solid(Term):
         u: displacement; its ghosts must be up to date in every call.
         kinematics: strain measure, weight and rigid motions; plane strain in 2D.
         eigenstrain: the strain that the laws do not see, at the integration points, or None.
-        stress: quadrature Function of the same components, filled by `evaluate`.
+        stress: quadrature Function of the same components, filled by `evaluate`; Cauchy's at
+            finite strain.
         regions: the cells of each law, with its parameters.
         fields: what `evaluate` found, at the integration points.
         gradients: strain and rotation at u, at the integration points.
@@ -76,6 +78,7 @@ class Solid(Term):
         kinematics: str | Kinematics | None = None,
         eigenstrain: Any = None,
         volumetric: str = "full",
+        strain: str = "small",
     ) -> None:
         """Create the bodies and compile their forms (collective).
 
@@ -100,6 +103,9 @@ class Solid(Term):
                 their volume hardly changes: the trace of the strain is then its mean over the cell,
                 and so is the mean stress that is shown. For laws that split into a deviator and a
                 trace, see `Material`.
+            strain: "small", or "finite" for bodies that turn or strain by more than a few percent:
+                laws see the deformation gradient F = I + grad u, the weak form is int P : dF[v].
+                For plane strain, axisymmetric and spatial bodies, without eigenstrain.
 
         Raises:
             ValueError: if u is complex or in another kind of space, materials and tags do not
@@ -122,15 +128,19 @@ class Solid(Term):
             kinematics=kinematics,
             eigenstrain=eigenstrain,
             volumetric=volumetric,
+            strain=strain,
         )
         self.inputs = Inputs(changing, find_constants([materials, eigenstrain]))
         check_real("u", u)
         check_space(u.function_space, "u")
         self.u = u
         self.kinematics = choose_kinematics(kinematics, self.mesh.geometry.dim)
+        check_finite(strain, eigenstrain, volumetric)
+        if strain == "finite":
+            self.kinematics = self.kinematics.of_finite_strain()
         check_radius(self.kinematics, self.mesh)
         degree = _degree(self.V, quadrature_degree)
-        self.regions = create_regions(u, materials, cell_tags, degree, self.kinematics.plane_stress)
+        self.regions = create_regions(u, materials, cell_tags, degree, self.kinematics)
         self._committed = create_state(self.regions, self.mesh, degree)
         self._staged = {name: f.copy() for name, f in self._committed.items()}
         self.stress = create_field(self.mesh, degree, (3, 3), "stress")
@@ -138,24 +148,31 @@ class Solid(Term):
         dilatation = create_dilatation(
             u, volumetric, self.regions, self.kinematics, degree, eigenstrain=self.eigenstrain
         )
-        strain = self.kinematics.measure(u)
-        strain = strain if self.eigenstrain is None else strain - self.eigenstrain.tensor
+        measured = self.kinematics.measure(u)
+        seen = measured if self.eigenstrain is None else measured - self.eigenstrain.tensor
         mean_stress = None
         if dilatation is not None:  # the laws, pointwise ones too, see the deviator only
-            strain, mean_stress = ufl.dev(strain), dilatation.mean_stress
+            seen, mean_stress = ufl.dev(seen), dilatation.mean_stress
         inputs = [u] if self.eigenstrain is None else [u, self.eigenstrain.function]
-        self._found = create_point_values(self.regions, strain, self.state, inputs, degree)
-        responses = create_responses(strain, self.regions, self.state, self._found, mean_stress)
+        finite = self.kinematics.finite
+        found = create_point_values(self.regions, seen, self.state, inputs, degree, finite=finite)
+        self._found = found
+        responses = create_responses(seen, self.regions, self.state, self._found, mean_stress)
         weight = self.kinematics.weight
-        self.fields = PointFields(self.stress, self._staged, self.regions, degree, weight)
+        self.volumes = Volumes(u, measured, degree) if finite else None
+        shown = self._staged if self.volumes is None else {**self._staged, "J": self.volumes.J}
+        self.fields = PointFields(self.stress, shown, self.regions, degree, weight)
         with raised_together(self.mesh.comm):
             self.fields.bases  # noqa: B018 - checks the output of the laws
-        evaluations = create_evaluations(self.regions, responses, self._staged, self.stress)
+        cauchy = [as_cauchy(r, measured) for r in responses] if finite else responses
+        evaluations = create_evaluations(self.regions, cauchy, self._staged, self.stress)
+        if self.volumes is not None:
+            evaluations.append(self.volumes.source)
         laws = self.regions, responses
         self._forms = create_forms(
             u, *laws, self.kinematics, degree, evaluations=evaluations, dilatation=dilatation
         )
-        small = self.kinematics.linear_in(u)
+        small = not finite and self.kinematics.linear_in(u)
         parts = self.kinematics, self.eigenstrain, self.stress
         self.gradients = PointGradients(u, *parts, small=small)
 
@@ -183,6 +200,11 @@ class Solid(Term):
         (xx, yy, zz, xy, yz, xz) in 3D, the shear being the tensor component.
         """
         return self._committed
+
+    @property
+    def strain(self) -> str:
+        """How strains are measured, "small" or "finite"."""
+        return "finite" if self.kinematics.finite else "small"
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
@@ -214,10 +236,13 @@ class Solid(Term):
     def energy(self) -> float | None:
         """Return this rank's share of the incremental potential Psi(u); collective.
 
-        None if a law gives a stress but no potential.
+        None if a law gives a stress but no potential. Infinite on a rank where a point of a finite
+        strain has no positive volume, det F <= 0.
         """
         if self._forms.energy is None:
             return None
+        if self.volumes is not None and self.volumes.inverted():
+            return math.inf
         self.follow()
         share, dilatation = float(fem.assemble_scalar(self._forms.energy)), self._forms.dilatation
         return share if dilatation is None else share + dilatation.energy()
@@ -288,6 +313,7 @@ class Solid(Term):
         a law that depends on the size of a step would flow further.
         """
         shown = [self.stress, *self._staged.values()]
+        shown += [] if self.volumes is None else [self.volumes.J]
         functions = shown + [followed.function for followed in self._followed()]
         return [(f, f.x.array.copy()) for f in functions]
 
@@ -330,6 +356,8 @@ class Solid(Term):
         which are what is shown.
         """
         committed = {f"committed/{name}": f for name, f in self.state.items()}
+        if self.volumes is not None:
+            committed["J"] = self.volumes.J
         return (
             {"stress": self.stress} | committed | {f"shown/{n}": f for n, f in self._staged.items()}
         )

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: MIT
+"""Laws at finite strain as functions of arrays: from the deformation gradient to P and dP/dF.
+
+A solid with ``strain="finite"`` calls a `FiniteLaw` for each region whose law is not UFL of F:
+those of arrays (`PointwiseLaw` with ``strain = "finite"``), and all laws of a small strain.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.materials.protocol import Law
+from dolfinx_mortar.materials.response import shaped_array, values_at_points
+
+
+@dataclass(frozen=True)
+class FiniteValues:
+    """The answer of a law at q deformation gradients, each with det F > 0."""
+
+    energy: Floats | None  # (q,) psi, the incremental potential per volume at X; None without one
+    stress: Floats  # (q, 3, 3) P = d psi / dF, force per area at X
+    tangent: Floats  # (q, 3, 3, 3, 3) dP_ij / dF_kl, with the symmetry ij <-> kl
+    state: dict[str, Floats]  # (q,) or (q, 3, 3), internal variables at the end of the step
+
+    @property
+    def undefined(self) -> Bools:
+        """At which points (q,) something is NaN or infinite."""
+        parts = [self.stress, self.tangent, *self.state.values()]
+        parts += [] if self.energy is None else [self.energy]
+        found = np.zeros(len(self.stress), dtype=bool)
+        for part in parts:
+            if not np.isfinite(part.sum()):  # much quicker than to look at each
+                found |= ~np.isfinite(part.reshape(len(part), -1)).all(axis=1)
+        return found
+
+
+Evaluation = Callable[[Floats, Mapping[str, Floats], SimpleNamespace], FiniteValues]
+
+
+@dataclass(frozen=True)
+class FiniteLaw:
+    """A law that is ready to be called at points.
+
+    ``evaluate(F, state, p)`` gets F (q, 3, 3), det F > 0, q may be 0; the committed internal
+    variables, (q,) or (q, 3, 3), not to be changed; and the parameters (q,) by name.
+    """
+
+    evaluate: Evaluation
+    has_energy: bool  # whether `FiniteValues.energy` is there
+
+
+def create_finite_law(law: Law) -> FiniteLaw:
+    """Return what evaluates a law at finite strain; all ranks call it, and it may compile.
+
+    Raises:
+        ValueError: for a law that cannot be evaluated there.
+    """
+    if law.strain == "finite":
+        return _of_arrays(law)
+    return _of_small_strain(law)
+
+
+def _of_arrays(law: Law) -> FiniteLaw:
+    """Return the law of a `PointwiseLaw` that is made for F."""
+
+    def evaluate(F: Floats, state: Mapping[str, Floats], p: SimpleNamespace) -> FiniteValues:
+        found = values_at_points(law, F, state, p)
+        energy = None
+        if law.energy is not None:
+            try:
+                given = law.energy(F, state, p)
+            except Exception as error:
+                raise ValueError(
+                    f"{law.name}.energy raised {type(error).__name__}: {error} (at {len(F)} points)"
+                ) from error
+            energy = shaped_array(f"{law.name}.energy", given, (len(F),))
+        return FiniteValues(energy, found.stress, found.tangent, found.state)
+
+    return FiniteLaw(evaluate, law.energy is not None)
+
+
+def _of_small_strain(law: Law) -> FiniteLaw:
+    """Return a law of a small strain as one of F.
+
+    Raises:
+        ValueError: always, so far.
+    """
+    raise ValueError(
+        f"strain is 'finite', but {law.name} is a law of the small strain: choose a law with "
+        "strain = 'finite', such as NeoHooke(E, nu), or strain='small'"
+    )

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: MIT
+"""Finite strain: what it cannot be combined with, volumes at the points, Cauchy's stress."""
+
+import dataclasses
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+from dolfinx_mortar.arguments import is_name
+from dolfinx_mortar.materials.response import Response
+from dolfinx_mortar.solid.at_points import middle_of
+from dolfinx_mortar.solid.sources import create_source, point_function
+from ufl.core.expr import Expr
+
+
+def check_finite(strain: Any, eigenstrain: Any, volumetric: Any) -> None:
+    """Raise a ValueError for an unknown strain, and what a finite one does not go with."""
+    if not is_name(strain, ("small", "finite")):
+        raise ValueError(f"strain is {strain!r}: choose 'small' or 'finite'")
+    if strain == "small":
+        return
+    if eigenstrain is not None:
+        raise ValueError(
+            "strain is 'finite', and eigenstrain is given: a strain without stress is subtracted "
+            "from a small strain, while F would have to be split into a product; leave it away, or "
+            "choose strain='small'"
+        )
+    if volumetric == "reduced":
+        raise ValueError(
+            "strain is 'finite', and volumetric 'reduced' is for a small one: choose 'full'"
+        )
+
+
+class Volumes:
+    """J = det F at the integration points.
+
+    Attributes:
+        J: quadrature Function that `Solid.evaluate` fills; 1 before.
+        source: what fills it.
+    """
+
+    def __init__(self, u: fem.Function, gradient: Expr, degree: int) -> None:
+        """Compile the determinant; collective."""
+        domain = u.function_space.mesh
+        cells = domain.topology.index_map(domain.topology.dim)
+        every = np.arange(cells.size_local + cells.num_ghosts, dtype=np.int32)
+        self.J = point_function(domain, degree, (), "J")
+        self.J.x.array[:] = 1.0
+        self.source = create_source(self.J, every, "J", ufl.det(gradient))
+        self._owned = cells.size_local
+        self._comm = domain.comm
+
+    def inverted(self) -> bool:
+        """Tell whether J at u is no positive number at a point of this rank's; no communication."""
+        return not bool((self._now() > 0.0).all())
+
+    def smallest(self) -> float:
+        """Return the smallest J at u, NaN if one is undefined; collective."""
+        values = self._now()
+        return float(self._comm.allreduce(float(values.min(initial=np.inf)), op=MPI.MIN))
+
+    def describe_inverted(self) -> str:
+        """Say where a cell is turned inside out at u, "" if nowhere; collective."""
+        values = self._now()
+        bad = ~(values > 0.0).all(axis=1)
+        where = ""
+        if bad.any():
+            lowest = np.where(np.isnan(values), -np.inf, values).min(axis=1)
+            cell = int(np.argmin(lowest))
+            domain = self.J.function_space.mesh
+            number = int(domain.topology.original_cell_index[cell])
+            where = (
+                f"cell {number} of the input around {middle_of(domain, cell)} at X, whose "
+                f"J = det F is {values[cell].min():.3g}"
+            )
+        found = [place for place in self._comm.allgather(where) if place]
+        count = self._comm.allreduce(int(bad.sum()))
+        return f"{count} cells are turned inside out, such as {found[0]}" if found else ""
+
+    def _now(self) -> np.ndarray:
+        """Return J at u (owned cells, points)."""
+        values = self.source.expression.eval(
+            self.J.function_space.mesh, self.source.cells[: self._owned]
+        )
+        return np.asarray(values)
+
+
+def as_cauchy(response: Response, gradient: Expr) -> Response:
+    """Return a response whose stress is Cauchy's, P F^T / det F, for what is shown."""
+    cauchy = response.stress * ufl.transpose(gradient) / ufl.det(gradient)
+    return dataclasses.replace(response, stress=cauchy)
