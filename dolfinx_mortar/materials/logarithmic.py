@@ -35,9 +35,17 @@ import ufl
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials import logarithms
 from dolfinx_mortar.materials.compiled import Kernel, compile_kernel, constants, tabulate
+from dolfinx_mortar.materials.finite_law import FiniteValues
 from dolfinx_mortar.materials.protocol import PLASTIC, Law
 from dolfinx_mortar.materials.response import PointValues, Response, respond, values_at_points
-from dolfinx_mortar.materials.tensor import INDEX, from_components, stored, tensor_of, to_components
+from dolfinx_mortar.materials.tensor import (
+    GRADIENT,
+    INDEX,
+    from_components,
+    stored,
+    tensor_of,
+    to_components,
+)
 from ufl.core.expr import Expr
 
 CHUNK = 512  # points that are treated together, so that what is kept of them stays in the cache
@@ -54,16 +62,6 @@ class Start:
     numbers: Floats  # (q, n), the arguments of a law in UFL, with space for the strain
 
 
-@dataclass(frozen=True)
-class FiniteValues:
-    """The answer of a law to a deformation at q points."""
-
-    stress: Floats  # P = d psi / dF (q, 3, 3)
-    tangent: Floats  # dP / dF (q, 3, 3, 3, 3)
-    energy: Floats  # psi (q,), per volume of the undeformed body; NaN without a potential
-    state: dict[str, Floats]  # at the end of the step, (q,) or (q, 3, 3)
-
-
 class LogarithmicLaw:
     """A small-strain law as a function of H = F - I at points, see the module.
 
@@ -71,7 +69,7 @@ class LogarithmicLaw:
         law: its parts.
         multiplicative: which form; else the additive one.
         has_energy: whether there is a potential.
-        components: row and column of the k entries of P that may differ from zero (k, 2).
+        components: row and column of the k entries of P that may differ from zero.
     """
 
     def __init__(
@@ -95,7 +93,7 @@ class LogarithmicLaw:
         """
         self.law, self.multiplicative = law, law.isotropic
         self.has_energy = law.energy is not None and law.update is None
-        self.components = logarithms.GRADIENT[dimension]
+        self.components = GRADIENT[dimension]
         self._pairs = INDEX[: 4 if dimension == 2 else 6]
         kind = _InUFL if law.update is None else _OfArrays
         self._inner: _InUFL | _OfArrays = kind(law, list(parameters), len(self._pairs), jit)
@@ -159,16 +157,31 @@ class LogarithmicLaw:
         """
         q, k = len(F), len(self.components)
         H = np.ascontiguousarray(F - np.eye(3))
-        P, A, psi = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.full(q, np.nan)
+        P, A, psi = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.empty(q)
         start = self.start(state, parameters)
         self.respond(start, H, P, A, psi)
-        rows, columns = self.components.T
         stress, tangent = np.zeros((q, 3, 3)), np.zeros((q, 3, 3, 3, 3))
-        stress[:, rows, columns] = P
+        for n, entry in enumerate(self.components):
+            stress[:, *entry] = P[:, n]
         for t, (n, o) in enumerate(zip(*np.triu_indices(k), strict=True)):
             first, second = self.components[n], self.components[o]
             tangent[:, *first, *second] = tangent[:, *second, *first] = A[:, t]
-        return FiniteValues(stress, tangent, psi, self.update(start, H))
+        energy = psi if self.has_energy else None
+        return FiniteValues(energy, stress, tangent, self.update(start, H))
+
+    def stress_lost(self, start: Start, H: Floats) -> Floats:
+        """Return by how much, relative to it, Kirchhoff's stress is below that of the law (q,).
+
+        1 - |dev tau| / |dev T|, which is zero in the multiplicative form, and in the additive one
+        wherever T has the principal directions of E. Where a point flows it is the error of the
+        yield stress: in simple shear by gamma = 1 of a perfectly plastic body 0.03.
+        """
+        share = np.zeros(len(H))
+        for some in () if self.multiplicative else _chunks(len(H)):
+            x, logs, N, _, _ = self._decompose(start, H[some], some)
+            found = self._inner.moduli(start, some, logs, N)
+            logarithms.lost(self._pairs, found, x, logs, N, share[some])
+        return share
 
     def _decompose(self, start: Start, H: Floats, some: slice) -> list[Floats]:
         """Return x, logs, N, y, m, see `logarithms`, at some points."""

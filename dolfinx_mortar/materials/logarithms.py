@@ -36,11 +36,6 @@ from dolfinx_mortar.materials.tensor import INDEX
 PAIRS = INDEX
 SETTINGS = {"cache": True, "error_model": "numpy"}
 
-# Components of a deformation gradient and of P, by dimension: row, column.
-GRADIENT = {
-    2: np.array([(0, 0), (0, 1), (1, 0), (1, 1), (2, 2)]),
-    3: np.array([(i, j) for i in range(3) for j in range(3)]),
-}
 # Below these relative differences of eigenvalues the power series are exact to round-off, and above
 # them differences keep all but two digits.
 NEAR, ALL_NEAR = 0.1, 0.08
@@ -369,7 +364,7 @@ def respond(pairs, isotropic, law, x, logs, N, y, m, P, A):  # type: ignore[no-u
 
 @numba.njit(**SETTINGS)
 def _entry(n, s):  # type: ignore[no-untyped-def]
-    """Return row and column of a component of P, see `GRADIENT`."""
+    """Return row and column of a component of P, see `tensor.GRADIENT`."""
     if s == 6:
         return n // 3, n % 3
     return (n // 2, n % 2) if n < 4 else (2, 2)
@@ -412,3 +407,29 @@ def flow(strain, increment, g, N, new):  # type: ignore[no-untyped-def]
         for a in range(3):
             values[a] = -np.log1p(A[a, a]) / 2
         compose(V, values, new[q])
+
+
+@numba.njit(**SETTINGS)
+def lost(pairs, law, x, logs, N, share):  # type: ignore[no-untyped-def]
+    """Fill share (q,) with 1 - |dev tau| / |dev T|, zero where T is zero.
+
+    In the eigenvectors Kirchhoff's stress is tau_ab = 2 f_ab sqrt(1 + x_a) sqrt(1 + x_b) T_ab.
+    """
+    for q in range(len(x)):
+        mean = (law[q, 0] + law[q, 1] + law[q, 2]) / 3
+        inner, outer = 0.0, 0.0
+        for a in range(3):
+            for b in range(a, 3):
+                T = 0.0
+                for j in range(len(pairs)):
+                    c, d = PAIRS[j]
+                    value = law[q, j] - (mean if j < 3 else 0.0)
+                    T += N[q, c, a] * value * N[q, d, b]
+                    if j > 2:
+                        T += N[q, d, a] * value * N[q, c, b]
+                f = 2 * first_difference(x[q, a], x[q, b], logs[q, a], logs[q, b])
+                tau = f * np.sqrt((1 + x[q, a]) * (1 + x[q, b])) * T
+                times = 1.0 if a == b else 2.0
+                inner += times * T * T
+                outer += times * tau * tau
+        share[q] = 1 - np.sqrt(outer / inner) if inner > 0 else 0.0

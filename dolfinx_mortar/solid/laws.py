@@ -92,7 +92,8 @@ def create_regions(
     # same forms in any order of the dictionary.
     alike: dict[Any, list[int]] = {}
     for i, (material, law) in enumerate(given):
-        alike.setdefault((type(material), *law.state), []).append(i)
+        form = kinematics.finite and law.isotropic  # see `materials.logarithmic`
+        alike.setdefault((type(material), form, *law.state), []).append(i)
     regions = []
     for kind in sorted(alike, key=lambda kind: (kind[0].__qualname__, *kind[1:])):
         chosen = alike[kind]

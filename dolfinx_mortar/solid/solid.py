@@ -36,7 +36,11 @@ from dolfinx_mortar.solid.gradients import PointGradients
 from dolfinx_mortar.solid.kinematics import Kinematics, check_radius, choose_kinematics
 from dolfinx_mortar.solid.laws import create_regions
 from dolfinx_mortar.solid.points import PointFields
-from dolfinx_mortar.solid.pointwise import create_point_values, fill_point_values
+from dolfinx_mortar.solid.pointwise import (
+    create_point_values,
+    fill_point_values,
+    settle_point_values,
+)
 from dolfinx_mortar.solid.sources import Followed, follow_changed
 from dolfinx_mortar.solid.state import create_evaluations, create_field, create_state, fill_all
 from dolfinx_mortar.solid.term import Term, assemble
@@ -304,6 +308,7 @@ class Solid(Term):
                 All that is shown, and what `commit` would take, is then as before.
         """
         self.follow()
+        settle_point_values(self.mesh.comm, self._found)
         fill_all(self.mesh.comm, self._forms.evaluations)
 
     def keep(self) -> list[tuple[fem.Function, Floats]]:
