@@ -48,7 +48,9 @@ class LawReport:
         if not np.isnan(self.energy_error):
             lines.insert(1, f"  stress against differences of the energy   {self.energy_error:.1e}")
         if not np.isnan(self.isotropy_error):
-            lines.append(f"  response to turned elastic strains            {self.isotropy_error:.1e}")
+            lines.append(
+                f"  response to turned elastic strains            {self.isotropy_error:.1e}"
+            )
         if self.skew > RTOL:
             lines.append(
                 f"  the tangent is not symmetric ({self.skew:.1e}): the linear solvers of this "

@@ -12,9 +12,9 @@ E has the principal values and psi the value of 1/2 ln b_e, b_e = F C_pn^-1 F^T,
 are Kirchhoff's principal stresses, and the update is the exponential map: exact for any shear, and
 isochoric where the law is (Simo 1992).
 
-**Additive form**, for all others: E = 1/2 ln(F^T F), of which the law, with its internal variables, is
-that of small strain (Miehe, Apel, Lambrecht 2002). It is exact where the principal directions do not
-turn; in simple shear by gamma = 1 perfect plasticity is 3 % too soft, by 2 17 %.
+**Additive form**, for all others: E = 1/2 ln(F^T F), of which the law, with its internal variables,
+is that of small strain (Miehe, Apel, Lambrecht 2002). It is exact where the principal directions do
+not turn; in simple shear by gamma = 1 perfect plasticity is 3 % too soft, by gamma = 2 17 %.
 
 In both forms P = d psi / dF, and the tangent is symmetric and complete.
 
@@ -126,7 +126,8 @@ class LogarithmicLaw:
             psi: (q,), per volume of the undeformed body; not touched without a potential.
         """
         for some in _chunks(len(H)):
-            x, logs, N, y, m = parts = self._decompose(start, H[some], some)
+            parts = self._decompose(start, H[some], some)
+            x, logs, N = parts[:3]
             found = self._inner.moduli(start, some, logs, N)
             logarithms.respond(self._pairs, self.multiplicative, found, *parts, P[some], A[some])
             if self.has_energy:
@@ -315,7 +316,9 @@ class _OfArrays:
         T, L = found.stress, found.tangent
         pairs = INDEX[: self._size]
         if not self._law.isotropic:
-            upper = [(*pairs[a], *pairs[b]) for a in range(len(pairs)) for b in range(a, len(pairs))]
+            upper = [
+                (*pairs[a], *pairs[b]) for a in range(len(pairs)) for b in range(a, len(pairs))
+            ]
             return np.stack([*(T[:, i, j] for i, j in pairs), *(L[:, *way] for way in upper)], 1)
         ways = [(i, i, j, j) for i, j in NORMAL] + [(i, j, i, j) for i, j in pairs[3:]]
         return np.stack([*(T[:, i, i] for i in range(3)), *(L[:, *way] for way in ways)], axis=1)

@@ -11,8 +11,8 @@ For a potential psi(E) with T = d psi / d E and L = dT / dE, and y_a = F G N_a, 
     P = d psi / d F = sum_ab S_ab y_a (x) m_b,         S_ab = 2 f_ab T_ab,
     dP_iJ / dF_kM   = sum M_ab,cd Z_ab,iJ Z_cd,kM + delta_ik sum_ab S_ab m_a,J m_b,M,
 
-where Z_ab = y_a (x) m_b + y_b (x) m_a is the derivative of C_ab, and M that of S_ab / 2 by C_cd: from
-the first and second divided differences f_ab, f_abc of 1/2 ln at the eigenvalues (Daleckii, Krein),
+where Z_ab = y_a (x) m_b + y_b (x) m_a is the derivative of C_ab, and M that of S_ab / 2 by C_cd:
+from the first and second divided differences f_ab, f_abc of 1/2 ln at the eigenvalues,
 
     M_ab,cd = f_ab L_ab,cd f_cd + terms of f_abc T.
 
@@ -244,11 +244,7 @@ def _moduli(pairs, law, x, logs, N, S, M, f, h, T, R, L):  # type: ignore[no-unt
     """
     s = len(pairs)
     _differences(x, logs, f, h)
-    for i in range(s):  # a stored tensor's components in the eigenvectors
-        a, b = PAIRS[i]
-        for j in range(s):
-            c, d = PAIRS[j]
-            R[i, j] = N[c, a] * N[d, b] + (N[d, a] * N[c, b] if j > 2 else 0.0)
+    _turn(s, N, R)
     k = s
     for i in range(s):
         a, b = PAIRS[i]
@@ -263,6 +259,28 @@ def _moduli(pairs, law, x, logs, N, S, M, f, h, T, R, L):  # type: ignore[no-unt
             L[i, j] = law[k]
             L[j, i] = law[k]
             k += 1
+    _transform(s, R, L, M)
+    for i in range(s):
+        a, b = PAIRS[i]
+        for j in range(s):
+            c, d = PAIRS[j]
+            M[i, j] *= f[a, b] * f[c, d] * ((1.0 if i < 3 else 2.0) * (1.0 if j < 3 else 2.0))
+    _add_curvature(s, T, h, M)
+
+
+@numba.njit(**SETTINGS)
+def _turn(s, N, R):  # type: ignore[no-untyped-def]
+    """Fill R (s, s): what a tensor's components in the eigenvectors are of the stored ones."""
+    for i in range(s):
+        a, b = PAIRS[i]
+        for j in range(s):
+            c, d = PAIRS[j]
+            R[i, j] = N[c, a] * N[d, b] + (N[d, a] * N[c, b] if j > 2 else 0.0)
+
+
+@numba.njit(**SETTINGS)
+def _transform(s, R, L, M):  # type: ignore[no-untyped-def]
+    """Set M to R L R^T."""
     for i in range(s):
         for j in range(s):
             M[i, j] = 0.0
@@ -272,12 +290,12 @@ def _moduli(pairs, law, x, logs, N, S, M, f, h, T, R, L):  # type: ignore[no-unt
                 part += R[i, j] * L[j, k]
             for j in range(s):
                 M[i, j] += part * R[j, k]
+
+
+@numba.njit(**SETTINGS)
+def _add_curvature(s, T, h, M):  # type: ignore[no-untyped-def]
+    """Add T : d^2 E to M, 2 T_ab f_acb for each ac and cb."""
     for i in range(s):
-        a, b = PAIRS[i]
-        for j in range(s):
-            c, d = PAIRS[j]
-            M[i, j] *= f[a, b] * f[c, d] * ((1.0 if i < 3 else 2.0) * (1.0 if j < 3 else 2.0))
-    for i in range(s):  # T_ab d2 E_ab, both orders of ac and cb
         a, c = PAIRS[i]
         M[i, i] += 2 * T[a, a] * h[a, c, a]
         if i > 2:
@@ -286,7 +304,7 @@ def _moduli(pairs, law, x, logs, N, S, M, f, h, T, R, L):  # type: ignore[no-unt
                 M[i, n] += 2 * T[a, c] * h[n, n, b]
                 M[n, i] += 2 * T[a, c] * h[n, n, b]
     if s > 4:
-        for i, j, a, b, c in ((3, 4, 0, 2, 1), (4, 5, 1, 0, 2), (3, 5, 1, 2, 0)):
+        for i, j, a, b in ((3, 4, 0, 2), (4, 5, 0, 1), (3, 5, 1, 2)):
             M[i, j] += 2 * T[a, b] * h[0, 1, 2]
             M[j, i] += 2 * T[a, b] * h[0, 1, 2]
 
@@ -313,8 +331,6 @@ def respond(pairs, isotropic, law, x, logs, N, y, m, P, A):  # type: ignore[no-u
     There are as many pairs as stored components; that their number is known to the compiler makes
     this twice as fast. The law (q, ..) gives T and L, see `_isotropic_moduli` and `_moduli`.
     """
-    s = len(pairs)
-    k = s + 1 if s == 4 else s + 3
     S, M, B = np.zeros((3, 3)), np.zeros((6, 6)), np.empty((3, 3))
     Z, W = np.empty((6, 9)), np.empty((6, 9))
     f, h, T = np.empty((3, 3)), np.empty((3, 3, 3)), np.empty((3, 3))
@@ -324,42 +340,69 @@ def respond(pairs, isotropic, law, x, logs, N, y, m, P, A):  # type: ignore[no-u
             _isotropic_moduli(pairs, law[q], x[q], logs[q], S, M)
         else:
             _moduli(pairs, law[q], x[q], logs[q], N[q], S, M, f, h, T, R, L)
+        _fill_stress(pairs, y[q], m[q], S, Z, P[q])
+        _couple(pairs, isotropic, M, Z, W)
+        congruent_columns(m[q], S, B)
+        _fill_tangent(pairs, B, Z, W, A[q])
+
+
+@numba.njit(**SETTINGS)
+def _fill_stress(pairs, y, m, S, Z, P):  # type: ignore[no-untyped-def]
+    """Fill Z (s, k), the derivatives of the components of C, and P (k,)."""
+    s = len(pairs)
+    k = s + 1 if s == 4 else s + 3
+    for n in range(k):
+        i, j = _entry(n, s)
+        total = 0.0
         for p in range(s):
             a, b = PAIRS[p]
-            for n in range(k):
-                i, j = _entry(n, s)
-                Z[p, n] = y[q, i, a] * m[q, j, b] + y[q, i, b] * m[q, j, a]
+            Z[p, n] = y[i, a] * m[j, b] + y[i, b] * m[j, a]
+            total += S[a, b] * Z[p, n] * (0.5 if p < 3 else 1.0)
+        P[n] = total
+
+
+@numba.njit(**SETTINGS)
+def _couple(pairs, isotropic, M, Z, W):  # type: ignore[no-untyped-def]
+    """Set W (s, k) to M Z; in an isotropic law, normal strains are coupled, and no others."""
+    s = len(pairs)
+    k = s + 1 if s == 4 else s + 3
+    for p in range(s):
         for n in range(k):
+            W[p, n] = M[p, p] * Z[p, n]
+        coupled = s if not isotropic else 3 if p < 3 else 0
+        for r in range(coupled):
+            if r != p:
+                for n in range(k):
+                    W[p, n] += M[p, r] * Z[r, n]
+
+
+@numba.njit(**SETTINGS)
+def congruent_columns(m, S, B):  # type: ignore[no-untyped-def]
+    """Set B to m S m^T."""
+    for i in range(3):
+        for j in range(3):
             total = 0.0
+            for a in range(3):
+                for b in range(3):
+                    total += S[a, b] * m[i, a] * m[j, b]
+            B[i, j] = total
+
+
+@numba.njit(**SETTINGS)
+def _fill_tangent(pairs, B, Z, W, A):  # type: ignore[no-untyped-def]
+    """Set A to the upper triangle of Z^T W and of the part of the stress, B."""
+    s = len(pairs)
+    k = s + 1 if s == 4 else s + 3
+    t = 0
+    for n in range(k):
+        i, j = _entry(n, s)
+        for o in range(n, k):
+            c, d = _entry(o, s)
+            total = B[j, d] if i == c else 0.0
             for p in range(s):
-                a, b = PAIRS[p]
-                total += S[a, b] * Z[p, n] * (0.5 if p < 3 else 1.0)
-            P[q, n] = total
-        for p in range(s):
-            for n in range(k):
-                W[p, n] = M[p, p] * Z[p, n]
-            coupled = s if not isotropic else 3 if p < 3 else 0
-            for r in range(coupled):
-                if r != p:
-                    for n in range(k):
-                        W[p, n] += M[p, r] * Z[r, n]
-        for i in range(3):
-            for j in range(3):
-                total = 0.0
-                for a in range(3):
-                    for b in range(3):
-                        total += S[a, b] * m[q, i, a] * m[q, j, b]
-                B[i, j] = total
-        t = 0
-        for n in range(k):
-            i, j = _entry(n, s)
-            for o in range(n, k):
-                c, d = _entry(o, s)
-                total = B[j, d] if i == c else 0.0
-                for p in range(s):
-                    total += Z[p, n] * W[p, o]
-                A[q, t] = total
-                t += 1
+                total += Z[p, n] * W[p, o]
+            A[t] = total
+            t += 1
 
 
 @numba.njit(**SETTINGS)

@@ -14,7 +14,6 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.ranges import Range
 from ufl.core.expr import Expr
 
-
 PLASTIC = "plastic_strain"
 """Name of the internal variable from which `Law.isotropic` laws subtract the strain."""
 
@@ -57,7 +56,7 @@ class Material(Protocol):
         splits: True if psi(strain) = psi(dev strain) + K/2 tr(strain)^2 with the constant K of
             `elastic_stress`, so that the volumetric part may be integrated otherwise. Optional.
         isotropic: True if stress and energy see the strain less the internal variable
-            ``plastic_strain``, if there is one, and do not depend on directions: no other tensor, no
+            ``plastic_strain``, if there is one, and depend on no direction: no other tensor, no
             back stress, no axes. At finite strain such a law takes the multiplicative form, see
             `logarithmic`. A property where the parameters decide. Optional.
         ranges: of the parameters, name -> (lower end, upper end, is the lower end allowed);
@@ -265,8 +264,8 @@ def _is_isotropic(name: str, material: Any, state: Mapping[str, tuple[int, ...]]
     tensors = [variable for variable, shape in state.items() if shape and variable != PLASTIC]
     if isotropic and tensors:
         raise ValueError(
-            f"{name}: isotropic is True, but state has the tensor {tensors[0]!r}; what an isotropic "
-            f"law remembers are scalars and {PLASTIC!r}: leave isotropic out."
+            f"{name}: isotropic is True, but state has the tensor {tensors[0]!r}; what an "
+            f"isotropic law remembers are scalars and {PLASTIC!r}: leave isotropic out."
         )
     return isotropic
 

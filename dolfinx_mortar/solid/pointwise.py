@@ -16,6 +16,7 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.materials.plane_stress import solve
 from dolfinx_mortar.materials.protocol import Law
@@ -182,6 +183,19 @@ def settle_point_values(comm: MPI.Comm, found: Mapping[Law, PointValuesOfRegion]
         with raised_together(comm):
             for values in found.values():
                 values.settle()
+
+
+def largest_stress_lost(
+    comm: MPI.Comm, found: Mapping[Law, PointValuesOfRegion]
+) -> tuple[float, str]:
+    """Return the largest share of `LogarithmicFields.stress_lost`, and which law's; collective."""
+    parts = [values for values in found.values() if isinstance(values, LogarithmicFields)]
+    local = [float(values.stress_lost().max(initial=0.0)) for values in parts]
+    if not parts:
+        return 0.0, ""
+    shares = maximum(comm, *local)
+    worst = int(np.argmax(shares))
+    return float(shares[worst]), parts[worst].region.law.name
 
 
 def packed(tangent: Floats, size: int) -> Floats:
