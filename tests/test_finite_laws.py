@@ -256,7 +256,7 @@ def test_lost_stress_is_told():
         state = found.state
         if gamma > 0.1:  # it flows, so that the law's own stress has the norm Y
             assert lost == pytest.approx(1 - np.linalg.norm(deviator) / Y, abs=1e-12)
-    assert lost == pytest.approx(0.027, abs=0.003)
+    assert lost == pytest.approx(0.0200, abs=5e-4)
 
 
 @pytest.mark.parametrize("name", ["hardening", "mixed"])
@@ -284,14 +284,12 @@ def test_a_stretched_bar(name):
 
 def test_flow_keeps_volume_and_what_does_not_flow_keeps_its_state():
     state = None
-    rng = np.random.default_rng(10)
-    for _ in range(30):
-        F = IDENTITY + 0.5 * rng.standard_normal((4, 3, 3))
-        F *= np.sign(np.linalg.det(F))[:, None, None] * np.array([1.0])
+    for seed in range(30):
+        F = stretched(None, 1.0, seed=seed)
         state = respond(HARDENING, F, state).state
     plastic = state["plastic_strain"]
     assert np.abs(plastic).max() > 0.5
-    assert np.abs(np.trace(plastic, axis1=1, axis2=2)).max() < 1e-12
+    assert np.abs(np.trace(plastic, axis1=1, axis2=2)).max() < 1e-13
     # unloaded as far as the yield surface allows, nothing changes to the last bit
     again = respond(dataclasses.replace(HARDENING, Y=1e9), F, state).state
     assert np.array_equal(again["plastic_strain"], plastic)

@@ -164,8 +164,8 @@ class LogarithmicLaw:
         stress, tangent = np.zeros((q, 3, 3)), np.zeros((q, 3, 3, 3, 3))
         for n, entry in enumerate(self.components):
             stress[:, *entry] = P[:, n]
-        for t, (n, o) in enumerate(zip(*np.triu_indices(k), strict=True)):
-            first, second = self.components[n], self.components[o]
+        upper = ((a, b) for i, a in enumerate(self.components) for b in self.components[i:])
+        for t, (first, second) in enumerate(upper):
             tangent[:, *first, *second] = tangent[:, *second, *first] = A[:, t]
         energy = psi if self.has_energy else None
         return FiniteValues(energy, stress, tangent, self.update(start, H))
@@ -175,7 +175,7 @@ class LogarithmicLaw:
 
         1 - |dev tau| / |dev T|, which is zero in the multiplicative form, and in the additive one
         wherever T has the principal directions of E. Where a point flows it is the error of the
-        yield stress: in simple shear by gamma = 1 of a perfectly plastic body 0.03.
+        yield stress: in simple shear by gamma = 1 of a perfectly plastic body 0.02.
         """
         share = np.zeros(len(H))
         for some in () if self.multiplicative else _chunks(len(H)):
@@ -228,7 +228,7 @@ class _InUFL:
     def numbers(self, state: Mapping[str, Floats], parameters: Mapping[str, Floats]) -> Floats:
         """Return the arguments (q, n): strain, internal variables, parameters."""
         given = [*state.values(), *parameters.values()]
-        columns = [np.zeros((len(given[0]) if given else 0, self._width))]
+        columns: list[Floats] = [np.zeros((len(given[0]) if given else 0, self._width))]
         for name, shape in self._memory.items():
             columns.append(stored(state[name], self._size) if shape else state[name][:, None])
         columns += [parameters[name][:, None] for name in self._names]

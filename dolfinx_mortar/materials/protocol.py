@@ -258,7 +258,7 @@ def _check_parameters(law: Law, material: Any) -> None:
             )
 
 
-def _is_isotropic(name: str, material: Any, state: Mapping[str, tuple[int, ...]]) -> bool:
+def _is_isotropic(name: str, material: Any, state: Any) -> bool:
     """Return whether a law says that it is isotropic; a ValueError if its memory is not."""
     isotropic = bool(getattr(material, "isotropic", False))
     tensors = [variable for variable, shape in state.items() if shape and variable != PLASTIC]

@@ -62,7 +62,9 @@ class LogarithmicFields(FinitePointFields):
         self._logarithmic.respond(start, H, P, A, psi[0][:, 0] if psi else np.empty(0))
         if not np.isfinite(P.sum() + A.sum()):
             F = H + np.eye(3)
-            self._judge(np.linalg.det(F) <= 0.0, F, "is not called where det F is not positive:")
+            self._judge(
+                np.asarray(np.linalg.det(F) <= 0.0), F, "is not called where det F is not positive:"
+            )
             whole = np.isfinite(P).all(axis=1) & np.isfinite(A).all(axis=1)
             self._judge(~whole, F, "gives NaN or infinity")
         for f, values in zip(functions, targets, strict=True):
