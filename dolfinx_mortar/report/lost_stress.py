@@ -3,8 +3,8 @@
 
 from dolfinx_mortar.problem.problem import ContactProblem
 
-# The norm of the stress in simple shear by gamma = 1 of a perfectly plastic body, of which the shear
-# stress is 2.7 % below what it should be. By gamma = .5, 2, 5: .002, .089, .137, and 0.3, 17, 56 %.
+# Of a perfectly plastic body in simple shear by 1, where the shear stress is 2.7 % too low; by .5, 2
+# and 5: .002, .089, .137, and 0.3, 17, 56 % of the shear stress.
 LARGEST_SHARE = 0.02
 
 
@@ -14,8 +14,8 @@ def notes_on_lost_stress(problem: ContactProblem) -> list[str]:
     if share < LARGEST_SHARE:
         return []
     return [
-        f"{name} runs in the logarithmic strain space, where shears soften: the norm of the stress is "
-        f"up to {100 * share:.0f} % below that of the law (2 % where a shear reaches 1, whose stress "
-        "is then 3 % too low, 9 % at 2, with 17 %). Isotropic laws, without kinematic hardening, "
-        "have no such limit"
+        f"{name} runs in the logarithmic strain space, where shears soften: the norm of the stress "
+        f"is up to {100 * share:.0f} % below that of the law (2 % where a shear reaches 1, whose "
+        "stress is then 3 % too low; 9 % at 2, with 17 %). Isotropic laws, without kinematic "
+        "hardening, have no such limit"
     ]

@@ -66,7 +66,7 @@ class LogarithmicFields(FinitePointFields):
                 np.asarray(np.linalg.det(F) <= 0.0), F, "is not called where det F is not positive:"
             )
             whole = np.isfinite(P).all(axis=1) & np.isfinite(A).all(axis=1)
-            self._judge(~whole, F, "gives NaN or infinity")
+            self._judge(np.logical_not(whole), F, "gives NaN or infinity")
         for f, values in zip(functions, targets, strict=True):
             if values.base is None:
                 set_points(f, cells, values)
