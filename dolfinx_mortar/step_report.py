@@ -49,6 +49,7 @@ class Iteration:
     line_search_steps: int  # shortenings before acceptance
     geometry_change: float  # gap minus its prediction by the last linearisation, in facet lengths
     geometry_held: bool  # the next iteration keeps the geometry, because its change does not shrink
+    shift: float = 0.0  # multiple of the elastic stiffness added to an indefinite tangent
 
     def __str__(self) -> str:
         """Return one line, for the log and the report."""
@@ -59,6 +60,7 @@ class Iteration:
             f"CG {self.linear_iterations}, factorisations {self.factorisations}, "
             f"step {self.step_length:.3g}, geometry {self.geometry_change:.1e}"
             f"{' held' if self.geometry_held else ''}"
+            + (f", tangent + {self.shift:g} elastic" if self.shift else "")
         )
 
 
@@ -98,6 +100,9 @@ class Certificate:
     left_out_lengths: float = 0.0  # mean of |H^T H| / 2 in a body
     rotation: float = 0.0  # largest rotation, radians
     pretension: float = 0.0  # force of a tie less its pretension, over the larger at the start
+    # at finite strain: moment at X + u of the internal forces of a body, over forces times arms
+    internal_moment: float = 0.0
+    smallest_J: float = 1.0  # smallest det F at the integration points, 1 for small strains
 
 
 @dataclass

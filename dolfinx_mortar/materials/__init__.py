@@ -8,7 +8,9 @@ It must not know of meshes, functions or contact; `check` tries a law out withou
 from dolfinx_mortar.materials.comparison import check
 from dolfinx_mortar.materials.drucker_prager import DruckerPrager
 from dolfinx_mortar.materials.elastic import Elastic
+from dolfinx_mortar.materials.mooney_rivlin import MooneyRivlin
 from dolfinx_mortar.materials.neo_hooke import NeoHooke
+from dolfinx_mortar.materials.ogden import Ogden
 from dolfinx_mortar.materials.orthotropic import Orthotropic
 from dolfinx_mortar.materials.protocol import Material, PointwiseLaw
 from dolfinx_mortar.materials.voce import VonMisesVoce
@@ -18,7 +20,9 @@ __all__ = [
     "DruckerPrager",
     "Elastic",
     "Material",
+    "MooneyRivlin",
     "NeoHooke",
+    "Ogden",
     "Orthotropic",
     "PointwiseLaw",
     "VonMises",

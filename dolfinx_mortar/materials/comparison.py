@@ -11,6 +11,7 @@ import numpy as np
 from dolfinx_mortar.arguments import is_integer, is_number
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.compiled import CompiledLaw, Point, PointwiseNumbers
+from dolfinx_mortar.materials.finite_comparison import compare_at_finite_strain
 from dolfinx_mortar.materials.protocol import PLASTIC, create_law
 from dolfinx_mortar.materials.tensor import COMPONENTS, INDEX, tensor_of
 
@@ -34,8 +35,10 @@ class LawReport:
     state_error: float  # stress at the end of a step against that at the start of the next
     skew: float  # largest unsymmetric part of the tangent
     lowest: float  # smallest eigenvalue of the tangent, relative to the largest one anywhere
+    # psi and P at Q F against psi and Q P at F, Q a rotation; NaN for a small strain
+    objectivity_error: float = float("nan")
     # turned, without plastic strain, against what it was; NaN for laws that are not `isotropic`
-    isotropy_error: float
+    isotropy_error: float = float("nan")
 
     def __str__(self) -> str:
         """Return a few lines to read."""
@@ -45,6 +48,8 @@ class LawReport:
             f"  tangent against differences of the stress  {self.tangent_error:.1e}",
             f"  stress kept by the update of the state     {self.state_error:.1e}",
         ]
+        if not np.isnan(self.objectivity_error):
+            lines[-1] = f"  energy and stress turn with the body       {self.objectivity_error:.1e}"
         if not np.isnan(self.energy_error):
             lines.insert(1, f"  stress against differences of the energy   {self.energy_error:.1e}")
         if not np.isnan(self.isotropy_error):
@@ -111,6 +116,7 @@ def check(
     seed: int = 1,
     rate_independent: bool = True,
     plane_stress: bool = False,
+    strain: str | None = None,
 ) -> LawReport:
     """Compare stress, energy, tangent and state of a law at random strains and states.
 
@@ -132,6 +138,11 @@ def check(
         seed: of the random strains.
         rate_independent: False leaves out the last comparison.
         plane_stress: judge what the law does in plane stress.
+        strain: "finite" judges what the law does in ``Solid(.., strain="finite")``; the default is
+            the strain that the law is made for. At deformation gradients from small ones to
+            stretches of .3 to 3 and J from .3 to 3, with coincident stretches, d psi / dF has to be
+            P and dP/dF its derivative, both by differences of sixth order to 1e-7, and energy and
+            stress have to turn with F.
 
     Returns:
         The largest errors found; ``print`` it.
@@ -146,6 +157,14 @@ def check(
     if not (is_integer(seed) and seed >= 0):
         raise ValueError(f"seed is {seed!r}: give an integer from 0 on")
     rng, turns = (np.random.default_rng(s) for s in (seed, (seed, 1)))
+    if strain not in (None, parts.strain, "finite"):
+        raise ValueError(f"strain is {strain!r}: give 'finite', or None for that of the law")
+    if (strain or parts.strain) == "finite":
+        if plane_stress:
+            raise ValueError("plane_stress is True: there is none at finite strain")
+        found_ = compare_at_finite_strain(law, parts, rng, float(size))
+        whole = (found_.energy, found_.tangent, 0.0, found_.skew, 0.0, found_.turned)
+        return LawReport(parts.name, found_.samples, found_.changed, *whole)
     compiled = CompiledLaw(law, parts) if parts.update is None else PointwiseNumbers(law, parts)
     name = parts.name
     virgin = {n: np.zeros(shape) for n, shape in compiled.shapes.items()}
@@ -154,8 +173,8 @@ def check(
     for _ in range(PATHS):
         state = virgin
         for norm in np.geomspace(1e-5 * size, size, STRAINS):
-            strain, first, second = (_unit(rng) for _ in range(3))
-            sample = _Sample(compiled, name, norm * strain, state)
+            along, first, second = (_unit(rng) for _ in range(3))
+            sample = _Sample(compiled, name, norm * along, state)
             if parts.linear:
                 _compare_with_start(sample, start, first)
             state = sample.at(sample.strain, first).state
@@ -166,8 +185,9 @@ def check(
             found.append((changed, *errors, kept, turned, *_extreme_moduli(sample)))
     changed_, energy, tangent, skew, kept_, turned_, low, high = np.array(found, dtype=float).T
     lowest = low.min() / high.max() if high.max() > 0.0 else 0.0
-    errors_ = (energy.max(), tangent.max(), kept_.max(), skew.max(), lowest, turned_.max())
-    return LawReport(name, len(found), int(changed_.sum()), *map(float, errors_))
+    errors_ = (energy.max(), tangent.max(), kept_.max(), skew.max(), lowest)
+    report = LawReport(name, len(found), int(changed_.sum()), *map(float, errors_))
+    return dataclasses.replace(report, isotropy_error=float(turned_.max()))
 
 
 def _compare(sample: _Sample, first: Floats, second: Floats) -> tuple[float, float, float]:

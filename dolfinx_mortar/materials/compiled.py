@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: MIT
 """A law as a compiled function of numbers: the code that a solid runs, without any mesh."""
 
-import dataclasses
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numba
@@ -19,6 +17,7 @@ import ufl
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.materials.plane_stress import Equation, solve
 from dolfinx_mortar.materials.protocol import Law, create_law
+from dolfinx_mortar.materials.ranges import grouped, named_parameters
 from dolfinx_mortar.materials.response import elastic_response, respond, values_at_points
 from dolfinx_mortar.materials.tensor import from_components, stored, tensor_of, to_components
 from ufl.core.expr import Expr
@@ -60,7 +59,7 @@ class CompiledLaw:
         self._name, self._parameters = law.name, list(given.values())
         strain, along, z, *rest = symbols((6,), (6,), (), *self.shapes.values(), *[()] * len(given))
         state = dict(zip(self.shapes, rest, strict=False))
-        p = SimpleNamespace(**dict(zip(given, rest[len(state) :], strict=True)))
+        p = grouped(dict(zip(given, rest[len(state) :], strict=True)))
         response = respond(law, strain, state, p, z if law.condensed else None)
         self.has_energy = response.energy is not None
         # One by one: UFL compares equal parts of what is compiled together, tree by tree.
@@ -114,14 +113,14 @@ class PointwiseNumbers:
         self.shapes = {name: (6,) if shape else () for name, shape in law.state.items()}
         self._law, self._p = law, parameters(material)
         strain, *rest = symbols((6,), *[()] * len(self._p))
-        p = SimpleNamespace(**dict(zip(self._p, rest, strict=True)))
+        p = grouped(dict(zip(self._p, rest, strict=True)))
         (self._elastic,) = compile_vectors(
             [ufl.as_vector(entries(elastic_response(law, strain, p)))]
         )
 
     def __call__(self, strain: Floats, direction: Floats, state: Mapping[str, Floats]) -> Point:
         """Evaluate the law, see `CompiledLaw`."""
-        p = SimpleNamespace(**{name: np.array([value]) for name, value in self._p.items()})
+        p = grouped({name: np.array([value]) for name, value in self._p.items()})
         committed = {
             name: tensor_of(np.atleast_2d(state[name])) if shape else np.atleast_1d(state[name])
             for name, shape in self.shapes.items()
@@ -136,14 +135,13 @@ class PointwiseNumbers:
 def parameters(material: Any) -> dict[str, float]:
     """Return the parameters of a material as numbers; a ValueError if one depends on place."""
     numbers = {}
-    for field in dataclasses.fields(material):
-        value = getattr(material, field.name)
+    for name, value in named_parameters(material).items():
         if isinstance(value, Expr) and not isinstance(value, ufl.Constant):
             raise ValueError(
-                f"{type(material).__name__}: {field.name} = {value} depends on place; try the law "
-                f"out with numbers, dataclasses.replace(law, {field.name}=...)."
+                f"{type(material).__name__}: {name} = {value} depends on place; try the law "
+                f"out with numbers, dataclasses.replace(law, {name}=...)."
             )
-        numbers[field.name] = float(getattr(value, "value", value))
+        numbers[name] = float(getattr(value, "value", value))
     return numbers
 
 

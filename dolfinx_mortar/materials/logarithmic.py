@@ -170,6 +170,10 @@ class LogarithmicLaw:
         energy = psi if self.has_energy else None
         return FiniteValues(energy, stress, tangent, self.update(start, H))
 
+    def evaluate(self, F: Floats, state: Mapping[str, Floats], p: SimpleNamespace) -> FiniteValues:
+        """Return `values` as a `finite_law.FiniteLaw` does."""
+        return self.values(F, state, vars(p))
+
     def stress_lost(self, start: Start, H: Floats) -> Floats:
         """Return by how much, relative to it, Kirchhoff's stress is below that of the law (q,).
 

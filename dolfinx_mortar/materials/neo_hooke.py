@@ -51,6 +51,11 @@ class NeoHooke(Material):
         )
 
     @staticmethod
+    def volumetric(J: Expr, p: Any) -> Expr:
+        """Return the part of psi that lambda makes stiff, which only depends on the volume."""
+        return lame_modulus(p) / 2 * ufl.ln(J) ** 2
+
+    @staticmethod
     def stress(F: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
         """Return P = d psi / dF."""
         inverse = ufl.transpose(ufl.inv(F))

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.materials.ranges import Range
+from dolfinx_mortar.materials.ranges import Range, named_parameters
 from ufl.core.expr import Expr
 
 PLASTIC = "plastic_strain"
@@ -22,8 +22,9 @@ class Material(Protocol):
     """A frozen dataclass whose fields are the parameters, with the law as static methods.
 
     A law knows no mesh. It gets the strain (3x3 UFL), the committed state and the parameters `p`
-    (attributes named like the fields) as UFL symbols, so that the compiled code is the same for all
-    values of the parameters, be they numbers or what may change (see `Parameter`). Then either of
+    (attributes named like the fields; of a tuple of numbers a tuple) as UFL symbols, so that the
+    compiled code is the same for all values of the parameters, be they numbers or what may change
+    (see `Parameter`). Then either of
 
     * `energy(strain, state, p)`, the incremental potential psi of the step; the stress is
       d psi / d strain and the tangent its derivative, both taken by UFL, or
@@ -45,8 +46,9 @@ class Material(Protocol):
     at X, `stress(F, state, p)` the first Piola-Kirchhoff stress P = d psi / dF, `tangent` dP/dF :
     direction, of a direction that is not symmetric either. Only `elastic_stress` is still that of a
     small strain, at F = I. psi has to be objective, psi(Q F) = psi(F) for rotations Q, which a
-    function of C = F^T F is. It needs ``Solid(.., strain="finite")``. Of all others the
-    solid makes laws of F itself.
+    function of C = F^T F is. A part of psi that depends on J = det F alone may be stated as
+    `volumetric(J, p)`, in UFL, for ``volumetric="reduced"``. Such a law needs ``Solid(..,
+    strain="finite")``. Of all others the solid makes laws of F itself.
 
     Attributes:
         strain: "small", what the law gets as its first argument is a small strain, or "finite", F.
@@ -168,6 +170,7 @@ class Law:
     update: Callable[..., Any] | None
     output: Callable[..., Any] | None
     conditions: Callable[..., Any] | None
+    volumetric: Callable[..., Any] | None  # of a law of F: the part U(J) of its energy
 
     @property
     def condensed(self) -> bool:
@@ -233,6 +236,7 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
         ranges=getattr(kind, "ranges", {}),
         output=_method(kind, "output"),
         conditions=_method(kind, "conditions"),
+        volumetric=_method(kind, "volumetric"),
         **parts,
     )
     _check_parameters(law, material)
@@ -241,7 +245,8 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
 
 def _check_parameters(law: Law, material: Any) -> None:
     """Raise ValueError unless the parameters are numbers or UFL, and ranges name parameters."""
-    names = [field.name for field in dataclasses.fields(material)]
+    given = named_parameters(material)
+    names = list(given)
     for name in law.ranges:
         if name not in names:
             raise ValueError(
@@ -249,12 +254,12 @@ def _check_parameters(law: Law, material: Any) -> None:
                 f"{', '.join(names) or 'none'}."
             )
     for name in names:
-        value = getattr(material, name)
+        value = given[name]
         if not isinstance(value, Real) and not (isinstance(value, Expr) and value.ufl_shape == ()):
             raise ValueError(
                 f"{law.name}: the parameter {name} = {value!r} is no number, and no scalar "
-                "Constant, Function or UFL expression; a field that is no parameter is declared as "
-                "ClassVar."
+                "Constant, Function or UFL expression, or a tuple of these; a field that is no "
+                "parameter is declared as ClassVar."
             )
 
 

@@ -22,6 +22,32 @@ Range = tuple[float, float, bool]
 """Lower end, upper end (never allowed), and whether the lower end is allowed."""
 
 
+def named_parameters(material: Any) -> dict[str, Any]:
+    """Return the parameters of a material by name; those of a tuple as ``name[0]``, ``name[1]`` ..
+
+    >>> from dolfinx_mortar.materials import Ogden
+    >>> named_parameters(Ogden(mu=(0.6, -0.1), alpha=(1.3, -2.0), K=1e3))["mu[1]"]
+    -0.1
+    """
+    found: dict[str, Any] = {}
+    for field in dataclasses.fields(material):
+        value = getattr(material, field.name)
+        if isinstance(value, tuple):
+            found |= {f"{field.name}[{i}]": entry for i, entry in enumerate(value)}
+        else:
+            found[field.name] = value
+    return found
+
+
+def grouped(values: Mapping[str, Any]) -> SimpleNamespace:
+    """Return what `named_parameters` has named as attributes, tuples as tuples again."""
+    groups: dict[str, Any] = {}
+    for name, value in values.items():
+        stem, _, number = name.partition("[")
+        groups[stem] = (*groups.get(stem, ()), value) if number else value
+    return SimpleNamespace(**groups)
+
+
 def check_fields(law: Any) -> None:
     """Raise ValueError unless the numbers among the parameters of a law are in its ranges.
 
@@ -78,7 +104,7 @@ def conditions(
     shape = np.shape(next(iter(values.values()), 0.0))
     try:
         with np.errstate(all="ignore"):
-            found = dict(rules(SimpleNamespace(**values)))
+            found = dict(rules(grouped(values)))
         return {rule: np.broadcast_to(np.asarray(f, bool), shape) for rule, f in found.items()}
     except Exception as error:
         raise ValueError(

@@ -184,7 +184,7 @@ def values_at_points(
     def at(points: Ints, z: Floats) -> PointValues:
         strain = whole[points]
         strain[:, 2, 2] = z
-        here = SimpleNamespace(**{name: value[points] for name, value in vars(p).items()})
+        here = SimpleNamespace(**{name: _at(value, points) for name, value in vars(p).items()})
         return _updated(law, strain, {n: v[points] for n, v in state.items()}, here)
 
     def equation(points: Ints, z: Floats) -> Floats:
@@ -204,6 +204,11 @@ def values_at_points(
     for axis in range(1, 5):
         np.moveaxis(tangent, axis, 1)[:, 2] = 0.0
     return PointValues(stress, tangent, found.state)
+
+
+def _at(value: Any, points: Ints) -> Any:
+    """Return a parameter, or a tuple of parameters, at some points."""
+    return tuple(v[points] for v in value) if isinstance(value, tuple) else value[points]
 
 
 def _updated(

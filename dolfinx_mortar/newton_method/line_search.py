@@ -77,11 +77,16 @@ def search(
     cells = problem.V.mesh.topology.index_map(problem.V.mesh.topology.dim).size_global
     first = problem.comm.allreduce(path.excess(0.0))
     promise = find_slope(problem, lin, path)
-    length, halvings = 1.0, 0
+    length, halvings, inverted = 1.0, 0, ""
     while length > ARMIJO:
         move(problem, path.start + length * path.du)
         after, penalty = problem.terms.energy(), problem.comm.allreduce(path.excess(length))
         assert after is not None  # as before
+        if not np.isfinite(after.value):  # a cell is inside out: its energy is infinite
+            inverted = describe_inverted(problem)
+            length, halvings = 0.5 * length, halvings + 1
+            continue
+        inverted = ""
         # a sum of n terms of one size loses about sqrt(n) units of round-off
         noise = EPS * np.sqrt(cells) * (before.terms + after.terms + first + penalty) + path.noise
         target = before.value + first + ARMIJO * length * min(promise, 0.0)
@@ -89,7 +94,36 @@ def search(
             return length, halvings, after
         length, halvings = 0.5 * length, halvings + 1
     move(problem, path.start)
-    raise NoDescent("the line search found no step that lowers the energy")
+    raise NoDescent(inverted or "the line search found no step that lowers the energy")
+
+
+def shorten(problem: ContactProblem, du: Floats) -> tuple[float, int]:
+    """Move u along a step, by its half, its quarter .. while it turns cells inside out; collective.
+
+    Returns:
+        The length, and the number of halvings.
+
+    Raises:
+        NoDescent: if the length falls to ARMIJO; u is then where it was.
+    """
+    start = problem.u.x.array[: du.size].copy()
+    length, halvings, volumes = 1.0, 0, problem.solid.volumes
+    move(problem, start + du)
+    while volumes is not None and volumes.inverted():
+        length, halvings = 0.5 * length, halvings + 1
+        if length <= ARMIJO:
+            inverted = describe_inverted(problem)
+            move(problem, start)
+            raise NoDescent(inverted)
+        move(problem, start + length * du)
+    return length, halvings
+
+
+def describe_inverted(problem: ContactProblem) -> str:
+    """Say which cells are turned inside out at u, "" for none; collective."""
+    volumes = problem.solid.volumes
+    where = "" if volumes is None else volumes.describe_inverted()
+    return f"{where}, however short the step: take smaller load steps" if where else ""
 
 
 def create_path(

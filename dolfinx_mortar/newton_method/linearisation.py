@@ -97,13 +97,16 @@ def support_slots(problem: ContactProblem) -> tuple[Ints, Ints]:
     return problem.d * node + component, slots
 
 
-def linearise(problem: ContactProblem, balance: Balance, *, tangent: bool = True) -> Linearisation:
+def linearise(
+    problem: ContactProblem, balance: Balance, *, tangent: bool = True, shift: float = 0.0
+) -> Linearisation:
     """Assemble min 1/2 dy.K^ dy - r^.dy with its bounds at the present u; collective.
 
     Args:
         problem: the problem, in the geometry of the balance.
         balance: forces and constraints.
         tangent: assemble K anew; a linear law needs it once.
+        shift: multiple of the elastic stiffness that makes an indefinite K convex.
     """
     T = problem.system.transformation
     formed = problem.linear.direct  # a factorisation needs the matrix, an iteration its products
@@ -111,6 +114,8 @@ def linearise(problem: ContactProblem, balance: Balance, *, tangent: bool = True
     if tangent or spoilt or not problem.K.isAssembled():
         with problem.timings("assembly"):
             problem.terms.assemble_tangent(problem.K)
+            if shift > 0.0:
+                problem.solid.add_elastic(problem.K, shift)
     with problem.timings("transform"):
         A, b, diagonal = (_form if formed else _follow)(problem, balance)
         lower, upper = problem.vector(), problem.vector()

@@ -4,7 +4,6 @@
 Loads, supports and other data that a program sets before each step are not part of it.
 """
 
-import dataclasses
 from collections.abc import Mapping
 from numbers import Real
 from typing import Any
@@ -15,6 +14,7 @@ import numpy as np
 
 from dolfinx_mortar import compat
 from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.materials.ranges import named_parameters
 from dolfinx_mortar.persistence.committed import ProblemState
 from dolfinx_mortar.solid.solid import Solid
 
@@ -71,8 +71,8 @@ def _parts(solid: Solid) -> list[tuple[Any, Ints]]:
 
 def _describe_material(material: Any) -> dict[str, Any]:
     """Return parameters and internal variables of a material."""
-    parameters = {f.name: getattr(material, f.name) for f in dataclasses.fields(material)}
-    numbers = {n: float(v) if isinstance(v, Real) else VARYING for n, v in parameters.items()}
+    parameters = named_parameters(material).items()
+    numbers = {n: float(v) if isinstance(v, Real) else VARYING for n, v in parameters}
     return numbers | {"state": {n: list(shape) for n, shape in sorted(material.state.items())}}
 
 

@@ -264,7 +264,7 @@ class ContactProblem:
         """
         self.check_owned()
         data = self._read(level)
-        self.owned_u[:] += self._mean(data.asked)
+        self.owned_u[:] += self._carried(data.asked, self.owned_u)
         self.u.x.scatter_forward()
         audit = audit and not self.committed.begun
         if audit:
@@ -319,6 +319,17 @@ class ContactProblem:
         mean = self.bodies.mean(asked, self.supports.owned)[self.bodies.label]
         return np.asarray(mean * self.bodies.shifts).ravel()  # rings move along their axis only
 
+    def _carried(self, asked: Floats, u: Floats) -> Floats:
+        """Return the rigid displacement (n,) from u of bodies that supports carry; collective.
+
+        Where strains are finite bodies turn, too, without any.
+        """
+        mean = self._mean(asked)
+        if self.solid.strain == "small" or not self.bodies.shifts.all():
+            return mean
+        x = self.X + u.reshape(self.X.shape)
+        return mean + self.bodies.turned(asked, self.supports.owned, x).ravel()
+
     def _committed_positions(self) -> PETSc.Vec:
         """Return the positions (n,) from which slips count."""
         return self.vector(self.X.ravel() + self.committed.displacement)
@@ -335,7 +346,7 @@ class ContactProblem:
             return [None] * len(self.interfaces)
         began = self.committed.displacement
         if not self.committed.begun:
-            began = began + self._mean(self.supports.increment(target, began))
+            began = began + self._carried(self.supports.increment(target, began), began)
         differs = not np.array_equal(self.u.x.array[: began.size], began)
         if not any_rank(self.comm, differs)[0]:
             return []

@@ -24,6 +24,7 @@ from dolfinx_mortar.qp.preconditioner import (
     Preconditioner,
     Renewal,
     SlownessTest,
+    negative_pivots,
 )
 from dolfinx_mortar.qp.schur import SchurComplement
 from dolfinx_mortar.qp.updates import LIMIT
@@ -184,6 +185,13 @@ class LinearSolver:
         """Renew the numeric factorisation at the next solve."""
         if self._setup is not None:
             self._setup.preconditioner.held = None
+
+    @property
+    def negative_pivots(self) -> int:
+        """How many pivots of the last factorisation are negative, 0 if the method cannot tell."""
+        if self._setup is None or not self.direct or self._setup.preconditioner.held is None:
+            return 0
+        return negative_pivots(self._setup.preconditioner.pc)
 
     @property
     def setup(self) -> MatrixSetup:

@@ -118,8 +118,35 @@ def create_certificate(
         left_out_lengths=left_out.lengths,
         rotation=left_out.rotation,
         pretension=residual.pretension,
+        **_finite_strain(problem),
         **({} if sliders is None else _friction(problem.comm, sliders, length)),
     )
+
+
+def _finite_strain(problem: ContactProblem) -> dict[str, float]:
+    """Return the smallest J, and the largest moment of a body's internal forces at X + u.
+
+    A law whose energy does not depend on rotations, psi(Q F) = psi(F), makes none; collective.
+    """
+    volumes = problem.solid.volumes
+    if volumes is None:
+        return {}
+    found = {"smallest_J": volumes.smallest()}
+    if not problem.bodies.shifts.all():  # rings: forces along the axis have no moment
+        return found
+    internal, arms, forces = problem.vector(), *np.zeros((2, problem.n, 3))
+    problem.solid.add_forces(internal)
+    forces[:, : problem.d] = internal.array_r.reshape(-1, problem.d)
+    arms[:, : problem.d] = problem.X + problem.owned_u.reshape(-1, problem.d)
+    bodies = problem.bodies
+    arms[:, : problem.d] -= bodies.centre[bodies.label]
+    size = np.linalg.norm(arms, axis=1) * np.linalg.norm(forces, axis=1)
+    sums = np.zeros((bodies.count, 4))
+    np.add.at(sums, bodies.label, np.column_stack([np.cross(arms, forces), size]))
+    sums = problem.comm.allreduce(sums, op=MPI.SUM)
+    moments = np.linalg.norm(sums[:, :3], axis=1)
+    whole = float(sums[:, 3].sum())
+    return found | {"internal_moment": ratio(float(moments.max(initial=0.0)), whole)}
 
 
 def _friction(comm: MPI.Comm, sliders: Sliders, facet_length: float) -> dict[str, float]:

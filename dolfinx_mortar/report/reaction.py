@@ -62,7 +62,7 @@ def reaction(
     internal forces less loads (and springs) less what contacts and ties exert. R acts on the
     bodies: without other supports it is the opposite of the loads. Of half a model it is half the
     force, in the plane it is per thickness, of rings that of the whole ring. Points x are those at
-    which contacts act: X + u with a contact in updated geometry, otherwise X.
+    which contacts act: X + u with a contact in updated geometry or at finite strain, otherwise X.
 
     Args:
         problem: after a step.
@@ -108,7 +108,7 @@ def support_forces(problem: ContactProblem, balance: Balance) -> SupportForces:
     asked = [
         ask(problem.comm, i, "configuration", problem.configuration) for i in problem.interfaces
     ]
-    moved = any(at is not None for at in asked)
+    moved = any(at is not None for at in asked) or problem.solid.strain == "finite"
     u = problem.u.x.array[: forces.size].reshape(-1, problem.d)
     return SupportForces(
         forces.reshape(-1, problem.d), problem.X + u if moved else problem.X.copy()

@@ -21,7 +21,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import reduce
 from operator import add
-from typing import Any
 
 from petsc4py import PETSc
 
@@ -32,7 +31,6 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.algebra.congruence import as_aij
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arguments import is_name
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.response import elastic_response
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain
@@ -46,29 +44,7 @@ CELLS = ("quadrilateral", "hexahedron")
 TRACED = (plane_strain, axisymmetric, spatial)
 
 
-def create_dilatation(
-    u: fem.Function,
-    given: Any,
-    regions: Sequence[Region],
-    kinematics: Kinematics,
-    degree: int,
-    *,
-    eigenstrain: Eigenstrain | None,
-) -> MeanDilatation | None:
-    """Return what takes the volumetric part in the mean, None for "full"; collective.
-
-    Raises:
-        ValueError: for another choice than "full" and "reduced", and where nothing can be reduced.
-    """
-    if not is_name(given, ("full", "reduced")):
-        raise ValueError(f"volumetric is {given!r}: choose 'full' or 'reduced'")
-    if given == "full":
-        return None
-    _check_reducible(u.function_space, regions, kinematics, degree)
-    return MeanDilatation(u, regions, kinematics, degree, eigenstrain)
-
-
-def _check_reducible(
+def check_reducible(
     V: fem.FunctionSpace, regions: Sequence[Region], kinematics: Kinematics, degree: int
 ) -> None:
     """Raise a ValueError where there is no volumetric part that could be reduced."""
@@ -79,12 +55,18 @@ def _check_reducible(
             f"{why} quadrilaterals and hexahedra of first order, not for {cell}s of degree {p}: "
             "choose 'full', or such cells"
         )
-    if kinematics not in TRACED:
+    if kinematics not in TRACED and not kinematics.finite:
         raise ValueError(
             f"{why} the kinematics {', '.join(repr(k.name) for k in TRACED)}, not for "
             f"{kinematics.name!r}: choose 'full'"
         )
-    whole = [region.law.name for region in regions if not region.law.splits]
+    whole = [r.law.name for r in regions if r.law.strain == "finite" and not r.law.volumetric]
+    if whole:
+        raise ValueError(
+            f"{why} laws of F with a part of the volume alone, such as NeoHooke and MooneyRivlin: "
+            f"{', '.join(whole)} has no volumetric(J, p); choose 'full'"
+        )
+    whole = [r.law.name for r in regions if r.law.strain == "small" and not r.law.splits]
     if whole:
         raise ValueError(
             f"{why} laws that split into a deviator and a trace, such as Elastic and VonMises: "
@@ -124,7 +106,7 @@ class MeanDilatation:
         self._B.assemble()
         self._volumes = assemble(fem.form(size * dx), self._vector).copy()
         moduli = [
-            _bulk_modulus(region) * size * on for region, on in zip(regions, parts, strict=True)
+            bulk_modulus_of(region) * size * on for region, on in zip(regions, parts, strict=True)
         ]
         self._modulus = fem.form(reduce(add, moduli))
         free = None if eigenstrain is None else ufl.tr(eigenstrain.tensor) * size * dx
@@ -178,6 +160,6 @@ class MeanDilatation:
         return result.convert(K.getType())
 
 
-def _bulk_modulus(region: Region) -> Expr:
+def bulk_modulus_of(region: Region) -> Expr:
     """Return the bulk modulus of a law in UFL, K = tr(C : I) / 9."""
     return ufl.tr(elastic_response(region.law, ufl.Identity(3), region.symbols)) / 9

@@ -10,6 +10,7 @@ import numpy as np
 
 import ufl
 from dolfinx import fem
+from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import is_name
 from dolfinx_mortar.materials.response import Response
 from dolfinx_mortar.solid.at_points import middle_of
@@ -17,7 +18,7 @@ from dolfinx_mortar.solid.sources import create_source, point_function
 from ufl.core.expr import Expr
 
 
-def check_finite(strain: Any, eigenstrain: Any, volumetric: Any) -> None:
+def check_finite(strain: Any, eigenstrain: Any) -> None:
     """Raise a ValueError for an unknown strain, and what a finite one does not go with."""
     if not is_name(strain, ("small", "finite")):
         raise ValueError(f"strain is {strain!r}: choose 'small' or 'finite'")
@@ -28,10 +29,6 @@ def check_finite(strain: Any, eigenstrain: Any, volumetric: Any) -> None:
             "strain is 'finite', and eigenstrain is given: a strain without stress is subtracted "
             "from a small strain, while F would have to be split into a product; leave it away, or "
             "choose strain='small'"
-        )
-    if volumetric == "reduced":
-        raise ValueError(
-            "strain is 'finite', and volumetric 'reduced' is for a small one: choose 'full'"
         )
 
 
@@ -55,8 +52,8 @@ class Volumes:
         self._comm = domain.comm
 
     def inverted(self) -> bool:
-        """Tell whether J at u is no positive number at a point of this rank's; no communication."""
-        return not bool((self._now() > 0.0).all())
+        """Tell whether J at u is no positive number at any point; collective."""
+        return bool(any_rank(self._comm, not (self._now() > 0.0).all())[0])
 
     def smallest(self) -> float:
         """Return the smallest J at u, NaN if one is undefined; collective."""

@@ -12,7 +12,7 @@ import numpy as np
 
 import basix
 import ufl
-from dolfinx import fem, la
+from dolfinx import default_scalar_type, fem, la
 from dolfinx.jit import get_options
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Floats
@@ -21,6 +21,7 @@ from dolfinx_mortar.materials.response import Response, elastic_response, respon
 from dolfinx_mortar.solid.dilatation import MeanDilatation
 from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.laws import Region, measures
+from dolfinx_mortar.solid.mean_volume import MeanVolume
 from dolfinx_mortar.solid.pointwise import PointValuesOfRegion
 from dolfinx_mortar.solid.sources import Source
 from dolfinx_mortar.solid.state import as_tensors
@@ -50,7 +51,9 @@ class Forms:
     energy: fem.Form | None  # Psi, if all laws have a potential
     direction: fem.Function  # argument of elastic_norm
     force: la.Vector  # the residual with its ghosts
-    dilatation: MeanDilatation | None  # what tangent, elastic_norm and energy leave out
+    dilatation: (
+        MeanDilatation | MeanVolume | None
+    )  # what tangent, elastic_norm and energy leave out
     evaluations: Sequence[Source]  # of stress and new internal variables at the points
 
 
@@ -98,7 +101,7 @@ def create_forms(
     degree: int,
     *,
     evaluations: Sequence[Source],
-    dilatation: MeanDilatation | None = None,
+    dilatation: MeanDilatation | MeanVolume | None = None,
 ) -> Forms:
     """Compile all forms that a Newton step needs; collective.
 
@@ -109,9 +112,7 @@ def create_forms(
     parts = measures(V, regions, degree)
     weight = ufl.as_ufl(kinematics.weight(ufl.SpatialCoordinate(V.mesh)))
     v, direction = ufl.TestFunction(V), fem.Function(V)
-    virtual, along = kinematics.virtual(u, v), kinematics.virtual(u, direction)
-    if kinematics.finite:  # a turn of the deformed body has no norm
-        along = ufl.sym(ufl.transpose(kinematics.measure(u)) * along)
+    virtual, along = kinematics.virtual(u, v), _unturned(kinematics, u, direction)
     along = along if dilatation is None else ufl.dev(along)
 
     def integral(densities: Sequence[Expr]) -> ufl.Form:
@@ -136,6 +137,46 @@ def create_forms(
         dilatation=dilatation,
         evaluations=evaluations,
     )
+
+
+def create_elastic(
+    u: fem.Function, regions: Sequence[Region], kinematics: Kinematics, degree: int
+) -> tuple[fem.Form, fem.Constant]:
+    """Return factor * int eps(v) : C : eps(w), the second derivative of `Forms.elastic_norm`.
+
+    With the factor; collective.
+    """
+    V = u.function_space
+    factor = fem.Constant(V.mesh, default_scalar_type(1.0))
+    weight = factor * ufl.as_ufl(kinematics.weight(ufl.SpatialCoordinate(V.mesh)))
+    strains = (_unturned(kinematics, u, f(V)) for f in (ufl.TestFunction, ufl.TrialFunction))
+    of_v, of_w = strains
+    terms = []
+    for region, dx in zip(regions, measures(V, regions, degree), strict=True):
+        stress = elastic_response(region.law, of_w, region.symbols)
+        terms.append(weight * ufl.inner(stress, of_v) * dx)
+    return fem.form(reduce(add, terms)), factor
+
+
+def create_moduli(
+    regions: Sequence[Region], kinematics: Kinematics, stress: fem.Function
+) -> fem.Form:
+    """Return int |C : (e_x e_y + e_y e_x)|, which is an energy, at one point of each cell."""
+    domain = stress.function_space.mesh
+    weight = ufl.as_ufl(kinematics.weight(ufl.SpatialCoordinate(domain)))
+    shear = ufl.as_tensor([[0, 1, 0], [1, 0, 0], [0, 0, 0]])
+    terms = []
+    V = fem.functionspace(domain, ("DG", 0))
+    for region, dx in zip(regions, measures(V, regions, 1), strict=True):
+        modulus = elastic_response(region.law, shear, region.symbols)
+        terms.append(weight * ufl.sqrt(ufl.inner(modulus, modulus)) * dx)
+    return fem.form(reduce(add, terms))
+
+
+def _unturned(kinematics: Kinematics, u: fem.Function, v: Expr) -> Expr:
+    """Return the strain that v causes at u, of which turns of the deformed body have none."""
+    along = kinematics.virtual(u, v)
+    return ufl.sym(ufl.transpose(kinematics.measure(u)) * along) if kinematics.finite else along
 
 
 def _tangent(

@@ -17,6 +17,7 @@ from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.materials.protocol import RESERVED, Law, create_law
+from dolfinx_mortar.materials.ranges import named_parameters
 from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.parameters import ParameterTable
 from dolfinx_mortar.tags import by_tag, check_entities, label, labels
@@ -93,9 +94,10 @@ def create_regions(
     alike: dict[Any, list[int]] = {}
     for i, (material, law) in enumerate(given):
         form = kinematics.finite and law.isotropic  # see `materials.logarithmic`
-        alike.setdefault((type(material), form, *law.state), []).append(i)
+        names = tuple(named_parameters(material))  # of tuples some have more
+        alike.setdefault((type(material), (form, names), *law.state), []).append(i)
     regions = []
-    for kind in sorted(alike, key=lambda kind: (kind[0].__qualname__, *kind[1:])):
+    for kind in sorted(alike, key=lambda kind: (kind[0].__qualname__, kind[2:], kind[1])):
         chosen = alike[kind]
         law = given[chosen[0]][1]
         own = [given[i][0] for i in chosen]

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Parameters of a law in its cells: numbers, and what the user may change between steps."""
 
-import dataclasses
 import re
 from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
@@ -15,7 +14,7 @@ from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.materials.protocol import Law
-from dolfinx_mortar.materials.ranges import wrong_values
+from dolfinx_mortar.materials.ranges import grouped, named_parameters, wrong_values
 from dolfinx_mortar.solid.sources import (
     Followed,
     check_source,
@@ -58,9 +57,9 @@ class ParameterTable(Followed):
                 known at other points than those of the solid.
         """
         self._law, self._cells = law, np.sort(np.concatenate(cells))
-        self._names = names = [field.name for field in dataclasses.fields(materials[0])]
+        self._names = names = list(named_parameters(materials[0]))
         given = [
-            (on, [getattr(material, name) for name in names])
+            (on, list(named_parameters(material).values()))
             for material, on in zip(materials, cells, strict=True)
         ]
         moving = [
@@ -86,15 +85,22 @@ class ParameterTable(Followed):
             for on, i, value in moving
         ]
         super().__init__(function, sources)
-        self.symbols = SimpleNamespace(**{name: function[i] for i, name in enumerate(names)})
+        self.symbols = grouped({name: function[i] for i, name in enumerate(names)})
 
     def values(self, cells: Ints, points: int) -> SimpleNamespace:
         """Return the parameters by name at so many points of each cell, (cells * points,) each."""
+        return grouped(self._by_name(self._table(cells, points)))
+
+    def _table(self, cells: Ints, points: int) -> Floats:
+        """Return the parameters (cells * points, parameters) at so many points of each cell."""
         dofs = self.function.function_space.dofmap.list[cells]
         table = self.function.x.array.reshape(-1, max(len(self._names), 1))[dofs]
         table = np.broadcast_to(table, (len(cells), points, table.shape[2]))
-        flat = table.reshape(len(cells) * points, table.shape[2])
-        return SimpleNamespace(**{name: flat[:, i] for i, name in enumerate(self._names)})
+        return np.asarray(table.reshape(len(cells) * points, table.shape[2]))
+
+    def _by_name(self, table: Floats) -> dict[str, Floats]:
+        """Return the columns of a table (q, parameters) by name."""
+        return {name: table[:, i] for i, name in enumerate(self._names)}
 
     def judge(self) -> None:
         """Raise ValueError on all ranks if something is out of range in an owned cell; collective.
@@ -105,7 +111,7 @@ class ParameterTable(Followed):
         domain, points = V.mesh, V.dofmap.list.shape[1]
         size = domain.topology.index_map(domain.topology.dim).size_local
         owned = self._cells[self._cells < size]
-        values = vars(self.values(owned, points))
+        values = self._by_name(self._table(owned, points))
         wrong: dict[str, Bools] = {}
         with raised_together(domain.comm):
             if len(owned):  # rules of users need not handle empty arrays

@@ -12,6 +12,7 @@ is assembled or evaluated next.
 
 import math
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -28,13 +29,14 @@ from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arguments import is_integer
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.materials import Material
-from dolfinx_mortar.solid.dilatation import create_dilatation
+from dolfinx_mortar.solid.dilatation import MeanDilatation
 from dolfinx_mortar.solid.eigenstrain import create_eigenstrain
 from dolfinx_mortar.solid.finite_strain import Volumes, as_cauchy, check_finite
-from dolfinx_mortar.solid.forms import create_forms, create_responses
+from dolfinx_mortar.solid.forms import create_elastic, create_forms, create_moduli, create_responses
 from dolfinx_mortar.solid.gradients import PointGradients
 from dolfinx_mortar.solid.kinematics import Kinematics, check_radius, choose_kinematics
 from dolfinx_mortar.solid.laws import create_regions
+from dolfinx_mortar.solid.mean_volume import MeanVolume, create_dilatation
 from dolfinx_mortar.solid.points import PointFields
 from dolfinx_mortar.solid.pointwise import (
     create_point_values,
@@ -140,7 +142,7 @@ class Solid(Term):
         check_space(u.function_space, "u")
         self.u = u
         self.kinematics = choose_kinematics(kinematics, self.mesh.geometry.dim)
-        check_finite(strain, eigenstrain, volumetric)
+        check_finite(strain, eigenstrain)
         if strain == "finite":
             self.kinematics = self.kinematics.of_finite_strain()
         check_radius(self.kinematics, self.mesh)
@@ -150,19 +152,25 @@ class Solid(Term):
         self._staged = {name: f.copy() for name, f in self._committed.items()}
         self.stress = create_field(self.mesh, degree, (3, 3), "stress")
         self.eigenstrain = create_eigenstrain(u, eigenstrain, cell_tags, degree)
-        dilatation = create_dilatation(
-            u, volumetric, self.regions, self.kinematics, degree, eigenstrain=self.eigenstrain
-        )
+        self._compile(volumetric, degree)
+
+    def _compile(self, volumetric: str, degree: int) -> None:
+        """Compile the forms, and what is evaluated at points; collective."""
+        u, finite = self.u, self.kinematics.finite
+        how = u, volumetric, self.regions, self.kinematics, degree
+        dilatation = create_dilatation(*how, eigenstrain=self.eigenstrain)
         measured = self.kinematics.measure(u)
         seen = measured if self.eigenstrain is None else measured - self.eigenstrain.tensor
         mean_stress = None
-        if dilatation is not None:  # the laws, pointwise ones too, see the deviator only
+        if isinstance(dilatation, MeanDilatation):  # laws, pointwise ones too, see the deviator
             seen, mean_stress = ufl.dev(seen), dilatation.mean_stress
         inputs = [u] if self.eigenstrain is None else [u, self.eigenstrain.function]
-        finite = self.kinematics.finite
         found = create_point_values(self.regions, seen, self.state, inputs, degree, finite=finite)
         self._found = found
         responses = create_responses(seen, self.regions, self.state, self._found, mean_stress)
+        if isinstance(dilatation, MeanVolume):
+            pairs = zip(self.regions, responses, strict=True)
+            responses = [dilatation.complete(*pair) for pair in pairs]
         weight = self.kinematics.weight
         self.volumes = Volumes(u, measured, degree) if finite else None
         shown = self._staged if self.volumes is None else {**self._staged, "J": self.volumes.J}
@@ -238,11 +246,12 @@ class Solid(Term):
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         return K
 
-    def energy(self) -> float | None:
+    def energy(self) -> float | Floats | None:
         """Return this rank's share of the incremental potential Psi(u); collective.
 
-        None if a law gives a stress but no potential. Infinite on a rank where a point of a finite
-        strain has no positive volume, det F <= 0.
+        None if a law gives a stress but no potential. Infinite where any point of a finite strain
+        has no positive volume, det F <= 0. At finite strain with two more addends, whose sum is
+        zero: energies of F are differences of numbers near the moduli, which is their round-off.
         """
         if self._forms.energy is None:
             return None
@@ -250,7 +259,13 @@ class Solid(Term):
             return math.inf
         self.follow()
         share, dilatation = float(fem.assemble_scalar(self._forms.energy)), self._forms.dilatation
-        return share if dilatation is None else share + dilatation.energy()
+        share = share if dilatation is None else share + dilatation.energy()
+        return share if self.volumes is None else np.array([share, self._moduli, -self._moduli])
+
+    @cached_property
+    def _moduli(self) -> float:
+        """The integral over this rank's cells of the norm of the elastic stress of a unit shear."""
+        return float(fem.assemble_scalar(create_moduli(self.regions, self.kinematics, self.stress)))
 
     def add_forces(self, F: PETSc.Vec) -> None:
         """Add F(u)_i = int sigma : eps(phi_i) to the owned part of F; collective."""
@@ -264,6 +279,18 @@ class Solid(Term):
         K.assemble()
         if self._forms.dilatation is not None:
             self._forms.dilatation.add_tangent(K)
+
+    def add_elastic(self, K: PETSc.Mat, factor: float) -> None:
+        """Add a multiple of the stiffness of `elastic_norm`, which is positive; collective."""
+        form, share = self._elastic
+        share.value = factor
+        fem_petsc.assemble_matrix(K, form)
+        K.assemble()
+
+    @cached_property
+    def _elastic(self) -> tuple[Any, fem.Constant]:
+        """The form of the elastic stiffness, and its factor; few steps need it."""
+        return create_elastic(self.u, self.regions, self.kinematics, self.quadrature_degree)
 
     def assemble_residual(self, r: PETSc.Vec) -> None:
         """Fill the owned part of r with the internal forces, see `add_forces`; collective."""

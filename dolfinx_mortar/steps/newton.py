@@ -17,6 +17,7 @@ or the residual decreases; otherwise the geometry is frozen until Newton's metho
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -32,7 +33,7 @@ from dolfinx_mortar.interfaces.interface import ask
 from dolfinx_mortar.interfaces.near import predict_active
 from dolfinx_mortar.newton_method import failures
 from dolfinx_mortar.newton_method.contacts import Contacts, find_sliders, found_by, go_on
-from dolfinx_mortar.newton_method.line_search import NoDescent, move, search
+from dolfinx_mortar.newton_method.line_search import NoDescent, search, shorten
 from dolfinx_mortar.newton_method.linearisation import (
     Balance,
     Linearisation,
@@ -69,6 +70,12 @@ from dolfinx_mortar.step_report import Iteration, NewtonNotConverged, StepReport
 from dolfinx_mortar.terms.sum import Energy
 
 log = logging.getLogger(__name__)
+
+# Multiples of the elastic stiffness that are tried one after the other where a tangent is
+# indefinite. A compression by a share e of the moduli needs about e, in a slender column, whose
+# elastic stiffness against bending is low, e times its length over its thickness, squared.
+NEAR = 1e-3  # relative residual of forces below which an indefinite tangent is used as it is
+SHIFTS = (0.0, 0.01, 0.1, 1.0, 10.0, 100.0, 1000.0)
 
 
 def newton(
@@ -224,6 +231,8 @@ class _Step:
         self.problem, self.report, self.data, self.overlap = problem, report, data, overlap
         self.linear = problem.terms.linear
         self.direction = fem.Function(problem.V)  # du, for its norm
+        self.negative = False  # whether the last tangent that was used is indefinite
+        self.shifted = 0  # the entry of SHIFTS that the last tangent needed
 
     def run(self, max_it: int) -> None:
         """Iterate until convergence; set the results and the certificate."""
@@ -279,13 +288,14 @@ class _Step:
         problem, report = self.problem, self.report
         free_unused(problem.comm)
         tangent = not self.linear or (number == 1 and problem.terms.varying)  # by parameters
-        lin = linearise(problem, old.balance, tangent=tangent)
+        accuracy = partial(self.accuracy, watch=watch, residuals=residuals)
+        near = bool(residuals) and residuals[-1].forces < NEAR
+        lin, solved = self.linearise(old, start, tangent, accuracy, near=near)
         scales = old.scales
         if number == 1:
             lifted = problem.vector(self.data.asked)
             lifted.pointwiseMult(lifted, lin.diagonal)
             scales = replace(scales, first=max(lin.qp.b.norm(), lifted.norm()))
-        solved = self.solve(lin, start, old, self.accuracy(lin, watch, residuals))
         report.quote(number, solved.note)
         report.note_friction(number, solved.linearisation)
         contacts = found_by(lin, solved, problem.n)
@@ -323,6 +333,7 @@ class _Step:
                 line_search_steps=halvings,
                 geometry_change=change,
                 geometry_held=watch.held,
+                shift=SHIFTS[self.shifted],
             )
         )
         iterate = Iterate(
@@ -331,6 +342,47 @@ class _Step:
         return iterate, watch, residual
 
     # -- the parts of an iteration ---------------------------------------------------------------
+
+    def linearise(
+        self,
+        old: Iterate,
+        start: Actives,
+        tangent: bool,
+        accuracy: Callable[[Linearisation], float],
+        *,
+        near: bool,
+    ) -> tuple[Linearisation, QPSolution]:
+        """Return the QP of an iterate and its solution.
+
+        At finite strain K may be indefinite, far from the solution or beyond a bifurcation. Then
+        multiples of the elastic stiffness are added until it is positive on the free unknowns; an
+        iteration begins with a tenth of what the last one needed. Near a balance Newton's step goes
+        to it, be it stable or not.
+        """
+        problem, finite = self.problem, self.problem.solid.strain == "finite"
+        first: Exception | None = None
+        begin = 0 if near else max(self.shifted - 1, 0)
+        for k in range(begin, len(SHIFTS) if finite else begin + 1):
+            lin = linearise(problem, old.balance, tangent=tangent, shift=SHIFTS[k])
+            self.shifted = k
+            try:
+                solved = self.solve(lin, start, old, accuracy(lin))
+            except (backends.QPNotSolved, backends.UnusableQP) as error:
+                first = first or error
+            else:
+                self.negative = finite and self.has_negative_pivots()
+                if not self.negative or (near and k == 0):
+                    return lin, solved
+                first = first or backends.QPNotSolved(
+                    "the tangent stays indefinite, whatever multiple of the elastic one is added"
+                )
+            problem.linear.forget()  # what has been factorised is of no use
+        assert first is not None
+        raise first
+
+    def has_negative_pivots(self) -> bool:
+        """Tell whether the last factorisation has negative pivots; collective."""
+        return bool(maximum(self.problem.comm, float(self.problem.linear.negative_pivots))[0] > 0)
 
     def accuracy(self, lin: Linearisation, watch: Watch, residuals: list[Residuals]) -> float:
         """Return the relative tolerance of the next QP."""
@@ -381,17 +433,15 @@ class _Step:
 
         The step is whole if there is no energy, or if supports or ties still prescribe increments,
         for which the energy may increase; they do not once the supports have moved their bodies
-        rigidly at the start of the step.
+        rigidly at the start of the step. It is shorter where it would turn a cell inside out.
         """
         problem = self.problem
-        own = du.local_size
         lost = gap_round_off(problem.u)
         asked = float(maximum(problem.comm, lin.balance.equal.scale)[0])
         with problem.timings("assembly"):
-            if energy is None or asked > lost:
-                move(problem, problem.u.x.array[:own] + du.array_r)
-                return 1.0, 0, problem.terms.energy()
             try:
+                if energy is None or asked > lost:
+                    return *shorten(problem, du.array_r), problem.terms.energy()
                 return search(problem, lin, solved, du, largest, energy)
             except NoDescent as error:
                 raise failures.StepFailed(str(error)) from error
@@ -455,7 +505,7 @@ class _Step:
         stiffness = iterate.stiffness.array_r
         how = self.overlap, left_out, report.rtol, residual.limit
         end = StepEnd(problem, iterate.balance, contacts, stiffness, *how)
-        report.notes += find_notes(end)
+        report.notes += find_notes(end) + self.notes_on_shifts()
         report.certificate = create_certificate(
             problem, report, contacts, residual, sliders, left_out
         )
@@ -464,6 +514,22 @@ class _Step:
         outcome = StepOutcome(at, contacts.active, contacts.sliding, paired, slips)
         problem.outcome, problem.committed.supports = outcome, supports
         report.converged = True
+
+    def notes_on_shifts(self) -> list[str]:
+        """Return a note if tangents were indefinite."""
+        notes, shifted = [], [it.number for it in self.report.iterations if it.shift]
+        if shifted:
+            notes.append(
+                f"the tangent was indefinite in {len(shifted)} iterations, the last of them "
+                f"{shifted[-1]}: up to {max(it.shift for it in self.report.iterations):g} times "
+                "the elastic stiffness was added there"
+            )
+        if self.negative or shifted[-1:] == [len(self.report.iterations)]:
+            notes.append(
+                "the tangent is indefinite at the end: the balance found is unstable, and a small "
+                "disturbance leads elsewhere; give the mesh an imperfection to follow that"
+            )
+        return notes
 
     def elastic_norm(self, du: PETSc.Vec) -> float:
         """Return |du|_e; collective."""

@@ -15,7 +15,15 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from dolfinx import fem, la
-from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, ROUND_OFF, Bools, Floats, Ints
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arrays import (
+    HALF_OF_DIGITS,
+    QUARTER_OF_DIGITS,
+    ROUND_OFF,
+    Bools,
+    Floats,
+    Ints,
+)
 from dolfinx_mortar.solid.kinematics import translations_and_rotations
 
 Motion = Callable[[PETSc.Vec], Floats]
@@ -74,6 +82,38 @@ class Bodies:
         )
         vector.array[:] = values.ravel()
         return vector
+
+    def turned(self, asked: Floats, where: Bools, x: Floats) -> Floats:
+        """Return how far rotations carry the nodes beyond the mean of increments, (owned nodes, d).
+
+        Of bodies whose prescribed nodes, with all components prescribed, move rigidly from x to x +
+        asked, not all of them on a line: all of their nodes then move with these. Zero for others.
+        Tied bodies count as one; collective.
+        """
+        comm, d, result = self.V.mesh.comm, x.shape[1], np.zeros_like(x)
+        group = np.arange(self.count, dtype=np.int32) if self.group is None else self.group
+        label, whole = group[self.label], where.all(axis=1)
+        some = where.any(axis=1) & ~whole
+        partly = maximum(comm, *np.bincount(label[some], minlength=self.count))
+        for k in np.unique(group):
+            on = whole & (label == k)
+            sums = np.array([on.sum(), *x[on].sum(axis=0), *asked[on].sum(axis=0)])
+            sums = comm.allreduce(sums, op=MPI.SUM)
+            if sums[0] == 0.0 or partly[k]:
+                continue
+            centre, shift = sums[1 : d + 1] / sums[0], sums[d + 1 :] / sums[0]
+            arms = x[on] - centre
+            ends = arms + asked[on] - shift
+            U, S, Vt = np.linalg.svd(comm.allreduce(ends.T @ arms, op=MPI.SUM))
+            signs = np.ones(d)
+            signs[-1] = np.linalg.det(U @ Vt)
+            Q = (U * signs) @ Vt
+            miss = np.abs(ends - arms @ Q.T).max(initial=0.0)
+            miss, size = maximum(comm, miss, np.abs(arms).max(initial=0.0))
+            if S[d - 2] > HALF_OF_DIGITS * S[0] > 0.0 and miss <= HALF_OF_DIGITS * size:
+                own = label == k
+                result[own] = (x[own] - centre) @ (Q - np.eye(d)).T
+        return result
 
     def mean(self, values: Floats, where: Bools) -> Floats:
         """Return the mean over each body of (owned nodes, d) values where marked, else 0.

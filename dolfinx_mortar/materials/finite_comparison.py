@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: MIT
+"""A law of the deformation gradient against itself: energy, P, dP/dF, rotations."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+import ufl
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.materials.compiled import compile_vectors, constants, entries, parameters
+from dolfinx_mortar.materials.finite_law import Evaluation, create_finite_law
+from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
+from dolfinx_mortar.materials.protocol import Law
+from dolfinx_mortar.materials.ranges import grouped
+from dolfinx_mortar.materials.response import elastic_response, respond
+from dolfinx_mortar.materials.tensor import from_components, stored, tensor_of, to_components
+
+RTOL = 1e-7
+# Of differences of sixth order, over the smallest stretch: errors are near LENGTH^6 and eps/LENGTH.
+LENGTH = 3e-3
+WEIGHTS = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
+STRETCHES = (  # before they are scaled to a volume
+    *((1.0, 1.0, 1.0), (1.0, 1.0, 2.0), (0.5, 1.0, 1.0), (1.0, 1.0 + 1e-9, 1.5)),
+    *((1.0, 1.0 + 1e-5, 1.0 - 1e-5), (1.0, 1.001, 0.7), (0.5, 1.1, 2.2), (0.4, 0.9, 3.0)),
+)
+VOLUMES = (0.3, 1.0, 3.0)
+
+
+@dataclass(frozen=True)
+class FinitePoint:
+    """What a law gives at one F and state, in numbers."""
+
+    energy: float  # NaN without one
+    stress: Floats  # (3, 3) P
+    tangent: Floats  # (3, 3, 3, 3) dP/dF
+    state: dict[str, Floats]  # () or (6,)
+
+
+At = Callable[[Floats, Mapping[str, Floats]], FinitePoint]
+
+
+@dataclass(frozen=True)
+class FiniteLawErrors:
+    """What `compare_at_finite_strain` found, relative to the elastic stress or moduli."""
+
+    samples: int
+    changed: int  # samples in which an internal variable changed
+    energy: float  # P against differences of the energy; NaN without an energy
+    tangent: float
+    turned: float  # psi(Q F) - psi(F) and P(Q F) - Q P(F)
+    skew: float
+
+
+def gradients(rng: np.random.Generator, size: float) -> Iterator[Floats]:
+    """Yield deformation gradients: small ones, and large ones with coincident stretches."""
+    for norm in np.geomspace(1e-5 * size, size, 6):
+        yield np.eye(3) + norm * rng.uniform(-1.0, 1.0, (3, 3))
+    for J in VOLUMES:
+        for stretches in STRETCHES:
+            scaled = np.array(stretches) * (J / np.prod(stretches)) ** (1 / 3)
+            yield rotation(rng) @ np.diag(scaled) @ rotation(rng)
+
+
+def rotation(rng: np.random.Generator) -> Floats:
+    """Return a random rotation (3, 3)."""
+    Q, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    return np.asarray(Q * np.linalg.det(Q))
+
+
+def law_at_points(material: Any, law: Law) -> tuple[At, float, bool]:
+    """Return a law as a function of one F and state, its stiffness, and whether it has an energy.
+
+    The stiffness is the norm of the elastic stress of unit strains.
+    """
+    given = parameters(material)
+    numbers = constants(6 + len(given))
+    strain = from_components(ufl.as_vector([numbers[i] for i in range(6)]))
+    p = grouped({name: numbers[6 + i] for i, name in enumerate(given)})
+    (elastic,) = compile_vectors([ufl.as_vector(entries(elastic_response(law, strain, p)))])
+    probes = ([1, 0, 0, 0, 0, 0], [0, 0, 0, 0.5, 0, 0])
+    norms = [float(np.linalg.norm(elastic(np.array([*e, *given.values()])))) for e in probes]
+    stiffness = max(norms)
+    if law.strain == "finite" and law.update is None:
+        return _compiled(law, given), stiffness, law.energy is not None
+    if law.strain == "small":
+        logarithmic = LogarithmicLaw(law, list(given))
+        return _of_arrays(law, given, logarithmic.evaluate), stiffness, logarithmic.has_energy
+    finite = create_finite_law(law)
+    return _of_arrays(law, given, finite.evaluate), stiffness, finite.has_energy
+
+
+def _compiled(law: Law, given: Mapping[str, float]) -> At:
+    """Return a law in UFL as a function of one F and state."""
+    shapes = {name: (6,) if shape else () for name, shape in law.state.items()}
+    widths = [6 if shape else 1 for shape in shapes.values()]
+    numbers = constants(18 + sum(widths) + len(given))
+    F, D = (
+        ufl.as_tensor([[numbers[k + 3 * i + j] for j in range(3)] for i in range(3)])
+        for k in (0, 9)
+    )
+    state, k = {}, 18
+    for (name, shape), width in zip(shapes.items(), widths, strict=True):
+        vector = ufl.as_vector([numbers[k + i] for i in range(width)])
+        state[name], k = (from_components(vector) if shape else numbers[k]), k + width
+    p = grouped({name: numbers[k + i] for i, name in enumerate(given)})
+    response = respond(law, F, state, p)
+    parts = [entries(response.stress), entries(response.change(D))]
+    parts.append([ufl.as_ufl(0.0) if response.energy is None else response.energy])
+    for name, shape in shapes.items():
+        new = response.updated[name]
+        parts.append(list(to_components(new, 6)) if shape else [new])
+    stress, change, energy, *new_state = compile_vectors([ufl.as_vector(p) for p in parts])
+
+    def at(gradient: Floats, committed: Mapping[str, Floats]) -> FinitePoint:
+        rest = np.concatenate(
+            [*(np.atleast_1d(committed[n]) for n in shapes), list(given.values())]
+        )
+        first = np.concatenate([gradient.ravel(), np.zeros(9), rest])
+        columns = [np.concatenate([gradient.ravel(), e, rest]) for e in np.eye(9)]
+        tangent = np.stack([change(c) for c in columns], axis=1)
+        values = [kernel(first) for kernel in new_state]
+        new = {n: v if shapes[n] else v[0] for n, v in zip(shapes, values, strict=True)}
+        psi = np.nan if response.energy is None else float(energy(first)[0])
+        return FinitePoint(psi, stress(first).reshape(3, 3), tangent.reshape(3, 3, 3, 3), new)
+
+    return at
+
+
+def _of_arrays(law: Law, given: Mapping[str, float], evaluate: Evaluation) -> At:
+    """Return a law of arrays, or one of a small strain, as a function of one F and state."""
+
+    def at(gradient: Floats, committed: Mapping[str, Floats]) -> FinitePoint:
+        state = {
+            name: tensor_of(np.atleast_2d(committed[name]))
+            if shape
+            else np.atleast_1d(committed[name])
+            for name, shape in law.state.items()
+        }
+        p = grouped({name: np.array([value]) for name, value in given.items()})
+        found = evaluate(gradient[None], state, p)
+        psi = np.nan if found.energy is None else float(found.energy[0])
+        new = {n: stored(v)[0] if v.ndim == 3 else v[0] for n, v in found.state.items()}
+        return FinitePoint(psi, found.stress[0], found.tangent[0], new)
+
+    return at
+
+
+def compare_at_finite_strain(
+    material: Any, law: Law, rng: np.random.Generator, size: float
+) -> FiniteLawErrors:
+    """Compare energy, P and dP/dF of a law at random F, and its answer to rotations.
+
+    Raises:
+        ValueError: where they do not fit, with F and both values.
+    """
+    at, stiffness, has_energy = law_at_points(material, law)
+    virgin = {n: np.zeros(6 if shape else ()) for n, shape in law.state.items()}
+    found, state = [], virgin
+    for F in gradients(rng, size):
+        here = at(F, state)
+        _demand(law, "the response", F, np.isfinite(here.stress).all(), "finite", "NaN")
+        scale = max(stiffness, float(np.abs(here.tangent).max()))
+        D = rng.uniform(-1.0, 1.0, (3, 3))
+        step = LENGTH * float(np.linalg.svd(F, compute_uv=False).min())
+        points = {k: at(F + k * step * D, state) for m in WEIGHTS for k in (-m, m)}
+        errors = [np.nan, 0.0, 0.0, 0.0]
+        if has_energy:
+            energies = {k: point.energy for k, point in points.items()}
+            slope, given = _difference(energies, step), float((here.stress * D).sum())
+            errors[0] = abs(slope - given) / scale
+            _demand(law, "P : D", F, errors[0] <= RTOL, given, slope)
+        change = _difference({k: point.stress for k, point in points.items()}, step)
+        given_change = np.einsum("ijkl,kl->ij", here.tangent, D)
+        errors[1] = float(np.abs(change - given_change).max()) / scale
+        _demand(law, "dP/dF : D", F, errors[1] <= RTOL, given_change, change)
+        Q = rotation(rng)
+        turned = at(Q @ F, state)
+        off = [np.abs(turned.stress - Q @ here.stress).max()]
+        off += [abs(turned.energy - here.energy)] if has_energy else []
+        errors[2] = float(max(off)) / scale
+        _demand(law, "P(Q F), Q a rotation,", F, errors[2] <= RTOL, turned.stress, Q @ here.stress)
+        errors[3] = float(np.abs(here.tangent - here.tangent.transpose(2, 3, 0, 1)).max()) / scale
+        changed = any(np.any(here.state[n] != state[n]) for n in state)
+        found.append((changed, *errors))
+    table = np.array(found, dtype=float)
+    return FiniteLawErrors(
+        len(table), int(table[:, 0].sum()), *(float(v) for v in table[:, 1:].max(axis=0))
+    )
+
+
+def _difference(values: Mapping[int, Any], step: float) -> Any:
+    """Return the derivative from values at multiples of a step."""
+    return sum(w * (values[k] - values[-k]) for k, w in WEIGHTS.items()) / step
+
+
+def _demand(law: Law, what: str, F: Floats, holds: Any, given: Any, wanted: Any) -> None:
+    """Raise ValueError, with F and both values, unless something holds."""
+    if not holds:
+        place, *both = (np.array2string(np.asarray(v), precision=8) for v in (F, given, wanted))
+        raise ValueError(
+            f"{law.name}: {what} is {both[0]}, but should be {both[1]} (by differences, or turned "
+            f"with F) at F = {place}"
+        )

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: MIT
+"""Rubber by Ogden, with any number of terms, in principal stretches."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from numbers import Real
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import numpy as np
+
+import ufl
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.materials.protocol import PointwiseLaw
+from dolfinx_mortar.materials.ranges import Parameter, Range, check_fields
+from ufl.core.expr import Expr
+
+
+@dataclass(frozen=True)
+class Ogden(PointwiseLaw):
+    """psi(F) = sum_i mu_i / alpha_i (a_1^alpha_i + a_2^alpha_i + a_3^alpha_i - 3) + K/2 (J - 1)^2.
+
+    a_k = lambda_k / J^(1/3) are the principal stretches without the change of volume, J = det F.
+    The shear modulus at F = I is sum_i mu_i alpha_i / 2. A law of arrays, right to round-off also
+    where stretches coincide. Source: Ogden, Proc. R. Soc. Lond. A 326 (1972) 565-584; Holzapfel,
+    Nonlinear Solid Mechanics (2000), section 6.5.
+
+    Raises:
+        ValueError: if mu and alpha are no tuples of one length, an alpha is 0, K <= 0, the shear
+            modulus is not positive, or a number is not finite.
+    """
+
+    mu: tuple[Parameter, ...]  # stress
+    alpha: tuple[Parameter, ...]
+    K: Parameter  # bulk modulus
+
+    strain: ClassVar[str] = "finite"
+    ranges: ClassVar[Mapping[str, Range]] = {"K": (0.0, math.inf, False)}
+
+    def __post_init__(self) -> None:
+        """Check the parameters."""
+        given = self.mu, self.alpha
+        if not all(isinstance(v, tuple) for v in given) or len(self.mu) != len(self.alpha):
+            raise ValueError(
+                f"Ogden: mu = {self.mu!r} and alpha = {self.alpha!r} must be tuples of one length, "
+                "such as mu=(0.63, -0.01), alpha=(1.3, -2.0)."
+            )
+        check_fields(self)
+        numbers = [v for v in (*self.mu, *self.alpha) if isinstance(v, Real)]
+        if not self.mu or not all(math.isfinite(v) for v in numbers):
+            raise ValueError(f"Ogden: mu = {self.mu!r}, alpha = {self.alpha!r} must be finite.")
+        if len(numbers) == 2 * len(self.mu):
+            for rule, holds in self.conditions(self).items():
+                if not holds:
+                    raise ValueError(f"Ogden: {rule} does not hold for {self!r}.")
+
+    @staticmethod
+    def conditions(p: Any) -> dict[str, Any]:
+        """Return what several parameters must satisfy."""
+        rules = {f"alpha[{i}] is not 0": alpha != 0.0 for i, alpha in enumerate(p.alpha)}
+        return {"sum of mu * alpha > 0": _twice_shear_modulus(p) > 0.0} | rules
+
+    @staticmethod
+    def elastic_stress(strain: Expr, p: Any) -> Expr:
+        """Return C : strain of a small strain."""
+        return p.K * ufl.tr(strain) * ufl.Identity(3) + _twice_shear_modulus(p) * ufl.dev(strain)
+
+    @staticmethod
+    def energy(F: Floats, state: Mapping[str, Floats], p: SimpleNamespace) -> Floats:
+        """Return psi (q,) per volume at X."""
+        a, J = np.linalg.svd(F, compute_uv=False), np.linalg.det(F)
+        psi = p.K / 2 * (J - 1) ** 2
+        for mu, alpha in zip(p.mu, p.alpha, strict=True):
+            powers = np.expm1(alpha[:, None] * np.log(a / np.cbrt(J)[:, None]))
+            psi = psi + mu / alpha * powers.sum(axis=1)
+        return np.asarray(psi)
+
+    @staticmethod
+    def volumetric(J: Expr, p: Any) -> Expr:
+        """Return the part of psi that only depends on the volume, in UFL."""
+        return p.K / 2 * (J - 1) ** 2
+
+    @staticmethod
+    def update(
+        F: Floats, state: Mapping[str, Floats], p: SimpleNamespace
+    ) -> tuple[Floats, Floats, dict[str, Floats]]:
+        """Return P (q, 3, 3), dP/dF (q, 3, 3, 3, 3) and no state.
+
+        With C = sum_a x_a N_a (x) N_a, S = sum_a s(x_a) N_a (x) N_a. Divided differences of powers
+        of x, which turn the frame N, are exact at any distance of x_a and x_b.
+        """
+        x, N = np.linalg.eigh(np.swapaxes(F, 1, 2) @ F)  # N[:, :, a]
+        J = np.sqrt(x.prod(axis=1))
+        U1, U2 = p.K * (J - 1), p.K  # of the volume
+        # s_a = sum_i mu_i J^(-alpha_i/3) x_a^(alpha_i/2 - 1) + (J U' - m) / x_a
+        s, quotient, m, of_m = np.zeros_like(x), np.zeros((len(x), 3, 3)), 0.0, np.zeros_like(x)
+        slopes = np.zeros((len(x), 3, 3))  # d s_a / d ln lambda_b, at a frame that stands
+        for mu, alpha in zip(p.mu, p.alpha, strict=True):
+            factor, q = mu * J ** (-alpha / 3), alpha / 2 - 1
+            power = x ** (alpha / 2)[:, None]
+            mean = power.mean(axis=1)
+            m = m + factor * mean
+            term = factor[:, None] * power / x
+            s += term
+            quotient += factor[:, None, None] * _divided(x, q)
+            slopes += np.einsum("qa,ab->qab", (alpha - 2)[:, None] * term, np.eye(3))
+            slopes -= (alpha / 3)[:, None, None] * term[:, :, None]
+            of_m += (factor * alpha)[:, None] * (power - mean[:, None]) / 3
+        rest = J * U1 - m
+        s += rest[:, None] / x
+        quotient += rest[:, None, None] * _divided(x, np.full(len(x), -1.0))
+        slopes -= 2 * np.einsum("qa,ab->qab", rest[:, None] / x, np.eye(3))
+        slopes += ((J * U1 + J**2 * U2)[:, None] - of_m)[:, None, :] / x[:, :, None]
+        # dS = sum 1/x_b ds_a/d ln lambda_b N_a N_a N_b N_b + 2 [s_a, s_b] sym
+        f = np.einsum("qij,qja->qia", F, N)  # F N_a
+        P = np.einsum("qa,qia,qja->qij", s, f, N)
+        A = np.einsum("ik,qjl->qijkl", np.eye(3), np.einsum("qa,qja,qla->qjl", s, N, N))
+        normal = slopes / x[:, None, :]
+        A += np.einsum("qab,qia,qja,qkb,qlb->qijkl", normal, f, N, f, N, optimize=True)
+        quotient[:, range(3), range(3)] = 0.0
+        A += np.einsum("qab,qia,qjb,qka,qlb->qijkl", quotient, f, N, f, N, optimize=True)
+        A += np.einsum("qab,qia,qjb,qkb,qla->qijkl", quotient, f, N, f, N, optimize=True)
+        return P, A, {}
+
+
+def _twice_shear_modulus(p: Any) -> Any:
+    """Return sum_i mu_i alpha_i."""
+    return sum(mu * alpha for mu, alpha in zip(p.mu, p.alpha, strict=True))
+
+
+def _divided(x: Floats, power: Floats) -> Floats:
+    """Return (x_a^n - x_b^n) / (x_a - x_b) (q, 3, 3) of x (q, 3), to round-off at any distance."""
+    t = np.log1p((x[:, None, :] - x[:, :, None]) / x[:, :, None])  # ln x_b / x_a
+    n = power[:, None, None]
+    same = t == 0.0
+    share = np.where(same, n, np.expm1(n * t) / np.where(same, 1.0, np.expm1(t)))
+    return np.asarray(x[:, :, None] ** (n - 1) * share)
