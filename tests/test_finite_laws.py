@@ -338,6 +338,12 @@ def test_divided_differences():
         assert xyy == pytest.approx(float((f(a, b) - 1 / (2 * b)) / (a - b)), rel=2e-12)
 
 
+@pytest.mark.parametrize("name", ["hardening", "mixed", "arrays"])
+def test_laws_are_checked_at_finite_strain(name):
+    report = dm.materials.check(LAWS[name], strain="finite")
+    assert report.tangent_error < 1e-7 and report.objectivity_error < 1e-11
+
+
 def test_isotropy_is_checked():
     """What a law declares is compared; a false declaration is an error with both values."""
 
