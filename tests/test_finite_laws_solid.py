@@ -176,7 +176,7 @@ class Upset:
             bcs.append(fem.dirichletbc(value, dofs, V))
         solid = dm.Solid(fem.Function(V), law, cells, strain="finite")
         contact = dm.Contact(self.facets, slave=3, master=4)
-        self.problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry="frozen")
+        self.problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry="reference")
 
     def walk(self, levels):
         def on_time(t):
