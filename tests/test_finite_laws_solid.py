@@ -13,7 +13,15 @@ import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from tests.meshes import BOTTOM, TOP, two_blocks
 from tests.pointwise_laws import Compiled
-from tests.solid_case import COMM, create_displacement, create_domain, residual, total, wave
+from tests.solid_case import (
+    COMM,
+    create_displacement,
+    create_domain,
+    create_tags,
+    residual,
+    total,
+    wave,
+)
 
 pytestmark = pytest.mark.mpi
 E, NU, SIGMA_Y = 200e3, 0.3, 200.0
@@ -222,3 +230,24 @@ def test_lost_stress_is_noted():
         assert any("logarithmic strain space" in note for note in last.report.notes) == noted
         tau = solid.max("stress_xy")
         assert tau == pytest.approx(SIGMA_Y / np.sqrt(3), rel=1e-3 if not noted else 0.06)
+
+
+def test_one_class_may_run_in_both_forms():
+    """Of a kinematic and an isotropic law of one class each cell has the answer of its own."""
+    domain = create_domain("quadrilateral", 3)
+    tags = create_tags(domain, lambda x: np.where(x[:, 0] < 0.5, 1, 2))
+
+    def shear(materials):
+        solid = dm.Solid(create_displacement(domain), materials, tags, strain="finite")
+        solid.u.interpolate(lambda x: np.stack([2.0 * x[1], 0 * x[0]]))
+        solid.evaluate()
+        return solid.fields.values("stress_xy"), solid
+
+    (both, solid), (one, _), (other, _) = map(
+        shear, ({1: MIXED, 2: HARDENING}, {1: MIXED, 2: MIXED}, {1: HARDENING, 2: HARDENING})
+    )
+    assert sorted(region.law.isotropic for region in solid.regions) == [False, True]
+    left = tags.values[: len(both)] == 1
+    assert np.array_equal(both[left], one[left])
+    assert np.array_equal(both[~left], other[~left])
+    assert not np.allclose(one, other, rtol=1e-2)
