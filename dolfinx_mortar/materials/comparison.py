@@ -12,8 +12,8 @@ from dolfinx_mortar.arguments import is_integer, is_number
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.compiled import CompiledLaw, Point, PointwiseNumbers
 from dolfinx_mortar.materials.finite_comparison import compare_at_finite_strain
-from dolfinx_mortar.materials.protocol import create_law
-from dolfinx_mortar.materials.tensor import COMPONENTS, INDEX
+from dolfinx_mortar.materials.protocol import PLASTIC, create_law
+from dolfinx_mortar.materials.tensor import COMPONENTS, INDEX, tensor_of
 
 PATHS, STRAINS = 8, 6  # random strain paths, and strains on each, over five decades
 # Of finite differences, relative to the strain; the better counts. At the short one truncation and
@@ -37,6 +37,8 @@ class LawReport:
     lowest: float  # smallest eigenvalue of the tangent, relative to the largest one anywhere
     # psi and P at Q F against psi and Q P at F, Q a rotation; NaN for a small strain
     objectivity_error: float = float("nan")
+    # turned, without plastic strain, against what it was; NaN for laws that are not `isotropic`
+    isotropy_error: float = float("nan")
 
     def __str__(self) -> str:
         """Return a few lines to read."""
@@ -50,6 +52,10 @@ class LawReport:
             lines[-1] = f"  energy and stress turn with the body       {self.objectivity_error:.1e}"
         if not np.isnan(self.energy_error):
             lines.insert(1, f"  stress against differences of the energy   {self.energy_error:.1e}")
+        if not np.isnan(self.isotropy_error):
+            lines.append(
+                f"  response to turned elastic strains            {self.isotropy_error:.1e}"
+            )
         if self.skew > RTOL:
             lines.append(
                 f"  the tangent is not symmetric ({self.skew:.1e}): the linear solvers of this "
@@ -122,7 +128,9 @@ def check(
     * with `linear`, the tangent must be the same everywhere;
     * the tangent should be positive, or the potential of the step is not convex (told, no error);
     * the internal variables at the end of the step, committed, must give the same stress at the
-      same strain, and stay as they are (not for laws that go on with time).
+      same strain, and stay as they are (not for laws that go on with time);
+    * with `isotropic`, the elastic strain alone, turned, must give the turned stress, the same
+      scalars and the turned increment of the plastic strain.
 
     Args:
         law: a material such as ``VonMises(...)``, with parameters of a real problem.
@@ -148,7 +156,7 @@ def check(
         raise ValueError(f"size is {size!r}: give the norm of a strain, a positive number")
     if not (is_integer(seed) and seed >= 0):
         raise ValueError(f"seed is {seed!r}: give an integer from 0 on")
-    rng = np.random.default_rng(seed)
+    rng, turns = (np.random.default_rng(s) for s in (seed, (seed, 1)))
     if strain not in (None, parts.strain, "finite"):
         raise ValueError(f"strain is {strain!r}: give 'finite', or None for that of the law")
     if (strain or parts.strain) == "finite":
@@ -172,12 +180,14 @@ def check(
             state = sample.at(sample.strain, first).state
             errors = _compare(sample, first, second)
             kept = _compare_state(sample, state) if rate_independent else 0.0
+            turned = _compare_turned(sample, _rotation(turns)) if parts.isotropic else np.nan
             changed = any(np.any(state[n] != sample.state[n]) for n in state)
-            found.append((changed, *errors, kept, *_extreme_moduli(sample)))
-    changed_, energy, tangent, skew, kept_, low, high = np.array(found, dtype=float).T
+            found.append((changed, *errors, kept, turned, *_extreme_moduli(sample)))
+    changed_, energy, tangent, skew, kept_, turned_, low, high = np.array(found, dtype=float).T
     lowest = low.min() / high.max() if high.max() > 0.0 else 0.0
     errors_ = (energy.max(), tangent.max(), kept_.max(), skew.max(), lowest)
-    return LawReport(name, len(found), int(changed_.sum()), *map(float, errors_))
+    report = LawReport(name, len(found), int(changed_.sum()), *map(float, errors_))
+    return dataclasses.replace(report, isotropy_error=float(turned_.max()))
 
 
 def _compare(sample: _Sample, first: Floats, second: Floats) -> tuple[float, float, float]:
@@ -262,6 +272,36 @@ def _compare_state(sample: _Sample, state: Mapping[str, Floats]) -> float:
     return sample.demand(
         "the stress", _components(before.stress), _components(after.stress), remedy, scale
     )
+
+
+def _compare_turned(sample: _Sample, Q: Floats) -> float:
+    """Return the error of what a law makes of the elastic strain alone, turned by Q."""
+    none = np.zeros(6)
+    before = sample.at(sample.strain, none)
+    plastic = sample.state.get(PLASTIC, none)
+    state = {name: none if name == PLASTIC else v for name, v in sample.state.items()}
+    strain = _turned(sample.strain - plastic, Q)
+    after = dataclasses.replace(sample, state=state).at(strain, none)
+    remedy = "isotropic is True, but of the turned elastic strain it is"
+    for name, value in before.state.items():
+        new = value
+        if name == PLASTIC:
+            new = _turned(value - plastic, Q)
+        scale = float(max(np.abs(value).max(), np.abs(sample.strain).max()))
+        sample.demand(f"the state {name}", np.asarray(new), after.state[name], remedy, scale)
+    scale = max(float(np.linalg.norm(before.stress)), float(np.linalg.norm(before.elastic)))
+    stress = _turned(_components(before.stress), Q)
+    return sample.demand("the stress", stress, _components(after.stress), remedy, scale)
+
+
+def _turned(components: Floats, Q: Floats) -> Floats:
+    """Return the stored components of Q A Q^T."""
+    return _components(Q @ tensor_of(components[None])[0] @ Q.T)
+
+
+def _rotation(rng: np.random.Generator) -> Floats:
+    """Return a random rotation (3, 3), or one with a reflection, which tells the same."""
+    return np.asarray(np.linalg.qr(rng.standard_normal((3, 3)))[0])
 
 
 def _unit(rng: np.random.Generator) -> Floats:

@@ -58,6 +58,7 @@ class DruckerPrager(Material):
     beta: Parameter  # growth of the radius per pressure
 
     state: ClassVar[Mapping[str, tuple[int, ...]]] = {"plastic_strain": (3, 3)}
+    isotropic: ClassVar[bool] = True
     linear: ClassVar[bool] = False
     ranges: ClassVar[Mapping[str, Range]] = {
         **Elastic.ranges,

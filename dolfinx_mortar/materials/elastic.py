@@ -39,6 +39,7 @@ class Elastic(Material):
     nu: Parameter  # Poisson's ratio
 
     state: ClassVar[Mapping[str, tuple[int, ...]]] = {}
+    isotropic: ClassVar[bool] = True
     linear: ClassVar[bool] = True
     splits: ClassVar[bool] = True
     ranges: ClassVar[Mapping[str, Range]] = {

@@ -10,7 +10,8 @@ import numpy as np
 import ufl
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.compiled import compile_vectors, constants, entries, parameters
-from dolfinx_mortar.materials.finite_law import create_finite_law
+from dolfinx_mortar.materials.finite_law import Evaluation, create_finite_law
+from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
 from dolfinx_mortar.materials.protocol import Law
 from dolfinx_mortar.materials.ranges import grouped
 from dolfinx_mortar.materials.response import elastic_response, respond
@@ -83,7 +84,11 @@ def law_at_points(material: Any, law: Law) -> tuple[At, float, bool]:
     stiffness = max(norms)
     if law.strain == "finite" and law.update is None:
         return _compiled(law, given), stiffness, law.energy is not None
-    return _of_arrays(law, given), stiffness, create_finite_law(law).has_energy
+    if law.strain == "small":
+        logarithmic = LogarithmicLaw(law, list(given))
+        return _of_arrays(law, given, logarithmic.evaluate), stiffness, logarithmic.has_energy
+    finite = create_finite_law(law)
+    return _of_arrays(law, given, finite.evaluate), stiffness, finite.has_energy
 
 
 def _compiled(law: Law, given: Mapping[str, float]) -> At:
@@ -123,9 +128,8 @@ def _compiled(law: Law, given: Mapping[str, float]) -> At:
     return at
 
 
-def _of_arrays(law: Law, given: Mapping[str, float]) -> At:
+def _of_arrays(law: Law, given: Mapping[str, float], evaluate: Evaluation) -> At:
     """Return a law of arrays, or one of a small strain, as a function of one F and state."""
-    finite = create_finite_law(law)
 
     def at(gradient: Floats, committed: Mapping[str, Floats]) -> FinitePoint:
         state = {
@@ -135,7 +139,7 @@ def _of_arrays(law: Law, given: Mapping[str, float]) -> At:
             for name, shape in law.state.items()
         }
         p = grouped({name: np.array([value]) for name, value in given.items()})
-        found = finite.evaluate(gradient[None], state, p)
+        found = evaluate(gradient[None], state, p)
         psi = np.nan if found.energy is None else float(found.energy[0])
         new = {n: stored(v)[0] if v.ndim == 3 else v[0] for n, v in found.state.items()}
         return FinitePoint(psi, found.stress[0], found.tangent[0], new)

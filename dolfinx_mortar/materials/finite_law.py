@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Laws at finite strain as functions of arrays: from the deformation gradient to P and dP/dF.
 
-A solid with ``strain="finite"`` calls a `FiniteLaw` for each region whose law is not UFL of F:
-those of arrays (`PointwiseLaw` with ``strain = "finite"``), and all laws of a small strain.
+A solid with ``strain="finite"`` calls a `FiniteLaw` for each region whose law is one of arrays
+that is made for F (`PointwiseLaw` with ``strain = "finite"``). Laws of a small strain are
+`logarithmic.LogarithmicLaw`.
 """
 
 from collections.abc import Callable, Mapping
@@ -53,18 +54,7 @@ class FiniteLaw:
 
 
 def create_finite_law(law: Law) -> FiniteLaw:
-    """Return what evaluates a law at finite strain; all ranks call it, and it may compile.
-
-    Raises:
-        ValueError: for a law that cannot be evaluated there.
-    """
-    if law.strain == "finite":
-        return _of_arrays(law)
-    return _of_small_strain(law)
-
-
-def _of_arrays(law: Law) -> FiniteLaw:
-    """Return the law of a `PointwiseLaw` that is made for F."""
+    """Return what evaluates a law of arrays that is made for F."""
 
     def evaluate(F: Floats, state: Mapping[str, Floats], p: SimpleNamespace) -> FiniteValues:
         found = values_at_points(law, F, state, p)
@@ -80,15 +70,3 @@ def _of_arrays(law: Law) -> FiniteLaw:
         return FiniteValues(energy, found.stress, found.tangent, found.state)
 
     return FiniteLaw(evaluate, law.energy is not None)
-
-
-def _of_small_strain(law: Law) -> FiniteLaw:
-    """Return a law of a small strain as one of F.
-
-    Raises:
-        ValueError: always, so far.
-    """
-    raise ValueError(
-        f"strain is 'finite', but {law.name} is a law of the small strain: choose a law with "
-        "strain = 'finite', such as NeoHooke(E, nu), or strain='small'"
-    )

@@ -14,6 +14,9 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.ranges import Range, named_parameters
 from ufl.core.expr import Expr
 
+PLASTIC = "plastic_strain"
+"""Name of the internal variable from which `Law.isotropic` laws subtract the strain."""
+
 
 class Material(Protocol):
     """A frozen dataclass whose fields are the parameters, with the law as static methods.
@@ -54,6 +57,10 @@ class Material(Protocol):
         linear: True if the stress is a linear function of the strain and nothing else.
         splits: True if psi(strain) = psi(dev strain) + K/2 tr(strain)^2 with the constant K of
             `elastic_stress`, so that the volumetric part may be integrated otherwise. Optional.
+        isotropic: True if stress and energy see the strain less the internal variable
+            ``plastic_strain``, if there is one, and depend on no direction: no other tensor, no
+            back stress, no axes. At finite strain such a law takes the multiplicative form, see
+            `logarithmic`. A property where the parameters decide. Optional.
         ranges: of the parameters, name -> (lower end, upper end, is the lower end allowed);
             those without a range may be any number. Judged wherever the law holds, and whenever a
             parameter has changed.
@@ -153,6 +160,7 @@ class Law:
     state: Mapping[str, tuple[int, ...]]
     linear: bool
     splits: bool
+    isotropic: bool
     ranges: Mapping[str, Range]
     elastic_stress: Callable[..., Any]
     energy: Callable[..., Any] | None
@@ -224,6 +232,7 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
         state=_checked_state(kind.__name__, state),
         linear=bool(linear),
         splits=bool(getattr(kind, "splits", False)),
+        isotropic=_is_isotropic(kind.__name__, material, state),
         ranges=getattr(kind, "ranges", {}),
         output=_method(kind, "output"),
         conditions=_method(kind, "conditions"),
@@ -252,6 +261,18 @@ def _check_parameters(law: Law, material: Any) -> None:
                 "Constant, Function or UFL expression, or a tuple of these; a field that is no "
                 "parameter is declared as ClassVar."
             )
+
+
+def _is_isotropic(name: str, material: Any, state: Any) -> bool:
+    """Return whether a law says that it is isotropic; a ValueError if its memory is not."""
+    isotropic = bool(getattr(material, "isotropic", False))
+    tensors = [variable for variable, shape in state.items() if shape and variable != PLASTIC]
+    if isotropic and tensors:
+        raise ValueError(
+            f"{name}: isotropic is True, but state has the tensor {tensors[0]!r}; what an "
+            f"isotropic law remembers are scalars and {PLASTIC!r}: leave isotropic out."
+        )
+    return isotropic
 
 
 def _method(kind: type, name: str) -> Callable[..., Any] | None:

@@ -120,6 +120,8 @@ class VonMisesVoce(Material):
         """Check the parameters."""
         check_fields(self)
 
+    isotropic = VonMises.isotropic
+
     @classmethod
     def from_uniaxial(
         cls, E: Parameter, nu: Parameter, yield_stress: Parameter, **hardening: Parameter

@@ -14,7 +14,7 @@ import numpy as np
 
 import ufl
 from dolfinx_mortar.materials.elastic import Elastic, shear_modulus
-from dolfinx_mortar.materials.protocol import Material
+from dolfinx_mortar.materials.protocol import PLASTIC, Material
 from dolfinx_mortar.materials.ranges import Parameter, Range, check_fields, check_parameters
 from ufl.core.expr import Expr
 
@@ -24,8 +24,8 @@ from ufl.core.expr import Expr
 YIELD_TOLERANCE = 1e-10
 # Of Y: keeps |xi| differentiable at xi = 0. At |xi| = Y its square is below round-off.
 NORM_GUARD = float(np.finfo(float).eps)
-# Names of the internal variables
-PLASTIC, ACCUMULATED = "plastic_strain", "accumulated_plastic_strain"
+# Name of the internal variable beside the plastic strain
+ACCUMULATED = "accumulated_plastic_strain"
 
 
 def shifted_stress(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, Expr]:
@@ -92,6 +92,11 @@ class VonMises(Material):
         """The internal variables: without isotropic hardening k would be read by nothing."""
         kinematic = isinstance(self.H, Real) and self.H == 0
         return {PLASTIC: (3, 3)} if kinematic else {PLASTIC: (3, 3), ACCUMULATED: ()}
+
+    @property
+    def isotropic(self) -> bool:
+        """Whether nothing but the yield radius changes: no back stress."""
+        return isinstance(self.a, Real) and self.a == 0
 
     @classmethod
     def from_uniaxial(

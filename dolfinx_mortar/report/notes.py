@@ -16,6 +16,7 @@ from dolfinx_mortar.newton_method.linearisation import Balance
 from dolfinx_mortar.newton_method.residuals import gap_round_off
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.interface_results import notes_on_lost_friction, notes_on_sliding
+from dolfinx_mortar.report.lost_stress import notes_on_lost_stress
 from dolfinx_mortar.report.overlaps import notes_on_overlaps
 from dolfinx_mortar.report.resolution import note_on_few_nodes, notes_on_rims
 from dolfinx_mortar.report.small_strain import LeftOut, notes_on_small_strain
@@ -79,6 +80,7 @@ DIAGNOSES: tuple[Diagnosis, ...] = (
     lambda end: notes_on_rims(end.links),
     _overlaps,
     lambda end: notes_on_small_strain(end.problem, end.left_out),
+    lambda end: notes_on_lost_stress(end.problem),
 )
 
 

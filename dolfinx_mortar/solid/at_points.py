@@ -56,6 +56,9 @@ class PointValuesOfRegion(ABC):
         self._evaluate()
         self._seen = [values.copy() for values in now]
 
+    def settle(self) -> None:  # noqa: B027 - most have evaluated everything by then
+        """Evaluate what is needed only at the end of a step; without communication."""
+
     def _state_at(self, cells: Ints) -> dict[str, Floats]:
         """Return the committed internal variables at the points of cells, (q,) or (q, 3, 3)."""
         shapes = self.region.law.state

@@ -13,6 +13,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx_mortar import compat
+from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.materials.finite_law import FiniteValues, create_finite_law
 from dolfinx_mortar.materials.response import Response
@@ -35,19 +36,27 @@ class FinitePointFields(PointValuesOfRegion):
     def _create(self, strain: Expr, degree: int) -> None:
         """Create the Functions; compile F, which is what `strain` is; collective."""
         domain = self.region.parameters.function.function_space.mesh
-        self._law = create_finite_law(self.region.law)
         self._entries = GRADIENT[domain.geometry.dim]
+        with raised_together(domain.comm):
+            has_energy = self._create_law(domain.geometry.dim)
         size = len(self._entries)
         self._stress = point_function(domain, degree, (size,))
         self._tangent = point_function(domain, degree, (len(pairs(size)),))
-        self._energy = point_function(domain, degree) if self._law.has_energy else None
+        self._energy = point_function(domain, degree) if has_energy else None
         points = compat.interpolation_points(self._stress.function_space)
-        self._gradient = fem.Expression(
-            ufl.as_vector([strain[i, j] for i, j in self._entries]), points
-        )
+        self._gradient = fem.Expression(self._wanted(strain), points)
         self._new = {name: f.copy() for name, f in self._committed.items()}
         new, P = as_tensors(self.region, self._new), self._tensor(list(self._stress))
         self.response = Response(P, self._energy, new, self._change)
+
+    def _create_law(self, dimension: int) -> bool:
+        """Create the law at points; return whether it has a potential."""
+        self._law = create_finite_law(self.region.law)
+        return self._law.has_energy
+
+    def _wanted(self, F: Expr) -> Expr:
+        """Return what is evaluated at the points before the law is called."""
+        return ufl.as_vector([F[i, j] for i, j in self._entries])
 
     def _tensor(self, entries: Sequence[Expr]) -> Expr:
         """Return the 3x3 tensor of stored entries."""

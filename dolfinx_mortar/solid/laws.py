@@ -93,8 +93,9 @@ def create_regions(
     # same forms in any order of the dictionary.
     alike: dict[Any, list[int]] = {}
     for i, (material, law) in enumerate(given):
+        form = kinematics.finite and law.isotropic  # see `materials.logarithmic`
         names = tuple(named_parameters(material))  # of tuples some have more
-        alike.setdefault((type(material), names, *law.state), []).append(i)
+        alike.setdefault((type(material), (form, names), *law.state), []).append(i)
     regions = []
     for kind in sorted(alike, key=lambda kind: (kind[0].__qualname__, kind[2:], kind[1])):
         chosen = alike[kind]

@@ -16,6 +16,7 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.materials.plane_stress import solve
 from dolfinx_mortar.materials.protocol import Law
@@ -36,6 +37,7 @@ from dolfinx_mortar.solid.at_points import (
 )
 from dolfinx_mortar.solid.finite_points import FinitePointFields
 from dolfinx_mortar.solid.laws import Region
+from dolfinx_mortar.solid.logarithmic_points import LogarithmicFields
 from dolfinx_mortar.solid.sources import point_function
 from dolfinx_mortar.solid.state import as_tensors, create_field
 from ufl.core.expr import Expr
@@ -148,7 +150,9 @@ def create_point_values(
     found: dict[Law, PointValuesOfRegion] = {}
     for region in regions:
         arguments = region, strain, state, inputs, degree
-        if finite and (region.law.update is not None or region.law.strain == "small"):
+        if finite and region.law.strain == "small":
+            found[region.law] = LogarithmicFields(*arguments)
+        elif finite and region.law.update is not None:
             found[region.law] = FinitePointFields(*arguments)
         elif region.law.update is not None:
             found[region.law] = PointwiseFields(*arguments)
@@ -167,6 +171,31 @@ def fill_point_values(comm: MPI.Comm, found: Mapping[Law, PointValuesOfRegion]) 
         with raised_together(comm):
             for values in found.values():
                 values.fill()
+
+
+def settle_point_values(comm: MPI.Comm, found: Mapping[Law, PointValuesOfRegion]) -> None:
+    """Evaluate what only the end of a step needs; collective if there is anything.
+
+    Raises:
+        ValueError: on all ranks, if a law fails on any.
+    """
+    if found:
+        with raised_together(comm):
+            for values in found.values():
+                values.settle()
+
+
+def largest_stress_lost(
+    comm: MPI.Comm, found: Mapping[Law, PointValuesOfRegion]
+) -> tuple[float, str]:
+    """Return the largest share of `LogarithmicFields.stress_lost`, and which law's; collective."""
+    parts = [values for values in found.values() if isinstance(values, LogarithmicFields)]
+    local = [float(values.stress_lost().max(initial=0.0)) for values in parts]
+    if not parts:
+        return 0.0, ""
+    shares = maximum(comm, *local)
+    worst = int(np.argmax(shares))
+    return float(shares[worst]), parts[worst].region.law.name
 
 
 def packed(tangent: Floats, size: int) -> Floats:

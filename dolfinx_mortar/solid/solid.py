@@ -38,7 +38,12 @@ from dolfinx_mortar.solid.kinematics import Kinematics, check_radius, choose_kin
 from dolfinx_mortar.solid.laws import create_regions
 from dolfinx_mortar.solid.mean_volume import MeanVolume, create_dilatation
 from dolfinx_mortar.solid.points import PointFields
-from dolfinx_mortar.solid.pointwise import create_point_values, fill_point_values
+from dolfinx_mortar.solid.pointwise import (
+    create_point_values,
+    fill_point_values,
+    largest_stress_lost,
+    settle_point_values,
+)
 from dolfinx_mortar.solid.sources import Followed, follow_changed
 from dolfinx_mortar.solid.state import create_evaluations, create_field, create_state, fill_all
 from dolfinx_mortar.solid.term import Term, assemble
@@ -331,6 +336,7 @@ class Solid(Term):
                 All that is shown, and what `commit` would take, is then as before.
         """
         self.follow()
+        settle_point_values(self.mesh.comm, self._found)
         fill_all(self.mesh.comm, self._forms.evaluations)
 
     def keep(self) -> list[tuple[fem.Function, Floats]]:
@@ -402,6 +408,14 @@ class Solid(Term):
             per_point = differs.reshape(-1, dofmap.bs).any(axis=1)
             changed |= per_point[dofmap.list[: points[0]]]
         return changed
+
+    def stress_lost(self) -> tuple[float, str]:
+        """Return the largest share of its stress that a law loses by shear, and its name.
+
+        At finite strain, in laws with internal variables in the additive form, see
+        `materials.logarithmic`; at the u of the last assembly or `evaluate`; collective.
+        """
+        return largest_stress_lost(self.mesh.comm, self._found)
 
     def max(self, name: str) -> float:
         """Return the largest value of a scalar field over all integration points (collective).

@@ -1,0 +1,356 @@
+# SPDX-License-Identifier: MIT
+r"""Small-strain laws at finite strain: the law sees a logarithmic strain, P is its dual.
+
+**Multiplicative form**, for laws that are isotropic and whose memory is the plastic strain and
+scalars (`Law.isotropic`). With F = F_e F_p and C_p = F_p^T F_p, of which the state has the
+logarithmic plastic strain, E_p = 1/2 ln C_p,
+
+    E = 1/2 ln(C_p^-1/2 F^T F C_p^-1/2),         psi = psi(E; plastic strain 0, scalars),
+    C_p^-1 = C_pn^-1/2 exp(-2 dep) C_pn^-1/2,    dep the plastic strain that the law gives,
+
+E has the principal values and psi the value of 1/2 ln b_e, b_e = F C_pn^-1 F^T, so that d psi / dE
+are Kirchhoff's principal stresses, and the update is the exponential map: exact for any shear, and
+isochoric where the law is (Simo 1992).
+
+**Additive form**, for all others: E = 1/2 ln(F^T F), of which the law, with its internal variables,
+is that of small strain (Miehe, Apel, Lambrecht 2002). It is exact where the principal directions do
+not turn; in simple shear by gamma = 1 perfect plasticity is 3 % too soft, by gamma = 2 17 %.
+
+In both forms P = d psi / dF, and the tangent is symmetric and complete.
+
+Sources: J. C. Simo, "Algorithms for static and dynamic multiplicative plasticity that preserve the
+classical return mapping schemes of the infinitesimal theory", Comput. Methods Appl. Mech. Engrg. 99
+(1992) 61-112; C. Miehe, N. Apel, M. Lambrecht, "Anisotropic additive plasticity in the logarithmic
+strain space", Comput. Methods Appl. Mech. Engrg. 191 (2002) 5383-5425.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+import ufl
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.materials import logarithms
+from dolfinx_mortar.materials.compiled import Kernel, compile_kernel, constants, tabulate
+from dolfinx_mortar.materials.finite_law import FiniteValues
+from dolfinx_mortar.materials.protocol import PLASTIC, Law
+from dolfinx_mortar.materials.response import PointValues, Response, respond, values_at_points
+from dolfinx_mortar.materials.tensor import (
+    GRADIENT,
+    INDEX,
+    from_components,
+    stored,
+    tensor_of,
+    to_components,
+)
+from ufl.core.expr import Expr
+
+CHUNK = 512  # points that are treated together, so that what is kept of them stays in the cache
+NORMAL = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # ab of L_aabb
+
+
+@dataclass(frozen=True)
+class Start:
+    """What q points know at the start of a step, read by each evaluation."""
+
+    state: Mapping[str, Floats]  # committed, (q,) or (q, 3, 3)
+    parameters: Mapping[str, Floats]  # (q,)
+    roots: Floats | None  # C_pn^-1/2 - I (q, 3, 3), if not zero
+    numbers: Floats  # (q, n), the arguments of a law in UFL, with space for the strain
+
+
+class LogarithmicLaw:
+    """A small-strain law as a function of H = F - I at points, see the module.
+
+    Attributes:
+        law: its parts.
+        multiplicative: which form; else the additive one.
+        has_energy: whether there is a potential.
+        components: row and column of the k entries of P that may differ from zero.
+    """
+
+    def __init__(
+        self,
+        law: Law,
+        parameters: Sequence[str],
+        *,
+        dimension: int = 3,
+        jit: Callable[[Expr], Kernel] = compile_kernel,
+    ) -> None:
+        """Compile a law in UFL.
+
+        Args:
+            law: its parts.
+            parameters: their names.
+            dimension: 2 where H has zeros out of the plane but for H_zz.
+            jit: how expressions are compiled.
+
+        Raises:
+            ValueError: if the law raises, or returns something of the wrong shape or name.
+        """
+        self.law, self.multiplicative = law, law.isotropic
+        self.has_energy = law.energy is not None and law.update is None
+        self.components = GRADIENT[dimension]
+        self._pairs = INDEX[: 4 if dimension == 2 else 6]
+        kind = _InUFL if law.update is None else _OfArrays
+        self._inner: _InUFL | _OfArrays = kind(law, list(parameters), len(self._pairs), jit)
+        self._vectors = np.empty((2, CHUNK, 3))
+        self._tensors = np.empty((3, CHUNK, 3, 3))
+
+    def start(self, state: Mapping[str, Floats], parameters: Mapping[str, Floats]) -> Start:
+        """Return what does not change in a step, of the committed state and the parameters.
+
+        Args:
+            state: by name, (q,) or (q, 3, 3).
+            parameters: by name, (q,).
+        """
+        roots = None
+        if self.multiplicative and PLASTIC in self.law.state:
+            roots = np.empty_like(state[PLASTIC])
+            logarithms.roots(state[PLASTIC], roots)
+        return Start(state, parameters, roots, self._inner.numbers(state, parameters))
+
+    def respond(self, start: Start, H: Floats, P: Floats, A: Floats, psi: Floats) -> None:
+        """Fill stress, tangent and potential at q points.
+
+        Where det F is not positive, psi is infinite, and the others are NaN.
+
+        Args:
+            start: of `start`.
+            H: displacement gradient (q, 3, 3).
+            P: d psi / dF, the k `components` (q, k).
+            A: dP / dF, its upper triangle row by row (q, k (k + 1) / 2).
+            psi: (q,), per volume of the undeformed body; not touched without a potential.
+        """
+        for some in _chunks(len(H)):
+            parts = self._decompose(start, H[some], some)
+            x, logs, N = parts[:3]
+            found = self._inner.moduli(start, some, logs, N)
+            logarithms.respond(self._pairs, self.multiplicative, found, *parts, P[some], A[some])
+            if self.has_energy:
+                psi[some] = np.where(np.isnan(x[:, 0]), np.inf, found[:, -1])
+
+    def update(self, start: Start, H: Floats) -> dict[str, Floats]:
+        """Return the internal variables at the end of the step, (q,) or (q, 3, 3)."""
+        new = {name: np.array(values) for name, values in start.state.items()}
+        for some in _chunks(len(H)) if new else ():
+            _, logs, N, _, _ = self._decompose(start, H[some], some)
+            for name, values in self._inner.update(start, some, logs, N).items():
+                if name == PLASTIC and start.roots is not None:
+                    old, roots = start.state[name][some], start.roots[some]
+                    logarithms.flow(old, values, roots, N, new[name][some])
+                else:
+                    new[name][some] = values
+        return new
+
+    def values(
+        self, F: Floats, state: Mapping[str, Floats], parameters: Mapping[str, Floats]
+    ) -> FiniteValues:
+        """Return everything at q points, as tensors.
+
+        Args:
+            F: deformation gradient (q, 3, 3).
+            state: committed internal variables by name, (q,) or (q, 3, 3).
+            parameters: by name, (q,).
+        """
+        q, k = len(F), len(self.components)
+        H = np.ascontiguousarray(F - np.eye(3))
+        P, A, psi = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.empty(q)
+        start = self.start(state, parameters)
+        self.respond(start, H, P, A, psi)
+        stress, tangent = np.zeros((q, 3, 3)), np.zeros((q, 3, 3, 3, 3))
+        for n, entry in enumerate(self.components):
+            stress[:, *entry] = P[:, n]
+        upper = ((a, b) for i, a in enumerate(self.components) for b in self.components[i:])
+        for t, (first, second) in enumerate(upper):
+            tangent[:, *first, *second] = tangent[:, *second, *first] = A[:, t]
+        energy = psi if self.has_energy else None
+        return FiniteValues(energy, stress, tangent, self.update(start, H))
+
+    def evaluate(self, F: Floats, state: Mapping[str, Floats], p: SimpleNamespace) -> FiniteValues:
+        """Return `values` as a `finite_law.FiniteLaw` does."""
+        return self.values(F, state, vars(p))
+
+    def stress_lost(self, start: Start, H: Floats) -> Floats:
+        """Return by how much, relative to it, Kirchhoff's stress is below that of the law (q,).
+
+        1 - |dev tau| / |dev T|, which is zero in the multiplicative form, and in the additive one
+        wherever T has the principal directions of E. Where a point flows it is the error of the
+        yield stress: in simple shear by gamma = 1 of a perfectly plastic body 0.02.
+        """
+        share = np.zeros(len(H))
+        for some in () if self.multiplicative else _chunks(len(H)):
+            x, logs, N, _, _ = self._decompose(start, H[some], some)
+            found = self._inner.moduli(start, some, logs, N)
+            logarithms.lost(self._pairs, found, x, logs, N, share[some])
+        return share
+
+    def _decompose(self, start: Start, H: Floats, some: slice) -> list[Floats]:
+        """Return x, logs, N, y, m, see `logarithms`, at some points."""
+        parts = [part[: len(H)] for part in (*self._vectors, *self._tensors)]
+        roots = _NONE if start.roots is None else start.roots[some]
+        logarithms.decompose(H, roots, start.roots is None, *parts)
+        return parts
+
+
+_NONE = np.zeros((1, 3, 3))
+
+
+def _chunks(q: int) -> list[slice]:
+    """Return the points that are treated together."""
+    return [slice(i, min(i + CHUNK, q)) for i in range(0, q, CHUNK)]
+
+
+class _InUFL:
+    """A law in UFL, compiled as a function of numbers.
+
+    Of an isotropic law the strain is that in its eigenvectors, three numbers.
+    """
+
+    def __init__(
+        self, law: Law, parameters: list[str], size: int, jit: Callable[[Expr], Kernel]
+    ) -> None:
+        """Compile stress, moduli and potential, and the new state."""
+        self._law, self._names, self._size = law, parameters, size
+        self._width = 3 if law.isotropic else size
+        self._memory = {
+            name: shape
+            for name, shape in law.state.items()
+            if not (law.isotropic and name == PLASTIC)
+        }
+        response = self._response()
+        answers = self._principal(response) if law.isotropic else self._components(response)
+        if response.energy is not None:
+            answers.append(response.energy)
+        new = [part for name in law.state for part in self._new(name, response)]
+        self._moduli = jit(ufl.as_vector(answers))
+        self._state = jit(ufl.as_vector(new)) if new else None
+
+    def numbers(self, state: Mapping[str, Floats], parameters: Mapping[str, Floats]) -> Floats:
+        """Return the arguments (q, n): strain, internal variables, parameters."""
+        given = [*state.values(), *parameters.values()]
+        columns: list[Floats] = [np.zeros((len(given[0]) if given else 0, self._width))]
+        for name, shape in self._memory.items():
+            columns.append(stored(state[name], self._size) if shape else state[name][:, None])
+        columns += [parameters[name][:, None] for name in self._names]
+        return np.ascontiguousarray(np.hstack(columns))
+
+    def moduli(self, start: Start, some: slice, logs: Floats, N: Floats) -> Floats:
+        """Return T and L, see `logarithms`, and psi as the last column if there is a potential."""
+        return tabulate(self._moduli, self._at(start, some, logs, N))
+
+    def update(self, start: Start, some: slice, logs: Floats, N: Floats) -> dict[str, Floats]:
+        """Return the new internal variables; plastic strains in the eigenvectors (q, 3)."""
+        assert self._state is not None
+        found, first = tabulate(self._state, self._at(start, some, logs, N)), 0
+        new = {}
+        for name, shape in self._law.state.items():
+            width = self._width if shape else 1
+            part, first = found[:, first : first + width], first + width
+            whole = name in self._memory
+            new[name] = part[:, 0] if not shape else tensor_of(part) if whole else part.copy()
+        return new
+
+    def _at(self, start: Start, some: slice, logs: Floats, N: Floats) -> Floats:
+        """Return the arguments with the strain in."""
+        numbers = start.numbers[some]
+        if self._law.isotropic:
+            numbers[:, :3] = logs
+        else:
+            logarithms.compose_stored(N, logs, self._size, numbers)
+        return numbers
+
+    def _response(self) -> Response:
+        """Return the response of the law to symbols."""
+        sizes = [self._size if shape else 1 for shape in self._memory.values()]
+        numbers = constants(self._width + sum(sizes) + len(self._names))
+        rest = (numbers[i] for i in range(len(numbers)))
+        e = [next(rest) for _ in range(self._width)]
+        state = {}
+        for (name, shape), size in zip(self._memory.items(), sizes, strict=True):
+            parts = [next(rest) for _ in range(size)]
+            state[name] = from_components(ufl.as_vector(parts)) if shape else parts[0]
+        p = SimpleNamespace(**{name: next(rest) for name in self._names})
+        if not self._law.isotropic:
+            return respond(self._law, from_components(ufl.as_vector(e)), state, p)
+        if PLASTIC in self._law.state:
+            state[PLASTIC] = ufl.as_tensor([[0] * 3] * 3)
+        strain = ufl.as_tensor([[e[i] if i == j else 0 for j in range(3)] for i in range(3)])
+        return respond(self._law, strain, state, p)
+
+    def _principal(self, response: Response) -> list[Expr]:
+        """Return T and L of normal strains, and the shear moduli."""
+        changes = [response.change(_unit(i, i)) for i in range(3)]
+        normal = [changes[j][i, i] for i, j in NORMAL]
+        shears = [response.change(_unit(i, j))[i, j] for i, j in INDEX[3 : self._size]]
+        return [*(response.stress[i, i] for i in range(3)), *normal, *shears]
+
+    def _components(self, response: Response) -> list[Expr]:
+        """Return the stored components of T and the upper triangle of L."""
+        index = INDEX[: self._size]
+        changes = [response.change(_unit(i, j)) for i, j in index]
+        upper = [changes[b][index[a]] for a in range(len(index)) for b in range(a, len(index))]
+        return [*(response.stress[i, j] for i, j in index), *upper]
+
+    def _new(self, name: str, response: Response) -> list[Expr]:
+        """Return the entries of an internal variable at the end of the step."""
+        new = response.updated[name]
+        if not self._law.state[name]:
+            return [new]
+        return list(to_components(new, self._width))
+
+
+class _OfArrays:
+    """A law of arrays, as `_InUFL` is for one in UFL."""
+
+    def __init__(self, law: Law, parameters: list[str], size: int, jit: Any) -> None:
+        """Keep the law: there is nothing to compile."""
+        self._law, self._size = law, size
+
+    def numbers(self, state: Mapping[str, Floats], parameters: Mapping[str, Floats]) -> Floats:
+        """Return nothing: the law gets the arrays themselves."""
+        return np.empty((0, 0))
+
+    def moduli(self, start: Start, some: slice, logs: Floats, N: Floats) -> Floats:
+        """Return T and L, see `logarithms`."""
+        found = self._values(start, some, logs, N)
+        T, L = found.stress, found.tangent
+        pairs = INDEX[: self._size]
+        if not self._law.isotropic:
+            upper = [
+                (*pairs[a], *pairs[b]) for a in range(len(pairs)) for b in range(a, len(pairs))
+            ]
+            return np.stack([*(T[:, i, j] for i, j in pairs), *(L[:, *way] for way in upper)], 1)
+        ways = [(i, i, j, j) for i, j in NORMAL] + [(i, j, i, j) for i, j in pairs[3:]]
+        return np.stack([*(T[:, i, i] for i in range(3)), *(L[:, *way] for way in ways)], axis=1)
+
+    def update(self, start: Start, some: slice, logs: Floats, N: Floats) -> dict[str, Floats]:
+        """Return the new internal variables; plastic strains in the eigenvectors (q, 3)."""
+        new = self._values(start, some, logs, N).state
+        if self._law.isotropic and PLASTIC in new:
+            new[PLASTIC] = np.ascontiguousarray(new[PLASTIC][:, range(3), range(3)])
+        return new
+
+    def _values(self, start: Start, some: slice, logs: Floats, N: Floats) -> PointValues:
+        """Ask the law."""
+        state = {name: values[some] for name, values in start.state.items()}
+        p = SimpleNamespace(**{name: values[some] for name, values in start.parameters.items()})
+        strain = np.zeros((len(logs), 3, 3))
+        if self._law.isotropic:
+            strain[:, range(3), range(3)] = logs
+            if PLASTIC in state:
+                state[PLASTIC] = np.zeros_like(state[PLASTIC])
+        else:
+            strain[:] = np.einsum("qia,qa,qja->qij", N, logs, N)
+        return values_at_points(self._law, strain, state, p)
+
+
+def _unit(i: int, j: int) -> Expr:
+    """Return the symmetric tensor with entries ij and ji, whose sum is one."""
+    entries = [[0.0] * 3 for _ in range(3)]
+    entries[i][j] += 0.5
+    entries[j][i] += 0.5
+    return ufl.as_tensor(entries)
