@@ -300,9 +300,9 @@ def slit(cell):
 
 
 def edges_of(surface, fixed, angle):
-    """Count nodes on edges, and those without a normal, over all ranks."""
+    """Count nodes on edges, and those without a normal, over all ranks of the mesh."""
     normals = smooth_normals(surface, surface.X, fixed[surface.nodes], angle)
-    return COMM.allreduce(count_edges(normals, surface.owned))
+    return surface.V.mesh.comm.allreduce(count_edges(normals, surface.owned))
 
 
 @pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron"])

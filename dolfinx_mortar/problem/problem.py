@@ -142,7 +142,7 @@ class ContactProblem:
 
     @property
     def owned_u(self) -> Floats:
-        """Its values (n,) at the owned dofs, a view."""
+        """The values (n,) of the displacement at the owned dofs, a view."""
         return np.asarray(self.u.x.array[: self.d * self.n])
 
     @property
@@ -152,7 +152,7 @@ class ContactProblem:
 
     @property
     def V(self) -> fem.FunctionSpace:
-        """Its space."""
+        """The space of the displacement."""
         return self.solid.V
 
     @property
