@@ -27,7 +27,7 @@ from dolfinx_mortar.qp.updates import LIMIT
 # would have: at most twice the least is lost. With half of them the time is the same up to 43k
 # unknowns; at 148k an elastic step has a second set-up for its last ten iterations.
 RENEWAL_COST = {"direct": 6, "iterative": 40}
-# A breakdown of conjugate gradients with an old set-up that has reduced the residual. A plastic step
+# A breakdown of conjugate gradients with an old set-up that has reduced the residual. Plastic step
 # with 181 thousand unknowns: two set-ups and 100 iterations instead of three and 93.
 SHARE_OF_RESTART = 0.25
 # INFOG(1) of MUMPS: workspace too small; ICNTL(14) is the percentage above its estimate.
