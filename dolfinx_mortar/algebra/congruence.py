@@ -263,9 +263,12 @@ class RowsOf:
         Its entry j is sum_r C_rj (2 K_rj + (K C)_rj), over the rows r of C that are not zero.
         """
         entries = _scipy(C)
+        entries.eliminate_zeros()  # half of those of T
+        parts = entries.indptr.astype(PETSc.IntType), entries.indices.astype(PETSc.IntType)
+        few = PETSc.Mat().createAIJ(C.getSizes(), csr=(*parts, entries.data), comm=C.comm)
         rows = np.flatnonzero(np.diff(entries.indptr)).astype(np.int32)
         rows, K_r = self.including(rows)
-        twice = 2.0 * _scipy(K_r) + _scipy(K_r.matMult(C))
+        twice = 2.0 * _scipy(K_r) + _scipy(K_r.matMult(few))
         terms = entries[rows].multiply(twice).tocoo()
         change = self.K.createVecRight()
         change.setValues(terms.col.astype(PETSc.IntType), terms.data, PETSc.InsertMode.ADD_VALUES)

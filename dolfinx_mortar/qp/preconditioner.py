@@ -22,12 +22,13 @@ from dolfinx_mortar.qp.schur import SchurComplement
 from dolfinx_mortar.qp.updates import LIMIT
 
 # Iterations that cost as much as a renewal. A numeric factorisation in 2D costs 5 to 7 solves with
-# it (5k, 50k and 200k unknowns, MUMPS). A set-up of multigrid in 3D costs 25 to 40 iterations
-# (GAMG, 30k to 120k unknowns); it is renewed when an old one has cost so many more than a new one
+# it (5k, 50k and 200k unknowns, MUMPS). A set-up of multigrid in 3D costs 25 to 45 iterations
+# (GAMG, 30k to 181k unknowns); it is renewed when an old one has cost so many more than a new one
 # would have: at most twice the least is lost. With half of them the time is the same up to 43k
 # unknowns; at 148k an elastic step has a second set-up for its last ten iterations.
 RENEWAL_COST = {"direct": 6, "iterative": 40}
-# A breakdown of conjugate gradients with an old set-up that has reduced the residual.
+# A breakdown of conjugate gradients with an old set-up that has reduced the residual. Plastic step
+# with 181 thousand unknowns: two set-ups and 100 iterations instead of three and 93.
 SHARE_OF_RESTART = 0.25
 # INFOG(1) of MUMPS: workspace too small; ICNTL(14) is the percentage above its estimate.
 WORKSPACE_ERRORS = (-8, -9)
