@@ -87,6 +87,11 @@ class CongruentOperator:
         return self._product.K
 
     @property
+    def C(self) -> PETSc.Mat | None:
+        """The present C; None for 0."""
+        return self._product.C
+
+    @property
     def decoupled(self) -> Ints:
         """Owned unknowns that are decoupled."""
         return self._product.decoupled

@@ -13,6 +13,7 @@ from petsc4py import PETSc
 import numpy as np
 from scipy.linalg import LinAlgError
 
+from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.arrays import EPS, QUARTER_OF_DIGITS, ROUND_OFF, Ints
 from dolfinx_mortar.qp.friction import Sliding
 from dolfinx_mortar.qp.multigrid import Unknowns
@@ -131,7 +132,14 @@ class LinearSolver:
         self.clear()
         self.options = SolverOptions(self.options.prefix, self.options.given, multigrid=True)
 
-    def set_matrix(self, A: PETSc.Mat, *, definite: bool = True, apart: Ints | None = None) -> None:
+    def set_matrix(
+        self,
+        A: PETSc.Mat,
+        *,
+        definite: bool = True,
+        apart: Ints | None = None,
+        product: CongruentOperator | None = None,
+    ) -> None:
         """Set the matrix of the next solves (collective).
 
         If it is the same object, its factorisation remains as preconditioner.
@@ -140,6 +148,7 @@ class LinearSolver:
             A: (n, n) matrix.
             definite: whether it is symmetric and positive definite, see `BoundQP`.
             apart: the only unknowns that will be held, see `schur.set_apart`; None for any.
+            product: A, if it is one whose K is to be factorised.
         """
         if self._setup is not None:
             before = self._operator
@@ -153,7 +162,7 @@ class LinearSolver:
         ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
         with self.options.database(self.options.prefix):
             ksp.setFromOptions()
-            schur = None if apart is None else SchurComplement(apart)
+            schur = None if apart is None else SchurComplement(apart, product)
             copied = self.direct and schur is None
             operator = Operator(A, direct=copied, definite=definite)
             preconditioner = Preconditioner(operator, ksp, self.options, self.unknowns, schur)

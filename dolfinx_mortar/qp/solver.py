@@ -99,7 +99,8 @@ def solve(
     before = replace(linear.counts)
     try:
         apart = set_apart(qp, linear.options) if backend == ACTIVE_SET else None
-        linear.set_matrix(qp.A, definite=qp.definite, apart=apart)
+        product = None if apart is None else qp.product
+        linear.set_matrix(qp.A, definite=qp.definite, apart=apart, product=product)
         if backend == INTERIOR_POINT:
             solution = interior_point.solve(qp, linear, rtol=rtol)
         else:
