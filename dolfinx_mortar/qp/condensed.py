@@ -188,7 +188,7 @@ def first_model(linear: LinearSolver, everywhere: Everywhere) -> SchurModel | No
     """Return S itself where the factorisation gives it, else a guess; on rank 0; collective."""
     schur = linear.setup.preconditioner.schur
     if schur is not None:
-        return SchurModel(schur.model(everywhere.own), exact=True)
+        return SchurModel(schur.model(), exact=True)
     block = everywhere.block(linear.setup.operator.A)
     return on_root(everywhere.comm, lambda: SchurModel(half_laplacian(block)))
 

@@ -139,6 +139,7 @@ class LinearSolver:
         definite: bool = True,
         apart: Ints | None = None,
         product: CongruentOperator | None = None,
+        bounded: Ints | None = None,
     ) -> None:
         """Set the matrix of the next solves (collective).
 
@@ -149,11 +150,15 @@ class LinearSolver:
             definite: whether it is symmetric and positive definite, see `BoundQP`.
             apart: the only unknowns that will be held, see `schur.set_apart`; None for any.
             product: A, if it is one whose K is to be factorised.
+            bounded: then those of ``apart`` that will be held, ascending.
         """
         if self._setup is not None:
             before = self._operator
+            schur = self.setup.preconditioner.schur
             same = A.handle == before.A.handle and definite == before.definite
             if same and self.setup.preconditioner.serves(apart):
+                if schur is not None and bounded is not None:
+                    schur.bounded = bounded
                 return
         self.clear()  # so that no matrix is set if an option raises an error
         self.options.definite = definite
@@ -162,7 +167,9 @@ class LinearSolver:
         ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
         with self.options.database(self.options.prefix):
             ksp.setFromOptions()
-            schur = None if apart is None else SchurComplement(apart, product)
+            schur = None
+            if apart is not None:
+                schur = SchurComplement(apart, apart if bounded is None else bounded, product)
             copied = self.direct and schur is None
             operator = Operator(A, direct=copied, definite=definite)
             preconditioner = Preconditioner(operator, ksp, self.options, self.unknowns, schur)

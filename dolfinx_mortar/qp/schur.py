@@ -23,12 +23,12 @@ from dataclasses import dataclass
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, lapack
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, lapack, solve_triangular
 from scipy.sparse import csr_array, eye_array
 from scipy.sparse.linalg import SuperLU, splu
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator, decouple
-from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Ints
 from dolfinx_mortar.qp.bound_qp import BoundQP
 from dolfinx_mortar.qp.options import SolverOptions
 
@@ -79,11 +79,20 @@ def _few(A: PETSc.Mat, unknowns: Ints, options: SolverOptions, share: int = 1) -
 
 @dataclass(frozen=True)
 class _Basis:
-    """T on G, and the Schur complement of A = T^T K T."""
+    """T on G, and rows of T^-1 times the inverse of S, from which all sets of held unknowns follow.
+
+    With S of K definite and R its inverse, those of y that are held, w = N u, leave
+
+        R - (N R)^T (N R N^T)^-1 N R,
+
+    and (N R N^T)^-1 is the Schur complement of A on them.
+    """
 
     T: csr_array | None  # (k, k), None for 1
     inverse: SuperLU | None
-    S: Floats  # (k, k)
+    known: Ints  # places in G (m,) of which there are rows
+    NR: Floats  # (m, k)
+    NRN: Floats  # (m, m)
 
 
 class SchurComplement:
@@ -91,16 +100,21 @@ class SchurComplement:
 
     Args:
         unknowns: (k,) of the matrix, ascending.
+        bounded: those of them that may be held, ascending.
         product: the matrix, if K is factorised in its place.
 
     Attributes:
-        unknowns: as above.
+        unknowns, bounded: as above.
         prepared: whether the PC knows of it.
+        R: (k, k) the inverse of S of what is factorised; None where only contact holds a body.
     """
 
-    def __init__(self, unknowns: Ints, product: CongruentOperator | None = None) -> None:
+    def __init__(
+        self, unknowns: Ints, bounded: Ints, product: CongruentOperator | None = None
+    ) -> None:
         """Store the unknowns."""
-        self.unknowns, self.product = unknowns, product
+        self.unknowns, self.bounded, self.product = unknowns, bounded, product
+        self.R: Floats | None = None
         self.prepared = False
         self._of_K: Floats = np.zeros((0, 0))  # as MUMPS gives it
         self._basis: _Basis | None = None
@@ -151,7 +165,12 @@ class SchurComplement:
         with _Entries(pc, self.unknowns.size) as entries:
             lower = np.tril(entries)  # all that MUMPS gives
             self._of_K = lower + np.tril(lower, -1).T
-        self._held = self._basis = None
+        self._held = self._basis = self.R = None
+        factor, failed = lapack.dpotrf(self._of_K, lower=True)
+        pivots = np.diag(factor) ** 2
+        if not failed and (pivots > HALF_OF_DIGITS * np.diag(self._of_K)).all():
+            lower, failed = lapack.dpotri(factor, lower=True)
+            self.R = np.tril(lower) + np.tril(lower, -1).T
 
     def destroy(self) -> None:
         """Free the copy of K."""
@@ -162,47 +181,61 @@ class SchurComplement:
 
     @property
     def basis(self) -> _Basis:
-        """T and the Schur complement of A at present."""
+        """T and what follows from it, at present."""
         state = -1 if self.product is None else int(self.product.matrix.stateGet())
         if self._basis is None or state != self._state:
             self._basis, self._state, self._held = self._transformed(), state, None
         return self._basis
 
     def _transformed(self) -> _Basis:
-        if self.product is None or self.product.C is None:
-            return _Basis(None, None, self._of_K)
-        indptr, columns, values = self.product.C.getValuesCSR()
-        places = np.searchsorted(self.unknowns, columns)
-        rows = np.concatenate([indptr[self.unknowns], indptr[-1:]])
-        k = self.unknowns.size
-        T = csr_array((values, places, rows), shape=(k, k)) + eye_array(k, format="csr")
-        Tt = T.T.tocsr()
-        S = Tt @ (Tt @ self._of_K).T
-        return _Basis(T, splu(T.tocsc()), S)
+        k, T, inverse = self.unknowns.size, None, None
+        known, nothing = self._places(self.bounded), np.zeros((0, 0))
+        if self.product is not None and self.product.C is not None:
+            indptr, columns, values = self.product.C.getValuesCSR()
+            places = np.searchsorted(self.unknowns, columns)
+            rows = np.concatenate([indptr[self.unknowns], indptr[-1:]])
+            C = csr_array((values, places, rows), shape=(k, k))
+            T = C + eye_array(k, format="csr")
+            inverse = splu(T.tocsc())
+        if self.R is None:
+            return _Basis(T, inverse, known, nothing, nothing)
+        units = np.zeros((k, known.size))
+        units[known, np.arange(known.size)] = 1.0
+        N = csr_array((units if inverse is None else inverse.solve(units, "T")).T)
+        NR = N @ self.R
+        return _Basis(T, inverse, known, NR, N @ NR.T)
 
-    def model(self, bounded: Ints) -> Floats:
-        """Return the Schur complement of A on bounded unknowns (m,), ascending; see `_free`.
+    def _places(self, held: Ints) -> Ints:
+        """Return where in G these unknowns are, and those that are decoupled."""
+        all_held = held if self.product is None else np.union1d(held, self.product.decoupled)
+        return np.flatnonzero(np.isin(self.unknowns, all_held)).astype(np.int32)
+
+    def model(self) -> Floats:
+        """Return the Schur complement of A on the bounded unknowns (m, m).
 
         Raises:
-            LinAlgError: if A is not positive definite with these unknowns held.
+            LinAlgError: if A is not positive definite with them held.
         """
-        S, on = self.basis.S, np.isin(self.unknowns, bounded)
-        rest = self._free(bounded)
+        on = self._places(self.bounded)
+        out = np.isin(self.unknowns[on], self.bounded)
+        if self.R is not None:
+            return np.asarray(_inverse(self.basis.NRN)[np.ix_(out, out)])
+        S, k = self._transform(self._of_K, transposed=True), self.unknowns.size
+        rest = np.setdiff1d(np.arange(k), on)
+        on = on[out]
         inner = S[np.ix_(on, on)]
-        if not rest.any():
-            return inner
+        if not rest.size:
+            return np.asarray(inner)
         coupling = S[np.ix_(rest, on)]
-        return np.asarray(inner - coupling.T @ cho_solve(self._factor(rest), coupling))
+        return np.asarray(inner - coupling.T @ cho_solve(cho_factor(S[np.ix_(rest, rest)]), coupling))
 
-    def _free(self, held: Ints) -> np.ndarray:
-        """Tell which of G are neither held nor decoupled."""
-        free = ~np.isin(self.unknowns, held)
-        if self.product is not None:
-            free &= ~np.isin(self.unknowns, self.product.decoupled)
-        return free
-
-    def _factor(self, free: np.ndarray) -> tuple[Floats, bool]:
-        return cho_factor(self.basis.S[np.ix_(free, free)], lower=True)
+    def _transform(self, M: Floats, *, transposed: bool = False) -> Floats:
+        """Return T M T^T, or T^T M T, for symmetric M (k, k)."""
+        T = self.basis.T
+        if T is None:
+            return M
+        left = T.T.tocsr() if transposed else T
+        return np.asarray(left @ (left @ M).T)
 
     def hold(self, pc: PETSc.PC, held: Ints) -> None:
         """Hold these of the unknowns in the next solves: x = 0 there.
@@ -213,26 +246,41 @@ class SchurComplement:
         basis = self.basis
         if self._held is not None and np.array_equal(self._held, held):
             return
-        free = self._free(held)
-        inverse = np.zeros_like(basis.S)
-        if free.any():
-            lower, info = lapack.dpotri(self._factor(free)[0], lower=True)
-            if info:
-                raise LinAlgError("S is singular")
-            inverse[np.ix_(free, free)] = np.tril(lower) + np.tril(lower, -1).T
-        if basis.T is not None:
-            inverse = basis.T @ (basis.T @ inverse).T
+        places = self._places(held)
+        if self.R is not None:
+            on = np.isin(basis.known, places)
+            factor = np.linalg.cholesky(basis.NRN[np.ix_(on, on)])
+            part = solve_triangular(factor, basis.NR[on], lower=True) if on.any() else basis.NR[on]
+            inverse = self.R - part.T @ part
+        else:
+            S = self._transform(self._of_K, transposed=True)
+            free, inverse = np.setdiff1d(np.arange(self.unknowns.size), places), np.zeros_like(S)
+            if free.size:
+                inverse[np.ix_(free, free)] = _inverse(S[np.ix_(free, free)])
+            inverse = self._transform(inverse)
         with _Entries(pc, self.unknowns.size) as entries:
             entries[:] = inverse
         self._held = held.copy()
 
-    # -- called by PETSc, as the context of a PC -------------------------------------------------
+    # -- the PC ----------------------------------------------------------------------------------
 
     def solver(self, pc: PETSc.PC) -> PETSc.PC:
         """Return a PC that applies A^-1 by the factorisation, itself unless A is a product."""
         if self.product is None:
             return pc
         return PETSc.PC().createPython(_Product(self, pc), comm=pc.comm)
+
+
+def _inverse(M: Floats) -> Floats:
+    """Return the inverse of a symmetric positive definite matrix.
+
+    Raises:
+        LinAlgError: for others.
+    """
+    lower, info = lapack.dpotri(cho_factor(M, lower=True)[0], lower=True)
+    if info:
+        raise LinAlgError("the matrix is singular")
+    return np.asarray(np.tril(lower) + np.tril(lower, -1).T)
 
 
 class _Product:

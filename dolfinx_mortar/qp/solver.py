@@ -100,7 +100,10 @@ def solve(
     try:
         apart = set_apart(qp, linear.options) if backend == ACTIVE_SET else None
         product = None if apart is None else qp.product
-        linear.set_matrix(qp.A, definite=qp.definite, apart=apart, product=product)
+        bounded = np.sort(qp.bounded)
+        linear.set_matrix(
+            qp.A, definite=qp.definite, apart=apart, product=product, bounded=bounded
+        )
         if backend == INTERIOR_POINT:
             solution = interior_point.solve(qp, linear, rtol=rtol)
         else:
