@@ -187,6 +187,9 @@ def _diagonal_change(K: PETSc.Mat, C: PETSc.Mat) -> PETSc.Vec:
 def _rows(K: PETSc.Mat, rows: Ints) -> PETSc.Mat:
     """Return owned rows of K in AIJ; collective."""
     first = K.getOwnershipRange()[0]
+    if K.getType() == "seqaij":  # blocks give blocks only
+        index = PETSc.IS().createGeneral(rows.astype(PETSc.IntType), comm=K.comm)
+        return K.createSubMatrix(index, PETSc.IS().createStride(K.getSize()[1], comm=K.comm))
     found = [K.getRow(int(first + row)) for row in rows]
     indptr = np.cumsum([0, *(len(columns) for columns, _ in found)], dtype=PETSc.IntType)
     columns = np.concatenate([np.zeros(0, PETSc.IntType), *(columns for columns, _ in found)])

@@ -9,8 +9,8 @@ degrees.
 
 If A = T^T K T with T = I + C, and C in G x G, it is K that is factorised, and T^T S T the Schur
 complement of A: then one factorisation serves all geometries, too, and A is never formed. G are
-the nodes of both sides, 784 of 47 thousand unknowns, and the costs those of a factorisation of A
-(numeric 117 ms, of A 116; solve 17 ms for both; the product T^T K T took 14 ms in each geometry).
+the unknowns of both sides: 784 of 50 thousand, where numeric factorisation and solve take 117 and
+17 ms, those of A 116 and 17, its analysis 29 and 204, and the product T^T K T 14 in each geometry.
 
 PETSc has this on one rank only, and petsc4py 3.22 does not wrap it.
 """
@@ -63,7 +63,8 @@ def interface_unknowns(K: PETSc.Mat, C: PETSc.Mat | None, options: SolverOptions
     if C is None or C.comm.size > 1:
         return None
     indptr, columns, _ = C.getValuesCSR()
-    return _few(K, np.union1d(np.flatnonzero(np.diff(indptr)), columns).astype(np.int32), options, 2)
+    both = np.union1d(np.flatnonzero(np.diff(indptr)), columns)
+    return _few(K, both.astype(np.int32), options, 2)
 
 
 def _few(A: PETSc.Mat, unknowns: Ints, options: SolverOptions, share: int = 1) -> Ints | None:
@@ -106,7 +107,8 @@ class SchurComplement:
     Attributes:
         unknowns, bounded: as above.
         prepared: whether the PC knows of it.
-        R: (k, k) the inverse of S of what is factorised; None where only contact holds a body.
+        S: (k, k) symmetric, of the last factorisation.
+        R: (k, k) its inverse; None where only contact holds a body.
     """
 
     def __init__(
@@ -116,7 +118,7 @@ class SchurComplement:
         self.unknowns, self.bounded, self.product = unknowns, bounded, product
         self.R: Floats | None = None
         self.prepared = False
-        self._of_K: Floats = np.zeros((0, 0))  # as MUMPS gives it
+        self.S: Floats = np.zeros((0, 0))
         self._basis: _Basis | None = None
         self._state = -1  # of the product
         self._held: Ints | None = None
@@ -164,11 +166,11 @@ class SchurComplement:
         """Take S from a new factorisation; nothing is held in it yet."""
         with _Entries(pc, self.unknowns.size) as entries:
             lower = np.tril(entries)  # all that MUMPS gives
-            self._of_K = lower + np.tril(lower, -1).T
+            self.S = lower + np.tril(lower, -1).T
         self._held = self._basis = self.R = None
-        factor, failed = lapack.dpotrf(self._of_K, lower=True)
+        factor, failed = lapack.dpotrf(self.S, lower=True)
         pivots = np.diag(factor) ** 2
-        if not failed and (pivots > HALF_OF_DIGITS * np.diag(self._of_K)).all():
+        if not failed and (pivots > HALF_OF_DIGITS * np.diag(self.S)).all():
             lower, failed = lapack.dpotri(factor, lower=True)
             self.R = np.tril(lower) + np.tril(lower, -1).T
 
@@ -220,14 +222,15 @@ class SchurComplement:
         out = np.isin(self.unknowns[on], self.bounded)
         if self.R is not None:
             return np.asarray(_inverse(self.basis.NRN)[np.ix_(out, out)])
-        S, k = self._transform(self._of_K, transposed=True), self.unknowns.size
-        rest = np.setdiff1d(np.arange(k), on)
+        S = self._transform(self.S, transposed=True)
+        rest = np.setdiff1d(np.arange(self.unknowns.size), on)
         on = on[out]
         inner = S[np.ix_(on, on)]
         if not rest.size:
             return np.asarray(inner)
         coupling = S[np.ix_(rest, on)]
-        return np.asarray(inner - coupling.T @ cho_solve(cho_factor(S[np.ix_(rest, rest)]), coupling))
+        factor = cho_factor(S[np.ix_(rest, rest)])
+        return np.asarray(inner - coupling.T @ cho_solve(factor, coupling))
 
     def _transform(self, M: Floats, *, transposed: bool = False) -> Floats:
         """Return T M T^T, or T^T M T, for symmetric M (k, k)."""
@@ -253,7 +256,7 @@ class SchurComplement:
             part = solve_triangular(factor, basis.NR[on], lower=True) if on.any() else basis.NR[on]
             inverse = self.R - part.T @ part
         else:
-            S = self._transform(self._of_K, transposed=True)
+            S = self._transform(self.S, transposed=True)
             free, inverse = np.setdiff1d(np.arange(self.unknowns.size), places), np.zeros_like(S)
             if free.size:
                 inverse[np.ix_(free, free)] = _inverse(S[np.ix_(free, free)])

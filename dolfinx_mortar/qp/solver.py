@@ -101,9 +101,7 @@ def solve(
         apart = set_apart(qp, linear.options) if backend == ACTIVE_SET else None
         product = None if apart is None else qp.product
         bounded = np.sort(qp.bounded)
-        linear.set_matrix(
-            qp.A, definite=qp.definite, apart=apart, product=product, bounded=bounded
-        )
+        linear.set_matrix(qp.A, definite=qp.definite, apart=apart, product=product, bounded=bounded)
         if backend == INTERIOR_POINT:
             solution = interior_point.solve(qp, linear, rtol=rtol)
         else:
