@@ -8,15 +8,17 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from programs import from_arrays, gathered, membrane
 from scipy.linalg import LinAlgError, cholesky
 
+from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.qp import LinearSolver, QPNotSolved, condensed, solve
 from dolfinx_mortar.qp.condensed import SchurModel, half_laplacian, on_root, solve_dense
 from dolfinx_mortar.qp.linear import LinearSolveFailed
 from dolfinx_mortar.qp.schur import set_apart
 
-COMM = MPI.COMM_WORLD
+COMM, COMM_SELF = MPI.COMM_WORLD, MPI.COMM_SELF
 INF = np.inf
 
 
@@ -196,6 +198,51 @@ def test_a_set_that_holds_no_body_is_found_in_the_complement() -> None:
     none = np.zeros(0, dtype=np.int32)
     with pytest.raises(LinearSolveFailed, match="leading minor"):
         linear.solve(qp.b, qp.b.duplicate(), none, atol=0.0)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("held_by", [0.0, 1.0], ids=["by contact alone", "by supports"])
+def test_one_factorisation_serves_all_products(held_by: float) -> None:
+    """Of (I + C)^T K (I + C), for any C on the same unknowns, some of which are decoupled.
+
+    Against dense algebra; without supports K is singular, and so is its Schur complement.
+    """
+    line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(20, 20)).toarray()
+    line[0, 0] = line[-1, -1] = 1.0 + held_by
+    K = from_arrays(line, *np.zeros((3, 20)), COMM_SELF).A
+    product, linear = CongruentOperator(K), LinearSolver(COMM_SELF, prefix="product_")
+    rng, rows, columns = np.random.default_rng(3), [3, 4, 5], [4, 12, 13]
+    apart, bounded = np.array([3, 4, 5, 12, 13], dtype=np.int32), np.array([3, 5], dtype=np.int32)
+    decoupled = np.array([4, 9] if held_by else [4], dtype=np.int32)  # in K 9 alone is fixed
+    b, x = K.createVecRight(), K.createVecRight()
+    b.array[:] = rng.normal(size=20)
+    for held in (bounded, bounded[:1], bounded[1:]):
+        dense = np.zeros((20, 20))
+        dense[np.ix_(rows, columns)] = 0.3 * rng.normal(size=(3, 3))
+        C = PETSc.Mat().createAIJ((20, 20), nnz=3, comm=COMM_SELF)
+        C.setValues(rows, columns, dense[np.ix_(rows, columns)])
+        C.assemble()
+        product.follow(C, decoupled)
+        linear.set_matrix(product.matrix, apart=apart, product=product, bounded=bounded)
+        x.set(0.0)
+        linear.solve(b, x, held, atol=1e-10)
+        T = np.eye(20) + dense
+        A = T.T @ line @ T
+        A[decoupled], A[:, decoupled] = 0.0, 0.0
+        A[decoupled, decoupled] = product.scale
+        free = np.setdiff1d(np.arange(20), held)
+        expected = np.linalg.solve(A[np.ix_(free, free)], b.array_r[free])
+        np.testing.assert_allclose(x.array_r[free], expected, rtol=1e-9)
+        schur = linear.setup.preconditioner.schur
+        assert schur is not None
+        assert (schur.R is not None) == (held_by > 0.0)
+        rest = np.setdiff1d(np.arange(20), bounded)
+        coupled = A[np.ix_(rest, bounded)]
+        inner = A[np.ix_(bounded, bounded)]
+        inner = inner - coupled.T @ np.linalg.solve(A[np.ix_(rest, rest)], coupled)
+        np.testing.assert_allclose(schur.model(), inner, atol=1e-9)
+    assert linear.counts.factorisations == 1
+    assert linear.counts.iterations == 3
 
 
 @pytest.mark.mpi

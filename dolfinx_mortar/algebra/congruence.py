@@ -50,12 +50,7 @@ class Congruence:
         KCt = self.KC.transpose(PETSc.Mat())
         self.Ct.matMult(self.KC, result=self.CtKC)
         self.product.zeroEntries()
-        for part in (
-            self.KC,
-            KCt,
-            self.CtKC,
-            K,
-        ):  # as in __init__: the same round-off
+        for part in (self.KC, KCt, self.CtKC, K):  # as in __init__: the same round-off
             self.product.axpy(1.0, part, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
         KCt.destroy()
 
@@ -88,6 +83,11 @@ class CongruentOperator:
     def K(self) -> PETSc.Mat:
         """The matrix in the middle."""
         return self._product.K
+
+    @property
+    def C(self) -> PETSc.Mat | None:
+        """The present C; None for 0."""
+        return self._product.C
 
     @property
     def rows(self) -> RowsOf:
@@ -279,6 +279,9 @@ class RowsOf:
 def _rows(K: PETSc.Mat, rows: Ints) -> PETSc.Mat:
     """Return owned rows of K in AIJ; collective."""
     first = K.getOwnershipRange()[0]
+    if K.getType() == "seqaij":  # blocks give blocks only
+        index = PETSc.IS().createGeneral(rows.astype(PETSc.IntType), comm=K.comm)
+        return K.createSubMatrix(index, PETSc.IS().createStride(K.getSize()[1], comm=K.comm))
     found = [K.getRow(int(first + row)) for row in rows]
     indptr = np.cumsum([0, *(len(columns) for columns, _ in found)], dtype=PETSc.IntType)
     columns = np.concatenate([np.zeros(0, PETSc.IntType), *(columns for columns, _ in found)])

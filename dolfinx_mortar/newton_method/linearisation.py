@@ -23,6 +23,7 @@ from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.qp import BoundQP, Friction, LinearSolver, QPSolution
+from dolfinx_mortar.qp.schur import interface_unknowns
 
 
 @dataclass(frozen=True)
@@ -115,17 +116,22 @@ def linearise(
         linear: linear solver of the QP; that of the problem by default.
     """
     T, linear = problem.system.transformation, linear or problem.linear
-    formed = linear.direct  # a factorisation needs the matrix, an iteration its products
-    spoilt = formed and T is None  # by the elimination, then in K itself
+    direct = linear.direct
+    spoilt = direct and T is None  # by the elimination, then in K itself
     if tangent or spoilt or not problem.K.isAssembled():
         with problem.timings("assembly"):
             problem.terms.assemble_tangent(problem.K)
             if shift > 0.0:
                 problem.solid.add_elastic(problem.K, shift)
+    change = None if T is None else T.change
+    formed = direct  # a factorisation needs the matrix, an iteration its products
+    # the pivots of a factorisation of K say nothing of contact, which may hold an indefinite one
+    if direct and balance.limits is None and problem.solid.strain == "small":
+        formed = interface_unknowns(problem.K, change, linear.options) is None
     if formed and T is not None and not T.formed:
         linear.clear()  # before the new product needs the memory
     with problem.timings("transform"):
-        A, b, diagonal = (_form if formed else _follow)(problem, balance)
+        A, b, diagonal = _form(problem, balance) if formed else _follow(problem, balance, change)
         lower, upper = problem.vector(), problem.vector()
         lower.set(PETSc.NINFINITY)
         upper.set(PETSc.INFINITY)
@@ -133,7 +139,9 @@ def linearise(
         lower.array[bounds.dofs] = np.maximum(bounds.lower, PETSc.NINFINITY)
         upper.array[bounds.dofs] = np.minimum(bounds.upper, PETSc.INFINITY)
         law = None if balance.limits is None else _law(balance.limits, bounds, b.local_size)
-    return Linearisation(BoundQP(A, b, lower, upper, bounds.dofs, law), balance, diagonal)
+    product = problem.operator if direct and not formed else None
+    qp = BoundQP(A, b, lower, upper, bounds.dofs, law, product=product)
+    return Linearisation(qp, balance, diagonal)
 
 
 def _law(limits: SlipLimits, bounds: Constraints, n: int) -> Friction:
@@ -158,10 +166,12 @@ def _form(problem: ContactProblem, balance: Balance) -> tuple[PETSc.Mat, PETSc.V
     return A, b, diagonal
 
 
-def _follow(problem: ContactProblem, balance: Balance) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
+def _follow(
+    problem: ContactProblem, balance: Balance, change: PETSc.Mat | None
+) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
     """Return the same, with K^ as an operator that is not formed."""
-    operator, T = problem.operator, problem.system.transformation
-    operator.follow(None if T is None else T.change, balance.eliminated)
+    operator = problem.operator
+    operator.follow(change, balance.eliminated)
     dy, b = problem.vector(), problem.vector()
     dy.array[balance.equal.dofs] = balance.equal.upper
     operator.product(dy, b)

@@ -9,6 +9,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, ratio
 from dolfinx_mortar.arrays import ROUND_OFF, Actives, Bools, Floats, Ints
 from dolfinx_mortar.qp.friction import Friction, Sliders
@@ -34,6 +35,7 @@ class BoundQP:
     # Whether A is symmetric, and positive definite on the unknowns without bounds: required by
     # Cholesky and conjugate gradients, the condensed QP, the interior point, energy descent.
     definite: bool = True
+    product: CongruentOperator | None = None  # A, where it is not formed but to be factorised
 
     @property
     def comm(self) -> MPI.Comm:

@@ -57,6 +57,8 @@ def is_worthwhile(qp: BoundQP, linear: LinearSolver) -> bool:
     with and without: 0.55 to 0.83 where the model has fewer entries than A, 0.92 with 1.15 times as
     many, 1.08 with 1.7 times as many.
     """
+    if linear.setup.preconditioner.schur is not None:
+        return qp.bounded.size > 0
     size = qp.comm.allreduce(qp.bounded.size)
     entries = qp.A.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] if linear.direct else 0
     return bool(qp.definite and 0 < size**2 <= entries)
@@ -186,7 +188,7 @@ def first_model(linear: LinearSolver, everywhere: Everywhere) -> SchurModel | No
     """Return S itself where the factorisation gives it, else a guess; on rank 0; collective."""
     schur = linear.setup.preconditioner.schur
     if schur is not None:
-        return SchurModel(schur.S, exact=True)
+        return SchurModel(schur.model(), exact=True)
     block = everywhere.block(linear.setup.operator.A)
     return on_root(everywhere.comm, lambda: SchurModel(half_laplacian(block)))
 

@@ -15,6 +15,7 @@ from petsc4py import PETSc
 import numpy as np
 from scipy.linalg import LinAlgError
 
+from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.arrays import EPS, QUARTER_OF_DIGITS, ROUND_OFF, Ints
 from dolfinx_mortar.qp.friction import Sliding
 from dolfinx_mortar.qp.multigrid import Unknowns
@@ -159,7 +160,15 @@ class LinearSolver:
             "preconditioner."
         )
 
-    def set_matrix(self, A: PETSc.Mat, *, definite: bool = True, apart: Ints | None = None) -> None:
+    def set_matrix(
+        self,
+        A: PETSc.Mat,
+        *,
+        definite: bool = True,
+        apart: Ints | None = None,
+        product: CongruentOperator | None = None,
+        bounded: Ints | None = None,
+    ) -> None:
         """Set the matrix of the next solves (collective).
 
         If it is the same object, its factorisation remains as preconditioner.
@@ -168,11 +177,16 @@ class LinearSolver:
             A: (n, n) matrix.
             definite: whether it is symmetric and positive definite, see `BoundQP`.
             apart: the only unknowns that will be held, see `schur.set_apart`; None for any.
+            product: A, if it is one whose K is to be factorised.
+            bounded: then those of ``apart`` that will be held, ascending.
         """
         if self._setup is not None:
             before = self._operator
+            schur = self.setup.preconditioner.schur
             same = A.handle == before.A.handle and definite == before.definite
             if same and self.setup.preconditioner.serves(apart):
+                if schur is not None and bounded is not None:
+                    schur.bounded = bounded
                 return
         self.clear()  # so that no matrix is set if an option raises an error
         self.options.definite = definite
@@ -181,7 +195,9 @@ class LinearSolver:
         ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
         with self.options.database(self.options.prefix):
             ksp.setFromOptions()
-            schur = None if apart is None else SchurComplement(apart)
+            schur = None
+            if apart is not None:
+                schur = SchurComplement(apart, apart if bounded is None else bounded, product)
             copied = self.direct and schur is None
             operator = Operator(A, direct=copied, definite=definite)
             preconditioner = Preconditioner(operator, ksp, self.options, self.unknowns, schur)

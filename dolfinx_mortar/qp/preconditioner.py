@@ -172,7 +172,9 @@ class Preconditioner:
         self.multigrid: Multigrid | None = None
         self.pc = ksp.getPC()
         if schur is not None:
-            operator.A.setOption(PETSc.Mat.Option.SPD, True)
+            if schur.product is None:
+                operator.A.setOption(PETSc.Mat.Option.SPD, True)
+            ksp.setPC(schur.solver(self.pc))
         if not options.direct:
             self.multigrid = Multigrid(operator.A, options.prefix)
             self.pc = self.multigrid.inner
@@ -193,7 +195,11 @@ class Preconditioner:
     def is_of(self, held: Ints) -> bool:
         """Tell whether it is that of the present A with these unknowns held (collective)."""
         same = self.held is not None and (self.schur is not None or np.array_equal(self.held, held))
-        return self._state == self.operator.state and self.comm.allreduce(same, op=MPI.LAND)
+        return self._state == self._present() and self.comm.allreduce(same, op=MPI.LAND)
+
+    def _present(self) -> int:
+        """Return the state of what is factorised, or of which the levels are made."""
+        return self.operator.state if self.schur is None else self.schur.state(self.operator.A)
 
     def differences(self, held: Ints) -> int | None:
         """Return in how many held unknowns it differs (collective); None if it is not set up."""
@@ -209,6 +215,9 @@ class Preconditioner:
         PETSc keeps them in a PC with other references, also when the KSP is destroyed.
         """
         self.ksp.getPC().reset()
+        if self.schur is not None:
+            self.pc.reset()
+            self.schur.destroy()
         if self.multigrid is not None:
             self.multigrid.clear()
 
@@ -225,7 +234,7 @@ class Preconditioner:
                 self.multigrid.renew(data, held, definite=self.operator.definite)
                 self._followed = self.operator.state, held.copy()
             counts.factorisations += 1
-        self.held, self._state = held.copy(), self.operator.state
+        self.held, self._state = held.copy(), self._present()
         if self.pc.getFailedReason() == 0:
             if self.schur is not None and self.schur.prepared:
                 self.schur.read(self.pc)
@@ -254,7 +263,10 @@ class Preconditioner:
     def _factorise(self, counts: LinearCounts) -> None:
         """Factorise the matrix, with more workspace if MUMPS had too little."""
         self.pc.setReusePreconditioner(False)
-        self.ksp.setOperators(self.operator.matrix, self.operator.factorised)
+        factorised = self.operator.factorised
+        if self.schur is not None:
+            factorised = self.schur.matrix(factorised)
+        self._set_operators(factorised)
         for _ in range(LIMIT):
             with self.options.database(self.options.prefix):
                 if self.schur is not None:
@@ -268,9 +280,15 @@ class Preconditioner:
             if self.options[WORKSPACE] != str(twice):
                 break  # the user's options database takes precedence
             self._reset()  # a failed factor cannot be used again
-            self.ksp.setOperators(self.operator.matrix, self.operator.factorised)
+            self._set_operators(factorised)
             counts.symbolic += 1
         self.pc.setReusePreconditioner(True)
+
+    def _set_operators(self, factorised: PETSc.Mat) -> None:
+        """Set what the KSP solves with, and what the PC factorises."""
+        self.ksp.setOperators(self.operator.matrix, factorised)
+        if self.schur is not None and self.schur.product is not None:
+            self.pc.setOperators(factorised)
 
     def _reset(self) -> None:
         """Free a factorisation."""

@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: MIT
 """A factorisation by MUMPS that leaves some unknowns for last: their Schur complement is dense.
 
-With bounded unknowns B last, A is factorised up to S = A_BB - A_BI A_II^-1 A_IB. Which of them are
-held concerns S alone, so that one factorisation serves all active sets, each for a Cholesky
-factorisation of order k = |B|. Numeric factorisation and solve cost 1.0 to 1.1 of those without
-(5 and 47 thousand unknowns with k = 51 and 133; 1.5 and 1.1 at 182 thousand, k = 209). The analysis
-takes half the time and less, since MUMPS then orders by minimum degrees.
+With unknowns G last, A is factorised up to S = A_GG - A_GI A_II^-1 A_IG. Which of them are held
+concerns S alone, so that one factorisation serves all active sets. Numeric factorisation and solve
+cost 1.0 to 1.1 of those without (5 and 47 thousand unknowns with 51 and 133 in G; 1.5 and 1.1 at
+182 thousand, 209). The analysis takes half the time and less, since MUMPS then orders by minimum
+degrees.
+
+If A = T^T K T with T = I + C, and C in G x G, it is K that is factorised, and T^T S T the Schur
+complement of A: then one factorisation serves all geometries, too, and A is never formed. G are
+the unknowns of both sides: 784 of 50 thousand, where numeric factorisation and solve take 117 and
+17 ms, those of A 116 and 17, its analysis 29 and 204, and the product T^T K T 14 in each geometry.
 
 PETSc has this on one rank only, and petsc4py 3.22 does not wrap it.
 """
@@ -13,13 +18,17 @@ PETSc has this on one rank only, and petsc4py 3.22 does not wrap it.
 from __future__ import annotations
 
 import ctypes
+from dataclasses import dataclass
 
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.linalg import cho_factor
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, lapack, solve_triangular
+from scipy.sparse import csr_array, eye_array
+from scipy.sparse.linalg import SuperLU, splu
 
-from dolfinx_mortar.arrays import EPS, Floats, Ints
+from dolfinx_mortar.algebra.congruence import CongruentOperator, decouple
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Ints
 from dolfinx_mortar.qp.bound_qp import BoundQP
 from dolfinx_mortar.qp.options import SolverOptions
 
@@ -38,17 +47,53 @@ def _call(name: str, *arguments: object) -> None:
 def set_apart(qp: BoundQP, options: SolverOptions) -> Ints | None:
     """Return the unknowns that a factorisation may leave for last; None for an ordinary one.
 
-    These are the bounded ones, ascending, on one rank, without friction (which holds others, too),
-    if S has no more entries than A, and if PETSc's library shows the function.
+    These are the bounded ones, and those of C if A is a product, ascending, on one rank, without
+    friction (which holds others, too), if S has no more entries than A, and if PETSc's library
+    shows the function.
     """
+    if qp.friction is not None or not qp.definite:
+        return None
+    if qp.product is not None:
+        return interface_unknowns(qp.product.K, qp.product.C, options)
+    return _few(qp.A, np.sort(qp.bounded), options)
+
+
+def interface_unknowns(K: PETSc.Mat, C: PETSc.Mat | None, options: SolverOptions) -> Ints | None:
+    """Return the unknowns of C, if (I + C)^T K (I + C) need not be formed; see `set_apart`."""
+    if C is None or C.comm.size > 1:
+        return None
+    indptr, columns, _ = C.getValuesCSR()
+    both = np.union1d(np.flatnonzero(np.diff(indptr)), columns)
+    return _few(K, both.astype(np.int32), options, 2)
+
+
+def _few(A: PETSc.Mat, unknowns: Ints, options: SolverOptions, share: int = 1) -> Ints | None:
+    """Return these unknowns of a matrix if they may be left for last."""
     if not hasattr(_lib, "MatFactorSetSchurIS"):  # a petsc4py that hides its symbols
         return None
-    k = qp.bounded.size
     mumps = options["pc_type"] == "cholesky" and options["pc_factor_mat_solver_type"] == "mumps"
-    serial = qp.comm.size == 1 and qp.definite and qp.friction is None
-    if not (serial and mumps and 0 < k < qp.A.getSize()[0]):
+    few = A.comm.size == 1 and 0 < unknowns.size < A.getSize()[0]
+    if not (mumps and few and A.getType() == "seqaij"):
         return None
-    return np.sort(qp.bounded) if k**2 <= qp.A.getInfo()["nz_used"] else None
+    return unknowns if unknowns.size**2 <= share * A.getInfo()["nz_used"] else None
+
+
+@dataclass(frozen=True)
+class _Basis:
+    """T on G, and rows of T^-1 times the inverse of S, from which all sets of held unknowns follow.
+
+    With S of K definite and R its inverse, those of y that are held, w = N u, leave
+
+        R - (N R)^T (N R N^T)^-1 N R,
+
+    and (N R N^T)^-1 is the Schur complement of A on them.
+    """
+
+    T: csr_array | None  # (k, k), None for 1
+    inverse: SuperLU | None
+    known: Ints  # places in G (m,) of which there are rows
+    NR: Floats  # (m, k)
+    NRN: Floats  # (m, m)
 
 
 class SchurComplement:
@@ -56,19 +101,56 @@ class SchurComplement:
 
     Args:
         unknowns: (k,) of the matrix, ascending.
+        bounded: those of them that may be held, ascending.
+        product: the matrix, if K is factorised in its place.
 
     Attributes:
-        unknowns: as above.
-        S: (k, k) symmetric, of the last factorisation.
+        unknowns, bounded: as above.
         prepared: whether the PC knows of it.
+        S: (k, k) symmetric, of the last factorisation.
+        R: (k, k) its inverse; None where only contact holds a body.
     """
 
-    def __init__(self, unknowns: Ints) -> None:
+    def __init__(
+        self, unknowns: Ints, bounded: Ints, product: CongruentOperator | None = None
+    ) -> None:
         """Store the unknowns."""
-        self.unknowns = unknowns
-        self.S: Floats = np.zeros((0, 0))
+        self.unknowns, self.bounded, self.product = unknowns, bounded, product
+        self.R: Floats | None = None
         self.prepared = False
+        self.S: Floats = np.zeros((0, 0))
+        self._basis: _Basis | None = None
+        self._state = -1  # of the product
         self._held: Ints | None = None
+        self._elsewhere: Ints = np.empty(0, dtype=np.int32)  # unknowns decoupled in K
+        self._K: PETSc.Mat | None = None
+
+    # -- the factorisation -----------------------------------------------------------------------
+
+    def state(self, A: PETSc.Mat) -> int:
+        """Return a number that changes with the values of what is factorised; -1 if that is old."""
+        if self.product is None:
+            return int(A.stateGet())
+        same = self._K is None or np.array_equal(self._elsewhere, self._decoupled_elsewhere())
+        return int(self.product.K.stateGet()) if same else -1
+
+    def matrix(self, A: PETSc.Mat) -> PETSc.Mat:
+        """Return the matrix to be factorised."""
+        if self.product is None:
+            return A
+        if self._K is None:
+            self._K = self.product.K.duplicate(copy=True)
+            self._K.setOption(PETSc.Mat.Option.SPD, True)
+            self._K.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        else:
+            self.product.K.copy(self._K, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        self._elsewhere = self._decoupled_elsewhere()
+        decouple(self._K, self._elsewhere)
+        return self._K
+
+    def _decoupled_elsewhere(self) -> Ints:
+        assert self.product is not None
+        return np.setdiff1d(self.product.decoupled, self.unknowns)
 
     def prepare(self, pc: PETSc.PC) -> None:
         """Leave the unknowns for last in the first factorisation of a PC."""
@@ -85,7 +167,78 @@ class SchurComplement:
         with _Entries(pc, self.unknowns.size) as entries:
             lower = np.tril(entries)  # all that MUMPS gives
             self.S = lower + np.tril(lower, -1).T
-        self._held = None
+        self._held = self._basis = self.R = None
+        factor, failed = lapack.dpotrf(self.S, lower=True)
+        pivots = np.diag(factor) ** 2
+        if not failed and (pivots > HALF_OF_DIGITS * np.diag(self.S)).all():
+            lower, failed = lapack.dpotri(factor, lower=True)
+            self.R = np.tril(lower) + np.tril(lower, -1).T
+
+    def destroy(self) -> None:
+        """Free the copy of K."""
+        if self._K is not None:
+            self._K.destroy()
+
+    # -- in the unknowns of A --------------------------------------------------------------------
+
+    @property
+    def basis(self) -> _Basis:
+        """T and what follows from it, at present."""
+        state = -1 if self.product is None else int(self.product.matrix.stateGet())
+        if self._basis is None or state != self._state:
+            self._basis, self._state, self._held = self._transformed(), state, None
+        return self._basis
+
+    def _transformed(self) -> _Basis:
+        k, T, inverse = self.unknowns.size, None, None
+        known, nothing = self._places(self.bounded), np.zeros((0, 0))
+        if self.product is not None and self.product.C is not None:
+            indptr, columns, values = self.product.C.getValuesCSR()
+            places = np.searchsorted(self.unknowns, columns)
+            rows = np.concatenate([indptr[self.unknowns], indptr[-1:]])
+            C = csr_array((values, places, rows), shape=(k, k))
+            T = C + eye_array(k, format="csr")
+            inverse = splu(T.tocsc())
+        if self.R is None:
+            return _Basis(T, inverse, known, nothing, nothing)
+        units = np.zeros((k, known.size))
+        units[known, np.arange(known.size)] = 1.0
+        N = csr_array((units if inverse is None else inverse.solve(units, "T")).T)
+        NR = N @ self.R
+        return _Basis(T, inverse, known, NR, N @ NR.T)
+
+    def _places(self, held: Ints) -> Ints:
+        """Return where in G these unknowns are, and those that are decoupled."""
+        all_held = held if self.product is None else np.union1d(held, self.product.decoupled)
+        return np.flatnonzero(np.isin(self.unknowns, all_held)).astype(np.int32)
+
+    def model(self) -> Floats:
+        """Return the Schur complement of A on the bounded unknowns (m, m).
+
+        Raises:
+            LinAlgError: if A is not positive definite with them held.
+        """
+        on = self._places(self.bounded)
+        out = np.isin(self.unknowns[on], self.bounded)
+        if self.R is not None:
+            return np.asarray(_inverse(self.basis.NRN)[np.ix_(out, out)])
+        S = self._transform(self.S, transposed=True)
+        rest = np.setdiff1d(np.arange(self.unknowns.size), on)
+        on = on[out]
+        inner = S[np.ix_(on, on)]
+        if not rest.size:
+            return np.asarray(inner)
+        coupling = S[np.ix_(rest, on)]
+        factor = cho_factor(S[np.ix_(rest, rest)])
+        return np.asarray(inner - coupling.T @ cho_solve(factor, coupling))
+
+    def _transform(self, M: Floats, *, transposed: bool = False) -> Floats:
+        """Return T M T^T, or T^T M T, for symmetric M (k, k)."""
+        T = self.basis.T
+        if T is None:
+            return M
+        left = T.T.tocsr() if transposed else T
+        return np.asarray(left @ (left @ M).T)
 
     def hold(self, pc: PETSc.PC, held: Ints) -> None:
         """Hold these of the unknowns in the next solves: x = 0 there.
@@ -93,20 +246,69 @@ class SchurComplement:
         Raises:
             LinAlgError: if S without them is not positive definite.
         """
+        basis = self.basis
         if self._held is not None and np.array_equal(self._held, held):
             return
-        on = np.isin(self.unknowns, held)
-        free = ~on
-        cho_factor(self.S[np.ix_(free, free)])  # PETSc would stop in the solve
-        changed = np.where(on[:, None] | on, 0.0, self.S)
-        changed[on, on] = np.abs(np.diag(self.S)).max() / EPS**2  # x = 0 up to round-off
+        places = self._places(held)
+        if self.R is not None:
+            on = np.isin(basis.known, places)
+            factor = np.linalg.cholesky(basis.NRN[np.ix_(on, on)])
+            part = solve_triangular(factor, basis.NR[on], lower=True) if on.any() else basis.NR[on]
+            inverse = self.R - part.T @ part
+        else:
+            S = self._transform(self.S, transposed=True)
+            free, inverse = np.setdiff1d(np.arange(self.unknowns.size), places), np.zeros_like(S)
+            if free.size:
+                inverse[np.ix_(free, free)] = _inverse(S[np.ix_(free, free)])
+            inverse = self._transform(inverse)
         with _Entries(pc, self.unknowns.size) as entries:
-            entries[:] = changed
+            entries[:] = inverse
         self._held = held.copy()
+
+    # -- the PC ----------------------------------------------------------------------------------
+
+    def solver(self, pc: PETSc.PC) -> PETSc.PC:
+        """Return a PC that applies A^-1 by the factorisation, itself unless A is a product."""
+        if self.product is None:
+            return pc
+        return PETSc.PC().createPython(_Product(self, pc), comm=pc.comm)
+
+
+def _inverse(M: Floats) -> Floats:
+    """Return the inverse of a symmetric positive definite matrix.
+
+    Raises:
+        LinAlgError: for others.
+    """
+    lower, info = lapack.dpotri(cho_factor(M, lower=True)[0], lower=True)
+    if info:
+        raise LinAlgError("the matrix is singular")
+    return np.asarray(np.tril(lower) + np.tril(lower, -1).T)
+
+
+class _Product:
+    """Context of a PC of type python: T^-1 K^-1 T^-T with held unknowns."""
+
+    def __init__(self, schur: SchurComplement, pc: PETSc.PC) -> None:
+        self.schur, self.pc = schur, pc
+
+    def apply(self, pc: PETSc.PC, r: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Set y = A^-1 r (called by PETSc)."""
+        schur, product = self.schur, self.schur.product
+        assert product is not None
+        G, out, basis = schur.unknowns, product.decoupled, schur.basis
+        f = r.copy()
+        f.array[out] = 0.0
+        if basis.inverse is not None:
+            f.array[G] = basis.inverse.solve(f.array_r[G], "T")
+        self.pc.apply(f, y)
+        if basis.inverse is not None:
+            y.array[G] = basis.inverse.solve(y.array_r[G])
+        y.array[out] = r.array_r[out] / product.scale
 
 
 class _Entries:
-    """The entries (k, k) of S in a factorisation, which factorises them anew afterwards."""
+    """The entries (k, k) of S in a factorisation, which then takes them for its inverse."""
 
     def __init__(self, pc: PETSc.PC, k: int) -> None:
         self.factor, self.k = ctypes.c_void_p(pc.getFactorMatrix().handle), k
@@ -120,5 +322,5 @@ class _Entries:
 
     def __exit__(self, *_: object) -> None:
         _call("MatDenseRestoreArray", self.S, _at(self.first))
-        unfactored = 0  # MAT_FACTOR_SCHUR_UNFACTORED
-        _call("MatFactorRestoreSchurComplement", self.factor, _at(self.S), unfactored)
+        inverted = 2  # MAT_FACTOR_SCHUR_INVERTED
+        _call("MatFactorRestoreSchurComplement", self.factor, _at(self.S), inverted)

@@ -99,7 +99,12 @@ def solve(
     before = replace(linear.counts)
     try:
         apart = set_apart(qp, linear.options) if backend == ACTIVE_SET else None
-        linear.set_matrix(qp.A, definite=qp.definite, apart=apart)
+        if apart is None and qp.product is not None:  # another method needs the matrix itself
+            qp = replace(qp, A=qp.A.duplicate(copy=True), product=None)
+        bounded = np.sort(qp.bounded)
+        linear.set_matrix(
+            qp.A, definite=qp.definite, apart=apart, product=qp.product, bounded=bounded
+        )
         if backend == INTERIOR_POINT:
             solution = interior_point.solve(qp, linear, rtol=rtol)
         else:
