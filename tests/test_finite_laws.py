@@ -45,6 +45,22 @@ class Cubic(dm.Material):
 
 
 @dataclass(frozen=True)
+class Bare(dm.Material):
+    """A user's law without parameters."""
+
+    state: ClassVar = {}
+    linear: ClassVar = True
+
+    @staticmethod
+    def elastic_stress(strain, p):
+        return 100.0 * strain
+
+    @staticmethod
+    def energy(strain, state, p):
+        return 50.0 * ufl.inner(strain, strain)
+
+
+@dataclass(frozen=True)
 class Turning(Compiled):
     """A user's law of arrays that says that it is isotropic."""
 
@@ -63,6 +79,7 @@ LAWS = {
     "mixed": MIXED,
     "wood": WOOD,
     "user": Cubic(E, 1e5),
+    "bare": Bare(),
     "arrays": Compiled(E, NU, Y, 500.0),
     "turning arrays": Turning(E, NU, Y, 0.0),
 }
@@ -180,7 +197,7 @@ def test_tiny_strains_keep_their_digits():
     law = compiled(LAWS["elastic"])
     H = 1e-12 * np.random.default_rng(8).standard_normal((2, 3, 3))
     P, A, psi = np.empty((2, 9)), np.empty((2, 45)), np.empty(2)
-    start = law.start({}, {"E": np.full(2, E), "nu": np.full(2, NU)})
+    start = law.start(2, {}, {"E": np.full(2, E), "nu": np.full(2, NU)})
     law.respond(start, H, P, A, psi)
     e = (H + H.transpose(0, 2, 1)) / 2
     mu, lam = E / (2 * (1 + NU)), E * NU / ((1 + NU) * (1 - 2 * NU))
@@ -248,7 +265,7 @@ def test_lost_stress_is_told():
         F = IDENTITY + gamma * np.array([[[0.0, 1, 0], [0, 0, 0], [0, 0, 0]]])
         p = {field.name: np.full(1, getattr(law, field.name)) for field in dataclasses.fields(law)}
         state = {"plastic_strain": np.zeros((1, 3, 3))} if state is None else state
-        start = compiled(law).start(state, p)
+        start = compiled(law).start(1, state, p)
         lost = compiled(law).stress_lost(start, F - IDENTITY)[0]
         found = respond(law, F, state)
         tau = found.stress[0] @ F[0].T

@@ -37,6 +37,7 @@ from dolfinx_mortar.materials import logarithms
 from dolfinx_mortar.materials.compiled import Kernel, compile_kernel, constants, tabulate
 from dolfinx_mortar.materials.finite_law import FiniteValues
 from dolfinx_mortar.materials.protocol import PLASTIC, Law
+from dolfinx_mortar.materials.ranges import grouped, ungrouped
 from dolfinx_mortar.materials.response import PointValues, Response, respond, values_at_points
 from dolfinx_mortar.materials.tensor import (
     GRADIENT,
@@ -100,18 +101,19 @@ class LogarithmicLaw:
         self._vectors = np.empty((2, CHUNK, 3))
         self._tensors = np.empty((3, CHUNK, 3, 3))
 
-    def start(self, state: Mapping[str, Floats], parameters: Mapping[str, Floats]) -> Start:
+    def start(self, q: int, state: Mapping[str, Floats], parameters: Mapping[str, Floats]) -> Start:
         """Return what does not change in a step, of the committed state and the parameters.
 
         Args:
+            q: number of points.
             state: by name, (q,) or (q, 3, 3).
-            parameters: by name, (q,).
+            parameters: by name, (q,); those of a tuple as name[0], name[1] ..
         """
         roots = None
         if self.multiplicative and PLASTIC in self.law.state:
             roots = np.empty_like(state[PLASTIC])
             logarithms.roots(state[PLASTIC], roots)
-        return Start(state, parameters, roots, self._inner.numbers(state, parameters))
+        return Start(state, parameters, roots, self._inner.numbers(q, state, parameters))
 
     def respond(self, start: Start, H: Floats, P: Floats, A: Floats, psi: Floats) -> None:
         """Fill stress, tangent and potential at q points.
@@ -159,7 +161,7 @@ class LogarithmicLaw:
         q, k = len(F), len(self.components)
         H = np.ascontiguousarray(F - np.eye(3))
         P, A, psi = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.empty(q)
-        start = self.start(state, parameters)
+        start = self.start(q, state, parameters)
         self.respond(start, H, P, A, psi)
         stress, tangent = np.zeros((q, 3, 3)), np.zeros((q, 3, 3, 3, 3))
         for n, entry in enumerate(self.components):
@@ -172,7 +174,7 @@ class LogarithmicLaw:
 
     def evaluate(self, F: Floats, state: Mapping[str, Floats], p: SimpleNamespace) -> FiniteValues:
         """Return `values` as a `finite_law.FiniteLaw` does."""
-        return self.values(F, state, vars(p))
+        return self.values(F, state, ungrouped(p))
 
     def stress_lost(self, start: Start, H: Floats) -> Floats:
         """Return by how much, relative to it, Kirchhoff's stress is below that of the law (q,).
@@ -229,10 +231,11 @@ class _InUFL:
         self._moduli = jit(ufl.as_vector(answers))
         self._state = jit(ufl.as_vector(new)) if new else None
 
-    def numbers(self, state: Mapping[str, Floats], parameters: Mapping[str, Floats]) -> Floats:
+    def numbers(
+        self, q: int, state: Mapping[str, Floats], parameters: Mapping[str, Floats]
+    ) -> Floats:
         """Return the arguments (q, n): strain, internal variables, parameters."""
-        given = [*state.values(), *parameters.values()]
-        columns: list[Floats] = [np.zeros((len(given[0]) if given else 0, self._width))]
+        columns: list[Floats] = [np.zeros((q, self._width))]
         for name, shape in self._memory.items():
             columns.append(stored(state[name], self._size) if shape else state[name][:, None])
         columns += [parameters[name][:, None] for name in self._names]
@@ -273,7 +276,7 @@ class _InUFL:
         for (name, shape), size in zip(self._memory.items(), sizes, strict=True):
             parts = [next(rest) for _ in range(size)]
             state[name] = from_components(ufl.as_vector(parts)) if shape else parts[0]
-        p = SimpleNamespace(**{name: next(rest) for name in self._names})
+        p = grouped({name: next(rest) for name in self._names})
         if not self._law.isotropic:
             return respond(self._law, from_components(ufl.as_vector(e)), state, p)
         if PLASTIC in self._law.state:
@@ -310,7 +313,9 @@ class _OfArrays:
         """Keep the law: there is nothing to compile."""
         self._law, self._size = law, size
 
-    def numbers(self, state: Mapping[str, Floats], parameters: Mapping[str, Floats]) -> Floats:
+    def numbers(
+        self, q: int, state: Mapping[str, Floats], parameters: Mapping[str, Floats]
+    ) -> Floats:
         """Return nothing: the law gets the arrays themselves."""
         return np.empty((0, 0))
 
@@ -337,7 +342,7 @@ class _OfArrays:
     def _values(self, start: Start, some: slice, logs: Floats, N: Floats) -> PointValues:
         """Ask the law."""
         state = {name: values[some] for name, values in start.state.items()}
-        p = SimpleNamespace(**{name: values[some] for name, values in start.parameters.items()})
+        p = grouped({name: values[some] for name, values in start.parameters.items()})
         strain = np.zeros((len(logs), 3, 3))
         if self._law.isotropic:
             strain[:, range(3), range(3)] = logs
