@@ -138,13 +138,13 @@ def differences(material: Any, F: np.ndarray, state: Any, h: float) -> tuple[Any
     return P, A
 
 
-@pytest.mark.parametrize("J", [0.3, 1.0, 3.0])
 @pytest.mark.parametrize("gap", [0.0, 1e-12, 1e-7, 1e-3, 0.1, None])
 @pytest.mark.parametrize("name", LAWS)
-def test_stress_and_tangent_are_derivatives(name, gap, J):
+def test_stress_and_tangent_are_derivatives(name, gap):
     """In elastic and plastic flow, from a state that has flowed, with coincident stretches, too."""
     material = LAWS[name]
-    F, state = stretched(gap, J), flowed(material)
+    F = np.concatenate([stretched(gap, J) for J in (0.3, 1.0, 3.0)])
+    state = flowed(material, len(F))
     found = respond(material, F, state)
     P, A = differences(material, F, state, 3e-4)
     scale = np.abs(found.tangent).max()
@@ -205,7 +205,7 @@ def test_tiny_strains_keep_their_digits():
     assert np.abs(P.reshape(2, 3, 3) - wanted).max() < 1e-11 * np.abs(wanted).max()
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", ["hardening", "mixed", "wood"])
 def test_the_plane_is_a_section_of_space(name):
     material = dataclasses.replace(WOOD, pitch=0.0, roll=0.0) if name == "wood" else LAWS[name]
     F = np.tile(IDENTITY, (4, 1, 1))
