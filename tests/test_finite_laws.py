@@ -305,7 +305,7 @@ def test_flow_keeps_volume_and_what_does_not_flow_keeps_its_state():
         F = stretched(None, 1.0, seed=seed)
         state = respond(HARDENING, F, state).state
     plastic = state["plastic_strain"]
-    assert np.abs(plastic).max() > 0.5
+    assert np.abs(plastic).max() > 0.3
     assert np.abs(np.trace(plastic, axis1=1, axis2=2)).max() < 1e-13
     # unloaded as far as the yield surface allows, nothing changes to the last bit
     again = respond(dataclasses.replace(HARDENING, Y=1e9), F, state).state
