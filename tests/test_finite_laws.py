@@ -75,6 +75,7 @@ LAWS = {
     "elastic": dm.Elastic(E, NU),
     "hardening": HARDENING,
     "voce": dm.VonMisesVoce(E, NU, Y, 0.0, 1000.0, 80.0, 20.0),
+    "voce mixed": dm.VonMisesVoce(E, NU, Y, 500.0, 1000.0, 80.0, 20.0),
     "cone": dm.DruckerPrager(E, NU, Y, 0.4),
     "mixed": MIXED,
     "wood": WOOD,
