@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: MIT
+"""Laws of the deformation gradient: closed forms, differences at large F, rotations."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx_mortar.materials.finite_comparison import law_at_points
+from dolfinx_mortar.materials.protocol import create_law
+from tests.pressed_blocks import rejected
+
+NEO_HOOKE = dm.NeoHooke(200.0, 0.3)
+MOONEY = dm.MooneyRivlin(0.293, 0.177, 14.0)
+OGDEN = dm.Ogden(mu=(0.63, 0.0012, -0.01), alpha=(1.3, 5.0, -2.0), K=10.0)
+
+
+@dataclass(frozen=True)
+class Arrays(dm.materials.PointwiseLaw):
+    """The neo-Hookean law by arrays; a user's."""
+
+    E: float
+    nu: float
+    strain: ClassVar[str] = "finite"
+    elastic_stress = staticmethod(dm.Elastic.elastic_stress)
+
+    @staticmethod
+    def moduli(p):
+        return p.E / 2 / (1 + p.nu), p.E * p.nu / (1 + p.nu) / (1 - 2 * p.nu)
+
+    @staticmethod
+    def energy(F, state, p):
+        (mu, lam), log_J = Arrays.moduli(p), np.log(np.linalg.det(F))
+        return mu / 2 * (np.einsum("qij,qij->q", F, F) - 3 - 2 * log_J) + lam / 2 * log_J**2
+
+    @staticmethod
+    def update(F, state, p):
+        mu, lam = (m[:, None, None] for m in Arrays.moduli(p))
+        G, log_J = np.linalg.inv(F).transpose(0, 2, 1), np.log(np.linalg.det(F))[:, None, None]
+        swap = (mu - lam * log_J)[..., None, None] * np.einsum("qil,qkj->qijkl", G, G)
+        tangent = mu[..., None, None] * np.einsum("ik,jl->ijkl", np.eye(3), np.eye(3)) + swap
+        tangent = tangent + lam[..., None, None] * np.einsum("qij,qkl->qijkl", G, G)
+        return mu * (F - G) + lam * log_J * G, tangent, {}
+
+
+@dataclass(frozen=True)
+class Unturned(dm.materials.Material):
+    """An energy of F that sees rotations, which no body may have."""
+
+    E: float
+    state: ClassVar[Mapping[str, tuple[int, ...]]] = {}
+    linear: ClassVar[bool] = False
+    strain: ClassVar[str] = "finite"
+
+    @staticmethod
+    def elastic_stress(strain, p):
+        return p.E * strain
+
+    @staticmethod
+    def energy(F, state, p):
+        H = F - ufl.Identity(3)
+        return p.E / 2 * ufl.inner(H, H)
+
+
+@pytest.mark.parametrize("law", [NEO_HOOKE, MOONEY, OGDEN, Arrays(200.0, 0.3)], ids=repr)
+def test_a_law_fits_its_energy_at_any_stretch(law):
+    """Stretches from .3 to 3 and J from .3 to 3, pairs of them equal: differences to 1e-9."""
+    found = dm.materials.check(law)
+    assert found.energy_error < 1e-9 and found.tangent_error < 1e-9
+    assert found.objectivity_error < 1e-12 and found.skew < 1e-12
+
+
+def test_an_energy_that_sees_rotations_is_refused():
+    with rejected("Unturned", "a rotation"):
+        dm.materials.check(Unturned(1.0))
+
+
+@dataclass(frozen=True)
+class Off(Arrays):
+    """With a tangent that is wrong by 1 percent."""
+
+    @staticmethod
+    def update(F, state, p):
+        P, tangent, new = Arrays.update(F, state, p)
+        return P, 1.01 * tangent, new
+
+
+def test_a_wrong_tangent_is_found():
+    with rejected("Off", "dP/dF"):
+        dm.materials.check(Off(200.0, 0.3))
+
+
+def stress_of(law, stretches):
+    """Return P (3,) of principal stretches, as the law gives it, and the largest of the rest."""
+    at, _, _ = law_at_points(law, create_law("law", law))
+    P = at(np.diag(stretches), {}).stress
+    return np.diag(P), np.abs(P - np.diag(np.diag(P))).max()
+
+
+@pytest.mark.parametrize("l3", [0.6, 0.9, 1.7])
+def test_stresses_in_closed_form(l3):
+    """P_a = d psi / d lambda_a of the energies in principal stretches."""
+    a = np.array([1.7, 0.9, l3])
+    J, mean = a.prod(), (a**2).mean()
+    mu, lam = 200 / 2.6, 60 / (1.3 * 0.4)
+    neo = mu * (a - 1 / a) + lam * np.log(J) / a
+    volume = (J - 1) * J / a
+    second = (a**2).sum() * a**2 - a**4  # lambda_a dI2/d lambda_a / 2, without J
+    I2 = ((a**2).sum() ** 2 - (a**4).sum()) / 2
+    mooney = 2 * 0.293 * J ** (-2 / 3) * (a**2 - mean) / a
+    mooney += 2 * 0.177 * J ** (-4 / 3) * (second - 2 * I2 / 3) / a + 14.0 * volume
+    ogden = 10.0 * volume
+    for m, alpha in zip(OGDEN.mu, OGDEN.alpha, strict=True):
+        power = (a / np.cbrt(J)) ** alpha
+        ogden = ogden + m * (power - power.mean()) / a
+    for law, wanted in ((NEO_HOOKE, neo), (MOONEY, mooney), (OGDEN, ogden)):
+        found, rest = stress_of(law, a)
+        np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-12 * abs(wanted).max())
+        assert rest < 1e-13 * abs(wanted).max()
+
+
+def test_one_law_by_another():
+    """Ogden's with alpha = 2 and -2 is Mooney and Rivlin's, with mu = 2 C10 and -2 C01."""
+    ogden = dm.Ogden(mu=(2 * 0.293, -2 * 0.177), alpha=(2.0, -2.0), K=14.0)
+    at, _, _ = law_at_points(ogden, create_law("law", ogden))
+    other, _, _ = law_at_points(MOONEY, create_law("law", MOONEY))
+    F = np.eye(3) + 0.4 * np.random.default_rng(3).uniform(-1, 1, (3, 3))
+    one, two = at(F, {}), other(F, {})
+    assert np.allclose(one.stress, two.stress, rtol=1e-12)
+    assert np.allclose(one.tangent, two.tangent, rtol=0, atol=1e-12 * abs(two.tangent).max())
+    assert np.isclose(one.energy, two.energy, rtol=1e-12)
+
+
+def test_parameters_that_make_no_rubber():
+    with rejected("Ogden", "one length"):
+        dm.Ogden(mu=(1.0,), alpha=(2.0, 3.0), K=1.0)
+    with rejected("Ogden", "mu * alpha > 0"):
+        dm.Ogden(mu=(1.0,), alpha=(-2.0,), K=1.0)
+    with rejected("MooneyRivlin", "C10 + C01 > 0"):
+        dm.MooneyRivlin(0.1, -0.2, 1.0)
+    with rejected("NeoHooke", "nu"):
+        dm.NeoHooke(1.0, 0.5)
+
+
+def test_points_without_a_body():
+    """Laws of arrays take no points, as ranks may have none."""
+    p = SimpleNamespace(mu=(np.zeros(0),), alpha=(np.zeros(0),), K=np.zeros(0))
+    P, A, _ = dm.Ogden.update(np.zeros((0, 3, 3)), {}, p)
+    assert P.shape == (0, 3, 3) and A.shape == (0, 3, 3, 3, 3)
