@@ -208,12 +208,12 @@ def test_an_unstable_balance_is_told():
 def test_limit_points_pass_under_displacement_control():
     """A shallow arch, pressed down through its flat shape: the force falls and rises again."""
     domain = mesh.create_rectangle(
-        COMM, [(-1.0, 0.0), (1.0, 0.05)], (24, 2), mesh.CellType.quadrilateral
+        COMM, [(-1.0, 0.0), (1.0, 0.05)], (24, 1), mesh.CellType.quadrilateral
     )
     x = domain.geometry.x
     x[:, 1] += 0.1 * np.cos(np.pi * x[:, 0] / 2)
-    u = create_displacement(domain)
-    V, down = u.function_space, fem.Constant(domain, default_scalar_type(0.0))
+    V = fem.functionspace(domain, ("Lagrange", 2, (2,)))
+    u, down = fem.Function(V), fem.Constant(domain, default_scalar_type(0.0))
     ends = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(abs(x[0]), 1.0))
     zero = np.zeros(2, dtype=default_scalar_type)
     held = fem.locate_dofs_topological(V, 1, ends)
@@ -225,7 +225,7 @@ def test_limit_points_pass_under_displacement_control():
     solid = dm.Solid(u, RUBBER, strain="finite")
     problem = dm.ContactProblem(solid, [], bcs=bcs)
     forces = []
-    for depth in (0.03, 0.06, 0.11, 0.2):
+    for depth in (0.03, 0.06, 0.1, 0.2):
         down.value = -depth
         dm.newton(problem)
         problem.commit()

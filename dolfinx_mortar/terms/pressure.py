@@ -52,6 +52,9 @@ class Pressure(WeakForm):
         domain = solid.mesh
         if not isinstance(facet_tags, MeshTags) or not on_same_mesh(facet_tags, domain):
             raise ValueError("Pressure: facet_tags must be tags of the facets of the solid's mesh")
+        if facet_tags.dim != domain.topology.dim - 1:
+            raise ValueError(f"Pressure: facet_tags tag entities of dimension {facet_tags.dim}")
+        domain.topology.create_entities(facet_tags.dim)
         check_entities("facet_tags", facet_tags)
         number = tag_of(facet_tags, tag, "tag")
         check_tag("tag", number)
