@@ -37,6 +37,7 @@ from dolfinx_mortar.steps.load_steps import load_steps
 from dolfinx_mortar.steps.newton import newton
 from dolfinx_mortar.steps.preload import Preload, PreloadNotReached, preload
 from dolfinx_mortar.tags import Tags
+from dolfinx_mortar.terms.pressure import Pressure
 from dolfinx_mortar.terms.weak_forms import WeakForm
 
 __version__ = "0.1.0"
@@ -56,6 +57,7 @@ __all__ = [
     "Orthotropic",
     "Preload",
     "PreloadNotReached",
+    "Pressure",
     "QPNotSolved",
     "Reaction",
     "Solid",

@@ -19,7 +19,8 @@ from dolfinx_mortar.materials.tensor import from_components, stored, tensor_of, 
 
 RTOL = 1e-7
 # Of differences of sixth order, over the smallest stretch: errors are near LENGTH^6 and eps/LENGTH.
-LENGTH = 3e-3
+# The second is for laws that yield, where the first goes across a kink.
+LENGTHS = (3e-3, 3e-6)
 WEIGHTS = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
 STRETCHES = (  # before they are scaled to a volume
     *((1.0, 1.0, 1.0), (1.0, 1.0, 2.0), (0.5, 1.0, 1.0), (1.0, 1.0 + 1e-9, 1.5)),
@@ -163,18 +164,22 @@ def compare_at_finite_strain(
         _demand(law, "the response", F, np.isfinite(here.stress).all(), "finite", "NaN")
         scale = max(stiffness, float(np.abs(here.tangent).max()))
         D = rng.uniform(-1.0, 1.0, (3, 3))
-        step = LENGTH * float(np.linalg.svd(F, compute_uv=False).min())
-        points = {k: at(F + k * step * D, state) for m in WEIGHTS for k in (-m, m)}
-        errors = [np.nan, 0.0, 0.0, 0.0]
+        for length in LENGTHS:
+            step = length * float(np.linalg.svd(F, compute_uv=False).min())
+            points = {k: at(F + k * step * D, state) for m in WEIGHTS for k in (-m, m)}
+            slope = _difference({k: point.energy for k, point in points.items()}, step)
+            change = _difference({k: point.stress for k, point in points.items()}, step)
+            given, given_change = (here.stress * D).sum(), np.tensordot(here.tangent, D)
+            errors = [
+                abs(slope - given) / scale,
+                float(np.abs(change - given_change).max()) / scale,
+            ]
+            if np.nanmax(errors) <= RTOL:
+                break
         if has_energy:
-            energies = {k: point.energy for k, point in points.items()}
-            slope, given = _difference(energies, step), float((here.stress * D).sum())
-            errors[0] = abs(slope - given) / scale
             _demand(law, "P : D", F, errors[0] <= RTOL, given, slope)
-        change = _difference({k: point.stress for k, point in points.items()}, step)
-        given_change = np.einsum("ijkl,kl->ij", here.tangent, D)
-        errors[1] = float(np.abs(change - given_change).max()) / scale
         _demand(law, "dP/dF : D", F, errors[1] <= RTOL, given_change, change)
+        errors += [0.0, 0.0]
         Q = rotation(rng)
         turned = at(Q @ F, state)
         off = [np.abs(turned.stress - Q @ here.stress).max()]

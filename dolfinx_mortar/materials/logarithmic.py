@@ -37,6 +37,7 @@ from dolfinx_mortar.materials import logarithms
 from dolfinx_mortar.materials.compiled import Kernel, compile_kernel, constants, tabulate
 from dolfinx_mortar.materials.finite_law import FiniteValues
 from dolfinx_mortar.materials.protocol import PLASTIC, Law
+from dolfinx_mortar.materials.ranges import grouped, ungrouped
 from dolfinx_mortar.materials.response import PointValues, Response, respond, values_at_points
 from dolfinx_mortar.materials.tensor import (
     GRADIENT,
@@ -100,18 +101,19 @@ class LogarithmicLaw:
         self._vectors = np.empty((2, CHUNK, 3))
         self._tensors = np.empty((3, CHUNK, 3, 3))
 
-    def start(self, state: Mapping[str, Floats], parameters: Mapping[str, Floats]) -> Start:
+    def start(self, q: int, state: Mapping[str, Floats], parameters: Mapping[str, Floats]) -> Start:
         """Return what does not change in a step, of the committed state and the parameters.
 
         Args:
+            q: number of points.
             state: by name, (q,) or (q, 3, 3).
-            parameters: by name, (q,).
+            parameters: by name, (q,); those of a tuple as name[0], name[1] ..
         """
         roots = None
         if self.multiplicative and PLASTIC in self.law.state:
             roots = np.empty_like(state[PLASTIC])
             logarithms.roots(state[PLASTIC], roots)
-        return Start(state, parameters, roots, self._inner.numbers(state, parameters))
+        return Start(state, parameters, roots, self._inner.numbers(q, state, parameters))
 
     def respond(self, start: Start, H: Floats, P: Floats, A: Floats, psi: Floats) -> None:
         """Fill stress, tangent and potential at q points.
@@ -159,7 +161,7 @@ class LogarithmicLaw:
         q, k = len(F), len(self.components)
         H = np.ascontiguousarray(F - np.eye(3))
         P, A, psi = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.empty(q)
-        start = self.start(state, parameters)
+        start = self.start(q, state, parameters)
         self.respond(start, H, P, A, psi)
         stress, tangent = np.zeros((q, 3, 3)), np.zeros((q, 3, 3, 3, 3))
         for n, entry in enumerate(self.components):
@@ -172,7 +174,7 @@ class LogarithmicLaw:
 
     def evaluate(self, F: Floats, state: Mapping[str, Floats], p: SimpleNamespace) -> FiniteValues:
         """Return `values` as a `finite_law.FiniteLaw` does."""
-        return self.values(F, state, vars(p))
+        return self.values(F, state, ungrouped(p))
 
     def stress_lost(self, start: Start, H: Floats) -> Floats:
         """Return by how much, relative to it, Kirchhoff's stress is below that of the law (q,).
@@ -207,7 +209,9 @@ def _chunks(q: int) -> list[slice]:
 class _InUFL:
     """A law in UFL, compiled as a function of numbers.
 
-    Of an isotropic law the strain is that in its eigenvectors, three numbers.
+    Of an isotropic law the strain is that in its eigenvectors, three numbers. Laws that state their
+    tangent have solved an equation for it; that in six directions at once takes long to compile (a
+    law of Voce 9 s, so 3 s), and their directions are arguments.
     """
 
     def __init__(
@@ -221,26 +225,42 @@ class _InUFL:
             for name, shape in law.state.items()
             if not (law.isotropic and name == PLASTIC)
         }
-        response = self._response()
+        self._directions = size if law.tangent is not None and not law.isotropic else 0
+        response, along = self._response()
         answers = self._principal(response) if law.isotropic else self._components(response)
+        self._change = None
+        if along is not None:
+            self._change = jit(to_components(response.change(along), size))
         if response.energy is not None:
             answers.append(response.energy)
         new = [part for name in law.state for part in self._new(name, response)]
         self._moduli = jit(ufl.as_vector(answers))
         self._state = jit(ufl.as_vector(new)) if new else None
 
-    def numbers(self, state: Mapping[str, Floats], parameters: Mapping[str, Floats]) -> Floats:
+    def numbers(
+        self, q: int, state: Mapping[str, Floats], parameters: Mapping[str, Floats]
+    ) -> Floats:
         """Return the arguments (q, n): strain, internal variables, parameters."""
-        given = [*state.values(), *parameters.values()]
-        columns: list[Floats] = [np.zeros((len(given[0]) if given else 0, self._width))]
+        columns: list[Floats] = [np.zeros((q, self._width))]
         for name, shape in self._memory.items():
             columns.append(stored(state[name], self._size) if shape else state[name][:, None])
         columns += [parameters[name][:, None] for name in self._names]
+        columns.append(np.zeros((q, self._directions)))
         return np.ascontiguousarray(np.hstack(columns))
 
     def moduli(self, start: Start, some: slice, logs: Floats, N: Floats) -> Floats:
         """Return T and L, see `logarithms`, and psi as the last column if there is a potential."""
-        return tabulate(self._moduli, self._at(start, some, logs, N))
+        numbers, size = self._at(start, some, logs, N), self._size
+        found = tabulate(self._moduli, numbers)
+        if self._change is None:
+            return found
+        L, along = np.empty((len(found), size, size)), numbers[:, -size:]
+        for j in range(size):
+            along[:] = 0.0
+            along[:, j] = 1.0 if j < 3 else 0.5  # entries ij and ji of a tensor whose sum is one
+            L[:, :, j] = tabulate(self._change, numbers)
+        rows, columns = np.triu_indices(size)
+        return np.hstack([found[:, :size], L[:, rows, columns], found[:, size:]])
 
     def update(self, start: Start, some: slice, logs: Floats, N: Floats) -> dict[str, Floats]:
         """Return the new internal variables; plastic strains in the eigenvectors (q, 3)."""
@@ -263,23 +283,26 @@ class _InUFL:
             logarithms.compose_stored(N, logs, self._size, numbers)
         return numbers
 
-    def _response(self) -> Response:
-        """Return the response of the law to symbols."""
+    def _response(self) -> tuple[Response, Expr | None]:
+        """Return the response of the law to symbols, and the direction of tangents if it is one."""
         sizes = [self._size if shape else 1 for shape in self._memory.values()]
-        numbers = constants(self._width + sum(sizes) + len(self._names))
-        rest = (numbers[i] for i in range(len(numbers)))
+        count = self._width + sum(sizes) + len(self._names)
+        numbers = constants(count + self._directions)
+        rest = (numbers[i] for i in range(count))
         e = [next(rest) for _ in range(self._width)]
         state = {}
         for (name, shape), size in zip(self._memory.items(), sizes, strict=True):
             parts = [next(rest) for _ in range(size)]
             state[name] = from_components(ufl.as_vector(parts)) if shape else parts[0]
-        p = SimpleNamespace(**{name: next(rest) for name in self._names})
+        p = grouped({name: next(rest) for name in self._names})
         if not self._law.isotropic:
-            return respond(self._law, from_components(ufl.as_vector(e)), state, p)
+            response = respond(self._law, from_components(ufl.as_vector(e)), state, p)
+            last = [numbers[count + i] for i in range(self._directions)]
+            return response, from_components(ufl.as_vector(last)) if last else None
         if PLASTIC in self._law.state:
             state[PLASTIC] = ufl.as_tensor([[0] * 3] * 3)
         strain = ufl.as_tensor([[e[i] if i == j else 0 for j in range(3)] for i in range(3)])
-        return respond(self._law, strain, state, p)
+        return respond(self._law, strain, state, p), None
 
     def _principal(self, response: Response) -> list[Expr]:
         """Return T and L of normal strains, and the shear moduli."""
@@ -289,8 +312,10 @@ class _InUFL:
         return [*(response.stress[i, i] for i in range(3)), *normal, *shears]
 
     def _components(self, response: Response) -> list[Expr]:
-        """Return the stored components of T and the upper triangle of L."""
+        """Return the stored components of T, and the upper triangle of L if all at once."""
         index = INDEX[: self._size]
+        if self._directions:
+            return [response.stress[i, j] for i, j in index]
         changes = [response.change(_unit(i, j)) for i, j in index]
         upper = [changes[b][index[a]] for a in range(len(index)) for b in range(a, len(index))]
         return [*(response.stress[i, j] for i, j in index), *upper]
@@ -310,7 +335,9 @@ class _OfArrays:
         """Keep the law: there is nothing to compile."""
         self._law, self._size = law, size
 
-    def numbers(self, state: Mapping[str, Floats], parameters: Mapping[str, Floats]) -> Floats:
+    def numbers(
+        self, q: int, state: Mapping[str, Floats], parameters: Mapping[str, Floats]
+    ) -> Floats:
         """Return nothing: the law gets the arrays themselves."""
         return np.empty((0, 0))
 
@@ -337,7 +364,7 @@ class _OfArrays:
     def _values(self, start: Start, some: slice, logs: Floats, N: Floats) -> PointValues:
         """Ask the law."""
         state = {name: values[some] for name, values in start.state.items()}
-        p = SimpleNamespace(**{name: values[some] for name, values in start.parameters.items()})
+        p = grouped({name: values[some] for name, values in start.parameters.items()})
         strain = np.zeros((len(logs), 3, 3))
         if self._law.isotropic:
             strain[:, range(3), range(3)] = logs

@@ -12,6 +12,7 @@ from dolfinx import fem, jit
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.materials.compiled import ANYWHERE, Kernel, kernel_of
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw, Start
+from dolfinx_mortar.materials.ranges import ungrouped
 from dolfinx_mortar.materials.tensor import stored
 from dolfinx_mortar.solid.at_points import set_points
 from dolfinx_mortar.solid.finite_points import FinitePointFields
@@ -29,7 +30,7 @@ class LogarithmicFields(FinitePointFields):
             found, module, _ = jit.ffcx_jit(comm, (vector, ANYWHERE))
             return kernel_of(found, module, vector)
 
-        names = list(vars(self.region.symbols))
+        names = list(ungrouped(self.region.symbols))
         self._logarithmic = LogarithmicLaw(
             self.region.law, names, dimension=dimension, jit=compiled
         )
@@ -96,8 +97,8 @@ class LogarithmicFields(FinitePointFields):
         if self._start is None or not all(map(np.array_equal, now, self._start[0])):
             cells = self.region.cells
             points = self._stress.function_space.dofmap.list.shape[1]
-            p = vars(self.region.parameters.values(cells, points))
-            start = self._logarithmic.start(self._state_at(cells), p)
+            p = ungrouped(self.region.parameters.values(cells, points))
+            start = self._logarithmic.start(len(cells) * points, self._state_at(cells), p)
             self._start = [values.copy() for values in now], start
         return self._start[1]
 

@@ -48,7 +48,7 @@ class DeadLoads(Term):
         """
         check_loads(solid.u, loads)
         self._u = solid.u
-        self._form = fem.form(_weighted(loads, solid))
+        self._form = fem.form(weighted(loads, solid))
         self._vector = create_vector(solid.V)
 
     def begin(self, start: float, end: float) -> None:
@@ -112,7 +112,7 @@ class WeakForm(Term):
         if (energy is None) == (residual is None):
             raise ValueError("WeakForm: give either energy= or residual=")
         check_form(u, name, form, arguments=0 if residual is None else 1)
-        form = _with_one_rule(_weighted(form, solid))
+        form = _with_one_rule(weighted(form, solid))
         forces = ufl.derivative(form, u, ufl.TestFunction(V)) if residual is None else form
         du = ufl.TrialFunction(V)
         tangent = expand_derivatives(ufl.derivative(forces, u, du))
@@ -202,7 +202,7 @@ def _check_spaces(u: fem.Function, name: str, form: ufl.Form) -> None:
         )
 
 
-def _weighted(form: ufl.Form, solid: Solid) -> ufl.Form:
+def weighted(form: ufl.Form, solid: Solid) -> ufl.Form:
     """Return a form with the weight of the kinematics in all integrals."""
     kinematics = solid.kinematics
     if kinematics.unweighted:

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: MIT
+"""A pressure that follows the surface on which it acts."""
+
+from typing import Any
+
+import ufl
+from dolfinx import default_scalar_type, fem
+from dolfinx.mesh import MeshTags
+from dolfinx_mortar.arguments import is_number
+from dolfinx_mortar.compat import on_same_mesh
+from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.tags import check_entities, check_tag, tag_of
+from dolfinx_mortar.terms.weak_forms import WeakForm, weighted
+from ufl.core.expr import Expr
+
+
+class Pressure(WeakForm):
+    """A pressure p on the surface as it is: traction -p n per present area, at finite strain.
+
+    By Nanson's formula, with F = I + grad u and the normal N at X,
+
+        F_i = int p (cof F N) . phi_i dS,    cof F = det F F^-T.
+
+    Its tangent is the symmetric part of dF/du. On a closed surface, or one whose edges are held or
+    slide in planes through the origin, it is symmetric: p then has the potential p V, V the volume
+    that the surface bounds, and Newton's method is quadratic and has its line search. Else whole
+    steps are made and converge linearly, at a rate of about p over the moduli. Dead loads, whose
+    direction and area are those at X, are the argument ``loads`` of the problem.
+
+    Args:
+        solid: the bodies, with ``strain="finite"``.
+        facet_tags: tags of facets of their mesh.
+        tag: where the pressure acts, a tag or its name; exterior facets.
+        p: pressure, positive into the body: a number, or a Constant, a Function or UFL, whose
+            values may change between steps.
+        closed: whether it has the potential, as above.
+
+    Raises:
+        ValueError: for a solid of small strain, tags of another mesh, a tag that no facet has,
+            or a p that is no scalar.
+    """
+
+    def __init__(
+        self, solid: Solid, facet_tags: MeshTags, tag: int | str, p: Any, *, closed: bool = False
+    ) -> None:
+        """Check and compile; collective."""
+        if not isinstance(solid, Solid) or solid.strain != "finite":
+            raise ValueError(
+                "Pressure: solid must be a Solid(.., strain='finite'); at small strain give the "
+                "traction -p n as loads=inner(-p * n, v) * ds"
+            )
+        domain = solid.mesh
+        if not isinstance(facet_tags, MeshTags) or not on_same_mesh(facet_tags, domain):
+            raise ValueError("Pressure: facet_tags must be tags of the facets of the solid's mesh")
+        if facet_tags.dim != domain.topology.dim - 1:
+            raise ValueError(f"Pressure: facet_tags tag entities of dimension {facet_tags.dim}")
+        domain.topology.create_entities(facet_tags.dim)
+        check_entities("facet_tags", facet_tags)
+        number = tag_of(facet_tags, tag, "tag")
+        check_tag("tag", number)
+        if not domain.comm.allreduce(len(facet_tags.find(number))):
+            raise ValueError(f"Pressure: tag is {tag!r}, which no facet has")
+        if is_number(p):
+            p = fem.Constant(domain, default_scalar_type(p))
+        if not isinstance(p, Expr) or p.ufl_shape != ():
+            raise ValueError(f"Pressure: p is {p!r}: give a number, or a scalar Constant or UFL")
+        u, d = solid.u, domain.geometry.dim
+        ds = ufl.Measure("ds", domain, subdomain_data=facet_tags)(number)
+        F = solid.kinematics.measure(u)
+        cofactor = ufl.det(F) * ufl.transpose(ufl.inv(F))
+        N = ufl.FacetNormal(domain)
+        area = [sum(cofactor[i, j] * N[j] for j in range(d)) for i in range(d)]  # n da / dS
+        traction = p * ufl.as_vector(area)
+        super().__init__(solid, residual=ufl.inner(traction, ufl.TestFunction(solid.V)) * ds)
+        if closed:
+            place = ufl.SpatialCoordinate(domain) + u
+            share = 2 if solid.kinematics.radius is None and d == 2 else 3  # div x
+            volume = ufl.inner(traction, place) / share * ds
+            self._energy = fem.form(weighted(volume, solid))

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: MIT
+"""A pressure that follows its surface: closed solutions, its derivatives, and no locking."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+import dolfinx_mortar as dm
+from dolfinx import default_scalar_type, fem, mesh
+from tests.pressed_blocks import COMM, rejected
+from tests.solid_case import create_displacement, create_domain
+
+INNER, OUTER = 1.0, 2.0
+
+
+def quarter(kinematics, n, nu_like=2000.0):
+    """Return a quarter of a thick cylinder, or of a sphere's section, with a pressure inside."""
+    shape = (n, 2 * n)
+    domain = mesh.create_rectangle(COMM, [(0, 0), (1, 1)], shape, mesh.CellType.quadrilateral)
+    x = domain.geometry.x
+    r, a = INNER + (OUTER - INNER) * x[:, 0], np.pi / 2 * x[:, 1]
+    x[:, 0], x[:, 1] = r * np.cos(a), r * np.sin(a)
+    u = create_displacement(domain)
+    V, bcs = u.function_space, []
+    for i in range(2):
+        flat = mesh.locate_entities_boundary(
+            domain, 1, lambda x, i=i: np.isclose(x[i], 0.0, atol=1e-9)
+        )
+        dofs = fem.locate_dofs_topological(V.sub(i), 1, flat)
+        bcs.append(fem.dirichletbc(default_scalar_type(0.0), dofs, V.sub(i)))
+    found = mesh.locate_entities_boundary(
+        domain, 1, lambda x: np.isclose(np.hypot(x[0], x[1]), INNER, atol=1e-9)
+    )
+    tags = mesh.meshtags(domain, 1, np.sort(found), np.full(len(found), 7, dtype=np.int32))
+    law = dm.MooneyRivlin(0.5, 0.0, nu_like)
+    how = {"kinematics": kinematics, "volumetric": "reduced", "strain": "finite"}
+    solid, p = dm.Solid(u, law, **how), fem.Constant(domain, default_scalar_type(0.0))
+    pressure = dm.Pressure(solid, tags, 7, p, closed=True)
+    return dm.ContactProblem(solid, [], bcs=bcs, terms=[pressure]), pressure, p
+
+
+def exact_pressure(a, n):
+    """Return the pressure at the inner radius a, of an incompressible cylinder or sphere, n = 1, 2.
+
+    Of neo-Hookean rubber with mu = 1: p = int n (l^2 - l^(-2n)) dr / r, l = r / R.
+    """
+
+    def integrand(R):
+        ratio = (R ** (n + 1) + a ** (n + 1) - INNER ** (n + 1)) ** (1 / (n + 1)) / R
+        return n * (ratio**2 - ratio ** (-2 * n)) / (R * ratio ** (n + 1))
+
+    return quad(integrand, INNER, OUTER)[0]
+
+
+@pytest.mark.parametrize(
+    ("kinematics", "n", "top"), [("plane_strain", 1, 0.4), ("axisymmetric", 2, 0.5)]
+)
+def test_thick_shells_under_pressure(kinematics, n, top):
+    """Nearly incompressible, K/mu = 2000: radii in closed form; forces and tangent of p V."""
+    problem, pressure, p = quarter(kinematics, 6)
+    for share in (0.6, 1.0):
+        p.value = share * top
+        dm.newton(problem, max_it=60)
+        problem.commit()
+    u, x = problem.u, problem.V.tabulate_dof_coordinates()
+    r = np.hypot(*(x[:, :2] + u.x.array.reshape(-1, 2)).T)
+    radii = COMM.allgather(r[np.isclose(np.hypot(x[:, 0], x[:, 1]), INNER)])
+    assert exact_pressure(float(np.concatenate(radii).mean()), n) == pytest.approx(top, rel=0.01)
+
+    rng = np.random.default_rng(4)
+    v = fem.Function(problem.V)
+    v.x.array[:] = rng.standard_normal(v.x.array.size)
+    for i in range(2):  # the edges of the surface slide in planes through the origin
+        v.x.array[i::2][np.isclose(x[:, i], 0.0)] = 0.0
+    v.x.scatter_forward()
+    start, K, t = u.x.array.copy(), problem.solid.create_matrix(), 1e-6
+    pressure.add_tangent(K)
+    K.assemble()
+    change = (K * v.x.petsc_vec).array.copy()
+
+    def at(s):
+        u.x.array[:] = start + s * v.x.array
+        F = K.createVecLeft()
+        pressure.add_forces(F)
+        return COMM.allreduce(pressure.energy()), F.array.copy()
+
+    (above, F), (below, G), (_, here) = at(t), at(-t), at(0.0)
+    free = np.ones((len(here) // 2, 2), dtype=bool)
+    free &= ~np.isclose(x[: len(free), :2], 0.0)
+    work = COMM.allreduce(here @ v.x.array[: len(here)])
+    assert (above - below) / (2 * t) == pytest.approx(work, rel=1e-7)
+    off = np.abs((F - G) / (2 * t) - change)[free.ravel()].max(initial=0.0)
+    assert off < 1e-7 * max(COMM.allgather(np.abs(change).max(initial=0.0)))
+
+
+def test_pressure_turns_with_the_body():
+    """Forces on a turned square are the turned forces, and those of a closed surface cancel."""
+    domain = create_domain("quadrilateral", 3)
+    u = create_displacement(domain)
+    domain.topology.create_connectivity(1, 2)
+    facets = mesh.exterior_facet_indices(domain.topology)
+    tags = mesh.meshtags(domain, 1, facets, np.ones(len(facets), dtype=np.int32))
+    solid = dm.Solid(u, dm.NeoHooke(10.0, 0.3), strain="finite")
+    pressure, K = dm.Pressure(solid, tags, 1, 2.0, closed=True), solid.create_matrix()
+
+    def forces():
+        F = K.createVecLeft()
+        pressure.add_forces(F)
+        return F.array.reshape(-1, 2).copy()
+
+    before = forces()
+    R = np.array([[0.0, -1.0], [1.0, 0.0]])
+    u.interpolate(lambda x: R @ x[:2] - x[:2])
+    after = forces()
+    assert np.allclose(after, before @ R.T, atol=1e-13)
+    assert np.abs(COMM.allreduce(after.sum(axis=0))).max() < 1e-13
+    assert COMM.allreduce(pressure.energy()) == pytest.approx(2.0 * 2.0)  # p times the area 1 x 2
+
+
+def test_what_pressure_needs():
+    domain = create_domain("quadrilateral", 2)
+    u = create_displacement(domain)
+    tags = mesh.meshtags(domain, 1, np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.int32))
+    with rejected("Pressure", "strain='finite'"):
+        dm.Pressure(dm.Solid(u, dm.Elastic(1.0, 0.3)), tags, 1, 1.0)
+    with rejected("Pressure", "no facet"):
+        dm.Pressure(dm.Solid(u, dm.NeoHooke(1.0, 0.3), strain="finite"), tags, 1, 1.0)

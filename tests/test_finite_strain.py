@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: MIT
+"""Finite strain through the whole package: patch, turns, derivatives, bifurcation, volumes."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import dolfinx_mortar as dm
+from dolfinx import default_scalar_type, fem, mesh
+from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
+from tests.pressed_blocks import COMM, rejected
+from tests.solid_case import create_displacement, create_domain, residual, set_wave
+from tests.test_finite_laws import OGDEN, Arrays
+
+E, NU = 1000.0, 0.3
+RUBBER = dm.NeoHooke(E, NU)
+
+
+def rotation(angle):
+    """Return the matrix that turns by degrees."""
+    c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    return np.array([[c, -s], [s, c]])
+
+
+class Blocks:
+    """Two blocks whose outer sides are placed, as a whole or in their normal direction only."""
+
+    def __init__(self, law=RUBBER, sliding=False, **options):
+        """Create the blocks; the options are those of `two_blocks`."""
+        self.mesh, _, self.facets = two_blocks(COMM, **options)
+        V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
+        self.u, self.low, self.high = (fem.Function(V) for _ in range(3))
+        placed = [(self.low, BOTTOM), (self.high, TOP)]
+        bcs = []
+        for f, tag in placed:
+            found = self.facets.find(tag)
+            if sliding:
+                sub = V.sub(1)
+                dofs = fem.locate_dofs_topological(sub, 1, found)
+                f = fem.Constant(self.mesh, default_scalar_type(0.0))
+                bcs.append(fem.dirichletbc(f, dofs, sub))
+            else:
+                bcs.append(fem.dirichletbc(f, fem.locate_dofs_topological(V, 1, found)))
+        if sliding:
+            self.height = f
+            left = mesh.locate_entities_boundary(self.mesh, 1, lambda x: np.isclose(x[0], 0.0))
+            dofs = fem.locate_dofs_topological(V.sub(0), 1, left)
+            bcs.append(fem.dirichletbc(default_scalar_type(0.0), dofs, V.sub(0)))
+        self.solid = dm.Solid(self.u, law, strain="finite")
+        contact = dm.Contact(self.facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
+        self.problem = dm.ContactProblem(self.solid, [contact], bcs=bcs)
+
+    def place(self, angle, down):
+        R = rotation(angle)
+        self.low.interpolate(lambda x: R @ x[:2] - x[:2])
+        self.high.interpolate(lambda x: R @ (x[:2] - np.array([[0.0], [down]])) - x[:2])
+
+    def step(self, rtol=1e-6):
+        report = dm.newton(self.problem, rtol=rtol)
+        self.problem.commit()
+        return report
+
+
+@pytest.mark.parametrize("law", [RUBBER, Arrays(E, NU)], ids=["UFL", "arrays"])
+def test_patch_at_40_percent_compression(law):
+    """Uniform stress in closed form through the contact, in one step, with a quadratic tail."""
+    blocks = Blocks(law, sliding=True)
+    blocks.height.value = -0.4 * 2.0
+    report = blocks.step(rtol=1e-10)
+    mu, lam, b = E / 2 / (1 + NU), E * NU / (1 + NU) / (1 - 2 * NU), 0.6
+    a = brentq(lambda a: mu * (a - 1 / a) + lam * np.log(a * b) / a, 1.0, 2.0, xtol=1e-14)
+    pressure = (mu * (b - 1 / b) + lam * np.log(a * b) / b) / a
+    stress = blocks.solid.fields.values("stress").reshape(-1, 4)
+    np.testing.assert_allclose(stress[:, 1], pressure, rtol=1e-9)
+    assert abs(stress[:, [0, 3]]).max(initial=0.0) < 1e-9 * abs(pressure)
+    np.testing.assert_allclose(blocks.solid.fields.values("J"), a * b, rtol=1e-10)
+    forces = [it.force_residual for it in report.iterations]
+    assert len(forces) <= 7
+    assert forces[-2] < 10 * forces[-3] ** 2  # Newton's method is quadratic
+    assert report.certificate.smallest_J == pytest.approx(a * b, rel=1e-10)
+
+
+@pytest.mark.parametrize("angle", [90.0, 200.0])
+def test_everything_turned_in_one_step(angle):
+    """Forces, and moments about the origin, turn with the bodies to round-off."""
+    shape = {"n_upper": (3, 2), "n_lower": (9, 3), "x_lower": (-1.0, 2.0), "heights": (1.0, 0.6)}
+    blocks = Blocks(**shape)
+    blocks.place(0.0, 0.05)
+    blocks.step(rtol=1e-12)
+    before, J = dm.reaction(blocks.problem, TOP), blocks.solid.fields.values("J").copy()
+    blocks.place(angle, 0.05)
+    report = blocks.step(rtol=1e-12)
+    after = dm.reaction(blocks.problem, TOP)
+    size = np.linalg.norm(before.force)
+    assert np.abs(after.force - rotation(angle) @ before.force).max() < 1e-10 * size
+    assert abs(after.moment - before.moment) < 1e-10 * size
+    assert report.newton_iterations <= 2
+    np.testing.assert_allclose(blocks.solid.fields.values("J"), J, rtol=1e-10)
+    assert report.certificate.internal_moment < 1e-13
+
+
+CASES = [
+    *((cell, None, law, "full") for cell in ("triangle", "hexahedron") for law in (RUBBER, OGDEN)),
+    *(("quadrilateral", k, RUBBER, v) for k in (None, "axisymmetric") for v in ("full", "reduced")),
+    ("hexahedron", None, dm.MooneyRivlin(10.0, 5.0, 1e3), "reduced"),
+]
+
+
+@pytest.mark.parametrize(("cell", "kinematics", "law", "volumetric"), CASES)
+def test_forces_and_tangent_are_derivatives(cell, kinematics, law, volumetric):
+    """Of the energy, by central differences, at a displacement with J from about .7 to 1.4."""
+    u = create_displacement(create_domain(cell, 2))
+    how = {"kinematics": kinematics, "volumetric": volumetric}
+    solid = dm.Solid(u, law, strain="finite", **how)
+    across = fem.Function(u.function_space)
+    for f, size, phase in ((u, 0.06, 0.0), (across, 1.0, 0.7)):
+        set_wave(f, size, phase)
+        if kinematics:  # the axis stays
+            x = u.function_space.tabulate_dof_coordinates()[:, 0]
+            f.x.array[0::2] *= x
+    start, K = u.x.array.copy(), solid.create_matrix()
+    solid.assemble_tangent(K)
+    forces, change = residual(solid), (K * across.x.petsc_vec).array.copy()
+    work = COMM.allreduce(forces @ across.x.array[: len(forces)])
+
+    def at(t):
+        u.x.array[:] = start + t * across.x.array
+        energy = np.sum(solid.energy())
+        return COMM.allreduce(energy), residual(solid)
+
+    t = 1e-5
+    (above, F), (below, G) = at(t), at(-t)
+    size = COMM.allreduce(np.abs(change).max(initial=0.0), op=dm_max())
+    assert (above - below) / (2 * t) == pytest.approx(work, rel=1e-7)
+    assert np.abs((F - G) / (2 * t) - change).max(initial=0.0) < 1e-7 * size
+    assert solid.linear is False and solid.strain == "finite"
+
+
+def dm_max():
+    """Return the operation of the largest value."""
+    from mpi4py import MPI
+
+    return MPI.MAX
+
+
+def test_cells_that_invert_shorten_the_step():
+    """A push by 90 percent in one step: Newton's first step turns cells over; shorter ones end."""
+    domain = mesh.create_rectangle(COMM, [(0.0, 0.0), (1.0, 1.0)], (4, 4))
+    u = create_displacement(domain)
+    V, move = u.function_space, fem.Constant(domain, default_scalar_type((0.0, 0.0)))
+    sides = []
+    for y in (0.0, 1.0):
+        facets = mesh.locate_entities_boundary(domain, 1, lambda x, y=y: np.isclose(x[1], y))
+        sides.append(fem.locate_dofs_topological(V, 1, facets))
+    zero = np.zeros(2, dtype=default_scalar_type)
+    bcs = [fem.dirichletbc(zero, sides[0], V), fem.dirichletbc(move, sides[1], V)]
+    solid = dm.Solid(u, RUBBER, strain="finite")
+    problem = dm.ContactProblem(solid, [], bcs=bcs)
+    move.value[1] = -1.5  # the top below the bottom: impossible
+    with pytest.raises(dm.NewtonNotConverged, match=r"turned inside out.*cell \d+ of the input"):
+        dm.newton(problem)
+    assert not u.x.array.any()  # as before the step
+    move.value[1] = -0.6
+    report = dm.newton(problem, max_it=60)
+    assert 0.0 < report.certificate.smallest_J < 1.0
+
+
+def column(imperfection):
+    """Return a slender column that its top, free to move aside, is pressed down on."""
+    domain = mesh.create_rectangle(
+        COMM, [(0.0, 0.0), (0.1, 1.0)], (2, 20), mesh.CellType.quadrilateral
+    )
+    x = domain.geometry.x
+    x[:, 0] += imperfection * np.sin(np.pi * x[:, 1] / 2)
+    u = create_displacement(domain)
+    V, down = u.function_space, fem.Constant(domain, default_scalar_type(0.0))
+    ends = [
+        mesh.locate_entities_boundary(domain, 1, lambda x, y=y: np.isclose(x[1], y))
+        for y in (0.0, 1.0)
+    ]
+    foot = fem.locate_dofs_topological(V, 1, ends[0])
+    top = fem.locate_dofs_topological(V.sub(1), 1, ends[1])
+    zero = np.zeros(2, dtype=default_scalar_type)
+    bcs = [fem.dirichletbc(zero, foot, V), fem.dirichletbc(down, top, V.sub(1))]
+    solid = dm.Solid(u, RUBBER, strain="finite", volumetric="reduced")
+    return dm.ContactProblem(solid, [], bcs=bcs), down
+
+
+def test_an_indefinite_tangent_is_made_convex():
+    """A column far beyond its critical load bends aside, in one step; the shift is gone then."""
+    problem, down = column(1e-3)
+    down.value = -0.1
+    report = dm.newton(problem, max_it=60)
+    shifts = [it.shift for it in report.iterations]
+    assert max(shifts) > 0.0 and shifts[-1] == 0.0
+    assert COMM.allreduce(np.abs(problem.u.x.array[0::2]).max(initial=0.0), op=dm_max()) > 0.3
+    assert any("indefinite" in note for note in report.notes)
+    assert not any("unstable" in note for note in report.notes)
+
+
+def test_an_unstable_balance_is_told():
+    problem, down = column(0.0)
+    down.value = -0.05
+    report = dm.newton(problem)
+    assert any("unstable" in note for note in report.notes)
+
+
+def test_limit_points_pass_under_displacement_control():
+    """A shallow arch, pressed down through its flat shape: the force falls and rises again."""
+    domain = mesh.create_rectangle(
+        COMM, [(-1.0, 0.0), (1.0, 0.05)], (24, 1), mesh.CellType.quadrilateral
+    )
+    x = domain.geometry.x
+    x[:, 1] += 0.1 * np.cos(np.pi * x[:, 0] / 2)
+    V = fem.functionspace(domain, ("Lagrange", 2, (2,)))
+    u, down = fem.Function(V), fem.Constant(domain, default_scalar_type(0.0))
+    ends = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(abs(x[0]), 1.0))
+    zero = np.zeros(2, dtype=default_scalar_type)
+    held = fem.locate_dofs_topological(V, 1, ends)
+    Vy, _ = V.sub(1).collapse()
+    crown = fem.locate_dofs_geometrical(
+        (V.sub(1), Vy), lambda x: np.isclose(x[0], 0.0) & np.isclose(x[1], 0.15)
+    )[0]
+    bcs = [fem.dirichletbc(zero, held, V), fem.dirichletbc(down, crown, V.sub(1))]
+    solid = dm.Solid(u, RUBBER, strain="finite")
+    problem = dm.ContactProblem(solid, [], bcs=bcs)
+    forces = []
+    for depth in (0.03, 0.06, 0.1, 0.2):
+        down.value = -depth
+        dm.newton(problem)
+        problem.commit()
+        forces.append(-dm.reaction(problem, bcs[1]).force[1])
+    assert forces[0] < forces[1] > forces[2] < forces[3]
+
+
+def test_what_finite_strain_does_not_go_with():
+    u = create_displacement(create_domain("triangle", 2))
+    with rejected("strain", "'small' or 'finite'"):
+        dm.Solid(u, RUBBER, strain="large")
+    with rejected("eigenstrain", "finite"):
+        dm.Solid(u, RUBBER, strain="finite", eigenstrain=0.01)
+    with rejected("plane stress", "finite"):
+        dm.Solid(u, RUBBER, strain="finite", kinematics="plane_stress")
+    with rejected("NeoHooke", "strain='finite'"):
+        dm.Solid(u, RUBBER)
