@@ -146,5 +146,5 @@ def notes_on_small_strain(problem: ContactProblem, found: LeftOut) -> list[str]:
         f"the bodies is {found.largest:.2g}: this is a stress of {worth:.3g} there (norm; the "
         f"largest shown is {shown:.3g}), {found.work:.1%} of the work of the stresses and "
         f"{found.lengths:.1%} of lengths. Turn or strain it less, let X be nearer to where it "
-        "turns to, or choose Solid(.., strain='finite'), see 'Finite strain' in the guide"
+        "turns to, or choose a finite strain, Solid(.., strain='finite')"
     ]
