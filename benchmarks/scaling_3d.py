@@ -2,7 +2,8 @@
 """The same contact step on more ranks: weak scaling with messages and bytes, and speed-up.
 
 Run with ``containers/run python3 benchmarks/scaling_3d.py [--ranks 1 2 4] [--h 0.125] [--weak]
-[--output FILE]``; it starts ``mpirun`` itself. The quarter ball is pressed elasto-plastically in one step. Weak: as many unknowns per rank
+[--output FILE]``; it starts ``mpirun`` itself.
+The quarter ball is pressed elasto-plastically in one step. Weak: as many unknowns per rank
 as the first row has. Strong: one mesh on one and two ranks, CPU time beside the clock, because a
 rank that waits for its turn is not slow. Messages, bytes and reductions are PETSc's (matrices,
 vectors, multigrid), per rank; what the search sends is counted apart: slave cones that every rank

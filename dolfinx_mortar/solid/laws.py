@@ -80,11 +80,11 @@ def create_regions(
             exactly, or a parameter is out of its range, belongs to another mesh or depends on u.
     """
     given, choice = _material_of_cells(u.function_space.mesh, materials, cell_tags, plane_stress)
-    # Those of one class and state are one region. Sorted by name so that the same laws make the
-    # same forms in any order of the dictionary.
+    # Those of one class, state and way to plane stress are one region. Sorted by name so that the
+    # same laws make the same forms in any order of the dictionary.
     alike: dict[Any, list[int]] = {}
     for i, (material, law) in enumerate(given):
-        alike.setdefault((type(material), *law.state), []).append(i)
+        alike.setdefault((type(material), law.normal_strain is None, *law.state), []).append(i)
     regions = []
     for kind in sorted(alike, key=lambda kind: (kind[0].__qualname__, *kind[1:])):
         chosen = alike[kind]
