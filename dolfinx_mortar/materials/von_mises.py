@@ -118,7 +118,7 @@ class VonMises(Material):
     @property
     def normal_strain(self) -> Callable[..., Expr] | None:
         """The strain out of the plane in plane stress, for a nu that is a number above -0.9."""
-        exact = isinstance(self.nu, Real) and self.nu >= LEAST_RATIO
+        exact = isinstance(self.nu, Real) and float(self.nu) >= LEAST_RATIO
         return self._normal_strain if exact else None
 
     @classmethod
