@@ -14,6 +14,9 @@ from scipy.optimize import brentq
 import dolfinx_mortar as dm
 import ufl
 from dolfinx_mortar.materials import plane_stress
+from dolfinx_mortar.materials.compiled import compile_vectors, constants
+from dolfinx_mortar.materials.protocol import create_law
+from dolfinx_mortar.materials.von_mises import LEAST_RATIO, flow_in_plane_stress
 from tests.choice import quick
 from tests.pointwise_laws import Radial
 from tests.pressed_blocks import PressedBlocks, rejected
@@ -33,6 +36,20 @@ LAWS = HARDENING | {
     "arrays": Radial(E, NU, Y, 10_000.0),
     "cone": dm.DruckerPrager(E, NU, Y, 0.3),
 }
+
+
+@dataclass(frozen=True)
+class Other(dm.VonMises):
+    """A law with an energy of its own, for which the root of the one it inherits is not right."""
+
+    energy = staticmethod(dm.VonMises.energy)
+
+
+# Von Mises without the closed root: of another energy, and of a ratio below that of the closed one.
+SOLVED = {
+    "other": Other(E, NU, Y, 10_000.0, 5_000.0),
+    "auxetic": dm.VonMises(E, -0.95, Y, 1.0, 1.0),
+}
 _POINTS: dict[tuple[str, int], MaterialPoint] = {}
 
 
@@ -40,7 +57,7 @@ def point(name: str, d: int) -> MaterialPoint:
     """Return a virgin point of a law, in plane stress (d = 2) or in space."""
     if (name, d) not in _POINTS:
         kinematics = "plane_stress" if d == 2 else None
-        _POINTS[name, d] = MaterialPoint(LAWS[name], d, kinematics)
+        _POINTS[name, d] = MaterialPoint((LAWS | SOLVED)[name], d, kinematics)
     _POINTS[name, d].reset()
     return _POINTS[name, d]
 
@@ -117,6 +134,36 @@ def test_any_parameters(nu, powers, size, seed):
             table[:] = [mixed.E, mixed.nu, mixed.Y, mixed.a, mixed.H]
 
 
+def test_the_closed_root_is_that_of_newtons_method(rng):
+    """The same path with the root of the law and with the one that is solved for."""
+    closed, solved = point("mixed", 2), point("other", 2)
+    assert create_law("law", LAWS["mixed"]).normal_strain is not None
+    for name in SOLVED:
+        assert create_law("law", SOLVED[name]).normal_strain is None
+    flowed = 0
+    for _ in range(8):
+        strain = 5e-3 * in_plane(rng)
+        assert np.abs(closed.stress(strain) - solved.stress(strain)).max() < 1e-11 * Y
+        ep = closed.commit()
+        assert np.abs(ep - solved.commit()).max() < 1e-13
+        flowed += ep.any()
+    assert flowed
+
+
+def test_flow_in_plane_stress_is_exact(rng):
+    """The root leaves round-off of N, for parts of all sizes and the whole range of ratios."""
+    c = constants(3)
+    (root,) = compile_vectors([ufl.as_vector([flow_in_plane_stress(c[0], c[1], c[2])])])
+    least = (1 + LEAST_RATIO) / (3 * (1 - LEAST_RATIO))
+    for r in np.geomspace(least, 1.0, 12):
+        for angle in [0.0, np.pi / 2, *np.pi / 2 * rng.random(60), *10.0 ** rng.uniform(-9, 0, 40)]:
+            size = 1 + 10.0 ** rng.uniform(-9, 6)
+            p, q = abs(size * np.cos(angle)), abs(size * np.sin(angle))
+            t = root(np.array([p, q, r]))[0]
+            assert t > 0.0 and abs(np.hypot(p / (1 + r * t), q / (1 + t)) - 1) < 4e-15
+    assert root(np.array([0.6, 0.79, 0.5]))[0] == 0.0 == root(np.array([0.0, 0.0, 0.5]))[0]
+
+
 TIMBER = dm.Orthotropic(11e3, 600.0, 900.0, 0.4, 0.3, 0.3, 700.0, 800.0, 70.0, yaw=0.4)
 
 
@@ -148,7 +195,7 @@ def test_linear_laws_are_condensed_in_the_compiled_code(law, rng):
 @pytest.mark.parametrize("size", [1e-3, 0.9, 1.1, 3.0, 100.0, 1e4])
 def test_the_whole_range_of_ratios(nu, size, rng):
     """No stress out of the plane, the residual being checked: flow and yield surface say so."""
-    flat = point("mixed", 2)
+    flat = point("mixed" if nu >= LEAST_RATIO else "auxetic", 2)
     table = flat.solid.regions[0].parameters.function.x.array.reshape(-1, 5)
     values = table[0].copy()
     table[:] = [1000.0, nu, 1.0, 0.0, 50.0]

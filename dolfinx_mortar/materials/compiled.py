@@ -69,8 +69,9 @@ class CompiledLaw:
         for name, shape in self.shapes.items():
             new = response.updated[name]
             parts.append(to_components(new, 6) if shape else [new])
+        self._closed = response.normal_strain is not None
         if law.condensed:
-            parts.append(list(response.equation or ()))
+            parts.append(list(response.equation or [response.normal_strain]))
         self._kernels = compile_vectors([ufl.as_vector(list(part)) for part in parts])
         self._equation = self._kernels.pop() if law.condensed else None
 
@@ -81,7 +82,9 @@ class CompiledLaw:
         """
         committed = [np.atleast_1d(state[name]) for name in self.shapes]
         numbers = np.concatenate([strain, direction, [0.0], *committed, self._parameters])
-        if self._equation is not None:
+        if self._equation is not None and self._closed:
+            numbers[12] = self._equation(numbers)[0]
+        elif self._equation is not None:
             numbers[12] = solve(self._name, self._at(numbers), (1, 1))[0, 0]
         values = np.concatenate([kernel(numbers) for kernel in self._kernels])
         stress, elastic, change = values[:27].reshape(3, 3, 3)

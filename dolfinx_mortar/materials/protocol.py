@@ -2,6 +2,7 @@
 """What a material law is: parameters, and its response in UFL or as a function of arrays."""
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from numbers import Real
@@ -37,7 +38,10 @@ class Material(Protocol):
     its derivative: `tangent(strain, state, p, direction)`, d stress / d strain : direction.
 
     In plane stress a law sees the strain out of the plane that leaves no stress there, which is
-    solved for at every integration point; the law itself need not know.
+    solved for at every integration point; the law itself need not know. One that knows this strain
+    in closed form saves most of the time by `normal_strain(strain, state, p)`, which is None, or a
+    property that gives None, where it is to be solved for. A class that inherits it and has another
+    energy or stress has to give its own; else it is solved for.
 
     A law may inherit from this class, which has no memory and no output, or just look like it.
 
@@ -166,6 +170,7 @@ class Law:
     energy: Callable[..., Any] | None
     stress: Callable[..., Any] | None
     tangent: Callable[..., Any] | None
+    normal_strain: Callable[..., Any] | None  # the root of sigma_zz = 0, if the law knows it
     updated_state: Callable[..., Any] | None
     update: Callable[..., Any] | None
     output: Callable[..., Any] | None
@@ -234,6 +239,7 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
         splits=bool(getattr(kind, "splits", False)),
         isotropic=_is_isotropic(kind.__name__, material, state),
         ranges=getattr(kind, "ranges", {}),
+        normal_strain=_normal_strain(material),
         output=_method(kind, "output"),
         conditions=_method(kind, "conditions"),
         volumetric=_method(kind, "volumetric"),
@@ -279,6 +285,17 @@ def _method(kind: type, name: str) -> Callable[..., Any] | None:
     """Return a method of a class, None if it has none of that name."""
     found = getattr(kind, name, None)
     return found if callable(found) else None
+
+
+def _normal_strain(material: Any) -> Callable[..., Any] | None:
+    """Return what gives the strain out of the plane, if it belongs to the energy and the stress."""
+    names = "normal_strain", "energy", "stress"
+    places = [
+        next((i for i, kind in enumerate(type(material).__mro__) if name in vars(kind)), math.inf)
+        for name in names
+    ]
+    found = getattr(material, names[0], None)
+    return found if callable(found) and places[0] <= min(places[1:]) else None
 
 
 def _checked_state(law: str, state: Any) -> Mapping[str, tuple[int, ...]]:

@@ -28,6 +28,7 @@ class Response:
     change: Callable[[Expr], Expr]  # direction, 3x3 -> d stress / d strain : direction
     # sigma_zz, C_zzzz, the elastic C_zzzz and |sigma| in plane stress, see `plane_stress.solve`
     equation: tuple[Expr, Expr, Expr, Expr] | None = None
+    normal_strain: Expr | None = None  # in place of the equation, its root where the law knows it
 
 
 def respond(
@@ -41,8 +42,12 @@ def respond(
     Raises:
         ValueError: if a method of the law raises, or returns something of the wrong shape or name.
     """
-    equation = None
-    if law.plane_stress:
+    equation = root = None
+    if law.plane_stress and law.normal_strain is not None:
+        flat = with_normal_strain(strain, 0.0)
+        root = _call(law, "normal_strain", (), flat, state, p)
+        strain = with_normal_strain(strain, z)
+    elif law.plane_stress:
         equation = _equation(law, with_normal_strain(strain, 0.0 if z is None else z), state, p)
         strain = with_normal_strain(strain, -equation[0] / equation[1] if z is None else z)
     energy = None if law.energy is None else _call(law, "energy", (), strain, state, p)
@@ -54,7 +59,7 @@ def respond(
 
     if not law.plane_stress:
         return Response(stress, energy, updated, change)
-    return Response(in_plane(stress), energy, updated, condensed(change), equation)
+    return Response(in_plane(stress), energy, updated, condensed(change), equation, root)
 
 
 def _stress(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:

@@ -89,13 +89,14 @@ def create_regions(
                 f"materials: {law.name} is a law of the deformation gradient: choose "
                 "Solid(.., strain='finite')"
             )
-    # Those of one class and state are one region. Sorted by name so that the same laws make the
-    # same forms in any order of the dictionary.
+    # Those of one class, state, form at finite strain and way to plane stress are one region.
+    # Sorted by name so that the same laws make the same forms in any order of the dictionary.
     alike: dict[Any, list[int]] = {}
     for i, (material, law) in enumerate(given):
         form = kinematics.finite and law.isotropic  # see `materials.logarithmic`
         names = tuple(named_parameters(material))  # of tuples some have more
-        alike.setdefault((type(material), (form, names), *law.state), []).append(i)
+        way = form, law.normal_strain is None, names
+        alike.setdefault((type(material), way, *law.state), []).append(i)
     regions = []
     for kind in sorted(alike, key=lambda kind: (kind[0].__qualname__, kind[2:], kind[1])):
         chosen = alike[kind]

@@ -53,14 +53,20 @@ class NormalStrain(PointValuesOfRegion):
         committed = as_tensors(region, self._committed)
         with raised_together(domain.comm):
             self.response = respond(region.law, strain, committed, region.symbols, self._strain)
-        assert self.response.equation is not None
+        found = self.response.normal_strain
+        if found is None:
+            assert self.response.equation is not None
+            found = ufl.as_vector(self.response.equation)
         points = compat.interpolation_points(self._strain.function_space)
-        self._equation = fem.Expression(ufl.as_vector(self.response.equation), points)
+        self._equation = fem.Expression(found, points)
 
     def _evaluate(self) -> None:
-        """Solve the equation at all points."""
+        """Solve the equation at all points, or take its root from the law."""
         V, cells, values = self._strain.function_space, self.region.cells, self._strain.x.array
         dofs = V.dofmap.list[cells]
+        if self.response.normal_strain is not None:
+            values[dofs] = np.asarray(self._equation.eval(V.mesh, cells)).reshape(dofs.shape)
+            return
 
         def equation(rows: Ints, z: Floats) -> Floats:
             values[dofs[rows]] = z
