@@ -49,6 +49,7 @@ class Iteration:
     line_search_steps: int  # shortenings before acceptance
     geometry_change: float  # gap minus its prediction by the last linearisation, in facet lengths
     geometry_held: bool  # the next iteration keeps the geometry, because its change does not shrink
+    exact_tangent: bool = False  # the motion of the surfaces was part of the linearisation
 
     def __str__(self) -> str:
         """Return one line, for the log and the report."""
@@ -59,6 +60,7 @@ class Iteration:
             f"CG {self.linear_iterations}, factorisations {self.factorisations}, "
             f"step {self.step_length:.3g}, geometry {self.geometry_change:.1e}"
             f"{' held' if self.geometry_held else ''}"
+            f"{' linearised' if self.exact_tangent else ''}"
         )
 
 
