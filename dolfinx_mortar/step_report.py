@@ -50,6 +50,7 @@ class Iteration:
     geometry_change: float  # gap minus its prediction by the last linearisation, in facet lengths
     geometry_held: bool  # the next iteration keeps the geometry, because its change does not shrink
     shift: float = 0.0  # multiple of the elastic stiffness added to an indefinite tangent
+    exact_tangent: bool = False  # the motion of the surfaces was part of the linearisation
 
     def __str__(self) -> str:
         """Return one line, for the log and the report."""
@@ -61,6 +62,7 @@ class Iteration:
             f"step {self.step_length:.3g}, geometry {self.geometry_change:.1e}"
             f"{' held' if self.geometry_held else ''}"
             + (f", tangent + {self.shift:g} elastic" if self.shift else "")
+            + (", linearised" if self.exact_tangent else "")
         )
 
 

@@ -55,6 +55,23 @@ class Congruence:
         KCt.destroy()
 
 
+def product_of_bases(A: PETSc.Mat, test: PETSc.Mat, trial: PETSc.Mat) -> PETSc.Mat:
+    """Return (I + test)^T A (I + trial), a new matrix, of any A; collective.
+
+    Args:
+        A: in the format AIJ.
+        test: with few rows.
+        trial: with few rows.
+    """
+    other = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+    right = A.matMult(trial)
+    right.axpy(1.0, A, other)
+    product = test.transpose(PETSc.Mat()).matMult(right)
+    product.axpy(1.0, right, other)
+    right.destroy()
+    return product
+
+
 def decouple(matrix: PETSc.Mat, rows: Ints) -> None:
     """Replace owned rows and their columns by those of the identity times the mean diagonal."""
     diagonal = matrix.getDiagonal()

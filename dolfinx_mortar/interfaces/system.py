@@ -23,6 +23,7 @@ from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, join,
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides, check_coupling
 from dolfinx_mortar.interfaces.interface import Interface, ask, full_coverage
 from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent, linearise_geometry
 from dolfinx_mortar.interfaces.near import find_reach, touches_far_nodes
 from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.interfaces.slip_partners import Partners, partners_of
@@ -376,6 +377,20 @@ class InterfaceSystem:
             return True
         slid = u is not None and self._slid(self.links, u, everywhere=True)
         return not slid and not touches_far_nodes(self.links, x, self.n)
+
+    def linearise_geometry(
+        self, u: fem.Function, multipliers: Floats, tangential: Floats | None
+    ) -> GeometryTangent:
+        """Return what the motion of the surfaces adds to a linearisation at X + u; collective.
+
+        Args:
+            u: displacement, of the present configuration.
+            multipliers: lambda_j (owned nodes,).
+            tangential: tangential tractions (owned nodes, d), None without friction.
+        """
+        assert self.present.claims is not None
+        order = self.present.claims.order
+        return linearise_geometry(self.links, order, u, multipliers, tangential)
 
     # -- what the QP needs -----------------------------------------------------------------------
 

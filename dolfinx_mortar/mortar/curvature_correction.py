@@ -280,6 +280,85 @@ def point_heights(
     return np.asarray(h_s + h_m)
 
 
+@dataclass(frozen=True, eq=False)
+class HeightSlopes:
+    """Heights at points (q,) in 2D, of `point_heights`, and their derivatives.
+
+    By the points on both facets, and by the coordinates of their nodes at given points. Those of
+    second order depend on their coordinates by strains of the bodies alone, which are left out.
+    """
+
+    height: Floats  # (q,)
+    by_xi_s: Floats  # (q,)
+    by_xi_m: Floats  # (q,)
+    by_x_s: Floats  # (q, k, 2)
+    by_x_m: Floats  # (q, m, 2)
+
+
+def height_slopes(
+    pairing: Pairing,
+    segments: Segments,
+    u: dolfinx.fem.Function,
+    sides: tuple[SmoothSide, SmoothSide],
+) -> HeightSlopes:
+    """Return the heights in 2D and their derivatives; collective.
+
+    With the edges e of both facets, c_s = (c_s0 - c_m0 (e_s.e_m)^2 / |e_m|^4) / 2 and likewise c_m,
+    see `common_sagittas`. The arguments are those of `point_heights`.
+    """
+    pairs, of = _meeting(segments)
+    a, b = find_curved(pairing, u, sides, pairs)
+    xi = segments.xi_s, segments.xi_m
+    by_x = [np.zeros((len(of), side.facets.element.nodes, 2)) for side in (a, b)]
+    if pairing.slave.element.degree > 1:
+        stretches = _facet_stretches(pairing, u)
+        parts = []
+        both = zip((a, b), stretches, xi, pairing.pairs[pairs].T, strict=True)
+        for side, stretch, z, which in both:
+            c = side.sagitta * stretch[which]
+            h, slope = _parabola(side.facets, c, of, z)
+            h = heights_of_arcs(side.facets, c[:, 0], of, h)
+            parts.append((h, slope * _arc_slopes(side.facets, c[:, 0], of, h)))
+    else:
+        found = _common(a, b)
+        both_sides = zip((a, b), found, xi, strict=True)
+        parts = [_parabola(side.facets, c, of, z) for side, c, z in both_sides]
+        for one, other, z in (0, 1, xi[0]), (1, 0, xi[1]):
+            ends = (a, b)[one].facets.element.vertices
+            N = (a, b)[one].facets.element.vertex_functions(z)
+            bubble = 0.5 * (N[:, ends[0]] * N[:, ends[1]])[:, None]
+            own, across = _common_slopes((a, b)[one], (a, b)[other])
+            for moved, change in (one, own[of]), (other, across[of]):
+                first, last = (a, b)[moved].facets.element.vertices
+                by_x[moved][:, last] += bubble * change
+                by_x[moved][:, first] -= bubble * change
+    (h_s, slope_s), (h_m, slope_m) = parts
+    return HeightSlopes(h_s + h_m, slope_s, slope_m, *by_x)
+
+
+def _parabola(facets: Facets, c: Floats, of: Ints, xi: Floats) -> tuple[Floats, Floats]:
+    """Return the heights (q,) of c_ab (p, 1) over lines, and their slopes by xi."""
+    return heights(facets, c, of, xi), -xi[:, 0] / 4 * c[of, 0]
+
+
+def _arc_slopes(facets: Facets, sagitta: Floats, which: Ints, h: Floats) -> Floats:
+    """Return dh/dh_0 (q,) of `heights_of_arcs`, from h^2 k + 2 h cos b = 2 h_0."""
+    a, b = facets.element.vertices
+    chord = np.linalg.norm(facets.x[:, b] - facets.x[:, a], axis=1)
+    k = sagitta / np.maximum(chord**2, TINY)
+    cosine = np.sqrt(np.maximum(1.0 - (k * chord / 2) ** 2, TINY))
+    return np.asarray(1.0 / (h * k[which] + cosine[which]))
+
+
+def _common_slopes(side: Curved, other: Curved) -> tuple[Floats, Floats]:
+    """Return the derivatives (p, 2) of a line's common c_ab by its edge and by the other's."""
+    (a, b), (i, j) = side.facets.element.vertices, other.facets.element.vertices
+    e, f = side.facets.x[:, b] - side.facets.x[:, a], other.facets.x[:, j] - other.facets.x[:, i]
+    along, square = (e * f).sum(axis=1), (f * f).sum(axis=1)
+    size = (-0.5 * other.sagitta[:, 0] * 2 * along / square**2)[:, None]
+    return size * f, size * (e - (2 * along / square)[:, None] * f)
+
+
 def missed_heights(
     pairing: Pairing,
     segments: Segments,

@@ -98,7 +98,12 @@ def drop_far(
     nearest = float(comm.allreduce(distances.min(initial=np.inf), op=MPI.MIN))
     far = distances > reach(larger, nearest) + HALF_OF_DIGITS * larger
     near = (np.bincount(segments.pair, far, minlength=len(pairing.pairs)) == 0.0)[segments.pair]
-    points = {name: getattr(segments, name)[near] for name in _OF_POINTS}
+    return some_points(segments, near)
+
+
+def some_points(segments: Segments, which: Bools) -> Segments:
+    """Return the segments with some of their points (q,) only."""
+    points = {name: getattr(segments, name)[which] for name in _OF_POINTS}
     return replace(segments, **points)
 
 

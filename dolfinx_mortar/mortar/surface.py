@@ -332,6 +332,27 @@ def nodal_normals(surface: Surface, x: Floats) -> Floats:
     return np.where(length > 8 * ROUND_OFF, total / np.maximum(length, TINY), 0.0)
 
 
+def normal_derivatives(surface: Surface, x: Floats) -> Floats:
+    """Return the terms (m, k, 2, k, 2) that facets in 2D add to the derivatives of nodal normals.
+
+    [f, j, :, l, :] is the change of the averaged normal n_j with x_l by facet f: with the tangents
+    t = sum_l N_l' x_l at node j and the normals n_f to them, n_j is along S = sum_f n_f, so that
+    dn_j = -(I - n_j n_j^T) / |S| sum_f (t/|t|) (n_f.dt) / |t|. Collective.
+    """
+    facets, element = facets_at(surface, x), surface.element
+    at_nodes = normals_at_nodes(facets)
+    total = sum_at_nodes(surface, at_nodes)
+    size = np.linalg.norm(total, axis=1)
+    n = total / np.maximum(size, TINY)[:, None]
+    across = np.where((size > 8 * ROUND_OFF)[:, None, None], np.eye(2), 0.0)
+    across = (across - n[:, :, None] * n[:, None, :]) / np.maximum(size, ROUND_OFF)[:, None, None]
+    slopes = element.derivatives(element.points)[:, :, 0]
+    t = np.einsum("jl,mli->mji", slopes, facets.x)
+    turned = -np.einsum("mjia,mja->mji", across[surface.facets], t)
+    turned /= np.maximum((t * t).sum(axis=2), TINY)[:, :, None]
+    return np.einsum("mja,mjb,jl->mjalb", turned, at_nodes, slopes)
+
+
 def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
     """Return the stretch 1 / |F^-T n| (n,) of the bodies along the normals at X (collective).
 

@@ -15,10 +15,12 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.congruence import as_aij
-from dolfinx_mortar.arrays import Actives, Ints
+from dolfinx_mortar.algebra.congruence import as_aij, product_of_bases
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arrays import Actives, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, equalities, join
+from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent
 from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.problem.step_data import StepData
@@ -57,6 +59,7 @@ class Linearisation:
     qp: BoundQP
     balance: Balance
     diagonal: PETSc.Vec  # (n,) of K^ before the elimination
+    geometry: GeometryTangent | None = None  # where the motion of the surfaces is linearised
 
 
 def find_balance(problem: ContactProblem, data: StepData, overlap: float = 0.0) -> Balance:
@@ -131,17 +134,83 @@ def linearise(
     if formed and T is not None and not T.formed:
         linear.clear()  # before the new product needs the memory
     with problem.timings("transform"):
-        A, b, diagonal = _form(problem, balance) if formed else _follow(problem, balance, change)
-        lower, upper = problem.vector(), problem.vector()
-        lower.set(PETSc.NINFINITY)
-        upper.set(PETSc.INFINITY)
-        bounds = balance.bounds
-        lower.array[bounds.dofs] = np.maximum(bounds.lower, PETSc.NINFINITY)
-        upper.array[bounds.dofs] = np.minimum(bounds.upper, PETSc.INFINITY)
-        law = None if balance.limits is None else _law(balance.limits, bounds, b.local_size)
-    product = problem.operator if direct and not formed else None
-    qp = BoundQP(A, b, lower, upper, bounds.dofs, law, product=product)
+        parts = _form(problem, balance) if formed else _follow(problem, balance, change)
+        qp, diagonal = _bounded(problem, balance, *parts)
+    if direct and not formed:
+        qp = replace(qp, product=problem.operator)
     return Linearisation(qp, balance, diagonal)
+
+
+def _bounded(
+    problem: ContactProblem, balance: Balance, A: PETSc.Mat, b: PETSc.Vec, diagonal: PETSc.Vec
+) -> tuple[BoundQP, PETSc.Vec]:
+    """Return the QP of a matrix and a right-hand side after the elimination, and a diagonal."""
+    lower, upper = problem.vector(), problem.vector()
+    lower.set(PETSc.NINFINITY)
+    upper.set(PETSc.INFINITY)
+    bounds = balance.bounds
+    lower.array[bounds.dofs] = np.maximum(bounds.lower, PETSc.NINFINITY)
+    upper.array[bounds.dofs] = np.minimum(bounds.upper, PETSc.INFINITY)
+    law = None if balance.limits is None else _law(balance.limits, bounds, b.local_size)
+    return BoundQP(A, b, lower, upper, bounds.dofs, law), diagonal
+
+
+def linearise_all(
+    problem: ContactProblem,
+    balance: Balance,
+    multipliers: Floats,
+    tangential: Floats | None,
+    *,
+    tangent: bool = True,
+) -> Linearisation:
+    """Assemble the QP of the exact tangent, that of the moving surfaces included; collective.
+
+    Its K^ = T^T (K + H) T_g is not symmetric, see `interfaces.moving_geometry`.
+
+    Args:
+        problem: the problem, in the geometry of the balance, at the present u.
+        balance: forces and constraints.
+        multipliers: lambda_j (owned nodes,), with which the forces balance.
+        tangential: tangential tractions (owned nodes, d), None without friction.
+        tangent: assemble K anew; a linear law needs it once.
+    """
+    with problem.timings("mortar"):
+        found = problem.system.linearise_geometry(problem.u, multipliers, tangential)
+    if tangent or not problem.K.isAssembled():
+        with problem.timings("assembly"):
+            problem.terms.assemble_tangent(problem.K)
+    with problem.timings("transform"):
+        T, A = problem.system.transformation, as_aij(problem.K).copy()
+        assert T is not None
+        A.axpy(1.0, found.H, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+        A = product_of_bases(A, T.change, found.trial.change)
+        qp, diagonal = _bounded(problem, balance, *_eliminated(problem, balance, A))
+    return Linearisation(replace(qp, definite=False), balance, diagonal, found)
+
+
+def correct_bounds(lin: Linearisation, solved: QPSolution) -> tuple[Linearisation, float]:
+    """Return the QP whose bounds have the parts of gap rows that T_g neglects; collective.
+
+    These are known for a solution, and some per cent of it, so that few corrections suffice.
+
+    Args:
+        lin: of the exact tangent.
+        solved: its solution, or that of its QP with other bounds.
+
+    Returns:
+        It, and the largest change of a bound times the stiffness there, a force.
+    """
+    assert lin.geometry is not None
+    dofs, bounds = lin.balance.bounds.dofs, lin.balance.bounds
+    closing = lin.geometry.closing(to_displacement(lin.geometry.trial, solved.x))[dofs]
+    neglected = np.where(closing != 0.0, closing - solved.x.array_r[dofs], 0.0)
+    upper = lin.qp.upper.copy()
+    before = upper.array_r[dofs].copy()
+    upper.array[dofs] = np.minimum(bounds.upper - neglected, PETSc.INFINITY)
+    change = np.abs(upper.array_r[dofs] - before) * np.abs(lin.diagonal.array_r[dofs])
+    on = solved.active > 0
+    largest = maximum(lin.qp.comm, change[on].max(initial=0.0))[0]
+    return replace(lin, qp=replace(lin.qp, upper=upper)), float(largest)
 
 
 def _law(limits: SlipLimits, bounds: Constraints, n: int) -> Friction:
@@ -156,7 +225,13 @@ def _law(limits: SlipLimits, bounds: Constraints, n: int) -> Friction:
 def _form(problem: ContactProblem, balance: Balance) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
     """Return K^ = T^T K T and r^ after, and the diagonal of K^ before the elimination."""
     T = problem.system.transformation
-    A = as_aij(problem.K) if T is None else T.transform(problem.K)
+    return _eliminated(problem, balance, as_aij(problem.K) if T is None else T.transform(problem.K))
+
+
+def _eliminated(
+    problem: ContactProblem, balance: Balance, A: PETSc.Mat
+) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
+    """Eliminate what is prescribed from A; return it, r^ after, and its diagonal before."""
     b, dy = balance.reduced.copy(), problem.vector()
     dy.array[balance.equal.dofs] = balance.equal.upper
     diagonal = A.getDiagonal()

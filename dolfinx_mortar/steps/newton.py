@@ -11,7 +11,9 @@ One iteration, at u with contacts (active set, multipliers) and a geometry:
     5  converged if all are within their tolerances
 
 Updates of the geometry are a fixed-point iteration: one after every iteration while their change
-or the residual decreases; otherwise the geometry is frozen until Newton's method has converged.
+or the residual decreases; otherwise the geometry is frozen until Newton's method has converged. In
+2D the motion of the surfaces is linearised, too, where that saves iterations (`Watch.is_slow`), and
+where the fixed point fails; then Newton's method is quadratic.
 """
 
 import logging
@@ -26,7 +28,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar import qp as backends
-from dolfinx_mortar.algebra.parallel import free_unused, maximum
+from dolfinx_mortar.algebra.parallel import free_unused, maximum, ratio
 from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Actives, Floats
 from dolfinx_mortar.interfaces.interface import ask
@@ -37,12 +39,15 @@ from dolfinx_mortar.newton_method.line_search import NoDescent, search, shorten
 from dolfinx_mortar.newton_method.linearisation import (
     Balance,
     Linearisation,
+    correct_bounds,
     count_changes,
     find_balance,
     linearise,
+    linearise_all,
     to_displacement,
 )
 from dolfinx_mortar.newton_method.residuals import (
+    DIGIT,
     Residuals,
     Scales,
     find_extent,
@@ -54,13 +59,20 @@ from dolfinx_mortar.newton_method.residuals import (
     tightest,
 )
 from dolfinx_mortar.newton_method.tunnelling import describe_passing
-from dolfinx_mortar.newton_method.watch import MOST_RISES, Watch, find_change
+from dolfinx_mortar.newton_method.watch import (
+    MOST_RISES,
+    NEAR,
+    Watch,
+    contact_forces,
+    find_change,
+)
 from dolfinx_mortar.persistence.committed import StepOutcome
 from dolfinx_mortar.problem.checks import check_controls, check_problem
 from dolfinx_mortar.problem.jumps import TooFar, tighten
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.qp import LinearSolver, QPSolution
+from dolfinx_mortar.qp.solver import ACTIVE_SET
 from dolfinx_mortar.report.certificate import create_certificate
 from dolfinx_mortar.report.interface_results import set_results
 from dolfinx_mortar.report.notes import StepEnd, find_notes
@@ -74,8 +86,11 @@ log = logging.getLogger(__name__)
 # Multiples of the elastic stiffness that are tried one after the other where a tangent is
 # indefinite. A compression by a share e of the moduli needs about e, in a slender column, whose
 # elastic stiffness against bending is low, e times its length over its thickness, squared.
-NEAR = 1e-3  # relative residual of forces below which an indefinite tangent is used as it is
+STABLE = 1e-3  # relative residual of forces below which an indefinite tangent is used as it is
 SHIFTS = (0.0, 0.01, 0.1, 1.0, 10.0, 100.0, 1000.0)
+# How often a QP with the exact tangent is solved once more, with the parts of gap rows that T_g
+# neglects. They are some per cent of the rows, so that each correction gains one to two digits.
+CORRECTIONS = 3
 
 
 def newton(
@@ -220,6 +235,12 @@ class _Step:
         self.negative = False  # whether the last tangent that was used is indefinite
         self.shifted = 0  # the entry of SHIFTS that the last tangent needed
 
+    @property
+    def may_be_exact(self) -> bool:
+        """Whether the motion of the surfaces can be linearised: in 2D, with a factorisation."""
+        backend = self.report.backend == ACTIVE_SET
+        return self.problem.d == 2 and self.solver.direct and backend and self.shifted == 0
+
     def run(self, max_it: int) -> None:
         """Iterate until convergence; set the results and the certificate."""
         problem = self.problem
@@ -274,21 +295,29 @@ class _Step:
         problem, report = self.problem, self.report
         free_unused(problem.comm)
         tangent = not self.linear or (number == 1 and problem.terms.varying)  # by parameters
-        accuracy = partial(self.accuracy, watch=watch, residuals=residuals)
-        near = bool(residuals) and residuals[-1].forces < NEAR
-        lin, solved = self.linearise(old, start, tangent, accuracy, near=near)
+        lin, solved, rejected = None, None, ""
+        if self.is_exact(watch, residuals):
+            lin, solved, rejected = self.solve_exact(start, old, watch, residuals, tangent)
+            if rejected:
+                watch = watch.after_exact(np.inf, residuals[-1].excess)
+        exact = solved is not None
+        if lin is None or solved is None:
+            accuracy = partial(self.accuracy, watch=watch, residuals=residuals)
+            near = bool(residuals) and residuals[-1].forces < STABLE
+            lin, solved = self.linearise(old, start, tangent, accuracy, near=near)
         scales = old.scales
         if number == 1:
             lifted = problem.vector(self.data.asked)
             lifted.pointwiseMult(lifted, lin.diagonal)
             scales = replace(scales, first=max(lin.qp.b.norm(), lifted.norm()))
-        report.quote(number, solved.note)
+        report.quote(number, solved.note or rejected)
         report.note_friction(number, solved.linearisation)
         contacts = found_by(lin, solved, problem.n)
         multiplier = maximum(problem.comm, contacts.multipliers.max(initial=0.0))[0]
         largest = max(old.largest, float(multiplier))
 
-        du = to_displacement(problem.system.transformation, solved.x)
+        T = problem.system.transformation if lin.geometry is None else lin.geometry.trial
+        du = to_displacement(T, solved.x)
         self.check_distance(du, scales.extent)
         length, halvings, energy = self.move(lin, solved, du, largest, old.energy)
         norm = problem.solid.elastic_norm(problem.u)
@@ -302,7 +331,9 @@ class _Step:
         def judge(balance: Balance) -> Residuals:
             return measure(problem.u, balance, contacts, lin.diagonal, scales, norm, report.rtol)
 
-        balance, residual, watch, change = self.follow(watch, judge, contacts, predicted)
+        balance, residual, watch, change = self.follow(
+            watch, judge, contacts, predicted, residuals[-1] if exact else None
+        )
         report.iterations.append(
             Iteration(
                 number=number,
@@ -320,6 +351,7 @@ class _Step:
                 geometry_change=change,
                 geometry_held=watch.held,
                 shift=SHIFTS[self.shifted],
+                exact_tangent=exact,
             )
         )
         iterate = Iterate(
@@ -372,6 +404,48 @@ class _Step:
     def has_negative_pivots(self) -> bool:
         """Tell whether the last factorisation has negative pivots; collective."""
         return bool(maximum(self.problem.comm, float(self.solver.negative_pivots))[0] > 0)
+    def is_exact(self, watch: Watch, residuals: list[Residuals]) -> bool:
+        """Tell whether the next QP has the exact tangent of the moving geometry."""
+        if not residuals or not watch.moving or not self.may_be_exact:
+            return False
+        last = residuals[-1]
+        if watch.rises >= MOST_RISES:
+            return True
+        near = max(last.forces, last.contact) < NEAR and last.excess < watch.barred
+        return near and watch.is_slow(self.linear, last.forces / self.report.rtol, last.excess)
+
+    def solve_exact(
+        self,
+        start: Actives,
+        old: Iterate,
+        watch: Watch,
+        residuals: list[Residuals],
+        tangent: bool,
+    ) -> tuple[Linearisation | None, QPSolution | None, str]:
+        """Solve the QP with the exact tangent of the moving geometry; say why it has no solution.
+
+        Its bounds are corrected by what the rows of T_g neglect, see `correct_bounds`.
+        """
+        contacts = old.contacts
+        given = contacts.multipliers, contacts.tangential
+        lin = linearise_all(self.problem, old.balance, *given, tangent=tangent)
+        rtol = self.accuracy(lin, watch, residuals)
+        try:
+            solved = first = self.solve(lin, start, old, rtol)
+            for _ in range(CORRECTIONS):
+                lin, left = correct_bounds(lin, solved)
+                if left <= DIGIT * residuals[-1].limit:
+                    break
+                last, solved = solved, self.solve(lin, solved.active, old, rtol)
+                solved = replace(
+                    solved,
+                    updates=last.updates + solved.updates,
+                    linear_iterations=last.linear_iterations + solved.linear_iterations,
+                    factorisations=last.factorisations + solved.factorisations,
+                )
+        except backends.QPNotSolved as error:
+            return None, None, f"without the exact tangent ({error})"
+        return lin, replace(solved, changes=first.changes), ""
 
     def accuracy(self, lin: Linearisation, watch: Watch, residuals: list[Residuals]) -> float:
         """Return the relative tolerance of the next QP."""
@@ -429,7 +503,7 @@ class _Step:
         asked = float(maximum(problem.comm, lin.balance.equal.scale)[0])
         with problem.timings("assembly"):
             try:
-                if energy is None or asked > lost:
+                if energy is None or asked > lost or lin.geometry is not None:
                     return *shorten(problem, du.array_r), problem.terms.energy()
                 return search(problem, lin, solved, du, largest, energy)
             except NoDescent as error:
@@ -441,20 +515,34 @@ class _Step:
         judge: Callable[[Balance], Residuals],
         contacts: Contacts,
         predicted: Floats,
+        last: Residuals | None,
     ) -> tuple[Balance, Residuals, Watch, float]:
-        """Update the geometry unless it is constant or frozen; return balance and residuals."""
+        """Update the geometry unless it is constant or frozen; return balance and residuals.
+
+        Args:
+            watch: the fixed point so far.
+            judge: returns the residuals of a balance.
+            contacts: found by the QP.
+            predicted: gaps (owned nodes,) by it.
+            last: residuals before, of the exact tangent; None for another QP.
+        """
         problem = self.problem
-        if not watch.moving or watch.held:
+        if last is None and (not watch.moving or watch.held):
             balance = self.balance()
             residual = judge(balance)
             if not watch.moving or residual.excess > 1.0:
                 return balance, residual, watch, 0.0
+        before = contact_forces(problem, contacts)
         problem.follow_geometry()
         balance = self.balance()
         residual = judge(balance)
         change, work = find_change(problem.comm, balance, contacts, predicted)
-        watch = watch.after(work, residual.forces)
-        if watch.rises >= MOST_RISES:
+        turned = problem.vector(contact_forces(problem, contacts) - before).norm()
+        if last is not None:
+            watch = watch.after_exact(residual.excess, last.excess)
+        else:
+            watch = watch.after(work, residual.forces).turning(ratio(turned, residual.limit))
+        if watch.failed > MOST_RISES or (watch.rises >= MOST_RISES and not self.may_be_exact):
             raise failures.StepFailed(failures.unsettled(problem))
         return balance, residual, watch, change / problem.system.facet_length
 

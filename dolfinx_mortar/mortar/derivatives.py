@@ -1,0 +1,331 @@
+# SPDX-License-Identifier: MIT
+r"""Derivatives of contact forces and of weighted gaps in 2D, when both sides move.
+
+With the tractions c_j = lambda_j n_j (+ tau_j t_j) at the kept slave nodes, s = sum_j Phi_j c_j and
+o = x_m - x_s, forces on nodes and weighted gaps are the sums over the points of all segments
+
+    F_k = sum w s N_k (slave),   F_l = -sum w s N_l (master),   G_j = sum w (Phi_j n_j.o - Phi_j h).
+
+Their derivatives are taken in two stages: with regard to the coordinates of both sides and to the
+normals n (which direct the projection, the tractions and the gaps), and of the normals with regard
+to the coordinates of the slave side, which may be another rank's. On a facet
+
+    Phi_j = 1/c + sum_b A'_jb N_b,    A = diag(d) m^-1,   m_ab = sum w N_a N_b,   d_a = sum w N_a
+
+over its c kept nodes, A' being A less its mean over the rows, see `dolfinx_mortar.mortar.dual`. So
+dA m = diag(dd) - A dm, which is zero where w is constant and all of a straight facet is covered.
+At the points derivatives are those by the nodes of their own pair. Those of all segments are summed
+in sparse matrices, of which the columns are, in this order, slave coordinates, normals, and the
+coordinates of the received master nodes of this rank.
+"""
+
+from dataclasses import dataclass
+from functools import reduce
+from typing import TypeAlias
+
+import numpy as np
+from scipy import sparse
+
+import dolfinx
+from dolfinx.common import timed
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.geometry.facets import Facets
+from dolfinx_mortar.geometry.line_derivatives import PointDerivatives, differentiate_points
+from dolfinx_mortar.geometry.segments import Segments
+from dolfinx_mortar.geometry.tolerances import TINY
+from dolfinx_mortar.mortar.curvature_correction import HeightSlopes
+from dolfinx_mortar.mortar.dual import covered_weights, sums_of_products
+from dolfinx_mortar.mortar.pairing import Pairing, received_facets
+from dolfinx_mortar.mortar.surface import (
+    coordinates,
+    facets_at,
+    nodal_normals,
+)
+
+Matrix: TypeAlias = sparse.csr_array
+_LEAST = 1e-10
+"""Facets of which m is as near to singular as this have the dual functions of the moment."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tractions:
+    """Constraint normals and tractions at the local slave nodes, as functions of the normals."""
+
+    normals: Floats  # (n, 2) n_j of gaps; zero where no multiplier is carried
+    turning: Floats  # (n, 2, 2) dn_j/dn of the averaged normals n
+    tractions: Floats  # (n, 2) c_j
+    changes: Floats  # (n, 2, 2) dc_j/dn
+
+
+@dataclass(frozen=True, eq=False)
+class Derivatives:
+    """Derivatives of the part of forces F and gaps G that this rank's slave facets have.
+
+    Rows of F belong to the coordinates of the slave nodes, then of the received master nodes.
+    """
+
+    F_x: Matrix  # (2 n + 2 nm, 2 n + 2 nm) by the coordinates of the same nodes
+    F_n: Matrix  # (2 n + 2 nm, 2 n) by the averaged normals
+    G_x: Matrix  # (n, 2 n + 2 nm)
+    G_n: Matrix  # (n, 2 n)
+
+
+@dataclass(frozen=True, eq=False)
+class _Field:
+    """Values at points, with their derivatives in the order of `PointDerivatives`."""
+
+    value: Floats  # (q,)
+    d: Floats  # (q, p)
+
+    def __add__(self, other: "_Field") -> "_Field":
+        return _Field(self.value + other.value, self.d + other.d)
+
+    def __mul__(self, other: "_Field") -> "_Field":
+        d = other.value[:, None] * self.d + self.value[:, None] * other.d
+        return _Field(self.value * other.value, d)
+
+
+@timed("~Mortar: derivatives")
+def differentiate(
+    pairing: Pairing,
+    u: dolfinx.fem.Function,
+    segments: Segments,
+    keep: Bools,
+    Phi: Floats,
+    given: Tractions,
+    slopes: HeightSlopes | None,
+) -> Derivatives:
+    """Return the derivatives of forces and weighted gaps at X + u (collective).
+
+    Args:
+        pairing: The pair of surfaces, in 2D.
+        u: Displacement.
+        segments: Its segments at X + u, of all slave facets or of some.
+        keep: Local slave nodes (n,) that carry a multiplier.
+        Phi: Their weighted functions (q, k) of `weighted_duals`.
+        given: Normals and tractions.
+        slopes: Heights of smooth surfaces and their derivatives; None for facets.
+    """
+    slave, master = pairing.slave, received_facets(pairing, u)
+    x = coordinates(slave, u)
+    facets, n_s = facets_at(slave, x), nodal_normals(slave, x)[slave.facets]
+    points = differentiate_points(facets, n_s, master, segments, _log_slopes(pairing, segments))
+    chain = _Chain(segments, facets, master, points, given, slave.facets[segments.slave])
+    A, slope = chain.coefficients(keep[slave.facets])
+    duals = chain.duals(A, Phi)
+    F_x, F_A = chain.forces(duals)
+    G_x, G_A = chain.gaps(duals, slopes)
+    place = _Places(pairing, segments, len(x))
+    dA = place.by_coefficients(slope, chain.moments())
+    F = place.forces(F_x) + place.forces_by_coefficients(F_A) @ dA
+    G = place.gaps(G_x) + place.gaps_by_coefficients(G_A) @ dA
+    n, z = 2 * len(x), place.columns
+    coordinate_columns, normal_columns = np.r_[0:n, 2 * n : z], np.arange(n, 2 * n)
+    parts = (Matrix(B)[:, c] for B in (F, G) for c in (coordinate_columns, normal_columns))
+    return Derivatives(*parts)
+
+
+def _log_slopes(pairing: Pairing, segments: Segments) -> Floats:
+    """Return the derivatives (q,) of ln f by xi_s for the weight f of a pairing, linear at X."""
+    if pairing.weight is None:
+        return np.zeros(len(segments.slave))
+    at_X, weight = facets_at(pairing.slave, pairing.slave.X), pairing.weight
+    N, dN = (f(segments.xi_s) for f in (at_X.element.shape_functions, at_X.element.derivatives))
+    X = at_X.x[segments.slave]
+    x, slope = np.einsum("qk,qki->qi", N, X), np.einsum("qk,qki->qi", dN[:, :, 0], X)
+    return np.asarray((weight(x + slope / 2) - weight(x - slope / 2)) / weight(x))
+
+
+class _Chain:
+    """Derivatives at the points of segments, for the nodes of their own pairs.
+
+    The coefficients A' of the dual functions depend on all segments of a facet: derivatives with
+    regard to them are kept apart.
+    """
+
+    def __init__(
+        self,
+        segments: Segments,
+        slave: Facets,
+        master: Facets,
+        points: PointDerivatives,
+        given: Tractions,
+        nodes: Ints,
+    ) -> None:
+        s, m = segments.slave, segments.master
+        self.facet, self.count, self.nodes, self.given = s, len(slave.x), nodes, given
+        self.w = _Field(segments.weight, points.weight)
+        self.d_xi_s, self.d_xi_m = points.xi_s, points.xi_m
+        self.N_s, self.dN_s = _functions(slave, segments.xi_s)
+        self.N_m, self.dN_m = _functions(master, segments.xi_m)
+        self.k, self.p = self.N_s.shape[1], points.weight.shape[1]
+        self.offsets = [self._offset(i, slave.x[s], master.x[m]) for i in range(2)]
+
+    def _offset(self, i: int, x: Floats, y: Floats) -> _Field:
+        """Return component i of x_m - x_s."""
+        slopes = (
+            np.einsum("qk,qk->q", dN, v[:, :, i]) for dN, v in ((self.dN_s, x), (self.dN_m, y))
+        )
+        along_s, along_m = (slope[:, None] for slope in slopes)
+        d = along_m * self.d_xi_m - along_s * self.d_xi_s
+        d[:, i : 2 * self.k : 2] -= self.N_s
+        d[:, 4 * self.k + i :: 2] += self.N_m
+        x_s, x_m = (np.einsum("qk,qk->q", N, v[:, :, i]) for N, v in ((self.N_s, x), (self.N_m, y)))
+        return _Field(x_m - x_s, d)
+
+    def _nodal(self, values: Floats, changes: Floats, j: int, i: int) -> _Field:
+        """Return component i of vectors at nodes (n, 2), by normals (n, 2, 2), at node j."""
+        d = np.zeros((len(self.facet), self.p))
+        first = 2 * self.k + 2 * j
+        d[:, first : first + 2] = changes[self.nodes[:, j], i]
+        return _Field(values[self.nodes[:, j], i], d)
+
+    def coefficients(self, kept: Bools) -> tuple[Floats, Floats]:
+        """Return A' (facets, k, k), and its derivative by d and m.
+
+        The latter (facets, k, k, k + k^2) belongs to the k integrals d_a and the k^2 m_ac.
+
+        Args:
+            kept: (facets, k) nodes with a multiplier.
+        """
+        k, w, one = self.k, self.w.value, np.eye(self.k)
+        N = self.N_s * kept[self.facet]
+        m = sums_of_products(N * w[:, None], N, self.facet, self.count)
+        d = covered_weights(N, w, self.facet, self.count)
+        size = np.maximum(np.trace(m, axis1=1, axis2=2), TINY)[:, None, None]
+        whole = m + size * (~kept)[:, :, None] * one
+        some = (np.linalg.det(whole / size) > _LEAST) & (kept.sum(axis=1) > 1)
+        whole = np.where(some[:, None, None], whole, one)
+        both = kept[:, :, None] & kept[:, None, :] & some[:, None, None]
+        inverse = np.linalg.inv(whole) * both
+        A = d[:, :, None] * inverse
+        by_d = np.einsum("ja,fab->fjba", one, inverse)  # dA_jb = sum_a (dd_j - A_jc dm_ca) m^-1_ab
+        by_m = -np.einsum("fjc,fab->fjbca", A, inverse).reshape(-1, k, k, k * k)
+        slope = np.concatenate([by_d, by_m], axis=3)
+        share = (kept / np.maximum(kept.sum(axis=1), 1)[:, None])[:, :, None]
+        slope = slope - share[..., None] * slope.sum(axis=1, keepdims=True)
+        return A - share * A.sum(axis=1, keepdims=True), slope
+
+    def moments(self) -> Floats:
+        """Return the derivatives (q, k + k^2, p) of w N_a and w N_a N_c."""
+        N = [_Field(self.N_s[:, b], self.dN_s[:, b, None] * self.d_xi_s) for b in range(self.k)]
+        first = [self.w * one for one in N]
+        return np.stack([f.d for f in first] + [(f * one).d for f in first for one in N], axis=1)
+
+    def duals(self, A: Floats, Phi: Floats) -> list[_Field]:
+        """Return the dual functions of the nodes of the facets for given coefficients.
+
+        Args:
+            A: (facets, k, k) their coefficients.
+            Phi: (q, k) their values times weights.
+        """
+        slopes = np.einsum("qjb,qb->qj", A[self.facet], self.dN_s)
+        values = Phi / self.w.value[:, None]
+        return [_Field(values[:, j], slopes[:, j, None] * self.d_xi_s) for j in range(self.k)]
+
+    def forces(self, duals: list[_Field]) -> tuple[Floats, Floats]:
+        """Return the derivatives (q, k + l, 2, p) of the forces, and those by A' (.., k, k)."""
+        c = self.given.tractions[self.nodes]
+        N, dN = np.hstack([self.N_s, -self.N_m]), np.hstack([self.dN_s, -self.dN_m])
+        d_xi = np.stack([self.d_xi_s] * self.k + [self.d_xi_m] * self.N_m.shape[1], axis=1)
+        by_x = []
+        for i in range(2):
+            terms = (
+                dual * self._nodal(self.given.tractions, self.given.changes, j, i)
+                for j, dual in enumerate(duals)
+            )
+            density = self.w * reduce(_Field.__add__, terms)
+            along = (density.value[:, None] * dN)[:, :, None] * d_xi
+            by_x.append(N[:, :, None] * density.d[:, None] + along)
+        by_A = np.einsum("q,qji,qa,qb->qbija", self.w.value, c, self.N_s, N)
+        return np.stack(by_x, axis=2), by_A
+
+    def gaps(self, duals: list[_Field], slopes: HeightSlopes | None) -> tuple[Floats, Floats]:
+        """Return the derivatives (q, k, p) of the weighted gaps, and those by A' (q, k, k).
+
+        The latter of node j by A'_ja.
+        """
+        by_x, values = [], []
+        for j, dual in enumerate(duals):
+            parts = (
+                self._nodal(self.given.normals, self.given.turning, j, i) * self.offsets[i]
+                for i in range(2)
+            )
+            gap = self.w * reduce(_Field.__add__, parts, self._below(slopes))
+            by_x.append((gap * dual).d)
+            values.append(gap.value)
+        return np.stack(by_x, axis=1), np.stack(values, axis=1)[:, :, None] * self.N_s[:, None]
+
+    def _below(self, slopes: HeightSlopes | None) -> _Field:
+        """Return minus the heights, 0 for facets."""
+        q = len(self.facet)
+        if slopes is None:
+            return _Field(np.zeros(q), np.zeros((q, self.p)))
+        d = slopes.by_xi_s[:, None] * self.d_xi_s + slopes.by_xi_m[:, None] * self.d_xi_m
+        d[:, : 2 * self.k] += slopes.by_x_s.reshape(q, 2 * self.k)
+        d[:, 4 * self.k :] += slopes.by_x_m.reshape(q, self.p - 4 * self.k)
+        return _Field(-slopes.height, -d)
+
+
+class _Places:
+    """Where the values at points stand in the matrices of a rank."""
+
+    def __init__(self, pairing: Pairing, segments: Segments, n: int) -> None:
+        xy, self.n = np.arange(2), n
+        self.slave, self.facet = pairing.slave.facets[segments.slave], segments.slave
+        self.master = pairing.master_facets[segments.master]
+        self.columns = 4 * n + 2 * len(pairing.master_nodes)
+        self.count, self.k = len(pairing.slave.facets), self.slave.shape[1]
+        q, x_s = len(self.slave), 2 * self.slave[:, :, None] + xy
+        x_m = 2 * self.master[:, :, None] + xy
+        parts = x_s, 2 * n + x_s, 4 * n + x_m
+        self.stencil = np.concatenate(
+            [part.reshape(q, 2 * part.shape[1]) for part in parts], axis=1
+        )
+        self.force_rows = np.concatenate([x_s, 2 * n + x_m], axis=1)
+        items = np.arange(self.k**2).reshape(self.k, self.k)
+        self.coefficients = self.k**2 * self.facet[:, None, None] + items
+
+    def _sum(self, rows: Ints, columns: Ints, values: Floats, size: tuple[int, int]) -> Matrix:
+        where = (np.broadcast_to(v, values.shape).ravel() for v in (rows, columns))
+        return Matrix(sparse.coo_array((values.ravel(), tuple(where)), shape=size).tocsr())
+
+    def forces(self, values: Floats) -> Matrix:
+        """Return the sums of values (q, k + l, 2, p)."""
+        rows, columns = self.force_rows[..., None], self.stencil[:, None, None]
+        return self._sum(rows, columns, values, (self.columns - 2 * self.n, self.columns))
+
+    def gaps(self, values: Floats) -> Matrix:
+        """Return the sums of values (q, k, p)."""
+        where = self.slave[..., None], self.stencil[:, None]
+        return self._sum(*where, values, (self.n, self.columns))
+
+    def forces_by_coefficients(self, values: Floats) -> Matrix:
+        """Return the sums of values (q, k + l, 2, k, k)."""
+        rows, columns = self.force_rows[..., None, None], self.coefficients[:, None, None]
+        return self._sum(rows, columns, values, (self.columns - 2 * self.n, self.k**2 * self.count))
+
+    def gaps_by_coefficients(self, values: Floats) -> Matrix:
+        """Return the sums of values (q, k, k)."""
+        where = self.slave[..., None], self.coefficients
+        return self._sum(*where, values, (self.n, self.k**2 * self.count))
+
+    def by_coefficients(self, slope: Floats, moments: Floats) -> Matrix:
+        """Return the derivatives of A' on all facets.
+
+        Args:
+            slope: (facets, k, k, i) by the integrals d and m.
+            moments: (q, i, p) derivatives of these at the points.
+        """
+        i, f = moments.shape[1], np.arange(self.count)[:, None, None]
+        rows = i * self.facet[:, None, None] + np.arange(i)[:, None]
+        integrals = self._sum(rows, self.stencil[:, None], moments, (i * self.count, self.columns))
+        entry = self.k**2 * f + np.arange(self.k**2)[:, None]
+        slope = slope.reshape(self.count, self.k**2, i)
+        size = self.k**2 * self.count, i * self.count
+        return Matrix(self._sum(entry, i * f + np.arange(i), slope, size) @ integrals)
+
+
+def _functions(facets: Facets, xi: Floats) -> tuple[Floats, Floats]:
+    """Return the shape functions and their derivatives (q, k) at xi (q, 1)."""
+    return facets.element.shape_functions(xi), facets.element.derivatives(xi)[:, :, 0]

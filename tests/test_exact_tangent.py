@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: MIT
+"""The exact tangent of moving geometry in 2D: its derivatives, its rate, and when it is used."""
+
+from dataclasses import replace
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+import dolfinx_mortar.steps.newton as newton_module
+from dolfinx import fem
+from dolfinx_mortar.geometry.facets import points_of
+from dolfinx_mortar.mortar.curvature_correction import (
+    find_smooth_sides,
+    height_slopes,
+    point_heights,
+)
+from dolfinx_mortar.mortar.derivatives import Tractions, differentiate
+from dolfinx_mortar.mortar.integrals import (
+    default_keep,
+    find_segments,
+    node_weights,
+    weighted_duals,
+)
+from dolfinx_mortar.mortar.pairing import create_pairing, received_facets
+from dolfinx_mortar.mortar.surface import (
+    coordinates,
+    create_surface,
+    facets_at,
+    normal_derivatives,
+)
+from dolfinx_mortar.newton_method.watch import AGAIN, MOST_RISES, Watch
+from tests import meshes
+from tests.hertz_case import ELASTIC, create_case, create_mesh
+
+COMM = MPI.COMM_SELF
+TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
+
+
+class Rough:
+    """Two rough, bent sides that cover each other in part, with random tractions."""
+
+    def __init__(self, degree, *, smooth, rings, seed):
+        """Create them; the degree is that of the displacement."""
+        rng = np.random.default_rng(seed)
+        mesh, _, facets = meshes.two_blocks(
+            COMM, n_lower=(7, 1), n_upper=(4, 1), x_lower=(0.5, 1.5), x_upper=(1.0, 2.0)
+        )
+        V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
+        self.u, X = fem.Function(V), V.tabulate_dof_coordinates()[:, :2]
+        self.u.x.array[:] = 0.03 * rng.standard_normal(self.u.x.array.size)
+        self.u.x.array[1::2] -= 0.2 * (X[:, 0] - 1.3) ** 2
+        sides = (meshes.TOP_OF_LOWER, "slave"), (meshes.BOTTOM_OF_UPPER, "master")
+        self.slave, self.master = (create_surface(V, facets, *side) for side in sides)
+        weight = (lambda x: 2 * np.pi * x[..., 0]) if rings else None
+        surfaces = self.slave, self.master
+        self.pairing = create_pairing(V, *surfaces, self.u, weight=weight)
+        self.smooth = None
+        if smooth:
+            found = find_smooth_sides(self.pairing, np.zeros(X.shape, dtype=bool), 40.0)
+            a, b = (replace(s, sagitta=rng.uniform(0.05, 0.1, s.sagitta.shape)) for s in found)
+            self.smooth = a, b
+        self.values = rng.uniform(0.5, 1.0, (2, len(self.slave.nodes)))
+        segments, _ = find_segments(self.pairing, self.u)
+        self.keep = default_keep(self.pairing, segments, *node_weights(self.pairing, segments))
+        self.nodes = np.concatenate([self.slave.nodes, self.pairing.master_nodes])
+
+    def given(self, n):
+        """Return normals and tractions for averaged normals."""
+        k, (a, b) = self.keep[:, None], self.values[:, :, None]
+        one = np.broadcast_to(np.eye(2), (len(n), 2, 2)) * k[:, None]
+        changes = a[..., None] * one + b[..., None] * TURN @ one
+        return Tractions(k * n, one, k * (a * n + b * n @ TURN.T), changes)
+
+    def forces_and_gaps(self):
+        """Return the forces on all nodes and the weighted gaps."""
+        segments, n = find_segments(self.pairing, self.u)
+        given, own = self.given(n), len(self.slave.nodes)
+        Phi = weighted_duals(self.pairing, segments, self.keep)
+        sides = (
+            (facets_at(self.slave, coordinates(self.slave, self.u)), segments.slave, segments.xi_s),
+            (received_facets(self.pairing, self.u), segments.master, segments.xi_m),
+        )
+        x_s, x_m = (points_of(*side) for side in sides)
+        N_s, N_m = (facets.element.shape_functions(xi) for facets, _, xi in sides)
+        nodes, others = self.slave.facets[segments.slave], self.pairing.master_facets
+        s = np.einsum("qj,qji->qi", Phi, given.tractions[nodes])[:, None]
+        F, G = np.zeros((len(self.nodes), 2)), np.zeros(own)
+        np.add.at(F, nodes, N_s[:, :, None] * s)
+        np.add.at(F, own + others[segments.master], -N_m[:, :, None] * s)
+        gap = np.einsum("qji,qi->qj", given.normals[nodes], x_m - x_s)
+        if self.smooth is not None:
+            gap -= point_heights(self.pairing, segments, self.u, self.smooth)[:, None]
+        np.add.at(G, nodes, Phi * gap)
+        return F.ravel(), G
+
+    def derivatives(self):
+        """Return those of the forces and the weighted gaps by the coordinates of both sides."""
+        segments, n = find_segments(self.pairing, self.u)
+        slopes = None
+        if self.smooth is not None:
+            slopes = height_slopes(self.pairing, segments, self.u, self.smooth)
+        Phi = weighted_duals(self.pairing, segments, self.keep)
+        at = self.pairing, self.u, segments, self.keep, Phi
+        found = differentiate(*at, self.given(n), slopes)
+        blocks, own = normal_derivatives(self.slave, coordinates(self.slave, self.u)), len(n)
+        N = np.zeros((own, 2, len(self.nodes), 2))
+        for f, nodes in enumerate(self.slave.facets):
+            for j, a in enumerate(nodes):
+                for k, b in enumerate(nodes):
+                    N[a, :, b] += blocks[f, j, :, k]
+        N = N.reshape(2 * own, -1)
+        return found.F_x + found.F_n @ N, found.G_x + found.G_n @ N
+
+    def differences(self):
+        """Return them by central differences, extrapolated."""
+        columns = []
+        for node in self.nodes:
+            for i in range(2):
+                columns.append(
+                    (4 * self._difference(node, i, 1e-5) - self._difference(node, i, 2e-5)) / 3
+                )
+        both = np.stack(columns, axis=1)
+        return np.split(both, [2 * len(self.nodes)])
+
+    def _difference(self, node, i, h):
+        results = []
+        for step in (h, -h):
+            before = self.u.x.array[2 * node + i]
+            self.u.x.array[2 * node + i] += step
+            results.append(np.concatenate(self.forces_and_gaps()))
+            self.u.x.array[2 * node + i] = before
+        return (results[0] - results[1]) / (2 * h)
+
+
+@pytest.mark.parametrize("rings", [False, True])
+@pytest.mark.parametrize(("degree", "smooth"), [(1, False), (1, True), (2, False)])
+def test_derivatives_are_those_of_forces_and_gaps(degree, smooth, rings):
+    """Of random tractions on sides that cover each other in part; to 1e-9 of the largest entry."""
+    rough = Rough(degree, smooth=smooth, rings=rings, seed=3)
+    assert 0 < rough.keep.sum() < len(rough.keep)
+    for found, expected in zip(rough.derivatives(), rough.differences(), strict=True):
+        assert np.abs(found - expected).max() < 1e-9 * np.abs(expected).max()
+
+
+def rolled(**options):
+    """Return a disc that is pressed down by 1 and then rolled by 2, and the last report."""
+    case = create_case(create_mesh("graded", 0.3), ELASTIC, **options)
+    for x, y in ((0.0, -1.0), (2.0, -1.0)):
+        case.top.value[:] = (x, y)
+        report = dm.newton(case.problem, rtol=1e-10)
+        case.problem.commit()
+    return case, report
+
+
+def residuals(report):
+    """Return the residuals of the iterations with the exact tangent, and the one before."""
+    worst = [max(i.force_residual, i.contact_residual) for i in report.iterations]
+    first = next(k for k, i in enumerate(report.iterations) if i.exact_tangent)
+    assert all(i.exact_tangent for i in report.iterations[first:])
+    return worst[first - 1 :]
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_newton_is_quadratic_at_the_end_and_the_answer_the_same(degree, monkeypatch):
+    """Ratios of residuals fall with the residuals; the fixed point, longer, ends there, too."""
+    case, report = rolled(degree=degree)
+    r = residuals(report)
+    assert len(r) >= 3
+    ratios = np.array(r[1:]) / r[:-1]
+    assert ratios[0] < 0.1
+    assert ratios[1] < 0.1 * ratios[0]
+    force = case.contact.force
+    monkeypatch.setattr(newton_module._Step, "may_be_exact", False)
+    case, slow = rolled(degree=degree)
+    assert not any(i.exact_tangent for i in slow.iterations)
+    assert slow.newton_iterations >= report.newton_iterations + 3
+    assert np.abs(case.contact.force - force).max() < 1e-8 * np.abs(force).max()
+
+
+def test_what_lumped_rows_neglect_is_corrected(monkeypatch):
+    """Each further solution of a QP changes its bounds by less than a tenth of the one before."""
+    changes, correct = [], newton_module.correct_bounds
+
+    def noted(lin, solved):
+        changes.append(correct(lin, solved))
+        return changes[-1]
+
+    monkeypatch.setattr(newton_module, "correct_bounds", noted)
+    rolled()
+    first, second = (left for _, left in changes[:2])
+    assert 0.0 < second < 0.1 * first
+
+
+def test_a_tangent_without_solution_gives_way_to_the_fixed_point(monkeypatch):
+    """Where its QP fails, the step ends with the same answer without it, and a note says so."""
+    expected = rolled()[0].contact.force
+    solve = newton_module.backends.solve
+
+    def fail(qp, *args, **options):
+        if not qp.definite:
+            raise newton_module.backends.QPNotSolved("no solution")
+        return solve(qp, *args, **options)
+
+    monkeypatch.setattr(newton_module.backends, "solve", fail)
+    case, report = rolled()
+    assert not any(i.exact_tangent for i in report.iterations)
+    assert any("without the exact tangent (no solution)" in note for note in report.notes)
+    assert np.abs(case.contact.force - expected).max() < 1e-8 * np.abs(expected).max()
+
+
+def test_when_the_exact_tangent_pays():
+    """Slow fixed points, where the geometry is out of balance and not the laws; until it fails."""
+    slow = Watch(True).turning(100.0).turning(50.0)
+    assert slow.is_slow(True, 50.0, 1000.0)
+    assert not slow.is_slow(True, 50.0, 20.0)  # too few iterations are left
+    assert slow.is_slow(False, 50.0, 20.0)
+    assert not slow.is_slow(False, 1000.0, 1000.0)  # the law is out of balance
+    assert not Watch(True).turning(100.0).is_slow(True, 100.0, 100.0)  # no rate yet
+    assert slow.after_exact(1.0, 100.0).is_slow(True, 1.0, 1.0)
+    assert slow.after_exact(90.0, 100.0).barred == AGAIN * 100.0
+    lost = replace(slow, rises=MOST_RISES).after_exact(90.0, 100.0)
+    assert (lost.failed, lost.rises) == (1, MOST_RISES)
