@@ -382,9 +382,7 @@ class _Step:
         begin = 0 if near else max(self.shifted - 1, 0)
         for k in range(begin, len(SHIFTS) if finite else begin + 1):
             shift = SHIFTS[k]
-            lin = linearise(
-                problem, old.balance, tangent=tangent, shift=shift, linear=self.solver
-            )
+            lin = linearise(problem, old.balance, tangent=tangent, shift=shift, linear=self.solver)
             self.shifted = k
             try:
                 solved = self.solve(lin, start, old, accuracy(lin))
@@ -404,6 +402,7 @@ class _Step:
     def has_negative_pivots(self) -> bool:
         """Tell whether the last factorisation has negative pivots; collective."""
         return bool(maximum(self.problem.comm, float(self.solver.negative_pivots))[0] > 0)
+
     def is_exact(self, watch: Watch, residuals: list[Residuals]) -> bool:
         """Tell whether the next QP has the exact tangent of the moving geometry."""
         if not residuals or not watch.moving or not self.may_be_exact:
