@@ -116,14 +116,20 @@ class HeldProblem:
         self.qp, self.linear, self.x, self.rtol = qp, linear, x, rtol
         self.bounds = qp.bounds()
         self.z = reaction(qp, x)
-        self.b_norm, self.guessed = qp.b.norm(), self.z.norm()
+        self.guessed = self.z.norm()
         self.reactions: float | None = None  # at the bounds; unknown before the first solve
-        # a factorisation takes one iteration or two, friction another method
-        self.continued = qp.friction is None and not linear.direct
         self.best: Best | None = None
         self.level = LOOSE  # of the last solve
         self.asked = np.inf  # its tolerance
         self._checked: tuple[PETSc.Vec, KKT] | None = None  # z of the last check, its residuals
+
+    @property
+    def continued(self) -> bool:
+        """Whether an iteration goes on at the next accuracy.
+
+        A factorisation takes one iteration or two, friction another method.
+        """
+        return self.qp.friction is None and not self.linear.direct
 
     def forget(self) -> None:
         """Start again from x = 0, after a solve that has failed."""
@@ -206,7 +212,7 @@ class HeldProblem:
         """
         self.reactions = norm(self.qp.comm, z.array_r[held])
         atol = self._tolerance(self.level)
-        if SHARE * self.asked > atol:  # of the reactions before
+        if self.asked > atol and SHARE * self.asked > atol:  # of the reactions before
             self.asked = atol
             return SHARE * atol
         found = on_bounded(self.qp, x, z)
@@ -218,7 +224,7 @@ class HeldProblem:
             return SHARE * self.asked
         wrong = any_rank(self.qp.comm, (strength > 0.0).any())[0]
         self.asked *= DIGIT
-        exhausted = self.asked < ROUND_OFF * max(self.b_norm, self.reactions)
+        exhausted = self.asked < ROUND_OFF * max(self.qp.b.norm(), self.reactions)
         if wrong or exhausted or check(self.qp, x, z).satisfied(self.rtol):
             return 0.0
         return SHARE * self.asked
@@ -264,7 +270,7 @@ class HeldProblem:
     def _tolerance(self, level: int) -> float:
         """Return the largest residual at a level."""
         assert self.reactions is not None
-        force = max(self.b_norm, self.reactions)
+        force = max(self.qp.b.norm(), self.reactions)
         if level >= TIGHT:
             return self._accuracy(level) * force
         return max(self.rtol * force, self._accuracy(level) * self.reactions)

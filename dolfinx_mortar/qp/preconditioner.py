@@ -131,8 +131,8 @@ class SlownessTest:
         if not np.isfinite(norm):
             return int(Reason.DIVERGED_NANORINF)
         while norm <= (wanted := self.reduction * self.norms[0]):
-            self.reduction = self.go_on()
-            if self.reduction == 0.0:
+            before, self.reduction = self.reduction, self.go_on()
+            if not 0.0 < self.reduction <= before:
                 return int(Reason.CONVERGED_RTOL)
         if its >= self.limit:
             return int(Reason.DIVERGED_MAX_IT)

@@ -55,6 +55,7 @@ class Forms:
         MeanDilatation | MeanVolume | None
     )  # what tangent, elastic_norm and energy leave out
     evaluations: Sequence[Source]  # of stress and new internal variables at the points
+    found: Mapping[Law, PointValuesOfRegion]  # at the points before each assembly
 
 
 def create_responses(
@@ -100,13 +101,14 @@ def create_forms(
     kinematics: Kinematics,
     degree: int,
     *,
-    evaluations: Sequence[Source],
+    points: tuple[Sequence[Source], Mapping[Law, PointValuesOfRegion]],
     dilatation: MeanDilatation | MeanVolume | None = None,
 ) -> Forms:
     """Compile all forms that a Newton step needs; collective.
 
     The weak form F(u; v) = int sigma(eps) : d eps/du [v], its derivative, the potential, and the
-    two norms that scale residuals. With a dilatation they leave out the volumetric part.
+    two norms that scale residuals. With a dilatation they leave out the volumetric part. The points
+    are what evaluates stress and state there, and what is found before each assembly.
     """
     V = u.function_space
     parts = measures(V, regions, degree)
@@ -135,7 +137,8 @@ def create_forms(
         direction=direction,
         force=create_vector(V),
         dilatation=dilatation,
-        evaluations=evaluations,
+        evaluations=points[0],
+        found=points[1],
     )
 
 

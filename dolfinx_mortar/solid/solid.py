@@ -166,8 +166,7 @@ class Solid(Term):
             seen, mean_stress = ufl.dev(seen), dilatation.mean_stress
         inputs = [u] if self.eigenstrain is None else [u, self.eigenstrain.function]
         found = create_point_values(self.regions, seen, self.state, inputs, degree, finite=finite)
-        self._found = found
-        responses = create_responses(seen, self.regions, self.state, self._found, mean_stress)
+        responses = create_responses(seen, self.regions, self.state, found, mean_stress)
         if isinstance(dilatation, MeanVolume):
             pairs = zip(self.regions, responses, strict=True)
             responses = [dilatation.complete(*pair) for pair in pairs]
@@ -182,8 +181,9 @@ class Solid(Term):
         if self.volumes is not None:
             evaluations.append(self.volumes.source)
         laws = self.regions, responses
+        points = evaluations, found
         self._forms = create_forms(
-            u, *laws, self.kinematics, degree, evaluations=evaluations, dilatation=dilatation
+            u, *laws, self.kinematics, degree, points=points, dilatation=dilatation
         )
         small = not finite and self.kinematics.linear_in(u)
         parts = self.kinematics, self.eigenstrain, self.stress
@@ -336,7 +336,7 @@ class Solid(Term):
                 All that is shown, and what `commit` would take, is then as before.
         """
         self.follow()
-        settle_point_values(self.mesh.comm, self._found)
+        settle_point_values(self.mesh.comm, self._forms.found)
         fill_all(self.mesh.comm, self._forms.evaluations)
 
     def keep(self) -> list[tuple[fem.Function, Floats]]:
@@ -372,7 +372,7 @@ class Solid(Term):
         follow_changed(self.mesh.comm, self._followed())
         if self._forms.dilatation is not None:
             self._forms.dilatation.follow()
-        fill_point_values(self.mesh.comm, self._found)
+        fill_point_values(self.mesh.comm, self._forms.found)
 
     def commit(self) -> None:
         """Make the internal variables that `evaluate` found last those of the next step's start.
@@ -415,7 +415,7 @@ class Solid(Term):
         At finite strain, in laws with internal variables in the additive form, see
         `materials.logarithmic`; at the u of the last assembly or `evaluate`; collective.
         """
-        return largest_stress_lost(self.mesh.comm, self._found)
+        return largest_stress_lost(self.mesh.comm, self._forms.found)
 
     def max(self, name: str) -> float:
         """Return the largest value of a scalar field over all integration points (collective).
