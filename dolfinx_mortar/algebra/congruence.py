@@ -298,7 +298,8 @@ def _rows(K: PETSc.Mat, rows: Ints) -> PETSc.Mat:
     first = K.getOwnershipRange()[0]
     if K.getType() == "seqaij":  # blocks give blocks only
         index = PETSc.IS().createGeneral(rows.astype(PETSc.IntType), comm=K.comm)
-        return K.createSubMatrix(index, PETSc.IS().createStride(K.getSize()[1], comm=K.comm))
+        every = PETSc.IS().createStride(K.getSize()[1], step=1, comm=K.comm)
+        return K.createSubMatrix(index, every)
     found = [K.getRow(int(first + row)) for row in rows]
     indptr = np.cumsum([0, *(len(columns) for columns, _ in found)], dtype=PETSc.IntType)
     columns = np.concatenate([np.zeros(0, PETSc.IntType), *(columns for columns, _ in found)])
