@@ -194,14 +194,14 @@ def test_load_steps_factorise_what_multigrid_cannot(solved, monkeypatch, caplog)
 
 @pytest.mark.usefixtures("powerless")
 def test_factorised_steps_are_those_of_a_problem_that_factorises():
-    """No digit depends on how the factorisation was chosen; of MUMPS' own on more ranks some do."""
+    """To round-off: K is kept in blocks in one of them, so other sums are made."""
     found = []
     for options in ({}, {"pc_type": "cholesky"}):
         problem, contact, levels = ramped(petsc_options=options)
         list(dm.load_steps(problem, [0.5, 1.0], **levels))
         found.append(np.append(problem.u.x.array, contact.force / np.linalg.norm(contact.force)))
     difference = np.abs(found[0] - found[1]).max()
-    assert COMM.allreduce(difference, op=MPI.MAX) <= (0.0 if COMM.size == 1 else 1e-9)
+    assert COMM.allreduce(difference, op=MPI.MAX) <= (1e-13 if COMM.size == 1 else 1e-9)
 
 
 @pytest.mark.parametrize("options", [{"pc_type": "gamg"}, {"ksp_max_it": 1}])

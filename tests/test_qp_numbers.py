@@ -13,6 +13,7 @@ from programs import gathered, membrane
 
 from dolfinx_mortar import qp as qp_floor
 from dolfinx_mortar.qp import LinearSolver, QPNotSolved, solve
+from dolfinx_mortar.qp.preconditioner import RENEWAL_COST, Renewal
 
 COMM = MPI.COMM_WORLD
 
@@ -38,7 +39,7 @@ def test_the_numbers_are_all_known() -> None:
         for name, value in vars(module).items()
         if name.isupper() and (isinstance(value, (int, float)) or is_table(value))
     }
-    elsewhere = {"EPS", "MOST_FACTORISED"}
+    elsewhere = {"EPS", "MOST_FACTORISED", "SHARE_OF_RESTART"}
     assert names - {"LOOSE", "TIGHT", "OUT_OF_MEMORY"} - elsewhere == set(NUMBERS)
 
 
@@ -97,3 +98,9 @@ def two_tangents(backend: str, pc: str) -> tuple[np.ndarray, list[int]]:
     second = solve(qp, backend, linear, start_active=first.active, rtol=1e-11)
     costs = [first.updates, second.updates, linear.counts.iterations, linear.counts.factorisations]
     return gathered(second.z), costs
+
+
+def test_breakdowns_count_as_a_quarter_of_a_set_up() -> None:
+    """SHARE_OF_RESTART: after four of them levels are set up again."""
+    renewal = Renewal(RENEWAL_COST["iterative"], direct=False)
+    assert [renewal.restarts() for _ in range(5)] == [True, True, True, True, False]

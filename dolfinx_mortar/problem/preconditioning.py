@@ -7,7 +7,7 @@ from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.arrays import Ints
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.qp import Change, Preconditioning
-from dolfinx_mortar.supports.bodies import Bodies, rigid_motions
+from dolfinx_mortar.supports.bodies import Bodies, Motion, free_motions, rigid_motions
 from dolfinx_mortar.supports.dirichlet import Dirichlet
 
 
@@ -52,8 +52,16 @@ class UnknownsOfBodies:
         return Preconditioning(B, change, motions, between)
 
     def _parts(self) -> Ints:
-        """Return the body (n,) of each owned unknown, where tied bodies are one."""
+        """Return the body (n,) of each owned unknown, where tied bodies are one; collective.
+
+        All are one where contact alone holds a body: by itself its matrix is singular.
+        """
         label, group = self.bodies.label, self.bodies.group
+        ties = (link for link in self.system.links if not link.interface.unilateral)
+        held: list[Motion] = [link.constrained_motion for link in ties]
+        held.append(lambda v: v.array_r[self.supports.owned.ravel()])
+        if free_motions(self.bodies, held):
+            label, group = np.zeros_like(label), None
         return np.repeat(
             label if group is None else group[label], self.supports.V.dofmap.index_map_bs
         )

@@ -120,10 +120,14 @@ class KKT:
     friction: float = 0.0  # error of the tangential reactions in the law of friction
 
     def satisfied(self, rtol: float) -> bool:
-        """Tell whether every residual is below rtol or below its round-off floor."""
+        """Tell whether every residual is below rtol or below its round-off floor.
+
+        The law of friction compares two reactions, each with that of its own.
+        """
         force, length = max(rtol, self.force_floor), max(rtol, self.length_floor)
         return bool(
-            max(self.stationarity, self.sign, self.friction) <= force
+            max(self.stationarity, self.sign) <= force
+            and self.friction <= max(rtol, 2.0 * self.force_floor)
             and self.feasibility <= length
             and self.complementarity <= max(force, length)
         )

@@ -31,8 +31,6 @@ from dolfinx_mortar.qp.updates import LIMIT, LOOSE, TIGHT, Found, Outcome
 
 # Solves are this much more accurate than the check, whose scale may decrease meanwhile.
 SHARE = 0.5
-# An iteration whose solution the check refuses goes on by digits.
-DIGIT = 0.1
 
 
 def nearest(qp: BoundQP) -> Actives:
@@ -223,7 +221,7 @@ class HeldProblem:
             self.level, self.asked = self.level + 1, self._tolerance(self.level + 1)
             return SHARE * self.asked
         wrong = any_rank(self.qp.comm, (strength > 0.0).any())[0]
-        self.asked *= DIGIT
+        self.asked *= SHARE**3  # about a digit
         exhausted = self.asked < ROUND_OFF * max(self.qp.b.norm(), self.reactions)
         if wrong or exhausted or check(self.qp, x, z).satisfied(self.rtol):
             return 0.0

@@ -99,6 +99,11 @@ class Renewal:
             self.excess += its - reached / self.fresh_rate
 
 
+def no_more() -> float:
+    """Return 0: an iteration ends at its tolerance."""
+    return 0.0
+
+
 class SlownessTest:
     """PETSc convergence test: at the tolerance, or when an old factorisation is too slow.
 
@@ -117,7 +122,7 @@ class SlownessTest:
         limit: int,
         *,
         stale: bool,
-        go_on: Callable[[], float] = lambda: 0.0,
+        go_on: Callable[[], float] = no_more,
     ) -> None:
         """Start without observations."""
         self.renewal, self.reduction, self.limit, self.stale = renewal, reduction, limit, stale

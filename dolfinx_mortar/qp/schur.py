@@ -218,6 +218,8 @@ class SchurComplement:
         Raises:
             LinAlgError: if A is not positive definite with them held.
         """
+        if not self.prepared:
+            raise LinAlgError("nothing is factorised")
         on = self._places(self.bounded)
         out = np.isin(self.unknowns[on], self.bounded)
         if self.R is not None:
