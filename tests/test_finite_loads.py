@@ -52,6 +52,7 @@ def exact_pressure(a, n):
     return quad(integrand, INNER, OUTER)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kinematics", "n", "top"), [("plane_strain", 1, 0.4), ("axisymmetric", 2, 0.5)]
 )

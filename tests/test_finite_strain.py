@@ -106,6 +106,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("cell", "kinematics", "law", "volumetric"), CASES)
 def test_forces_and_tangent_are_derivatives(cell, kinematics, law, volumetric):
     """Of the energy, by central differences, at a displacement with J from about .7 to 1.4."""
@@ -198,6 +199,7 @@ def test_an_indefinite_tangent_is_made_convex():
     assert not any("unstable" in note for note in report.notes)
 
 
+@pytest.mark.slow
 def test_an_unstable_balance_is_told():
     problem, down = column(0.0)
     down.value = -0.05
@@ -205,6 +207,7 @@ def test_an_unstable_balance_is_told():
     assert any("unstable" in note for note in report.notes)
 
 
+@pytest.mark.slow
 def test_limit_points_pass_under_displacement_control():
     """A shallow arch, pressed down through its flat shape: the force falls and rises again."""
     domain = mesh.create_rectangle(

@@ -179,6 +179,7 @@ def test_isotropic_laws_do_not_see_turned_fibres(name):
     assert np.abs(after.stress @ Q.transpose(0, 2, 1) - before.stress).max() < 1e-11 * size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LAWS)
 def test_small_strains_give_the_law_itself(name):
     """P(I + t H) / t -> the small-strain stress, the error being of first order in t."""
@@ -356,12 +357,14 @@ def test_divided_differences():
         assert xyy == pytest.approx(float((f(a, b) - 1 / (2 * b)) / (a - b)), rel=2e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["hardening", "mixed", "arrays"])
 def test_laws_are_checked_at_finite_strain(name):
     report = dm.materials.check(LAWS[name], strain="finite")
     assert report.tangent_error < 1e-7 and report.objectivity_error < 1e-11
 
 
+@pytest.mark.slow
 def test_isotropy_is_checked():
     """What a law declares is compared; a false declaration is an error with both values."""
 

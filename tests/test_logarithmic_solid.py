@@ -65,6 +65,7 @@ def waved(cell, law, kinematics=None, size=0.1, **options):
     return solid
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [HARDENING, MIXED, Compiled(E, NU, Y, 500.0), Forces(E)])
 @pytest.mark.parametrize(
     ("cell", "kinematics"),
@@ -74,6 +75,7 @@ def test_forces_and_tangent_are_derivatives(cell, kinematics, law):
     _compare(waved(cell, law, kinematics))
 
 
+@pytest.mark.slow
 def test_with_the_mean_volume_of_cells_they_are_derivatives_too():
     """The part K/2 (ln J)^2 of a law that splits is taken at the mean of J over each cell."""
     _compare(waved("quadrilateral", HARDENING, volumetric="reduced"))
@@ -196,6 +198,7 @@ class Upset:
 LEVELS = [0.5, 1.0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [HARDENING, MIXED])
 def test_contact_and_restart(law, tmp_path):
     """Newton ends quadratically; a checkpoint has the plastic metric, the run goes on the same."""
@@ -232,6 +235,7 @@ def test_lost_stress_is_noted():
         assert tau == pytest.approx(SIGMA_Y / np.sqrt(3), rel=1e-3 if not noted else 0.06)
 
 
+@pytest.mark.slow
 def test_one_class_may_run_in_both_forms():
     """Of a kinematic and an isotropic law of one class each cell has the answer of its own."""
     domain = create_domain("quadrilateral", 3)
