@@ -128,8 +128,9 @@ def linearise(
                 problem.solid.add_elastic(problem.K, shift)
     change = None if T is None else T.change
     formed = direct  # a factorisation needs the matrix, an iteration its products
-    # the pivots of a factorisation of K say nothing of contact, which may hold an indefinite one
-    if direct and balance.limits is None and problem.solid.strain == "small":
+    # S has to be definite, which tangents of laws are, but those of large rotations are not always
+    convex = problem.solid.gradients.small and not problem.terms.have_tangent
+    if direct and balance.limits is None and convex:
         formed = interface_unknowns(problem.K, change, linear.options) is None
     if formed and T is not None and not T.formed:
         linear.clear()  # before the new product needs the memory
