@@ -28,7 +28,7 @@ from scipy import sparse
 
 import dolfinx
 from dolfinx.common import timed
-from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.geometry.line_derivatives import PointDerivatives, differentiate_points
 from dolfinx_mortar.geometry.segments import Segments
@@ -133,7 +133,9 @@ def _log_slopes(pairing: Pairing, segments: Segments) -> Floats:
     N, dN = (f(segments.xi_s) for f in (at_X.element.shape_functions, at_X.element.derivatives))
     X = at_X.x[segments.slave]
     x, slope = np.einsum("qk,qki->qi", N, X), np.einsum("qk,qki->qi", dN[:, :, 0], X)
-    return np.asarray((weight(x + slope / 2) - weight(x - slope / 2)) / weight(x))
+    step = QUARTER_OF_DIGITS * slope  # short: beyond the axis there is no weight
+    difference = weight(x + step) - weight(x - step)
+    return np.asarray(difference / (2 * QUARTER_OF_DIGITS * weight(x)))
 
 
 class _Chain:
