@@ -58,10 +58,10 @@ class Aim:
     def next(self, x: PETSc.Vec, z: PETSc.Vec) -> float:
         """Return the tolerance with which to go on from a solution, 0 to end; collective."""
         new = 0.0 if self.go_on is None else self.go_on(x, z)
-        if new > 0.0:
-            self.atol = new
-        else:
+        if not 0.0 < new < self.atol:
             self.go_on = None
+            return 0.0
+        self.atol = new
         return new
 
 
