@@ -102,6 +102,7 @@ class Certificate:
     left_out_lengths: float = 0.0  # mean of |H^T H| / 2 in a body
     rotation: float = 0.0  # largest rotation, radians
     pretension: float = 0.0  # force of a tie less its pretension, over the larger at the start
+    crossing: float = 0.0  # depth over the facet where bodies cross that no interface couples
     # at finite strain: moment at X + u of the internal forces of a body, over forces times arms
     internal_moment: float = 0.0
     smallest_J: float = 1.0  # smallest det F at the integration points, 1 for small strains

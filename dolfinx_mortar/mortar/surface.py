@@ -244,7 +244,7 @@ def _thickness(facets: Facets, V: dolfinx.fem.FunctionSpace) -> Floats:
     unknown = np.isinf(result)
     around, partly = any_rank(V.mesh.comm, (~unknown).any(), unknown.any())
     if around and partly:
-        surface, _ = exterior_facets(V)
+        surface, _, _ = exterior_facets(V)
         result[unknown] = thickness_behind(facets[unknown], surface, V.mesh.comm)
     return result
 
@@ -260,14 +260,22 @@ def thickness_behind(facets: Facets, others: Facets, comm: MPI.Intracomm) -> Flo
     return thickness(facets, others)
 
 
-def exterior_facets(V: dolfinx.fem.FunctionSpace) -> tuple[Facets, Ints]:
-    """Return all exterior facets (m,) at X that this rank integrates, and their owned cells (m,).
+def exterior_facets(
+    V: dolfinx.fem.FunctionSpace, u: dolfinx.fem.Function | None = None
+) -> tuple[Facets, Ints, Ints]:
+    """Return all exterior facets (m,) at X + u that this rank integrates.
 
     Once a surface exists: that has made the connectivities.
+
+    Returns:
+        The facets, their owned cells (m,), and their numbers (m,) in the mesh.
     """
-    nodes, cells = _facet_nodes(V, dolfinx.mesh.exterior_facet_indices(V.mesh.topology))
+    entities = dolfinx.mesh.exterior_facet_indices(V.mesh.topology)
+    nodes, cells = _facet_nodes(V, entities)
     X = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
-    return Facets(_element(V), X[_order_outwards(X, nodes, cells, V)]), cells
+    nodes = _order_outwards(X, nodes, cells, V)
+    x = X[nodes] if u is None else X[nodes] + u.x.array.reshape(-1, X.shape[1])[nodes]
+    return Facets(_element(V), x), cells, entities
 
 
 def cells_of(surface: Surface) -> Ints:

@@ -15,6 +15,7 @@ from dolfinx_mortar.newton_method.residuals import Residuals
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import Sliders
 from dolfinx_mortar.report.small_strain import LeftOut, find_left_out
+from dolfinx_mortar.report.uncoupled import Crossing, find_crossing
 from dolfinx_mortar.step_report import Certificate, StepReport
 
 
@@ -62,6 +63,7 @@ def create_certificate(
     residual: Residuals,
     sliders: Sliders | None = None,
     left_out: LeftOut | None = None,
+    crossing: Crossing | None = None,
 ) -> Certificate:
     """Return the certificate of the present state, whose results are set; collective.
 
@@ -72,8 +74,10 @@ def create_certificate(
         residual: of equilibrium there.
         sliders: slips and tangential reactions, with friction.
         left_out: what the small strain leaves out; None measures it.
+        crossing: of boundaries that are not coupled; None looks for it.
     """
     left_out = left_out or find_left_out(problem)
+    crossing = crossing or find_crossing(problem)
     links, length = problem.system.links, problem.system.facet_length
     gap: list[Floats] = [np.zeros(0)]
     multiplier: list[Floats] = [np.zeros(0)]
@@ -118,6 +122,7 @@ def create_certificate(
         left_out_lengths=left_out.lengths,
         rotation=left_out.rotation,
         pretension=residual.pretension,
+        crossing=crossing.share,
         **_finite_strain(problem),
         **({} if sliders is None else _friction(problem.comm, sliders, length)),
     )

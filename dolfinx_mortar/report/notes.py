@@ -20,6 +20,7 @@ from dolfinx_mortar.report.lost_stress import notes_on_lost_stress
 from dolfinx_mortar.report.overlaps import notes_on_overlaps
 from dolfinx_mortar.report.resolution import note_on_few_nodes, notes_on_rims
 from dolfinx_mortar.report.small_strain import LeftOut, notes_on_small_strain
+from dolfinx_mortar.report.uncoupled import Crossing, notes_on_crossings
 
 log = logging.getLogger(__name__)
 
@@ -34,6 +35,7 @@ class StepEnd:
     stiffness: Floats  # (n,) owned, diagonal of the last K^
     overlap: float  # of the sides at X, left to later steps
     left_out: LeftOut
+    crossing: Crossing
     rtol: float  # of the step
     limit: float  # norm of the forces that it may leave out of balance
 
@@ -79,6 +81,7 @@ DIAGNOSES: tuple[Diagnosis, ...] = (
     _pressures,
     lambda end: notes_on_rims(end.links),
     _overlaps,
+    lambda end: notes_on_crossings(end.problem, end.crossing),
     lambda end: notes_on_small_strain(end.problem, end.left_out),
     lambda end: notes_on_lost_stress(end.problem),
 )

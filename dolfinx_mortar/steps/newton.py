@@ -78,6 +78,7 @@ from dolfinx_mortar.report.interface_results import set_results
 from dolfinx_mortar.report.notes import StepEnd, find_notes
 from dolfinx_mortar.report.reaction import support_forces
 from dolfinx_mortar.report.small_strain import find_left_out
+from dolfinx_mortar.report.uncoupled import find_crossing
 from dolfinx_mortar.step_report import Iteration, NewtonNotConverged, StepReport
 from dolfinx_mortar.terms.sum import Energy
 
@@ -577,13 +578,13 @@ class _Step:
         if (limits := iterate.balance.limits) is not None:
             noise = gap_round_off(problem.u)
             sliders = find_sliders(limits, contacts, iterate.stiffness, noise)
-        left_out = find_left_out(problem)
+        left_out, crossing = find_left_out(problem), find_crossing(problem)
         stiffness = iterate.stiffness.array_r
-        how = self.overlap, left_out, report.rtol, residual.limit
+        how = self.overlap, left_out, crossing, report.rtol, residual.limit
         end = StepEnd(problem, iterate.balance, contacts, stiffness, *how)
         report.notes += find_notes(end) + self.notes_on_shifts()
         report.certificate = create_certificate(
-            problem, report, contacts, residual, sliders, left_out
+            problem, report, contacts, residual, sliders, left_out, crossing
         )
         supports = support_forces(problem, iterate.balance)  # last, as no error may follow
         at, paired = problem.owned_u.copy(), problem.system.present.paired

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: MIT
+"""Where the boundaries of bodies cross: edges of one that pierce facets of the other."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from dolfinx_mortar.arrays import Bools, Floats, Longs
+from dolfinx_mortar.geometry.elements import LINE2, TRI3
+from dolfinx_mortar.geometry.facets import Facets, are_inside, bounding_balls, facet_normals
+
+
+@dataclass(frozen=True, eq=False)
+class Crossings:
+    """Edges of flat facets that cross other flat facets."""
+
+    pairs: Longs  # (p, 2) the facet with the edge, the facet that it crosses
+    depth: Floats  # (p,) how far the edge reaches beyond that facet, to its nearer end
+    place: Floats  # (p, d) where it crosses
+    cosine: Floats  # (p,) of the angle between the outward normals of both
+
+
+def near_others(x: Floats, body: Longs, boxes: Floats) -> Bools:
+    """Tell (m,) which facets x (m, k, d) of bodies (m,) meet the box of another body.
+
+    Args:
+        x: vertices.
+        body: number of the body of each facet.
+        boxes: smallest and largest coordinates (bodies, 2, d).
+    """
+    low, high = x.min(axis=1), x.max(axis=1)
+    near = np.zeros(len(x), dtype=bool)
+    for other in range(len(boxes)):
+        meets = (low <= boxes[other, 1]) & (high >= boxes[other, 0])
+        near |= meets.all(axis=1) & (body != other)
+    return near
+
+
+def find_crossings(x: Floats, body: Longs) -> Crossings:
+    """Return where facets of different bodies cross.
+
+    Args:
+        x: vertices (m, d, d) of lines or triangles.
+        body: number (m,) of the body of each.
+
+    Example:
+        >>> line = np.array([[[1.0, 0.0], [-1.0, 0.0]], [[0.5, 3.0], [0.5, -1.0]]])
+        >>> found = find_crossings(line, np.array([0, 1]))
+        >>> found.pairs.tolist(), found.depth.tolist(), found.place.tolist()
+        ([[0, 1], [1, 0]], [0.5, 1.0], [[0.5, 0.0], [0.5, 0.0]])
+    """
+    d, pairs = x.shape[2], _near_pairs(x, body)
+    pairs = np.concatenate([pairs, pairs[:, ::-1]])
+    normals = facet_normals(Facets(LINE2 if d == 2 else TRI3, x))
+    found = []
+    for k in range(1 if d == 2 else 3):
+        p, q, n = x[pairs[:, 0], k], x[pairs[:, 0], (k + 1) % d], normals[pairs[:, 1]]
+        start = x[pairs[:, 1], 0]
+        before, after = ((end - start) * n for end in (p, q))
+        d0, d1 = before.sum(axis=1), after.sum(axis=1)
+        some = np.flatnonzero(d0 * d1 < 0.0)
+        share = (d0[some] / (d0 - d1)[some])[:, None]
+        place = p[some] + share * (q - p)[some]
+        inside = are_inside(x[pairs[some, 1]], n[some], place)
+        some, place = some[inside], place[inside]
+        found.append((pairs[some], np.minimum(np.abs(d0), np.abs(d1))[some], place))
+    pairs, depth, place = (np.concatenate([part[i] for part in found]) for i in range(3))
+    cosine = (normals[pairs[:, 0]] * normals[pairs[:, 1]]).sum(axis=1)
+    return Crossings(pairs, depth, place, cosine)
+
+
+def _near_pairs(x: Floats, body: Longs) -> Longs:
+    """Return pairs (p, 2) of facets of different bodies whose boxes meet, each once.
+
+    Facets are sorted into classes of size, each twice the last, so that a small one is not compared
+    with all small ones within the reach of the largest.
+    """
+    centre, radius = bounding_balls(x)
+    low, high = x.min(axis=1), x.max(axis=1)
+    size = np.frexp(radius)[1]
+    found = [np.zeros((0, 2), dtype=np.int64)]
+    for power in np.unique(size):
+        larger, smaller = np.flatnonzero(size == power), np.flatnonzero(size <= power)
+        tree = cKDTree(centre[larger])
+        near = tree.query_ball_point(centre[smaller], radius[smaller] + np.ldexp(1.0, int(power)))
+        a = np.repeat(smaller, [len(b) for b in near])
+        b = larger[np.concatenate([np.array(b, dtype=np.int64) for b in near])]
+        once = (body[a] != body[b]) & ((size[a] < power) | (a < b))
+        a, b = a[once], b[once]
+        meet = ((low[a] <= high[b]) & (high[a] >= low[b])).all(axis=1)
+        found.append(np.stack([a[meet], b[meet]], axis=1))
+    return np.concatenate(found)

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: MIT
+"""Bodies whose boundaries cross where no contact and no tie couples them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Bools, Floats, Longs
+from dolfinx_mortar.geometry.crossings import find_crossings, near_others
+from dolfinx_mortar.geometry.facets import facet_sizes
+from dolfinx_mortar.geometry.sweep import flat_parts
+from dolfinx_mortar.mortar.surface import exterior_facets
+from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.report.overlaps import SUNK
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """The deepest crossing of boundaries that are not coupled."""
+
+    share: float = 0.0  # depth over the length of the smaller facet
+    depth: float = 0.0
+    place: Sequence[float] = ()
+    bodies: Sequence[int] = ()
+
+
+@dataclass(frozen=True)
+class _Skin:
+    """Flat parts of exterior facets, near other bodies, with what they belong to."""
+
+    x: Floats  # (m, d, d)
+    body: Longs  # (m,)
+    sides: Bools  # (m, 2, interfaces) whether they belong to its slave and its master side
+
+    def part(self, which: Bools | Longs) -> "_Skin":
+        """Return some of the facets."""
+        return _Skin(self.x[which], self.body[which], self.sides[which])
+
+
+def find_crossing(problem: ContactProblem) -> Crossing:
+    """Return the deepest crossing of the boundaries of two bodies at X + u; collective.
+
+    Of facets that face each other and are the two sides of one interface there is none: where these
+    overlap, the interface has seen it. Facets are taken as flat between their vertices.
+    """
+    if problem.bodies.count == 1:
+        return Crossing()
+    comm, own = problem.comm, _create_skin(problem)
+    skin = _received(comm, own)
+    found = find_crossings(skin.x, skin.body)
+    one, other = skin.part(found.pairs[:, 0]), skin.part(found.pairs[:, 1])
+    coupled = (one.sides & other.sides[:, ::-1]).any(axis=(1, 2)) & (found.cosine < 0.0)
+    size = np.minimum(facet_sizes(one.x), facet_sizes(other.x))
+    share = np.where(coupled, 0.0, found.depth / size)
+    bodies = np.stack([one.body, other.body], axis=1)
+    columns = share, found.depth, found.place, bodies
+    mine = [[column[i].tolist() for column in columns] for i in np.argsort(share)[-1:]]
+    everywhere = [parts for rank in comm.allgather(mine) for parts in rank]
+    return Crossing(*max(everywhere)) if everywhere else Crossing()
+
+
+def notes_on_crossings(problem: ContactProblem, found: Crossing) -> list[str]:
+    """Return a note if boundaries cross by more than the discretisation explains."""
+    if found.share <= SUNK:
+        return []
+    centres = problem.bodies.centre[list(found.bodies)]
+    where, *around = (_point(x) for x in (np.array(found.place), *centres))
+    return [
+        f"the bodies around {around[0]} and {around[1]} lie in each other around {where}, where no "
+        f"interface couples them: by {found.depth:.3g}, {found.share:.0%} of a facet there; give "
+        "them a Contact, or add these facets to the sides of one"
+    ]
+
+
+def _point(x: Floats) -> str:
+    return f"({', '.join(f'{c:.4g}' for c in x)})"
+
+
+def _create_skin(problem: ContactProblem) -> _Skin:
+    """Return the exterior facets of this rank that the box of another body meets; collective."""
+    facets, cells, entities = exterior_facets(problem.V, problem.u)
+    body = problem.bodies.of_cells[cells].astype(np.int64)
+    sides = np.zeros((len(body), 2, len(problem.system.sides)), dtype=bool)
+    for k, interface in enumerate(problem.system.sides):
+        for j, surface in enumerate(interface.surfaces):
+            sides[:, j, k] = np.isin(entities, surface.entities)
+    boxes = np.full((problem.bodies.count, 2, facets.x.shape[2]), np.inf)
+    np.minimum.at(boxes[:, 0], body, facets.x.min(axis=1))
+    np.minimum.at(boxes[:, 1], body, -facets.x.max(axis=1))
+    problem.comm.Allreduce(MPI.IN_PLACE, boxes, op=MPI.MIN)
+    boxes[:, 1] *= -1.0
+    near = near_others(facets.x, body, boxes)
+    x, count = flat_parts(facets[near]), int(near.sum())
+    again = np.arange(len(x)) % max(count, 1)  # the halves of quadrilaterals follow each other
+    return _Skin(x, body[near][again], sides[near][again])
+
+
+def _received(comm: MPI.Comm, own: _Skin) -> _Skin:
+    """Return the own facets, and those of other ranks that their box meets; collective."""
+    if comm.size == 1:
+        return own
+    low, high = own.x.min(axis=1), own.x.max(axis=1)
+    box = low.min(axis=0, initial=np.inf), high.max(axis=0, initial=-np.inf)
+    sent = [
+        own.part(((low <= most) & (high >= least)).all(axis=1) & (rank != comm.rank))
+        for rank, (least, most) in enumerate(comm.allgather(box))
+    ]
+    parts = [own, *comm.alltoall(sent)]
+    names = "x", "body", "sides"
+    return _Skin(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: MIT
+"""Boundaries of bodies that cross where nothing couples them: found, with depth and place."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx import fem
+from dolfinx_mortar.geometry.crossings import find_crossings
+from dolfinx_mortar.report.uncoupled import find_crossing
+from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
+from tests.meshes_3d import two_boxes
+
+COMM = MPI.COMM_WORLD
+LAW = dm.Elastic(1000.0, 0.3)
+
+
+def random_facets(d, count, seed):
+    """Return lines or triangles of two bodies, some of them small, and their bodies."""
+    rng = np.random.default_rng(seed)
+    size = 2.0 ** -rng.integers(0, 6, size=count)[:, None, None]
+    x = rng.uniform(0, 1, (count, 1, d)) + size * rng.uniform(-0.5, 0.5, (count, d, d))
+    return x, rng.integers(0, 2, count)
+
+
+def pierces(p, q, facet):
+    """Tell whether the edge p q passes through a line or a triangle, by its own equation."""
+    # p + t (q - p) = facet[0] + sum_a s_a (facet[a] - facet[0])
+    A = np.column_stack([q - p, *(facet[0] - facet[1:])])
+    t, *s = np.linalg.solve(A, facet[0] - p)
+    return 0 < t < 1 and min(s) > 0 and sum(s) < 1
+
+
+@pytest.mark.parametrize(("d", "n"), [(2, 60), (3, 120)])
+def test_all_pairs_and_no_others(d, n):
+    """Facets of all sizes at random: those found are those of a search over all pairs."""
+    x, body = random_facets(d, n, d)
+    found = {tuple(pair) for pair in find_crossings(x, body).pairs.tolist()}
+    edges = [(0, 1)] if d == 2 else [(0, 1), (1, 2), (2, 0)]
+    every = [(a, b) for a in range(n) for b in range(n) if body[a] != body[b]]
+    crossing = {(a, b) for a, b in every if any(pierces(x[a, i], x[a, j], x[b]) for i, j in edges)}
+    assert len(crossing) > 20 and found == crossing
+
+
+def sunk(partition="graph", interfaces=(), way=-0.3):
+    """Return two blocks, the upper one .2 in the lower one, whose sides are not parallel to it."""
+    mesh, _, facets = two_blocks(COMM, gap=0.1, x_upper=(0.2, 0.8), partition=partition)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    down = fem.Constant(mesh, (0.0, way))
+    bottom, top = (fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (BOTTOM, TOP))
+    bcs = [fem.dirichletbc(np.zeros(2), bottom, V), fem.dirichletbc(down, top, V)]
+    made = [make(facets, slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER) for make in interfaces]
+    return dm.ContactProblem(dm.Solid(fem.Function(V), LAW), made, bcs=bcs)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("partition", ["graph", "bodies", "empty"])
+def test_a_block_that_nothing_stops(partition):
+    """Facets from x = 0 to .5 cross its sides, .2 from their end, whose facets are 1/3 long."""
+    problem = sunk(partition)
+    report = dm.newton(problem)
+    found = find_crossing(problem)
+    assert found.depth == pytest.approx(0.2)
+    assert found.share == pytest.approx(0.6) == report.certificate.crossing
+    assert found.place[1] == pytest.approx(0.0, abs=1e-12)
+    assert min(abs(found.place[0] - x) for x in (0.2, 0.8)) < 1e-12
+    (note,) = [note for note in report.notes if "lie in each other" in note]
+    assert "60% of a facet" in note
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("make", [dm.Contact, dm.Tie])
+def test_what_is_coupled_does_not_cross(make):
+    """In contact, and tied across a gap that closes: nothing is deeper than the mesh explains."""
+    report = dm.newton(sunk(interfaces=[make]))
+    assert report.certificate.crossing < 0.05
+    assert not any("lie in each other" in note for note in report.notes)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_beside_a_contact(cell):
+    """Sides of a contact do not count where they face each other, their flanks do."""
+    mesh, _, facets = two_boxes(
+        COMM, (3, 3, 2), (2, 3, 2), cell=cell, upper=(0.1, 0.9, 0.1, 0.9), gap=0.05
+    )
+    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    contact = dm.Contact(facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
+    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [contact])
+    for way, crosses in (((0, 0, 0.0), False), ((0.91, 0, -0.3), False), ((0.6, 0, -0.3), True)):
+        move = np.array(way)[:, None]
+        problem.u.interpolate(lambda x, move=move: move * (x[2] > 0.01))
+        assert (find_crossing(problem).share > 0.1) is crosses
