@@ -3,7 +3,6 @@
 
 import dataclasses
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -87,11 +86,17 @@ LAWS = {
 MULTIPLICATIVE = {"elastic", "hardening", "voce", "cone", "turning arrays"}
 
 
-@cache
+COMPILED: dict[Any, LogarithmicLaw] = {}
+
+
 def compiled(material: Any, dimension: int = 3) -> LogarithmicLaw:
-    """Return a law as function of F, compiled once."""
-    names = [field.name for field in dataclasses.fields(material)]
-    return LogarithmicLaw(create_law("law", material), names, dimension=dimension)
+    """Return a law as function of F, compiled once for all parameters, which are arguments."""
+    law = create_law("law", material)
+    key = type(material), law.isotropic, *law.state, dimension
+    if key not in COMPILED:
+        names = [field.name for field in dataclasses.fields(material)]
+        COMPILED[key] = LogarithmicLaw(law, names, dimension=dimension)
+    return COMPILED[key]
 
 
 def respond(material: Any, F: np.ndarray, state: Any = None, dimension: int = 3) -> Any:

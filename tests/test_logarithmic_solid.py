@@ -105,7 +105,9 @@ def _compare(solid):
 
 
 @pytest.mark.parametrize("law", [HARDENING, MIXED])
-@pytest.mark.parametrize("turn", [30.0, 90.0, 180.0, 270.0])
+@pytest.mark.parametrize(
+    "turn", [30.0, 180.0, *(pytest.param(t, marks=pytest.mark.slow) for t in (90.0, 270.0))]
+)
 def test_forces_turn_with_the_body(turn, law):
     """In one step from a state that has flowed; nothing flows by a turn."""
     solid = waved("quadrilateral", law)

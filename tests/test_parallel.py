@@ -36,7 +36,7 @@ SLOW_ON_TWO = """
     volumetric
 """.split()
 SLOW_ON_THREE = """
-    friction_path friction_state load_steps mortar_3d near numbers_of_steps own_interface
+    friction_path friction_state load_steps mortar_3d near numbers_of_steps own_interface patch
     plotting_space preload_restart pretension skins stack
 """.split()
 QUICK = "mpi and not slow and not serial"

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import minimize_scalar
 
 from dolfinx_mortar.analytic.inputs import check_poisson, check_positive, numbers
 from dolfinx_mortar.arguments import is_number
@@ -187,6 +186,8 @@ def first_yield_line(
     >>> round(y.peak_pressure, 1), round(y.half_width, 5), round(y.force, 1), round(y.depth, 4)
     (801.4, 0.11353, 142.9, 0.079)
     """
+    from scipy.optimize import minimize_scalar  # 0.1 s, for this alone
+
     check_positive(yield_stress=yield_stress)
     R, E_star = effective_radius(radius), effective_modulus(E1, nu1, E2, nu2)
 

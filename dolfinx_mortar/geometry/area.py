@@ -233,8 +233,7 @@ def _triangulate(x_s, x_m, balls, bilinear, pairs, deepest, centre, axes):  # ty
     p = len(pairs)
     which, corners = np.empty(4 * p + 64, dtype=np.int64), np.empty((4 * p + 64, 3, 2))
     S = np.empty((x_s.shape[1], 3))
-    t = 0
-    last = 0
+    t = last = np.int64(0)  # a literal 0 has a type of its own: what is called would compile twice
     while last < p:
         first, s = last, pairs[last, 0]
         while last < p and pairs[last, 0] == s:

@@ -175,7 +175,7 @@ def _place(  # type: ignore[no-untyped-def]
     P = np.empty((1, 2, 9))
     a, b = len(reference_s), len(reference_m)
     for q in range(len(weight)):
-        i, j = part[q, 0], part[q, 1]
+        i, j = np.int64(part[q, 0]), np.int64(part[q, 1])  # one type of integers: compiled once
         if q == 0 or i != part[q - 1, 0] or j != part[q - 1, 1]:
             _project(master, j // b, axes, i, P)
         of_part = _point(slave_parts, i, xi_s[q, 0], xi_s[q, 1])[3]

@@ -213,7 +213,7 @@ def _facet_dual(N, weight, kept, count, first, last, Phi):  # type: ignore[no-un
 def _all_duals(N, weight, slave, keep):  # type: ignore[no-untyped-def]
     """Return Phi (k, q) of the kept nodes; points are ordered by slave facet."""
     Phi = np.zeros(N.shape)
-    a = 0
+    a = np.int64(0)  # a literal 0 has a type of its own: _facet_dual would compile twice
     while a < len(slave):
         b = a
         while b < len(slave) and slave[b] == slave[a]:
