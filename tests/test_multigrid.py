@@ -127,6 +127,15 @@ def test_plastic_step_reuses_the_set_up():
     assert report.factorisations < report.newton_iterations
 
 
+def test_smoothers_serve_later_tangents():
+    """Of plastic flow: eigenvalues beyond Chebyshev's interval would make them indefinite."""
+    law = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
+    problem, _ = create_problem(h=0.35, law=law)
+    dm.newton(problem)
+    counts = problem.linear.counts
+    assert (counts.breakdowns, counts.factorisations) == (0, 1)
+
+
 def test_stagnating_solver_is_named(monkeypatch):
     """A preconditioner that does nothing within a few iterations gives an error, not an answer."""
     problem, _ = create_problem(petsc_options={"pc_type": "none"})

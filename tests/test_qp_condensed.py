@@ -246,6 +246,68 @@ def test_one_factorisation_serves_all_products(held_by: float) -> None:
 
 
 @pytest.mark.mpi
+def test_products_with_other_bounds_and_supports() -> None:
+    """Other bounded unknowns keep the factorisation; other supports elsewhere need a new one."""
+    line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(20, 20)).toarray()
+    K = from_arrays(line, *np.zeros((3, 20)), COMM_SELF).A
+    product, linear = CongruentOperator(K), LinearSolver(COMM_SELF, prefix="supports_")
+    C = PETSc.Mat().createAIJ((20, 20), nnz=1, comm=COMM_SELF)
+    C.setValue(3, 12, 0.3)
+    C.assemble()
+    T, apart = np.eye(20), np.array([3, 5, 12], dtype=np.int32)
+    T[3, 12] = 0.3
+    b, x = K.createVecRight(), K.createVecRight()
+    b.array[:] = np.random.default_rng(3).normal(size=20)
+    for held, out, factorised in ([3], [9], 1), ([5, 12], [9], 1), ([5], [9, 15], 2):
+        decoupled, bounded = np.array(out, dtype=np.int32), np.array(held, dtype=np.int32)
+        product.follow(C, decoupled)
+        linear.set_matrix(product.matrix, apart=apart, product=product, bounded=bounded)
+        linear.factorise(bounded)  # unless it is that of this matrix
+        x.set(0.0)
+        linear.solve(b, x, bounded, atol=1e-10)
+        A = T.T @ line @ T
+        A[decoupled], A[:, decoupled] = 0.0, 0.0
+        A[decoupled, decoupled] = product.scale
+        free = np.setdiff1d(np.arange(20), bounded)
+        expected = np.linalg.solve(A[np.ix_(free, free)], b.array_r[free])
+        np.testing.assert_allclose(x.array_r[free], expected, rtol=1e-9)
+        assert linear.counts.factorisations == factorised
+    assert linear.counts.iterations == 3
+
+
+@pytest.mark.mpi
+def test_a_singular_complement_has_no_inverse() -> None:
+    """Whatever sign round-off leaves in its last pivot."""
+    rng, held = np.random.default_rng(5), np.array([4], dtype=np.int32)
+    apart = np.array([4, 9, 11], dtype=np.int32)
+    for _ in range(20):
+        springs = rng.random(19)
+        line = np.diag(-springs, 1) + np.diag(-springs, -1)
+        line -= np.diag(line.sum(axis=1))
+        K = from_arrays(line, *np.zeros((3, 20)), COMM_SELF).A
+        linear, b = LinearSolver(COMM_SELF, prefix="loose_"), K.createVecRight()
+        linear.set_matrix(K, apart=apart)
+        b.array[:] = rng.normal(size=20)
+        x = b.duplicate()
+        linear.solve(b, x, held, atol=1e-9)
+        schur = linear.setup.preconditioner.schur
+        assert schur is not None and schur.R is None
+        free = np.setdiff1d(np.arange(20), held)
+        expected = np.linalg.solve(line[np.ix_(free, free)], b.array_r[free])
+        np.testing.assert_allclose(x.array_r[free], expected, rtol=1e-8, atol=1e-8)
+
+
+def test_too_many_bounds_are_not_left_for_last() -> None:
+    """Their complement is dense: no more entries than the matrix itself."""
+    qp = membrane(12, comm=MPI.COMM_SELF)
+    options = LinearSolver(MPI.COMM_SELF, prefix="many_").options
+    few = int(np.sqrt(qp.A.getInfo()["nz_used"]))
+    unknowns = np.arange(few + 1, dtype=np.int32)
+    assert set_apart(replace(qp, bounded=unknowns[:few]), options) is not None
+    assert set_apart(replace(qp, bounded=unknowns), options) is None
+
+
+@pytest.mark.mpi
 def test_other_bounds_have_another_complement() -> None:
     """Of the same matrix: held unknowns are among those that the factorisation leaves for last."""
     qp, linear = membrane(12, comm=MPI.COMM_SELF), LinearSolver(MPI.COMM_SELF, prefix="other_")
