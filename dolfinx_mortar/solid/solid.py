@@ -42,7 +42,6 @@ from dolfinx_mortar.solid.pointwise import (
     create_point_values,
     fill_point_values,
     largest_stress_lost,
-    settle_point_values,
 )
 from dolfinx_mortar.solid.sources import Followed, follow_changed
 from dolfinx_mortar.solid.state import create_evaluations, create_field, create_state, fill_all
@@ -336,7 +335,7 @@ class Solid(Term):
                 All that is shown, and what `commit` would take, is then as before.
         """
         self.follow()
-        settle_point_values(self.mesh.comm, self._forms.found)
+        fill_point_values(self.mesh.comm, self._forms.found, at_end=True)
         fill_all(self.mesh.comm, self._forms.evaluations)
 
     def keep(self) -> list[tuple[fem.Function, Floats]]:
