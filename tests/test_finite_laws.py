@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Laws of the deformation gradient: closed forms, differences at large F, rotations."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import ClassVar
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-import ufl
 from dolfinx_mortar.materials.finite_comparison import law_at_points
 from dolfinx_mortar.materials.protocol import create_law
 from tests.pressed_blocks import rejected

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Laws of a small strain in solids at finite strain: consistency, solutions, contact, restarts."""
 
-from dataclasses import dataclass
-from typing import ClassVar
-
 from mpi4py import MPI
 
 import numpy as np

@@ -2,7 +2,6 @@
 """Plane stress: the spatial law with the strain out of the plane that leaves no stress there."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 import pytest

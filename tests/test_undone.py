@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.steps import newton as newton_module
 from tests import friction_case

@@ -142,6 +142,10 @@ class MeanVolume:
         """Return sum_c V U(j) over the owned cells, as `follow` found j."""
         return float(assemble(self._energies[0], self._vector).sum())
 
+    def densities(self) -> Floats:
+        """Return U(j) of the owned cells, per volume at X, as `follow` found j; collective."""
+        return np.asarray(assemble(self._energies[0], self._vector) / self._volumes)
+
     def norm_squared(self, v: fem.Function) -> float:
         """Return sum_c K / V (B v)^2 over the owned cells, K that of small strains; collective."""
         bulk = assemble(self._bulk_form, self._vector) / self._volumes
