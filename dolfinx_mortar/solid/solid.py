@@ -37,7 +37,7 @@ from dolfinx_mortar.solid.forms import create_elastic, create_forms, create_modu
 from dolfinx_mortar.solid.gradients import PointGradients
 from dolfinx_mortar.solid.kinematics import Kinematics, check_radius, choose_kinematics
 from dolfinx_mortar.solid.laws import create_regions
-from dolfinx_mortar.solid.mean_volume import MeanVolume, create_dilatation
+from dolfinx_mortar.solid.mean_volume import MeanVolume, VolumeStep, create_dilatation
 from dolfinx_mortar.solid.points import PointFields
 from dolfinx_mortar.solid.pointwise import (
     create_point_values,
@@ -267,8 +267,10 @@ class Solid(Term):
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         return K
 
-    def energy(self) -> float | Floats | None:
+    def energy(self, along: tuple[VolumeStep, float] | None = None) -> float | Floats | None:
         """Return this rank's share of the incremental potential Psi(u); collective.
+
+        Along a step of `volume_step`, at the length t, with the volumes of its linearisation.
 
         None if a law gives a stress but no potential. Infinite where any point of a finite strain
         has no positive volume, det F <= 0. At finite strain with two more addends, whose sum is
@@ -280,7 +282,10 @@ class Solid(Term):
             return math.inf
         self.follow()
         share, dilatation = float(fem.assemble_scalar(self._forms.energy)), self._forms.dilatation
-        share = share if dilatation is None else share + dilatation.energy()
+        if isinstance(dilatation, MeanVolume):
+            share += dilatation.energy(along)
+        elif dilatation is not None:
+            share += dilatation.energy()
         return share if self.volumes is None else np.array([share, self._moduli, -self._moduli])
 
     @cached_property
@@ -293,13 +298,26 @@ class Solid(Term):
         self.follow()
         F.array_w[:] += assemble(self._forms.residual, self._forms.force)[: F.local_size]
 
-    def add_tangent(self, K: PETSc.Mat) -> None:
-        """Add the consistent tangent dF/du at u, symmetric, without boundary conditions."""
+    def add_tangent(self, K: PETSc.Mat, pressure: Floats | None = None) -> None:
+        """Add the consistent tangent dF/du at u, symmetric, without boundary conditions.
+
+        With a pressure (owned cells,) that where mean stresses are unknowns of their own, see
+        `mean_volume`.
+        """
         self.follow()
+        dilatation = self._forms.dilatation
+        if pressure is not None and isinstance(dilatation, MeanVolume):
+            dilatation.set_pressure(pressure)
         fem_petsc.assemble_matrix(K, self._forms.tangent)
         K.assemble()
-        if self._forms.dilatation is not None:
-            self._forms.dilatation.add_tangent(K)
+        if dilatation is not None:
+            dilatation.follow()
+            dilatation.add_tangent(K)
+
+    def volume_step(self, du: fem.Function) -> VolumeStep | None:
+        """Return volumes and pressures along a step, None unless mean; collective."""
+        dilatation = self._forms.dilatation
+        return dilatation.step_along(du) if isinstance(dilatation, MeanVolume) else None
 
     def add_elastic(self, K: PETSc.Mat, factor: float) -> None:
         """Add a multiple of the stiffness of `elastic_norm`, which is positive; collective."""
