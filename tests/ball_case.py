@@ -21,7 +21,8 @@ def create_problem(*, h=0.5, slave="block", cell="hexahedron", degree=1, depth=0
     """Return the quarter of a half ball on a block, its flat face pushed down, and the contact."""
     m = create_mesh(h, cell)
     V = fem.functionspace(m.mesh, ("Lagrange", degree, (3,)))
-    solid = dm.Solid(fem.Function(V, name="u"), options.pop("law", STEEL))
+    strain = options.pop("strain", "small")
+    solid = dm.Solid(fem.Function(V, name="u"), options.pop("law", STEEL), strain=strain)
     bcs = []
     for tag, component, value in (
         *((tag, i, 0.0) for tag in (1, 2) for i in range(3) if (tag, i) != (2, 2)),

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Laws of the deformation gradient: closed forms, differences at large F, rotations."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from types import SimpleNamespace
@@ -11,10 +10,10 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-import ufl
 from dolfinx_mortar.materials.finite_comparison import law_at_points
 from dolfinx_mortar.materials.protocol import create_law
 from tests.pressed_blocks import rejected
+from tests.user_laws import Unturned
 
 NEO_HOOKE = dm.NeoHooke(200.0, 0.3)
 MOONEY = dm.MooneyRivlin(0.293, 0.177, 14.0)
@@ -47,25 +46,6 @@ class Arrays(dm.materials.PointwiseLaw):
         tangent = mu[..., None, None] * np.einsum("ik,jl->ijkl", np.eye(3), np.eye(3)) + swap
         tangent = tangent + lam[..., None, None] * np.einsum("qij,qkl->qijkl", G, G)
         return mu * (F - G) + lam * log_J * G, tangent, {}
-
-
-@dataclass(frozen=True)
-class Unturned(dm.materials.Material):
-    """An energy of F that sees rotations, which no body may have."""
-
-    E: float
-    state: ClassVar[Mapping[str, tuple[int, ...]]] = {}
-    linear: ClassVar[bool] = False
-    strain: ClassVar[str] = "finite"
-
-    @staticmethod
-    def elastic_stress(strain, p):
-        return p.E * strain
-
-    @staticmethod
-    def energy(F, state, p):
-        H = F - ufl.Identity(3)
-        return p.E / 2 * ufl.inner(H, H)
 
 
 @pytest.mark.parametrize("law", [NEO_HOOKE, MOONEY, OGDEN, Arrays(200.0, 0.3)], ids=repr)

@@ -107,8 +107,8 @@ def test_a_step_at_round_off_is_not_refused(monkeypatch):
     """
     known = []
 
-    def rounded(terms):
-        energy = find_energy(terms)
+    def rounded(terms, *along):
+        energy = find_energy(terms, *along)
         if known and abs(energy.value - known[-1]) < 64.0 * EPS * energy.terms:
             energy = replace(energy, value=known[-1] + EPS * energy.terms)
         known.append(energy.value)

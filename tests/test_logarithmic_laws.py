@@ -14,33 +14,13 @@ import ufl
 from dolfinx_mortar.materials import logarithms
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
 from dolfinx_mortar.materials.protocol import create_law
+from tests.user_laws import Cubic
 
 E, NU, SIGMA_Y = 200e3, 0.3, 200.0
 Y = np.sqrt(2 / 3) * SIGMA_Y
 IDENTITY = np.eye(3)
 # Weights of central differences of the sixth order.
 SIXTH = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
-
-
-@dataclass(frozen=True)
-class Cubic(dm.Material):
-    """A user's law in UFL: cubic hardening of a strain, no plasticity, nothing declared."""
-
-    E: float
-    c: float
-
-    state: ClassVar = {}
-    linear: ClassVar = False
-
-    @staticmethod
-    def elastic_stress(strain, p):
-        return p.E * strain
-
-    @staticmethod
-    def energy(strain, state, p):
-        n = ufl.as_vector([0.6, 0.8, 0.0])
-        along = ufl.dot(n, strain * n)
-        return p.E / 2 * ufl.inner(strain, strain) + p.c * along**4
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Laws of a small strain in solids at finite strain: consistency, solutions, contact, restarts."""
 
-from dataclasses import dataclass
-from typing import ClassVar
-
 from mpi4py import MPI
 
 import numpy as np
@@ -22,6 +19,7 @@ from tests.solid_case import (
     total,
     wave,
 )
+from tests.user_laws import Forces
 
 pytestmark = pytest.mark.mpi
 E, NU, SIGMA_Y = 200e3, 0.3, 200.0
@@ -29,24 +27,6 @@ Y = np.sqrt(2 / 3) * SIGMA_Y
 HARDENING = dm.VonMises(E, NU, Y, 0.0, 1000.0)
 MIXED = dm.VonMises(E, NU, Y, 500.0, 1000.0)
 SIXTH = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
-
-
-@dataclass(frozen=True)
-class Forces(dm.Material):
-    """A user's law with a stress but no potential."""
-
-    E: float
-
-    state: ClassVar = {}
-    linear: ClassVar = False
-
-    @staticmethod
-    def elastic_stress(strain, p):
-        return p.E * strain
-
-    @staticmethod
-    def stress(strain, state, p):
-        return p.E * strain
 
 
 def waved(cell, law, kinematics=None, size=0.1, **options):

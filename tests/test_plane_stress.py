@@ -2,7 +2,6 @@
 """Plane stress: the spatial law with the strain out of the plane that leaves no stress there."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -22,6 +21,7 @@ from tests.pointwise_laws import Radial
 from tests.pressed_blocks import PressedBlocks, rejected
 from tests.solid_case import create_displacement, create_domain
 from tests.test_user_laws import Isotropic
+from tests.user_laws import Slack
 
 E, NU, Y = 206_900.0, 0.29, 367.0
 HARDENING = {
@@ -218,25 +218,6 @@ def test_the_whole_range_of_ratios(nu, size, rng):
         )
     finally:
         table[:] = values
-
-
-@dataclass(frozen=True)
-class Slack(dm.Material):
-    """Elastic in the plane; pulls out of it whatever the strain there."""
-
-    E: float
-    state: ClassVar = {}
-    linear: ClassVar = False
-
-    @staticmethod
-    def elastic_stress(strain, p):
-        return p.E * strain
-
-    @staticmethod
-    def stress(strain, state, p):
-        return p.E * (
-            strain + ufl.as_tensor(np.diag([0.0, 0.0, 1.0]).tolist()) * (1 + strain[2, 2] ** 2)
-        )
 
 
 @dataclass(frozen=True)

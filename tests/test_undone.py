@@ -10,32 +10,14 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.steps import newton as newton_module
 from tests import friction_case
 from tests.pressed_blocks import PressedBlocks
+from tests.user_laws import Softening
 
 pytestmark = pytest.mark.mpi
 COMM = MPI.COMM_WORLD
-
-
-@dataclass(frozen=True)
-class Softening(dm.Material):
-    """A law whose potential is concave beyond a strain of 0.05 or so."""
-
-    E: float
-    state: ClassVar = {}
-    linear: ClassVar = False
-
-    @staticmethod
-    def elastic_stress(strain, p):
-        return p.E * strain
-
-    @staticmethod
-    def energy(strain, state, p):
-        square = ufl.inner(strain, strain)
-        return p.E * (square / 2 - 100 * square**2)
 
 
 @pytest.mark.parametrize("law", [Softening(1000.0), dm.Elastic(1000.0, 0.3)])

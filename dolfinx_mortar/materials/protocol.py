@@ -194,7 +194,7 @@ _REMEDIES = {
 }
 # Fields that are written beside those of the laws; a law must not hide them.
 RESERVED = (
-    *("stress", "von_mises", "J"),
+    *("stress", "von_mises", "J", "stored_energy", "dissipated_energy"),
     *("displacement", "pressure", "gap", "facing", "status"),
     *("traction", "slip"),
 )

@@ -18,7 +18,7 @@ from dolfinx_mortar.newton_method.linearisation import Linearisation
 from dolfinx_mortar.newton_method.residuals import gap_round_off, round_off
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPSolution
-from dolfinx_mortar.terms.sum import Energy
+from dolfinx_mortar.terms.sum import Energy, VolumeStep
 
 # Share of the decrease promised by the slope that is enough; and the smallest length of a step.
 ARMIJO = 1e-4
@@ -56,6 +56,7 @@ def search(
     du: PETSc.Vec,
     multiplier: float,
     before: Energy,
+    volumes: VolumeStep | None = None,
 ) -> tuple[float, int, Energy]:
     """Backtrack along a Newton direction until the merit decreases; u is moved; collective.
 
@@ -66,6 +67,8 @@ def search(
         du: the same step in u.
         multiplier: largest multiplier seen; the penalty is twice as large.
         before: J at the start.
+        volumes: of the step, where mean stresses are unknowns of their own, see `mean_volume`; J is
+            then that with the volumes of the linearisation.
 
     Returns:
         The length, the number of halvings, and J at the end.
@@ -80,7 +83,8 @@ def search(
     length, halvings, inverted = 1.0, 0, ""
     while length > ARMIJO:
         move(problem, path.start + length * path.du)
-        after, penalty = problem.terms.energy(), problem.comm.allreduce(path.excess(length))
+        along = None if volumes is None else (volumes, length)
+        after, penalty = problem.terms.energy(along), problem.comm.allreduce(path.excess(length))
         assert after is not None  # as before
         if not np.isfinite(after.value):  # a cell is inside out: its energy is infinite
             inverted = describe_inverted(problem)

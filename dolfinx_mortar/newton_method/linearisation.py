@@ -107,6 +107,7 @@ def linearise(
     *,
     tangent: bool = True,
     shift: float = 0.0,
+    pressure: Floats | None = None,
     linear: LinearSolver | None = None,
 ) -> Linearisation:
     """Assemble min 1/2 dy.K^ dy - r^.dy with its bounds at the present u; collective.
@@ -116,6 +117,7 @@ def linearise(
         balance: forces and constraints.
         tangent: assemble K anew; a linear law needs it once.
         shift: multiple of the elastic stiffness that makes an indefinite K convex.
+        pressure: mean stresses of a linearisation, see `Solid.add_tangent`.
         linear: linear solver of the QP; that of the problem by default.
     """
     T, linear = problem.system.transformation, linear or problem.linear
@@ -123,7 +125,7 @@ def linearise(
     spoilt = direct and T is None  # by the elimination, then in K itself
     if tangent or spoilt or not problem.K.isAssembled():
         with problem.timings("assembly"):
-            problem.terms.assemble_tangent(problem.K)
+            problem.terms.assemble_tangent(problem.K, pressure)
             if shift > 0.0:
                 problem.solid.add_elastic(problem.K, shift)
     change = None if T is None else T.change
@@ -163,6 +165,7 @@ def linearise_all(
     tangential: Floats | None,
     *,
     tangent: bool = True,
+    pressure: Floats | None = None,
 ) -> Linearisation:
     """Assemble the QP of the exact tangent, that of the moving surfaces included; collective.
 
@@ -174,12 +177,13 @@ def linearise_all(
         multipliers: lambda_j (owned nodes,), with which the forces balance.
         tangential: tangential tractions (owned nodes, d), None without friction.
         tangent: assemble K anew; a linear law needs it once.
+        pressure: as in `linearise`.
     """
     with problem.timings("mortar"):
         found = problem.system.linearise_geometry(problem.u, multipliers, tangential)
     if tangent or not problem.K.isAssembled():
         with problem.timings("assembly"):
-            problem.terms.assemble_tangent(problem.K)
+            problem.terms.assemble_tangent(problem.K, pressure)
     with problem.timings("transform"):
         T, A = problem.system.transformation, as_aij(problem.K).copy()
         assert T is not None

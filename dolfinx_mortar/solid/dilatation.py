@@ -132,6 +132,11 @@ class MeanDilatation:
         p = self.mean_stress.x.array[: len(self._bulk)]
         return float((p**2 * self._volumes / (2 * self._bulk)).sum())
 
+    def densities(self) -> Floats:
+        """Return K/2 t^2 of the owned cells, per volume, as `follow` found t."""
+        p = self.mean_stress.x.array[: len(self._bulk)]
+        return np.asarray(p**2 / (2 * self._bulk))
+
     def norm_squared(self, v: fem.Function) -> float:
         """Return sum_c K / V (B v)^2 over the owned cells; collective."""
         return float((self._bulk / self._volumes * self._change(v) ** 2).sum())

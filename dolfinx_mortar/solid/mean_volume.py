@@ -12,14 +12,29 @@ that part is taken in the mean over each cell,
 
 V the volume of the cell at X, with the weight of the kinematics. Its forces are p B^T with the mean
 stress p = U'(j) and B_a = int dJ/du_a dX; its tangent is p d2J/du2, a part of the forms, and B^T
-(U''(j) / V) B. So energy, forces and tangent belong together. Source: Simo, Taylor, Pister, Comput.
-Methods Appl. Mech. Engrg. 51 (1985) 177-208, with constant pressure and dilatation in each cell.
+(U''(j) / V) B. So energy, forces and tangent belong together.
+
+Where U'' is far above the other moduli, Newton's method on u alone takes many short steps: after
+one that changes shears by e, j is wrong by e^2, and p by U'' e^2, which makes the next tangent
+indefinite and the energy larger. If p is an unknown beside u, a step leaves it where its
+linearisation goes,
+
+    p + U''(j) B du / V,
+
+and its forces are those of U'(j(u)) at the next iterate all the same. Only p d2J/du2 of the next
+tangent has the p of the linearisation, and the energy along a step its volumes (`VolumeStep`). At
+the solution both p are the same, and the rate stays quadratic.
+
+Sources: Simo, Taylor, Pister, Comput. Methods Appl. Mech. Engrg. 51 (1985) 177-208, with constant
+pressure and dilatation in each cell; for the tangent D. Magisano, L. Leonetti, G. Garcea, Comput.
+Methods Appl. Mech. Engrg. 313 (2017) 986-1005, who treat all stresses so.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import reduce
 from operator import add
 from typing import Any
@@ -67,6 +82,30 @@ def create_dilatation(
     if kinematics.finite:
         return MeanVolume(u, regions, kinematics, degree)
     return MeanDilatation(u, regions, kinematics, degree, eigenstrain)
+
+
+@dataclass(frozen=True)
+class VolumeStep:
+    """Volumes and pressures along a step u + t du, as linearised at u."""
+
+    ratio: Floats  # (owned cells,) j at u
+    change: Floats  # B du / V
+    energy: Floats  # U(j)
+    pressure: Floats  # U'(j)
+    stiffness: Floats  # U''(j)
+
+    def pressure_at(self, t: float) -> Floats:
+        """Return p + t U'' B du / V."""
+        return self.pressure + t * self.stiffness * self.change
+
+    def energy_at(self, t: float, ratio: Floats) -> Floats:
+        """Return the energy per volume at another j, linear in what the linearisation misses.
+
+        It is below U(j), if that is convex, by U''/2 times the square of what is missed.
+        """
+        way = t * self.change
+        along = self.energy + self.pressure * way + self.stiffness / 2 * way**2
+        return along + self.pressure_at(t) * (ratio - self.ratio - way)
 
 
 class MeanVolume:
@@ -138,9 +177,33 @@ class MeanVolume:
         self.mean_stress.x.array[: len(slopes)] = slopes
         self.mean_stress.x.scatter_forward()
 
-    def energy(self) -> float:
-        """Return sum_c V U(j) over the owned cells, as `follow` found j."""
-        return float(assemble(self._energies[0], self._vector).sum())
+    def energy(self, along: tuple[VolumeStep, float] | None = None) -> float:
+        """Return sum_c V U(j) over the owned cells, as `follow` found j.
+
+        Along a step, at the length t, `VolumeStep.energy_at`.
+        """
+        if along is None:
+            return float(assemble(self._energies[0], self._vector).sum())
+        step, t = along
+        ratio = self._ratio.x.array[: len(step.ratio)]
+        return float(self._volumes @ step.energy_at(t, ratio))
+
+    def step_along(self, v: fem.Function) -> VolumeStep:
+        """Return what changes along a step v from the present u; collective."""
+        self.follow()
+        self._assemble()
+        change = np.asarray((self._B * v.x.petsc_vec).array) / self._volumes
+        found = [assemble(form, self._vector) / self._volumes for form in self._energies]
+        return VolumeStep(self._ratio.x.array[: len(change)].copy(), change, *found)
+
+    def set_pressure(self, pressure: Floats) -> None:
+        """Let the mean stress be that of owned cells, until the next `follow`; collective."""
+        self.mean_stress.x.array[: len(pressure)] = pressure
+        self.mean_stress.x.scatter_forward()
+
+    def densities(self) -> Floats:
+        """Return U(j) of the owned cells, per volume at X, as `follow` found j; collective."""
+        return np.asarray(assemble(self._energies[0], self._vector) / self._volumes)
 
     def norm_squared(self, v: fem.Function) -> float:
         """Return sum_c K / V (B v)^2 over the owned cells, K that of small strains; collective."""

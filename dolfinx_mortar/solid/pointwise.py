@@ -167,20 +167,12 @@ def create_point_values(
     return found
 
 
-def fill_point_values(comm: MPI.Comm, found: Mapping[Law, PointValuesOfRegion]) -> None:
+def fill_point_values(
+    comm: MPI.Comm, found: Mapping[Law, PointValuesOfRegion], *, at_end: bool = False
+) -> None:
     """Evaluate at points where something has changed; collective if there is anything.
 
-    Raises:
-        ValueError: on all ranks, if a law fails on any.
-    """
-    if found:
-        with raised_together(comm):
-            for values in found.values():
-                values.fill()
-
-
-def settle_point_values(comm: MPI.Comm, found: Mapping[Law, PointValuesOfRegion]) -> None:
-    """Evaluate what only the end of a step needs; collective if there is anything.
+    At the end of a step what only that needs.
 
     Raises:
         ValueError: on all ranks, if a law fails on any.
@@ -188,7 +180,7 @@ def settle_point_values(comm: MPI.Comm, found: Mapping[Law, PointValuesOfRegion]
     if found:
         with raised_together(comm):
             for values in found.values():
-                values.settle()
+                values.settle() if at_end else values.fill()
 
 
 def largest_stress_lost(

@@ -31,18 +31,18 @@ from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.solid.dilatation import MeanDilatation
 from dolfinx_mortar.solid.eigenstrain import create_eigenstrain
+from dolfinx_mortar.solid.energies import DISSIPATED, STORED, Energies, EnergyDensities, by_body
 from dolfinx_mortar.solid.finite_strain import Volumes, as_cauchy, check_finite
 from dolfinx_mortar.solid.forms import create_elastic, create_forms, create_moduli, create_responses
 from dolfinx_mortar.solid.gradients import PointGradients
 from dolfinx_mortar.solid.kinematics import Kinematics, check_radius, choose_kinematics
 from dolfinx_mortar.solid.laws import create_regions
-from dolfinx_mortar.solid.mean_volume import MeanVolume, create_dilatation
+from dolfinx_mortar.solid.mean_volume import MeanVolume, VolumeStep, create_dilatation
 from dolfinx_mortar.solid.points import PointFields
 from dolfinx_mortar.solid.pointwise import (
     create_point_values,
     fill_point_values,
     largest_stress_lost,
-    settle_point_values,
 )
 from dolfinx_mortar.solid.sources import Followed, follow_changed
 from dolfinx_mortar.solid.state import create_evaluations, create_field, create_state, fill_all
@@ -86,6 +86,7 @@ class Solid(Term):
         eigenstrain: Any = None,
         volumetric: str = "full",
         strain: str = "small",
+        energies: bool = False,
     ) -> None:
         """Create the bodies and compile their forms (collective).
 
@@ -113,6 +114,9 @@ class Solid(Term):
             strain: "small", or "finite" for bodies that turn or strain by more than a few percent:
                 laws see the deformation gradient F = I + grad u, the weak form is int P : dF[v].
                 For plane strain, axisymmetric and spatial bodies, without eigenstrain.
+            energies: whether the end of each step evaluates what is stored and dissipated, for
+                `energies`, and as the fields "stored_energy" and "dissipated_energy". All laws need
+                a potential.
 
         Raises:
             ValueError: if u is complex or in another kind of space, materials and tags do not
@@ -120,8 +124,8 @@ class Solid(Term):
                 for another dimension, or the mesh lies beyond their axis, the eigenstrain has
                 another shape, is not symmetric, has an unknown tag or undefined values, there is no
                 volumetric part to reduce, or a law lacks a part, raises, or returns something of
-                the wrong name or shape; the message names the law and the part. And if ranks give
-                different numbers, names or laws.
+                the wrong name or shape, or, with energies, has no potential; the message names the
+                law and the part. And if ranks give different numbers, names or laws.
         """
         if not isinstance(u, fem.Function):
             raise ValueError(f"u must be a dolfinx.fem.Function (the displacement), not {type(u)}.")
@@ -136,6 +140,7 @@ class Solid(Term):
             eigenstrain=eigenstrain,
             volumetric=volumetric,
             strain=strain,
+            energies=energies,
         )
         self.inputs = Inputs(changing, find_constants([materials, eigenstrain]))
         check_real("u", u)
@@ -149,7 +154,12 @@ class Solid(Term):
         degree = _degree(self.V, quadrature_degree)
         self.regions = create_regions(u, materials, cell_tags, degree, self.kinematics)
         self._committed = create_state(self.regions, self.mesh, degree)
+        if not isinstance(energies, bool):
+            raise ValueError(f"energies is {energies!r}: give True or False")
+        if energies:
+            self._committed[DISSIPATED] = create_field(self.mesh, degree, (), DISSIPATED)
         self._staged = {name: f.copy() for name, f in self._committed.items()}
+        self._cell_tags = cell_tags
         self.stress = create_field(self.mesh, degree, (3, 3), "stress")
         self.eigenstrain = create_eigenstrain(u, eigenstrain, cell_tags, degree)
         self._compile(volumetric, degree)
@@ -172,7 +182,12 @@ class Solid(Term):
             responses = [dilatation.complete(*pair) for pair in pairs]
         weight = self.kinematics.weight
         self.volumes = Volumes(u, measured, degree) if finite else None
-        shown = self._staged if self.volumes is None else {**self._staged, "J": self.volumes.J}
+        self.densities = None
+        if DISSIPATED in self._staged:
+            volume = None if dilatation is None else dilatation.densities
+            of = self.regions, responses, self.mesh, degree
+            self.densities = EnergyDensities(*of, of_volume=volume)
+        shown = {**self._staged, **self._shown}
         self.fields = PointFields(self.stress, shown, self.regions, degree, weight)
         with raised_together(self.mesh.comm):
             self.fields.bases  # noqa: B018 - checks the output of the laws
@@ -188,6 +203,12 @@ class Solid(Term):
         small = not finite and self.kinematics.linear_in(u)
         parts = self.kinematics, self.eigenstrain, self.stress
         self.gradients = PointGradients(u, *parts, small=small)
+
+    @property
+    def _shown(self) -> dict[str, fem.Function]:
+        """What `evaluate` fills beside the stress and the internal variables, by name."""
+        shown = {} if self.volumes is None else {"J": self.volumes.J}
+        return shown if self.densities is None else {**shown, STORED: self.densities.stored}
 
     @property
     def V(self) -> fem.FunctionSpace:
@@ -246,8 +267,10 @@ class Solid(Term):
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         return K
 
-    def energy(self) -> float | Floats | None:
+    def energy(self, along: tuple[VolumeStep, float] | None = None) -> float | Floats | None:
         """Return this rank's share of the incremental potential Psi(u); collective.
+
+        Along a step of `volume_step`, at the length t, with the volumes of its linearisation.
 
         None if a law gives a stress but no potential. Infinite where any point of a finite strain
         has no positive volume, det F <= 0. At finite strain with two more addends, whose sum is
@@ -259,7 +282,10 @@ class Solid(Term):
             return math.inf
         self.follow()
         share, dilatation = float(fem.assemble_scalar(self._forms.energy)), self._forms.dilatation
-        share = share if dilatation is None else share + dilatation.energy()
+        if isinstance(dilatation, MeanVolume):
+            share += dilatation.energy(along)
+        elif dilatation is not None:
+            share += dilatation.energy()
         return share if self.volumes is None else np.array([share, self._moduli, -self._moduli])
 
     @cached_property
@@ -272,13 +298,26 @@ class Solid(Term):
         self.follow()
         F.array_w[:] += assemble(self._forms.residual, self._forms.force)[: F.local_size]
 
-    def add_tangent(self, K: PETSc.Mat) -> None:
-        """Add the consistent tangent dF/du at u, symmetric, without boundary conditions."""
+    def add_tangent(self, K: PETSc.Mat, pressure: Floats | None = None) -> None:
+        """Add the consistent tangent dF/du at u, symmetric, without boundary conditions.
+
+        With a pressure (owned cells,) that where mean stresses are unknowns of their own, see
+        `mean_volume`.
+        """
         self.follow()
+        dilatation = self._forms.dilatation
+        if pressure is not None and isinstance(dilatation, MeanVolume):
+            dilatation.set_pressure(pressure)
         fem_petsc.assemble_matrix(K, self._forms.tangent)
         K.assemble()
-        if self._forms.dilatation is not None:
-            self._forms.dilatation.add_tangent(K)
+        if dilatation is not None:
+            dilatation.follow()
+            dilatation.add_tangent(K)
+
+    def volume_step(self, du: fem.Function) -> VolumeStep | None:
+        """Return volumes and pressures along a step, None unless mean; collective."""
+        dilatation = self._forms.dilatation
+        return dilatation.step_along(du) if isinstance(dilatation, MeanVolume) else None
 
     def add_elastic(self, K: PETSc.Mat, factor: float) -> None:
         """Add a multiple of the stiffness of `elastic_norm`, which is positive; collective."""
@@ -336,8 +375,17 @@ class Solid(Term):
                 All that is shown, and what `commit` would take, is then as before.
         """
         self.follow()
-        settle_point_values(self.mesh.comm, self._forms.found)
-        fill_all(self.mesh.comm, self._forms.evaluations)
+        fill_point_values(self.mesh.comm, self._forms.found, at_end=True)
+        if self.densities is None:
+            fill_all(self.mesh.comm, self._forms.evaluations)
+            return
+        kept = self.keep()
+        try:
+            fill_all(self.mesh.comm, self._forms.evaluations)
+            self.densities.fill(self._committed, self._staged, self.follow)
+        except BaseException:
+            self.put_back(kept)
+            raise
 
     def keep(self) -> list[tuple[fem.Function, Floats]]:
         """Return copies of what is shown and of the parameters behind it, for `put_back`.
@@ -346,7 +394,7 @@ class Solid(Term):
         a law that depends on the size of a step would flow further.
         """
         shown = [self.stress, *self._staged.values()]
-        shown += [] if self.volumes is None else [self.volumes.J]
+        shown += self._shown.values()
         functions = shown + [followed.function for followed in self._followed()]
         return [(f, f.x.array.copy()) for f in functions]
 
@@ -389,11 +437,8 @@ class Solid(Term):
         which are what is shown.
         """
         committed = {f"committed/{name}": f for name, f in self.state.items()}
-        if self.volumes is not None:
-            committed["J"] = self.volumes.J
-        return (
-            {"stress": self.stress} | committed | {f"shown/{n}": f for n, f in self._staged.items()}
-        )
+        shown = {f"shown/{name}": f for name, f in self._staged.items()}
+        return {"stress": self.stress} | committed | self._shown | shown
 
     def flowing(self) -> Bools:
         """Return at which points (owned cells, points) `evaluate` has changed internal variables.
@@ -416,6 +461,26 @@ class Solid(Term):
         `materials.logarithmic`; at the u of the last assembly or `evaluate`; collective.
         """
         return largest_stress_lost(self.mesh.comm, self._forms.found)
+
+    def energies(self) -> dict[int | str, Energies]:
+        """Return what each body has stored, and dissipated since the start; collective.
+
+            solid.energies()["block"].dissipated
+
+        Bodies are the cells of a tag, under its name if it has one; without ``cell_tags`` there is
+        one, 0. As `evaluate` found them at the end of the last step; of the whole ring, or per
+        thickness. Elastic energy and that of hardening are stored, plastic work less the latter is
+        dissipated; what friction dissipates is in `Contact.dissipation`. So is the work of the
+        supports and loads, up to the error of load steps, which is that of the trapezoidal rule.
+
+        Raises:
+            ValueError: unless the solid was made with ``energies=True``.
+        """
+        if self.densities is None:
+            raise ValueError(
+                "energies were not followed: make the solid with Solid(.., energies=True)"
+            )
+        return by_body(self.fields, self.mesh, self._cell_tags)
 
     def max(self, name: str) -> float:
         """Return the largest value of a scalar field over all integration points (collective).

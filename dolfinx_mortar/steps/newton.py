@@ -80,7 +80,7 @@ from dolfinx_mortar.report.reaction import support_forces
 from dolfinx_mortar.report.small_strain import find_left_out
 from dolfinx_mortar.report.uncoupled import find_crossing
 from dolfinx_mortar.step_report import Iteration, NewtonNotConverged, StepReport
-from dolfinx_mortar.terms.sum import Energy
+from dolfinx_mortar.terms.sum import Energy, VolumeStep
 
 log = logging.getLogger(__name__)
 
@@ -215,6 +215,7 @@ class Iterate:
     largest: float  # largest multiplier so far
     stiffness: PETSc.Vec  # diagonal of the last K^
     changes: int | None = None  # bounds that the last QP has changed in the active set
+    pressure: Floats | None = None  # (owned cells,) mean stresses by the last linearisation
 
 
 class _Step:
@@ -320,7 +321,8 @@ class _Step:
         T = problem.system.transformation if lin.geometry is None else lin.geometry.trial
         du = to_displacement(T, solved.x)
         self.check_distance(du, scales.extent)
-        length, halvings, energy = self.move(lin, solved, du, largest, old.energy)
+        volumes = problem.solid.volume_step(self.as_function(du))
+        length, halvings, energy = self.move(lin, solved, du, largest, old.energy, volumes)
         norm = problem.solid.elastic_norm(problem.u)
         increment = self.elastic_norm(du)
         increment = increment / (old.norm + norm) if old.norm + norm > 0.0 else 0.0
@@ -356,7 +358,15 @@ class _Step:
             )
         )
         iterate = Iterate(
-            balance, contacts, scales, energy, norm, largest, lin.diagonal, solved.changes
+            balance,
+            contacts,
+            scales,
+            energy,
+            norm,
+            largest,
+            lin.diagonal,
+            solved.changes,
+            None if volumes is None else volumes.pressure_at(length),
         )
         return iterate, watch, residual
 
@@ -383,7 +393,14 @@ class _Step:
         begin = 0 if near else max(self.shifted - 1, 0)
         for k in range(begin, len(SHIFTS) if finite else begin + 1):
             shift = SHIFTS[k]
-            lin = linearise(problem, old.balance, tangent=tangent, shift=shift, linear=self.solver)
+            lin = linearise(
+                problem,
+                old.balance,
+                tangent=tangent,
+                shift=shift,
+                pressure=old.pressure,
+                linear=self.solver,
+            )
             self.shifted = k
             try:
                 solved = self.solve(lin, start, old, accuracy(lin))
@@ -428,7 +445,9 @@ class _Step:
         """
         contacts = old.contacts
         given = contacts.multipliers, contacts.tangential
-        lin = linearise_all(self.problem, old.balance, *given, tangent=tangent)
+        lin = linearise_all(
+            self.problem, old.balance, *given, tangent=tangent, pressure=old.pressure
+        )
         rtol = self.accuracy(lin, watch, residuals)
         try:
             solved = first = self.solve(lin, start, old, rtol)
@@ -491,6 +510,7 @@ class _Step:
         du: PETSc.Vec,
         largest: float,
         energy: Energy | None,
+        volumes: VolumeStep | None,
     ) -> tuple[float, int, Energy | None]:
         """Move u along the step; return its length, the halvings, and J.
 
@@ -505,7 +525,8 @@ class _Step:
             try:
                 if energy is None or asked > lost or lin.geometry is not None:
                     return *shorten(problem, du.array_r), problem.terms.energy()
-                return search(problem, lin, solved, du, largest, energy)
+                found = search(problem, lin, solved, du, largest, energy, volumes)
+                return found if volumes is None else (*found[:2], problem.terms.energy())
             except NoDescent as error:
                 raise failures.StepFailed(str(error)) from error
 
@@ -608,8 +629,12 @@ class _Step:
             )
         return notes
 
-    def elastic_norm(self, du: PETSc.Vec) -> float:
-        """Return |du|_e; collective."""
+    def as_function(self, du: PETSc.Vec) -> fem.Function:
+        """Return du as the Function `direction`; collective."""
         self.direction.x.array[: du.local_size] = du.array_r
         self.direction.x.scatter_forward()
-        return self.problem.solid.elastic_norm(self.direction)
+        return self.direction
+
+    def elastic_norm(self, du: PETSc.Vec) -> float:
+        """Return |du|_e; collective."""
+        return self.problem.solid.elastic_norm(self.as_function(du))

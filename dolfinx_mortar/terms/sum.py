@@ -17,6 +17,7 @@ from dolfinx_mortar.algebra.errors import is_defined_here, is_ours, named, raise
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import as_numbers
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Floats
+from dolfinx_mortar.solid.mean_volume import VolumeStep
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.terms.weak_forms import DeadLoads
@@ -89,11 +90,15 @@ class Terms:
 
     # -- sums ------------------------------------------------------------------------------------
 
-    def energy(self) -> Energy | None:
-        """Return J(u), None if a term has none; collective."""
+    def energy(self, along: tuple[VolumeStep, float] | None = None) -> Energy | None:
+        """Return J(u), None if a term has none; collective.
+
+        Along a step with the volumes of its linearisation, see `Solid.energy`.
+        """
         sums = np.zeros(3)
         for name, term in self._every:
-            addends = self._ask(name, term, partial(_addends, term))
+            given = partial(self.solid.energy, along) if term is self.solid else term.energy
+            addends = self._ask(name, term, partial(_addends, term, given))
             sums += (0, 0, 1) if addends is None else (addends.sum(), np.abs(addends).sum(), 0)
         self.comm.Allreduce(MPI.IN_PLACE, sums)
         return None if sums[2] > 0.0 else Energy(sums[0], sums[1])
@@ -116,14 +121,15 @@ class Terms:
             F.axpy(1.0, one)
         return largest
 
-    def assemble_tangent(self, K: PETSc.Mat) -> None:
+    def assemble_tangent(self, K: PETSc.Mat, pressure: Floats | None = None) -> None:
         """Fill K with d2J/du2; collective.
 
+        With the pressures of a linearisation, see `Solid.add_tangent`.
         K stays symmetric; whether it stays definite depends on the terms: a foundation adds
         stiffness, a load that grows with the displacement takes some away.
         """
         K.zeroEntries()
-        self.solid.add_tangent(K)
+        self.solid.add_tangent(K, pressure)
         self.add_tangents(K)
 
     def add_tangents(self, K: PETSc.Mat) -> None:
@@ -231,7 +237,7 @@ class Terms:
         for name, term in self.named:
             if isinstance(term, DeadLoads):
                 continue
-            addends = self._ask(name, term, partial(_addends, term))
+            addends = self._ask(name, term, partial(_addends, term, term.energy))
             total = self.comm.allreduce(0.0 if addends is None else float(addends.sum()))
             if not np.isfinite(total):
                 raise ValueError(
@@ -278,9 +284,9 @@ def _within_pattern(call: Callable[[], R]) -> R:
         raise ValueError(NO_PLACE) from error
 
 
-def _addends(term: Term) -> Floats | None:
+def _addends(term: Term, energy: Callable[[], object]) -> Floats | None:
     """Return the energy of a term as an array, None if it has none."""
-    given = term.energy()
+    given = energy()
     if given is None:
         return None
     addends = as_numbers(given)

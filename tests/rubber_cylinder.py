@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: MIT
+"""A rubber cylinder between rigid plates (Sussman and Bathe 1987): a quarter of it, on one plate.
+
+R = 200 mm, plane strain, Mooney's law with C10 = .293 and C01 = .177 MPa, K = 1410 MPa, no
+friction. Of the approach of the plates each makes half; the force is that of the whole.
+"""
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+
+import dolfinx_mortar as dm
+from dolfinx import default_scalar_type, fem
+
+RADIUS = 200.0
+RUBBER = dm.MooneyRivlin(0.293, 0.177, 1410.0)
+
+
+@dataclass
+class Cylinder:
+    """The problem, and what is moved."""
+
+    problem: dm.ContactProblem
+    contact: dm.Contact
+    push: fem.Constant
+
+    @property
+    def solid(self):
+        return self.problem.solid
+
+    @property
+    def force(self):
+        """Force of the plates on the whole cylinder, per thickness."""
+        return 2.0 * abs(self.contact.force[1])
+
+    def approach(self, distance, **options):
+        """Bring the plates nearer to each other, in all by a distance; return the report."""
+        self.push.value = -distance / 2
+        report = dm.newton(self.problem, **options)
+        self.problem.commit()
+        return report
+
+
+def create_cylinder(
+    h=20.0, cell="quadrilateral", degree=1, *, law=RUBBER, volumetric="reduced", slave="arc"
+):
+    """Return a cylinder with elements of a size, on a plate 1e5 times stiffer."""
+    shape = {"radius": RADIUS, "block": (800.0, 200.0), "core": RADIUS, "limit": 2.0}
+    made = dm.meshing.hertz(MPI.COMM_WORLD, kind="graded", h=h, cell=cell, half=True, **shape)
+    V = fem.functionspace(made.mesh, ("Lagrange", degree, (2,)))
+    laws = {"disc": law, "block": dm.NeoHooke(1e5, 0.3)}
+    how = {"strain": "finite", "volumetric": volumetric}
+    solid = dm.Solid(fem.Function(V), laws, made.cell_tags, **how)
+    push, still = (fem.Constant(made.mesh, default_scalar_type(0.0)) for _ in range(2))
+    zero = fem.Constant(made.mesh, np.zeros(2, dtype=default_scalar_type))
+    bcs = []
+    for side, i, value in (("flat", 1, push), ("axis", 0, still)):
+        dofs = fem.locate_dofs_topological(V.sub(i), 1, made.facet_tags.find(side))
+        bcs.append(fem.dirichletbc(value, dofs, V.sub(i)))
+    plate = fem.locate_dofs_topological(V, 1, made.facet_tags.find("bottom"))
+    bcs.append(fem.dirichletbc(zero, plate, V))
+    sides = {"arc": ("arc", "top"), "top": ("top", "arc")}[slave]
+    contact = dm.Contact(made.facet_tags, slave=sides[0], master=sides[1])
+    return Cylinder(dm.ContactProblem(solid, [contact], bcs=bcs), contact, push)
