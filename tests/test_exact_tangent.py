@@ -11,6 +11,7 @@ import pytest
 import dolfinx_mortar as dm
 import dolfinx_mortar.steps.newton as newton_module
 from dolfinx import fem
+from dolfinx_mortar.algebra import congruence, triplets
 from dolfinx_mortar.geometry.facets import points_of
 from dolfinx_mortar.mortar.curvature_correction import (
     find_smooth_sides,
@@ -33,6 +34,7 @@ from dolfinx_mortar.mortar.surface import (
 )
 from dolfinx_mortar.newton_method.watch import AGAIN, MOST_RISES, Watch
 from tests import meshes
+from tests.finite_sliding import indentation
 from tests.hertz_case import ELASTIC, create_case, create_mesh
 
 COMM = MPI.COMM_SELF
@@ -209,6 +211,34 @@ def test_a_tangent_without_solution_gives_way_to_the_fixed_point(monkeypatch):
     assert not any(i.exact_tangent for i in report.iterations)
     assert any("without the exact tangent (no solution)" in note for note in report.notes)
     assert np.abs(case.contact.force - expected).max() < 1e-8 * np.abs(expected).max()
+
+
+def test_nothing_is_allocated_anew_within_a_step_nor_in_the_next(monkeypatch):
+    """Patterns and the symbolic factorisations of both tangents are made once a search."""
+    case = indentation(n=((24, 5), (16, 2)), radius=1.0, length=6.0, height=2.0)
+    made = []
+    for kind in (triplets.Triplets, congruence.ProductOfBases, congruence.Congruence):
+        init = kind.__init__
+
+        def noted(self, *args, init=init, **options):
+            made.append(type(self).__name__)
+            init(self, *args, **options)
+
+        monkeypatch.setattr(kind, "__init__", noted)
+
+    def counted(*push):
+        made.clear()
+        before = case.problem.linear.counts.symbolic
+        case.held.value[:] = push
+        report = dm.newton(case.problem, rtol=1e-10)
+        case.problem.commit()
+        assert sum(i.exact_tangent for i in report.iterations) > 1
+        return case.problem.linear.counts.symbolic - before
+
+    assert counted(0.0, -0.1) == 2
+    assert made.count("ProductOfBases") == made.count("Congruence") == 1
+    assert counted(0.01, -0.1) == 0
+    assert made == []
 
 
 def test_when_the_exact_tangent_pays():

@@ -15,7 +15,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.congruence import as_aij, product_of_bases
+from dolfinx_mortar.algebra.congruence import as_aij
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Actives, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
@@ -181,10 +181,9 @@ def linearise_all(
         with problem.timings("assembly"):
             problem.terms.assemble_tangent(problem.K)
     with problem.timings("transform"):
-        T, A = problem.system.transformation, as_aij(problem.K).copy()
+        T = problem.system.transformation
         assert T is not None
-        A.axpy(1.0, found.H, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-        A = product_of_bases(A, T.change, found.trial.change)
+        A = found.transform(problem.K, T)
         qp, diagonal = _bounded(problem, balance, *_eliminated(problem, balance, A))
     return Linearisation(replace(qp, definite=False), balance, diagonal, found)
 

@@ -229,8 +229,8 @@ class _Step:
     ) -> None:
         self.problem, self.report, self.data, self.overlap = problem, report, data, overlap
         self.linear, self.solver = problem.terms.linear, solver
-        if solver.direct and not self.linear:
-            solver.forget()  # a step that was tried has left another factorisation
+        if solver.direct:  # a step that was tried has left another factorisation
+            solver.forget(keep_definite=self.linear)
         self.direction = fem.Function(problem.V)  # du, for its norm
         self.negative = False  # whether the last tangent that was used is indefinite
         self.shifted = 0  # the entry of SHIFTS that the last tangent needed
