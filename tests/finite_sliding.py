@@ -12,8 +12,10 @@ from mpi4py import MPI
 import numpy as np
 
 import dolfinx_mortar as dm
+import ufl
 from dolfinx import default_scalar_type, fem, mesh
 from dolfinx_mortar.meshing.two_bodies import distribute
+from tests.close_fits import create_ring, nested
 
 COMM = MPI.COMM_WORLD
 BLOCK, TOOL = 1, 2
@@ -134,3 +136,90 @@ def walk(case, path, times, **options):
     for step in dm.load_steps(case.problem, times, on_time=follow, **options):
         steps.append((step.time, case.contact.force.copy(), step.report))
     return steps
+
+
+@dataclass
+class TurningHub:
+    """A ring whose hub is turned, pressed into another one with a fixed outer side."""
+
+    problem: dm.ContactProblem
+    contact: dm.Contact
+    turned: fem.Function  # the displacement of both circles that are held
+    circles: tuple  # their dofs: of the hub, of the outer side
+
+    def turn(self, hub, outer=0.0):
+        """Prescribe the angles of the circles."""
+        X = self.turned.function_space.tabulate_dof_coordinates()[:, :2]
+        u = self.turned.x.array.reshape(-1, 2)
+        for nodes, angle in zip(self.circles, (hub, outer), strict=True):
+            c, s = np.cos(angle), np.sin(angle)
+            u[nodes] = X[nodes] @ (np.array([[c, s], [-s, c]]) - np.eye(2))
+
+
+def turning_hub(*, overlap=0.05, moduli=(10.0, 1.0), slave="inner", surface="facets", **options):
+    """Create the case: radii .4, 1 + overlap in 1, 1.8; 40 and 36 facets; inner modulus first."""
+    counts, shift = (40, 36), (0.0, 0.03)
+    radii = (0.4, 1.0 + overlap), (1.0, 1.8)
+    parts = [
+        create_ring(*r, 2 * np.pi * np.arange(n) / n + s, layers=3)
+        for r, n, s in zip(radii, counts, shift, strict=True)
+    ]
+    domain, facets = nested(COMM, parts)
+    size = len(parts[0][1])
+    own = domain.topology.index_map(2).size_local
+    body = np.where(domain.topology.original_cell_index < size, 1, 2).astype(np.int32)[:own]
+    cells = mesh.meshtags(domain, 2, np.arange(own, dtype=np.int32), body)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    u, turned = fem.Function(V), fem.Function(V)
+    circles = [fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (1, 4)]
+    bcs = [fem.dirichletbc(turned, dofs) for dofs in circles]
+    laws = {k + 1: dm.NeoHooke(E, 0.3) for k, E in enumerate(moduli)}
+    sides = (2, 3) if slave == "inner" else (3, 2)
+    contact = dm.Contact(facets, slave=sides[0], master=sides[1], surface=surface, **options)
+    problem = dm.ContactProblem(dm.Solid(u, laws, cells, strain="finite"), [contact], bcs=bcs)
+    return TurningHub(problem, contact, turned, tuple(circles))
+
+
+def soft_block(*, slave="block", surface="facets"):
+    """Return a problem, its contact and the Constant of a dead load on a soft block.
+
+    It lies on a round support (radius 1.5) that is a thousand times stiffer, and its middle line
+    keeps its place along x.
+    """
+    half, radius = 0.8, 1.5
+
+    def support(s, t):
+        x = 2.4 * half * (2 * s - 1)
+        return x, 1.5 * (t - 1) - t * x * x / (2 * radius)
+
+    lower = grid(15, 1, support)
+    upper = grid(12, 6, lambda s, t: (half * (2 * s - 1), t))
+
+    def tag(body, x):
+        at_top = x[:, 1] > -0.5 - x[:, 0] ** 2 / (2 * radius)
+        ends = np.abs(x[:, 0]) > 2.4 * half - 1e-9
+        below = np.select([x[:, 1] < 1e-9 - 1.5, at_top & ~ends], [BASE, TOP], 0)
+        above = np.select([x[:, 1] > 1 - 1e-9, x[:, 1] < 1e-9], [HELD, ARC], 0)
+        return np.where(body == TOOL, above, below)
+
+    bodies = Bodies.of((lower, upper), tag)
+    V = fem.functionspace(bodies.mesh, ("Lagrange", 1, (2,)))
+    u, p = fem.Function(V), fem.Constant(bodies.mesh, default_scalar_type(0.0))
+    base = fem.locate_dofs_topological(V, 1, bodies.facets.find(BASE))
+    zero = np.zeros(2, dtype=default_scalar_type)
+    W = V.sub(0)
+    middle = fem.locate_dofs_geometrical(
+        (W, W.collapse()[0]), lambda x: (np.abs(x[0]) < 1e-9) & (x[1] > -1e-9)
+    )
+    mark = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=bool)
+    mark[V.dofmap.list[bodies.cells.find(TOOL)].ravel()] = True
+    middle = [dofs[mark[middle[0] // 2]] for dofs in middle]
+    still = fem.Function(W.collapse()[0])
+    bcs = [fem.dirichletbc(zero, base, V), fem.dirichletbc(still, middle, W)]
+    laws = {BLOCK: dm.NeoHooke(1000.0, 0.3), TOOL: dm.NeoHooke(1.0, 0.3)}
+    sides = (ARC, TOP) if slave == "block" else (TOP, ARC)
+    contact = dm.Contact(bodies.facets, slave=sides[0], master=sides[1], surface=surface)
+    ds = ufl.Measure("ds", bodies.mesh, subdomain_data=bodies.facets)
+    load = -p * ufl.TestFunction(V)[1] * ds(HELD)
+    solid = dm.Solid(u, laws, bodies.cells, strain="finite")
+    return dm.ContactProblem(solid, [contact], bcs=bcs, loads=load), contact, p

@@ -12,7 +12,7 @@ One iteration, at u with contacts (active set, multipliers) and a geometry:
 
 Updates of the geometry are a fixed-point iteration: one after every iteration while their change
 or the residual decreases; otherwise the geometry is frozen until Newton's method has converged. In
-2D the motion of the surfaces is linearised, too, where that saves iterations (`Watch.is_slow`), and
+2D the motion of the surfaces is linearised, too, where that saves iterations (`_Step.is_exact`), and
 where the fixed point fails; then Newton's method is quadratic.
 """
 
@@ -411,6 +411,8 @@ class _Step:
         if watch.rises >= MOST_RISES:
             return True
         near = max(last.forces, last.contact) < NEAR and last.excess < watch.barred
+        if self.problem.solid.strain == "finite":  # where tangents are new in any case
+            return near
         return near and watch.is_slow(self.linear, last.forces / self.report.rtol, last.excess)
 
     def solve_exact(
