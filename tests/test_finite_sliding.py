@@ -105,6 +105,21 @@ def test_a_hub_that_turns_in_a_pressed_ring_needs_no_torque(slave):
     assert total <= 63
 
 
+def test_a_stuck_pair_that_turns_keeps_its_traction():
+    """A torque that friction carries: the same to 1e-9 after all has turned by 90 degrees."""
+    case = turning_hub(friction=2.0)
+    moments, ends = [], [(0.0, 0.0), (0.02, 0.0), *((0.02 + a, a) for a in (np.pi / 4, np.pi / 2))]
+    for hub, outer in ends:
+        case.turn(hub, outer)
+        report = dm.newton(case.problem, rtol=1e-11)
+        case.problem.commit()
+        moments.append(case.contact.moment[2])
+    assert abs(moments[0]) < 1e-6  # the facets do not match
+    assert abs(moments[1]) > 0.05
+    assert np.abs(np.array(moments[2:]) - moments[1]).max() < 1e-9 * abs(moments[1])
+    assert report.newton_iterations <= 3
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("slave", ["block", "support"])
 def test_soft_block_pressed_on_a_round_support(slave):

@@ -10,6 +10,10 @@ The test functions are those of T, as for surfaces that do not move; du = T_g y,
 -dG_j.du / D_jj, so that the gaps are bounds once more: K^ = T^T (K + H) T_g, unsymmetric. In the
 rows of T_g the parts of neighbouring slave nodes are lumped on node j, so that they are rows of one
 node. What that neglects is some per cent; it is known once du is, and belongs to the bounds then.
+
+With friction y_t is the change of the slip, t.(du_j - P du) + m.dt, with P of the partners, see
+`slip_partners`, and the motion m so far; its law holds for tractions lambda and tau, which are
+reactions over D_jj in the geometry of the iterate.
 """
 
 from __future__ import annotations
@@ -27,7 +31,8 @@ from dolfinx_mortar.algebra.congruence import ProductOfBases, as_aij, refill, un
 from dolfinx_mortar.algebra.triplets import Triplets
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.interfaces.basis import Transformation
-from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.interfaces.link import Link, node_motions
+from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.mortar.curvature_correction import height_slopes
 from dolfinx_mortar.mortar.derivatives import Tractions, differentiate
 from dolfinx_mortar.mortar.integrals import some_points, weighted_duals
@@ -58,18 +63,64 @@ class GeometryTangent:
     forces: Sequence[PETSc.Mat]  # (n, n) H = d(B^T lambda)/du of each contact
     trial: Transformation  # T_g
     gaps: Sequence[PETSc.Mat]  # (n, n) rows w_n of each: closing of the gaps, -dG_j.du / D_jj
+    slips: Sequence[SlipRows]  # of contacts with friction
     products: Products
 
     def closing(self, du: PETSc.Vec) -> Floats:
-        """Return by how much du closes the gaps (n,), at the unknowns w_n; collective."""
+        """Return by how much du closes the gaps, and what slips it adds, (n,) at w; collective."""
         total = np.zeros(du.local_size)
         for rows in self.gaps:
             total += (rows * du).array_r
+        for slip in self.slips:
+            total[2 * slip.link.nodes + 1] = slip.of(du)
         return total
 
     def transform(self, K: PETSc.Mat, T: Transformation) -> PETSc.Mat:
         """Return T^T (K + H) T_g, refilled in place from the second call on; collective."""
         return self.products.fill(K, self.forces, T, self.trial)
+
+
+@dataclass(frozen=True)
+class SlipRows:
+    """Rows of the slips of a contact, t.(du_j - P du) + m.dt, m being the motion so far.
+
+    P is that of the partners, see `slip_partners`; t turns with the averaged normal.
+    """
+
+    link: Link
+    partners: Partners
+    turning: Floats  # (n, 2) m.dt by the averaged normals
+    normals: PETSc.Mat  # derivatives of these
+
+    def of(self, du: PETSc.Vec) -> Floats:
+        """Return the slips (n,) that du adds, 0 where there are no partners; collective."""
+        tangents = self.link.coupling.R[:, :, 1]
+        straight = (node_motions(self.link, self.partners.P, du) * tangents).sum(axis=1)
+        turned = (self.normals * du).array_r.reshape(-1, 2)[self.link.nodes]
+        added = straight + (turned * self.turning).sum(axis=1)
+        return np.where(self.partners.known, added, 0.0)
+
+    def rows(self) -> sparse.csr_array:
+        """Return the rows (n, unknowns) of the owned slave nodes."""
+        nodes, tangents = self.link.nodes, self.link.coupling.R[:, :, 1]
+        index_map, n = self.link.sides.V.dofmap.index_map, len(self.link.nodes)
+        P = _of_rank(self.partners.P)[nodes].tocoo()
+        own = nodes + index_map.local_range[0]
+        row = np.concatenate([np.arange(n), P.row])
+        column = np.concatenate([own, P.col])
+        value = np.concatenate([np.ones(n), -P.data])
+        parts = [
+            sparse.coo_array((value * tangents[row, i], (row, 2 * column + i)), (n, self.columns))
+            for i in range(2)
+        ]
+        N = _of_rank(self.normals)
+        turned = (sparse.diags_array(self.turning[:, i]) @ N[2 * nodes + i] for i in range(2))
+        return sparse.csr_array(sum([*turned, *parts[1:]], parts[0]))
+
+    @property
+    def columns(self) -> int:
+        """How many unknowns there are."""
+        return int(self.normals.getSize()[1])
 
 
 class Products:
@@ -123,6 +174,7 @@ class MovingGeometry:
         u: fem.Function,
         multipliers: Floats,
         tangential: Floats | None,
+        slips: tuple[PETSc.Vec, Sequence[Partners | None]],
     ) -> GeometryTangent:
         """Return the derivatives of the contacts at X + u; collective.
 
@@ -131,15 +183,21 @@ class MovingGeometry:
             u: displacement.
             multipliers: lambda_j (owned nodes,).
             tangential: tangential tractions (owned nodes, 2), None without friction.
+            slips: displacement since the last commit, and the partners of each interface.
         """
-        moved, H, gaps = list(links), [], []
+        moved, H, gaps, sliding = list(links), [], [], []
+        since, partners = slips
         for k, contact in self._contacts.items():
             forces, rows = contact.differentiate(links[k], u, multipliers, tangential)
-            moved[k] = _trial(links[k], rows)
+            slip = None
+            if partners and (partner := partners[k]) is not None:
+                slip = contact.slips(links[k], u, partner, since)
+                sliding.append(slip)
+            moved[k] = _trial(links[k], rows, slip)
             H.append(forces)
             gaps.append(rows)
         self._trial.update(moved)
-        return GeometryTangent(H, self._trial, gaps, self._products)
+        return GeometryTangent(H, self._trial, gaps, sliding, self._products)
 
 
 def _moves(link: Link) -> bool:
@@ -202,6 +260,16 @@ class _Contact:
         F = self.forces.fill(self.F_x.fill(found.F_x), self.F_n.fill(found.F_n), normals)
         G = self.gaps.fill(self.G_x.fill(found.G_x), self.G_n.fill(found.G_n), normals)
         return F, G
+
+    def slips(self, link: Link, u: fem.Function, partners: Partners, since: PETSc.Vec) -> SlipRows:
+        """Return the rows of slips at the iterate that was differentiated last; collective."""
+        slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
+        n, turning = _turning(link, nodal_normals(slave, coordinates(slave, u))[own])
+        tangents = link.coupling.R[:, :, 1]
+        side = (tangents * (n @ _TURN.T)).sum(axis=1)  # which way t lies from n, 1 or -1
+        motion = np.where(partners.known[:, None], partners.motion(link, since), 0.0)
+        turned = np.einsum("n,ni,ij,njk->nk", side, motion, _TURN, turning)
+        return SlipRows(link, partners, turned, self.normals.zero())
 
 
 def _asked(link: Link) -> Bools:
@@ -269,6 +337,21 @@ def _layout(V: fem.FunctionSpace) -> Unknowns:
     return Unknowns(d * index_map.size_local, d * index_map.size_global)
 
 
+def _turning(link: Link, averaged: Floats) -> tuple[Floats, Floats]:
+    """Return the normals n_j (n, 2) of the owned slave nodes, 0 where not kept, and dn_j/dn.
+
+    n_j is the averaged normal (n, 2) without the directions that are prescribed.
+    """
+    kept, edges = link.coupling.kept[:, 0], link.sides.edges
+    n = np.where(kept[:, None], link.coupling.normals, 0.0)
+    free = ~link.sides.fixed[link.nodes]
+    left = np.linalg.norm(averaged * free, axis=1)
+    turning = (np.eye(2) - n[:, :, None] * n[:, None, :]) * free[:, None, :]
+    turning /= np.where(kept, left, 1.0)[:, None, None]
+    turning[~kept if edges is None else ~kept | edges[: len(n)]] = 0.0
+    return n, turning
+
+
 def _tractions(
     link: Link, averaged: Floats, multipliers: Floats, tangential: Floats | None
 ) -> tuple[Tractions, Bools]:
@@ -282,13 +365,7 @@ def _tractions(
     """
     slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
     nodes, kept = link.nodes, link.coupling.kept[:, 0]
-    n = np.where(kept[:, None], link.coupling.normals, 0.0)
-    free = ~link.sides.fixed[nodes]
-    left = np.linalg.norm(averaged[own] * free, axis=1)
-    turning = (np.eye(2) - n[:, :, None] * n[:, None, :]) * free[:, None, :]
-    turning /= np.where(kept, left, 1.0)[:, None, None]
-    still = ~kept if link.sides.edges is None else ~kept | link.sides.edges[own]
-    turning[still] = 0.0
+    n, turning = _turning(link, averaged[own])
     at = multipliers[nodes] * kept
     traction, change = at[:, None] * n, at[:, None, None] * turning
     if tangential is not None:
@@ -304,43 +381,51 @@ def _tractions(
     return found, mark[:, 0] > 0
 
 
-def _trial(link: Link, weighted: PETSc.Mat) -> Link:
+def _trial(link: Link, weighted: PETSc.Mat, slips: SlipRows | None) -> Link:
     """Scale rows dG_j to those of w_n, and return the link with those of T_g; collective."""
     coupling, pattern, nodes = link.coupling, link.pattern, link.nodes
-    start, columns, values = weighted.getValuesCSR()
-    n, kept = len(start) - 1, coupling.kept[:, 0]
-    inverse = np.zeros(n)
-    inverse[2 * nodes[kept]] = -1.0 / coupling.weight[kept, 0]
+    kept, R, row = coupling.kept[:, 0], coupling.R, pattern.row
     scale = weighted.createVecLeft()
-    scale.array[:] = inverse
+    scale.array[2 * nodes[kept]] = -1.0 / coupling.weight[kept, 0]
     weighted.diagonalScale(scale)
-    rows = sparse.csr_array((values, columns, start), (n, weighted.getSize()[1]))[2 * nodes]
-    rows = sparse.csr_array(sparse.diags_array(inverse[2 * nodes]) @ rows)
-    master = np.arange(len(pattern.row)) >= pattern.split
-    used = master | (coupling.P[:, 0] != 0.0)
-    p = np.zeros((len(used), 2))
-    for i in range(2):
-        p[used, i] = -_entries(rows, pattern.row[used], 2 * pattern.column[used] + i)
-    own = np.zeros((len(nodes), 2))
-    entries = rows.tocoo()
-    for i in range(2):
-        of_i = np.where(entries.col % 2 == i, entries.data, 0.0)
-        own[:, i] = np.bincount(entries.row, of_i, minlength=len(nodes))
-        own[:, i] += np.bincount(pattern.row, p[:, i], minlength=len(nodes))
-    R = coupling.R
+    own, p = _lumped(link, sparse.csr_array(_of_rank(weighted)[2 * nodes]))
+    across = coupling.directions[row, 1]
+    tangent, q = R[:, :, 1], coupling.P[:, :1] * R[row, :, 1]
+    if slips is not None:
+        known, (turned, moved) = slips.partners.known, _lumped(link, slips.rows())
+        tangent = np.where(known[:, None], turned, tangent)
+        q = np.where(known[row, None], moved, q)
+    q = np.where(across[:, None], q, 0.0)
+    rows = np.stack([own, np.where(coupling.directions[:, 1:], tangent, R[:, :, 1])], axis=1)
     moves = kept & ((own * coupling.normals).sum(axis=1) > LEAST_ALONG)
-    tangent = R[:, :, 1]
-    inverted = np.linalg.inv(
-        np.where(moves[:, None, None], np.stack([own, tangent], axis=1), np.swapaxes(R, 1, 2))
-    )
-    row = pattern.row
-    along = np.zeros((len(row), 2, 2))
-    along[:, 0] = p
-    slips = coupling.directions[row, 1]
-    along[:, 1] = np.where(slips[:, None], coupling.P[:, :1] * tangent[row], 0.0)
-    blocks = np.where(moves[row][:, None, None], inverted[row] @ along, coupling.blocks)
+    inverted = np.linalg.inv(np.where(moves[:, None, None], rows, np.swapaxes(R, 1, 2)))
+    blocks = inverted[row] @ np.stack([p, q], axis=1)
+    blocks = np.where(moves[row][:, None, None], blocks, coupling.blocks)
     frames = np.where(moves[:, None, None], inverted, R)
     return replace(link, coupling=replace(coupling, R=frames, blocks=blocks))
+
+
+def _lumped(link: Link, rows: sparse.csr_array) -> tuple[Floats, Floats]:
+    """Return the own parts (n, 2) of rows (n, unknowns), and minus those (e, 2) of the pattern.
+
+    What belongs to nodes outside the pattern, neighbouring slave nodes mostly, is lumped on j.
+    """
+    coupling, pattern = link.coupling, link.pattern
+    used = np.arange(len(pattern.row)) >= pattern.split  # of the master
+    used |= coupling.P[:, 0] != 0.0
+    p, own, entries = np.zeros((len(used), 2)), np.zeros((rows.shape[0], 2)), rows.tocoo()
+    for i in range(2):
+        p[used, i] = -_entries(rows, pattern.row[used], 2 * pattern.column[used] + i)
+        of_i = np.where(entries.col % 2 == i, entries.data, 0.0)
+        own[:, i] = np.bincount(entries.row, of_i, minlength=len(own))
+        own[:, i] += np.bincount(pattern.row, p[:, i], minlength=len(own))
+    return own, p
+
+
+def _of_rank(A: PETSc.Mat) -> sparse.csr_array:
+    """Return the rows of a matrix that this rank owns."""
+    start, columns, values = A.getValuesCSR()
+    return sparse.csr_array((values, columns, start), (len(start) - 1, A.getSize()[1]))
 
 
 def _entries(A: sparse.csr_array, rows: Ints, columns: Longs) -> Floats:

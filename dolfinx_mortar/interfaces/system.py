@@ -380,7 +380,11 @@ class InterfaceSystem:
         return not slid and not touches_far_nodes(self.links, x, self.n)
 
     def linearise_geometry(
-        self, u: fem.Function, multipliers: Floats, tangential: Floats | None
+        self,
+        u: fem.Function,
+        multipliers: Floats,
+        tangential: Floats | None,
+        slips: tuple[PETSc.Vec, Sequence[Partners | None]],
     ) -> GeometryTangent:
         """Return what the motion of the surfaces adds to a linearisation at X + u; collective.
 
@@ -388,13 +392,14 @@ class InterfaceSystem:
             u: displacement, of the present configuration.
             multipliers: lambda_j (owned nodes,).
             tangential: tangential tractions (owned nodes, d), None without friction.
+            slips: displacement since the last commit, and the partners of each interface.
         """
         moving = self._room.moving
         lacks = moving is None or not moving.serves(self.links)
         if moving is None or any_rank(self.V.mesh.comm, lacks)[0]:
             moving = MovingGeometry(self.V, self.links, list(self._room.order))
             self._room = replace(self._room, moving=moving)
-        return moving.linearise(self.links, u, multipliers, tangential)
+        return moving.linearise(self.links, u, multipliers, tangential, slips)
 
     # -- what the QP needs -----------------------------------------------------------------------
 

@@ -12,8 +12,8 @@ One iteration, at u with contacts (active set, multipliers) and a geometry:
 
 Updates of the geometry are a fixed-point iteration: one after every iteration while their change
 or the residual decreases; otherwise the geometry is frozen until Newton's method has converged. In
-2D the motion of the surfaces is linearised, too, where that saves iterations (`_Step.is_exact`), and
-where the fixed point fails; then Newton's method is quadratic.
+2D the motion of the surfaces is linearised, too, where that saves iterations (`Watch.is_slow`),
+near a balance at finite strain, and where the fixed point fails; then Newton's method is quadratic.
 """
 
 import logging
@@ -429,7 +429,8 @@ class _Step:
         """
         contacts = old.contacts
         given = contacts.multipliers, contacts.tangential
-        lin = linearise_all(self.problem, old.balance, *given, tangent=tangent)
+        at = self.problem, old.balance, self.data.partners
+        lin = linearise_all(*at, *given, tangent=tangent)
         rtol = self.accuracy(lin, watch, residuals)
         try:
             solved = first = self.solve(lin, start, old, rtol)
