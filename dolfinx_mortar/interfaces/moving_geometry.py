@@ -18,6 +18,7 @@ reactions over D_jj in the geometry of the iterate.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -374,7 +375,10 @@ def _tractions(
         change += along[:, None, None] * (_TURN @ turning)
     parts = n, turning, traction, change, kept
     columns = np.zeros((len(slave.nodes), 13))
-    columns[own] = np.concatenate([part.reshape(len(nodes), -1) for part in parts], axis=1)
+    widths = [math.prod(part.shape[1:]) for part in parts]  # a rank may have no node
+    columns[own] = np.concatenate(
+        [part.reshape(len(nodes), k) for part, k in zip(parts, widths, strict=True)], axis=1
+    )
     n, turning, traction, change, mark = np.split(accumulate(slave, columns), [2, 6, 8, 12], 1)
     square = (-1, 2, 2)
     found = Tractions(n, turning.reshape(square), traction, change.reshape(square))
