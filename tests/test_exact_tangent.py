@@ -11,6 +11,7 @@ import pytest
 import dolfinx_mortar as dm
 import dolfinx_mortar.steps.newton as newton_module
 from dolfinx import fem
+from dolfinx_mortar.algebra import congruence, triplets
 from dolfinx_mortar.geometry.facets import points_of
 from dolfinx_mortar.mortar.curvature_correction import (
     find_smooth_sides,
@@ -33,6 +34,7 @@ from dolfinx_mortar.mortar.surface import (
 )
 from dolfinx_mortar.newton_method.watch import AGAIN, MOST_RISES, Watch
 from tests import meshes
+from tests.finite_sliding import indentation, walk
 from tests.hertz_case import ELASTIC, create_case, create_mesh
 
 COMM = MPI.COMM_SELF
@@ -209,6 +211,87 @@ def test_a_tangent_without_solution_gives_way_to_the_fixed_point(monkeypatch):
     assert not any(i.exact_tangent for i in report.iterations)
     assert any("without the exact tangent (no solution)" in note for note in report.notes)
     assert np.abs(case.contact.force - expected).max() < 1e-8 * np.abs(expected).max()
+
+
+@pytest.fixture(scope="module")
+def dragged():
+    """A half ring with friction, pressed on a block and dragged, in the course of a step."""
+    case = indentation(n=((24, 5), (16, 2)), radius=1.0, length=6.0, height=2.0, friction=0.3)
+    walk(case, lambda t: (0.1 * max(t - 1.0, 0.0), -0.2 * min(t, 1.0)), [0.5, 1.0, 1.5])
+    case.held.value[:] = 0.1, -0.2
+    return case.problem, case.problem.begin_step()
+
+
+def test_rows_of_gaps_and_slips_are_their_derivatives(dragged):
+    """The trial rows of T_g, with what lumping leaves to the bounds; differences agree to 1e-8."""
+    problem, data = dragged
+    rng, u = np.random.default_rng(5), problem.owned_u
+    u += 1e-3 * rng.standard_normal(u.shape)  # far from balance, so that all terms count
+    start, du = u.copy(), rng.standard_normal(u.shape)
+
+    def at(step):
+        u[:] = start + step * du
+        problem.u.x.scatter_forward()
+        problem.follow_geometry()
+        (link,) = problem.system.unilateral
+        since = problem.vector(u - problem.committed.displacement)
+        slip = data.partners[0].slip(link, since)[:, 1]
+        gaps = link.coupling.weight[:, 0] * link.gaps(problem.positions())
+        return link, since, gaps, slip
+
+    (_, _, *above), (_, _, *below) = at(1e-6), at(-1e-6)
+    link, since, *_ = at(0.0)
+    given = np.zeros(problem.n), np.zeros((problem.n, 2)), (since, data.partners)
+    closing = problem.system.linearise_geometry(problem.u, *given).closing(problem.vector(du))
+    near = link.near & link.coupling.kept[:, 0] & data.partners[0].known
+    found = closing.reshape(-1, 2)[link.nodes[near]]
+    for column, sign, over, a, b in zip(
+        found.T, (-1.0, 1.0), (link.coupling.weight[near, 0], 1.0), above, below, strict=True
+    ):
+        expected = sign * (a - b)[near] / 2e-6 / over
+        largest = problem.comm.allreduce(np.abs(expected).max(initial=0.0), op=MPI.MAX)
+        assert np.abs(column - expected).max(initial=0.0) < 1e-8 * largest
+    assert problem.comm.allreduce(int(near.sum())) > 5
+
+
+@pytest.mark.parametrize("to", [(0.15, -0.2), (0.12, -0.3)])
+def test_newton_is_quadratic_with_friction(to):
+    """Sliding, and sticking while it is pressed on: ratios of residuals fall with the residuals."""
+    case = indentation(n=((24, 5), (16, 2)), radius=1.0, length=6.0, height=2.0, friction=0.3)
+    walk(case, lambda t: (0.1 * max(t - 1.0, 0.0), -0.2 * min(t, 1.0)), [0.5, 1.0, 1.5, 2.0])
+    case.held.value[:] = to
+    r = np.array(residuals(dm.newton(case.problem, rtol=1e-11)))
+    r = np.maximum(r, 1e-12)  # round-off
+    assert (r[1:] / r[:-1]).min() < 1e-4
+    assert len(r) <= 4
+
+
+def test_nothing_is_allocated_anew_within_a_step_nor_in_the_next(monkeypatch):
+    """Patterns and the symbolic factorisations of both tangents are made once a search."""
+    case = indentation(n=((24, 5), (16, 2)), radius=1.0, length=6.0, height=2.0)
+    made = []
+    for kind in (triplets.Triplets, congruence.ProductOfBases, congruence.Congruence):
+        init = kind.__init__
+
+        def noted(self, *args, init=init, **options):
+            made.append(type(self).__name__)
+            init(self, *args, **options)
+
+        monkeypatch.setattr(kind, "__init__", noted)
+
+    def counted(*push):
+        made.clear()
+        before = case.problem.linear.counts.symbolic
+        case.held.value[:] = push
+        report = dm.newton(case.problem, rtol=1e-10)
+        case.problem.commit()
+        assert sum(i.exact_tangent for i in report.iterations) > 1
+        return case.problem.linear.counts.symbolic - before
+
+    assert counted(0.0, -0.1) == 2
+    assert made.count("ProductOfBases") == made.count("Congruence") == 1
+    assert counted(0.01, -0.1) == 0
+    assert made == []
 
 
 def test_when_the_exact_tangent_pays():

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable
 
 from petsc4py import PETSc
 
@@ -55,21 +56,48 @@ class Congruence:
         KCt.destroy()
 
 
-def product_of_bases(A: PETSc.Mat, test: PETSc.Mat, trial: PETSc.Mat) -> PETSc.Mat:
-    """Return (I + test)^T A (I + trial), a new matrix, of any A; collective.
+class ProductOfBases:
+    """(I + C)^T A (I + D) of any A, for C and D with few rows, on a fixed pattern.
 
     Args:
         A: in the format AIJ.
-        test: with few rows.
-        trial: with few rows.
+        C: change of the basis of test functions.
+        D: that of trial functions.
+
+    Attributes:
+        product: the matrix.
     """
-    other = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
-    right = A.matMult(trial)
-    right.axpy(1.0, A, other)
-    product = test.transpose(PETSc.Mat()).matMult(right)
-    product.axpy(1.0, right, other)
-    right.destroy()
-    return product
+
+    def __init__(self, A: PETSc.Mat, C: PETSc.Mat, D: PETSc.Mat) -> None:
+        """Analyse the patterns; the values come with `update`; collective."""
+        self._Ct, self._AD = C.transpose(PETSc.Mat()), A.matMult(D)
+        self._right = union(self._AD, [A])
+        self._CtR = self._Ct.matMult(self._right)
+        self.product = union(self._CtR, [self._right])
+        self.product.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+
+    def update(self, A: PETSc.Mat, C: PETSc.Mat, D: PETSc.Mat) -> None:
+        """Refill the product from new values on the same patterns; collective."""
+        C.transpose(self._Ct)
+        A.matMult(D, result=self._AD)
+        refill(self._right, [self._AD, A])
+        self._Ct.matMult(self._right, result=self._CtR)
+        refill(self.product, [self._CtR, self._right])
+
+
+def union(A: PETSc.Mat, others: Iterable[PETSc.Mat]) -> PETSc.Mat:
+    """Return a new matrix on the union of the patterns; collective."""
+    total = A.duplicate(copy=True)
+    for other in others:
+        total.axpy(1.0, other, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    return total
+
+
+def refill(total: PETSc.Mat, parts: Iterable[PETSc.Mat]) -> None:
+    """Set a matrix to the sum of others, the patterns of which it contains; collective."""
+    total.zeroEntries()
+    for part in parts:
+        total.axpy(1.0, part, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
 
 
 def decouple(matrix: PETSc.Mat, rows: Ints) -> None:

@@ -65,12 +65,23 @@ class Triplets:
         own = np.arange(layout.size_local, dtype=np.int32)
         self.rows, self.columns = np.repeat(own, np.diff(self._start)), found.astype(np.int64)
 
-    def sum(self, values: npt.ArrayLike) -> Floats:
-        """Return the sums (e,) of the values (t,) of the triplets (collective)."""
+    def fill(self, values: npt.ArrayLike) -> PETSc.Mat:
+        """Return the matrix of the sums of the values (t,) of the triplets (collective).
+
+        It is the same one in every call, which the next sum refills.
+        """
         v = np.ascontiguousarray(values, dtype=PETSc.ScalarType).ravel()
         pointer, mode = ctypes.c_void_p(v.ctypes.data), ctypes.c_int(PETSc.InsertMode.INSERT_VALUES)
         _call("MatSetValuesCOO", ctypes.c_void_p(self._sums.handle), pointer, mode)
-        return np.array(self._sums.getValuesCSR()[2])
+        return self._sums
+
+    def zero(self) -> PETSc.Mat:
+        """Return the matrix of `fill`, whatever its values, for the analysis of its pattern."""
+        return self._sums
+
+    def sum(self, values: npt.ArrayLike) -> Floats:
+        """Return the sums (e,) of the values (t,) of the triplets (collective)."""
+        return np.array(self.fill(values).getValuesCSR()[2])
 
     def matrix(self, values: Floats) -> PETSc.Mat:
         """Return a new matrix with the values (e,) at the entries (collective)."""

@@ -10,6 +10,10 @@ The test functions are those of T, as for surfaces that do not move; du = T_g y,
 -dG_j.du / D_jj, so that the gaps are bounds once more: K^ = T^T (K + H) T_g, unsymmetric. In the
 rows of T_g the parts of neighbouring slave nodes are lumped on node j, so that they are rows of one
 node. What that neglects is some per cent; it is known once du is, and belongs to the bounds then.
+
+With friction y_t is the change of the slip, t.(du_j - P du) + m.dt, with P of the partners, see
+`slip_partners`, and the motion m so far; its law holds for tractions lambda and tau, which are
+reactions over D_jj in the geometry of the iterate.
 """
 
 from __future__ import annotations
@@ -24,12 +28,14 @@ import numpy as np
 from scipy import sparse
 
 from dolfinx import fem
+from dolfinx_mortar.algebra.congruence import ProductOfBases, as_aij, refill, union
 from dolfinx_mortar.algebra.triplets import Triplets
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.interfaces.basis import Transformation
-from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.interfaces.link import Link, node_motions
+from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.mortar.curvature_correction import height_slopes
-from dolfinx_mortar.mortar.derivatives import Derivatives, Tractions, differentiate
+from dolfinx_mortar.mortar.derivatives import Tractions, differentiate
 from dolfinx_mortar.mortar.integrals import some_points, weighted_duals
 from dolfinx_mortar.mortar.surface import (
     accumulate,
@@ -53,48 +59,278 @@ class Unknowns:
 
 @dataclass(frozen=True)
 class GeometryTangent:
-    """What the motion of the surfaces adds to a linearisation."""
+    """What the motion of the surfaces adds to a linearisation; valid until the next one."""
 
-    H: PETSc.Mat  # (n, n) d(B^T lambda)/du
+    forces: Sequence[PETSc.Mat]  # (n, n) H = d(B^T lambda)/du of each contact
     trial: Transformation  # T_g
-    gaps: PETSc.Mat  # (n, n) rows w_n of contacts: closing of the gaps, -dG_j.du / D_jj
+    gaps: Sequence[PETSc.Mat]  # (n, n) rows w_n of each: closing of the gaps, -dG_j.du / D_jj
+    slips: Sequence[SlipRows]  # of contacts with friction
+    products: Products
 
     def closing(self, du: PETSc.Vec) -> Floats:
-        """Return by how much du closes the gaps (n,), at the unknowns w_n; collective."""
-        return np.array((self.gaps * du).array_r)
+        """Return by how much du closes the gaps, and what slips it adds, (n,) at w; collective."""
+        total = np.zeros(du.local_size)
+        for rows in self.gaps:
+            total += (rows * du).array_r
+        for slip in self.slips:
+            total[2 * slip.link.nodes + 1] = slip.of(du)
+        return total
+
+    def transform(self, K: PETSc.Mat, T: Transformation) -> PETSc.Mat:
+        """Return T^T (K + H) T_g, refilled in place from the second call on; collective."""
+        return self.products.fill(K, self.forces, T, self.trial)
 
 
-def linearise_geometry(
-    links: Sequence[Link],
-    order: list[int],
-    u: fem.Function,
-    multipliers: Floats,
-    tangential: Floats | None,
-) -> GeometryTangent:
-    """Return the derivatives of the contacts at X + u; collective.
+@dataclass(frozen=True)
+class SlipRows:
+    """Rows of the slips of a contact, t.(du_j - P du) + m.dt, m being the motion so far.
+
+    P is that of the partners, see `slip_partners`; t turns with the averaged normal.
+    """
+
+    link: Link
+    partners: Partners
+    turning: Floats  # (n, 2) m.dt by the averaged normals
+    normals: PETSc.Mat  # derivatives of these
+
+    def of(self, du: PETSc.Vec) -> Floats:
+        """Return the slips (n,) that du adds, 0 where there are no partners; collective."""
+        tangents = self.link.coupling.R[:, :, 1]
+        straight = (node_motions(self.link, self.partners.P, du) * tangents).sum(axis=1)
+        turned = (self.normals * du).array_r.reshape(-1, 2)[self.link.nodes]
+        added = straight + (turned * self.turning).sum(axis=1)
+        return np.where(self.partners.known, added, 0.0)
+
+    def rows(self) -> sparse.csr_array:
+        """Return the rows (n, unknowns) of the owned slave nodes."""
+        nodes, tangents = self.link.nodes, self.link.coupling.R[:, :, 1]
+        index_map, n = self.link.sides.V.dofmap.index_map, len(self.link.nodes)
+        P = _of_rank(self.partners.P)[nodes].tocoo()
+        own = nodes + index_map.local_range[0]
+        row = np.concatenate([np.arange(n), P.row])
+        column = np.concatenate([own, P.col])
+        value = np.concatenate([np.ones(n), -P.data])
+        parts = [
+            sparse.coo_array((value * tangents[row, i], (row, 2 * column + i)), (n, self.columns))
+            for i in range(2)
+        ]
+        N = _of_rank(self.normals)
+        turned = (sparse.diags_array(self.turning[:, i]) @ N[2 * nodes + i] for i in range(2))
+        return sparse.csr_array(sum([*turned, *parts[1:]], parts[0]))
+
+    @property
+    def columns(self) -> int:
+        """How many unknowns there are."""
+        return int(self.normals.getSize()[1])
+
+
+class Products:
+    """Matrices of T^T (K + H) T_g, on patterns that stay fixed while those of its parts do."""
+
+    def __init__(self) -> None:
+        """Start without any."""
+        self._total: PETSc.Mat | None = None
+        self._factors: list[ProductOfBases] = []
+
+    def fill(
+        self, K: PETSc.Mat, H: Sequence[PETSc.Mat], T: Transformation, T_g: Transformation
+    ) -> PETSc.Mat:
+        """Return the product, the same matrix in every call; collective."""
+        A = as_aij(K)
+        fresh, bases = self._total is None, list(zip(T.factors, T_g.factors, strict=True))
+        if self._total is None:
+            self._total = union(A, H)
+        refill(self._total, [A, *H])
+        A = self._total
+        for k, (test, trial) in enumerate(bases):
+            if fresh:
+                self._factors.append(ProductOfBases(A, test.C, trial.C))
+            self._factors[k].update(A, test.C, trial.C)
+            A = self._factors[k].product
+        return A
+
+
+class MovingGeometry:
+    """The derivatives of the contacts of some links, on patterns made once for their pairs.
 
     Args:
-        links: The interfaces, of which the ties stay at X.
-        order: Topological order of the interfaces.
-        u: Displacement.
-        multipliers: lambda_j (owned nodes,).
-        tangential: Tangential tractions (owned nodes, 2), None without friction.
+        V: the vector space of the displacement.
+        links: the interfaces, of which the ties stay at X.
+        order: topological order of the interfaces.
     """
-    V = u.function_space
-    H, gaps = (_empty(V) for _ in range(2))
-    moved = list(links)
-    other = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
-    for k, link in enumerate(links):
-        if not link.interface.unilateral or link.coupling.operators is None:
-            continue
-        forces, rows = _assemble(link, u, multipliers, tangential)
-        H.axpy(1.0, forces, other)
-        closing, coupling = _trial(link, rows)
-        gaps.axpy(1.0, closing, other)
-        moved[k] = coupling
-    T = Transformation(V, moved, order)
-    T.update(moved)
-    return GeometryTangent(H, T, gaps)
+
+    def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], order: list[int]) -> None:
+        """Make the patterns; collective."""
+        self._contacts = {k: _Contact(link) for k, link in enumerate(links) if _moves(link)}
+        self._trial = Transformation(V, links, order)
+        self._products = Products()
+
+    def serves(self, links: Sequence[Link]) -> bool:
+        """Tell whether the patterns hold the pairs of links, of which T is the same."""
+        return all(contact.serves(links[k]) for k, contact in self._contacts.items())
+
+    def linearise(
+        self,
+        links: Sequence[Link],
+        u: fem.Function,
+        multipliers: Floats,
+        tangential: Floats | None,
+        slips: tuple[PETSc.Vec, Sequence[Partners | None]],
+    ) -> GeometryTangent:
+        """Return the derivatives of the contacts at X + u; collective.
+
+        Args:
+            links: those of the patterns, in another configuration.
+            u: displacement.
+            multipliers: lambda_j (owned nodes,).
+            tangential: tangential tractions (owned nodes, 2), None without friction.
+            slips: displacement since the last commit, and the partners of each interface.
+        """
+        moved, H, gaps, sliding = list(links), [], [], []
+        since, partners = slips
+        for k, contact in self._contacts.items():
+            forces, rows = contact.differentiate(links[k], u, multipliers, tangential)
+            slip = None
+            if partners and (partner := partners[k]) is not None:
+                slip = contact.slips(links[k], u, partner, since)
+                sliding.append(slip)
+            moved[k] = _trial(links[k], rows, slip)
+            H.append(forces)
+            gaps.append(rows)
+        self._trial.update(moved)
+        return GeometryTangent(H, self._trial, gaps, sliding, self._products)
+
+
+def _moves(link: Link) -> bool:
+    return link.interface.unilateral and link.coupling.operators is not None
+
+
+class _Contact:
+    """Derivatives of the forces and the weighted gaps of one contact.
+
+    They are sums F_x + F_n N, N being the derivatives of the averaged normals. On a slave facet
+    forces and gaps depend on all of its partners, by the dual functions.
+    """
+
+    def __init__(self, link: Link) -> None:
+        """Make the patterns, for all candidates of the slave facets that are near; collective."""
+        V, slave, pairing = link.sides.V, link.sides.slave, link.pairing
+        assert pairing is not None
+        self.asked, self._found = _asked(link), pairing
+        pairs = pairing.pairs[self.asked[pairing.pairs[:, 0]]]
+        n, xy = len(slave.nodes), np.arange(2)
+        facets: Ints = np.flatnonzero(self.asked).astype(np.int32)
+        master = pairing.master_facets[pairs[:, 1]]
+        on_slave = _incidence(facets, slave.facets[facets], (len(self.asked), n))
+        shape = len(self.asked), len(pairing.master_nodes)
+        on_both = sparse.hstack([on_slave, _incidence(pairs[:, 0], master, shape)]).tocsr()
+        nodes = V.dofmap.index_map.local_to_global(slave.nodes).astype(np.int64)
+        both = np.concatenate([nodes, pairing.master_nodes])
+        by_x = (2 * both[:, None] + xy).ravel()
+        by_n, forces, gaps = by_x[: 2 * n], by_x, 2 * nodes
+        self.F_x = _Entries(V, on_both.T @ on_both, (2, 2), forces, by_x)
+        self.F_n = _Entries(V, on_both.T @ on_slave, (2, 2), forces, by_n)
+        self.G_x = _Entries(V, on_slave.T @ on_both, (1, 2), gaps, by_x)
+        self.G_n = _Entries(V, on_slave.T @ on_slave, (1, 2), gaps, by_n)
+        at = by_n.reshape(-1, 2)[slave.facets]
+        block = *at.shape, *at.shape[1:]
+        rows = np.broadcast_to(at[:, :, :, None, None], block)
+        columns = np.broadcast_to(at[:, None, None], block)
+        self.normals = Triplets(V.mesh.comm, _layout(V), rows, columns)
+        self.forces = _Sum(self.F_x, self.F_n, self.normals)
+        self.gaps = _Sum(self.G_x, self.G_n, self.normals)
+
+    def serves(self, link: Link) -> bool:
+        """Tell whether a link has the same pairs."""
+        new, _ = link.mortar
+        names = "pairs", "master_facets", "master_nodes"
+        return all(np.array_equal(getattr(self._found, v), getattr(new, v)) for v in names)
+
+    def differentiate(
+        self, link: Link, u: fem.Function, multipliers: Floats, tangential: Floats | None
+    ) -> tuple[PETSc.Mat, PETSc.Mat]:
+        """Return those of forces, and those of gaps in the rows w_n; refilled; collective."""
+        slave, (pairing, operators) = link.sides.slave, link.mortar
+        x = coordinates(slave, u)
+        given, keep = _tractions(link, nodal_normals(slave, x), multipliers, tangential)
+        segments = some_points(operators.segments, self.asked[operators.segments.slave])
+        Phi, smooth = weighted_duals(pairing, segments, keep), link.pattern.smooth
+        slopes = None if smooth is None else height_slopes(pairing, segments, u, smooth)
+        found = differentiate(pairing, u, segments, keep, Phi, given, slopes)
+        normals = self.normals.fill(normal_derivatives(slave, x))
+        F = self.forces.fill(self.F_x.fill(found.F_x), self.F_n.fill(found.F_n), normals)
+        G = self.gaps.fill(self.G_x.fill(found.G_x), self.G_n.fill(found.G_n), normals)
+        return F, G
+
+    def slips(self, link: Link, u: fem.Function, partners: Partners, since: PETSc.Vec) -> SlipRows:
+        """Return the rows of slips at the iterate that was differentiated last; collective."""
+        slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
+        n, turning = _turning(link, nodal_normals(slave, coordinates(slave, u))[own])
+        tangents = link.coupling.R[:, :, 1]
+        side = (tangents * (n @ _TURN.T)).sum(axis=1)  # which way t lies from n, 1 or -1
+        motion = np.where(partners.known[:, None], partners.motion(link, since), 0.0)
+        turned = np.einsum("n,ni,ij,njk->nk", side, motion, _TURN, turning)
+        return SlipRows(link, partners, turned, self.normals.zero())
+
+
+def _asked(link: Link) -> Bools:
+    """Return the slave facets (m,) of this rank that have nodes in T; collective."""
+    slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
+    near = np.zeros((len(slave.nodes), 1))
+    near[own, 0] = link.near
+    return np.asarray((accumulate(slave, near)[:, 0] > 0.0)[slave.facets].any(axis=1))
+
+
+def _incidence(facets: Ints, nodes: Ints, shape: tuple[int, int]) -> sparse.csr_array:
+    """Return which nodes (p, k) belong to facets (p,)."""
+    rows = np.repeat(facets, nodes.shape[1])
+    ones = np.ones(len(rows), dtype=np.int8)
+    return sparse.coo_array((ones, (rows, nodes.ravel())), shape=shape).tocsr()
+
+
+class _Entries:
+    """A matrix of this rank's facets, on a fixed pattern of blocks, and its sum over ranks."""
+
+    def __init__(
+        self,
+        V: fem.FunctionSpace,
+        pattern: sparse.csr_array,
+        block: tuple[int, int],
+        rows: Longs,
+        columns: Longs,
+    ) -> None:
+        """Fix the pattern; rows and columns are the numbers of its own; collective."""
+        entries = sparse.kron(pattern, np.ones(block, dtype=np.int8), format="csr").tocoo()
+        self._width = entries.shape[1]
+        self._keys = np.sort(self._key(entries))
+        i, j = np.divmod(self._keys, max(self._width, 1))
+        self.sums = Triplets(V.mesh.comm, _layout(V), rows[i], columns[j])
+
+    def _key(self, entries: sparse.coo_array) -> Longs:
+        return np.asarray(entries.row.astype(np.int64) * self._width + entries.col)
+
+    def fill(self, values: sparse.csr_array) -> PETSc.Mat:
+        """Return the sum over ranks of a matrix within the pattern; collective."""
+        entries, filled = values.tocoo(), np.zeros(len(self._keys))
+        place = np.searchsorted(self._keys, self._key(entries))
+        filled[place] = entries.data  # each once, as of a matrix in CSR
+        return self.sums.fill(filled)
+
+
+class _Sum:
+    """A + B N, on a fixed pattern."""
+
+    def __init__(self, A: _Entries, B: _Entries, N: Triplets) -> None:
+        """Analyse the patterns; collective."""
+        direct, by_normals, normals = A.sums.zero(), B.sums.zero(), N.zero()
+        self._product = by_normals.matMult(normals)
+        self._total = union(self._product, [direct])
+
+    def fill(self, A: PETSc.Mat, B: PETSc.Mat, N: PETSc.Mat) -> PETSc.Mat:
+        """Return the sum, the same matrix in every call; collective."""
+        B.matMult(N, result=self._product)
+        refill(self._total, [self._product, A])
+        return self._total
 
 
 def _layout(V: fem.FunctionSpace) -> Unknowns:
@@ -102,126 +338,98 @@ def _layout(V: fem.FunctionSpace) -> Unknowns:
     return Unknowns(d * index_map.size_local, d * index_map.size_global)
 
 
-def _empty(V: fem.FunctionSpace) -> PETSc.Mat:
-    """Return a zero matrix between the unknowns; collective."""
-    none: Longs = np.zeros(0, dtype=np.int64)
-    return _matrix(V, none, none, np.zeros(0))
+def _turning(link: Link, averaged: Floats) -> tuple[Floats, Floats]:
+    """Return the normals n_j (n, 2) of the owned slave nodes, 0 where not kept, and dn_j/dn.
 
-
-def _matrix(V: fem.FunctionSpace, rows: Longs, columns: Longs, values: Floats) -> PETSc.Mat:
-    """Return the sum over ranks of triplets between unknowns of V; collective."""
-    triplets = Triplets(V.mesh.comm, _layout(V), rows, columns)
-    return triplets.matrix(triplets.sum(values))
-
-
-def _tractions(
-    link: Link, u: fem.Function, multipliers: Floats, tangential: Floats | None
-) -> tuple[Tractions, Bools, Bools]:
-    """Return normals, tractions, and which local slave nodes are kept and near; collective."""
-    slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
-    nodes, kept = link.nodes, link.coupling.kept[:, 0]
-    averaged = nodal_normals(slave, coordinates(slave, u))[own]
+    n_j is the averaged normal (n, 2) without the directions that are prescribed.
+    """
+    kept, edges = link.coupling.kept[:, 0], link.sides.edges
     n = np.where(kept[:, None], link.coupling.normals, 0.0)
-    free = ~link.sides.fixed[nodes]
+    free = ~link.sides.fixed[link.nodes]
     left = np.linalg.norm(averaged * free, axis=1)
     turning = (np.eye(2) - n[:, :, None] * n[:, None, :]) * free[:, None, :]
     turning /= np.where(kept, left, 1.0)[:, None, None]
-    still = ~kept if link.sides.edges is None else ~kept | link.sides.edges[own]
-    turning[still] = 0.0
+    turning[~kept if edges is None else ~kept | edges[: len(n)]] = 0.0
+    return n, turning
+
+
+def _tractions(
+    link: Link, averaged: Floats, multipliers: Floats, tangential: Floats | None
+) -> tuple[Tractions, Bools]:
+    """Return normals, tractions, and which local slave nodes are kept; collective.
+
+    Args:
+        link: the contact.
+        averaged: normals (local slave nodes, 2).
+        multipliers: lambda_j (owned nodes,).
+        tangential: tangential tractions (owned nodes, 2), None without friction.
+    """
+    slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
+    nodes, kept = link.nodes, link.coupling.kept[:, 0]
+    n, turning = _turning(link, averaged[own])
     at = multipliers[nodes] * kept
     traction, change = at[:, None] * n, at[:, None, None] * turning
     if tangential is not None:
         along = (tangential[nodes] * (n @ _TURN.T)).sum(axis=1)
         traction += along[:, None] * (n @ _TURN.T)
         change += along[:, None, None] * (_TURN @ turning)
-    columns = np.zeros((len(slave.nodes), 14))
-    parts = n, turning, traction, change, np.stack([kept, link.near], axis=1).astype(float)
+    parts = n, turning, traction, change, kept
+    columns = np.zeros((len(slave.nodes), 13))
+    widths = [math.prod(part.shape[1:]) for part in parts]  # a rank may have no node
     columns[own] = np.concatenate(
-        [part.reshape(len(nodes), math.prod(part.shape[1:])) for part in parts], axis=1
+        [part.reshape(len(nodes), k) for part, k in zip(parts, widths, strict=True)], axis=1
     )
-    n, turning, traction, change, marks = np.split(accumulate(slave, columns), [2, 6, 8, 12], 1)
+    n, turning, traction, change, mark = np.split(accumulate(slave, columns), [2, 6, 8, 12], 1)
     square = (-1, 2, 2)
     found = Tractions(n, turning.reshape(square), traction, change.reshape(square))
-    return found, marks[:, 0] > 0, marks[:, 1] > 0
+    return found, mark[:, 0] > 0
 
 
-def _assemble(
-    link: Link, u: fem.Function, multipliers: Floats, tangential: Floats | None
-) -> tuple[PETSc.Mat, PETSc.Mat]:
-    """Return the derivatives of forces and of weighted gaps, these in the rows w_n; collective."""
-    V, slave, (pairing, operators) = link.sides.V, link.sides.slave, link.mortar
-    given, keep, near = _tractions(link, u, multipliers, tangential)
-    asked: Bools = np.asarray(near[slave.facets].any(axis=1))
-    segments = some_points(operators.segments, asked[operators.segments.slave])
-    Phi, smooth = weighted_duals(pairing, segments, keep), link.pattern.smooth
-    slopes = None if smooth is None else height_slopes(pairing, segments, u, smooth)
-    found: Derivatives = differentiate(pairing, u, segments, keep, Phi, given, slopes)
-    xy = np.arange(2)
-    nodes = V.dofmap.index_map.local_to_global(slave.nodes).astype(np.int64)
-    on_slave = (2 * nodes[:, None] + xy).ravel()
-    on_both = np.concatenate([on_slave, (2 * pairing.master_nodes[:, None] + xy).ravel()])
-    blocks = normal_derivatives(slave, coordinates(slave, u))
-    at = 2 * nodes[slave.facets][:, :, None] + xy
-    rows = np.broadcast_to(at[:, :, :, None, None], blocks.shape)
-    columns = np.broadcast_to(at[:, None, None], blocks.shape)
-    normals = _matrix(V, rows.ravel(), columns.ravel(), blocks.ravel())
-    by_x, by_n = (on_both, on_both), (on_both, on_slave)
-    F = _sum(V, (found.F_x, *by_x), (found.F_n, *by_n), normals)
-    G = _sum(V, (found.G_x, 2 * nodes, on_both), (found.G_n, 2 * nodes, on_slave), normals)
-    return F, G
-
-
-Numbered = tuple[sparse.csr_array, Longs, Longs]
-
-
-def _sum(V: fem.FunctionSpace, by_x: Numbered, by_n: Numbered, normals: PETSc.Mat) -> PETSc.Mat:
-    """Return the derivative by the coordinates, that by the normals times theirs; collective."""
-    direct, indirect = (
-        _matrix(V, rows[part.row], columns[part.col], part.data)
-        for part, rows, columns in ((A.tocoo(), i, j) for A, i, j in (by_x, by_n))
-    )
-    total = indirect.matMult(normals)
-    total.axpy(1.0, direct, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    return total
-
-
-def _trial(link: Link, weighted: PETSc.Mat) -> tuple[PETSc.Mat, Link]:
-    """Return the closing of the gaps, and the link with the rows of T_g; collective."""
+def _trial(link: Link, weighted: PETSc.Mat, slips: SlipRows | None) -> Link:
+    """Scale rows dG_j to those of w_n, and return the link with those of T_g; collective."""
     coupling, pattern, nodes = link.coupling, link.pattern, link.nodes
-    start, columns, values = weighted.getValuesCSR()
-    n, kept = len(start) - 1, coupling.kept[:, 0]
-    inverse = np.zeros(n)
-    inverse[2 * nodes[kept]] = -1.0 / coupling.weight[kept, 0]
+    kept, R, row = coupling.kept[:, 0], coupling.R, pattern.row
     scale = weighted.createVecLeft()
-    scale.array[:] = inverse
+    scale.array[2 * nodes[kept]] = -1.0 / coupling.weight[kept, 0]
     weighted.diagonalScale(scale)
-    rows = sparse.csr_array((values, columns, start), (n, weighted.getSize()[1]))[2 * nodes]
-    rows = sparse.csr_array(sparse.diags_array(inverse[2 * nodes]) @ rows)
-    master = np.arange(len(pattern.row)) >= pattern.split
-    used = master | (coupling.P[:, 0] != 0.0)
-    p = np.zeros((len(used), 2))
+    own, p = _lumped(link, sparse.csr_array(_of_rank(weighted)[2 * nodes]))
+    across = coupling.directions[row, 1]
+    tangent, q = R[:, :, 1], coupling.P[:, :1] * R[row, :, 1]
+    if slips is not None:
+        known, (turned, moved) = slips.partners.known, _lumped(link, slips.rows())
+        tangent = np.where(known[:, None], turned, tangent)
+        q = np.where(known[row, None], moved, q)
+    q = np.where(across[:, None], q, 0.0)
+    rows = np.stack([own, np.where(coupling.directions[:, 1:], tangent, R[:, :, 1])], axis=1)
+    moves = kept & ((own * coupling.normals).sum(axis=1) > LEAST_ALONG)
+    inverted = np.linalg.inv(np.where(moves[:, None, None], rows, np.swapaxes(R, 1, 2)))
+    blocks = inverted[row] @ np.stack([p, q], axis=1)
+    blocks = np.where(moves[row][:, None, None], blocks, coupling.blocks)
+    frames = np.where(moves[:, None, None], inverted, R)
+    return replace(link, coupling=replace(coupling, R=frames, blocks=blocks))
+
+
+def _lumped(link: Link, rows: sparse.csr_array) -> tuple[Floats, Floats]:
+    """Return the own parts (n, 2) of rows (n, unknowns), and minus those (e, 2) of the pattern.
+
+    What belongs to nodes outside the pattern, neighbouring slave nodes mostly, is lumped on j.
+    """
+    coupling, pattern = link.coupling, link.pattern
+    used = np.arange(len(pattern.row)) >= pattern.split  # of the master
+    used |= coupling.P[:, 0] != 0.0
+    p, own, entries = np.zeros((len(used), 2)), np.zeros((rows.shape[0], 2)), rows.tocoo()
     for i in range(2):
         p[used, i] = -_entries(rows, pattern.row[used], 2 * pattern.column[used] + i)
-    own = np.zeros((len(nodes), 2))
-    entries = rows.tocoo()
-    for i in range(2):
         of_i = np.where(entries.col % 2 == i, entries.data, 0.0)
-        own[:, i] = np.bincount(entries.row, of_i, minlength=len(nodes))
-        own[:, i] += np.bincount(pattern.row, p[:, i], minlength=len(nodes))
-    R = coupling.R
-    moves = kept & ((own * coupling.normals).sum(axis=1) > LEAST_ALONG)
-    tangent = R[:, :, 1]
-    inverted = np.linalg.inv(
-        np.where(moves[:, None, None], np.stack([own, tangent], axis=1), np.swapaxes(R, 1, 2))
-    )
-    row = pattern.row
-    along = np.zeros((len(row), 2, 2))
-    along[:, 0] = p
-    slips = coupling.directions[row, 1]
-    along[:, 1] = np.where(slips[:, None], coupling.P[:, :1] * tangent[row], 0.0)
-    blocks = np.where(moves[row][:, None, None], inverted[row] @ along, coupling.blocks)
-    frames = np.where(moves[:, None, None], inverted, R)
-    return weighted, replace(link, coupling=replace(coupling, R=frames, blocks=blocks))
+        own[:, i] = np.bincount(entries.row, of_i, minlength=len(own))
+        own[:, i] += np.bincount(pattern.row, p[:, i], minlength=len(own))
+    return own, p
+
+
+def _of_rank(A: PETSc.Mat) -> sparse.csr_array:
+    """Return the rows of a matrix that this rank owns."""
+    start, columns, values = A.getValuesCSR()
+    return sparse.csr_array((values, columns, start), (len(start) - 1, A.getSize()[1]))
 
 
 def _entries(A: sparse.csr_array, rows: Ints, columns: Longs) -> Floats:

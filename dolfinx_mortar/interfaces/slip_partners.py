@@ -15,7 +15,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.arrays import EPS, Bools, Floats
 from dolfinx_mortar.interfaces.link import Link, node_motions
 
 
@@ -27,19 +27,32 @@ class Partners:
     known: Bools  # (n,) slave nodes that faced the master
     normals: Floats  # (n, d) unit normals at the start
     apart: Floats  # (n,) n.(x_j - P x) at the last commit
+    along: Floats  # (n, d) the tangential part of x_j - P x there
 
-    def slip(self, link: Link, moved: PETSc.Vec) -> Floats:
-        """Return the motion (n, d) since the last commit, in the frames of the moment; collective.
-
-        x_j - P x at present, less its tangential part at the commit: where the pair turns as a
-        whole, the normal part turns with the normals, and is no slip.
+    def motion(self, link: Link, moved: PETSc.Vec) -> Floats:
+        """Return x_j - P x less its tangential part at the commit, which turns with n; collective.
 
         Args:
             link: the contact in its present configuration.
             moved: (n,) displacement since the last commit.
         """
-        motion = node_motions(link, self.P, moved) + self.apart[:, None] * self.normals
-        in_frames = np.einsum("nij,ni->nj", link.coupling.R, motion)
+        both = self.normals + link.coupling.normals
+        cosine = (self.normals * link.coupling.normals).sum(axis=1)
+        tilt = (self.along * link.coupling.normals).sum(axis=1) / np.maximum(1.0 + cosine, EPS)
+        whole = node_motions(link, self.P, moved) + self.apart[:, None] * self.normals
+        return np.asarray(whole + tilt[:, None] * both)
+
+    def slip(self, link: Link, moved: PETSc.Vec) -> Floats:
+        """Return the motion (n, d) since the last commit, in the frames of the moment; collective.
+
+        x_j - P x at present, less its tangential part at the commit: where the pair turns as a
+        whole, both parts turn with the normals, and are no slip.
+
+        Args:
+            link: the contact in its present configuration.
+            moved: (n,) displacement since the last commit.
+        """
+        in_frames = np.einsum("nij,ni->nj", link.coupling.R, self.motion(link, moved))
         return np.where(self.known[:, None], in_frames, link.relative(moved))
 
 
@@ -55,4 +68,5 @@ def partners_of(link: Link, x: PETSc.Vec) -> Partners:
     P = scalars.matrix.copy()
     distance = node_motions(link, P, x)
     apart = np.einsum("ni,ni->n", distance, coupling.normals)
-    return Partners(P, coupling.kept[:, 0], coupling.normals, apart)
+    along = distance - apart[:, None] * coupling.normals
+    return Partners(P, coupling.kept[:, 0], coupling.normals, apart, along)

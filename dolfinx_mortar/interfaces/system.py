@@ -23,7 +23,7 @@ from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, join,
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides, check_coupling
 from dolfinx_mortar.interfaces.interface import Interface, ask, full_coverage
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent, linearise_geometry
+from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent, MovingGeometry
 from dolfinx_mortar.interfaces.near import find_reach, touches_far_nodes
 from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.interfaces.slip_partners import Partners, partners_of
@@ -95,6 +95,7 @@ class Room:
     transformation: Transformation | None = None
     held: Sequence[Any] = ()  # what its pattern depends on, see `_pattern_of`
     order: Sequence[int] = ()
+    moving: MovingGeometry | None = None  # matrices of the exact tangent, where it has served
 
 
 class InterfaceSystem:
@@ -326,9 +327,9 @@ class InterfaceSystem:
         same = same and all(map(np.array_equal, held, room.held))
         if T is None or not self.V.mesh.comm.allreduce(same, op=MPI.LAND):
             self.present = Configuration()  # the old T goes before the new one needs the memory
-            self._room = replace(room, transformation=None)
+            self._room = replace(room, transformation=None, moving=None)
             T = Transformation(self.V, links, order)
-            self._room = replace(room, transformation=T, held=held, order=order)
+            self._room = replace(self._room, transformation=T, held=held, order=order)
         T.update(links)
         self.present = replace(found, links=links, transformation=T)
         return T is not room.transformation
@@ -379,7 +380,11 @@ class InterfaceSystem:
         return not slid and not touches_far_nodes(self.links, x, self.n)
 
     def linearise_geometry(
-        self, u: fem.Function, multipliers: Floats, tangential: Floats | None
+        self,
+        u: fem.Function,
+        multipliers: Floats,
+        tangential: Floats | None,
+        slips: tuple[PETSc.Vec, Sequence[Partners | None]],
     ) -> GeometryTangent:
         """Return what the motion of the surfaces adds to a linearisation at X + u; collective.
 
@@ -387,10 +392,14 @@ class InterfaceSystem:
             u: displacement, of the present configuration.
             multipliers: lambda_j (owned nodes,).
             tangential: tangential tractions (owned nodes, d), None without friction.
+            slips: displacement since the last commit, and the partners of each interface.
         """
-        assert self.present.claims is not None
-        order = self.present.claims.order
-        return linearise_geometry(self.links, order, u, multipliers, tangential)
+        moving = self._room.moving
+        lacks = moving is None or not moving.serves(self.links)
+        if moving is None or any_rank(self.V.mesh.comm, lacks)[0]:
+            moving = MovingGeometry(self.V, self.links, list(self._room.order))
+            self._room = replace(self._room, moving=moving)
+        return moving.linearise(self.links, u, multipliers, tangential, slips)
 
     # -- what the QP needs -----------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ both are immutable.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from mpi4py import MPI
@@ -15,13 +16,14 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.congruence import as_aij, product_of_bases
+from dolfinx_mortar.algebra.congruence import as_aij
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Actives, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, equalities, join
 from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent
 from dolfinx_mortar.interfaces.pretension import Pretension
+from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.qp import BoundQP, Friction, LinearSolver, QPSolution
@@ -161,6 +163,7 @@ def _bounded(
 def linearise_all(
     problem: ContactProblem,
     balance: Balance,
+    partners: Sequence[Partners | None],
     multipliers: Floats,
     tangential: Floats | None,
     *,
@@ -174,21 +177,23 @@ def linearise_all(
     Args:
         problem: the problem, in the geometry of the balance, at the present u.
         balance: forces and constraints.
+        partners: of each interface, along which its slips are measured; empty without friction.
         multipliers: lambda_j (owned nodes,), with which the forces balance.
         tangential: tangential tractions (owned nodes, d), None without friction.
         tangent: assemble K anew; a linear law needs it once.
         pressure: as in `linearise`.
     """
     with problem.timings("mortar"):
-        found = problem.system.linearise_geometry(problem.u, multipliers, tangential)
+        moved = problem.vector(problem.owned_u - problem.committed.displacement)
+        slips = moved, partners
+        found = problem.system.linearise_geometry(problem.u, multipliers, tangential, slips)
     if tangent or not problem.K.isAssembled():
         with problem.timings("assembly"):
             problem.terms.assemble_tangent(problem.K, pressure)
     with problem.timings("transform"):
-        T, A = problem.system.transformation, as_aij(problem.K).copy()
+        T = problem.system.transformation
         assert T is not None
-        A.axpy(1.0, found.H, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-        A = product_of_bases(A, T.change, found.trial.change)
+        A = found.transform(problem.K, T)
         qp, diagonal = _bounded(problem, balance, *_eliminated(problem, balance, A))
     return Linearisation(replace(qp, definite=False), balance, diagonal, found)
 
@@ -207,15 +212,21 @@ def correct_bounds(lin: Linearisation, solved: QPSolution) -> tuple[Linearisatio
     """
     assert lin.geometry is not None
     dofs, bounds = lin.balance.bounds.dofs, lin.balance.bounds
-    closing = lin.geometry.closing(to_displacement(lin.geometry.trial, solved.x))[dofs]
-    neglected = np.where(closing != 0.0, closing - solved.x.array_r[dofs], 0.0)
-    upper = lin.qp.upper.copy()
+    closing = lin.geometry.closing(to_displacement(lin.geometry.trial, solved.x))
+    neglected = np.where(closing != 0.0, closing - solved.x.array_r, 0.0)
+    upper, stiffness = lin.qp.upper.copy(), np.abs(lin.diagonal.array_r)
     before = upper.array_r[dofs].copy()
-    upper.array[dofs] = np.minimum(bounds.upper - neglected, PETSc.INFINITY)
-    change = np.abs(upper.array_r[dofs] - before) * np.abs(lin.diagonal.array_r[dofs])
-    on = solved.active > 0
-    largest = maximum(lin.qp.comm, change[on].max(initial=0.0))[0]
-    return replace(lin, qp=replace(lin.qp, upper=upper)), float(largest)
+    upper.array[dofs] = np.minimum(bounds.upper - neglected[dofs], PETSc.INFINITY)
+    change = np.abs(upper.array_r[dofs] - before) * stiffness[dofs]
+    largest, law = change[solved.active > 0].max(initial=0.0), lin.qp.friction
+    if law is not None and lin.balance.limits is not None:
+        rest = -lin.balance.limits.slip - law.pick(neglected)
+        change = np.abs(rest - law.rest) * law.pick(stiffness)
+        closed = law.acts(solved.active[law.normal] > 0)
+        largest = max(largest, change[closed].max(initial=0.0))
+        law = replace(law, rest=rest)
+    largest = maximum(lin.qp.comm, largest)[0]
+    return replace(lin, qp=replace(lin.qp, upper=upper, friction=law)), float(largest)
 
 
 def _law(limits: SlipLimits, bounds: Constraints, n: int) -> Friction:

@@ -130,7 +130,13 @@ class LinearSolver:
         self.unknowns = unknowns
         self._refactor_after = refactor_after
         self.description = "not used yet"
-        self._setup: MatrixSetup | None = None
+        self._setups: dict[bool, MatrixSetup] = {}  # by whether the matrix is definite
+        self._kind = True  # of the present matrix
+
+    @property
+    def _setup(self) -> MatrixSetup | None:
+        """Solvers of the present matrix, if one is set."""
+        return self._setups.get(self._kind)
 
     @property
     def direct(self) -> bool:
@@ -172,7 +178,8 @@ class LinearSolver:
     ) -> None:
         """Set the matrix of the next solves (collective).
 
-        If it is the same object, its factorisation remains as preconditioner.
+        If it is the same object, its factorisation remains as preconditioner. A definite matrix
+        and one that is not are kept side by side, as steps use one after the other.
 
         Args:
             A: (n, n) matrix.
@@ -181,16 +188,16 @@ class LinearSolver:
             product: A, if it is one whose K is to be factorised.
             bounded: then those of ``apart`` that will be held, ascending.
         """
+        self._kind = self.options.definite = definite
         if self._setup is not None:
             before = self._operator
             schur = self.setup.preconditioner.schur
-            same = A.handle == before.A.handle and definite == before.definite
-            if same and self.setup.preconditioner.serves(apart):
+            if A.handle == before.A.handle and self.setup.preconditioner.serves(apart):
                 if schur is not None and bounded is not None:
                     schur.bounded = bounded
+                self._describe()
                 return
-        self.clear()  # so that no matrix is set if an option raises an error
-        self.options.definite = definite
+        self._drop(definite)  # so that no matrix is set if an option raises an error
         ksp = PETSc.KSP().create(self._comm)
         ksp.setOptionsPrefix(self.options.prefix)
         ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
@@ -215,20 +222,30 @@ class LinearSolver:
         after = self._refactor_after or RENEWAL_COST["direct" if self.direct else "iterative"]
         renewal = Renewal(after, direct=self.direct)
         limit, dx = ksp.getTolerances()[3], A.createVecRight()
-        self._setup = MatrixSetup(operator, ksp, sliding, preconditioner, renewal, limit, dx)
-        self.description = f"{ksp.getType()} + {preconditioner.description}"
+        parts = operator, ksp, sliding, preconditioner, renewal, limit, dx
+        self._setups[definite] = MatrixSetup(*parts)
+        self._describe()
         self.counts.symbolic += 1
 
-    def clear(self) -> None:
-        """Free the matrix and the factorisation; collective."""
-        if self._setup is not None:
-            self._setup.destroy()
-        self._setup = None
+    def _describe(self) -> None:
+        setup = self.setup
+        self.description = f"{setup.ksp.getType()} + {setup.preconditioner.description}"
 
-    def forget(self) -> None:
-        """Renew the numeric factorisation at the next solve."""
-        if self._setup is not None:
-            self._setup.preconditioner.held = None
+    def clear(self) -> None:
+        """Free the matrices and their factorisations; collective."""
+        for kind in list(self._setups):
+            self._drop(kind)
+
+    def _drop(self, kind: bool) -> None:
+        """Free one of them; collective."""
+        if kind in self._setups:
+            self._setups.pop(kind).destroy()
+
+    def forget(self, *, keep_definite: bool = False) -> None:
+        """Renew the numeric factorisations at the next solves, perhaps not that of a definite A."""
+        for definite, setup in self._setups.items():
+            if not (definite and keep_definite):
+                setup.preconditioner.held = None
 
     @property
     def negative_pivots(self) -> int:

@@ -75,12 +75,22 @@ class SolverOptions:
 
     def __getitem__(self, key: str) -> str:
         """Return the value that PETSc uses."""
-        return str(PETSc.Options(self.prefix).getString(key, str(self.values[key])))
+        return self._used(key, self.values)
+
+    def of_definite(self, key: str) -> str:
+        """Return the value that PETSc uses for definite matrices, whatever the present one is."""
+        return self._used(key, self._values(True))
+
+    def _used(self, key: str, values: dict[str, Any]) -> str:
+        return str(PETSc.Options(self.prefix).getString(key, str(values[key])))
 
     @property
     def values(self) -> dict[str, Any]:
         """The options over the defaults."""
-        methods = DEFAULTS if self.definite else DEFAULTS | GENERAL
+        return self._values(self.definite)
+
+    def _values(self, definite: bool) -> dict[str, Any]:
+        methods = DEFAULTS if definite else DEFAULTS | GENERAL
         return methods | (MULTIGRID if self._multigrid else {}) | self.given | self.grown
 
     @property

@@ -71,7 +71,8 @@ def _few(A: PETSc.Mat, unknowns: Ints, options: SolverOptions, share: int = 1) -
     """Return these unknowns of a matrix if they may be left for last."""
     if not hasattr(_lib, "MatFactorSetSchurIS"):  # a petsc4py that hides its symbols
         return None
-    mumps = options["pc_type"] == "cholesky" and options["pc_factor_mat_solver_type"] == "mumps"
+    used = options.of_definite("pc_type"), options.of_definite("pc_factor_mat_solver_type")
+    mumps = used == ("cholesky", "mumps")
     few = A.comm.size == 1 and 0 < unknowns.size < A.getSize()[0]
     if not (mumps and few and A.getType() == "seqaij"):
         return None

@@ -12,8 +12,8 @@ One iteration, at u with contacts (active set, multipliers) and a geometry:
 
 Updates of the geometry are a fixed-point iteration: one after every iteration while their change
 or the residual decreases; otherwise the geometry is frozen until Newton's method has converged. In
-2D the motion of the surfaces is linearised, too, where that saves iterations (`Watch.is_slow`), and
-where the fixed point fails; then Newton's method is quadratic.
+2D the motion of the surfaces is linearised, too, where that saves iterations (`Watch.is_slow`),
+near a balance at finite strain, and where the fixed point fails; then Newton's method is quadratic.
 """
 
 import logging
@@ -231,8 +231,8 @@ class _Step:
     ) -> None:
         self.problem, self.report, self.data, self.overlap = problem, report, data, overlap
         self.linear, self.solver = problem.terms.linear, solver
-        if solver.direct and not self.linear:
-            solver.forget()  # a step that was tried has left another factorisation
+        if solver.direct:  # a step that was tried has left another factorisation
+            solver.forget(keep_definite=self.linear)
         self.direction = fem.Function(problem.V)  # du, for its norm
         self.negative = False  # whether the last tangent that was used is indefinite
         self.shifted = 0  # the entry of SHIFTS that the last tangent needed
@@ -429,6 +429,8 @@ class _Step:
         if watch.rises >= MOST_RISES:
             return True
         near = max(last.forces, last.contact) < NEAR and last.excess < watch.barred
+        if self.problem.solid.strain == "finite":  # where tangents are new in any case
+            return near
         return near and watch.is_slow(self.linear, last.forces / self.report.rtol, last.excess)
 
     def solve_exact(
@@ -445,9 +447,8 @@ class _Step:
         """
         contacts = old.contacts
         given = contacts.multipliers, contacts.tangential
-        lin = linearise_all(
-            self.problem, old.balance, *given, tangent=tangent, pressure=old.pressure
-        )
+        at = self.problem, old.balance, self.data.partners
+        lin = linearise_all(*at, *given, tangent=tangent, pressure=old.pressure)
         rtol = self.accuracy(lin, watch, residuals)
         try:
             solved = first = self.solve(lin, start, old, rtol)

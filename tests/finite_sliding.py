@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: MIT
+"""Rubber bodies that slide far, on structured quadrilaterals.
+
+The meshes are those of an independent program of its own (plane strain, neo-Hooke, the same mortar
+method without smooth surfaces), whose forces and numbers of iterations are quoted by the tests.
+"""
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import default_scalar_type, fem, mesh
+from dolfinx_mortar.meshing.two_bodies import distribute
+from tests.close_fits import create_ring, nested
+
+COMM = MPI.COMM_WORLD
+BLOCK, TOOL = 1, 2
+BASE, TOP, ARC, HELD = 1, 2, 3, 4
+
+
+def grid(nx, ny, place):
+    """Return nodes and quadrilaterals of the unit square, mapped by place(s, t)."""
+    t, s = np.meshgrid(np.linspace(0, 1, ny + 1), np.linspace(0, 1, nx + 1), indexing="ij")
+    first = (np.arange(ny)[:, None] * (nx + 1) + np.arange(nx)).ravel()
+    cells = first[:, None] + np.array([0, 1, nx + 1, nx + 2])
+    return np.stack([a.ravel() for a in place(s, t)], axis=1), cells.astype(np.int64)
+
+
+def half_ring(nt, nr, outer, inner, centre):
+    """Return the lower half of a ring."""
+
+    def place(s, t):
+        angle, r = np.pi * (1 + s), outer + (inner - outer) * t
+        return centre[0] + r * np.cos(angle), centre[1] + r * np.sin(angle)
+
+    return grid(nt, nr, place)
+
+
+@dataclass
+class Bodies:
+    """Two bodies and the tags of their cells and facets."""
+
+    mesh: mesh.Mesh
+    cells: mesh.MeshTags
+    facets: mesh.MeshTags
+
+    @staticmethod
+    def of(parts, tag):
+        """Create the mesh of two parts (nodes, cells); `tag` is asked (body, x) for each facet."""
+        domain, size = distribute(COMM, lambda: parts, "quadrilateral", 1)
+        domain.topology.create_connectivity(1, 2)
+        own = domain.topology.index_map(2).size_local
+        body = np.where(domain.topology.original_cell_index < size, BLOCK, TOOL).astype(np.int32)
+        cells = mesh.meshtags(domain, 2, np.arange(own, dtype=np.int32), body[:own])
+        facets, to_cell = (
+            mesh.exterior_facet_indices(domain.topology),
+            domain.topology.connectivity(1, 2),
+        )
+        of = body[to_cell.array[to_cell.offsets[facets]]]
+        values = tag(of, mesh.compute_midpoints(domain, 1, facets)).astype(np.int32)
+        on = values > 0
+        return Bodies(domain, cells, mesh.meshtags(domain, 1, facets[on], values[on]))
+
+
+@dataclass
+class Indentation:
+    """A half ring over a block with fixed base; its hub and its cut ends follow `held`."""
+
+    problem: dm.ContactProblem
+    contact: dm.Contact
+    held: fem.Constant
+
+
+def indentation(
+    *,
+    n,
+    moduli=(1.0, 10.0),
+    slave="tool",
+    radius=1.5,
+    length=12.0,
+    height=4.0,
+    start=3.0,
+    strain="finite",
+    surface="facets",
+    **options,
+):
+    """Create the case.
+
+    Args:
+        n: cells of the block and of the half ring, (along, deep) each.
+        moduli: Young's moduli of block and tool.
+        slave: "tool" or "block".
+        radius: of the half ring.
+        length: of the block, from x = 0.
+        height: of the block, below y = 0.
+        start: x of the middle of the half ring.
+        strain: that of the solid.
+        surface: of the contact.
+        options: of the contact.
+    """
+    lower = grid(*n[0], lambda s, t: (length * s, height * (t - 1)))
+    upper = half_ring(*n[1], radius, 0.4 * radius, (start, radius))
+
+    def tag(body, x):
+        away = np.hypot(x[:, 0] - start, x[:, 1] - radius)
+        tool = np.where(away > 0.9 * radius, ARC, HELD)
+        tool[(x[:, 1] > radius - 1e-9) | (away < 0.45 * radius)] = HELD
+        block = np.select([x[:, 1] > -1e-9, x[:, 1] < 1e-9 - height], [TOP, BASE], 0)
+        return np.where(body == TOOL, tool, block)
+
+    bodies = Bodies.of((lower, upper), tag)
+    V = fem.functionspace(bodies.mesh, ("Lagrange", 1, (2,)))
+    u, held = fem.Function(V), fem.Constant(bodies.mesh, default_scalar_type((0.0, 0.0)))
+    dofs = {t: fem.locate_dofs_topological(V, 1, bodies.facets.find(t)) for t in (BASE, HELD)}
+    zero = np.zeros(2, dtype=default_scalar_type)
+    bcs = [fem.dirichletbc(zero, dofs[BASE], V), fem.dirichletbc(held, dofs[HELD], V)]
+    make = dm.NeoHooke if strain == "finite" else dm.Elastic
+    laws = {BLOCK: make(moduli[0], 0.3), TOOL: make(moduli[1], 0.3)}
+    solid = dm.Solid(u, laws, bodies.cells, strain=strain)
+    sides = (ARC, TOP) if slave == "tool" else (TOP, ARC)
+    contact = dm.Contact(bodies.facets, slave=sides[0], master=sides[1], surface=surface, **options)
+    return Indentation(dm.ContactProblem(solid, [contact], bcs=bcs), contact, held)
+
+
+def walk(case, path, times, **options):
+    """Move along path(t); return the time, force on the master and report of each step."""
+
+    def follow(t):
+        case.held.value[:] = path(t)
+
+    steps = []
+    for step in dm.load_steps(case.problem, times, on_time=follow, **options):
+        steps.append((step.time, case.contact.force.copy(), step.report))
+    return steps
+
+
+@dataclass
+class TurningHub:
+    """A ring whose hub is turned, pressed into another one with a fixed outer side."""
+
+    problem: dm.ContactProblem
+    contact: dm.Contact
+    turned: fem.Function  # the displacement of both circles that are held
+    circles: tuple  # their dofs: of the hub, of the outer side
+
+    def turn(self, hub, outer=0.0):
+        """Prescribe the angles of the circles."""
+        X = self.turned.function_space.tabulate_dof_coordinates()[:, :2]
+        u = self.turned.x.array.reshape(-1, 2)
+        for nodes, angle in zip(self.circles, (hub, outer), strict=True):
+            c, s = np.cos(angle), np.sin(angle)
+            u[nodes] = X[nodes] @ (np.array([[c, s], [-s, c]]) - np.eye(2))
+
+
+def turning_hub(*, overlap=0.05, moduli=(10.0, 1.0), slave="inner", surface="facets", **options):
+    """Create the case: radii .4, 1 + overlap in 1, 1.8; 40 and 36 facets; inner modulus first."""
+    counts, shift = (40, 36), (0.0, 0.03)
+    radii = (0.4, 1.0 + overlap), (1.0, 1.8)
+    parts = [
+        create_ring(*r, 2 * np.pi * np.arange(n) / n + s, layers=3)
+        for r, n, s in zip(radii, counts, shift, strict=True)
+    ]
+    domain, facets = nested(COMM, parts)
+    size = len(parts[0][1])
+    own = domain.topology.index_map(2).size_local
+    body = np.where(domain.topology.original_cell_index < size, 1, 2).astype(np.int32)[:own]
+    cells = mesh.meshtags(domain, 2, np.arange(own, dtype=np.int32), body)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    u, turned = fem.Function(V), fem.Function(V)
+    circles = [fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (1, 4)]
+    bcs = [fem.dirichletbc(turned, dofs) for dofs in circles]
+    laws = {k + 1: dm.NeoHooke(E, 0.3) for k, E in enumerate(moduli)}
+    sides = (2, 3) if slave == "inner" else (3, 2)
+    contact = dm.Contact(facets, slave=sides[0], master=sides[1], surface=surface, **options)
+    problem = dm.ContactProblem(dm.Solid(u, laws, cells, strain="finite"), [contact], bcs=bcs)
+    return TurningHub(problem, contact, turned, tuple(circles))
+
+
+def soft_block(*, slave="block", surface="facets"):
+    """Return a problem, its contact and the Constant of a dead load on a soft block.
+
+    It lies on a round support (radius 1.5) that is a thousand times stiffer, and its middle line
+    keeps its place along x.
+    """
+    half, radius = 0.8, 1.5
+
+    def support(s, t):
+        x = 2.4 * half * (2 * s - 1)
+        return x, 1.5 * (t - 1) - t * x * x / (2 * radius)
+
+    lower = grid(15, 1, support)
+    upper = grid(12, 6, lambda s, t: (half * (2 * s - 1), t))
+
+    def tag(body, x):
+        at_top = x[:, 1] > -0.5 - x[:, 0] ** 2 / (2 * radius)
+        ends = np.abs(x[:, 0]) > 2.4 * half - 1e-9
+        below = np.select([x[:, 1] < 1e-9 - 1.5, at_top & ~ends], [BASE, TOP], 0)
+        above = np.select([x[:, 1] > 1 - 1e-9, x[:, 1] < 1e-9], [HELD, ARC], 0)
+        return np.where(body == TOOL, above, below)
+
+    bodies = Bodies.of((lower, upper), tag)
+    V = fem.functionspace(bodies.mesh, ("Lagrange", 1, (2,)))
+    u, p = fem.Function(V), fem.Constant(bodies.mesh, default_scalar_type(0.0))
+    base = fem.locate_dofs_topological(V, 1, bodies.facets.find(BASE))
+    zero = np.zeros(2, dtype=default_scalar_type)
+    W = V.sub(0)
+    middle = fem.locate_dofs_geometrical(
+        (W, W.collapse()[0]), lambda x: (np.abs(x[0]) < 1e-9) & (x[1] > -1e-9)
+    )
+    mark = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=bool)
+    mark[V.dofmap.list[bodies.cells.find(TOOL)].ravel()] = True
+    middle = [dofs[mark[middle[0] // 2]] for dofs in middle]
+    still = fem.Function(W.collapse()[0])
+    bcs = [fem.dirichletbc(zero, base, V), fem.dirichletbc(still, middle, W)]
+    laws = {BLOCK: dm.NeoHooke(1000.0, 0.3), TOOL: dm.NeoHooke(1.0, 0.3)}
+    sides = (ARC, TOP) if slave == "block" else (TOP, ARC)
+    contact = dm.Contact(bodies.facets, slave=sides[0], master=sides[1], surface=surface)
+    ds = ufl.Measure("ds", bodies.mesh, subdomain_data=bodies.facets)
+    load = -p * ufl.TestFunction(V)[1] * ds(HELD)
+    solid = dm.Solid(u, laws, bodies.cells, strain="finite")
+    return dm.ContactProblem(solid, [contact], bcs=bcs, loads=load), contact, p

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: MIT
+"""Large sliding at finite strain in 2D: Newton's iterations, and forces of an independent program.
+
+That program (2D, JAX, automatic differentiation; plane strain, neo-Hooke, four-node cells, the same
+mortar method between facets) has solved the same meshes; its forces and its numbers of iterations
+with the exact tangent are quoted. Times are too long for the default run but for the first case.
+"""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from tests.finite_sliding import COMM, indentation, soft_block, turning_hub, walk
+
+
+def iterations(steps):
+    """Return the Newton iterations of each step."""
+    return np.array([report.newton_iterations for _, _, report in steps])
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("modulus", "slave", "force", "most"),
+    [
+        (10.0, "tool", 0.388957, 20),
+        pytest.param(10.0, "block", 0.393826, 21, marks=pytest.mark.slow),
+        pytest.param(1.0, "tool", 0.285278, 20, marks=pytest.mark.slow),
+        pytest.param(1.0, "block", 0.282147, 21, marks=pytest.mark.slow),
+    ],
+)
+def test_half_ring_pressed_to_a_strain_of_20_percent(modulus, slave, force, most):
+    """Force to 2e-6 of the independent program, in four steps of five iterations.
+
+    That one takes 19 to 21; the fixed point of the geometry 43 to 67.
+    """
+    sizes = {"radius": 1.0, "length": 6.0, "height": 2.0}
+    case = indentation(n=((24, 5), (16, 2)), moduli=(1.0, modulus), slave=slave, **sizes)
+    steps = walk(case, lambda t: (0.0, -0.4 * t), np.arange(1, 5) / 4, rtol=1e-10)
+    assert abs(np.abs(steps[-1][1][1]) - force) < 2e-6 * force + 5e-7  # digits that are quoted
+    assert iterations(steps).sum() <= most
+    for _, _, report in steps:
+        assert report.iterations[-1].exact_tangent
+
+
+def ironed(drag, **options):
+    """Press a half ring into a block in 10 steps and drag it by two diameters; return the steps."""
+    case = indentation(n=((48, 10), (32, 4)), **options)
+
+    def path(t):
+        return 6.0 * max(t - 1.0, 0.0), -0.75 * min(t, 1.0)
+
+    times = [*np.arange(1, 11) / 10, *(1 + np.arange(1, drag + 1) / drag)]
+    steps = walk(case, path, times, rtol=1e-8)
+    assert len(steps) == len(times)  # no step was cut
+    return steps
+
+
+def sliding(steps):
+    """Return drag and normal force of the steps in which it slides all over."""
+    return np.array([np.abs(force) for t, force, _ in steps if t > 1.25]).T
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_shallow_ironing(friction):
+    """Few iterations; the normal force is that of swapped sides and of other steps, to 1.5 %.
+
+    Without friction the drag is that of discretisation, below 2 % of the normal force. With
+    friction it is mu V, as far as that. The independent program, which has none, ends with the
+    same forces to 2e-6, and takes 149 and 161 iterations.
+    """
+    runs = [ironed(20, slave=slave, friction=friction) for slave in ("tool", "block")]
+    for steps in runs:
+        assert iterations(steps).mean() < 5.5
+        H, V = sliding(steps)
+        assert np.abs(H - friction * V).max() < 0.02 * V.max()
+    if not friction:
+        for steps, force in zip(runs, ((0.007346, 0.638620), (0.006054, 0.638062)), strict=True):
+            assert np.abs(np.abs(steps[-1][1]) - force).max() < 2e-6
+    (_, V), (_, W) = (sliding(steps) for steps in runs)
+    assert np.abs(V - W).max() < 0.015 * V.max()
+
+
+@pytest.mark.slow
+@pytest.mark.nightly
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_shallow_ironing_in_many_steps(friction):
+    """120 steps end with the forces of 30, to 1.5 %, and take 4 to 5 iterations each."""
+    few, many = (ironed(drag, friction=friction) for drag in (20, 110))
+    assert iterations(many).mean() < 5.0
+    (F, G) = (steps[-1][1] for steps in (few, many))
+    assert np.abs(F - G).max() < 0.015 * np.abs(F).max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slave", ["inner", "outer"])
+def test_a_hub_that_turns_in_a_pressed_ring_needs_no_torque(slave):
+    """Two iterations a step, 90 degrees in 30 steps; the independent program takes 63 as well."""
+    case, total = turning_hub(slave=slave), 0
+    for step in dm.load_steps(
+        case.problem, np.linspace(1, 2, 31), on_time=lambda t: case.turn((t - 1) * np.pi / 2)
+    ):
+        total += step.report.newton_iterations
+        assert np.abs(case.contact.moment).max() < 1e-10
+    pressure = case.contact.pressure.x.array.max(initial=0.0)
+    assert COMM.allreduce(pressure, op=MPI.MAX) > 0.01
+    assert total <= 63
+
+
+def test_a_stuck_pair_that_turns_keeps_its_traction():
+    """A torque that friction carries: the same to 1e-9 after all has turned by 90 degrees."""
+    case = turning_hub(friction=2.0)
+    moments, ends = [], [(0.0, 0.0), (0.02, 0.0), *((0.02 + a, a) for a in (np.pi / 4, np.pi / 2))]
+    for hub, outer in ends:
+        case.turn(hub, outer)
+        report = dm.newton(case.problem, rtol=1e-11)
+        case.problem.commit()
+        moments.append(case.contact.moment[2])
+    assert abs(moments[0]) < 1e-6  # the facets do not match
+    assert abs(moments[1]) > 0.05
+    assert np.abs(np.array(moments[2:]) - moments[1]).max() < 1e-9 * abs(moments[1])
+    assert report.newton_iterations <= 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slave", ["block", "support"])
+def test_soft_block_pressed_on_a_round_support(slave):
+    """Half its modulus in ten steps, where the fixed point fails; that program takes 57 and 51."""
+    problem, contact, p = soft_block(slave=slave)
+
+    def load(t):
+        p.value = 0.5 * t
+
+    steps = [
+        (step.time, contact.force.copy(), step.report)
+        for step in dm.load_steps(problem, np.arange(1, 11) / 10, on_time=load, rtol=1e-10)
+    ]
+    assert len(steps) == 10
+    assert iterations(steps).sum() <= 60
+    assert abs(np.abs(contact.force[1]) - 0.5 * 1.6) < 1e-9
