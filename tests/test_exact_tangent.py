@@ -194,6 +194,11 @@ def test_what_lumped_rows_neglect_is_corrected(monkeypatch):
     rolled()
     first, second = (left for _, left in changes[:2])
     assert 0.0 < second < 0.1 * first
+    changes.clear()
+    case = indentation(n=((24, 5), (16, 2)), radius=1.0, length=6.0, height=2.0, friction=0.3)
+    walk(case, lambda t: (0.0, -t), [0.1])
+    first, second = (left for _, left in changes[:2])
+    assert 0.0 < second < 0.01 * first  # with the rows of T 0.08
 
 
 def test_a_tangent_without_solution_gives_way_to_the_fixed_point(monkeypatch):

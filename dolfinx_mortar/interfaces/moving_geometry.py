@@ -45,7 +45,11 @@ from dolfinx_mortar.mortar.surface import (
 )
 
 LEAST_ALONG = 0.25
-"""A row dG_j whose own part has less than this share along n_j is replaced by that of T."""
+"""A row dG_j whose own part has less than this share along n_j is replaced by that of T.
+
+So that T_g has an inverse. The QP is corrected either way: with none replaced that could be, each
+correction gains three digits, with all of them one.
+"""
 _TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
