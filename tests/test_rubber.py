@@ -101,7 +101,7 @@ def test_the_tangent_with_pressures_of_their_own(law):
     again = solid.create_matrix()
     solid.assemble_tangent(again)
     again.axpy(-1.0, first)
-    assert again.norm() == 0.0
+    assert again.norm() < 1e-14 * first.norm()  # ranks add what they send in any order
     # the change of volumes is that of u
     before = total(step.ratio)
     u.x.array[:] += 1e-6 * du.x.array

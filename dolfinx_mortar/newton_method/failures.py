@@ -13,6 +13,8 @@ from dolfinx_mortar.supports.bodies import name_of
 # Bodies whose tangent is softer than this share of their elastic stiffness, along the displacement,
 # have reached a limit load; hardening laws of metals are ten times stiffer and more.
 SOFT = 0.01
+# A volume ratio below which a cell is nearly turned inside out, which messages tell.
+SQUEEZED = 0.3
 # Last sentence of the message about a single step.
 AS_BEFORE = (
     ". The displacement and the committed state are as before the step: retry with a smaller one "
@@ -48,6 +50,8 @@ def explain(
     try:
         problem.u.x.array[:] = at
         flowing = describe_flow(problem)
+        volumes = problem.solid.volumes
+        squeezed = "" if volumes is None or flowing else volumes.describe_smallest(SQUEEZED)
     finally:
         problem.u.x.array[:] = before
         problem.solid.put_back(shown)
@@ -67,6 +71,8 @@ def explain(
             f". Contact alone holds {'; '.join(held)}: it may float away (do the loads press it "
             "on?), or slides or rolls freely (then prescribe that motion)"
         )
+    if squeezed and squeezed not in message and "inside out" not in message:
+        message += f". Where it ended, {squeezed}: take smaller load steps"
     message += _describe_own_laws(problem)
     return NewtonNotConverged(f"{message}{AS_BEFORE}", report)
 

@@ -62,8 +62,12 @@ class Volumes:
 
     def describe_inverted(self) -> str:
         """Say where a cell is turned inside out at u, "" if nowhere; collective."""
+        return self.describe_smallest(0.0)
+
+    def describe_smallest(self, limit: float) -> str:
+        """Say where J at u is not above a limit, at 0 inside out, "" if nowhere; collective."""
         values = self._now()
-        bad = ~(values > 0.0).all(axis=1)
+        bad = ~(values > limit).all(axis=1)
         where = ""
         if bad.any():
             lowest = np.where(np.isnan(values), -np.inf, values).min(axis=1)
@@ -76,7 +80,8 @@ class Volumes:
             )
         found = [place for place in self._comm.allgather(where) if place]
         count = self._comm.allreduce(int(bad.sum()))
-        return f"{count} cells are turned inside out, such as {found[0]}" if found else ""
+        how = f"have less than {limit:g} of their volume" if limit else "are turned inside out"
+        return f"{count} cells {how}, such as {found[0]}" if found else ""
 
     def _now(self) -> np.ndarray:
         """Return J at u (owned cells, points)."""
