@@ -9,7 +9,10 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.geometry.crossings import find_crossings
+from dolfinx_mortar.geometry.facets import facet_sizes
+from dolfinx_mortar.mortar.surface import create_surface, facets_at, nodal_sagittas
 from dolfinx_mortar.report.uncoupled import find_crossing
+from tests import lug_case
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
 from tests.meshes_3d import two_boxes
 
@@ -93,3 +96,15 @@ def test_beside_a_contact(cell):
         move = np.array(way)[:, None]
         problem.u.interpolate(lambda x, move=move: move * (x[2] > 0.01))
         assert (find_crossing(problem).share > 0.1) is crosses
+
+
+def test_sagittas_of_a_cylinder():
+    """R (1 - cos(a / 2)) of facets over an angle a, at all nodes, also at rims."""
+    _, tags = mesh = lug_case.create_lug("hexahedron", (4.0, 4.0))
+    V = fem.functionspace(mesh[0], ("Lagrange", 1, (3,)))
+    surface = create_surface(V, tags, 3, "slave")
+    angle = np.pi / np.ceil(np.pi * lug_case.HOLE / 4.0)
+    exact = lug_case.HOLE * (1.0 - np.cos(angle / 2))
+    found = nodal_sagittas(surface, surface.X)
+    size = facet_sizes(facets_at(surface, surface.X).x).mean() / (angle * lug_case.HOLE)
+    assert found / size == pytest.approx(np.full(len(found), exact), rel=0.02)

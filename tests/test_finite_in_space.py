@@ -206,7 +206,6 @@ def test_a_limit_point_in_space_passes_under_displacement_control():
         dm.newton(problem)
         problem.commit()
         forces.append(-dm.reaction(problem, bcs[1]).force[2])
-    print(forces)
     assert forces[0] < forces[1] > forces[2] < forces[3]
 
 

@@ -24,7 +24,7 @@ def test_a_linear_tangent_is_assembled_once(solver, what, monkeypatch):
     case, calls = PressedBlocks(), []
     assemble = dm.Solid.add_tangent
     monkeypatch.setattr(
-        dm.Solid, "add_tangent", lambda self, K: (calls.append(K), assemble(self, K))
+        dm.Solid, "add_tangent", lambda self, K, p=None: (calls.append(K), assemble(self, K, p))
     )
     k, E = (fem.Constant(case.mesh, default_scalar_type(1.0)) for _ in range(2))
     ds = ufl.Measure("ds", case.mesh, subdomain_data=case.facets)

@@ -16,7 +16,7 @@ import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.interfaces.near import predict_active
 from dolfinx_mortar.newton_method.linearisation import find_balance
-from tests import test_audit, test_line_search, test_multigrid
+from tests import test_audit, test_finite_in_space, test_line_search, test_multigrid
 from tests.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
 from tests.hertz_case import ELASTIC, PLASTIC, create_case
 from tests.meshes import TOP
@@ -38,7 +38,7 @@ PACKAGE = Path(dm.__file__).parent
 NUMBERS = {
     "interfaces.near": ("INCREMENT_SHARE", "FACETS", "ROOM", "OVERLAP", "SAME_DEPTH"),
     "audit.audit": ("COARSE",),
-    "newton_method.failures": ("SOFT",),
+    "newton_method.failures": ("SOFT", "SQUEEZED"),
     "newton_method.line_search": ("ARMIJO",),
     "newton_method.residuals": ("FORCING", "DIGIT"),
 }
@@ -195,6 +195,7 @@ def closed_round_off():
 ROWS = (((13, 21), (23, 31)), dm.Tie, (), f"xyz of the bodies around {test_audit.ALL} together")
 PROBES = {
     "QUARTER_OF_DIGITS": lambda: test_audit.test_free_motions_by_simple_names(*ROWS),
+    "SQUEEZED": test_finite_in_space.test_cells_that_invert_in_space,
     "ARMIJO": test_line_search.test_a_step_too_long_is_halved,
     "arrays.ROUND_OFF": closed_round_off,
     "DIGIT": test_multigrid.test_a_step_that_stalls_asks_for_more_accurate_programs,

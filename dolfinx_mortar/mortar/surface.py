@@ -21,6 +21,7 @@ from dolfinx_mortar.geometry.facets import (
     Facets,
     distortions,
     facet_normals,
+    facet_sizes,
     normals_at_nodes,
     scaled_normals,
 )
@@ -244,7 +245,7 @@ def _thickness(facets: Facets, V: dolfinx.fem.FunctionSpace) -> Floats:
     unknown = np.isinf(result)
     around, partly = any_rank(V.mesh.comm, (~unknown).any(), unknown.any())
     if around and partly:
-        surface, _, _ = exterior_facets(V)
+        surface, *_ = exterior_facets(V)
         result[unknown] = thickness_behind(facets[unknown], surface, V.mesh.comm)
     return result
 
@@ -262,20 +263,21 @@ def thickness_behind(facets: Facets, others: Facets, comm: MPI.Intracomm) -> Flo
 
 def exterior_facets(
     V: dolfinx.fem.FunctionSpace, u: dolfinx.fem.Function | None = None
-) -> tuple[Facets, Ints, Ints]:
+) -> tuple[Facets, Ints, Ints, Ints]:
     """Return all exterior facets (m,) at X + u that this rank integrates.
 
     Once a surface exists: that has made the connectivities.
 
     Returns:
-        The facets, their owned cells (m,), and their numbers (m,) in the mesh.
+        The facets, their owned cells (m,), their numbers (m,) in the mesh, and their local nodes
+        (m, k).
     """
     entities = dolfinx.mesh.exterior_facet_indices(V.mesh.topology)
     nodes, cells = _facet_nodes(V, entities)
     X = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
     nodes = _order_outwards(X, nodes, cells, V)
     x = X[nodes] if u is None else X[nodes] + u.x.array.reshape(-1, X.shape[1])[nodes]
-    return Facets(_element(V), x), cells, entities
+    return Facets(_element(V), x), cells, entities, nodes
 
 
 def cells_of(surface: Surface) -> Ints:
@@ -338,6 +340,21 @@ def nodal_normals(surface: Surface, x: Floats) -> Floats:
     total = sum_at_nodes(surface, normals_at_nodes(facets_at(surface, x)))
     length = np.linalg.norm(total, axis=1)[:, None]
     return np.where(length > 8 * ROUND_OFF, total / np.maximum(length, TINY), 0.0)
+
+
+def nodal_sagittas(surface: Surface, x: Floats) -> Floats:
+    """Return how far (n,) a surface is from its flat facets, their mean at each node; collective.
+
+    Between nodes whose normals turn by an angle a, an arc with a chord L is off it by L a / 8; the
+    normal of the facet is a / 2 from those of its nodes.
+    """
+    facets = facets_at(surface, x)
+    normals = nodal_normals(surface, x)[surface.facets]
+    cosines = np.einsum("mkd,md->mk", normals, facet_normals(facets))
+    turn = np.arccos(np.clip(cosines, -1.0, 1.0)).max(axis=1, initial=0.0)
+    own = np.stack([facet_sizes(facets.x) * turn / 4, np.ones(len(turn))], axis=1)
+    total, count = sum_at_nodes(surface, np.repeat(own[:, None], surface.element.nodes, axis=1)).T
+    return np.asarray(total / np.maximum(count, 1.0))
 
 
 def normal_derivatives(surface: Surface, x: Floats) -> Floats:

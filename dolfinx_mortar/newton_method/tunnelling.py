@@ -43,7 +43,7 @@ def _find_middles(problem: ContactProblem) -> list[tuple[Middles, Middles] | Non
         return [None] * len(problem.interfaces)
     body_of = problem.bodies.of_cells
     found: list[tuple[Middles, Middles] | None] = []
-    skin, cells, _ = exterior_facets(problem.V)
+    skin, cells, *_ = exterior_facets(problem.V)
     for surfaces in problem.system.opposite:
         parts = [
             find_middles(s, body_of[cells_of(s)], skin, body_of[cells]) for s in surfaces or ()

@@ -8,11 +8,12 @@ from mpi4py import MPI
 
 import numpy as np
 
+from dolfinx import la
 from dolfinx_mortar.arrays import Bools, Floats, Longs
 from dolfinx_mortar.geometry.crossings import find_crossings, near_others
 from dolfinx_mortar.geometry.facets import facet_sizes
 from dolfinx_mortar.geometry.sweep import flat_parts
-from dolfinx_mortar.mortar.surface import exterior_facets
+from dolfinx_mortar.mortar.surface import coordinates, exterior_facets, nodal_sagittas
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.overlaps import SUNK
 
@@ -34,17 +35,20 @@ class _Skin:
     x: Floats  # (m, d, d)
     body: Longs  # (m,)
     sides: Bools  # (m, 2, interfaces) whether they belong to its slave and its master side
+    sagitta: Floats  # (m,) of the sides of interfaces to which they belong, or which they touch
 
     def part(self, which: Bools | Longs) -> "_Skin":
         """Return some of the facets."""
-        return _Skin(self.x[which], self.body[which], self.sides[which])
+        return _Skin(self.x[which], self.body[which], self.sides[which], self.sagitta[which])
 
 
 def find_crossing(problem: ContactProblem) -> Crossing:
     """Return the deepest crossing of the boundaries of two bodies at X + u; collective.
 
     Of facets that face each other and are the two sides of one interface there is none: where these
-    overlap, the interface has seen it. Facets are taken as flat between their vertices.
+    overlap, the interface has seen it. Facets are taken as flat between their vertices: at the rim
+    of curved sides they reach into the faces beside them, by both sagittas at most, which are taken
+    off.
     """
     if problem.bodies.count == 1:
         return Crossing()
@@ -54,9 +58,10 @@ def find_crossing(problem: ContactProblem) -> Crossing:
     one, other = skin.part(found.pairs[:, 0]), skin.part(found.pairs[:, 1])
     coupled = (one.sides & other.sides[:, ::-1]).any(axis=(1, 2)) & (found.cosine < 0.0)
     size = np.minimum(facet_sizes(one.x), facet_sizes(other.x))
-    share = np.where(coupled, 0.0, found.depth / size)
+    depth = np.maximum(found.depth - one.sagitta - other.sagitta, 0.0)
+    share = np.where(coupled, 0.0, depth / size)
     bodies = np.stack([one.body, other.body], axis=1)
-    columns = share, found.depth, found.place, bodies
+    columns = share, depth, found.place, bodies
     mine = [[column[i].tolist() for column in columns] for i in np.argsort(share)[-1:]]
     everywhere = [parts for rank in comm.allgather(mine) for parts in rank]
     return Crossing(*max(everywhere)) if everywhere else Crossing()
@@ -81,12 +86,19 @@ def _point(x: Floats) -> str:
 
 def _create_skin(problem: ContactProblem) -> _Skin:
     """Return the exterior facets of this rank that the box of another body meets; collective."""
-    facets, cells, entities = exterior_facets(problem.V, problem.u)
+    facets, cells, entities, nodes = exterior_facets(problem.V, problem.u)
     body = problem.bodies.of_cells[cells].astype(np.int64)
     sides = np.zeros((len(body), 2, len(problem.system.sides)), dtype=bool)
+    sagittas = la.vector(problem.V.dofmap.index_map)
+    sagittas.array[:] = 0.0
     for k, interface in enumerate(problem.system.sides):
         for j, surface in enumerate(interface.surfaces):
             sides[:, j, k] = np.isin(entities, surface.entities)
+            own = surface.nodes[: surface.owned]
+            found = nodal_sagittas(surface, coordinates(surface, problem.u))[: surface.owned]
+            sagittas.array[own] = np.maximum(sagittas.array[own], found)
+    sagittas.scatter_forward()
+    sagitta = sagittas.array[nodes].max(axis=1, initial=0.0)
     boxes = np.full((problem.bodies.count, 2, facets.x.shape[2]), np.inf)
     np.minimum.at(boxes[:, 0], body, facets.x.min(axis=1))
     np.minimum.at(boxes[:, 1], body, -facets.x.max(axis=1))
@@ -95,7 +107,7 @@ def _create_skin(problem: ContactProblem) -> _Skin:
     near = near_others(facets.x, body, boxes)
     x, count = flat_parts(facets[near]), int(near.sum())
     again = np.arange(len(x)) % max(count, 1)  # the halves of quadrilaterals follow each other
-    return _Skin(x, body[near][again], sides[near][again])
+    return _Skin(x, *(part[near][again] for part in (body, sides, sagitta)))
 
 
 def _received(comm: MPI.Comm, own: _Skin) -> _Skin:
@@ -109,5 +121,5 @@ def _received(comm: MPI.Comm, own: _Skin) -> _Skin:
         for rank, (least, most) in enumerate(comm.allgather(box))
     ]
     parts = [own, *comm.alltoall(sent)]
-    names = "x", "body", "sides"
+    names = "x", "body", "sides", "sagitta"
     return _Skin(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))

@@ -49,6 +49,7 @@ class EnergyDensities:
         regions: Sequence[Region],
         responses: Sequence[Response],
         domain: mesh.Mesh,
+        cell_tags: mesh.MeshTags | None,
         degree: int,
         *,
         of_volume: Callable[[], np.ndarray] | None = None,
@@ -59,6 +60,7 @@ class EnergyDensities:
             regions: the laws and their cells.
             responses: of the laws.
             domain: the mesh.
+            cell_tags: of the bodies, with their names; without, there is one.
             degree: of the quadrature.
             of_volume: gives what the responses leave out, a density (owned cells,), if they do.
 
@@ -75,7 +77,7 @@ class EnergyDensities:
                 "energies away"
             )
         self.stored = point_function(domain, degree, (), STORED)
-        self._of_volume, self._comm = of_volume, domain.comm
+        self._of_volume, self._mesh, self._cell_tags = of_volume, domain, cell_tags
         self._sources = [
             create_source(self.stored, region.cells, f"{name}: energy", found.energy)
             for region, (name, found) in zip(regions, pairs, strict=True)
@@ -95,14 +97,14 @@ class EnergyDensities:
             staged: those at its end; the same.
             follow: takes over what has changed at the points.
         """
-        fill_all(self._comm, self._sources)
+        fill_all(self._mesh.comm, self._sources)
         potential = self.stored.x.array.copy()
         start = {name: f.x.array.copy() for name, f in committed.items()}
         try:
             for name, f in committed.items():
                 f.x.array[:] = staged[name].x.array
             follow()
-            fill_all(self._comm, self._sources)
+            fill_all(self._mesh.comm, self._sources)
         finally:
             for name, values in start.items():
                 committed[name].x.array[:] = values
@@ -114,21 +116,19 @@ class EnergyDensities:
             self.stored.x.array[dofs] += density[:, None]
             self.stored.x.scatter_forward()
 
-
-def by_body(
-    fields: PointFields, domain: mesh.Mesh, cell_tags: mesh.MeshTags | None
-) -> dict[int | str, Energies]:
-    """Return the energies of the cells of each tag, by its name if it has one; collective."""
-    owned = domain.topology.index_map(domain.topology.dim).size_local
-    tags = np.zeros(owned, dtype=np.int64)
-    if cell_tags is not None:
-        tags = tags_of_cells(domain, cell_tags)[:owned]
-    every = np.unique(np.concatenate(domain.comm.allgather(np.unique(tags))))
-    sums = np.zeros((len(every), 2))
-    place = np.searchsorted(every, tags)
-    for k, name in enumerate((STORED, DISSIPATED)):
-        np.add.at(sums[:, k], place, (fields.values(name) * fields.weights).sum(axis=1))
-    domain.comm.Allreduce(MPI.IN_PLACE, sums)
-    names = {} if cell_tags is None else {tag: name for name, tag in names_of(cell_tags).items()}
-    keys = [names.get(int(tag), int(tag)) for tag in every]
-    return {key: Energies(*map(float, row)) for key, row in zip(keys, sums, strict=True)}
+    def by_body(self, fields: PointFields) -> dict[int | str, Energies]:
+        """Return the energies of the cells of each tag, by its name if it has one; collective."""
+        domain, named = self._mesh, self._cell_tags
+        owned = domain.topology.index_map(domain.topology.dim).size_local
+        tags = np.zeros(owned, dtype=np.int64)
+        if named is not None:
+            tags = tags_of_cells(domain, named)[:owned]
+        every = np.unique(np.concatenate(domain.comm.allgather(np.unique(tags))))
+        sums = np.zeros((len(every), 2))
+        place = np.searchsorted(every, tags)
+        for k, name in enumerate((STORED, DISSIPATED)):
+            np.add.at(sums[:, k], place, (fields.values(name) * fields.weights).sum(axis=1))
+        domain.comm.Allreduce(MPI.IN_PLACE, sums)
+        names = {} if named is None else {tag: name for name, tag in names_of(named).items()}
+        keys = [names.get(int(tag), int(tag)) for tag in every]
+        return {key: Energies(*map(float, row)) for key, row in zip(keys, sums, strict=True)}

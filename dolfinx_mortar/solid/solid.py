@@ -31,7 +31,7 @@ from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.solid.dilatation import MeanDilatation
 from dolfinx_mortar.solid.eigenstrain import create_eigenstrain
-from dolfinx_mortar.solid.energies import DISSIPATED, STORED, Energies, EnergyDensities, by_body
+from dolfinx_mortar.solid.energies import DISSIPATED, STORED, Energies, EnergyDensities
 from dolfinx_mortar.solid.finite_strain import Volumes, as_cauchy, check_finite
 from dolfinx_mortar.solid.forms import create_elastic, create_forms, create_moduli, create_responses
 from dolfinx_mortar.solid.gradients import PointGradients
@@ -159,12 +159,11 @@ class Solid(Term):
         if energies:
             self._committed[DISSIPATED] = create_field(self.mesh, degree, (), DISSIPATED)
         self._staged = {name: f.copy() for name, f in self._committed.items()}
-        self._cell_tags = cell_tags
         self.stress = create_field(self.mesh, degree, (3, 3), "stress")
         self.eigenstrain = create_eigenstrain(u, eigenstrain, cell_tags, degree)
-        self._compile(volumetric, degree)
+        self._compile(volumetric, degree, cell_tags)
 
-    def _compile(self, volumetric: str, degree: int) -> None:
+    def _compile(self, volumetric: str, degree: int, cell_tags: MeshTags | None) -> None:
         """Compile the forms, and what is evaluated at points; collective."""
         u, finite = self.u, self.kinematics.finite
         how = u, volumetric, self.regions, self.kinematics, degree
@@ -181,11 +180,15 @@ class Solid(Term):
             pairs = zip(self.regions, responses, strict=True)
             responses = [dilatation.complete(*pair) for pair in pairs]
         weight = self.kinematics.weight
-        self.volumes = Volumes(u, measured, degree) if finite else None
+        self.gradients = PointGradients(
+            *(u, self.kinematics, self.eigenstrain, self.stress),
+            small=not finite and self.kinematics.linear_in(u),
+            volumes=Volumes(u, measured, degree) if finite else None,
+        )
         self.densities = None
         if DISSIPATED in self._staged:
             volume = None if dilatation is None else dilatation.densities
-            of = self.regions, responses, self.mesh, degree
+            of = self.regions, responses, self.mesh, cell_tags, degree
             self.densities = EnergyDensities(*of, of_volume=volume)
         shown = {**self._staged, **self._shown}
         self.fields = PointFields(self.stress, shown, self.regions, degree, weight)
@@ -200,9 +203,11 @@ class Solid(Term):
         self._forms = create_forms(
             u, *laws, self.kinematics, degree, points=points, dilatation=dilatation
         )
-        small = not finite and self.kinematics.linear_in(u)
-        parts = self.kinematics, self.eigenstrain, self.stress
-        self.gradients = PointGradients(u, *parts, small=small)
+
+    @property
+    def volumes(self) -> Volumes | None:
+        """J = det F at the integration points, None at small strain."""
+        return self.gradients.volumes
 
     @property
     def _shown(self) -> dict[str, fem.Function]:
@@ -480,7 +485,7 @@ class Solid(Term):
             raise ValueError(
                 "energies were not followed: make the solid with Solid(.., energies=True)"
             )
-        return by_body(self.fields, self.mesh, self._cell_tags)
+        return self.densities.by_body(self.fields)
 
     def max(self, name: str) -> float:
         """Return the largest value of a scalar field over all integration points (collective).
