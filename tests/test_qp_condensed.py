@@ -200,6 +200,15 @@ def test_a_set_that_holds_no_body_is_found_in_the_complement() -> None:
         linear.solve(qp.b, qp.b.duplicate(), none, atol=0.0)
 
 
+def assert_solved(A, decoupled, scale, held, b, x) -> None:
+    """That x solves A x = b but for what is held; A, dense, loses what is decoupled."""
+    A[decoupled], A[:, decoupled] = 0.0, 0.0
+    A[decoupled, decoupled] = scale
+    free = np.setdiff1d(np.arange(len(A)), held)
+    expected = np.linalg.solve(A[np.ix_(free, free)], b.array_r[free])
+    np.testing.assert_allclose(x.array_r[free], expected, rtol=1e-9)
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize("held_by", [0.0, 1.0], ids=["by contact alone", "by supports"])
 def test_one_factorisation_serves_all_products(held_by: float) -> None:
@@ -228,11 +237,7 @@ def test_one_factorisation_serves_all_products(held_by: float) -> None:
         linear.solve(b, x, held, atol=1e-10)
         T = np.eye(20) + dense
         A = T.T @ line @ T
-        A[decoupled], A[:, decoupled] = 0.0, 0.0
-        A[decoupled, decoupled] = product.scale
-        free = np.setdiff1d(np.arange(20), held)
-        expected = np.linalg.solve(A[np.ix_(free, free)], b.array_r[free])
-        np.testing.assert_allclose(x.array_r[free], expected, rtol=1e-9)
+        assert_solved(A, decoupled, product.scale, held, b, x)
         schur = linear.setup.preconditioner.schur
         assert schur is not None
         assert (schur.R is not None) == (held_by > 0.0)
@@ -266,11 +271,7 @@ def test_products_with_other_bounds_and_supports() -> None:
         x.set(0.0)
         linear.solve(b, x, bounded, atol=1e-10)
         A = T.T @ line @ T
-        A[decoupled], A[:, decoupled] = 0.0, 0.0
-        A[decoupled, decoupled] = product.scale
-        free = np.setdiff1d(np.arange(20), bounded)
-        expected = np.linalg.solve(A[np.ix_(free, free)], b.array_r[free])
-        np.testing.assert_allclose(x.array_r[free], expected, rtol=1e-9)
+        assert_solved(A, decoupled, product.scale, bounded, b, x)
         assert linear.counts.factorisations == factorised
     assert linear.counts.iterations == 3
 

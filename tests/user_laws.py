@@ -73,16 +73,21 @@ class Unturned(OfModulus):
 
 
 @dataclass(frozen=True)
-class SaintVenantKirchhoff(dm.Material):
-    """Hooke's law between Green's strain (F^T F - I)/2 and the second Piola-Kirchhoff stress."""
+class OfHooke(dm.Material):
+    """What laws of Hooke's two numbers share."""
 
     E: float
     nu: float
 
     state: ClassVar = {}
     linear: ClassVar = False
-    strain: ClassVar = "finite"
     elastic_stress = staticmethod(dm.Elastic.elastic_stress)
+
+
+class SaintVenantKirchhoff(OfHooke):
+    """Hooke's law between Green's strain (F^T F - I)/2 and the second Piola-Kirchhoff stress."""
+
+    strain: ClassVar = "finite"
 
     @staticmethod
     def energy(F, state, p):

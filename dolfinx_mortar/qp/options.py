@@ -22,8 +22,8 @@ GENERAL = {"ksp_type": "gmres", "pc_type": "lu"}
 # unknowns, with and without friction and plasticity); four gain no more. Chebyshev's interval ends
 # at 1.2 times the estimated largest eigenvalue, PETSc's default is 1.1: eigenvalues of later
 # tangents, which have other diagonals, may lie beyond, where the smoother makes the preconditioner
-# indefinite (plastic step, 48 thousand unknowns: three breakdowns and a second set-up). Elastic
-# steps have the same iterations with both, plastic ones 0 to 4 % more.
+# indefinite (plastic step, geometry frozen, 48 thousand unknowns: three breakdowns and a second
+# set-up). Elastic steps have the same iterations with both, plastic ones 0 to 4 % more.
 MULTIGRID = {
     "pc_type": "gamg",
     "pc_gamg_threshold": 0.005,
