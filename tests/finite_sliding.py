@@ -84,6 +84,7 @@ def indentation(
     length=12.0,
     height=4.0,
     start=3.0,
+    blocks=(0.0,),
     strain="finite",
     surface="facets",
     **options,
@@ -96,13 +97,19 @@ def indentation(
         slave: "tool" or "block".
         radius: of the half ring.
         length: of the block, from x = 0.
+        blocks: where it starts; of several, which belong to one side of the contact.
         height: of the block, below y = 0.
         start: x of the middle of the half ring.
         strain: that of the solid.
         surface: of the contact.
         options: of the contact.
     """
-    lower = grid(*n[0], lambda s, t: (length * s, height * (t - 1)))
+    parts = [grid(*n[0], lambda s, t, x=x: (x + length * s, height * (t - 1))) for x in blocks]
+    count = len(parts[0][0])
+    lower = tuple(
+        np.concatenate(v)
+        for v in zip(*((x, e + k * count) for k, (x, e) in enumerate(parts)), strict=True)
+    )
     upper = half_ring(*n[1], radius, 0.4 * radius, (start, radius))
 
     def tag(body, x):

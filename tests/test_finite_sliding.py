@@ -94,6 +94,29 @@ def test_shallow_ironing_in_many_steps(friction):
     assert np.abs(F - G).max() < 0.015 * np.abs(F).max()
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize("slave", ["tool", pytest.param("block", marks=pytest.mark.slow)])
+def test_dragged_over_an_edge_onto_the_next_body(slave):
+    """Without friction the second block answers like the first one, by a shift; beyond, nothing.
+
+    Each step slides over a facet and a half, and some over the edge; where the ends of the blocks
+    overlap, since nothing keeps them apart, that is told.
+    """
+    sizes = {"radius": 1.0, "length": 4.0, "height": 2.0, "start": 2.0, "blocks": (0.0, 4.125)}
+    case = indentation(n=((16, 8), (24, 4)), slave=slave, friction=0.0, **sizes)
+    shift = 4.125 / 11
+
+    def path(t):
+        return shift * max(t - 2.0, 0.0), -0.15 * min(t, 2.0)
+
+    steps = walk(case, path, np.arange(1, 22), rtol=1e-10)
+    assert len(steps) == 21  # no step was cut
+    first, second, beyond = (steps[k][1] for k in (1, 12, 20))
+    assert np.abs(first - second).max() < 1e-9 * np.abs(first).max()
+    assert not beyond.any()
+    assert iterations(steps).max() <= 8
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("slave", ["inner", "outer"])
 def test_a_hub_that_turns_in_a_pressed_ring_needs_no_torque(slave):
