@@ -29,7 +29,8 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.mortar.curvature_correction import height_slopes
-from dolfinx_mortar.mortar.derivatives import Derivatives, Tractions, differentiate
+from dolfinx_mortar.mortar.derivatives import Tractions, differentiate
+from dolfinx_mortar.mortar.facet_derivatives import differentiate_in_space
 from dolfinx_mortar.mortar.integrals import some_points, weighted_duals
 from dolfinx_mortar.mortar.surface import (
     accumulate,
@@ -124,7 +125,8 @@ def _tractions(
     n = np.where(kept[:, None], link.coupling.normals, 0.0)
     free = ~link.sides.fixed[nodes]
     left = np.linalg.norm(averaged * free, axis=1)
-    turning = (np.eye(2) - n[:, :, None] * n[:, None, :]) * free[:, None, :]
+    d = n.shape[1]
+    turning = (np.eye(d) - n[:, :, None] * n[:, None, :]) * free[:, None, :]
     turning /= np.where(kept, left, 1.0)[:, None, None]
     still = ~kept if link.sides.edges is None else ~kept | link.sides.edges[own]
     turning[still] = 0.0
@@ -134,13 +136,14 @@ def _tractions(
         along = (tangential[nodes] * (n @ _TURN.T)).sum(axis=1)
         traction += along[:, None] * (n @ _TURN.T)
         change += along[:, None, None] * (_TURN @ turning)
-    columns = np.zeros((len(slave.nodes), 14))
+    columns = np.zeros((len(slave.nodes), 2 * d + 2 * d * d + 2))
     parts = n, turning, traction, change, np.stack([kept, link.near], axis=1).astype(float)
     columns[own] = np.concatenate(
         [part.reshape(len(nodes), math.prod(part.shape[1:])) for part in parts], axis=1
     )
-    n, turning, traction, change, marks = np.split(accumulate(slave, columns), [2, 6, 8, 12], 1)
-    square = (-1, 2, 2)
+    ends = np.cumsum([d, d * d, d, d * d])
+    n, turning, traction, change, marks = np.split(accumulate(slave, columns), ends, axis=1)
+    square = (-1, d, d)
     found = Tractions(n, turning.reshape(square), traction, change.reshape(square))
     return found, marks[:, 0] > 0, marks[:, 1] > 0
 
@@ -154,20 +157,25 @@ def _assemble(
     asked: Bools = np.asarray(near[slave.facets].any(axis=1))
     segments = some_points(operators.segments, asked[operators.segments.slave])
     Phi, smooth = weighted_duals(pairing, segments, keep), link.pattern.smooth
-    slopes = None if smooth is None else height_slopes(pairing, segments, u, smooth)
-    found: Derivatives = differentiate(pairing, u, segments, keep, Phi, given, slopes)
-    xy = np.arange(2)
+    at = pairing, u, segments, keep, Phi, given
+    d = V.dofmap.index_map_bs
+    if d == 2:
+        slopes = None if smooth is None else height_slopes(pairing, segments, u, smooth)
+        found = differentiate(*at, slopes)
+    else:
+        found = differentiate_in_space(*at, smooth)
+    xyz = np.arange(d)
     nodes = V.dofmap.index_map.local_to_global(slave.nodes).astype(np.int64)
-    on_slave = (2 * nodes[:, None] + xy).ravel()
-    on_both = np.concatenate([on_slave, (2 * pairing.master_nodes[:, None] + xy).ravel()])
+    on_slave = (d * nodes[:, None] + xyz).ravel()
+    on_both = np.concatenate([on_slave, (d * pairing.master_nodes[:, None] + xyz).ravel()])
     blocks = normal_derivatives(slave, coordinates(slave, u))
-    at = 2 * nodes[slave.facets][:, :, None] + xy
-    rows = np.broadcast_to(at[:, :, :, None, None], blocks.shape)
-    columns = np.broadcast_to(at[:, None, None], blocks.shape)
+    dofs = d * nodes[slave.facets][:, :, None] + xyz
+    rows = np.broadcast_to(dofs[:, :, :, None, None], blocks.shape)
+    columns = np.broadcast_to(dofs[:, None, None], blocks.shape)
     normals = _matrix(V, rows.ravel(), columns.ravel(), blocks.ravel())
     by_x, by_n = (on_both, on_both), (on_both, on_slave)
     F = _sum(V, (found.F_x, *by_x), (found.F_n, *by_n), normals)
-    G = _sum(V, (found.G_x, 2 * nodes, on_both), (found.G_n, 2 * nodes, on_slave), normals)
+    G = _sum(V, (found.G_x, d * nodes, on_both), (found.G_n, d * nodes, on_slave), normals)
     return F, G
 
 
@@ -189,36 +197,34 @@ def _trial(link: Link, weighted: PETSc.Mat) -> tuple[PETSc.Mat, Link]:
     """Return the closing of the gaps, and the link with the rows of T_g; collective."""
     coupling, pattern, nodes = link.coupling, link.pattern, link.nodes
     start, columns, values = weighted.getValuesCSR()
-    n, kept = len(start) - 1, coupling.kept[:, 0]
+    n, kept, d = len(start) - 1, coupling.kept[:, 0], coupling.R.shape[1]
     inverse = np.zeros(n)
-    inverse[2 * nodes[kept]] = -1.0 / coupling.weight[kept, 0]
+    inverse[d * nodes[kept]] = -1.0 / coupling.weight[kept, 0]
     scale = weighted.createVecLeft()
     scale.array[:] = inverse
     weighted.diagonalScale(scale)
-    rows = sparse.csr_array((values, columns, start), (n, weighted.getSize()[1]))[2 * nodes]
-    rows = sparse.csr_array(sparse.diags_array(inverse[2 * nodes]) @ rows)
+    rows = sparse.csr_array((values, columns, start), (n, weighted.getSize()[1]))[d * nodes]
+    rows = sparse.csr_array(sparse.diags_array(inverse[d * nodes]) @ rows)
     master = np.arange(len(pattern.row)) >= pattern.split
     used = master | (coupling.P[:, 0] != 0.0)
-    p = np.zeros((len(used), 2))
-    for i in range(2):
-        p[used, i] = -_entries(rows, pattern.row[used], 2 * pattern.column[used] + i)
-    own = np.zeros((len(nodes), 2))
+    p = np.zeros((len(used), d))
+    for i in range(d):
+        p[used, i] = -_entries(rows, pattern.row[used], d * pattern.column[used] + i)
+    own = np.zeros((len(nodes), d))
     entries = rows.tocoo()
-    for i in range(2):
-        of_i = np.where(entries.col % 2 == i, entries.data, 0.0)
+    for i in range(d):
+        of_i = np.where(entries.col % d == i, entries.data, 0.0)
         own[:, i] = np.bincount(entries.row, of_i, minlength=len(nodes))
         own[:, i] += np.bincount(pattern.row, p[:, i], minlength=len(nodes))
     R = coupling.R
+    across = np.swapaxes(R, 1, 2)
     moves = kept & ((own * coupling.normals).sum(axis=1) > LEAST_ALONG)
-    tangent = R[:, :, 1]
-    inverted = np.linalg.inv(
-        np.where(moves[:, None, None], np.stack([own, tangent], axis=1), np.swapaxes(R, 1, 2))
-    )
+    turned = np.concatenate([own[:, None], across[:, 1:]], axis=1)
+    inverted = np.linalg.inv(np.where(moves[:, None, None], turned, across))
     row = pattern.row
-    along = np.zeros((len(row), 2, 2))
+    slips = coupling.directions[row, :, None]
+    along = np.where(slips, coupling.P[:, :1, None] * across[row], 0.0)
     along[:, 0] = p
-    slips = coupling.directions[row, 1]
-    along[:, 1] = np.where(slips[:, None], coupling.P[:, :1] * tangent[row], 0.0)
     blocks = np.where(moves[row][:, None, None], inverted[row] @ along, coupling.blocks)
     frames = np.where(moves[:, None, None], inverted, R)
     return weighted, replace(link, coupling=replace(coupling, R=frames, blocks=blocks))

@@ -22,6 +22,7 @@ from dolfinx.common import timed
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.facet_derivatives import (
     PairIntegrals,
+    PointHeights,
     Points,
     differentiate_pairs,
     place_on_edges,
@@ -31,6 +32,8 @@ from dolfinx_mortar.geometry.segments import Segments, are_facing
 from dolfinx_mortar.geometry.tolerances import TINY
 from dolfinx_mortar.mortar.derivatives import Derivatives, Matrix, Tractions
 from dolfinx_mortar.mortar.dual import sums_of_products
+from dolfinx_mortar.mortar.operators import SmoothSides
+from dolfinx_mortar.mortar.pair_heights import pair_heights
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import coordinates, facets_at
 
@@ -46,11 +49,12 @@ def differentiate_in_space(
     keep: Bools,
     Phi: Floats,
     given: Tractions,
+    smooth: SmoothSides | None = None,
 ) -> Derivatives:
     """Return the derivatives of forces and weighted gaps at X + u (collective).
 
     The arguments are those of `dolfinx_mortar.mortar.derivatives.differentiate`, of surfaces in 3D
-    with first-order facets.
+    with first-order facets; smooth surfaces by themselves.
     """
     slave, master = pairing.slave, received_facets(pairing, u)
     facets, nodes = facets_at(slave, coordinates(slave, u)), slave.facets
@@ -66,11 +70,14 @@ def differentiate_in_space(
     points = _joined(segments, of, edges)
     on_edges = _at(duals, keep[nodes], pairs[edges.pair, 0], facets, edges)
     Phi_all = np.concatenate([Phi, on_edges])
-    found = differentiate_pairs(
-        facets, master, pairs, points, Phi_all, given.tractions[nodes], given.normals[nodes]
-    )
+    heights = None
+    if smooth is not None:
+        sagittas = pair_heights(pairing, used.astype(np.int32), u, smooth)
+        heights = sagittas.at(points.pair, points.xi_s, points.xi_m)
+    at_nodes = given.tractions[nodes], given.normals[nodes]
+    found = differentiate_pairs(facets, master, pairs, points, Phi_all, *at_nodes, heights)
     place = _Places(pairing, pairs, len(slave.nodes))
-    own = _Own(segments, of, len(pairs), facets, master, N_s, N_m, Phi)
+    own = _Own(segments, of, len(pairs), facets, master, N_s, N_m, Phi, heights)
     F, G = place.forces(found.forces), place.gaps(found.gaps)
     F_A, G_A, dA = _by_coefficients(place, own, duals, found, given)
     F_n, G_n = _by_normals(place, own, given)
@@ -161,6 +168,7 @@ class _Own:
         N_s: Floats,
         N_m: Floats,
         Phi: Floats,
+        heights: PointHeights | None,
     ) -> None:
         pair, wN = of.astype(np.int32), N_s * segments.weight[:, None]
         o = points_of(master, segments.master, segments.xi_m)
@@ -171,6 +179,8 @@ class _Own:
         self.N_s = sums_of_products(wN, N_s, pair, p)  # (p, k, k) int N_a N_b
         self.N_m = sums_of_products(wN, N_m, pair, p)  # (p, k, l) int N_a N_l
         self.o = sums_of_products(wN, o, pair, p)  # (p, k, 3) int N_a o
+        h = np.zeros((len(pair), 1)) if heights is None else heights.h[: len(pair), None]
+        self.h = sums_of_products(wN, h, pair, p)  # (p, k, 1) int N_a h
 
 
 class _Places:
@@ -223,7 +233,7 @@ def _by_coefficients(
     by_A = np.concatenate([own.N_s, -own.N_m], axis=2)  # (p, b, z)
     forces = np.einsum("pji,pbz->pzijb", c, by_A)
     F_A = place.sum(place.dofs[..., None, None], item[:, None, None], forces, (place.columns, count))
-    gaps = np.einsum("pji,pbi->pjb", n, own.o)
+    gaps = np.einsum("pji,pbi->pjb", n, own.o) - own.h[:, None, :, 0]
     G_A = place.sum(place.slave[:, :, None], item, gaps, (place.n, count))
     columns = place.dofs[:, None, None]
     return F_A, G_A, place.sum(item[..., None, None], columns, dA, (count, place.columns))

@@ -237,9 +237,10 @@ class _Step:
 
     @property
     def may_be_exact(self) -> bool:
-        """Whether the motion of the surfaces can be linearised: in 2D, with a factorisation."""
+        """Whether the motion of the surfaces can be linearised, with a factorisation."""
         backend = self.report.backend == ACTIVE_SET
-        return self.problem.d == 2 and self.solver.direct and backend and self.shifted == 0
+        contacts = self.problem.system.differentiable
+        return contacts and self.solver.direct and backend and self.shifted == 0
 
     def run(self, max_it: int) -> None:
         """Iterate until convergence; set the results and the certificate."""
