@@ -8,6 +8,8 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
+import dolfinx_mortar as dm
+import dolfinx_mortar.steps.newton as newton_module
 from dolfinx import fem
 from dolfinx_mortar.geometry import area
 from dolfinx_mortar.geometry.facets import points_of
@@ -27,9 +29,13 @@ from dolfinx_mortar.mortar.surface import (
     facets_at,
     normal_derivatives,
 )
+from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.newton_method.watch import contact_forces
 from tests import meshes_3d
+from tests.ball_case import STEEL, create_mesh
 
 COMM = MPI.COMM_SELF
+LU = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
 
 
 class Rough:
@@ -157,3 +163,121 @@ def test_derivatives_are_those_of_forces_and_gaps(cell):
     rough = Rough(cell, (3, 3), (2, 3), upper=PARTLY, seed=3)
     assert 0 < rough.keep.sum() < len(rough.keep)
     assert max(errors(rough)) < 1e-8
+
+
+def wavy(X, phase):
+    """Return vectors at points, the same on all ranks."""
+    parts = [np.sin(X @ np.array(k) + phase + i) for i, k in enumerate([(9, 7, 5), (5, 9, 8)])]
+    return np.stack([parts[0], parts[1], parts[0] * parts[1]], axis=1)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_tangent_of_a_problem_is_that_of_its_forces_and_gaps(cell):
+    """On any number of ranks: in a direction, with multipliers that vary from node to node."""
+    mesh, _, facets = meshes_3d.two_boxes(
+        MPI.COMM_WORLD, (4, 4, 1), (3, 5, 1), upper=PARTLY, cell=cell, jitter=0.2
+    )
+    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    bcs = []
+    for tag in (meshes_3d.BOTTOM, meshes_3d.TOP):
+        dofs = fem.locate_dofs_topological(V, 2, facets.find(tag))
+        bcs.append(fem.dirichletbc(fem.Constant(mesh, (0.0, 0.0, 0.0)), dofs, V))
+    sides = {"slave": meshes_3d.TOP_OF_LOWER, "master": meshes_3d.BOTTOM_OF_UPPER}
+    contact = dm.Contact(facets, **sides, surface="facets")
+    solid = dm.Solid(fem.Function(V), dm.Elastic(E=1.0, nu=0.3))
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry="updated")
+    X = V.tabulate_dof_coordinates()
+    u, v = (scale * wavy(X, phase).ravel() for scale, phase in ((0.03, 0.0), (1.0, 2.0)))
+    solid.u.x.array[:] = u
+    problem.begin_step(audit=False)
+    solid.u.x.array[:] = u
+    problem.follow_geometry()
+    (link,) = problem.system.unilateral
+    on = link.near & link.coupling.kept[:, 0]
+    lam = np.zeros(problem.n)
+    lam[link.nodes[on]] = 1.0 + 0.5 * wavy(X, 1.0)[link.nodes[on], 0]
+
+    def moved(step):
+        solid.u.x.array[:] = u + step * v
+        problem.follow_geometry()
+        (link,) = problem.system.unilateral
+        forces = contact_forces(problem, Contacts(lam > 0.0, lam))
+        return forces, (link.gaps(problem.positions()) * link.coupling.weight[:, 0])[on]
+
+    found = problem.system.linearise_geometry(solid.u, lam, None)
+    direction = problem.vector(v[: 3 * problem.n])
+    by_force, by_gap = np.array((found.H * direction).array_r), found.closing(direction)
+    by_gap = (-by_gap[3 * link.nodes] * link.coupling.weight[:, 0])[on]
+    high, low = moved(1e-5), moved(-1e-5)
+    for tangent, a, b in zip((by_force, by_gap), high, low, strict=True):
+        difference = (a - b) / 2e-5
+        errors = np.abs(tangent - difference).max(initial=0.0), np.abs(difference).max(initial=0.0)
+        error, size = mesh.comm.allreduce(np.array(errors), op=MPI.MAX)
+        assert error < 1e-8 * size
+
+
+class Sliding:
+    """Half of a ball that is pressed into half of a block, and moved along the plane of symmetry."""
+
+    def __init__(self, slave="block", *, surface="facets", degree=1, options=LU, **friction):
+        """Create the problem."""
+        m = create_mesh(0.5, "hexahedron")
+        V = fem.functionspace(m.mesh, ("Lagrange", degree, (3,)))
+        self.motion = [fem.Constant(m.mesh, 0.0) for _ in range(3)]
+        zero = fem.Constant(m.mesh, 0.0)
+        bcs = []
+        held = [(1, i, zero) for i in range(3)] + [(2, i, self.motion[i]) for i in range(3)]
+        for tag, component, value in [*held, (5, 0, zero)]:
+            W = V.sub(component)
+            dofs = fem.locate_dofs_topological(W, 2, m.facet_tags.find(tag))
+            bcs.append(fem.dirichletbc(value, dofs, W))
+        sides = dict(zip(("slave", "master"), (3, 4) if slave == "block" else (4, 3), strict=True))
+        self.contact = dm.Contact(m.facet_tags, **sides, surface=surface, **friction)
+        solid = dm.Solid(fem.Function(V), STEEL)
+        self.problem = dm.ContactProblem(solid, [self.contact], bcs=bcs, petsc_options=options)
+
+    def step(self, along):
+        """Return the report of a step to a depth of 0.2 and a place along the block."""
+        self.motion[1].value, self.motion[2].value = along, -0.2
+        report = dm.newton(self.problem, rtol=1e-10)
+        self.problem.commit()
+        return report
+
+
+def residuals(report):
+    """Return the residuals of the iterations with the exact tangent, and the two before."""
+    worst = [max(i.force_residual, i.contact_residual) for i in report.iterations]
+    first = next(k for k, i in enumerate(report.iterations) if i.exact_tangent)
+    assert all(i.exact_tangent for i in report.iterations[first:])
+    return np.array(worst[first - 2 :])
+
+
+@pytest.mark.parametrize("surface", ["facets", "smooth"])
+@pytest.mark.parametrize("slave", ["block", "ball"])
+def test_newton_is_quadratic_at_the_end_and_the_answer_the_same(slave, surface, monkeypatch):
+    """Two successive ratios of residuals are below a tenth of the one before."""
+    case = Sliding(slave, surface=surface)
+    case.step(0.0)
+    report = case.step(0.6)
+    r = residuals(report)
+    ratios = r[1:] / r[:-1]
+    assert ratios[1] < 0.1 * ratios[0]
+    assert ratios[2] < 0.1 * ratios[1]
+    force = case.contact.force
+    monkeypatch.setattr(newton_module._Step, "may_be_exact", False)
+    case = Sliding(slave, surface=surface)
+    case.step(0.0)
+    slow = case.step(0.6)
+    assert not any(i.exact_tangent for i in slow.iterations)
+    assert slow.newton_iterations >= report.newton_iterations + 5
+    assert np.abs(case.contact.force - force).max() < 1e-8 * np.abs(force).max()
+
+
+def test_what_is_not_covered_is_left_to_the_fixed_point():
+    """Friction, and facets of second order."""
+    assert Sliding().problem.system.differentiable
+    assert not Sliding(friction=0.2).problem.system.differentiable
+    second = Sliding(degree=2)
+    second.problem.begin_step(audit=False)  # which makes its links
+    assert not second.problem.system.differentiable
