@@ -79,7 +79,9 @@ def differentiate_in_space(
     place = _Places(pairing, pairs, len(slave.nodes))
     own = _Own(segments, of, len(pairs), facets, master, N_s, N_m, Phi, heights)
     F, G = place.forces(found.forces), place.gaps(found.gaps)
-    F_A, G_A, dA = _by_coefficients(place, own, duals, found, given)
+    change = np.full(len(nodes), facets.element.bilinear)
+    change[pairs[edges.pair, 0]] = True
+    F_A, G_A, dA = _by_coefficients(place, own, duals, found, given, change[pairs[:, 0]])
     F_n, G_n = _by_normals(place, own, given)
     return Derivatives(F + F_A @ dA, F_n, G + G_A @ dA, G_n)
 
@@ -221,22 +223,26 @@ def _by_coefficients(
     duals: _Duals,
     found: PairIntegrals,
     given: Tractions,
+    which: Bools,
 ) -> tuple[Matrix, Matrix, Matrix]:
-    """Return the derivatives of forces and gaps by A', and those of A' by the coordinates."""
-    k, f = place.k, place.facet
+    """Return the derivatives of forces and gaps by A', and those of A' by the coordinates.
+
+    Of some of the pairs (p,), those of the facets of which A' changes.
+    """
+    k, f, dofs, slave = place.k, place.facet[which], place.dofs[which], place.slave[which]
     slope = duals.slope[f].reshape(len(f), k * k, k * k)
-    dm = found.moments.reshape(len(f), k * k, -1)
-    dA = (slope @ dm).reshape(len(f), k, k, *found.moments.shape[3:])
+    width = 3 * dofs.shape[1]
+    dA = slope @ found.moments[which].reshape(len(f), k * k, width)
     item = k * k * f[:, None, None] + np.arange(k * k, dtype=np.int32).reshape(k, k)  # (p, j, b)
-    c, n = (values[place.slave] for values in (given.tractions, given.normals))
+    c, n = (values[slave] for values in (given.tractions, given.normals))
     count = k * k * len(place.facets)
-    by_A = np.concatenate([own.N_s, -own.N_m], axis=2)  # (p, b, z)
+    by_A = np.concatenate([own.N_s, -own.N_m], axis=2)[which]  # (p, b, z)
     forces = np.einsum("pji,pbz->pzijb", c, by_A)
-    F_A = place.sum(place.dofs[..., None, None], item[:, None, None], forces, (place.columns, count))
-    gaps = np.einsum("pji,pbi->pjb", n, own.o) - own.h[:, None, :, 0]
-    G_A = place.sum(place.slave[:, :, None], item, gaps, (place.n, count))
-    columns = place.dofs[:, None, None]
-    return F_A, G_A, place.sum(item[..., None, None], columns, dA, (count, place.columns))
+    F_A = place.sum(dofs[..., None, None], item[:, None, None], forces, (place.columns, count))
+    gaps = np.einsum("pji,pbi->pjb", n, own.o[which]) - own.h[which][:, None, :, 0]
+    G_A = place.sum(slave[:, :, None], item, gaps, (place.n, count))
+    rows, columns = item.reshape(len(f), k * k, 1), dofs.reshape(len(f), 1, width)
+    return F_A, G_A, place.sum(rows, columns, dA, (count, place.columns))
 
 
 def _by_normals(place: _Places, own: _Own, given: Tractions) -> tuple[Matrix, Matrix]:
