@@ -61,11 +61,10 @@ class PairIntegrals:
 
 @dataclass(frozen=True, eq=False)
 class PointHeights:
-    """Heights h at points, and their derivatives by eta and by coordinates at fixed eta."""
+    """Heights h at points, and their derivatives by eta."""
 
     h: Floats  # (q,)
     by_xi_m: Floats  # (q, 2)
-    by_x: Floats  # (q, k + l, 3)
 
 
 _PRODUCTS = {"cache": True, "error_model": "numpy", "fastmath": {"reassoc", "contract", "nsz"}}
@@ -235,7 +234,7 @@ def _add_forces(s, N_s, N_m, dN_m, r, e, forces):  # type: ignore[no-untyped-def
 
 
 @numba.njit(**_PRODUCTS)
-def _add_gap(n, Phi, o, b, height, slope, by_x, N_s, N_m, r, e, area, gap):  # type: ignore[no-untyped-def]
+def _add_gap(n, Phi, o, b, height, slope, N_s, N_m, r, e, area, gap):  # type: ignore[no-untyped-def]
     """Add what one point gives to the derivative (k + l, 3) of one weighted gap of its pair."""
     k, l = len(N_s), len(N_m)
     along = n[0] * o[0] + n[1] * o[1] + n[2] * o[2] - height
@@ -245,7 +244,7 @@ def _add_gap(n, Phi, o, b, height, slope, by_x, N_s, N_m, r, e, area, gap):  # t
         N = area * (-N_s[z] if z < k else N_m[z - k])
         for h in range(3):
             change = along * r[z, h] + along_0 * e[0, z, h] + along_1 * e[1, z, h]
-            gap[z, h] += Phi * (change + N * n[h] - area * by_x[z, h])
+            gap[z, h] += Phi * (change + N * n[h])
 
 
 @numba.njit(**_PRODUCTS)
@@ -262,7 +261,7 @@ def _add_moments(w, N, r, moments):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True)
 def _add_points(  # type: ignore[no-untyped-def]
     x_s, x_m, n_0, G0, pairs, pair, N_s, dN_s, N_m, dN_m, weight, nu, Phi, c, n,
-    height, slope, by_x, forces, gaps, moments,
+    height, slope, forces, gaps, moments,
 ):  # fmt: skip
     """Add all points to the derivatives of their pairs."""
     k, l = N_s.shape[1], N_m.shape[1]
@@ -286,8 +285,8 @@ def _add_points(  # type: ignore[no-untyped-def]
         area = 0.0 if on_edge else 1.0
         for j in range(k):
             _add_gap(
-                n[f, j], Phi[q, j], o, b, height[z], slope[z], by_x[z], N_s[q], N_m[q], r, e,
-                area, gaps[p, j],
+                n[f, j], Phi[q, j], o, b, height[z], slope[z], N_s[q], N_m[q], r, e, area,
+                gaps[p, j],
             )  # fmt: skip
         _add_moments(weight[q], N_s[q], r, moments[p])
 
@@ -304,7 +303,8 @@ def differentiate_pairs(
 ) -> PairIntegrals:
     """Return the derivatives of forces, weighted gaps and moments of pairs of facets.
 
-    Those by the functions Phi_j and by the vectors c_j and n_j are not among them.
+    Those by the functions Phi_j, by the vectors c_j and n_j, and by h at given points of both facets
+    are not among them.
 
     Args:
         slave: First-order slave facets (ms,).
@@ -325,7 +325,7 @@ def differentiate_pairs(
         np.zeros((len(pairs), k, k, k + l, 3)),
     )
     if heights is None:
-        heights = PointHeights(np.zeros(1), np.zeros((1, 2)), np.zeros((1, k + l, 3)))
+        heights = PointHeights(np.zeros(1), np.zeros((1, 2)))
     functions = [
         np.ascontiguousarray(v)
         for element, xi in ((slave.element, points.xi_s), (master.element, points.xi_m))
@@ -333,7 +333,7 @@ def differentiate_pairs(
     ]
     _add_points(
         slave.x, master.x, facet_normals(slave), G0, pairs, points.pair, *functions,
-        points.weight, points.nu, Phi, c, n, heights.h, heights.by_xi_m, heights.by_x,
+        points.weight, points.nu, Phi, c, n, heights.h, heights.by_xi_m,
         found.forces, found.gaps, found.moments,
     )  # fmt: skip
     return found

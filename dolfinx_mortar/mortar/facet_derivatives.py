@@ -70,15 +70,18 @@ def differentiate_in_space(
     points = _joined(segments, of, edges)
     on_edges = _at(duals, keep[nodes], pairs[edges.pair, 0], facets, edges)
     Phi_all = np.concatenate([Phi, on_edges])
-    heights = None
+    sagittas, heights = None, None
     if smooth is not None:
         sagittas = pair_heights(pairing, used.astype(np.int32), u, smooth)
         heights = sagittas.at(points.pair, points.xi_s, points.xi_m)
     at_nodes = given.tractions[nodes], given.normals[nodes]
     found = differentiate_pairs(facets, master, pairs, points, Phi_all, *at_nodes, heights)
+    gaps = found.gaps
+    if sagittas is not None:
+        gaps = gaps - sagittas.integrals(Phi, of.astype(np.int32), segments.xi_s, segments.xi_m)
     place = _Places(pairing, pairs, len(slave.nodes))
     own = _Own(segments, of, len(pairs), facets, master, N_s, N_m, Phi, heights)
-    F, G = place.forces(found.forces), place.gaps(found.gaps)
+    F, G = place.forces(found.forces), place.gaps(gaps)
     change = np.full(len(nodes), facets.element.bilinear)
     change[pairs[edges.pair, 0]] = True
     F_A, G_A, dA = _by_coefficients(place, own, duals, found, given, change[pairs[:, 0]])

@@ -19,6 +19,7 @@ from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facet_derivatives import PointHeights
 from dolfinx_mortar.geometry.facets import Facets, facet_sizes
 from dolfinx_mortar.mortar.curvature_correction import Curved, SmoothSide, find_curved
+from dolfinx_mortar.mortar.dual import sums_of_products
 from dolfinx_mortar.mortar.pairing import Pairing
 
 
@@ -32,13 +33,27 @@ class PairHeights:
     by_x: tuple[Floats, Floats]  # (p, e, k + l, 3) their derivatives
 
     def at(self, pair: Longs, xi_s: Floats, xi_m: Floats) -> PointHeights:
-        """Return the heights at points (q,) of pairs, and their derivatives."""
+        """Return the heights at points (q,) of pairs, and their derivatives by xi_m."""
         (N_s, _), (N_m, slopes) = _products(self.slave, xi_s), _products(self.master, xi_m)
         c_s, c_m = (c[pair] for c in self.c)
-        by_x = np.einsum("qe,qezi->qzi", N_s, self.by_x[0][pair])
-        by_x += np.einsum("qe,qezi->qzi", N_m, self.by_x[1][pair])
         h = (N_s * c_s + N_m * c_m).sum(axis=1)
-        return PointHeights(h, np.einsum("qea,qe->qa", slopes, c_m), by_x)
+        return PointHeights(h, np.einsum("qea,qe->qa", slopes, c_m))
+
+    def integrals(self, Phi: Floats, pair: Ints, xi_s: Floats, xi_m: Floats) -> Floats:
+        """Return int Phi_j dh (p, k, k + l, 3) by the nodes, at given points of both facets.
+
+        Args:
+            Phi: Values of Phi_j times weights at the points (q, k).
+            pair: Their pairs (q,).
+            xi_s: Points (q, 2) on slave facets.
+            xi_m: Points (q, 2) on master facets.
+        """
+        total = 0.0
+        for element, xi, by_x in zip((self.slave, self.master), (xi_s, xi_m), self.by_x, strict=True):
+            means = sums_of_products(Phi, _products(element, xi)[0], pair, len(by_x))
+            flat = by_x.reshape(*by_x.shape[:2], by_x.shape[2] * 3)
+            total = total + (means @ flat).reshape(len(by_x), Phi.shape[1], *by_x.shape[2:])
+        return np.asarray(total)
 
 
 def _products(element: FacetElement, xi: Floats) -> tuple[Floats, Floats]:
