@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-r"""The exact linearisation of contact on moving surfaces, in 2D.
+r"""The exact linearisation of contact on moving surfaces.
 
 At the iterate u, with forces B(u)^T lambda of contact in r(u) = B(u)^T lambda and weighted gaps
 G(u) >= 0, Newton's method reads

@@ -76,7 +76,10 @@ class SolverOptions:
     def values(self) -> dict[str, Any]:
         """The options over the defaults."""
         methods = DEFAULTS if self.definite else DEFAULTS | GENERAL
-        return methods | (MULTIGRID if self._multigrid else {}) | self.given | self.grown
+        values = methods | (MULTIGRID if self._multigrid else {}) | self.given | self.grown
+        if not self.definite and values["pc_type"] == DEFAULTS["pc_type"]:
+            values["pc_type"] = GENERAL["pc_type"]  # Cholesky reads one half of a matrix
+        return values
 
     @property
     def direct(self) -> bool:
