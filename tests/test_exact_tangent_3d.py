@@ -16,7 +16,6 @@ from dolfinx_mortar.geometry import area
 from dolfinx_mortar.geometry.facets import points_of
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides, point_heights
 from dolfinx_mortar.mortar.derivatives import Tractions
-from dolfinx_mortar.mortar.facet_derivatives import differentiate_in_space
 from dolfinx_mortar.mortar.integrals import (
     default_keep,
     find_segments,
@@ -24,6 +23,7 @@ from dolfinx_mortar.mortar.integrals import (
     weighted_duals,
 )
 from dolfinx_mortar.mortar.pairing import create_pairing, received_facets
+from dolfinx_mortar.mortar.space_derivatives import differentiate_in_space
 from dolfinx_mortar.mortar.surface import (
     coordinates,
     create_surface,
@@ -219,9 +219,9 @@ def test_tangent_of_a_problem_is_that_of_its_forces_and_gaps(cell):
 
 
 class Sliding:
-    """Half of a ball that is pressed into half of a block, and moved along the plane of symmetry."""
+    """Half of a ball, pressed into half of a block and moved along the plane of symmetry."""
 
-    def __init__(self, slave="block", *, surface="facets", degree=1, options=FACTORISED, **friction):
+    def __init__(self, slave="block", *, surface="facets", degree=1, **friction):
         """Create the problem."""
         m = create_mesh(0.5, "hexahedron")
         V = fem.functionspace(m.mesh, ("Lagrange", degree, (3,)))
@@ -236,7 +236,7 @@ class Sliding:
         sides = dict(zip(("slave", "master"), (3, 4) if slave == "block" else (4, 3), strict=True))
         self.contact = dm.Contact(m.facet_tags, **sides, surface=surface, **friction)
         solid = dm.Solid(fem.Function(V), STEEL)
-        self.problem = dm.ContactProblem(solid, [self.contact], bcs=bcs, petsc_options=options)
+        self.problem = dm.ContactProblem(solid, [self.contact], bcs=bcs, petsc_options=FACTORISED)
 
     def step(self, along):
         """Return the report of a step to a depth of 0.2 and a place along the block."""

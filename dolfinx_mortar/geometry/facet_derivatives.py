@@ -118,7 +118,9 @@ def _edge_points(x_s, x_m, bilinear, pairs, free, centre, axes, radius, t, w):  
                 xi_s[q, 0], xi_s[q, 1], _ = inverse(S, bilinear[0], x, y)
                 xi_m[q, 0], xi_m[q, 1], _ = inverse(M, bilinear[1], x, y)
                 s0, s1 = slopes(S, bilinear[0], xi_s[q, 0], xi_s[q, 1])
-                weight[q] = w[g] * (high - low) * length * radius[s] * np.sqrt(1 + s0 * s0 + s1 * s1)
+                weight[q] = (
+                    w[g] * (high - low) * length * radius[s] * np.sqrt(1 + s0 * s0 + s1 * s1)
+                )
                 for h in range(3):
                     nu[q, h] = sign * radius[s] * (dy * axes[s, 0, h] - dx * axes[s, 1, h]) / length
                 pair[q] = p
@@ -167,33 +169,33 @@ def _dual_across(a, n, dual):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**_PRODUCTS)
-def _point_rows(  # type: ignore[no-untyped-def]
-    x, y, n_0, G0, N_s, dN_s, N_m, dN_m, nu, on_edge, o, a, b, dual, normal, r, e
-):
-    """Write the offset, the master's tangents, and dw/w and d eta by the nodes into o, b, r, e."""
-    k, l = len(N_s), len(N_m)
-    gamma = 0.0
+def _find_offset(x, y, N_s, N_m, o):  # type: ignore[no-untyped-def]
+    """Write x_m - x_s into o."""
     for i in range(3):
         o[i] = 0.0
-        for j in range(k):
+        for j in range(len(x)):
             o[i] -= N_s[j] * x[j, i]
-        for j in range(l):
+        for j in range(len(y)):
             o[i] += N_m[j] * y[j, i]
-        gamma += n_0[i] * o[i]
-    _tangents(y, dN_m, b)
-    for z in range(k + l):
+
+
+@numba.njit(**_PRODUCTS)
+def _relative_motion(d, N_s, N_m, gamma, n_0, G0, row):  # type: ignore[no-untyped-def]
+    """Write the derivative (k + l, 3) of d.(dx_s - dx_m + gamma dn_0) into row."""
+    k = len(N_s)
+    for j in range(k):
+        turn = gamma * (d[0] * G0[j, 0] + d[1] * G0[j, 1] + d[2] * G0[j, 2])
         for i in range(3):
-            r[z, i] = e[0, z, i] = e[1, z, i] = 0.0
-    if on_edge:
-        for j in range(k):
-            turn = gamma * (nu[0] * G0[j, 0] + nu[1] * G0[j, 1] + nu[2] * G0[j, 2])
-            for i in range(3):
-                r[j, i] = turn * n_0[i] - N_s[j] * nu[i]
-        for j in range(l):
-            for i in range(3):
-                r[k + j, i] = N_m[j] * nu[i]
-        return
-    _tangents(x, dN_s, a)
+            row[j, i] = N_s[j] * d[i] - turn * n_0[i]
+    for j in range(len(N_m)):
+        for i in range(3):
+            row[k + j, i] = -N_m[j] * d[i]
+
+
+@numba.njit(**_PRODUCTS)
+def _stretch(x, dN, a, normal, dual, row):  # type: ignore[no-untyped-def]
+    """Write the derivatives of ln |a_1 x a_2| by the nodes x (k, 3) into the first rows."""
+    _tangents(x, dN, a)
     square = 0.0
     for i in range(3):
         j, h = (i + 1) % 3, (i + 2) % 3
@@ -202,27 +204,37 @@ def _point_rows(  # type: ignore[no-untyped-def]
     for i in range(3):
         normal[i] /= np.sqrt(square)
     _dual_across(a, normal, dual)
-    for j in range(k):
+    for j in range(len(x)):
         for i in range(3):
-            r[j, i] = dN_s[j, 0] * dual[0, i] + dN_s[j, 1] * dual[1, i]
+            row[j, i] = dN[j, 0] * dual[0, i] + dN[j, 1] * dual[1, i]
+
+
+@numba.njit(**_PRODUCTS)
+def _point_rows(  # type: ignore[no-untyped-def]
+    x, y, n_0, G0, N_s, dN_s, N_m, dN_m, nu, on_edge, o, a, b, dual, normal, r, e
+):
+    """Write the offset, the master's tangents, and dw/w and d eta by the nodes into o, b, r, e."""
+    _find_offset(x, y, N_s, N_m, o)
+    gamma = n_0[0] * o[0] + n_0[1] * o[1] + n_0[2] * o[2]
+    _tangents(y, dN_m, b)
+    r[:], e[:] = 0.0, 0.0
+    if on_edge:
+        for i in range(3):
+            dual[0, i] = -nu[i]
+        _relative_motion(dual[0], N_s, N_m, gamma, n_0, G0, r)
+        return
+    _stretch(x, dN_s, a, normal, dual, r)
     _dual_across(b, n_0, dual)
     for c in range(2):
-        for j in range(k):
-            turn = dual[c, 0] * G0[j, 0] + dual[c, 1] * G0[j, 1] + dual[c, 2] * G0[j, 2]
-            turn *= gamma
-            for i in range(3):
-                e[c, j, i] = N_s[j] * dual[c, i] - turn * n_0[i]
-        for j in range(l):
-            for i in range(3):
-                e[c, k + j, i] = -N_m[j] * dual[c, i]
+        _relative_motion(dual[c], N_s, N_m, gamma, n_0, G0, e[c])
 
 
 @numba.njit(**_PRODUCTS)
 def _add_forces(s, N_s, N_m, dN_m, r, e, forces):  # type: ignore[no-untyped-def]
     """Add what one point gives to the derivatives of the forces of its pair."""
-    k, l = len(N_s), len(N_m)
-    for j in range(k + l):
-        for z in range(k + l):
+    k, m = len(N_s), len(N_m)
+    for j in range(k + m):
+        for z in range(k + m):
             for h in range(3):
                 if j < k:
                     value = N_s[j] * r[z, h]
@@ -236,11 +248,11 @@ def _add_forces(s, N_s, N_m, dN_m, r, e, forces):  # type: ignore[no-untyped-def
 @numba.njit(**_PRODUCTS)
 def _add_gap(n, Phi, o, b, height, slope, N_s, N_m, r, e, area, gap):  # type: ignore[no-untyped-def]
     """Add what one point gives to the derivative (k + l, 3) of one weighted gap of its pair."""
-    k, l = len(N_s), len(N_m)
+    k, m = len(N_s), len(N_m)
     along = n[0] * o[0] + n[1] * o[1] + n[2] * o[2] - height
     along_0 = n[0] * b[0, 0] + n[1] * b[0, 1] + n[2] * b[0, 2] - slope[0]
     along_1 = n[0] * b[1, 0] + n[1] * b[1, 1] + n[2] * b[1, 2] - slope[1]
-    for z in range(k + l):
+    for z in range(k + m):
         N = area * (-N_s[z] if z < k else N_m[z - k])
         for h in range(3):
             change = along * r[z, h] + along_0 * e[0, z, h] + along_1 * e[1, z, h]
@@ -264,10 +276,11 @@ def _add_points(  # type: ignore[no-untyped-def]
     height, slope, forces, gaps, moments,
 ):  # fmt: skip
     """Add all points to the derivatives of their pairs."""
-    k, l = N_s.shape[1], N_m.shape[1]
+    size = N_s.shape[1] + N_m.shape[1]
+    k = N_s.shape[1]
     o, s, normal = np.empty(3), np.empty(3), np.empty(3)
     a, b, dual = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3))
-    r, e = np.empty((k + l, 3)), np.empty((2, k + l, 3))
+    r, e = np.empty((size, 3)), np.empty((2, size, 3))
     last = len(height) - 1  # 0 where there are no heights
     for q in range(len(pair)):
         p, z = pair[q], min(q, last)
@@ -303,8 +316,8 @@ def differentiate_pairs(
 ) -> PairIntegrals:
     """Return the derivatives of forces, weighted gaps and moments of pairs of facets.
 
-    Those by the functions Phi_j, by the vectors c_j and n_j, and by h at given points of both facets
-    are not among them.
+    Those by the functions Phi_j, by the vectors c_j and n_j, and by h at given points of both
+    facets are not among them.
 
     Args:
         slave: First-order slave facets (ms,).
@@ -316,13 +329,14 @@ def differentiate_pairs(
         n: Vectors n_j (ms, k, 3) there.
         heights: Heights at the points; 0 if not given.
     """
-    k, l, count = slave.element.nodes, master.element.nodes, len(slave.x)
+    k, count = slave.element.nodes, len(slave.x)
+    size = k + master.element.nodes
     middle = slave.element.points.mean(axis=0, keepdims=True).repeat(count, axis=0)
     G0, _ = surface_gradients(slave, np.arange(count, dtype=np.int32), middle)
     found = PairIntegrals(
-        np.zeros((len(pairs), k + l, 3, k + l, 3)),
-        np.zeros((len(pairs), k, k + l, 3)),
-        np.zeros((len(pairs), k, k, k + l, 3)),
+        np.zeros((len(pairs), size, 3, size, 3)),
+        np.zeros((len(pairs), k, size, 3)),
+        np.zeros((len(pairs), k, k, size, 3)),
     )
     if heights is None:
         heights = PointHeights(np.zeros(1), np.zeros((1, 2)))

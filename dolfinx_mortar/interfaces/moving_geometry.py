@@ -30,8 +30,8 @@ from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.mortar.curvature_correction import height_slopes
 from dolfinx_mortar.mortar.derivatives import Tractions, differentiate
-from dolfinx_mortar.mortar.facet_derivatives import differentiate_in_space
 from dolfinx_mortar.mortar.integrals import some_points, weighted_duals
+from dolfinx_mortar.mortar.space_derivatives import differentiate_in_space
 from dolfinx_mortar.mortar.surface import (
     accumulate,
     coordinates,

@@ -48,12 +48,13 @@ class PairHeights:
             xi_s: Points (q, 2) on slave facets.
             xi_m: Points (q, 2) on master facets.
         """
-        total = 0.0
-        for element, xi, by_x in zip((self.slave, self.master), (xi_s, xi_m), self.by_x, strict=True):
-            means = sums_of_products(Phi, _products(element, xi)[0], pair, len(by_x))
-            flat = by_x.reshape(*by_x.shape[:2], by_x.shape[2] * 3)
-            total = total + (means @ flat).reshape(len(by_x), Phi.shape[1], *by_x.shape[2:])
-        return np.asarray(total)
+        p, k, (size, d) = len(self.by_x[0]), Phi.shape[1], self.by_x[0].shape[2:]
+        total = np.zeros((p, k, size, d))
+        sides = (self.slave, xi_s), (self.master, xi_m)
+        for (element, xi), by_x in zip(sides, self.by_x, strict=True):
+            means = sums_of_products(Phi, _products(element, xi)[0], pair, p)
+            total += (means @ by_x.reshape(p, by_x.shape[1], size * d)).reshape(total.shape)
+        return total
 
 
 def _products(element: FacetElement, xi: Floats) -> tuple[Floats, Floats]:

@@ -125,10 +125,13 @@ def _at(duals: _Duals, kept: Bools, facet: Ints, facets: Facets, points: Points)
 
 def _joined(segments: Segments, of: Longs, edges: Points) -> Points:
     """Return the points of the segments, then those on edges."""
-    nu = np.zeros((len(of), 3))
-    own = of.astype(np.int64), segments.xi_s, segments.xi_m, segments.weight, nu
-    others = edges.pair, edges.xi_s, edges.xi_m, edges.weight, edges.nu
-    return Points(*(np.concatenate(both) for both in zip(own, others, strict=True)))
+    return Points(
+        np.concatenate([of.astype(np.int64), edges.pair]),
+        np.concatenate([segments.xi_s, edges.xi_s]),
+        np.concatenate([segments.xi_m, edges.xi_m]),
+        np.concatenate([segments.weight, edges.weight]),
+        np.concatenate([np.zeros((len(of), 3)), edges.nu]),
+    )
 
 
 def _free_edges(pairing: Pairing, slave: Facets, master: Facets, pairs: Ints) -> Bools:
@@ -148,16 +151,16 @@ def _neighbours(facets: Ints) -> Ints:
     >>> _neighbours(np.array([[0, 1, 2], [2, 1, 3]], dtype=np.int32)).tolist()
     [[-1, 1, -1], [0, -1, -1]]
     """
-    m, l = facets.shape
+    count, sides = facets.shape
     ends = np.stack([facets, np.roll(facets, -1, axis=1)], axis=2).reshape(-1, 2)
     low, high = ends.min(axis=1).astype(np.int64), ends.max(axis=1)
     key = low * (int(facets.max(initial=0)) + 1) + high
     order = np.argsort(key, kind="stable")
     same = np.flatnonzero(np.diff(key[order]) == 0)
     a, b = order[same], order[same + 1]
-    result = np.full(m * l, -1, dtype=np.int32)
-    result[a], result[b] = b // l, a // l
-    return result.reshape(m, l)
+    result = np.full(count * sides, -1, dtype=np.int32)
+    result[a], result[b] = b // sides, a // sides
+    return result.reshape(count, sides)
 
 
 class _Own:
