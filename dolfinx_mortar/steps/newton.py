@@ -11,9 +11,9 @@ One iteration, at u with contacts (active set, multipliers) and a geometry:
     5  converged if all are within their tolerances
 
 Updates of the geometry are a fixed-point iteration: one after every iteration while their change
-or the residual decreases; otherwise the geometry is frozen until Newton's method has converged. In
-2D the motion of the surfaces is linearised, too, where that saves iterations (`Watch.is_slow`),
-near a balance at finite strain, and where the fixed point fails; then Newton's method is quadratic.
+or the residual decreases; otherwise the geometry is frozen until Newton's method has converged. The
+motion of the surfaces is linearised, too, where that saves iterations (`Watch.is_slow`), near a
+balance at finite strain, and where the fixed point fails; then Newton's method is quadratic.
 """
 
 import logging
@@ -241,9 +241,10 @@ class _Step:
 
     @property
     def may_be_exact(self) -> bool:
-        """Whether the motion of the surfaces can be linearised: in 2D, with a factorisation."""
+        """Whether the motion of the surfaces can be linearised, with a factorisation."""
         backend = self.report.backend == ACTIVE_SET
-        return self.problem.d == 2 and self.solver.direct and backend and self.shifted == 0
+        contacts = self.problem.system.differentiable
+        return contacts and self.solver.direct and backend and self.shifted == 0
 
     def run(self, max_it: int) -> None:
         """Iterate until convergence; set the results and the certificate."""
