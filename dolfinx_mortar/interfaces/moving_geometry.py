@@ -28,7 +28,13 @@ import numpy as np
 from scipy import sparse
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.congruence import ProductOfBases, as_aij, refill, union
+from dolfinx_mortar.algebra.congruence import (
+    OperatorOfBases,
+    ProductOfBases,
+    as_aij,
+    refill,
+    union,
+)
 from dolfinx_mortar.algebra.triplets import Triplets
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.segments import Segments
@@ -85,6 +91,19 @@ class GeometryTangent:
     def transform(self, K: PETSc.Mat, T: Transformation) -> PETSc.Mat:
         """Return T^T (K + H) T_g, refilled in place from the second call on; collective."""
         return self.products.fill(K, self.forces, T, self.trial)
+
+    def follow(
+        self, K: PETSc.Mat, T: Transformation, decoupled: Ints, diagonal: PETSc.Vec
+    ) -> OperatorOfBases:
+        """Return the same as an operator; valid until the next call; collective.
+
+        Args:
+            K: the tangent.
+            T: of the test functions.
+            decoupled: owned unknowns that are decoupled.
+            diagonal: (n,) of T^T K T.
+        """
+        return self.products.follow([K, *self.forces], T, self.trial, decoupled, diagonal)
 
 
 @dataclass(frozen=True)
@@ -147,6 +166,7 @@ class Products:
         """Start without any."""
         self._total: PETSc.Mat | None = None
         self._factors: list[ProductOfBases] = []
+        self._operator: OperatorOfBases | None = None
 
     def fill(
         self, K: PETSc.Mat, H: Sequence[PETSc.Mat], T: Transformation, T_g: Transformation
@@ -164,6 +184,21 @@ class Products:
             self._factors[k].update(A, test.C, trial.C)
             A = self._factors[k].product
         return A
+
+    def follow(
+        self,
+        parts: Sequence[PETSc.Mat],
+        T: Transformation,
+        T_g: Transformation,
+        decoupled: Ints,
+        diagonal: PETSc.Vec,
+    ) -> OperatorOfBases:
+        """Return the product as an operator, the same one in every call; collective."""
+        if self._operator is None:
+            self._operator = OperatorOfBases(parts[0])
+        bases = [(a.C, b.C) for a, b in zip(T.factors, T_g.factors, strict=True)]
+        self._operator.follow(parts, bases, decoupled, diagonal)
+        return self._operator
 
 
 class MovingGeometry:
