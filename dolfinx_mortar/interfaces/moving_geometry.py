@@ -46,6 +46,7 @@ from dolfinx_mortar.mortar.derivatives import Derivatives, Tractions, differenti
 from dolfinx_mortar.mortar.integrals import some_points, weighted_duals
 from dolfinx_mortar.mortar.space_derivatives import differentiate_in_space
 from dolfinx_mortar.mortar.surface import (
+    Surface,
     accumulate,
     coordinates,
     nodal_normals,
@@ -240,12 +241,12 @@ class MovingGeometry:
         moved, H, gaps, sliding = list(links), [], [], []
         since, partners = slips
         for k, contact in self._contacts.items():
-            forces, rows = contact.differentiate(links[k], u, multipliers, tangential)
+            forces, rows, known = contact.differentiate(links[k], u, multipliers, tangential)
             slip = None
             if partners and (partner := partners[k]) is not None:
                 slip = contact.slips(links[k], u, partner, since)
                 sliding.append(slip)
-            moved[k] = _trial(links[k], rows, slip)
+            moved[k] = _trial(links[k], rows, known, slip)
             H.append(forces)
             gaps.append(rows)
         self._trial.update(moved)
@@ -299,17 +300,25 @@ class _Contact:
 
     def differentiate(
         self, link: Link, u: fem.Function, multipliers: Floats, tangential: Floats | None
-    ) -> tuple[PETSc.Mat, PETSc.Mat]:
-        """Return those of forces, and those of gaps in the rows w_n; refilled; collective."""
+    ) -> tuple[PETSc.Mat, PETSc.Mat, Bools]:
+        """Return those of forces, and of gaps in the rows w_n, and which of these; collective.
+
+        The matrices are refilled. In space rows of gaps are those of facets that carry tractions,
+        and of their neighbours: others are open, and cost as much.
+        """
         slave, (_, operators) = link.sides.slave, link.mortar
         x = coordinates(slave, u)
         given, keep = _tractions(link, nodal_normals(slave, x), multipliers, tangential)
-        segments = some_points(operators.segments, self.asked[operators.segments.slave])
+        asked, known = self.asked, np.ones(len(slave.nodes), dtype=bool)
+        if x.shape[1] == 3:
+            known = _neighbours(slave, given.tractions.any(axis=1))
+            asked = asked & known[slave.facets].any(axis=1)
+        segments = some_points(operators.segments, asked[operators.segments.slave])
         found = self._derivatives(link, u, segments, keep, given)
         normals = self.normals.fill(normal_derivatives(slave, x))
         F = self.forces.fill(self.F_x.fill(found.F_x), self.F_n.fill(found.F_n), normals)
         G = self.gaps.fill(self.G_x.fill(found.G_x), self.G_n.fill(found.G_n), normals)
-        return F, G
+        return F, G, known[: slave.owned]
 
     @staticmethod
     def _derivatives(
@@ -340,6 +349,13 @@ def _asked(link: Link) -> Bools:
     near = np.zeros((len(slave.nodes), 1))
     near[own, 0] = link.near
     return np.asarray((accumulate(slave, near)[:, 0] > 0.0)[slave.facets].any(axis=1))
+
+
+def _neighbours(slave: Surface, marked: Bools) -> Bools:
+    """Return the local slave nodes (n,) of facets, of any rank, with a marked node; collective."""
+    found = np.zeros((len(slave.nodes), 1))
+    found[slave.facets[marked[slave.facets].any(axis=1)]] = 1.0
+    return np.asarray(accumulate(slave, found)[:, 0] > 0.0)
 
 
 def _incidence(facets: Ints, nodes: Ints, shape: tuple[int, int]) -> sparse.csr_array:
@@ -448,21 +464,25 @@ def _tractions(
     return found, mark[:, 0] > 0
 
 
-def _trial(link: Link, weighted: PETSc.Mat, slips: SlipRows | None) -> Link:
-    """Scale rows dG_j to those of w_n, and return the link with those of T_g; collective."""
+def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None) -> Link:
+    """Scale rows dG_j to those of w_n, and return the link with those of T_g; collective.
+
+    Where they are not known (n,), rows of w_n are 0, and those of T_g are those of T.
+    """
     coupling, nodes, row = link.coupling, link.nodes, link.pattern.row
     kept, R, across = coupling.kept[:, 0], coupling.R, np.swapaxes(coupling.R, 1, 2)
     d = R.shape[1]
     scale = weighted.createVecLeft()
-    scale.array[d * nodes[kept]] = -1.0 / coupling.weight[kept, 0]
+    on = kept & known
+    scale.array[d * nodes[on]] = -1.0 / coupling.weight[on, 0]
     weighted.diagonalScale(scale)
     rows, moved = across.copy(), coupling.P[:, :1, None] * across[row]
     rows[:, 0], moved[:, 0] = _lumped(link, sparse.csr_array(_of_rank(weighted)[d * nodes]))
     if slips is not None:
-        known = slips.partners.known
+        faced = slips.partners.known
         for t in range(1, d):
             own, p = _lumped(link, slips.rows(t - 1))
-            rows[known, t], moved[known[row], t] = own[known], p[known[row]]
+            rows[faced, t], moved[faced[row], t] = own[faced], p[faced[row]]
     rows[:, 1:] = np.where(coupling.directions[:, 1:, None], rows[:, 1:], across[:, 1:])
     moved[:, 1:] *= coupling.directions[row, 1:, None]
     moves = kept & ((rows[:, 0] * coupling.normals).sum(axis=1) > LEAST_ALONG)
