@@ -77,8 +77,12 @@ def test_patch_of_discs_at_40_percent_compression(cell):
 
 @pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
 @pytest.mark.parametrize("strain", [0.15, 0.4])
-def test_patch_of_boxes_in_space(cell, strain):
-    """The same of two boxes on symmetry planes, in one step. Without the exact tangent none is."""
+@pytest.mark.parametrize("options", [{"pc_type": "lu"}, None])
+def test_patch_of_boxes_in_space(cell, strain, options):
+    """The same of two boxes on symmetry planes, in one step, factorised and by multigrid.
+
+    On frozen surfaces the tangent of 40 % is indefinite, and the fixed point leads away.
+    """
     domain, _, facets = meshes_3d.two_boxes(COMM, cell=cell, jitter=0.2)
     V = fem.functionspace(domain, ("Lagrange", 1, (3,)))
     u, down, still = fem.Function(V), zero(domain), zero(domain)
@@ -87,11 +91,11 @@ def test_patch_of_boxes_in_space(cell, strain):
     solid = dm.Solid(u, RUBBER, strain="finite")
     sides = {"slave": meshes_3d.TOP_OF_LOWER, "master": meshes_3d.BOTTOM_OF_UPPER}
     contact = dm.Contact(facets, **sides)
-    problem = dm.ContactProblem(solid, [contact], bcs=bcs, petsc_options={"pc_type": "lu"})
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs, petsc_options=options)
     down.value = -strain * 2.0
     report = dm.newton(problem, rtol=1e-10)
     check_uniform(problem, contact, report, 1.0, 1.0 - strain)
-    assert report.newton_iterations <= 5
+    assert report.newton_iterations <= (5 if options else 7)
 
 
 def test_everything_turned_in_space():
