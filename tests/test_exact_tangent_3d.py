@@ -174,9 +174,10 @@ def wavy(X, phase):
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize("friction", [0.0, 0.3])
 @pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
-def test_tangent_of_a_problem_is_that_of_its_forces_and_gaps(cell):
-    """On any number of ranks: in a direction, with multipliers that vary from node to node."""
+def test_tangent_of_a_problem_is_that_of_its_forces_and_gaps(cell, friction):
+    """On any number of ranks: in a direction, with tractions that vary from node to node."""
     mesh, _, facets = meshes_3d.two_boxes(
         MPI.COMM_WORLD, (4, 4, 1), (3, 5, 1), upper=PARTLY, cell=cell, jitter=0.2
     )
@@ -186,7 +187,7 @@ def test_tangent_of_a_problem_is_that_of_its_forces_and_gaps(cell):
         dofs = fem.locate_dofs_topological(V, 2, facets.find(tag))
         bcs.append(fem.dirichletbc(fem.Constant(mesh, (0.0, 0.0, 0.0)), dofs, V))
     sides = {"slave": meshes_3d.TOP_OF_LOWER, "master": meshes_3d.BOTTOM_OF_UPPER}
-    contact = dm.Contact(facets, **sides, surface="facets")
+    contact = dm.Contact(facets, **sides, surface="facets", friction=friction or None)
     solid = dm.Solid(fem.Function(V), dm.Elastic(E=1.0, nu=0.3))
     problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry="updated")
     X = V.tabulate_dof_coordinates()
@@ -200,14 +201,30 @@ def test_tangent_of_a_problem_is_that_of_its_forces_and_gaps(cell):
     lam = np.zeros(problem.n)
     lam[link.nodes[on]] = 1.0 + 0.5 * wavy(X, 1.0)[link.nodes[on], 0]
 
+    def tangential(link):
+        """Return vectors that turn with the surface."""
+        if not friction:
+            return None
+        vectors, n = wavy(X, 3.0)[: problem.n], np.zeros((problem.n, 3))
+        n[link.nodes] = link.coupling.normals
+        for normal in (first, n):
+            vectors = vectors - (vectors * normal).sum(axis=1)[:, None] * normal
+        vectors[lam == 0.0] = 0.0
+        return vectors
+
+    first = np.zeros((problem.n, 3))
+    first[link.nodes] = link.coupling.normals
+
     def moved(step):
         solid.u.x.array[:] = u + step * v
         problem.follow_geometry()
         (link,) = problem.system.unilateral
-        forces = contact_forces(problem, Contacts(lam > 0.0, lam))
+        forces = contact_forces(problem, Contacts(lam > 0.0, lam, tangential(link)))
         return forces, (link.gaps(problem.positions()) * link.coupling.weight[:, 0])[on]
 
-    found = problem.system.linearise_geometry(solid.u, lam, None, (problem.vector(), ()))
+    found = problem.system.linearise_geometry(
+        solid.u, lam, tangential(link), (problem.vector(), ())
+    )
     (H,) = found.forces
     direction = problem.vector(v[: 3 * problem.n])
     by_force, by_gap = np.array((H * direction).array_r), found.closing(direction)
@@ -220,14 +237,69 @@ def test_tangent_of_a_problem_is_that_of_its_forces_and_gaps(cell):
         assert error < 1e-8 * size
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize("slave", ["block", "ball"])
+def test_rows_of_gaps_and_slips_are_their_derivatives(slave):
+    """The trial rows of T_g, with what lumping leaves to the bounds; differences agree to 1e-8.
+
+    Of flat facets, whose integrals are exact.
+
+    Slips are vectors: their components along tangents that do not spin about the normal.
+    """
+    case = Sliding(slave, cell="tetrahedron", friction=0.3, options=None)
+    problem = case.problem
+    for along in (0.0, 0.1):
+        case.step(along, rtol=1e-6)
+    case.motion[1].value = 0.3
+    data, X = problem.begin_step(), problem.X
+    u = problem.owned_u
+    u += 3e-3 * wavy(X, 0.0).ravel()  # far from balance, so that all terms count
+    start, du = u.copy(), wavy(X, 1.0).ravel()
+
+    def at(step):
+        u[:] = start + step * du
+        problem.u.x.scatter_forward()
+        problem.follow_geometry()
+        (link,) = problem.system.unilateral
+        since = problem.vector(u - problem.committed.displacement)
+        slip = data.partners[0].slip(link, since)[:, 1:]
+        slip = np.einsum("nij,nj->ni", link.coupling.R[:, :, 1:], slip)
+        gaps = link.coupling.weight[:, 0] * link.gaps(problem.positions())
+        return link, since, gaps, slip
+
+    (_, _, *above), (_, _, *below) = at(1e-5), at(-1e-5)
+    link, since, *_ = at(0.0)
+    near = link.near & link.coupling.kept[:, 0] & data.partners[0].known
+    multipliers = np.zeros(problem.n)
+    multipliers[link.nodes[near]] = 1.0
+    given = multipliers, np.zeros((problem.n, 3)), (since, data.partners)
+    closing = problem.system.linearise_geometry(problem.u, *given).closing(problem.vector(du))
+    found = closing.reshape(-1, 3)[link.nodes]
+    gap, slip = ((a - b) / 2e-5 for a, b in zip(above, below, strict=True))
+    in_frames = np.einsum("nij,ni->nj", link.coupling.R[:, :, 1:], slip)
+    closed = found[:, 0] * link.coupling.weight[:, 0]
+    for error, size in ((closed + gap, gap), (found[:, 1:] - in_frames, in_frames)):
+        largest = maximum(problem.comm, *(np.abs(v[near]).max(initial=0.0) for v in (error, size)))
+        print(largest[0] / largest[1])
+        assert largest[0] < 1e-8 * largest[1]
+    assert problem.comm.allreduce(int(near.sum())) > 5
+
+
 class Sliding:
     """Half of a ball, pressed into half of a block and moved along the plane of symmetry."""
 
     def __init__(
-        self, slave="block", *, surface="facets", degree=1, options=FACTORISED, **friction
+        self,
+        slave="block",
+        *,
+        surface="facets",
+        cell="hexahedron",
+        degree=1,
+        options=FACTORISED,
+        **friction,
     ):
         """Create the problem."""
-        m = create_mesh(0.5, "hexahedron")
+        m = create_mesh(0.5, cell)
         V = fem.functionspace(m.mesh, ("Lagrange", degree, (3,)))
         self.motion = [fem.Constant(m.mesh, 0.0) for _ in range(3)]
         zero = fem.Constant(m.mesh, 0.0)
@@ -242,10 +314,10 @@ class Sliding:
         solid = dm.Solid(fem.Function(V), STEEL)
         self.problem = dm.ContactProblem(solid, [self.contact], bcs=bcs, petsc_options=options)
 
-    def step(self, along):
+    def step(self, along, rtol=1e-10):
         """Return the report of a step to a depth of 0.2 and a place along the block."""
         self.motion[1].value, self.motion[2].value = along, -0.2
-        report = dm.newton(self.problem, rtol=1e-10)
+        report = dm.newton(self.problem, rtol=rtol)
         self.problem.commit()
         return report
 
@@ -314,9 +386,8 @@ def test_nothing_is_allocated_anew_in_the_next_step(monkeypatch):
 
 
 def test_what_is_not_covered_is_left_to_the_fixed_point():
-    """Friction, and facets of second order."""
+    """Facets of second order."""
     assert Sliding().problem.system.differentiable
-    assert not Sliding(friction=0.2).problem.system.differentiable
     second = Sliding(degree=2)
     second.problem.begin_step(audit=False)  # which makes its links
     assert not second.problem.system.differentiable

@@ -11,9 +11,10 @@ The test functions are those of T, as for surfaces that do not move; du = T_g y,
 rows of T_g the parts of neighbouring slave nodes are lumped on node j, so that they are rows of one
 node. What that neglects is some per cent; it is known once du is, and belongs to the bounds then.
 
-With friction y_t is the change of the slip, t.(du_j - P du) + m.dt, with P of the partners, see
-`slip_partners`, and the motion m so far; its law holds for tractions lambda and tau, which are
-reactions over D_jj in the geometry of the iterate.
+With friction y_t is the change of the slip t.m, t.(du_j - P du) + m.dt + t.(dm/dn dn), with P of
+the partners, see `slip_partners`, and the motion m so far; the tangents do not spin about the
+normal, dt = -n (t.dn). Its law holds for tractions lambda and tau, which are reactions over D_jj in
+the geometry of the iterate.
 """
 
 from __future__ import annotations
@@ -59,7 +60,6 @@ LEAST_ALONG = 0.25
 So that T_g has an inverse. The QP is corrected either way: with none replaced that could be, each
 correction gains three digits, with all of them one.
 """
-_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
 @dataclass(frozen=True)
@@ -109,14 +109,14 @@ class GeometryTangent:
 
 @dataclass(frozen=True)
 class SlipRows:
-    """Rows of the slips of a contact, t.(du_j - P du) + m.dt, m being the motion so far.
+    """Rows of the slips of a contact, t.(du_j - P du) + m.dt + t.dm, m being the motion so far.
 
     P is that of the partners, see `slip_partners`; the tangents t turn with the averaged normal.
     """
 
     link: Link
     partners: Partners
-    turning: Floats  # (n, d - 1, d) m.dt by the averaged normals
+    turning: Floats  # (n, d - 1, d) m.dt + t.dm by the averaged normals
     normals: PETSc.Mat  # derivatives of these
 
     @property
@@ -235,7 +235,7 @@ class MovingGeometry:
             links: those of the patterns, in another configuration.
             u: displacement.
             multipliers: lambda_j (owned nodes,).
-            tangential: tangential tractions (owned nodes, 2), None without friction.
+            tangential: tangential tractions (owned nodes, d), None without friction.
             slips: displacement since the last commit, and the partners of each interface.
         """
         moved, H, gaps, sliding = list(links), [], [], []
@@ -336,11 +336,11 @@ class _Contact:
         """Return the rows of slips at the iterate that was differentiated last; collective."""
         slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
         n, turning = _turning(link, nodal_normals(slave, coordinates(slave, u))[own])
-        tangents = link.coupling.R[:, :, 1]
-        side = (tangents * (n @ _TURN.T)).sum(axis=1)  # which way t lies from n, 1 or -1
-        motion = np.where(partners.known[:, None], partners.motion(link, since), 0.0)
-        turned = np.einsum("n,ni,ij,njk->nk", side, motion, _TURN, turning)
-        return SlipRows(link, partners, turned[:, None], self.normals.zero())
+        along = (partners.motion(link, since) * n).sum(axis=1)
+        by_n = partners.motion_by_normals(link) - along[:, None, None] * np.eye(n.shape[1])
+        by_n[~partners.known] = 0.0
+        tangents = np.swapaxes(link.coupling.R, 1, 2)[:, 1:]
+        return SlipRows(link, partners, tangents @ by_n @ turning, self.normals.zero())
 
 
 def _asked(link: Link) -> Bools:
@@ -439,7 +439,7 @@ def _tractions(
         link: the contact.
         averaged: normals (local slave nodes, d).
         multipliers: lambda_j (owned nodes,).
-        tangential: tangential tractions (owned nodes, 2), None without friction.
+        tangential: tangential tractions (owned nodes, d), None without friction.
     """
     slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
     nodes, kept = link.nodes, link.coupling.kept[:, 0]
@@ -447,9 +447,10 @@ def _tractions(
     at = multipliers[nodes] * kept
     traction, change = at[:, None] * n, at[:, None, None] * turning
     if tangential is not None:
-        along = (tangential[nodes] * (n @ _TURN.T)).sum(axis=1)
-        traction += along[:, None] * (n @ _TURN.T)
-        change += along[:, None, None] * (_TURN @ turning)
+        along = tangential[nodes] - (tangential[nodes] * n).sum(axis=1)[:, None] * n
+        along *= kept[:, None]
+        traction += along
+        change -= n[:, :, None] * (along[:, None] @ turning)  # as tangents turn, n'dt = -t'dn
     parts = n, turning, traction, change, kept
     d = n.shape[1]
     columns = np.zeros((len(slave.nodes), 2 * d + 2 * d * d + 1))

@@ -450,9 +450,9 @@ class InterfaceSystem:
 
     @property
     def differentiable(self) -> bool:
-        """Whether `linearise_geometry` holds: in space of first order, and without friction."""
+        """Whether `linearise_geometry` holds: in space for facets of first order."""
         first = all(link.sides.slave.element.degree == 1 for link in self.unilateral)
-        return self.V.dofmap.index_map_bs == 2 or (first and not self.has_friction)
+        return first or self.V.dofmap.index_map_bs == 2
 
     def slip_limits(
         self,
