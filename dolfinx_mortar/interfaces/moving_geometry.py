@@ -309,9 +309,10 @@ class _Contact:
         slave, (_, operators) = link.sides.slave, link.mortar
         x = coordinates(slave, u)
         given, keep = _tractions(link, nodal_normals(slave, x), multipliers, tangential)
-        asked, known = self.asked, np.ones(len(slave.nodes), dtype=bool)
+        asked, loaded = self.asked, np.asarray(given.tractions.any(axis=1))
+        known: Bools = np.ones_like(loaded)
         if x.shape[1] == 3:
-            known = _neighbours(slave, given.tractions.any(axis=1))
+            known = _neighbours(slave, loaded)
             asked = asked & known[slave.facets].any(axis=1)
         segments = some_points(operators.segments, asked[operators.segments.slave])
         found = self._derivatives(link, u, segments, keep, given)

@@ -116,8 +116,9 @@ def solve(
             solution = interior_point.solve(qp, linear, rtol=rtol)
         else:
             first = State.create(qp, start, start_sliding)
-            expected = {"start": first, "changes": changes, "guess": guess}
-            solution = active_set.solve(qp, linear, **expected, rtol=rtol)
+            solution = active_set.solve(
+                qp, linear, start=first, changes=changes, rtol=rtol, guess=guess
+            )
     except FAILURES as error:
         raise QPNotSolved(f"The backend {backend!r} stopped{_cause(error, linear)}") from error
     now = linear.counts

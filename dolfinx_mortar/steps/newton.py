@@ -450,8 +450,8 @@ class _Step:
         contacts = old.contacts
         given = contacts.multipliers, contacts.tangential
         at = self.problem, old.balance, self.data.partners
-        how = {"tangent": tangent, "pressure": old.pressure, "linear": self.solver}
-        lin = linearise_all(*at, *given, **how)
+        pressure, solver = old.pressure, self.solver
+        lin = linearise_all(*at, *given, tangent=tangent, pressure=pressure, linear=solver)
         rtol = self.accuracy(lin, watch, residuals)
         try:
             solved = first = self.solve(lin, start, old, rtol)
