@@ -75,6 +75,29 @@ def test_patch_of_discs_at_40_percent_compression(cell):
     check_uniform(problem, contact, report, np.pi)
 
 
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+@pytest.mark.parametrize("strain", [0.15, 0.4])
+@pytest.mark.parametrize("options", [{"pc_type": "lu"}, None])
+def test_patch_of_boxes_in_space(cell, strain, options):
+    """The same of two boxes on symmetry planes, in one step, factorised and by multigrid.
+
+    On frozen surfaces the tangent of 40 % is indefinite, and the fixed point leads away.
+    """
+    domain, _, facets = meshes_3d.two_boxes(COMM, cell=cell, jitter=0.2)
+    V = fem.functionspace(domain, ("Lagrange", 1, (3,)))
+    u, down, still = fem.Function(V), zero(domain), zero(domain)
+    held = [(meshes_3d.BOTTOM, 2), (meshes_3d.LEFT, 0), (meshes_3d.FRONT, 1)]
+    bcs = sliding(V, facets, [*((*at, still) for at in held), (meshes_3d.TOP, 2, down)])
+    solid = dm.Solid(u, RUBBER, strain="finite")
+    sides = {"slave": meshes_3d.TOP_OF_LOWER, "master": meshes_3d.BOTTOM_OF_UPPER}
+    contact = dm.Contact(facets, **sides)
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs, petsc_options=options)
+    down.value = -strain * 2.0
+    report = dm.newton(problem, rtol=1e-10)
+    check_uniform(problem, contact, report, 1.0, 1.0 - strain)
+    assert report.newton_iterations <= (5 if options else 7)
+
+
 def test_everything_turned_in_space():
     """By 90 degrees about a slanted axis in one step: forces and moments turn to round-off."""
     domain, _, facets = meshes_3d.two_boxes(COMM, cell="hexahedron", upper=(0.2, 0.8, 0.1, 0.7))

@@ -115,7 +115,7 @@ def test_check_sees_each_violation() -> None:
 
 
 def test_check_rejects_a_solution_that_is_not_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    def wrong(qp, linear, *, start, changes, rtol):  # type: ignore[no-untyped-def]
+    def wrong(qp, linear, *, start, changes, rtol, guess):  # type: ignore[no-untyped-def]
         x = qp.b.duplicate()
         x.set(0.0)
         return QPSolution(x, x, start, check(qp, x), 0, 0, 0, "wrong")

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from petsc4py import PETSc
 
@@ -83,6 +83,87 @@ class ProductOfBases:
         refill(self._right, [self._AD, A])
         self._Ct.matMult(self._right, result=self._CtR)
         refill(self.product, [self._CtR, self._right])
+
+
+class OperatorOfBases:
+    """(I + C)^T A (I + D) for a sum A and products of such factors, decoupled at some unknowns.
+
+    The same as `ProductOfBases`, without a matrix.
+
+    Attributes:
+        matrix: a PETSc Mat of type python; its diagonal is the given one, which is near to its own.
+    """
+
+    def __init__(self, like: PETSc.Mat) -> None:
+        """Create it with the sizes of a matrix."""
+        self._product = _BasesProduct(like)
+        self.matrix = PETSc.Mat().createPython(like.getSizes(), self._product, comm=like.comm)
+        self.matrix.setUp()
+
+    def follow(
+        self,
+        parts: Sequence[PETSc.Mat],
+        bases: Sequence[tuple[PETSc.Mat, PETSc.Mat]],
+        decoupled: Ints,
+        diagonal: PETSc.Vec,
+    ) -> None:
+        """Set the terms of A, the pairs of factors C and D, the decoupled owned unknowns.
+
+        Args:
+            parts: terms of A.
+            bases: C and D, from left to right.
+            decoupled: their rows and columns are those of the identity times the mean diagonal.
+            diagonal: (n,) approximate diagonal.
+        """
+        self._product.parts, self._product.bases = list(parts), list(bases)
+        self._product.decoupled = decoupled
+        diagonal.copy(self._product.diagonal)
+        self._product.scale = diagonal.sum() / diagonal.getSize()
+        self.matrix.stateIncrease()
+
+    @property
+    def scale(self) -> float:
+        """The entry at decoupled unknowns, the mean of the diagonal."""
+        return self._product.scale
+
+    def product(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Set y to the product with x, nothing decoupled; collective."""
+        self._product.whole(x, y)
+
+
+class _BasesProduct:
+    """Context of the Mat of `OperatorOfBases`."""
+
+    def __init__(self, like: PETSc.Mat) -> None:
+        self.parts: list[PETSc.Mat] = []
+        self.bases: list[tuple[PETSc.Mat, PETSc.Mat]] = []
+        self.decoupled: Ints = np.empty(0, dtype=np.int32)
+        self.diagonal, self.scale = like.createVecRight(), 1.0
+        self._x, self._u, self._change = (like.createVecRight() for _ in range(3))
+
+    def whole(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        x.copy(self._u)
+        for _, D in reversed(self.bases):
+            D.mult(self._u, self._change)
+            self._u.axpy(1.0, self._change)
+        y.set(0.0)
+        for part in self.parts:
+            part.multAdd(self._u, y, y)
+        for C, _ in self.bases:
+            C.multTranspose(y, self._change)
+            y.axpy(1.0, self._change)
+
+    # -- called by PETSc -------------------------------------------------------------------------
+
+    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        x.copy(self._x)
+        self._x.array[self.decoupled] = 0.0
+        self.whole(self._x, y)
+        y.array[self.decoupled] = self.scale * x.array_r[self.decoupled]
+
+    def getDiagonal(self, mat: PETSc.Mat, d: PETSc.Vec) -> None:
+        self.diagonal.copy(d)
+        d.array[self.decoupled] = self.scale
 
 
 def union(A: PETSc.Mat, others: Iterable[PETSc.Mat]) -> PETSc.Mat:

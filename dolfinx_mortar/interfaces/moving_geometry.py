@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-r"""The exact linearisation of contact on moving surfaces, in 2D.
+r"""The exact linearisation of contact on moving surfaces.
 
 At the iterate u, with forces B(u)^T lambda of contact in r(u) = B(u)^T lambda and weighted gaps
 G(u) >= 0, Newton's method reads
@@ -11,9 +11,10 @@ The test functions are those of T, as for surfaces that do not move; du = T_g y,
 rows of T_g the parts of neighbouring slave nodes are lumped on node j, so that they are rows of one
 node. What that neglects is some per cent; it is known once du is, and belongs to the bounds then.
 
-With friction y_t is the change of the slip, t.(du_j - P du) + m.dt, with P of the partners, see
-`slip_partners`, and the motion m so far; its law holds for tractions lambda and tau, which are
-reactions over D_jj in the geometry of the iterate.
+With friction y_t is the change of the slip t.m, t.(du_j - P du) + m.dt + t.(dm/dn dn), with P of
+the partners, see `slip_partners`, and the motion m so far; the tangents do not spin about the
+normal, dt = -n (t.dn). Its law holds for tractions lambda and tau, which are reactions over D_jj in
+the geometry of the iterate.
 """
 
 from __future__ import annotations
@@ -28,16 +29,25 @@ import numpy as np
 from scipy import sparse
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.congruence import ProductOfBases, as_aij, refill, union
+from dolfinx_mortar.algebra.congruence import (
+    OperatorOfBases,
+    ProductOfBases,
+    as_aij,
+    refill,
+    union,
+)
 from dolfinx_mortar.algebra.triplets import Triplets
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.link import Link, node_motions
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.mortar.curvature_correction import height_slopes
-from dolfinx_mortar.mortar.derivatives import Tractions, differentiate
+from dolfinx_mortar.mortar.derivatives import Derivatives, Tractions, differentiate
 from dolfinx_mortar.mortar.integrals import some_points, weighted_duals
+from dolfinx_mortar.mortar.space_derivatives import differentiate_in_space
 from dolfinx_mortar.mortar.surface import (
+    Surface,
     accumulate,
     coordinates,
     nodal_normals,
@@ -50,7 +60,6 @@ LEAST_ALONG = 0.25
 So that T_g has an inverse. The QP is corrected either way: with none replaced that could be, each
 correction gains three digits, with all of them one.
 """
-_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
 @dataclass(frozen=True)
@@ -77,55 +86,78 @@ class GeometryTangent:
         for rows in self.gaps:
             total += (rows * du).array_r
         for slip in self.slips:
-            total[2 * slip.link.nodes + 1] = slip.of(du)
+            total.reshape(-1, slip.d)[slip.link.nodes, 1:] = slip.of(du)
         return total
 
     def transform(self, K: PETSc.Mat, T: Transformation) -> PETSc.Mat:
         """Return T^T (K + H) T_g, refilled in place from the second call on; collective."""
         return self.products.fill(K, self.forces, T, self.trial)
 
+    def follow(
+        self, K: PETSc.Mat, T: Transformation, decoupled: Ints, diagonal: PETSc.Vec
+    ) -> OperatorOfBases:
+        """Return the same as an operator; valid until the next call; collective.
+
+        Args:
+            K: the tangent.
+            T: of the test functions.
+            decoupled: owned unknowns that are decoupled.
+            diagonal: (n,) of T^T K T.
+        """
+        return self.products.follow([K, *self.forces], T, self.trial, decoupled, diagonal)
+
 
 @dataclass(frozen=True)
 class SlipRows:
-    """Rows of the slips of a contact, t.(du_j - P du) + m.dt, m being the motion so far.
+    """Rows of the slips of a contact, t.(du_j - P du) + m.dt + t.dm, m being the motion so far.
 
-    P is that of the partners, see `slip_partners`; t turns with the averaged normal.
+    P is that of the partners, see `slip_partners`; the tangents t turn with the averaged normal.
     """
 
     link: Link
     partners: Partners
-    turning: Floats  # (n, 2) m.dt by the averaged normals
+    turning: Floats  # (n, d - 1, d) m.dt + t.dm by the averaged normals
     normals: PETSc.Mat  # derivatives of these
 
-    def of(self, du: PETSc.Vec) -> Floats:
-        """Return the slips (n,) that du adds, 0 where there are no partners; collective."""
-        tangents = self.link.coupling.R[:, :, 1]
-        straight = (node_motions(self.link, self.partners.P, du) * tangents).sum(axis=1)
-        turned = (self.normals * du).array_r.reshape(-1, 2)[self.link.nodes]
-        added = straight + (turned * self.turning).sum(axis=1)
-        return np.where(self.partners.known, added, 0.0)
+    @property
+    def d(self) -> int:
+        """The dimension."""
+        return int(self.turning.shape[2])
 
-    def rows(self) -> sparse.csr_array:
-        """Return the rows (n, unknowns) of the owned slave nodes."""
-        nodes, tangents = self.link.nodes, self.link.coupling.R[:, :, 1]
+    @property
+    def columns(self) -> int:
+        """How many unknowns there are."""
+        return int(self.normals.getSize()[1])
+
+    @property
+    def _tangents(self) -> Floats:
+        return np.asarray(np.swapaxes(self.link.coupling.R, 1, 2)[:, 1:])
+
+    def of(self, du: PETSc.Vec) -> Floats:
+        """Return the slips (n, d - 1) that du adds, 0 without partners; collective."""
+        motion = node_motions(self.link, self.partners.P, du)
+        turned = (self.normals * du).array_r.reshape(-1, self.d)[self.link.nodes]
+        added = np.einsum("nti,ni->nt", self._tangents, motion)
+        added += np.einsum("nti,ni->nt", self.turning, turned)
+        return np.where(self.partners.known[:, None], added, 0.0)
+
+    def rows(self, t: int) -> sparse.csr_array:
+        """Return the rows (n, unknowns) of one tangent of the owned slave nodes."""
+        nodes, d, tangents = self.link.nodes, self.d, self._tangents[:, t]
         index_map, n = self.link.sides.V.dofmap.index_map, len(self.link.nodes)
         P = _of_rank(self.partners.P)[nodes].tocoo()
         own = nodes + index_map.local_range[0]
         row = np.concatenate([np.arange(n), P.row])
         column = np.concatenate([own, P.col])
         value = np.concatenate([np.ones(n), -P.data])
+        shape = n, self.columns
         parts = [
-            sparse.coo_array((value * tangents[row, i], (row, 2 * column + i)), (n, self.columns))
-            for i in range(2)
+            sparse.coo_array((value * tangents[row, i], (row, d * column + i)), shape)
+            for i in range(d)
         ]
         N = _of_rank(self.normals)
-        turned = (sparse.diags_array(self.turning[:, i]) @ N[2 * nodes + i] for i in range(2))
+        turned = (sparse.diags_array(self.turning[:, t, i]) @ N[d * nodes + i] for i in range(d))
         return sparse.csr_array(sum([*turned, *parts[1:]], parts[0]))
-
-    @property
-    def columns(self) -> int:
-        """How many unknowns there are."""
-        return int(self.normals.getSize()[1])
 
 
 class Products:
@@ -135,6 +167,7 @@ class Products:
         """Start without any."""
         self._total: PETSc.Mat | None = None
         self._factors: list[ProductOfBases] = []
+        self._operator: OperatorOfBases | None = None
 
     def fill(
         self, K: PETSc.Mat, H: Sequence[PETSc.Mat], T: Transformation, T_g: Transformation
@@ -152,6 +185,21 @@ class Products:
             self._factors[k].update(A, test.C, trial.C)
             A = self._factors[k].product
         return A
+
+    def follow(
+        self,
+        parts: Sequence[PETSc.Mat],
+        T: Transformation,
+        T_g: Transformation,
+        decoupled: Ints,
+        diagonal: PETSc.Vec,
+    ) -> OperatorOfBases:
+        """Return the product as an operator, the same one in every call; collective."""
+        if self._operator is None:
+            self._operator = OperatorOfBases(parts[0])
+        bases = [(a.C, b.C) for a, b in zip(T.factors, T_g.factors, strict=True)]
+        self._operator.follow(parts, bases, decoupled, diagonal)
+        return self._operator
 
 
 class MovingGeometry:
@@ -187,18 +235,18 @@ class MovingGeometry:
             links: those of the patterns, in another configuration.
             u: displacement.
             multipliers: lambda_j (owned nodes,).
-            tangential: tangential tractions (owned nodes, 2), None without friction.
+            tangential: tangential tractions (owned nodes, d), None without friction.
             slips: displacement since the last commit, and the partners of each interface.
         """
         moved, H, gaps, sliding = list(links), [], [], []
         since, partners = slips
         for k, contact in self._contacts.items():
-            forces, rows = contact.differentiate(links[k], u, multipliers, tangential)
+            forces, rows, known = contact.differentiate(links[k], u, multipliers, tangential)
             slip = None
             if partners and (partner := partners[k]) is not None:
                 slip = contact.slips(links[k], u, partner, since)
                 sliding.append(slip)
-            moved[k] = _trial(links[k], rows, slip)
+            moved[k] = _trial(links[k], rows, known, slip)
             H.append(forces)
             gaps.append(rows)
         self._trial.update(moved)
@@ -222,7 +270,7 @@ class _Contact:
         assert pairing is not None
         self.asked, self._found = _asked(link), pairing
         pairs = pairing.pairs[self.asked[pairing.pairs[:, 0]]]
-        n, xy = len(slave.nodes), np.arange(2)
+        n, d = len(slave.nodes), V.dofmap.index_map_bs
         facets: Ints = np.flatnonzero(self.asked).astype(np.int32)
         master = pairing.master_facets[pairs[:, 1]]
         on_slave = _incidence(facets, slave.facets[facets], (len(self.asked), n))
@@ -230,13 +278,13 @@ class _Contact:
         on_both = sparse.hstack([on_slave, _incidence(pairs[:, 0], master, shape)]).tocsr()
         nodes = V.dofmap.index_map.local_to_global(slave.nodes).astype(np.int64)
         both = np.concatenate([nodes, pairing.master_nodes])
-        by_x = (2 * both[:, None] + xy).ravel()
-        by_n, forces, gaps = by_x[: 2 * n], by_x, 2 * nodes
-        self.F_x = _Entries(V, on_both.T @ on_both, (2, 2), forces, by_x)
-        self.F_n = _Entries(V, on_both.T @ on_slave, (2, 2), forces, by_n)
-        self.G_x = _Entries(V, on_slave.T @ on_both, (1, 2), gaps, by_x)
-        self.G_n = _Entries(V, on_slave.T @ on_slave, (1, 2), gaps, by_n)
-        at = by_n.reshape(-1, 2)[slave.facets]
+        by_x = (d * both[:, None] + np.arange(d)).ravel()
+        by_n, forces, gaps = by_x[: d * n], by_x, d * nodes
+        self.F_x = _Entries(V, on_both.T @ on_both, (d, d), forces, by_x)
+        self.F_n = _Entries(V, on_both.T @ on_slave, (d, d), forces, by_n)
+        self.G_x = _Entries(V, on_slave.T @ on_both, (1, d), gaps, by_x)
+        self.G_n = _Entries(V, on_slave.T @ on_slave, (1, d), gaps, by_n)
+        at = by_n.reshape(-1, d)[slave.facets]
         block = *at.shape, *at.shape[1:]
         rows = np.broadcast_to(at[:, :, :, None, None], block)
         columns = np.broadcast_to(at[:, None, None], block)
@@ -252,29 +300,48 @@ class _Contact:
 
     def differentiate(
         self, link: Link, u: fem.Function, multipliers: Floats, tangential: Floats | None
-    ) -> tuple[PETSc.Mat, PETSc.Mat]:
-        """Return those of forces, and those of gaps in the rows w_n; refilled; collective."""
-        slave, (pairing, operators) = link.sides.slave, link.mortar
+    ) -> tuple[PETSc.Mat, PETSc.Mat, Bools]:
+        """Return those of forces, and of gaps in the rows w_n, and which of these; collective.
+
+        The matrices are refilled. In space rows of gaps are those of facets that carry tractions,
+        and of their neighbours: others are open, and cost as much.
+        """
+        slave, (_, operators) = link.sides.slave, link.mortar
         x = coordinates(slave, u)
         given, keep = _tractions(link, nodal_normals(slave, x), multipliers, tangential)
-        segments = some_points(operators.segments, self.asked[operators.segments.slave])
-        Phi, smooth = weighted_duals(pairing, segments, keep), link.pattern.smooth
-        slopes = None if smooth is None else height_slopes(pairing, segments, u, smooth)
-        found = differentiate(pairing, u, segments, keep, Phi, given, slopes)
+        asked, loaded = self.asked, np.asarray(given.tractions.any(axis=1))
+        known: Bools = np.ones_like(loaded)
+        if x.shape[1] == 3:
+            known = _neighbours(slave, loaded)
+            asked = asked & known[slave.facets].any(axis=1)
+        segments = some_points(operators.segments, asked[operators.segments.slave])
+        found = self._derivatives(link, u, segments, keep, given)
         normals = self.normals.fill(normal_derivatives(slave, x))
         F = self.forces.fill(self.F_x.fill(found.F_x), self.F_n.fill(found.F_n), normals)
         G = self.gaps.fill(self.G_x.fill(found.G_x), self.G_n.fill(found.G_n), normals)
-        return F, G
+        return F, G, known[: slave.owned]
+
+    @staticmethod
+    def _derivatives(
+        link: Link, u: fem.Function, segments: Segments, keep: Bools, given: Tractions
+    ) -> Derivatives:
+        """Return the derivatives on this rank; collective."""
+        pairing, smooth = link.mortar[0], link.pattern.smooth
+        at = pairing, u, segments, keep, weighted_duals(pairing, segments, keep), given
+        if given.normals.shape[1] == 3:
+            return differentiate_in_space(*at, smooth)
+        slopes = None if smooth is None else height_slopes(pairing, segments, u, smooth)
+        return differentiate(*at, slopes)
 
     def slips(self, link: Link, u: fem.Function, partners: Partners, since: PETSc.Vec) -> SlipRows:
         """Return the rows of slips at the iterate that was differentiated last; collective."""
         slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
         n, turning = _turning(link, nodal_normals(slave, coordinates(slave, u))[own])
-        tangents = link.coupling.R[:, :, 1]
-        side = (tangents * (n @ _TURN.T)).sum(axis=1)  # which way t lies from n, 1 or -1
-        motion = np.where(partners.known[:, None], partners.motion(link, since), 0.0)
-        turned = np.einsum("n,ni,ij,njk->nk", side, motion, _TURN, turning)
-        return SlipRows(link, partners, turned, self.normals.zero())
+        along = (partners.motion(link, since) * n).sum(axis=1)
+        by_n = partners.motion_by_normals(link) - along[:, None, None] * np.eye(n.shape[1])
+        by_n[~partners.known] = 0.0
+        tangents = np.swapaxes(link.coupling.R, 1, 2)[:, 1:]
+        return SlipRows(link, partners, tangents @ by_n @ turning, self.normals.zero())
 
 
 def _asked(link: Link) -> Bools:
@@ -283,6 +350,13 @@ def _asked(link: Link) -> Bools:
     near = np.zeros((len(slave.nodes), 1))
     near[own, 0] = link.near
     return np.asarray((accumulate(slave, near)[:, 0] > 0.0)[slave.facets].any(axis=1))
+
+
+def _neighbours(slave: Surface, marked: Bools) -> Bools:
+    """Return the local slave nodes (n,) of facets, of any rank, with a marked node; collective."""
+    found = np.zeros((len(slave.nodes), 1))
+    found[slave.facets[marked[slave.facets].any(axis=1)]] = 1.0
+    return np.asarray(accumulate(slave, found)[:, 0] > 0.0)
 
 
 def _incidence(facets: Ints, nodes: Ints, shape: tuple[int, int]) -> sparse.csr_array:
@@ -343,15 +417,15 @@ def _layout(V: fem.FunctionSpace) -> Unknowns:
 
 
 def _turning(link: Link, averaged: Floats) -> tuple[Floats, Floats]:
-    """Return the normals n_j (n, 2) of the owned slave nodes, 0 where not kept, and dn_j/dn.
+    """Return the normals n_j (n, d) of the owned slave nodes, 0 where not kept, and dn_j/dn.
 
-    n_j is the averaged normal (n, 2) without the directions that are prescribed.
+    n_j is the averaged normal (n, d) without the directions that are prescribed.
     """
     kept, edges = link.coupling.kept[:, 0], link.sides.edges
     n = np.where(kept[:, None], link.coupling.normals, 0.0)
     free = ~link.sides.fixed[link.nodes]
     left = np.linalg.norm(averaged * free, axis=1)
-    turning = (np.eye(2) - n[:, :, None] * n[:, None, :]) * free[:, None, :]
+    turning = (np.eye(n.shape[1]) - n[:, :, None] * n[:, None, :]) * free[:, None, :]
     turning /= np.where(kept, left, 1.0)[:, None, None]
     turning[~kept if edges is None else ~kept | edges[: len(n)]] = 0.0
     return n, turning
@@ -364,9 +438,9 @@ def _tractions(
 
     Args:
         link: the contact.
-        averaged: normals (local slave nodes, 2).
+        averaged: normals (local slave nodes, d).
         multipliers: lambda_j (owned nodes,).
-        tangential: tangential tractions (owned nodes, 2), None without friction.
+        tangential: tangential tractions (owned nodes, d), None without friction.
     """
     slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
     nodes, kept = link.nodes, link.coupling.kept[:, 0]
@@ -374,57 +448,65 @@ def _tractions(
     at = multipliers[nodes] * kept
     traction, change = at[:, None] * n, at[:, None, None] * turning
     if tangential is not None:
-        along = (tangential[nodes] * (n @ _TURN.T)).sum(axis=1)
-        traction += along[:, None] * (n @ _TURN.T)
-        change += along[:, None, None] * (_TURN @ turning)
+        along = tangential[nodes] - (tangential[nodes] * n).sum(axis=1)[:, None] * n
+        along *= kept[:, None]
+        traction += along
+        change -= n[:, :, None] * (along[:, None] @ turning)  # as tangents turn, n'dt = -t'dn
     parts = n, turning, traction, change, kept
-    columns = np.zeros((len(slave.nodes), 13))
+    d = n.shape[1]
+    columns = np.zeros((len(slave.nodes), 2 * d + 2 * d * d + 1))
     widths = [math.prod(part.shape[1:]) for part in parts]  # a rank may have no node
     columns[own] = np.concatenate(
         [part.reshape(len(nodes), k) for part, k in zip(parts, widths, strict=True)], axis=1
     )
-    n, turning, traction, change, mark = np.split(accumulate(slave, columns), [2, 6, 8, 12], 1)
-    square = (-1, 2, 2)
+    ends = np.cumsum([d, d * d, d, d * d])
+    n, turning, traction, change, mark = np.split(accumulate(slave, columns), ends, axis=1)
+    square = (-1, d, d)
     found = Tractions(n, turning.reshape(square), traction, change.reshape(square))
     return found, mark[:, 0] > 0
 
 
-def _trial(link: Link, weighted: PETSc.Mat, slips: SlipRows | None) -> Link:
-    """Scale rows dG_j to those of w_n, and return the link with those of T_g; collective."""
-    coupling, pattern, nodes = link.coupling, link.pattern, link.nodes
-    kept, R, row = coupling.kept[:, 0], coupling.R, pattern.row
+def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None) -> Link:
+    """Scale rows dG_j to those of w_n, and return the link with those of T_g; collective.
+
+    Where they are not known (n,), rows of w_n are 0, and those of T_g are those of T.
+    """
+    coupling, nodes, row = link.coupling, link.nodes, link.pattern.row
+    kept, R, across = coupling.kept[:, 0], coupling.R, np.swapaxes(coupling.R, 1, 2)
+    d = R.shape[1]
     scale = weighted.createVecLeft()
-    scale.array[2 * nodes[kept]] = -1.0 / coupling.weight[kept, 0]
+    on = kept & known
+    scale.array[d * nodes[on]] = -1.0 / coupling.weight[on, 0]
     weighted.diagonalScale(scale)
-    own, p = _lumped(link, sparse.csr_array(_of_rank(weighted)[2 * nodes]))
-    across = coupling.directions[row, 1]
-    tangent, q = R[:, :, 1], coupling.P[:, :1] * R[row, :, 1]
+    rows, moved = across.copy(), coupling.P[:, :1, None] * across[row]
+    rows[:, 0], moved[:, 0] = _lumped(link, sparse.csr_array(_of_rank(weighted)[d * nodes]))
     if slips is not None:
-        known, (turned, moved) = slips.partners.known, _lumped(link, slips.rows())
-        tangent = np.where(known[:, None], turned, tangent)
-        q = np.where(known[row, None], moved, q)
-    q = np.where(across[:, None], q, 0.0)
-    rows = np.stack([own, np.where(coupling.directions[:, 1:], tangent, R[:, :, 1])], axis=1)
-    moves = kept & ((own * coupling.normals).sum(axis=1) > LEAST_ALONG)
-    inverted = np.linalg.inv(np.where(moves[:, None, None], rows, np.swapaxes(R, 1, 2)))
-    blocks = inverted[row] @ np.stack([p, q], axis=1)
-    blocks = np.where(moves[row][:, None, None], blocks, coupling.blocks)
+        faced = slips.partners.known
+        for t in range(1, d):
+            own, p = _lumped(link, slips.rows(t - 1))
+            rows[faced, t], moved[faced[row], t] = own[faced], p[faced[row]]
+    rows[:, 1:] = np.where(coupling.directions[:, 1:, None], rows[:, 1:], across[:, 1:])
+    moved[:, 1:] *= coupling.directions[row, 1:, None]
+    moves = kept & ((rows[:, 0] * coupling.normals).sum(axis=1) > LEAST_ALONG)
+    inverted = np.linalg.inv(np.where(moves[:, None, None], rows, across))
+    blocks = np.where(moves[row][:, None, None], inverted[row] @ moved, coupling.blocks)
     frames = np.where(moves[:, None, None], inverted, R)
     return replace(link, coupling=replace(coupling, R=frames, blocks=blocks))
 
 
 def _lumped(link: Link, rows: sparse.csr_array) -> tuple[Floats, Floats]:
-    """Return the own parts (n, 2) of rows (n, unknowns), and minus those (e, 2) of the pattern.
+    """Return the own parts (n, d) of rows (n, unknowns), and minus those (e, d) of the pattern.
 
     What belongs to nodes outside the pattern, neighbouring slave nodes mostly, is lumped on j.
     """
     coupling, pattern = link.coupling, link.pattern
     used = np.arange(len(pattern.row)) >= pattern.split  # of the master
     used |= coupling.P[:, 0] != 0.0
-    p, own, entries = np.zeros((len(used), 2)), np.zeros((rows.shape[0], 2)), rows.tocoo()
-    for i in range(2):
-        p[used, i] = -_entries(rows, pattern.row[used], 2 * pattern.column[used] + i)
-        of_i = np.where(entries.col % 2 == i, entries.data, 0.0)
+    d, entries = coupling.R.shape[1], rows.tocoo()
+    p, own = np.zeros((len(used), d)), np.zeros((rows.shape[0], d))
+    for i in range(d):
+        p[used, i] = -_entries(rows, pattern.row[used], d * pattern.column[used] + i)
+        of_i = np.where(entries.col % d == i, entries.data, 0.0)
         own[:, i] = np.bincount(entries.row, of_i, minlength=len(own))
         own[:, i] += np.bincount(pattern.row, p[:, i], minlength=len(own))
     return own, p

@@ -24,6 +24,7 @@ from dolfinx_mortar.geometry.facets import (
     facet_sizes,
     normals_at_nodes,
     scaled_normals,
+    surface_gradients,
 )
 from dolfinx_mortar.geometry.thickness import thickness
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
@@ -358,24 +359,27 @@ def nodal_sagittas(surface: Surface, x: Floats) -> Floats:
 
 
 def normal_derivatives(surface: Surface, x: Floats) -> Floats:
-    """Return the terms (m, k, 2, k, 2) that facets in 2D add to the derivatives of nodal normals.
+    """Return the terms (m, k, d, k, d) that facets add to the derivatives of nodal normals.
 
-    [f, j, :, l, :] is the change of the averaged normal n_j with x_l by facet f: with the tangents
-    t = sum_l N_l' x_l at node j and the normals n_f to them, n_j is along S = sum_f n_f, so that
-    dn_j = -(I - n_j n_j^T) / |S| sum_f (t/|t|) (n_f.dt) / |t|. Collective.
+    [f, j, :, l, :] is the change of the averaged normal n_j with x_l by facet f: with its normal
+    n_f at node j and the surface gradients G_l there, n_j is along S = sum_f n_f, so that
+    dn_j = -(I - n_j n_j^T) / |S| sum_f G_l (n_f.dx_l). Collective.
     """
     facets, element = facets_at(surface, x), surface.element
     at_nodes = normals_at_nodes(facets)
     total = sum_at_nodes(surface, at_nodes)
     size = np.linalg.norm(total, axis=1)
     n = total / np.maximum(size, TINY)[:, None]
-    across = np.where((size > 8 * ROUND_OFF)[:, None, None], np.eye(2), 0.0)
+    across = np.where((size > 8 * ROUND_OFF)[:, None, None], np.eye(x.shape[1]), 0.0)
     across = (across - n[:, :, None] * n[:, None, :]) / np.maximum(size, ROUND_OFF)[:, None, None]
-    slopes = element.derivatives(element.points)[:, :, 0]
-    t = np.einsum("jl,mli->mji", slopes, facets.x)
-    turned = -np.einsum("mjia,mja->mji", across[surface.facets], t)
-    turned /= np.maximum((t * t).sum(axis=2), TINY)[:, :, None]
-    return np.einsum("mja,mjb,jl->mjalb", turned, at_nodes, slopes)
+    (m, k), points = surface.facets.shape, element.points
+    if element.degree == 1:  # the mean normal is that in the middle
+        points = np.broadcast_to(points.mean(axis=0), points.shape)
+    which = np.repeat(np.arange(m, dtype=np.int32), k)
+    gradients, _ = surface_gradients(facets, which, np.tile(points, (m, 1)))
+    gradients = gradients.reshape(m, k, k, x.shape[1])
+    turned = -np.einsum("mjia,mjla->mjil", across[surface.facets], gradients)
+    return np.asarray(turned[..., None] * at_nodes[:, :, None, None])
 
 
 def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:

@@ -16,7 +16,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.congruence import as_aij
+from dolfinx_mortar.algebra.congruence import CongruentOperator, OperatorOfBases, as_aij
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Actives, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
@@ -169,6 +169,7 @@ def linearise_all(
     *,
     tangent: bool = True,
     pressure: Floats | None = None,
+    linear: LinearSolver | None = None,
 ) -> Linearisation:
     """Assemble the QP of the exact tangent, that of the moving surfaces included; collective.
 
@@ -182,7 +183,9 @@ def linearise_all(
         tangential: tangential tractions (owned nodes, d), None without friction.
         tangent: assemble K anew; a linear law needs it once.
         pressure: as in `linearise`.
+        linear: as in `linearise`; with multigrid K^ is an operator, preconditioned by T^T K T.
     """
+    linear = linear or problem.linear
     with problem.timings("mortar"):
         moved = problem.vector(problem.owned_u - problem.committed.displacement)
         slips = moved, partners
@@ -193,9 +196,15 @@ def linearise_all(
     with problem.timings("transform"):
         T = problem.system.transformation
         assert T is not None
-        A = found.transform(problem.K, T)
-        qp, diagonal = _bounded(problem, balance, *_eliminated(problem, balance, A))
-    return Linearisation(replace(qp, definite=False), balance, diagonal, found)
+        near = None if linear.direct else problem.operator.matrix
+        if linear.direct:
+            parts = _eliminated(problem, balance, found.transform(problem.K, T))
+        else:
+            problem.operator.follow(T.change, balance.eliminated)
+            at = T, balance.eliminated, problem.operator.diagonal
+            parts = _lifted(problem, balance, found.follow(problem.K, *at))
+        qp, diagonal = _bounded(problem, balance, *parts)
+    return Linearisation(replace(qp, definite=False, near=near), balance, diagonal, found)
 
 
 def correct_bounds(lin: Linearisation, solved: QPSolution) -> tuple[Linearisation, float]:
@@ -261,14 +270,20 @@ def _follow(
     problem: ContactProblem, balance: Balance, change: PETSc.Mat | None
 ) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
     """Return the same, with K^ as an operator that is not formed."""
-    operator = problem.operator
-    operator.follow(change, balance.eliminated)
+    problem.operator.follow(change, balance.eliminated)
+    return _lifted(problem, balance, problem.operator)
+
+
+def _lifted(
+    problem: ContactProblem, balance: Balance, operator: CongruentOperator | OperatorOfBases
+) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
+    """Return K^ of an operator, r^ after the elimination, and the diagonal of T^T K T before."""
     dy, b = problem.vector(), problem.vector()
     dy.array[balance.equal.dofs] = balance.equal.upper
     operator.product(dy, b)
     b.aypx(-1.0, balance.reduced)
     b.array[balance.equal.dofs] = operator.scale * balance.equal.upper
-    return operator.matrix, b, operator.diagonal.copy()
+    return operator.matrix, b, problem.operator.diagonal.copy()
 
 
 def count_changes(lin: Linearisation, solved: QPSolution, start: Actives, limit: float) -> int:

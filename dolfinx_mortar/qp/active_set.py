@@ -27,7 +27,13 @@ EXACT, GIVEN = "exact linearisation", "given limits"
 
 
 def solve(
-    qp: BoundQP, linear: LinearSolver, *, start: State, changes: int | None, rtol: float
+    qp: BoundQP,
+    linear: LinearSolver,
+    *,
+    start: State,
+    changes: int | None,
+    rtol: float,
+    guess: PETSc.Vec | None = None,
 ) -> QPSolution:
     """Solve a bound-constrained QP by active-set updates (collective).
 
@@ -40,6 +46,7 @@ def solve(
             the condensed QP predicts the set (always to predict it would take plastic steps of
             benchmarks/hertz_2d.py with 50 thousand unknowns 4 more factorisations).
         rtol: tolerance of the check.
+        guess: (n,) first x, 0 by default.
 
     Returns:
         The solution; its active set is that of the last linear system, in which weakly active
@@ -50,6 +57,8 @@ def solve(
     """
     x = qp.b.duplicate()
     x.set(0.0)
+    if guess is not None:
+        guess.copy(x)
     if qp.friction is not None:
         return _solve_frictional(qp, linear, x, start, rtol)
     try:

@@ -36,6 +36,7 @@ class BoundQP:
     # Cholesky and conjugate gradients, the condensed QP, the interior point, energy descent.
     definite: bool = True
     product: CongruentOperator | None = None  # A, where it is not formed but to be factorised
+    near: PETSc.Mat | None = None  # definite, of which multigrid preconditions A as well
 
     @property
     def comm(self) -> MPI.Comm:

@@ -76,10 +76,12 @@ class MatrixSetup:
     renewal: Renewal
     max_iterations: int  # of one run of an iteration
     dx: PETSc.Vec  # (n,) the last correction
+    shared: bool = False  # whether the preconditioner is that of the definite matrix
 
     def destroy(self) -> None:
         """Free the matrices and the factorisation; collective."""
-        self.preconditioner.clear()
+        if not self.shared:
+            self.preconditioner.clear()
         self.ksp.destroy()
         self.sliding_ksp.destroy()
         self.operator.destroy()
@@ -175,6 +177,7 @@ class LinearSolver:
         apart: Ints | None = None,
         product: CongruentOperator | None = None,
         bounded: Ints | None = None,
+        near: PETSc.Mat | None = None,
     ) -> None:
         """Set the matrix of the next solves (collective).
 
@@ -187,7 +190,11 @@ class LinearSolver:
             apart: the only unknowns that will be held, see `schur.set_apart`; None for any.
             product: A, if it is one whose K is to be factorised.
             bounded: then those of ``apart`` that will be held, ascending.
+            near: (n, n) definite matrix whose preconditioner serves A, too; None for its own.
         """
+        if near is not None and not self.direct:
+            self._set_beside(A, near)
+            return
         self._kind = self.options.definite = definite
         if self._setup is not None:
             before = self._operator
@@ -214,11 +221,7 @@ class LinearSolver:
         elif ksp.getType() != "cg":
             ksp.setNormType(PETSc.KSP.NormType.DEFAULT)
         ksp.setOperators(operator.matrix)
-        sliding = PETSc.KSP().create(self._comm)
-        sliding.setType(PETSc.KSP.Type.GMRES)
-        sliding.setPCSide(PETSc.PC.Side.RIGHT)
-        sliding.setPC(PETSc.PC().createPython(Applied(ksp.getPC()), comm=self._comm))
-        sliding.setOperators(operator.sliding_matrix)
+        sliding = self._iteration(operator, ksp.getPC())
         after = self._refactor_after or RENEWAL_COST["direct" if self.direct else "iterative"]
         renewal = Renewal(after, direct=self.direct)
         limit, dx = ksp.getTolerances()[3], A.createVecRight()
@@ -226,6 +229,29 @@ class LinearSolver:
         self._setups[definite] = MatrixSetup(*parts)
         self._describe()
         self.counts.symbolic += 1
+
+    def _set_beside(self, A: PETSc.Mat, near: PETSc.Mat) -> None:
+        """Set a matrix that is not definite, with the preconditioner of one that is; collective."""
+        self.set_matrix(near)
+        self._kind, base, beside = False, self._setups[True], self._setups.get(False)
+        if beside is not None and beside.operator.A.handle == A.handle:
+            if beside.preconditioner is base.preconditioner:
+                return
+        self._drop(False)
+        operator = Operator(A, direct=False, definite=False)
+        ksp = self._iteration(operator, base.ksp.getPC())
+        renewal = Renewal(base.renewal.after, direct=False)
+        parts = operator, ksp, ksp, base.preconditioner, renewal, base.max_iterations
+        self._setups[False] = MatrixSetup(*parts, A.createVecRight(), shared=True)
+
+    def _iteration(self, operator: Operator, pc: PETSc.PC) -> PETSc.KSP:
+        """Return GMRES for a matrix that is not symmetric; it applies another solver's PC."""
+        ksp = PETSc.KSP().create(self._comm)
+        ksp.setType(PETSc.KSP.Type.GMRES)
+        ksp.setPCSide(PETSc.PC.Side.RIGHT)
+        ksp.setPC(PETSc.PC().createPython(Applied(pc), comm=self._comm))
+        ksp.setOperators(operator.sliding_matrix)
+        return ksp
 
     def _describe(self) -> None:
         setup = self.setup
@@ -237,7 +263,10 @@ class LinearSolver:
             self._drop(kind)
 
     def _drop(self, kind: bool) -> None:
-        """Free one of them; collective."""
+        """Free one of them, and what has its preconditioner; collective."""
+        beside = self._setups.get(False)
+        if kind and beside is not None and beside.shared:
+            self._drop(False)
         if kind in self._setups:
             self._setups.pop(kind).destroy()
 

@@ -91,7 +91,10 @@ class SolverOptions:
 
     def _values(self, definite: bool) -> dict[str, Any]:
         methods = DEFAULTS if definite else DEFAULTS | GENERAL
-        return methods | (MULTIGRID if self._multigrid else {}) | self.given | self.grown
+        values = methods | (MULTIGRID if self._multigrid else {}) | self.given | self.grown
+        if not definite and values["pc_type"] == DEFAULTS["pc_type"]:
+            values["pc_type"] = GENERAL["pc_type"]  # Cholesky reads one half of a matrix
+        return values
 
     @property
     def direct(self) -> bool:

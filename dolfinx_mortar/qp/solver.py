@@ -54,6 +54,7 @@ def solve(
     start_active: Actives | None = None,
     start_sliding: Floats | None = None,
     changes: int | None = None,
+    guess: PETSc.Vec | None = None,
     rtol: float = 1e-10,
 ) -> QPSolution:
     """Solve a bound-constrained QP (collective).
@@ -69,6 +70,7 @@ def solve(
         changes: bounded unknowns in which the solution is expected to differ from ``start_active``,
             such as `QPSolution.changes` of the Newton iteration before; by default any number. It
             affects the cost only.
+        guess: (n,) with which the active set's first linear solve begins; 0 by default.
         rtol: tolerance of the KKT check, relative; round-off is the limit.
 
     Returns:
@@ -103,13 +105,20 @@ def solve(
             qp = replace(qp, A=qp.A.duplicate(copy=True), product=None)
         bounded = np.sort(qp.bounded)
         linear.set_matrix(
-            qp.A, definite=qp.definite, apart=apart, product=qp.product, bounded=bounded
+            qp.A,
+            definite=qp.definite,
+            apart=apart,
+            product=qp.product,
+            bounded=bounded,
+            near=qp.near,
         )
         if backend == INTERIOR_POINT:
             solution = interior_point.solve(qp, linear, rtol=rtol)
         else:
             first = State.create(qp, start, start_sliding)
-            solution = active_set.solve(qp, linear, start=first, changes=changes, rtol=rtol)
+            solution = active_set.solve(
+                qp, linear, start=first, changes=changes, rtol=rtol, guess=guess
+            )
     except FAILURES as error:
         raise QPNotSolved(f"The backend {backend!r} stopped{_cause(error, linear)}") from error
     now = linear.counts

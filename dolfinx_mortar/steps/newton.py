@@ -11,9 +11,9 @@ One iteration, at u with contacts (active set, multipliers) and a geometry:
     5  converged if all are within their tolerances
 
 Updates of the geometry are a fixed-point iteration: one after every iteration while their change
-or the residual decreases; otherwise the geometry is frozen until Newton's method has converged. In
-2D the motion of the surfaces is linearised, too, where that saves iterations (`Watch.is_slow`),
-near a balance at finite strain, and where the fixed point fails; then Newton's method is quadratic.
+or the residual decreases; otherwise the geometry is frozen until Newton's method has converged. The
+motion of the surfaces is linearised, too, where that saves iterations (`Watch.is_slow`), near a
+balance at finite strain, and where the fixed point fails; then Newton's method is quadratic.
 """
 
 import logging
@@ -241,9 +241,9 @@ class _Step:
 
     @property
     def may_be_exact(self) -> bool:
-        """Whether the motion of the surfaces can be linearised: in 2D, with a factorisation."""
+        """Whether the motion of the surfaces can be linearised."""
         backend = self.report.backend == ACTIVE_SET
-        return self.problem.d == 2 and self.solver.direct and backend and self.shifted == 0
+        return self.problem.system.differentiable and backend
 
     def run(self, max_it: int) -> None:
         """Iterate until convergence; set the results and the certificate."""
@@ -450,7 +450,8 @@ class _Step:
         contacts = old.contacts
         given = contacts.multipliers, contacts.tangential
         at = self.problem, old.balance, self.data.partners
-        lin = linearise_all(*at, *given, tangent=tangent, pressure=old.pressure)
+        pressure, solver = old.pressure, self.solver
+        lin = linearise_all(*at, *given, tangent=tangent, pressure=pressure, linear=solver)
         rtol = self.accuracy(lin, watch, residuals)
         try:
             solved = first = self.solve(lin, start, old, rtol)
@@ -458,7 +459,8 @@ class _Step:
                 lin, left = correct_bounds(lin, solved)
                 if left <= DIGIT * residuals[-1].limit:
                     break
-                last, solved = solved, self.solve(lin, solved.active, old, rtol)
+                last, guess = solved, None if self.solver.direct else solved.x
+                solved = self.solve(lin, solved.active, old, rtol, guess)
                 solved = replace(
                     solved,
                     updates=last.updates + solved.updates,
@@ -467,6 +469,10 @@ class _Step:
                 )
         except backends.QPNotSolved as error:
             return None, None, f"without the exact tangent ({error})"
+        curvature = solved.x.dot(lin.qp.b - solved.z)  # x.A x: b - A x = z
+        if self.shifted and not curvature > 0.0:  # it leads to what is not stable
+            return None, None, "without the exact tangent, which is indefinite"
+        self.shifted = 0
         return lin, replace(solved, changes=first.changes), ""
 
     def accuracy(self, lin: Linearisation, watch: Watch, residuals: list[Residuals]) -> float:
@@ -479,7 +485,14 @@ class _Step:
         kind = "direct" if new else "iterative"
         return next_tolerance(kind, self.report.rtol, lin.qp.b.norm(), residuals)
 
-    def solve(self, lin: Linearisation, start: Actives, old: Iterate, rtol: float) -> QPSolution:
+    def solve(
+        self,
+        lin: Linearisation,
+        start: Actives,
+        old: Iterate,
+        rtol: float,
+        guess: PETSc.Vec | None = None,
+    ) -> QPSolution:
         """Solve the QP with the backend of the step."""
         with self.problem.timings("linear_solves"):
             solved = backends.solve(
@@ -490,6 +503,7 @@ class _Step:
                 start_sliding=old.contacts.directions(old.balance.limits),
                 # a linear law has its set after the first QP: geometries change it hardly
                 changes=0 if self.linear and old.changes is not None else old.changes,
+                guess=guess,
                 rtol=rtol,
             )
         # supports and ties are satisfied exactly, also by an iterative solver

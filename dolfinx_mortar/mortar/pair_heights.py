@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: MIT
+r"""Derivatives of the heights of smooth surfaces over pairs of first-order facets in 3D.
+
+Over both facets h = sum_ab N_a N_b c_ab / 2 with the c_ab of the surface that the sides share,
+see `dolfinx_mortar.mortar.curvature_correction.point_heights`. With the edges e of a facet and the
+curvatures K of the other one, functions of the coordinates of its nodes,
+
+    c_ab = (c_0 - e.K e) / 2,      dc_ab = -e.K de - e.dK e / 2.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+import dolfinx
+from dolfinx_mortar.arrays import EPS, Floats, Ints, Longs
+from dolfinx_mortar.geometry.curvature import common_sagittas, curvatures, edges, node_pairs
+from dolfinx_mortar.geometry.elements import FacetElement
+from dolfinx_mortar.geometry.facet_derivatives import PointHeights
+from dolfinx_mortar.geometry.facets import Facets, facet_sizes
+from dolfinx_mortar.mortar.curvature_correction import Curved, SmoothSide, find_curved
+from dolfinx_mortar.mortar.dual import sums_of_products
+from dolfinx_mortar.mortar.pairing import Pairing
+
+
+@dataclass(frozen=True, eq=False)
+class PairHeights:
+    """Heights over pairs (p,) of facets with k and l nodes, and their derivatives."""
+
+    slave: FacetElement
+    master: FacetElement
+    c: tuple[Floats, Floats]  # (p, e) c_ab over slave and master facets
+    by_x: tuple[Floats, Floats]  # (p, e, k + l, 3) their derivatives
+
+    def at(self, pair: Longs, xi_s: Floats, xi_m: Floats) -> PointHeights:
+        """Return the heights at points (q,) of pairs, and their derivatives by xi_m."""
+        (N_s, _), (N_m, slopes) = _products(self.slave, xi_s), _products(self.master, xi_m)
+        c_s, c_m = (c[pair] for c in self.c)
+        h = (N_s * c_s + N_m * c_m).sum(axis=1)
+        return PointHeights(h, np.einsum("qea,qe->qa", slopes, c_m))
+
+    def integrals(self, Phi: Floats, pair: Ints, xi_s: Floats, xi_m: Floats) -> Floats:
+        """Return int Phi_j dh (p, k, k + l, 3) by the nodes, at given points of both facets.
+
+        Args:
+            Phi: Values of Phi_j times weights at the points (q, k).
+            pair: Their pairs (q,).
+            xi_s: Points (q, 2) on slave facets.
+            xi_m: Points (q, 2) on master facets.
+        """
+        p, k, (size, d) = len(self.by_x[0]), Phi.shape[1], self.by_x[0].shape[2:]
+        total = np.zeros((p, k, size, d))
+        sides = (self.slave, xi_s), (self.master, xi_m)
+        for (element, xi), by_x in zip(sides, self.by_x, strict=True):
+            means = sums_of_products(Phi, _products(element, xi)[0], pair, p)
+            total += (means @ by_x.reshape(p, by_x.shape[1], size * d)).reshape(total.shape)
+        return total
+
+
+def _products(element: FacetElement, xi: Floats) -> tuple[Floats, Floats]:
+    """Return N_a N_b / 2 (q, e) of the pairs of nodes of a facet, and their slopes (q, e, 2)."""
+    i, j = node_pairs(Facets(element, np.zeros((0, element.nodes, 3))))
+    N, dN = element.shape_functions(xi), element.derivatives(xi)
+    slopes = dN[:, i] * N[:, j, None] + N[:, i, None] * dN[:, j]
+    return N[:, i] * N[:, j] / 2, slopes / 2
+
+
+def pair_heights(
+    pairing: Pairing,
+    pairs: Ints,
+    u: dolfinx.fem.Function,
+    sides: tuple[SmoothSide, SmoothSide],
+) -> PairHeights:
+    """Return the heights over pairs of first-order facets in 3D; collective.
+
+    Args:
+        pairing: the pair of surfaces.
+        pairs: (p,) which of its candidates.
+        u: displacement.
+        sides: the smooth surfaces at X.
+    """
+    a, b = find_curved(pairing, u, sides, pairs)
+    s, m = pairing.pairs[pairs].T
+    of_s = [_by_own(a.facets, b.K), _by_other(a.facets, b, m)]
+    of_m = [_by_other(b.facets, a, s), _by_own(b.facets, a.K)]
+    by_x = np.concatenate(of_s, axis=2), np.concatenate(of_m, axis=2)
+    c = common_sagittas(a.facets, a.sagitta, b.K), common_sagittas(b.facets, b.sagitta, a.K)
+    return PairHeights(a.facets.element, b.facets.element, c, by_x)
+
+
+def _by_own(facets: Facets, K: Floats) -> Floats:
+    """Return the derivatives (p, e, k, 3) of c_ab by the nodes of their own facets."""
+    change = np.einsum("pij,pej->pei", K, edges(facets))
+    result = np.zeros((*change.shape[:2], facets.x.shape[1], 3))
+    for e, (first, last) in enumerate(zip(*node_pairs(facets), strict=True)):
+        result[:, e, first], result[:, e, last] = change[:, e], -change[:, e]
+    return result
+
+
+def _by_other(facets: Facets, other: Curved, which: Ints) -> Floats:
+    """Return the derivatives (p, e, l, 3) of c_ab by the nodes of the other facets.
+
+    Those of K are central differences, with errors of some 1e-10.
+
+    Args:
+        facets: the facets (p,) themselves.
+        other: those of the other side (p,).
+        which: their numbers (p,): a facet is in several pairs.
+    """
+    _, first, again = np.unique(which, return_index=True, return_inverse=True)
+    x, sagitta, e = other.facets.x[first], other.sagitta[first], edges(facets)
+    step = EPS ** (1 / 3) * facet_sizes(x)
+    result = np.zeros((*e.shape[:2], *x.shape[1:]))
+    for z, i in np.ndindex(*x.shape[1:]):
+        shift = np.zeros_like(x)
+        shift[:, z, i] = step
+        high, low = (
+            curvatures(Facets(other.facets.element, x + sign * shift), sagitta) for sign in (1, -1)
+        )
+        dK = ((high - low) / (2 * step)[:, None, None])[again]
+        result[:, :, z, i] = -0.5 * np.einsum("pei,pij,pej->pe", e, dK, e, optimize=True)
+    return result

@@ -1,0 +1,393 @@
+# SPDX-License-Identifier: MIT
+"""The exact tangent of moving geometry in 3D: its derivatives, its rate, and when it is used."""
+
+from dataclasses import replace
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+import dolfinx_mortar.steps.newton as newton_module
+from dolfinx import fem
+from dolfinx_mortar.algebra import congruence, triplets
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.geometry import area
+from dolfinx_mortar.geometry.facets import points_of
+from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides, point_heights
+from dolfinx_mortar.mortar.derivatives import Tractions
+from dolfinx_mortar.mortar.integrals import (
+    default_keep,
+    find_segments,
+    node_weights,
+    weighted_duals,
+)
+from dolfinx_mortar.mortar.pairing import create_pairing, received_facets
+from dolfinx_mortar.mortar.space_derivatives import differentiate_in_space
+from dolfinx_mortar.mortar.surface import (
+    coordinates,
+    create_surface,
+    facets_at,
+    normal_derivatives,
+)
+from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.newton_method.watch import contact_forces
+from tests import meshes_3d
+from tests.ball_case import STEEL, create_mesh
+
+COMM = MPI.COMM_SELF
+FACTORISED = {"pc_type": "cholesky"}
+
+
+class Rough:
+    """Two rough, bent sides, with random tractions."""
+
+    def __init__(self, cell, n_lower, n_upper, *, upper, seed, smooth=False):
+        """Create them; the slave is the upper side of the lower box."""
+        rng = np.random.default_rng(seed)
+        mesh, _, facets = meshes_3d.two_boxes(
+            COMM, (*n_lower, 1), (*n_upper, 1), upper=upper, cell=cell, jitter=0.2, seed=seed
+        )
+        V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+        self.u, X = fem.Function(V), V.tabulate_dof_coordinates()
+        self.u.x.array[:] = 0.03 * rng.standard_normal(self.u.x.array.size)
+        self.u.x.array[2::3] -= 0.2 * (X[:, 0] - 0.4) ** 2 - 0.1 * X[:, 0] * X[:, 1]
+        tags = (meshes_3d.TOP_OF_LOWER, "slave"), (meshes_3d.BOTTOM_OF_UPPER, "master")
+        self.slave, self.master = (create_surface(V, facets, *tag) for tag in tags)
+        self.pairing = create_pairing(V, self.slave, self.master, self.u)
+        self.smooth = None
+        if smooth:
+            found = find_smooth_sides(self.pairing, np.zeros(X.shape, dtype=bool), 40.0)
+            a, b = (replace(s, sagitta=rng.uniform(0.02, 0.05, s.sagitta.shape)) for s in found)
+            self.smooth = a, b
+        self.values = rng.uniform(0.5, 1.0, (2, len(self.slave.nodes)))
+        segments, _ = find_segments(self.pairing, self.u)
+        self.keep = default_keep(self.pairing, segments, *node_weights(self.pairing, segments))
+        self.nodes = np.concatenate([self.slave.nodes, self.pairing.master_nodes])
+        self.turn = meshes_3d.rotation((1.0, 2.0, 3.0), 0.7)
+
+    def given(self, n):
+        """Return normals and tractions for averaged normals."""
+        k, (a, b) = self.keep[:, None], self.values[:, :, None]
+        one = np.broadcast_to(np.eye(3), (len(n), 3, 3)) * k[:, None]
+        changes = a[..., None] * one + b[..., None] * self.turn @ one
+        return Tractions(k * n, one, k * (a * n + b * n @ self.turn.T), changes)
+
+    def forces_and_gaps(self):
+        """Return the forces on all nodes and the weighted gaps."""
+        segments, n = find_segments(self.pairing, self.u)
+        given, own = self.given(n), len(self.slave.nodes)
+        Phi = weighted_duals(self.pairing, segments, self.keep)
+        sides = (
+            (facets_at(self.slave, coordinates(self.slave, self.u)), segments.slave, segments.xi_s),
+            (received_facets(self.pairing, self.u), segments.master, segments.xi_m),
+        )
+        x_s, x_m = (points_of(*side) for side in sides)
+        N_s, N_m = (facets.element.shape_functions(xi) for facets, _, xi in sides)
+        nodes, others = self.slave.facets[segments.slave], self.pairing.master_facets
+        s = np.einsum("qj,qji->qi", Phi, given.tractions[nodes])[:, None]
+        F, G = np.zeros((len(self.nodes), 3)), np.zeros(own)
+        np.add.at(F, nodes, N_s[:, :, None] * s)
+        np.add.at(F, own + others[segments.master], -N_m[:, :, None] * s)
+        gap = np.einsum("qji,qi->qj", given.normals[nodes], x_m - x_s)
+        if self.smooth is not None:
+            gap -= point_heights(self.pairing, segments, self.u, self.smooth)[:, None]
+        np.add.at(G, nodes, Phi * gap)
+        return F.ravel(), G
+
+    def derivatives(self):
+        """Return those of the forces and the weighted gaps by the coordinates of both sides."""
+        segments, n = find_segments(self.pairing, self.u)
+        Phi = weighted_duals(self.pairing, segments, self.keep)
+        at = self.pairing, self.u, segments, self.keep, Phi
+        found = differentiate_in_space(*at, self.given(n), self.smooth)
+        blocks, own = normal_derivatives(self.slave, coordinates(self.slave, self.u)), len(n)
+        N = np.zeros((own, 3, len(self.nodes), 3))
+        for f, nodes in enumerate(self.slave.facets):
+            for j, a in enumerate(nodes):
+                for k, b in enumerate(nodes):
+                    N[a, :, b] += blocks[f, j, :, k]
+        N = N.reshape(3 * own, -1)
+        return found.F_x + found.F_n @ N, found.G_x + found.G_n @ N
+
+    def differences(self):
+        """Return them by central differences, extrapolated."""
+        columns = []
+        for node in self.nodes:
+            for i in range(3):
+                columns.append(
+                    (4 * self._difference(node, i, 1e-5) - self._difference(node, i, 2e-5)) / 3
+                )
+        both = np.stack(columns, axis=1)
+        return np.split(both, [3 * len(self.nodes)])
+
+    def _difference(self, node, i, h):
+        results = []
+        for step in (h, -h):
+            before = self.u.x.array[3 * node + i]
+            self.u.x.array[3 * node + i] += step
+            results.append(np.concatenate(self.forces_and_gaps()))
+            self.u.x.array[3 * node + i] = before
+        return (results[0] - results[1]) / (2 * h)
+
+
+def errors(rough):
+    """Return the errors of the derivatives, over the largest entries."""
+    both = zip(rough.derivatives(), rough.differences(), strict=True)
+    return [np.abs(found - expected).max() / np.abs(expected).max() for found, expected in both]
+
+
+UNDER = (-0.5, 1.6, -0.5, 1.5)
+PARTLY = (0.2, 1.3, -0.1, 0.7)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("upper", [UNDER, PARTLY])
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_derivatives_of_one_pair(cell, upper, seed):
+    """Of one facet (two triangles) a side, which lies under the master or reaches beyond it."""
+    rough = Rough(cell, (1, 1), (1, 1), upper=upper, seed=seed)
+    assert max(errors(rough)) < 1e-8
+
+
+@pytest.mark.parametrize("upper", [UNDER, PARTLY])
+def test_derivatives_of_smooth_heights(upper, monkeypatch):
+    """Of one pair: between two master facets heights jump. With integrals that are accurate."""
+    monkeypatch.setattr(area, "_least_degree", lambda slave, master: 12)
+    rough = Rough("hexahedron", (1, 1), (1, 1), upper=upper, seed=3, smooth=True)
+    assert max(errors(rough)) < 1e-8
+
+
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_derivatives_are_those_of_forces_and_gaps(cell):
+    """Of random tractions on sides that cover each other in part; to 1e-8 of the largest entry."""
+    rough = Rough(cell, (3, 3), (2, 3), upper=PARTLY, seed=3)
+    assert 0 < rough.keep.sum() < len(rough.keep)
+    assert max(errors(rough)) < 1e-8
+
+
+def wavy(X, phase):
+    """Return vectors at points, the same on all ranks."""
+    parts = [np.sin(X @ np.array(k) + phase + i) for i, k in enumerate([(9, 7, 5), (5, 9, 8)])]
+    return np.stack([parts[0], parts[1], parts[0] * parts[1]], axis=1)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_tangent_of_a_problem_is_that_of_its_forces_and_gaps(cell, friction):
+    """On any number of ranks: in a direction, with tractions that vary from node to node."""
+    mesh, _, facets = meshes_3d.two_boxes(
+        MPI.COMM_WORLD, (4, 4, 1), (3, 5, 1), upper=PARTLY, cell=cell, jitter=0.2
+    )
+    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    bcs = []
+    for tag in (meshes_3d.BOTTOM, meshes_3d.TOP):
+        dofs = fem.locate_dofs_topological(V, 2, facets.find(tag))
+        bcs.append(fem.dirichletbc(fem.Constant(mesh, (0.0, 0.0, 0.0)), dofs, V))
+    sides = {"slave": meshes_3d.TOP_OF_LOWER, "master": meshes_3d.BOTTOM_OF_UPPER}
+    contact = dm.Contact(facets, **sides, surface="facets", friction=friction or None)
+    solid = dm.Solid(fem.Function(V), dm.Elastic(E=1.0, nu=0.3))
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry="updated")
+    X = V.tabulate_dof_coordinates()
+    u, v = (scale * wavy(X, phase).ravel() for scale, phase in ((0.03, 0.0), (1.0, 2.0)))
+    solid.u.x.array[:] = u
+    problem.begin_step(audit=False)
+    solid.u.x.array[:] = u
+    problem.follow_geometry()
+    (link,) = problem.system.unilateral
+    on = link.near & link.coupling.kept[:, 0]
+    lam = np.zeros(problem.n)
+    lam[link.nodes[on]] = 1.0 + 0.5 * wavy(X, 1.0)[link.nodes[on], 0]
+
+    def tangential(link):
+        """Return vectors that turn with the surface."""
+        if not friction:
+            return None
+        vectors, n = wavy(X, 3.0)[: problem.n], np.zeros((problem.n, 3))
+        n[link.nodes] = link.coupling.normals
+        for normal in (first, n):
+            vectors = vectors - (vectors * normal).sum(axis=1)[:, None] * normal
+        vectors[lam == 0.0] = 0.0
+        return vectors
+
+    first = np.zeros((problem.n, 3))
+    first[link.nodes] = link.coupling.normals
+
+    def moved(step):
+        solid.u.x.array[:] = u + step * v
+        problem.follow_geometry()
+        (link,) = problem.system.unilateral
+        forces = contact_forces(problem, Contacts(lam > 0.0, lam, tangential(link)))
+        return forces, (link.gaps(problem.positions()) * link.coupling.weight[:, 0])[on]
+
+    found = problem.system.linearise_geometry(
+        solid.u, lam, tangential(link), (problem.vector(), ())
+    )
+    (H,) = found.forces
+    direction = problem.vector(v[: 3 * problem.n])
+    by_force, by_gap = np.array((H * direction).array_r), found.closing(direction)
+    by_gap = (-by_gap[3 * link.nodes] * link.coupling.weight[:, 0])[on]
+    high, low = moved(1e-5), moved(-1e-5)
+    for tangent, a, b in zip((by_force, by_gap), high, low, strict=True):
+        difference = (a - b) / 2e-5
+        errors = np.abs(tangent - difference).max(initial=0.0), np.abs(difference).max(initial=0.0)
+        error, size = maximum(mesh.comm, *errors)
+        assert error < 1e-8 * size
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("slave", ["block", "ball"])
+def test_rows_of_gaps_and_slips_are_their_derivatives(slave):
+    """The trial rows of T_g, with what lumping leaves to the bounds; differences agree to 1e-8.
+
+    Of flat facets, whose integrals are exact.
+
+    Slips are vectors: their components along tangents that do not spin about the normal.
+    """
+    case = Sliding(slave, cell="tetrahedron", friction=0.3, options=None)
+    problem = case.problem
+    for along in (0.0, 0.1):
+        case.step(along, rtol=1e-6)
+    case.motion[1].value = 0.3
+    data, X = problem.begin_step(), problem.X
+    u = problem.owned_u
+    u += 3e-3 * wavy(X, 0.0).ravel()  # far from balance, so that all terms count
+    start, du = u.copy(), wavy(X, 1.0).ravel()
+
+    def at(step):
+        u[:] = start + step * du
+        problem.u.x.scatter_forward()
+        problem.follow_geometry()
+        (link,) = problem.system.unilateral
+        since = problem.vector(u - problem.committed.displacement)
+        slip = data.partners[0].slip(link, since)[:, 1:]
+        slip = np.einsum("nij,nj->ni", link.coupling.R[:, :, 1:], slip)
+        gaps = link.coupling.weight[:, 0] * link.gaps(problem.positions())
+        return link, since, gaps, slip
+
+    (_, _, *above), (_, _, *below) = at(1e-5), at(-1e-5)
+    link, since, *_ = at(0.0)
+    near = link.near & link.coupling.kept[:, 0] & data.partners[0].known
+    multipliers = np.zeros(problem.n)
+    multipliers[link.nodes[near]] = 1.0
+    given = multipliers, np.zeros((problem.n, 3)), (since, data.partners)
+    closing = problem.system.linearise_geometry(problem.u, *given).closing(problem.vector(du))
+    found = closing.reshape(-1, 3)[link.nodes]
+    gap, slip = ((a - b) / 2e-5 for a, b in zip(above, below, strict=True))
+    in_frames = np.einsum("nij,ni->nj", link.coupling.R[:, :, 1:], slip)
+    closed = found[:, 0] * link.coupling.weight[:, 0]
+    for error, size in ((closed + gap, gap), (found[:, 1:] - in_frames, in_frames)):
+        largest = maximum(problem.comm, *(np.abs(v[near]).max(initial=0.0) for v in (error, size)))
+        print(largest[0] / largest[1])
+        assert largest[0] < 1e-8 * largest[1]
+    assert problem.comm.allreduce(int(near.sum())) > 5
+
+
+class Sliding:
+    """Half of a ball, pressed into half of a block and moved along the plane of symmetry."""
+
+    def __init__(
+        self,
+        slave="block",
+        *,
+        surface="facets",
+        cell="hexahedron",
+        degree=1,
+        options=FACTORISED,
+        **friction,
+    ):
+        """Create the problem."""
+        m = create_mesh(0.5, cell)
+        V = fem.functionspace(m.mesh, ("Lagrange", degree, (3,)))
+        self.motion = [fem.Constant(m.mesh, 0.0) for _ in range(3)]
+        zero = fem.Constant(m.mesh, 0.0)
+        bcs = []
+        held = [(1, i, zero) for i in range(3)] + [(2, i, self.motion[i]) for i in range(3)]
+        for tag, component, value in [*held, (5, 0, zero)]:
+            W = V.sub(component)
+            dofs = fem.locate_dofs_topological(W, 2, m.facet_tags.find(tag))
+            bcs.append(fem.dirichletbc(value, dofs, W))
+        sides = dict(zip(("slave", "master"), (3, 4) if slave == "block" else (4, 3), strict=True))
+        self.contact = dm.Contact(m.facet_tags, **sides, surface=surface, **friction)
+        solid = dm.Solid(fem.Function(V), STEEL)
+        self.problem = dm.ContactProblem(solid, [self.contact], bcs=bcs, petsc_options=options)
+
+    def step(self, along, rtol=1e-10):
+        """Return the report of a step to a depth of 0.2 and a place along the block."""
+        self.motion[1].value, self.motion[2].value = along, -0.2
+        report = dm.newton(self.problem, rtol=rtol)
+        self.problem.commit()
+        return report
+
+
+def residuals(report):
+    """Return the residuals of the iterations with the exact tangent, and the two before."""
+    worst = [max(i.force_residual, i.contact_residual) for i in report.iterations]
+    first = next(k for k, i in enumerate(report.iterations) if i.exact_tangent)
+    assert all(i.exact_tangent for i in report.iterations[first:])
+    return np.array(worst[first - 2 :])
+
+
+@pytest.mark.parametrize("surface", ["facets", "smooth"])
+@pytest.mark.parametrize("slave", ["block", "ball"])
+def test_newton_is_quadratic_at_the_end_and_the_answer_the_same(slave, surface, monkeypatch):
+    """Two successive ratios of residuals are below a tenth of the one before."""
+    case = Sliding(slave, surface=surface)
+    case.step(0.0)
+    report = case.step(0.6)
+    r = residuals(report)
+    ratios = r[1:] / r[:-1]
+    assert ratios[1] < 0.1 * ratios[0]
+    assert ratios[2] < 0.1 * ratios[1]
+    force = case.contact.force
+    monkeypatch.setattr(newton_module._Step, "may_be_exact", False)
+    case = Sliding(slave, surface=surface)
+    case.step(0.0)
+    slow = case.step(0.6)
+    assert not any(i.exact_tangent for i in slow.iterations)
+    assert slow.newton_iterations >= report.newton_iterations + 5
+    assert np.abs(case.contact.force - force).max() < 1e-8 * np.abs(force).max()
+
+
+@pytest.mark.mpi
+def test_multigrid_of_the_symmetric_matrix_serves(monkeypatch):
+    """GMRES takes at most 15 iterations more than conjugate gradients; the answer is the same."""
+    found = {}
+    for exact in (True, False):
+        if not exact:
+            monkeypatch.setattr(newton_module._Step, "may_be_exact", False)
+        case = Sliding(options=None)
+        case.step(0.0)
+        report = case.step(0.6)
+        assert any(i.exact_tangent for i in report.iterations) == exact
+        found[exact] = report.iterations, case.contact.force
+        assert report.linear_solver == "cg + gamg"
+    (fast, force), (slow, expected) = found[True], found[False]
+    assert len(slow) >= len(fast) + 4
+    most = max(i.linear_iterations for i in slow)
+    assert max(i.linear_iterations for i in fast if i.exact_tangent) <= most + 15
+    assert sum(i.factorisations for i in fast) <= sum(i.factorisations for i in slow)
+    assert np.abs(force - expected).max() < 1e-8 * np.abs(expected).max()
+
+
+def test_nothing_is_allocated_anew_in_the_next_step(monkeypatch):
+    """Patterns and symbolic factorisations serve until the surfaces are paired anew."""
+    case, made = Sliding(), []
+    case.step(0.0)
+    assert any(i.exact_tangent for i in case.step(0.6).iterations)
+    for kind in (triplets.Triplets, congruence.ProductOfBases, congruence.Congruence):
+        monkeypatch.setattr(kind, "__init__", lambda self, *args: made.append(type(self)))
+    before = case.problem.linear.counts.symbolic
+    assert sum(i.exact_tangent for i in case.step(0.65).iterations) > 1
+    assert case.problem.linear.counts.symbolic == before
+    assert made == []
+
+
+def test_what_is_not_covered_is_left_to_the_fixed_point():
+    """Facets of second order."""
+    assert Sliding().problem.system.differentiable
+    second = Sliding(degree=2)
+    second.problem.begin_step(audit=False)  # which makes its links
+    assert not second.problem.system.differentiable
