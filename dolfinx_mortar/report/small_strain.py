@@ -167,8 +167,9 @@ def _notes_on_large_ones(problem: ContactProblem, found: LeftOut) -> list[str]:
     here: tuple[float, int, list[float]] = (0.0, 0, [])
     if strain.size:
         worst = np.maximum(strain, angle).max(axis=1)
-        cell = np.argmax(worst).astype(np.int32)
-        place = mesh.compute_midpoints(domain, domain.topology.dim, cell[None])[0, : problem.d]
+        cell = int(np.argmax(worst))
+        cells = np.array([cell], dtype=np.int32)
+        place = mesh.compute_midpoints(domain, domain.topology.dim, cells)[0, : problem.d]
         here = float(worst[cell]), int(bodies.of_cells[cell]), place.tolist()
     _, body, near = max(problem.comm.allgather(here))
     at = [float(f"{x:.3g}") for x in near]
