@@ -54,6 +54,7 @@ class LeftOut:
     rotation: float  # largest rotation, radians
     work: float  # share of rotations in the work of the stresses, of the worst body
     lengths: float  # mean |H^T H| / 2, of the worst body
+    steepest: tuple[float, int]  # largest strain or rotation of this rank, and in which owned cell
 
     @property
     def relative(self) -> float:
@@ -113,6 +114,8 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
     felt = np.maximum(share, 2.0 * means) / TURNED
     worst = int(np.argmax(felt))
     largest = float(maximum(comm, size.max(initial=0.0))[0])
+    steep = np.maximum(highest[0], highest[2])
+    cell = int(np.argmax(steep)) if len(steep) else -1
     return LeftOut(
         worst=worst,
         felt=int((felt >= 1.0).sum()),
@@ -121,6 +124,7 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
         rotation=float(angles.max()),
         work=float(share[worst]),
         lengths=float(means[worst]),
+        steepest=(float(steep.max(initial=0.0)), cell),
     )
 
 
@@ -161,16 +165,11 @@ def _notes_on_large_ones(problem: ContactProblem, found: LeftOut) -> list[str]:
     solid, bodies, domain = problem.solid, problem.bodies, problem.V.mesh
     if not solid.gradients.small or max(found.largest, found.rotation) <= LARGE:
         return []
-    point, shape = solid.gradients.evaluate(), solid.fields.weights.shape
-    strain = frobenius_norm(point.strain).reshape(shape)
-    angle = np.linalg.norm(point.rotation, axis=1).reshape(shape)
-    here: tuple[float, int, list[float]] = (0.0, 0, [])
-    if strain.size:
-        worst = np.maximum(strain, angle).max(axis=1)
-        cell = int(np.argmax(worst))
+    (value, cell), here = found.steepest, (0.0, 0, list[float]())
+    if cell >= 0:
         cells = np.array([cell], dtype=np.int32)
         place = mesh.compute_midpoints(domain, domain.topology.dim, cells)[0, : problem.d]
-        here = float(worst[cell]), int(bodies.of_cells[cell]), place.tolist()
+        here = value, int(bodies.of_cells[cell]), place.tolist()
     _, body, near = max(problem.comm.allgather(here))
     at = [float(f"{x:.3g}") for x in near]
     return [
