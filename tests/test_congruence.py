@@ -102,6 +102,35 @@ def test_new_values_are_followed(matrices, rng):
     assert (y - operator.matrix.copy() * x).norm() < 1e-13 * y.norm()
 
 
+def test_the_diagonal_refills_its_matrices(matrices):
+    """Other values on the same patterns make no product anew; other rows and patterns do."""
+    K, C = matrices
+    operator = CongruentOperator(K)
+    none = np.empty(0, dtype=np.int32)
+    operator.follow(C, none)
+    PETSc.Log.begin()
+
+    def followed(C):
+        """Return how many products are analysed; the diagonal is that of the matrix."""
+        before = PETSc.Log.Event("MatMatMultSym").getPerfInfo()["count"]
+        operator.follow(C, none)
+        made = PETSc.Log.Event("MatMatMultSym").getPerfInfo()["count"] - before
+        expected = operator.matrix.copy().getDiagonal()
+        assert (operator.diagonal - expected).norm() < 1e-13 * expected.norm()
+        return made
+
+    K.scale(2.0)
+    assert followed(C) == 0
+    C.scale(-0.5)
+    assert followed(C) == 0
+    fewer = C.copy()
+    first, last = fewer.getOwnershipRange()
+    fewer.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+    fewer.zeroRows(np.arange(first, last, 2, dtype=PETSc.IntType), diag=0.0)
+    assert followed(fewer) > 0
+    assert followed(C) > 0
+
+
 def test_nothing_is_kept_alive(matrices):
     """Neither Python nor PETSc counts references in a circle; so a problem is freed at once."""
     K, C = matrices

@@ -94,6 +94,19 @@ def test_thick_shells_under_pressure(kinematics, n, top):
     assert off < 1e-7 * max(COMM.allgather(np.abs(change).max(initial=0.0)))
 
 
+def test_a_pressure_beyond_what_a_shell_bears():
+    """A thick ball bears at most 0.89: the error says what the tangents were, and what to do."""
+    problem, _, p = quarter("axisymmetric", 3)
+    p.value = 0.3
+    dm.newton(problem)
+    problem.commit()
+    before = problem.u.x.array.copy()
+    p.value = 2.0
+    with pytest.raises(dm.NewtonNotConverged, match=r"indefinite in .* prescribe displacements"):
+        dm.newton(problem)
+    assert np.array_equal(problem.u.x.array, before)
+
+
 def test_pressure_turns_with_the_body():
     """Forces on a turned square are the turned forces, and those of a closed surface cancel."""
     domain = create_domain("quadrilateral", 3)

@@ -44,6 +44,24 @@ def test_half_ring_pressed_to_a_strain_of_20_percent(modulus, slave, force, most
         assert report.iterations[-1].exact_tangent
 
 
+@pytest.mark.mpi
+def test_moments_of_both_sides_agree_to_the_second_order():
+    """What is left is no error of Newton's method: the same at 1e-11, a quarter at half the size.
+
+    Forces of contact act along nodal normals, those of the gap along the projections. The internal
+    forces of the bodies have no moment.
+    """
+    found = []
+    for k, rtol in ((1, 1e-6), (1, 1e-11), (2, 1e-6)):
+        sizes = {"radius": 1.0, "length": 6.0, "height": 2.0}
+        case = indentation(n=((24 * k, 5 * k), (16 * k, 2 * k)), **sizes)
+        *_, (_, _, report) = walk(case, lambda t: (0.1 * t, -0.2), [0.0, 1.0, 2.0], rtol=rtol)
+        assert report.certificate.internal_moment < 1e-14
+        found.append(report.certificate.moment_balance)
+    assert found[1] == pytest.approx(found[0], rel=1e-3)
+    assert found[2] < 0.35 * found[0] < 1e-4
+
+
 def ironed(drag, **options):
     """Press a half ring into a block in 10 steps and drag it by two diameters; return the steps."""
     case = indentation(n=((48, 10), (32, 4)), **options)

@@ -6,6 +6,7 @@ import pytest
 from scipy.optimize import brentq
 
 import dolfinx_mortar as dm
+import ufl
 from dolfinx import default_scalar_type, fem, mesh
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
 from tests.pressed_blocks import COMM, rejected
@@ -99,10 +100,13 @@ def test_everything_turned_in_one_step(angle):
     assert report.certificate.internal_moment < 1e-13
 
 
+HARD = dm.MooneyRivlin(10.0, 5.0, 1e3)
 CASES = [
     *((cell, None, law, "full") for cell in ("triangle", "hexahedron") for law in (RUBBER, OGDEN)),
     *(("quadrilateral", k, RUBBER, v) for k in (None, "axisymmetric") for v in ("full", "reduced")),
-    ("hexahedron", None, dm.MooneyRivlin(10.0, 5.0, 1e3), "reduced"),
+    ("hexahedron", None, HARD, "reduced"),
+    *(("quadrilateral of degree 2", k, HARD, "reduced") for k in (None, "axisymmetric")),
+    ("hexahedron of degree 2", None, HARD, "reduced"),
 ]
 
 
@@ -110,7 +114,10 @@ CASES = [
 @pytest.mark.parametrize(("cell", "kinematics", "law", "volumetric"), CASES)
 def test_forces_and_tangent_are_derivatives(cell, kinematics, law, volumetric):
     """Of the energy, by central differences, at a displacement with J from about .7 to 1.4."""
-    u = create_displacement(create_domain(cell, 2))
+    cell, _, degree = cell.partition(" of degree ")
+    domain = create_domain(cell, 2)
+    shape = (domain.geometry.dim,)
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", int(degree or 1), shape)))
     how = {"kinematics": kinematics, "volumetric": volumetric}
     solid = dm.Solid(u, law, strain="finite", **how)
     across = fem.Function(u.function_space)
@@ -207,33 +214,63 @@ def test_an_unstable_balance_is_told():
     assert any("unstable" in note for note in report.notes)
 
 
-@pytest.mark.slow
-def test_limit_points_pass_under_displacement_control():
-    """A shallow arch, pressed down through its flat shape: the force falls and rises again."""
+def shallow_arch():
+    """Return a shallow arch whose ends are held: its mesh, a displacement and the support."""
     domain = mesh.create_rectangle(
         COMM, [(-1.0, 0.0), (1.0, 0.05)], (24, 1), mesh.CellType.quadrilateral
     )
     x = domain.geometry.x
     x[:, 1] += 0.1 * np.cos(np.pi * x[:, 0] / 2)
-    V = fem.functionspace(domain, ("Lagrange", 2, (2,)))
-    u, down = fem.Function(V), fem.Constant(domain, default_scalar_type(0.0))
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 2, (2,))))
     ends = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(abs(x[0]), 1.0))
+    held = fem.locate_dofs_topological(u.function_space, 1, ends)
     zero = np.zeros(2, dtype=default_scalar_type)
-    held = fem.locate_dofs_topological(V, 1, ends)
+    return domain, u, fem.dirichletbc(zero, held, u.function_space)
+
+
+@pytest.mark.slow
+def test_limit_points_pass_under_displacement_control():
+    """A shallow arch, pressed down through its flat shape: the force falls and rises again."""
+    domain, u, support = shallow_arch()
+    V, down = u.function_space, fem.Constant(domain, default_scalar_type(0.0))
     Vy, _ = V.sub(1).collapse()
     crown = fem.locate_dofs_geometrical(
         (V.sub(1), Vy), lambda x: np.isclose(x[0], 0.0) & np.isclose(x[1], 0.15)
     )[0]
-    bcs = [fem.dirichletbc(zero, held, V), fem.dirichletbc(down, crown, V.sub(1))]
+    bcs = [support, fem.dirichletbc(down, crown, V.sub(1))]
     solid = dm.Solid(u, RUBBER, strain="finite")
     problem = dm.ContactProblem(solid, [], bcs=bcs)
     forces = []
     for depth in (0.03, 0.06, 0.1, 0.2):
         down.value = -depth
-        dm.newton(problem)
+        report = dm.newton(problem)
         problem.commit()
         forces.append(-dm.reaction(problem, bcs[1]).force[1])
+        assert not any("snapped" in note for note in report.notes)
     assert forces[0] < forces[1] > forces[2] < forces[3]
+
+
+def test_loads_that_turn_a_limit_point():
+    """The arch under its weight: it snaps through between .03 and .04, and only there it is told.
+
+    The balance found is that of a walk down from a larger load.
+    """
+    domain, u, support = shallow_arch()
+    weight = fem.Constant(domain, default_scalar_type(0.0))
+    loads = -20.0 * weight * ufl.TestFunction(u.function_space)[1] * ufl.dx
+    solid = dm.Solid(u, RUBBER, strain="finite")
+    problem = dm.ContactProblem(solid, [], bcs=[support], loads=loads)
+    lowest, snapped = {}, {}
+    for q in (0.02, 0.03, 0.04, 0.05, 0.1, 0.04):
+        weight.value = q
+        report = dm.newton(problem, rtol=1e-9)
+        problem.commit()
+        lows = COMM.allgather(u.x.array.min(initial=0.0))
+        snapped[len(lowest)] = any("snapped through" in note for note in report.notes)
+        lowest[len(lowest)] = min(lows)
+    assert [k for k, told in snapped.items() if told] == [2]
+    assert lowest[1] > -0.06 and lowest[2] < -0.15
+    assert lowest[5] == pytest.approx(lowest[2], rel=1e-5)
 
 
 def test_what_finite_strain_does_not_go_with():

@@ -57,6 +57,7 @@ OTHERS = {
     "report.small_strain",
     # in test_exact_tangent and test_failures; in test_finite_strain
     "interfaces.moving_geometry",
+    "newton_method.snapping",
     "newton_method.watch",
     "steps.newton",
     "report.lost_stress",

@@ -252,6 +252,52 @@ def test_a_free_body_may_turn_a_little():
     assert told(moved.move(10.0 * W))
 
 
+def small_no_more(report):
+    """Return the notes on points where strain or rotation is not small."""
+    return [note for note in report.notes if "are not small" in note]
+
+
+@pytest.mark.parametrize(("degrees", "noted"), [(2.5, False), (6.0, True)])
+def test_a_turn_that_nothing_resists_is_noted(degrees, noted):
+    """A linear rotation strains nothing, and 6 degrees change lengths by half a percent only."""
+    a = math.radians(degrees)
+    report = Moved().move(np.array([[0.0, -a], [a, 0.0]]))
+    assert not told(report)
+    notes = small_no_more(report)
+    assert len(notes) == noted
+    if noted:
+        assert "rotations of up to 6.0 degrees" in notes[0]
+        assert "in the body around [0.5, 1.0]" in notes[0] and "strain='finite'" in notes[0]
+
+
+def test_other_measures_have_no_small_strain():
+    moved = Moved(kinematics=FINITE)
+    assert not small_no_more(moved.move(turn(20.0)))
+    moved = Moved(dm.NeoHooke(1000.0, 0.3), strain="finite")
+    assert not small_no_more(moved.move(turn(20.0)))
+
+
+@pytest.mark.parametrize(("size", "noted"), [(0.06, False), (0.25, True)])
+def test_a_strain_in_a_small_part_is_noted(size, noted):
+    """One node is pulled; the body as a whole feels it neither in its work nor in lengths."""
+    domain = mesh.create_rectangle(
+        COMM, [(0.0, 0.0), (10.0, 10.0)], (10, 10), mesh.CellType.quadrilateral
+    )
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    u = fem.Function(V)
+    x = V.tabulate_dof_coordinates()
+    corner = np.flatnonzero(np.all(np.isclose(x[:, :2], 0.0), axis=1)).astype(np.int32)
+    value = np.array([-size, 0.0])
+    top = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[1], 10.0))
+    held = fem.locate_dofs_topological(V, 1, top)
+    bcs = [fem.dirichletbc(np.zeros(2), held, V), fem.dirichletbc(value, corner, V)]
+    problem = dm.ContactProblem(dm.Solid(u, SOFT), bcs=bcs)
+    report = dm.newton(problem)
+    assert (find_left_out(problem).largest > 0.05) == noted
+    assert not told(report) and report.certificate.left_out_work < 0.5 * TURNED
+    assert bool(small_no_more(report)) == noted
+
+
 def test_a_body_at_rest_leaves_nothing_out():
     c = Moved().move(np.zeros((2, 2))).certificate
     assert c.left_out_strain == c.left_out_work == c.left_out_lengths == c.rotation == 0.0

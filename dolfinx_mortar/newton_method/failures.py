@@ -71,6 +71,13 @@ def explain(
             f". Contact alone holds {'; '.join(held)}: it may float away (do the loads press it "
             "on?), or slides or rolls freely (then prescribe that motion)"
         )
+    shifted = sum(it.shift > 0.0 for it in report.iterations)
+    if 2 * shifted > len(report.iterations):
+        message += (
+            f". The tangent was indefinite in {shifted} of {len(report.iterations)} iterations, as "
+            "beyond a limit point of loads: if they exceed what the bodies carry, prescribe "
+            "displacements instead of forces or pressures"
+        )
     if squeezed and squeezed not in message and "inside out" not in message:
         message += f". Where it ended, {squeezed}: take smaller load steps"
     message += _describe_own_laws(problem)

@@ -134,6 +134,7 @@ class LinearSolver:
         self.description = "not used yet"
         self._setups: dict[bool, MatrixSetup] = {}  # by whether the matrix is definite
         self._kind = True  # of the present matrix
+        self._order = 0  # of the last matrix, 0 before any
 
     @property
     def _setup(self) -> MatrixSetup | None:
@@ -151,9 +152,7 @@ class LinearSolver:
         Returns:
             None if the solver is direct, if the user has chosen it, or if the matrix is too large.
         """
-        if self.direct or self.options.chosen or self._setup is None:
-            return None
-        if self._operator.A.getSize()[0] > MOST_FACTORISED:
+        if self.direct or self.options.chosen or not 0 < self._order <= MOST_FACTORISED:
             return None
         self.clear()
         prefix, given = self.options.prefix, self.options.given
@@ -196,6 +195,7 @@ class LinearSolver:
             self._set_beside(A, near)
             return
         self._kind = self.options.definite = definite
+        self._order = A.getSize()[0]
         if self._setup is not None:
             before = self._operator
             schur = self.setup.preconditioner.schur

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The error of the small-strain measure, estimated after every step.
+"""The error of the small-strain measure, estimated after every step, and told in notes.
 
 The small strain neglects the term H^T H / 2 of the Green-Lagrange strain, H = grad u. Of a strain e
 it is about e / 2 relatively, which is also what different measures of finite strain differ by. Of a
@@ -34,6 +34,9 @@ TURNED = 0.02
 # half where both along and across: a strip bent down by 11 % of its length, a bar stretched by
 # 14 %, a free body turned by 7 degrees have 1 %, what is pressed in at most 0.13 %.
 
+# What is no small strain or rotation any more (radians, 2.9 degrees), at any point: the measure is
+# off by half of the strain there, relatively. A note says so, also where forces hardly feel it.
+LARGE = 0.05
 
 _CHUNK = 2**12
 """Cells whose points are known at a time: 6 MB of hexahedra, where all at once would be as much as
@@ -51,6 +54,7 @@ class LeftOut:
     rotation: float  # largest rotation, radians
     work: float  # share of rotations in the work of the stresses, of the worst body
     lengths: float  # mean |H^T H| / 2, of the worst body
+    steepest: tuple[float, int]  # largest strain or rotation of this rank, and in which owned cell
 
     @property
     def relative(self) -> float:
@@ -110,6 +114,8 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
     felt = np.maximum(share, 2.0 * means) / TURNED
     worst = int(np.argmax(felt))
     largest = float(maximum(comm, size.max(initial=0.0))[0])
+    steep = np.maximum(highest[0], highest[2])
+    cell = int(np.argmax(steep)) if len(steep) else -1
     return LeftOut(
         worst=worst,
         felt=int((felt >= 1.0).sum()),
@@ -118,13 +124,17 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
         rotation=float(angles.max()),
         work=float(share[worst]),
         lengths=float(means[worst]),
+        steepest=(float(steep.max(initial=0.0)), cell),
     )
 
 
 def notes_on_small_strain(problem: ContactProblem, found: LeftOut) -> list[str]:
-    """Return a note if the neglected term changes forces, stresses or lengths; collective."""
+    """Return a note if the neglected term changes forces, stresses or lengths; collective.
+
+    Else one if a strain or a rotation is large anywhere.
+    """
     if not found.felt:
-        return []
+        return _notes_on_large_ones(problem, found)
     solid, bodies, comm = problem.solid, problem.bodies, problem.comm
     point = solid.gradients.evaluate()
     size = frobenius_norm(point.left_out).reshape(solid.fields.weights.shape)
@@ -147,4 +157,26 @@ def notes_on_small_strain(problem: ContactProblem, found: LeftOut) -> list[str]:
         f"largest shown is {shown:.3g}), {found.work:.1%} of the work of the stresses and "
         f"{found.lengths:.1%} of lengths. Turn or strain it less, let X be nearer to where it "
         "turns to, or choose a finite strain, Solid(.., strain='finite')"
+    ]
+
+
+def _notes_on_large_ones(problem: ContactProblem, found: LeftOut) -> list[str]:
+    """Return a note if a strain or a rotation is large at any point; collective."""
+    solid, bodies, domain = problem.solid, problem.bodies, problem.V.mesh
+    if not solid.gradients.small or max(found.largest, found.rotation) <= LARGE:
+        return []
+    (value, cell), here = found.steepest, (0.0, 0, list[float]())
+    if cell >= 0:
+        cells = np.array([cell], dtype=np.int32)
+        place = mesh.compute_midpoints(domain, domain.topology.dim, cells)[0, : problem.d]
+        here = value, int(bodies.of_cells[cell]), place.tolist()
+    _, body, near = max(problem.comm.allgather(here))
+    at = [float(f"{x:.3g}") for x in near]
+    return [
+        f"strains of up to {found.largest:.1%} and rotations of up to "
+        f"{np.degrees(found.rotation):.1f} degrees, near {at} in {name_of(bodies, [body])}, are "
+        f"not small, which is less than {LARGE:.0%} or {np.degrees(LARGE):.1f} degrees: the strain "
+        f"there is wrong by about {max(found.largest, found.strain) / 2:.1%}, the work of the "
+        f"stresses by {found.work:.1%}, lengths by {found.lengths:.2%}. If that is too much, "
+        "choose a finite strain, Solid(.., strain='finite')"
     ]

@@ -50,7 +50,12 @@ def check_reducible(
     """Raise a ValueError where there is no volumetric part that could be reduced."""
     cell, p = V.mesh.topology.cell_name(), V.element.basix_element.degree
     why = "volumetric is 'reduced', which is for"
-    if cell not in CELLS or p != 1:
+    if kinematics.finite and cell not in CELLS and p == 1:
+        raise ValueError(
+            f"{why} quadrilaterals, hexahedra, and simplices of second order, not for {cell}s of "
+            f"degree {p}: choose 'full', or such cells"
+        )
+    if not kinematics.finite and (cell not in CELLS or p != 1):
         raise ValueError(
             f"{why} quadrilaterals and hexahedra of first order, not for {cell}s of degree {p}: "
             "choose 'full', or such cells"

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-r"""Mean dilatation at finite strain: one volume ratio per cell, the mean of J = det F.
+r"""Mean dilatation at finite strain: the mean of J = det F over each cell.
 
-Where a body keeps its volume, J = 1 at every point is too many conditions for cells of first order:
-they lock. So of laws whose energy has a part of the volume alone,
+Where a body keeps its volume, J = 1 at every point is too many conditions: cells of first order
+lock. So of laws whose energy has a part of the volume alone,
 
     psi(F) = psi_0(F) + U(J),
 
@@ -13,6 +13,14 @@ that part is taken in the mean over each cell,
 V the volume of the cell at X, with the weight of the kinematics. Its forces are p B^T with the mean
 stress p = U'(j) and B_a = int dJ/du_a dX; its tangent is p d2J/du2, a part of the forms, and B^T
 (U''(j) / V) B. So energy, forces and tangent belong together.
+
+On quadrilaterals and hexahedra of second order the mean is the projection onto N = (1, x - x_c),
+see `cell_functions`: with M = int N N^T, B_ka = int N_k dJ/du_a, S = int U''(j) N N^T
+
+    psi_vol = int U(j),  j = N^T M^-1 int N J,  p = N^T M^-1 int N U'(j),  B^T M^-1 S M^-1 B.
+
+Triangles and tetrahedra of second order have constants: with N they would have one pressure for
+each two displacements, which locks.
 
 Where U'' is far above the other moduli, Newton's method on u alone takes many short steps: after
 one that changes shears by e, j is wrong by e^2, and p by U'' e^2, which makes the next tangent
@@ -26,8 +34,10 @@ tangent has the p of the linearisation, and the energy along a step its volumes 
 the solution both p are the same, and the rate stays quadratic.
 
 Sources: Simo, Taylor, Pister, Comput. Methods Appl. Mech. Engrg. 51 (1985) 177-208, with constant
-pressure and dilatation in each cell; for the tangent D. Magisano, L. Leonetti, G. Garcea, Comput.
-Methods Appl. Mech. Engrg. 313 (2017) 986-1005, who treat all stresses so.
+pressure and dilatation in each cell; T. Sussman, K.-J. Bathe, Comput. Struct. 26 (1987) 357-409,
+linear ones with displacements of second order (their 9/3); for p as an unknown D. Magisano, L.
+Leonetti, G. Garcea, Comput. Methods Appl. Mech. Engrg. 313 (2017) 986-1005, who treat all stresses
+so.
 """
 
 from __future__ import annotations
@@ -44,17 +54,15 @@ from petsc4py import PETSc
 import numpy as np
 
 import ufl
-from dolfinx import fem
-from dolfinx.fem import petsc as fem_petsc
-from dolfinx_mortar.algebra.congruence import as_aij
+from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.arguments import is_name
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.response import Response
-from dolfinx_mortar.solid.dilatation import MeanDilatation, bulk_modulus_of, check_reducible
+from dolfinx_mortar.solid.cell_functions import CellFunctions, RowsOfCells
+from dolfinx_mortar.solid.dilatation import CELLS, MeanDilatation, bulk_modulus_of, check_reducible
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain
 from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.laws import Region, measure, measures
-from dolfinx_mortar.solid.term import assemble, create_vector
 from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.classes import Label, Variable
 from ufl.core.expr import Expr
@@ -86,33 +94,40 @@ def create_dilatation(
 
 @dataclass(frozen=True)
 class VolumeStep:
-    """Volumes and pressures along a step u + t du, as linearised at u."""
+    """Volumes and pressures along a step u + t du, as linearised at u; N as in `cell_functions`."""
 
-    ratio: Floats  # (owned cells,) j at u
-    change: Floats  # B du / V
-    energy: Floats  # U(j)
-    pressure: Floats  # U'(j)
-    stiffness: Floats  # U''(j)
+    ratio: Floats  # (owned cells, m) coefficients of j at u
+    change: Floats  # (owned cells, m) those of its derivative along du
+    energy: Floats  # (owned cells,) int U(j)
+    slope: Floats  # (owned cells, m) int U'(j) N_k
+    stiffness: Floats  # (owned cells, m, m) int U''(j) N_k N_l
+    inverse: Floats  # (owned cells, m, m) that of int N_k N_l
+
+    def slope_at(self, t: float) -> Floats:
+        """Return the integrals (owned cells, m) of p + t U'' dj times N_k."""
+        return self.slope + t * np.einsum("ckl,cl->ck", self.stiffness, self.change)
 
     def pressure_at(self, t: float) -> Floats:
-        """Return p + t U'' B du / V."""
-        return self.pressure + t * self.stiffness * self.change
+        """Return the coefficients (owned cells, m) of p + t U'' dj."""
+        return np.asarray(np.einsum("ckl,cl->ck", self.inverse, self.slope_at(t)))
 
     def energy_at(self, t: float, ratio: Floats) -> Floats:
-        """Return the energy per volume at another j, linear in what the linearisation misses.
+        """Return the energy of each cell at another j, linear in what the linearisation misses.
 
-        It is below U(j), if that is convex, by U''/2 times the square of what is missed.
+        It is below int U(j), if that is convex, by U''/2 times the square of what is missed.
         """
-        way = t * self.change
-        along = self.energy + self.pressure * way + self.stiffness / 2 * way**2
-        return along + self.pressure_at(t) * (ratio - self.ratio - way)
+        way, slope = t * self.change, self.slope_at(t)
+        along = ((self.slope + slope) / 2 * way).sum(axis=1)
+        missed = (slope * (ratio - self.ratio - way)).sum(axis=1)
+        return np.asarray(self.energy + along + missed)
 
 
 class MeanVolume:
-    """The part of the energy that depends on the volume, in the mean over each cell.
+    """The part of the energy that depends on the volume, by the mean of J over each cell.
 
     Attributes:
-        mean_stress: p = U'(j) per cell, a DG0 Function; up to date after `follow`.
+        cells: the functions of a cell onto which J and U'(j) are projected.
+        mean_stress: coefficients of p, the projection of U'(j); up to date after `follow`.
     """
 
     def __init__(
@@ -120,43 +135,47 @@ class MeanVolume:
     ) -> None:
         """Compile; collective."""
         V = u.function_space
-        Q = fem.functionspace(V.mesh, ("DG", 0))
-        self.mean_stress, self._ratio = fem.Function(Q, name="mean_stress"), fem.Function(Q)
-        self._ratio.x.array[:] = 1.0
-        self._gradient, self._u, self._vector = kinematics.measure(u), u, create_vector(Q)
+        size = kinematics.weight(ufl.SpatialCoordinate(V.mesh))
         dx, parts = measure(V.mesh, degree), measures(V, regions, degree)
-        size = kinematics.weight(ufl.SpatialCoordinate(V.mesh)) * ufl.TestFunction(Q)
+        affine = V.element.basix_element.degree > 1 and V.mesh.topology.cell_name() in CELLS
+        self.cells = cells = CellFunctions(V.mesh, size, dx, affine=affine)
+        self.mean_stress, self._ratio = (fem.Function(cells.space) for _ in range(2))
+        self._ratio.x.array[:: cells.size] = 1.0
+        self._at = fem.Constant(V.mesh, default_scalar_type(1.0))  # stands for J in derivatives
+        self._gradient = kinematics.measure(u)
         J = ufl.det(self._gradient)
         change = ufl.derivative(J, u, ufl.TrialFunction(V))
-        self._B_form = fem.form(size * change * dx)
-        self._B = fem_petsc.create_matrix(self._B_form)
-        self._volumes = assemble(fem.form(size * dx), self._vector).copy()
-        self._volume_form = fem.form(size * J * dx)
+        self._B = RowsOfCells(fem.form(cells.tested(change) * size * dx), cells.size)
+        self._volume_form = fem.form(cells.tested(J) * size * dx)
+        j = cells.field(self._ratio)
 
-        def summed(order: int) -> fem.Form:
-            pairs = zip(regions, parts, strict=True)
-            return fem.form(reduce(add, (self._slope(r, order) * size * on for r, on in pairs)))
+        def summed(densities: Sequence[Expr]) -> fem.Form:
+            pairs = zip(densities, parts, strict=True)
+            return fem.form(reduce(add, (density * size * on for density, on in pairs)))
 
-        self._energies = [summed(order) for order in range(3)]
-        moduli = [bulk_modulus_of(r) * size * on for r, on in zip(regions, parts, strict=True)]
-        self._bulk_form = fem.form(reduce(add, moduli))
+        energy, slope, stiffness = ([self._slope(r, k, j) for r in regions] for k in range(3))
+        self._energy_forms = (
+            summed([cells.first(e) for e in energy]),
+            summed([cells.tested(e) for e in slope]),
+            summed([cells.paired(e) for e in stiffness]),
+        )
+        self._bulk_form = summed([cells.paired(bulk_modulus_of(r)) for r in regions])
 
-    def _slope(self, region: Region, order: int) -> Expr:
-        """Return a derivative of U at the mean ratio."""
-        j = Variable(self._ratio, Label(-4))
-        value = volumetric_energy(region, j)
+    def _slope(self, region: Region, order: int, J: Expr) -> Expr:
+        """Return a derivative of U at J."""
+        at = Variable(self._at, Label(-4))
+        value = volumetric_energy(region, at)
         for _ in range(order):
-            value = ufl.diff(value, j)
-        return strip_variables(expand_derivatives(value))
+            value = ufl.diff(value, at)
+        return ufl.replace(strip_variables(expand_derivatives(value)), {self._at: J})
 
     def complete(self, region: Region, response: Response) -> Response:
         """Return a response with p in place of U'(J), and without U(J) in the energy."""
-        F, p = self._gradient, self.mean_stress
+        F, p = self._gradient, self.cells.field(self.mean_stress)
 
         def stress(gradient: Expr) -> Expr:
             J = ufl.det(gradient)
-            slope = ufl.replace(self._slope(region, 1), {self._ratio: J})
-            return (p - slope) * J * ufl.transpose(ufl.inv(gradient))
+            return (p - self._slope(region, 1, J)) * J * ufl.transpose(ufl.inv(gradient))
 
         def change(direction: Expr) -> Expr:
             step = Variable(ufl.as_ufl(0.0), Label(-5))
@@ -170,70 +189,58 @@ class MeanVolume:
 
     def follow(self) -> None:
         """Take over the displacement and the parameters of the laws; collective."""
-        volumes = assemble(self._volume_form, self._vector)
-        self._ratio.x.array[: len(volumes)] = volumes / self._volumes
-        self._ratio.x.scatter_forward()
-        slopes = assemble(self._energies[1], self._vector) / self._volumes
-        self.mean_stress.x.array[: len(slopes)] = slopes
-        self.mean_stress.x.scatter_forward()
+        cells = self.cells
+        cells.set(self._ratio, cells.coefficients(cells.vectors(self._volume_form)))
+        self.set_pressure(cells.coefficients(cells.vectors(self._energy_forms[1])))
+
+    def set_pressure(self, pressure: Floats) -> None:
+        """Let p have coefficients (owned cells, m), until the next `follow`; collective."""
+        self.cells.set(self.mean_stress, pressure)
 
     def energy(self, along: tuple[VolumeStep, float] | None = None) -> float:
-        """Return sum_c V U(j) over the owned cells, as `follow` found j.
+        """Return sum_c int U(j) over the owned cells, as `follow` found j.
 
         Along a step, at the length t, `VolumeStep.energy_at`.
         """
         if along is None:
-            return float(assemble(self._energies[0], self._vector).sum())
+            return float(self._energies().sum())
         step, t = along
-        ratio = self._ratio.x.array[: len(step.ratio)]
-        return float(self._volumes @ step.energy_at(t, ratio))
+        return float(step.energy_at(t, self.cells.values(self._ratio)).sum())
+
+    def _energies(self) -> Floats:
+        """Return int U(j) of the owned cells; collective."""
+        return self.cells.vectors(self._energy_forms[0])[:, 0]
+
+    def densities(self) -> Floats:
+        """Return the mean of U(j) over each owned cell, per volume at X, j as of `follow`."""
+        return self._energies() / self.cells.volumes
 
     def step_along(self, v: fem.Function) -> VolumeStep:
         """Return what changes along a step v from the present u; collective."""
         self.follow()
-        self._assemble()
-        change = np.asarray((self._B * v.x.petsc_vec).array) / self._volumes
-        found = [assemble(form, self._vector) / self._volumes for form in self._energies]
-        return VolumeStep(self._ratio.x.array[: len(change)].copy(), change, *found)
-
-    def set_pressure(self, pressure: Floats) -> None:
-        """Let the mean stress be that of owned cells, until the next `follow`; collective."""
-        self.mean_stress.x.array[: len(pressure)] = pressure
-        self.mean_stress.x.scatter_forward()
-
-    def densities(self) -> Floats:
-        """Return U(j) of the owned cells, per volume at X, as `follow` found j; collective."""
-        return np.asarray(assemble(self._energies[0], self._vector) / self._volumes)
+        self._B.assemble()
+        cells = self.cells
+        return VolumeStep(
+            ratio=cells.values(self._ratio).copy(),
+            change=cells.coefficients(self._B.times(v)),
+            energy=self._energies(),
+            slope=cells.vectors(self._energy_forms[1]),
+            stiffness=cells.matrices(self._energy_forms[2]),
+            inverse=cells.inverse,
+        )
 
     def norm_squared(self, v: fem.Function) -> float:
-        """Return sum_c K / V (B v)^2 over the owned cells, K that of small strains; collective."""
-        bulk = assemble(self._bulk_form, self._vector) / self._volumes
-        self._assemble()
-        change = np.asarray((self._B * v.x.petsc_vec).array)
-        return float((bulk / self._volumes * change**2).sum())
+        """Return sum_c int K (B v / V)^2 over the owned cells, K that of small strains."""
+        self._B.assemble()
+        change = self.cells.coefficients(self._B.times(v))
+        bulk = self.cells.matrices(self._bulk_form)
+        return float(np.einsum("ck,ckl,cl->", change, bulk, change))
 
     def add_tangent(self, K: PETSc.Mat) -> None:
         """Add B^T (U''(j) / V) B to a matrix with the pattern of the mesh; collective."""
-        self._assemble()
-        stiffness: Floats = assemble(self._energies[2], self._vector) / self._volumes**2
-        root, sign = self._B.createVecLeft(), self._B.createVecLeft()
-        root.array[:], sign.array[:] = np.sqrt(np.abs(stiffness)), np.sign(stiffness)
-        scaled = self._B.copy()
-        scaled.diagonalScale(root)
-        signed = scaled.copy()
-        signed.diagonalScale(sign)
-        result = as_aij(K).duplicate(copy=False)
-        result.zeroEntries()
-        result.assemble()
-        product = scaled.transposeMatMult(signed)
-        result.axpy(1.0, product, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
-        K.axpy(1.0, result.convert(K.getType()), PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-
-    def _assemble(self) -> None:
-        """Assemble B at u; collective."""
-        self._B.zeroEntries()
-        fem_petsc.assemble_matrix(self._B, self._B_form)
         self._B.assemble()
+        inverse, stiffness = self.cells.inverse, self.cells.matrices(self._energy_forms[2])
+        self._B.add_square(inverse @ stiffness @ inverse, K)
 
 
 def volumetric_energy(region: Region, J: Expr) -> Expr:

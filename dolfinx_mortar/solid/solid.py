@@ -110,7 +110,8 @@ class Solid(Term):
             volumetric: "full", or "reduced" for quadrilaterals and hexahedra that do not lock when
                 their volume hardly changes: the trace of the strain is then its mean over the cell,
                 and so is the mean stress that is shown. For laws that split into a deviator and a
-                trace, see `Material`.
+                trace, see `Material`. At finite strain for cells of degree 2 of all shapes, too:
+                the volume ratio is then linear in quadrilaterals and hexahedra, see `mean_volume`.
             strain: "small", or "finite" for bodies that turn or strain by more than a few percent:
                 laws see the deformation gradient F = I + grad u, the weak form is int P : dF[v].
                 For plane strain, axisymmetric and spatial bodies, without eigenstrain.

@@ -58,6 +58,7 @@ from dolfinx_mortar.newton_method.residuals import (
     next_tolerance,
     tightest,
 )
+from dolfinx_mortar.newton_method.snapping import notes_on_snapping
 from dolfinx_mortar.newton_method.tunnelling import describe_passing
 from dolfinx_mortar.newton_method.watch import (
     MOST_RISES,
@@ -238,6 +239,7 @@ class _Step:
         self.direction = fem.Function(problem.V)  # du, for its norm
         self.negative = False  # whether the last tangent that was used is indefinite
         self.shifted = 0  # the entry of SHIFTS that the last tangent needed
+        self.start = problem.owned_u.copy()
 
     @property
     def may_be_exact(self) -> bool:
@@ -250,7 +252,7 @@ class _Step:
         problem = self.problem
         watch = Watch(problem.geometry == "updated" and bool(problem.contacts))  # ties stay at X
         iterate, start = self.first()
-        residuals: list[Residuals] = []
+        begun, residuals = iterate, list[Residuals]()
         for number in range(1, max_it + 1):
             iterate, watch, residual = self.iterate(number, iterate, start, watch, residuals)
             residuals.append(residual)
@@ -259,7 +261,7 @@ class _Step:
             if residual.excess <= 1.0:
                 if self.geometry_is_complete():
                     self.check_passing()
-                    self.finish(iterate, residual)
+                    self.finish(iterate, residual, begun)
                     return
                 iterate = replace(iterate, balance=self.balance())  # with another T
             start = iterate.contacts.active[iterate.balance.nodes].astype(np.int8)
@@ -600,8 +602,8 @@ class _Step:
         if passed:  # other causes need not be looked for
             raise NewtonNotConverged(f"{passed}{failures.AS_BEFORE}", self.report)
 
-    def finish(self, iterate: Iterate, residual: Residuals) -> None:
-        """Set the results of the step."""
+    def finish(self, iterate: Iterate, residual: Residuals, begun: Iterate) -> None:
+        """Set the results of the step, which has begun with an iterate."""
         problem, report = self.problem, self.report
         contacts = iterate.contacts
         with problem.timings("results"):
@@ -620,7 +622,9 @@ class _Step:
         stiffness = iterate.stiffness.array_r
         how = self.overlap, left_out, crossing, report.rtol, residual.limit
         end = StepEnd(problem, iterate.balance, contacts, stiffness, *how)
-        report.notes += find_notes(end) + self.notes_on_shifts()
+        report.notes += (
+            find_notes(end) + self.notes_on_shifts() + self.notes_on_snapping(begun, contacts)
+        )
         report.certificate = create_certificate(
             problem, report, contacts, residual, sliders, left_out, crossing
         )
@@ -645,6 +649,15 @@ class _Step:
                 "disturbance leads elsewhere; give the mesh an imperfection to follow that"
             )
         return notes
+
+    def notes_on_snapping(self, begun: Iterate, contacts: Contacts) -> list[str]:
+        """Return a note if bodies have snapped through, where that can be told; collective."""
+        problem, energy = self.problem, begun.energy
+        touching = problem.comm.allreduce(int(contacts.active.sum() + begun.contacts.active.sum()))
+        moved = self.data.increment > 0.0 or touching > 0 or problem.terms.have_tangent
+        if problem.solid.strain == "small" or moved or energy is None:
+            return []
+        return notes_on_snapping(problem, self.start, begun.balance.r, energy)
 
     def as_function(self, du: PETSc.Vec) -> fem.Function:
         """Return du as the Function `direction`; collective."""

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from tests.sweep.draws import KINDS
 from tests.sweep.problems import COMM
-from tests.sweep.run import LARGE, LIMIT_LOAD, Outcome, run
+from tests.sweep.run import LARGE, LIMIT_LOAD, TANGLED, Outcome, run
 
 RESIDUALS = ("equilibrium", "gap", "sign", "complementarity", "force", "limit", "slip", "status")
 
@@ -31,18 +31,20 @@ def seeds(text: str) -> range:
 def table(outcomes: list[Outcome]) -> str:
     """Return one line per kind of problem, and one per failure."""
     lines = [
-        "kind     seeds  failed  limit loads  beyond small strain  cuts  iterations (mean, most)  "
-        + "  ".join(RESIDUALS)
+        "kind     seeds  failed  limit loads  beyond small strain  tangled  cuts  "
+        "iterations (mean, most)  " + "  ".join(RESIDUALS)
     ]
     for kind in dict.fromkeys(o.kind for o in outcomes):
         mine = [o for o in outcomes if o.kind == kind]
         counts = [n for o in mine for n in o.iterations] or [0]
         failed = sum(o.is_failed for o in mine)
-        limits, large = (sum(o.excuse == excuse for o in mine) for excuse in (LIMIT_LOAD, LARGE))
+        excuses = (LIMIT_LOAD, LARGE, TANGLED)
+        limits, large, tangled = (sum(o.excuse == excuse for o in mine) for excuse in excuses)
         worst = [max((o.residuals.get(name, 0.0) for o in mine), default=0.0) for name in RESIDUALS]
         lines.append(
             f"{kind:8} {len(mine):5} {failed:7} {limits:12} {large:20}"
-            f" {sum(o.cuts for o in mine):5} {sum(counts) / len(counts):17.1f}, {max(counts):4}  "
+            f" {tangled:8} {sum(o.cuts for o in mine):5}"
+            f" {sum(counts) / len(counts):17.1f}, {max(counts):4}  "
             + "  ".join(f"{w:{len(n)}.1e}" for n, w in zip(RESIDUALS, worst, strict=True))
         )
     for o in outcomes:

@@ -218,6 +218,50 @@ def _friction(rng: np.random.Generator) -> Draw:
     return data | {"law": law, "geometry": geometry} | walk
 
 
+def _finite(rng: np.random.Generator) -> Draw:
+    """Draw bodies of all shapes and cells at finite strain, pressed far and perhaps dragged.
+
+    Rubber and metals, also nearly incompressible; where the cells allow it, half of them reduced.
+    Frictionless, with updated geometry.
+    """
+    base = (_hertz, _boxes3, _ring, _second, _second3)[int(rng.choice(5, p=_SHAPES_OF_FINITE))]
+    data = base(rng) | {"geometry": "updated", "strain": "finite"}
+    ring, d = "kinematics" in data, 3 if "jitter" in data["mesh"] else 2
+    size = data["mesh"].get("radius", 1.0)
+    depth = max(data["mesh"]["gap"], 0.0) + float(size * 10 ** rng.uniform(-2.0, -0.7))
+    presses, drags = int(rng.integers(1, 5)), int(rng.integers(0, 5))
+    way = 0.0 if ring else float(size * rng.uniform(-0.5, 0.5))
+    path = [(0.0, 0.0, k / presses) for k in range(1, presses + 1)]
+    path += [(way * k / drags, 0.3 * way * k / drags, 1.0) for k in range(1, drags + 1)]
+    laws = {tag: _law_of_finite(rng) for tag in (1, 2)}
+    cell, degree = data["mesh"]["cell"], data.get("degree", 1)
+    splits = all(getattr(law, "volumetric", None) or law.splits for law in laws.values())
+    quads = cell in ("quadrilateral", "hexahedron")
+    reduced = splits and (quads or degree == 2) and rng.uniform() < 0.5
+    turn = float(rng.uniform(-0.5, 0.5)) if d == 2 and not ring else 0.0
+    step = {"depth": depth, "path": path, "steps": len(path), "tilt": 0.0, "turn": turn}
+    return data | step | {"laws": laws, "volumetric": "reduced" if reduced else "full"}
+
+
+def _law_of_finite(rng: np.random.Generator) -> Any:
+    E, nu = float(10 ** rng.uniform(0.0, 3.0)), float(rng.uniform(-0.2, 0.49))
+    Y, a, H = (float(E * 10 ** rng.uniform(*ends)) for ends in _EXPONENTS_OF_FINITE)
+    mu, bulk = E / 3, float(E * 10 ** rng.uniform(0.0, 3.0))
+    kind = str(rng.choice(["neo", "neo", "mooney", "ogden", "elastic", "mises", "mixed"]))
+    if kind == "neo":
+        return dm.NeoHooke(E, nu)
+    if kind == "mooney":
+        share = float(rng.uniform(0.0, 1.0))
+        return dm.MooneyRivlin(share * mu / 2, (1 - share) * mu / 2, bulk)
+    if kind == "ogden":
+        return dm.Ogden((mu, -mu / 5), (1.5, -2.0), bulk)
+    if kind == "elastic":
+        return dm.Elastic(E, nu)
+    return dm.VonMises(E, nu, Y, a if kind == "mixed" else 0.0, H)
+
+
+_SHAPES_OF_FINITE = (0.4, 0.2, 0.2, 0.12, 0.08)
+_EXPONENTS_OF_FINITE = ((-2.5, -1.3), (-2.0, -0.5), (-2.0, -0.5))
 _SHAPES = (0.4, 0.3, 0.1, 0.12, 0.08)
 # Of E: yield radius, moduli of kinematic and isotropic hardening, growth of the radius
 _EXPONENTS = ((-3.2, -1.8), (-3.0, -0.5), (-3.0, -0.5), (-3.5, -2.0))
@@ -225,4 +269,5 @@ KINDS = {
     **{"hertz": _hertz, "sphere": _sphere, "pile": _pile, "boxes3": _boxes3},
     **{"ring": _ring, "heated": _heated, "second": _second, "second3": _second3, "mixed": _mixed},
     "friction": _friction,
+    "finite": _finite,
 }

@@ -64,14 +64,15 @@ def _boxes3(data: Draw) -> RandomProblem:
 def _two_bodies(
     data: Draw, domain: mesh.Mesh, cell_tags: mesh.MeshTags, facet_tags: mesh.MeshTags
 ) -> RandomProblem:
-    """Clamp tag 1, push tag 2 down and aside, with contact between tags 3 and 4."""
+    """Clamp tag 1, push tag 2 down and aside, and turn it; contact is between tags 3 and 4."""
     d = domain.geometry.dim
     V = fem.functionspace(domain, ("Lagrange", data.get("degree", 1), (d,)))
     values = [fem.Constant(domain, np.zeros(d)) for _ in range(2)]
-    bcs = [
-        fem.dirichletbc(value, fem.locate_dofs_topological(V, d - 1, facet_tags.find(tag)), V)
-        for value, tag in zip(values, (1, 2), strict=True)
-    ]
+    held = [fem.locate_dofs_topological(V, d - 1, facet_tags.find(tag)) for tag in (1, 2)]
+    bcs = [fem.dirichletbc(value, dofs, V) for value, dofs in zip(values, held, strict=True)]
+    turn, turned = data.get("turn", 0.0), fem.Function(V)
+    if turn:
+        bcs[1] = fem.dirichletbc(turned, held[1])
     if data.get("kinematics") == "axisymmetric":
         W, axis = V.sub(0), facet_tags.find("axis")
         held = fem.locate_dofs_topological(W, d - 1, axis)
@@ -87,6 +88,12 @@ def _two_bodies(
             x, y, z = (np.interp(now, ends, [0.0, *way]) for way in zip(*path, strict=True))
             push = (aside * x, -z * data["depth"])
             values[1].value[:] = push if d == 2 else (x, y, push[1])
+        if turn:
+            angle = turn * t / data["depth"]
+            c, s = np.cos(angle), np.sin(angle)
+            R, middle = np.array([[c, -s], [s, c]]), np.array([[0.0], [data["mesh"]["radius"]]])
+            shift = values[1].value[:, None]
+            turned.interpolate(lambda x: (R - np.eye(2)) @ (x[:2] - middle) + shift)
 
     return _with_contact(data, fem.Function(V), (cell_tags, facet_tags), bcs, on_time)
 
@@ -130,6 +137,7 @@ def _with_contact(
         kinematics=data.get("kinematics"),
         eigenstrain=heat or None,
         volumetric=data.get("volumetric", "full"),
+        strain=data.get("strain", "small"),
     )
     problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=data["geometry"])
 
@@ -198,5 +206,8 @@ def _pile_load(data: Draw) -> npt.NDArray[np.float64]:
 KINDS = {
     **{"hertz": _hertz, "sphere": _sphere, "pile": _pile, "boxes3": _boxes3},
     **{"ring": _hertz, "heated": _hertz, "second": _hertz, "second3": _boxes3, "mixed": _hertz},
-    "friction": lambda data: (_hertz if "kind" in data["mesh"] else _boxes3)(data),
+    **dict.fromkeys(
+        ("friction", "finite"),
+        lambda data: (_hertz if "kind" in data["mesh"] else _boxes3)(data),
+    ),
 }

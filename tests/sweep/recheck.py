@@ -64,7 +64,15 @@ def residuals(
 
 
 def _stiffest(case: RandomProblem) -> float:
-    return max(getattr(law, "E", None) or law.E1 for law in case.data["laws"].values())
+    return max(map(_modulus, case.data["laws"].values()))
+
+
+def _modulus(law: object) -> float:
+    """Return Young's modulus of a law, the largest or about that."""
+    for name in ("E", "E1", "K"):
+        if hasattr(law, name):
+            return float(getattr(law, name))
+    raise AssertionError(f"{law!r} has no modulus")
 
 
 def largest_force(case: RandomProblem) -> float:
@@ -123,12 +131,22 @@ def at_points(case: RandomProblem) -> ufl.Measure:
 
 
 def _stress_forces(case: RandomProblem) -> Floats:
-    v = ufl.TestFunction(case.problem.V)
-    work = ufl.inner(stress_tensor(case), ufl.sym(ufl.grad(v)))
+    u, v = case.problem.u, ufl.TestFunction(case.problem.V)
+    r = ufl.SpatialCoordinate(case.problem.V.mesh)[0]
+    F, hoop, J = ufl.Identity(case.problem.d), 1.0, 1.0
+    if is_finite(case):  # Cauchy's stress works on the gradient at X + u
+        F, hoop = F + ufl.grad(u), 1.0 + u[0] / r if is_ring(case) else 1.0
+        J = ufl.det(F) * hoop
+    work = J * ufl.inner(stress_tensor(case), ufl.grad(v) * ufl.inv(F))
     if is_ring(case):
-        r = ufl.SpatialCoordinate(case.problem.V.mesh)[0]
-        work = 2 * ufl.pi * r * (work + case.problem.solid.stress[2] * v[0] / r)
+        along = J * case.problem.solid.stress[2] * v[0] / (r * hoop)
+        work = 2 * ufl.pi * r * (work + along)
     return _assembled(case, work * at_points(case))
+
+
+def is_finite(case: RandomProblem) -> bool:
+    """Tell whether the strains are finite."""
+    return case.problem.solid.strain == "finite"
 
 
 def is_ring(case: RandomProblem) -> bool:

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: MIT
+r"""Functions of one cell each: constants, or constants and the coordinates at X.
+
+The mean of a field over a cell is its projection onto constants. On cells of second order the
+means of volumes and pressures are projections onto N = (1, x - x_c), x_c the middle of the cell:
+with them the rate of cells of second order stays, and pressures are stable (the sum of squares of
+shape functions would be too many). In the coordinates at X, not in those of the reference cell, the
+rate stays on cells of any shape.
+
+Source: D. Boffi, L. Gastaldi, On the quadrilateral Q2-P1 element for the Stokes problem, Int. J.
+Numer. Methods Fluids 39 (2002) 1001-1011.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from petsc4py import PETSc
+
+import numpy as np
+
+import ufl
+from dolfinx import fem, mesh
+from dolfinx.fem import petsc as fem_petsc
+from dolfinx_mortar.algebra.congruence import as_aij
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.solid.term import assemble, create_vector
+from ufl.core.expr import Expr
+
+
+class CellFunctions:
+    """The functions N_k of each cell, m of them, and what is a sum of them.
+
+    Attributes:
+        space: of coefficients (m,), those of a cell in one block.
+        basis: N in UFL.
+        volumes: (owned cells,) int 1.
+        inverse: (owned cells, m, m) that of int N_k N_l.
+    """
+
+    def __init__(self, domain: mesh.Mesh, weight: Expr, dx: ufl.Measure, *, affine: bool) -> None:
+        """Integrate the products of the functions; collective.
+
+        Args:
+            domain: the mesh.
+            weight: of the kinematics.
+            dx: measure of all cells.
+            affine: whether the coordinates are among the functions.
+        """
+        m = 1 + domain.geometry.dim * affine
+        self.space = fem.functionspace(domain, ("DG", 0, (m,)))
+        self.basis = _create_basis(self.space)
+        products = fem.functionspace(domain, ("DG", 0, (m, m)))
+        self._tests = ufl.TestFunction(self.space), ufl.TestFunction(products)
+        self._vectors = create_vector(self.space), create_vector(products)
+        mass = self.matrices(fem.form(self.paired(ufl.as_ufl(1.0)) * weight * dx))
+        self.volumes = mass[:, 0, 0].copy()
+        self.inverse = np.linalg.inv(mass).astype(np.float64)
+
+    @property
+    def size(self) -> int:
+        """The number m of functions of a cell."""
+        return int(self.space.dofmap.bs)
+
+    def field(self, coefficients: fem.Function) -> Expr:
+        """Return sum_k c_k N_k."""
+        return ufl.dot(coefficients, self.basis)
+
+    def first(self, density: Expr) -> Expr:
+        """Return what makes `vectors` hold the integrals of a density, then zeros."""
+        return density * self._tests[0][0]
+
+    def tested(self, density: Expr) -> Expr:
+        """Return what makes `vectors` hold the integrals of a density times N_k."""
+        return density * ufl.dot(self._tests[0], self.basis)
+
+    def paired(self, density: Expr) -> Expr:
+        """Return what makes `matrices` hold the integrals of a density times N_k N_l."""
+        return density * ufl.inner(ufl.outer(self.basis, self.basis), self._tests[1])
+
+    def vectors(self, form: fem.Form) -> Floats:
+        """Return integrals (owned cells, m); collective."""
+        return assemble(form, self._vectors[0]).reshape(-1, self.size).copy()
+
+    def matrices(self, form: fem.Form) -> Floats:
+        """Return integrals (owned cells, m, m); collective."""
+        return assemble(form, self._vectors[1]).reshape(-1, self.size, self.size).copy()
+
+    def coefficients(self, integrals: Floats) -> Floats:
+        """Return those (owned cells, m) of the projection of what has these integrals with N_k."""
+        return np.asarray(np.einsum("ckl,cl->ck", self.inverse, integrals))
+
+    def values(self, f: fem.Function) -> Floats:
+        """Return a view of the coefficients (owned cells, m)."""
+        return np.asarray(f.x.array[: self.inverse[:, 0].size].reshape(-1, self.size))
+
+    def set(self, f: fem.Function, values: Floats) -> None:
+        """Set the coefficients (owned cells, m), and those of ghosts; collective."""
+        f.x.array[: values.size] = values.ravel()
+        f.x.scatter_forward()
+
+
+def _create_basis(space: fem.FunctionSpace) -> Expr:
+    """Return (1, (x - x_c) / h), with the size h of the cell, for round-off in any unit."""
+    domain, m = space.mesh, space.dofmap.bs
+    if m == 1:
+        return ufl.as_vector([1.0])
+    d, place = domain.topology.dim, fem.Function(space)
+    layout = domain.topology.index_map(d)
+    cells = np.arange(layout.size_local + layout.num_ghosts, dtype=np.int32)
+    values = np.empty((len(cells), m))
+    values[:, 0] = domain.h(d, cells)
+    values[:, 1:] = mesh.compute_midpoints(domain, d, cells)[:, : m - 1]
+    place.x.array.reshape(-1, m)[space.dofmap.list[cells, 0]] = values
+    x = ufl.SpatialCoordinate(domain)
+    return ufl.as_vector([1.0, *((x[i] - place[1 + i]) / place[0] for i in range(m - 1))])
+
+
+class RowsOfCells:
+    """A matrix B of a form whose rows are m functions of each cell, and B^T W B with its blocks W.
+
+    All matrices are made once: B here, the others at the first product.
+    """
+
+    def __init__(self, form: Any, m: int) -> None:
+        """Make the matrix of a fem.Form, without entries; collective."""
+        self._form, self._m = form, m
+        self._B = fem_petsc.create_matrix(form)
+        self._products: tuple[PETSc.Mat, PETSc.Mat] | None = None
+        self._sums: tuple[PETSc.Mat, PETSc.Mat] | None = None
+
+    def assemble(self) -> None:
+        """Assemble B; collective."""
+        self._B.zeroEntries()
+        fem_petsc.assemble_matrix(self._B, self._form)
+        self._B.assemble()
+
+    def times(self, v: fem.Function) -> Floats:
+        """Return B v (owned cells, m); collective."""
+        return np.asarray((self._B * v.x.petsc_vec).array).reshape(-1, self._m)
+
+    def add_square(self, weights: Floats, K: PETSc.Mat) -> None:
+        """Add B^T W B to a matrix with the pattern of the mesh; collective.
+
+        Args:
+            weights: (owned cells, m, m) blocks of W.
+            K: the matrix, AIJ or in blocks.
+        """
+        indptr, columns, values = self._B.getValuesCSR()
+        blocks = values.reshape(len(weights), self._m, -1)  # rows of a cell have the same columns
+        if self._products is None:
+            weighted = self._B.duplicate(copy=True)
+            self._products = weighted, self._B.transposeMatMult(weighted)
+        weighted, product = self._products
+        weighted.setValuesCSR(indptr, columns, (weights @ blocks).ravel())
+        weighted.assemble()
+        self._B.transposeMatMult(weighted, result=product)
+        subset = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
+        if "baij" not in K.getType():
+            K.axpy(1.0, product, subset)
+            return
+        if self._sums is None:  # blocks have the whole pattern, a product only what is there
+            total = as_aij(K).duplicate(copy=False)
+            self._sums = total, total.convert(K.getType(), out=PETSc.Mat())
+        total, in_blocks = self._sums
+        total.zeroEntries()
+        total.axpy(1.0, product, subset)
+        total.convert(K.getType(), out=in_blocks)
+        K.axpy(1.0, in_blocks, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
