@@ -126,6 +126,14 @@ DEMOS = [
         "A hub is shrunk on a shaft, which friction alone holds until it is pulled out.",
         {"result.png": "Pressure and friction along the shaft, and the pull over its motion."},
     ),
+    Demo(
+        "ironing",
+        "Finite strain: a tool is pressed into a soft block and dragged along it, with friction.",
+        {
+            "result.png": "Forces beside those of six programs; Cauchy's stress half way along.",
+            "ironing.gif": "Down and along, step by step.",
+        },
+    ),
 ]
 
 

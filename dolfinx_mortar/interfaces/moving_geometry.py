@@ -47,6 +47,8 @@ from dolfinx_mortar.mortar.surface import (
 LEAST_ALONG = 0.25
 """A row dG_j whose own part has less than this share along n_j is replaced by that of T.
 
+So is a row of the slip with which the two rows of j would span less than this area.
+
 So that T_g has an inverse. The QP is corrected either way: with none replaced that could be, each
 correction gains three digits, with all of them one.
 """
@@ -400,7 +402,10 @@ def _trial(link: Link, weighted: PETSc.Mat, slips: SlipRows | None) -> Link:
     across = coupling.directions[row, 1]
     tangent, q = R[:, :, 1], coupling.P[:, :1] * R[row, :, 1]
     if slips is not None:
-        known, (turned, moved) = slips.partners.known, _lumped(link, slips.rows())
+        turned, moved = _lumped(link, slips.rows())
+        # far slips lump partners beyond the pattern on j, so that nothing may be left there
+        along = np.linalg.det(np.stack([own, turned], axis=1)) * np.linalg.det(R)
+        known = slips.partners.known & (along > LEAST_ALONG)
         tangent = np.where(known[:, None], turned, tangent)
         q = np.where(known[row, None], moved, q)
     q = np.where(across[:, None], q, 0.0)
