@@ -3,7 +3,7 @@
 
 # # Shallow ironing: a tool is pressed into a soft block and dragged along it
 #
-# A tool with a round underside is pressed 1 mm down, 0.8 mm of it into a rubber-like block, and then
+# A tool with a round underside is pressed 1 mm down, 0.8 mm of it into a soft block, and then
 # dragged by 10 mm, many facets in each step, with friction. Strains are large: cells under the tool
 # lose a third of their volume. This demo shows how to
 #

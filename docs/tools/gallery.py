@@ -134,6 +134,22 @@ DEMOS = [
             "ironing.gif": "Down and along, step by step.",
         },
     ),
+    Demo(
+        "rubber",
+        "Rubber that keeps its volume: a cylinder is pressed between plates to half its height.",
+        {
+            "result.png": "Force beside Sussman and Bathe's; Cauchy's stress in the cylinder.",
+            "rubber.gif": "The approach of the plates, step by step.",
+        },
+    ),
+    Demo(
+        "curved_beams",
+        "Finite plasticity: a half ring is dragged over another one until they part.",
+        {
+            "result.png": "Reactions beside those of others; stress, and plastic strain at last.",
+            "curved_beams.gif": "The motion, step by step.",
+        },
+    ),
 ]
 
 
