@@ -135,6 +135,18 @@ def test_dragged_over_an_edge_onto_the_next_body(slave):
     assert (iterations(steps) > 8).sum() <= 2  # those over the edge
 
 
+@pytest.mark.mpi
+def test_a_step_slides_by_ten_facets_with_friction():
+    """The partners of its slips are far from where it ends: still Coulomb's drag, and few steps."""
+    case = indentation(n=((24, 4), (12, 2)), friction=0.3)
+    path = lambda t: (5.0 * max(t - 1.0, 0.0), -0.3 * min(t, 1.0))  # noqa: E731
+    *_, (_, force, report) = walk(case, path, [0.5, 1.0, 2.0], rtol=1e-8)
+    H, V = np.abs(force)
+    assert abs(H - 0.3 * V) < 0.02 * V
+    assert report.newton_iterations <= 6
+    assert report.iterations[-1].exact_tangent
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("slave", ["inner", "outer"])
 def test_a_hub_that_turns_in_a_pressed_ring_needs_no_torque(slave):

@@ -126,6 +126,30 @@ DEMOS = [
         "A hub is shrunk on a shaft, which friction alone holds until it is pulled out.",
         {"result.png": "Pressure and friction along the shaft, and the pull over its motion."},
     ),
+    Demo(
+        "ironing",
+        "Finite strain: a tool is pressed into a soft block and dragged along it, with friction.",
+        {
+            "result.png": "Forces beside those of six programs; Cauchy's stress half way along.",
+            "ironing.gif": "Down and along, step by step.",
+        },
+    ),
+    Demo(
+        "rubber",
+        "Rubber that keeps its volume: a cylinder is pressed between plates to half its height.",
+        {
+            "result.png": "Force beside Sussman and Bathe's; Cauchy's stress in the cylinder.",
+            "rubber.gif": "The approach of the plates, step by step.",
+        },
+    ),
+    Demo(
+        "curved_beams",
+        "Finite plasticity: a half ring is dragged over another one until they part.",
+        {
+            "result.png": "Reactions beside those of others; stress, and plastic strain at last.",
+            "curved_beams.gif": "The motion, step by step.",
+        },
+    ),
 ]
 
 

@@ -57,6 +57,8 @@ from dolfinx_mortar.mortar.surface import (
 LEAST_ALONG = 0.25
 """A row dG_j whose own part has less than this share along n_j is replaced by that of T.
 
+So is a row of the slip with which the two rows of j would span less than this area.
+
 So that T_g has an inverse. The QP is corrected either way: with none replaced that could be, each
 correction gains three digits, with all of them one.
 """
@@ -481,10 +483,13 @@ def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None
     rows, moved = across.copy(), coupling.P[:, :1, None] * across[row]
     rows[:, 0], moved[:, 0] = _lumped(link, sparse.csr_array(_of_rank(weighted)[d * nodes]))
     if slips is not None:
-        faced = slips.partners.known
+        slid, q = rows.copy(), moved.copy()
         for t in range(1, d):
-            own, p = _lumped(link, slips.rows(t - 1))
-            rows[faced, t], moved[faced[row], t] = own[faced], p[faced[row]]
+            slid[:, t], q[:, t] = _lumped(link, slips.rows(t - 1))
+        # far slips lump partners beyond the pattern on j, so that nothing may be left there
+        regular = np.linalg.det(slid) * np.linalg.det(R) > LEAST_ALONG
+        faced = (slips.partners.known & regular)[:, None, None]
+        rows, moved = np.where(faced, slid, rows), np.where(faced[row], q, moved)
     rows[:, 1:] = np.where(coupling.directions[:, 1:, None], rows[:, 1:], across[:, 1:])
     moved[:, 1:] *= coupling.directions[row, 1:, None]
     moves = kept & ((rows[:, 0] * coupling.normals).sum(axis=1) > LEAST_ALONG)
