@@ -8,7 +8,7 @@ from scipy.integrate import quad
 import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem, mesh
 from tests.pressed_blocks import COMM, rejected
-from tests.solid_case import create_displacement, create_domain
+from tests.solid_case import create_displacement, create_domain, set_wave
 
 INNER, OUTER = 1.0, 2.0
 
@@ -129,6 +129,42 @@ def test_pressure_turns_with_the_body():
     assert np.allclose(after, before @ R.T, atol=1e-13)
     assert np.abs(COMM.allreduce(after.sum(axis=0))).max() < 1e-13
     assert COMM.allreduce(pressure.energy()) == pytest.approx(2.0 * 2.0)  # p times the area 1 x 2
+
+
+@pytest.mark.parametrize("cell", ["quadrilateral", "tetrahedron"])
+def test_the_tangent_of_an_open_side_is_the_symmetric_part(cell):
+    """v.K w is the mean of v.dF[w] and w.dF[v], of a side with free edges that has turned far."""
+    domain = create_domain(cell, 2)
+    u, d = create_displacement(domain), domain.geometry.dim
+    v, w = (fem.Function(u.function_space) for _ in range(2))
+    right = mesh.locate_entities_boundary(domain, d - 1, lambda x: np.isclose(x[0], 1.0))
+    tags = mesh.meshtags(domain, d - 1, np.sort(right), np.full(len(right), 1, dtype=np.int32))
+    solid = dm.Solid(u, dm.NeoHooke(10.0, 0.3), strain="finite")
+    pressure, K = dm.Pressure(solid, tags, 1, 2.0), solid.create_matrix()
+    R = np.eye(d)
+    R[:2, :2] = [[0.0, -1.0], [1.0, 0.0]]
+    u.interpolate(lambda x: R @ x[:d] - x[:d] + 0.1 * np.sin(x[:d]))
+    set_wave(v, 1.0)
+    set_wave(w, 1.0, 0.7)
+    K.zeroEntries()
+    pressure.add_tangent(K)
+    K.assemble()
+    start, t = u.x.array.copy(), 1e-5
+
+    def change(along):
+        sides = []
+        for sign in (1, -1):
+            u.x.array[:] = start + sign * t * along.x.array
+            F = K.createVecLeft()
+            pressure.add_forces(F)
+            sides.append(F)
+        u.x.array[:] = start
+        return (sides[0] - sides[1]) / (2 * t)
+
+    one, other = change(w).dot(v.x.petsc_vec), change(v).dot(w.x.petsc_vec)
+    assert abs(one - other) > 1e-2 * abs(one)  # no potential
+    found = v.x.petsc_vec.dot(K * w.x.petsc_vec)
+    assert found == pytest.approx((one + other) / 2, rel=1e-7)
 
 
 def test_what_pressure_needs():
