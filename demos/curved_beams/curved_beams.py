@@ -95,6 +95,10 @@ def main(options: argparse.Namespace) -> None:
     # | 0.6 | computed | -15.48, 8.49 | -24.05, 19.70 | -27.56, 33.55 | 46.12 | 308 |
     # | | Neto | -15.23, 8.42 | -23.83, 19.57 | -27.63, 33.26 | 45.63 | |
     #
+    # In the end the ends have done 84.9 N mm/mm of work without friction, 67 are dissipated and 20
+    # stored in what stays bent; the 2.3 % between come of sliding over corners of the facets
+    # (0.6 % with `--along 100`).
+    #
     # No step is cut. Beyond their largest value forces fall by several N/mm in each mm, so that a
     # crown that is passed 0.1 mm later changes them by 3 %.
 

@@ -107,7 +107,7 @@ def draw(
         figure.set_dpi(70)
         figure.canvas.draw()
         image = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())).convert("RGB")
-        images.append(image.quantize(48))
+        images.append(image.quantize(96, Image.Quantize.MAXCOVERAGE))
     shown = [*images, *([images[-1]] * 6)]
     shown[0].save(
         folder / "curved_beams.gif", save_all=True, append_images=shown[1:], duration=200, loop=0

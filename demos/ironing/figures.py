@@ -95,7 +95,7 @@ def draw(folder: Path, xdmf: Path, rows: list[dict[str, Any]], *, animated: bool
         figure.set_dpi(70)
         figure.canvas.draw()
         image = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())).convert("RGB")
-        images.append(image.quantize(64))
+        images.append(image.quantize(96, Image.Quantize.MAXCOVERAGE))
     shown = [*images, *([images[-1]] * 4)]
     shown[0].save(
         folder / "ironing.gif", save_all=True, append_images=shown[1:], duration=200, loop=0
