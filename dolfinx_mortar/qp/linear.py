@@ -39,6 +39,10 @@ log = logging.getLogger(__name__)
 # of hexahedra take 4.1 GiB and 25 s (117 thousand 2.1 GiB and 10 s; MUMPS, one rank).
 MOST_FACTORISED = 200_000
 
+# Its third factorisation beside a live one ends in a segmentation fault (PETSc 3.22, two ranks:
+# a definite matrix, one that is not, and a definite one of another pattern).
+ALONE = "superlu_dist"
+
 
 class LinearSolveFailed(RuntimeError):
     """A linear system could not be solved; the message says why and what to do."""
@@ -181,7 +185,8 @@ class LinearSolver:
         """Set the matrix of the next solves (collective).
 
         If it is the same object, its factorisation remains as preconditioner. A definite matrix
-        and one that is not are kept side by side, as steps use one after the other.
+        and one that is not are kept side by side, as steps use one after the other, but not with
+        SuperLU_DIST.
 
         Args:
             A: (n, n) matrix.
@@ -205,6 +210,8 @@ class LinearSolver:
                 self._describe()
                 return
         self._drop(definite)  # so that no matrix is set if an option raises an error
+        if self.direct and self.options["pc_factor_mat_solver_type"] == ALONE:
+            self._drop(not definite)
         ksp = PETSc.KSP().create(self._comm)
         ksp.setOptionsPrefix(self.options.prefix)
         ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
