@@ -313,7 +313,7 @@ class _Contact:
         given, keep = _tractions(link, nodal_normals(slave, x), multipliers, tangential)
         asked, loaded = self.asked, np.asarray(given.tractions.any(axis=1))
         known: Bools = np.ones_like(loaded)
-        if x.shape[1] == 3:
+        if _in_space(link):
             known = _neighbours(slave, loaded)
             asked = asked & known[slave.facets].any(axis=1)
         segments = some_points(operators.segments, asked[operators.segments.slave])
@@ -330,7 +330,7 @@ class _Contact:
         """Return the derivatives on this rank; collective."""
         pairing, smooth = link.mortar[0], link.pattern.smooth
         at = pairing, u, segments, keep, weighted_duals(pairing, segments, keep), given
-        if given.normals.shape[1] == 3:
+        if _in_space(link):
             return differentiate_in_space(*at, smooth)
         slopes = None if smooth is None else height_slopes(pairing, segments, u, smooth)
         return differentiate(*at, slopes)
@@ -344,6 +344,10 @@ class _Contact:
         by_n[~partners.known] = 0.0
         tangents = np.swapaxes(link.coupling.R, 1, 2)[:, 1:]
         return SlipRows(link, partners, tangents @ by_n @ turning, self.normals.zero())
+
+
+def _in_space(link: Link) -> bool:
+    return link.sides.V.mesh.topology.dim == 3
 
 
 def _asked(link: Link) -> Bools:

@@ -43,7 +43,7 @@ from dolfinx_mortar.mortar.surface import (
 )
 
 Matrix: TypeAlias = sparse.csr_array
-_LEAST = 1e-10
+LEAST_MOMENT = 1e-10
 """Facets of which m is as near to singular as this have the dual functions of the moment."""
 
 
@@ -196,7 +196,7 @@ class _Chain:
         d = covered_weights(N, w, self.facet, self.count)
         size = np.maximum(np.trace(m, axis1=1, axis2=2), TINY)[:, None, None]
         whole = m + size * (~kept)[:, :, None] * one
-        some = (np.linalg.det(whole / size) > _LEAST) & (kept.sum(axis=1) > 1)
+        some = (np.linalg.det(whole / size) > LEAST_MOMENT) & (kept.sum(axis=1) > 1)
         whole = np.where(some[:, None, None], whole, one)
         both = kept[:, :, None] & kept[:, None, :] & some[:, None, None]
         inverse = np.linalg.inv(whole) * both

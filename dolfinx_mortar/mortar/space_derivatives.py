@@ -30,15 +30,12 @@ from dolfinx_mortar.geometry.facet_derivatives import (
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
 from dolfinx_mortar.geometry.segments import Segments, are_facing
 from dolfinx_mortar.geometry.tolerances import TINY
-from dolfinx_mortar.mortar.derivatives import Derivatives, Matrix, Tractions
+from dolfinx_mortar.mortar.derivatives import LEAST_MOMENT, Derivatives, Matrix, Tractions
 from dolfinx_mortar.mortar.dual import sums_of_products
 from dolfinx_mortar.mortar.operators import SmoothSides
 from dolfinx_mortar.mortar.pair_heights import pair_heights
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import coordinates, facets_at
-
-_LEAST = 1e-10
-"""Facets of which m is as near to singular as this have the dual functions of the moment."""
 
 
 @timed("~Mortar: derivatives")
@@ -104,7 +101,7 @@ def _duals(m: Floats, kept: Bools) -> _Duals:
     d = m.sum(axis=2) * kept
     size = np.maximum(np.trace(m, axis1=1, axis2=2), TINY)[:, None, None]
     whole = m * both + size * (~kept)[:, :, None] * one
-    some = (np.linalg.det(whole / size) > _LEAST) & (kept.sum(axis=1) > 1)
+    some = (np.linalg.det(whole / size) > LEAST_MOMENT) & (kept.sum(axis=1) > 1)
     inverse = np.linalg.inv(np.where(some[:, None, None], whole, one))
     inverse *= both & some[:, None, None]
     A = d[:, :, None] * inverse

@@ -318,6 +318,18 @@ class LinearSolver:
                 f"The factorisation of a matrix of order {order} failed {failure}"
             )
 
+    def complete(self) -> None:
+        """Factorise the present definite matrix, unless it is or another preconditioner serves it.
+
+        Collective. What an earlier factorisation has solved leaves the pivots of A unknown.
+
+        Raises:
+            LinearSolveFailed: as `factorise`.
+        """
+        held = None if self._setup is None else self._operator.held
+        if self.direct and self._kind and held is not None:
+            self.factorise(held)
+
     def apply(self, r: PETSc.Vec, x: PETSc.Vec) -> None:
         """Apply the present factorisation or preconditioner once: x = F^-1 r."""
         begin = perf_counter()

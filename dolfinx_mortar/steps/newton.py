@@ -73,6 +73,7 @@ from dolfinx_mortar.problem.jumps import TooFar, tighten
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.qp import LinearSolver, QPSolution
+from dolfinx_mortar.qp.linear import LinearSolveFailed
 from dolfinx_mortar.qp.solver import ACTIVE_SET
 from dolfinx_mortar.report.certificate import create_certificate
 from dolfinx_mortar.report.interface_results import set_results
@@ -425,6 +426,20 @@ class _Step:
         """Tell whether the last factorisation has negative pivots; collective."""
         return bool(maximum(self.problem.comm, float(self.solver.negative_pivots))[0] > 0)
 
+    def ends_indefinite(self) -> bool:
+        """Tell whether the last tangent is indefinite, factorising it if need be; collective.
+
+        Conjugate gradients with an earlier factorisation do not see it where neither loads nor
+        iterates have a part of the mode that is unstable: by symmetry, before a body buckles.
+        """
+        if self.problem.solid.strain == "small" or self.report.iterations[-1].shift:
+            return False
+        try:
+            self.solver.complete()
+        except LinearSolveFailed:  # it is singular
+            return True
+        return self.has_negative_pivots()
+
     def is_exact(self, watch: Watch, residuals: list[Residuals]) -> bool:
         """Tell whether the next QP has the exact tangent of the moving geometry."""
         if not residuals or not watch.moving or not self.may_be_exact:
@@ -622,6 +637,7 @@ class _Step:
         stiffness = iterate.stiffness.array_r
         how = self.overlap, left_out, crossing, report.rtol, residual.limit
         end = StepEnd(problem, iterate.balance, contacts, stiffness, *how)
+        self.negative = self.negative or self.ends_indefinite()
         report.notes += (
             find_notes(end) + self.notes_on_shifts() + self.notes_on_snapping(begun, contacts)
         )
