@@ -13,7 +13,7 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.steps import load_steps as stepping
+from dolfinx_mortar.steps import walk as stepping
 from tests.checkpoint_program import LEVELS, Press
 from tests.checkpoint_runs import agree, numbers_at_once
 from tests.choice import quick
@@ -134,7 +134,7 @@ def test_a_walk_that_is_done_yields_nothing(folder, caplog):
 @pytest.mark.parametrize("factor", quick([0.5, 1.0, 2.0], 0.5))
 def test_levels_are_the_same_up_to_round_off(factor, folder, monkeypatch):
     """So that a walk goes farther with levels that are calculated in another way."""
-    monkeypatch.setattr("dolfinx_mortar.steps.load_steps.SAME", factor * 1e-12)
+    monkeypatch.setattr("dolfinx_mortar.steps.walk.SAME", factor * 1e-12)
     file, farther = folder / "x.h5", np.linspace(0.0, 1.0, 11)[1:5]
     first = [0.1, 0.2, 0.3]
     assert farther[2] != first[2]

@@ -10,7 +10,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.step_report import StepReport
-from dolfinx_mortar.steps import load_steps as load_steps_module
+from dolfinx_mortar.steps import walk as walking
 from dolfinx_mortar.steps.newton import solve_step
 from tests.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
 from tests.hertz_case import create_case
@@ -144,13 +144,13 @@ def test_what_stays_of_an_overlap_is_told(monkeypatch):
             raise dm.NewtonNotConverged("too deep", StepReport())
         return solve_step(problem, overlap=overlap, **options)
 
-    monkeypatch.setattr(load_steps_module, "solve_step", solve)
+    monkeypatch.setattr(walking, "solve_step", solve)
     with rejected("too deep", error=dm.NewtonNotConverged) as caught:
         list(dm.load_steps(case.problem, [0.0]))
     assert "stay committed" in caught.value.message and case.problem.committed.begun
     left = float(caught.value.message.partition("still overlap by ")[2].partition(";")[0])
     assert 0.09 <= left < 0.2
-    overlap = load_steps_module.find_overlap(case.problem, 1e-6)
+    overlap = walking.find_overlap(case.problem, 1e-6)
     assert overlap == pytest.approx(left, rel=0.05)
 
 

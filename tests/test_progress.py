@@ -11,7 +11,7 @@ import pytest
 from hertz_case import ELASTIC, create_case, create_mesh
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.steps.load_steps import lines
+from dolfinx_mortar.steps.walk import lines
 
 COMM = MPI.COMM_WORLD
 TOLD = "step 1\nstep 2\n"

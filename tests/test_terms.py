@@ -14,7 +14,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.materials import Elastic
-from dolfinx_mortar.steps import load_steps as stepping
+from dolfinx_mortar.steps import walk as stepping
 
 pytestmark = pytest.mark.mpi
 COMM = MPI.COMM_WORLD

@@ -1,0 +1,376 @@
+# SPDX-License-Identifier: MIT
+"""A walk along load levels or times: smaller steps after a failure, commits, checkpoints.
+
+The drivers `load_steps` and `time_steps` check arguments, and say how a step is solved.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
+
+from mpi4py import MPI
+
+from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arrays import SAME
+from dolfinx_mortar.checkpoint import check_folder
+from dolfinx_mortar.interfaces.near import nodal_gaps
+from dolfinx_mortar.newton_method.failures import AS_BEFORE
+from dolfinx_mortar.persistence.committed import Walk
+from dolfinx_mortar.persistence.restoring import Saved, read
+from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.qp import LinearSolver, QPNotSolved
+from dolfinx_mortar.report.reaction import reactions
+from dolfinx_mortar.step_report import LoadStep, NewtonNotConverged, StepReport
+from dolfinx_mortar.steps.newton import solve_step
+from dolfinx_mortar.steps.ramp import Ramp, check_range, difference, notes_on_unread
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Level:
+    """A point on the load path."""
+
+    time: float
+    overlap: float = 0.0  # depth by which the sides may still overlap
+    share: float = 1.0  # of the step that ends here, a binary fraction
+
+    def between(self, reached: Level) -> Level:
+        """Return the level halfway from the one reached."""
+        return Level(
+            (reached.time + self.time) / 2.0,
+            (reached.overlap + self.overlap) / 2.0,
+            (reached.share + self.share) / 2.0,
+        )
+
+    def cuts(self, reached: Level) -> int:
+        """Return how often the step has been halved for the part from the level reached."""
+        return round(-math.log2(self.share - reached.share))
+
+
+@dataclass(frozen=True)
+class Loading:
+    """The loads of a level: Constants of ramps, then a user's function."""
+
+    ramps: Sequence[Ramp]
+    on_time: Callable[[float], None] | None
+
+    @property
+    def changes(self) -> bool:
+        """Whether loads depend on the level."""
+        return bool(self.ramps) or self.on_time is not None
+
+    def set(self, problem: ContactProblem, level: float) -> None:
+        """Set the loads of a level; an error on one rank is raised on all of them; collective."""
+        for ramp in self.ramps:
+            ramp.set(level)
+        if self.on_time is not None:
+            with raised_together(problem.comm):
+                self.on_time(level)
+
+
+@dataclass
+class Solves:
+    """How the steps of a walk are solved; with factorisations from where multigrid has failed."""
+
+    problem: ContactProblem
+    qp: str
+    rtol: float
+    max_it: int
+    factorising: LinearSolver | None = None  # in place of the problem's
+    name: ClassVar[str] = "load step"
+
+    def commit(self, report: StepReport) -> None:
+        """Make a converged step the state from which the next one starts; collective."""
+        self.problem.commit()
+
+    def may_cut(self, loading: Loading) -> bool:
+        """Tell whether a part of a step is another problem than the whole of it."""
+        return loading.changes
+
+    def to(self, level: Level) -> StepReport:
+        """Solve a step to a level, if multigrid fails with a factorisation; collective.
+
+        If that fails as well, the next steps try multigrid again: the step was too large, or
+        nothing holds a body.
+        """
+        try:
+            return self._solve(level, self.factorising)
+        except NewtonNotConverged as error:
+            failed, given_up = isinstance(error.__cause__, QPNotSolved), error.report.linear_solver
+            factorising = self.problem.linear.factorising() if failed else None
+            if factorising is None:
+                raise
+        if self.problem.comm.rank == 0:
+            log.warning("%s gave no solution at %g, trying a factorisation", given_up, level.time)
+        report = self._solve(level, factorising)
+        self.factorising = factorising
+        report.notes.append(
+            f"{given_up} gave no solution: this step and the next ones of these load steps are "
+            "factorised (petsc_options={'pc_type': 'cholesky'} does so from the start)"
+        )
+        return report
+
+    def _solve(self, level: Level, linear: LinearSolver | None) -> StepReport:
+        return solve_step(
+            self.problem,
+            qp=self.qp,
+            rtol=self.rtol,
+            max_it=self.max_it,
+            overlap=level.overlap,
+            level=level.time,
+            linear=linear,
+        )
+
+
+@dataclass
+class Checkpoint:
+    """The file of a run, written when the committed state is new."""
+
+    problem: ContactProblem
+    file: Path | None  # None for no checkpoints
+    walk: Walk
+    new: bool = False
+
+    def check_alone(self) -> None:
+        """Raise a ValueError if another run has started: each would change the other's state."""
+        if self.problem.committed.walk is not self.walk:
+            raise ValueError(
+                "problem: a second load_steps has begun on it before this one was done, and has "
+                "moved it on; finish one walk before the next, or give each a problem of its own"
+            )
+
+    def write(self) -> None:
+        """Write the committed state; collective."""
+        if self.file is not None and self.new:
+            self.problem.save(self.file)
+            self.new = False
+
+
+def walk(
+    solves: Solves,
+    levels: list[float],
+    loading: Loading,
+    begin: float,
+    *,
+    most: int,
+    file: Path | None,
+    every: int,
+    progress: bool | None,
+) -> Iterator[LoadStep]:
+    """Walk along levels, see `load_steps` for the arguments and errors; collective.
+
+    Args:
+        solves: how a step is solved.
+        levels: where the steps end.
+        loading: the loads of a level.
+        begin: the level of the committed state.
+        most: largest number of halvings of a step.
+        file: of checkpoints, None for none.
+        every: after how many steps it is written.
+        progress: whether a line is printed for each step.
+    """
+    problem = solves.problem
+    committed = problem.committed
+    check_range(loading.ramps, [begin, *levels])
+    committed.level, committed.walked = begin, 0
+    if file is not None:
+        begin = _continue(problem, file, levels, loading, begin)
+    committed.walk = Walk(begin, [one.rows for one in loading.ramps])
+    written = Checkpoint(problem, file, committed.walk)
+    done = committed.walked
+    idle = _idle(problem, loading)
+    tell = lines(problem.comm, False if progress is None and len(levels) == 1 else progress)
+    for number, time in enumerate(levels[done:], start=done + 1):
+        parts = _walk(solves, number, time, loading, most, written)
+        parts[-1].notes += idle if number == done + 1 else []
+        supports = [one.as_dict() for one in reactions(problem)]
+        forces = [list(map(float, interface.force)) for interface in problem.interfaces]
+        step = LoadStep(number, time, parts[-1], parts, forces, supports)
+        committed.history.append(step)
+        committed.walked = number
+        tell(f"{solves.name} {number} of {len(levels)} {step.outcome}")
+        yield step
+        written.check_alone()
+        if number % every == 0 or number == len(levels):
+            written.write()
+
+
+def _idle(problem: ContactProblem, loading: Loading) -> list[str]:
+    """Return notes on tables without effect, which rank 0 logs; none if a function may use them."""
+    if loading.on_time is not None:
+        return []
+    notes = notes_on_unread(loading.ramps, problem.constants())
+    if problem.comm.rank == 0:
+        for note in notes:
+            log.warning("%s", note)
+    return notes
+
+
+def _continue(
+    problem: ContactProblem,
+    file: Path,
+    levels: list[float],
+    loading: Loading,
+    begin: float,
+) -> float:
+    """Restore a checkpoint if there is one, and check that the next can be written; collective.
+
+    Returns:
+        The initial level of the run: `begin` without a checkpoint.
+
+    Raises:
+        ValueError: on all ranks, if the first levels are not those that it has reached, or if
+            tables differ up to there.
+        OSError: on all ranks, if no file can be written there.
+    """
+    # other ranks may have no access to the folder; the check has the errors of wrong names
+    if not problem.comm.bcast(problem.comm.rank == 0 and os.path.exists(file)):
+        check_folder(problem.comm, file)
+        return begin
+    saved = read(problem.state, file)
+    walk = saved.walk
+    _check_walked(levels, walk, file)
+    _check_tables(loading.ramps, saved, file)
+    if len(walk) < len(levels):  # an error now rather than after the next step
+        check_folder(problem.comm, file)
+    problem.outcome = saved.put()
+    loading.set(problem, problem.committed.level)
+    problem.solid.follow()  # results of laws depend on parameters, too
+    if problem.comm.rank == 0:
+        left = "nothing is left to do" if len(walk) == len(levels) else "going on from there"
+        log.warning(
+            "checkpoint %s: %d of %d steps are done, to %g; %s",
+            *(file, len(walk), len(levels), problem.committed.level, left),
+        )
+    before = problem.committed.walk
+    return begin if before is None else before.start
+
+
+def _check_walked(levels: list[float], walk: list[float], file: Path) -> None:
+    """Raise a ValueError unless the first levels are those reached, up to round-off."""
+    size = max(map(abs, walk), default=0.0)
+    for k, reached in enumerate(walk):
+        if k == len(levels) or abs(levels[k] - reached) > SAME * size:
+            given = levels[k] if k < len(levels) else "missing"
+            raise ValueError(
+                f"times: level {k + 1} is {given}, but the checkpoint {str(file)!r} has walked "
+                f"{len(walk)} levels, and there to {reached}: give times that begin so, give this "
+                "walk a file of its own, or delete the file to begin anew"
+            )
+
+
+def _check_tables(ramps: Sequence[Ramp], saved: Saved, file: Path) -> None:
+    """Raise a ValueError unless tables are those of the saved run, up to the level reached."""
+    before = saved.about["walk"]
+    if before is None or not saved.walk:
+        return
+    been = [before["start"], *saved.walk, saved.about["level"]]
+    if wrong := difference(before["ramp"], ramps, been):
+        raise ValueError(
+            f"ramp: {wrong}, when the checkpoint {str(file)!r} was written: give the tables of "
+            "that walk, give this walk a file of its own, or delete the file to begin anew"
+        )
+
+
+def _walk(
+    solves: Solves, number: int, time: float, loading: Loading, most: int, written: Checkpoint
+) -> list[StepReport]:
+    """Step to a level, in parts if that fails; return the reports of the parts; collective."""
+    problem = solves.problem
+    parts: list[StepReport] = []
+    reached, pending = Level(problem.committed.level, share=0.0), [Level(time)]
+    failures = 0
+    while pending:
+        level = pending[-1]
+        loading.set(problem, level.time)
+        written.check_alone()
+        try:
+            report = solves.to(level)
+        except NewtonNotConverged as error:
+            failures += 1
+            if not parts:
+                overlap = find_overlap(problem, solves.rtol)
+                reached = replace(reached, overlap=overlap)
+            way = level.time != reached.time and solves.may_cut(loading)
+            if level.cuts(reached) >= most or not (way or level.overlap != reached.overlap):
+                cause = error.message.removesuffix(AS_BEFORE)
+                made = f"{level.cuts(reached)} of {most} cuts"
+                error.message = (
+                    f"{solves.name} {number} to time {time:g} failed from {reached.time:g} to "
+                    f"{level.time:g}, after {made} (the last level that converged is "
+                    f"{reached.time:g}): {cause}. {_describe_kept(len(parts), reached)}"
+                )
+                written.write()  # the last part is undone, on all ranks
+                raise
+            if problem.comm.rank == 0:
+                log.warning("no convergence at %g, trying half the step", level.time)
+            pending.append(level.between(reached))
+            continue
+        solves.commit(report)
+        written.new, problem.committed.level = True, level.time
+        reached = level
+        parts.append(report)
+        pending.pop()
+    if failures:
+        shown = ", ".join(f"{n} iterations" for n in (p.newton_iterations for p in parts))
+        parts[-1].notes.append(f"the step was cut {failures} times and made in parts: {shown}")
+    parts[-1].cuts = failures
+    return parts
+
+
+def find_overlap(problem: ContactProblem, rtol: float) -> float:
+    """Return the depth of overlaps at the present displacement; collective.
+
+    Up to rtol facet lengths, the tolerance of a step, count as 0.
+    """
+    problem.update_geometry(0.0)
+    gap = nodal_gaps(problem.system.links, problem.positions(), problem.n)
+    deepest = float(maximum(problem.comm, (-gap).max(initial=0.0))[0])
+    return deepest if deepest > rtol * problem.system.facet_length else 0.0
+
+
+def _describe_kept(parts: int, reached: Level) -> str:
+    """Say which state a failed step leaves, given the number of its converged parts."""
+    if not parts:
+        return "The displacement and the committed state are as before the step"
+    count = "1 part of it that has" if parts == 1 else f"{parts} parts of it that have"
+    still = f", where sides still overlap by {reached.overlap:.3g}" if reached.overlap else ""
+    return (
+        f"The {count} converged stay committed: displacement, state and results are those at level "
+        f"{reached.time:g}{still}; a next walk goes on from there"
+    )
+
+
+def lines(comm: MPI.Comm, wanted: bool | None) -> Callable[[str], None]:
+    """Return a function that logs a line on rank 0, and prints it unless the log is shown.
+
+    Args:
+        comm: communicator.
+        wanted: whether to print; None prints if logging is not configured, except in notebooks.
+
+    Raises:
+        ValueError: on all ranks, if ``wanted`` is none of the three on any; collective.
+    """
+    with raised_together(comm):
+        if not (wanted is None or isinstance(wanted, bool)):
+            raise ValueError(f"progress is {wanted!r}: choose True, False or None")
+    if comm.rank != 0:
+        return lambda line: None
+    notebook = type(sys.stderr).__module__.partition(".")[0] == "ipykernel"
+    shown = not (log.hasHandlers() or notebook) if wanted is None else wanted
+
+    def tell(line: str) -> None:
+        log.info("%s", line)
+        if shown and not (log.hasHandlers() and log.isEnabledFor(logging.INFO)):
+            print(line, file=sys.stderr, flush=True)
+
+    return tell
