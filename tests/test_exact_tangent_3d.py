@@ -15,6 +15,7 @@ from dolfinx_mortar.algebra import congruence, triplets
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.geometry import area
 from dolfinx_mortar.geometry.facets import points_of
+from dolfinx_mortar.mortar import curvature_correction
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides, point_heights
 from dolfinx_mortar.mortar.derivatives import Tractions
 from dolfinx_mortar.mortar.integrals import (
@@ -43,15 +44,18 @@ FACTORISED = {"pc_type": "cholesky"}
 class Rough:
     """Two rough, bent sides, with random tractions."""
 
-    def __init__(self, cell, n_lower, n_upper, *, upper, seed, smooth=False):
+    def __init__(
+        self, cell, n_lower, n_upper, *, upper, seed, smooth=False, degree=1, order=1, noise=0.03
+    ):
         """Create them; the slave is the upper side of the lower box."""
         rng = np.random.default_rng(seed)
+        sizes, kind = ((*n_lower, 1), (*n_upper, 1)), {"cell": cell, "order": order}
         mesh, _, facets = meshes_3d.two_boxes(
-            COMM, (*n_lower, 1), (*n_upper, 1), upper=upper, cell=cell, jitter=0.2, seed=seed
+            COMM, *sizes, upper=upper, jitter=0.2, seed=seed, **kind
         )
-        V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+        V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
         self.u, X = fem.Function(V), V.tabulate_dof_coordinates()
-        self.u.x.array[:] = 0.03 * rng.standard_normal(self.u.x.array.size)
+        self.u.x.array[:] = noise * rng.standard_normal(self.u.x.array.size)
         self.u.x.array[2::3] -= 0.2 * (X[:, 0] - 0.4) ** 2 - 0.1 * X[:, 0] * X[:, 1]
         tags = (meshes_3d.TOP_OF_LOWER, "slave"), (meshes_3d.BOTTOM_OF_UPPER, "master")
         self.slave, self.master = (create_surface(V, facets, *tag) for tag in tags)
@@ -111,30 +115,31 @@ class Rough:
         N = N.reshape(3 * own, -1)
         return found.F_x + found.F_n @ N, found.G_x + found.G_n @ N
 
-    def differences(self):
-        """Return them by central differences, extrapolated."""
-        columns = []
-        for node in self.nodes:
-            for i in range(3):
-                columns.append(
-                    (4 * self._difference(node, i, 1e-5) - self._difference(node, i, 2e-5)) / 3
-                )
+    def differences(self, directions=None):
+        """Return them by central differences, extrapolated; along directions (.., nodes, 3)."""
+        every = np.eye(3 * len(self.nodes)).reshape(-1, len(self.nodes), 3)
+        columns = [
+            (4 * self._difference(1e-5 * v) - self._difference(2e-5 * v) / 2) / 3e-5
+            for v in (every if directions is None else directions)
+        ]
         both = np.stack(columns, axis=1)
         return np.split(both, [3 * len(self.nodes)])
 
-    def _difference(self, node, i, h):
-        results = []
-        for step in (h, -h):
-            before = self.u.x.array[3 * node + i]
-            self.u.x.array[3 * node + i] += step
+    def _difference(self, moved):
+        results, before = [], self.u.x.array.copy()
+        for step in (moved, -moved):
+            self.u.x.array.reshape(-1, 3)[self.nodes] += step
             results.append(np.concatenate(self.forces_and_gaps()))
-            self.u.x.array[3 * node + i] = before
-        return (results[0] - results[1]) / (2 * h)
+            self.u.x.array[:] = before
+        return (results[0] - results[1]) / 2
 
 
-def errors(rough):
+def errors(rough, directions=None):
     """Return the errors of the derivatives, over the largest entries."""
-    both = zip(rough.derivatives(), rough.differences(), strict=True)
+    found = rough.derivatives()
+    if directions is not None:
+        found = [A @ directions.reshape(len(directions), -1).T for A in found]
+    both = zip(found, rough.differences(directions), strict=True)
     return [np.abs(found - expected).max() / np.abs(expected).max() for found, expected in both]
 
 
@@ -151,11 +156,17 @@ def test_derivatives_of_one_pair(cell, upper, seed):
     assert max(errors(rough)) < 1e-8
 
 
+@pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("upper", [UNDER, PARTLY])
-def test_derivatives_of_smooth_heights(upper, monkeypatch):
-    """Of one pair: between two master facets heights jump. With integrals that are accurate."""
+def test_derivatives_of_smooth_heights(upper, degree, monkeypatch):
+    """Of one pair: between two master facets heights jump. With integrals that are accurate.
+
+    Strains, by which heights of second order change, are held.
+    """
     monkeypatch.setattr(area, "_least_degree", lambda slave, master: 12)
-    rough = Rough("hexahedron", (1, 1), (1, 1), upper=upper, seed=3, smooth=True)
+    held = lambda surface, u: np.ones(len(surface.nodes))  # noqa: E731
+    monkeypatch.setattr(curvature_correction, "thickness_stretches", held)
+    rough = Rough("hexahedron", (1, 1), (1, 1), upper=upper, seed=3, smooth=True, degree=degree)
     assert max(errors(rough)) < 1e-8
 
 
@@ -167,21 +178,35 @@ def test_derivatives_are_those_of_forces_and_gaps(cell):
     assert max(errors(rough)) < 1e-8
 
 
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+@pytest.mark.parametrize("upper", [UNDER, PARTLY])
+def test_derivatives_in_second_order(cell, order, upper, monkeypatch):
+    """Of straight and of curved cells, in random directions; with integrals that are accurate.
+
+    Where facets meet, what one of them gains the other one does not lose: their common edge is
+    clipped as a straight line, beside which both are continued.
+    """
+    monkeypatch.setattr(area, "_least_degree", lambda slave, master: 20)
+    second = {"degree": 2, "order": order, "noise": 0.01}
+    rough = Rough(cell, (2, 3), (3, 2), upper=upper, seed=2, **second)
+    assert rough.keep.all() == (upper == UNDER)
+    directions = np.random.default_rng(0).standard_normal((2, len(rough.nodes), 3))
+    assert max(errors(rough, directions)) < 1e-8
+
+
 def wavy(X, phase):
     """Return vectors at points, the same on all ranks."""
     parts = [np.sin(X @ np.array(k) + phase + i) for i, k in enumerate([(9, 7, 5), (5, 9, 8)])]
     return np.stack([parts[0], parts[1], parts[0] * parts[1]], axis=1)
 
 
-@pytest.mark.mpi
-@pytest.mark.parametrize("friction", [0.0, 0.3])
-@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
-def test_tangent_of_a_problem_is_that_of_its_forces_and_gaps(cell, friction):
-    """On any number of ranks: in a direction, with tractions that vary from node to node."""
+def partly_covered(cell, friction, degree):
+    """Return a problem of two boxes that cover each other in part."""
     mesh, _, facets = meshes_3d.two_boxes(
         MPI.COMM_WORLD, (4, 4, 1), (3, 5, 1), upper=PARTLY, cell=cell, jitter=0.2
     )
-    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
     bcs = []
     for tag in (meshes_3d.BOTTOM, meshes_3d.TOP):
         dofs = fem.locate_dofs_topological(V, 2, facets.find(tag))
@@ -189,8 +214,26 @@ def test_tangent_of_a_problem_is_that_of_its_forces_and_gaps(cell, friction):
     sides = {"slave": meshes_3d.TOP_OF_LOWER, "master": meshes_3d.BOTTOM_OF_UPPER}
     contact = dm.Contact(facets, **sides, surface="facets", friction=friction or None)
     solid = dm.Solid(fem.Function(V), dm.Elastic(E=1.0, nu=0.3))
-    problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry="updated")
-    X = V.tabulate_dof_coordinates()
+    return dm.ContactProblem(solid, [contact], bcs=bcs, geometry="updated")
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("cell", "friction", "degree"),
+    [
+        ("tetrahedron", 0.0, 1),
+        ("tetrahedron", 0.3, 1),
+        ("hexahedron", 0.0, 1),
+        ("hexahedron", 0.3, 1),
+        ("tetrahedron", 0.3, 2),
+    ],
+)
+def test_tangent_of_a_problem_is_that_of_its_forces_and_gaps(cell, friction, degree, monkeypatch):
+    """On any number of ranks: in a direction, with tractions that vary from node to node."""
+    if degree == 2:
+        monkeypatch.setattr(area, "_least_degree", lambda slave, master: 16)
+    problem = partly_covered(cell, friction, degree)
+    solid, mesh, X = problem.solid, problem.V.mesh, problem.V.tabulate_dof_coordinates()
     u, v = (scale * wavy(X, phase).ravel() for scale, phase in ((0.03, 0.0), (1.0, 2.0)))
     solid.u.x.array[:] = u
     problem.begin_step(audit=False)
@@ -295,11 +338,12 @@ class Sliding:
         surface="facets",
         cell="hexahedron",
         degree=1,
+        h=0.5,
         options=FACTORISED,
         **friction,
     ):
         """Create the problem."""
-        m = create_mesh(0.5, cell)
+        m = create_mesh(h, cell)
         V = fem.functionspace(m.mesh, ("Lagrange", degree, (3,)))
         self.motion = [fem.Constant(m.mesh, 0.0) for _ in range(3)]
         zero = fem.Constant(m.mesh, 0.0)
@@ -351,6 +395,39 @@ def test_newton_is_quadratic_at_the_end_and_the_answer_the_same(slave, surface, 
     assert np.abs(case.contact.force - force).max() < 1e-8 * np.abs(force).max()
 
 
+def test_newton_is_quadratic_in_second_order():
+    """Two successive ratios of residuals are below a tenth of the one before, as in first order."""
+    case = Sliding("ball", degree=2, h=1.0)
+    case.step(0.0)
+    ratios = np.exp(np.diff(np.log(residuals(case.step(0.6)))))
+    assert ratios[1] < 0.1 * ratios[0]
+    assert ratios[2] < 0.1 * ratios[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("surface", ["facets", "smooth"])
+@pytest.mark.parametrize("slave", ["block", "ball"])
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_strains_in_heights_slow_newton_down_by_little(cell, slave, surface, monkeypatch):
+    """In second order: left out, they leave a factor of less than a hundredth; without, less.
+
+    The answer is that of the fixed point, which takes seven iterations more.
+    """
+    case = Sliding(slave, surface=surface, cell=cell, degree=2)
+    case.step(0.0)
+    report = case.step(0.6)
+    r = residuals(report)
+    ratios = r[1:] / r[:-1]
+    assert ratios[1] < 0.1 * ratios[0]
+    assert ratios[2:].max() < (0.01 if surface == "smooth" else 0.1 * ratios[1])
+    force = case.contact.force
+    monkeypatch.setattr(newton_module._Step, "may_be_exact", False)
+    case = Sliding(slave, surface=surface, cell=cell, degree=2)
+    case.step(0.0)
+    assert case.step(0.6).newton_iterations >= report.newton_iterations + 7
+    assert np.abs(case.contact.force - force).max() < 1e-8 * np.abs(force).max()
+
+
 @pytest.mark.mpi
 def test_multigrid_of_the_symmetric_matrix_serves(monkeypatch):
     """GMRES takes at most 15 iterations more than conjugate gradients; the answer is the same."""
@@ -383,11 +460,3 @@ def test_nothing_is_allocated_anew_in_the_next_step(monkeypatch):
     assert sum(i.exact_tangent for i in case.step(0.65).iterations) > 1
     assert case.problem.linear.counts.symbolic == before
     assert made == []
-
-
-def test_what_is_not_covered_is_left_to_the_fixed_point():
-    """Facets of second order."""
-    assert Sliding().problem.system.differentiable
-    second = Sliding(degree=2)
-    second.problem.begin_step(audit=False)  # which makes its links
-    assert not second.problem.system.differentiable

@@ -39,6 +39,39 @@ def parts_of(facets: Facets) -> Facets:
     return Facets(element.part, np.ascontiguousarray(x.reshape(-1, *x.shape[2:])))
 
 
+def part_at(element: FacetElement, xi: Floats) -> Ints:
+    """Return the parts (q,) on which points xi (q, 2) of a reference facet lie.
+
+    >>> from dolfinx_mortar.geometry.elements import TRI6
+    >>> part_at(TRI6, np.array([[0.1, 0.1], [0.3, 0.3], [0.1, 0.8]])).tolist()
+    [0, 3, 2]
+    """
+    if element.part is None:
+        return np.zeros(len(xi), dtype=np.int32)
+    near = element.vertex_functions(xi)  # parts are numbered like the vertices on them
+    nearest = near.argmax(axis=1)
+    if not element.bilinear:
+        nearest[near.max(axis=1, initial=0.0) < 0.5] = 3
+    return nearest.astype(np.int32)
+
+
+def edges_of_parts(element: FacetElement) -> Ints:
+    """Return on which edge (s, v) of a facet each edge of a part lies, -1 for those inside.
+
+    >>> from dolfinx_mortar.geometry.elements import TRI6
+    >>> edges_of_parts(TRI6).tolist()
+    [[0, -1, 2], [0, 1, -1], [-1, 1, 2], [-1, -1, -1]]
+    """
+    v = len(element.vertices)
+    found = np.full((count(element), v), -1, dtype=np.int32)
+    for part, nodes in enumerate(element.sub_facets):
+        for i, ends in enumerate(zip(nodes, nodes[1:] + nodes[:1], strict=True)):
+            for edge in range(v):
+                if set(ends) <= {edge, (edge + 1) % v, v + edge}:
+                    found[part, i] = edge
+    return found
+
+
 def first_order(facets: Facets) -> Facets | None:
     """Return facets of first order that are these facets, None unless all are straight and flat.
 

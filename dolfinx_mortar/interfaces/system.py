@@ -448,12 +448,6 @@ class InterfaceSystem:
         """Tell whether some contact has."""
         return any(interface.rough for interface in self.interfaces)
 
-    @property
-    def differentiable(self) -> bool:
-        """Whether `linearise_geometry` holds: in space for facets of first order."""
-        first = all(link.sides.slave.element.degree == 1 for link in self.unilateral)
-        return first or self.V.dofmap.index_map_bs == 2
-
     def slip_limits(
         self,
         moved: PETSc.Vec,

@@ -270,7 +270,7 @@ def point_heights(
     if not second:
         c_s, c_m = _common(a, b)
     elif u is not None:
-        s, m = _facet_stretches(pairing, u)
+        s, m = facet_stretches(pairing, u)
         c_s, c_m = c_s * s[pairing.pairs[pairs, 0]], c_m * m[pairing.pairs[pairs, 1]]
     h_s = heights(a.facets, c_s, of, segments.xi_s)
     h_m = heights(b.facets, c_m, of, segments.xi_m)
@@ -311,7 +311,7 @@ def height_slopes(
     xi = segments.xi_s, segments.xi_m
     by_x = [np.zeros((len(of), side.facets.element.nodes, 2)) for side in (a, b)]
     if pairing.slave.element.degree > 1:
-        stretches = _facet_stretches(pairing, u)
+        stretches = facet_stretches(pairing, u)
         parts = []
         both = zip((a, b), stretches, xi, pairing.pairs[pairs].T, strict=True)
         for side, stretch, z, which in both:
@@ -384,7 +384,7 @@ def _common(a: Curved, b: Curved) -> tuple[Floats, Floats]:
     return common_sagittas(a.facets, a.sagitta, b.K), common_sagittas(b.facets, b.sagitta, a.K)
 
 
-def _facet_stretches(pairing: Pairing, u: dolfinx.fem.Function) -> tuple[Floats, Floats]:
+def facet_stretches(pairing: Pairing, u: dolfinx.fem.Function) -> tuple[Floats, Floats]:
     """Return the factors of heights on slave (m, 1) and master facets (m', 1); collective."""
     slave, own = (thickness_stretches(side, u) for side in (pairing.slave, pairing.master))
     columns = np.zeros((len(own), pairing.slave.X.shape[1]))

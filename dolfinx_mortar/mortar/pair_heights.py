@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: MIT
-r"""Derivatives of the heights of smooth surfaces over pairs of first-order facets in 3D.
+r"""Derivatives of the heights of smooth surfaces over pairs of facets in 3D.
 
-Over both facets h = sum_ab N_a N_b c_ab / 2 with the c_ab of the surface that the sides share,
-see `dolfinx_mortar.mortar.curvature_correction.point_heights`. With the edges e of a facet and the
-curvatures K of the other one, functions of the coordinates of its nodes,
+Over both facets h = sum_ab N_a N_b c_ab / 2 with functions of the vertices, see
+`dolfinx_mortar.mortar.curvature_correction.point_heights`. In first order the c_ab are those of the
+surface that the sides share. With the edges e of a facet and the curvatures K of the other one,
+functions of the coordinates of its nodes,
 
     c_ab = (c_0 - e.K e) / 2,      dc_ab = -e.K de - e.dK e / 2.
+
+In second order each side has its own, which only strains of the bodies change; these are held.
 """
 
 from dataclasses import dataclass
@@ -16,9 +19,14 @@ import dolfinx
 from dolfinx_mortar.arrays import EPS, Floats, Ints, Longs
 from dolfinx_mortar.geometry.curvature import common_sagittas, curvatures, edges, node_pairs
 from dolfinx_mortar.geometry.elements import FacetElement
-from dolfinx_mortar.geometry.facet_derivatives import PointHeights
+from dolfinx_mortar.geometry.facet_derivatives import Heights
 from dolfinx_mortar.geometry.facets import Facets, facet_sizes
-from dolfinx_mortar.mortar.curvature_correction import Curved, SmoothSide, find_curved
+from dolfinx_mortar.mortar.curvature_correction import (
+    Curved,
+    SmoothSide,
+    facet_stretches,
+    find_curved,
+)
 from dolfinx_mortar.mortar.dual import sums_of_products
 from dolfinx_mortar.mortar.pairing import Pairing
 
@@ -30,17 +38,19 @@ class PairHeights:
     slave: FacetElement
     master: FacetElement
     c: tuple[Floats, Floats]  # (p, e) c_ab over slave and master facets
-    by_x: tuple[Floats, Floats]  # (p, e, k + l, 3) their derivatives
+    by_x: tuple[Floats, Floats] | None  # (p, e, k + l, 3) their derivatives; None for 0
 
-    def at(self, pair: Longs, xi_s: Floats, xi_m: Floats) -> PointHeights:
+    def at(self, pair: Longs, xi_s: Floats, xi_m: Floats) -> Heights:
         """Return the heights at points (q,) of pairs, and their derivatives by xi_m."""
         (N_s, _), (N_m, slopes) = _products(self.slave, xi_s), _products(self.master, xi_m)
         c_s, c_m = (c[pair] for c in self.c)
         h = (N_s * c_s + N_m * c_m).sum(axis=1)
-        return PointHeights(h, np.einsum("qea,qe->qa", slopes, c_m))
+        return Heights(h, np.einsum("qea,qe->qa", slopes, c_m))
 
     def integrals(self, Phi: Floats, pair: Ints, xi_s: Floats, xi_m: Floats) -> Floats:
         """Return int Phi_j dh (p, k, k + l, 3) by the nodes, at given points of both facets.
+
+        Where `by_x` is not None.
 
         Args:
             Phi: Values of Phi_j times weights at the points (q, k).
@@ -48,6 +58,7 @@ class PairHeights:
             xi_s: Points (q, 2) on slave facets.
             xi_m: Points (q, 2) on master facets.
         """
+        assert self.by_x is not None
         p, k, (size, d) = len(self.by_x[0]), Phi.shape[1], self.by_x[0].shape[2:]
         total = np.zeros((p, k, size, d))
         sides = (self.slave, xi_s), (self.master, xi_m)
@@ -58,9 +69,9 @@ class PairHeights:
 
 
 def _products(element: FacetElement, xi: Floats) -> tuple[Floats, Floats]:
-    """Return N_a N_b / 2 (q, e) of the pairs of nodes of a facet, and their slopes (q, e, 2)."""
+    """Return N_a N_b / 2 (q, e) of the pairs of vertices of a facet, and their slopes (q, e, 2)."""
     i, j = node_pairs(Facets(element, np.zeros((0, element.nodes, 3))))
-    N, dN = element.shape_functions(xi), element.derivatives(xi)
+    N, dN = element.vertex_functions(xi), (element.part or element).derivatives(xi)
     slopes = dN[:, i] * N[:, j, None] + N[:, i, None] * dN[:, j]
     return N[:, i] * N[:, j] / 2, slopes / 2
 
@@ -71,7 +82,7 @@ def pair_heights(
     u: dolfinx.fem.Function,
     sides: tuple[SmoothSide, SmoothSide],
 ) -> PairHeights:
-    """Return the heights over pairs of first-order facets in 3D; collective.
+    """Return the heights over pairs of facets in 3D; collective.
 
     Args:
         pairing: the pair of surfaces.
@@ -80,12 +91,18 @@ def pair_heights(
         sides: the smooth surfaces at X.
     """
     a, b = find_curved(pairing, u, sides, pairs)
+    elements = a.facets.element, b.facets.element
     s, m = pairing.pairs[pairs].T
+    if pairing.slave.element.degree > 1:
+        stretches = facet_stretches(pairing, u)
+        return PairHeights(
+            *elements, (a.sagitta * stretches[0][s], b.sagitta * stretches[1][m]), None
+        )
     of_s = [_by_own(a.facets, b.K), _by_other(a.facets, b, m)]
     of_m = [_by_other(b.facets, a, s), _by_own(b.facets, a.K)]
     by_x = np.concatenate(of_s, axis=2), np.concatenate(of_m, axis=2)
     c = common_sagittas(a.facets, a.sagitta, b.K), common_sagittas(b.facets, b.sagitta, a.K)
-    return PairHeights(a.facets.element, b.facets.element, c, by_x)
+    return PairHeights(*elements, c, by_x)
 
 
 def _by_own(facets: Facets, K: Floats) -> Floats:

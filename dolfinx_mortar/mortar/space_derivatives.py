@@ -1,18 +1,16 @@
 # SPDX-License-Identifier: MIT
 r"""Derivatives of contact forces and of weighted gaps in 3D, when both sides move.
 
-As in `dolfinx_mortar.mortar.derivatives`, with which the definitions and the result are common; on
-first-order facets. Facets are projected along their own mean normals, so that the averaged normals
-n direct the tractions and the gaps alone. What belongs to the points of one pair is integrated by
-compiled kernels, `dolfinx_mortar.geometry.facet_derivatives`; here the coefficients A' of the dual
-functions Phi_j = 1/c + sum_b A'_jb N_b of a facet are added, which depend on all its pairs:
+As in `dolfinx_mortar.mortar.derivatives`, with which the definitions and the result are common.
+Facets are projected along the mean normals of their parts, so that the averaged normals n direct
+the tractions and the gaps alone. What belongs to the points of one pair is integrated by compiled
+kernels, `dolfinx_mortar.geometry.facet_derivatives`; the coefficients of the dual functions of a
+facet change with the weights at the points of all its pairs. On flat triangles that are covered
+without a free edge they do not: their moments have the factor of all weights in common.
 
-    dA = (diag(dd) - A dm) m^-1,      m_ab = int N_a N_b,      d_a = int N_a = sum_b m_ab.
-
-On flat triangles that are covered without a free edge dA = 0, since dm is a multiple of m.
+In second order the height of a smooth surface has a factor, the strain of the bodies along the
+normal (`dolfinx_mortar.mortar.curvature_correction.point_heights`), which is held.
 """
-
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
@@ -21,8 +19,9 @@ import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.facet_derivatives import (
+    Coefficients,
+    Integrands,
     PairIntegrals,
-    PointHeights,
     Points,
     differentiate_pairs,
     place_on_edges,
@@ -31,7 +30,7 @@ from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
 from dolfinx_mortar.geometry.segments import Segments, are_facing
 from dolfinx_mortar.geometry.tolerances import TINY
 from dolfinx_mortar.mortar.derivatives import LEAST_MOMENT, Derivatives, Matrix, Tractions
-from dolfinx_mortar.mortar.dual import sums_of_products
+from dolfinx_mortar.mortar.dual import absorbed, sums_of_products
 from dolfinx_mortar.mortar.operators import SmoothSides
 from dolfinx_mortar.mortar.pair_heights import pair_heights
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
@@ -50,96 +49,88 @@ def differentiate_in_space(
 ) -> Derivatives:
     """Return the derivatives of forces and weighted gaps at X + u (collective).
 
-    The arguments are those of `dolfinx_mortar.mortar.derivatives.differentiate`, of surfaces in 3D
-    with first-order facets; smooth surfaces by themselves.
+    The arguments are those of `dolfinx_mortar.mortar.derivatives.differentiate`, of surfaces in 3D;
+    smooth surfaces by themselves.
     """
     slave, master = pairing.slave, received_facets(pairing, u)
     facets, nodes = facets_at(slave, coordinates(slave, u)), slave.facets
     used, of = np.unique(segments.pair, return_inverse=True)
     pairs = np.ascontiguousarray(pairing.pairs[used])
-    N_s, N_m = (
-        side.element.shape_functions(xi)
-        for side, xi in ((facets, segments.xi_s), (master, segments.xi_m))
-    )
-    m = sums_of_products(N_s * segments.weight[:, None], N_s, segments.slave, len(nodes))
-    duals = _duals(m, keep[nodes])
     edges = place_on_edges(facets, master, pairs, _free_edges(pairing, facets, master, pairs))
-    points = _joined(segments, of, edges)
-    on_edges = _at(duals, keep[nodes], pairs[edges.pair, 0], facets, edges)
-    Phi_all = np.concatenate([Phi, on_edges])
-    sagittas, heights = None, None
+    inner = Points(of.astype(np.int64), segments.xi_s, segments.xi_m, segments.weight)
+    sagittas, heights, h = None, None, None
     if smooth is not None:
         sagittas = pair_heights(pairing, used.astype(np.int32), u, smooth)
-        heights = sagittas.at(points.pair, points.xi_s, points.xi_m)
-    at_nodes = given.tractions[nodes], given.normals[nodes]
-    found = differentiate_pairs(facets, master, pairs, points, Phi_all, *at_nodes, heights)
+        at_inner, at_edges = (sagittas.at(at.pair, at.xi_s, at.xi_m) for at in (inner, edges))
+        heights, h = (at_inner, at_edges), at_inner.h
+    kept = keep[nodes]
+    own = _Own(segments, inner, len(pairs), facets, master, kept, Phi, h)
+    A, inverse = _coefficients(own.m, kept)
+    duals = own.duals, _duals(facets, kept, pairs[edges.pair, 0], edges.xi_s)
+    on_edges = _values(A, kept, pairs[edges.pair, 0], duals[1], edges.weight)
+    which = np.full(len(nodes), facets.element.bilinear or facets.element.degree > 1)
+    which[pairs[edges.pair, 0]] = True
+    vectors = Integrands(given.tractions[nodes], given.normals[nodes])
+    found = differentiate_pairs(
+        facets,
+        master,
+        pairs,
+        (inner, edges),
+        (np.ascontiguousarray(Phi), on_edges),
+        duals,
+        vectors,
+        Coefficients(which, inverse, own.gaps(vectors.n)),
+        heights,
+    )
     gaps = found.gaps
-    if sagittas is not None:
+    if sagittas is not None and sagittas.by_x is not None:
         gaps = gaps - sagittas.integrals(Phi, of.astype(np.int32), segments.xi_s, segments.xi_m)
     place = _Places(pairing, pairs, len(slave.nodes))
-    own = _Own(segments, of, len(pairs), facets, master, N_s, N_m, Phi, heights)
-    F, G = place.forces(found.forces), place.gaps(gaps)
-    change = np.full(len(nodes), facets.element.bilinear)
-    change[pairs[edges.pair, 0]] = True
-    F_A, G_A, dA = _by_coefficients(place, own, duals, found, given, change[pairs[:, 0]])
+    F = place.forces(_add_dual_changes(found, own, pairs[:, 0], which))
+    if len(found.with_edges):
+        F = F + _by_edges(place, found, own)
     F_n, G_n = _by_normals(place, own, given)
-    return Derivatives(F + F_A @ dA, F_n, G + G_A @ dA, G_n)
+    return Derivatives(F, F_n, place.gaps(gaps), G_n)
 
 
-@dataclass(frozen=True, eq=False)
-class _Duals:
-    """Coefficients of the dual functions of facets, and their derivatives by the moments m."""
-
-    A: Floats  # (f, k, k) A'
-    slope: Floats  # (f, k, k, k, k) dA'_jb / dm_ac
-
-
-def _duals(m: Floats, kept: Bools) -> _Duals:
-    """Return the coefficients for moments (f, k, k) and the nodes (f, k) with a multiplier."""
-    k, one = m.shape[1], np.eye(m.shape[1])
-    both = kept[:, :, None] & kept[:, None, :]
-    d = m.sum(axis=2) * kept
-    size = np.maximum(np.trace(m, axis1=1, axis2=2), TINY)[:, None, None]
-    whole = m * both + size * (~kept)[:, :, None] * one
-    some = (np.linalg.det(whole / size) > LEAST_MOMENT) & (kept.sum(axis=1) > 1)
+def _coefficients(m: Floats, kept: Bools) -> tuple[Floats, Floats]:
+    """Return A and m^-1 (f, k, k) for moments (f, k, k) of N~ and the nodes (f, k) kept."""
+    one, both = np.eye(m.shape[1]), kept[:, :, None] & kept[:, None, :]
+    mean = np.maximum(np.trace(m, axis1=1, axis2=2) / len(one), TINY)[:, None, None]
+    whole = m * both + mean * (~kept)[:, :, None] * one
+    least, most = np.linalg.eigvalsh(whole)[:, [0, -1]].T
+    some = (least > LEAST_MOMENT * most) & (kept.sum(axis=1) > 1)
     inverse = np.linalg.inv(np.where(some[:, None, None], whole, one))
     inverse *= both & some[:, None, None]
-    A = d[:, :, None] * inverse
-    slope = np.einsum("ja,fjb,fj->fjba", one, inverse, kept)[..., None].repeat(k, axis=4)
-    slope -= np.einsum("fja,fcb->fjbac", A, inverse)
-    share = (kept / np.maximum(kept.sum(axis=1), 1)[:, None])[:, :, None]
-    slope -= share[..., None, None] * slope.sum(axis=1, keepdims=True)
-    return _Duals(A - share * A.sum(axis=1, keepdims=True), slope)
+    return m.sum(axis=2)[:, :, None] * inverse, inverse
 
 
-def _at(duals: _Duals, kept: Bools, facet: Ints, facets: Facets, points: Points) -> Floats:
+def _duals(facets: Facets, kept: Bools, facet: Ints | Longs, xi: Floats) -> Floats:
+    """Return N~ (q, k) at points of facets (q,)."""
+    N = facets.element.shape_functions(xi)
+    return np.ascontiguousarray(absorbed(facets.element.shares, N, kept[facet]))
+
+
+def _values(A: Floats, kept: Bools, facet: Ints, duals: Floats, weight: Floats) -> Floats:
     """Return the dual functions times weights (q, k) at points of facets (q,)."""
-    N = facets.element.shape_functions(points.xi_s)
+    values = np.einsum("qjb,qb->qj", A[facet], duals)
     share = kept / np.maximum(kept.sum(axis=1), 1)[:, None]
-    values = share[facet] + np.einsum("qjb,qb->qj", duals.A[facet], N)
-    return np.asarray(values * points.weight[:, None])
-
-
-def _joined(segments: Segments, of: Longs, edges: Points) -> Points:
-    """Return the points of the segments, then those on edges."""
-    return Points(
-        np.concatenate([of.astype(np.int64), edges.pair]),
-        np.concatenate([segments.xi_s, edges.xi_s]),
-        np.concatenate([segments.xi_m, edges.xi_m]),
-        np.concatenate([segments.weight, edges.weight]),
-        np.concatenate([np.zeros((len(of), 3)), edges.nu]),
-    )
+    values += share[facet] * (1.0 - values.sum(axis=1, keepdims=True))
+    return np.asarray(values * weight[:, None])
 
 
 def _free_edges(pairing: Pairing, slave: Facets, master: Facets, pairs: Ints) -> Bools:
-    """Return the edges (p, l) of master facets beyond which no other one faces the slave facet."""
+    """Return the edges (p, l) of master facets whose motion counts.
+
+    These are edges beyond which no other facet faces the slave facet, and in second order all.
+    """
     count = len(master.x)
-    beside = _neighbours(pairing.master_facets)[pairs[:, 1]]
+    beside = _neighbours(pairing.master_facets[:, list(master.element.vertices)])[pairs[:, 1]]
     s, m = pairing.pairs.T
     facing = are_facing(facet_normals(slave)[s][:, None], facet_normals(master)[m])
     known = (s.astype(np.int64) * count + m)[facing]
     asked = pairs[:, 0].astype(np.int64)[:, None] * count + beside
-    return (beside < 0) | ~np.isin(asked, known)
+    return (beside < 0) | ~np.isin(asked, known) | (master.element.degree > 1)
 
 
 def _neighbours(facets: Ints) -> Ints:
@@ -161,31 +152,46 @@ def _neighbours(facets: Ints) -> Ints:
 
 
 class _Own:
-    """Integrals over pairs (p,) that derivatives by tractions and coefficients need."""
+    """Integrals over pairs (p,) and facets (f,) that derivatives by normals and weights need."""
 
     def __init__(
         self,
         segments: Segments,
-        of: Longs,
+        points: Points,
         p: int,
         slave: Facets,
         master: Facets,
-        N_s: Floats,
-        N_m: Floats,
+        kept: Bools,
         Phi: Floats,
-        heights: PointHeights | None,
+        heights: Floats | None,
     ) -> None:
-        pair, wN = of.astype(np.int32), N_s * segments.weight[:, None]
-        o = points_of(master, segments.master, segments.xi_m)
-        o -= points_of(slave, segments.slave, segments.xi_s)
+        pair, facet, f = points.pair.astype(np.int32), segments.slave, len(slave.x)
+        N_s, N_m = (
+            side.element.shape_functions(xi)
+            for side, xi in ((slave, points.xi_s), (master, points.xi_m))
+        )
+        self.duals = np.ascontiguousarray(absorbed(slave.element.shares, N_s, kept[facet]))
+        wN = self.duals * points.weight[:, None]
+        o = points_of(master, segments.master, points.xi_m)
+        o -= points_of(slave, facet, points.xi_s)
         self.D = sums_of_products(Phi, N_s, pair, p)  # (p, k, k) int Phi_j N_k
         self.M = sums_of_products(Phi, N_m, pair, p)  # (p, k, l) int Phi_j N_l
         self.v = sums_of_products(Phi, o, pair, p)  # (p, k, 3) int Phi_j o
-        self.N_s = sums_of_products(wN, N_s, pair, p)  # (p, k, k) int N_a N_b
-        self.N_m = sums_of_products(wN, N_m, pair, p)  # (p, k, l) int N_a N_l
-        self.o = sums_of_products(wN, o, pair, p)  # (p, k, 3) int N_a o
-        h = np.zeros((len(pair), 1)) if heights is None else heights.h[: len(pair), None]
-        self.h = sums_of_products(wN, h, pair, p)  # (p, k, 1) int N_a h
+        self.N_s = sums_of_products(wN, N_s, pair, p)  # (p, k, k) int N~_b N_k
+        self.N_m = sums_of_products(wN, N_m, pair, p)  # (p, k, l) int N~_b N_l
+        self.m = sums_of_products(wN, self.duals, facet, f)  # (f, k, k) int N~_a N~_b
+        self.o = sums_of_products(wN, o, facet, f)  # (f, k, 3) int N~_b o
+        h = np.zeros((len(pair), 1)) if heights is None else heights[:, None]
+        self.h = sums_of_products(wN, h, facet, f)[:, :, 0]  # (f, k) int N~_b h
+
+    def gaps(self, n: Floats) -> Floats:
+        """Return int N~_b (n_j.o - h) (f, k, k) for vectors n_j (f, k, 3)."""
+        return np.asarray(n @ np.swapaxes(self.o, 1, 2) - self.h[:, None])
+
+    @property
+    def by_duals(self) -> Floats:
+        """The forces (p, k, k + l) of N~_b as a traction."""
+        return np.concatenate([self.N_s, -self.N_m], axis=2)
 
 
 class _Places:
@@ -220,32 +226,39 @@ class _Places:
         return self.sum(rows, columns, values, (self.n, self.columns))
 
 
-def _by_coefficients(
-    place: _Places,
-    own: _Own,
-    duals: _Duals,
-    found: PairIntegrals,
-    given: Tractions,
-    which: Bools,
-) -> tuple[Matrix, Matrix, Matrix]:
-    """Return the derivatives of forces and gaps by A', and those of A' by the coordinates.
+def _add_dual_changes(found: PairIntegrals, own: _Own, facet: Ints, which: Bools) -> Floats:
+    """Return the derivatives of forces (p, k + l, 3, k + l, 3), of changing dual functions, too.
 
-    Of some of the pairs (p,), those of the facets of which A' changes.
+    Without those by the master's nodes, which `_by_edges` returns.
+
+    Args:
+        found: those with the functions held.
+        own: integrals.
+        facet: slave facets (p,) of the pairs.
+        which: facets of which the functions change.
     """
-    k, f, dofs, slave = place.k, place.facet[which], place.dofs[which], place.slave[which]
-    slope = duals.slope[f].reshape(len(f), k * k, k * k)
-    width = 3 * dofs.shape[1]
-    dA = slope @ found.moments[which].reshape(len(f), k * k, width)
-    item = k * k * f[:, None, None] + np.arange(k * k, dtype=np.int32).reshape(k, k)  # (p, j, b)
-    c, n = (values[slave] for values in (given.tractions, given.normals))
-    count = k * k * len(place.facets)
-    by_A = np.concatenate([own.N_s, -own.N_m], axis=2)[which]  # (p, b, z)
-    forces = np.einsum("pji,pbz->pzijb", c, by_A)
-    F_A = place.sum(dofs[..., None, None], item[:, None, None], forces, (place.columns, count))
-    gaps = np.einsum("pji,pbi->pjb", n, own.o[which]) - own.h[which][:, None, :, 0]
-    G_A = place.sum(slave[:, :, None], item, gaps, (place.n, count))
-    rows, columns = item.reshape(len(f), k * k, 1), dofs.reshape(len(f), 1, width)
-    return F_A, G_A, place.sum(rows, columns, dA, (count, place.columns))
+    some = np.flatnonzero(which[facet])
+    p, k, size = len(some), own.m.shape[1], found.forces.shape[1]
+    by_b = np.swapaxes(own.by_duals[some], 1, 2)[:, None]  # (p, 1, k + l, k)
+    change = by_b @ found.by_slave.reshape(-1, 3, k, 3 * k)[facet[some]]
+    forces = found.forces
+    forces[some, :, :, :k] += np.swapaxes(change, 1, 2).reshape(p, size, 3, k, 3)
+    return forces
+
+
+def _by_edges(place: "_Places", found: PairIntegrals, own: _Own) -> Matrix:
+    """Return the derivatives of forces by the master's nodes of pairs with edges, by C_b."""
+    k, on = place.k, found.with_edges
+    xyz = np.arange(3, dtype=np.int32)
+    item = 3 * (k * place.facet[:, None] + np.arange(k, dtype=np.int32))[:, :, None] + xyz
+    count = 3 * k * len(place.facets)
+    edged = np.isin(place.facet, place.facet[on])
+    forces = np.repeat(np.swapaxes(own.by_duals[edged], 1, 2)[:, :, None], 3, axis=2)
+    rows, columns = place.dofs[edged][..., None], np.swapaxes(item[edged], 1, 2)[:, None]
+    F_C = place.sum(rows, columns, forces, (place.columns, count))
+    columns = place.dofs[on][:, None, None, k:]
+    rows = np.swapaxes(item[on], 1, 2)[..., None, None]
+    return Matrix(F_C @ place.sum(rows, columns, found.by_master, (count, place.columns)))
 
 
 def _by_normals(place: _Places, own: _Own, given: Tractions) -> tuple[Matrix, Matrix]:

@@ -245,8 +245,7 @@ class _Step:
     @property
     def may_be_exact(self) -> bool:
         """Whether the motion of the surfaces can be linearised."""
-        backend = self.report.backend == ACTIVE_SET
-        return self.problem.system.differentiable and backend
+        return self.report.backend == ACTIVE_SET
 
     def run(self, max_it: int) -> None:
         """Iterate until convergence; set the results and the certificate."""
