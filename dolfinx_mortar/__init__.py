@@ -11,6 +11,7 @@ The theory is in Cermak, Svetlik, Varga, Pospisil (2024), doi 10.4203/ccc.9.10.3
 """
 
 from dolfinx_mortar import analytic, materials, meshing, plotting
+from dolfinx_mortar.audit.pairs import Pair, Pairs, find_pairs
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.materials import (
@@ -55,6 +56,8 @@ __all__ = [
     "NewtonNotConverged",
     "Ogden",
     "Orthotropic",
+    "Pair",
+    "Pairs",
     "Preload",
     "PreloadNotReached",
     "Pressure",
@@ -71,6 +74,7 @@ __all__ = [
     "Writer",
     "analytic",
     "assemble_mortar",
+    "find_pairs",
     "load_steps",
     "materials",
     "meshing",

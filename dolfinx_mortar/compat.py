@@ -55,3 +55,10 @@ def mesh_from_gmsh(
             none = np.empty(0, dtype=np.int32)
             tags[codim] = mesh.meshtags(domain, dim - codim, none, none)
     return domain, tags[0], tags[1]
+
+
+def cell_kinds(domain: mesh.Mesh) -> list[str]:
+    """Return the names of the kinds of cells in a mesh (one, unless it is mixed)."""
+    topology: Any = getattr(domain.topology, "_cpp_object", domain.topology)
+    kinds = getattr(topology, "entity_types", None) or getattr(topology, "cell_types", None)
+    return sorted(kind.name for kind in kinds[-1]) if kinds else [domain.topology.cell_name()]

@@ -14,6 +14,7 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.audit.far_ties import TieReach, measure_reach
+from dolfinx_mortar.audit.neighbours import warnings_on_neighbours
 from dolfinx_mortar.audit.stand_off import warnings_on_straight_facets
 from dolfinx_mortar.audit.unheld import Unheld, find_unheld
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes, normals_at_nodes
@@ -155,6 +156,7 @@ def create_audit(
         warnings += _warnings(i)
         taken = ask(bodies.V.mesh.comm, link.interface, "configuration", at)
         warnings += warnings_on_straight_facets(link, taken)
+    warnings += warnings_on_neighbours(bodies, system, at)
     return Audit(bodies.count, found, by_contact, warnings)
 
 

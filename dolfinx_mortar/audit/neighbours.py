@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: MIT
+"""Bodies that come near each other: for proposals of contacts, and for warnings where none is."""
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx import fem
+from dolfinx_mortar.arrays import Bools, Floats, Longs
+from dolfinx_mortar.geometry.crossings import near_others
+from dolfinx_mortar.geometry.facets import facet_sizes
+from dolfinx_mortar.interfaces.system import InterfaceSystem
+from dolfinx_mortar.mortar.facing_bodies import Facing, Skin, find_facing
+from dolfinx_mortar.mortar.surface import exterior_facets
+from dolfinx_mortar.supports.bodies import Bodies, name_of
+
+Nearest = dict[tuple[int, int], tuple[float, list[float]]]
+"""Distance and place by the numbers of two bodies."""
+
+
+def are_near(facing: Facing, within: float | None) -> Bools:
+    """Tell (p,) which pairs of facets are near: at most `within` apart.
+
+    If it is not given, the diameter of the larger one of the two facets.
+    """
+    reach = facing.size.max(axis=1, initial=0.0) if within is None else within
+    return np.asarray(facing.distance <= reach)
+
+
+def boxes_of(comm: MPI.Intracomm, x: Floats, body: Longs, count: int) -> Floats:
+    """Return smallest and largest coordinates (count, 2, d) of facets x (m, k, d) of bodies (m,).
+
+    Of all ranks; collective.
+    """
+    boxes = np.full((count, 2, x.shape[2]), np.inf)
+    np.minimum.at(boxes[:, 0], body, x.min(axis=1))
+    np.minimum.at(boxes[:, 1], body, -x.max(axis=1))
+    comm.Allreduce(MPI.IN_PLACE, boxes, op=MPI.MIN)
+    boxes[:, 1] *= -1.0
+    return boxes
+
+
+def warnings_on_neighbours(
+    bodies: Bodies, system: InterfaceSystem, at: fem.Function | None
+) -> list[str]:
+    """Return a warning for each pair of bodies that come near where no interface couples them.
+
+    Near is as for `find_pairs`. Collective.
+
+    Args:
+        bodies: the connected parts of the mesh.
+        system: the interfaces.
+        at: displacement, None for X.
+    """
+    if bodies.count == 1:
+        return []
+    comm = bodies.V.mesh.comm
+    facets, cells, _, _ = exterior_facets(bodies.V, at)
+    part = bodies.of_cells[cells].astype(np.int64)
+    largest = comm.allreduce(float(facet_sizes(facets.x).max(initial=0.0)), op=MPI.MAX)
+    boxes = boxes_of(comm, facets.x, part, bodies.count)
+    boxes += np.array([-largest, largest])[:, None]
+    skin = Skin(facets, part, np.zeros((len(part), 0), dtype=np.int64))
+    found = find_facing(comm, skin, near_others(facets.x, part, boxes))
+    found = found[are_near(found, None)]
+    coupled = _coupled(bodies, system)
+    nearest: Nearest = {}
+    for k in np.argsort(-found.distance, kind="stable"):  # the nearest is the last
+        one, other = int(found.part[k].min()), int(found.part[k].max())
+        if not coupled[one, other]:
+            nearest[one, other] = float(found.distance[k]), list(map(float, found.place[k]))
+    merged = _least(comm.allgather(nearest))
+    return [_warning(bodies, pair, *told) for pair, told in sorted(merged.items())]
+
+
+def _coupled(bodies: Bodies, system: InterfaceSystem) -> Bools:
+    """Tell (bodies, bodies) which ones some interface couples; collective."""
+    found = np.zeros((bodies.count, bodies.count))
+    n = len(bodies.label)
+    for sides in system.sides:
+        if sides.master is not None:
+            on = [np.unique(bodies.label[mark[:n]]) for mark in (sides.on_slave, sides.on_master)]
+            both = [
+                np.unique(np.concatenate(each))
+                for each in zip(*bodies.V.mesh.comm.allgather(on), strict=True)
+            ]
+            found[np.ix_(*both)] = 1.0
+    return np.asarray((found + found.T) > 0.0)
+
+
+def _least(parts: list[Nearest]) -> Nearest:
+    """Return the least value of all ranks for each key."""
+    merged: Nearest = {}
+    for part in parts:
+        for key, value in part.items():
+            merged[key] = min(value, merged.get(key, value))
+    return merged
+
+
+def _warning(bodies: Bodies, pair: tuple[int, int], distance: float, place: list[float]) -> str:
+    """Return the text for two bodies."""
+    who = " and ".join(name_of(bodies, [k]) for k in pair)
+    where = f"({', '.join(f'{x:.4g}' for x in place)})"
+    how = f"are {distance:.3g} apart" if distance >= 0.0 else f"overlap by {-distance:.3g}"
+    return (
+        f"{who} {how} around {where}, and no interface couples them: give them a Contact if they "
+        "can touch (dm.find_pairs proposes one)"
+    )

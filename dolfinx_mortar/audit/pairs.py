@@ -1,0 +1,405 @@
+# SPDX-License-Identifier: MIT
+"""Contacts proposed by the program: which bodies are near and face each other."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx import fem
+from dolfinx.mesh import Mesh, MeshTags, meshtags
+from dolfinx_mortar import compat
+from dolfinx_mortar.agreement import check_same_on_all_ranks
+from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.arguments import is_number
+from dolfinx_mortar.arrays import Floats, Longs
+from dolfinx_mortar.audit.audit import COARSE
+from dolfinx_mortar.audit.mesh_audit import check_mesh
+from dolfinx_mortar.audit.neighbours import are_near
+from dolfinx_mortar.geometry.facets import Facets
+from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS
+from dolfinx_mortar.interfaces.contact import Contact
+from dolfinx_mortar.interfaces.coulomb import Limit, create_law
+from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
+from dolfinx_mortar.interfaces.mortar_interface import SURFACES
+from dolfinx_mortar.mortar.edges import check_angle
+from dolfinx_mortar.mortar.faces import Faces, find_faces
+from dolfinx_mortar.mortar.facing_bodies import Facing, Skin, find_facing
+from dolfinx_mortar.mortar.surface import exterior_facets
+from dolfinx_mortar.spaces import check_space
+from dolfinx_mortar.supports.bodies import find_bodies
+from dolfinx_mortar.tags import Tags, check_entities, names_of
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A proposed contact; areas are lengths in the plane."""
+
+    slave: str
+    master: str
+    facets: tuple[int, int]  # of both sides, all ranks
+    sizes: tuple[float, float]  # mean diameter of the facets that are near
+    area: float  # of the slave side, where it faces the master and is near
+    distance: float  # least one between facets that face each other; negative: overlap
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Proposed contacts and the tags of their sides; unpacks as ``facet_tags, contacts``."""
+
+    tags: Tags
+    contacts: list[Contact]
+    found: list[Pair]
+
+    def __iter__(self) -> Iterator[Any]:
+        """Yield the tags, then the list of contacts."""
+        return iter((self.tags, self.contacts))
+
+    def __str__(self) -> str:
+        """Return a table, one line for each contact."""
+        head = "slave", "facets", "size", "master", "facets", "size", "area", "distance"
+        rows = [
+            (
+                *(p.slave, str(p.facets[0]), f"{p.sizes[0]:.3g}"),
+                *(p.master, str(p.facets[1]), f"{p.sizes[1]:.3g}"),
+                *(f"{p.area:.3g}", f"{p.distance:.3g}"),
+            )
+            for p in self.found
+        ]
+        wide = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
+        return "\n".join(
+            "  ".join(
+                text.ljust(w) if k in (0, 3) else text.rjust(w)
+                for k, (text, w) in enumerate(zip(row, wide, strict=True))
+            ).rstrip()
+            for row in (head, *rows)
+        )
+
+    __repr__ = __str__  # what notebooks show
+
+
+def find_pairs(
+    mesh: Mesh,
+    cell_tags: MeshTags | None = None,
+    *,
+    within: float | None = None,
+    surface: str = "smooth",
+    feature_angle: float = FEATURE_ANGLE,
+    friction: Limit | None = None,
+    tresca: Limit | None = None,
+    show: bool = True,
+) -> Pairs:
+    """Propose contacts between bodies that are near and face each other; collective.
+
+        facet_tags, contacts = dm.find_pairs(mesh, cell_tags)
+        problem = dm.ContactProblem(solid, contacts, bcs=bcs)
+
+    Bodies are the connected parts of the mesh and, where cell tags are given, the parts of these
+    with different tags. What is joined by common nodes is no contact. Facets are projected along
+    their normals on what lies before them: two bodies are a pair if some facet of one meets a
+    facet of the other that faces it, with nothing between them, at a distance of at most `within`;
+    overlaps count up to half of the thinner body. A side is all of the face to which such facets
+    belong, up to edges, so that bodies can slide. The side with the finer facets is the slave; the
+    other one where a part would be the slave in two contacts, unless it is more than twice as
+    coarse. Faces that face several bodies have one tag.
+
+    Tags, their order and names do not depend on the ranks: bodies are ordered by their cell tags
+    and by the smallest coordinates of their boxes.
+
+    Args:
+        mesh: of all bodies.
+        cell_tags: tags of all cells; their names, if they are `Tags`, become those of the bodies.
+        within: largest distance of a pair, in the units of the mesh; the diameter of the larger
+            one of two facets if not given.
+        surface: of all contacts, see `Contact`.
+        feature_angle: degrees between two facets from which on they meet in an edge; of all
+            contacts, too.
+        friction: of all contacts.
+        tresca: of all contacts.
+        show: whether rank 0 prints the table of what was found.
+
+    Returns:
+        Facet tags such as "disc to block", contacts, and the numbers of the table.
+
+    Raises:
+        ValueError: on all ranks, for a mesh that is not supported or not sound; tags of another
+            mesh or that leave cells out; `within` that is not positive; options that `Contact`
+            refuses; a mesh that is one connected body; and if there is no pair, with the distance
+            of the nearest bodies.
+    """
+    _check(mesh, cell_tags, within, surface)
+    check_angle(feature_angle)
+    create_law(friction, tresca)
+    given = {"within": within, "surface": surface, "feature_angle": feature_angle}
+    options = {"friction": friction, "tresca": tresca, "show": show}
+    check_same_on_all_ranks(mesh.comm, cell_tags=cell_tags, **given, **options)
+    with raised_together(mesh.comm):
+        tag_of_cell = _tags_of_cells(mesh, cell_tags)
+    check_mesh(mesh)
+    V = fem.functionspace(mesh, ("Lagrange", compat.cell_degree(mesh), (mesh.geometry.dim,)))
+    found = _find(V, tag_of_cell, cell_tags, within, feature_angle)
+    kept = {"surface": surface, "feature_angle": feature_angle}
+    pairs = _create(V, found, kept | {"friction": friction, "tresca": tresca})
+    if show and mesh.comm.rank == 0:
+        print(pairs, flush=True)
+    return pairs
+
+
+def _check(mesh: Any, cell_tags: Any, within: Any, surface: Any) -> None:
+    """Raise a ValueError for arguments that are wrong; without communication."""
+    if not isinstance(mesh, Mesh):
+        raise ValueError(f"mesh is {mesh!r}: give a dolfinx.mesh.Mesh of all bodies")
+    kinds = compat.cell_kinds(mesh)
+    if len(kinds) > 1:
+        raise ValueError(
+            f"mesh has cells of several kinds, {', '.join(kinds)}: give all bodies the same kind"
+        )
+    degree, d = compat.cell_degree(mesh), mesh.geometry.dim
+    check_space(fem.functionspace(mesh, ("Lagrange", degree, (d,))), "mesh")
+    if within is not None and not (is_number(within) and within > 0.0):
+        raise ValueError(
+            f"within is {within!r}: give a positive distance in the units of the mesh, or None for "
+            "the diameter of a facet"
+        )
+    if not isinstance(surface, str) or surface not in SURFACES:
+        raise ValueError(f"surface is {surface!r}: choose 'smooth' or 'facets'")
+    if cell_tags is None:
+        return
+    if not isinstance(cell_tags, MeshTags) or cell_tags.dim != mesh.topology.dim:
+        raise ValueError(f"cell_tags is {cell_tags!r}: give a dolfinx.mesh.MeshTags of cells")
+    if not compat.on_same_mesh(cell_tags, mesh):
+        raise ValueError("cell_tags belong to another mesh than mesh: give those of mesh")
+
+
+def _tags_of_cells(mesh: Mesh, cell_tags: MeshTags | None) -> Longs:
+    """Return the tag (owned cells,) of each cell, 0 without tags; without communication."""
+    owned = mesh.topology.index_map(mesh.topology.dim).size_local
+    tags = np.zeros(owned, dtype=np.int64)
+    if cell_tags is None:
+        return tags
+    check_entities("cell_tags", cell_tags)
+    known, own = np.zeros(owned, dtype=bool), cell_tags.indices < owned
+    known[cell_tags.indices[own]] = True
+    tags[cell_tags.indices[own]] = cell_tags.values[own]
+    if not known.all():
+        raise ValueError(
+            f"cell_tags leave out {owned - known.sum()} of {owned} cells: give each cell the tag "
+            "of its body, or no tags, so that bodies are the connected parts of the mesh"
+        )
+    return tags
+
+
+# -- bodies and what they face ---------------------------------------------------------------------
+
+
+@dataclass
+class _Side:
+    """The part of a body that faces another one, all ranks."""
+
+    body: int
+    other: int
+    faces: frozenset[int] = frozenset()
+    area: float = 0.0
+    distance: float = np.inf
+    sizes: Floats = field(default_factory=lambda: np.zeros(2))  # sums, of both bodies
+    count: int = 0
+
+    def add(self, more: "_Side") -> None:
+        """Add what another rank has found."""
+        self.faces |= more.faces
+        self.area += more.area
+        self.distance = min(self.distance, more.distance)
+        self.sizes = self.sizes + more.sizes
+        self.count += more.count
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What the search has found."""
+
+    names: Sequence[str]  # of the bodies
+    facets: Facets  # exterior ones of this rank
+    entities: Longs  # their numbers in the mesh
+    faces: Faces
+    sides: dict[tuple[int, int], _Side]  # by body and the other one
+
+
+def _find(
+    V: fem.FunctionSpace,
+    tag_of_cell: Longs,
+    cell_tags: MeshTags | None,
+    within: float | None,
+    feature_angle: float,
+) -> _Found:
+    """Return which faces of which bodies are near each other; collective."""
+    topology, comm = V.mesh.topology, V.mesh.comm
+    for pair in ((topology.dim - 1, topology.dim), (topology.dim, topology.dim - 1)):
+        topology.create_connectivity(*pair)
+    part_of_cell, count = _ordered_parts(V)
+    if count == 1:
+        raise ValueError(
+            "mesh is one connected body, in which nothing can come apart or touch: bodies need "
+            "nodes of their own where they touch (in Gmsh, do not fragment them)"
+        )
+    bodies = np.column_stack([tag_of_cell, part_of_cell])
+    own = np.unique(bodies, axis=0).reshape(-1, 2)
+    known = np.unique(np.concatenate(comm.allgather(own)), axis=0)
+    names = _names(known, cell_tags)
+    keys = known[:, 0] * count + known[:, 1]
+    body_of_cell = np.searchsorted(keys, bodies[:, 0] * count + bodies[:, 1])
+
+    facets, cells, entities, nodes = exterior_facets(V)
+    body = body_of_cell[cells].astype(np.int64)
+    faces = find_faces(V, facets, nodes, body, feature_angle)
+    label = np.column_stack([body, faces.of_facets])
+    facing = find_facing(comm, Skin(facets, part_of_cell[cells], label))
+    sides = _sides(comm, facing[are_near(facing, within)])
+    if not sides:
+        _raise_nearest(_sides(comm, facing), names, within)
+    return _Found(names, facets, entities.astype(np.int64), faces, sides)
+
+
+def _ordered_parts(V: fem.FunctionSpace) -> tuple[Longs, int]:
+    """Return the connected part of each owned cell, and how many there are; collective.
+
+    In the order of the smallest coordinates of their boxes, which are exact on any ranks.
+    """
+    bodies = find_bodies(V)
+    d = V.mesh.geometry.dim
+    x = V.tabulate_dof_coordinates()[: len(bodies.label), :d]
+    boxes = np.full((bodies.count, 2, d), np.inf)
+    np.minimum.at(boxes[:, 0], bodies.label, x)
+    np.minimum.at(boxes[:, 1], bodies.label, -x)
+    V.mesh.comm.Allreduce(MPI.IN_PLACE, boxes, op=MPI.MIN)
+    size = np.bincount(bodies.label, minlength=bodies.count)
+    size = V.mesh.comm.allreduce(size, op=MPI.SUM)
+    columns = np.column_stack([boxes[:, 0], -boxes[:, 1], size])
+    place = np.empty(bodies.count, dtype=np.int64)
+    place[np.lexsort(columns.T[::-1])] = np.arange(bodies.count)
+    return place[bodies.of_cells], bodies.count
+
+
+def _names(known: Longs, cell_tags: MeshTags | None) -> list[str]:
+    """Return the names of bodies (tag, part), sorted: that of the tag, and a number if several."""
+    if cell_tags is None:
+        return [f"body {k + 1}" for k in range(len(known))]
+    called = {tag: name for name, tag in names_of(cell_tags).items()}
+    names = []
+    for k, tag in enumerate(known[:, 0]):
+        alike = np.flatnonzero(known[:, 0] == tag)
+        number = f" #{k - alike[0] + 1}" if len(alike) > 1 else ""
+        names.append(f"{called.get(int(tag), f'body {tag}')}{number}")
+    return names
+
+
+def _sides(comm: MPI.Intracomm, facing: Facing) -> dict[tuple[int, int], _Side]:
+    """Return what bodies face each other by pairs of facets of all ranks; collective."""
+    own: dict[tuple[int, int], _Side] = {}
+    bodies, faces = facing.label[:, :, 0], facing.label[:, :, 1]
+    for one in np.unique(bodies, axis=0):
+        a, b = int(one[0]), int(one[1])
+        of = (bodies == [a, b]).all(axis=1)
+        size, count = facing.size[of].sum(axis=0), int(of.sum())
+        least, area = float(facing.distance[of].min()), float(facing.area[of].sum())
+        seen, faced = (frozenset(map(int, faces[of, k])) for k in (0, 1))
+        for key, side in (
+            ((a, b), _Side(a, b, seen, area, least, size, count)),
+            ((b, a), _Side(b, a, faced, 0.0, least, size[::-1], count)),
+        ):
+            own.setdefault(key, _Side(*key)).add(side)
+    sides: dict[tuple[int, int], _Side] = {}
+    for part in comm.allgather(own):
+        for key, side in part.items():
+            sides.setdefault(key, _Side(*key)).add(side)
+    return dict(sorted(sides.items()))
+
+
+def _raise_nearest(
+    sides: dict[tuple[int, int], _Side], names: Sequence[str], within: float | None
+) -> None:
+    """Raise a ValueError that says which bodies are nearest."""
+    how = "a facet is long" if within is None else f"within={within:g}"
+    none = f"find_pairs: no two bodies face each other at a distance of at most {how}"
+    if not sides:
+        raise ValueError(f"{none}, or at all: check the mesh, or tag the sides by hand")
+    near = min(sides.values(), key=lambda side: (side.distance, side.body, side.other))
+    raise ValueError(
+        f"{none}. The nearest, {names[near.body]!r} and {names[near.other]!r}, are "
+        f"{near.distance:.4g} apart: give a larger within="
+    )
+
+
+# -- tags and contacts -----------------------------------------------------------------------------
+
+
+def _create(V: fem.FunctionSpace, found: _Found, options: dict[str, Any]) -> Pairs:
+    """Return tags and contacts for what has been found; collective."""
+    groups = _groups(found)
+    tag_of_face = {face: tag for tag, (_, faces) in enumerate(groups, start=1) for face in faces}
+    tags: Longs = np.array([tag_of_face.get(int(f), 0) for f in found.faces.of_facets], np.int64)
+    on, mesh = np.flatnonzero(tags), V.mesh
+    entities = found.entities[on].astype(np.int32)
+    order = np.argsort(entities)
+    marks = meshtags(mesh, mesh.topology.dim - 1, entities[order], tags[on][order].astype(np.int32))
+    named = Tags(marks, {name: tag for tag, (name, _) in enumerate(groups, start=1)})
+    named.name = "pairs"
+    counts = mesh.comm.allreduce(np.bincount(tags, minlength=len(groups) + 1), op=MPI.SUM)
+
+    contacts, rows = [], []
+    for slave, master in _choose_slaves(found):
+        at = [tag_of_face[next(iter(side.faces))] for side in (slave, master)]
+        names = [groups[tag - 1][0] for tag in at]
+        contacts.append(Contact(named, slave=names[0], master=names[1], **options))
+        sizes = slave.sizes / max(slave.count, 1)
+        facets, size = (int(counts[at[0]]), int(counts[at[1]])), (float(sizes[0]), float(sizes[1]))
+        rows.append(Pair(names[0], names[1], facets, size, slave.area, slave.distance))
+    return Pairs(named, contacts, rows)
+
+
+def _groups(found: _Found) -> list[tuple[str, frozenset[int]]]:
+    """Return name and faces of each tag: sides of one body with common faces are one."""
+    groups: list[tuple[int, list[int], frozenset[int]]] = []
+    for side in found.sides.values():
+        others, faces, rest = [side.other], side.faces, []
+        for group in groups:
+            if group[2] & faces:
+                others, faces = group[1] + others, group[2] | faces
+            else:
+                rest.append(group)
+        groups = [*rest, (side.body, others, faces)]
+    return [
+        (f"{found.names[body]} to {', '.join(found.names[k] for k in sorted(others))}", faces)
+        for body, others, faces in sorted(groups, key=lambda g: (g[0], min(g[1])))
+    ]
+
+
+def _choose_slaves(found: _Found) -> list[tuple[_Side, _Side]]:
+    """Return slave and master side of each pair.
+
+    The finer one is the slave, unless it is beside or part of a side that is slave of an earlier
+    pair and the other one is not.
+    """
+    chosen: list[tuple[_Side, _Side]] = []
+
+    def taken(side: _Side) -> bool:
+        earlier = [slave for slave, _ in chosen if slave.body == side.body]
+        return any(
+            slave.faces & side.faces
+            or any((a, b) in found.faces.beside for a in slave.faces for b in side.faces)
+            for slave in earlier
+        )
+
+    for (a, b), side in found.sides.items():
+        if a > b:
+            continue
+        pair = side, found.sides[b, a]
+        own, others = side.sizes
+        if others < own * (1.0 - HALF_OF_DIGITS):
+            pair, own, others = pair[::-1], others, own
+        if others <= COARSE * own and taken(pair[0]) and not taken(pair[1]):
+            pair = pair[::-1]
+        chosen.append(pair)
+    return chosen

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: MIT
+"""Which exterior facets of one body face another body, and how far apart they are; over all ranks.
+
+Each facet is projected along its normal, as a slave facet is, on what lies before it: the nearest
+facet hides those behind it, also one of its own body. So parts that face away, lie beside each
+other or behind a third body do not face each other, and an overlap is a negative distance.
+"""
+
+from dataclasses import dataclass, fields
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Bools, Floats, Longs
+from dolfinx_mortar.geometry.distances import facet_distances
+from dolfinx_mortar.geometry.facets import (
+    Facets,
+    are_inside,
+    facet_normals,
+    facet_sizes,
+    points_of,
+)
+from dolfinx_mortar.geometry.segments import Segments, create_segments, find_candidates
+from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, ROUND_OFF
+from dolfinx_mortar.mortar.pairing import THROUGH
+from dolfinx_mortar.mortar.receivers import create_groups, find_receivers, group_cones
+from dolfinx_mortar.mortar.surface import thickness_behind
+
+
+@dataclass(frozen=True, eq=False)
+class Skin:
+    """Exterior facets of this rank, and the connected parts of the mesh that they belong to."""
+
+    facets: Facets  # (m,)
+    part: Longs  # (m,)
+    label: Longs  # (m, c) what else tells facets apart
+
+
+@dataclass(frozen=True, eq=False)
+class Facing:
+    """Pairs of facets of different parts that face each other, first the facet of this rank."""
+
+    facet: Longs  # (p,) index into the skin
+    part: Longs  # (p, 2) connected parts of both
+    label: Longs  # (p, 2, c) their labels
+    size: Floats  # (p, 2) their diameters
+    area: Floats  # (p,) of the part of the first one that faces the second
+    distance: Floats  # (p,) between them; negative: how deep the first lies in the other part
+    place: Floats  # (p, d) middle of the first
+
+    def __getitem__(self, which: Bools | Longs) -> "Facing":
+        """Return some of the pairs."""
+        return Facing(*(getattr(self, field.name)[which] for field in fields(self)))
+
+
+def find_facing(comm: MPI.Intracomm, skin: Skin, asked: Bools | None = None) -> Facing:
+    """Return which facets of other parts the facets of a skin face, at any distance; collective.
+
+    A facet that lies in another body by more than half of the thinner body is no partner, see
+    `pairing.THROUGH`: it lies beyond it. In an overlap the middle of a facet lies in the body.
+
+    Args:
+        comm: the ranks.
+        skin: all exterior facets of this rank.
+        asked: (m,) which of them to project, on all of the others; all if not given.
+    """
+    depth = THROUGH * _thickness(comm, skin)
+    own = np.flatnonzero(np.ones(len(depth), dtype=bool) if asked is None else asked)
+    facets = skin.facets[own]
+    others, part, label, behind = _receive(comm, facets, skin, depth)
+    n = np.repeat(facet_normals(facets)[:, None], facets.element.nodes, axis=1)
+    pairs = find_candidates(facets, n, others, np.zeros(len(own)))
+    deepest = np.minimum(depth[own][pairs[:, 0]], behind[pairs[:, 1]])
+    segments = create_segments(facets, n, others, pairs, deepest)
+    area = np.bincount(segments.pair, segments.weight, minlength=len(pairs)).astype(np.float64)
+    least = _least_gaps(facets, others, segments, n[:, 0], len(pairs))
+    a, b = pairs.T
+    size = np.stack([facet_sizes(facets.x)[a], facet_sizes(others.x)[b]], axis=1)
+    # facets that lie beside each other overlap in their projections by round-off
+    over = area > HALF_OF_DIGITS * size[:, 0] ** (facets.x.shape[2] - 1)
+    found = np.flatnonzero(over & (part[b] != skin.part[own][a]))
+    distance = _distances(facets[a[found]], others[b[found]], least[found])
+    some = np.isfinite(distance)
+    found, distance = found[some], distance[some]
+    a, b, size = a[found], b[found], size[found]
+    return Facing(
+        facet=own[a],
+        part=np.stack([skin.part[own][a], part[b]], axis=1),
+        label=np.stack([skin.label[own][a], label[b]], axis=1),
+        size=size,
+        area=area[found],
+        distance=distance,
+        place=facets.x[a].mean(axis=1),
+    )
+
+
+def _least_gaps(
+    facets: Facets, others: Facets, segments: Segments, n: Floats, count: int
+) -> Floats:
+    """Return how far before a facet, along its normal, the other one of a pair begins (count,)."""
+    apart = points_of(others, segments.master, segments.xi_m)
+    apart -= points_of(facets, segments.slave, segments.xi_s)
+    least = np.full(count, np.inf)
+    np.minimum.at(least, segments.pair, np.einsum("qi,qi->q", apart, n[segments.slave]))
+    return least
+
+
+def _distances(facets: Facets, others: Facets, least: Floats) -> Floats:
+    """Return the distances (p,) of pairs; infinite where a facet merely looks past a body's edge.
+
+    A facet lies in the other body where its middle does. Otherwise, a facet just above another body
+    would see, askew, the next flank of that body behind itself.
+
+    Args:
+        facets: (p,) the first ones.
+        others: (p,) those which they face.
+        least: (p,) how far before the first one the other one begins, see `_least_gaps`.
+    """
+    size, vertices = facet_sizes(facets.x), others.x[:, np.array(others.element.vertices)]
+    n, other = facet_normals(facets), facet_normals(others)
+    middle = facets.x[:, np.array(facets.element.vertices)].mean(axis=1)
+    along = np.einsum("pi,pi->p", vertices.mean(axis=1) - middle, other)
+    along /= np.einsum("pi,pi->p", n, other)
+    inside = are_inside(vertices, other, middle + along[:, None] * n)
+    distance = facet_distances(facets, others)
+    distance[distance < ROUND_OFF * np.maximum(size, facet_sizes(others.x))] = 0.0
+    return np.where(
+        least < -HALF_OF_DIGITS * size, np.where(inside & (along < 0.0), along, np.inf), distance
+    )
+
+
+def _thickness(comm: MPI.Intracomm, skin: Skin) -> Floats:
+    """Return how thick (m,) the parts are behind their facets; collective.
+
+    One by one, as parts may overlap.
+    """
+    found = np.full(len(skin.part), np.inf)
+    for part in np.unique(np.concatenate(comm.allgather(np.unique(skin.part)))):
+        of = np.flatnonzero(skin.part == part)
+        found[of] = thickness_behind(skin.facets[of], skin.facets[of], comm)
+    return found
+
+
+def _receive(
+    comm: MPI.Intracomm, asking: Facets, skin: Skin, depth: Floats
+) -> tuple[Facets, Longs, Longs, Floats]:
+    """Return the facets of all ranks that those of this rank can face; collective."""
+    if comm.size == 1:
+        return skin.facets, skin.part, skin.label, depth
+    n = facet_normals(asking)[:, None]
+    cones = group_cones(asking.x, n, create_groups(asking.x), np.zeros(len(n)))
+    receivers = find_receivers(comm, cones, skin.facets)
+    sent = skin.facets.x, skin.part, skin.label, depth
+    parts = comm.alltoall([tuple(values[to] for values in sent) for to in receivers.T])
+    x, part, label, depth = (np.concatenate([one[k] for one in parts]) for k in range(4))
+    return Facets(asking.element, x), part, label, depth

@@ -1,0 +1,357 @@
+# SPDX-License-Identifier: MIT
+"""Contacts that the program proposes, and warnings about bodies that come near without one."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx import fem, mesh
+from tests.block_piles import ABOVE, BELOW, create_blocks
+from tests.meshes_3d import rotation, two_boxes
+from tests.msh_files import msh_file
+
+COMM = MPI.COMM_WORLD
+STEEL = dm.Elastic(200e3, 0.3)
+# a base, two blocks of different facets on it, and a lid a little above both
+PILE = [(0, 4, -1, 0, 8, 2), (0, 1.9, 0, 1, 5, 3), (2, 4, 0, 1, 3, 3), (0.5, 3.5, 1.05, 2, 7, 3)]
+
+
+def create(boxes, partition="graph", **options):
+    """Return what is found between blocks, with their names."""
+    domain, cells, facets = create_blocks(COMM, boxes, partition=partition)
+    named = dm.Tags(cells, {f"block {k + 1}": k + 1 for k in range(len(boxes))})
+    return dm.find_pairs(domain, named, **options), domain, facets
+
+
+def count(tags, name):
+    """Return the number of facets with a tag, all ranks."""
+    owned = tags.topology.index_map(tags.dim).size_local
+    return COMM.allreduce(int((tags.find(name) < owned).sum()))
+
+
+def ends(pairs):
+    """Return the names of the bodies of each pair, slave first."""
+    return [(p.slave.split(" to ")[0], p.master.split(" to ")[0]) for p in pairs.found]
+
+
+@pytest.mark.mpi
+def test_disc_on_block_has_the_sides_that_its_author_has_tagged(capsys):
+    domain, cells, sides = dm.meshing.hertz(COMM, kind="graded", h=0.4)
+    tags, contacts = dm.find_pairs(domain, cells)
+    assert list(tags.names) == ["block to disc", "disc to block"]
+    for name, side in (("disc to block", "arc"), ("block to disc", "top")):
+        assert set(tags.find(name).tolist()) == set(sides.find(side).tolist())
+    (contact,) = contacts
+    assert (contact.slave, contact.master) == (tags.tag("disc to block"), tags.tag("block to disc"))
+    shown = capsys.readouterr().out.splitlines()
+    if COMM.rank == 0:
+        assert len(shown) == 2 and shown[0].split() == [
+            *("slave", "facets", "size", "master", "facets", "size", "area", "distance"),
+        ]
+        assert shown[1].startswith("disc to block") and shown[1].split()[-1] == "0"
+    else:
+        assert not shown
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("partition", ["graph", "bodies", "empty"])
+def test_pile_has_the_same_pairs_on_any_ranks(partition):
+    pairs, domain, _ = create(PILE, partition, show=False)
+    found = [(p.slave, p.facets[0], p.master, p.facets[1]) for p in pairs.found]
+    assert found == [
+        ("block 2 to block 1", 5, "block 1 to block 2, block 3", 8),
+        ("block 1 to block 2, block 3", 8, "block 3 to block 1", 3),
+        ("block 3 to block 2", 3, "block 2 to block 3", 3),
+        ("block 2 to block 4", 5, "block 4 to block 2, block 3", 7),
+        ("block 4 to block 2, block 3", 7, "block 3 to block 4", 3),
+    ]
+    distances = [p.distance for p in pairs.found]
+    assert np.allclose(distances, [0.0, 0.0, 0.1, 0.05, 0.05], rtol=0, atol=1e-12)
+    # over 1.9 and 2 of the base, the heights of 1, 1.4 and 1.5 of the lid
+    assert np.allclose([p.area for p in pairs.found], [1.9, 2.0, 1.0, 1.4, 1.5])
+    for name in pairs.tags.names:
+        assert (
+            count(pairs.tags, name)
+            == dict(
+                [(p.slave, p.facets[0]) for p in pairs.found]
+                + [(p.master, p.facets[1]) for p in pairs.found]
+            )[name]
+        )
+    assert len(pairs.contacts) == 5
+    # no slave node is claimed by two contacts
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    claimed = np.zeros(V.dofmap.index_map.size_global)
+    numbers = [
+        V.dofmap.index_map.local_to_global(
+            fem.locate_dofs_topological(V, 1, pairs.tags.find(contact.slave))
+        )
+        for contact in pairs.contacts
+    ]
+    for own in numbers:
+        for node in set(np.concatenate(COMM.allgather(own)).tolist()):
+            claimed[node] += 1
+    assert claimed.max() == 1
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("partition", ["graph", "bodies", "empty"])
+def test_bodies_without_tags_are_numbered_by_their_places(partition):
+    domain, *_ = create_blocks(COMM, PILE[::-1], partition=partition)
+    pairs = dm.find_pairs(domain, show=False)
+    assert [(p.slave, p.master) for p in pairs.found] == [
+        ("body 2 to body 1", "body 1 to body 2, body 4"),
+        ("body 1 to body 2, body 4", "body 4 to body 1"),
+        ("body 2 to body 3", "body 3 to body 2, body 4"),
+        ("body 4 to body 2", "body 2 to body 4"),
+        ("body 3 to body 2, body 4", "body 4 to body 3"),
+    ]
+
+
+def test_blocks_that_touch_in_an_edge_are_no_pair_in_any_direction():
+    """Their projections overlap by what coordinates in a file are rounded to."""
+    for angle in np.linspace(0.1, 1.5, 15):
+        domain, *_ = create_blocks(MPI.COMM_SELF, [(0, 1, 0, 1, 3, 3), (1 - 1e-10, 2, 1, 2, 2, 2)])
+        c, s = np.cos(angle), np.sin(angle)
+        domain.geometry.x[:, :2] = domain.geometry.x[:, :2] @ np.array([[c, s], [-s, c]])
+        with pytest.raises(ValueError, match="face each other"):
+            dm.find_pairs(domain, show=False)
+
+
+@pytest.mark.mpi
+def test_a_side_that_is_finer_than_twice_is_the_slave_of_two_masters():
+    """Rather claimed twice, where both masters are faced, than with a coarse slave."""
+    boxes = [(0, 4, -1, 0, 16, 2), (0, 2, 0, 1, 2, 2), (2, 4, 0, 1, 2, 2)]
+    pairs, *_ = create(boxes, show=False)
+    assert ends(pairs)[:2] == [("block 1", "block 2"), ("block 1", "block 3")]
+    boxes[0] = (0, 4, -1, 0, 6, 2)
+    pairs, *_ = create(boxes, show=False)
+    assert ends(pairs)[:2] == [("block 1", "block 2"), ("block 3", "block 1")]
+
+
+@pytest.mark.mpi
+def test_what_is_beside_behind_or_looks_away_is_no_pair():
+    two = [(0, 1, 0, 1, 2, 2), (0, 1, 1.01, 2, 2, 2)]
+    shim = (-0.1, 1.1, 1.002, 1.008, 4, 1)  # thinner than a facet, so that all is near
+    pairs, *_ = create([*two, shim], show=False)
+    assert sorted(map(sorted, ends(pairs))) == [["block 1", "block 3"], ["block 2", "block 3"]]
+    beside = (1.5, 2.5, 1.3, 2.3, 2, 2)  # flanks look past each other, as do lid and base
+    pairs, *_ = create([*two, beside], within=10.0, show=False)
+    assert sorted(map(sorted, ends(pairs))) == [["block 1", "block 2"], ["block 2", "block 3"]]
+    corner = (1.0, 2.0, 1.0, 2.0, 2, 2)  # touches the first one in a corner only
+    with pytest.raises(ValueError, match="face each other"):
+        create([two[0], corner], show=False)
+    # strips back to back: upper and lower one are thinner than they are near
+    strips = [(0, 1, 0, 0.02, 8, 1), (0, 1, -0.02, -0.001, 8, 1)]
+    pairs, *_ = create(strips, show=False)
+    assert len(pairs.found) == 1 and abs(pairs.found[0].distance - 0.001) < 1e-12
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("unit", [1.0, 1e-3])
+def test_near_is_a_facet_unless_it_is_said(unit):
+    """The larger one of the two, of length 0.5: in any unit of length."""
+
+    def boxes(gap):
+        low, high = np.array([0, 1, -1, 0]) * unit, np.array([0, 1, gap, gap + 1]) * unit
+        return [(*low, 2, 2), (*high, 5, 2)]
+
+    pairs, *_ = create(boxes(0.49), show=False)
+    assert np.isclose(pairs.found[0].distance, 0.49 * unit, rtol=1e-9)
+    assert pairs.found[0].slave == "block 2 to block 1"  # the finer side
+    nearest = f"'block 1' and 'block 2', are {0.51 * unit:.4g} apart"
+    with pytest.raises(ValueError, match=nearest):
+        create(boxes(0.51), show=False)
+    assert len(create(boxes(0.51), within=0.52 * unit, show=False)[0].found) == 1
+    with pytest.raises(ValueError, match=f"within={0.4 * unit:g}"):
+        create(boxes(0.49), within=0.4 * unit, show=False)
+
+
+@pytest.mark.mpi
+def test_overlaps_are_pairs():
+    for depth, found in ((0.3, True), (0.49, True), (0.6, False)):
+        boxes = [(0, 2, -1, 0, 4, 4), (0.5, 1.5, -depth, 1 - depth, 3, 4)]
+        if found:
+            pairs, *_ = create(boxes, show=False)
+            assert np.isclose(pairs.found[0].distance, -depth, atol=1e-12)
+            continue
+        with pytest.raises(ValueError, match="or at all"):
+            create(boxes, show=False)
+    pairs, *_ = create([(0, 1, 0, 1, 2, 2), (0, 1, 1, 2, 3, 2)], friction=0.25, show=False)
+    assert [c.friction for c in pairs.contacts] == [0.25]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+@pytest.mark.parametrize("partition", ["graph", "empty"])
+def test_boxes_in_space_without_any_tag(cell, partition):
+    domain, _, facets = two_boxes(
+        COMM, (3, 3, 2), (2, 3, 2), cell=cell, gap=0.1, turn=rotation((1, 2, 3), 0.7),
+        partition=partition,
+    )  # fmt: skip
+    pairs = dm.find_pairs(domain, show=False)
+    (pair,) = pairs.found
+    triangles = 2 if cell == "tetrahedron" else 1
+    assert sorted(pair.facets) == [6 * triangles, 9 * triangles]
+    assert pair.facets[0] > pair.facets[1]
+    assert np.isclose(pair.distance, 0.1) and np.isclose(pair.area, 1.0)
+    on_top = set(facets.find(3).tolist()) | set(facets.find(4).tolist())
+    assert set(pairs.tags.indices.tolist()) == on_top
+
+
+def ring_and_pins(model):
+    """Draw a plate with a hole, a pin in it, and a washer of two tags around it, all apart."""
+    occ = model.occ
+    plate = occ.cut([(2, occ.addRectangle(-2, -2, 0, 4, 4))], [(2, occ.addDisk(0, 0, 0, 1, 1))])[0]
+    pin = occ.addDisk(0, 0, 0, 0.6, 0.6)
+    outer = occ.cut([(2, occ.addDisk(0, 0, 0, 0.95, 0.95))], [(2, occ.addDisk(0, 0, 0, 0.8, 0.8))])
+    inner = occ.cut([(2, occ.addDisk(0, 0, 0, 0.8, 0.8))], [(2, occ.addDisk(0, 0, 0, 0.65, 0.65))])
+    joined, _ = occ.fragment(outer[0], inner[0])
+    occ.synchronize()
+    for k, (name, parts) in enumerate(
+        {"plate": plate, "pin": [(2, pin)], "bush": joined[:1], "liner": joined[1:]}.items()
+    ):
+        model.addPhysicalGroup(2, [p for _, p in parts], k + 1, name)
+    model.mesh.generate(2)
+
+
+@pytest.mark.mpi
+def test_assembly_of_gmsh_in_the_plane_without_sides():
+    """What is joined, bush and liner, is no contact; concentric sides are, each with the next."""
+    with msh_file(ring_and_pins, MeshSizeMax=0.25) as file:
+        domain, cells, _ = dm.meshing.read_msh(file, COMM)
+    pairs = dm.find_pairs(domain, cells, show=False)
+    assert sorted(map(sorted, ends(pairs))) == [["bush", "plate"], ["liner", "pin"]]
+    assert np.allclose([p.distance for p in pairs.found], 0.05, atol=0.02)
+    bodies = dm.find_pairs(domain, show=False)  # by connected parts: three
+    assert sorted(p.facets for p in bodies.found) == sorted(p.facets for p in pairs.found)
+
+
+def bolted(model):
+    """Draw a bolt with a head through a plate with a hole, on a block."""
+    occ = model.occ
+    hole = occ.addCylinder(0, 0, -1, 0, 0, 3, 0.55)
+    occ.cut([(3, occ.addBox(-1.5, -1.5, 0, 3, 3, 1))], [(3, hole)])
+    shank, head = occ.addCylinder(0, 0, 0, 0, 0, 1.2, 0.5), occ.addCylinder(0, 0, 1, 0, 0, 0.5, 1)
+    occ.fuse([(3, shank)], [(3, head)])
+    occ.addBox(-1.5, -1.5, -1, 3, 3, 1)
+    occ.synchronize()
+    volumes = [tag for _, tag in model.getEntities(3)]
+    tops = {model.getBoundingBox(3, v)[5]: v for v in volumes}
+    for k, (name, top) in enumerate({"plate": 1.0, "bolt": 1.5, "block": 0.0}.items()):
+        near = min(tops, key=lambda z: abs(z - top))
+        model.addPhysicalGroup(3, [tops[near]], k + 1, name)
+    model.mesh.generate(3)
+
+
+@pytest.mark.mpi
+def test_bolt_in_a_hole_in_space():
+    with msh_file(bolted, MeshSizeMax=0.4) as file:
+        domain, cells, _ = dm.meshing.read_msh(file, COMM)
+    pairs = dm.find_pairs(domain, cells, show=False)
+    assert sorted(map(sorted, ends(pairs))) == [
+        *(["block", "bolt"], ["block", "plate"], ["bolt", "plate"]),
+    ]
+    # facets of the shank may cut those of the hole, but the head beside the hole is no overlap
+    assert max(abs(p.distance) for p in pairs.found) < 0.06
+    names = sorted(pairs.tags.names)
+    assert names[0].startswith("block to ") and "plate to bolt" in names
+    # head and shank: underside and cylinder, but neither the top nor the side of the head
+    own = pairs.tags.find("bolt to plate")
+    x = mesh.compute_midpoints(domain, 2, own)
+    assert (x[:, 2] < 1.0 + 1e-9).all() and (np.hypot(x[:, 0], x[:, 1]) < 1.0).all()
+    assert COMM.allreduce(int((np.hypot(x[:, 0], x[:, 1]) > 0.55).sum())) > 0
+    assert COMM.allreduce(int((x[:, 2] < 0.9).sum())) > 0
+
+
+@pytest.mark.mpi
+def test_step_with_proposed_contacts_is_that_with_sides_tagged_by_hand():
+    def solve(by_hand):
+        domain, cells, facets = create_blocks(
+            COMM, [(0, 2, -1, 0, 4, 2), (0.5, 1.5, 0.02, 1, 3, 2)]
+        )
+        interfaces = [dm.Contact(facets, slave=20 + BELOW, master=10 + ABOVE)]
+        if not by_hand:
+            _, interfaces = dm.find_pairs(domain, cells, show=False)
+        V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+        bcs = [
+            fem.dirichletbc(
+                np.array([0.0, v]), fem.locate_dofs_topological(V, 1, facets.find(tag)), V
+            )
+            for tag, v in ((10 + BELOW, 0.0), (20 + ABOVE, -0.04))
+        ]
+        problem = dm.ContactProblem(dm.Solid(fem.Function(V), STEEL), interfaces, bcs=bcs)
+        dm.newton(problem, rtol=1e-10)
+        return interfaces[0].force[1]
+
+    expected = solve(True)
+    assert expected > 100.0 and np.isclose(solve(False), expected, rtol=1e-9)
+
+
+@pytest.mark.mpi
+def test_audit_names_bodies_that_come_near_without_a_contact():
+    domain, cells, facets = create_blocks(COMM, PILE)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    bottom = fem.locate_dofs_topological(V, 1, facets.find(10 + BELOW))
+    held = [
+        fem.dirichletbc(np.zeros(2), fem.locate_dofs_topological(V, 1, facets.find(tag)), V)
+        for tag in (10 + BELOW, 20 + 2, 30 + 2, 40 + ABOVE)
+    ]
+    assert COMM.allreduce(len(bottom)) > 0
+    solid = dm.Solid(fem.Function(V), STEEL)
+    joins = [(21, 13), (31, 13), (43, 41)]
+
+    def warnings(interfaces):
+        audit = dm.ContactProblem(solid, interfaces, bcs=held).audit()
+        return [w for w in audit.warnings if "no interface couples them" in w]
+
+    told = warnings([dm.Contact(facets, slave=s, master=m) for s, m in joins[:1]])
+    assert len(told) == 4
+    assert all(word in told[0] for word in ("the body around", "apart around", "find_pairs"))
+    assert sum("are 0.05 apart" in w for w in told) == 2
+    assert sum("are 0.1 apart" in w for w in told) == 1
+    _, contacts = dm.find_pairs(domain, cells, show=False)
+    assert not warnings(contacts)
+    # where they are at the moment: the lid further up, and pressed in
+    lid = fem.locate_dofs_geometrical(V, lambda x: x[1] > 1.01)
+    for move, count, word in ((3.0, 2, "0.1 apart"), (-0.1, 4, "overlap by 0.05")):
+        solid.u.x.array.reshape(-1, 2)[lid, 1] = move
+        told = warnings([dm.Contact(facets, slave=s, master=m) for s, m in joins[:1]])
+        assert len(told) == count and any(word in w for w in told)
+
+
+@pytest.mark.mpi
+def test_errors_name_the_argument_and_the_remedy():
+    boxes = [(0, 1, 0, 1, 2, 2), (0, 1, 1, 2, 3, 2)]
+    domain, cells, facets = create_blocks(COMM, boxes)
+    _, others, _ = create_blocks(COMM, boxes)
+    for within in (0.0, -1.0, np.nan, "far", True):
+        with pytest.raises(ValueError, match=r"within is .*positive distance"):
+            dm.find_pairs(domain, within=within)
+    with pytest.raises(ValueError, match="cell_tags belong to another mesh"):
+        dm.find_pairs(domain, others)
+    with pytest.raises(ValueError, match=r"cell_tags is .*MeshTags of cells"):
+        dm.find_pairs(domain, facets)
+    own = cells.find(1)
+    some = mesh.meshtags(domain, 2, own, np.ones(len(own), dtype=np.int32))
+    with pytest.raises(ValueError, match=r"leave out .* cells"):
+        dm.find_pairs(domain, some)
+    with pytest.raises(ValueError, match="mesh is 3"):
+        dm.find_pairs(3)
+    one = mesh.create_unit_square(COMM, 4, 4)
+    halves = mesh.locate_entities(one, 2, lambda x: x[0] > -1)
+    values = (mesh.compute_midpoints(one, 2, halves)[:, 0] > 0.5).astype(np.int32)
+    tags = mesh.meshtags(one, 2, halves, values)
+    for given in (None, tags):
+        with pytest.raises(ValueError, match=r"one connected body.*do not fragment"):
+            dm.find_pairs(one, given)
+    with pytest.raises(ValueError, match="cells of type prism"):
+        dm.find_pairs(mesh.create_unit_cube(COMM, 2, 2, 2, mesh.CellType.prism))
+    for wrong, text in (
+        ({"friction": -1.0}, "friction"),
+        ({"surface": "rough"}, "surface"),
+        ({"feature_angle": 0}, "feature_angle"),
+    ):
+        with pytest.raises(ValueError, match=text):
+            dm.find_pairs(domain, cells, **wrong)
