@@ -40,6 +40,7 @@ def create_blocks(
     middle = x[e, 0].mean(axis=1)
     ranks = np.floor(comm.size * (middle - middle.min()) / (np.ptp(middle) * (1 + 1e-9)))
     ranks = block_of_cell % comm.size if partition == "bodies" else ranks
+    ranks = np.arange(len(e)) % comm.size if partition == "dealt out" else ranks
     mine = slice(*(len(e) * np.array([comm.rank, comm.rank + 1]) // comm.size))
     own = slice(*(len(x) * np.array([comm.rank, comm.rank + 1]) // comm.size))
     mesh = dolfinx.mesh.create_mesh(

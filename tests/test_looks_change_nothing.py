@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a user may do between steps changes no number, to the last bit.
+"""What a user may do between steps changes no number, to the last bit, on any number of ranks.
 
 A plate is glued on a block, and a plastic block is pressed and pushed along it: four load steps
 with updated geometry, the third of them in parts. Each test walks so and does something besides.
@@ -18,20 +18,26 @@ from dolfinx import fem
 from tests.block_piles import ABOVE, BELOW, COMM, Blocks
 from tests.choice import quick
 
-WHY = "PETSc adds up what two other ranks send in the order in which it comes"
-pytestmark = [pytest.mark.mpi, pytest.mark.skipif(COMM.size > 2, reason=WHY)]
+pytestmark = pytest.mark.mpi
 LAW = dm.VonMises(E=1000.0, nu=0.3, Y=8.0, a=50.0)
 BLOCK_AND_PLATE = [(-0.5, 1.8, 0.0, 1.0, 6, 2), (-0.5, 1.8, 1.0, 1.3, 9, 1)]
 STARTS = {"updated": (-0.1, 0.05), "reference": (0.0, 0.0)}  # of the pushed block
 MOST = {"updated": 5, "reference": 4}  # iterations of a part; the whole step takes more
 PATH = [(0.0, -0.02), (0.05, -0.02), (0.4, -0.06), (0.3, -0.055)]  # press, push, slide far, back
-# on several ranks MUMPS adds up in the order in which messages come
-DETERMINISTIC = {"pc_type": "lu", "pc_factor_mat_solver_type": "superlu_dist"}
+# On several ranks MUMPS adds up in the order in which messages come, on more than two SuperLU_DIST,
+# too. There each rank factorises the whole matrix, which is a preconditioner for any later step.
+DETERMINISTIC = {
+    1: None,
+    2: {"pc_type": "lu", "pc_factor_mat_solver_type": "superlu_dist"},
+}.get(COMM.size, {"pc_type": "redundant"})
 IN_PARTS = 2  # the step that is made in parts, where one part fails on the way
 FAR, ASIDE = (3.0, -0.5), (0.15, -0.03)  # where no step leads, and a try
 
 
-GEOMETRIES = ["updated", pytest.param("reference", marks=pytest.mark.slow)]
+# The frozen geometry's path is made for factorisations: the QPs of an iterative solver are less
+# accurate on the way, and a part takes more iterations.
+FROZEN = [pytest.param("reference", marks=pytest.mark.slow)]
+GEOMETRIES = ["updated", *(FROZEN if COMM.size < 3 else [])]
 
 
 @dataclass
@@ -52,6 +58,8 @@ class Pile:
 
     def step(self, number):
         """Make a load step of the path, and commit it."""
+        if not self.problem.linear.direct:
+            self.problem.linear.forget()
         if number != IN_PARTS:
             self.push(*PATH[number])
             self.report = dm.newton(self.problem, rtol=1e-9)
@@ -87,7 +95,7 @@ def create(geometry="updated", law=LAW):
     tie = b.join(dm.Tie, (2, BELOW), (1, ABOVE))
     top = fem.Constant(b.mesh, np.zeros(2))
     supports = [b.fix(1, BELOW), b.fix(3, ABOVE, value=top)]
-    options = {"geometry": geometry, "petsc_options": DETERMINISTIC if COMM.size > 1 else None}
+    options = {"geometry": geometry, "petsc_options": DETERMINISTIC}
     problem = b.problem([tie, contact], supports, law, **options)
     return Pile(problem, contact, tie, supports, top)
 

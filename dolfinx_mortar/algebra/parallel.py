@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Entry-wise reductions of small arrays over the ranks.
+"""Reductions over the ranks: of small arrays, entry by entry, and of values at nodes.
 
 Mpi4py's lower-case ``allreduce`` has no MAX of arrays, as it compares whole objects.
 """
@@ -11,7 +11,8 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.algebra.blocks import Layout
+from dolfinx_mortar.arrays import Bools, Floats, Longs
 
 
 def maximum(comm: MPI.Comm, *values: float | np.bool_) -> Floats:
@@ -49,6 +50,24 @@ def ratio(value: float | np.floating[Any], scale: float | np.floating[Any]) -> f
 def any_rank(comm: MPI.Comm, *flags: bool | np.bool_) -> Bools:
     """Return for each flag whether it is set on any rank; collective."""
     return maximum(comm, *(float(flag) for flag in flags)) > 0.0
+
+
+def sums_at_nodes(comm: MPI.Comm, layout: Layout, nodes: Longs, values: Floats) -> Floats:
+    """Return the sums (owned nodes, c) of values (e, c) at global nodes (e,) of any rank.
+
+    Those of Vec.setValues depend on the order in which messages come, these do not; collective.
+    """
+    starts = np.cumsum([0, *comm.allgather(layout.size_local)])
+    rank = np.searchsorted(starts, nodes, side="right") - 1
+    places = np.column_stack([rank, nodes - starts[rank]]).astype(PETSc.IntType)
+    graph = PETSc.SF().create(comm)
+    graph.setGraph(layout.size_local, None, places)
+    sums = np.zeros((values.shape[1], layout.size_local))
+    for addends, result in zip(np.ascontiguousarray(values.T), sums, strict=True):
+        graph.reduceBegin(MPI.DOUBLE, addends, result, MPI.SUM)
+        graph.reduceEnd(MPI.DOUBLE, addends, result, MPI.SUM)
+    graph.destroy()
+    return sums.T
 
 
 def free_unused(comm: MPI.Comm) -> None:

@@ -5,11 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.algebra.parallel import any_rank, sums_at_nodes
 from dolfinx_mortar.arrays import Bools, Ints
 from dolfinx_mortar.interfaces.coupling import Pattern, Sides, with_ghosts
 from dolfinx_mortar.interfaces.interface import Interface
@@ -31,12 +30,9 @@ class Claims:
 
 def referenced(sides: Sides, pattern: Pattern) -> Bools:
     """Return which owned nodes the candidate pairs of an interface depend on; collective."""
-    layout = sides.V.dofmap.index_map
-    count = PETSc.Vec().createMPI((sides.n_owned, layout.size_global), comm=sides.V.mesh.comm)
-    columns = pattern.column[pattern.split :].astype(PETSc.IntType)
-    count.setValues(columns, np.ones(len(columns)), addv=PETSc.InsertMode.ADD_VALUES)
-    count.assemble()
-    return np.asarray(count.array_r > 0)
+    columns, layout = pattern.column[pattern.split :], sides.V.dofmap.index_map
+    counts = sums_at_nodes(sides.V.mesh.comm, layout, columns, np.ones((len(columns), 1)))
+    return np.asarray(counts[:, 0] > 0)
 
 
 def choose_owners(sides: Sequence[Sides], coverage: Sequence[Coverage]) -> Ints:

@@ -9,6 +9,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_mortar.algebra.parallel import sums_at_nodes
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides
 from dolfinx_mortar.interfaces.interface import Interface
@@ -129,16 +130,12 @@ class Link:
         Those on the slave side (of I and D) and those on the master side (of M), which meet at
         nodes of both. Their sum is (I - Q)^T v.
         """
-        p, d = self.pattern, forces.shape[1]
-        dofs = (d * p.column[:, None] + np.arange(d)).astype(PETSc.IntType)
+        p, V = self.pattern, self.sides.V
         moved = -np.einsum("eij,ei->ej", self.coupling.blocks, forces[p.row])
-        sides = []
-        for part in (slice(None, p.split), slice(p.split, None)):
-            side = self.Q.createVecRight()
-            side.setValues(dofs[part].ravel(), moved[part].ravel(), PETSc.InsertMode.ADD_VALUES)
-            side.assemble()
-            sides.append(np.array(side.array_r).reshape(-1, d))
-        slave, master = sides
+        slave, master = (
+            sums_at_nodes(V.mesh.comm, V.dofmap.index_map, p.column[part], moved[part])
+            for part in (slice(None, p.split), slice(p.split, None))
+        )
         slave[self.nodes] += forces
         return slave, master
 

@@ -119,14 +119,15 @@ def _create_basis(space: fem.FunctionSpace) -> Expr:
 class RowsOfCells:
     """A matrix B of a form whose rows are m functions of each cell, and B^T W B with its blocks W.
 
-    All matrices are made once: B here, the others at the first product.
+    All matrices are made once: B here, the others at the first product. (transposeMatMult adds up
+    in the order in which messages came when it was planned, and takes longer on several ranks.)
     """
 
     def __init__(self, form: Any, m: int) -> None:
         """Make the matrix of a fem.Form, without entries; collective."""
         self._form, self._m = form, m
         self._B = fem_petsc.create_matrix(form)
-        self._products: tuple[PETSc.Mat, PETSc.Mat] | None = None
+        self._products: tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat] | None = None
         self._sums: tuple[PETSc.Mat, PETSc.Mat] | None = None
 
     def assemble(self) -> None:
@@ -149,12 +150,13 @@ class RowsOfCells:
         indptr, columns, values = self._B.getValuesCSR()
         blocks = values.reshape(len(weights), self._m, -1)  # rows of a cell have the same columns
         if self._products is None:
-            weighted = self._B.duplicate(copy=True)
-            self._products = weighted, self._B.transposeMatMult(weighted)
-        weighted, product = self._products
+            weighted, transpose = self._B.duplicate(copy=True), self._B.transpose(PETSc.Mat())
+            self._products = weighted, transpose, transpose.matMult(weighted)
+        weighted, transpose, product = self._products
         weighted.setValuesCSR(indptr, columns, (weights @ blocks).ravel())
         weighted.assemble()
-        self._B.transposeMatMult(weighted, result=product)
+        self._B.transpose(transpose)
+        transpose.matMult(weighted, result=product)
         subset = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
         if "baij" not in K.getType():
             K.axpy(1.0, product, subset)

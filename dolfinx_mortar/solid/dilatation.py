@@ -166,7 +166,8 @@ class MeanDilatation:
         result = as_aij(K).duplicate(copy=False)
         result.zeroEntries()
         result.assemble()
-        result.axpy(1.0, B.transposeMatMult(B), PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        square = B.transpose(PETSc.Mat()).matMult(B)
+        result.axpy(1.0, square, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
         return result.convert(K.getType())
 
 

@@ -25,7 +25,7 @@ from dolfinx_mortar.solid.mean_volume import MeanVolume
 from dolfinx_mortar.solid.pointwise import PointValuesOfRegion
 from dolfinx_mortar.solid.sources import Source
 from dolfinx_mortar.solid.state import as_tensors
-from dolfinx_mortar.solid.term import create_vector
+from dolfinx_mortar.solid.term import MatrixForm, create_vector
 from ufl.core.expr import Expr
 
 REASSOCIATE = ("-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math")
@@ -45,7 +45,7 @@ class Forms:
     """What is compiled for a solid, with the two vectors that forms read or fill."""
 
     residual: fem.Form  # int sigma : d eps/du [v]
-    tangent: Any  # fem.Form, its derivative; Any because dolfinx annotates one overload only
+    tangent: MatrixForm  # its derivative
     elastic_norm: fem.Form  # int eps(w) : C : eps(w), w = direction
     element_force: fem.Form  # sum_e sum_a |f_ea|^2
     energy: fem.Form | None  # Psi, if all laws have a potential
@@ -130,7 +130,7 @@ def create_forms(
     energies = [r.energy for r in responses if r.energy is not None]
     return Forms(
         residual=fem.form(residual),
-        tangent=fem.form(tangent, jit_options=in_any_order()),
+        tangent=MatrixForm(fem.form(tangent, jit_options=in_any_order())),
         elastic_norm=fem.form(integral(elastic)),
         element_force=fem.form(element_force),
         energy=fem.form(integral(energies)) if len(energies) == len(regions) else None,
@@ -144,7 +144,7 @@ def create_forms(
 
 def create_elastic(
     u: fem.Function, regions: Sequence[Region], kinematics: Kinematics, degree: int
-) -> tuple[fem.Form, fem.Constant]:
+) -> tuple[MatrixForm, fem.Constant]:
     """Return factor * int eps(v) : C : eps(w), the second derivative of `Forms.elastic_norm`.
 
     With the factor; collective.
@@ -158,7 +158,7 @@ def create_elastic(
     for region, dx in zip(regions, measures(V, regions, degree), strict=True):
         stress = elastic_response(region.law, of_w, region.symbols)
         terms.append(weight * ufl.inner(stress, of_v) * dx)
-    return fem.form(reduce(add, terms)), factor
+    return MatrixForm(fem.form(reduce(add, terms))), factor
 
 
 def create_moduli(

@@ -46,7 +46,7 @@ from dolfinx_mortar.solid.pointwise import (
 )
 from dolfinx_mortar.solid.sources import Followed, follow_changed
 from dolfinx_mortar.solid.state import create_evaluations, create_field, create_state, fill_all
-from dolfinx_mortar.solid.term import Term, assemble
+from dolfinx_mortar.solid.term import MatrixForm, Term, assemble
 from dolfinx_mortar.spaces import check_real, check_space
 
 # Written first, and if a law has them; then all internal variables and the output of the laws.
@@ -269,7 +269,7 @@ class Solid(Term):
         Args:
             kind: "aij", or "baij" for blocks of nodes.
         """
-        K = fem_petsc.create_matrix(self._forms.tangent, kind)
+        K = fem_petsc.create_matrix(self._forms.tangent.form, kind)
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         return K
 
@@ -314,7 +314,7 @@ class Solid(Term):
         dilatation = self._forms.dilatation
         if pressure is not None and isinstance(dilatation, MeanVolume):
             dilatation.set_pressure(pressure)
-        fem_petsc.assemble_matrix(K, self._forms.tangent)
+        self._forms.tangent.add_to(K)
         K.assemble()
         if dilatation is not None:
             dilatation.follow()
@@ -329,11 +329,11 @@ class Solid(Term):
         """Add a multiple of the stiffness of `elastic_norm`, which is positive; collective."""
         form, share = self._elastic
         share.value = factor
-        fem_petsc.assemble_matrix(K, form)
+        form.add_to(K)
         K.assemble()
 
     @cached_property
-    def _elastic(self) -> tuple[Any, fem.Constant]:
+    def _elastic(self) -> tuple[MatrixForm, fem.Constant]:
         """The form of the elastic stiffness, and its factor; few steps need it."""
         return create_elastic(self.u, self.regions, self.kinematics, self.quadrature_degree)
 

@@ -3,12 +3,14 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx import fem, la
+from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.arrays import Floats, Ints
 
 
@@ -83,3 +85,35 @@ def assemble(form: fem.Form, vector: la.Vector) -> Floats:
     fem.assemble_vector(vector.array, form)
     vector.scatter_reverse(la.InsertMode.add)
     return np.asarray(vector.array[: vector.block_size * vector.index_map.size_local])
+
+
+class MatrixForm:
+    """A bilinear form whose matrix is the same each time, to the last bit.
+
+    PETSc adds up what other ranks send in the order in which it comes. Where several send, on more
+    than two ranks, dolfinx does it in the order of the ranks, in a matrix of its own.
+
+    Attributes:
+        form: the form, compiled; Any because dolfinx annotates one overload only.
+    """
+
+    def __init__(self, form: Any) -> None:
+        """Take the form."""
+        self.form = form
+        self._sums: Any = None
+
+    def add_to(self, K: PETSc.Mat) -> None:
+        """Add the matrix to K, which has to be assembled afterwards; collective."""
+        if K.comm.size <= 2:
+            fem_petsc.assemble_matrix(K, self.form)
+            return
+        if self._sums is None:
+            self._sums = fem.create_matrix(self.form)
+        sums = self._sums
+        sums.set_value(0.0)
+        fem.assemble_matrix(sums, self.form)
+        sums.scatter_reverse()
+        start = sums.indptr[: sums.index_map(0).size_local + 1].astype(PETSc.IntType)
+        columns = sums.index_map(1).local_to_global(sums.indices[: start[-1]])
+        blocks = sums.data[: start[-1] * sums.block_size[0] * sums.block_size[1]]
+        K.setValuesBlockedCSR(start, columns.astype(PETSc.IntType), blocks, addv=True)

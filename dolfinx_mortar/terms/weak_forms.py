@@ -20,11 +20,10 @@ import numpy as np
 
 import ufl
 from dolfinx import fem
-from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.solid.solid import Solid
-from dolfinx_mortar.solid.term import Term, assemble, create_vector
+from dolfinx_mortar.solid.term import MatrixForm, Term, assemble, create_vector
 from dolfinx_mortar.spaces import check_real
 from ufl.algorithms import estimate_total_polynomial_degree, expand_derivatives
 
@@ -122,7 +121,7 @@ class WeakForm(Term):
         self.linear = u not in tangent.coefficients()
         self._energy = fem.form(form) if residual is None else None
         self._forces = fem.form(forces)
-        self._tangent = None if tangent.empty() else fem.form(tangent)
+        self._tangent = None if tangent.empty() else MatrixForm(fem.form(tangent))
         self._vector = create_vector(V)
         self._given = {name: form}
 
@@ -141,7 +140,7 @@ class WeakForm(Term):
     def add_tangent(self, K: PETSc.Mat) -> None:
         """Add the second derivative; collective."""
         if self._tangent is not None:
-            fem_petsc.assemble_matrix(K, self._tangent)
+            self._tangent.add_to(K)
 
 
 def check_loads(u: fem.Function, loads: Any) -> None:

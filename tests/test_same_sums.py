@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: MIT
+"""What ranks add up is the same each time, to the last bit, whoever's message comes first."""
+
+import time
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx.fem import petsc as fem_petsc
+from dolfinx_mortar.algebra.congruence import as_aij
+from dolfinx_mortar.algebra.parallel import sums_at_nodes
+from dolfinx_mortar.algebra.triplets import Triplets
+from tests.block_piles import COMM, STEEL, Blocks
+
+pytestmark = pytest.mark.mpi
+TIMES = 30  # one rank is late in each; every second sum of matrices differed when PETSc made them
+
+
+def check_same(compute):
+    """Compare the values (..) of this rank with those of the first time, one rank being late."""
+    late, first = np.random.default_rng(1), compute()
+    for rank in late.integers(0, COMM.size, TIMES if COMM.size > 1 else 1):
+        if COMM.rank == rank:
+            time.sleep(0.5e-3)
+        same = np.array_equal(compute(), first)
+        assert COMM.allreduce(same, op=MPI.LAND)
+
+
+def dealt_out():
+    """A block whose neighbouring cells are on different ranks: nodes get values from all."""
+    b = Blocks([(0.0, 2.0, 0.0, 1.0, 7, 4)], partition="dealt out", cell="quadrilateral")
+    rng = np.random.default_rng(COMM.rank)
+    b.u.x.array[:] = 1e-2 * rng.normal(size=b.u.x.array.size)
+    b.u.x.scatter_forward()
+    return b
+
+
+@pytest.mark.parametrize("kind", ["aij", "baij"])
+def test_tangents_of_bodies(kind):
+    """The form's matrix is that of PETSc's own assembly up to round-off."""
+    b = dealt_out()
+    solid = dm.Solid(b.u, STEEL)
+    K, expected = solid.create_matrix(kind), solid.create_matrix(kind)
+
+    def compute():
+        solid.assemble_tangent(K)
+        return values_of(K)
+
+    check_same(compute)
+    fem_petsc.assemble_matrix(expected, solid._forms.tangent.form)
+    expected.assemble()
+    scale = expected.norm()
+    expected.axpy(-1.0, K)
+    assert expected.norm() <= 1e-15 * scale
+
+
+def values_of(K):
+    """Return the entries of a matrix."""
+    return as_aij(K).getValuesCSR()[2]
+
+
+def test_products_of_mean_dilatations():
+    """Each solid makes its own."""
+    b = dealt_out()
+
+    def compute():
+        solid = dm.Solid(b.u, STEEL, volumetric="reduced")
+        K = solid.create_matrix()
+        solid.assemble_tangent(K)
+        return values_of(K)
+
+    check_same(compute)
+
+
+def test_sums_at_nodes():
+    """Of numbers from every rank at all nodes; they are the sums."""
+    V = dealt_out().V
+    layout, rng = V.dofmap.index_map, np.random.default_rng(COMM.rank)
+    nodes = rng.permutation(np.repeat(np.arange(layout.size_global), 2))
+    values = rng.normal(size=(len(nodes), 2))
+    check_same(lambda: sums_at_nodes(COMM, layout, nodes, values))
+    dense = np.zeros((layout.size_global, 2))
+    np.add.at(dense, nodes, values)
+    total, own = COMM.allreduce(dense), slice(*layout.local_range)
+    np.testing.assert_allclose(sums_at_nodes(COMM, layout, nodes, values), total[own], atol=1e-12)
+
+
+def test_sums_of_triplets():
+    """Also where PETSc plans the exchange anew."""
+    layout, rng = dealt_out().V.dofmap.index_map, np.random.default_rng(COMM.rank)
+    rows, columns = rng.integers(0, layout.size_global, (2, 400))
+    values = rng.normal(size=400)
+    check_same(lambda: Triplets(COMM, layout, rows // 4, columns // 4).sum(values))
