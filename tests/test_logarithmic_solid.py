@@ -193,9 +193,12 @@ def test_contact_and_restart(law, tmp_path):
     first.problem.save(folder / "half.h5")
     second.problem.restore(folder / "half.h5")
     second.walk(LEVELS[1:])
-    assert np.array_equal(second.problem.u.x.array, whole.problem.u.x.array)
-    for name, f in whole.problem.solid.state.items():
-        assert np.array_equal(second.problem.solid.state[name].x.array, f.x.array)
+    round_off = 0.0 if COMM.size == 1 else 1e-12  # MUMPS adds up in the order of messages
+    pairs = [(second.problem.u, whole.problem.u)]
+    pairs += [(second.problem.solid.state[k], f) for k, f in whole.problem.solid.state.items()]
+    for found, expected in pairs:
+        change = np.abs(found.x.array - expected.x.array).max(initial=0.0)
+        assert change <= round_off * np.abs(expected.x.array).max(initial=0.0)
 
 
 def test_lost_stress_is_noted():

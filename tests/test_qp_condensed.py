@@ -64,13 +64,17 @@ def test_a_step_that_would_raise_the_energy_ends_at_its_minimum() -> None:
 
 @pytest.mark.mpi
 def test_a_guess_depends_on_the_program_alone() -> None:
-    """To the last bit: not on other programs that the linear solver has seen before."""
+    """Not on other programs that the linear solver has seen before: to the last bit on one rank.
+
+    On several ranks MUMPS adds up in the order in which messages come.
+    """
     qp, other = membrane(16), membrane(16, force=3.0)
     linear = LinearSolver(COMM, prefix="alone_")
     expected = solve(qp, linear=linear)
     solve(other, linear=linear)
     found = solve(qp, linear=linear)
-    assert np.array_equal(gathered(found.x), gathered(expected.x))
+    x, round_off = gathered(expected.x), 0.0 if COMM.size == 1 else 1e-13
+    assert np.abs(gathered(found.x) - x).max() <= round_off * np.abs(x).max()
     assert found.linear_iterations == expected.linear_iterations
 
 
