@@ -121,3 +121,24 @@ def test_every_floor_says_what_it_is_for():
     for floor in BELOW:
         if (PACKAGE / floor).is_dir():
             assert ast.get_docstring(ast.parse((PACKAGE / floor / "__init__.py").read_text()))
+
+
+def test_classes_have_few_attributes():
+    """At most twelve on self: more belong to several subjects."""
+    kinds = [
+        kind
+        for file in PACKAGE.rglob("*.py")
+        for kind in ast.walk(ast.parse(file.read_text()))
+        if isinstance(kind, ast.ClassDef)
+    ]
+    assert not {kind.name: found for kind in kinds if len(found := attributes(kind)) > 12}
+
+
+def attributes(kind):
+    """Return the names that a class sets on self."""
+    return {
+        node.attr
+        for node in ast.walk(kind)
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)
+        if isinstance(node.value, ast.Name) and node.value.id == "self"
+    }

@@ -85,6 +85,26 @@ class _Field:
         return _Field(self.value * other.value, d)
 
 
+@dataclass(frozen=True, eq=False)
+class _Side:
+    """Shape functions of the facets of a side at the points, and derivatives of their places."""
+
+    N: Floats  # (q, k)
+    slopes: Floats  # (q, k) dN/dxi
+    d_xi: Floats  # (q, p) derivatives of xi
+
+    @property
+    def k(self) -> int:
+        """How many nodes a facet has."""
+        return int(self.N.shape[1])
+
+
+def _side(facets: Facets, xi: Floats, d_xi: Floats) -> _Side:
+    """Return the functions of facets at xi (q, 1)."""
+    functions = facets.element
+    return _Side(functions.shape_functions(xi), functions.derivatives(xi)[:, :, 0], d_xi)
+
+
 @timed("~Mortar: derivatives")
 def differentiate(
     pairing: Pairing,
@@ -157,22 +177,21 @@ class _Chain:
         s, m = segments.slave, segments.master
         self.facet, self.count, self.nodes, self.given = s, len(slave.x), nodes, given
         self.w = _Field(segments.weight, points.weight)
-        self.d_xi_s, self.d_xi_m = points.xi_s, points.xi_m
-        self.N_s, self.dN_s = _functions(slave, segments.xi_s)
-        self.N_m, self.dN_m = _functions(master, segments.xi_m)
-        self.k, self.p = self.N_s.shape[1], points.weight.shape[1]
+        self.slave = _side(slave, segments.xi_s, points.xi_s)
+        self.master = _side(master, segments.xi_m, points.xi_m)
+        self.k, self.p = self.slave.k, points.weight.shape[1]
         self.offsets = [self._offset(i, slave.x[s], master.x[m]) for i in range(2)]
 
     def _offset(self, i: int, x: Floats, y: Floats) -> _Field:
         """Return component i of x_m - x_s."""
-        slopes = (
-            np.einsum("qk,qk->q", dN, v[:, :, i]) for dN, v in ((self.dN_s, x), (self.dN_m, y))
+        sides = (self.slave, x[:, :, i]), (self.master, y[:, :, i])
+        along_s, along_m = (
+            np.einsum("qk,qk->q", side.slopes, v)[:, None] * side.d_xi for side, v in sides
         )
-        along_s, along_m = (slope[:, None] for slope in slopes)
-        d = along_m * self.d_xi_m - along_s * self.d_xi_s
-        d[:, i : 2 * self.k : 2] -= self.N_s
-        d[:, 4 * self.k + i :: 2] += self.N_m
-        x_s, x_m = (np.einsum("qk,qk->q", N, v[:, :, i]) for N, v in ((self.N_s, x), (self.N_m, y)))
+        d = along_m - along_s
+        d[:, i : 2 * self.k : 2] -= self.slave.N
+        d[:, 4 * self.k + i :: 2] += self.master.N
+        x_s, x_m = (np.einsum("qk,qk->q", side.N, v) for side, v in sides)
         return _Field(x_m - x_s, d)
 
     def _nodal(self, values: Floats, changes: Floats, j: int, i: int) -> _Field:
@@ -191,7 +210,7 @@ class _Chain:
             kept: (facets, k) nodes with a multiplier.
         """
         k, w, one = self.k, self.w.value, np.eye(self.k)
-        N = self.N_s * kept[self.facet]
+        N = self.slave.N * kept[self.facet]
         m = sums_of_products(N * w[:, None], N, self.facet, self.count)
         d = covered_weights(N, w, self.facet, self.count)
         size = np.maximum(np.trace(m, axis1=1, axis2=2), TINY)[:, None, None]
@@ -210,7 +229,8 @@ class _Chain:
 
     def moments(self) -> Floats:
         """Return the derivatives (q, k + k^2, p) of w N_a and w N_a N_c."""
-        N = [_Field(self.N_s[:, b], self.dN_s[:, b, None] * self.d_xi_s) for b in range(self.k)]
+        s = self.slave
+        N = [_Field(s.N[:, b], s.slopes[:, b, None] * s.d_xi) for b in range(self.k)]
         first = [self.w * one for one in N]
         return np.stack([f.d for f in first] + [(f * one).d for f in first for one in N], axis=1)
 
@@ -221,15 +241,15 @@ class _Chain:
             A: (facets, k, k) their coefficients.
             Phi: (q, k) their values times weights.
         """
-        slopes = np.einsum("qjb,qb->qj", A[self.facet], self.dN_s)
+        slopes = np.einsum("qjb,qb->qj", A[self.facet], self.slave.slopes)
         values = Phi / self.w.value[:, None]
-        return [_Field(values[:, j], slopes[:, j, None] * self.d_xi_s) for j in range(self.k)]
+        return [_Field(values[:, j], slopes[:, j, None] * self.slave.d_xi) for j in range(self.k)]
 
     def forces(self, duals: list[_Field]) -> tuple[Floats, Floats]:
         """Return the derivatives (q, k + l, 2, p) of the forces, and those by A' (.., k, k)."""
-        c = self.given.tractions[self.nodes]
-        N, dN = np.hstack([self.N_s, -self.N_m]), np.hstack([self.dN_s, -self.dN_m])
-        d_xi = np.stack([self.d_xi_s] * self.k + [self.d_xi_m] * self.N_m.shape[1], axis=1)
+        c, s, m = self.given.tractions[self.nodes], self.slave, self.master
+        N, dN = np.hstack([s.N, -m.N]), np.hstack([s.slopes, -m.slopes])
+        d_xi = np.stack([s.d_xi] * s.k + [m.d_xi] * m.k, axis=1)
         by_x = []
         for i in range(2):
             terms = (
@@ -239,7 +259,7 @@ class _Chain:
             density = self.w * reduce(_Field.__add__, terms)
             along = (density.value[:, None] * dN)[:, :, None] * d_xi
             by_x.append(N[:, :, None] * density.d[:, None] + along)
-        by_A = np.einsum("q,qji,qa,qb->qbija", self.w.value, c, self.N_s, N)
+        by_A = np.einsum("q,qji,qa,qb->qbija", self.w.value, c, s.N, N)
         return np.stack(by_x, axis=2), by_A
 
     def gaps(self, duals: list[_Field], slopes: HeightSlopes | None) -> tuple[Floats, Floats]:
@@ -256,14 +276,14 @@ class _Chain:
             gap = self.w * reduce(_Field.__add__, parts, self._below(slopes))
             by_x.append((gap * dual).d)
             values.append(gap.value)
-        return np.stack(by_x, axis=1), np.stack(values, axis=1)[:, :, None] * self.N_s[:, None]
+        return np.stack(by_x, axis=1), np.stack(values, axis=1)[:, :, None] * self.slave.N[:, None]
 
     def _below(self, slopes: HeightSlopes | None) -> _Field:
         """Return minus the heights, 0 for facets."""
         q = len(self.facet)
         if slopes is None:
             return _Field(np.zeros(q), np.zeros((q, self.p)))
-        d = slopes.by_xi_s[:, None] * self.d_xi_s + slopes.by_xi_m[:, None] * self.d_xi_m
+        d = slopes.by_xi_s[:, None] * self.slave.d_xi + slopes.by_xi_m[:, None] * self.master.d_xi
         d[:, : 2 * self.k] += slopes.by_x_s.reshape(q, 2 * self.k)
         d[:, 4 * self.k :] += slopes.by_x_m.reshape(q, self.p - 4 * self.k)
         return _Field(-slopes.height, -d)
@@ -326,8 +346,3 @@ class _Places:
         slope = slope.reshape(self.count, self.k**2, i)
         size = self.k**2 * self.count, i * self.count
         return Matrix(self._sum(entry, i * f + np.arange(i), slope, size) @ integrals)
-
-
-def _functions(facets: Facets, xi: Floats) -> tuple[Floats, Floats]:
-    """Return the shape functions and their derivatives (q, k) at xi (q, 1)."""
-    return facets.element.shape_functions(xi), facets.element.derivatives(xi)[:, :, 0]

@@ -92,8 +92,8 @@ def find_balance(problem: ContactProblem, data: StepData, overlap: float = 0.0) 
     if overlap > 0.0:
         bounds = replace(bounds, upper=bounds.upper + overlap)
     supported = join([asked, equal])
-    pretensions = problem.pretensions.given()
-    return Balance(r, reduced, supported, bounds, elements, external, limits, pretensions)
+    forces = elements, external
+    return Balance(r, reduced, supported, bounds, *forces, limits, problem.pretensions)
 
 
 def support_slots(problem: ContactProblem) -> tuple[Ints, Ints]:

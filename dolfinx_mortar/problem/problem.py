@@ -25,6 +25,7 @@ from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.audit.audit import Audit, create_audit, find_held_by_contact, find_loose_motions
 from dolfinx_mortar.audit.mesh_audit import check_mesh
 from dolfinx_mortar.interfaces.interface import Interface, ask, check_owned
+from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.system import Configuration, InterfaceSystem
@@ -45,6 +46,8 @@ from dolfinx_mortar.terms.sum import Terms, check_terms
 from dolfinx_mortar.terms.weak_forms import DeadLoads, WeakForm, check_form
 
 log = logging.getLogger(__name__)
+
+PRETENSION = "pretension"  # name of the term of ties
 
 
 class ContactProblem:
@@ -109,10 +112,9 @@ class ContactProblem:
             self.system = InterfaceSystem(self.V, sides, self.supports.fixed, at_points)
             for interface in sides:
                 ask(self.comm, interface, "take", self.supports, self.V)
-        self.pretensions = Pretensions(solid.u, self.system)
         if self.ties:
-            named = [*self.terms.named, ("pretension", self.pretensions)]
-            self.terms = replace(self.terms, named=named)
+            pretensions = Pretensions(solid.u, self.system)
+            self.terms = replace(self.terms, named=[*self.terms.named, (PRETENSION, pretensions)])
         bodies = find_bodies(self.V, kinematics.rigid_motions)
         self.bodies: Bodies = with_ties(bodies, self.system.tied)
         motions = kinematics.nearly_rigid or kinematics.rigid_motions
@@ -209,6 +211,12 @@ class ContactProblem:
     def configuration(self) -> fem.Function | None:
         """The displacement at which normals and segments are taken, None for X."""
         return self.u if self.geometry == "updated" else None
+
+    @property
+    def pretensions(self) -> tuple[tuple[Pretension, float], ...]:
+        """The unknown overlaps in T, with the forces of the step."""
+        term: Any = dict(self.terms.named).get(PRETENSION)
+        return () if term is None else term.given()
 
     def vector(self, values: Floats | None = None) -> PETSc.Vec:
         """Return a new vector of owned dofs, zero or with values."""
