@@ -460,3 +460,63 @@ def test_nothing_is_allocated_anew_in_the_next_step(monkeypatch):
     assert sum(i.exact_tangent for i in case.step(0.65).iterations) > 1
     assert case.problem.linear.counts.symbolic == before
     assert made == []
+
+
+class Stuck:
+    """Two blocks of rubber that stick to each other, whose ends can be turned and moved."""
+
+    def __init__(self, cell, degree):
+        """Create them."""
+        mesh, _, facets = meshes_3d.two_boxes(
+            MPI.COMM_WORLD,
+            (2, 2, 1),
+            (3, 3, 1),
+            cell=cell,
+            upper=(0.15, 0.8, 0.2, 0.9),
+            heights=(0.5, 0.5),
+            jitter=0.15,
+        )
+        V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
+        self.ends, bcs = [fem.Function(V), fem.Function(V)], []
+        for end, tag in zip(self.ends, (meshes_3d.BOTTOM, meshes_3d.TOP), strict=True):
+            dofs = fem.locate_dofs_topological(V, 2, facets.find(tag))
+            bcs.append(fem.dirichletbc(end, dofs))
+        sides = {"slave": meshes_3d.TOP_OF_LOWER, "master": meshes_3d.BOTTOM_OF_UPPER}
+        self.contact = dm.Contact(facets, **sides, friction=2.0, surface="facets")
+        solid = dm.Solid(fem.Function(V), dm.NeoHooke(1.0, 0.3), strain="finite")
+        self.problem = dm.ContactProblem(
+            solid, [self.contact], bcs=bcs, petsc_options={"pc_type": "lu"}
+        )
+
+    def step(self, turn, pushed):
+        """Turn all after the upper end has moved; return the local tractions, turned back."""
+        for end, shift in zip(self.ends, (np.zeros(3), np.array(pushed)), strict=True):
+            end.interpolate(lambda X, shift=shift: turn @ (X + shift[:, None]) - X)
+        dm.newton(self.problem, rtol=1e-11)
+        self.problem.commit()
+        assert not (self.contact.status.x.array == 2.0).any()  # no slip
+        return self.contact.traction.x.array.reshape(-1, 3) @ turn
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("cell", "degree"),
+    [
+        ("tetrahedron", 1),
+        pytest.param("hexahedron", 1, marks=pytest.mark.slow),
+        pytest.param("tetrahedron", 2, marks=pytest.mark.slow),
+    ],
+)
+def test_a_stuck_pair_that_turns_keeps_its_tractions(cell, degree):
+    """Those of all nodes, to round-off, after 90 degrees in two steps about an oblique axis.
+
+    So it spins about its normal, too.
+    """
+    case, pushed = Stuck(cell, degree), (0.02, 0.01, -0.06)
+    case.step(np.eye(3), (0.0, 0.0, -0.05))
+    before = case.step(np.eye(3), pushed)
+    largest = maximum(MPI.COMM_WORLD, np.abs(before).max(initial=0.0))[0]
+    assert largest > 0.005
+    for angle in (np.pi / 4, np.pi / 2):
+        after = case.step(meshes_3d.rotation((1.0, 2.0, 3.0), angle), pushed)
+        assert np.abs(after - before).max(initial=0.0) < 1e-11 * largest

@@ -27,7 +27,7 @@ from dolfinx_mortar.geometry.facets import (
     surface_gradients,
 )
 from dolfinx_mortar.geometry.thickness import thickness
-from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
+from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, ROUND_OFF, TINY
 from dolfinx_mortar.mortar.receivers import create_groups, find_receivers, group_cones
 from dolfinx_mortar.spaces import check_space
 from dolfinx_mortar.tags import check_entities, check_tag, label, labels, tag_of
@@ -365,21 +365,62 @@ def normal_derivatives(surface: Surface, x: Floats) -> Floats:
     n_f at node j and the surface gradients G_l there, n_j is along S = sum_f n_f, so that
     dn_j = -(I - n_j n_j^T) / |S| sum_f G_l (n_f.dx_l). Collective.
     """
-    facets, element = facets_at(surface, x), surface.element
+    facets = facets_at(surface, x)
     at_nodes = normals_at_nodes(facets)
     total = sum_at_nodes(surface, at_nodes)
     size = np.linalg.norm(total, axis=1)
     n = total / np.maximum(size, TINY)[:, None]
     across = np.where((size > 8 * ROUND_OFF)[:, None, None], np.eye(x.shape[1]), 0.0)
     across = (across - n[:, :, None] * n[:, None, :]) / np.maximum(size, ROUND_OFF)[:, None, None]
-    (m, k), points = surface.facets.shape, element.points
+    gradients = _gradients_at_nodes(facets)
+    turned = -np.einsum("mjia,mjla->mjil", across[surface.facets], gradients)
+    return np.asarray(turned[..., None] * at_nodes[:, :, None, None])
+
+
+def _gradients_at_nodes(facets: Facets) -> Floats:
+    """Return the surface gradients (m, k, k, d) of facets at their nodes, with `normals_at_nodes`.
+
+    [f, j, l] is that of N_l at node j.
+    """
+    element, (m, k, d) = facets.element, facets.x.shape
+    points = element.points
     if element.degree == 1:  # the mean normal is that in the middle
         points = np.broadcast_to(points.mean(axis=0), points.shape)
     which = np.repeat(np.arange(m, dtype=np.int32), k)
     gradients, _ = surface_gradients(facets, which, np.tile(points, (m, 1)))
-    gradients = gradients.reshape(m, k, k, x.shape[1])
-    turned = -np.einsum("mjia,mjla->mjil", across[surface.facets], gradients)
-    return np.asarray(turned[..., None] * at_nodes[:, :, None, None])
+    return gradients.reshape(m, k, k, d)
+
+
+def carrying(surface: Surface, x: Floats, n: Floats, vectors: Floats) -> Floats:
+    """Return W (m, k, k), by which a surface carries vectors at its nodes with it; collective.
+
+    sum_f sum_l W_fjl x_l, over the facets of node j, is the vector v_j but for a part along n_j; as
+    the surface moves, it turns and stretches with the surface, since it is the mean over the facets
+    of F_f a_j with their deformation gradients F_f = sum_l x_l grad N_l^T, which for x are
+    I - n_f n_f^T. Nothing is carried where the facets of a node have no tangent in common.
+
+    Args:
+        surface: the surface.
+        x: coordinates (n, d) of its nodes.
+        n: unit normals (n, d) of the vectors, zero at nodes without a vector.
+        vectors: tangential vectors v_j (n, d).
+    """
+    facets, d = facets_at(surface, x), x.shape[1]
+    n_f = normals_at_nodes(facets)
+    tangents = np.eye(d) - n_f[:, :, :, None] * n_f[:, :, None]
+    one = np.ones((*surface.facets.shape, 1))
+    columns = np.concatenate([tangents.reshape(*surface.facets.shape, d * d), one], axis=2)
+    total = sum_at_nodes(surface, columns)
+    count = np.maximum(total[:, -1], 1.0)
+    mean = total[:, :-1].reshape(-1, d, d) / count[:, None, None]
+    along = n[:, :, None] * n[:, None]
+    across = np.eye(d) - along
+    whole = across @ mean @ across + along
+    some = (np.linalg.det(whole) > HALF_OF_DIGITS) & n.any(axis=1)
+    whole[~some] = np.eye(d)
+    a = np.where(some[:, None], np.linalg.solve(whole, vectors[:, :, None])[:, :, 0], 0.0)
+    a /= count[:, None]
+    return np.einsum("mjld,mjd->mjl", _gradients_at_nodes(facets), a[surface.facets])
 
 
 def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
