@@ -282,14 +282,14 @@ def test_tangent_of_a_problem_is_that_of_its_forces_and_gaps(cell, friction, deg
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("slave", ["block", "ball"])
-def test_rows_of_gaps_and_slips_are_their_derivatives(slave):
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_rows_of_gaps_and_slips_are_their_derivatives(slave, cell):
     """The trial rows of T_g, with what lumping leaves to the bounds; differences agree to 1e-8.
 
-    Of flat facets, whose integrals are exact.
-
-    Slips are vectors: their components along tangents that do not spin about the normal.
+    They are extrapolated: of warped facets a simple one has an error of 6e-7. Slips are vectors:
+    their components along tangents that do not spin about the normal.
     """
-    case = Sliding(slave, cell="tetrahedron", friction=0.3, options=None)
+    case = Sliding(slave, cell=cell, friction=0.3, options=None)
     problem = case.problem
     for along in (0.0, 0.1):
         case.step(along, rtol=1e-6)
@@ -310,7 +310,11 @@ def test_rows_of_gaps_and_slips_are_their_derivatives(slave):
         gaps = link.coupling.weight[:, 0] * link.gaps(problem.positions())
         return link, since, gaps, slip
 
-    (_, _, *above), (_, _, *below) = at(1e-5), at(-1e-5)
+    long, short = (
+        [(a - b) / (2 * step) for a, b in zip(at(step)[2:], at(-step)[2:], strict=True)]
+        for step in (2e-5, 1e-5)
+    )
+    gap, slip = ((4 * a - b) / 3 for a, b in zip(short, long, strict=True))
     link, since, *_ = at(0.0)
     near = link.near & link.coupling.kept[:, 0] & data.partners[0].known
     multipliers = np.zeros(problem.n)
@@ -318,12 +322,10 @@ def test_rows_of_gaps_and_slips_are_their_derivatives(slave):
     given = multipliers, np.zeros((problem.n, 3)), (since, data.partners)
     closing = problem.system.linearise_geometry(problem.u, *given).closing(problem.vector(du))
     found = closing.reshape(-1, 3)[link.nodes]
-    gap, slip = ((a - b) / 2e-5 for a, b in zip(above, below, strict=True))
     in_frames = np.einsum("nij,ni->nj", link.coupling.R[:, :, 1:], slip)
     closed = found[:, 0] * link.coupling.weight[:, 0]
     for error, size in ((closed + gap, gap), (found[:, 1:] - in_frames, in_frames)):
         largest = maximum(problem.comm, *(np.abs(v[near]).max(initial=0.0) for v in (error, size)))
-        print(largest[0] / largest[1])
         assert largest[0] < 1e-8 * largest[1]
     assert problem.comm.allreduce(int(near.sum())) > 5
 
