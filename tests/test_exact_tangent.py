@@ -309,5 +309,8 @@ def test_when_the_exact_tangent_pays():
     assert not Watch(True).turning(100.0).is_slow(True, 100.0, 100.0)  # no rate yet
     assert slow.after_exact(1.0, 100.0).is_slow(True, 1.0, 1.0)
     assert slow.after_exact(90.0, 100.0).barred == AGAIN * 100.0
+    held = replace(slow, held=True, change=1.0, forces=1.0, barred=0.5)
+    thawed = held.thawed().after(2.0, 2.0)  # the first change since then is no rise
+    assert (thawed.held, thawed.rises, thawed.barred) == (False, 0, 0.5)
     lost = replace(slow, rises=MOST_RISES).after_exact(90.0, 100.0)
     assert (lost.failed, lost.rises) == (1, MOST_RISES)

@@ -4,13 +4,15 @@
 from dataclasses import replace
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import pytest
 from programs import CYCLING, CYCLING_FORCE, from_arrays, gathered, membrane
 
-from dolfinx_mortar.qp import BoundQP, LinearSolver, QPNotSolved, UnusableQP, solve
+from dolfinx_mortar.qp import BoundQP, LinearSolver, QPNotSolved, UnusableQP, inertia, solve
 from dolfinx_mortar.qp.multigrid import Multigrid, OwnUnknowns
+from dolfinx_mortar.qp.operator import Operator
 
 COMM = MPI.COMM_WORLD
 INF = np.inf
@@ -117,3 +119,33 @@ def test_a_zero_on_the_diagonal_divides_nothing() -> None:
     r.set(8.0)
     multigrid.apply(multigrid.inner, r, z)
     assert z.array_r.tolist() == np.where(own % 2, 8.0, 2.0).tolist()
+
+
+@pytest.mark.parametrize("lowest", [-1.0, -1e-3, 1e-3])
+def test_conjugate_gradients_meet_a_negative_eigenvalue(lowest, monkeypatch):
+    """One of a thousand, the others from 1 to 2; not if it is held, nor if they stop too early."""
+    n = 1000
+    A = PETSc.Mat().createAIJ((n, n), nnz=1, comm=COMM)
+    A.setUp()
+    first, last = A.getOwnershipRange()
+    diagonal = A.createVecRight()
+    diagonal.array[:] = 1.0 + np.arange(first, last) / n
+    mine = np.array([n // 3 - first] if first <= n // 3 < last else [], dtype=np.int32)
+    diagonal.array[mine] = lowest
+    A.setDiagonal(diagonal)
+    A.assemble()
+    operator = Operator(A, direct=False, definite=True)
+    pc = PETSc.PC().create(COMM)
+    pc.setType("none")
+    pc.setOperators(operator.matrix)
+
+    def met(held=mine[:0]):
+        operator.hold(held)
+        return inertia.meets_negative_curvature(operator, pc, n)
+
+    for factor in (0.5, 1.0, 2.0):
+        monkeypatch.setattr(inertia, "RESOLVED", factor * 0.01)
+        assert met() == (lowest < 0.0)
+        assert not met(mine)
+    monkeypatch.setattr(inertia, "RESOLVED", 3.0)
+    assert not met()

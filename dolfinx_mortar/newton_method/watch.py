@@ -68,6 +68,10 @@ class Watch:
             return replace(fresh, barred=AGAIN * before)
         return replace(fresh, exact=True)
 
+    def thawed(self) -> Watch:
+        """Return the state after an update that Newton's method has not converged before."""
+        return replace(self, held=False, change=np.inf, forces=np.inf)
+
     def is_slow(self, linear: bool, forces: float, excess: float) -> bool:
         """Tell whether the fixed point needs so many more iterations that the exact tangent pays.
 

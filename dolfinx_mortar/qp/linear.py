@@ -18,6 +18,12 @@ from scipy.linalg import LinAlgError
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.arrays import EPS, QUARTER_OF_DIGITS, ROUND_OFF, Ints
 from dolfinx_mortar.qp.friction import Sliding
+from dolfinx_mortar.qp.inertia import (
+    count_negative,
+    counts_pivots,
+    meets_negative_curvature,
+    negative_pivots,
+)
 from dolfinx_mortar.qp.multigrid import Unknowns
 from dolfinx_mortar.qp.operator import Operator
 from dolfinx_mortar.qp.options import SolverOptions, check_options
@@ -27,7 +33,6 @@ from dolfinx_mortar.qp.preconditioner import (
     Preconditioner,
     Renewal,
     SlownessTest,
-    negative_pivots,
     no_more,
 )
 from dolfinx_mortar.qp.schur import SchurComplement
@@ -318,17 +323,26 @@ class LinearSolver:
                 f"The factorisation of a matrix of order {order} failed {failure}"
             )
 
-    def complete(self) -> None:
-        """Factorise the present definite matrix, unless it is or another preconditioner serves it.
+    def is_indefinite(self) -> bool:
+        """Tell whether the present matrix, taken for definite, is not; collective.
 
-        Collective. What an earlier factorisation has solved leaves the pivots of A unknown.
+        By the eigenvalues of its free part. What an earlier factorisation or the iterations of a
+        solve have seen leaves that open. False where the present matrix is another, or none.
 
         Raises:
-            LinearSolveFailed: as `factorise`.
+            LinearSolveFailed: as `factorise`, for a singular matrix.
         """
         held = None if self._setup is None else self._operator.held
-        if self.direct and self._kind and held is not None:
-            self.factorise(held)
+        if not self._kind or held is None:
+            return False
+        setup = self.setup
+        if not self.direct:
+            setup.preconditioner.follow(held)
+            return meets_negative_curvature(setup.operator, setup.ksp.getPC(), setup.max_iterations)
+        self.factorise(held)
+        if counts_pivots(setup.preconditioner.pc):
+            return negative_pivots(setup.preconditioner.pc) > 0
+        return count_negative(setup.operator.matrix) > 0
 
     def apply(self, r: PETSc.Vec, x: PETSc.Vec) -> None:
         """Apply the present factorisation or preconditioner once: x = F^-1 r."""

@@ -302,13 +302,6 @@ class Preconditioner:
             self.schur.prepared = False
 
 
-def negative_pivots(pc: PETSc.PC) -> int:
-    """Return how many pivots of a symmetric factorisation by MUMPS are negative, INFOG(12)."""
-    if pc.getType() != "cholesky" or mumps_error(pc) is None:
-        return 0
-    return int(pc.getFactorMatrix().getMumpsInfog(12))
-
-
 def mumps_error(pc: PETSc.PC) -> int | None:
     """Return INFOG(1) of a factorisation by MUMPS, None for other methods."""
     direct = pc.getType() in ("cholesky", "lu")

@@ -27,7 +27,7 @@ TOLERANCE = 1e-4
 """Largest residual of a step solved to rtol = 1e-6. These are largest entries over the largest
 nodal force; Newton takes norms, and its scale knows the forces inside the elements."""
 SECONDS = 180
-"""Longest time of a problem on one rank; none takes a fifth of it."""
+"""Longest processor time of a problem on one rank; none takes a fifth of it."""
 FLOWING = 0.9
 """Share of a body that has to flow for a limit load."""
 CUTS = 10
@@ -158,7 +158,7 @@ def _integral(form: ufl.Form) -> float:
 
 @contextmanager
 def _time_limit(seconds: int) -> Iterator[None]:
-    """Raise TooLong after some time; on one rank, where nobody waits for this one."""
+    """Raise TooLong after some processor time; on one rank, where nobody waits for this one."""
     if COMM.size > 1 or threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -166,10 +166,10 @@ def _time_limit(seconds: int) -> Iterator[None]:
     def stop(*_: Any) -> None:
         raise TooLong(f"not done in {seconds} s")
 
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.alarm(seconds)
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
