@@ -12,6 +12,7 @@ import pytest
 from dolfinx import fem
 from dolfinx_mortar.algebra.blocks import BlockMatrix
 from dolfinx_mortar.algebra.congruence import CongruentOperator
+from dolfinx_mortar.algebra.csr import csr_of, set_csr
 from dolfinx_mortar.algebra.parallel import free_unused
 from tests.meshes import two_blocks
 
@@ -141,3 +142,31 @@ def test_nothing_is_kept_alive(matrices):
     del operator
     free_unused(COMM)  # on several ranks PETSc waits until all have let go
     assert context() is None
+
+
+@pytest.mark.parametrize("matrices", ["aij"], indirect=True)
+def test_entries_as_arrays(matrices):
+    """As petsc4py reads and writes them row by row; products know that the values are new."""
+    K, C = matrices
+    for matrix in (K, C):
+        for own, theirs in zip(csr_of(matrix), matrix.getValuesCSR(), strict=True):
+            np.testing.assert_array_equal(own, theirs)
+    before = K.matMult(C)
+    start, columns, values = csr_of(C)
+    state = C.stateGet()
+    set_csr(C, start, columns, 2.0 * values)
+    assert C.stateGet() > state
+    after = K.matMult(C)
+    before.axpy(-0.5, after)
+    assert before.norm() == 0.0 < after.norm()
+    assert csr_of(C)[2] is not csr_of(C)[2]
+    csr_of(C)[2][:] = 0.0  # a copy
+    assert (csr_of(C)[2] == 2.0 * values).all()
+
+
+def test_no_entries_as_arrays():
+    n = COMM.rank
+    none = PETSc.Mat().createAIJ(((n, None), (n, None)), nnz=0, comm=COMM)
+    none.assemble()
+    assert [len(part) for part in csr_of(none)] == [n + 1, 0, 0]
+    set_csr(none, *csr_of(none))

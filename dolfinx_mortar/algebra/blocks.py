@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import bsr_array
 
+from dolfinx_mortar.algebra.csr import set_csr
 from dolfinx_mortar.arrays import Floats
 
 
@@ -92,5 +93,4 @@ class BlockMatrix:
             np.add.at(values, self.places, blocks)
         else:
             values[self.places] = blocks
-        self.matrix.setValuesCSR(self.indptr, self.indices, values.ravel()[self._order])
-        self.matrix.assemble()
+        set_csr(self.matrix, self.indptr, self.indices, values.ravel()[self._order])

@@ -11,6 +11,7 @@ from petsc4py import PETSc
 import numpy as np
 from scipy.sparse import csr_array
 
+from dolfinx_mortar.algebra.csr import csr_of, set_csr
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Floats, Ints
 
@@ -335,7 +336,7 @@ def _split(matrix: PETSc.Mat, marks: Floats) -> tuple[PETSc.Mat, PETSc.Mat]:
         matrix: (n, n) with few entries.
         marks: (n,) number of the part of each owned unknown, from 1; negative where decoupled.
     """
-    indptr, columns, values = matrix.getValuesCSR()
+    indptr, columns, values = csr_of(matrix)
     rows = np.repeat(np.arange(len(indptr) - 1), np.diff(indptr))
     there, place = np.unique(columns, return_inverse=True)
     all_marks = matrix.createVecRight()
@@ -417,8 +418,7 @@ class RowsOf:
             self._product, self._pattern = (few, K_r.matMult(few)), parts
             return self._product[1]
         few, product = self._product
-        few.setValuesCSR(*parts, entries.data)
-        few.assemble()
+        set_csr(few, *parts, entries.data)
         return K_r.matMult(few, result=product)
 
 
@@ -443,5 +443,5 @@ def _rows(K: PETSc.Mat, rows: Ints, result: PETSc.Mat | None = None) -> PETSc.Ma
 
 def _scipy(matrix: PETSc.Mat) -> csr_array:
     """Return this rank's rows, with global columns."""
-    indptr, columns, values = matrix.getValuesCSR()
+    indptr, columns, values = csr_of(matrix)
     return csr_array((values, columns, indptr), shape=(len(indptr) - 1, matrix.getSize()[1]))

@@ -15,17 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_mortar.algebra.blocks import Layout
+from dolfinx_mortar.algebra.csr import csr_of
+from dolfinx_mortar.algebra.library import call
 from dolfinx_mortar.arrays import Floats, Ints, Longs
-
-# Symbols are looked up in the libraries that petsc4py itself is linked with.
-_lib = ctypes.CDLL(PETSc.__file__)
-
-
-def _call(name: str, *arguments: object) -> None:
-    """Call a PETSc function and raise its error."""
-    error = getattr(_lib, name)(*arguments)
-    if error:
-        raise PETSc.Error(error)
 
 
 class Triplets:
@@ -59,9 +51,9 @@ class Triplets:
         self._sums.setType(PETSc.Mat.Type.AIJ)
         pointers = (ctypes.c_void_p(v.ctypes.data) for v in (i, j))
         count = ctypes.c_ssize_t(i.size)
-        _call("MatSetPreallocationCOO", ctypes.c_void_p(self._sums.handle), count, *pointers)
+        call("MatSetPreallocationCOO", ctypes.c_void_p(self._sums.handle), count, *pointers)
         self.sum(np.zeros(i.size))
-        self._start, found, _ = self._sums.getValuesCSR()
+        self._start, found, _ = csr_of(self._sums)
         own = np.arange(layout.size_local, dtype=np.int32)
         self.rows, self.columns = np.repeat(own, np.diff(self._start)), found.astype(np.int64)
 
@@ -72,7 +64,7 @@ class Triplets:
         """
         v = np.ascontiguousarray(values, dtype=PETSc.ScalarType).ravel()
         pointer, mode = ctypes.c_void_p(v.ctypes.data), ctypes.c_int(PETSc.InsertMode.INSERT_VALUES)
-        _call("MatSetValuesCOO", ctypes.c_void_p(self._sums.handle), pointer, mode)
+        call("MatSetValuesCOO", ctypes.c_void_p(self._sums.handle), pointer, mode)
         return self._sums
 
     def zero(self) -> PETSc.Mat:
@@ -81,7 +73,7 @@ class Triplets:
 
     def sum(self, values: npt.ArrayLike) -> Floats:
         """Return the sums (e,) of the values (t,) of the triplets (collective)."""
-        return np.array(self.fill(values).getValuesCSR()[2])
+        return csr_of(self.fill(values))[2]
 
     def matrix(self, values: Floats) -> PETSc.Mat:
         """Return a new matrix with the values (e,) at the entries (collective)."""

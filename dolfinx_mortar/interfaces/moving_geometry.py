@@ -36,6 +36,7 @@ from dolfinx_mortar.algebra.congruence import (
     refill,
     union,
 )
+from dolfinx_mortar.algebra.csr import csr_of
 from dolfinx_mortar.algebra.triplets import Triplets
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.segments import Segments
@@ -523,7 +524,7 @@ def _lumped(link: Link, rows: sparse.csr_array) -> tuple[Floats, Floats]:
 
 def _of_rank(A: PETSc.Mat) -> sparse.csr_array:
     """Return the rows of a matrix that this rank owns."""
-    start, columns, values = A.getValuesCSR()
+    start, columns, values = csr_of(A)
     return sparse.csr_array((values, columns, start), (len(start) - 1, A.getSize()[1]))
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.sparse import csr_array, kron
 
 import dolfinx
+from dolfinx_mortar.algebra.csr import csr_of
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.mortar.edges import check_angle, edge_normals, find_edges
 from dolfinx_mortar.mortar.integrals import find_segments
@@ -45,7 +46,7 @@ class Mortar:
 def _expand_rows(A: PETSc.Mat, rows: Ints, V: dolfinx.fem.FunctionSpace) -> PETSc.Mat:
     """Return owned rows of a node matrix, every entry times the d x d identity (eqs. 19, 20)."""
     d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
-    start, columns, values = A.getValuesCSR()
+    start, columns, values = csr_of(A)
     shape = (index_map.size_local, index_map.size_global)
     expanded = kron(csr_array((values, columns, start), shape=shape)[rows], np.eye(d), "csr")
     indices = (v.astype(PETSc.IntType) for v in (expanded.indptr, expanded.indices))

@@ -41,6 +41,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, eigh
 from scipy.sparse import csr_array
 
+from dolfinx_mortar.algebra.csr import csr_of
 from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, ROUND_OFF, Actives, Floats, Ints
 from dolfinx_mortar.qp.bound_qp import Bounded, BoundQP
 from dolfinx_mortar.qp.held import SHARE
@@ -307,7 +308,7 @@ class Everywhere:
         """Return A restricted to these unknowns, dense, on rank 0; empty elsewhere (collective)."""
         rows = (self.own + A.getOwnershipRange()[0]).astype(PETSc.IntType)
         index = PETSc.IS().createGeneral(rows, comm=A.comm)
-        indptr, columns, values = A.createSubMatrix(index, index).getValuesCSR()
+        indptr, columns, values = csr_of(A.createSubMatrix(index, index))
         size = self.own.size, sum(self.counts)
         parts = self.comm.gather(csr_array((values, columns, indptr), shape=size))
         return np.vstack([part.toarray() for part in parts]) if parts else np.zeros((0, 0))

@@ -11,6 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_mortar.algebra.library import call
 from dolfinx_mortar.algebra.parallel import any_rank
 
 DEFAULTS = {"ksp_type": "cg", "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
@@ -38,16 +39,11 @@ OF_METHODS = ("pc_", "mg_", "ksp_type", "ksp_max_it")
 OVERRULED = {"ksp_rtol", "ksp_atol", "ksp_divtol"}
 VALUES = (str, int, float, bool, np.number, type(None))
 
-# Petsc4py 3.22 does not wrap PetscOptionsUsed; symbols are those that it is linked with.
-_lib = ctypes.CDLL(PETSc.__file__)
-
 
 def was_read(name: str) -> bool:
     """Tell whether PETSc has asked for an option (with its prefix) since it was set."""
     found = ctypes.c_int(0)
-    error = _lib.PetscOptionsUsed(None, name.encode(), ctypes.byref(found))
-    if error:
-        raise PETSc.Error(error)
+    call("PetscOptionsUsed", None, name.encode(), ctypes.byref(found))
     return bool(found.value)
 
 

@@ -25,23 +25,16 @@ from petsc4py import PETSc
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, lapack, solve_triangular
 from scipy.sparse import csr_array, eye_array
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import splu
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator, decouple
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Ints
+from dolfinx_mortar.algebra.csr import csr_of
+from dolfinx_mortar.algebra.library import call, has
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints
 from dolfinx_mortar.qp.bound_qp import BoundQP
 from dolfinx_mortar.qp.options import SolverOptions
 
-# Symbols are looked up in the libraries that petsc4py itself is linked with.
-_lib = ctypes.CDLL(PETSc.__file__)
 _at = ctypes.byref
-
-
-def _call(name: str, *arguments: object) -> None:
-    """Call a PETSc function and raise its error."""
-    error = getattr(_lib, name)(*arguments)
-    if error:
-        raise PETSc.Error(error)
 
 
 def set_apart(qp: BoundQP, options: SolverOptions) -> Ints | None:
@@ -62,14 +55,15 @@ def interface_unknowns(K: PETSc.Mat, C: PETSc.Mat | None, options: SolverOptions
     """Return the unknowns of C, if (I + C)^T K (I + C) need not be formed; see `set_apart`."""
     if C is None or C.comm.size > 1:
         return None
-    indptr, columns, _ = C.getValuesCSR()
-    both = np.union1d(np.flatnonzero(np.diff(indptr)), columns)
-    return _few(K, both.astype(np.int32), options, 2)
+    start, columns, _ = csr_of(C)
+    on = np.diff(start) > 0
+    on[columns] = True
+    return _few(K, np.flatnonzero(on).astype(np.int32), options, 2)
 
 
 def _few(A: PETSc.Mat, unknowns: Ints, options: SolverOptions, share: int = 1) -> Ints | None:
     """Return these unknowns of a matrix if they may be left for last."""
-    if not hasattr(_lib, "MatFactorSetSchurIS"):  # a petsc4py that hides its symbols
+    if not has("MatFactorSetSchurIS"):  # a petsc4py that hides its symbols
         return None
     used = options.of_definite("pc_type"), options.of_definite("pc_factor_mat_solver_type")
     mumps = used == ("cholesky", "mumps")
@@ -90,8 +84,8 @@ class _Basis:
     and (N R N^T)^-1 is the Schur complement of A on them.
     """
 
-    T: csr_array | None  # (k, k), None for 1
-    inverse: SuperLU | None
+    C: csr_array | None  # (k, k) of T = 1 + C, None for 0
+    D: csr_array | None  # (k, k) of T^-1 = 1 + D
     known: Ints  # places in G (m,) of which there are rows
     NR: Floats  # (m, k)
     NRN: Floats  # (m, m)
@@ -123,7 +117,7 @@ class SchurComplement:
         self._basis: _Basis | None = None
         self._state = -1  # of the product
         self._held: Ints | None = None
-        self._elsewhere: Ints = np.empty(0, dtype=np.int32)  # unknowns decoupled in K
+        self._decoupled: Ints = np.empty(0, dtype=np.int32)  # unknowns of A when K was copied
         self._K: PETSc.Mat | None = None
 
     # -- the factorisation -----------------------------------------------------------------------
@@ -132,7 +126,9 @@ class SchurComplement:
         """Return a number that changes with the values of what is factorised; -1 if that is old."""
         if self.product is None:
             return int(A.stateGet())
-        same = self._K is None or np.array_equal(self._elsewhere, self._decoupled_elsewhere())
+        before, now = self._decoupled, self.product.decoupled
+        same = self._K is None or np.array_equal(before, now)
+        same = same or np.array_equal(self._elsewhere(before), self._elsewhere(now))
         return int(self.product.K.stateGet()) if same else -1
 
     def matrix(self, A: PETSc.Mat) -> PETSc.Mat:
@@ -145,13 +141,13 @@ class SchurComplement:
             self._K.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         else:
             self.product.K.copy(self._K, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        self._elsewhere = self._decoupled_elsewhere()
-        decouple(self._K, self._elsewhere)
+        self._decoupled = self.product.decoupled.copy()
+        decouple(self._K, self._elsewhere(self._decoupled))
         return self._K
 
-    def _decoupled_elsewhere(self) -> Ints:
-        assert self.product is not None
-        return np.setdiff1d(self.product.decoupled, self.unknowns)
+    def _elsewhere(self, decoupled: Ints) -> Ints:
+        """Return which of them are decoupled in K, too."""
+        return np.setdiff1d(decoupled, self.unknowns)
 
     def prepare(self, pc: PETSc.PC) -> None:
         """Leave the unknowns for last in the first factorisation of a PC."""
@@ -161,19 +157,17 @@ class SchurComplement:
         pc.setFactorSetUpSolverType()
         last = PETSc.IS().createGeneral(self.unknowns.astype(PETSc.IntType), comm=pc.comm)
         factor = ctypes.c_void_p(pc.getFactorMatrix().handle)
-        _call("MatFactorSetSchurIS", factor, ctypes.c_void_p(last.handle))
+        call("MatFactorSetSchurIS", factor, ctypes.c_void_p(last.handle))
 
     def read(self, pc: PETSc.PC) -> None:
         """Take S from a new factorisation; nothing is held in it yet."""
         with _Entries(pc, self.unknowns.size) as entries:
-            lower = np.tril(entries)  # all that MUMPS gives
-            self.S = lower + np.tril(lower, -1).T
+            self.S = _mirrored(entries)  # MUMPS gives its lower part
         self._held = self._basis = self.R = None
         factor, failed = lapack.dpotrf(self.S, lower=True)
         pivots = np.diag(factor) ** 2
         if not failed and (pivots > HALF_OF_DIGITS * np.diag(self.S)).all():
-            lower, failed = lapack.dpotri(factor, lower=True)
-            self.R = np.tril(lower) + np.tril(lower, -1).T
+            self.R = _mirrored(lapack.dpotri(factor, lower=True, overwrite_c=True)[0])
 
     def destroy(self) -> None:
         """Free the copy of K."""
@@ -191,27 +185,30 @@ class SchurComplement:
         return self._basis
 
     def _transformed(self) -> _Basis:
-        k, T, inverse = self.unknowns.size, None, None
-        known, nothing = self._places(self.bounded), np.zeros((0, 0))
+        k, C, D = self.unknowns.size, None, None
+        known = np.flatnonzero(self._holds(self.bounded)).astype(np.int32)
+        nothing = np.zeros((0, 0))
         if self.product is not None and self.product.C is not None:
-            indptr, columns, values = self.product.C.getValuesCSR()
+            start, columns, values = csr_of(self.product.C)
             places = np.searchsorted(self.unknowns, columns)
-            rows = np.concatenate([indptr[self.unknowns], indptr[-1:]])
+            rows = np.append(start[self.unknowns], start[-1])
             C = csr_array((values, places, rows), shape=(k, k))
-            T = C + eye_array(k, format="csr")
-            inverse = splu(T.tocsc())
+            D = _inverse_change(C)
         if self.R is None:
-            return _Basis(T, inverse, known, nothing, nothing)
-        units = np.zeros((k, known.size))
-        units[known, np.arange(known.size)] = 1.0
-        N = csr_array((units if inverse is None else inverse.solve(units, "T")).T)
-        NR = N @ self.R
-        return _Basis(T, inverse, known, NR, N @ NR.T)
+            return _Basis(C, D, known, nothing, nothing)
+        NR = self.R[known]
+        if D is None:
+            return _Basis(C, D, known, NR, NR[:, known])
+        NR += D[known] @ self.R
+        return _Basis(C, D, known, NR, NR[:, known] + (D[known] @ NR.T).T)
 
-    def _places(self, held: Ints) -> Ints:
-        """Return where in G these unknowns are, and those that are decoupled."""
-        all_held = held if self.product is None else np.union1d(held, self.product.decoupled)
-        return np.flatnonzero(np.isin(self.unknowns, all_held)).astype(np.int32)
+    def _holds(self, held: Ints) -> Bools:
+        """Tell which of G are these unknowns, or decoupled."""
+        if self.product is None:
+            return np.isin(self.unknowns, held)
+        marks = np.zeros(self.product.K.getSize()[0], dtype=bool)
+        marks[held] = marks[self.product.decoupled] = True
+        return marks[self.unknowns]
 
     def model(self) -> Floats:
         """Return the Schur complement of A on the bounded unknowns (m, m).
@@ -221,7 +218,7 @@ class SchurComplement:
         """
         if not self.prepared:
             raise LinAlgError("nothing is factorised")
-        on = self._places(self.bounded)
+        on = np.flatnonzero(self._holds(self.bounded))
         out = np.isin(self.unknowns[on], self.bounded)
         if self.R is not None:
             return np.asarray(_inverse(self.basis.NRN)[np.ix_(out, out)])
@@ -237,11 +234,12 @@ class SchurComplement:
 
     def _transform(self, M: Floats, *, transposed: bool = False) -> Floats:
         """Return T M T^T, or T^T M T, for symmetric M (k, k)."""
-        T = self.basis.T
-        if T is None:
+        C = self.basis.C
+        if C is None:
             return M
-        left = T.T.tocsr() if transposed else T
-        return np.asarray(left @ (left @ M).T)
+        C = C.T if transposed else C
+        half = M + C @ M
+        return np.asarray(half.T + C @ half.T)
 
     def hold(self, pc: PETSc.PC, held: Ints) -> None:
         """Hold these of the unknowns in the next solves: x = 0 there.
@@ -252,20 +250,20 @@ class SchurComplement:
         basis = self.basis
         if self._held is not None and np.array_equal(self._held, held):
             return
-        places = self._places(held)
+        holds = self._holds(held)
         if self.R is not None:
-            on = np.isin(basis.known, places)
+            on = holds[basis.known]
             factor = np.linalg.cholesky(basis.NRN[np.ix_(on, on)])
             part = solve_triangular(factor, basis.NR[on], lower=True) if on.any() else basis.NR[on]
             inverse = self.R - part.T @ part
         else:
             S = self._transform(self.S, transposed=True)
-            free, inverse = np.setdiff1d(np.arange(self.unknowns.size), places), np.zeros_like(S)
+            free, inverse = np.flatnonzero(~holds), np.zeros_like(S)
             if free.size:
                 inverse[np.ix_(free, free)] = _inverse(S[np.ix_(free, free)])
             inverse = self._transform(inverse)
         with _Entries(pc, self.unknowns.size) as entries:
-            entries[:] = inverse
+            entries.T[:] = inverse  # in the order of its columns
         self._held = held.copy()
 
     # -- the PC ----------------------------------------------------------------------------------
@@ -286,7 +284,30 @@ def _inverse(M: Floats) -> Floats:
     lower, info = lapack.dpotri(cho_factor(M, lower=True)[0], lower=True)
     if info:
         raise LinAlgError("the matrix is singular")
-    return np.asarray(np.tril(lower) + np.tril(lower, -1).T)
+    return _mirrored(lower)
+
+
+def _mirrored(lower: Floats) -> Floats:
+    """Return the symmetric matrix of which this is the lower part."""
+    lower = np.tril(lower)
+    total = lower + lower.T
+    np.fill_diagonal(total, np.diag(lower))
+    return np.asarray(total)
+
+
+def _inverse_change(C: csr_array) -> csr_array:
+    """Return D of (1 + C)^-1 = 1 + D for C (k, k) with few rows, in which D has its entries.
+
+    For C = E F with the rows F (s, k) in the places E it is -E (1 + F E)^-1 F.
+    """
+    counts = np.diff(C.indptr)
+    rows = np.flatnonzero(counts)
+    F = C[rows]
+    inner = F[:, rows] + eye_array(rows.size, format="csr")
+    of_rows = csr_array(splu(inner.tocsc()).solve(-F.toarray()))
+    counts[rows] = np.diff(of_rows.indptr)
+    start = np.concatenate([[0], np.cumsum(counts)])
+    return csr_array((of_rows.data, of_rows.indices, start), shape=C.shape)
 
 
 class _Product:
@@ -302,11 +323,11 @@ class _Product:
         G, out, basis = schur.unknowns, product.decoupled, schur.basis
         f = r.copy()
         f.array[out] = 0.0
-        if basis.inverse is not None:
-            f.array[G] = basis.inverse.solve(f.array_r[G], "T")
+        if basis.D is not None:
+            f.array[G] += basis.D.T @ f.array_r[G]
         self.pc.apply(f, y)
-        if basis.inverse is not None:
-            y.array[G] = basis.inverse.solve(y.array_r[G])
+        if basis.D is not None:
+            y.array[G] += basis.D @ y.array_r[G]
         y.array[out] = r.array_r[out] / product.scale
 
 
@@ -319,11 +340,11 @@ class _Entries:
 
     def __enter__(self) -> Floats:
         status = ctypes.c_int()
-        _call("MatFactorGetSchurComplement", self.factor, _at(self.S), _at(status))
-        _call("MatDenseGetArray", self.S, _at(self.first))
+        call("MatFactorGetSchurComplement", self.factor, _at(self.S), _at(status))
+        call("MatDenseGetArray", self.S, _at(self.first))
         return np.ctypeslib.as_array(self.first, shape=(self.k, self.k)).T
 
     def __exit__(self, *_: object) -> None:
-        _call("MatDenseRestoreArray", self.S, _at(self.first))
+        call("MatDenseRestoreArray", self.S, _at(self.first))
         inverted = 2  # MAT_FACTOR_SCHUR_INVERTED
-        _call("MatFactorRestoreSchurComplement", self.factor, _at(self.S), inverted)
+        call("MatFactorRestoreSchurComplement", self.factor, _at(self.S), inverted)

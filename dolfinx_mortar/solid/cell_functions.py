@@ -23,6 +23,7 @@ import ufl
 from dolfinx import fem, mesh
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.algebra.congruence import as_aij
+from dolfinx_mortar.algebra.csr import csr_of, set_csr
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.solid.term import assemble, create_vector
 from ufl.core.expr import Expr
@@ -147,14 +148,13 @@ class RowsOfCells:
             weights: (owned cells, m, m) blocks of W.
             K: the matrix, AIJ or in blocks.
         """
-        indptr, columns, values = self._B.getValuesCSR()
+        indptr, columns, values = csr_of(self._B)
         blocks = values.reshape(len(weights), self._m, -1)  # rows of a cell have the same columns
         if self._products is None:
             weighted, transpose = self._B.duplicate(copy=True), self._B.transpose(PETSc.Mat())
             self._products = weighted, transpose, transpose.matMult(weighted)
         weighted, transpose, product = self._products
-        weighted.setValuesCSR(indptr, columns, (weights @ blocks).ravel())
-        weighted.assemble()
+        set_csr(weighted, indptr, columns, (weights @ blocks).ravel())
         self._B.transpose(transpose)
         transpose.matMult(weighted, result=product)
         subset = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
