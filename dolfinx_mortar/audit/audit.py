@@ -156,6 +156,7 @@ def create_audit(
         warnings += _warnings(i)
         taken = ask(bodies.V.mesh.comm, link.interface, "configuration", at)
         warnings += warnings_on_straight_facets(link, taken)
+        warnings += ask(bodies.V.mesh.comm, link.interface, "warnings", link, x)
     warnings += warnings_on_neighbours(bodies, system, at)
     return Audit(bodies.count, found, by_contact, warnings)
 

@@ -1,9 +1,21 @@
 # SPDX-License-Identifier: MIT
 """Orthonormal frames of slave nodes: the normal first, prescribed axes among the tangents."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from dolfinx_mortar.arrays import Bools, Floats, Ints
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Directions at the owned slave nodes, and which of them an interface constrains."""
+
+    R: Floats  # (n, d, d) orthonormal, the columns are the directions
+    slot: Ints  # (n, d) column of R that is a prescribed Cartesian direction, else -1
+    directions: Bools  # (n, d) columns of R that are constrained
+    normals: Floats  # (n, d)
 
 
 def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import NoneType
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -29,6 +29,11 @@ from dolfinx_mortar.mortar.integrals import Coverage
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.surface import check_tags, create_surface, dependent_nodes
 from dolfinx_mortar.tags import check_tag, label, tag_of
+
+if TYPE_CHECKING:
+    from dolfinx_mortar.interfaces.contact_derivatives import LinkDerivatives
+    from dolfinx_mortar.interfaces.link import Link
+    from dolfinx_mortar.interfaces.slip_partners import Partners
 
 
 class NoResult(RuntimeError, AttributeError):
@@ -60,6 +65,7 @@ class Resultants:
     multiplier: Floats  # (n,) or (n, d) lambda_j = reaction_j / D_jj at the owned slave nodes
     nodes: Ints  # (n,) local numbers of these nodes
     carries: Bools  # (n,) which of them have a multiplier
+    place: Floats  # (3,) where a tool is; 0 without one
 
 
 # Facets whose normals differ by more degrees meet in an edge, unless the user says otherwise.
@@ -120,6 +126,14 @@ class Interface(ABC):
 
     def check(self, V: fem.FunctionSpace) -> None:
         """Raise a ValueError unless a problem with the displacement's space can take it."""
+
+    def check_kinematics(self, d: int, revolved: bool) -> None:
+        """Raise a ValueError unless a problem of a kind can take it.
+
+        Args:
+            d: dimension of the mesh.
+            revolved: whether it is axisymmetric.
+        """
 
     def take(self, owner: object, V: fem.FunctionSpace) -> None:
         """Belong to a problem from now on, with fields on V and without results; collective."""
@@ -252,6 +266,35 @@ class Interface(ABC):
         """Return the limits of tangential reactions where it is rough, see `Contact`."""
         raise NotImplementedError
 
+    def partners(self, link: Link, x: PETSc.Vec, *, frozen: bool) -> Partners | None:
+        """Return from where slips of a step are measured; None for P of the moment; collective.
+
+        Args:
+            link: the interface in a configuration at the start of the step.
+            x: (n,) positions at the last commit.
+            frozen: whether surfaces stay at X.
+        """
+        return None
+
+    def derivatives(self, link: Link) -> LinkDerivatives | None:
+        """Return what differentiates forces and gaps as the side moves; None for none; collective.
+
+        For the pattern of a link.
+        """
+        return None
+
+    def warnings(self, link: Link, x: PETSc.Vec) -> list[str]:
+        """Return what the audit shall warn of, on all ranks; collective.
+
+        Args:
+            link: the interface, coupled.
+            x: (n,) present positions.
+
+        Raises:
+            ValueError: on all ranks, for what cannot be solved.
+        """
+        return []
+
     # -- what steps read and find ----------------------------------------------------------------
 
     def jump_at(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:
@@ -264,6 +307,9 @@ class Interface(ABC):
 
     def tighten(self, way: Floats) -> None:
         """Keep by how much (d,) a step has let the sides overlap."""
+
+    def commit(self) -> None:
+        """Make the present the state from which the next step starts."""
 
     def found(self) -> dict[str, list[float]]:
         """Return what steps have found and no nodal result holds, for a checkpoint.
@@ -306,6 +352,10 @@ class Interface(ABC):
 
     def sum_up(self, comm: MPI.Comm, nodes: Ints) -> None:
         """Add up what is a sum over the nodal results of the owned slave nodes; collective."""
+
+    def place(self) -> Floats:
+        """Return where a tool is, (3,); 0 without one."""
+        return np.zeros(3)
 
     def shown(self, multiplier: Floats) -> Floats:
         """Return the multipliers (n, d) in the frames as results show them."""

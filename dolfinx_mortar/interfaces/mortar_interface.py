@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
 from typing import Any
+
+from petsc4py import PETSc
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
+from dolfinx_mortar.interfaces.contact_derivatives import ContactDerivatives
 from dolfinx_mortar.interfaces.coupling import (
     Coupling,
     Pattern,
@@ -23,7 +25,10 @@ from dolfinx_mortar.interfaces.coupling import (
     mark,
     with_ghosts,
 )
+from dolfinx_mortar.interfaces.frames import Frame
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface, ask
+from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.interfaces.slip_partners import Partners, partners_of
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides
 from dolfinx_mortar.mortar.edges import check_angle, edge_normals, find_edges
 from dolfinx_mortar.mortar.integrals import (
@@ -39,16 +44,6 @@ from dolfinx_mortar.mortar.surface import accumulate, create_surface, dependent_
 from dolfinx_mortar.tags import check_tag, label, tag_of
 
 SURFACES = ("smooth", "facets")
-
-
-@dataclass(frozen=True)
-class Frame:
-    """Directions at the owned slave nodes, and which of them an interface constrains."""
-
-    R: Floats  # (n, d, d) orthonormal, the columns are the directions
-    slot: Ints  # (n, d) column of R that is a prescribed Cartesian direction, else -1
-    directions: Bools  # (n, d) columns of R that are constrained
-    normals: Floats  # (n, d)
 
 
 class MortarInterface(Interface):
@@ -200,6 +195,14 @@ class MortarInterface(Interface):
         assert pairing is not None
         segments, _ = self.find_partners(pairing, u)
         return find_coverage(pairing, segments, *node_weights(pairing, segments))
+
+    def partners(self, link: Link, x: PETSc.Vec, *, frozen: bool) -> Partners | None:
+        """Return the points of the master on which the nodes were; collective."""
+        return partners_of(link, x) if self.rough and not frozen else None
+
+    def derivatives(self, link: Link) -> ContactDerivatives | None:
+        """Return the derivatives of what can open, see `contact_derivatives`; collective."""
+        return ContactDerivatives(link) if self.unilateral else None
 
     def couple(
         self,

@@ -83,6 +83,7 @@ def _resultants(link: Link, forces: Floats, multiplier: Floats, x: Floats) -> Re
         multiplier=ask(link.sides.V.mesh.comm, link.interface, "shown", multiplier),
         nodes=link.nodes,
         carries=np.asarray(link.coupling.kept.any(axis=1)),
+        place=ask(link.sides.V.mesh.comm, link.interface, "place"),
     )
 
 

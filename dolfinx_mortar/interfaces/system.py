@@ -26,7 +26,7 @@ from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent, MovingGeometry
 from dolfinx_mortar.interfaces.near import find_reach, touches_far_nodes
 from dolfinx_mortar.interfaces.pretension import Pretension
-from dolfinx_mortar.interfaces.slip_partners import Partners, partners_of
+from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.passing import Middles
 from dolfinx_mortar.mortar.surface import Surface, mean_facet_length
@@ -74,13 +74,14 @@ class Configuration:
         largest = np.abs(np.concatenate(missed)).max(initial=0.0)
         return float(maximum(u.comm.tompi4py(), largest)[0])
 
-    def partners(self, x: PETSc.Vec) -> list[Partners | None]:
+    def partners(self, x: PETSc.Vec, *, frozen: bool) -> list[Partners | None]:
         """Return where the nodes of contacts with friction are on their masters; collective.
 
         Args:
             x: (n,) positions at the last commit.
+            frozen: whether surfaces stay at X.
         """
-        return [partners_of(link, x) if link.interface.rough else None for link in self.links]
+        return [link.interface.partners(link, x, frozen=frozen) for link in self.links]
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ points of the slave side where they are at X: there it stays what it was, and po
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 from mpi4py import MPI
 
@@ -22,6 +23,7 @@ from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
 from dolfinx_mortar.mortar.dual import absorbed, covered_weights, dual_values
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
+    Surface,
     accumulate,
     coordinates,
     facets_at,
@@ -41,6 +43,14 @@ rim of a box presses into another one (sweep second3, seed 20001) it alternated 
 LEAST_WEIGHT = 0.01
 """A node has a weight if it is more than this part of the area of its facets: those of straight
 facets have 1/36 or more, those on an axis phi^2/120, phi being the angle by which a facet bends."""
+
+
+class Integrated(Protocol):
+    """What integrals over a slave side need to know; a `Pairing` does, or a side alone."""
+
+    @property
+    def slave(self) -> Surface:
+        """The side."""
 
 
 @timed("~Mortar: segments")
@@ -125,7 +135,7 @@ def _weigh(pairing: Pairing, segments: Segments, facets: Facets) -> Segments:
 
 @timed("~Mortar: node weights")
 def node_weights(
-    pairing: Pairing, segments: Segments, keep: Bools | None = None, N_s: Floats | None = None
+    pairing: Integrated, segments: Segments, keep: Bools | None = None, N_s: Floats | None = None
 ) -> tuple[Floats, Floats]:
     """Return int N~_j over the covered part and the whole slave side, (n,) each (collective).
 
@@ -153,15 +163,18 @@ class Coverage:
     share: Floats  # (n,) covered share of the tributary weight
     reached: Bools  # (n,) on a facet of which some part is covered
     weightless: Bools  # (n,) without tributary weight: no multiplier, whatever is covered
+    near: Bools | None = None  # (n,) of a tool: within its reach; None for all
 
     @property
     def faces(self) -> Bools:
         """Which nodes (n,) face the master: enough is covered to carry a multiplier."""
-        return np.asarray(self.share > LEAST_COVERAGE)
+        return np.asarray(
+            (self.share > LEAST_COVERAGE) & (True if self.near is None else self.near)
+        )
 
 
 def find_coverage(
-    pairing: Pairing, segments: Segments, covered: Floats, tributary: Floats
+    pairing: Integrated, segments: Segments, covered: Floats, tributary: Floats
 ) -> Coverage:
     """Return the coverage of the owned slave nodes; the weights are of `node_weights`."""
     slave = pairing.slave
@@ -172,7 +185,7 @@ def find_coverage(
     return Coverage(np.asarray(share[own]), np.asarray(reached[own]), none[own])
 
 
-def _find_weightless(pairing: Pairing, segments: Segments) -> tuple[Bools, Floats]:
+def _find_weightless(pairing: Integrated, segments: Segments) -> tuple[Bools, Floats]:
     """Return the slave nodes (n,) without weight, and the covered share of nodes' facets (n,).
 
     Of second order, with a weight 2 pi r, the functions of nodes on the axis integrate to nothing
@@ -190,7 +203,7 @@ def _find_weightless(pairing: Pairing, segments: Segments) -> tuple[Bools, Float
 
 
 def default_keep(
-    pairing: Pairing,
+    pairing: Integrated,
     segments: Segments,
     covered: Floats,
     tributary: Floats,
@@ -246,7 +259,7 @@ def _best_nodes(coverage: Floats, X: Floats) -> Ints:
 
 
 def weighted_duals(
-    pairing: Pairing, segments: Segments, keep: Bools, N_s: Floats | None = None
+    pairing: Integrated, segments: Segments, keep: Bools, N_s: Floats | None = None
 ) -> Floats:
     """Return w Phi_j (q, k) at the points of the segments, w their weights.
 
@@ -263,7 +276,9 @@ def weighted_duals(
     return np.asarray(Phi * segments.weight[:, None])
 
 
-def integrate_values(pairing: Pairing, segments: Segments, Phi: Floats, values: Floats) -> Floats:
+def integrate_values(
+    pairing: Integrated, segments: Segments, Phi: Floats, values: Floats
+) -> Floats:
     """Return int Phi_j f (n,) at the slave nodes for values f (q,) at the points (collective).
 
     Args:

@@ -24,6 +24,7 @@ from dolfinx_mortar.mortar.dual import sums_of_products
 from dolfinx_mortar.mortar.edges import open_duals
 from dolfinx_mortar.mortar.integrals import (
     Coverage,
+    Integrated,
     default_keep,
     find_coverage,
     integrate_values,
@@ -107,8 +108,7 @@ def create_operators(
     weight = np.zeros((pairing.slave.owned, len(choices)))
     places, nodes = pairing.diagonal
     weight[nodes] = entries_D[places]
-    inverse = _inverse(weight)
-    P = np.concatenate([-entries_D[pairing.off_diagonal], entries_M]) * inverse[pairing.row]
+    P = np.concatenate([-entries_D[pairing.off_diagonal], entries_M]) * inverse(weight)[pairing.row]
     heights: Floats = np.zeros(pairing.slave.owned)
     motions: Floats | None = None
     if heights_of is not None:
@@ -118,7 +118,7 @@ def create_operators(
         at = point_motions(segments, motions_of)
         row = pairing.row[len(pairing.off_diagonal) :]
         total = integrate_motions(pairing, segments, [Phi[c] for c in choices], at)
-        motions = total * inverse[row, :, None]
+        motions = total * inverse(weight)[row, :, None]
     return MortarOperators(
         segments=segments,
         normals=normals[own],
@@ -133,7 +133,7 @@ def create_operators(
     )
 
 
-def _inverse(weight: Floats) -> Floats:
+def inverse(weight: Floats) -> Floats:
     """Return 1 / D_jj, zero where that is: at nodes without multiplier."""
     return np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0)
 
@@ -167,12 +167,12 @@ def integrate_matrices(
     paired = np.unique(pairing.pairs[:, 0])
     blocks_D = sums_of_products(Phi, N_s, segments.slave, len(kept))[paired]
     both = kept[paired][:, :, None] & kept[paired][:, None, :]
-    blocks_D[both & ~_in_D(pairing.slave.element)] = 0.0
+    blocks_D[both & ~in_D(pairing.slave.element)] = 0.0
     blocks_M = sums_of_products(Phi, N_m, segments.pair, len(pairing.pairs))
     return pairing.D.sum(blocks_D), pairing.M.sum(blocks_M)
 
 
-def _in_D(element: FacetElement) -> Bools:
+def in_D(element: FacetElement) -> Bools:
     """Return (k, k) where D has entries between kept nodes of a facet."""
     found = np.eye(element.nodes, dtype=bool)
     for middle, *ends in element.shares:
@@ -209,7 +209,7 @@ def integrate_motions(
 
 
 def mean_values(
-    pairing: Pairing, segments: Segments, Phi: Floats, weight: Floats, at_points: Floats
+    pairing: Integrated, segments: Segments, Phi: Floats, weight: Floats, at_points: Floats
 ) -> Floats:
     """Return int Phi_j f / D_jj (n,) at the owned slave nodes (collective).
 
@@ -221,4 +221,4 @@ def mean_values(
         at_points: f (q,).
     """
     total = integrate_values(pairing, segments, Phi, at_points)[: pairing.slave.owned]
-    return np.asarray(total * _inverse(weight))
+    return np.asarray(total * inverse(weight))

@@ -19,7 +19,7 @@ from dolfinx_mortar.persistence.committed import ProblemState
 
 NODES, POINTS = "nodes", "points"
 SLIPS = ("slid", "dissipated")
-RESULTANTS = ("force", "moment", "master_force", "master_moment")
+RESULTANTS = ("force", "moment", "master_force", "master_moment", "place")
 FLAGS = ("active", "carries", "near")  # columns of zeros and ones
 UNDEFINED = ("gap",)  # NaN where a slave node faces no master
 
@@ -118,7 +118,7 @@ def _check_interface(state: ProblemState, k: int, resultants: Any, found: Any) -
     """Check resultants, None for none, and what `Interface.found` has returned."""
     if resultants is not None:
         for name in RESULTANTS:
-            size = 3 if "moment" in name else state.solid.mesh.geometry.dim
+            size = state.solid.mesh.geometry.dim if name.endswith("force") else 3
             _check_numbers(f"interfaces[{k}].{name}", resultants[name], (size,))
     own = state.interfaces[k].found()
     if found.keys() != own.keys():

@@ -100,6 +100,8 @@ class ContactProblem:
         with raised_together(solid.V.mesh.comm):  # before one is taken from another problem
             for side in sides:
                 side.check(solid.V)
+                revolved = solid.kinematics.radius is not None
+                side.check_kinematics(solid.V.mesh.geometry.dim, revolved)
         check_options(solid.V.mesh.comm, petsc_options_prefix, petsc_options)
         self.solid, self.geometry = solid, geometry
         self._inputs = Inputs(changing, find_constants([conditions, loads, potential, *terms]))
@@ -284,7 +286,7 @@ class ContactProblem:
             data = replace(
                 data,
                 increment=max(data.increment, found.largest_slip(u, data.jumps)),
-                partners=partners or found.partners(self._committed_positions()),
+                partners=partners or self._found_partners(found),
             )
         self._enter(found, data.increment)
         if audit:
@@ -349,7 +351,7 @@ class ContactProblem:
         if not self.system.has_friction:
             return []
         if self.geometry == "reference":  # partners stay
-            return [None] * len(self.interfaces)
+            return []
         began = self.committed.displacement
         if not self.committed.begun:
             began = began + self._carried(self.supports.increment(target, began), began)
@@ -360,8 +362,12 @@ class ContactProblem:
         there.x.array[: began.size] = began
         there.x.scatter_forward()
         with self.timings("mortar"):
-            found = self.system.begin(there, self.committed.paired)
-            return found.partners(self._committed_positions())
+            return self._found_partners(self.system.begin(there, self.committed.paired))
+
+    def _found_partners(self, found: Configuration) -> list[Partners | None]:
+        """Return those of a configuration; collective."""
+        frozen = self.geometry == "reference"
+        return found.partners(self._committed_positions(), frozen=frozen)
 
     def audit(self) -> Audit:
         """Return the geometry audit at the present displacement; collective.
@@ -463,6 +469,8 @@ class ContactProblem:
         with self.timings("commit"):
             self.terms.commit()
             self.committed.commit(self.owned_u, self.ended_here())
+            for interface in self.interfaces:
+                ask(self.comm, interface, "commit")
             self.outcome = None
 
     def ended_here(self) -> StepOutcome | None:

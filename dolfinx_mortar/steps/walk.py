@@ -298,6 +298,7 @@ def _walk(
         except NewtonNotConverged as error:
             failures += 1
             if not parts:
+                loading.set(problem, reached.time)  # tools have moved on
                 overlap = find_overlap(problem, solves.rtol)
                 reached = replace(reached, overlap=overlap)
             way = level.time != reached.time and solves.may_cut(loading)
