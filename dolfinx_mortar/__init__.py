@@ -10,9 +10,10 @@
 The theory is in Cermak, Svetlik, Varga, Pospisil (2024), doi 10.4203/ccc.9.10.3.
 """
 
-from dolfinx_mortar import analytic, materials, meshing, plotting
+from dolfinx_mortar import analytic, materials, meshing, plotting, shapes
 from dolfinx_mortar.audit.pairs import Pair, Pairs, find_pairs
 from dolfinx_mortar.interfaces.contact import Contact
+from dolfinx_mortar.interfaces.obstacle import Obstacle
 from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.materials import (
     DruckerPrager,
@@ -54,6 +55,7 @@ __all__ = [
     "Mortar",
     "NeoHooke",
     "NewtonNotConverged",
+    "Obstacle",
     "Ogden",
     "Orthotropic",
     "Pair",
@@ -82,6 +84,7 @@ __all__ = [
     "plotting",
     "preload",
     "reaction",
+    "shapes",
     "summarise",
     "write_summary",
 ]

@@ -131,7 +131,7 @@ def test_no_program_of_the_pages_escapes():
 
 def public():
     """Return the full names of all that is public."""
-    rooms = [dm, dm.analytic, dm.materials, dm.meshing, dm.plotting]
+    rooms = [dm, dm.analytic, dm.materials, dm.meshing, dm.plotting, dm.shapes]
     return {id(getattr(room, n)): f"{room.__name__}.{n}" for room in rooms for n in room.__all__}
 
 

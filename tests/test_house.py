@@ -19,7 +19,8 @@ BELOW = {
     "materials": set(),
     "solid": {"algebra", "materials"},
     "terms": {"algebra", "solid"},
-    "interfaces": {"algebra", "geometry", "mortar"},
+    "shapes": set(),
+    "interfaces": {"algebra", "geometry", "mortar", "shapes"},
     "qp": {"algebra"},
     "checkpoint": {"algebra"},
     "supports": {"algebra", "geometry", "interfaces", "solid"},
@@ -59,6 +60,7 @@ FOREIGN = {  # libraries that a floor must not know
     "qp": {"dolfinx", "ufl", "basix"},
     "materials": {"dolfinx", "petsc4py", "mpi4py"},
     "checkpoint": {"petsc4py", "ufl"},
+    "shapes": {"dolfinx", "petsc4py", "mpi4py", "ufl"},
 }
 
 

@@ -1,0 +1,363 @@
+# SPDX-License-Identifier: MIT
+r"""Unilateral contact of a side with a rigid tool, which is no part of the mesh.
+
+With the signed distance phi of the tool, positive outside, the weighted gaps are
+
+    g_j(u) = int Phi_j phi(X + u) >= 0,
+
+and the multipliers lambda_j >= 0 act along n_j = -grad phi(x_j), into the tool: forces -D_jl
+lambda_j n_j on the nodes l of the side, and as much on the tool. Where phi is that of a plane, g_j
+is what D and n_j say, so that uniform pressures are exact. The tangent is in `tool_derivatives`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx import fem
+from dolfinx.mesh import MeshTags
+from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.arrays import ROUND_OFF, Bools, Floats
+from dolfinx_mortar.geometry.tolerances import TINY
+from dolfinx_mortar.interfaces.coulomb import Limit, create_law
+from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides, create_pattern
+from dolfinx_mortar.interfaces.tool import Pose, Tool, find_facing
+from dolfinx_mortar.interfaces.tool_derivatives import ToolDerivatives
+from dolfinx_mortar.interfaces.tool_slips import ToolPartners
+from dolfinx_mortar.interfaces.unilateral import Unilateral
+from dolfinx_mortar.mortar.integrals import Coverage
+from dolfinx_mortar.mortar.pairing import Pairing
+from dolfinx_mortar.mortar.surface import accumulate, coordinates, mean_facet_length
+from dolfinx_mortar.mortar.whole_side import WholeSide, create_whole_side, integrate_side, means
+from dolfinx_mortar.shapes import Distance, Shape
+
+if TYPE_CHECKING:
+    from dolfinx_mortar.interfaces.link import Link
+
+# |grad phi| - 1 of what is no distance, within a facet length of the surface: forces and gaps are
+# off by as much.
+NO_DISTANCE = 0.1
+# A node faces the tool, rather than another interface that shares its side, within so many facet
+# lengths.
+REACH = 2.0
+
+
+@dataclass(frozen=True)
+class SidePattern(Pattern):
+    """The pattern of a side alone."""
+
+    side: WholeSide | None = None
+
+
+class Obstacle(Unilateral):
+    """Contact of a side with a rigid tool: w_n <= gap, pressure >= 0; perhaps with friction.
+
+    The tool is a shape of `dolfinx_mortar.shapes`, without a mesh. Its point ``reference`` is at
+    ``position``, and it is turned by ``rotation`` about it: both are Constants, whose values
+    ``ramp`` and ``on_time`` of `load_steps` may set, and which are read at the start of every step.
+    With geometry="updated" gaps are those at X + u; with "reference" the distances of X from the
+    tool where it is now, less n.u.
+
+    Results are those of a `Contact`, with the tool for the master: ``force`` on the side,
+    ``pressure``, ``gap``, ``active``; with friction ``traction``, ``slip``, ``status``, and
+    ``dissipation``; slip is the motion along the tool as it moves. ``tool_force`` and
+    ``tool_moment`` are those on the tool, the latter about its point.
+
+    A node of several interfaces belongs to the first one that it faces; it faces a tool within two
+    facet lengths of it. Of facets on which a tool's surface is steep (78 degrees or more), as on
+    the flanks of a body beside it, none is in contact.
+
+    Args:
+        facet_tags: facet markers on the mesh of the displacement.
+        slave: tag of the side that meets the tool, or its name, see `Tags`.
+        shape: of the tool where it starts.
+        reference: d coordinates of the tool's point where it starts; ``shape.point`` if not given.
+        friction: coefficient of Coulomb's law, as of `Contact`.
+        tresca: limit of the tangential traction instead, as of `Contact`.
+
+    Raises:
+        ValueError: for tags that are none, unknown names, what is no shape or one of another
+            dimension, and invalid limits. When a problem takes it, for shapes that are not of
+            revolution in an axisymmetric one.
+
+    Attributes:
+        tool: shape, position and rotation.
+        began: where the tool was at the last commit.
+    """
+
+    curved_tangent = True
+
+    def __init__(
+        self,
+        facet_tags: MeshTags,
+        *,
+        slave: int | str,
+        shape: Shape,
+        reference: Any = None,
+        friction: Limit | None = None,
+        tresca: Limit | None = None,
+    ) -> None:
+        """Keep the description; surfaces are found when a problem takes it."""
+        super().__init__(facet_tags, slave=slave)
+        self.tool = Tool(shape, reference, facet_tags.topology.dim)
+        self.law = create_law(friction, tresca)
+        self.began = self.tool.pose()
+
+    @property
+    def sides(self) -> str:
+        """How messages call the side and the tool."""
+        return f"{super().sides}, shape={type(self.tool.shape).__name__}"
+
+    @property
+    def shape(self) -> Shape:
+        """As given."""
+        return self.tool.shape
+
+    @property
+    def reference(self) -> Floats:
+        """Where the tool's point is when it starts (d,)."""
+        return self.tool.point
+
+    @property
+    def position(self) -> fem.Constant:
+        """Where the tool's point is (d,); set its value."""
+        return self.tool.position
+
+    @property
+    def rotation(self) -> fem.Constant:
+        """How the tool is turned from where it starts; set its value.
+
+        An angle in the plane, in space a rotation vector (3,): axis times angle, in radians.
+        """
+        return self.tool.rotation
+
+    def given(self) -> dict[str, Any]:
+        """Return what all ranks have to give the same, by name; see `agreement`."""
+        names = "shape", "point", "position", "rotation"
+        return super().given() | {name: getattr(self.tool, name) for name in names}
+
+    def check_kinematics(self, d: int, revolved: bool) -> None:
+        """Raise a ValueError for shapes that are none in d dimensions, or not of revolution."""
+        self.tool.check(d, revolved)
+
+    def take(self, owner: object, V: fem.FunctionSpace) -> None:
+        """Belong to a problem from now on; slips count from where the tool is now; collective."""
+        super().take(owner, V)
+        self.began = self.tool.pose()
+
+    # -- state -----------------------------------------------------------------------------------
+
+    def commit(self) -> None:
+        """Keep where the tool is: the slips of the next step count from here."""
+        self.began = self.tool.pose()
+
+    def found(self) -> dict[str, list[float]]:
+        """Return where the tool was at the last commit."""
+        began = self.began
+        return {
+            "position": [*map(float, began.position)],
+            "rotation": [*map(float, began.rotation)],
+        }
+
+    def take_found(self, found: Mapping[str, list[float]]) -> None:
+        """Take that over."""
+        position, rotation = (np.array(found[name], float) for name in ("position", "rotation"))
+        self.began = Pose(position, rotation, self.tool.point)
+
+    def keep(self) -> Any:
+        """Return copies of results and state, for `put_back`."""
+        return super().keep(), self.began
+
+    def put_back(self, kept: Any) -> None:
+        """Show what `keep` has returned; without communication."""
+        shown, self.began = kept
+        super().put_back(shown)
+
+    # -- geometry --------------------------------------------------------------------------------
+
+    def pair(
+        self,
+        sides: Sides,
+        u: fem.Function | None,
+        *,
+        again: bool,
+        earlier: tuple[Pairing | None, Pattern] | None = None,
+    ) -> tuple[None, Pattern]:
+        """Fix the pattern of D between nodes of the side; collective."""
+        if earlier is not None:
+            return None, earlier[1]
+        side = create_whole_side(sides.slave, sides.weight)
+        plain = create_pattern(sides, side.row, side.column, len(side.row))
+        return None, SidePattern(
+            plain.row, plain.column, plain.split, plain.blocks, plain.scalars, side=side
+        )
+
+    def measure_coverage(
+        self, sides: Sides, pairing: Pairing | None, u: fem.Function | None
+    ) -> Coverage:
+        """Return how far the slave nodes face the tool at X + u, by their distances; collective."""
+        slave, own = sides.slave, slice(None, sides.slave.owned)
+        length = mean_facet_length(slave)
+        with raised_together(sides.V.mesh.comm):
+            close = self.tool.pose().distance(self.shape, coordinates(slave, u)).value
+        near = np.asarray(close <= REACH * length)
+        count = np.zeros(len(near))
+        count[slave.facets[near[slave.facets].any(axis=1)]] = 1.0
+        reached = np.asarray(accumulate(slave, count)[own] > 0.0)
+        share = reached.astype(np.float64)
+        return Coverage(share, reached, np.zeros_like(reached), near[own])
+
+    def couple(
+        self,
+        sides: Sides,
+        pairing: Pairing | None,
+        pattern: Pattern,
+        banned: Bools,
+        u: fem.Function | None,
+        before: Coupling | None = None,
+    ) -> Coupling:
+        """Integrate D and the gaps at X + u, see `Interface.couple`; collective."""
+        assert isinstance(pattern, SidePattern) and pattern.side is not None
+        side, slave, own = pattern.side, sides.slave, slice(None, sides.slave.owned)
+        comm, x = sides.V.mesh.comm, coordinates(slave, u)
+        with raised_together(comm):  # what a user's function raises
+            pose = self.tool.pose()
+            at_nodes = pose.distance(self.shape, x)
+            self._check_distance(at_nodes, x, side.facet_length)
+            facing = find_facing(side, pose, self.shape, x)
+        normals, left = free_normals(at_nodes, sides.fixed[slave.nodes])
+        allowed = self.may_carry(left, sides.fixed[slave.nodes])[:, 0] & ~banned[slave.nodes]
+        near = at_nodes.value <= REACH * side.facet_length
+        if any_rank(comm, banned[slave.nodes].any())[0]:  # others have the rest
+            facing &= near[slave.facets].any(axis=1)
+        found = integrate_side(side, x, facing, allowed, _returned(sides, before))
+        frame = self.frame(normals[own], found.kept, sides.fixed[sides.nodes])
+        with raised_together(comm):
+            gaps = pose.distance(self.shape, found.x).value
+        at = means(side, found, np.column_stack([found.x, gaps]))
+        # at these positions the gap n.(P x - x_j) - h_j is the mean of phi
+        heights = -(frame.normals * at[:, :-1]).sum(axis=1) - at[:, -1]
+        kept = found.kept
+        lost = np.zeros_like(kept) if before is None else before.lost | (before.kept & ~kept)
+        blocks = self.blocks(found.P, frame, pattern.row)
+        blocks.flags.writeable = False
+        return Coupling(
+            blocks=blocks,
+            P=found.P,
+            R=frame.R,
+            slot=frame.slot,
+            directions=frame.directions,
+            kept=kept,
+            weight=np.where(kept, found.weight, 0.0),
+            normals=frame.normals,
+            heights=np.where(kept[:, 0], heights, 0.0),
+            coverage=replace(found.coverage, near=near[own]),
+            lost=lost,
+        )
+
+    def _check_distance(self, at_nodes: Distance, x: Floats, length: float) -> None:
+        """Raise a ValueError where |grad phi| is far from 1 near the surface."""
+        size = np.linalg.norm(at_nodes.gradient, axis=1)
+        off = np.where(np.abs(at_nodes.value) <= length * size, np.abs(size - 1.0), 0.0)
+        if off.max(initial=0.0) > NO_DISTANCE:
+            worst = int(np.argmax(off))
+            place = ", ".join(f"{c:.4g}" for c in x[worst])
+            raise ValueError(
+                f"shape: phi is no distance, as abs(grad phi) is {size[worst]:.3g} at ({place}); "
+                "give phi / abs(grad phi), or the distance itself"
+            )
+
+    # -- steps -----------------------------------------------------------------------------------
+
+    def partners(self, link: Link, x: PETSc.Vec, *, frozen: bool) -> ToolPartners | None:
+        """Return where the nodes were on the tool at the last commit; None without friction."""
+        if not self.rough:
+            return None
+        return ToolPartners.create(link, x, self.shape, self.began, self.tool.pose(), frozen=frozen)
+
+    def derivatives(self, link: Link) -> ToolDerivatives:
+        """Return the derivatives of forces and gaps for the pattern of a link; collective."""
+        assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
+        return ToolDerivatives(link, link.pattern.side, self.tool)
+
+    def warnings(self, link: Link, x: PETSc.Vec) -> list[str]:
+        """Return a warning if no facet faces the tool, or if it starts in the body; collective.
+
+        Raises:
+            ValueError: if it lies so deep that no side of the body is nearest.
+        """
+        sides, comm = link.sides, link.sides.V.mesh.comm
+        d = sides.fixed.shape[1]
+        at = x.array_r.reshape(-1, d)[link.nodes]
+        kept = link.coupling.kept[:, 0]
+        if not any_rank(comm, kept.any())[0]:
+            return [
+                f"{self!r}: no facet of the side faces the tool where it is; its normal points out "
+                "of the tool, towards the body: turn it round if it does not"
+            ]
+        depth = np.where(kept, -self.began.distance(self.shape, at).value, -np.inf)
+        deepest = depth.max(initial=-np.inf)
+        mine = at[int(np.argmax(depth))].tolist() if len(at) else []
+        most, place = max(comm.allgather((float(deepest), mine)))
+        if most <= mean_facet_length(sides.slave):
+            return []
+        shallowest = -float(maximum(comm, (-depth[kept]).max(initial=-np.inf))[0])
+        where = f"({', '.join(f'{c:.4g}' for c in place)})"
+        if shallowest > 0.0:
+            raise ValueError(
+                f"{self!r}: where it starts, the tool has all of the side in it, {most:.3g} deep "
+                f"around {where}; the normal of a tool points out of it, towards the body: turn "
+                "it round, or let the tool start beside the body"
+            )
+        return [
+            f"{self!r}: where it starts, the tool lies {most:.3g} deep in the body around {where}, "
+            "more than a facet: the first step has to remove that; let it start beside the body"
+        ]
+
+    # -- results ---------------------------------------------------------------------------------
+
+    def place(self) -> Floats:
+        """Return where the tool's point is, (3,)."""
+        position = np.array(self.position.value, dtype=np.float64)
+        return np.concatenate([position, np.zeros(3 - len(position))])
+
+    @property
+    def tool_force(self) -> Floats:
+        """Resultant (d,) exerted on the tool."""
+        return self.master_force
+
+    @property
+    def tool_moment(self) -> Floats:
+        """Moment (3,) of the forces on the tool about its point; the last component in plane ones.
+
+        Of rings, see `moment`.
+        """
+        force = np.concatenate([self.master_force, np.zeros(3 - len(self.master_force))])
+        place = self._result(self.resultants, "place")
+        return np.asarray(self.master_moment - np.cross(place, force))
+
+
+def free_normals(at_nodes: Distance, fixed: Bools) -> tuple[Floats, Floats]:
+    """Return unit normals (n, d) into the tool without prescribed directions, and what is left."""
+    size = np.maximum(np.linalg.norm(at_nodes.gradient, axis=1), TINY)
+    free = -at_nodes.gradient / size[:, None] * ~fixed
+    left = np.linalg.norm(free, axis=1)
+    some = (left > ROUND_OFF)[:, None]
+    return np.where(some, free / np.maximum(left, TINY)[:, None], 0.0), left
+
+
+def _returned(sides: Sides, before: Coupling | None) -> Bools | None:
+    """Return the local slave nodes (n,) that have returned; None without an earlier geometry."""
+    if before is None:
+        return None
+    slave = sides.slave
+    marks = np.zeros(len(slave.nodes))
+    marks[: slave.owned] = before.returned[:, 0]
+    return np.asarray(accumulate(slave, marks) > 0)

@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: MIT
+r"""Derivatives of the forces and weighted gaps of contact with a rigid tool.
+
+On a facet, with w = w_q J the weights of its points, N the functions of its nodes and N~ those that
+the dual ones are biorthogonal to (see `mortar.dual`), over the nodes that carry a multiplier
+
+    Phi = B N~ + 1/k,  B = (I - 1 1^T / k) A,  A = diag(d) m^-1,  d = sum w N~,  m = sum w N~ N~^T.
+
+Its points move with the nodes, dx = N_m dx_m, and dJ = J grad N_m . dx_m. So
+
+    g_j = sum w Phi_j phi,    dg_j = sum w [dB N~ phi + Phi_j (phi dJ/J + grad phi . dx)]_j,
+    D_jl = sum w Phi_j N_l,   dD_jl = sum w [dB N~ + Phi dJ/J]_j N_l,   F_l = sum_j t_j D_jl,
+    dA = (diag(dd) - A dm) m^-1,
+
+and the tractions t_j = lambda_j n_j + tau_j turn with n_j, dn_j = -(I - n n^T) Hess phi dx_j.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from petsc4py import PETSc
+
+import numpy as np
+from scipy import sparse
+
+from dolfinx import fem
+from dolfinx_mortar.arrays import Bools, Floats, Longs
+from dolfinx_mortar.geometry.facets import surface_gradients
+from dolfinx_mortar.interfaces.contact_derivatives import (
+    Entries,
+    LinkDerivatives,
+    SlipRows,
+    facets_near,
+    incidence,
+)
+from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.interfaces.slip_partners import Partners
+from dolfinx_mortar.interfaces.tool import Tool, find_facing
+from dolfinx_mortar.mortar.dual import absorbed
+from dolfinx_mortar.mortar.integrals import weighted_duals
+from dolfinx_mortar.mortar.operators import in_D
+from dolfinx_mortar.mortar.surface import accumulate, coordinates, facets_at
+from dolfinx_mortar.mortar.whole_side import WholeSide, rule_of, whole_facets
+
+
+@dataclass(frozen=True)
+class _OnFacets:
+    """Values at the points of whole facets."""
+
+    which: Longs  # (f,) the facets
+    keep: Bools  # (f, k) their nodes with a multiplier
+    w: Floats  # (f, q)
+    N: Floats  # (q, k)
+    N_dual: Floats  # (f, q, k) N~
+    Phi: Floats  # (f, q, k)
+    gradients: Floats  # (f, q, k, d) of the functions, along the surface
+    phi: Floats  # (f, q)
+    slope: Floats  # (f, q, d) grad phi
+
+
+class ToolDerivatives(LinkDerivatives):
+    """Derivatives for all facets of a side that are near the tool."""
+
+    def __init__(self, link: Link, side: WholeSide, tool: Tool) -> None:
+        """Make the patterns; collective."""
+        V, slave = link.sides.V, link.sides.slave
+        self.side, self.tool = side, tool
+        self.asked = facets_near(link)
+        facets = np.flatnonzero(self.asked).astype(np.int32)
+        n, d = len(slave.nodes), V.dofmap.index_map_bs
+        among = incidence(facets, slave.facets[facets], (len(self.asked), n))
+        nodes = V.dofmap.index_map.local_to_global(slave.nodes).astype(np.int64)
+        dofs = (d * nodes[:, None] + np.arange(d)).ravel()
+        pattern = among.T @ among
+        self.F = Entries(V, pattern, (d, d), dofs, dofs)
+        self.G = Entries(V, pattern, (1, d), d * nodes, dofs)
+        self.N = Entries(V, sparse.eye_array(n, format="csr"), (d, d), dofs, dofs)
+
+    def serves(self, link: Link) -> bool:
+        """Return True: the pattern is that of the nodes in T, with which these are made."""
+        return True
+
+    def differentiate(
+        self, link: Link, u: fem.Function, multipliers: Floats, tangential: Floats | None
+    ) -> tuple[PETSc.Mat, PETSc.Mat, Bools]:
+        """Return those of forces, and of gaps in the rows w_n, and which of these; collective."""
+        slave, n = link.sides.slave, len(link.sides.slave.nodes)
+        at, x = self._at_points(link, u)
+        d = int(x.shape[1])
+        traction, turned = self._tractions(link, x, multipliers, tangential)
+        dD, dg, D = _differentiate(at, slave.element.shares, in_D(slave.element))
+        nodes = slave.facets[at.which]
+        t, dt = traction[nodes], turned[nodes]
+        forces = np.einsum("fji,fjlmc->flimc", t, dD)
+        forces += np.einsum("fjl,fjic->flijc", D, dt)
+        dofs = d * nodes[:, :, None] + np.arange(d)  # (f, k, d)
+        place = np.broadcast_arrays(dofs[:, :, :, None, None], dofs[:, None, None])
+        rows, columns = (part.ravel() for part in place)
+        H = sparse.coo_array((forces.ravel(), (rows, columns)), (d * n, d * n)).tocsr()
+        place = np.broadcast_arrays(nodes[:, :, None, None], dofs[:, None])
+        rows, columns = (part.ravel() for part in place)
+        G = sparse.coo_array((dg.ravel(), (rows, columns)), (n, d * n)).tocsr()
+        known = np.ones(slave.owned, dtype=bool)
+        return self.F.fill(H), self.G.fill(G), known
+
+    def slips(self, link: Link, u: fem.Function, partners: Partners, since: PETSc.Vec) -> SlipRows:
+        """Return the rows of slips; collective."""
+        slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
+        x = coordinates(slave, u)
+        n = np.where(link.coupling.kept, link.coupling.normals, 0.0)
+        along = (partners.motion(link, since) * n).sum(axis=1)
+        turning = np.tile(np.eye(x.shape[1]), (len(n), 1, 1)) * -along[:, None, None]
+        tangents = np.swapaxes(link.coupling.R, 1, 2)[:, 1:]
+        turned = np.zeros((len(slave.nodes), *turning.shape[1:]))
+        turned[own] = self._turning(link, x)
+        return SlipRows(link, partners, tangents @ turning, self.N.fill(_diagonal(turned)))
+
+    def _turning(self, link: Link, x: Floats) -> Floats:
+        """Return dn_j/dx_j (n, d, d) of the owned slave nodes, 0 where not kept."""
+        own = slice(None, link.sides.slave.owned)
+        kept, n = link.coupling.kept[:, 0], link.coupling.normals
+        found = self.tool.pose().distance(self.tool.shape, x[own])
+        free = ~link.sides.fixed[link.nodes]
+        size = np.linalg.norm(found.gradient, axis=1)
+        left = np.linalg.norm(found.gradient * free, axis=1)
+        across = (np.eye(n.shape[1]) - n[:, :, None] * n[:, None, :]) * free[:, None, :]
+        across /= np.where(kept & (size > 0.0), left, 1.0)[:, None, None]
+        across[~kept] = 0.0
+        return -across @ found.hessian
+
+    def _tractions(
+        self, link: Link, x: Floats, multipliers: Floats, tangential: Floats | None
+    ) -> tuple[Floats, Floats]:
+        """Return t_j (n, d) and dt_j/dx_j (n, d, d) at the local slave nodes; collective."""
+        slave, own, d = link.sides.slave, slice(None, link.sides.slave.owned), x.shape[1]
+        nodes, kept = link.nodes, link.coupling.kept
+        n = np.where(kept, link.coupling.normals, 0.0)
+        turning = self._turning(link, x)
+        pressing = multipliers[nodes, None] * kept
+        traction, turned = pressing * n, pressing[:, :, None] * turning
+        if tangential is not None:
+            along = tangential[nodes] - (tangential[nodes] * n).sum(axis=1)[:, None] * n
+            along *= kept
+            traction = traction + along
+            turned = turned - n[:, :, None] * (along[:, None] @ turning)  # tangents turn with n
+        columns = np.zeros((len(slave.nodes), d + d * d))
+        columns[own] = np.concatenate([traction, turned.reshape(-1, d * d)], axis=1)
+        summed = accumulate(slave, columns)
+        return summed[:, :d], summed[:, d:].reshape(-1, d, d)
+
+    def _at_points(self, link: Link, u: fem.Function) -> tuple[_OnFacets, Floats]:
+        """Return values at the points of the facets that face the tool, and the nodes' places."""
+        slave, side = link.sides.slave, self.side
+        x, pose, shape = coordinates(slave, u), self.tool.pose(), self.tool.shape
+        reached = np.zeros(len(slave.nodes))
+        reached[: slave.owned] = link.coupling.kept[:, 0]
+        keep = accumulate(slave, reached) > 0.0
+        facing = self.asked & find_facing(side, pose, shape, x)
+        segments, points = whole_facets(side, x, facing)
+        Phi = weighted_duals(side, segments, keep)
+        xi, _ = rule_of(slave.element)
+        gradients, _ = surface_gradients(facets_at(slave, x), segments.slave, segments.xi_s)
+        found = pose.distance(shape, points)
+        which, q = np.flatnonzero(facing), len(xi)
+        among, k, d = keep[slave.facets[which]], slave.element.nodes, x.shape[1]
+        w = segments.weight.reshape(-1, q)
+        N = slave.element.shape_functions(segments.xi_s)
+        N_dual = absorbed(slave.element.shares, N, np.repeat(among, q, axis=0))
+        at = _OnFacets(
+            which=which,
+            keep=among,
+            w=w,
+            N=slave.element.shape_functions(xi),
+            N_dual=N_dual.reshape(-1, q, k),
+            Phi=Phi.reshape(-1, q, k) / w[:, :, None],
+            gradients=gradients.reshape(-1, q, k, d),
+            phi=found.value.reshape(-1, q),
+            slope=found.gradient.reshape(-1, q, d),
+        )
+        return at, x
+
+
+def _differentiate(
+    at: _OnFacets, shares: tuple[tuple[int, int, int], ...], diagonal: Bools
+) -> tuple[Floats, Floats, Floats]:
+    """Return dD_jl/dx_mc (f, k, k, k, d), dg_j/dx_mc (f, k, k, d), and D_jl (f, k, k)."""
+    keep, k = at.keep, at.keep.shape[1]
+    both = keep[:, :, None] & keep[:, None]
+    w_grad = at.w[:, :, None, None] * at.gradients  # of J
+    N_t = at.N_dual * keep[:, None]
+    m = np.einsum("fq,fqa,fqb->fab", at.w, N_t, N_t)
+    m_inverse = np.linalg.inv(np.where(both, m, np.eye(k))) * both
+    d = np.einsum("fq,fqa->fa", at.w, N_t)
+    A = d[:, :, None] * m_inverse
+    dd = np.einsum("fqmc,fqa->famc", w_grad, N_t)
+    dm = np.einsum("fqmc,fqa,fqb->fabmc", w_grad, N_t, N_t)
+    dA = np.einsum("fjmc,fji->fjimc", dd, m_inverse)
+    dA -= np.einsum("fja,fabmc,fbi->fjimc", A, dm, m_inverse)
+    count = np.maximum(keep.sum(axis=1), 1)[:, None, None, None, None]
+    dB = (dA - dA.sum(axis=1, keepdims=True) / count) * keep[:, :, None, None, None]
+    # functions of single kept nodes are 1, whatever the weights
+    mass = np.einsum("fq,fqi,ql->fil", at.w, N_t, at.N)
+    dD = np.einsum("fjimc,fil->fjlmc", dB, mass)
+    dD += np.einsum("fqmc,fqj,ql->fjlmc", w_grad, at.Phi, at.N)
+    D = np.einsum("fq,fqj,ql->fjl", at.w, at.Phi, at.N)
+    zero = both & ~diagonal
+    D[zero], dD[zero] = 0.0, 0.0
+    heights = np.einsum("fq,fqi,fq->fi", at.w, N_t, at.phi)
+    dg = np.einsum("fjimc,fi->fjmc", dB, heights)
+    dg += np.einsum("fqmc,fqj,fq->fjmc", w_grad, at.Phi, at.phi)
+    dg += np.einsum("fq,fqj,fqc,qm->fjmc", at.w, at.Phi, at.slope, at.N)
+    return dD, dg, D
+
+
+def _diagonal(blocks: Floats) -> sparse.csr_array:
+    """Return the matrix of blocks (n, d, d) on the diagonal."""
+    n, d, _ = blocks.shape
+    place = np.arange(n, dtype=np.int32)
+    matrix = sparse.bsr_array((blocks, place, np.arange(n + 1)), shape=(d * n, d * n))
+    return sparse.csr_array(matrix.tocoo())

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: MIT
+r"""A slave side without a master: D and mean values over whole facets.
+
+    D_jl = int Phi_j N_l,      mean_j f = int Phi_j f / D_jj
+
+over the facets that face what the side may meet, with the dual functions of the nodes that carry a
+multiplier. Facets are taken whole, so the functions depend on which facets face it, not on where
+it ends.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dolfinx_mortar.algebra.triplets import Triplets
+from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
+from dolfinx_mortar.geometry.facets import points_of, scaled_normals, tributary_weights
+from dolfinx_mortar.geometry.segments import Segments
+from dolfinx_mortar.mortar.dual import sums_of_products
+from dolfinx_mortar.mortar.integrals import (
+    Coverage,
+    default_keep,
+    find_coverage,
+    node_weights,
+    weighted_duals,
+)
+from dolfinx_mortar.mortar.operators import in_D, inverse, mean_values
+from dolfinx_mortar.mortar.pairing import Weight
+from dolfinx_mortar.mortar.surface import Surface, facets_at, mean_facet_length
+
+
+@dataclass(frozen=True, eq=False)
+class WholeSide:
+    """A slave side and the pattern of D between its nodes."""
+
+    slave: Surface
+    D: Triplets  # between nodes of V, of all facets
+    row: Ints  # (e,) index into the owned slave nodes of each entry of D off its diagonal
+    column: Longs  # (e,) its global node
+    off_diagonal: Ints  # (e,) its position among D's entries
+    diagonal: tuple[Ints, Ints]  # positions of D_jj among D's entries, and indices of the nodes j
+    facet_length: float  # mean, at X
+    weight: Weight | None = None  # of all integrals, at X; None for 1
+
+
+@dataclass(frozen=True, eq=False)
+class SideOperators:
+    """D of a side in one configuration; see `MortarOperators`."""
+
+    segments: Segments  # whole facets
+    x: Floats  # (q, d) their points
+    Phi: Floats  # (q, k) weights times dual functions
+    keep: Bools  # (local slave nodes,) with a multiplier
+    kept: Bools  # (n, 1) the owned ones
+    weight: Floats  # (n, 1) D_jj, 0 where not kept
+    P: Floats  # (e, 1) - D_jl / D_jj off the diagonal
+    coverage: Coverage
+
+
+def create_whole_side(slave: Surface, weight: Weight | None) -> WholeSide:
+    """Fix the pattern of D for all facets of a side; collective."""
+    index_map = slave.V.dofmap.index_map
+    nodes = index_map.local_to_global(slave.nodes)[slave.facets]
+    block = (*nodes.shape, nodes.shape[1])
+    places = (np.broadcast_to(v, block) for v in (nodes[:, :, None], nodes[:, None]))
+    D = Triplets(slave.V.mesh.comm, index_map, *places)
+    own = slave.nodes[: slave.owned]
+    position = np.full(index_map.size_local, -1, dtype=np.int32)
+    position[own] = np.arange(len(own), dtype=np.int32)
+    on = D.rows + index_map.local_range[0] == D.columns
+    off, diagonal = (np.flatnonzero(which).astype(np.int32) for which in (~on, on))
+    return WholeSide(
+        slave=slave,
+        D=D,
+        row=position[D.rows[off]],
+        column=D.columns[off],
+        off_diagonal=off,
+        diagonal=(diagonal, position[D.rows[diagonal]]),
+        facet_length=mean_facet_length(slave),
+        weight=weight,
+    )
+
+
+def rule_of(element: FacetElement) -> tuple[Floats, Floats]:
+    """Return points (q, d-1) and weights (q,), sum 1, that integrate products of functions."""
+    if len(element.rule[1]) >= element.nodes:
+        return element.rule
+    return triangle_rule(4)
+
+
+def whole_facets(side: WholeSide, x: Floats, facing: Bools) -> tuple[Segments, Floats]:
+    """Return some facets (m,) as segments, and their points (q, d), for nodes at x (n, d)."""
+    slave = side.slave
+    facets, element = facets_at(slave, x), slave.element
+    xi, weights = rule_of(element)
+    jacobians = np.linalg.norm(scaled_normals(facets, xi), axis=2) * weights
+    m, q = jacobians.shape
+    which = np.repeat(np.arange(m, dtype=np.int32), q)
+    at, whole = np.tile(xi, (m, 1)), None
+    if side.weight is not None:  # at X, where it stays what it was, and positive
+        points, _ = element.rule
+        others = np.repeat(np.arange(m, dtype=np.int32), len(points))
+        at_X = facets_at(slave, slave.X)
+        jacobians *= side.weight(points_of(at_X, which, at)).reshape(m, q)
+        at_rule = points_of(at_X, others, np.tile(points, (m, 1)))
+        whole = side.weight(at_rule).reshape(m, len(points))
+    some = facing[which]
+    which, at = which[some], at[some]
+    none = np.full(len(which), -1, dtype=np.int32)
+    sums = tributary_weights(facets, whole)
+    segments = Segments(none, which, none, at, 0.0 * at, jacobians.ravel()[some], sums)
+    return segments, points_of(facets, which, at)
+
+
+def integrate_side(
+    side: WholeSide,
+    x: Floats,
+    facing: Bools,
+    allowed: Bools,
+    returned: Bools | None = None,
+) -> SideOperators:
+    """Integrate D over the facets that face something; collective.
+
+    Args:
+        side: the side.
+        x: (n, d) positions of its local nodes.
+        facing: (m,) facets of this rank.
+        allowed: (n,) local nodes that may carry a multiplier.
+        returned: (n,) those that lost it in this step and got it back; None for none.
+    """
+    slave, own = side.slave, slice(None, side.slave.owned)
+    segments, points = whole_facets(side, x, facing)
+    N = slave.element.shape_functions(segments.xi_s)
+    covered, tributary = node_weights(side, segments, N_s=N)
+    keep = default_keep(side, segments, covered, tributary, allowed, returned, N)
+    Phi = weighted_duals(side, segments, keep, N)
+    blocks = sums_of_products(Phi, N, segments.slave, len(slave.facets))
+    among = keep[slave.facets]
+    blocks[(among[:, :, None] & among[:, None]) & ~in_D(slave.element)] = 0.0
+    entries = side.D.sum(blocks)
+    weight = np.zeros((slave.owned, 1))
+    places, nodes = side.diagonal
+    weight[nodes, 0] = entries[places]
+    return SideOperators(
+        segments=segments,
+        x=points,
+        Phi=Phi,
+        keep=keep,
+        kept=keep[own, None] & (weight > 0.0),
+        weight=weight,
+        P=-entries[side.off_diagonal, None] * inverse(weight)[side.row],
+        coverage=find_coverage(side, segments, covered, tributary),
+    )
+
+
+def means(side: WholeSide, found: SideOperators, at_points: Floats) -> Floats:
+    """Return int Phi_j f / D_jj (n, c) at the owned nodes for f (q, c) at the points; collective.
+
+    Zero at nodes without a multiplier.
+    """
+    weight = found.weight[:, 0]
+    at = side, found.segments, found.Phi, weight
+    return np.stack([mean_values(*at, f) for f in at_points.T], axis=1)

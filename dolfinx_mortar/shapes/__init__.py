@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: MIT
+"""Shapes of rigid tools: signed distances of points, with normals and curvatures, in arrays."""
+
+from dolfinx_mortar.shapes.combined import Complement, Intersection, Union, berkovich
+from dolfinx_mortar.shapes.given_distance import SignedDistance
+from dolfinx_mortar.shapes.half_space import Plane
+from dolfinx_mortar.shapes.pointed import Cone, Wedge
+from dolfinx_mortar.shapes.round_shapes import Cylinder, Sphere, Torus
+from dolfinx_mortar.shapes.shape import Distance, Shape
+
+__all__ = [
+    "Complement",
+    "Cone",
+    "Cylinder",
+    "Distance",
+    "Intersection",
+    "Plane",
+    "Shape",
+    "SignedDistance",
+    "Sphere",
+    "Torus",
+    "Union",
+    "Wedge",
+    "berkovich",
+]

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: MIT
+"""Shapes made of others: all of them together, what they have in common, and what is left out."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.shapes.half_space import Plane
+from dolfinx_mortar.shapes.shape import Distance, Shape, check_unit, check_vector
+
+
+class _Combined(Shape):
+    """Several shapes, of which one is nearest."""
+
+    def __init__(self, *shapes: Shape) -> None:
+        """Keep them."""
+        wrong = [shape for shape in shapes if not isinstance(shape, Shape)]
+        if wrong or not shapes:
+            given = repr(wrong[0]) if wrong else "nothing"
+            raise ValueError(f"{type(self).__name__} of {given}: give one or more shapes")
+        sizes = sorted({len(shape.point) for shape in shapes})
+        if len(sizes) > 1:
+            raise ValueError(
+                f"{type(self).__name__} has shapes of {sizes} coordinates: all need the same"
+            )
+        self.shapes = shapes
+
+    @property
+    def point(self) -> Floats:
+        """That of the first shape."""
+        return self.shapes[0].point
+
+    def given(self) -> Mapping[str, Any]:
+        """Return the shapes by name."""
+        return {f"shape{k}": shape for k, shape in enumerate(self.shapes, start=1)}
+
+    def __repr__(self) -> str:
+        """Name the class and the shapes."""
+        return f"{type(self).__name__}({', '.join(map(repr, self.shapes))})"
+
+    def misfit(self, d: int, revolved: bool) -> str:
+        """Say why one of them cannot be used; "" if all can."""
+        return next((m for shape in self.shapes if (m := shape.misfit(d, revolved))), "")
+
+
+class Union(_Combined):
+    """All of some shapes: phi = min phi_k, exact outside.
+
+    Args:
+        shapes: one or more, of the same dimension.
+
+    Raises:
+        ValueError: for none, for what is no shape, and for different dimensions.
+    """
+
+    def distance(self, x: Floats) -> Distance:
+        """Return the distances of points x (n, d)."""
+        found, *others = (shape.distance(x) for shape in self.shapes)
+        for other in others:
+            found = found.where(found.value <= other.value, other)
+        return found
+
+
+class Intersection(_Combined):
+    """What some shapes have in common: phi = max phi_k.
+
+    The surface is exact, and so are distances from faces; off an edge at which shapes meet it is
+    the larger one of the distances from both, which is less than that from the edge. Berkovich's
+    pyramid is the intersection of three half spaces, each a `Plane`.
+
+    Args:
+        shapes: one or more, of the same dimension.
+
+    Raises:
+        ValueError: for none, for what is no shape, and for different dimensions.
+    """
+
+    def distance(self, x: Floats) -> Distance:
+        """Return the distances of points x (n, d)."""
+        found, *others = (shape.distance(x) for shape in self.shapes)
+        for other in others:
+            found = found.where(found.value >= other.value, other)
+        return found
+
+
+class Complement(Shape):
+    """All that a shape is not: phi = -phi_0. The complement of a sphere is a socket, or a die.
+
+    Args:
+        shape: what is left out.
+
+    Raises:
+        ValueError: for what is no shape.
+    """
+
+    def __init__(self, shape: Shape) -> None:
+        """Keep it."""
+        if not isinstance(shape, Shape):
+            raise ValueError(f"Complement of {shape!r}: give a shape")
+        self.shape = shape
+
+    @property
+    def point(self) -> Floats:
+        """That of the shape."""
+        return self.shape.point
+
+    def given(self) -> Mapping[str, Any]:
+        """Return the shape by name."""
+        return {"shape": self.shape}
+
+    def misfit(self, d: int, revolved: bool) -> str:
+        """Say why the shape cannot be used; "" if it can."""
+        return self.shape.misfit(d, revolved)
+
+    def distance(self, x: Floats) -> Distance:
+        """Return the distances of points x (n, d)."""
+        return -self.shape.distance(x)
+
+
+def berkovich(tip: Any, axis: Any, turned: float = 0.0) -> Intersection:
+    """Return Berkovich's pyramid: three faces at 65.27 degrees to the axis.
+
+    Its section at a depth h has the area 24.5 h^2.
+
+    Args:
+        tip: 3 coordinates.
+        axis: direction from the tip into the tool.
+        turned: degrees by which the faces are turned about the axis.
+
+    Raises:
+        ValueError: for other than 3 finite coordinates, and an axis of 0.
+    """
+    at, a = check_vector("tip", tip, 3), check_unit("axis", axis, 3)
+    first = np.cross(a, np.eye(3)[np.argmin(np.abs(a))])
+    first /= np.linalg.norm(first)
+    second, face = np.cross(a, first), np.radians(65.27)
+    planes = []
+    for k in range(3):
+        angle = np.radians(turned + 120.0 * k)
+        out = np.cos(angle) * first + np.sin(angle) * second
+        planes.append(Plane(at, np.cos(face) * out - np.sin(face) * a))
+    return Intersection(*planes)

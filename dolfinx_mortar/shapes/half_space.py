@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: MIT
+"""A plane: everything behind it belongs to the tool."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.shapes.shape import NOTHING, Distance, Shape, check_unit, check_vector
+
+
+class Plane(Shape):
+    """phi = n.(x - p).
+
+    Args:
+        point: p, d coordinates.
+        normal: n, of any length, out of the tool, towards the body.
+
+    Raises:
+        ValueError: for other than 2 or 3 finite coordinates, and a normal of 0.
+    """
+
+    def __init__(self, point: Any, normal: Any) -> None:
+        """Keep both."""
+        self._point = check_vector("point", point)
+        self.normal = check_unit("normal", normal, len(self._point))
+
+    @property
+    def point(self) -> Floats:
+        """A point (d,) of the plane."""
+        return self._point
+
+    def given(self) -> Mapping[str, Any]:
+        """Return the arguments by name."""
+        return {"point": self._point, "normal": self.normal}
+
+    def misfit(self, d: int, revolved: bool) -> str:
+        """Say why it cannot be used; "" if it can: across the axis, of an axisymmetric problem."""
+        if revolved and abs(self.normal[0]) > NOTHING:
+            return f"{self!r} is not across the axis, so no plane of revolution: give a Cone"
+        return super().misfit(d, revolved)
+
+    def distance(self, x: Floats) -> Distance:
+        """Return the distances of points x (n, d)."""
+        n, d = x.shape
+        gradient = np.tile(self.normal, (n, 1))
+        return Distance((x - self._point) @ self.normal, gradient, np.zeros((n, d, d)))

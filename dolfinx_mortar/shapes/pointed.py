@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: MIT
+"""Cones and wedges, with a tip that may be rounded."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from dolfinx_mortar.arguments import is_number
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.shapes.shape import (
+    NOTHING,
+    Distance,
+    Shape,
+    check_length,
+    check_unit,
+    check_vector,
+    of_axis,
+    of_centre,
+)
+
+
+class _Pointed(Shape):
+    """A sharp section, all of it moved outwards by the radius of the tip.
+
+    With the distance rho from the axis and the height h over the centre of the tip, along the axis
+    into the tool, and the half angle a, the distance is rho cos a - h sin a - R where the nearest
+    point is on the flank, rho sin a + h cos a > 0, and sqrt(rho^2 + h^2) - R at the tip.
+    """
+
+    def __init__(self, tip: Any, half_angle: Any, axis: Any, radius: Any) -> None:
+        self.tip = check_vector("tip", tip)
+        if not is_number(half_angle) or not 0.0 < half_angle < 90.0:
+            raise ValueError(
+                f"half_angle is {half_angle!r}: give the degrees between axis and flank, between 0 "
+                "and 90"
+            )
+        self.half_angle = float(half_angle)
+        self.axis = check_unit("axis", axis, len(self.tip))
+        self.radius = check_length("radius", radius, least=">= 0")
+
+    @property
+    def point(self) -> Floats:
+        """The tip (d,), where the axis meets the surface."""
+        return self.tip
+
+    def given(self) -> Mapping[str, Any]:
+        """Return the arguments by name."""
+        names = "tip", "half_angle", "axis", "radius"
+        return {name: getattr(self, name) for name in names}
+
+    def _section(self, x: Floats, across: Distance, tip: Distance) -> Distance:
+        """Return the distances of points x (n, d).
+
+        Args:
+            x: the points.
+            across: rho, their distance from the axis.
+            tip: their distance from the centre of the tip, or the line of centres.
+        """
+        height, angle = (x - self._centre) @ self.axis, np.radians(self.half_angle)
+        s, c = np.sin(angle), np.cos(angle)
+        flank = Distance(
+            c * across.value - s * height, c * across.gradient - s * self.axis, c * across.hessian
+        )
+        # on the axis flanks meet from all around: their mean normal
+        lost = across.value <= NOTHING * (np.abs(height) + self.radius)
+        flank = replace(flank, gradient=np.where(lost[:, None], -self.axis, flank.gradient))
+        found = flank.where(s * across.value + c * height > 0.0, tip)
+        sharp = found.value == 0.0  # the tip itself, of a sharp one
+        gradient = np.where((sharp & lost)[:, None], -self.axis, found.gradient)
+        return Distance(found.value - self.radius, gradient, found.hessian)
+
+    @property
+    def _centre(self) -> Floats:
+        return np.asarray(self.tip + self.radius * self.axis)
+
+
+class Cone(_Pointed):
+    """A cone in space, or about the axis of an axisymmetric problem; see `_Pointed`.
+
+    phi = rho cos a - h sin a - R beside the flank, with the distance rho from the axis and the
+    height h over the centre of the tip, and sqrt(rho^2 + h^2) - R about the tip.
+
+    Args:
+        tip: d coordinates of its lowest point.
+        half_angle: degrees between axis and flank: 70.3 has the depth and area of Berkovich's
+            pyramid.
+        axis: direction of the axis from the tip into the tool, d components.
+        radius: of the tip, 0 for a sharp one.
+
+    Raises:
+        ValueError: for other than 2 or 3 finite coordinates, an angle out of range, an axis of 0,
+            and a negative radius.
+    """
+
+    def __init__(self, tip: Any, half_angle: Any, axis: Any, radius: Any = 0.0) -> None:
+        """Keep them."""
+        super().__init__(tip, half_angle, axis, radius)
+
+    def misfit(self, d: int, revolved: bool) -> str:
+        """Say why it cannot be used; "" if it can."""
+        if d == 2 and not revolved:
+            return f"{self!r} is no plane figure: give a Wedge"
+        size = self.radius + float(np.abs(self.tip).max())
+        off = abs(self.axis[0]) > NOTHING or abs(self.tip[0]) > NOTHING * size
+        if revolved and off:
+            return f"{self!r} is not about the axis: give axis=(0, 1) or (0, -1), a tip (0, z)"
+        return super().misfit(d, revolved)
+
+    def distance(self, x: Floats) -> Distance:
+        """Return the distances of points x (n, d)."""
+        offset = x - self._centre
+        return self._section(x, of_axis(offset, self.axis), of_centre(offset))
+
+
+class Wedge(_Pointed):
+    """A wedge in plane problems, or in space along an edge; its section is that of a `Cone`.
+
+    Args:
+        tip: d coordinates of a point of its edge.
+        half_angle: degrees between axis and flanks.
+        axis: direction from the tip into the tool, d components.
+        radius: of the tip, 0 for a sharp one.
+        edge: direction of the edge in space, across the axis; none in plane problems.
+
+    Raises:
+        ValueError: for other than 2 or 3 finite coordinates, an angle out of range, an axis or an
+            edge of 0, an edge that is not across the axis, none in space, and a negative radius.
+    """
+
+    def __init__(
+        self, tip: Any, half_angle: Any, axis: Any, radius: Any = 0.0, edge: Any = None
+    ) -> None:
+        """Keep them."""
+        super().__init__(tip, half_angle, axis, radius)
+        d = len(self.tip)
+        if (edge is None) != (d == 2):
+            wanted = "none in plane problems" if d == 2 else "the direction of the edge in space"
+            raise ValueError(f"edge is {edge!r}: give {wanted}")
+        self.edge = None if edge is None else check_unit("edge", edge, d)
+        if self.edge is not None and abs(self.edge @ self.axis) > np.sqrt(NOTHING):
+            raise ValueError(f"edge is {edge!r}: it has to be across the axis {axis!r}")
+
+    def given(self) -> Mapping[str, Any]:
+        """Return the arguments by name."""
+        return {**super().given(), "edge": self.edge}
+
+    def misfit(self, d: int, revolved: bool) -> str:
+        """Say why it cannot be used; "" if it can."""
+        if revolved:
+            return f"{self!r} is no shape of revolution: give a Cone"
+        return super().misfit(d, revolved)
+
+    def distance(self, x: Floats) -> Distance:
+        """Return the distances of points x (n, d)."""
+        offset, d = x - self._centre, x.shape[1]
+        if self.edge is None:
+            return self._section(x, of_axis(offset, self.axis), of_centre(offset))
+        side = np.cross(self.edge, self.axis)
+        sign = np.where(offset @ side < 0.0, -1.0, 1.0)
+        flat = np.zeros((len(x), d, d))
+        across = Distance(np.abs(offset @ side), sign[:, None] * side, flat)
+        return self._section(x, across, of_axis(offset, self.edge))

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: MIT
+"""Spheres, cylinders and tori."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.shapes.shape import (
+    NOTHING,
+    Distance,
+    Shape,
+    check_length,
+    check_unit,
+    check_vector,
+    of_axis,
+    of_centre,
+    of_section,
+)
+
+
+class _Round(Shape):
+    """What has a centre and a radius."""
+
+    def __init__(self, centre: Any, radius: Any) -> None:
+        self.centre = check_vector("centre", centre)
+        self.radius = check_length("radius", radius)
+
+    @property
+    def point(self) -> Floats:
+        """The centre (d,)."""
+        return self.centre
+
+    def given(self) -> Mapping[str, Any]:
+        """Return the arguments by name."""
+        return {"centre": self.centre, "radius": self.radius}
+
+    @property
+    def _size(self) -> float:
+        return self.radius + float(np.abs(self.centre).max())
+
+
+class Sphere(_Round):
+    """phi = |x - c| - R: a ball in space, or about the axis of an axisymmetric problem.
+
+    Args:
+        centre: c, d coordinates.
+        radius: R.
+
+    Raises:
+        ValueError: for other than 2 or 3 finite coordinates, and a radius that is not > 0.
+    """
+
+    def misfit(self, d: int, revolved: bool) -> str:
+        """Say why it cannot be used; "" if it can."""
+        if d == 2 and not revolved:
+            return f"{self!r} is no plane figure: give a Cylinder"
+        if revolved and abs(self.centre[0]) > NOTHING * self._size:
+            return f"{self!r} is not centred on the axis, where it would be a Torus: give that"
+        return super().misfit(d, revolved)
+
+    def distance(self, x: Floats) -> Distance:
+        """Return the distances of points x (n, d)."""
+        found = of_centre(x - self.centre)
+        return Distance(found.value - self.radius, found.gradient, found.hessian)
+
+
+class Cylinder(_Round):
+    """phi = |x - c| - R across an axis: in the plane a disc, with the axis across the plane.
+
+    Args:
+        centre: c, d coordinates of a point of the axis.
+        radius: R.
+        axis: direction of the axis, d components; none in plane problems.
+
+    Raises:
+        ValueError: for other than 2 or 3 finite coordinates, a radius that is not > 0, an axis of
+            0, and none in space.
+    """
+
+    def __init__(self, centre: Any, radius: Any, axis: Any = None) -> None:
+        """Keep them."""
+        super().__init__(centre, radius)
+        self.axis = None if axis is None else check_unit("axis", axis, len(self.centre))
+        if self.axis is None and len(self.centre) == 3:
+            raise ValueError("axis is None: give the direction of the cylinder's axis in space")
+
+    def given(self) -> Mapping[str, Any]:
+        """Return the arguments by name."""
+        return {**super().given(), "axis": self.axis}
+
+    def misfit(self, d: int, revolved: bool) -> str:
+        """Say why it cannot be used; "" if it can."""
+        if d == 2 and not revolved and self.axis is not None:
+            return f"{self!r} has an axis, which in plane problems is across the plane: give none"
+        if revolved:
+            if self.axis is None:
+                return f"{self!r} is no shape of revolution: give a Sphere or a Torus"
+            if abs(self.axis[0]) > NOTHING or abs(self.centre[0]) > NOTHING * self._size:
+                return f"{self!r} is not about the axis: give axis=(0, 1) and a centre (0, z)"
+        return super().misfit(d, revolved)
+
+    def distance(self, x: Floats) -> Distance:
+        """Return the distances of points x (n, d)."""
+        offset = x - self.centre
+        found = of_centre(offset) if self.axis is None else of_axis(offset, self.axis)
+        return Distance(found.value - self.radius, found.gradient, found.hessian)
+
+
+class Torus(_Round):
+    """phi = |(|x - c| across the axis - R, x - c along it)| - r: a ring of a round section.
+
+    Args:
+        centre: c, d coordinates.
+        radius: R, of the circle through the centres of the sections.
+        tube: r, of the sections.
+        axis: direction of the axis, d components; (0, 1) in axisymmetric problems if not given.
+
+    Raises:
+        ValueError: for other than 2 or 3 finite coordinates, radii that are not > 0, an axis of 0,
+            and none in space.
+    """
+
+    def __init__(self, centre: Any, radius: Any, tube: Any, axis: Any = None) -> None:
+        """Keep them."""
+        super().__init__(centre, radius)
+        self.tube = check_length("tube", tube)
+        if axis is None and len(self.centre) == 2:
+            axis = (0.0, 1.0)
+        self.axis = check_unit("axis", axis, len(self.centre))
+
+    def given(self) -> Mapping[str, Any]:
+        """Return the arguments by name."""
+        return {**super().given(), "tube": self.tube, "axis": self.axis}
+
+    def misfit(self, d: int, revolved: bool) -> str:
+        """Say why it cannot be used; "" if it can."""
+        if d == 2 and not revolved:
+            return f"{self!r} is no plane figure: give Cylinders, and their Union"
+        if revolved and (abs(self.axis[0]) > NOTHING or abs(self.centre[0]) > NOTHING * self._size):
+            return f"{self!r} is not about the axis: give axis=(0, 1) and a centre (0, z)"
+        return super().misfit(d, revolved)
+
+    def distance(self, x: Floats) -> Distance:
+        """Return the distances of points x (n, d)."""
+        n, d = x.shape
+        offset = x - self.centre
+        across = of_axis(offset, self.axis)
+        along = Distance(offset @ self.axis, np.tile(self.axis, (n, 1)), np.zeros((n, d, d)))
+        section = np.stack([across.value - self.radius, along.value], axis=1)
+        found = of_section(across, along, of_centre(section))
+        return Distance(found.value - self.tube, found.gradient, found.hessian)

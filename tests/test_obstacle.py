@@ -1,0 +1,389 @@
+# SPDX-License-Identifier: MIT
+"""Contact with a rigid analytic tool: patches, Hertz, a meshed body, motion, state, bad input."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx import fem, mesh
+from tests.pressed_blocks import PressedBlocks, rejected
+from tests.tool_case import DEPTH, ELASTIC, NU, TOP, Block, E, R, fit
+
+COMM = MPI.COMM_WORLD
+pytestmark = pytest.mark.mpi
+STIFFNESS = E / (1 - NU**2)
+BAR = dm.Elastic(1000.0, 0.0)
+DISC, BALL = dm.shapes.Cylinder([0.0, R], R), dm.shapes.Sphere([0.0, R], R)
+
+
+@pytest.mark.parametrize("geometry", ["updated", "reference"])
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("angle", [0.0, 0.4])
+def test_uniform_pressure_in_the_plane(angle, degree, geometry):
+    """To round-off, under an inclined plane too; force and moment are those of the pressure."""
+    depth = 0.02
+    case = PressedBlocks(angle=angle, jitter=0.2) if degree == 1 else Patch(degree, angle)
+    turned = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    x = case.V.tabulate_dof_coordinates()[:, :2] @ turned
+    lowest = COMM.allreduce(x[:, 1].min(initial=np.inf), op=MPI.MIN)
+    start, normal = turned @ [0.25, lowest], turned @ [0.0, 1.0]
+    tool = dm.Obstacle(case.facets, slave=1, shape=dm.shapes.Plane(start, normal))
+    tie = dm.Tie(case.facets, slave=3, master=4)
+    case.top.value[:] = 0.0
+    problem = case.problem([tool, tie], bcs=[case.bc(2, case.top)], law=BAR, geometry=geometry)
+    tool.position.value[:] = start + depth * normal
+    report = dm.newton(problem)
+    p = 1000.0 * depth / 2.0
+    on = tool.active.x.array > 0.0
+    assert tool.pressure.x.array[on] == pytest.approx(p, rel=1e-9)
+    width = np.ptp(COMM.allgather([x[:, 0].min(initial=9.0), x[:, 0].max(initial=-9.0)]))
+    assert width > 0.0 and tool.force @ turned == pytest.approx([0.0, p], abs=1e-9)
+    assert tool.tool_force == pytest.approx(-tool.force, abs=1e-12)
+    middle = turned @ [0.5, lowest]  # where the resultant acts
+    arm = middle - tool.position.value
+    moment = arm[0] * tool.tool_force[1] - arm[1] * tool.tool_force[0]
+    assert tool.tool_moment == pytest.approx([0.0, 0.0, moment], abs=1e-9)
+    assert dm.reaction(problem, 2, facet_tags=case.facets).force == pytest.approx(
+        tool.tool_force, abs=1e-8
+    )
+    certificate = report.certificate
+    assert max(certificate.gap, certificate.sign, certificate.complementarity) < 1e-12
+    assert certificate.force_balance < 1e-10 and not report.notes
+
+
+class Patch(PressedBlocks):
+    """The same two blocks with displacements of second order."""
+
+    def __init__(self, degree, angle):
+        """Create them."""
+        super().__init__(angle=angle, jitter=0.2)
+        self.V = fem.functionspace(self.mesh, ("Lagrange", degree, (2,)))
+        self.u = fem.Function(self.V)
+
+
+def box(cell, degree, turned):
+    """Return mesh, tags (1 below, 2 on top) and displacement of a turned box with uneven cells."""
+    domain = mesh.create_box(COMM, [[0.0] * 3, [1.0] * 3], [2, 2, 1], getattr(mesh.CellType, cell))
+    facets, values = [], []
+    for tag, z in ((1, 0.0), (2, 1.0)):
+        found = mesh.locate_entities_boundary(domain, 2, lambda x, z=z: np.isclose(x[2], z))
+        facets.append(found)
+        values.append(np.full(len(found), tag, dtype=np.int32))
+    order = np.argsort(np.concatenate(facets))
+    tags = mesh.meshtags(domain, 2, np.concatenate(facets)[order], np.concatenate(values)[order])
+    x = domain.geometry.x
+    x[:, 0] = x[:, 0] ** 1.3 + 0.1 * x[:, 0] * x[:, 1] * (1.0 - x[:, 0])
+    x[:] = x @ turned.T
+    V = fem.functionspace(domain, ("Lagrange", degree, (3,)))
+    return tags, fem.Function(V)
+
+
+@pytest.mark.parametrize(
+    ("cell", "degree"),
+    [("tetrahedron", 1), ("hexahedron", 1)]
+    + [pytest.param(cell, 2, marks=pytest.mark.slow) for cell in ("tetrahedron", "hexahedron")],
+)
+def test_uniform_pressure_in_space(cell, degree):
+    """Facets of all types, six-node triangles with their dependent nodes as well."""
+    turned = np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))[0]
+    turned *= np.linalg.det(turned)
+    tags, u = box(cell, degree, turned)
+    V, normal = u.function_space, turned[:, 2]
+    tool = dm.Obstacle(tags, slave=1, shape=dm.shapes.Plane(np.zeros(3), normal))
+    top = fem.locate_dofs_topological(V, 2, tags.find(2))
+    problem = dm.ContactProblem(
+        dm.Solid(u, BAR), [tool], bcs=[fem.dirichletbc(np.zeros(3), top, V)]
+    )
+    tool.position.value[:] = 0.01 * normal
+    dm.newton(problem, rtol=1e-10)
+    found = tool.gather(u)
+    assert found["pressure"] == pytest.approx(10.0, rel=1e-8)
+    area = float(COMM.allreduce(0.0)) + 1.0
+    assert tool.force == pytest.approx(10.0 * area * normal, abs=1e-8)
+
+
+def hertz(case, shape, kinematics="plane_strain", **options):
+    """Press a rigid disc or ball by DEPTH; return tool, report and what Hertz finds at its force.
+
+    Johnson (1985), Contact Mechanics, eqs. 4.45 and 4.22 to 4.24, with 1/E* = (1 - nu^2)/E.
+    """
+    tool = case.tool(shape)
+    problem = case.problem([tool], kinematics=kinematics, **options)
+    tool.position.value[:] = tool.position.value - DEPTH * case.unit * case.turned[:, 1]
+    report = dm.newton(problem)
+    force = -float(tool.force @ case.turned[:, 1])
+    if kinematics == "plane_strain":
+        load = 2 * force / case.unit  # of both halves
+        a = np.sqrt(4 * load * R / (np.pi * STIFFNESS))
+        return tool, report, (a, 2 * load / (np.pi * a))
+    load = force / case.unit**2
+    a = (3 * load * R / (4 * STIFFNESS)) ** (1 / 3)
+    return tool, report, (a, 3 * load / (2 * np.pi * a**2))
+
+
+@pytest.mark.parametrize("geometry", ["updated", "reference"])
+@pytest.mark.parametrize(
+    ("shape", "kinematics", "least"), [(DISC, "plane_strain", 1.2), (BALL, "axisymmetric", 2.0)]
+)
+def test_hertz(shape, kinematics, least, geometry):
+    """Half width and peak pressure of a line and a point contact, to 2 %, nine nodes or more."""
+    case = Block(n=40, fine=0.6)
+    tool, report, (a, peak) = hertz(case, shape, kinematics, geometry=geometry)
+    half_width, pressure = fit(tool, case.u) if COMM.size == 1 else (a, peak)
+    assert half_width == pytest.approx(a, rel=0.02)
+    assert pressure == pytest.approx(peak, rel=0.015)
+    # of a ball, no moment about its centre: all normals pass through it
+    assert np.abs(tool.tool_moment).max() < 1e-9
+    assert report.newton_iterations <= 4 and -tool.force[1] > least / 2
+
+
+def test_units_and_rotation():
+    """The same problem turned, and in another unit of length."""
+    forces = []
+    for angle, unit in ((0.0, 1.0), (0.7, 1.0), (0.7, 1e-3)):
+        case = Block(n=12, fine=0.6, angle=angle, unit=unit)
+        case.bcs = lambda case=case: clamped(case)
+        shape = dm.shapes.Cylinder(unit * (case.turned @ [3.0, R]), unit * R)
+        tool, *_ = hertz(case, shape)
+        forces.append(tool.force @ case.turned / unit)
+        assert np.abs(tool.tool_moment).max() < 1e-9 * unit**2
+    assert forces[1] == pytest.approx(forces[0], rel=1e-9, abs=1e-9)
+    assert forces[2] == pytest.approx(forces[0], rel=1e-9, abs=1e-9)
+
+
+def clamped(case):
+    """Clamp the base, leave the axis free."""
+    base = fem.locate_dofs_topological(case.V, 1, case.facets.find(1))
+    return [fem.dirichletbc(np.zeros(2), base, case.V)]
+
+
+def test_as_a_meshed_body_a_million_times_stiffer():
+    """A soft block that bulges under its load, on a stiff one, and on the plane of its top."""
+    found = []
+    for rigid in (False, True):
+        case = PressedBlocks(jitter=0.2, n_upper=(7, 3), x_upper=(0.2, 0.8))
+        solid = dm.Solid(case.u, {1: dm.Elastic(1e6 * E, NU), 2: ELASTIC}, case.cells)
+        plane = dm.shapes.Plane([0.0, 0.0], [0.0, 1.0])
+        kind = dm.Obstacle if rigid else dm.Contact
+        with_what = {"shape": plane} if rigid else {"master": 3}
+        contact = kind(case.facets, slave=4, friction=0.1, **with_what)
+        case.top.value[:] = 0.0, -0.03
+        problem = dm.ContactProblem(solid, [contact], bcs=case.bcs(), geometry="reference")
+        dm.newton(problem, rtol=1e-9)
+        found.append(contact)
+    meshed, rigid = found
+    assert rigid.force == pytest.approx(meshed.force, rel=1e-5, abs=1e-5 * meshed.force[1])
+    pressure = meshed.pressure.x.array
+    assert np.ptp(pressure[meshed.active.x.array > 0.0]) > 0.05 * pressure.max() or COMM.size > 1
+    assert rigid.pressure.x.array == pytest.approx(pressure, rel=1e-4, abs=1e-5)
+    traction = meshed.traction.x.array
+    assert rigid.traction.x.array == pytest.approx(traction, rel=1e-4, abs=1e-5)
+
+
+@pytest.mark.serial
+def test_it_costs_less_than_half_of_a_pair():
+    """Of contact alone, a disc on a block: nothing is searched, clipped and sent."""
+    tagged = dm.meshing.hertz(COMM, kind="graded", h=0.05, half=True)
+    V = fem.functionspace(tagged.mesh, ("Lagrange", 1, (2,)))
+    facets, forces, seconds = tagged.facet_tags, [], []
+    plane = dm.shapes.Plane([0.0, 0.0], [0.0, 1.0])
+    for contact in (
+        dm.Contact(facets, slave="arc", master="top"),
+        dm.Obstacle(facets, slave="arc", shape=plane),
+    ):
+        u = fem.Function(V)
+        laws = {"block": dm.Elastic(1e6 * E, NU), "disc": ELASTIC}
+        values = ("bottom", np.zeros(2)), ("flat", np.array([0.0, -0.05]))
+        bcs = [
+            fem.dirichletbc(
+                value, fem.locate_dofs_topological(V, 1, facets.find(facets.names[name])), V
+            )
+            for name, value in values
+        ]
+        axis = fem.locate_dofs_topological(V.sub(0), 1, facets.find(facets.names["axis"]))
+        bcs.append(fem.dirichletbc(0.0, axis, V.sub(0)))
+        problem = dm.ContactProblem(dm.Solid(u, laws, tagged.cell_tags), [contact], bcs=bcs)
+        dm.newton(problem)  # compiles
+        u.x.array[:] = 0.0
+        seconds.append(dm.newton(problem).seconds["mortar"])
+        forces.append(-contact.force[1])
+    assert forces[1] == pytest.approx(forces[0], rel=1e-3)  # whose normals are those of the disc
+    assert seconds[1] < 0.5 * seconds[0]
+
+
+STEEL = dm.VonMises(E, NU, 0.3, 10.0)
+
+
+def press(case, problem, tool, levels, **options):
+    """Press by a ramp, lift and press again; return the forces."""
+    down = tool.reference - DEPTH * np.array([0.0, 3.0])
+    ramp = {tool.position: [(0.0, tool.reference), (1.0, down), (2.0, tool.reference), (3.0, down)]}
+    return [tool.force.copy() for _ in dm.load_steps(problem, levels, ramp=ramp, **options)]
+
+
+def start(**options):
+    """Return a block, a tool and a problem."""
+    case = Block(n=12, fine=0.6)
+    tool = case.tool(DISC, **options)
+    return case, tool, case.problem([tool], law=STEEL)
+
+
+def test_a_walk_goes_on_from_a_checkpoint(tmp_path):
+    """A plastic one with friction, loaded by a ramp, to the last digits."""
+    path = COMM.bcast(tmp_path / "state.h5")
+    levels = [0.5, 1.0, 2.0, 3.0]
+    case, tool, problem = start(friction=0.3)
+    whole = press(case, problem, tool, levels)
+    assert np.abs(whole[2]).max() < 1e-9 < np.abs(whole[1]).max()  # lifted
+    assert np.abs(tool.slip.x.array).max() >= 0.0
+    case, tool, problem = start(friction=0.3)
+    first = press(case, problem, tool, levels[:2])
+    problem.save(path)
+    moment = tool.tool_moment
+    case, tool, problem = start(friction=0.3)
+    problem.restore(path)
+    assert tool.tool_moment == pytest.approx(moment, rel=1e-12, abs=1e-14)
+    assert tool.began.position == pytest.approx(tool.reference - [0.0, 3.0 * DEPTH])
+    rest = press(case, problem, tool, levels[2:])
+    assert np.array([*first, *rest]) == pytest.approx(np.array(whole), rel=1e-9, abs=1e-11)
+
+
+@pytest.mark.serial
+def test_a_step_that_fails_is_cut():
+    """The tool is where a level has it, not where the step that failed had it."""
+    _, tool, problem = start()
+    assert problem.constants()  # a ramp knows that the tool reads its Constants
+    report = press_once(problem, tool, depth=10 * DEPTH, apart=0.05, max_it=6)[-1].report
+    assert report.converged and report.cuts > 0
+    assert not any("overlap" in note or "ramp" in note for note in report.notes)
+    _, other, whole = start()
+    press_once(whole, other, depth=10 * DEPTH, apart=0.05)
+    assert tool.force == pytest.approx(other.force, rel=0.06)
+
+
+def press_once(problem, tool, depth=3 * DEPTH, apart=0.0, **options):
+    """Press in one step, from so far above."""
+    up, down = (tool.reference + np.array([0.0, way]) for way in (apart, -depth))
+    tool.position.value[:] = up
+    ramp = {tool.position: [(0.0, up), (1.0, down)]}
+    return [*dm.load_steps(problem, [1.0], ramp=ramp, progress=False, **options)]
+
+
+def test_it_is_written_and_summed_up(tmp_path):
+    """Like any interface."""
+    path = COMM.bcast(tmp_path / "steps.xdmf")
+    _, tool, problem = start(friction=0.3)
+    with dm.Writer(path, problem) as writer:
+        for step in press_once(problem, tool):
+            writer.write(step.time)
+    assert path.exists()
+    fields = problem.output_fields()
+    closed = tool.active.x.array > 0.0
+    assert fields["pressure"].x.array[closed] == pytest.approx(tool.pressure.x.array[closed])
+    audit = str(problem.audit())
+    assert "Obstacle(slave=3, shape=Cylinder, friction=0.3)" in audit
+
+
+def test_two_tools_share_a_side():
+    """Each node belongs to the tool that it faces, wherever the other one is."""
+    case = Block(n=24, fine=3.0)
+    shapes = [dm.shapes.Cylinder([x, 1.0], 1.0) for x in (2.0, 6.5)]
+    alone = []
+    for shape in shapes:
+        case.u.x.array[:] = 0.0
+        tool = case.tool(shape)
+        problem = case.problem([tool])
+        tool.position.value[1] -= DEPTH
+        dm.newton(problem)
+        alone.append(-tool.force[1])
+    case.u.x.array[:] = 0.0
+    tools = [case.tool(shape) for shape in shapes]
+    problem = case.problem(tools)
+    for tool in tools:
+        tool.position.value[1] -= DEPTH
+    dm.newton(problem)
+    both = [-tool.force[1] for tool in tools]
+    assert both == pytest.approx(alone, rel=0.2) and min(both) > 0.0
+
+
+# -- bad input -----------------------------------------------------------------------------------
+
+
+def obstacle(**options):
+    """Return a tool on a small block, which says what is wrong with it."""
+    case = Block(n=2)
+    given = {"slave": TOP, "shape": DISC} | options
+    return case, dm.Obstacle(case.facets, **given)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"slave": "lid"}, ("lid",)),
+        ({"slave": 2.5}, ("slave is 2.5",)),
+        ({"shape": "ball"}, ("shape is 'ball'", "dolfinx_mortar.shapes")),
+        ({"shape": dm.shapes.Sphere([0.0, 0.0, 1.0], 1.0)}, ("3 coordinates", "the mesh has 2")),
+        ({"reference": [0.0, 0.0, 0.0]}, ("reference", "2 finite")),
+        ({"friction": -0.1}, ("friction is -0.1",)),
+        ({"friction": 0.1, "tresca": 1.0}, ("friction", "tresca")),
+    ],
+)
+def test_what_is_no_obstacle(options, words):
+    with rejected(*words):
+        obstacle(**options)
+
+
+@pytest.mark.parametrize(
+    ("options", "problem", "words"),
+    [
+        ({"slave": 77}, {}, ("slave=77", "marks no facet")),
+        ({"shape": BALL}, {}, ("shape: Sphere", "give a Cylinder")),
+        ({}, {"kinematics": "axisymmetric"}, ("shape: Cylinder", "Sphere or a Torus")),
+    ],
+)
+def test_what_no_problem_can_take(options, problem, words):
+    case, tool = obstacle(**options)
+    with rejected(*words):
+        case.problem([tool], **problem)
+
+
+def test_where_a_tool_cannot_be():
+    """NaN, off the axis, and in the body from the start: how deep, and where."""
+    case, tool = obstacle()
+    problem = case.problem([tool])
+    tool.position.value[1] = np.nan
+    with rejected("position is [0.0, nan]", "finite"):
+        dm.newton(problem)
+    case, tool = obstacle(shape=BALL)
+    problem = case.problem([tool], kinematics="axisymmetric")
+    tool.position.value[0] = 0.1
+    with rejected("position is [0.1, 8.0]", "along the axis only"):
+        dm.newton(problem)
+    case, tool = obstacle(shape=dm.shapes.Plane([0.0, 0.0], [0.0, -1.0]))
+    assert not case.problem([tool]).audit().warnings
+    case, tool = obstacle(shape=dm.shapes.Plane([0.0, 0.0], [0.0, 1.0]))
+    warnings = case.problem([tool]).audit().warnings
+    assert any("no facet of the side faces the tool" in warning for warning in warnings)
+    case, tool = obstacle(shape=dm.shapes.Plane([0.0, -20.0], [0.0, -1.0]))
+    problem = case.problem([tool])
+    with rejected("Obstacle", "20 deep", "turn it round"):
+        problem.audit()
+    case = Block(n=8)
+    tool = case.tool(dm.shapes.Cylinder([0.0, 1.0], 5.0))
+    warnings = case.problem([tool]).audit().warnings
+    assert any("4 deep in the body around" in warning for warning in warnings)
+
+
+def test_what_is_no_distance():
+    """A level set that is none: how far off, where, and what to give instead."""
+
+    def phi(x):
+        return 2.0 * (x[1] - 0.01)
+
+    shape = dm.shapes.SignedDistance(lambda x: -phi(x), [0.0, 0.0], length=1.0)
+    case, tool = obstacle(shape=shape)
+    problem = case.problem([tool])
+    with rejected("phi is no distance", "abs(grad phi) is 2", "phi / abs(grad phi)"):
+        dm.newton(problem)

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: MIT
+"""Signed distances: unit normals, derivatives, and distances from points of the surface."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dolfinx_mortar import shapes
+from tests.pressed_blocks import rejected
+
+TURNED = np.array([0.36, 0.48, 0.8])
+ACROSS = np.array([0.8, -0.6, 0.0])
+
+IN_PLANE = [
+    shapes.Plane([0.1, 0.2], [0.6, 0.8]),
+    shapes.Sphere([0.0, 0.3], 0.7),
+    shapes.Cylinder([0.2, 0.3], 0.7),
+    shapes.Torus([0.0, 0.3], 0.9, 0.4),
+    shapes.Cone([0.0, -0.4], 65.0, [0.0, 1.0], 0.3),
+    shapes.Wedge([0.1, -0.4], 30.0, [0.6, 0.8], 0.2),
+    shapes.Complement(shapes.Cylinder([0.2, 0.3], 2.7)),
+    shapes.Union(shapes.Cylinder([0.9, 0.3], 0.2), shapes.Plane([0.0, -1.0], [0.0, 1.0])),
+]
+IN_SPACE = [
+    shapes.Plane([0.1, 0.2, 0.3], TURNED),
+    shapes.Sphere([0.1, 0.3, 0.2], 0.7),
+    shapes.Cylinder([0.2, 0.3, 0.1], 0.7, axis=TURNED),
+    shapes.Torus([0.1, 0.3, 0.0], 0.9, 0.4, axis=TURNED),
+    shapes.Cone([0.0, -0.4, 0.1], 65.0, TURNED, 0.3),
+    shapes.Wedge([0.1, -0.4, 0.2], 30.0, TURNED, 0.2, edge=ACROSS),
+    shapes.Complement(shapes.Sphere([0.2, 0.3, 0.0], 2.7)),
+    shapes.berkovich([0.1, 0.0, 0.2], TURNED, turned=20.0),
+]
+points = st.floats(-1.5, 1.5)
+
+
+def smooth(shape, x):
+    """Tell where phi has a derivative nearby: the nearest point stays on one face."""
+    near = 1e-3 * np.vstack([np.eye(x.shape[1]), -np.eye(x.shape[1])])
+    normal = shape.distance(x).gradient
+    turn = [np.abs(shape.distance(x + step).gradient - normal).max(axis=1) for step in near]
+    return np.max(turn, axis=0) < 0.02
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.sampled_from(IN_PLANE + IN_SPACE), st.lists(points, min_size=30, max_size=30))
+def test_derivatives_and_unit_normals(shape, numbers):
+    """Gradient and Hessian against central differences; grad phi is a unit vector."""
+    d = len(shape.point)
+    x = np.reshape(numbers, (-1, d))
+    x = x[smooth(shape, x)]
+    found = shape.distance(x)
+    assert np.linalg.norm(found.gradient, axis=1) == pytest.approx(np.ones(len(x)), abs=1e-13)
+    h = 1e-6
+    for i in range(d):
+        step = h * np.eye(d)[i]
+        one, other = shape.distance(x + step), shape.distance(x - step)
+        assert (one.value - other.value) / (2 * h) == pytest.approx(found.gradient[:, i], abs=1e-8)
+        slope = (one.gradient - other.gradient) / (2 * h)
+        scale = max(1.0, np.abs(found.hessian).max(initial=0.0) ** 3)
+        assert slope == pytest.approx(found.hessian[:, :, i], abs=1e-8 * scale)
+
+
+@pytest.mark.parametrize("shape", IN_PLANE + IN_SPACE, ids=repr)
+def test_it_is_the_distance(shape):
+    """X - phi grad phi lies on the surface, and no other point of it is nearer."""
+    d = len(shape.point)
+    x = np.random.default_rng(1).uniform(-1.5, 1.5, (400, d))
+    if isinstance(shape, shapes.Intersection):  # off its edges it is less than the distance
+        x = x[smooth(shape, x) & (shape.distance(x).value < 0.0)]
+    found = shape.distance(x)
+    foot = x - found.value[:, None] * found.gradient
+    assert shape.distance(foot).value == pytest.approx(np.zeros(len(x)), abs=1e-12)
+    others = np.linalg.norm(x[:, None] - foot[None], axis=2).min(axis=1)
+    assert (others >= np.abs(found.value) - 1e-12).all()
+
+
+def test_values_in_closed_form():
+    """The tip of a cone, the area of Berkovich's pyramid, and a point beside each."""
+    cone = shapes.Cone([0.0, 0.0], 60.0, [0.0, 1.0], radius=0.5)
+    x = np.array([[0.0, -1.0], [0.0, 0.25], [2.0, 0.5]])
+    assert cone.distance(x[:1]).value == pytest.approx([1.0])
+    # the flank touches the ball of the tip, whose centre is at height 0.5
+    assert cone.distance(x[2:]).value == pytest.approx([2.0 * 0.5 - 0.5])
+    assert cone.distance(x[1:2]).gradient == pytest.approx(np.array([[0.0, -1.0]]))
+    pyramid = shapes.berkovich([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+    width = np.linspace(-10.0, 10.0, 801)
+    grid = np.stack(np.meshgrid(width, width), axis=-1).reshape(-1, 2)
+    section = np.column_stack([grid, np.ones(len(grid))])
+    area = (pyramid.distance(section).value < 0.0).sum() * (width[1] - width[0]) ** 2
+    assert area == pytest.approx(3 * np.sqrt(3) * np.tan(np.radians(65.27)) ** 2, rel=5e-3)
+    assert area == pytest.approx(24.5, rel=6e-3)  # Oliver and Pharr (1992)
+
+
+def test_a_given_distance_by_differences():
+    """Of a ball, with differences of either order, and in another unit."""
+    for unit in (1.0, 1e-6):
+
+        def phi(x, R=0.7 * unit):
+            return np.sqrt((x**2).sum(axis=0)) - R
+
+        ball, shape = shapes.Sphere([0.0, 0.0, 0.0], 0.7 * unit), None
+        x = unit * np.random.default_rng(2).uniform(0.2, 1.0, (20, 3))
+        exact = ball.distance(x)
+        shape = shapes.SignedDistance(phi, [0.0, 0.0, 0.0], length=0.7 * unit)
+        found = shape.distance(x)
+        assert found.value == pytest.approx(exact.value, abs=1e-15 * unit)
+        assert found.gradient == pytest.approx(exact.gradient, abs=1e-8)
+        assert found.hessian == pytest.approx(exact.hessian, abs=1e-4 / unit)
+        options = {"gradient": lambda x: x / np.sqrt((x**2).sum(axis=0)), "length": 0.7 * unit}
+        found = shapes.SignedDistance(phi, [0.0, 0.0, 0.0], **options).distance(x)
+        assert found.hessian == pytest.approx(exact.hessian, abs=1e-7 / unit)
+
+
+WRONG = [
+    (lambda: shapes.Plane([0.0], [1.0, 0.0]), ("point is [0.0]", "2 or 3")),
+    (lambda: shapes.Plane([0.0, 0.0], [0.0, 0.0]), ("normal", "no direction")),
+    (lambda: shapes.Plane([0.0, 0.0], [0.0, 0.0, 1.0]), ("normal", "give 2 finite")),
+    (lambda: shapes.Sphere([0.0, np.nan], 1.0), ("centre", "finite")),
+    (lambda: shapes.Sphere([0.0, 0.0], -1.0), ("radius is -1.0", "> 0")),
+    (lambda: shapes.Cylinder([0.0, 0.0, 0.0], 1.0), ("axis is None", "direction")),
+    (lambda: shapes.Torus([0.0, 0.0, 0.0], 1.0, 0.0, [0, 0, 1]), ("tube is 0.0",)),
+    (lambda: shapes.Cone([0.0, 0.0], 90.0, [0.0, 1.0]), ("half_angle is 90.0", "between 0 and 90")),
+    (lambda: shapes.Cone([0.0, 0.0], 45.0, [0.0, 1.0], -0.1), ("radius is -0.1", ">= 0")),
+    (lambda: shapes.Wedge([0.0, 0.0, 0.0], 45.0, [0, 0, 1]), ("edge is None", "direction")),
+    (lambda: shapes.Wedge([0, 0, 0], 45.0, [0, 0, 1], edge=[0, 1, 1]), ("edge", "across")),
+    (lambda: shapes.Union(), ("Union of nothing",)),
+    (lambda: shapes.Union(3), ("Union of 3", "shapes")),
+    (lambda: shapes.Union(IN_PLANE[0], IN_SPACE[0]), ("[2, 3] coordinates",)),
+    (lambda: shapes.Complement("ball"), ("Complement of 'ball'",)),
+    (lambda: shapes.SignedDistance(3, [0.0, 0.0], length=1.0), ("phi is 3", "function of points")),
+    (lambda: shapes.SignedDistance(abs, [0.0, 0.0]), ("length is None", "gradient")),
+    (lambda: shapes.SignedDistance(abs, [0, 0], length=0), ("length is 0", "> 0")),
+]
+
+
+@pytest.mark.parametrize(("make", "words"), WRONG)
+def test_what_is_no_shape(make, words):
+    with rejected(*words):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("phi", "words"),
+    [
+        (lambda x: x, ("phi returns the shape (2, 3)", "(3,)")),
+        (lambda x: "far", ("phi returns no numbers",)),
+        (lambda x: np.where(x[1] > 0.5, np.nan, x[0]), ("NaN or infinity at (1, 1)",)),
+    ],
+)
+def test_what_a_given_distance_may_return(phi, words):
+    shape = shapes.SignedDistance(phi, [0.0, 0.0], length=1.0)
+    with rejected(*words):
+        shape.distance(np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 0.0]]))
+
+
+def test_in_which_problems_a_shape_is_one():
+    """Plane figures, solids, and shapes of revolution, each with what to give instead."""
+    plane, ring = (2, False), (2, True)
+    assert not shapes.Cylinder([0.0, 1.0], 1.0).misfit(*plane)
+    assert "Sphere" in shapes.Cylinder([0.0, 1.0], 1.0).misfit(*ring)
+    assert not shapes.Cylinder([0.0, 1.0], 1.0, axis=[0.0, 1.0]).misfit(*ring)
+    assert "across the plane" in shapes.Cylinder([0.0, 1.0], 1.0, axis=[0, 1]).misfit(*plane)
+    assert "Cylinder" in shapes.Sphere([0.0, 1.0], 1.0).misfit(*plane)
+    assert not shapes.Sphere([0.0, 1.0], 1.0).misfit(*ring)
+    assert "Torus" in shapes.Sphere([0.1, 1.0], 1.0).misfit(*ring)
+    assert "Wedge" in shapes.Cone([0.0, 1.0], 70.0, [0.0, 1.0]).misfit(*plane)
+    assert "about the axis" in shapes.Cone([0.0, 1.0], 70.0, [1.0, 0.0]).misfit(*ring)
+    assert "Cone" in shapes.Wedge([0.0, 1.0], 70.0, [0.0, 1.0]).misfit(*ring)
+    assert "Cone" in shapes.Plane([0.0, 1.0], [0.1, 1.0]).misfit(*ring)
+    assert not shapes.Plane([0.0, 1.0], [0.0, 1.0]).misfit(*ring)
+    assert "about the axis" in shapes.Torus([0.1, 1.0], 1.0, 0.5).misfit(*ring)
+    assert "plane figure" in shapes.Torus([0.1, 1.0], 1.0, 0.5).misfit(*plane)
+    both = shapes.Union(shapes.Plane([0.0, 1.0], [0.0, 1.0]), shapes.Sphere([0.1, 1.0], 1.0))
+    assert "Torus" in both.misfit(*ring)
+    assert "Torus" in shapes.Complement(both).misfit(*ring)
+    assert "mesh of 3" in shapes.Plane([0.0, 1.0], [0.0, 1.0]).misfit(3, False)
