@@ -14,8 +14,8 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
-from dolfinx_mortar.steps import walk as stepping
 from dolfinx_mortar.steps import newton as newton_module
+from dolfinx_mortar.steps import walk as stepping
 from tests.meshes import BOTTOM, TOP
 from tests.pressed_blocks import PressedBlocks, rejected
 
