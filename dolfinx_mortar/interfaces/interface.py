@@ -100,6 +100,7 @@ class Interface(ABC):
     feature_angle: float = FEATURE_ANGLE
     near_only: ClassVar[bool] = False  # partners have to lie within reach
     within: float | None = None  # how far that is, as its user has given it
+    moved_by_loads: ClassVar[bool] = False  # whether what the side meets moves with the load level
 
     def __init__(self, facet_tags: MeshTags, *, slave: int | str) -> None:
         """Keep the description; surfaces are found when a problem takes the interface."""

@@ -92,7 +92,7 @@ class Obstacle(Unilateral):
         began: where the tool was at the last commit.
     """
 
-    curved_tangent = True
+    moved_by_loads = True
 
     def __init__(
         self,

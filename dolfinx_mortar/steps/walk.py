@@ -298,7 +298,8 @@ def _walk(
         except NewtonNotConverged as error:
             failures += 1
             if not parts:
-                loading.set(problem, reached.time)  # tools have moved on
+                if any(interface.moved_by_loads for interface in problem.interfaces):
+                    loading.set(problem, reached.time)
                 overlap = find_overlap(problem, solves.rtol)
                 reached = replace(reached, overlap=overlap)
             way = level.time != reached.time and solves.may_cut(loading)
