@@ -114,7 +114,8 @@ class Rough:
                 for k, b in enumerate(nodes):
                     N[a, :, b] += blocks[f, j, :, k]
         N = N.reshape(2 * own, -1)
-        return found.F_x + found.F_n @ N, found.G_x + found.G_n @ N
+        (F_x,), (F_n,), (G_x,), (G_n,) = found.F_x, found.F_n, found.G_x, found.G_n
+        return F_x + F_n @ N, G_x + G_n @ N
 
     def differences(self):
         """Return them by central differences, extrapolated."""

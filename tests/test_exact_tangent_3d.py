@@ -12,6 +12,7 @@ import dolfinx_mortar as dm
 import dolfinx_mortar.steps.newton as newton_module
 from dolfinx import fem
 from dolfinx_mortar.algebra import congruence, triplets
+from dolfinx_mortar.algebra.block_sums import Blocks
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.geometry import area
 from dolfinx_mortar.geometry.facets import points_of
@@ -39,6 +40,20 @@ from tests.ball_case import STEEL, create_mesh
 
 COMM = MPI.COMM_SELF
 FACTORISED = {"pc_type": "cholesky"}
+
+
+def summed(parts, shape):
+    """Return the sum of parts of derivatives as a dense matrix."""
+    total = np.zeros(shape)
+    for part in parts:
+        if not isinstance(part, Blocks):
+            total += part
+            continue
+        _, _, i, _, h = part.values.shape
+        rows = i * part.rows[:, :, None] + np.arange(i)
+        columns = h * part.columns[:, :, None] + np.arange(h)
+        np.add.at(total, (rows[..., None, None], columns[:, None, None]), part.values)
+    return total
 
 
 class Rough:
@@ -113,7 +128,11 @@ class Rough:
                 for k, b in enumerate(nodes):
                     N[a, :, b] += blocks[f, j, :, k]
         N = N.reshape(3 * own, -1)
-        return found.F_x + found.F_n @ N, found.G_x + found.G_n @ N
+        F, G = 3 * len(self.nodes), own
+        return tuple(
+            summed(by_x, (i, N.shape[1])) + summed(by_n, (i, len(N))) @ N
+            for i, by_x, by_n in ((F, found.F_x, found.F_n), (G, found.G_x, found.G_n))
+        )
 
     def differences(self, directions=None):
         """Return them by central differences, extrapolated; along directions (.., nodes, 3)."""

@@ -68,11 +68,12 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class EdgePoints(Points):
-    """Points on edges of master facets."""
+    """Points on edges of master facets, beyond which another one covers the slave or none does."""
 
     nu: Floats  # (q, 3)
     N_s: Floats  # (q, k) functions of the part of the slave that lies below
     N_m: Floats  # (q, l) functions of the part of the master
+    free: Bools  # (q,) whether none does
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +118,7 @@ class PairIntegrals:
     forces: Floats  # (p, k + l, 3, k + l, 3) of int s N_k, and of -int s N_l, at fixed A
     gaps: Floats  # (p, k, k + l, 3) of int Phi_j (n_j.o - h)
     by_slave: Floats  # (ms, 3, k, k, 3) of C_b by the nodes of the slave facet
-    by_master: Floats  # (e, 3, k, l, 3) by those of the master facets of pairs with edges
+    by_master: Floats  # (e, 3, k, l, 3) by those of the master facets of pairs with free edges
     with_edges: Longs  # (e,) these pairs
 
 
@@ -144,17 +145,17 @@ def _clip_edge(S, k, ax, ay, bx, by):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _edge_points(x_s, x_m, bilinear, pairs, free, centre, axes, radius, t, w):  # type: ignore[no-untyped-def]
-    """Return pair, xi_s, xi_m, weight and nu of the points on free edges."""
-    total = free.sum() * len(t)
-    pair, weight = np.empty(total, np.int64), np.empty(total)
+def _edge_points(x_s, x_m, bilinear, pairs, which, centre, axes, radius, t, w):  # type: ignore[no-untyped-def]
+    """Return pair, edge, xi_s, xi_m, weight and nu of the points on some edges."""
+    total = which.sum() * len(t)
+    pair, edge, weight = np.empty(total, np.int64), np.empty(total, np.int64), np.empty(total)
     xi_s, xi_m, nu = np.empty((total, 2)), np.empty((total, 2)), np.empty((total, 3))
     k, n = x_s.shape[1], x_m.shape[1]
     S, M = np.empty((k, 3)), np.empty((n, 3))
     q = 0
     for p in range(len(pairs)):
         for i in range(n):
-            if not free[p, i]:
+            if not which[p, i]:
                 continue
             s, m = pairs[p]
             project(x_s[s], centre[s], axes[s], S)
@@ -177,13 +178,15 @@ def _edge_points(x_s, x_m, bilinear, pairs, free, centre, axes, radius, t, w):  
                 )
                 for h in range(3):
                     nu[q, h] = sign * radius[s] * (dy * axes[s, 0, h] - dx * axes[s, 1, h]) / length
-                pair[q] = p
+                pair[q], edge[q] = p, i
                 q += 1
-    return pair[:q], xi_s[:q], xi_m[:q], weight[:q], nu[:q]
+    return pair[:q], edge[:q], xi_s[:q], xi_m[:q], weight[:q], nu[:q]
 
 
 def place_on_edges(slave: Facets, master: Facets, pairs: Ints, free: Bools) -> EdgePoints:
-    """Return the points on the free edges of the master facets of pairs, inside the slave facets.
+    """Return the points on edges of the master facets of pairs, inside the slave facets.
+
+    On free edges, and in second order on all.
 
     Args:
         slave: Slave facets (ms,).
@@ -192,20 +195,20 @@ def place_on_edges(slave: Facets, master: Facets, pairs: Ints, free: Bools) -> E
         free: Edges (p, v) of the master facets without a neighbour that covers the slave, too; edge
             i is that from vertex i to the next one.
     """
-    some = np.flatnonzero(free.any(axis=1))
+    curved = master.element.degree > 1
+    some = np.flatnonzero(free.any(axis=1) | curved)
     parts_s, parts_m = parts_of(slave), parts_of(master)
     bilinear = parts_s.element.bilinear, parts_m.element.bilinear
-    flat = slave.element.degree == master.element.degree == 1 and not any(bilinear)
-    t, w = np.polynomial.legendre.leggauss(_ON_EDGES[flat])
+    t, w = np.polynomial.legendre.leggauss(_ON_EDGES[not (curved or any(bilinear))])
     of_parts, of = pairs_of_parts(pairs[some], slave.element, master.element)
     edge = edges_of_parts(master.element)[of_parts[:, 1] % count(master.element)]
-    free_parts = np.take_along_axis(free[some][of], np.maximum(edge, 0), axis=1) & (edge >= 0)
-    planes = create_planes(parts_s)
+    free_parts = np.take_along_axis(free[some][of], np.maximum(edge, 0), axis=1)
+    which, planes = (free_parts | curved) & (edge >= 0), create_planes(parts_s)
     found = _edge_points(
-        parts_s.x, parts_m.x, bilinear, of_parts, free_parts, *planes, (1 + t) / 2, w / 2
+        parts_s.x, parts_m.x, bilinear, of_parts, which, *planes, (1 + t) / 2, w / 2
     )
-    pair, xi_s, xi_m, weight, nu = found
-    at = of_parts[pair]
+    pair, i, xi_s, xi_m, weight, nu = found
+    at, nobody = of_parts[pair], free_parts[pair, i]
     N_s = _of_nodes(slave.element, at[:, 0], xi_s)
     N_m = _of_nodes(master.element, at[:, 1], xi_m)
     if slave.element.part is not None or master.element.part is not None:
@@ -213,7 +216,7 @@ def place_on_edges(slave: Facets, master: Facets, pairs: Ints, free: Bools) -> E
             slave, master, planes[1], at, xi_s=xi_s, xi_m=xi_m, weight=weight
         )
     met = np.isfinite(xi_m).all(axis=1)
-    columns = some[of[pair]], xi_s, xi_m, weight, nu, N_s, N_m
+    columns = some[of[pair]], xi_s, xi_m, weight, nu, N_s, N_m, nobody
     return EdgePoints(*(column[met] for column in columns))
 
 
@@ -404,12 +407,15 @@ def _integrate_points(  # type: ignore[no-untyped-def]
 @numba.njit(cache=True)
 def _integrate_edges(  # type: ignore[no-untyped-def]
     x_s, x_m, n_0, G0, pairs, pair, part, N_s, N_m, nu, P_s, P_m, weight, Phi, duals, c, n,
-    height, which, inverse, g, place, forces, gaps, by_slave, by_master,
+    height, free, inverse, g, place, forces, gaps, by_slave, by_master,
 ):  # fmt: skip
-    """Add all points on edges; P_s and P_m are functions of parts."""
+    """Add all points on edges; P_s and P_m are functions of parts.
+
+    Where another facet covers what one loses, functions of the slave stay as they are.
+    """
     k, size = N_s.shape[1], N_s.shape[1] + N_m.shape[1]
     o, s, d = np.empty(3), np.empty(3), np.empty(3)
-    r, t, y, u = np.empty(3 * size), np.empty((3, k)), np.empty(k), np.empty(k)
+    r, t, y, u = np.empty(3 * size), np.empty((3, k)), np.zeros(k), np.empty(k)
     last = len(height) - 1
     for q in range(len(pair)):
         p, z, i_0 = pair[q], min(q, last), part[q]
@@ -422,15 +428,16 @@ def _integrate_edges(  # type: ignore[no-untyped-def]
         _find_offset(x_s[f], x_m[m], N_s[q], N_m[q], o)
         _sum_tractions(Phi[q], c[f], s)
         _add_weights(s, N_s[q], N_m[q], r, 3 * size, forces[p])
-        _dual_change(weight[q], duals[q], Phi[q], s, c[f], inverse[f], g[f], t, y, u)
-        for h in range(3):
-            for j in range(k):
-                _add_row(t[h, j], r, 3 * k, by_slave[f, h, j])
-                _add_row(t[h, j], r[3 * k :], 3 * (size - k), by_master[place[p], h, j])
+        if free[q]:
+            _dual_change(weight[q], duals[q], Phi[q], s, c[f], inverse[f], g[f], t, y, u)
+            for h in range(3):
+                for j in range(k):
+                    _add_row(t[h, j], r, 3 * k, by_slave[f, h, j])
+                    _add_row(t[h, j], r[3 * k :], 3 * (size - k), by_master[place[p], h, j])
         for j in range(k):
             n_j = n[f, j]
             along = n_j[0] * o[0] + n_j[1] * o[1] + n_j[2] * o[2] - height[z]
-            _add_row(Phi[q, j] * along + y[j], r, 3 * size, gaps[p, j])
+            _add_row(Phi[q, j] * along + y[j] * free[q], r, 3 * size, gaps[p, j])
 
 
 def differentiate_pairs(
@@ -452,17 +459,17 @@ def differentiate_pairs(
         slave: Slave facets (ms,).
         master: Master facets (mm,).
         pairs: Pairs (p, 2).
-        points: Their points (q,), and those on free edges (r,).
+        points: Their points (q,), and those on edges (r,).
         Phi: Values of Phi_j times weights at both, (q, k) and (r, k).
         duals: Values of N~_j there.
         given: What is integrated.
-        coefficients: Of the dual functions; they change on facets with edges at least.
+        coefficients: Of the dual functions; they change on facets with free edges at least.
         heights: Heights at both; 0 if not given.
     """
     k, n = slave.element.nodes, master.element.nodes
     n_0, G0 = _planes_of_parts(slave)
     inner, edges = points
-    with_edges, place = np.unique(edges.pair), np.zeros(len(pairs), dtype=np.int64)
+    with_edges, place = np.unique(edges.pair[edges.free]), np.zeros(len(pairs), dtype=np.int64)
     place[with_edges] = np.arange(len(with_edges))
     forces, gaps = (
         np.zeros((len(pairs), k + n, 3, 3 * (k + n))),
@@ -487,7 +494,8 @@ def differentiate_pairs(
     _integrate_edges(
         *sides, edges.pair, parts[1], _functions(slave, edges.xi_s)[0],
         _functions(master, edges.xi_m)[0], edges.nu, edges.N_s, edges.N_m, edges.weight, Phi[1],
-        duals[1], *vectors, h_e.h, *changed, place, forces, gaps, by_slave, by_master,
+        duals[1], *vectors, h_e.h, edges.free, *changed[1:], place, forces, gaps, by_slave,
+        by_master,
     )  # fmt: skip
     return PairIntegrals(
         forces.reshape(-1, k + n, 3, k + n, 3),

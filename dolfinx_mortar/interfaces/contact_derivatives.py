@@ -16,10 +16,11 @@ import numpy as np
 from scipy import sparse
 
 from dolfinx import fem
+from dolfinx_mortar.algebra.block_sums import BlockSums
 from dolfinx_mortar.algebra.congruence import refill, union
 from dolfinx_mortar.algebra.csr import csr_of
 from dolfinx_mortar.algebra.triplets import Triplets
-from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.interfaces.link import Link, node_motions
 from dolfinx_mortar.interfaces.slip_partners import Partners
@@ -149,15 +150,16 @@ class ContactDerivatives(LinkDerivatives):
         both = np.concatenate([nodes, pairing.master_nodes])
         by_x = (d * both[:, None] + np.arange(d)).ravel()
         by_n, forces, gaps = by_x[: d * n], by_x, d * nodes
-        self.F_x = Entries(V, on_both.T @ on_both, (d, d), forces, by_x)
-        self.F_n = Entries(V, on_both.T @ on_slave, (d, d), forces, by_n)
-        self.G_x = Entries(V, on_slave.T @ on_both, (1, d), gaps, by_x)
-        self.G_n = Entries(V, on_slave.T @ on_slave, (1, d), gaps, by_n)
+        of = V.mesh.comm, layout_of(V)
+        self.F_x = BlockSums(*of, on_both.T @ on_both, (d, d), forces, by_x)
+        self.F_n = BlockSums(*of, on_both.T @ on_slave, (d, d), forces, by_n)
+        self.G_x = BlockSums(*of, on_slave.T @ on_both, (1, d), gaps, by_x)
+        self.G_n = BlockSums(*of, on_slave.T @ on_slave, (1, d), gaps, by_n)
         at = by_n.reshape(-1, d)[slave.facets]
         block = *at.shape, *at.shape[1:]
         rows = np.broadcast_to(at[:, :, :, None, None], block)
         columns = np.broadcast_to(at[:, None, None], block)
-        self.normals = Triplets(V.mesh.comm, layout_of(V), rows, columns)
+        self.normals = Triplets(*of, rows, columns)
         self.forces = _Sum(self.F_x, self.F_n, self.normals)
         self.gaps = _Sum(self.G_x, self.G_n, self.normals)
 
@@ -239,39 +241,10 @@ def incidence(facets: Ints, nodes: Ints, shape: tuple[int, int]) -> sparse.csr_a
     return sparse.coo_array((ones, (rows, nodes.ravel())), shape=shape).tocsr()
 
 
-class Entries:
-    """A matrix of this rank's facets, on a fixed pattern of blocks, and its sum over ranks."""
-
-    def __init__(
-        self,
-        V: fem.FunctionSpace,
-        pattern: sparse.csr_array,
-        block: tuple[int, int],
-        rows: Longs,
-        columns: Longs,
-    ) -> None:
-        """Fix the pattern; rows and columns are the numbers of its own; collective."""
-        entries = sparse.kron(pattern, np.ones(block, dtype=np.int8), format="csr").tocoo()
-        self._width = entries.shape[1]
-        self._keys = np.sort(self._key(entries))
-        i, j = np.divmod(self._keys, max(self._width, 1))
-        self.sums = Triplets(V.mesh.comm, layout_of(V), rows[i], columns[j])
-
-    def _key(self, entries: sparse.coo_array) -> Longs:
-        return np.asarray(entries.row.astype(np.int64) * self._width + entries.col)
-
-    def fill(self, values: sparse.csr_array) -> PETSc.Mat:
-        """Return the sum over ranks of a matrix within the pattern; collective."""
-        entries, filled = values.tocoo(), np.zeros(len(self._keys))
-        place = np.searchsorted(self._keys, self._key(entries))
-        filled[place] = entries.data  # each once, as of a matrix in CSR
-        return self.sums.fill(filled)
-
-
 class _Sum:
     """A + B N, on a fixed pattern."""
 
-    def __init__(self, A: Entries, B: Entries, N: Triplets) -> None:
+    def __init__(self, A: BlockSums, B: BlockSums, N: Triplets) -> None:
         """Analyse the patterns; collective."""
         direct, by_normals, normals = A.sums.zero(), B.sums.zero(), N.zero()
         self._product = by_normals.matMult(normals)

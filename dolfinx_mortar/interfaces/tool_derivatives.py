@@ -25,14 +25,15 @@ import numpy as np
 from scipy import sparse
 
 from dolfinx import fem
+from dolfinx_mortar.algebra.block_sums import Blocks, BlockSums
 from dolfinx_mortar.arrays import Bools, Floats, Longs
 from dolfinx_mortar.geometry.facets import surface_gradients
 from dolfinx_mortar.interfaces.contact_derivatives import (
-    Entries,
     LinkDerivatives,
     SlipRows,
     facets_near,
     incidence,
+    layout_of,
 )
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.slip_partners import Partners
@@ -73,9 +74,10 @@ class ToolDerivatives(LinkDerivatives):
         nodes = V.dofmap.index_map.local_to_global(slave.nodes).astype(np.int64)
         dofs = (d * nodes[:, None] + np.arange(d)).ravel()
         pattern = among.T @ among
-        self.F = Entries(V, pattern, (d, d), dofs, dofs)
-        self.G = Entries(V, pattern, (1, d), d * nodes, dofs)
-        self.N = Entries(V, sparse.eye_array(n, format="csr"), (d, d), dofs, dofs)
+        of = V.mesh.comm, layout_of(V)
+        self.F = BlockSums(*of, pattern, (d, d), dofs, dofs)
+        self.G = BlockSums(*of, pattern, (1, d), d * nodes, dofs)
+        self.N = BlockSums(*of, sparse.eye_array(n, format="csr"), (d, d), dofs, dofs)
 
     def serves(self, link: Link) -> bool:
         """Return True: the pattern is that of the nodes in T, with which these are made."""
@@ -85,24 +87,17 @@ class ToolDerivatives(LinkDerivatives):
         self, link: Link, u: fem.Function, multipliers: Floats, tangential: Floats | None
     ) -> tuple[PETSc.Mat, PETSc.Mat, Bools]:
         """Return those of forces, and of gaps in the rows w_n, and which of these; collective."""
-        slave, n = link.sides.slave, len(link.sides.slave.nodes)
+        slave = link.sides.slave
         at, x = self._at_points(link, u)
-        d = int(x.shape[1])
         traction, turned = self._tractions(link, x, multipliers, tangential)
         dD, dg, D = _differentiate(at, slave.element.shares, in_D(slave.element))
         nodes = slave.facets[at.which]
         t, dt = traction[nodes], turned[nodes]
         forces = np.einsum("fji,fjlmc->flimc", t, dD)
         forces += np.einsum("fjl,fjic->flijc", D, dt)
-        dofs = d * nodes[:, :, None] + np.arange(d)  # (f, k, d)
-        place = np.broadcast_arrays(dofs[:, :, :, None, None], dofs[:, None, None])
-        rows, columns = (part.ravel() for part in place)
-        H = sparse.coo_array((forces.ravel(), (rows, columns)), (d * n, d * n)).tocsr()
-        place = np.broadcast_arrays(nodes[:, :, None, None], dofs[:, None])
-        rows, columns = (part.ravel() for part in place)
-        G = sparse.coo_array((dg.ravel(), (rows, columns)), (n, d * n)).tocsr()
         known = np.ones(slave.owned, dtype=bool)
-        return self.F.fill(H), self.G.fill(G), known
+        F = self.F.fill([Blocks(nodes, nodes, forces)])
+        return F, self.G.fill([Blocks(nodes, nodes, dg[:, :, None])]), known
 
     def slips(self, link: Link, u: fem.Function, partners: Partners, since: PETSc.Vec) -> SlipRows:
         """Return the rows of slips; collective."""
@@ -114,7 +109,9 @@ class ToolDerivatives(LinkDerivatives):
         tangents = np.swapaxes(link.coupling.R, 1, 2)[:, 1:]
         turned = np.zeros((len(slave.nodes), *turning.shape[1:]))
         turned[own] = self._turning(link, x)
-        return SlipRows(link, partners, tangents @ turning, self.N.fill(_diagonal(turned)))
+        alone = np.arange(len(turned))[:, None]
+        N = self.N.fill([Blocks(alone, alone, turned[:, None, :, None])])
+        return SlipRows(link, partners, tangents @ turning, N)
 
     def _turning(self, link: Link, x: Floats) -> Floats:
         """Return dn_j/dx_j (n, d, d) of the owned slave nodes, 0 where not kept."""
@@ -211,11 +208,3 @@ def _differentiate(
     dg += np.einsum("fqmc,fqj,fq->fjmc", w_grad, at.Phi, at.phi)
     dg += np.einsum("fq,fqj,fqc,qm->fjmc", at.w, at.Phi, at.slope, at.N)
     return dD, dg, D
-
-
-def _diagonal(blocks: Floats) -> sparse.csr_array:
-    """Return the matrix of blocks (n, d, d) on the diagonal."""
-    n, d, _ = blocks.shape
-    place = np.arange(n, dtype=np.int32)
-    matrix = sparse.bsr_array((blocks, place, np.arange(n + 1)), shape=(d * n, d * n))
-    return sparse.csr_array(matrix.tocoo())

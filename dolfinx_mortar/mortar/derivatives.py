@@ -19,6 +19,7 @@ in sparse matrices, of which the columns are, in this order, slave coordinates, 
 coordinates of the received master nodes of this rank.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import TypeAlias
@@ -28,6 +29,7 @@ from scipy import sparse
 
 import dolfinx
 from dolfinx.common import timed
+from dolfinx_mortar.algebra.block_sums import Blocks, Matrix
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.geometry.line_derivatives import PointDerivatives, differentiate_points
@@ -42,7 +44,7 @@ from dolfinx_mortar.mortar.surface import (
     nodal_normals,
 )
 
-Matrix: TypeAlias = sparse.csr_array
+Part: TypeAlias = Matrix | Blocks
 LEAST_MOMENT = 1e-10
 """Facets of which m is as near to singular as this have the dual functions of the moment."""
 
@@ -61,13 +63,14 @@ class Tractions:
 class Derivatives:
     """Derivatives of the part of forces F and gaps G that this rank's slave facets have.
 
-    Rows of F belong to the coordinates of the slave nodes, then of the received master nodes.
+    Rows of F belong to the coordinates of the slave nodes, then of the received master nodes. Each
+    is the sum of parts.
     """
 
-    F_x: Matrix  # (2 n + 2 nm, 2 n + 2 nm) by the coordinates of the same nodes
-    F_n: Matrix  # (2 n + 2 nm, 2 n) by the averaged normals
-    G_x: Matrix  # (n, 2 n + 2 nm)
-    G_n: Matrix  # (n, 2 n)
+    F_x: Sequence[Part]  # (d n + d nm, d n + d nm) by the coordinates of the same nodes
+    F_n: Sequence[Part]  # (d n + d nm, d n) by the averaged normals
+    G_x: Sequence[Part]  # (n, d n + d nm)
+    G_n: Sequence[Part]  # (n, d n)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +144,7 @@ def differentiate(
     G = place.gaps(G_x) + place.gaps_by_coefficients(G_A) @ dA
     n, z = 2 * len(x), place.columns
     coordinate_columns, normal_columns = np.r_[0:n, 2 * n : z], np.arange(n, 2 * n)
-    parts = (Matrix(B)[:, c] for B in (F, G) for c in (coordinate_columns, normal_columns))
+    parts = ([Matrix(B)[:, c]] for B in (F, G) for c in (coordinate_columns, normal_columns))
     return Derivatives(*parts)
 
 

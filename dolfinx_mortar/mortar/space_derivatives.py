@@ -17,6 +17,7 @@ from scipy import sparse
 
 import dolfinx
 from dolfinx.common import timed
+from dolfinx_mortar.algebra.block_sums import Blocks, Matrix
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.facet_derivatives import (
     Coefficients,
@@ -29,7 +30,7 @@ from dolfinx_mortar.geometry.facet_derivatives import (
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
 from dolfinx_mortar.geometry.segments import Segments, are_facing
 from dolfinx_mortar.geometry.tolerances import TINY
-from dolfinx_mortar.mortar.derivatives import LEAST_MOMENT, Derivatives, Matrix, Tractions
+from dolfinx_mortar.mortar.derivatives import LEAST_MOMENT, Derivatives, Part, Tractions
 from dolfinx_mortar.mortar.dual import absorbed, sums_of_products
 from dolfinx_mortar.mortar.operators import SmoothSides
 from dolfinx_mortar.mortar.pair_heights import pair_heights
@@ -69,7 +70,7 @@ def differentiate_in_space(
     duals = own.duals, _duals(facets, kept, pairs[edges.pair, 0], edges.xi_s)
     on_edges = _values(A, kept, pairs[edges.pair, 0], duals[1], edges.weight)
     which = np.full(len(nodes), facets.element.bilinear or facets.element.degree > 1)
-    which[pairs[edges.pair, 0]] = True
+    which[pairs[edges.pair[edges.free], 0]] = True
     vectors = Integrands(given.tractions[nodes], given.normals[nodes])
     found = differentiate_pairs(
         facets,
@@ -86,11 +87,14 @@ def differentiate_in_space(
     if sagittas is not None and sagittas.by_x is not None:
         gaps = gaps - sagittas.integrals(Phi, of.astype(np.int32), segments.xi_s, segments.xi_m)
     place = _Places(pairing, pairs, len(slave.nodes))
-    F = place.forces(_add_dual_changes(found, own, pairs[:, 0], which))
+    F: list[Part] = [
+        Blocks(place.nodes, place.nodes, _add_dual_changes(found, own, pairs[:, 0], which))
+    ]
     if len(found.with_edges):
-        F = F + _by_edges(place, found, own)
+        F.append(_by_edges(place, found, own))
+    G = Blocks(place.slave, place.nodes, gaps[:, :, None])
     F_n, G_n = _by_normals(place, own, given)
-    return Derivatives(F, F_n, place.gaps(gaps), G_n)
+    return Derivatives(F, [F_n], [G], [G_n])
 
 
 def _coefficients(m: Floats, kept: Bools) -> tuple[Floats, Floats]:
@@ -120,17 +124,14 @@ def _values(A: Floats, kept: Bools, facet: Ints, duals: Floats, weight: Floats) 
 
 
 def _free_edges(pairing: Pairing, slave: Facets, master: Facets, pairs: Ints) -> Bools:
-    """Return the edges (p, l) of master facets whose motion counts.
-
-    These are edges beyond which no other facet faces the slave facet, and in second order all.
-    """
+    """Return the edges (p, l) of master facets beyond which no other one faces the slave facet."""
     count = len(master.x)
     beside = _neighbours(pairing.master_facets[:, list(master.element.vertices)])[pairs[:, 1]]
     s, m = pairing.pairs.T
     facing = are_facing(facet_normals(slave)[s][:, None], facet_normals(master)[m])
     known = (s.astype(np.int64) * count + m)[facing]
     asked = pairs[:, 0].astype(np.int64)[:, None] * count + beside
-    return (beside < 0) | ~np.isin(asked, known) | (master.element.degree > 1)
+    return (beside < 0) | ~np.isin(asked, known)
 
 
 def _neighbours(facets: Ints) -> Ints:
@@ -215,16 +216,6 @@ class _Places:
         """Components (p, k + l, 3) of the nodes of pairs."""
         return 3 * self.nodes[:, :, None] + np.arange(3, dtype=np.int32)
 
-    def forces(self, values: Floats) -> Matrix:
-        """Return the sums of values (p, k + l, 3, k + l, 3)."""
-        rows, columns = self.dofs[..., None, None], self.dofs[:, None, None]
-        return self.sum(rows, columns, values, (self.columns, self.columns))
-
-    def gaps(self, values: Floats) -> Matrix:
-        """Return the sums of values (p, k, k + l, 3)."""
-        rows, columns = self.slave[:, :, None, None], self.dofs[:, None]
-        return self.sum(rows, columns, values, (self.n, self.columns))
-
 
 def _add_dual_changes(found: PairIntegrals, own: _Own, facet: Ints, which: Bools) -> Floats:
     """Return the derivatives of forces (p, k + l, 3, k + l, 3), of changing dual functions, too.
@@ -261,13 +252,13 @@ def _by_edges(place: "_Places", found: PairIntegrals, own: _Own) -> Matrix:
     return Matrix(F_C @ place.sum(rows, columns, found.by_master, (count, place.columns)))
 
 
-def _by_normals(place: _Places, own: _Own, given: Tractions) -> tuple[Matrix, Matrix]:
+def _by_normals(place: _Places, own: _Own, given: Tractions) -> tuple[Blocks, Blocks]:
     """Return the derivatives of forces and gaps by the averaged normals."""
-    xyz = np.arange(3, dtype=np.int32)
-    at = 3 * place.slave[:, :, None] + xyz  # (p, j, 3)
-    by_c = np.concatenate([own.D, -own.M], axis=2)  # (p, j, z)
-    forces = np.einsum("pjz,pjih->pzijh", by_c, given.changes[place.slave])
-    rows, columns = place.dofs[..., None, None], at[:, None, None]
-    F_n = place.sum(rows, columns, forces, (place.columns, 3 * place.n))
-    gaps = np.einsum("pji,pjih->pjh", own.v, given.turning[place.slave])
-    return F_n, place.sum(place.slave[:, :, None], at, gaps, (place.n, 3 * place.n))
+    by_c, changes = np.concatenate([own.D, -own.M], axis=2), given.changes[place.slave]
+    forces = np.swapaxes(by_c, 1, 2)[:, :, None, :, None] * np.swapaxes(changes, 1, 2)[:, None]
+    gaps = own.v[:, :, None] @ given.turning[place.slave]  # (p, j, 1, 3)
+    each = place.slave.reshape(-1, 1)  # a gap depends on the normal of its own node
+    return (
+        Blocks(place.nodes, place.slave, forces),
+        Blocks(each, each, gaps.reshape(-1, 1, 1, 1, 3)),
+    )
