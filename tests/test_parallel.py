@@ -33,7 +33,7 @@ SLOW_ON_TWO = """
     orthotropic output output_resume parameters passing patch_3d plane_stress plotting pointwise
     preload preload_direction preload_several qp_descent ramp reaction resolution rubber
     small_strain smooth_3d smooth_contact smooth_second smooth_tie solid solid_state stand_off
-    stress_laws sweep tie_reach tying undone user_laws volumetric
+    stress_laws sweep tie_reach tool_friction tying undone user_laws volumetric
 """.split()
 SLOW_ON_THREE = """
     friction_path friction_state load_steps looks_change_nothing mortar_3d near numbers_of_steps

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: MIT
+"""Friction along rigid tools that move: what slips, what sticks, what is carried along."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx import fem
+from tests.tool_case import BASE, DEPTH, Block, R
+
+COMM = MPI.COMM_WORLD
+pytestmark = pytest.mark.mpi
+MU = 0.3
+RUBBER = dm.NeoHooke(100.0, 0.3)
+SOFT = dm.Elastic(100.0, 0.0)
+
+
+class Held(Block):
+    """A block whose base moves as a rigid body: by a vector, and by an angle about the origin."""
+
+    def __init__(self, **options):
+        """Create it."""
+        super().__init__(**options)
+        self.base = fem.Function(self.V)
+        self.X = self.V.tabulate_dof_coordinates()[:, :2]
+
+    def bcs(self):
+        """Hold the base."""
+        base = fem.locate_dofs_topological(self.V, 1, self.facets.find(BASE))
+        return [fem.dirichletbc(self.base, base)]
+
+    def carry(self, by=(0.0, 0.0), angle=0.0):
+        """Move the base."""
+        c, s = np.cos(angle), np.sin(angle)
+        turned = self.X @ np.array([[c, s], [-s, c]])
+        self.base.x.array[:] = (turned - self.X + by).ravel()
+
+
+def pressed(geometry="updated", mu=MU, **options):
+    """Return a square bar, the plane that presses it by 0.02, and the problem."""
+    case = Held(n=3, size=1.0, fine=0.8)
+    tool = case.tool(dm.shapes.Plane([0.4, 0.0], [0.0, -1.0]), friction=mu)
+    problem = case.problem([tool], **({"law": SOFT} | options), geometry=geometry)
+    tool.position.value[1] -= 0.02
+    dm.newton(problem, rtol=1e-10)
+    problem.commit()
+    return case, tool, problem
+
+
+@pytest.mark.parametrize("geometry", ["updated", "reference"])
+def test_a_tool_drags_the_side_along(geometry):
+    """It sticks, then slips: tau = mu p, along the motion of the tool, and what it dissipates."""
+    _, tool, problem = pressed(geometry)
+    p = 100.0 * 0.02
+    tool.position.value[0] += 0.001
+    dm.newton(problem, rtol=1e-10)
+    problem.commit()
+    closed = tool.active.x.array > 0.0
+    assert (tool.status.x.array[closed] == 1.0).all()
+    assert 0.0 < tool.force[0] < MU * p  # on the body, along the tool's motion
+    for _ in range(2):
+        before, spent = tool.slip.x.array.copy(), tool.dissipation
+        tool.position.value[0] += 0.05
+        dm.newton(problem, rtol=1e-10)
+        problem.commit()
+    assert (tool.status.x.array[closed] == 2.0).all()
+    pressure, traction = tool.pressure.x.array, tool.traction.x.array[::2]
+    assert traction[closed] == pytest.approx(MU * pressure[closed], rel=1e-8)
+    assert tool.force[0] == pytest.approx(-MU * tool.force[1], rel=1e-9)
+    assert tool.tool_force == pytest.approx(-tool.force, abs=1e-12)
+    # the second step is all slip: of the tool relative to a body that stands still
+    nodes = closed[: problem.n]
+    assert tool.slip.x.array[: problem.n][nodes] - before[: problem.n][nodes] == pytest.approx(
+        np.full(nodes.sum(), 0.05), rel=2e-3
+    )
+    assert tool.dissipation - spent == pytest.approx(0.05 * tool.force[0], rel=2e-3)
+
+
+@pytest.mark.parametrize("geometry", ["updated", "reference"])
+def test_what_is_carried_along_keeps_its_traction(geometry):
+    """Body and tool move alike, by far more than what would slip."""
+    case, tool, problem = pressed(geometry)
+    tool.position.value[0] += 0.002
+    dm.newton(problem, rtol=1e-10)
+    problem.commit()
+    force, status = tool.force.copy(), tool.status.x.array.copy()
+    step = np.array([0.3, -0.1]) if geometry == "updated" else np.array([0.3, 0.0])
+    tool.position.value[:] += step
+    case.carry(by=step)
+    dm.newton(problem, rtol=1e-10)
+    assert tool.force == pytest.approx(force, rel=1e-7)
+    assert tool.status.x.array == pytest.approx(status)
+    assert np.abs(tool.step_slip.x.array).max() < 1e-9
+    assert tool.dissipation == pytest.approx(0.0, abs=1e-10)
+
+
+def test_a_turning_tool_carries_a_body():
+    """Both turn by 40 degrees in a step, at finite strain: the forces turn with them."""
+    case, tool, problem = pressed(law=RUBBER, strain="finite")
+    tool.position.value[0] += 0.002
+    dm.newton(problem, rtol=1e-10)
+    problem.commit()
+    force, moment, angle = tool.tool_force.copy(), tool.tool_moment[2], np.radians(40.0)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    tool.position.value[:] = turn @ tool.position.value
+    tool.rotation.value[...] = angle
+    case.carry(angle=angle)
+    dm.newton(problem, rtol=1e-10)
+    assert tool.tool_force == pytest.approx(turn @ force, rel=1e-7)
+    assert tool.tool_moment[2] == pytest.approx(moment, rel=1e-7)
+    assert np.abs(tool.step_slip.x.array).max() < 1e-9
+
+
+def test_a_roller_that_turns_in_place():
+    """All of its contact slips: mu N along the surface, a moment of mu N R about its axis."""
+    case = Held(n=40, fine=8.0)
+    tool = case.tool(dm.shapes.Cylinder([4.0, R], R), friction=MU)
+    problem = case.problem([tool], law=dm.Elastic(200.0, 0.3))
+    tool.position.value[1] -= 3 * DEPTH
+    dm.newton(problem)
+    problem.commit()
+    tool.rotation.value[...] = 0.05  # the side under it goes to the right
+    dm.newton(problem, rtol=1e-9)
+    assert tool.force[0] > 0.0
+    total = float(np.linalg.norm(tool.force)) / np.sqrt(1.0 + MU**2)
+    # normals pass through the axis, nodes within their gaps of the surface
+    assert tool.tool_moment[2] == pytest.approx(-MU * total * R, rel=5e-3)
+    status = tool.status.x.array[tool.active.x.array > 0.0]
+    assert (status == 2.0).all()
+
+
+def test_in_space_a_disc_of_slip():
+    """A plane that turns about its normal drags a box around, without a resultant."""
+    from tests.test_obstacle import box
+
+    tags, u = box("hexahedron", 1, np.eye(3))
+    V = u.function_space
+    base = fem.locate_dofs_topological(V, 2, tags.find(1))
+    tool = dm.Obstacle(
+        tags, slave=2, shape=dm.shapes.Plane([0.5, 0.5, 1.0], [0.0, 0.0, -1.0]), friction=MU
+    )
+    problem = dm.ContactProblem(
+        dm.Solid(u, SOFT), [tool], bcs=[fem.dirichletbc(np.zeros(3), base, V)]
+    )
+    tool.position.value[2] -= 0.02
+    dm.newton(problem, rtol=1e-9)
+    problem.commit()
+    tool.rotation.value[2] = 0.3
+    dm.newton(problem, rtol=1e-9)
+    found = tool.gather(u)
+    arm = found["x"][:, :2] - 0.5
+    slides = np.linalg.norm(arm, axis=1) > 0.2
+    assert (found["status"][slides] == 2.0).all()
+    size = np.linalg.norm(found["traction"], axis=1)
+    assert size[slides] == pytest.approx(MU * found["pressure"][slides], rel=1e-7)
+    around = arm[:, 0] * found["traction"][:, 1] - arm[:, 1] * found["traction"][:, 0]
+    assert (around[slides] > 0.0).all()  # on the body, with the tool
+    assert tool.tool_moment[2] < -0.2 * MU * abs(tool.force[2])
