@@ -46,7 +46,8 @@ NUMBERS = {
 # test_edges, in those of checkpoints, in test_preload, in test_friction_bodies, in
 # test_tie_reach, in test_small_strain, and in test_ramp
 OTHERS = {
-    "interfaces.contact",
+    "interfaces.unilateral",
+    "interfaces.obstacle",  # in test_obstacle
     "interfaces.interface",
     "interfaces.tie",
     "audit.stand_off",
