@@ -103,33 +103,32 @@ def test_new_values_are_followed(matrices, rng):
     assert (y - operator.matrix.copy() * x).norm() < 1e-13 * y.norm()
 
 
-def test_the_diagonal_refills_its_matrices(matrices):
-    """Other values on the same patterns make no product anew; other rows and patterns do."""
+def test_the_diagonal_needs_no_product(matrices):
+    """For other values and patterns of C, those with fewer rows included, and other K."""
     K, C = matrices
     operator = CongruentOperator(K)
     none = np.empty(0, dtype=np.int32)
-    operator.follow(C, none)
     PETSc.Log.begin()
 
-    def followed(C):
-        """Return how many products are analysed; the diagonal is that of the matrix."""
+    def follow(C):
+        """Check that no product is analysed and that the diagonal is that of the matrix."""
         before = PETSc.Log.Event("MatMatMultSym").getPerfInfo()["count"]
         operator.follow(C, none)
-        made = PETSc.Log.Event("MatMatMultSym").getPerfInfo()["count"] - before
+        assert PETSc.Log.Event("MatMatMultSym").getPerfInfo()["count"] == before
         expected = operator.matrix.copy().getDiagonal()
         assert (operator.diagonal - expected).norm() < 1e-13 * expected.norm()
-        return made
 
+    follow(C)
     K.scale(2.0)
-    assert followed(C) == 0
+    follow(C)
     C.scale(-0.5)
-    assert followed(C) == 0
+    follow(C)
     fewer = C.copy()
     first, last = fewer.getOwnershipRange()
     fewer.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
     fewer.zeroRows(np.arange(first, last, 2, dtype=PETSc.IntType), diag=0.0)
-    assert followed(fewer) > 0
-    assert followed(C) > 0
+    follow(fewer)
+    follow(C)
 
 
 def test_nothing_is_kept_alive(matrices):

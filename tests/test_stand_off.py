@@ -9,12 +9,14 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import mesh
 from dolfinx_mortar.audit import stand_off
+from dolfinx_mortar.interfaces import mortar_interface
 from dolfinx_mortar.mortar.curvature_correction import (
     find_parting,
     find_smooth_sides,
     missed_heights,
 )
 from tests.close_fits import create_pin, create_shrink_fit
+from tests.hertz_case import ELASTIC, create_case
 from tests.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
 from tests.pressed_blocks import PressedBlocks
 from tests.test_smooth_contact import PEAK
@@ -88,6 +90,24 @@ def test_the_share_that_is_told_of(factor, told, monkeypatch):
     for counts, swap in (((64, 96), True), ((64, 96), False)):
         report, _ = create_pin(counts, swap, surface="facets").solve()
         assert any("surface='smooth'" in note for note in report.notes) == told
+
+
+@pytest.mark.mpi
+def test_smooth_surfaces_are_found_once_a_search(monkeypatch):
+    """They are those at X, for the notes after each step, too."""
+    found = []
+    for module in (stand_off, mortar_interface):
+        monkeypatch.setattr(
+            module,
+            "find_smooth_sides",
+            lambda *given: found.append(given) or find_smooth_sides(*given),
+        )
+    case = create_case(dm.meshing.hertz(COMM, kind="paper"), ELASTIC, surface="facets")
+    for depth in (0.02, 0.021, 0.022):
+        case.press(depth)
+        dm.newton(case.problem)
+        case.problem.commit()
+    assert 0 < len(found) <= case.problem.system.searches
 
 
 @pytest.mark.mpi

@@ -9,10 +9,9 @@ from collections.abc import Iterable, Sequence
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import csr_array
 
-from dolfinx_mortar.algebra.csr import csr_of, set_csr
-from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.algebra.csr import csr_of
+from dolfinx_mortar.algebra.diagonal import RowsOf
 from dolfinx_mortar.arrays import Floats, Ints
 
 log = logging.getLogger(__name__)
@@ -364,84 +363,3 @@ def _select(like: PETSc.Mat, rows: Ints, columns: Ints, values: Floats) -> PETSc
     indptr = np.concatenate([[0], np.cumsum(counts)]).astype(PETSc.IntType)
     csr = indptr, columns.astype(PETSc.IntType), values
     return PETSc.Mat().createAIJ(like.getSizes(), csr=csr, comm=like.comm)
-
-
-class RowsOf:
-    """Rows of K where C has some, and their product with C; matrices are refilled where they fit.
-
-    Changes of basis have the same rows, and the same pattern while the same nodes face each other.
-    """
-
-    def __init__(self, K: PETSc.Mat) -> None:
-        """Keep nothing yet."""
-        self.K = K
-        self._state = -1
-        self._rows: Ints = np.empty(0, dtype=np.int32)
-        self._kept: PETSc.Mat | None = None
-        self._product: tuple[PETSc.Mat, PETSc.Mat] | None = None  # C without zeros, and rows of K C
-        self._pattern: tuple[Ints, Ints] | None = None  # of that C
-
-    def including(self, rows: Ints) -> tuple[Ints, PETSc.Mat]:
-        """Return owned rows, among them these, and K on them in AIJ; collective."""
-        state, comm = int(self.K.stateGet()), self.K.comm.tompi4py()
-        lacks, old = any_rank(comm, not np.isin(rows, self._rows).all(), state != self._state)
-        if self._kept is None or lacks:
-            self._rows, self._product = rows, None
-            self._kept = _rows(self.K, rows)
-        elif old:
-            self._kept = _rows(self.K, self._rows, self._kept)
-        self._state = state
-        return self._rows, self._kept
-
-    def diagonal_change(self, C: PETSc.Mat) -> PETSc.Vec:
-        """Return the diagonal of K C + (K C)^T + C^T K C; collective.
-
-        Its entry j is sum_r C_rj (2 K_rj + (K C)_rj), over the rows r of C that are not zero.
-        """
-        entries = _scipy(C)
-        entries.eliminate_zeros()  # half of those of T
-        rows = np.flatnonzero(np.diff(entries.indptr)).astype(np.int32)
-        rows, K_r = self.including(rows)
-        twice = 2.0 * _scipy(K_r) + _scipy(self._times(K_r, entries, C))
-        terms = entries[rows].multiply(twice).tocoo()
-        change = self.K.createVecRight()
-        change.setValues(terms.col.astype(PETSc.IntType), terms.data, PETSc.InsertMode.ADD_VALUES)
-        change.assemble()
-        return change
-
-    def _times(self, K_r: PETSc.Mat, entries: csr_array, like: PETSc.Mat) -> PETSc.Mat:
-        """Return the product of rows of K with a matrix of these entries; collective."""
-        parts = entries.indptr.astype(PETSc.IntType), entries.indices.astype(PETSc.IntType)
-        differs = self._pattern is None or not all(map(np.array_equal, parts, self._pattern))
-        if any_rank(like.comm.tompi4py(), differs)[0] or self._product is None:
-            few = PETSc.Mat().createAIJ(like.getSizes(), csr=(*parts, entries.data), comm=like.comm)
-            self._product, self._pattern = (few, K_r.matMult(few)), parts
-            return self._product[1]
-        few, product = self._product
-        set_csr(few, *parts, entries.data)
-        return K_r.matMult(few, result=product)
-
-
-def _rows(K: PETSc.Mat, rows: Ints, result: PETSc.Mat | None = None) -> PETSc.Mat:
-    """Return owned rows of K in AIJ, in a matrix of the same rows if one is given; collective."""
-    first = K.getOwnershipRange()[0]
-    if K.getType() == "seqaij":  # blocks give blocks only
-        index = PETSc.IS().createGeneral(rows.astype(PETSc.IntType), comm=K.comm)
-        every = PETSc.IS().createStride(K.getSize()[1], step=1, comm=K.comm)
-        return K.createSubMatrix(index, every, result)
-    found = [K.getRow(int(first + row)) for row in rows]
-    indptr = np.cumsum([0, *(len(columns) for columns, _ in found)], dtype=PETSc.IntType)
-    columns = np.concatenate([np.zeros(0, PETSc.IntType), *(columns for columns, _ in found)])
-    values = np.concatenate([np.zeros(0), *(values for _, values in found)])
-    if result is not None:
-        result.setValuesCSR(indptr, columns, values)
-        result.assemble()
-        return result
-    sizes = (len(rows), PETSc.DECIDE), K.getSizes()[1]
-    return PETSc.Mat().createAIJ(sizes, csr=(indptr, columns, values), comm=K.comm)
-
-
-def _scipy(matrix: PETSc.Mat) -> csr_array:
-    """Return this rank's rows, with global columns."""
-    indptr, columns, values = csr_of(matrix)
-    return csr_array((values, columns, indptr), shape=(len(indptr) - 1, matrix.getSize()[1]))

@@ -59,9 +59,8 @@ Find = Callable[
 def _means(link: Link, u: fem.Function | None, find: Find) -> Floats:
     """Return the means (n,) at the slave nodes of what smooth sides have at points; collective."""
     (pairing, operators), sides = link.mortar, link.sides
-    smooth = link.pattern.smooth
-    if smooth is None:
-        smooth = find_smooth_sides(pairing, sides.fixed, link.interface.feature_angle)
+    smooth = link.pattern.smooth or link.pattern.nearby
+    assert smooth is not None, "of contacts on straight cells only"
     kept = np.zeros(len(sides.slave.nodes))
     kept[: sides.slave.owned] = link.coupling.kept[:, 0]
     Phi = weighted_duals(pairing, operators.segments, accumulate(sides.slave, kept) > 0)

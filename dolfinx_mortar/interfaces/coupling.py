@@ -70,6 +70,7 @@ class Pattern:
     blocks: BlockMatrix  # holds Q
     scalars: BlockMatrix  # holds P
     smooth: tuple[SmoothSide, SmoothSide] | None = None  # where facets stand for them
+    nearby: tuple[SmoothSide, SmoothSide] | None = None  # those of a contact that keeps to facets
 
 
 @dataclass(frozen=True)
@@ -140,11 +141,12 @@ def create_pattern(
     column: Longs,
     split: int,
     smooth: tuple[SmoothSide, SmoothSide] | None = None,
+    nearby: tuple[SmoothSide, SmoothSide] | None = None,
 ) -> Pattern:
     """Return the pattern of the entries, with its matrices; see `Pattern`; collective."""
     V, rows = sides.V, sides.nodes[row]
     scalars = BlockMatrix(V.mesh.comm, V.dofmap.index_map, 1, rows, column)
-    return Pattern(row, column, split, create_blocks(V, rows, column), scalars, smooth)
+    return Pattern(row, column, split, create_blocks(V, rows, column), scalars, smooth, nearby)
 
 
 def with_ghosts(V: fem.FunctionSpace, owned: Bools) -> Bools:

@@ -162,11 +162,12 @@ class MortarInterface(Interface):
         pairing = create_pairing(sides.V, *surfaces, u, moving=u is not None, **options)
         if known is not None and pattern is not None and pairing.D is known.D:
             return pairing, pattern
-        smooth = None
-        if self.smooth and not sides.slave.curved:
-            smooth = find_smooth_sides(pairing, sides.fixed, self.feature_angle)
-        split = len(pairing.off_diagonal)
-        return pairing, create_pattern(sides, pairing.row, pairing.column, split, smooth)
+        smooth = nearby = None
+        if (self.smooth or self.unilateral) and not sides.slave.curved:
+            found = find_smooth_sides(pairing, sides.fixed, self.feature_angle)
+            smooth, nearby = (found, None) if self.smooth else (None, found)
+        entries = pairing.row, pairing.column, len(pairing.off_diagonal)
+        return pairing, create_pattern(sides, *entries, smooth, nearby)
 
     def has_slid(
         self, sides: Sides, pairing: Pairing | None, u: fem.Function | None, near: Bools | None

@@ -73,6 +73,44 @@ def _few(A: PETSc.Mat, unknowns: Ints, options: SolverOptions, share: int = 1) -
     return unknowns if unknowns.size**2 <= share * A.getInfo()["nz_used"] else None
 
 
+class _Change:
+    """T = 1 + C for C (k, k) with few rows F (s, k) in the places E: T^-1 = 1 - E (1 + F E)^-1 F.
+
+    Args:
+        C: its entries.
+    """
+
+    def __init__(self, C: csr_array) -> None:
+        """Factorise 1 + F E."""
+        self.C, self.places = C, np.flatnonzero(np.diff(C.indptr))
+        self.F = C[self.places]
+        inner = self.F[:, self.places] + eye_array(self.places.size, format="csr")
+        self._inner = splu(inner.tocsc())
+
+    def solve(self, x: Floats) -> Floats:
+        """Return T^-1 x (k,)."""
+        y = x.copy()
+        y[self.places] -= self._inner.solve(self.F @ x)
+        return y
+
+    def solve_transposed(self, x: Floats) -> Floats:
+        """Return T^-T x (k,)."""
+        return np.asarray(x - self.F.T @ self._inner.solve(x[self.places], "T"))
+
+    def inverse_change(self, rows: Ints) -> csr_array:
+        """Return some rows (m,) of T^-1 - 1 (m, k)."""
+        on = np.flatnonzero(np.isin(rows, self.places))
+        units = np.zeros((self.places.size, rows.size))
+        units[np.searchsorted(self.places, rows[on]), on] = -1.0
+        return csr_array(self._inner.solve(units, "T").T) @ self.F
+
+    def congruent(self, M: Floats, *, transposed: bool = False) -> Floats:
+        """Return T M T^T, or T^T M T, for symmetric M (k, k)."""
+        C = self.C.T if transposed else self.C
+        half = M + C @ M
+        return np.asarray(half.T + C @ half.T)
+
+
 @dataclass(frozen=True)
 class _Basis:
     """T on G, and rows of T^-1 times the inverse of S, from which all sets of held unknowns follow.
@@ -84,8 +122,7 @@ class _Basis:
     and (N R N^T)^-1 is the Schur complement of A on them.
     """
 
-    C: csr_array | None  # (k, k) of T = 1 + C, None for 0
-    D: csr_array | None  # (k, k) of T^-1 = 1 + D
+    T: _Change | None  # None for 1
     known: Ints  # places in G (m,) of which there are rows
     NR: Floats  # (m, k)
     NRN: Floats  # (m, m)
@@ -185,22 +222,21 @@ class SchurComplement:
         return self._basis
 
     def _transformed(self) -> _Basis:
-        k, C, D = self.unknowns.size, None, None
+        k, T = self.unknowns.size, None
         known = np.flatnonzero(self._holds(self.bounded)).astype(np.int32)
         nothing = np.zeros((0, 0))
         if self.product is not None and self.product.C is not None:
             start, columns, values = csr_of(self.product.C)
             places = np.searchsorted(self.unknowns, columns)
             rows = np.append(start[self.unknowns], start[-1])
-            C = csr_array((values, places, rows), shape=(k, k))
-            D = _inverse_change(C)
+            T = _Change(csr_array((values, places, rows), shape=(k, k)))
         if self.R is None:
-            return _Basis(C, D, known, nothing, nothing)
-        NR = self.R[known]
-        if D is None:
-            return _Basis(C, D, known, NR, NR[:, known])
-        NR += D[known] @ self.R
-        return _Basis(C, D, known, NR, NR[:, known] + (D[known] @ NR.T).T)
+            return _Basis(T, known, nothing, nothing)
+        if T is None:
+            return _Basis(T, known, self.R[known], self.R[np.ix_(known, known)])
+        change = T.inverse_change(known)
+        NR = self.R[known] + change @ self.R
+        return _Basis(T, known, NR, NR[:, known] + (change @ NR.T).T)
 
     def _holds(self, held: Ints) -> Bools:
         """Tell which of G are these unknowns, or decoupled."""
@@ -233,13 +269,8 @@ class SchurComplement:
         return np.asarray(inner - coupling.T @ cho_solve(factor, coupling))
 
     def _transform(self, M: Floats, *, transposed: bool = False) -> Floats:
-        """Return T M T^T, or T^T M T, for symmetric M (k, k)."""
-        C = self.basis.C
-        if C is None:
-            return M
-        C = C.T if transposed else C
-        half = M + C @ M
-        return np.asarray(half.T + C @ half.T)
+        T = self.basis.T
+        return M if T is None else T.congruent(M, transposed=transposed)
 
     def hold(self, pc: PETSc.PC, held: Ints) -> None:
         """Hold these of the unknowns in the next solves: x = 0 there.
@@ -295,21 +326,6 @@ def _mirrored(lower: Floats) -> Floats:
     return np.asarray(total)
 
 
-def _inverse_change(C: csr_array) -> csr_array:
-    """Return D of (1 + C)^-1 = 1 + D for C (k, k) with few rows, in which D has its entries.
-
-    For C = E F with the rows F (s, k) in the places E it is -E (1 + F E)^-1 F.
-    """
-    counts = np.diff(C.indptr)
-    rows = np.flatnonzero(counts)
-    F = C[rows]
-    inner = F[:, rows] + eye_array(rows.size, format="csr")
-    of_rows = csr_array(splu(inner.tocsc()).solve(-F.toarray()))
-    counts[rows] = np.diff(of_rows.indptr)
-    start = np.concatenate([[0], np.cumsum(counts)])
-    return csr_array((of_rows.data, of_rows.indices, start), shape=C.shape)
-
-
 class _Product:
     """Context of a PC of type python: T^-1 K^-1 T^-T with held unknowns."""
 
@@ -323,11 +339,11 @@ class _Product:
         G, out, basis = schur.unknowns, product.decoupled, schur.basis
         f = r.copy()
         f.array[out] = 0.0
-        if basis.D is not None:
-            f.array[G] += basis.D.T @ f.array_r[G]
+        if basis.T is not None:
+            f.array[G] = basis.T.solve_transposed(f.array_r[G])
         self.pc.apply(f, y)
-        if basis.D is not None:
-            y.array[G] += basis.D @ y.array_r[G]
+        if basis.T is not None:
+            y.array[G] = basis.T.solve(y.array_r[G])
         y.array[out] = r.array_r[out] / product.scale
 
 
