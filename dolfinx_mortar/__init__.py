@@ -34,11 +34,13 @@ from dolfinx_mortar.report.reaction import Reaction, reaction
 from dolfinx_mortar.report.summary import summarise, write_summary
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term
-from dolfinx_mortar.step_report import LoadStep, NewtonNotConverged, StepReport
+from dolfinx_mortar.step_report import Ledger, LoadStep, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.load_steps import load_steps
 from dolfinx_mortar.steps.newton import newton
 from dolfinx_mortar.steps.preload import Preload, PreloadNotReached, preload
+from dolfinx_mortar.steps.time_steps import time_steps
 from dolfinx_mortar.tags import Tags
+from dolfinx_mortar.terms.inertia import Damping, Inertia
 from dolfinx_mortar.terms.pressure import Pressure
 from dolfinx_mortar.terms.weak_forms import WeakForm
 
@@ -47,8 +49,11 @@ __version__ = "0.1.0"
 __all__ = [
     "Contact",
     "ContactProblem",
+    "Damping",
     "DruckerPrager",
     "Elastic",
+    "Inertia",
+    "Ledger",
     "LoadStep",
     "Material",
     "MooneyRivlin",
@@ -86,5 +91,6 @@ __all__ = [
     "reaction",
     "shapes",
     "summarise",
+    "time_steps",
     "write_summary",
 ]

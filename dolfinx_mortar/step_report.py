@@ -108,6 +108,35 @@ class Certificate:
     # at finite strain: moment at X + u of the internal forces of a body, over forces times arms
     internal_moment: float = 0.0
     smallest_J: float = 1.0  # smallest det F at the integration points, 1 for small strains
+    energy_defect: float = 0.0  # of `time_steps`, see `Ledger`
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """Energies of a motion at the end of a step, and what has happened to them since its start.
+
+    Of the whole ring, or per thickness in the plane. Works are those of the trapezoidal rule, which
+    of linear bodies are exact. Energy is kept where
+
+        kinetic + stored + dissipated + friction + damping = initial + loads + supports.
+    """
+
+    initial: float  # kinetic and stored energy at the start
+    kinetic: float
+    stored: float  # in the bodies, elastic and by hardening; see `EnergyLedger` for some laws
+    dissipated: float  # by plastic flow
+    friction: float  # dissipated by friction
+    damping: float  # dissipated by Rayleigh's damping
+    loads: float  # work of loads and of all other terms
+    supports: float  # work of the supports
+    contact: float  # what contact forces gave beyond friction, before the energy was restored
+    defect: float  # left side less right side, over the largest energy so far
+    largest: float  # of all these energies and works, so far
+
+    def __str__(self) -> str:
+        """Return one line."""
+        parts = ", ".join(f"{f.name} {getattr(self, f.name):.6g}" for f in fields(self))
+        return f"energy: {parts}"
 
 
 @dataclass
@@ -122,6 +151,7 @@ class StepReport:
     rtol: float = 0.0
     iterations: list[Iteration] = field(default_factory=list)
     certificate: Certificate | None = None
+    ledger: Ledger | None = None  # of `time_steps`
     cuts: int = 0  # failures of larger steps before this one, set by `load_steps`
     notes: list[str] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
@@ -181,6 +211,8 @@ class StepReport:
         values["iterations"] = [Iteration(**iteration) for iteration in given.get("iterations", [])]
         if given.get("certificate") is not None:
             values["certificate"] = Certificate(**given["certificate"])
+        if given.get("ledger") is not None:
+            values["ledger"] = Ledger(**given["ledger"])
         return cls(**values)
 
     def __str__(self) -> str:
@@ -198,6 +230,7 @@ class StepReport:
             for name, value in asdict(self.certificate).items():
                 shown = f"{value:.2e}" if isinstance(value, float) else f"{value:d}"
                 lines.append(f"  {name.replace('_', ' '):<22} {shown}")
+        lines += [] if self.ledger is None else [str(self.ledger)]
         lines += [f"note: {note}" for note in self.notes]
         lines.append("seconds: " + ", ".join(f"{k} {v:.3f}" for k, v in self.seconds.items()))
         return "\n".join(lines)

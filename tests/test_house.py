@@ -38,7 +38,7 @@ BELOW = {
     },
     "report": {
         *("newton_method", "problem", "persistence", "supports", "audit"),
-        *("algebra", "geometry", "mortar", "interfaces", "materials", "solid", "qp"),
+        *("algebra", "geometry", "mortar", "interfaces", "materials", "solid", "qp", "terms"),
     },
     "steps": {
         *("report", "newton_method", "problem", "persistence", "audit", "checkpoint", "terms"),

@@ -27,8 +27,8 @@ ON_TWO = """
 """.split()
 SLOW_ON_TWO = """
     audit axisymmetric_contact axisymmetric_patch axisymmetry certificate checkpoint
-    checkpoint_damage checkpoint_errors curvature_jumps demo_meshes edges eigenstrain energies
-    failures finite_in_space finite_sliding jump jump_errors kinematics law_contact linear
+    checkpoint_damage checkpoint_errors curvature_jumps demo_meshes dynamics edges eigenstrain
+    energies failures finite_in_space finite_sliding jump jump_errors kinematics law_contact linear
     linearisation loads locking logarithmic_solid margin measure newton obstacle
     orthotropic output output_resume parameters passing patch_3d plane_stress plotting pointwise
     preload preload_direction preload_several qp_descent ramp reaction resolution rubber
@@ -36,8 +36,9 @@ SLOW_ON_TWO = """
     stress_laws sweep tie_reach tool_friction tying undone user_laws volumetric
 """.split()
 SLOW_ON_THREE = """
-    friction_path friction_state load_steps looks_change_nothing mortar_3d near numbers_of_steps
-    own_interface patch plotting_space preload_restart pretension same_sums skins stack
+    friction_path friction_state impact load_steps looks_change_nothing mortar_3d near
+    numbers_of_steps own_interface patch plotting_space preload_restart pretension same_sums skins
+    stack
 """.split()
 QUICK = "mpi and not slow and not serial"
 SLOW = "mpi and not nightly and not serial"

@@ -175,6 +175,16 @@ class InterfaceSystem:
         return [(s.on_slave, s.on_master) for i, s in pairs if not i.unilateral and s.master]
 
     @property
+    def can_open(self) -> Bools:
+        """Which nodes (local nodes,) belong to a side of an interface that can open."""
+        layout = self.V.dofmap.index_map
+        marks = np.zeros(layout.size_local + layout.num_ghosts, dtype=bool)
+        for interface, side in zip(self.interfaces, self.sides, strict=True):
+            if interface.unilateral:
+                marks |= side.on_slave | side.on_master
+        return marks
+
+    @property
     def transformation(self) -> Transformation | None:
         """T at present; None without interfaces."""
         return self.present.transformation

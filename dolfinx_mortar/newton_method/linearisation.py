@@ -135,7 +135,7 @@ def linearise(
     # The inverse of S on both sides pays where one factorisation serves many geometries (plastic
     # steps of 5 and 47 thousand unknowns take .75 and .9 of the time without it). And S has to be
     # definite, which tangents of terms are not always.
-    lasting = problem.solid.linear and not problem.terms.have_tangent
+    lasting = problem.terms.linear and problem.terms.convex
     if direct and balance.limits is None and lasting:
         formed = interface_unknowns(problem.K, change, linear.options) is None
     if formed and T is not None and not T.formed:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from mpi4py import MPI
@@ -11,6 +12,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum, ratio
 from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.linearisation import Balance
 from dolfinx_mortar.problem.problem import ContactProblem
@@ -109,12 +111,31 @@ def contact_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
 
     They are B^T lambda, with friction that of its reactions, too.
     """
+    total = normal_forces(problem, contacts)
+    if contacts.tangential is not None:
+        total = total + tangential_forces(problem, contacts)
+    return total.ravel()
+
+
+def normal_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
+    """Return B^T lambda (owned nodes, d) of the contacts; collective."""
+    return _on_both_sides(
+        problem, lambda link: contacts.multipliers[link.nodes, None] * link.coupling.normals
+    )
+
+
+def tangential_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
+    """Return the same of friction, zero without; collective."""
+    tangential = contacts.tangential
+    if tangential is None:
+        return np.zeros((problem.n, problem.d))
+    return _on_both_sides(problem, lambda link: tangential[link.nodes])
+
+
+def _on_both_sides(problem: ContactProblem, tractions: Callable[[Link], Floats]) -> Floats:
+    """Return the nodal forces (owned nodes, d) of tractions at slave nodes; collective."""
     total: Floats = np.zeros((problem.n, problem.d))
     for link in problem.system.unilateral:
-        nodes = link.nodes
-        tractions = contacts.multipliers[nodes, None] * link.coupling.normals
-        if contacts.tangential is not None:
-            tractions = tractions + contacts.tangential[nodes]
-        slave, master = link.transpose(link.coupling.weight[:, :1] * tractions)
+        slave, master = link.transpose(link.coupling.weight[:, :1] * tractions(link))
         total += slave + master
-    return total.ravel()
+    return total

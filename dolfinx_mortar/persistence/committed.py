@@ -51,6 +51,9 @@ class StepOutcome:
     sliding: Floats | None  # (owned nodes, d) slip directions of closed nodes, 0 if stuck
     paired: Paired | None  # where the surfaces were paired
     slips: Slips | None  # with friction
+    # (owned nodes, d) forces of the contacts on both sides, normal to them and along
+    normal: Floats | None = None
+    tangential: Floats | None = None
 
 
 @dataclass

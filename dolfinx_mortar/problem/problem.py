@@ -119,6 +119,8 @@ class ContactProblem:
             self.terms = replace(self.terms, named=[*self.terms.named, (PRETENSION, pretensions)])
         bodies = find_bodies(self.V, kinematics.rigid_motions)
         self.bodies: Bodies = with_ties(bodies, self.system.tied)
+        for term in self.terms.every:
+            term.meet(self.system.can_open[: self.n], self.bodies.label)
         motions = kinematics.nearly_rigid or kinematics.rigid_motions
         with self.timings("setup"):
             self.linear = LinearSolver(
@@ -318,6 +320,7 @@ class ContactProblem:
         jumps = read_jumps(self.system, self.vector())
         asked = self.supports.increment(target, self.u.x.array)
         largest = float(maximum(self.comm, np.abs(asked).max(initial=0.0))[0])
+        largest = max(largest, self.terms.stride())
         last = self.ended_here() or self.committed
         contacts = last.active, last.sliding
         return StepData(target, asked, largest, jumps, contacts, limits)

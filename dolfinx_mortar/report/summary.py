@@ -29,7 +29,8 @@ def summarise(step: LoadStep) -> dict[str, Any]:
         "time"; "parts", their number (more than one after cut-backs); over all parts the counts
         "newton_iterations", "qp_iterations", "linear_iterations" and "factorisations", the
         "residual_history", the "notes" and this rank's "seconds" by part of the work; of the last
-        part the "linear_solver" and the "certificate"; "forces", those on the slave side of each
+        part the "linear_solver", the "certificate" and the "ledger" of energies of `time_steps`,
+        else None; "forces", those on the slave side of each
         interface; "reactions", "force" and "moment" about the origin of each of ``problem.bcs``,
         see `reaction`. A step made by hand has neither.
 
@@ -53,6 +54,7 @@ def summarise(step: LoadStep) -> dict[str, Any]:
         "seconds": {name: sum(part.seconds.get(name, 0.0) for part in parts) for name in work},
         "linear_solver": step.report.linear_solver,
         "certificate": step.report.as_dict()["certificate"],
+        "ledger": step.report.as_dict()["ledger"],
         "forces": step.forces,
         "reactions": step.reactions,
     }

@@ -11,7 +11,7 @@ import numpy as np
 
 from dolfinx import fem, la
 from dolfinx.fem import petsc as fem_petsc
-from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.arrays import Bools, Floats, Ints
 
 
 class Term(ABC):
@@ -29,6 +29,7 @@ class Term(ABC):
     Attributes:
         linear: whether K is constant in a step, so that it need not be assembled at every iterate.
         has_tangent: whether K is not zero.
+        convex: whether K is positive semidefinite wherever u is; then cheaper solvers are used.
         couplings: global dofs (k,) that K couples beyond the pattern of the mesh, an array for each
             dense block of k x k entries, the same on all ranks or each on one of them.
         state: Functions on ``solid.V`` or its scalar space, by name, that `commit` sets: what the
@@ -37,6 +38,7 @@ class Term(ABC):
 
     linear: bool = False
     has_tangent: bool = True
+    convex: bool = False
     couplings: Sequence[Ints] = ()
 
     @property
@@ -58,6 +60,18 @@ class Term(ABC):
     @abstractmethod
     def add_tangent(self, K: PETSc.Mat) -> None:
         """Add K_ij, symmetric, with ``K.setValues(.., addv=True)``, on the pattern that K has."""
+
+    def meet(self, contact: Bools, body: Ints) -> None:
+        """Learn where the bodies may meet others, when a problem is made; collective.
+
+        Args:
+            contact: (owned nodes,) which nodes belong to sides that can open.
+            body: (owned nodes,) numbers of the connected bodies.
+        """
+
+    def stride(self) -> float:
+        """Return how far a node may move in the step that has begun, by what the term knows."""
+        return 0.0
 
     def begin(self, start: float, end: float) -> None:
         """Prepare a step.

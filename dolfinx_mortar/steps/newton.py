@@ -66,6 +66,8 @@ from dolfinx_mortar.newton_method.watch import (
     Watch,
     contact_forces,
     find_change,
+    normal_forces,
+    tangential_forces,
 )
 from dolfinx_mortar.persistence.committed import StepOutcome
 from dolfinx_mortar.problem.checks import check_controls, check_problem
@@ -667,7 +669,8 @@ class _Step:
         )
         supports = support_forces(problem, iterate.balance)  # last, as no error may follow
         at, paired = problem.owned_u.copy(), problem.system.present.paired
-        outcome = StepOutcome(at, contacts.active, contacts.sliding, paired, slips)
+        forces = -normal_forces(problem, contacts), -tangential_forces(problem, contacts)
+        outcome = StepOutcome(at, contacts.active, contacts.sliding, paired, slips, *forces)
         problem.outcome, problem.committed.supports = outcome, supports
         report.converged = True
 

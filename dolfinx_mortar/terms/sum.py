@@ -14,7 +14,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.errors import is_defined_here, is_ours, named, raised_together
-from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arguments import as_numbers
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Floats
 from dolfinx_mortar.solid.mean_volume import VolumeStep
@@ -36,6 +36,8 @@ CALLED_WITH = {  # the arguments of what a term may define
     "begin": ("start", "end"),
     "commit": (),
     "roll_back": (),
+    "meet": ("contact", "body"),
+    "stride": (),
 }
 
 
@@ -87,6 +89,11 @@ class Terms:
     def have_tangent(self) -> bool:
         """Whether there is more than bodies and dead forces."""
         return any(term.has_tangent for _, term in self.named)
+
+    @property
+    def convex(self) -> bool:
+        """Whether the tangent of all terms but the bodies is positive semidefinite."""
+        return all(term.convex for _, term in self.named if term.has_tangent)
 
     # -- sums ------------------------------------------------------------------------------------
 
@@ -228,6 +235,11 @@ class Terms:
         for name, term in self._every:
             self._ask(f"{name}: begin()", term, partial(term.begin, start, end))
         self.check_energies()
+
+    def stride(self) -> float:
+        """Return how far a node may move in the step that has begun; collective."""
+        found = [self._ask(f"{n}: stride()", t, t.stride) for n, t in self.named]
+        return float(maximum(self.comm, max(found, default=0.0))[0])
 
     def check_energies(self) -> None:
         """Raise a ValueError on all ranks unless the energies of terms are finite at u; collective.

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: MIT
+"""What forces at the end of a step would move within its length: the response to an impulse."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from dolfinx_mortar import qp as backends
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.interfaces.constraints import equalities, join
+from dolfinx_mortar.newton_method.linearisation import (
+    Balance,
+    linearise,
+    support_slots,
+    to_displacement,
+    to_reduced,
+)
+from dolfinx_mortar.newton_method.residuals import tightest
+from dolfinx_mortar.problem.problem import ContactProblem
+
+
+def respond(problem: ContactProblem, forces: Floats, rtol: float) -> Floats:
+    """Return y with K y = f, K the last tangent; collective.
+
+    Supports and ties hold, contacts neither hold nor push. The factorisation of the step serves.
+
+    Args:
+        problem: at the end of a step.
+        forces: f (owned nodes, d).
+        rtol: tolerance of the step.
+
+    Returns:
+        (owned nodes, d), zero if there is no solution.
+    """
+    T, r = problem.system.transformation, problem.vector(forces)
+    found = problem.system.constraints(problem.positions(), problem.vector(problem.owned_u))
+    tied, contacts = found.select(found.equal), found.select(~found.equal)
+    none = np.zeros(len(tied.dofs))
+    infinite = np.full(len(contacts.dofs), np.inf)
+    slots = support_slots(problem)[1]
+    supported = equalities(slots, np.zeros(len(slots)))
+    balance = Balance(
+        r=r,
+        reduced=to_reduced(T, r),
+        equal=join([supported, replace(tied, lower=none, upper=none)]),
+        bounds=replace(contacts, lower=-infinite, upper=infinite),
+        elements=0.0,
+        external=0.0,
+    )
+    try:
+        lin = linearise(problem, balance, tangent=False)
+        solved = backends.solve(
+            lin.qp,
+            linear=problem.linear,
+            start_active=np.zeros(len(contacts.dofs), dtype=np.int8),
+            changes=0,
+            rtol=tightest(rtol),
+        )
+    except (backends.QPNotSolved, backends.UnusableQP):
+        return np.zeros_like(forces)
+    return np.asarray(to_displacement(T, solved.x).array_r.reshape(forces.shape)).copy()

@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: MIT
+r"""The ledger of energies of a motion, and the energy that contact restores.
+
+In a step from n to n+1 the trapezoidal rule keeps, of linear bodies,
+
+    K + Psi = K_n + Psi_n + 1/2 (q + q_n).(u - u_n)
+
+exactly, q the forces of loads, supports, damping and contacts. Contacts do no work in the motion
+itself, but in a step in which sides meet or part the force at one of its ends goes with a gap at
+the other: 1/2 (lambda g_n - lambda_n g) is lost. So after a step the velocity is corrected by an
+impulse s of the normal contact forces c, by the work w of friction, too, where that is positive (as
+it may be where a slip turns back),
+
+    v <- v + s y,   (kappa M + K) y = c + c_n,   K(v + s y) = K(v) - 1/2 (c + c_n).(u - u_n) - <w>,
+
+y being how far these forces move the bodies within a step, waves and all. That leaves momentum and
+moment of momentum as they are, as c does, for K y has none (Laursen and Love 2002 correct
+velocities after the step, too, node by node and with M alone: then a stiff body that is hit cannot
+give back its energy, which is in its motion as a whole). Of the two roots the smaller one is taken;
+if more energy is to be taken than the impulse can, it takes all it can, and the defect shows the
+rest.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dolfinx_mortar.algebra.parallel import ratio
+from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.newton_method.impulse import respond
+from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.solid.term import Term
+from dolfinx_mortar.step_report import Ledger, StepReport
+from dolfinx_mortar.terms.inertia import Damping, Inertia, Motion
+
+# Defect from which on a note tells of it.
+LARGE_DEFECT = 0.01
+
+
+@dataclass(frozen=True)
+class Ends:
+    """The forces at one end of a step, (owned nodes, d) each."""
+
+    u: Floats
+    contact: Floats
+    friction: Floats
+    supports: Floats
+    loads: Floats
+    damping: Floats
+    internal: Floats | None  # where a law has no potential
+
+
+class EnergyLedger:
+    """Keeps the ledger of a problem with inertia, step by step.
+
+    Where a law has no potential, "stored" is the work of the internal forces, of which a part may
+    have been dissipated.
+    """
+
+    def __init__(self, problem: ContactProblem, inertia: Inertia, *, conserve: bool) -> None:
+        """Begin, or go on from the last step of the problem's history; collective.
+
+        Args:
+            problem: the problem, at the end of a step or at its start.
+            inertia: one of its terms.
+            conserve: whether contact gives back what it takes.
+        """
+        self.problem, self.inertia, self.conserve = problem, inertia, conserve
+        history = problem.history
+        last = history[-1].report.ledger if history else None
+        stored = self._stored()
+        if last is None:
+            kinetic = inertia.kinetic_energy()
+            total = kinetic + (stored or 0.0)
+            zeros = dict.fromkeys(
+                ("dissipated", "friction", "damping", "loads", "supports", "contact", "defect"), 0.0
+            )
+            last = Ledger(
+                initial=total, kinetic=kinetic, stored=stored or 0.0, largest=total, **zeros
+            )
+        self.last, self._potential = last, stored
+        self._before: Ends | None = None
+
+    def _stored(self) -> float | None:
+        """Return the potential of the bodies at the committed state, None without; collective."""
+        share = self.problem.solid.energy()
+        comm = self.problem.comm
+        none = comm.allreduce(share is None)
+        return None if none or share is None else float(comm.allreduce(float(np.sum(share))))
+
+    def _forces(self, terms: Sequence[Term]) -> Floats:
+        """Return the sum of the forces of terms, (owned nodes, d); collective."""
+        F = self.problem.vector()
+        for term in terms:
+            term.add_forces(F)
+        F.assemble()
+        return np.asarray(F.array_r.reshape(self.inertia.mass.X.shape)).copy()
+
+    def _loads(self) -> Floats:
+        """Return the forces of loads and of all other terms, but of inertia and damping."""
+        moving = (Inertia, Damping)
+        terms = [term for _, term in self.problem.terms.named if not isinstance(term, moving)]
+        return -self._forces(terms)
+
+    def _internal(self) -> Floats | None:
+        return None if self._potential is not None else self._forces([self.problem.solid])
+
+    def start(self, begin: float, end: float) -> None:
+        """Find the initial acceleration, with the loads of the start; collective.
+
+        After a static step contact forces balance all others at nodes without mass, so that they
+        need not be known: M a = f - F elsewhere. At a start from nothing these nodes hang on the
+        others, and what acts on them is moved there, M a = P^T (f - F).
+
+        Args:
+            begin: time of the start.
+            end: time of the first step's end, for terms that read it.
+        """
+        problem, inertia = self.problem, self.inertia
+        for _, term in problem.terms.named:
+            if not isinstance(term, Inertia | Damping):
+                term.begin(begin, end)
+        loads, velocity = self._loads(), inertia.values("velocity")
+        forces = loads - self._forces([problem.solid])
+        for damping in self._dampings:
+            forces -= damping.times(velocity)
+        held, begun = problem.supports.owned, problem.committed.begun
+        acting = forces if begun else inertia.mass.inner(forces)
+        acceleration = inertia.mass.solve(acting, held)
+        balance = inertia.mass.times(acceleration)
+        off = held | ~inertia.mass.massless[:, None]
+        contact = np.where(off, 0.0, balance - forces) if begun else np.zeros_like(forces)
+        inertia.put(acceleration=acceleration, balance=balance, contact=contact, load=loads)
+
+    @property
+    def _dampings(self) -> list[Damping]:
+        return [term for _, term in self.problem.terms.named if isinstance(term, Damping)]
+
+    def open(self) -> None:
+        """Note the forces at the start of a step; collective."""
+        problem, inertia = self.problem, self.inertia
+        velocity = inertia.mass.extend(inertia.values("velocity"))
+        damping = sum((d.times(velocity) for d in self._dampings), np.zeros_like(velocity))
+        supports = problem.committed.supports
+        self._before = Ends(
+            u=problem.owned_u.reshape(velocity.shape).copy(),
+            contact=inertia.values("contact").copy(),
+            friction=inertia.values("friction").copy(),
+            supports=np.zeros_like(velocity) if supports is None else supports.forces,
+            loads=inertia.values("load").copy(),
+            damping=damping,
+            internal=self._internal(),
+        )
+
+    def _sum(self, array: Floats) -> float:
+        return self.inertia.sum(array.sum())
+
+    def _end(self) -> Ends:
+        """Return the forces at the end of a step that has converged; collective."""
+        problem, shape = self.problem, self.inertia.mass.X.shape
+        outcome, supports = problem.outcome, problem.committed.supports
+        assert outcome is not None and supports is not None
+        assert outcome.normal is not None and outcome.tangential is not None
+        return Ends(
+            u=problem.owned_u.reshape(shape),
+            contact=outcome.normal,
+            friction=outcome.tangential,
+            supports=supports.forces,
+            loads=self._loads(),
+            damping=sum((d.times(d.velocity()) for d in self._dampings), np.zeros(shape)),
+            internal=self._internal(),
+        )
+
+    def commit(self, report: StepReport) -> None:
+        """Commit a step that has converged, and put its ledger into the report; collective."""
+        problem, inertia, before = self.problem, self.inertia, self._before
+        assert before is not None
+        after, motion = self._end(), inertia.end()
+        du = after.u - before.u
+        work = {
+            name: self._sum(0.5 * (getattr(before, name) + getattr(after, name)) * du)
+            for name in ("contact", "friction", "supports", "loads", "damping")
+        }
+        gain = work["contact"] + max(work["friction"], 0.0)
+        if self.conserve:
+            motion = self._restored(motion, before.contact + after.contact, -gain, report.rtol)
+        inertia.finish(motion)
+        potential = self._stored()
+        problem.commit()
+        inertia.put(contact=after.contact, friction=after.friction, load=after.loads)
+        last, flow = self.last, 0.0
+        if potential is None or self._potential is None:
+            assert before.internal is not None and after.internal is not None
+            stored = last.stored + self._sum(0.5 * (before.internal + after.internal) * du)
+        else:
+            stored = self._potential = self._stored() or 0.0
+            flow = potential - stored
+        ledger = replace(
+            last,
+            kinetic=inertia.energy_of(motion.velocity),
+            stored=stored,
+            dissipated=last.dissipated + flow,
+            friction=last.friction + max(-work["friction"], 0.0),
+            damping=last.damping + work["damping"],
+            loads=last.loads + work["loads"],
+            supports=last.supports + work["supports"],
+            contact=last.contact + gain,
+        )
+        self.last = report.ledger = _balanced(ledger)
+        if report.certificate is not None:
+            report.certificate = replace(report.certificate, energy_defect=self.last.defect)
+        report.notes += notes_on_energy(self.last)
+
+    def _restored(self, motion: Motion, force: Floats, energy: float, rtol: float) -> Motion:
+        """Return a motion that an impulse of contact forces has given an energy; collective."""
+        if energy == 0.0:
+            return motion
+        mass, sums = self.inertia.mass, self.inertia.sum
+        y = mass.extend(respond(self.problem, force, rtol))
+        image = mass.times(y)
+        a, b = sums((y * image).sum()), sums((motion.velocity * image).sum())
+        if not a > 0.0:
+            return motion
+        root = b**2 + 2.0 * a * energy
+        s = 2.0 * energy / (b + np.copysign(np.sqrt(root), b)) if root > 0.0 else -b / a
+        return replace(motion, velocity=motion.velocity + s * y)
+
+
+def _balanced(ledger: Ledger) -> Ledger:
+    """Return a ledger with its defect."""
+    gone = ledger.dissipated + ledger.friction + ledger.damping
+    total = ledger.kinetic + ledger.stored
+    given = ledger.initial + ledger.loads + ledger.supports
+    largest = max(ledger.largest, total, gone, abs(ledger.loads), abs(ledger.supports))
+    return replace(ledger, largest=largest, defect=float(ratio(total + gone - given, largest)))
+
+
+def notes_on_energy(ledger: Ledger) -> list[str]:
+    """Return a note if energy has come from nowhere, or is missing."""
+    if abs(ledger.defect) <= LARGE_DEFECT:
+        return []
+    what = "appeared" if ledger.defect > 0.0 else "been lost"
+    return [
+        f"{100 * abs(ledger.defect):.2g} % of the energy has {what} in the steps so far, see "
+        "report.ledger: the steps are too large for what moves in them (waves, impacts, rotations),"
+        " or spectral_radius < 1 damps it; halve the steps and compare"
+    ]

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: MIT
+"""Steps of dynamics: times, one after the other, with the ledger of energies."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy.typing as npt
+
+from dolfinx import fem
+from dolfinx_mortar.agreement import check_same_on_all_ranks
+from dolfinx_mortar.arguments import is_name, is_number
+from dolfinx_mortar.problem.checks import check_every, check_load_steps, check_problem
+from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.report.energy_ledger import EnergyLedger
+from dolfinx_mortar.step_report import LoadStep, StepReport
+from dolfinx_mortar.steps.ramp import read_ramps
+from dolfinx_mortar.steps.walk import Level, Loading, Solves, walk
+from dolfinx_mortar.terms.inertia import NEWMARK, Inertia, Scheme, generalised_alpha
+
+CONSERVING, DAMPED = "energy-conserving", "generalised-alpha"
+
+
+@dataclass
+class TimeSolves(Solves):
+    """How steps of time are solved: with a ledger, of which the first step makes the beginning."""
+
+    conserve: bool = True
+    ledger: EnergyLedger | None = None
+    name: ClassVar[str] = "time step"
+
+    def to(self, level: Level) -> StepReport:
+        """Solve a step to a time; collective."""
+        if self.ledger is None:
+            (inertia,) = find_inertia(self.problem)
+            self.ledger = EnergyLedger(self.problem, inertia, conserve=self.conserve)
+            begun = any(step.report.ledger is not None for step in self.problem.history[-1:])
+            if not begun:
+                self.ledger.start(self.problem.committed.level, level.time)
+        self.ledger.open()
+        return super().to(level)
+
+    def commit(self, report: StepReport) -> None:
+        """Commit a step with its ledger; collective."""
+        assert self.ledger is not None
+        self.ledger.commit(report)
+
+    def may_cut(self, loading: Loading) -> bool:
+        """Return that half the time is another problem."""
+        return True
+
+
+def time_steps(
+    problem: ContactProblem,
+    times: Iterable[float],
+    *,
+    scheme: str = CONSERVING,
+    spectral_radius: float | None = None,
+    ramp: Mapping[fem.Constant, Iterable[tuple[float, npt.ArrayLike]]] | None = None,
+    on_time: Callable[[float], None] | None = None,
+    start: float | None = None,
+    qp: str = "active-set",
+    rtol: float = 1e-6,
+    max_it: int = 50,
+    cuts: str = "halve",
+    max_cuts: int = 6,
+    progress: bool | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    every: int = 1,
+) -> Iterator[LoadStep]:
+    """Step through time: set the loads, solve, commit, yield; collective.
+
+        inertia = dm.Inertia(solid, 7.85e-9, velocity=(0.0, -227e3))
+        problem = dm.ContactProblem(solid, [contact], bcs=bcs, terms=[inertia])
+        for step in dm.time_steps(problem, np.linspace(0.0, 80e-6, 801)[1:]):
+            print(step.time, step.report.ledger)
+
+    A walk like that of `load_steps`, with the same ramps, cuts and checkpoints, which hold the
+    velocities, too. Each step minimises the energy of the step plus kappa/2 |u - p|_M^2, p the
+    position to which velocity and acceleration carry the bodies, within the bounds of contact.
+    Bodies that nothing holds are free to fly. The first acceleration is that of the forces at
+    the start; loads and supports of the start are those of ``start``.
+
+    Args:
+        problem: bodies and constraints, with an `Inertia` among its terms.
+        times: ends of the steps, increasing.
+        scheme: "energy-conserving" is the trapezoidal rule, with an impulse of the contact forces
+            after each step that gives back what contact has taken from the energy, or takes what it
+            has given, so that impacts conserve it, and friction only takes its part. With
+            "generalised-alpha" (Chung and Hulbert 1993) high frequencies are damped.
+        spectral_radius: of "generalised-alpha": the share of the highest frequencies that is left
+            after each step, from 0 to 1, by default 0.8; 1 damps none.
+        ramp: as in `load_steps`, over time.
+        on_time: as in `load_steps`; also called for the start.
+        start: time of the committed state; by default the last one reached, at first 0.
+        qp: as in `newton`.
+        rtol: as in `newton`.
+        max_it: as in `newton`.
+        cuts: as in `load_steps`. A step is also cut where bodies would pass through each other.
+        max_cuts: as in `load_steps`.
+        progress: as in `load_steps`.
+        checkpoint: as in `load_steps`.
+        every: as in `load_steps`.
+
+    Yields:
+        One ``LoadStep`` for every remaining time, with the `Ledger` of energies in its report.
+
+    Raises:
+        ValueError: for invalid arguments, a problem without inertia or with several, and times that
+            do not increase; otherwise as `load_steps`.
+        OSError: as `load_steps`.
+        NewtonNotConverged: as `load_steps`.
+    """
+    check_problem(problem, ContactProblem)
+    given = {"scheme": scheme, "spectral_radius": spectral_radius}
+    check_same_on_all_ranks(problem.comm, on_time=on_time, **given)
+    levels = check_load_steps(times, start, max_cuts, cuts, problem.comm)
+    begin = problem.committed.level if start is None else float(start)
+    check_increasing(begin, levels)
+    found = choose_scheme(scheme, spectral_radius)
+    (inertia,) = find_inertia(problem)
+    loading = Loading(read_ramps(problem.comm, ramp), on_time)
+    if on_time is not None and not callable(on_time):
+        raise ValueError(f"on_time is {on_time!r}: give a function of the time, or None")
+    file = check_every(problem.comm, checkpoint, every)
+    inertia.scheme = found
+    yield from walk(
+        TimeSolves(problem, qp, rtol, max_it, conserve=scheme == CONSERVING),
+        levels,
+        loading,
+        begin,
+        most=max_cuts if cuts == "halve" else 0,
+        file=file,
+        every=every,
+        progress=progress,
+    )
+
+
+def choose_scheme(scheme: Any, radius: Any) -> Scheme:
+    """Return the parameters of a scheme.
+
+    Raises:
+        ValueError: for unknown names, and a spectral radius that is none or of no use.
+    """
+    if not is_name(scheme, (CONSERVING, DAMPED)):
+        raise ValueError(f"scheme is {scheme!r}: choose {CONSERVING!r} or {DAMPED!r}")
+    if scheme == CONSERVING:
+        if radius is not None:
+            raise ValueError(
+                f"spectral_radius is {radius!r}, but {CONSERVING!r} damps nothing: leave it out, or"
+                f" choose scheme={DAMPED!r}"
+            )
+        return NEWMARK
+    radius = 0.8 if radius is None else radius
+    if not (is_number(radius) and 0.0 <= radius <= 1.0):
+        raise ValueError(f"spectral_radius is {radius!r}: give a number from 0 to 1")
+    return generalised_alpha(float(radius))
+
+
+def check_increasing(begin: float, levels: list[float]) -> None:
+    """Raise a ValueError unless times increase."""
+    for before, after in zip([begin, *levels], levels, strict=False):
+        if not after > before:
+            raise ValueError(
+                f"times holds {after:g} after {before:g}: times must increase, from the start at "
+                f"{begin:g} on (the start itself is no step)"
+            )
+
+
+def find_inertia(problem: ContactProblem) -> list[Inertia]:
+    """Return the inertia of a problem, in a list.
+
+    Raises:
+        ValueError: unless there is one.
+    """
+    found = [term for _, term in problem.terms.named if isinstance(term, Inertia)]
+    if len(found) != 1:
+        raise ValueError(
+            f"problem has {len(found) or 'no'} Inertia among its terms: give it one, "
+            "ContactProblem(.., terms=[dm.Inertia(solid, density)])"
+        )
+    return found

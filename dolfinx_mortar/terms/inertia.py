@@ -1,0 +1,543 @@
+# SPDX-License-Identifier: MIT
+r"""Inertia and damping: bodies that move in time.
+
+With the forces G = f + c + R - F(u) - C v of loads, contacts, supports, bodies and damping, a step
+of the generalised alpha method (Chung and Hulbert 1993) solves
+
+    M ((1 - am) a + am a_n) = (1 - af) G + af G_n,
+    u = u_n + dt v_n + dt^2 ((1/2 - beta) a_n + beta a),
+    v = v_n + dt ((1 - gamma) a_n + gamma a).
+
+Divided by 1 - af it is the balance of forces at the end of the step, with the forces of a term that
+has a potential,
+
+    Pi(u) = kappa/2 |u - p|^2_M + g.u,      kappa = (1 - am) / ((1 - af) beta dt^2),
+    p = u_n + dt v_n + dt^2 (1/2 - beta) a_n,      g = (am M a_n - af G_n) / (1 - af),
+
+so that a step of dynamics is the minimisation that a step is without inertia.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import MeshTags
+from dolfinx_mortar.agreement import check_same_on_all_ranks
+from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.arguments import as_numbers, is_number
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.solid.laws import tags_of_cells
+from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.solid.term import Term
+from dolfinx_mortar.tags import by_tag, label
+from dolfinx_mortar.terms.mass import assemble_mass, relieve
+
+Density = float | fem.Constant | Mapping[int | str, float | fem.Constant]
+Velocity = (
+    Sequence[float]
+    | npt.NDArray[np.float64]
+    | fem.Function
+    | Callable[[Floats], Any]
+    | Mapping[int | str, Sequence[float]]
+)
+
+NO_TIME = (
+    "inertia needs the time between two steps: walk with dm.time_steps(problem, times), or give "
+    "newton(problem, level=) a time after that of the last step"
+)
+
+
+as_floats = partial(np.asarray, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """The parameters of the generalised alpha method.
+
+    Second order needs gamma = 1/2 - am + af; stability for all dt, am <= af <= 1/2 and beta >= 1/4
+    + (af - am)/2.
+    """
+
+    am: float = 0.0
+    af: float = 0.0
+    beta: float = 0.25
+    gamma: float = 0.5
+
+
+NEWMARK = Scheme()
+"""Newmark's trapezoidal rule, which keeps the energy of a linear motion."""
+
+
+def generalised_alpha(radius: float) -> Scheme:
+    """Return the scheme whose highest frequencies are damped to a share of them in each step.
+
+    Chung and Hulbert (1993), eqs. 17, 20 and 25: with a spectral radius of 1 none is.
+    """
+    am, af = (2.0 * radius - 1.0) / (radius + 1.0), radius / (radius + 1.0)
+    return Scheme(am, af, 0.25 * (1.0 - am + af) ** 2, 0.5 - am + af)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How the bodies move at a time, (owned nodes, d) each."""
+
+    velocity: Floats
+    acceleration: Floats
+    balance: Floats  # G, all forces on a node, which its mass times acceleration equals
+
+
+@dataclass(frozen=True)
+class Start:
+    """What a step starts from."""
+
+    dt: float
+    scheme: Scheme
+    predicted: Floats  # p
+    constant: Floats  # g
+    kappa: float
+
+
+class Inertia(Term):
+    """The inertia of bodies, for `time_steps`: give it in ``ContactProblem(.., terms=[inertia])``.
+
+        inertia = dm.Inertia(solid, 7.85e-9, velocity=(0.0, -227e3))
+        problem = dm.ContactProblem(solid, [contact], bcs=bcs, terms=[inertia])
+        for step in dm.time_steps(problem, times):
+            print(step.time, inertia.kinetic_energy())
+
+    The mass matrix is consistent and assembled once. Nodes of sides that can open have no mass: it
+    is moved to the nodes behind them such that the mass of each body, its centre and its moments
+    of inertia stay what they are, see `dolfinx_mortar.terms.mass`. Of rings mass, energy and
+    momentum are those of the whole ring, in the plane they are per thickness.
+
+    Attributes:
+        scheme: how steps are made; `time_steps` sets it.
+        velocity: of the last step, at first the initial one, a Function on ``solid.V``.
+        acceleration: of the last step, a Function on ``solid.V``.
+
+    Args:
+        solid: the bodies.
+        density: mass per volume at X: a positive number or Constant, whose value is read here, or
+            one for each tag of cells.
+        cell_tags: tags of the cells, where ``density`` or ``velocity`` are given by tag.
+        velocity: at the start; d numbers, a Function on ``solid.V``, a function of the coordinates
+            as `fem.Function.interpolate` takes it, or d numbers by tag of cells.
+
+    Raises:
+        ValueError: on all ranks, for densities that are missing or not positive, unknown tags, and
+            velocities of another space or shape.
+    """
+
+    linear = True
+    convex = True
+
+    def __init__(
+        self,
+        solid: Solid,
+        density: Density,
+        cell_tags: MeshTags | None = None,
+        *,
+        velocity: Velocity | None = None,
+    ) -> None:
+        """Check the arguments and assemble the mass; collective."""
+        if not isinstance(solid, Solid):
+            raise ValueError(f"Inertia: solid is {solid!r}: give the Solid of the bodies")
+        V = solid.V
+        given: dict[str, Any] = {"density": density, "cell_tags": cell_tags}
+        if not callable(velocity):
+            given["velocity"] = velocity
+        check_same_on_all_ranks(V.mesh.comm, **given)
+        with raised_together(V.mesh.comm):
+            read_numbers(density)
+        rho = create_density(solid, density, cell_tags)
+        weight = ufl.as_ufl(solid.kinematics.weight(ufl.SpatialCoordinate(solid.mesh)))
+        self.solid, self.scheme = solid, NEWMARK
+        self.plain = self.mass = assemble_mass(V, rho, weight)
+        self._state = {
+            name: fem.Function(V, name=name)
+            for name in ("velocity", "acceleration", "balance", "contact", "friction", "load")
+        }
+        set_velocity(self.velocity, velocity, cell_tags)
+        self._start: Start | None = None
+        self._end: Motion | None = None
+
+    # -- the state -------------------------------------------------------------------------------
+
+    @property
+    def state(self) -> Mapping[str, fem.Function]:
+        """Velocity, acceleration, and the forces at the end of the last step."""
+        return self._state
+
+    @property
+    def velocity(self) -> fem.Function:
+        """Velocity at the end of the last step."""
+        return self._state["velocity"]
+
+    @property
+    def acceleration(self) -> fem.Function:
+        """Acceleration at the end of the last step."""
+        return self._state["acceleration"]
+
+    def values(self, name: str) -> Floats:
+        """Return a part of the state at the owned nodes, (owned nodes, d)."""
+        return self._owned(self._state[name])
+
+    def put(self, **values: Floats) -> None:
+        """Set parts of the state, (owned nodes, d); collective."""
+        for name, array in values.items():
+            f = self._state[name]
+            f.x.array[: array.size] = array.ravel()
+            f.x.scatter_forward()
+
+    def _owned(self, f: fem.Function) -> Floats:
+        n, d = self.mass.X.shape
+        return np.asarray(f.x.array[: n * d].reshape(n, d))
+
+    # -- a step ----------------------------------------------------------------------------------
+
+    def meet(self, contact: Bools, body: Ints) -> None:
+        """Take the mass off the nodes of contacts; collective."""
+        self.mass = relieve(self.plain, contact, body)
+        self.couplings = self.mass.couplings(self.plain.matrix)
+
+    def begin(self, start: float, end: float) -> None:
+        """Prepare a step from one time to another.
+
+        Raises:
+            ValueError: unless time goes on.
+        """
+        dt = end - start
+        if not dt > 0.0:
+            raise ValueError(f"Inertia: the step goes from {start:g} to {end:g}; {NO_TIME}")
+        s, mass = self.scheme, self.mass
+        v, a = mass.extend(self.values("velocity")), self.values("acceleration")
+        predicted = self._owned(self.solid.u) + dt * v + dt**2 * (0.5 - s.beta) * a
+        constant = as_floats((s.am * mass.times(a) - s.af * self.values("balance")) / (1.0 - s.af))
+        kappa = (1.0 - s.am) / ((1.0 - s.af) * s.beta * dt**2)
+        self._start, self._end = Start(dt, s, predicted, constant, kappa), None
+
+    def stride(self) -> float:
+        """Return how far velocity and acceleration carry a node of this rank."""
+        return float(np.abs(self._change).max(initial=0.0))
+
+    @property
+    def start(self) -> Start:
+        """What the present step starts from."""
+        if self._start is None:
+            raise ValueError(f"Inertia: no step has begun; {NO_TIME}")
+        return self._start
+
+    @property
+    def _change(self) -> Floats:
+        """The displacement beyond the predicted one."""
+        return self._owned(self.solid.u) - self.start.predicted
+
+    def energy(self) -> Floats:
+        """Return the addends of Pi(u) of this rank; those of a body at rest before any step."""
+        if self._start is None:
+            return np.zeros(1)
+        w = self._change
+        squares = 0.5 * self._start.kappa * w * self.mass.times(w)
+        return np.concatenate([squares, self._start.constant * self._owned(self.solid.u)]).ravel()
+
+    def add_forces(self, F: PETSc.Vec) -> None:
+        """Add kappa M (u - p) + g."""
+        if self._start is None:
+            return
+        forces = self._start.kappa * self.mass.times(self._change) + self._start.constant
+        F.array_w[:] += forces.ravel()
+
+    def add_tangent(self, K: PETSc.Mat) -> None:
+        """Add kappa M; before any step M, which an audit reads."""
+        self.mass.add_to(K, 1.0 if self._start is None else self._start.kappa)
+
+    def end(self) -> Motion:
+        """Return the motion at the present u, at the end of the step; collective."""
+        start, s, mass = self.start, self.start.scheme, self.mass
+        before, a_n = mass.extend(self.values("velocity")), self.values("acceleration")
+        a = mass.extend(as_floats(self._change / (s.beta * start.dt**2)))
+        v = before + start.dt * ((1.0 - s.gamma) * a_n + s.gamma * a)
+        mean = mass.times((1.0 - s.am) * a + s.am * a_n)
+        balance = (mean - s.af * self.values("balance")) / (1.0 - s.af)
+        return Motion(v, a, as_floats(balance))
+
+    def finish(self, motion: Motion) -> None:
+        """Say with which motion the step is to be committed, where it is not that of `end`."""
+        self._end = motion
+
+    def commit(self) -> None:
+        """Make the motion at the end of the step that from which the next one starts; collective.
+
+        Without a step, where a displacement has been set by hand, nothing changes.
+        """
+        if self._start is None:
+            return
+        end = self._end or self.end()
+        self.put(velocity=end.velocity, acceleration=end.acceleration, balance=end.balance)
+        self._start = self._end = None
+
+    def roll_back(self) -> None:
+        """Forget the step."""
+        self._start = self._end = None
+
+    # -- results ---------------------------------------------------------------------------------
+
+    def kinetic_energy(self) -> float:
+        """Return 1/2 v.M v; collective."""
+        return self.energy_of(self.values("velocity"))
+
+    def energy_of(self, velocity: Floats) -> float:
+        """Return 1/2 v.M v of a velocity (owned nodes, d); collective."""
+        return 0.5 * self.sum((velocity * self.mass.times(velocity)).sum())
+
+    def momentum(self) -> Floats:
+        """Return sum_i (M v)_i, (d,); collective."""
+        moments = self.mass.times(self.values("velocity"))
+        return np.asarray(self.comm.allreduce(moments.sum(axis=0), op=MPI.SUM))
+
+    def moment_of_momentum(self, about: Sequence[float] | None = None) -> Floats:
+        """Return sum_i (x_i - about) x (M v)_i; collective.
+
+        Points are at X at small strain, of which the linear theory keeps the moment, at X + u at
+        finite strain. In the plane (1,), in space (3,).
+
+        Args:
+            about: point, by default the origin.
+        """
+        x = self.mass.X - (0.0 if about is None else np.asarray(about, dtype=float))
+        if self.solid.strain == "finite":
+            x = x + self._owned(self.solid.u)
+        moments = self.mass.times(self.values("velocity"))
+        if x.shape[1] == 2:
+            total = np.array([(x[:, 0] * moments[:, 1] - x[:, 1] * moments[:, 0]).sum()])
+        else:
+            total = np.cross(x, moments).sum(axis=0)
+        return np.asarray(self.comm.allreduce(total, op=MPI.SUM))
+
+    @property
+    def comm(self) -> MPI.Comm:
+        """The ranks."""
+        return self.solid.mesh.comm
+
+    def sum(self, share: float | np.floating[Any]) -> float:
+        """Return the sum of shares over all ranks; collective."""
+        return float(self.comm.allreduce(float(share), op=MPI.SUM))
+
+
+class Damping(Term):
+    r"""Rayleigh's damping: forces -C v with C = a M + b K, K the elastic stiffness at X.
+
+    A mode of the angular frequency w loses energy like a spring with the damping ratio
+    (a / w + b w) / 2.
+
+    Args:
+        inertia: of the bodies, in the same problem.
+        mass: a >= 0, per time.
+        stiffness: b >= 0, a time; at small strain only, since K at X resists rotations.
+
+    Raises:
+        ValueError: for other numbers, and a stiffness at finite strain.
+    """
+
+    linear = True
+    convex = True
+
+    def __init__(self, inertia: Inertia, *, mass: float = 0.0, stiffness: float = 0.0) -> None:
+        """Check, and assemble K; collective."""
+        if not isinstance(inertia, Inertia):
+            raise ValueError(f"Damping: inertia is {inertia!r}: give the Inertia of the problem")
+        check_same_on_all_ranks(inertia.comm, mass=mass, stiffness=stiffness)
+        for name, value in (("mass", mass), ("stiffness", stiffness)):
+            if not (is_number(value) and value >= 0.0):
+                raise ValueError(f"Damping: {name} is {value!r}: give a number >= 0")
+        solid = inertia.solid
+        if stiffness > 0.0 and solid.strain == "finite":
+            raise ValueError(
+                f"Damping: stiffness is {stiffness!r}, but at finite strain the stiffness at X "
+                "would brake rotations: use mass=, or the numerical damping of time_steps(.., "
+                "spectral_radius=)"
+            )
+        self._inertia, self._mass, self._stiffness = inertia, float(mass), float(stiffness)
+        self._K = solid.create_matrix()
+        self._K.zeroEntries()
+        solid.add_elastic(self._K, self._stiffness)
+
+    @property
+    def inertia(self) -> Inertia:
+        """Of the bodies that are damped."""
+        return self._inertia
+
+    def times(self, velocity: Floats) -> Floats:
+        """Return C v, (owned nodes, d); collective."""
+        x, y = self._K.createVecs()
+        x.array[:] = velocity.ravel()
+        self._K.mult(x, y)
+        elastic = y.array_r.reshape(velocity.shape)
+        return np.asarray(self._mass * self._inertia.mass.times(velocity) + elastic)
+
+    def _rate(self) -> tuple[float, Floats]:
+        """Return r and v' of the velocity r (u - u_n) + v' at the end of the step."""
+        inertia, start = self._inertia, self._inertia.start
+        s = start.scheme
+        rate = s.gamma / (s.beta * start.dt)
+        v = inertia.mass.extend(inertia.values("velocity"))
+        constant = v + start.dt * (1.0 - s.gamma) * inertia.values("acceleration")
+        return rate, constant - rate * start.predicted
+
+    def velocity(self) -> Floats:
+        """Return the velocity at the present u, at the end of the step."""
+        rate, constant = self._rate()
+        u = self._inertia.solid.u.x.array[: constant.size].reshape(constant.shape)
+        return np.asarray(rate * u + constant)
+
+    @property
+    def _moves(self) -> bool:
+        return self._inertia._start is not None
+
+    def energy(self) -> Floats:
+        """Return the addends of |v|^2_C / (2 r), whose derivative are the forces C v."""
+        if not self._moves:
+            return np.zeros(1)
+        v = self.velocity()
+        return np.asarray((0.5 / self._rate()[0] * v * self.times(v)).ravel())
+
+    def add_forces(self, F: PETSc.Vec) -> None:
+        """Add C v; collective."""
+        if self._moves:
+            F.array_w[:] += self.times(self.velocity()).ravel()
+
+    def add_tangent(self, K: PETSc.Mat) -> None:
+        """Add r C; collective."""
+        if self._moves:
+            rate = self._rate()[0]
+            self._inertia.mass.add_to(K, rate * self._mass)
+            K.assemble()
+            self._inertia.solid.add_elastic(K, rate * self._stiffness)
+
+
+# -- arguments -----------------------------------------------------------------------------------
+
+
+def read_numbers(density: Any) -> None:
+    """Raise a ValueError unless densities are positive numbers or scalar Constants."""
+    several = density.items() if isinstance(density, Mapping) else [(None, density)]
+    if density is None or not several:
+        raise ValueError(
+            f"Inertia: density is {density!r}: give the mass per volume, or one by tag of cells"
+        )
+    for key, given in several:
+        value = _value(given)
+        name = "density" if key is None else f"density of {key!r}"
+        if not is_number(value) or not value > 0.0:
+            raise ValueError(
+                f"Inertia: {name} is {value!r}: give a positive number, mass per volume in the "
+                "units of the model (N, mm, s: tonnes per mm^3, 7.85e-9 for steel)"
+            )
+
+
+def _value(given: Any) -> Any:
+    """Return the number of a Constant, other things unchanged."""
+    if isinstance(given, fem.Constant) and given.value.shape == ():
+        return float(given.value)
+    return given
+
+
+def create_density(solid: Solid, density: Any, cell_tags: Any) -> Any:
+    """Return the density in the cells, as UFL; collective.
+
+    Raises:
+        ValueError: on all ranks, for tags that are unknown, and for cells without a density.
+    """
+    if not isinstance(density, Mapping):
+        return fem.Constant(solid.mesh, np.float64(_value(density)))
+    if cell_tags is None:
+        raise ValueError("Inertia: density is given by tag: give cell_tags, too")
+    tags = tags_of_cells(solid.mesh, cell_tags)
+    chosen = by_tag(cell_tags, density, "Inertia: density")
+    rho = fem.Function(fem.functionspace(solid.mesh, ("DG", 0)))
+    cells = rho.function_space.dofmap.list[: len(tags), 0]
+    owned = solid.mesh.topology.index_map(solid.mesh.topology.dim).size_local
+    some = np.zeros(len(tags), dtype=bool)
+    for tag, given in chosen.items():
+        on = tags == tag
+        if not any_rank(solid.mesh.comm, on[:owned].any())[0]:
+            raise ValueError(
+                f"Inertia: density has the tag {label(cell_tags, tag)}, which no cell has"
+            )
+        rho.x.array[cells[on]] = float(_value(given))
+        some |= on
+    if any_rank(solid.mesh.comm, not some.all())[0]:
+        missing = sorted(set().union(*solid.mesh.comm.allgather(set(tags[~some].tolist()))))
+        raise ValueError(
+            f"Inertia: density is missing for the cells with the tags {missing}: give one for each"
+        )
+    return rho
+
+
+def set_velocity(target: fem.Function, given: Any, cell_tags: Any) -> None:
+    """Set the initial velocity; collective.
+
+    Raises:
+        ValueError: on all ranks, for what is none.
+    """
+    V, d = target.function_space, target.function_space.dofmap.index_map_bs
+    wanted = f"give {d} finite numbers, a Function on solid.V, or a function of the coordinates"
+    if given is None:
+        return
+    if isinstance(given, fem.Function):
+        if given.function_space != V and not _same_space(given.function_space, V):
+            raise ValueError(
+                f"Inertia: velocity is a Function on {given.function_space.ufl_element()}, which "
+                f"is not the space of the displacement, solid.V: {wanted}"
+            )
+        target.x.array[:] = given.x.array
+    elif isinstance(given, Mapping):
+        _set_by_tag(target, given, cell_tags, wanted)
+    elif callable(given):
+        with raised_together(V.mesh.comm):
+            target.interpolate(given)
+    else:
+        target.x.array.reshape(-1, d)[:] = _vector(given, d, "velocity", wanted)
+    if any_rank(V.mesh.comm, not np.isfinite(target.x.array).all())[0]:
+        raise ValueError(f"Inertia: velocity holds NaN or infinity: {wanted}")
+
+
+def _same_space(one: fem.FunctionSpace, other: fem.FunctionSpace) -> bool:
+    """Tell whether Functions of two spaces have the same values at the same nodes."""
+    same = one.mesh is other.mesh and one.ufl_element() == other.ufl_element()
+    return same and not one.component()
+
+
+def _vector(given: Any, d: int, name: str, wanted: str) -> Floats:
+    """Return d finite numbers."""
+    values = as_numbers(given)
+    if values is None or values.shape != (d,) or not np.isfinite(values).all():
+        raise ValueError(f"Inertia: {name} is {given!r}: {wanted}")
+    return values
+
+
+def _set_by_tag(target: fem.Function, given: Any, cell_tags: Any, wanted: str) -> None:
+    """Set velocities of bodies."""
+    V, d = target.function_space, target.function_space.dofmap.index_map_bs
+    if cell_tags is None:
+        raise ValueError("Inertia: velocity is given by tag: give cell_tags, too")
+    tags = tags_of_cells(V.mesh, cell_tags)
+    for tag, vector in by_tag(cell_tags, given, "Inertia: velocity").items():
+        value = _vector(vector, d, f"velocity of {label(cell_tags, tag)}", wanted)
+        if not any_rank(V.mesh.comm, (tags == tag).any())[0]:
+            raise ValueError(
+                f"Inertia: velocity has the tag {label(cell_tags, tag)}, which no cell has"
+            )
+        nodes = np.unique(V.dofmap.list[: len(tags)][tags == tag])
+        target.x.array.reshape(-1, d)[nodes] = value
+    target.x.scatter_forward()

@@ -1,0 +1,314 @@
+# SPDX-License-Identifier: MIT
+r"""The mass matrix, without mass at the nodes of sides that can open.
+
+A node with mass that meets an obstacle stops in no time, which takes an impulse: in finite steps
+contact forces oscillate, and energy appears or is lost with every impact. Without mass at these
+nodes contact forces are those of the elastic layer behind them, which are continuous in time
+(Khenous, Laborde, Renard 2008, "Mass redistribution method for finite element contact problems in
+elastodynamics"). With the consistent mass M of one displacement component,
+
+    M* = D P^T M P D,     (P v)_c = mean of v at the inner nodes nearest to c,   (P v)_i = v_i,
+
+so that the layer moves with the nodes next to it. M* is positive semidefinite, zero in the rows of
+contact nodes. The diagonal D = 1 + s, s a polynomial of degree two in each body, gives each body
+the mass, the centre and the moments of inertia of M: sum_ij p_i M*_ij q_j is the same for p and q
+in {1, x, y, z}. As P moves a layer of the width h by h, s is of order h^2.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+from dolfinx.fem import petsc as fem_petsc
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, ROUND_OFF, SAME, Bools, Floats, Ints
+
+LEAST_FACTOR = 0.5
+"""Smallest value of 1 + s at a node. Where it would be smaller, layers are too few for the moments
+of inertia: of three inner layers the one in the middle would get none."""
+NEWTON = 8
+"""How many steps are tried for the moments of a body; those that can be restored take three."""
+RINGS = 3
+"""How many cells deep an inner node is looked for, at corners between two sides that can open."""
+
+
+@dataclass(frozen=True)
+class Mass:
+    """The mass matrix M* of one displacement component, the same for all of them.
+
+    Values are (owned nodes, d).
+    """
+
+    matrix: PETSc.Mat  # scalar, AIJ
+    X: Floats  # (owned nodes, d)
+    extension: PETSc.Mat | None = None  # P, None for the identity
+    bare: Bools | None = None  # (owned nodes,) without mass; None for none of them
+
+    @property
+    def massless(self) -> Bools:
+        """Which owned nodes have no mass, (owned nodes,)."""
+        return np.zeros(len(self.X), dtype=bool) if self.bare is None else self.bare
+
+    def times(self, values: Floats) -> Floats:
+        """Return M* v; collective."""
+        return _apply(self.matrix, values)
+
+    def extend(self, values: Floats) -> Floats:
+        """Return P v, the velocities that count; collective."""
+        return values if self.extension is None else _apply(self.extension, values)
+
+    def inner(self, forces: Floats) -> Floats:
+        """Return P^T f, the forces that act on the nodes with mass; collective."""
+        P = self.extension
+        return forces if P is None else _apply(P, forces, transposed=True)
+
+    def add_to(self, K: PETSc.Mat, factor: float) -> None:
+        """Add factor M* to each component of K, on the pattern that K has."""
+        indptr, columns, values = self.matrix.getValuesCSR()
+        blocks = factor * values[:, None, None] * np.eye(self.X.shape[1])
+        K.setValuesBlockedIJV(indptr, columns, blocks.ravel(), addv=PETSc.InsertMode.ADD_VALUES)
+
+    def solve(self, values: Floats, held: Bools) -> Floats:
+        """Return v with M* v = f at nodes with mass, v = 0 where held, extended by P; collective.
+
+        Args:
+            values: f.
+            held: (owned nodes, d) components that are prescribed.
+        """
+        result = np.zeros_like(values)
+        for k in range(values.shape[1]):
+            free = ~(held[:, k] | self.massless)
+            solver = self._solver(free)
+            b, x = solver.getOperators()[0].createVecs()
+            b.array[:] = values[free, k]
+            solver.solve(b, x)
+            result[free, k] = x.array_r
+        return self.extend(result)
+
+    def _solver(self, free: Bools) -> PETSc.KSP:
+        """Return conjugate gradients for the rows and columns that are free; collective.
+
+        The condition number of a consistent mass, scaled by its diagonal, does not depend on the
+        mesh: ten digits are some twenty iterations.
+        """
+        first = self.matrix.getOwnershipRange()[0]
+        rows = (np.flatnonzero(free) + first).astype(PETSc.IntType)
+        chosen = PETSc.IS().createGeneral(rows, comm=self.matrix.comm)
+        solver = PETSc.KSP().create(self.matrix.comm)
+        solver.setOperators(self.matrix.createSubMatrix(chosen, chosen))
+        solver.setType("cg")
+        solver.getPC().setType("jacobi")
+        solver.setTolerances(rtol=ROUND_OFF, atol=0.0, max_it=1000)
+        return solver
+
+    def couplings(self, plain: PETSc.Mat) -> list[Ints]:
+        """Return the blocks of dofs that M* couples beyond the pattern of another matrix, of rows.
+
+        Args:
+            plain: the mass matrix of the mesh.
+        """
+        d = self.X.shape[1]
+        first = self.matrix.getOwnershipRange()[0]
+        indptr, columns, _ = self.matrix.getValuesCSR()
+        before, known, _ = plain.getValuesCSR()
+        found = []
+        for row in range(len(indptr) - 1):
+            new = np.setdiff1d(
+                columns[indptr[row] : indptr[row + 1]], known[before[row] : before[row + 1]]
+            )
+            if new.size:
+                nodes = np.append(new, first + row)
+                dofs = (d * nodes[:, None] + np.arange(d)).ravel()
+                found.append(dofs.astype(PETSc.IntType))
+        return found
+
+
+def assemble_mass(V: fem.FunctionSpace, density: Any, weight: Any) -> Mass:
+    """Assemble the consistent mass of one component: int rho N_i N_j weight dx; collective.
+
+    Args:
+        V: the space of the displacement.
+        density: UFL.
+        weight: volume per integrated area or volume, UFL.
+    """
+    scalar = V.sub(0).collapse()[0]
+    v, w = ufl.TrialFunction(scalar), ufl.TestFunction(scalar)
+    matrix = fem_petsc.assemble_matrix(fem.form(density * weight * v * w * ufl.dx))
+    matrix.assemble()
+    n, d = V.dofmap.index_map.size_local, V.dofmap.index_map_bs
+    return Mass(matrix, np.asarray(V.tabulate_dof_coordinates()[:n, :d]))
+
+
+def relieve(plain: Mass, contact: Bools, body: Ints) -> Mass:
+    """Return the mass without any at contact nodes; collective.
+
+    Where a body has too few inner nodes for its moments of inertia, less than four layers, it keeps
+    mass and centre; in a single layer of cells all nodes keep their mass, and so does a node that
+    has no inner node within three cells.
+
+    Args:
+        plain: the consistent mass.
+        contact: (owned nodes,) those of sides that can open.
+        body: (owned nodes,) numbers of the bodies.
+    """
+    comm = plain.matrix.comm.tompi4py()
+    degree = np.full(comm.allreduce(int(body.max(initial=-1)), op=MPI.MAX) + 1, 2)
+    while True:
+        if not comm.allreduce(bool(contact.any()), op=MPI.LOR):
+            return plain
+        extension, bare = _extension(plain, contact)
+        moved = plain.matrix.ptap(extension)
+        scale, restored = _restore_moments(plain, moved, body, degree)
+        if restored.all():
+            break
+        degree = np.where(restored, degree, degree - 1)
+        contact = contact & (degree > 0)[body]
+    v = moved.createVecRight()
+    v.array[:] = scale
+    moved.diagonalScale(v, v)
+    return replace(plain, matrix=moved, extension=extension, bare=bare)
+
+
+def _extension(plain: Mass, contact: Bools) -> tuple[PETSc.Mat, Bools]:
+    """Return P, and which contact nodes have found an inner node; collective."""
+    M, n = plain.matrix, len(contact)
+    first = M.getOwnershipRange()[0]
+    weights: dict[int, tuple[Ints, Floats]] = {}
+    pending = np.flatnonzero(contact).astype(np.int32)
+    columns = PETSc.IS().createStride(n, first=first, step=1, comm=M.comm)
+    for ring in range(RINGS):
+        rows = PETSc.IS().createGeneral((pending + first).astype(PETSc.IntType), comm=M.comm)
+        near = M.createSubMatrix(rows, columns)
+        for _ in range(ring):
+            near = near.matMult(M)
+        for row, inner in _inner_nodes(plain, near, pending, contact):
+            weights[int(row)] = inner
+        pending = np.array([row for row in pending if int(row) not in weights], dtype=np.int32)
+        if not M.comm.tompi4py().allreduce(bool(pending.size), op=MPI.LOR):
+            break
+    bare = np.zeros(n, dtype=bool)
+    bare[list(weights)] = True
+    indptr, cols, values = [0], list[Ints](), list[Floats]()
+    own = np.ones(1)
+    for row in range(n):
+        nodes, share = weights.get(row, (np.array([row + first]), own))
+        cols.append(nodes)
+        values.append(share)
+        indptr.append(indptr[-1] + len(nodes))
+    csr = (
+        np.array(indptr, dtype=PETSc.IntType),
+        np.concatenate([*cols, np.zeros(0)]).astype(PETSc.IntType),
+        np.concatenate([*values, np.zeros(0)]),
+    )
+    P = PETSc.Mat().createAIJ(M.getSizes(), csr=csr, comm=M.comm)
+    return P, bare
+
+
+def _inner_nodes(
+    plain: Mass, near: PETSc.Mat, rows: Ints, contact: Bools
+) -> Iterator[tuple[int, tuple[Ints, Floats]]]:
+    """Yield for rows of a pattern the nearest nodes off the contact sides, in equal shares.
+
+    Equal distances count as one up to half of the digits, so that the choice does not depend on the
+    numbering.
+    """
+    indptr, columns, _ = near.getValuesCSR()
+    wanted, place = np.unique(columns, return_inverse=True)
+    there = _gather(plain.matrix, np.column_stack([plain.X, contact]), wanted)[place]
+    for k, row in enumerate(rows):
+        span = slice(indptr[k], indptr[k + 1])
+        inner = there[span, -1] == 0.0
+        if not inner.any():
+            continue
+        nodes, x = columns[span][inner], there[span, :-1][inner]
+        distance = np.linalg.norm(x - plain.X[row], axis=1)
+        chosen = nodes[distance <= (1.0 + HALF_OF_DIGITS) * distance.min()]
+        yield int(row), (chosen, np.full(len(chosen), 1.0 / len(chosen)))
+
+
+def _gather(matrix: PETSc.Mat, values: Floats, rows: Ints) -> Floats:
+    """Return the values (owned rows, k) of any rows, (rows, k); collective."""
+    k, comm = values.shape[1], matrix.comm
+    source = PETSc.Vec().createMPI((k * len(values), None), bsize=k, comm=comm)
+    source.array[:] = values.ravel()
+    wanted = PETSc.IS().createBlock(k, rows.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
+    target = PETSc.Vec().createSeq(k * len(rows), comm=PETSc.COMM_SELF)
+    scatter = PETSc.Scatter().create(source, wanted, target, None)
+    scatter.scatter(source, target)
+    return np.asarray(target.array_r.reshape(-1, k)).copy()
+
+
+def _restore_moments(
+    plain: Mass, moved: PETSc.Mat, body: Ints, degree: Ints
+) -> tuple[Floats, Bools]:
+    """Return the diagonal of D, for which M* has the moments of M, and of which bodies; collective.
+
+    Newton's method for the coefficients of s, from s = 0; as s is small, it has all digits after
+    three or four steps.
+
+    Args:
+        plain: the consistent mass.
+        moved: the one without mass at contact nodes.
+        body: (owned nodes,) numbers of the bodies.
+        degree: of s, for each body: 2 for all moments, 1 for mass and centre, 0 for nothing.
+    """
+    comm, count = moved.comm.tompi4py(), len(degree)
+
+    def by_body(values: Floats) -> Floats:
+        sums = np.zeros((count, values.shape[1]))
+        np.add.at(sums, body, values)
+        return np.asarray(comm.allreduce(sums))
+
+    n, d = plain.X.shape
+    mean = by_body(np.column_stack([np.ones(n), plain.X]))
+    x = plain.X - (mean[:, 1:] / mean[:, :1])[body]
+    size = np.sqrt(by_body((x**2).sum(axis=1)[:, None])[:, 0] / mean[:, 0])
+    p = np.column_stack([np.ones(n), x / size[body][:, None]])
+    pairs = list(combinations_with_replacement(range(d + 1), 2))
+    q = np.stack([p[:, a] * p[:, b] for a, b in pairs], axis=1)
+    # those with 1 come first
+    used = np.arange(len(pairs)) < np.choose(degree, [0, d + 1, len(pairs)])[:, None]
+
+    def moments(left: Floats, right: Floats) -> Floats:
+        return by_body(np.stack([left[:, a] * right[:, b] for a, b in pairs], axis=1))
+
+    wanted = moments(p, _apply(plain.matrix, p))
+    s, rest = np.zeros(n), np.full(count, np.inf)
+    for _ in range(NEWTON):
+        scaled = (1.0 + s)[:, None] * p
+        image = _apply(moved, scaled)
+        missing = np.where(used, wanted - moments(scaled, image), 0.0)
+        rest = np.abs(missing).max(axis=1) / wanted[:, 0]
+        if (rest < SAME).all():
+            break
+        changes = [q[:, k, None] * p for k in range(len(pairs))]
+        slopes = np.stack([moments(c, image) + moments(image, c) for c in changes], axis=2)
+        steps = np.zeros((count, len(pairs)))
+        for k, on in enumerate(used):
+            A, b = slopes[k][on][:, on], missing[k, on]
+            steps[k, on] = np.linalg.lstsq(A, b, rcond=HALF_OF_DIGITS)[0]
+        s += (q * steps[body]).sum(axis=1)
+    least = np.full(count, np.inf)
+    heavy = moved.getDiagonal().array_r > 0.0
+    np.minimum.at(least, body[heavy], 1.0 + s[heavy])
+    enough = -maximum(comm, *-least) > LEAST_FACTOR
+    return np.asarray(1.0 + s), np.asarray((rest < SAME) & enough)
+
+
+def _apply(matrix: PETSc.Mat, values: Floats, *, transposed: bool = False) -> Floats:
+    """Return a matrix, or its transpose, times columns (owned rows, k); collective."""
+    x, y = matrix.createVecs()
+    result = np.empty_like(values)
+    for k in range(values.shape[1]):
+        x.array[:] = values[:, k]
+        (matrix.multTranspose if transposed else matrix.mult)(x, y)
+        result[:, k] = y.array_r
+    return result

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: MIT
+"""Bodies in motion: a bar that vibrates, two blocks that meet, and a rod that hits a wall."""
+
+from mpi4py import MPI
+
+import numpy as np
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import fem, mesh
+from tests.meshes import BOTTOM_OF_UPPER, LOWER, TOP_OF_LOWER, UPPER, two_blocks
+
+COMM = MPI.COMM_WORLD
+
+
+def component(V, i, where=lambda x: np.full(x.shape[1], True)):
+    """Return the condition that a component vanishes."""
+    W = V.sub(i)
+    dofs = fem.locate_dofs_geometrical((W, W.collapse()[0]), where)[0]
+    return fem.dirichletbc(fem.Constant(V.mesh, 0.0), dofs, W)
+
+
+class Bar:
+    """A bar of the length 1, E = rho = 1, clamped at x = 0, without Poisson's ratio."""
+
+    def __init__(self, n=8, **options):
+        """Make n cells along it, in its first eigenmode of the displacement 1e-3 at the end."""
+        self.mesh = mesh.create_rectangle(
+            COMM, [[0.0, 0.0], [1.0, 0.1]], [n, 1], cell_type=mesh.CellType.quadrilateral
+        )
+        self.V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
+        self.u = fem.Function(self.V)
+        self.u.interpolate(self.mode)
+        self.solid = dm.Solid(self.u, dm.Elastic(1.0, 0.0))
+        self.inertia = dm.Inertia(self.solid, 1.0, **options)
+        self.bcs = [component(self.V, 1), component(self.V, 0, lambda x: np.isclose(x[0], 0.0))]
+        # of linear elements with the consistent mass, of which the mode is exact at the nodes
+        k, h = np.pi / 2.0, 1.0 / n
+        self.frequency = np.sqrt(6.0 * (1.0 - np.cos(k * h)) / (2.0 + np.cos(k * h))) / h
+
+    @staticmethod
+    def mode(x):
+        return np.stack([1e-3 * np.sin(0.5 * np.pi * x[0]), np.zeros(x.shape[1])])
+
+    def problem(self, *terms):
+        return dm.ContactProblem(self.solid, bcs=self.bcs, terms=[self.inertia, *terms])
+
+    def tip(self):
+        """Return the displacement of the end over that of the mode."""
+        x = self.V.tabulate_dof_coordinates()
+        end = np.isclose(x[:, 0], 1.0)
+        own = np.abs(self.u.x.array[::2][end]) * np.sign(self.u.x.array[::2][end])
+        size = own[np.argmax(np.abs(own))] if own.size else 0.0
+        return sum(set(COMM.allgather(float(size)))) / 1e-3 if COMM.size == 1 else _one(size) / 1e-3
+
+
+def _one(value):
+    """Return the value that is largest in size on any rank."""
+    return max(COMM.allgather(float(value)), key=abs)
+
+
+class Blocks:
+    """Two blocks, the upper one above the lower one, that may meet."""
+
+    def __init__(
+        self,
+        n_lower=(2, 2),
+        n_upper=(3, 3),
+        *,
+        law=None,
+        density=1.0,
+        velocity=None,
+        gravity=0.0,
+        clamped=True,
+        guided=False,
+        friction=None,
+        damping=0.0,
+        strain="small",
+        geometry="updated",
+        **options,
+    ):
+        """Make them; the options are those of `two_blocks`."""
+        options = {"cell": "quadrilateral"} | options
+        self.mesh, self.cells, self.facets = two_blocks(COMM, n_lower, n_upper, **options)
+        self.V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
+        self.u = fem.Function(self.V)
+        self.solid = dm.Solid(self.u, law or dm.Elastic(1000.0, 0.3), strain=strain)
+        self.inertia = dm.Inertia(self.solid, density, self.cells, velocity=velocity)
+        sides = {"slave": BOTTOM_OF_UPPER, "master": TOP_OF_LOWER}
+        self.contact = dm.Contact(self.facets, **sides, friction=friction)
+        bcs = []
+        if clamped:
+            owned = self.cells.indices[self.cells.values == LOWER]
+            dofs = np.unique(self.V.dofmap.list[owned]).astype(np.int32)
+            bcs.append(fem.dirichletbc(np.zeros(2), dofs, self.V))
+        if guided:
+            bcs.append(component(self.V, 0))
+        loads = None
+        if gravity:
+            weight = ufl.Measure("dx", self.mesh, subdomain_data=self.cells)(UPPER)
+            loads = -density * gravity * ufl.TestFunction(self.V)[1] * weight
+        dampings = [dm.Damping(self.inertia, stiffness=damping)] if damping else []
+        self.problem = dm.ContactProblem(
+            self.solid,
+            [self.contact],
+            bcs=bcs,
+            loads=loads,
+            terms=[self.inertia, *dampings],
+            geometry=geometry,
+        )
+
+
+class Rod(Blocks):
+    """A rod on a rigid wall: case VM265 of the verification manual of Ansys.
+
+    Length 10, section 1, E = 3e7, density .73e-3, velocity 202.2, gap .01, in inches, pounds,
+    seconds. The wave goes up and down once while it touches, and the wall exerts sqrt(E rho) v A.
+    """
+
+    E, density, velocity, length, gap = 3e7, 0.73e-3, 202.2, 10.0, 0.01
+    touches, leaves, force = 4.946e-5, 1.4811e-4, 29923.0
+
+    def __init__(self, n=100):
+        """Make n cells along it."""
+        super().__init__(
+            (1, 1),
+            (1, n),
+            heights=(1.0, self.length),
+            gap=self.gap,
+            law=dm.Elastic(self.E, 0.0),
+            density=self.density,
+            velocity={UPPER: (0.0, -self.velocity), LOWER: (0.0, 0.0)},
+            guided=True,
+        )
+        self.mass = self.density * self.length
+        self.wave = np.sqrt(self.E / self.density)
+        self.h = self.length / n

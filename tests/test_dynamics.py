@@ -1,0 +1,341 @@
+# SPDX-License-Identifier: MIT
+"""Inertia, damping and steps of time, against closed forms of vibrations and flights."""
+
+from dataclasses import asdict
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import fem, mesh
+from dolfinx_mortar.report import energy_ledger
+from dolfinx_mortar.terms import mass
+from tests.meshes import LOWER, UPPER
+from tests.moving_bodies import Bar, Blocks
+from tests.pressed_blocks import rejected
+
+COMM = MPI.COMM_WORLD
+pytestmark = pytest.mark.mpi
+DAMPED = {"scheme": "generalised-alpha"}
+
+
+def walk(problem, times, **options):
+    """Make all steps, each to round-off; return the last one."""
+    return list(dm.time_steps(problem, times, **{"progress": False, "rtol": 1e-11} | options))[-1]
+
+
+def sums(left, right):
+    """Return left^T right, of all ranks."""
+    return COMM.allreduce(left.T @ right, op=MPI.SUM)
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"spectral_radius": 1.0} | DAMPED, {"spectral_radius": 0.5} | DAMPED]
+)
+def test_a_vibration_is_of_second_order(options):
+    """At the end of 3/8 of a period, where cos(w t) is -.707; frequency of linear elements."""
+    errors = []
+    for count in (15, 30):
+        bar = Bar()
+        end = 2.0 * np.pi / bar.frequency * 0.375
+        walk(bar.problem(), end / count * np.arange(1, count + 1), **options)
+        errors.append(abs(bar.tip() - np.cos(0.75 * np.pi)))
+    assert 1.9 < np.log2(errors[0] / errors[1]) < 2.1
+    assert errors[1] < 0.02
+
+
+def test_the_trapezoidal_rule_has_its_known_period():
+    """tan(w' dt / 2) = w dt / 2 (Hughes, The Finite Element Method, 9.1), and keeps the energy."""
+    bar = Bar()
+    dt = 0.3 / bar.frequency
+    step = walk(bar.problem(), dt * np.arange(1, 41))
+    slower = 2.0 / dt * np.arctan(bar.frequency * dt / 2.0)
+    assert bar.tip() == pytest.approx(np.cos(40 * slower * dt), abs=1e-9)
+    assert abs(step.report.ledger.defect) < 1e-10
+    # 1/2 int E (u')^2 of the mode, of linear elements
+    stored = 0.5 * 0.1 * 8 * sum((1e-3 * np.diff(np.sin(np.pi / 2 * np.linspace(0, 1, 9)))) ** 2)
+    assert step.report.ledger.initial == pytest.approx(stored, rel=1e-9)
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.5, 0.9])
+def test_the_spectral_radius_is_what_is_left_of_high_frequencies(radius):
+    """For dt without end all three roots of the amplification are -r (Chung and Hulbert 1993).
+
+    x_n = (A + B n + C n^2) (-r)^n, so that x_(n+3) + 3 r x_(n+2) + 3 r^2 x_(n+1) + r^3 x_n = 0.
+    """
+    bar, found = Bar(n=2), []
+    for _ in dm.time_steps(
+        bar.problem(),
+        1e5 * np.arange(1, 9),
+        spectral_radius=radius,
+        progress=False,
+        rtol=1e-11,
+        **DAMPED,
+    ):
+        found.append(bar.tip())
+    x = np.array(found)
+    rest = x[3:] + 3.0 * radius * x[2:-1] + 3.0 * radius**2 * x[1:-2] + radius**3 * x[:-3]
+    assert np.abs(rest).max() < 1e-7
+
+
+@pytest.mark.parametrize(("mass", "stiffness"), [(0.1, 0.0), (0.0, 0.04)])
+def test_rayleigh_damping_of_a_mode(mass, stiffness):
+    """U = e^(-z t) (cos(w' t) + z/w' sin(w' t)), z = (a + b w^2)/2, w'^2 = w^2 - z^2."""
+    errors = []
+    for count in (40, 80):
+        bar = Bar()
+        damping = dm.Damping(bar.inertia, mass=mass, stiffness=stiffness)
+        w = bar.frequency
+        z = 0.5 * (mass + stiffness * w**2)
+        t, damped = 5.0, np.sqrt(w**2 - z**2)
+        step = walk(bar.problem(damping), t / count * np.arange(1, count + 1))
+        exact = np.exp(-z * t) * (np.cos(damped * t) + z / damped * np.sin(damped * t))
+        errors.append(abs(bar.tip() - exact))
+    assert 1.8 < np.log2(errors[0] / errors[1]) < 2.2
+    ledger = step.report.ledger
+    assert abs(ledger.defect) < 1e-9
+    assert 0.2 < ledger.damping / ledger.initial < 0.9
+
+
+def test_a_free_body_falls_on_a_parabola():
+    """Nothing holds it, which is no error, and its centre moves as a point does."""
+    case = Blocks(clamped=False, gravity=9.81, gap=5.0, velocity={UPPER: (1.0, 2.0)})
+    times = 0.05 * np.arange(1, 9)
+    first, *_, step = dm.time_steps(case.problem, times, progress=False, rtol=1e-11)
+    t = times[-1]
+    u = case.problem.owned_u.reshape(-1, 2)
+    ones = np.ones_like(u)
+    centre = COMM.allreduce((ones * case.inertia.mass.times(u)).sum(axis=0))
+    assert centre == pytest.approx([t, 2.0 * t - 0.5 * 9.81 * t**2])
+    assert case.inertia.momentum() == pytest.approx([1.0, 2.0 - 9.81 * t])
+    ledger = step.report.ledger
+    # weight of nodes without mass hangs on the layer behind them, which it strains at once
+    assert abs(ledger.defect) < 1e-3
+    assert ledger.defect * ledger.largest == pytest.approx(
+        first.report.ledger.defect * first.report.ledger.largest, abs=1e-11
+    )
+    assert ledger.loads == pytest.approx(-9.81 * (2.0 * t - 0.5 * 9.81 * t**2), abs=0.01)
+    assert step.report.newton_iterations == 1
+    assert not step.report.notes
+
+
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_the_mass_off_the_contact_nodes(cell):
+    """Each body keeps mass, centre and moments of inertia; the matrix stays semidefinite."""
+    case = Blocks((4, 5), (5, 6), cell=cell, jitter=0.4, heights=(1.0, 1.5), density={1: 2.0, 2: 3})
+    inertia = case.inertia
+    M, plain = inertia.mass, inertia.plain
+    near = np.abs(case.problem.X[:, 1]) < 1e-9
+    assert np.array_equal(M.massless, near)
+    for body in (case.problem.bodies.label == 0, case.problem.bodies.label == 1):
+        p = np.column_stack([np.ones(len(M.X)), M.X]) * body[:, None]
+        assert sums(p, M.times(p)) == pytest.approx(sums(p, plain.times(p)), rel=1e-11)
+    x = np.random.default_rng(COMM.rank).normal(size=(len(M.X), 2))
+    assert np.abs(M.times(x)[near]).max(initial=0.0) == 0.0
+    assert sums(x, M.times(x)).trace() > 0.0
+    total = sums(np.ones((len(M.X), 1)), M.times(np.ones((len(M.X), 1))))[0, 0]
+    assert total == pytest.approx(2.0 * 1.0 + 3.0 * 1.5)
+
+
+def test_a_body_of_one_layer_keeps_its_mass():
+    """All mass on the far side would be that of another body."""
+    case = Blocks((1, 1), (3, 3))
+    M, plain = case.inertia.mass, case.inertia.plain
+    on = np.abs(case.problem.X[:, 1]) < 1e-9
+    body = case.problem.bodies.label
+    lower = body == body[np.argmin(case.problem.X[:, 1])] if COMM.size == 1 else ~on
+    if COMM.size == 1:
+        assert not M.massless[lower].any()
+        assert M.massless[on & ~lower].all()
+    p = np.column_stack([np.ones(len(M.X)), M.X])
+    masses = sums(p, M.times(p))[0], sums(p, plain.times(p))[0]
+    assert masses[0] == pytest.approx(masses[1])  # mass and centre, of the three layers, too
+
+
+@pytest.mark.parametrize("options", [{}, DAMPED])
+def test_a_checkpoint_holds_the_motion(tmp_path_factory, options):
+    """A run that stops while the bodies touch goes on with the same numbers."""
+    folder = COMM.bcast(tmp_path_factory.mktemp("motion") if COMM.rank == 0 else None)
+    times = 0.01 * np.arange(1, 11)
+    found = []
+    for stops in ((10,), (5, 10)):
+        for stop in stops:
+            case = Blocks(gap=0.02, velocity={UPPER: (0.0, -1.0)})
+            file = folder / f"{len(stops)}.h5"
+            last = walk(case.problem, times[:stop], checkpoint=file, **options)
+        found.append((last.report.ledger, case.inertia.velocity.x.array.copy()))
+    (one, v), (other, w) = found
+    assert asdict(one) == pytest.approx(asdict(other), rel=1e-9, abs=1e-12)
+    assert w == pytest.approx(v, rel=1e-9, abs=1e-10)
+    assert one.kinetic != one.initial
+
+
+def test_the_summary_has_the_ledger():
+    case = Blocks(gap=0.02, velocity={UPPER: (0.0, -1.0)})
+    step = walk(case.problem, [0.01])
+    row = dm.summarise(step)
+    assert row["ledger"] == asdict(step.report.ledger)
+    assert step.report.certificate.energy_defect == step.report.ledger.defect
+    assert "kinetic 0.5" in str(step.report)
+    assert dm.LoadStep.from_dict(step.as_dict()).report.ledger == step.report.ledger
+
+
+def test_the_work_of_a_support_that_moves():
+    """A bar whose end is driven: the support's work is what the bar has."""
+    ends = lambda x: np.isclose(x[0], 0.0)  # noqa: E731
+    bar = Bar(n=32, velocity=lambda x: np.stack([0.02 * ends(x), 0.0 * x[0]]))
+    bar.u.x.array[:] = 0.0
+    push = fem.Constant(bar.mesh, 0.0)
+    W = bar.V.sub(0)
+    dofs = fem.locate_dofs_geometrical((W, W.collapse()[0]), ends)[0]
+    bar.bcs[1] = fem.dirichletbc(push, dofs, W)
+    times = 0.02 * np.arange(1, 26)
+    step = walk(bar.problem(), times, ramp={push: [(0.0, 0.0), (0.5, 0.01)]})
+    ledger = step.report.ledger
+    gained = ledger.kinetic + ledger.stored - ledger.initial
+    assert ledger.supports == pytest.approx(gained, rel=1e-9)
+    # sqrt(E rho) v^2 A t: the wave has come to the middle, and all behind it moves with v = .02;
+    # its front is as sharp as a cell
+    assert ledger.supports == pytest.approx(0.02**2 * 0.1 * 0.5, rel=0.04)
+
+
+def test_what_the_numbers_of_the_mass_are_for(monkeypatch):
+    """Three layers of inner nodes: the middle one would have no mass; one step is not enough."""
+
+    def least():
+        M = Blocks((1, 1), (3, 3)).inertia.mass
+        heavy = ~M.massless
+        diagonal = M.matrix.getDiagonal().array_r[heavy].min(initial=np.inf)
+        return COMM.allreduce(float(diagonal), op=MPI.MIN)
+
+    def massless():
+        M = Blocks((4, 5), (5, 6), jitter=0.4).inertia.mass
+        p = np.column_stack([np.ones(len(M.X)), M.X])
+        return COMM.allreduce(int(M.massless.sum())), sums(p, M.times(p))[1, 1]
+
+    usual = massless()
+    assert least() > 1e-3
+    for name, value in (("LEAST_FACTOR", 0.25), ("LEAST_FACTOR", 0.6), ("NEWTON", 16)):
+        with monkeypatch.context() as patched:
+            patched.setattr(mass, name, value)
+            assert massless() == pytest.approx(usual, rel=1e-12)
+    with monkeypatch.context() as patched:
+        patched.setattr(mass, "LEAST_FACTOR", -1.0)
+        assert least() < 1e-9
+        patched.setattr(mass, "NEWTON", 1)
+        assert massless() != usual
+
+
+def test_corners_between_contact_sides(monkeypatch):
+    """A node all of whose neighbours are on contact sides takes part in the motion further in."""
+
+    def bare():
+        case = Blocks((1, 1), (8, 8))
+        X = case.problem.X
+        near = np.abs(X - [0.0, 1.0]).max(axis=1) < 0.13  # the corner and its neighbours
+        inertia = dm.Inertia(case.solid, 1.0)
+        inertia.meet(near | (X[:, 1] > 0.99), case.problem.bodies.label)
+        return COMM.allreduce(int(inertia.mass.massless.sum()))
+
+    usual = bare()
+    monkeypatch.setattr(mass, "RINGS", 1)
+    assert bare() < usual
+
+
+# -- bad input -----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def bar():
+    return Bar()
+
+
+@pytest.mark.parametrize("density", [None, 0.0, -1.0, np.nan, True, "steel", {}])
+def test_densities_that_are_none(bar, density):
+    with rejected("density", "Inertia"):
+        dm.Inertia(bar.solid, density)
+
+
+def test_densities_by_tag():
+    case = Blocks()
+    with rejected("density", "cell_tags"):
+        dm.Inertia(case.solid, {LOWER: 1.0})
+    with rejected("density is missing", str([UPPER])):
+        dm.Inertia(case.solid, {LOWER: 1.0}, case.cells)
+    with rejected("density", "7", "no cell"):
+        dm.Inertia(case.solid, {LOWER: 1.0, UPPER: 1.0, 7: 1.0}, case.cells)
+    with rejected("density of 2", "-1"):
+        dm.Inertia(case.solid, {LOWER: 1.0, UPPER: -1.0}, case.cells)
+
+
+def test_velocities_that_are_none(bar):
+    scalar = fem.functionspace(bar.mesh, ("Lagrange", 1))
+    other = fem.functionspace(bar.mesh, ("Lagrange", 2, (2,)))
+    for velocity in (fem.Function(scalar), fem.Function(other)):
+        with rejected("velocity", "solid.V"):
+            dm.Inertia(bar.solid, 1.0, velocity=velocity)
+    for wrong in (1.0, (1.0, 2.0, 3.0), (0.0, np.inf), "down"):
+        with rejected("velocity", "2 finite numbers"):
+            dm.Inertia(bar.solid, 1.0, velocity=wrong)
+    with rejected("velocity", "cell_tags"):
+        dm.Inertia(bar.solid, 1.0, velocity={1: (0.0, 0.0)})
+
+
+def test_no_time_to_move_in(bar):
+    """A step without dt; its problem is as before."""
+    problem = bar.problem()
+    before = bar.u.x.array.copy()
+    with rejected("Inertia", "time_steps", "level="):
+        dm.newton(problem)
+    assert np.array_equal(bar.u.x.array, before)
+    with rejected("times", "increase"):
+        next(dm.time_steps(problem, [0.0, 0.1]))
+    with rejected("times", "0.1 after 0.2"):
+        next(dm.time_steps(problem, [0.2, 0.1]))
+
+
+def test_schemes_that_are_none(bar):
+    problem = bar.problem()
+    with rejected("scheme", "energy-conserving", "generalised-alpha"):
+        next(dm.time_steps(problem, [0.1], scheme="newmark"))
+    with rejected("spectral_radius", "energy-conserving"):
+        next(dm.time_steps(problem, [0.1], spectral_radius=0.8))
+    with rejected("spectral_radius", "1.5"):
+        next(dm.time_steps(problem, [0.1], spectral_radius=1.5, **DAMPED))
+    with rejected("problem", "Inertia", "terms="):
+        next(dm.time_steps(dm.ContactProblem(bar.solid, bcs=bar.bcs), [0.1]))
+
+
+def test_dampings_that_are_none(bar):
+    with rejected("Damping", "inertia"):
+        dm.Damping(bar.solid, mass=1.0)
+    with rejected("Damping", "mass", "-1"):
+        dm.Damping(bar.inertia, mass=-1.0)
+    finite = dm.Solid(bar.u, dm.NeoHooke(1.0, 0.3), strain="finite")
+    with rejected("stiffness", "finite"):
+        dm.Damping(dm.Inertia(finite, 1.0), stiffness=0.1)
+
+
+def test_a_large_defect_is_noted(monkeypatch):
+    """Damped by a small spectral radius, high frequencies lose their energy."""
+    bar = Bar()
+    step = walk(bar.problem(), [2.0, 4.0], spectral_radius=0.0, **DAMPED)
+    assert step.report.ledger.defect < -0.01
+    (note,) = (n for n in step.report.notes if "of the energy" in n)
+    assert "lost" in note and "spectral_radius" in note
+    monkeypatch.setattr(energy_ledger, "LARGE_DEFECT", 1.0)
+    assert not energy_ledger.notes_on_energy(step.report.ledger)
+
+
+def test_inertia_of_rings():
+    """A ring of the radius 1 to 2 and height 1 weighs 3 pi; its momentum is along the axis."""
+    domain = mesh.create_rectangle(COMM, [[1.0, 0.0], [2.0, 1.0]], [4, 4])
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    solid = dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3), kinematics="axisymmetric")
+    inertia = dm.Inertia(solid, fem.Constant(domain, 2.0), velocity=lambda x: 0.0 * x[:2] + 3.0)
+    assert inertia.kinetic_energy() == pytest.approx(0.5 * 6.0 * np.pi * 18.0)
+    assert inertia.momentum()[1] == pytest.approx(18.0 * np.pi)
+    assert isinstance(ufl.as_ufl(1.0), ufl.core.expr.Expr)

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: MIT
+"""Impacts: a rod on a wall, a block that bounces, bodies that collide, friction that brakes."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from tests.meshes import LOWER, UPPER
+from tests.moving_bodies import Blocks, Rod
+
+COMM = MPI.COMM_WORLD
+pytestmark = pytest.mark.mpi
+
+
+def steps(problem, times, **options):
+    """Walk to round-off, without lines."""
+    return dm.time_steps(problem, times, **{"progress": False, "rtol": 1e-10} | options)
+
+
+@pytest.mark.slow
+def test_a_rod_on_a_wall():
+    """Times to one step, the force to 1 %, the velocity after it to .5 %, the energy to 1e-6."""
+    rod = Rod(50)
+    dt = 0.5 * rod.h / rod.wave
+    times, forces, defects = dt * np.arange(1, int(1.6e-4 / dt)), [], []
+    for step in steps(rod.problem, times):
+        forces.append(rod.contact.force[1])
+        defects.append(abs(step.report.ledger.defect))
+    touching = times[np.array(forces) > 0.0]
+    assert abs(touching[0] - rod.touches) <= dt
+    assert abs(touching[-1] + dt - rod.leaves) <= dt
+    plateau = (times > 6e-5) & (times < 1.35e-4)
+    held = np.array(forces)[plateau]
+    assert held.mean() == pytest.approx(rod.force, rel=1e-3)
+    assert np.abs(held / rod.force - 1.0).max() < 0.01  # no chatter
+    assert rod.inertia.momentum()[1] / rod.mass == pytest.approx(rod.velocity, rel=5e-3)
+    assert max(defects) < 1e-11
+
+
+def bounce(count, **options):
+    """Let a stiff block fall from a height, count times; return energies, turning points, steps."""
+    g, height = 10.0, 0.02
+    case = Blocks(
+        (2, 2), (3, 4), law=dm.Elastic(1e5, 0.3), gravity=g, gap=height, guided=True, **options
+    )
+    fall = np.sqrt(2.0 * height / g)
+    dt = fall / 6.0
+    velocities, defects, before = [], [], -1.0
+    impacts = 0
+    number = 0
+    for step in steps(case.problem, dt * np.arange(1, 25 * count)):
+        number = step.number
+        ledger = step.report.ledger
+        defects.append(ledger.defect * ledger.largest / (10.0 * 0.02))
+        now = case.inertia.momentum()[1]
+        impacts += before < 0.0 < now
+        velocities.append(now)
+        before = now
+        if impacts == count:
+            break
+    return np.array(velocities), np.array(defects), impacts, number
+
+
+def test_a_block_that_bounces():
+    velocities, defects, impacts, _ = bounce(3)
+    assert impacts == 3
+    assert np.ptp(defects[12:]) < 1e-10  # the weight is put on at once: of that, 7e-6 remain
+    assert np.abs(velocities).max() <= np.sqrt(2.0 * 10.0 * 0.02)
+
+
+@pytest.mark.nightly
+@pytest.mark.slow
+def test_a_block_that_bounces_a_thousand_times():
+    _, defects, impacts, _ = bounce(1000)
+    assert impacts == 1000
+    assert np.ptp(defects[12:]) < 1e-6
+
+
+@pytest.mark.parametrize("scheme", ["energy-conserving", "generalised-alpha"])
+def test_two_free_bodies_collide(scheme):
+    """Momentum and its moment stay, about X, of which the linear theory keeps it."""
+    case = Blocks(
+        (5, 4),
+        (6, 5),
+        x_upper=(0.35, 1.2),
+        gap=0.05,
+        jitter=0.4,
+        clamped=False,
+        geometry="reference",
+        velocity={LOWER: (0.0, 0.2), UPPER: (0.3, -1.0)},
+    )
+    inertia = case.inertia
+    momentum, moment = inertia.momentum(), inertia.moment_of_momentum()
+    energy, touched = inertia.kinetic_energy(), 0
+    size = np.abs(momentum).max()
+    for step in steps(case.problem, 4e-3 * np.arange(1, 60), scheme=scheme, rtol=1e-12):
+        touched += bool(case.contact.force[1] > 0.0)
+        assert np.abs(inertia.momentum() - momentum).max() < 1e-10 * size
+        assert np.abs(inertia.moment_of_momentum() - moment).max() < 1e-10 * size
+        ledger = step.report.ledger
+        if scheme == "energy-conserving":
+            assert abs(ledger.defect) < 1e-10
+        assert ledger.kinetic + ledger.stored < energy * (1.0 + 1e-10)
+    assert touched > 5 and case.contact.force[1] == 0.0
+    assert inertia.momentum() == pytest.approx(momentum)
+
+
+@pytest.mark.slow
+def test_friction_brakes_a_block():
+    """It stops after v / (mu g), at v^2 / (2 mu g), and friction has all of its energy."""
+    mu, g, v, E = 0.3, 10.0, 0.4, 1e5
+    case = Blocks(
+        (12, 2),
+        (3, 4),
+        x_lower=(-1.0, 2.0),
+        law=dm.Elastic(E, 0.0),
+        gravity=g,
+        friction=mu,
+        damping=2e-3,
+        velocity={UPPER: (v, 0.0), LOWER: (0.0, 0.0)},
+    )
+    stop = v / (mu * g)
+    dt = stop / 40.0
+    taken, forces = [0.0], []
+    for step in steps(case.problem, dt * np.arange(1, 49)):
+        ledger = step.report.ledger
+        taken.append(ledger.friction)
+        if 0.3 * stop < step.time < 0.8 * stop:  # the impact by which it starts has gone
+            forces.append(case.contact.force)
+            assert forces[-1] == pytest.approx([-mu * g, g], rel=0.02)  # no chatter
+    assert (np.diff(taken) >= 0.0).all()
+    assert taken[-1] == pytest.approx(0.5 * v**2, rel=5e-3)
+    u = case.problem.owned_u.reshape(-1, 2)
+    moved = COMM.allreduce(case.inertia.mass.times(u)[:, 0].sum())
+    assert moved == pytest.approx(v**2 / (2.0 * mu * g), rel=0.01)
+
+
+def test_a_step_that_would_pass_through_is_cut():
+    """A plate that would be on the other side of a thin wall after the step."""
+    case = Blocks(
+        (2, 2), (3, 4), heights=(0.2, 0.4), gap=0.1, velocity={UPPER: (0.0, -20.0), LOWER: (0, 0)}
+    )
+    (step,) = steps(case.problem, [0.05])
+    up = case.problem.X[:, 1] > 0.05
+    y = (case.problem.X + case.problem.owned_u.reshape(-1, 2))[up, 1]
+    assert y.min(initial=1.0) > -1e-6
+    assert case.inertia.momentum()[1] > 0.0
+    assert abs(step.report.ledger.defect) < 1e-9
