@@ -18,13 +18,13 @@ from scipy.linalg import LinAlgError
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.arrays import EPS, QUARTER_OF_DIGITS, ROUND_OFF, Ints
 from dolfinx_mortar.qp.friction import Sliding
-from dolfinx_mortar.qp.inertia import (
+from dolfinx_mortar.qp.multigrid import Unknowns
+from dolfinx_mortar.qp.negative_eigenvalues import (
     count_negative,
     counts_pivots,
     meets_negative_curvature,
     negative_pivots,
 )
-from dolfinx_mortar.qp.multigrid import Unknowns
 from dolfinx_mortar.qp.operator import Operator
 from dolfinx_mortar.qp.options import SolverOptions, check_options
 from dolfinx_mortar.qp.preconditioner import (
