@@ -37,6 +37,7 @@ from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.watch import contact_forces
 from tests import meshes_3d
 from tests.ball_case import STEEL, create_mesh
+from tests.choice import crosswise
 
 COMM = MPI.COMM_SELF
 FACTORISED = {"pc_type": "cholesky"}
@@ -395,8 +396,7 @@ def residuals(report):
     return np.array(worst[first - 2 :])
 
 
-@pytest.mark.parametrize("surface", ["facets", "smooth"])
-@pytest.mark.parametrize("slave", ["block", "ball"])
+@pytest.mark.parametrize(("surface", "slave"), crosswise(["facets", "smooth"], ["block", "ball"]))
 def test_newton_is_quadratic_at_the_end_and_the_answer_the_same(slave, surface, monkeypatch):
     """Two successive ratios of residuals are below a tenth of the one before."""
     case = Sliding(slave, surface=surface)

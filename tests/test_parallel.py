@@ -22,23 +22,24 @@ RANKS = "DOLFINX_MORTAR_TEST_RANKS"
 # stand on what has run by default, or solve many problems: on two, and what pairs in space on
 # three.
 ON_TWO = """
-    agreement arguments checkpoint_files errors friction_errors mesh_audit msh problem progress
-    regions results summary tags terms written_results
+    agreement arguments checkpoint_files errors friction_errors mesh_audit msh problem
+    progress regions results summary tags terms written_results
 """.split()
 SLOW_ON_TWO = """
     audit axisymmetric_contact axisymmetric_patch axisymmetry certificate checkpoint
-    checkpoint_damage checkpoint_errors curvature_jumps demo_meshes dynamics edges eigenstrain
-    energies failures finite_in_space finite_sliding jump jump_errors kinematics law_contact linear
-    linearisation loads locking logarithmic_solid margin measure newton obstacle
-    orthotropic output output_resume parameters passing patch_3d plane_stress plotting pointwise
-    preload preload_direction preload_several qp_descent ramp reaction resolution rubber
-    small_strain smooth_3d smooth_contact smooth_second smooth_tie solid solid_state stand_off
-    stress_laws sweep tie_reach tool_friction tying undone user_laws volumetric
+    checkpoint_damage checkpoint_errors curvature_jumps demo_meshes dynamics edges
+    eigenstrain energies failures finite_in_space finite_sliding jump jump_errors kinematics
+    law_contact linear linearisation loads locking logarithmic_solid margin measure newton
+    obstacle orthotropic output output_resume parameters passing patch_3d plane_stress
+    plotting pointwise preload preload_direction preload_several qp_descent ramp reaction
+    resolution rubber small_strain smooth_3d smooth_contact smooth_second smooth_tie solid
+    solid_state stand_off stress_laws sweep tie_reach tool_friction tying undone user_laws
+    volumetric
 """.split()
 SLOW_ON_THREE = """
-    friction_path friction_state impact load_steps looks_change_nothing mortar_3d near
-    numbers_of_steps own_interface patch plotting_space preload_restart pretension same_sums skins
-    stack
+    exact_tangent_3d friction_path friction_state impact load_steps looks_change_nothing
+    mortar_3d near numbers_of_steps own_interface patch plotting_space preload_restart
+    pretension same_sums skins stack
 """.split()
 QUICK = "mpi and not slow and not serial"
 SLOW = "mpi and not nightly and not serial"

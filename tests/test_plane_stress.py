@@ -96,7 +96,7 @@ def compare(flat: MaterialPoint, space: MaterialPoint, path: list, scale: float)
     return flowed
 
 
-@pytest.mark.parametrize("name", quick(LAWS, "kinematic", "arrays"))
+@pytest.mark.parametrize("name", quick(LAWS, "kinematic"))
 def test_plane_stress_is_the_spatial_law_without_stress_out_of_the_plane(name, rng):
     """On a random path with commits, against a root of the spatial law's sigma_zz."""
     path = np.cumsum([5e-3 * in_plane(rng) for _ in range(8)], axis=0)
