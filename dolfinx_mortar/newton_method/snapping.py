@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Has a step passed a limit point of its loads? Then the balance found is one beyond it.
+"""Has a step passed a limit point of its loads? Then the equilibrium found is one beyond it.
 
-At the start u_0 bodies are in a stable balance with the loads f_0, so that J(u) = Psi(u) - f_0.u is
-smallest there, nearby. If the state at the end has less of it, an energy barrier has been passed,
-or has vanished: an arch has snapped through. With the loads of the step, f, this is
+At the start u_0 bodies are in a stable equilibrium under the loads f_0: J(u) = Psi(u) - f_0.u has a
+local minimum there. If J is smaller at the end, the step has passed an energy barrier, or the
+barrier has vanished: an arch has snapped through. With the loads of the step, f, this is
 
     Psi(u) - f.u < Psi(u_0) - f.u_0 - r_0.(u - u_0),    r_0 = f - f_0 the first residual.
 """
@@ -16,8 +16,8 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.terms.sum import Energy
 
-# Share of the work of the change of loads by which energies have to differ: of a linear body it is
-# the opposite of a half.
+# By which share of the work of the change of loads J has to fall: of a linear body it rises by half
+# of that work.
 LEAST_DROP = 0.01
 
 
@@ -43,6 +43,6 @@ def notes_on_snapping(
     return [
         "the bodies have snapped through: under the loads from which the step has started they "
         f"have less energy at its end, by {drop:.3g}, so the loads have passed a limit point on "
-        "the way, and the balance found is one beyond it. Prescribe displacements instead to "
+        "the way, and the equilibrium found is one beyond it. Prescribe displacements instead to "
         "follow the way there"
     ]
