@@ -43,10 +43,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import combinations
 
+import numba
 import numpy as np
 
 from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.geometry.facets import Facets, area_vectors, facet_normals
+from dolfinx_mortar.geometry.facets import Facets, area_vectors, facet_normals, facet_sizes
 from dolfinx_mortar.geometry.tolerances import EPS, TINY
 
 
@@ -201,6 +202,105 @@ def curvatures(facets: Facets, sagitta: Floats) -> Floats:
     K = np.empty((len(e), d - 1, d - 1))
     K[:, i, j] = K[:, j, i] = k
     return np.asarray(np.einsum("mki,mkl,mlj->mij", B, K, B))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _cross(a, b, c):  # type: ignore[no-untyped-def]
+    """Write the unit vector along a x b into c."""
+    square = 0.0
+    for i in range(3):
+        g, h = (i + 1) % 3, (i + 2) % 3
+        c[i] = a[g] * b[h] - a[h] * b[g]
+        square += c[i] ** 2
+    for i in range(3):
+        c[i] /= np.sqrt(square)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _frame(x, B):  # type: ignore[no-untyped-def]
+    """Write two tangents and the mean normal of a first-order facet x (v, 3) into the rows of B."""
+    bilinear = len(x) == 4
+    for i in range(3):
+        B[0, i] = x[2, i] - x[0, i] if bilinear else x[1, i] - x[0, i]
+        B[1, i] = x[3, i] - x[1, i] if bilinear else x[2, i] - x[0, i]
+    _cross(B[0], B[1], B[2])
+    for i in range(3):
+        B[0, i] = x[1, i] - x[0, i]
+    _cross(B[2], B[0], B[1])
+    _cross(B[1], B[2], B[0])
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _solve(N, r, k):  # type: ignore[no-untyped-def]
+    """Write the solution of the symmetric N k = r (3,) into k."""
+    a, b, c, d, e, f = N[0, 0], N[0, 1], N[0, 2], N[1, 1], N[1, 2], N[2, 2]
+    p, q, s = d * f - e * e, c * e - b * f, b * e - c * d
+    size, t, u, v = a * p + b * q + c * s, a * f - c * c, b * c - a * e, a * d - b * b
+    k[0] = (p * r[0] + q * r[1] + s * r[2]) / size
+    k[1] = (q * r[0] + t * r[1] + u * r[2]) / size
+    k[2] = (s * r[0] + u * r[1] + v * r[2]) / size
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _add_curvature(factor, x, first, last, c, B, N, r, k, K):  # type: ignore[no-untyped-def]
+    """Add a factor times what `curvatures` returns of one facet in space to K (3, 3)."""
+    _frame(x, B)
+    N[:], r[:] = 0.0, 0.0
+    for z in range(len(c)):
+        p, q, square = 0.0, 0.0, 0.0
+        for i in range(3):
+            e = x[last[z], i] - x[first[z], i]
+            p, q, square = p + B[0, i] * e, q + B[1, i] * e, square + e * e
+        scale = square / (p * p + q * q)
+        A = p * p * scale, 2.0 * p * q * scale, q * q * scale
+        for i in range(3):
+            r[i] += A[i] * c[z]
+            for j in range(3):
+                N[i, j] += A[i] * A[j]
+    size = EPS * (N[0, 0] + N[1, 1] + N[2, 2]) + TINY
+    for i in range(3):
+        N[i, i] += size
+    _solve(N, r, k)
+    for i in range(3):
+        for j in range(3):
+            K[i, j] += factor * (
+                k[0] * B[0, i] * B[0, j]
+                + k[1] * (B[0, i] * B[1, j] + B[1, i] * B[0, j])
+                + k[2] * B[1, i] * B[1, j]
+            )
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _differences(x, sagitta, first, last, step, dK):  # type: ignore[no-untyped-def]
+    """Add central differences of the curvatures of facets to dK (m, v, 3, 3, 3)."""
+    B, N, r, k = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
+    for f in range(len(x)):
+        for z in range(x.shape[1]):
+            for i in range(3):
+                for sign in (1.0, -1.0):
+                    before = x[f, z, i]
+                    x[f, z, i] += sign * step[f]
+                    _add_curvature(
+                        sign / (2 * step[f]), x[f], first, last, sagitta[f], B, N, r, k,
+                        dK[f, z, i],
+                    )  # fmt: skip
+                    x[f, z, i] = before
+
+
+def curvature_slopes(facets: Facets, sagitta: Floats) -> Floats:
+    """Return the derivatives (m, v, 3, 3, 3) of `curvatures` by the nodes, first order in space.
+
+    Central differences, with errors of some 1e-10. [f, z, i] is that of K by x_z in direction i.
+
+    Args:
+        facets: the facets (m,).
+        sagitta: c_ab (m, e) of `edge_sagittas`.
+    """
+    first, last = (np.array(ends) for ends in node_pairs(facets))
+    dK = np.zeros((*facets.x.shape, 3, 3))
+    step = EPS ** (1 / 3) * facet_sizes(facets.x)
+    _differences(np.array(facets.x), np.ascontiguousarray(sagitta), first, last, step, dK)
+    return dK
 
 
 def common_sagittas(facets: Facets, sagitta: Floats, K_other: Floats) -> Floats:

@@ -221,23 +221,22 @@ def _lumped(link: Link, rows: sparse.csr_array) -> tuple[Floats, Floats]:
     coupling, pattern = link.coupling, link.pattern
     used = np.arange(len(pattern.row)) >= pattern.split  # of the master
     used |= coupling.P[:, 0] != 0.0
-    d, entries = coupling.R.shape[1], rows.tocoo()
-    p, own = np.zeros((len(used), d)), np.zeros((rows.shape[0], d))
+    (n, N), d = rows.shape, coupling.R.shape[1]
+    rows.sort_indices()
+    row = np.repeat(np.arange(n), np.diff(rows.indptr))
+    own = np.bincount(d * row + rows.indices % d, rows.data, minlength=d * n).reshape(n, d)
+    keys = row * N + rows.indices.astype(np.int64)
+    p = np.zeros((len(used), d))
+    first = pattern.row[used] * np.int64(N) + d * pattern.column[used]
     for i in range(d):
-        p[used, i] = -_entries(rows, pattern.row[used], d * pattern.column[used] + i)
-        of_i = np.where(entries.col % d == i, entries.data, 0.0)
-        own[:, i] = np.bincount(entries.row, of_i, minlength=len(own))
-        own[:, i] += np.bincount(pattern.row, p[:, i], minlength=len(own))
+        p[used, i] = -_values_at(keys, rows.data, first + i)
+        own[:, i] += np.bincount(pattern.row, p[:, i], minlength=n)
     return own, p
 
 
-def _entries(A: sparse.csr_array, rows: Ints, columns: Longs) -> Floats:
-    """Return entries (e,) of a matrix, 0 where nothing is stored."""
-    entries, N = A.tocoo(), A.shape[1]
-    keys = entries.row.astype(np.int64) * N + entries.col
-    order = np.argsort(keys)
-    asked = rows.astype(np.int64) * N + columns
-    place = np.minimum(np.searchsorted(keys, asked, sorter=order), len(keys) - 1)
+def _values_at(keys: Longs, values: Floats, asked: Longs) -> Floats:
+    """Return values (e,) at some of the ascending keys, 0 where there is none."""
     if not len(keys):
         return np.zeros(len(asked))
-    return np.where(keys[order[place]] == asked, entries.data[order[place]], 0.0)
+    place = np.minimum(np.searchsorted(keys, asked), len(keys) - 1)
+    return np.where(keys[place] == asked, values[place], 0.0)
