@@ -13,6 +13,7 @@ import numpy as np
 from scipy import sparse
 
 from dolfinx_mortar.algebra.blocks import Layout
+from dolfinx_mortar.algebra.csr import csr_of
 from dolfinx_mortar.algebra.triplets import Triplets
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 
@@ -47,44 +48,40 @@ def _add(start, columns, rows, others, values, total):  # type: ignore[no-untype
                         total[low, i, h] += values[p, a, i, b, h]
 
 
-class BlockSums:
-    """A matrix of blocks on a fixed pattern of this rank's nodes, and its sum over ranks.
+class BlockEntries:
+    """Sums of blocks, or of sparse matrices, at the entries of a pattern of this rank's nodes.
 
     Args:
-        comm: communicator.
-        layout: how the sum is divided among ranks.
         pattern: (m, n) which blocks there may be.
         block: rows and columns of each.
-        rows: (block rows * m,) global rows of the sum.
-        columns: (block columns * n,) its global columns.
+        rows: (block rows * m,) global rows.
+        columns: (block columns * n,) global columns.
 
     Attributes:
-        sums: the sum over ranks.
+        rows: Global rows (e,) of all entries, some of them of other ranks.
+        columns: Their global columns (e,).
     """
 
+    rows: Longs
+    columns: Longs
+
     def __init__(
-        self,
-        comm: MPI.Intracomm,
-        layout: Layout,
-        pattern: Matrix,
-        block: tuple[int, int],
-        rows: Longs,
-        columns: Longs,
+        self, pattern: Matrix, block: tuple[int, int], rows: Longs, columns: Longs
     ) -> None:
-        """Fix the pattern; collective."""
+        """Fix the pattern."""
         pattern = Matrix(pattern).sorted_indices()
-        self._start, self._columns = pattern.indptr, pattern.indices
+        self._start, self._nodes = pattern.indptr, pattern.indices
         self._width, self._block = pattern.shape[1], block
         node = np.repeat(np.arange(pattern.shape[0]), np.diff(self._start))
-        self._keys = node.astype(np.int64) * self._width + self._columns
+        self._keys = node.astype(np.int64) * self._width + self._nodes
         i = block[0] * node[:, None, None] + np.arange(block[0])[:, None]
-        j = block[1] * self._columns[:, None, None] + np.arange(block[1])
+        j = block[1] * self._nodes[:, None, None] + np.arange(block[1])
         shape = len(node), *block
-        numbers = (np.broadcast_to(v, shape) for v in (rows[i], columns[j]))
-        self.sums = Triplets(comm, layout, *numbers)
+        found = (np.broadcast_to(v, shape).ravel() for v in (rows[i], columns[j]))
+        self.rows, self.columns = found
 
-    def fill(self, parts: Sequence[Matrix | Blocks]) -> PETSc.Mat:
-        """Return the sum of parts within the pattern, over ranks; collective.
+    def sum(self, parts: Sequence[Matrix | Blocks]) -> Floats:
+        """Return the sums (e,) of parts within the pattern.
 
         Sparse matrices have scalar entries, of which each is stored once.
         """
@@ -92,10 +89,51 @@ class BlockSums:
         for part in parts:
             if isinstance(part, Blocks):
                 at = part.rows, part.columns, part.values
-                _add(self._start, self._columns, *(np.ascontiguousarray(v) for v in at), total)
+                _add(self._start, self._nodes, *(np.ascontiguousarray(v) for v in at), total)
                 continue
             entries, (a, b) = part.tocoo(), self._block
             (row, i), (column, j) = np.divmod(entries.row, a), np.divmod(entries.col, b)
             place = np.searchsorted(self._keys, row.astype(np.int64) * self._width + column)
             total[place, i, j] += entries.data
-        return self.sums.fill(total)
+        return total.ravel()
+
+
+class BlockSums:
+    """The matrix of the sums over all ranks of blocks at the entries of a pattern."""
+
+    def __init__(self, comm: MPI.Intracomm, layout: Layout, entries: BlockEntries) -> None:
+        """Analyse the pattern; collective."""
+        self._entries = entries
+        self._sums = Triplets(comm, layout, entries.rows, entries.columns)
+
+    def zero(self) -> PETSc.Mat:
+        """Return the matrix with zeros; collective."""
+        return self._sums.zero()
+
+    def fill(self, parts: Sequence[Matrix | Blocks]) -> PETSc.Mat:
+        """Return the sum of parts within the pattern; collective."""
+        return self._sums.fill(self._entries.sum(parts))
+
+
+class SumWithProduct:
+    """A + B N over all ranks, on a fixed pattern."""
+
+    def __init__(
+        self, comm: MPI.Intracomm, layout: Layout, A: BlockEntries, B: BlockEntries, N: Triplets
+    ) -> None:
+        """Analyse the patterns; collective."""
+        self._A, self._B = A, BlockSums(comm, layout, B)
+        self._product = self._B.zero().matMult(N.zero())
+        start, columns, _ = csr_of(self._product)
+        first, last = self._product.getOwnershipRange()
+        rows = np.repeat(np.arange(first, last), np.diff(start))
+        numbers = (A.rows, rows), (A.columns, columns)
+        self._total = Triplets(comm, layout, *(np.concatenate(v) for v in numbers))
+
+    def fill(
+        self, A: Sequence[Matrix | Blocks], B: Sequence[Matrix | Blocks], N: PETSc.Mat
+    ) -> PETSc.Mat:
+        """Return the sum, the same matrix in every call; collective."""
+        self._B.fill(B).matMult(N, result=self._product)
+        _, _, values = csr_of(self._product)
+        return self._total.fill(np.concatenate([self._A.sum(A), values]))

@@ -16,8 +16,7 @@ import numpy as np
 from scipy import sparse
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.block_sums import BlockSums
-from dolfinx_mortar.algebra.congruence import refill, union
+from dolfinx_mortar.algebra.block_sums import BlockEntries, SumWithProduct
 from dolfinx_mortar.algebra.csr import csr_of
 from dolfinx_mortar.algebra.triplets import Triplets
 from dolfinx_mortar.arrays import Bools, Floats, Ints
@@ -151,17 +150,23 @@ class ContactDerivatives(LinkDerivatives):
         by_x = (d * both[:, None] + np.arange(d)).ravel()
         by_n, forces, gaps = by_x[: d * n], by_x, d * nodes
         of = V.mesh.comm, layout_of(V)
-        self.F_x = BlockSums(*of, on_both.T @ on_both, (d, d), forces, by_x)
-        self.F_n = BlockSums(*of, on_both.T @ on_slave, (d, d), forces, by_n)
-        self.G_x = BlockSums(*of, on_slave.T @ on_both, (1, d), gaps, by_x)
-        self.G_n = BlockSums(*of, on_slave.T @ on_slave, (1, d), gaps, by_n)
         at = by_n.reshape(-1, d)[slave.facets]
         block = *at.shape, *at.shape[1:]
         rows = np.broadcast_to(at[:, :, :, None, None], block)
         columns = np.broadcast_to(at[:, None, None], block)
         self.normals = Triplets(*of, rows, columns)
-        self.forces = _Sum(self.F_x, self.F_n, self.normals)
-        self.gaps = _Sum(self.G_x, self.G_n, self.normals)
+        self.forces = SumWithProduct(
+            *of,
+            BlockEntries(on_both.T @ on_both, (d, d), forces, by_x),
+            BlockEntries(on_both.T @ on_slave, (d, d), forces, by_n),
+            self.normals,
+        )
+        self.gaps = SumWithProduct(
+            *of,
+            BlockEntries(on_slave.T @ on_both, (1, d), gaps, by_x),
+            BlockEntries(on_slave.T @ on_slave, (1, d), gaps, by_n),
+            self.normals,
+        )
 
     def serves(self, link: Link) -> bool:
         """Tell whether a link has the same pairs."""
@@ -188,8 +193,8 @@ class ContactDerivatives(LinkDerivatives):
         segments = some_points(operators.segments, asked[operators.segments.slave])
         found = self._derivatives(link, u, segments, keep, given)
         normals = self.normals.fill(normal_derivatives(slave, x))
-        F = self.forces.fill(self.F_x.fill(found.F_x), self.F_n.fill(found.F_n), normals)
-        G = self.gaps.fill(self.G_x.fill(found.G_x), self.G_n.fill(found.G_n), normals)
+        F = self.forces.fill(found.F_x, found.F_n, normals)
+        G = self.gaps.fill(found.G_x, found.G_n, normals)
         return F, G, known[: slave.owned]
 
     @staticmethod
@@ -239,22 +244,6 @@ def incidence(facets: Ints, nodes: Ints, shape: tuple[int, int]) -> sparse.csr_a
     rows = np.repeat(facets, nodes.shape[1])
     ones = np.ones(len(rows), dtype=np.int8)
     return sparse.coo_array((ones, (rows, nodes.ravel())), shape=shape).tocsr()
-
-
-class _Sum:
-    """A + B N, on a fixed pattern."""
-
-    def __init__(self, A: BlockSums, B: BlockSums, N: Triplets) -> None:
-        """Analyse the patterns; collective."""
-        direct, by_normals, normals = A.sums.zero(), B.sums.zero(), N.zero()
-        self._product = by_normals.matMult(normals)
-        self._total = union(self._product, [direct])
-
-    def fill(self, A: PETSc.Mat, B: PETSc.Mat, N: PETSc.Mat) -> PETSc.Mat:
-        """Return the sum, the same matrix in every call; collective."""
-        B.matMult(N, result=self._product)
-        refill(self._total, [self._product, A])
-        return self._total
 
 
 def layout_of(V: fem.FunctionSpace) -> Unknowns:

@@ -25,7 +25,7 @@ import numpy as np
 from scipy import sparse
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.block_sums import Blocks, BlockSums
+from dolfinx_mortar.algebra.block_sums import BlockEntries, Blocks, BlockSums
 from dolfinx_mortar.arrays import Bools, Floats, Longs
 from dolfinx_mortar.geometry.facets import surface_gradients
 from dolfinx_mortar.interfaces.contact_derivatives import (
@@ -75,9 +75,10 @@ class ToolDerivatives(LinkDerivatives):
         dofs = (d * nodes[:, None] + np.arange(d)).ravel()
         pattern = among.T @ among
         of = V.mesh.comm, layout_of(V)
-        self.F = BlockSums(*of, pattern, (d, d), dofs, dofs)
-        self.G = BlockSums(*of, pattern, (1, d), d * nodes, dofs)
-        self.N = BlockSums(*of, sparse.eye_array(n, format="csr"), (d, d), dofs, dofs)
+        alone = sparse.eye_array(n, format="csr")
+        self.F = BlockSums(*of, BlockEntries(pattern, (d, d), dofs, dofs))
+        self.G = BlockSums(*of, BlockEntries(pattern, (1, d), d * nodes, dofs))
+        self.N = BlockSums(*of, BlockEntries(alone, (d, d), dofs, dofs))
 
     def serves(self, link: Link) -> bool:
         """Return True: the pattern is that of the nodes in T, with which these are made."""

@@ -47,10 +47,10 @@ class PairHeights:
 
     def at(self, pair: Longs, xi_s: Floats, xi_m: Floats) -> Heights:
         """Return the heights at points (q,) of pairs, and their derivatives by xi_m."""
-        (N_s, _), (N_m, slopes) = _products(self.slave, xi_s), _products(self.master, xi_m)
-        c_s, c_m = (c[pair] for c in self.c)
-        h = (N_s * c_s + N_m * c_m).sum(axis=1)
-        return Heights(h, np.einsum("qea,qe->qa", slopes, c_m))
+        sides = zip((self.slave, self.master), (xi_s, xi_m), self.c, strict=True)
+        (h_s, _), (h_m, y) = (_heights(element, xi, c, pair) for element, xi, c in sides)
+        slopes = (self.master.part or self.master).derivatives(xi_m)
+        return Heights(h_s + h_m, 2.0 * (y[:, None] @ slopes)[:, 0])
 
     def integrals(self, Phi: Floats, pair: Ints, xi_s: Floats, xi_m: Floats) -> Floats:
         """Return int Phi_j dh (p, k, k + l, 3) by the nodes, at given points of both facets.
@@ -68,17 +68,28 @@ class PairHeights:
         total = np.zeros((p, k, size, d))
         sides = (self.slave, xi_s), (self.master, xi_m)
         for (element, xi), by_x in zip(sides, self.by_x, strict=True):
-            means = sums_of_products(Phi, _products(element, xi)[0], pair, p)
+            means = sums_of_products(Phi, _products(element, xi), pair, p)
             total += (means @ by_x.reshape(p, by_x.shape[1], size * d)).reshape(total.shape)
         return total
 
 
-def _products(element: FacetElement, xi: Floats) -> tuple[Floats, Floats]:
-    """Return N_a N_b / 2 (q, e) of the pairs of vertices of a facet, and their slopes (q, e, 2)."""
-    i, j = node_pairs(Facets(element, np.zeros((0, element.nodes, 3))))
-    N, dN = element.vertex_functions(xi), (element.part or element).derivatives(xi)
-    slopes = dN[:, i] * N[:, j, None] + N[:, i, None] * dN[:, j]
-    return N[:, i] * N[:, j] / 2, slopes / 2
+def _heights(element: FacetElement, xi: Floats, c: Floats, pair: Longs) -> tuple[Floats, Floats]:
+    """Return h (q,) over facets, and half of its derivatives (q, k) by the N_a."""
+    i, j = _pairs(element)
+    N, S = element.vertex_functions(xi), np.zeros((len(c), *2 * [len(element.vertices)]))
+    S[:, i, j] = S[:, j, i] = c / 4
+    y = (S[pair] @ N[:, :, None])[:, :, 0]
+    return (N * y).sum(axis=1), y
+
+
+def _products(element: FacetElement, xi: Floats) -> Floats:
+    """Return N_a N_b / 2 (q, e) of the pairs of vertices of a facet."""
+    (i, j), N = _pairs(element), element.vertex_functions(xi)
+    return N[:, i] * N[:, j] / 2
+
+
+def _pairs(element: FacetElement) -> tuple[list[int], list[int]]:
+    return node_pairs(Facets(element, np.zeros((0, element.nodes, 3))))
 
 
 def pair_heights(

@@ -685,8 +685,8 @@ class _Step:
             )
         if self.negative or shifted[-1:] == [len(self.report.iterations)]:
             notes.append(
-                "the tangent is indefinite at the end: the equilibrium found is unstable, and a small "
-                "disturbance leads elsewhere; give the mesh an imperfection to follow that"
+                "the tangent is indefinite at the end: the equilibrium found is unstable, and a "
+                "small disturbance leads elsewhere; give the mesh an imperfection to follow that"
             )
         return notes
 
