@@ -224,7 +224,8 @@ def _lumped(link: Link, rows: sparse.csr_array) -> tuple[Floats, Floats]:
     (n, N), d = rows.shape, coupling.R.shape[1]
     rows.sort_indices()
     row = np.repeat(np.arange(n), np.diff(rows.indptr))
-    own = np.bincount(d * row + rows.indices % d, rows.data, minlength=d * n).reshape(n, d)
+    parts = np.bincount(d * row + rows.indices % d, rows.data, minlength=d * n)
+    own = np.asarray(parts, dtype=np.float64).reshape(n, d)
     keys = row * N + rows.indices.astype(np.int64)
     p = np.zeros((len(used), d))
     first = pattern.row[used] * np.int64(N) + d * pattern.column[used]
