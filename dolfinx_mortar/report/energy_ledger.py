@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import ratio
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import ROUND_OFF, Floats
 from dolfinx_mortar.newton_method.impulse import respond
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.solid.term import Term
@@ -183,7 +183,8 @@ class EnergyLedger:
             for name in ("contact", "friction", "supports", "loads", "damping")
         }
         gain = work["contact"] + max(work["friction"], 0.0)
-        if self.conserve:
+        terms = self._sum(np.abs((before.contact + after.contact) * du))
+        if self.conserve and abs(gain) > ROUND_OFF * terms:
             motion = self._restored(motion, before.contact + after.contact, -gain, report.rtol)
         inertia.finish(motion)
         potential = self._stored()
@@ -214,8 +215,6 @@ class EnergyLedger:
 
     def _restored(self, motion: Motion, force: Floats, energy: float, rtol: float) -> Motion:
         """Return a motion that an impulse of contact forces has given an energy; collective."""
-        if energy == 0.0:
-            return motion
         mass, sums = self.inertia.mass, self.inertia.sum
         y = mass.extend(respond(self.problem, force, rtol))
         image = mass.times(y)

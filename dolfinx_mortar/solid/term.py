@@ -73,6 +73,13 @@ class Term(ABC):
         """Return how far a node may move in the step that has begun, by what the term knows."""
         return 0.0
 
+    def varies(self, K: PETSc.Mat) -> bool:
+        """Tell whether the tangent may be another than `add_tangent` has last added to a matrix.
+
+        Asked at the start of a step, of terms that are linear.
+        """
+        return True
+
     def begin(self, start: float, end: float) -> None:
         """Prepare a step.
 

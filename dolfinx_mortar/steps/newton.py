@@ -302,7 +302,7 @@ class _Step:
         """Make one Newton iteration and record it in the report."""
         problem, report = self.problem, self.report
         free_unused(problem.comm)
-        tangent = not self.linear or (number == 1 and problem.terms.varying)  # by parameters
+        tangent = not self.linear or (number == 1 and problem.terms.vary(problem.K))  # parameters
         lin, solved, rejected = None, None, ""
         if watch.held and problem.solid.strain == "finite" and self.is_exact(watch, residuals):
             old, watch, residuals[-1] = self.thaw(old, watch)

@@ -19,7 +19,7 @@ from dolfinx_mortar.report.energy_ledger import EnergyLedger
 from dolfinx_mortar.step_report import LoadStep, StepReport
 from dolfinx_mortar.steps.ramp import read_ramps
 from dolfinx_mortar.steps.walk import Level, Loading, Solves, walk
-from dolfinx_mortar.terms.inertia import NEWMARK, Inertia, Scheme, generalised_alpha
+from dolfinx_mortar.terms.inertia import NEWMARK, Damping, Inertia, Scheme, generalised_alpha
 
 CONSERVING, DAMPED = "energy-conserving", "generalised-alpha"
 
@@ -182,4 +182,12 @@ def find_inertia(problem: ContactProblem) -> list[Inertia]:
             f"problem has {len(found) or 'no'} Inertia among its terms: give it one, "
             "ContactProblem(.., terms=[dm.Inertia(solid, density)])"
         )
+    inertia = found[0]
+    if inertia.solid is not problem.solid:
+        raise ValueError(
+            "problem: its Inertia is that of another Solid: make it with problem.solid"
+        )
+    for name, term in problem.terms.named:
+        if isinstance(term, Damping) and term.inertia is not inertia:
+            raise ValueError(f"problem: {name} is that of another Inertia: make it with this one")
     return found

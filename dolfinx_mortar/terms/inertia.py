@@ -170,6 +170,7 @@ class Inertia(Term):
         set_velocity(self.velocity, velocity, cell_tags)
         self._start: Start | None = None
         self._end: Motion | None = None
+        self._added: tuple[int, float] | None = None  # the last matrix, and its factor of M
 
     # -- the state -------------------------------------------------------------------------------
 
@@ -259,7 +260,13 @@ class Inertia(Term):
 
     def add_tangent(self, K: PETSc.Mat) -> None:
         """Add kappa M; before any step M, which an audit reads."""
-        self.mass.add_to(K, 1.0 if self._start is None else self._start.kappa)
+        factor = 1.0 if self._start is None else self._start.kappa
+        self.mass.add_to(K, factor)
+        self._added = K.handle, factor
+
+    def varies(self, K: PETSc.Mat) -> bool:
+        """Tell whether a matrix holds another kappa, as of a step of another length."""
+        return self._added != (K.handle, self.start.kappa)
 
     def end(self) -> Motion:
         """Return the motion at the present u, at the end of the step; collective."""
@@ -415,6 +422,10 @@ class Damping(Term):
         """Add C v; collective."""
         if self._moves:
             F.array_w[:] += self.times(self.velocity()).ravel()
+
+    def varies(self, K: PETSc.Mat) -> bool:
+        """Tell whether a matrix holds another rate, which goes with the length of a step."""
+        return self._inertia.varies(K)
 
     def add_tangent(self, K: PETSc.Mat) -> None:
         """Add r C; collective."""

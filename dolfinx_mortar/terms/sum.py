@@ -38,6 +38,7 @@ CALLED_WITH = {  # the arguments of what a term may define
     "roll_back": (),
     "meet": ("contact", "body"),
     "stride": (),
+    "varies": ("K",),
 }
 
 
@@ -80,10 +81,9 @@ class Terms:
         """Whether the tangent is constant while what the user may change between steps is."""
         return all(term.linear for term in self.every)
 
-    @property
-    def varying(self) -> bool:
-        """Whether the tangent may change between steps even so."""
-        return self.solid.varying or self.have_tangent
+    def vary(self, K: PETSc.Mat) -> bool:
+        """Tell whether the tangent may be another than a matrix holds even so; at the start."""
+        return self.solid.varying or any(t.varies(K) for _, t in self.named if t.has_tangent)
 
     @property
     def have_tangent(self) -> bool:
