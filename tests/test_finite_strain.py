@@ -286,7 +286,5 @@ def test_what_finite_strain_does_not_go_with():
         dm.Solid(u, RUBBER, strain="large")
     with rejected("eigenstrain", "finite"):
         dm.Solid(u, RUBBER, strain="finite", eigenstrain=0.01)
-    with rejected("plane stress", "finite"):
-        dm.Solid(u, RUBBER, strain="finite", kinematics="plane_stress")
     with rejected("NeoHooke", "strain='finite'"):
         dm.Solid(u, RUBBER)

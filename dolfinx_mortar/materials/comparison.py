@@ -161,7 +161,9 @@ def check(
         raise ValueError(f"strain is {strain!r}: give 'finite', or None for that of the law")
     if (strain or parts.strain) == "finite":
         if plane_stress:
-            raise ValueError("plane_stress is True: there is none at finite strain")
+            raise ValueError(
+                "plane_stress is True: at finite strain a law is judged in space alone"
+            )
         found_ = compare_at_finite_strain(law, parts, rng, float(size))
         whole = (found_.energy, found_.tangent, 0.0, found_.skew, 0.0, found_.turned)
         return LawReport(parts.name, found_.samples, found_.changed, *whole)

@@ -25,6 +25,7 @@ class FiniteValues:
     stress: Floats  # (q, 3, 3) P = d psi / dF, force per area at X
     tangent: Floats  # (q, 3, 3, 3, 3) dP_ij / dF_kl, with the symmetry ij <-> kl
     state: dict[str, Floats]  # (q,) or (q, 3, 3), internal variables at the end of the step
+    normal: Floats | None = None  # (q,) in plane stress the stretch out of the plane less 1
 
     @property
     def undefined(self) -> Bools:
@@ -59,6 +60,9 @@ def create_finite_law(law: Law) -> FiniteLaw:
     def evaluate(F: Floats, state: Mapping[str, Floats], p: SimpleNamespace) -> FiniteValues:
         found = values_at_points(law, F, state, p)
         energy = None
+        if found.normal is not None:
+            F = F.copy()
+            F[:, 2, 2] = 1.0 + found.normal
         if law.energy is not None:
             try:
                 given = law.energy(F, state, p)
@@ -67,6 +71,6 @@ def create_finite_law(law: Law) -> FiniteLaw:
                     f"{law.name}.energy raised {type(error).__name__}: {error} (at {len(F)} points)"
                 ) from error
             energy = shaped_array(f"{law.name}.energy", given, (len(F),))
-        return FiniteValues(energy, found.stress, found.tangent, found.state)
+        return FiniteValues(energy, found.stress, found.tangent, found.state, found.normal)
 
     return FiniteLaw(evaluate, law.energy is not None)

@@ -32,10 +32,11 @@ from typing import Any
 import numpy as np
 
 import ufl
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.materials import logarithms
 from dolfinx_mortar.materials.compiled import Kernel, compile_kernel, constants, tabulate
 from dolfinx_mortar.materials.finite_law import FiniteValues
+from dolfinx_mortar.materials.plane_stress import solve
 from dolfinx_mortar.materials.protocol import PLASTIC, Law
 from dolfinx_mortar.materials.ranges import grouped, ungrouped
 from dolfinx_mortar.materials.response import PointValues, Response, respond, values_at_points
@@ -61,6 +62,16 @@ class Start:
     parameters: Mapping[str, Floats]  # (q,)
     roots: Floats | None  # C_pn^-1/2 - I (q, 3, 3), if not zero
     numbers: Floats  # (q, n), the arguments of a law in UFL, with space for the strain
+
+    def at(self, points: Ints) -> "Start":
+        """Return what some points know."""
+        state, parameters = (
+            {name: values[points] for name, values in of.items()}
+            for of in (self.state, self.parameters)
+        )
+        roots = None if self.roots is None else self.roots[points]
+        numbers = self.numbers[points] if len(self.numbers) else self.numbers
+        return Start(state, parameters, roots, numbers)
 
 
 class LogarithmicLaw:
@@ -135,6 +146,38 @@ class LogarithmicLaw:
             if self.has_energy:
                 psi[some] = np.where(np.isnan(x[:, 0]), np.inf, found[:, -1])
 
+    def find_normal(self, start: Start, H: Floats) -> None:
+        """Set H_zz of q points to what leaves no stress P_zz, NaN where the law is undefined.
+
+        Raises:
+            ValueError: where it is not found.
+        """
+        k = len(self.components)
+        c = self.components.index((2, 2))
+        last = _upper(k).index((c, c))
+
+        def equation(points: Ints, z: Floats) -> Floats:
+            trial = H[points]
+            trial[:, 2, 2] = z[:, 0]
+            q = len(points)
+            P, A, psi = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.empty(q)
+            self.respond(start.at(points), trial, P, A, psi)
+            stiffest, norm = np.abs(A).max(axis=1, initial=0.0), np.linalg.norm(P, axis=1)
+            return np.stack([P[:, c], A[:, last], stiffest, norm], axis=1)[:, None]
+
+        H[:, 2, 2] = solve(self.law.name, equation, (len(H), 1), finite=True)[:, 0]
+
+    def condense(self, P: Floats, A: Floats) -> None:
+        """Make stress and tangent of `respond` those of plane stress, in place."""
+        k, c = len(self.components), self.components.index((2, 2))
+        number = {pair: t for t, pair in enumerate(_upper(k))}
+        with_normal = [A[:, number[min(a, c), max(a, c)]].copy() for a in range(k)]
+        for (a, b), t in number.items():
+            A[:, t] -= with_normal[a] * with_normal[b] / with_normal[c]
+            if c in (a, b):
+                A[:, t] = 0.0
+        P[:, c] = 0.0
+
     def update(self, start: Start, H: Floats) -> dict[str, Floats]:
         """Return the internal variables at the end of the step, (q,) or (q, 3, 3)."""
         new = {name: np.array(values) for name, values in start.state.items()}
@@ -199,6 +242,11 @@ class LogarithmicLaw:
 
 
 _NONE = np.zeros((1, 3, 3))
+
+
+def _upper(k: int) -> list[tuple[int, int]]:
+    """Return rows and columns of the upper triangle, row by row."""
+    return [(a, b) for a in range(k) for b in range(a, k)]
 
 
 def _chunks(q: int) -> list[slice]:

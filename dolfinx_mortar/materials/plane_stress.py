@@ -6,7 +6,8 @@ With the strain e in the plane and z out of it, a law gives sigma(e, z) with the
     sigma_zz(e, z) = 0,         psi(e) = psi(e, z),
     d sigma / d e = C - C : zz (x) zz : C / C_zzzz,
 
-the last two because psi is stationary in z. For a linear law z = -sigma_zz(e, 0) / C_zzzz, in the
+the last two because psi is stationary in z. At finite strain e is F in the plane, sigma is P and z
+the stretch out of the plane less 1. For a linear law z = -sigma_zz(e, 0) / C_zzzz, in the
 compiled code; for all others Newton's method finds z before anything is assembled. The stress has
 zeros out of the plane by construction.
 """
@@ -18,7 +19,7 @@ import numba
 import numpy as np
 
 import ufl
-from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.arrays import ROUND_OFF, Floats, Ints
 from ufl.core.expr import Expr
 
 # Of the stress: what sigma_zz may be before the last iteration, as Newton's method doubles the
@@ -38,17 +39,32 @@ def with_normal_strain(strain: Expr, z: Any) -> Expr:
     return ufl.as_tensor([[strain[0, 0], shear, 0], [shear, strain[1, 1], 0], [0, 0, z]])
 
 
+def with_normal_stretch(F: Expr, z: Any) -> Expr:
+    """Return F in the plane of a 3x3 tensor with the stretch 1 + z out of it."""
+    return _with_normal(F, 1.0 + z)
+
+
+def _with_normal(tensor: Expr, normal: Any) -> Expr:
+    """Return the part in the plane of a 3x3 tensor, which need not be symmetric, with a zz."""
+    (a, b), (c, d) = ((tensor[i, 0], tensor[i, 1]) for i in range(2))
+    return ufl.as_tensor([[a, b, 0], [c, d, 0], [0, 0, normal]])
+
+
 def in_plane(tensor: Expr) -> Expr:
     """Return a 3x3 tensor with zeros out of the plane."""
     rows = [[tensor[i, j] for j in range(2)] for i in range(2)]
     return ufl.as_tensor([[*rows[0], 0], [*rows[1], 0], [0, 0, 0]])
 
 
-def condensed(change: Callable[[Expr], Expr]) -> Callable[[Expr], Expr]:
-    """Return d -> C : d - C : zz (C : d)_zz / C_zzzz in the plane, from the function d -> C : d."""
+def condensed(change: Callable[[Expr], Expr], *, finite: bool = False) -> Callable[[Expr], Expr]:
+    """Return d -> C : d - C : zz (C : d)_zz / C_zzzz in the plane, from the function d -> C : d.
+
+    Directions are strains, or at finite strain changes of F, which are not symmetric.
+    """
+    flat = _with_normal if finite else with_normal_strain
 
     def in_plane_change(direction: Expr) -> Expr:
-        fixed, normal = change(with_normal_strain(direction, 0.0)), change(NORMAL)
+        fixed, normal = change(flat(direction, 0.0)), change(NORMAL)
         return in_plane(fixed - fixed[2, 2] / normal[2, 2] * normal)
 
     return in_plane_change
@@ -58,7 +74,7 @@ Equation = Callable[[Ints, Floats], Floats]
 """Rows (k,) and z (k, m) there -> sigma_zz, C_zzzz, elastic C_zzzz, |sigma|: (k, m, 4)."""
 
 
-def solve(law: str, equation: Equation, shape: tuple[int, int]) -> Floats:
+def solve(law: str, equation: Equation, shape: tuple[int, int], *, finite: bool = False) -> Floats:
     """Return z with sigma_zz(z) = 0, NaN where the law is undefined.
 
     Newton's method from z = 0, so that z depends on strain and state alone. sigma_zz grows with z
@@ -66,17 +82,21 @@ def solve(law: str, equation: Equation, shape: tuple[int, int]) -> Floats:
     where an iterate would leave that interval, it is bisected, down to neighbouring numbers. Where
     C_zzzz is not positive, steps are those of the elastic modulus, and double.
 
+    At finite strain z, a stretch less 1, is above -1, and stresses have the round-off of moduli.
+
     The shape is the number of rows that the equation evaluates together, such as cells, and that of
     points in each.
 
     Raises:
         ValueError: if there are points at which no z is found; the message names the law.
     """
-    z, low, high = np.zeros(shape), np.full(shape, -np.inf), np.full(shape, np.inf)
+    floor = ROUND_OFF if finite else 0.0
+    z, high = np.zeros(shape), np.full(shape, np.inf)
+    low = np.full(shape, -1.0 if finite else -np.inf)
     rows: Ints = np.arange(shape[0], dtype=np.int32)
     for iteration in range(MOST_ITERATIONS):
         values = equation(rows, z[rows])
-        rows = rows[: _advance(z, low, high, rows, values, HALF_OF_DIGITS, 0.5**iteration)]
+        rows = rows[: _advance(z, low, high, rows, values, HALF_OF_DIGITS, floor, 0.5**iteration)]
         if not rows.size:
             return z
     raise ValueError(
@@ -87,7 +107,7 @@ def solve(law: str, equation: Equation, shape: tuple[int, int]) -> Floats:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _advance(z, low, high, rows, values, share, softer):  # type: ignore[no-untyped-def]
+def _advance(z, low, high, rows, values, share, floor, softer):  # type: ignore[no-untyped-def]
     """Make one iteration in some rows; return how many are not done, moved to the front.
 
     A law that is undefined from the start, as for a strain that is NaN, is done.
@@ -101,7 +121,9 @@ def _advance(z, low, high, rows, values, share, softer):  # type: ignore[no-unty
             new = at - residual / modulus if modulus > 0.0 else at + step
             if residual == 0.0:
                 new = at
-            elif not (abs(residual) <= share * stress and np.isfinite(stress)):
+            elif not (
+                abs(residual) <= max(share * stress, floor * elastic) and np.isfinite(stress)
+            ):
                 found = softer == 1.0 and np.isnan(stress)
                 if residual < 0.0:
                     low[row, q] = at

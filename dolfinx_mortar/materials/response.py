@@ -11,7 +11,13 @@ import numpy as np
 import ufl
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.materials import plane_stress
-from dolfinx_mortar.materials.plane_stress import NORMAL, condensed, in_plane, with_normal_strain
+from dolfinx_mortar.materials.plane_stress import (
+    NORMAL,
+    condensed,
+    in_plane,
+    with_normal_strain,
+    with_normal_stretch,
+)
 from dolfinx_mortar.materials.protocol import Law
 from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.classes import Label, Variable
@@ -37,19 +43,22 @@ def respond(
     """Return stress, energy and new internal variables of a law in UFL.
 
     The stress of a law without one is the derivative of its energy. In plane stress the law gets
-    the 3x3 strain in the plane, and that out of it which leaves no stress: z, if `law.condensed`.
+    the 3x3 strain in the plane, and that out of it which leaves no stress: z, if `law.condensed`;
+    at finite strain F with the stretch 1 + z.
 
     Raises:
         ValueError: if a method of the law raises, or returns something of the wrong shape or name.
     """
     equation = root = None
+    finite = law.strain == "finite"
+    with_normal = with_normal_stretch if finite else with_normal_strain
     if law.plane_stress and law.normal_strain is not None:
         flat = with_normal_strain(strain, 0.0)
         root = _call(law, "normal_strain", (), flat, state, p)
         strain = with_normal_strain(strain, z)
     elif law.plane_stress:
-        equation = _equation(law, with_normal_strain(strain, 0.0 if z is None else z), state, p)
-        strain = with_normal_strain(strain, -equation[0] / equation[1] if z is None else z)
+        equation = _equation(law, with_normal(strain, 0.0 if z is None else z), state, p)
+        strain = with_normal(strain, -equation[0] / equation[1] if z is None else z)
     energy = None if law.energy is None else _call(law, "energy", (), strain, state, p)
     stress = _stress(law, strain, state, p)
     updated = _updated_state(law, strain, state, p)
@@ -59,7 +68,8 @@ def respond(
 
     if not law.plane_stress:
         return Response(stress, energy, updated, change)
-    return Response(in_plane(stress), energy, updated, condensed(change), equation, root)
+    flat = condensed(change, finite=finite)
+    return Response(in_plane(stress), energy, updated, flat, equation, root)
 
 
 def _stress(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
@@ -158,6 +168,7 @@ class PointValues:
     stress: Floats  # (q, 3, 3)
     tangent: Floats  # (q, 3, 3, 3, 3)
     state: dict[str, Floats]  # (q,) or (q, 3, 3)
+    normal: Floats | None = None  # (q,) z of plane stress, see `plane_stress`
 
     @property
     def undefined(self) -> Bools:
@@ -175,20 +186,22 @@ def values_at_points(
 ) -> PointValues:
     """Return what a law of arrays gives at q points.
 
-    For a symmetric strain (q, 3, 3), committed internal variables (q,) or (q, 3, 3), parameters
-    (q,); in plane stress with the strain out of the plane that leaves no stress there.
+    For a symmetric strain (q, 3, 3), or F, committed internal variables (q,) or (q, 3, 3),
+    parameters (q,); in plane stress with the strain or stretch out of the plane that leaves no
+    stress there.
 
     Raises:
         ValueError: if it raises, or returns something of another form, name or shape.
     """
     if not law.plane_stress:
         return _updated(law, strain, state, p)
+    finite = law.strain == "finite"
     whole = np.zeros_like(strain)
     whole[:, :2, :2] = strain[:, :2, :2]
 
     def at(points: Ints, z: Floats) -> PointValues:
         strain = whole[points]
-        strain[:, 2, 2] = z
+        strain[:, 2, 2] = 1.0 + z if finite else z
         here = SimpleNamespace(**{name: _at(value, points) for name, value in vars(p).items()})
         return _updated(law, strain, {n: v[points] for n, v in state.items()}, here)
 
@@ -199,7 +212,7 @@ def values_at_points(
         parts = [found.stress[:, 2, 2], C[:, 2, 2, 2, 2], stiffest, norm]
         return np.stack(parts, axis=1)[:, None]
 
-    z = plane_stress.solve(law.name, equation, (len(strain), 1))[:, 0]
+    z = plane_stress.solve(law.name, equation, (len(strain), 1), finite=finite)[:, 0]
     found = at(np.arange(len(strain)), z)
     stress, C = found.stress.copy(), found.tangent
     stress[:, 2], stress[:, :, 2] = 0.0, 0.0
@@ -208,7 +221,7 @@ def values_at_points(
         tangent = C - np.einsum("qij,qkl->qijkl", C[..., 2, 2], C[:, 2, 2]) / modulus
     for axis in range(1, 5):
         np.moveaxis(tangent, axis, 1)[:, 2] = 0.0
-    return PointValues(stress, tangent, found.state)
+    return PointValues(stress, tangent, found.state, z)
 
 
 def _at(value: Any, points: Ints) -> Any:

@@ -60,7 +60,7 @@ def check_reducible(
             f"{why} quadrilaterals and hexahedra of first order, not for {cell}s of degree {p}: "
             "choose 'full', or such cells"
         )
-    if kinematics not in TRACED and not kinematics.finite:
+    if kinematics not in TRACED and (kinematics.plane_stress or not kinematics.finite):
         raise ValueError(
             f"{why} the kinematics {', '.join(repr(k.name) for k in TRACED)}, not for "
             f"{kinematics.name!r}: choose 'full'"

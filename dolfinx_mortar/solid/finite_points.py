@@ -31,7 +31,13 @@ from ufl.core.expr import Expr
 
 
 class FinitePointFields(PointValuesOfRegion):
-    """Energy, stress P, tangent and new state of a law of arrays at F."""
+    """Energy, stress P, tangent and new state of a law of arrays at F.
+
+    Attributes:
+        normal: in plane stress the stretch out of the plane less 1, zero in other regions.
+    """
+
+    normal: fem.Function | None = None
 
     def _create(self, strain: Expr, degree: int) -> None:
         """Create the Functions; compile F, which is what `strain` is; collective."""
@@ -43,6 +49,8 @@ class FinitePointFields(PointValuesOfRegion):
         self._stress = point_function(domain, degree, (size,))
         self._tangent = point_function(domain, degree, (len(pairs(size)),))
         self._energy = point_function(domain, degree) if has_energy else None
+        if self.region.law.plane_stress:
+            self.normal = point_function(domain, degree)
         points = compat.interpolation_points(self._stress.function_space)
         self._gradient = fem.Expression(self._wanted(strain), points)
         self._new = {name: f.copy() for name, f in self._committed.items()}
@@ -101,6 +109,9 @@ class FinitePointFields(PointValuesOfRegion):
         if self._energy is not None:
             assert found.energy is not None
             set_points(self._energy, cells, found.energy[:, None])
+        if self.normal is not None:
+            assert found.normal is not None
+            set_points(self.normal, cells, found.normal[:, None])
         for name, f in self._new.items():
             new: Floats = found.state[name]
             components = f.function_space.dofmap.bs

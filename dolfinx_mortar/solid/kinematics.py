@@ -59,18 +59,12 @@ class Kinematics:
         of F.
 
         Raises:
-            ValueError: if there is no deformation gradient, or in plane stress.
+            ValueError: if there is no deformation gradient.
         """
-        why = "strain is 'finite', which is for the kinematics 'plane strain', 'axisymmetric' and "
-        if self.plane_stress:
-            raise ValueError(
-                f"{why}'spatial': in 'plane stress' the thickness would be an unknown at every "
-                "point, which only the small strain solves for; choose strain='small', or a "
-                "mesh in 3D"
-            )
         if self.gradient is None:
             raise ValueError(
-                f"{why}'spatial', or with a gradient: {self.name!r} has none; give "
+                "strain is 'finite', which is for the kinematics 'plane strain', 'plane stress', "
+                f"'axisymmetric' and 'spatial', or with a gradient: {self.name!r} has none; give "
                 "Kinematics(..., gradient=), displacement -> F (3x3)"
             )
         name = f"{self.name}, finite strain"

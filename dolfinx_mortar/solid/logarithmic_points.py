@@ -5,6 +5,8 @@ Stress and tangent are evaluated for each assembly, straight into what the forms
 variables at the end of a step only.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 import ufl
@@ -31,9 +33,8 @@ class LogarithmicFields(FinitePointFields):
             return kernel_of(found, module, vector)
 
         names = list(ungrouped(self.region.symbols))
-        self._logarithmic = LogarithmicLaw(
-            self.region.law, names, dimension=dimension, jit=compiled
-        )
+        law = replace(self.region.law, plane_stress=False)  # H_zz is found here
+        self._logarithmic = LogarithmicLaw(law, names, dimension=dimension, jit=compiled)
         self._start: tuple[list[Floats], Start] | None = None
         self._gradients = np.zeros((0, 3, 3))
         return self._logarithmic.has_energy
@@ -55,6 +56,8 @@ class LogarithmicFields(FinitePointFields):
         found = np.asarray(self._gradient.eval(V.mesh, cells))
         H = np.ascontiguousarray(found).reshape(-1, 3, 3)
         start = self._start_of_step()
+        if self.normal is not None:
+            self._logarithmic.find_normal(start, H)
         self._seen = []  # a law that fails leaves what it gave
         functions = [self._stress, self._tangent]
         functions += [] if self._energy is None else [self._energy]
@@ -68,6 +71,9 @@ class LogarithmicFields(FinitePointFields):
             )
             whole = np.isfinite(P).all(axis=1) & np.isfinite(A).all(axis=1)
             self._judge(np.logical_not(whole), F, "gives NaN or infinity")
+        if self.normal is not None:
+            self._logarithmic.condense(P, A)
+            set_points(self.normal, cells, H[:, 2, 2:])
         for f, values in zip(functions, targets, strict=True):
             if values.base is None:
                 set_points(f, cells, values)

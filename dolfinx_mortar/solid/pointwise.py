@@ -44,25 +44,31 @@ from ufl.core.expr import Expr
 
 
 class NormalStrain(PointValuesOfRegion):
-    """The strain out of the plane that leaves no stress there, for a law in UFL."""
+    """The strain out of the plane that leaves no stress there, for a law in UFL.
+
+    At finite strain the stretch less 1.
+
+    Attributes:
+        normal: it, zero in other regions.
+    """
 
     def _create(self, strain: Expr, degree: int) -> None:
         """Create the Function and compile its equation; collective."""
         region, domain = self.region, self.region.parameters.function.function_space.mesh
-        self._strain = create_field(domain, degree, (), "strain_out_of_the_plane")
+        self.normal = create_field(domain, degree, (), "strain_out_of_the_plane")
         committed = as_tensors(region, self._committed)
         with raised_together(domain.comm):
-            self.response = respond(region.law, strain, committed, region.symbols, self._strain)
+            self.response = respond(region.law, strain, committed, region.symbols, self.normal)
         found = self.response.normal_strain
         if found is None:
             assert self.response.equation is not None
             found = ufl.as_vector(self.response.equation)
-        points = compat.interpolation_points(self._strain.function_space)
+        points = compat.interpolation_points(self.normal.function_space)
         self._equation = fem.Expression(found, points)
 
     def _evaluate(self) -> None:
         """Solve the equation at all points, or take its root from the law."""
-        V, cells, values = self._strain.function_space, self.region.cells, self._strain.x.array
+        V, cells, values = self.normal.function_space, self.region.cells, self.normal.x.array
         dofs = V.dofmap.list[cells]
         if self.response.normal_strain is not None:
             values[dofs] = np.asarray(self._equation.eval(V.mesh, cells)).reshape(dofs.shape)
@@ -73,9 +79,10 @@ class NormalStrain(PointValuesOfRegion):
             found = np.asarray(self._equation.eval(V.mesh, cells[rows]))
             return found.reshape(*z.shape, 4)
 
-        before = values.copy()
+        before, law = values.copy(), self.region.law
+        finite = law.strain == "finite"
         try:
-            values[dofs] = solve(self.region.law.name, equation, dofs.shape)
+            values[dofs] = solve(law.name, equation, dofs.shape, finite=finite)
         except ValueError:
             values[:] = before
             raise
@@ -181,6 +188,13 @@ def fill_point_values(
         with raised_together(comm):
             for values in found.values():
                 values.settle() if at_end else values.fill()
+
+
+def normal_strain(found: Mapping[Law, PointValuesOfRegion]) -> Expr:
+    """Return the strain out of the plane that has been found at the points, 0 without any."""
+    of_laws = NormalStrain, FinitePointFields
+    parts = [v.normal for v in found.values() if isinstance(v, of_laws) and v.normal is not None]
+    return sum(parts[1:], parts[0]) if parts else ufl.as_ufl(0.0)
 
 
 def largest_stress_lost(

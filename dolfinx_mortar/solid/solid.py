@@ -29,6 +29,7 @@ from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arguments import is_integer
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.materials import Material
+from dolfinx_mortar.materials.plane_stress import with_normal_stretch
 from dolfinx_mortar.solid.dilatation import MeanDilatation
 from dolfinx_mortar.solid.eigenstrain import create_eigenstrain
 from dolfinx_mortar.solid.energies import DISSIPATED, STORED, Energies, EnergyDensities
@@ -43,6 +44,7 @@ from dolfinx_mortar.solid.pointwise import (
     create_point_values,
     fill_point_values,
     largest_stress_lost,
+    normal_strain,
 )
 from dolfinx_mortar.solid.sources import Followed, follow_changed
 from dolfinx_mortar.solid.state import create_evaluations, create_field, create_state, fill_all
@@ -114,7 +116,7 @@ class Solid(Term):
                 the volume ratio is then linear in quadrilaterals and hexahedra, see `mean_volume`.
             strain: "small", or "finite" for bodies that turn or strain by more than a few percent:
                 laws see the deformation gradient F = I + grad u, the weak form is int P : dF[v].
-                For plane strain, axisymmetric and spatial bodies, without eigenstrain.
+                Without eigenstrain; in plane stress for laws of F.
             energies: whether the end of each step evaluates what is stored and dissipated, for
                 `energies`, and as the fields "stored_energy" and "dissipated_energy". All laws need
                 a potential.
@@ -180,11 +182,13 @@ class Solid(Term):
         if isinstance(dilatation, MeanVolume):
             pairs = zip(self.regions, responses, strict=True)
             responses = [dilatation.complete(*pair) for pair in pairs]
-        weight = self.kinematics.weight
+        weight, whole = self.kinematics.weight, measured
+        if finite and self.kinematics.plane_stress:
+            whole = with_normal_stretch(measured, normal_strain(found))
         self.gradients = PointGradients(
             *(u, self.kinematics, self.eigenstrain, self.stress),
             small=not finite and self.kinematics.linear_in(u),
-            volumes=Volumes(u, measured, degree) if finite else None,
+            volumes=Volumes(u, whole, degree) if finite else None,
         )
         self.densities = None
         if DISSIPATED in self._staged:
@@ -195,7 +199,7 @@ class Solid(Term):
         self.fields = PointFields(self.stress, shown, self.regions, degree, weight)
         with raised_together(self.mesh.comm):
             self.fields.bases  # noqa: B018 - checks the output of the laws
-        cauchy = [as_cauchy(r, measured) for r in responses] if finite else responses
+        cauchy = [as_cauchy(r, whole) for r in responses] if finite else responses
         evaluations = create_evaluations(self.regions, cauchy, self._staged, self.stress)
         if self.volumes is not None:
             evaluations.append(self.volumes.source)
