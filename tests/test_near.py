@@ -6,12 +6,16 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from dolfinx_mortar import newton
+from dolfinx_mortar import meshing, newton
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.interfaces import near
+from dolfinx_mortar.interfaces.mortar_interface import MortarInterface
 from dolfinx_mortar.steps import newton as newton_module
+from tests.bolted_joint import Joint
 from tests.choice import crosswise, quick
-from tests.hertz_case import create_case, create_mesh
+from tests.hertz_case import ELASTIC, create_case, create_mesh
+
+COMM = MPI.COMM_WORLD
 
 pytestmark = pytest.mark.mpi
 
@@ -72,3 +76,40 @@ def test_a_step_of_many_facets_needs_one_search(slave):
     touching.press(0.2)
     newton(touching.problem)
     assert case.force == pytest.approx(touching.force, rel=1e-3)
+
+
+@pytest.fixture
+def coupled(monkeypatch):
+    """The interfaces of all calls of `couple`."""
+    found, couple = [], MortarInterface.couple
+
+    def counted(interface, *given):
+        found.append(interface)
+        return couple(interface, *given)
+
+    monkeypatch.setattr(MortarInterface, "couple", counted)
+    return found
+
+
+@pytest.mark.mpi
+def test_what_stays_at_X_is_coupled_once_a_search(coupled):
+    """Ties beside contacts that follow u; contacts of frozen geometry, in every step after."""
+    joint = Joint()
+    for pull in (-30.0, -60.0):
+        joint.pull.value = pull
+        newton(joint.problem)
+        joint.problem.commit()
+    system = joint.problem.system
+    counts = [coupled.count(interface) for interface in system.interfaces]
+    assert counts[:2] == [system.searches] * 2 and min(counts[2:]) > system.searches
+
+    coupled.clear()
+    case = create_case(meshing.hertz(COMM, kind="paper"), ELASTIC, geometry="reference")
+    forces = []
+    for depth in (0.02, 0.04, 0.02):
+        case.press(depth)
+        newton(case.problem)
+        case.problem.commit()
+        forces.append(case.force)
+    assert len(coupled) == case.problem.system.searches
+    assert forces[0] == pytest.approx(forces[2], rel=1e-9) and forces[0] < forces[1]

@@ -98,6 +98,7 @@ class Interface(ABC):
     spoilt: ClassVar[tuple[str, str, bool]] = "", "", False
     smooth: bool = False  # whether facets stand for smooth surfaces
     feature_angle: float = FEATURE_ANGLE
+    lasts: ClassVar[bool] = False  # whether couple() at X returns the same while pairs last
     near_only: ClassVar[bool] = False  # partners have to lie within reach
     within: float | None = None  # how far that is, as its user has given it
     moved_by_loads: ClassVar[bool] = False  # whether what the side meets moves with the load level

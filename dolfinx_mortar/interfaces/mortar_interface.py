@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 from petsc4py import PETSc
 
@@ -61,6 +62,8 @@ class MortarInterface(Interface):
     Raises:
         ValueError: for tags that are none, unknown names, and an unknown surface or angle.
     """
+
+    lasts: ClassVar[bool] = True  # D and M at X
 
     def __init__(
         self,

@@ -92,6 +92,7 @@ class Room:
         tuple[Pairing | None, Pattern]
     ] = ()  # of each interface; none before the first search
     claims: Claims | None = None
+    at_X: Mapping[int, Coupling] = field(default_factory=dict)  # by interface, of these pairs
     paired_at: Floats | None = None  # where that search was made
     transformation: Transformation | None = None
     held: Sequence[Any] = ()  # what its pattern depends on, see `_pattern_of`
@@ -232,7 +233,7 @@ class InterfaceSystem:
             coverage = [full_coverage(self.sides[0])]
         claims = resolve_claims(self.interfaces, self.sides, patterns, coverage)
         at = np.zeros(0) if u is None else u.x.array[: self.n * self.V.dofmap.bs].copy()
-        self._room = replace(self._room, pairs=found, claims=claims, paired_at=at)
+        self._room = replace(self._room, pairs=found, claims=claims, at_X={}, paired_at=at)
         near = [np.ones(len(sides.nodes), dtype=bool) for sides in self.sides]
         links = self._coupled(u, near, before)
         return Configuration(links, claims, paired_at=at, searched=True)
@@ -244,14 +245,47 @@ class InterfaceSystem:
         links, claims = [], self._room.claims
         assert claims is not None
         for k, (interface, sides) in enumerate(zip(self.interfaces, self.sides, strict=True)):
-            pairing, pattern = self._room.pairs[k]
-            at = ask(self.V.mesh.comm, interface, "configuration", u)
-            parts = sides, pairing, pattern, claims.banned[k], at
-            coupling = _couple(interface, parts, before.links[k].coupling if before else None)
-            links.append(
-                Link(interface, sides, pairing, pattern, coupling, near[k], claims.banned[k])
-            )
+            parts = sides, *self._room.pairs[k], claims.banned[k]
+            coupling = self._couple(k, parts, u, before.links[k].coupling if before else None)
+            links.append(Link(interface, *parts[:3], coupling, near[k], claims.banned[k]))
         return links
+
+    def _couple(
+        self,
+        k: int,
+        parts: tuple[Any, ...],
+        u: fem.Function | None,
+        before: Coupling | None,
+    ) -> Coupling:
+        """Return what an interface's `couple` returns at X + u, checked; collective.
+
+        Args:
+            k: number of the interface.
+            parts: what else `couple` takes.
+            u: displacement.
+            before: of the last geometry of the step; in its first one None. Then what lasts is
+                asked once a search: ties, and contacts of frozen geometry.
+        """
+        comm, interface = self.V.mesh.comm, self.interfaces[k]
+        at = ask(comm, interface, "configuration", u)
+        first = at is None and interface.lasts and before is None
+        if first and k in self._room.at_X:
+            return self._room.at_X[k]
+        sides, pairing, pattern, banned = parts
+        with raised_together(comm), named(f"{interface!r}: couple()"):
+            found = interface.couple(sides, pairing, pattern, banned, at, before)
+            check_coupling(repr(interface), found, sides, pattern)
+        if first:
+            self._room = replace(self._room, at_X={**self._room.at_X, k: found})
+        return found
+
+    def _followed(self, k: int, link: Link, u: fem.Function | None) -> Link:
+        """Return an interface with the same pairs at X + u, itself if it stays at X; collective."""
+        if u is not None and link.interface.lasts:
+            if ask(self.V.mesh.comm, link.interface, "configuration", u) is None:
+                return link
+        parts = link.sides, link.pairing, link.pattern, link.banned
+        return replace(link, coupling=self._couple(k, parts, u, link.coupling))
 
     def begin(self, u: fem.Function | None, known: Paired | None) -> Configuration:
         """Return what a step begins with at X + u; no T yet; collective.
@@ -318,7 +352,7 @@ class InterfaceSystem:
             return False
         if self._slid(before.links, u, everywhere=everywhere):
             return self.enter(self.at(u, before), x, before.increment)
-        links = [replace(link, coupling=self._couple(link, u)) for link in before.links]
+        links = [self._followed(k, link, u) for k, link in enumerate(before.links)]
         assert before.claims is not None and before.transformation is not None
         if self._are_outdated(before.claims, links):
             return self.enter(self.at(u, before), x, before.increment)
@@ -353,11 +387,6 @@ class InterfaceSystem:
                 of = link.sides, link.pairing, u, None if everywhere else link.near
                 slid.append(ask(comm, link.interface, "has_slid", *of))
         return any(slid)
-
-    def _couple(self, link: Link, u: fem.Function | None) -> Coupling:
-        parts = link.sides, link.pairing, link.pattern, link.banned
-        at = ask(self.V.mesh.comm, link.interface, "configuration", u)
-        return _couple(link.interface, (*parts, at), link.coupling)
 
     def _are_outdated(self, claims: Claims, links: Sequence[Link]) -> bool:
         """Tell whether the claims must be settled anew; collective."""
@@ -489,15 +518,6 @@ class InterfaceSystem:
             nodes, own = link.nodes[carries], link.slot[carries]
             slot[nodes] = np.where(own >= 0, own, slot[nodes])
         return slot
-
-
-def _couple(interface: Interface, parts: tuple[Any, ...], before: Coupling | None) -> Coupling:
-    """Return what an interface's `couple` returns, checked; an error is one on all ranks."""
-    sides, pairing, pattern, banned, u = parts
-    with raised_together(sides.V.mesh.comm), named(f"{interface!r}: couple()"):
-        found = interface.couple(sides, pairing, pattern, banned, u, before)
-        check_coupling(repr(interface), found, sides, pattern)
-    return found
 
 
 def _function(V: fem.FunctionSpace, owned: Floats) -> fem.Function:
