@@ -13,21 +13,22 @@ from pathlib import Path
 import pytest
 
 from dolfinx_mortar.geometry import segments
-from dolfinx_mortar.mortar import curvature_correction, dual, edges, surface
+from dolfinx_mortar.mortar import curvature_correction, dual, edges, self_contact, surface
 from tests import (
     test_curvature_jumps,
     test_dual,
     test_edges,
     test_margin,
     test_segments_3d,
+    test_self_contact,
     test_surface,
 )
 
 ROOT = Path(__file__).resolve().parent.parent
 NUMBERS = [
     "BLUR", "EPS", "FACING", "FEW_PAIRS", "HALF_OF_DIGITS", "JUMP", "LEAST_COVERAGE",
-    "LEAST_MOMENT", "LEAST_WEIGHT", "OPEN", "PROJECTIONS", "QUARTER_OF_DIGITS", "ROUND_OFF", "SNAP",
-    "STAYS", "THROUGH", "TINY", "VERTICES", "area._ACCURACY", "area._HIGHEST", "operators._CHUNK",
+    "LEAST_MOMENT", "LEAST_WEIGHT", "OPEN", "PROJECTIONS", "QUARTER_OF_DIGITS", "REACH", "ROUND_OFF",
+    "SNAP", "STAYS", "THROUGH", "TINY", "VERTICES", "area._ACCURACY", "area._HIGHEST", "operators._CHUNK",
     "parts._STEPS", "segments._SLIDING", "surface._MOST_WARPED",
 ]  # fmt: skip
 # Numbers that its cases do not reach: absurd values, and tests that fail with them. LEAST_WEIGHT is
@@ -61,6 +62,11 @@ FELT = {
         edges,
         (1e12,),
         test_edges.test_a_corner_beside_a_clamped_node_does_not_sink_in,
+    ),
+    "REACH": (
+        self_contact,
+        (0.1,),
+        test_self_contact.test_parts_that_come_near_ask_for_a_search,
     ),
     "_MOST_WARPED": (
         surface,

@@ -28,13 +28,13 @@ ON_TWO = """
 SLOW_ON_TWO = """
     audit axisymmetric_contact axisymmetric_patch axisymmetry certificate checkpoint
     checkpoint_damage checkpoint_errors curvature_jumps demo_meshes dynamics edges
-    eigenstrain energies failures finite_in_space finite_plane_stress finite_sliding jump
-    jump_errors kinematics law_contact linear linearisation loads locking logarithmic_solid
-    margin measure newton obstacle orthotropic output output_resume parameters passing
-    patch_3d plane_stress plotting pointwise preload preload_direction preload_several
-    qp_descent ramp reaction resolution rubber small_strain smooth_3d smooth_contact
-    smooth_second smooth_tie solid solid_state stand_off stress_laws sweep tie_reach
-    tool_friction tying undone user_laws volumetric
+    eigenstrain energies failures finite_in_space finite_plane_stress finite_sliding folds
+    jump jump_errors kinematics law_contact linear linearisation loads locking
+    logarithmic_solid margin measure newton obstacle orthotropic output output_resume
+    parameters passing patch_3d plane_stress plotting pointwise preload preload_direction
+    preload_several qp_descent ramp reaction resolution rubber small_strain smooth_3d
+    smooth_contact smooth_second smooth_tie solid solid_state stand_off stress_laws sweep
+    tie_reach tool_friction tying undone user_laws volumetric
 """.split()
 SLOW_ON_THREE = """
     exact_tangent_3d friction_path friction_state impact load_steps looks_change_nothing

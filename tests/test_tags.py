@@ -71,7 +71,7 @@ def test_tags_without_names_say_how_to_name_them():
 def test_messages_call_sides_by_their_names():
     V, _, facet_tags = case()
     with pytest.raises(ValueError, match="slave and master are both tag 'ball'"):
-        dm.Contact(facet_tags, slave="ball", master=4)
+        dm.Tie(facet_tags, slave="ball", master=4)
     with pytest.raises(ValueError, match=r"slave='plates' marks no facet.*'plate' \(3\)"):
         dm.assemble_mortar(V, facet_tags, slave="plates", master="plate")
     again = dm.Tags(facet_tags, SIDES | {"plate too": 3})

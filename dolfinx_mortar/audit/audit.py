@@ -75,6 +75,7 @@ class InterfaceAudit:
     edges: Edges | None = None  # of smooth surfaces
     reach: TieReach | None = None  # of ties
     unheld: Unheld | None = None  # where Dirichlet data leave no multiplier
+    meets_itself: bool = False  # one surface, divided into slaves and masters where it is near
 
     def __str__(self) -> str:
         """Return one line."""
@@ -82,7 +83,8 @@ class InterfaceAudit:
         if self.least_gap < 0.0:
             gap += f" (overlap {-self.least_gap:.3g})"
         return (
-            f"{self.name}: {self.slave_facets} slave and {self.master_facets} master facets, "
+            f"{self.name}: {self.slave_facets} slave and {self.master_facets} master facets"
+            f"{' near each other' if self.meets_itself else ''}, "
             f"{self.kept_nodes} of {self.slave_nodes} slave nodes carry a multiplier, "
             f"{self.uncovered_nodes} face no master, {self.removed_nodes} removed, {gap}"
             + "".join(f", {part}" for part in (self.edges, self.reach) if part)
@@ -242,7 +244,7 @@ def facet_angle(surface: Surface, feature_angle: float, comm: MPI.Comm) -> float
 def _warnings(i: InterfaceAudit) -> list[str]:
     """Return the warnings about an interface."""
     warnings = []
-    if i.kept_nodes == 0:
+    if i.kept_nodes == 0 and not i.meets_itself:
         warnings.append(
             f"{i.name}: no slave node carries a multiplier, so it does nothing; check the "
             "tags, or let the other side be the slave if this one has Dirichlet data"
@@ -299,7 +301,8 @@ def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec, increment: float) -> 
         float(len(link.mortar[0].pairs)),
         link.coupling.coverage.reached.any(),
     )
-    if joined and (deepest > bodies.radius.max() or (facing and not reached)):
+    parts = joined and not interface.meets_itself
+    if parts and (deepest > bodies.radius.max() or (facing and not reached)):
         how_deep = f", {deepest:.3g} deep" if some else ""
         raise ValueError(
             f"{interface.sides} are parts of one surface "
@@ -320,19 +323,19 @@ def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     least, largest = maximum(
         sides.V.mesh.comm, (-gap).max(initial=-np.inf), gap.max(initial=-np.inf)
     )
+    itself = link.interface.meets_itself
     left_out = covered & ~kept & ~link.coupling.coverage.weightless
     prescribed = left_out & sides.fixed[link.nodes].any(axis=1)
     counts = sides.V.mesh.comm.allreduce(
         np.array(
             [
-                len(sides.slave.facets),
-                0 if sides.master is None else len(sides.master.facets),
+                *_count_facets(link),
                 len(link.nodes),
                 kept.sum(),
                 (~covered).sum(),
                 (covered & ~kept).sum(),
                 (prescribed & ~link.banned[link.nodes]).sum(),
-                _count_facing_away(link.pairing) if link.pairing else 0,
+                _count_facing_away(link.pairing) if link.pairing and not itself else 0,
             ]
         ),
         op=MPI.SUM,
@@ -345,8 +348,23 @@ def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     ends = [0.0 if abs(end) < size or np.isinf(end) else float(end) for end in (-least, largest)]
     edges = _edges(link) if link.pattern.smooth else None
     unheld = find_unheld(link, prescribed)
-    row = *map(int, counts), ratio, *ends, edges, measure_reach(link), unheld
+    row = *map(int, counts), ratio, *ends, edges, measure_reach(link), unheld, itself
     return InterfaceAudit(repr(link.interface), *row)  # type: ignore[arg-type]
+
+
+def _count_facets(link: Link) -> tuple[int, int]:
+    """Return the numbers of slave and of master facets of this rank.
+
+    Of a surface that meets itself, those that are near each other.
+    """
+    sides, pairing = link.sides, link.pairing
+    if sides.master is None:
+        return len(sides.slave.facets), 0
+    if pairing is None or pairing.roles is None:
+        return len(sides.slave.facets), len(sides.master.facets)
+    seen = np.unique(pairing.roles.seen // max(len(pairing.roles.copies), 1))
+    slaves = int(pairing.roles.slave[seen].sum())
+    return slaves, len(seen) - slaves
 
 
 def _edges(link: Link) -> Edges:

@@ -109,7 +109,11 @@ def resolve_claims(
             "claimed by an earlier interface whose master they face as well; "
             "give both masters one tag",
         )
-        remove(k, dependent(k, k), "they are master nodes of the same interface")
+        both = dependent(k, k)  # of a surface that meets itself, where its slaves begin and end
+        if interfaces[k].meets_itself:
+            banned[k] |= both
+        else:
+            remove(k, both, "they are master nodes of the same interface")
         dependencies |= {(k, i) for i in range(k) if any_rank(comm, dependent(k, i).any())[0]}
         for i in range(k):
             hit = dependent(i, k)

@@ -14,6 +14,8 @@ lambda_j g_j = 0 are bounds in the basis of `dolfinx_mortar.interfaces.basis`, w
 the reaction of that bound is D_jj lambda_j.
 """
 
+from typing import ClassVar
+
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.interfaces.coulomb import Limit, create_law
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
@@ -44,7 +46,9 @@ class Contact(Unilateral, MortarInterface):
     Args:
         facet_tags: facet markers on the mesh of the displacement.
         slave: tag of the side that carries the multipliers, or its name, see `Tags`.
-        master: tag or name of the other side.
+        master: tag or name of the other side; that of the slave for a surface that folds and meets
+            itself, which is divided into slaves and masters at each search, see
+            `dolfinx_mortar.mortar.self_contact`.
         surface: "smooth" measures the gap between the smooth surfaces through the nodes of the
             facets, g_j - sum_q w Phi_j (h_s + h_m) with the heights h of
             `dolfinx_mortar.geometry.curvature`; "facets" between the facets, as the paper does.
@@ -64,6 +68,7 @@ class Contact(Unilateral, MortarInterface):
             or infinite limits, and both ``friction`` and ``tresca``.
     """
 
+    may_meet_itself: ClassVar[bool] = True
     spoilt = "curved sides that fit closely", "of degree 2 are far off on coarse meshes", True
 
     def __init__(

@@ -118,6 +118,11 @@ class Interface(ABC):
         return f"{type(self).__name__}({self.sides})"
 
     @property
+    def meets_itself(self) -> bool:
+        """Whether both sides are one surface, divided into slaves and masters at each search."""
+        return False
+
+    @property
     def sides(self) -> str:
         """How messages call the sides."""
         return f"slave={label(self.facet_tags, self.slave)}"

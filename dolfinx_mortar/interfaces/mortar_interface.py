@@ -64,6 +64,7 @@ class MortarInterface(Interface):
     """
 
     lasts: ClassVar[bool] = True  # D and M at X
+    may_meet_itself: ClassVar[bool] = False  # whether one tag may be both sides
 
     def __init__(
         self,
@@ -78,7 +79,7 @@ class MortarInterface(Interface):
         super().__init__(facet_tags, slave=slave)
         self.master: int = tag_of(facet_tags, master, "master")
         check_tag("master", self.master)
-        if self.slave == self.master:
+        if self.slave == self.master and not self.may_meet_itself:
             raise ValueError(
                 f"slave and master are both tag {label(facet_tags, self.slave)}: give two "
                 "different tags"
@@ -93,6 +94,11 @@ class MortarInterface(Interface):
         if self.smooth and self.feature_angle != FEATURE_ANGLE:
             said = f", feature_angle={self.feature_angle:g}"
         return f"{super().__repr__()[:-1]}{said})"
+
+    @property
+    def meets_itself(self) -> bool:
+        """Whether one tag is both sides, see `mortar.self_contact`."""
+        return self.slave == self.master
 
     @property
     def sides(self) -> str:
@@ -143,8 +149,9 @@ class MortarInterface(Interface):
 
     def find_sides(self, V: fem.FunctionSpace, fixed: Bools, weight: Weight | None = None) -> Sides:
         """Return both surfaces in V, see `Interface.find_sides`; collective."""
-        slave = create_surface(V, self.facet_tags, self.slave, "slave")
-        master = create_surface(V, self.facet_tags, self.master, "master")
+        slave = master = create_surface(V, self.facet_tags, self.slave, "slave")
+        if not self.meets_itself:
+            master = create_surface(V, self.facet_tags, self.master, "master")
         dependent = dependent_nodes(slave)[: slave.owned]
         edges = find_edges(slave, self.feature_angle) if self.unilateral else None
         return Sides(V, slave, master, mark(slave), mark(master), fixed, dependent, edges, weight)
@@ -177,7 +184,7 @@ class MortarInterface(Interface):
     ) -> bool:
         """Tell whether the bodies slid out of the margin, see `Interface.has_slid`; collective."""
         assert pairing is not None
-        if near is None:
+        if near is None or self.meets_itself:  # parts that were far have no pairs yet
             return outside_margin(pairing, u)
         marks = np.zeros(sides.n_owned, dtype=bool)
         marks[sides.nodes] = near

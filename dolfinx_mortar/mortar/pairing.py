@@ -30,7 +30,14 @@ from dolfinx_mortar.geometry.segments import (
     sliding_margins,
 )
 from dolfinx_mortar.mortar.receivers import create_groups, find_receivers, group_cones
-from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, nodal_normals
+from dolfinx_mortar.mortar.self_contact import Roles, divide, has_changed
+from dolfinx_mortar.mortar.surface import (
+    Surface,
+    coordinates,
+    facets_at,
+    nodal_normals,
+    thickness_stretches,
+)
 
 Weight = Callable[[Floats], Floats]
 """Points (q, d) at X -> factor (q,) of integrals over a surface, such as 2 pi r; positive."""
@@ -69,6 +76,7 @@ class Pairing:
     off_diagonal: Ints  # positions among D's entries of those of P that come from D
     diagonal: tuple[Ints, Ints]  # positions of D_jj among D's entries, and indices of the nodes j
     weight: Weight | None = None  # of all integrals over the slave side; None for 1
+    roles: Roles | None = None  # of a surface that meets itself
 
 
 def _slave_facets(slave: Surface, u: dolfinx.fem.Function | None) -> tuple[Facets, Floats]:
@@ -78,22 +86,36 @@ def _slave_facets(slave: Surface, u: dolfinx.fem.Function | None) -> tuple[Facet
     return facets, projection_directions(facets, nodal_normals(slave, x)[slave.facets])
 
 
-def _send_facets(master: Surface, receivers: Bools) -> tuple[Longs, Ints, Floats, Floats]:
+def _send_facets(
+    master: Surface, receivers: Bools, deepest: Floats
+) -> tuple[Longs, Ints, Floats, Floats]:
     """Send copies of the master facets (collective).
 
     Returns:
         Global nodes (nm,), facets (mm, k) as indices into them, reference coordinates (nm, d), and
-        how thick the body is behind the facets (mm,).
+        how deep partners may lie behind the facets (mm,).
     """
     V = master.V
     numbers = V.dofmap.index_map.local_to_global(master.nodes)[master.facets]
     X = master.X[master.facets]
-    sent = numbers, X, master.thickness
+    sent = numbers, X, deepest
     parts = V.mesh.comm.alltoall([tuple(v[to] for v in sent) for to in receivers.T])
-    numbers, X, thickness = (np.concatenate([part[i] for part in parts]) for i in range(3))
+    numbers, X, deepest = (np.concatenate([part[i] for part in parts]) for i in range(3))
     nodes, first, facets = np.unique(numbers, return_index=True, return_inverse=True)
     facets = facets.reshape(numbers.shape).astype(np.int32)
-    return nodes.astype(np.int64), facets, X.reshape(-1, X.shape[2])[first], thickness
+    return nodes.astype(np.int64), facets, X.reshape(-1, X.shape[2])[first], deepest
+
+
+def _deepest(surface: Surface, u: dolfinx.fem.Function | None, itself: bool) -> Floats:
+    """Return how far (m,) behind the facets of a surface a partner may lie (collective).
+
+    Where a surface can meet itself, its other side is among what it meets: there the thickness is
+    the present one.
+    """
+    if u is None or not itself:
+        return THROUGH * surface.thickness
+    stretch = thickness_stretches(surface, u)[surface.facets].min(axis=1, initial=np.inf)
+    return np.asarray(THROUGH * surface.thickness * stretch)
 
 
 def _create_scatter(
@@ -153,7 +175,7 @@ def _check_surfaces(
     if u is not None and (not isinstance(u, dolfinx.fem.Function) or u.function_space != V):
         raise ValueError("u has to be a Function of V itself, not of another space or mesh.")
     common = V.mesh.comm.allreduce(len(np.intersect1d(slave.entities, master.entities)))
-    if common:
+    if common and slave is not master:
         raise ValueError(
             f"slave={slave.label} and master={master.label} share {common} facets; "
             "mark each side of the interface with a tag of its own."
@@ -200,6 +222,9 @@ def create_pairing(
     Where the surfaces move, the pairs provide for a relative sliding by half an edge or more;
     `outside_margin` tells when that is used up, by sliding or by turning.
 
+    One surface as both meets itself: which of its facets are slaves is chosen at each search, see
+    `self_contact`.
+
     Args:
         V: Vector space of the displacement.
         slave: Its slave surface.
@@ -227,15 +252,23 @@ def create_pairing(
     if comm.size > 1:
         cones = group_cones(slaves.x, bounding_directions(slaves, n_s), groups, margin)
         receivers = find_receivers(comm, cones, masters)
-    nodes, facets, X, thickness = _send_facets(master, receivers)
+    own = _deepest(slave, u, slave is master)
+    others = own if slave is master else _deepest(master, u, False)
+    nodes, facets, X, deepest = _send_facets(master, receivers, others)
     scatter, source, received = _create_scatter(V, nodes)
     copies = Facets(master.element, _master_coordinates(X, scatter, source, received, u)[facets])
     pairs = find_candidates(slaves, n_s, copies, margin)
-    if not again:
+    roles = None
+    if slave is master:
+        numbers = V.dofmap.index_map.local_to_global(slave.nodes)[slave.facets], nodes[facets]
+        places, limits = (slave.X[slave.facets], X[facets]), (own, deepest)
+        pairs, roles = divide(comm, slaves, copies, pairs, numbers, places, limits)
+    elif not again:
         _check_facing(pairs, slave, master, n_s, facet_normals(masters))
+    deepest = np.minimum(own[pairs[:, 0]], deepest[pairs[:, 1]])
     same = earlier is not None and _has_pairs(earlier, pairs, nodes, facets)
     if earlier is not None and comm.allreduce(same, op=MPI.LAND):
-        return replace(earlier, sent=receivers, groups=groups)
+        return replace(earlier, sent=receivers, groups=groups, deepest=deepest, roles=roles)
     D, M = _create_triplets(slave, pairs, nodes, facets)
     return Pairing(
         slave=slave,
@@ -244,7 +277,7 @@ def create_pairing(
         master_nodes=nodes,
         master_facets=facets,
         master_X=X,
-        deepest=THROUGH * np.minimum(slave.thickness[pairs[:, 0]], thickness[pairs[:, 1]]),
+        deepest=deepest,
         sent=receivers,
         groups=groups,
         scatter=scatter,
@@ -254,6 +287,7 @@ def create_pairing(
         M=M,
         **_pattern_of_P(slave, D, M),
         weight=weight,
+        roles=roles,
     )
 
 
@@ -322,8 +356,11 @@ def outside_margin(
     asked = np.flatnonzero(among)
     pairs = find_candidates(slave[asked], n_s[asked], master, none[asked])
     pairs[:, 0] = asked[pairs[:, 0]]
-    fresh, known = (p[:, 0].astype(np.int64) * count + p[:, 1] for p in (pairs, pairing.pairs))
-    missing = not np.isin(fresh, known, assume_unique=True).all()
+    if pairing.roles is not None:
+        missing = has_changed(pairing.roles, slave, master, pairs)
+    else:
+        fresh, known = (p[:, 0].astype(np.int64) * count + p[:, 1] for p in (pairs, pairing.pairs))
+        missing = not np.isin(fresh, known, assume_unique=True).all()
     missing = missing or not (np.isfinite(slave.x).all() and np.isfinite(master.x).all())
     if comm.size > 1:
         own = facets_at(pairing.master, coordinates(pairing.master, u))

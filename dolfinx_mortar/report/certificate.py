@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: MIT
 """The certificate of a converged step: residuals of equilibrium and of the contact laws."""
 
+from collections.abc import Sequence
+
 from mpi4py import MPI
 
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum, ratio
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.link import Link, along_and_across, relative_motions
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.newton_method.contacts import Contacts
@@ -45,12 +46,26 @@ def operator_errors(link: Link, facet_length: float) -> tuple[float, float]:
     return float(linear), float(sums)
 
 
-def _balances(interfaces: list[Interface], facet_length: float) -> tuple[float, float]:
-    """Return the largest relative imbalances of forces and moments between the two sides."""
+def _balances(links: Sequence[Link], x: Floats, facet_length: float) -> tuple[float, float]:
+    """Return the largest relative imbalances of forces and moments between the two sides.
+
+    The resultants of a surface that meets itself may cancel; there the sums of nodal sizes count.
+
+    Args:
+        links: the interfaces, with results.
+        x: (owned nodes, d) coordinates.
+        facet_length: added to the arms of moments.
+    """
     force = moment = 0.0
-    for i in interfaces:
-        scale = np.linalg.norm(i.force)
-        arm = np.linalg.norm(i.moment) + scale * facet_length
+    for link in links:
+        i = link.interface
+        scale, arm = np.linalg.norm(i.force), np.linalg.norm(i.moment)
+        if i.meets_itself:
+            size = np.abs(i.multiplier) * link.coupling.weight[:, 0]
+            arms = np.linalg.norm(x[link.nodes], axis=1)
+            own = np.array([size.sum(), (size * arms).sum()])
+            scale, arm = link.sides.V.mesh.comm.allreduce(own, op=MPI.SUM)
+        arm += scale * facet_length
         force = max(force, ratio(np.linalg.norm(i.force + i.master_force), scale))
         moment = max(moment, ratio(np.linalg.norm(i.moment + i.master_moment), arm))
     return force, moment
@@ -89,7 +104,8 @@ def create_certificate(
     g, p = np.concatenate(gap), np.concatenate(multiplier)
     deepest, tensile, pressure, product = _largest(problem.comm, -g, -p, np.abs(p), np.abs(g * p))
     errors = [operator_errors(link, length) for link in links if link.pairing] or [(0.0, 0.0)]
-    force, moment = _balances(problem.interfaces, length)
+    x = problem.positions().array_r.reshape(problem.n, -1)
+    force, moment = _balances(links, x, length)
     kept = [link.coupling.kept.any(axis=1) for link in links]
     covered = [link.coupling.coverage.share for link in links]
     counts = [

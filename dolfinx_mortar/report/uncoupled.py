@@ -9,11 +9,19 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx import la
+from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Bools, Floats, Longs
 from dolfinx_mortar.geometry.crossings import find_crossings, near_others
 from dolfinx_mortar.geometry.facets import facet_sizes
 from dolfinx_mortar.geometry.sweep import flat_parts
-from dolfinx_mortar.mortar.surface import coordinates, exterior_facets, nodal_sagittas
+from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.mortar.surface import (
+    cells_of,
+    coordinates,
+    exterior_facets,
+    facets_at,
+    nodal_sagittas,
+)
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.overlaps import SUNK
 
@@ -43,15 +51,55 @@ class _Skin:
 
 
 def find_crossing(problem: ContactProblem) -> Crossing:
-    """Return the deepest crossing of the boundaries of two bodies at X + u; collective.
+    """Return the deepest crossing of the boundaries of bodies at X + u; collective.
 
-    Of facets that face each other and are the two sides of one interface there is none: where these
-    overlap, the interface has seen it. Facets are taken as flat between their vertices: at the rim
-    of curved sides they reach into the faces beside them, by both sagittas at most, which are taken
-    off.
+    Of two bodies, and of a surface that a contact of it with itself should keep from crossing. Of
+    facets of two bodies that face each other and are the two sides of one interface there is none:
+    where these overlap, the interface has seen it. Facets are taken as flat between their vertices:
+    at the rim of curved sides they reach into the faces beside them, by both sagittas at most,
+    which are taken off.
     """
-    if problem.bodies.count == 1:
+    every = [find_self_crossing(problem, link) for link in problem.system.unilateral]
+    if problem.bodies.count > 1:
+        every.append(_find_between(problem))
+    return max(every, key=lambda found: found.share, default=Crossing())
+
+
+def find_self_crossing(problem: ContactProblem, link: Link) -> Crossing:
+    """Return the deepest crossing of a surface that meets itself; collective.
+
+    Where nearer facets have decided that two facets are both slaves or both masters, nothing keeps
+    them apart.
+    """
+    if not link.interface.meets_itself:
         return Crossing()
+    comm, surface = problem.comm, link.sides.slave
+    x = coordinates(surface, problem.u)
+    facets, sagittas = facets_at(surface, x), nodal_sagittas(surface, x)[surface.facets]
+    first, flat = sum(comm.allgather(len(facets.x))[: comm.rank]), flat_parts(facets)
+    again = np.arange(len(flat)) % max(len(facets.x), 1)  # see `_create_skin`
+    sagitta, none = sagittas.max(axis=1, initial=0.0)[again], np.zeros((len(flat), 2, 0), bool)
+    skin = _received(comm, _Skin(flat, first + again, none, sagitta))
+    found = find_crossings(skin.x, skin.body)
+    one, other = skin.part(found.pairs[:, 0]), skin.part(found.pairs[:, 1])
+    depth = np.maximum(found.depth - one.sagitta - other.sagitta, 0.0)
+    share = depth / np.minimum(facet_sizes(one.x), facet_sizes(other.x))
+    body = int(maximum(comm, problem.bodies.of_cells[cells_of(surface)].max(initial=0))[0])
+    return _deepest(comm, share, depth, found.place, np.full((len(share), 2), body))
+
+
+def _deepest(
+    comm: MPI.Comm, share: Floats, depth: Floats, place: Floats, bodies: Longs
+) -> Crossing:
+    """Return the crossing with the largest share of all ranks; collective."""
+    columns = share, depth, place, bodies
+    mine = [[column[i].tolist() for column in columns] for i in np.argsort(share)[-1:]]
+    everywhere = [parts for rank in comm.allgather(mine) for parts in rank]
+    return Crossing(*max(everywhere)) if everywhere else Crossing()
+
+
+def _find_between(problem: ContactProblem) -> Crossing:
+    """Return the deepest crossing of the boundaries of two bodies; collective."""
     comm, own = problem.comm, _create_skin(problem)
     skin = _received(comm, own)
     found = find_crossings(skin.x, skin.body)
@@ -61,10 +109,7 @@ def find_crossing(problem: ContactProblem) -> Crossing:
     depth = np.maximum(found.depth - one.sagitta - other.sagitta, 0.0)
     share = np.where(coupled, 0.0, depth / size)
     bodies = np.stack([one.body, other.body], axis=1)
-    columns = share, depth, found.place, bodies
-    mine = [[column[i].tolist() for column in columns] for i in np.argsort(share)[-1:]]
-    everywhere = [parts for rank in comm.allgather(mine) for parts in rank]
-    return Crossing(*max(everywhere)) if everywhere else Crossing()
+    return _deepest(comm, share, depth, found.place, bodies)
 
 
 def notes_on_crossings(problem: ContactProblem, found: Crossing) -> list[str]:
@@ -73,6 +118,12 @@ def notes_on_crossings(problem: ContactProblem, found: Crossing) -> list[str]:
         return []
     centres = problem.bodies.centre[list(found.bodies)]
     where, *around = (_point(x) for x in (np.array(found.place), *centres))
+    if len(set(found.bodies)) == 1:
+        return [
+            f"the surface of the body around {around[0]} lies in itself around {where}, by "
+            f"{found.depth:.3g}, {found.share:.0%} of a facet there, where its contact with itself "
+            "does not see it; take smaller steps, finer facets, or a tag for each of the two parts"
+        ]
     return [
         f"the bodies around {around[0]} and {around[1]} lie in each other around {where}, where no "
         f"interface couples them: by {found.depth:.3g}, {found.share:.0%} of a facet there; give "

@@ -1,0 +1,242 @@
+# SPDX-License-Identifier: MIT
+"""A surface that meets itself: which of its facets can touch, and which of two is the slave.
+
+T expresses slave nodes by master nodes, so no node may be both. At each search the facets that are
+near each other are divided into slaves and masters such that of two facets that face each other
+one is the slave; a node of both kinds carries no multiplier.
+"""
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+from scipy.sparse import csr_array, triu
+
+from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.geometry.distances import facet_distances
+from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
+from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS
+
+REACH = 4.0
+"""Facets that are at most so many diameters apart are divided at a search (cost only).
+
+A new search is due when others are half as near, which is still before they touch.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Roles:
+    """How a surface that meets itself was divided at a search."""
+
+    slave: Bools  # (ms,) own facets
+    copies: Bools  # (mm,) whether the received ones are slaves
+    nodes: tuple[Longs, Longs]  # (ms, k), (mm, k) global nodes of both
+    deepest: tuple[Floats, Floats]  # (ms,), (mm,) how far behind them a partner may lie
+    seen: Longs  # (q,) pairs that were near: own facet times mm plus received one, ascending
+    distance: Floats  # (q,) of these
+
+
+def distances_in_reach(
+    facets: Facets, copies: Facets, pairs: Ints, nodes: tuple[Longs, Longs], deepest: Floats
+) -> Floats:
+    """Return the distances (p,) of pairs, in diameters of the larger facet; inf if not near.
+
+    Facets with a common node belong together, and what is deeper behind a facet than `deepest` is
+    the other side of the body.
+
+    Args:
+        facets: own facets (ms,).
+        copies: the received ones (mm,).
+        pairs: (p, 2) of these, facing each other.
+        nodes: global nodes (ms, k) and (mm, k) of both.
+        deepest: (p,) for each pair.
+    """
+    found = np.full(len(pairs), np.inf)
+    f, g = pairs.T
+    size = np.maximum(facet_sizes(facets.x)[f], facet_sizes(copies.x)[g])
+    middle, other = facets.x.mean(axis=1)[f], copies.x.mean(axis=1)[g]
+    near = np.linalg.norm(middle - other, axis=1) <= (REACH + 1.0) * size
+    near &= ~(nodes[0][f][:, :, None] == nodes[1][g][:, None]).any(axis=(1, 2))
+    before = np.einsum("pki,pi->pk", copies.x[g] - middle[:, None], facet_normals(facets)[f])
+    some = np.flatnonzero(near & (before.max(axis=1, initial=-np.inf) > -deepest))
+    found[some] = facet_distances(facets[f[some]], copies[g[some]]) / size[some]
+    found[found > REACH] = np.inf
+    return found
+
+
+def choose_roles(
+    comm: MPI.Intracomm,
+    pairs: Ints,
+    distance: Floats,
+    nodes: tuple[Longs, Longs],
+    X: tuple[Floats, Floats],
+) -> tuple[Bools, Bools]:
+    """Return which own (ms,) and which received facets (mm,) are slaves; collective.
+
+    Pair by pair, the nearest first, two facets get different roles unless nearer pairs have decided
+    otherwise. What is left open follows the neighbours; of two parts, the one with the finer facets
+    at X is the slave, or that with the first facet in the order of coordinates. All ranks decide
+    the same, from the pairs of all ranks.
+
+    Args:
+        comm: the ranks.
+        pairs: (p, 2) own and received facets that are near.
+        distance: (p,) in facet diameters.
+        nodes: global nodes (ms, k) and (mm, k).
+        X: reference coordinates of the nodes (ms, k, d) and (mm, k, d).
+    """
+    rows = np.sort(nodes[0], axis=1), np.sort(nodes[1], axis=1)
+    f, g = pairs.T
+    sent = rows[0][f], rows[1][g], X[0][f], X[1][g], distance
+    parts = list(zip(*comm.allgather(sent), strict=True))
+    first, second, X_first, X_second, apart = (np.concatenate(part) for part in parts)
+    keys, index, number = np.unique(
+        np.concatenate([first, second]), axis=0, return_index=True, return_inverse=True
+    )
+    x, ends = np.concatenate([X_first, X_second])[index], number.reshape(2, -1)
+    slaves = keys[_divide(keys, x, ends[0], ends[1], apart)]
+    return _are_among(rows[0], slaves), _are_among(rows[1], slaves)
+
+
+def _are_among(rows: Longs, keys: Longs) -> Bools:
+    """Tell (m,) which rows (m, k) are among others (n, k)."""
+    _, number = np.unique(np.concatenate([keys, rows]), axis=0, return_inverse=True)
+    number = number.ravel()
+    return np.asarray(np.isin(number[len(keys) :], number[: len(keys)]))
+
+
+def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Bools:
+    """Return which facets (n,) are slaves.
+
+    Args:
+        keys: (n, k) their global nodes.
+        X: (n, k, d) the reference coordinates of these.
+        a: (p,) first facet of each pair.
+        b: (p,) second one.
+        distance: (p,) between them.
+    """
+    n = len(keys)
+    if n == 0:
+        return np.zeros(0, dtype=bool)
+    # in an order that does not depend on the ranks
+    size = facet_sizes(X)
+    grain = HALF_OF_DIGITS * size.max()
+    place = np.column_stack([np.sort(X, axis=1).mean(axis=1), X.max(axis=1) - X.min(axis=1)])
+    order = np.lexsort(np.round(place / grain).T[::-1])
+    rank = np.empty(n, dtype=np.int64)
+    rank[order] = np.arange(n)
+    a, b = np.sort(np.stack([rank[a], rank[b]]), axis=0)
+    parts = _Parts(n)
+    for k in np.lexsort((b, a, np.round(distance / HALF_OF_DIGITS))):
+        parts.join(int(a[k]), int(b[k]), True)
+    for one, other in _neighbours(keys[order], X.shape[2] - 1):
+        parts.join(one, other, False)
+    root, odd = (np.array(found) for found in zip(*map(parts.find, range(n)), strict=True))
+    slave = np.zeros(n, dtype=bool)
+    for part in np.unique(root):
+        sides = [np.flatnonzero((root == part) & (odd == side)) for side in (False, True)]
+        mean = [size[order][side].mean() if len(side) else np.inf for side in sides]
+        even = np.isclose(mean[0], mean[1], rtol=HALF_OF_DIGITS)
+        lowest = min((side[0], k) for k, side in enumerate(sides) if len(side))[1]
+        slave[sides[lowest if even else int(np.argmin(mean))]] = True
+    return slave[rank]
+
+
+def _neighbours(keys: Longs, least: int) -> list[tuple[int, int]]:
+    """Return the pairs of facets with so many common nodes at least, in order."""
+    n, k = keys.shape
+    nodes, column = np.unique(keys, return_inverse=True)
+    shape = (n, len(nodes))
+    on = csr_array((np.ones(keys.size), (np.repeat(np.arange(n), k), column.ravel())), shape=shape)
+    common = triu(on @ on.T, 1).tocoo()
+    edge = common.data >= least
+    return sorted(zip(common.row[edge].tolist(), common.col[edge].tolist(), strict=True))
+
+
+def divide(
+    comm: MPI.Intracomm,
+    facets: Facets,
+    copies: Facets,
+    pairs: Ints,
+    nodes: tuple[Longs, Longs],
+    X: tuple[Floats, Floats],
+    deepest: tuple[Floats, Floats],
+) -> tuple[Ints, Roles]:
+    """Return which candidates (p, 2) of a surface with itself remain, and the roles; collective.
+
+    Args:
+        comm: the ranks.
+        facets: own facets (ms,) where they are.
+        copies: the received ones (mm,).
+        pairs: candidates of these.
+        nodes: global nodes (ms, k) and (mm, k).
+        X: reference coordinates of the nodes (ms, k, d) and (mm, k, d).
+        deepest: (ms,) and (mm,) how far behind a facet a partner may lie.
+    """
+    limit = np.minimum(deepest[0][pairs[:, 0]], deepest[1][pairs[:, 1]])
+    distance = distances_in_reach(facets, copies, pairs, nodes, limit)
+    near = np.flatnonzero(distance < np.inf)
+    pairs, distance = pairs[near], distance[near]
+    slave, other = choose_roles(comm, pairs, distance, nodes, X)
+    seen = pairs[:, 0].astype(np.int64) * len(other) + pairs[:, 1]
+    roles = Roles(slave, other, nodes, deepest, seen, distance)
+    return pairs[slave[pairs[:, 0]] & ~other[pairs[:, 1]]], roles
+
+
+def has_changed(roles: Roles, facets: Facets, copies: Facets, pairs: Ints) -> bool:
+    """Tell whether facets of this rank are near others that were not divided from them.
+
+    Within half of the reach; where two are both slaves or both masters, because nearer pairs had
+    decided so, once they are half as far apart as they were then.
+
+    Args:
+        roles: as they were divided.
+        facets: own facets (ms,) where they are now.
+        copies: the received ones (mm,).
+        pairs: (p, 2) that face each other now.
+    """
+    limit = np.minimum(roles.deepest[0][pairs[:, 0]], roles.deepest[1][pairs[:, 1]])
+    nodes = roles.nodes
+    distance = distances_in_reach(facets, copies, pairs, nodes, limit)
+    near = np.flatnonzero(distance <= REACH / 2)
+    pairs, distance = pairs[near], distance[near]
+    keys = pairs[:, 0].astype(np.int64) * len(roles.copies) + pairs[:, 1]
+    place = np.searchsorted(roles.seen, keys)
+    place[place == len(roles.seen)] = 0
+    known = np.zeros(len(keys), dtype=bool)
+    then: Floats = np.full(len(keys), np.inf)
+    if len(roles.seen):
+        known = roles.seen[place] == keys
+        then = roles.distance[place]
+    own, other = roles.slave[pairs[:, 0]], roles.copies[pairs[:, 1]]
+    settled = ~own & other  # the rank of the other one, the slave, looks at that
+    settled |= own & ~other & known
+    settled |= (own == other) & known & (distance > then / 2)
+    return bool((~settled).any())
+
+
+class _Parts:
+    """Facets in parts, in each of which all roles follow from one (union-find with parity)."""
+
+    def __init__(self, n: int) -> None:
+        self.above = list(range(n))
+        self.odd = [False] * n  # whether a facet has another role than the one above
+
+    def find(self, k: int) -> tuple[int, bool]:
+        """Return the root of a facet, and whether its role is another one."""
+        way, odd = [], False
+        while self.above[k] != k:
+            way.append(k)
+            k = self.above[k]
+        for one in reversed(way):  # all of them directly below the root
+            odd ^= self.odd[one]
+            self.above[one], self.odd[one] = k, odd
+        return k, odd
+
+    def join(self, a: int, b: int, different: bool) -> None:
+        """Give two facets different roles, or the same; nothing if that has been decided."""
+        (r, p), (s, q) = self.find(a), self.find(b)
+        if r != s:
+            self.above[max(r, s)] = min(r, s)
+            self.odd[max(r, s)] = p ^ q ^ different

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: MIT
+"""Bodies that fold and touch themselves at finite strain: an arch of two legs, a ring, a strip."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+
+import basix.ufl
+import dolfinx
+import dolfinx_mortar as dm
+from dolfinx import fem
+from tests.meshes import _partitioner
+
+SKIN = 1
+RUBBER = dm.NeoHooke(1.0, 0.3)
+
+
+def create_sheet(
+    comm: MPI.Comm,
+    cells: tuple[int, ...],
+    place: Callable,
+    *,
+    cell: str = "quadrilateral",
+    closed: bool = False,
+    partition: str = "graph",
+) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags]:
+    """Return a bent sheet, and its facet tags, all with SKIN.
+
+    Args:
+        comm: the ranks.
+        cells: along the sheet, across it and, in space, over its width.
+        place: parameters in [0, 1] (n, d) -> coordinates (n, d).
+        cell: quadrilateral or hexahedron.
+        closed: whether the end is the beginning.
+        partition: of the cells among the ranks.
+    """
+    d = len(cells)
+    counts = [n + 1 for n in cells]
+    grid = np.meshgrid(*(np.arange(n) for n in counts), indexing="ij")
+    index = np.stack([g.ravel() for g in grid], axis=1)
+    number = np.arange(len(index)).reshape(counts)
+    if closed:
+        number[-1] = number[0]
+    used, number = np.unique(number, return_inverse=True)
+    number = number.reshape(counts)
+    x = place(index[used] / np.array(cells))
+    corners = np.stack([c.ravel() for c in np.meshgrid(*[[0, 1]] * d, indexing="ij")], axis=1)
+    corners = corners[:, ::-1]  # the first direction is the fastest
+    first = np.stack(
+        [g.ravel() for g in np.meshgrid(*map(np.arange, cells), indexing="ij")], axis=1
+    )
+    e = np.stack([number[tuple((first + corner).T)] for corner in corners], axis=1)
+    ranks = (np.arange(len(e)) * comm.size // len(e)).astype(np.int32)
+    mine = slice(*(len(e) * np.array([comm.rank, comm.rank + 1]) // comm.size))
+    own = slice(*(len(x) * np.array([comm.rank, comm.rank + 1]) // comm.size))
+    mesh = dolfinx.mesh.create_mesh(
+        comm,
+        e[mine].astype(np.int64),
+        x=np.ascontiguousarray(x[own]),
+        e=basix.ufl.element("Lagrange", cell, 1, shape=(d,)),
+        partitioner=_partitioner(partition, comm, ranks[mine]),
+    )
+    mesh.topology.create_connectivity(d - 1, d)
+    facets = np.sort(dolfinx.mesh.exterior_facet_indices(mesh.topology))
+    return mesh, dolfinx.mesh.meshtags(mesh, d - 1, facets, np.full(len(facets), SKIN, np.int32))
+
+
+def ring(radius: float = 1.0, thickness: float = 0.25, width: float = 0.5) -> Callable:
+    """Return the places of a ring around the origin, in space with an axis along z."""
+
+    def place(s):
+        angle, r = 2 * np.pi * s[:, 0], radius + thickness * (s[:, 1] - 1.0)
+        x = [r * np.cos(angle), r * np.sin(angle)]
+        return np.stack([*x, *(width * s[:, 2:].T)], axis=1)
+
+    return place
+
+
+def hairpin(gap: float = 0.4, thickness: float = 0.2, leg: float = 1.5, width: float = 0.4):
+    """Return the places of a strip that is bent by half a circle between two straight legs."""
+    inner = gap / 2
+    middle = inner + thickness / 2
+    bend = np.pi * middle
+
+    def place(s):
+        along = s[:, 0] * (2 * leg + bend) - leg - bend / 2
+        r = inner + thickness * s[:, 1]
+        angle = np.clip(along, -bend / 2, bend / 2) / middle
+        x = r * np.cos(angle) - np.maximum(np.abs(along) - bend / 2, 0.0)
+        y = r * np.sin(angle)
+        return np.stack([x, y, *(width * s[:, 2:].T)], axis=1)
+
+    return place
+
+
+def hold(V, where: Callable, component: int, value) -> fem.DirichletBC:
+    """Return a condition on a component at the nodes where a function of points is true."""
+    space = V.sub(component)
+    facets = dolfinx.mesh.locate_entities_boundary(V.mesh, V.mesh.geometry.dim - 1, where)
+    dofs = fem.locate_dofs_topological(space, V.mesh.geometry.dim - 1, facets)
+    return fem.dirichletbc(value, dofs, space)
+
+
+@dataclass
+class Fold:
+    """A sheet whose ends or poles are brought together by supports."""
+
+    problem: dm.ContactProblem
+    contact: dm.Contact
+    push: fem.Constant
+    bcs: list[fem.DirichletBC]
+
+    def close(self, way: float, **options) -> dm.StepReport:
+        """Bring them nearer, by a distance in all; return the report."""
+        self.push.value = -way
+        report = dm.newton(self.problem, **options)
+        self.problem.commit()
+        return report
+
+    @property
+    def active(self) -> int:
+        """Number of nodes in contact."""
+        nodes = self.problem.n
+        return self.problem.comm.allreduce(int(self.contact.active.x.array[:nodes].sum()))
+
+    @property
+    def reactions(self) -> tuple[np.ndarray, np.ndarray]:
+        """What the supports carry, those that move and those that do not."""
+        found = [dm.reaction(self.problem, bc).force for bc in self.bcs]
+        return found[0] + found[2], found[1] + found[3]
+
+
+def create_fold(
+    sheet: tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags],
+    top: Callable,
+    bottom: Callable,
+    contact: dm.Contact | None = None,
+    friction: float | None = None,
+) -> Fold:
+    """Return a sheet in contact with itself; its top moves down, its bottom is held."""
+    mesh, tags = sheet
+    d = mesh.geometry.dim
+    V = fem.functionspace(mesh, ("Lagrange", 1, (d,)))
+    solid = dm.Solid(fem.Function(V), RUBBER, strain="finite")
+    contact = contact or dm.Contact(tags, slave=SKIN, master=SKIN, friction=friction)
+    push, still = (fem.Constant(mesh, 0.0) for _ in range(2))
+    places = (top, 1, push), (bottom, 1, still), (top, 0, still), (bottom, 0, still)
+    bcs = [hold(V, *place) for place in places]
+    if d == 3:
+        bcs.append(hold(V, lambda x: x[2] < 1e-9, 2, still))
+    return Fold(dm.ContactProblem(solid, [contact], bcs=bcs), contact, push, bcs)
+
+
+def create_ring(comm=MPI.COMM_WORLD, cells=(32, 2), **options) -> Fold:
+    """Return a ring that is pressed together between its poles."""
+    cell = "quadrilateral" if len(cells) == 2 else "hexahedron"
+    names = {"partition"} & options.keys()
+    sheet = create_sheet(
+        comm, cells, ring(), cell=cell, closed=True, **{n: options.pop(n) for n in names}
+    )
+    return create_fold(sheet, lambda x: x[1] > 0.95, lambda x: x[1] < -0.95, **options)
+
+
+def create_hairpin(comm=MPI.COMM_WORLD, cells=(40, 3), **options) -> Fold:
+    """Return a strip that is bent by half a circle, whose ends are brought together."""
+    cell = "quadrilateral" if len(cells) == 2 else "hexahedron"
+    sheet = options.pop("sheet", None) or create_sheet(comm, cells, hairpin(), cell=cell)
+    return create_fold(sheet, *(ends_of(side) for side in (1, -1)), **options)
+
+
+def ends_of(side: int) -> Callable:
+    """Return where the outer faces of the ends of a hairpin are."""
+    return lambda x: (side * x[1] > 0.4 - 1e-9) & (x[0] < -1.0)
+
+
+def closed_ring(comm: MPI.Comm, partition: str) -> np.ndarray:
+    """Close a ring on itself in five steps; assert what holds; return forces, and nodes closed."""
+    bar = 1e-6
+    fold = create_ring(comm, partition=partition)
+    audit = fold.problem.audit()
+    assert audit.warnings == []
+    assert (audit.interfaces[0].slave_facets, audit.interfaces[0].master_facets) == (0, 0)
+    reports = [fold.close(way, rtol=1e-9) for way in (0.9, 1.4, 1.6)]
+    assert [r.certificate.crossing for r in reports] == [0.0] * 3
+    assert reports[-1].certificate.force_balance < bar
+    assert reports[-1].certificate.moment_balance < bar
+    force, (above, below) = fold.contact.force, fold.reactions
+    assert fold.active >= 3
+    assert np.abs(above + below).max() < bar * abs(above[1])
+    assert abs(force[0]) < bar * abs(force[1])
+    assert 0.5 < force[1] / above[1] < 1.0  # of what the poles carry, the two bends bear a little
+    values = fold.contact.gather(fold.problem.u)
+    on = values["pressure"] > 0.0
+    x, p = values["x"][on, 0], values["pressure"][on]
+    order, back = np.argsort(x), np.argsort(-x)
+    assert np.abs(x[order] + x[back]).max() < bar
+    assert np.abs(p[order] - p[back]).max() < bar * p.max()
+    return np.array([*force, *above, fold.active])
