@@ -27,9 +27,9 @@ from tests import (
 ROOT = Path(__file__).resolve().parent.parent
 NUMBERS = [
     "BLUR", "EPS", "FACING", "FEW_PAIRS", "HALF_OF_DIGITS", "JUMP", "LEAST_COVERAGE",
-    "LEAST_MOMENT", "LEAST_WEIGHT", "OPEN", "PROJECTIONS", "QUARTER_OF_DIGITS", "REACH", "ROUND_OFF",
-    "SNAP", "STAYS", "THROUGH", "TINY", "VERTICES", "area._ACCURACY", "area._HIGHEST", "operators._CHUNK",
-    "parts._STEPS", "segments._SLIDING", "surface._MOST_WARPED",
+    "LEAST_MOMENT", "LEAST_WEIGHT", "OPEN", "PROJECTIONS", "QUARTER_OF_DIGITS", "REACH",
+    "ROUND_OFF", "SNAP", "STAYS", "THROUGH", "TINY", "VERTICES", "area._ACCURACY", "area._HIGHEST",
+    "operators._CHUNK", "parts._STEPS", "segments._SLIDING", "surface._MOST_WARPED",
 ]  # fmt: skip
 # Numbers that its cases do not reach: absurd values, and tests that fail with them. LEAST_WEIGHT is
 # in test_axisymmetric_patch, PROJECTIONS in test_smooth_3d, _STEPS of parts, which only a kernel

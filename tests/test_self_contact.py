@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """A surface that meets itself: roles, what is paired, folds that close, balances, ranks."""
 
+from dataclasses import replace
+
 from mpi4py import MPI
 
 import numpy as np
@@ -11,14 +13,17 @@ from hypothesis import strategies as st
 import dolfinx
 import dolfinx_mortar as dm
 from dolfinx import fem
+from dolfinx_mortar.geometry.elements import LINE2
+from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.mortar import self_contact
 from dolfinx_mortar.mortar.pairing import create_pairing, outside_margin
-from dolfinx_mortar.mortar.self_contact import REACH, _divide
+from dolfinx_mortar.mortar.self_contact import REACH, _divide, distances_in_reach
 from dolfinx_mortar.mortar.surface import create_surface
 from dolfinx_mortar.newton_method.tunnelling import describe_passing
+from dolfinx_mortar.report.certificate import _balances
 from dolfinx_mortar.report.uncoupled import find_crossing, notes_on_crossings
 from tests.block_piles import create_blocks
-from tests.folds import SKIN, closed_ring, create_hairpin, create_sheet, hairpin
+from tests.folds import SKIN, closed_ring, create_hairpin, create_ring, create_sheet, hairpin
 
 COMM = MPI.COMM_WORLD
 
@@ -78,6 +83,15 @@ def test_of_nearest_facets_one_is_the_slave_whatever_their_numbers(seed, counts)
     assert np.array_equal(again, slave[order])
 
 
+def test_what_pairs_leave_open_follows_the_neighbours():
+    """Facets that face one other only: without neighbours each pair would choose by its sizes."""
+    keys, x, *_ = layers(np.random.default_rng(1), [6, 6])
+    size = np.linalg.norm(x[:, 1] - x[:, 0], axis=1)
+    assert len(set((size[:6] < size[6:]).tolist())) == 2
+    slave = _divide(keys, x, np.arange(6), np.arange(6, 12), np.full(6, 0.1))
+    assert slave[:6].all() != slave[6:].all() and slave.sum() == 6
+
+
 def straight(compression=0.0):
     """Return the skin of a straight strip, and a displacement that compresses it across."""
     mesh, tags = create_sheet(MPI.COMM_SELF, (10, 2), lambda s: s * [2.0, 0.2])
@@ -121,9 +135,10 @@ def two_blocks():
     tags = dolfinx.mesh.meshtags(domain, 1, facets, np.full(len(facets), SKIN, dtype=np.int32))
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
 
-    def at(share):
+    def at(share, aside=0.0):
+        down = share * REACH * 0.25 - 1
         u = fem.Function(V)
-        u.interpolate(lambda x: np.stack([0.0 * x[0], (share * REACH * 0.25 - 1) * (x[1] > 0.5)]))
+        u.interpolate(lambda x: np.outer([aside, down], x[1] > 0.5))
         return u
 
     return V, create_surface(V, tags, SKIN, "skin"), at
@@ -139,6 +154,46 @@ def test_parts_that_come_near_ask_for_a_search():
     near = create_pairing(V, skin, skin, at(0.95))
     assert len(near.pairs) >= 8
     assert not outside_margin(near, at(0.1))
+    # masters beyond the next one have not been seen by a slave
+    assert not outside_margin(near, at(0.1, aside=0.1))
+    assert outside_margin(near, at(0.1, aside=0.6))
+
+
+def test_parts_that_come_near_are_seen_whatever_T_holds():
+    fold = create_ring()
+    fold.problem.audit()
+    (link,) = fold.problem.system.links
+    nothing = np.zeros(len(link.nodes), dtype=bool)
+    u = fold.problem.u
+    assert not fold.contact.has_slid(link.sides, link.pairing, u, nothing)
+    u.interpolate(lambda x: np.stack([0.0 * x[0], -0.8 * x[1]]))
+    assert fold.contact.has_slid(link.sides, link.pairing, u, nothing)
+
+
+def test_facets_with_a_common_node_are_no_pair():
+    """A notch of 40 degrees: the same facets with nodes of their own would be."""
+    x = np.array([[[1.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.75, -0.65]]])[:, ::-1]
+    facets = Facets(LINE2, x)
+    pairs, deep = np.array([[0, 1]], dtype=np.int32), np.array([np.inf])
+    one, other = np.array([[1, 0], [2, 1]]), np.array([[1, 0], [3, 2]])
+    found = [distances_in_reach(facets, facets, pairs, (n, n), deep)[0] for n in (one, other)]
+    assert found[0] == np.inf and found[1] == 0.0
+
+
+def test_balances_are_over_the_sum_of_nodal_forces():
+    """Of parts that press each other in two places, up and down, the resultant may be nothing."""
+    fold = create_hairpin(cells=(24, 2))
+    for way in (0.3, 0.42):
+        fold.close(way)
+    problem, own = fold.problem, fold.contact
+    assert own.resultants is not None and fold.active > 0
+    x = problem.positions().array_r.reshape(problem.n, -1)
+    none = np.zeros(3)
+    own.resultants = replace(
+        own.resultants, force=none[:2], moment=none, master_force=none[:2] + 1e-20,
+        master_moment=none + 1e-20,
+    )  # fmt: skip
+    assert max(_balances(problem.system.links, x, problem.system.facet_length)) < 1e-12
 
 
 def test_facets_of_one_role_that_come_nearer_ask_for_a_search(monkeypatch):
