@@ -13,6 +13,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.solid.kinematics import plane_strain
+from tests.choice import quick
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP, TOP_OF_LOWER, two_blocks
 from tests.rings import Lame
 
@@ -20,7 +21,7 @@ pytestmark = pytest.mark.mpi
 COMM = MPI.COMM_WORLD
 E, NU = 1000.0, 0.3
 SHAPES = [("quadrilateral", None), ("quadrilateral", "axisymmetric"), ("hexahedron", None)]
-FLAT_BY_DEFAULT = [*SHAPES[:2], pytest.param(*SHAPES[2], marks=pytest.mark.slow)]
+FLAT_BY_DEFAULT = quick(SHAPES, *SHAPES[:2])
 
 
 def warped(cell, cells=3):
@@ -71,7 +72,7 @@ def forces(solid):
     return r
 
 
-@pytest.mark.parametrize(("cell", "kinematics"), FLAT_BY_DEFAULT)
+@pytest.mark.parametrize(("cell", "kinematics"), quick(SHAPES, SHAPES[1]))
 def test_forces_and_tangent_are_derivatives(cell, kinematics):
     """Of the energy, on warped cells of two laws, in plastic flow, with an eigenstrain."""
     u = warped(cell)
@@ -148,7 +149,7 @@ def test_patch(cell, kinematics):
     assert np.isclose(total(solid.energy()), density * total(solid.fields.weights), rtol=1e-12)
 
 
-@pytest.mark.parametrize(("cell", "kinematics"), FLAT_BY_DEFAULT)
+@pytest.mark.parametrize(("cell", "kinematics"), quick(SHAPES, SHAPES[0]))
 def test_the_stress_shown_is_that_of_the_forces(cell, kinematics):
     """Its mean is the same at all points of a cell, and its virtual work is that of the forces."""
     u = warped(cell)
