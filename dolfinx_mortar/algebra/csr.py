@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from petsc4py import PETSc
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from dolfinx_mortar.algebra.library import call
 from dolfinx_mortar.arrays import Floats, Ints
@@ -26,6 +27,12 @@ def csr_of(A: PETSc.Mat) -> tuple[Ints, Ints, Floats]:
     start, columns = A.getRowIJ()
     with _stored(A, "Read", len(columns)) as values:
         return start, columns, values.copy()
+
+
+def owned_rows(A: PETSc.Mat) -> csr_array:
+    """Return a copy of the rows that this rank owns, with global columns."""
+    start, columns, values = csr_of(A)
+    return csr_array((values, columns, start), shape=(len(start) - 1, A.getSize()[1]))
 
 
 def set_csr(A: PETSc.Mat, start: Ints, columns: Ints, values: Floats) -> None:

@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from scipy.sparse import csr_array
 
-from dolfinx_mortar.algebra.csr import csr_of, set_csr
+from dolfinx_mortar.algebra.csr import csr_of, owned_rows, set_csr
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Ints
 
@@ -44,7 +44,7 @@ class RowsOf:
         Its entry j is sum_r C_rj (2 K_rj + sum_m K_rm C_mj), over the rows r and m of C that are
         not zero. K C itself would take seven times as long (multigrid, 48 thousand unknowns).
         """
-        entries = _scipy(C)
+        entries = owned_rows(C)
         entries.eliminate_zeros()  # half of those of T
         rows = np.flatnonzero(np.diff(entries.indptr)).astype(np.int32)
         rows, K_r = self.including(rows)
@@ -67,7 +67,7 @@ def _others(C: PETSc.Mat, own: csr_array, numbers: Ints) -> tuple[Ints, csr_arra
     rows = PETSc.IS().createGeneral(asked.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
     every = PETSc.IS().createStride(C.getSize()[1], step=1, comm=PETSc.COMM_SELF)
     (found,) = C.createSubMatrices(rows, every)
-    return places.astype(numbers.dtype), _scipy(found)
+    return places.astype(numbers.dtype), owned_rows(found)
 
 
 @numba.njit(cache=True)
@@ -120,9 +120,3 @@ def _rows(K: PETSc.Mat, rows: Ints, result: PETSc.Mat | None = None) -> PETSc.Ma
         return result
     sizes = (len(rows), PETSc.DECIDE), K.getSizes()[1]
     return PETSc.Mat().createAIJ(sizes, csr=(indptr, columns, values), comm=K.comm)
-
-
-def _scipy(matrix: PETSc.Mat) -> csr_array:
-    """Return this rank's rows, with global columns."""
-    start, columns, values = csr_of(matrix)
-    return csr_array((values, columns, start), shape=(len(start) - 1, matrix.getSize()[1]))

@@ -69,6 +69,7 @@ class Contact(Unilateral, MortarInterface):
     """
 
     may_meet_itself: ClassVar[bool] = True
+    lasts: ClassVar[bool] = True  # D and M at X
     spoilt = "curved sides that fit closely", "of degree 2 are far off on coarse meshes", True
 
     def __init__(

@@ -17,7 +17,7 @@ from scipy import sparse
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.block_sums import BlockEntries, SumWithProduct
-from dolfinx_mortar.algebra.csr import csr_of
+from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.algebra.triplets import Triplets
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.segments import Segments
@@ -82,7 +82,7 @@ class SlipRows:
         """Return the rows (n, unknowns) of one tangent of the owned slave nodes."""
         nodes, d, tangents = self.link.nodes, self.d, self._tangents[:, t]
         index_map, n = self.link.sides.V.dofmap.index_map, len(self.link.nodes)
-        P = rows_of_rank(self.partners.P)[nodes].tocoo()
+        P = owned_rows(self.partners.P)[nodes].tocoo()
         own = nodes + index_map.local_range[0]
         row = np.concatenate([np.arange(n), P.row])
         column = np.concatenate([own, P.col])
@@ -92,7 +92,7 @@ class SlipRows:
             sparse.coo_array((value * tangents[row, i], (row, d * column + i)), shape)
             for i in range(d)
         ]
-        N = rows_of_rank(self.normals)
+        N = owned_rows(self.normals)
         turned = (sparse.diags_array(self.turning[:, t, i]) @ N[d * nodes + i] for i in range(d))
         return sparse.csr_array(sum([*turned, *parts[1:]], parts[0]))
 
@@ -300,9 +300,3 @@ def _tractions(
     square = (-1, d, d)
     found = Tractions(n, turning.reshape(square), traction, change.reshape(square))
     return found, mark[:, 0] > 0
-
-
-def rows_of_rank(A: PETSc.Mat) -> sparse.csr_array:
-    """Return the rows of a matrix that this rank owns."""
-    start, columns, values = csr_of(A)
-    return sparse.csr_array((values, columns, start), (len(start) - 1, A.getSize()[1]))

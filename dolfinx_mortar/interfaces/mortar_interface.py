@@ -62,7 +62,6 @@ class MortarInterface(Interface):
         ValueError: for tags that are none, unknown names, and an unknown surface or angle.
     """
 
-    lasts: ClassVar[bool] = True  # D and M at X
     may_meet_itself: ClassVar[bool] = False  # whether one tag may be both sides
 
     def __init__(

@@ -35,9 +35,10 @@ from dolfinx_mortar.algebra.congruence import (
     refill,
     union,
 )
+from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.interfaces.basis import Transformation
-from dolfinx_mortar.interfaces.contact_derivatives import SlipRows, rows_of_rank
+from dolfinx_mortar.interfaces.contact_derivatives import SlipRows
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.slip_partners import Partners
 
@@ -195,7 +196,7 @@ def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None
     scale.array[d * nodes[on]] = -1.0 / coupling.weight[on, 0]
     weighted.diagonalScale(scale)
     rows, moved = across.copy(), coupling.P[:, :1, None] * across[row]
-    rows[:, 0], moved[:, 0] = _lumped(link, sparse.csr_array(rows_of_rank(weighted)[d * nodes]))
+    rows[:, 0], moved[:, 0] = _lumped(link, sparse.csr_array(owned_rows(weighted)[d * nodes]))
     if slips is not None:
         slid, q = rows.copy(), moved.copy()
         for t in range(1, d):

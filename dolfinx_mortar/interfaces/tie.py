@@ -83,6 +83,7 @@ class Tie(MortarInterface):
 
     spoilt = "curved sides", "of ties of degree 2 scatter by some per cent on any mesh", False
     near_only = True
+    lasts = True  # D and M at X
 
     def __init__(
         self,
