@@ -280,6 +280,21 @@ def test_loads_that_turn_a_limit_point():
     assert lowest[5] == pytest.approx(lowest[2], rel=1e-5)
 
 
+@pytest.mark.parametrize("walk", [(0.02, 0.04), (0.01, 0.05), (0.04,), (0.02, 0.03)])
+def test_a_large_step_beyond_a_limit_point(walk):
+    """The same arch, in a step after which it had more energy under the loads at the start."""
+    domain, u, support = shallow_arch()
+    weight = fem.Constant(domain, default_scalar_type(0.0))
+    loads = -20.0 * weight * ufl.TestFunction(u.function_space)[1] * ufl.dx
+    solid = dm.Solid(u, RUBBER, strain="finite")
+    problem = dm.ContactProblem(solid, [], bcs=[support], loads=loads)
+    for q in walk:
+        weight.value = q
+        notes = dm.newton(problem).notes
+        problem.commit()
+        assert any("snapped through" in note for note in notes) == (q > 0.035)
+
+
 def test_what_finite_strain_does_not_go_with():
     u = create_displacement(create_domain("triangle", 2))
     with rejected("strain", "'small' or 'finite'"):

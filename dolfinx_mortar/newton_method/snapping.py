@@ -6,12 +6,16 @@ local minimum there. If J is smaller at the end, the step has passed an energy b
 barrier has vanished: an arch has snapped through. With the loads of the step, f, this is
 
     Psi(u) - f.u < Psi(u_0) - f.u_0 - r_0.(u - u_0),    r_0 = f - f_0 the first residual.
+
+A large step may lead to a state that had more energy under f_0. Then bodies without memory have
+moved much further than K(u_0)^-1 r_0, which few of them do otherwise.
 """
 
 from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_mortar.algebra.parallel import norm
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.terms.sum import Energy
@@ -19,10 +23,17 @@ from dolfinx_mortar.terms.sum import Energy
 # By which share of the work of the change of loads J has to fall: of a linear body it rises by half
 # of that work.
 LEAST_DROP = 0.01
+# How often the first step of Newton's method: a neo-Hookean bar in tension softens to a third of
+# its stiffness, and beams that bend far become stiffer.
+FURTHER = 4.0
 
 
 def notes_on_snapping(
-    problem: ContactProblem, start: Floats, residual: PETSc.Vec, before: Energy
+    problem: ContactProblem,
+    start: Floats,
+    residual: PETSc.Vec,
+    before: Energy,
+    expected: float,
 ) -> list[str]:
     """Return a note if the bodies have snapped through in a step; collective.
 
@@ -33,16 +44,30 @@ def notes_on_snapping(
         start: owned displacements (n,) at its start.
         residual: (n,) external less internal forces there, under the loads of the step.
         before: the energy there.
+        expected: norm of the first step of Newton's method, NaN if the tangent was another.
     """
     after = problem.terms.energy()
     assert after is not None  # as before
     work = problem.comm.allreduce(float(residual.array_r @ (problem.owned_u - start)))
     drop = before.value - work - after.value
     if not drop > max(LEAST_DROP * abs(work), 1e3 * np.finfo(float).eps * after.terms):
-        return []
+        return _note_on_motion(problem, start, expected)
     return [
         "the bodies have snapped through: under the loads from which the step has started they "
         f"have less energy at its end, by {drop:.3g}, so the loads have passed a limit point on "
         "the way, and the equilibrium found is one beyond it. Prescribe displacements instead to "
         "follow the way there"
+    ]
+
+
+def _note_on_motion(problem: ContactProblem, start: Floats, expected: float) -> list[str]:
+    """Return a note if bodies without memory have moved much further than expected; collective."""
+    further = norm(problem.comm, problem.owned_u - start)
+    if problem.solid.state or not further > FURTHER * expected:
+        return []
+    return [
+        f"the bodies have moved {further / expected:.1f} times as far as their stiffness at the "
+        "start of the step lets expect: they may have snapped through, since the loads may have "
+        "passed a limit point on the way. Take smaller load steps to see, or prescribe "
+        "displacements"
     ]

@@ -243,6 +243,7 @@ class _Step:
         self.negative = False  # whether the last tangent that was used is indefinite
         self.shifted = 0  # the entry of SHIFTS that the last tangent needed
         self.start = problem.owned_u.copy()
+        self.expected = np.nan  # norm of the first step
 
     @property
     def may_be_exact(self) -> bool:
@@ -329,6 +330,8 @@ class _Step:
         T = problem.system.transformation if lin.geometry is None else lin.geometry.trial
         du = to_displacement(T, solved.x)
         self.check_distance(du, scales.extent)
+        if number == 1 and not self.shifted:
+            self.expected = du.norm()
         volumes = problem.solid.volume_step(self.as_function(du))
         length, halvings, energy = self.move(lin, solved, du, largest, old.energy, volumes)
         norm = problem.solid.elastic_norm(problem.u)
@@ -697,7 +700,7 @@ class _Step:
         moved = self.data.increment > 0.0 or touching > 0 or problem.terms.have_tangent
         if problem.solid.strain == "small" or moved or energy is None:
             return []
-        return notes_on_snapping(problem, self.start, begun.balance.r, energy)
+        return notes_on_snapping(problem, self.start, begun.balance.r, energy, self.expected)
 
     def as_function(self, du: PETSc.Vec) -> fem.Function:
         """Return du as the Function `direction`; collective."""
