@@ -143,6 +143,11 @@ DEMOS = [
         },
     ),
     Demo(
+        "newtons_cradle",
+        "Dynamics: three rods hit each other, the last one leaves with all of the energy.",
+        {"result.png": "Velocities, forces beside Saint-Venant's, and the ledger of energies."},
+    ),
+    Demo(
         "curved_beams",
         "Finite plasticity: a half ring is dragged over another one until they part.",
         {
