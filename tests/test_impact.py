@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+from dolfinx import fem
 from tests.meshes import LOWER, UPPER
+from tests.meshes_3d import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_boxes
 from tests.moving_bodies import Blocks, Rod
 
 COMM = MPI.COMM_WORLD
@@ -105,6 +107,45 @@ def test_two_free_bodies_collide(scheme):
         assert ledger.kinetic + ledger.stored < energy * (1.0 + 1e-10)
     assert touched > 5 and case.contact.force[1] == 0.0
     assert inertia.momentum() == pytest.approx(momentum)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron"])
+def test_two_boxes_collide_in_space(cell):
+    """By multigrid, and of two densities."""
+    mesh, cells, facets = two_boxes(COMM, (3, 3, 5), (4, 4, 5), gap=0.02, cell=cell)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    solid = dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.3))
+    velocity = {LOWER: (0.0, 0.0, 0.1), UPPER: (0.2, 0.1, -1.0)}
+    inertia = dm.Inertia(solid, {LOWER: 1.0, UPPER: 2.0}, cells, velocity=velocity)
+    contact = dm.Contact(facets, slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER)
+    problem = dm.ContactProblem(solid, [contact], terms=[inertia], geometry="reference")
+    momentum, moment, touched = inertia.momentum(), inertia.moment_of_momentum(), 0
+    for step in steps(problem, 8e-3 * np.arange(1, 15), rtol=1e-12):
+        touched += bool(contact.force[2] > 0.0)
+        assert "gamg" in step.report.linear_solver
+    assert touched > 5 and contact.force[2] == 0.0
+    assert inertia.momentum() == pytest.approx(momentum, abs=1e-10)
+    assert inertia.moment_of_momentum() == pytest.approx(moment, abs=1e-10)
+    assert abs(step.report.ledger.defect) < 1e-10
+    mean = inertia.momentum()[2] / 3.0  # of the two boxes, whose masses are 1 and 2
+    assert mean == pytest.approx((0.1 - 2.0) / 3.0)
+
+
+def test_on_a_mesh_without_structure():
+    """Moved masses couple nodes that share no cell: the matrix has room for them."""
+    mesh, _, facets = dm.meshing.hertz(COMM)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    solid = dm.Solid(fem.Function(V), dm.Elastic(200e3, 0.3))
+    inertia = dm.Inertia(solid, 7.85e-9, velocity=lambda x: np.stack([0 * x[0], -1e3 * (x[1] > 0)]))
+    contact = dm.Contact(facets, slave="top", master="arc")
+    fixed = fem.locate_dofs_topological(V, 1, facets.find("bottom"))
+    bcs = [fem.dirichletbc(np.zeros(2), fixed, V)]
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs, terms=[inertia])
+    assert COMM.allreduce(len(inertia.couplings)) > 0
+    *_, step = steps(problem, 2e-6 * np.arange(1, 4), rtol=1e-8)
+    assert contact.force[1] != 0.0
+    assert abs(step.report.ledger.defect) < 1e-8
 
 
 @pytest.mark.slow
