@@ -37,9 +37,9 @@ SLOW_ON_TWO = """
     tie_reach tool_friction tying undone user_laws volumetric
 """.split()
 SLOW_ON_THREE = """
-    exact_tangent_3d friction_path friction_state impact load_steps looks_change_nothing
-    mortar_3d near numbers_of_steps own_interface patch plotting_space preload_restart
-    pretension same_sums skins stack
+    driven_tools exact_tangent_3d friction_path friction_state impact load_steps
+    looks_change_nothing mortar_3d near numbers_of_steps own_interface patch plotting_space
+    preload_restart pretension same_sums skins stack
 """.split()
 QUICK = "mpi and not slow and not serial"
 SLOW = "mpi and not nightly and not serial"

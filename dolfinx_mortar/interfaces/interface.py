@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import NoneType
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -327,6 +327,26 @@ class Interface(ABC):
 
     def take_found(self, found: Mapping[str, list[float]]) -> None:
         """Take over what `found` has returned."""
+
+    def tool_loads(self) -> Floats | None:
+        """Return the given forces (m,) on a tool, one for each unknown motion; None for none.
+
+        Raises:
+            ValueError: for values of Constants that are not finite.
+        """
+        return None
+
+    def tool_unknowns(self) -> Sequence[str]:
+        """Return the names of these motions."""
+        return ()
+
+    def tool_motions(self, x: Floats) -> Floats:
+        """Return what one unit of each motion (m, n, d) does at points x (n, d)."""
+        raise NotImplementedError
+
+    def move_tool(self, travel: Floats) -> None:
+        """Move the tool by amounts (m,) of its motions."""
+        raise NotImplementedError
 
     # -- results ---------------------------------------------------------------------------------
 

@@ -12,7 +12,7 @@ is what D and n_j say, so that uniform pressures are exact. The tangent is in `t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +28,7 @@ from dolfinx_mortar.arrays import ROUND_OFF, Bools, Floats
 from dolfinx_mortar.geometry.tolerances import TINY
 from dolfinx_mortar.interfaces.coulomb import Limit, create_law
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides, create_pattern
-from dolfinx_mortar.interfaces.tool import Pose, Tool, find_facing
+from dolfinx_mortar.interfaces.tool import Load, Pose, Tool, find_facing
 from dolfinx_mortar.interfaces.tool_derivatives import ToolDerivatives
 from dolfinx_mortar.interfaces.tool_slips import ToolPartners
 from dolfinx_mortar.interfaces.unilateral import Unilateral
@@ -79,6 +79,11 @@ class Obstacle(Unilateral):
         slave: tag of the side that meets the tool, or its name, see `Tags`.
         shape: of the tool where it starts.
         reference: d coordinates of the tool's point where it starts; ``shape.point`` if not given.
+        load: forces on the tool that are given instead of its position, by name: "x", "y" and
+            "moment" about its point in the plane, "x", "y", "z", "moment x" to "moment z" in space,
+            "y" in axisymmetric problems, each a number or a scalar Constant, read at every step.
+            What is not named, position and rotation prescribe. The tool moves until contact carries
+            the load: ``tool_force + load = 0``; ``travel`` is how far.
         friction: coefficient of Coulomb's law, as of `Contact`.
         tresca: limit of the tangential traction instead, as of `Contact`.
 
@@ -101,12 +106,14 @@ class Obstacle(Unilateral):
         slave: int | str,
         shape: Shape,
         reference: Any = None,
+        load: Mapping[str, Load] | None = None,
         friction: Limit | None = None,
         tresca: Limit | None = None,
     ) -> None:
         """Keep the description; surfaces are found when a problem takes it."""
         super().__init__(facet_tags, slave=slave)
         self.tool = Tool(shape, reference, facet_tags.topology.dim)
+        self.load = load or {}
         self.law = create_law(friction, tresca)
         self.began = self.tool.pose()
 
@@ -138,9 +145,26 @@ class Obstacle(Unilateral):
         """
         return self.tool.rotation
 
+    @property
+    def load(self) -> Mapping[str, Load]:
+        """Forces on the tool that are given, by name; may be set anew between steps."""
+        return self.tool.load
+
+    @load.setter
+    def load(self, value: Mapping[str, Load] | None) -> None:
+        self.tool.load = self.tool.check_load(value)
+
+    @property
+    def travel(self) -> Floats:
+        """How far loads have moved the tool beyond position and rotation, (3,) or (6,).
+
+        Displacement and angle in the plane, displacement and rotation vector in space.
+        """
+        return self.tool.travel.copy()
+
     def given(self) -> dict[str, Any]:
         """Return what all ranks have to give the same, by name; see `agreement`."""
-        names = "shape", "point", "position", "rotation"
+        names = "shape", "point", "position", "rotation", "load"
         return super().given() | {name: getattr(self.tool, name) for name in names}
 
     def check_kinematics(self, d: int, revolved: bool) -> None:
@@ -164,20 +188,22 @@ class Obstacle(Unilateral):
         return {
             "position": [*map(float, began.position)],
             "rotation": [*map(float, began.rotation)],
+            "travel": [*map(float, self.tool.travel)],
         }
 
     def take_found(self, found: Mapping[str, list[float]]) -> None:
         """Take that over."""
         position, rotation = (np.array(found[name], float) for name in ("position", "rotation"))
         self.began = Pose(position, rotation, self.tool.point)
+        self.tool.travel = np.array(found["travel"], float)
 
     def keep(self) -> Any:
         """Return copies of results and state, for `put_back`."""
-        return super().keep(), self.began
+        return super().keep(), self.began, self.tool.travel
 
     def put_back(self, kept: Any) -> None:
         """Show what `keep` has returned; without communication."""
-        shown, self.began = kept
+        shown, self.began, self.tool.travel = kept
         super().put_back(shown)
 
     # -- geometry --------------------------------------------------------------------------------
@@ -280,7 +306,7 @@ class Obstacle(Unilateral):
         """Return where the nodes were on the tool at the last commit; None without friction."""
         if not self.rough:
             return None
-        return ToolPartners.create(link, x, self.shape, self.began, self.tool.pose(), frozen=frozen)
+        return ToolPartners.create(link, x, self.tool, self.began, frozen=frozen)
 
     def derivatives(self, link: Link) -> ToolDerivatives:
         """Return the derivatives of forces and gaps for the pattern of a link; collective."""
@@ -325,8 +351,24 @@ class Obstacle(Unilateral):
 
     def place(self) -> Floats:
         """Return where the tool's point is, (3,)."""
-        position = np.array(self.position.value, dtype=np.float64)
+        position = self.tool.pose().position
         return np.concatenate([position, np.zeros(3 - len(position))])
+
+    def tool_loads(self) -> Floats | None:
+        """Return the given forces (m,) on the tool; None where all of its motion is prescribed."""
+        return self.tool.loads() if self.load else None
+
+    def tool_unknowns(self) -> Sequence[str]:
+        """Return the names of the motions that loads drive."""
+        return tuple(self.load)
+
+    def tool_motions(self, x: Floats) -> Floats:
+        """Return what one unit of each motion (m, n, d) does at points x (n, d)."""
+        return self.tool.motions(x)
+
+    def move_tool(self, travel: Floats) -> None:
+        """Move the tool by amounts (m,) of its motions."""
+        self.tool.move(travel)
 
     @property
     def tool_force(self) -> Floats:

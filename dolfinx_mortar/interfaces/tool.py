@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 import basix.ufl
 import ufl
 from dolfinx import default_real_type, fem
+from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.geometry.facets import facet_normals
 from dolfinx_mortar.geometry.segments import FACING
@@ -50,6 +52,18 @@ class Pose:
         return Distance(found.value, found.gradient @ R.T, R @ found.hessian @ R.T)
 
 
+Load = float | fem.Constant
+"""A number, or a scalar Constant."""
+
+PLANE = ("x", "y", "moment")
+SPACE = ("x", "y", "z", "moment x", "moment y", "moment z")
+
+
+def motions_in(d: int) -> tuple[str, ...]:
+    """Return the names of a tool's motions, and of the forces that drive them."""
+    return SPACE if d == 3 else PLANE
+
+
 class Tool:
     """A shape, and the Constants that say where it is.
 
@@ -59,6 +73,8 @@ class Tool:
         position: Constant (d,), where that point is.
         rotation: Constant, an angle in the plane, a rotation vector (3,) in space.
         revolved: whether the problem is axisymmetric, so that the tool stays on the axis.
+        load: forces and moments about its point that are given, by name, see `motions_in`.
+        travel: (3,) or (6,) how far these have moved it, beyond position and rotation.
     """
 
     def __init__(self, shape: Any, reference: Any, d: int) -> None:
@@ -84,6 +100,8 @@ class Tool:
         turn = np.zeros(3) if d == 3 else 0.0
         self.position = fem.Constant(domain, self.point.astype(default_real_type))
         self.rotation = fem.Constant(domain, np.asarray(turn, dtype=default_real_type))
+        self.load: Mapping[str, Load] = {}
+        self.travel: Floats = np.zeros(len(motions_in(d)))
 
     def check(self, d: int, revolved: bool) -> None:
         """Take note of the kinematics.
@@ -101,8 +119,8 @@ class Tool:
         Raises:
             ValueError: for NaN and infinity, and in an axisymmetric problem off the axis.
         """
-        position = np.array(self.position.value, dtype=np.float64)
-        rotation = np.array(self.rotation.value, dtype=np.float64).reshape(-1)
+        position: Floats = np.array(self.position.value, dtype=np.float64)
+        rotation: Floats = np.array(self.rotation.value, dtype=np.float64).reshape(-1)
         for name, value in (("position", position), ("rotation", rotation)):
             if not np.isfinite(value).all():
                 raise ValueError(f"{name} is {value.tolist()}: set the Constant to finite numbers")
@@ -111,7 +129,82 @@ class Tool:
                 f"position is {position.tolist()} and rotation {rotation.tolist()}: in an "
                 f"axisymmetric problem a tool moves along the axis only, from {self.point.tolist()}"
             )
+        d = len(position)
+        position = position + self.travel[:d]
+        if self.travel[d:].any():
+            rotation = _after(rotation, self.travel[d:])
         return Pose(position, rotation, self.point)
+
+    def check_load(self, load: Any) -> Mapping[str, Load]:
+        """Return the given forces by name, in the order of `motions_in`.
+
+        Raises:
+            ValueError: for unknown names, and what is no finite number or scalar Constant.
+        """
+        known = motions_in(len(self.point))
+        if load is None:
+            return {}
+        if not isinstance(load, Mapping) or not load.keys() <= set(known):
+            raise ValueError(
+                f"load is {load!r}: give a dictionary of forces on the tool by name, of "
+                f"{', '.join(map(repr, known))}"
+            )
+        for name, value in load.items():
+            scalar = isinstance(value, fem.Constant) and value.value.shape == ()
+            if not (is_number(value) or scalar):
+                raise ValueError(
+                    f"load[{name!r}] is {value!r}: give a finite number or a scalar Constant, and "
+                    "leave out what position and rotation prescribe"
+                )
+        return {name: load[name] for name in known if name in load}
+
+    def loads(self) -> Floats:
+        """Return the present values (m,).
+
+        Raises:
+            ValueError: for NaN and infinity, and in an axisymmetric problem other than "y".
+        """
+        if self.revolved and self.load.keys() - {"y"}:
+            raise ValueError(
+                f"load is {dict(self.load)!r}: in an axisymmetric problem a tool is driven along "
+                "the axis only, {'y': ..}, by the force on all of it"
+            )
+        values = [float(getattr(value, "value", value)) for value in self.load.values()]
+        for name, value in zip(self.load, values, strict=True):
+            if not np.isfinite(value):
+                raise ValueError(f"load[{name!r}] is {value}: set the Constant to a finite number")
+        return np.array(values)
+
+    @property
+    def _driven(self) -> list[int]:
+        return [motions_in(len(self.point)).index(name) for name in self.load]
+
+    def motions(self, x: Floats) -> Floats:
+        """Return what one unit of each driven motion (m, n, d) does at points x (n, d)."""
+        n, d = x.shape
+        every, arm = np.zeros((len(motions_in(d)), n, d)), x - self.pose().position
+        every[np.arange(d), :, np.arange(d)] = 1.0
+        if d == 2:
+            every[2] = np.stack([-arm[:, 1], arm[:, 0]], axis=1)
+        else:
+            every[3:] = np.cross(np.eye(3)[:, None], arm[None])
+        return every[self._driven]
+
+    def move(self, amounts: Floats) -> None:
+        """Add amounts (m,) of the driven motions to the travel."""
+        step, d = np.zeros(len(self.travel)), len(self.point)
+        step[self._driven] = amounts
+        self.travel = np.concatenate(
+            [self.travel[:d] + step[:d], _after(self.travel[d:], step[d:])]
+        )
+
+
+def _after(rotation: Floats, step: Floats) -> Floats:
+    """Return a rotation, an angle (1,) or a vector (3,), followed by another one."""
+    if len(rotation) == 1:
+        return rotation + step
+    turned = Rotation.from_rotvec(step) * Rotation.from_rotvec(rotation)
+    return np.asarray(turned.as_rotvec())
 
 
 def _check_point(given: Any, d: int) -> Floats:

@@ -19,53 +19,51 @@ from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.slip_partners import Partners
-from dolfinx_mortar.interfaces.tool import Pose
-from dolfinx_mortar.shapes import Shape
+from dolfinx_mortar.interfaces.tool import Pose, Tool
 
 
 @dataclass(frozen=True)
 class ToolPartners(Partners):
     """Partners on a tool: P is zero, and the motion that of the node less that of its place."""
 
-    offset: Floats  # (n, d) the motion that a node has without moving itself
+    at: Floats  # (n, d) where the nodes were, X on frozen surfaces
+    place: Floats  # (n, d) the points of the tool on which they were, as it starts
+    tool: Tool
 
     @classmethod
     def create(
-        cls, link: Link, x: PETSc.Vec, shape: Shape, began: Pose, now: Pose, *, frozen: bool
+        cls, link: Link, x: PETSc.Vec, tool: Tool, began: Pose, *, frozen: bool
     ) -> ToolPartners:
         """Return the partners of a link; collective.
 
         Args:
             link: the obstacle.
             x: (n,) positions at the last commit.
-            shape: of the tool.
-            began: where the tool was then.
-            now: where it is in the step.
+            tool: which may move in the step.
+            began: where it was at the last commit.
             frozen: whether the surfaces stay at X.
         """
-        coupling, scalars = link.coupling, link.pattern.scalars
-        scalars.fill(np.zeros((len(coupling.P), 1, 1)))
-        d, own = coupling.normals.shape[1], slice(None, link.sides.slave.owned)
+        n, scalars = link.coupling.normals, link.pattern.scalars
+        scalars.fill(np.zeros((len(link.coupling.P), 1, 1)))
         if frozen:
-            X = link.sides.slave.X[own]
-            offset = X - now.to_space(began.to_tool(X))
+            at = link.sides.slave.X[: link.sides.slave.owned]
+            place = began.to_tool(at)
         else:
-            at = x.array_r.reshape(-1, d)[link.nodes]
-            xi = began.to_tool(at)
+            at = x.array_r.reshape(-1, n.shape[1])[link.nodes]
+            place = began.to_tool(at)
             with raised_together(link.sides.V.mesh.comm):
-                found = shape.distance(xi)
-            offset = at - now.to_space(xi - found.value[:, None] * found.gradient)
-        n, zero = coupling.normals, np.zeros(len(offset))
-        return cls(
-            scalars.matrix.copy(), np.ones(len(n), dtype=bool), n, zero, 0.0 * n, offset=offset
-        )
+                found = tool.shape.distance(place)
+            place = place - found.value[:, None] * found.gradient
+        known = np.ones(len(n), dtype=bool)
+        whole = scalars.matrix.copy(), known, n, np.zeros(len(n)), 0.0 * n
+        return cls(*whole, at=at, place=place, tool=tool)
 
     def motion(self, link: Link, moved: PETSc.Vec) -> Floats:
         """Return the motion (n, d) for the displacement since the last commit."""
-        d = self.offset.shape[1]
-        return np.asarray(moved.array_r.reshape(-1, d)[link.nodes] + self.offset)
+        there = self.at + moved.array_r.reshape(-1, self.at.shape[1])[link.nodes]
+        return np.asarray(there - self.tool.pose().to_space(self.place))
 
     def motion_by_normals(self, link: Link) -> Floats:
         """Return 0: the motion does not depend on normals."""
-        n, d = self.offset.shape
+        n, d = self.at.shape
         return np.zeros((n, d, d))

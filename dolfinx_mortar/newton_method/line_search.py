@@ -2,18 +2,22 @@
 """Backtracking line search: steps 1, 1/2, 1/4 .. until the merit function decreases.
 
 The merit is phi(t) = J(u + t du) + s sum_j D_jj (t w_j - gap_j)_+ with the gaps of one geometry,
-with friction also + sum_j s_j |slip_j + t dw_j|, s_j the limits of the QP's solution. A
+with friction also + sum_j s_j |slip_j + t dw_j|, s_j the limits of the QP's solution; of tools that
+forces F drive, w is relative to their motion t q, and -t F.q is added. A
 step is accepted if phi satisfies Armijo's condition up to the round-off of its own terms, below
 which its values carry no information; there the residuals decide.
 """
 
-from dataclasses import dataclass
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx_mortar.arrays import EPS, Floats
+from dolfinx_mortar.newton_method.driven_tools import Settled
 from dolfinx_mortar.newton_method.linearisation import Linearisation
 from dolfinx_mortar.newton_method.residuals import gap_round_off, round_off
 from dolfinx_mortar.problem.problem import ContactProblem
@@ -41,12 +45,26 @@ class Direction:
     slip: Floats  # (m, d - 1) of nodes with friction, at the start
     slide: Floats  # (m, d - 1) by how much they slip in the step
     limits: Floats  # (m,) what resists
+    pull: float = 0.0  # -F.q, of tools that forces drive; on one rank
 
     def excess(self, t: float) -> float:
         """Return the terms of penalty and friction at t; on this rank."""
         slips = np.linalg.norm(self.slip + t * self.slide, axis=1)
         over = np.maximum(t * self.motion - self.gap, 0.0)
-        return float(self.penalty @ over + self.limits @ slips)
+        return float(self.penalty @ over + self.limits @ slips) + t * self.pull
+
+    def beside(self, lin: Linearisation, driven: Settled) -> Direction:
+        """Return the path relative to tools that move, too."""
+        way = driven.travel @ driven.drives.motions
+        first = driven.drives.comm.rank == 0
+        path = replace(
+            self,
+            motion=self.motion - way[lin.balance.bounds.dofs],
+            pull=-float(driven.drives.loads @ driven.travel) if first else 0.0,
+        )
+        if (law := lin.qp.friction) is None or lin.balance.limits is None:
+            return path
+        return replace(path, slip=lin.balance.limits.slip, slide=self.slide - law.pick(way))
 
 
 def search(
@@ -57,6 +75,7 @@ def search(
     multiplier: float,
     before: Energy,
     volumes: VolumeStep | None = None,
+    driven: Settled | None = None,
 ) -> tuple[float, int, Energy]:
     """Backtrack along a Newton direction until the merit decreases; u is moved; collective.
 
@@ -69,6 +88,7 @@ def search(
         before: J at the start.
         volumes: of the step, where mean stresses are unknowns of their own, see `mean_volume`; J is
             then that with the volumes of the linearisation.
+        driven: motions of tools in the step, which are not made here.
 
     Returns:
         The length, the number of halvings, and J at the end.
@@ -77,6 +97,8 @@ def search(
         NoDescent: if the length falls to ARMIJO.
     """
     path = create_path(problem, lin, solved, du, multiplier)
+    if driven is not None:
+        path = path.beside(lin, driven)
     cells = problem.V.mesh.topology.index_map(problem.V.mesh.topology.dim).size_global
     first = problem.comm.allreduce(path.excess(0.0))
     promise = find_slope(problem, lin, path)

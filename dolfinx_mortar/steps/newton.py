@@ -33,7 +33,7 @@ from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Actives, Floats
 from dolfinx_mortar.interfaces.interface import ask
 from dolfinx_mortar.interfaces.near import predict_active
-from dolfinx_mortar.newton_method import failures
+from dolfinx_mortar.newton_method import driven_tools, failures
 from dolfinx_mortar.newton_method.contacts import Contacts, find_sliders, found_by, go_on
 from dolfinx_mortar.newton_method.line_search import NoDescent, search, shorten
 from dolfinx_mortar.newton_method.linearisation import (
@@ -244,11 +244,17 @@ class _Step:
         self.shifted = 0  # the entry of SHIFTS that the last tangent needed
         self.start = problem.owned_u.copy()
         self.expected = np.nan  # norm of the first step
+        self.stiffness: Floats | None = None  # of driven tools, found by the last iteration
 
     @property
     def may_be_exact(self) -> bool:
         """Whether the motion of the surfaces can be linearised."""
-        return self.report.backend == ACTIVE_SET
+        return self.report.backend == ACTIVE_SET and not self.driven
+
+    @property
+    def driven(self) -> bool:
+        """Whether tools are driven by forces, and move in every iteration."""
+        return any(interface.tool_loads() is not None for interface in self.problem.interfaces)
 
     def run(self, max_it: int) -> None:
         """Iterate until convergence; set the results and the certificate."""
@@ -316,6 +322,7 @@ class _Step:
             accuracy = partial(self.accuracy, watch=watch, residuals=residuals)
             near = bool(residuals) and residuals[-1].forces < STABLE
             lin, solved = self.linearise(old, start, tangent, accuracy, near=near)
+        lin, solved, driven = self.drive(lin, solved, old)
         scales = old.scales
         if number == 1:
             lifted = problem.vector(self.data.asked)
@@ -333,7 +340,9 @@ class _Step:
         if number == 1 and not self.shifted:
             self.expected = du.norm()
         volumes = problem.solid.volume_step(self.as_function(du))
-        length, halvings, energy = self.move(lin, solved, du, largest, old.energy, volumes)
+        length, halvings, energy = self.move(lin, solved, du, largest, old.energy, volumes, driven)
+        if driven is not None:
+            driven.drives.move(length * driven.travel)
         norm = problem.solid.elastic_norm(problem.u)
         increment = self.elastic_norm(du)
         increment = increment / (old.norm + norm) if old.norm + norm > 0.0 else 0.0
@@ -341,10 +350,7 @@ class _Step:
         bounds = lin.balance.bounds
         predicted = np.full(problem.n, np.nan)  # gaps
         predicted[lin.balance.nodes] = bounds.upper - length * solved.x.array_r[bounds.dofs]
-
-        def judge(balance: Balance) -> Residuals:
-            return measure(problem.u, balance, contacts, lin.diagonal, scales, norm, report.rtol)
-
+        judge = partial(self.judge, contacts, lin.diagonal, scales, norm)
         balance, residual, watch, change = self.follow(
             watch, judge, contacts, predicted, residuals[-1] if exact else None
         )
@@ -382,6 +388,36 @@ class _Step:
         return iterate, watch, residual
 
     # -- the parts of an iteration ---------------------------------------------------------------
+
+    def judge(
+        self,
+        contacts: Contacts,
+        diagonal: PETSc.Vec,
+        scales: Scales,
+        norm: float,
+        balance: Balance,
+    ) -> Residuals:
+        """Return the residuals of a balance, those of tools that forces drive included."""
+        rtol = self.report.rtol
+        found = measure(self.problem.u, balance, contacts, diagonal, scales, norm, rtol)
+        missed = driven_tools.miss(self.problem, balance, contacts) / rtol
+        return replace(found, excess=max(found.excess, missed))
+
+    def drive(
+        self, lin: Linearisation, solved: QPSolution, old: Iterate
+    ) -> tuple[Linearisation, QPSolution, driven_tools.Settled | None]:
+        """Return the QP in which tools carry their loads, its solution, and their motions."""
+        drives = driven_tools.find_drives(self.problem)
+        if drives is None:
+            return lin, solved, None
+        rtol = DIGIT * self.report.rtol
+
+        def again(at: Linearisation) -> QPSolution:
+            return self.solve(at, solved.active, old, tightest(self.report.rtol))
+
+        found = driven_tools.settle(drives, lin, again, rtol, self.stiffness)
+        self.stiffness = found.stiffness
+        return found.lin, found.solved, found
 
     def linearise(
         self,
@@ -559,6 +595,7 @@ class _Step:
         largest: float,
         energy: Energy | None,
         volumes: VolumeStep | None,
+        driven: driven_tools.Settled | None,
     ) -> tuple[float, int, Energy | None]:
         """Move u along the step; return its length, the halvings, and J.
 
@@ -573,7 +610,7 @@ class _Step:
             try:
                 if energy is None or asked > lost or lin.geometry is not None:
                     return *shorten(problem, du.array_r), problem.terms.energy()
-                found = search(problem, lin, solved, du, largest, energy, volumes)
+                found = search(problem, lin, solved, du, largest, energy, volumes, driven)
                 return found if volumes is None else (*found[:2], problem.terms.energy())
             except NoDescent as error:
                 raise failures.StepFailed(str(error)) from error
@@ -596,7 +633,7 @@ class _Step:
             last: residuals before, of the exact tangent; None for another QP.
         """
         problem = self.problem
-        if last is None and (not watch.moving or watch.held):
+        if last is None and (not watch.moving or watch.held) and not self.driven:
             balance = self.balance()
             residual = judge(balance)
             if not watch.moving or residual.excess > 1.0:
@@ -607,6 +644,8 @@ class _Step:
         residual = judge(balance)
         change, work = find_change(problem.comm, balance, contacts, predicted)
         turned = problem.vector(contact_forces(problem, contacts) - before).norm()
+        if self.driven:  # what is measured is the motion of tools, too
+            return balance, residual, watch, change / problem.system.facet_length
         if last is not None:
             watch = watch.after_exact(self.missed(residual), self.missed(last))
         else:

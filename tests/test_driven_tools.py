@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: MIT
+"""Tools driven by force and moment: the same as where they are prescribed, and what fails."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx import default_real_type, fem
+from dolfinx_mortar.newton_method import driven_tools
+from tests.pressed_blocks import rejected
+from tests.tool_case import DEPTH, ELASTIC, Block, E, R
+
+COMM = MPI.COMM_WORLD
+pytestmark = pytest.mark.mpi
+DISC = dm.shapes.Cylinder([0.0, R], R)
+STEEL = dm.VonMises(E, 0.3, 0.3, 10.0)
+
+
+def press(geometry="updated", law=ELASTIC, shape=DISC, depth=DEPTH, friction=None, **options):
+    """Prescribe the position; return the tool and its problem."""
+    case = Block(n=16, fine=0.6)
+    tool = case.tool(shape, friction=friction)
+    problem = case.problem([tool], law=law, geometry=geometry, **options)
+    tool.position.value[1] -= depth
+    dm.newton(problem, rtol=1e-9)
+    return tool, problem
+
+
+@pytest.mark.parametrize("geometry", ["updated", "reference"])
+@pytest.mark.parametrize("friction", [None, 0.3])
+@pytest.mark.parametrize("law", [ELASTIC, pytest.param(STEEL, marks=pytest.mark.slow)])
+def test_the_force_finds_the_position(law, friction, geometry):
+    """From a distance, in as many iterations and two more, and to the tolerance."""
+    tool, _ = press(geometry, law, friction=friction)
+    force = tool.tool_force
+    case = Block(n=16, fine=0.6)
+    apart = 0.0 if friction else 0.1  # what slips depends on where it begins
+    shape = dm.shapes.Cylinder([0.0, R + apart], R)
+    driven = case.tool(shape, friction=friction, load={"y": -float(force[1])})
+    problem = case.problem([driven], law=law, geometry=geometry)
+    report = dm.newton(problem, rtol=1e-9)
+    assert driven.tool_force[1] == pytest.approx(force[1], rel=1e-8)
+    rel = 1e-4 if friction else 1e-5
+    assert driven.travel == pytest.approx([0.0, -apart - DEPTH, 0.0], rel=rel)
+    assert driven.tool_force[0] == pytest.approx(force[0], rel=rel, abs=1e-9)
+    assert report.newton_iterations <= 12
+
+
+def test_a_plate_finds_its_angle():
+    """Force and moment on a plane, over an uneven side: where it lies is found, and balances."""
+    tool, problem = plate()
+    dm.newton(problem, rtol=1e-9)
+    assert tool.tool_force[1] == pytest.approx(0.5, rel=1e-8)
+    assert tool.tool_moment[2] == pytest.approx(0.1, rel=1e-7)
+    assert abs(tool.travel[2]) > 1e-5
+    # prescribed there, it has the same forces
+    again = Block(n=16, size=2.0, fine=1.5)
+    held = again.tool(tool.shape)
+    other = again.problem([held])
+    held.position.value[:] += tool.travel[:2]
+    held.rotation.value[...] = tool.travel[2]
+    dm.newton(other, rtol=1e-9)
+    assert held.tool_force == pytest.approx(tool.tool_force, rel=1e-6, abs=1e-7)
+    assert held.tool_moment == pytest.approx(tool.tool_moment, rel=1e-6, abs=1e-7)
+
+
+def test_in_space_a_plate_settles_on_a_box():
+    """Three of six are given; the others stay prescribed."""
+    from tests.test_obstacle import box
+
+    tags, u = box("hexahedron", 1, np.eye(3))
+    V = u.function_space
+    base = fem.locate_dofs_topological(V, 2, tags.find(1))
+    load = {"z": -1.0, "moment x": 0.1, "moment y": 0.05}
+    plate = dm.shapes.Plane([0.5, 0.5, 1.02], [0.0, 0.0, -1.0])
+    tool = dm.Obstacle(tags, slave=2, shape=plate, load=load)
+    held = [fem.dirichletbc(np.zeros(3), base, V)]
+    problem = dm.ContactProblem(dm.Solid(u, dm.Elastic(100.0, 0.2)), [tool], bcs=held)
+    dm.newton(problem, rtol=1e-9)
+    assert tool.tool_force[2] == pytest.approx(1.0, rel=1e-8)
+    assert tool.tool_moment[:2] == pytest.approx([-0.1, -0.05], rel=1e-7)
+    moved = tool.travel
+    assert moved[[0, 1, 5]] == pytest.approx(np.zeros(3), abs=1e-8) and moved[2] < -0.02
+
+
+def walk(tool, problem, load, levels, **options):
+    """Ramp the load; return the travels."""
+    ramp = {load: [(0.0, -0.2), (1.0, -2.0), (2.0, -0.2)]}
+    steps = dm.load_steps(problem, levels, ramp=ramp, progress=False, **options)
+    return [tool.travel[1] for _ in steps]
+
+
+def start():
+    """Return a plastic block under a disc that a Constant drives."""
+    case = Block(n=16, fine=0.6)
+    load = fem.Constant(case.mesh, default_real_type(-0.2))
+    tool = case.tool(DISC, load={"y": load})
+    return tool, case.problem([tool], law=STEEL), load
+
+
+def test_loading_and_unloading_goes_on_from_a_checkpoint(tmp_path):
+    """By a Constant of a ramp; what is plastic stays, and the travel is in the checkpoint."""
+    path, levels = COMM.bcast(tmp_path / "state.h5"), [0.5, 1.0, 1.5, 2.0]
+    tool, problem, load = start()
+    whole = walk(tool, problem, load, levels)
+    assert whole[1] < whole[0] < 0.0 and whole[3] < 0.8 * whole[0]
+    assert tool.tool_force[1] == pytest.approx(0.2, rel=1e-5)
+    tool, problem, load = start()
+    first = walk(tool, problem, load, levels[:2])
+    problem.save(path)
+    tool, problem, load = start()
+    problem.restore(path)
+    assert tool.travel[1] == pytest.approx(first[1], rel=1e-12)
+    rest = walk(tool, problem, load, levels[2:])
+    assert [*first, *rest] == pytest.approx(whole, rel=1e-8)
+
+
+@pytest.mark.serial
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "value"), [("OVERSHOOT", 0.25), ("OVERSHOOT", 1.0), ("PROBE", 2e-3), ("PROBE", 5e-4)]
+)
+def test_numbers_of_the_search_do_not_matter(name, value, monkeypatch):
+    """Of a plate on an uneven side; an absurd share of overshoot is felt."""
+    found = []
+    for changed in (None, value):
+        if changed:
+            monkeypatch.setattr(driven_tools, name, changed)
+        tool, problem = plate()
+        dm.newton(problem, rtol=1e-9)
+        found.append(tool.travel)
+    assert found[1] == pytest.approx(found[0], rel=1e-6, abs=1e-12)
+    monkeypatch.setattr(driven_tools, "OVERSHOOT", -0.99)
+    tool, problem = plate()
+    with rejected("is missing", error=dm.NewtonNotConverged):
+        dm.newton(problem)
+
+
+def plate():
+    """Return a plate driven by a force and a moment, and its problem."""
+    case = Block(n=16, size=2.0, fine=1.5)
+    shape = dm.shapes.Plane([1.0, 0.05], [0.0, -1.0])
+    tool = case.tool(shape, load={"y": -0.5, "moment": -0.1})
+    return tool, case.problem([tool])
+
+
+def test_units():
+    """In another unit of length: forces by its square."""
+    found = []
+    for unit in (1.0, 1e-3):
+        case = Block(n=16, size=2.0, fine=1.5, unit=unit)
+        shape = dm.shapes.Plane([unit, 0.05 * unit], [0.0, -1.0])
+        tool = case.tool(shape, load={"y": -0.5 * unit, "moment": -0.1 * unit**2})
+        dm.newton(case.problem([tool]), rtol=1e-9)
+        found.append(tool.travel / [unit, unit, 1.0])
+    assert found[1] == pytest.approx(found[0], rel=1e-7, abs=1e-12)
+
+
+# -- bad input -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("load", "words"),
+    [
+        (-1.0, ("load is -1.0", "dictionary", "'moment'")),
+        ({"z": -1.0}, ("load is {'z': -1.0}", "'x', 'y', 'moment'")),
+        ({"y": "heavy"}, ("load['y'] is 'heavy'", "finite number")),
+        ({"y": np.inf}, ("load['y'] is inf",)),
+        ({"y": True}, ("load['y'] is True",)),
+    ],
+)
+def test_what_is_no_load(load, words):
+    with rejected(*words):
+        Block(n=2).tool(DISC, load=load)
+
+
+def test_loads_that_cannot_be_carried():
+    """Away from the body, along it without friction, NaN, and a moment about the axis."""
+    for load, words in (({"y": 1.0}, "'y' = 1"), ({"x": 1.0}, "'x' = 1")):
+        case = Block(n=4)
+        shape = dm.shapes.Plane([0.0, 0.1], [0.0, -1.0])
+        problem = case.problem([case.tool(shape, load=load)])
+        with rejected("nothing resists the load", words, error=dm.NewtonNotConverged):
+            dm.newton(problem)
+        assert not case.u.x.array.any()
+    case = Block(n=4)
+    value = fem.Constant(case.mesh, default_real_type(np.nan))
+    problem = case.problem([case.tool(DISC, load={"y": value})])
+    with rejected("load['y'] is nan", "finite"):
+        dm.newton(problem)
+    ball = dm.shapes.Sphere([0.0, R], R)
+    tool = case.tool(ball, load={"x": -1.0})
+    problem = case.problem([tool], kinematics="axisymmetric")
+    with rejected("axisymmetric", "{'y': ..}"):
+        dm.newton(problem)
+    tool.load = {"y": -0.1}
+    dm.newton(problem)
+    assert tool.tool_force[1] == pytest.approx(0.1, rel=1e-5)
+
+
+def test_a_load_that_is_not_found_undoes_the_step(monkeypatch):
+    """The tool is where it was, and the message says how much is missing."""
+    monkeypatch.setattr(driven_tools, "MOST_TRIES", 1)
+    case = Block(n=8, fine=0.6)
+    tool = case.tool(DISC, load={"y": -1.0})
+    problem = case.problem([tool])
+    with rejected("not met in 1 tries", "is missing", error=dm.NewtonNotConverged):
+        dm.newton(problem)
+    assert not tool.travel.any()
