@@ -325,9 +325,7 @@ class _Step:
         lin, solved, driven = self.drive(lin, solved, old)
         scales = old.scales
         if number == 1:
-            lifted = problem.vector(self.data.asked)
-            lifted.pointwiseMult(lifted, lin.diagonal)
-            scales = replace(scales, first=max(lin.qp.b.norm(), lifted.norm()))
+            scales = replace(scales, first=self.first_forces(lin))
         report.quote(number, solved.note or rejected)
         report.note_friction(number, solved.linearisation)
         contacts = found_by(lin, solved, problem.n)
@@ -388,6 +386,12 @@ class _Step:
         return iterate, watch, residual
 
     # -- the parts of an iteration ---------------------------------------------------------------
+
+    def first_forces(self, lin: Linearisation) -> float:
+        """Return the size of the forces of the first QP, prescribed increments included."""
+        lifted = self.problem.vector(self.data.asked)
+        lifted.pointwiseMult(lifted, lin.diagonal)
+        return float(max(lin.qp.b.norm(), lifted.norm()))
 
     def judge(
         self,
