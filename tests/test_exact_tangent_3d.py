@@ -430,7 +430,7 @@ def test_newton_is_quadratic_in_second_order():
 def test_strains_in_heights_slow_newton_down_by_little(cell, slave, monkeypatch):
     """In second order: left out, they leave a linear tail with a factor of less than a fiftieth.
 
-    The answer is that of the fixed point, which takes six iterations more.
+    The answer is that of the fixed point, which takes five iterations more at least.
     """
     case = Sliding(slave, surface="smooth", cell=cell, degree=2, h=1.0)
     case.step(0.0)
@@ -443,7 +443,7 @@ def test_strains_in_heights_slow_newton_down_by_little(cell, slave, monkeypatch)
     monkeypatch.setattr(newton_module._Step, "may_be_exact", False)
     case = Sliding(slave, surface="smooth", cell=cell, degree=2, h=1.0)
     case.step(0.0)
-    assert case.step(0.6).newton_iterations >= report.newton_iterations + 6
+    assert case.step(0.6).newton_iterations >= report.newton_iterations + 5
     assert np.abs(case.contact.force - force).max() < 1e-8 * np.abs(force).max()
 
 
