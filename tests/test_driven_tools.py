@@ -100,6 +100,7 @@ def start():
     return tool, case.problem([tool], law=STEEL), load
 
 
+@pytest.mark.slow
 def test_loading_and_unloading_goes_on_from_a_checkpoint(tmp_path):
     """By a Constant of a ramp; what is plastic stays, and the travel is in the checkpoint."""
     path, levels = COMM.bcast(tmp_path / "state.h5"), [0.5, 1.0, 1.5, 2.0]
@@ -146,6 +147,7 @@ def plate():
     return tool, case.problem([tool])
 
 
+@pytest.mark.slow
 def test_units():
     """In another unit of length: forces by its square."""
     found = []

@@ -184,6 +184,7 @@ def test_as_a_meshed_body_a_million_times_stiffer():
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_it_costs_less_than_half_of_a_pair():
     """Of contact alone, a disc on a block: nothing is searched, clipped and sent."""
     tagged = dm.meshing.hertz(COMM, kind="graded", h=0.05, half=True)
@@ -252,6 +253,7 @@ def test_a_walk_goes_on_from_a_checkpoint(tmp_path):
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_a_step_that_fails_is_cut():
     """The tool is where a level has it, not where the step that failed had it."""
     _, tool, problem = start()
@@ -315,6 +317,18 @@ def test_two_tools_share_a_side(monkeypatch):
         tool.position.value[1] -= DEPTH
     dm.newton(problem)
     assert tools[1].force == pytest.approx(np.zeros(2), abs=1e-12)
+
+
+@pytest.mark.serial
+def test_a_tip_between_nodes_is_noted():
+    """Sharper than the facets: how deep, and where; not where there are enough of them."""
+    for fine, radius, depth, noted in ((8.0, 0.02, 0.15, True), (0.5, 0.5, 0.01, False)):
+        case = Block(n=16, fine=fine)
+        tool = case.tool(dm.shapes.Wedge([0.27, 0.0], 30.0, [0.0, 1.0], radius))
+        problem = case.problem([tool])
+        tool.position.value[1] -= depth
+        notes = dm.newton(problem).notes
+        assert any("sharper than the facets" in note for note in notes) == noted
 
 
 # -- bad input -----------------------------------------------------------------------------------

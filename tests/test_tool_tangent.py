@@ -175,7 +175,7 @@ def tail(monkeypatch, case, tool, exact, **options):
     return sum(r.newton_iterations for r in reports), reports[-1], [e.forces for e in excesses]
 
 
-@pytest.mark.parametrize("friction", [None, 0.3])
+@pytest.mark.parametrize("friction", [None, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_newton_is_quadratic(friction, monkeypatch):
     """A small disc pressed deep into rubber: each exact iteration squares the residual."""
     counts = []
@@ -192,6 +192,7 @@ def test_newton_is_quadratic(friction, monkeypatch):
     assert counts[0] < counts[1]
 
 
+@pytest.mark.slow
 def test_without_curvature_it_is_not(monkeypatch):
     """Hess phi belongs to it: without it the iterations are as many as with frozen normals."""
     shape = dm.shapes.Cylinder([0.0, 2.0], 2.0)

@@ -302,6 +302,13 @@ class Interface(ABC):
         """
         return []
 
+    def depths(self, link: Link, u: fem.Function) -> tuple[Floats, Floats, Floats] | None:
+        """Return how deep points of the side are in a tool at X + u; None without one.
+
+        Depths over the length of their facets (q,), depths (q,) and points (q, d).
+        """
+        return None
+
     # -- what steps read and find ----------------------------------------------------------------
 
     def jump_at(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:

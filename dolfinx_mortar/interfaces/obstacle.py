@@ -25,6 +25,7 @@ from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import ROUND_OFF, Bools, Floats
+from dolfinx_mortar.geometry.facets import facet_sizes
 from dolfinx_mortar.geometry.tolerances import TINY
 from dolfinx_mortar.interfaces.coulomb import Limit, create_law
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides, create_pattern
@@ -35,7 +36,13 @@ from dolfinx_mortar.interfaces.unilateral import Unilateral
 from dolfinx_mortar.mortar.integrals import Coverage
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import accumulate, coordinates, mean_facet_length
-from dolfinx_mortar.mortar.whole_side import WholeSide, create_whole_side, integrate_side, means
+from dolfinx_mortar.mortar.whole_side import (
+    WholeSide,
+    create_whole_side,
+    integrate_side,
+    means,
+    whole_facets,
+)
 from dolfinx_mortar.shapes import Distance, Shape
 
 if TYPE_CHECKING:
@@ -346,6 +353,19 @@ class Obstacle(Unilateral):
             f"{self!r}: where it starts, the tool lies {most:.3g} deep in the body around {where}, "
             "more than a facet: the first step has to remove that; let it start beside the body"
         ]
+
+    def depths(self, link: Link, u: fem.Function) -> tuple[Floats, Floats, Floats]:
+        """Return how deep points of integration and middles of facets are in the tool at X + u."""
+        assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
+        side, pose, x = link.pattern.side, self.tool.pose(), coordinates(link.sides.slave, u)
+        facing = find_facing(side, pose, self.shape, x)
+        segments, points = whole_facets(side, x, facing)
+        nodes = x[side.slave.facets]
+        sizes, middles = facet_sizes(nodes), nodes.mean(axis=1)
+        points = np.concatenate([points, middles[facing]])
+        sizes = np.concatenate([sizes[segments.slave], sizes[facing]])
+        depth = -pose.distance(self.shape, points).value
+        return depth / sizes, depth, points
 
     # -- results ---------------------------------------------------------------------------------
 

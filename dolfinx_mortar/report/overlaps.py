@@ -62,7 +62,23 @@ def notes_on_overlaps(
             is_open = closed is not None and _is_open(link, closed)
             notes += _note(link, u, UNSEEN * rtol if is_open else None)
             notes += _note_on_poles(link, u, rtol) if is_open else []
+        notes += _note_on_tool(link, u)
     return notes
+
+
+def _note_on_tool(link: Link, u: fem.Function) -> list[str]:
+    """Return the note on a tool that is sharper than the facets of the side; collective."""
+    found = link.interface.depths(link, u)
+    if found is None:
+        return []
+    ratio, deepest, x = _deepest(link.sides.V.mesh.comm, *found)
+    if ratio <= SUNK:
+        return []
+    return [
+        f"{link.interface}: around ({', '.join(f'{c:.4g}' for c in x)}) the tool lies "
+        f"{deepest:.3g} deep in the side, {ratio:.0%} of a facet there: it is sharper than the "
+        "facets, over which the gap is a mean; refine there, or give the tool a radius"
+    ]
 
 
 def _is_open(link: Link, closed: Bools) -> bool:
