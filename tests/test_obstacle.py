@@ -258,9 +258,10 @@ def test_a_step_that_fails_is_cut():
     """The tool is where a level has it, not where the step that failed had it."""
     _, tool, problem = start()
     assert problem.constants()  # a ramp knows that the tool reads its Constants
-    report = press_once(problem, tool, depth=10 * DEPTH, apart=0.05, max_it=6)[-1].report
-    assert report.converged and report.cuts > 0
-    assert not any("overlap" in note or "ramp" in note for note in report.notes)
+    step = press_once(problem, tool, depth=10 * DEPTH, apart=0.05, max_it=6)[-1]
+    assert step.report.converged and step.report.cuts > 0
+    notes = [note for part in step.parts for note in part.notes]
+    assert not any("overlap" in note or "ramp" in note for note in notes)
     _, other, whole = start()
     press_once(whole, other, depth=10 * DEPTH, apart=0.05)
     assert tool.force == pytest.approx(other.force, rel=0.06)
