@@ -59,7 +59,7 @@ class Start:
     """What q points know at the start of a step, read by each evaluation."""
 
     state: Mapping[str, Floats]  # committed, (q,) or (q, 3, 3)
-    parameters: Mapping[str, Floats]  # (q,)
+    parameters: Mapping[str, Floats]  # (q,) of a law of arrays
     roots: Floats | None  # C_pn^-1/2 - I (q, 3, 3), if not zero
     numbers: Floats  # (q, n), the arguments of a law in UFL, with space for the strain
 
@@ -124,7 +124,8 @@ class LogarithmicLaw:
         if self.multiplicative and PLASTIC in self.law.state:
             roots = np.empty_like(state[PLASTIC])
             logarithms.roots(state[PLASTIC], roots)
-        return Start(state, parameters, roots, self._inner.numbers(q, state, parameters))
+        numbers = self._inner.numbers(q, state, parameters)  # with those of a law in UFL
+        return Start(state, parameters if self.law.update else {}, roots, numbers)
 
     def respond(self, start: Start, H: Floats, P: Floats, A: Floats, psi: Floats) -> None:
         """Fill stress, tangent and potential at q points.

@@ -54,7 +54,11 @@ class PointValuesOfRegion(ABC):
         if len(self._seen) == len(now) and all(map(np.array_equal, now, self._seen)):
             return
         self._evaluate()
-        self._seen = [values.copy() for values in now]
+        self._seen = self._copies(now)
+
+    def _copies(self, now: list[Floats]) -> list[Floats]:
+        """Return copies of the inputs that have been evaluated."""
+        return [values.copy() for values in now]
 
     def settle(self) -> None:  # noqa: B027 - most have evaluated everything by then
         """Evaluate what is needed only at the end of a step; without communication."""

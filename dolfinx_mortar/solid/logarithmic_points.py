@@ -79,6 +79,12 @@ class LogarithmicFields(FinitePointFields):
                 set_points(f, cells, values)
         self._gradients = H
 
+    def _copies(self, now: list[Floats]) -> list[Floats]:
+        """Return copies of the inputs; the last ones are those of the start of the step."""
+        assert self._start is not None
+        kept = self._start[0]
+        return [*(values.copy() for values in now[: len(now) - len(kept)]), *kept]
+
     def settle(self) -> None:
         """Evaluate the internal variables at the end of the step."""
         new = self._logarithmic.update(self._start_of_step(), self._gradients)
