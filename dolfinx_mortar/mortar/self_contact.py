@@ -58,8 +58,10 @@ def distances_in_reach(
     middle, other = facets.x.mean(axis=1)[f], copies.x.mean(axis=1)[g]
     near = np.linalg.norm(middle - other, axis=1) <= (REACH + 1.0) * size
     near &= ~(nodes[0][f][:, :, None] == nodes[1][g][:, None]).any(axis=(1, 2))
-    before = np.einsum("pki,pi->pk", copies.x[g] - middle[:, None], facet_normals(facets)[f])
-    some = np.flatnonzero(near & (before.max(axis=1, initial=-np.inf) > -deepest))
+    for at, x, n in ((middle, copies.x[g], facets[f]), (other, facets.x[f], copies[g])):
+        before = np.einsum("pki,pi->pk", x - at[:, None], facet_normals(n))
+        near &= before.max(axis=1, initial=-np.inf) > -deepest
+    some = np.flatnonzero(near)
     found[some] = facet_distances(facets[f[some]], copies[g[some]]) / size[some]
     found[found > REACH] = np.inf
     return found
@@ -74,10 +76,12 @@ def choose_roles(
 ) -> tuple[Bools, Bools]:
     """Return which own (ms,) and which received facets (mm,) are slaves; collective.
 
-    Pair by pair, the nearest first, two facets get different roles unless nearer pairs have decided
-    otherwise. What is left open follows the neighbours; of two parts, the one with the finer facets
-    at X is the slave, or that with the first facet in the order of coordinates. All ranks decide
-    the same, from the pairs of all ranks.
+    Pair by pair, the nearest first: of two facets that face each other one is the slave and the
+    other one a master; neighbours, which are a diameter apart, have the same role; next, the slave
+    is the finer one where two differ in size at X, to the nearest power of two. What nearer ones
+    have decided stays. In parts that this leaves open the first facet in the order of coordinates
+    is a slave: roles that changed with every facet that comes near would not let Newton's method
+    converge. All ranks decide the same, from the pairs of all ranks.
 
     Args:
         comm: the ranks.
@@ -127,31 +131,33 @@ def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Boo
     rank = np.empty(n, dtype=np.int64)
     rank[order] = np.arange(n)
     a, b = np.sort(np.stack([rank[a], rank[b]]), axis=0)
-    parts = _Parts(n)
-    for k in np.lexsort((b, a, np.round(distance / HALF_OF_DIGITS))):
-        parts.join(int(a[k]), int(b[k]), True)
-    for one, other in _neighbours(keys[order], X.shape[2] - 1):
-        parts.join(one, other, False)
-    root, odd = (np.array(found) for found in zip(*map(parts.find, range(n)), strict=True))
-    slave = np.zeros(n, dtype=bool)
-    for part in np.unique(root):
-        sides = [np.flatnonzero((root == part) & (odd == side)) for side in (False, True)]
-        mean = [size[order][side].mean() if len(side) else np.inf for side in sides]
-        even = np.isclose(mean[0], mean[1], rtol=HALF_OF_DIGITS)
-        lowest = min((side[0], k) for k, side in enumerate(sides) if len(side))[1]
-        slave[sides[lowest if even else int(np.argmin(mean))]] = True
-    return slave[rank]
+    beside, slaves = _neighbours(keys[order], X.shape[2] - 1), n
+    powers = np.rint(np.log2(size[order][a] / size[order][b]))
+    unequal = powers != 0.0
+    finer = np.stack([a[unequal], np.full(int(unequal.sum()), slaves)])
+    first, second = np.concatenate([np.stack([a, b]), beside, finer], axis=1)
+    # neighbours are a diameter apart, and it is rather their roles that are the same
+    apart = np.concatenate([distance, np.ones(beside.shape[1]), 1.0 + distance[unequal]])
+    different = np.concatenate(
+        [np.ones(len(a)), np.zeros(beside.shape[1]), powers[unequal] > 0.0]
+    ).astype(bool)
+    parts = _Parts(n + 1)
+    for k in np.lexsort((different, second, first, np.round(apart / HALF_OF_DIGITS))):
+        parts.join(int(first[k]), int(second[k]), bool(different[k]))
+    root, odd = (np.array(found) for found in zip(*map(parts.find, range(n + 1)), strict=True))
+    # the root is the first facet of a part
+    return np.asarray(odd == np.where(root == root[slaves], odd[slaves], False))[rank]
 
 
-def _neighbours(keys: Longs, least: int) -> list[tuple[int, int]]:
-    """Return the pairs of facets with so many common nodes at least, in order."""
+def _neighbours(keys: Longs, least: int) -> Longs:
+    """Return the pairs (2, p) of facets with so many common nodes at least."""
     n, k = keys.shape
     nodes, column = np.unique(keys, return_inverse=True)
     shape = (n, len(nodes))
     on = csr_array((np.ones(keys.size), (np.repeat(np.arange(n), k), column.ravel())), shape=shape)
     common = triu(on @ on.T, 1).tocoo()
     edge = common.data >= least
-    return sorted(zip(common.row[edge].tolist(), common.col[edge].tolist(), strict=True))
+    return np.stack([common.row[edge], common.col[edge]]).astype(np.int64)
 
 
 def divide(

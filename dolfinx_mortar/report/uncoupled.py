@@ -68,21 +68,23 @@ def find_crossing(problem: ContactProblem) -> Crossing:
 def find_self_crossing(problem: ContactProblem, link: Link) -> Crossing:
     """Return the deepest crossing of a surface that meets itself; collective.
 
-    Where nearer facets have decided that two facets are both slaves or both masters, nothing keeps
-    them apart.
+    But for a slave and a master that face each other: where these overlap, the interface has seen
+    it. Two slaves or two masters are kept apart by nothing.
     """
-    if not link.interface.meets_itself:
+    if not link.interface.meets_itself or link.pairing is None or link.pairing.roles is None:
         return Crossing()
     comm, surface = problem.comm, link.sides.slave
     x = coordinates(surface, problem.u)
     facets, sagittas = facets_at(surface, x), nodal_sagittas(surface, x)[surface.facets]
     first, flat = sum(comm.allgather(len(facets.x))[: comm.rank]), flat_parts(facets)
     again = np.arange(len(flat)) % max(len(facets.x), 1)  # see `_create_skin`
-    sagitta, none = sagittas.max(axis=1, initial=0.0)[again], np.zeros((len(flat), 2, 0), bool)
-    skin = _received(comm, _Skin(flat, first + again, none, sagitta))
+    sagitta, slave = sagittas.max(axis=1, initial=0.0)[again], link.pairing.roles.slave[again]
+    sides = np.stack([slave, ~slave], axis=1)[:, :, None]
+    skin = _received(comm, _Skin(flat, first + again, sides, sagitta))
     found = find_crossings(skin.x, skin.body)
     one, other = skin.part(found.pairs[:, 0]), skin.part(found.pairs[:, 1])
-    depth = np.maximum(found.depth - one.sagitta - other.sagitta, 0.0)
+    coupled = (one.sides & other.sides[:, ::-1]).any(axis=(1, 2)) & (found.cosine < 0.0)
+    depth = np.where(coupled, 0.0, np.maximum(found.depth - one.sagitta - other.sagitta, 0.0))
     share = depth / np.minimum(facet_sizes(one.x), facet_sizes(other.x))
     body = int(maximum(comm, problem.bodies.of_cells[cells_of(surface)].max(initial=0))[0])
     return _deepest(comm, share, depth, found.place, np.full((len(share), 2), body))
