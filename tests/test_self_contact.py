@@ -92,6 +92,13 @@ def test_what_pairs_leave_open_follows_the_neighbours():
     assert slave[:6].all() != slave[6:].all() and slave.sum() == 6
 
 
+def test_the_finer_one_is_the_slave_wherever_it_lies():
+    """Four facets above one that begins farther left, first in the order of coordinates."""
+    keys, x, a, b, distance, layer = layers(np.random.default_rng(1), [1, 4])
+    x[0, :, 0] -= 0.5
+    assert np.array_equal(_divide(keys, x, a, b, distance), layer == 1)
+
+
 def straight(compression=0.0):
     """Return the skin of a straight strip, and a displacement that compresses it across."""
     mesh, tags = create_sheet(MPI.COMM_SELF, (10, 2), lambda s: s * [2.0, 0.2])
