@@ -206,13 +206,15 @@ def test_what_the_numbers_of_the_mass_are_for(monkeypatch):
     """Three layers of inner nodes: the middle one would have no mass; one step is not enough."""
 
     def least():
-        M = Blocks((1, 1), (3, 3)).inertia.mass
+        case = Blocks((1, 1), (3, 3))  # its mesh has the communicator of the matrix
+        M = case.inertia.mass
         heavy = ~M.massless
         diagonal = M.matrix.getDiagonal().array_r[heavy].min(initial=np.inf)
         return COMM.allreduce(float(diagonal), op=MPI.MIN)
 
     def massless():
-        M = Blocks((4, 5), (5, 6), jitter=0.4).inertia.mass
+        case = Blocks((4, 5), (5, 6), jitter=0.4)
+        M = case.inertia.mass
         p = np.column_stack([np.ones(len(M.X)), M.X])
         return COMM.allreduce(int(M.massless.sum())), sums(p, M.times(p))[1, 1]
 
