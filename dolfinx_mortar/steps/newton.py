@@ -223,6 +223,11 @@ class Iterate:
     changes: int | None = None  # bounds that the last QP has changed in the active set
     pressure: Floats | None = None  # (owned cells,) mean stresses by the last linearisation
 
+    @property
+    def start(self) -> Actives:
+        """The active set with which the next QP starts, of the nodes that have bounds now."""
+        return self.contacts.active[self.balance.nodes].astype(np.int8)
+
 
 class _Step:
     """One load step in progress."""
@@ -273,7 +278,7 @@ class _Step:
                     self.finish(iterate, residual, begun)
                     return
                 iterate = replace(iterate, balance=self.balance())  # with another T
-            start = iterate.contacts.active[iterate.balance.nodes].astype(np.int8)
+            start = iterate.start
         raise failures.StepFailed(f"Newton did not converge in max_it={max_it} iterations")
 
     def first(self) -> tuple[Iterate, Actives]:
@@ -313,6 +318,7 @@ class _Step:
         lin, solved, rejected = None, None, ""
         if watch.held and problem.solid.strain == "finite" and self.is_exact(watch, residuals):
             old, watch, residuals[-1] = self.thaw(old, watch)
+            start = old.start
         if self.is_exact(watch, residuals):
             lin, solved, rejected = self.solve_exact(start, old, watch, residuals, tangent)
             if rejected:
