@@ -112,7 +112,7 @@ def test_other_programs_read_it(good):
         found = opened["tables/x/places"][:]
     assert np.array_equal(found[np.lexsort(found.T)], PLACES[np.lexsort(PLACES.T)])
     first, second, rest = content.split(b"\n", 2)
-    assert first == b"dolfinx_mortar checkpoint, format 5" and set(rest[:100]) == {0}
+    assert first == b"dolfinx_mortar checkpoint, format 6" and set(rest[:100]) == {0}
     told = subprocess.run(["sha256sum"], input=rest, capture_output=True, check=True).stdout
     assert second == b"sha256 of what follows: " + told.split()[0]
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The head of a file: its kind, its format, and the checksum of all that follows.
 
-    dolfinx_mortar checkpoint, format 5
+    dolfinx_mortar checkpoint, format 6
     sha256 of what follows: 64 hexadecimal digits
     zeros to byte 512, and from there on HDF5
 
@@ -18,7 +18,7 @@ from typing import IO
 from dolfinx_mortar.disk import CHECKPOINT
 
 # Raise this when what is written changes its meaning
-FORMAT = 5
+FORMAT = 6
 HEAD = 512  # bytes: the least that HDF5 leaves
 KIND = CHECKPOINT + b", format "
 CHECKSUM = b"sha256 of what follows: "
