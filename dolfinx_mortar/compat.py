@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx import fem, mesh
+import ffcx.codegeneration.jit
+import ufl
+from dolfinx import default_scalar_type, fem, jit, mesh
 
 
 def interpolation_points(V: fem.FunctionSpace) -> np.ndarray:
@@ -62,3 +64,37 @@ def cell_kinds(domain: mesh.Mesh) -> list[str]:
     topology: Any = getattr(domain.topology, "_cpp_object", domain.topology)
     kinds = getattr(topology, "entity_types", None) or getattr(topology, "cell_types", None)
     return sorted(kind.name for kind in kinds[-1]) if kinds else [domain.topology.cell_name()]
+
+
+def compile_together(*forms: ufl.Form) -> list[fem.Form]:
+    """Return `fem.form` of forms of integrals over cells, compiled in one module; collective.
+
+    A module of its own costs each form a start of compiler and linker, 0.1 s of processor time,
+    which most kernels do not need. Modules are kept on disk as a whole: what varies alone, such as
+    the user's load, would make those of others anew.
+    """
+    comm = forms[0].ufl_domain().ufl_cargo().comm
+    options = ffcx.get_options({"scalar_type": default_scalar_type})
+    compile_forms = jit.mpi_jit_decorator(ffcx.codegeneration.jit.compile_forms)
+    kernels, module, code = compile_forms(comm, list(forms), options, **jit.get_options())
+    pairs = zip(forms, kernels, strict=True)
+    return [_create_form(form, kernel, module, code) for form, kernel in pairs]
+
+
+def _create_form(form: ufl.Form, kernel: Any, module: Any, code: Any) -> fem.Form:
+    """Return a compiled form with its data, as `fem.form` does (0.11 takes a list of kernels)."""
+    ((domain, data),) = form.subdomain_data().items()
+    functions, positions = form.coefficients(), kernel.original_coefficient_positions
+    address = module.ffi.cast("uintptr_t", module.ffi.addressof(kernel))
+    lists = hasattr(mesh, "EntityMap")
+    create: Any = fem.form_cpp_class(default_scalar_type)
+    made = create(
+        [int(address)] if lists else address,
+        [argument.ufl_function_space()._cpp_object for argument in form.arguments()],
+        [functions[positions[i]]._cpp_object for i in range(kernel.num_coefficients)],
+        [constant._cpp_object for constant in form.constants()],
+        {fem.IntegralType.cell: [(i, np.array(cells)) for i, cells in data["cell"][0] or []]},
+        [] if lists else {},
+        domain.ufl_cargo(),
+    )
+    return fem.Form(made, kernel, code, module)

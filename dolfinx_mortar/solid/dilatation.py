@@ -29,6 +29,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
+from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.congruence import as_aij
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Floats
@@ -107,13 +108,15 @@ class MeanDilatation:
         dx, parts = measure(V.mesh, degree), measures(V, regions, degree)
         size = kinematics.weight(ufl.SpatialCoordinate(V.mesh)) * ufl.TestFunction(Q)
         trace = ufl.tr(kinematics.virtual(u, ufl.TrialFunction(V)))
-        self._B = fem_petsc.assemble_matrix(fem.form(size * trace * dx))
-        self._B.assemble()
-        self._volumes = assemble(fem.form(size * dx), self._vector).copy()
         moduli = [
             bulk_modulus_of(region) * size * on for region, on in zip(regions, parts, strict=True)
         ]
-        self._modulus = fem.form(reduce(add, moduli))
+        B, volumes, self._modulus = compat.compile_together(
+            size * trace * dx, size * dx, reduce(add, moduli)
+        )
+        self._B = fem_petsc.assemble_matrix(B)
+        self._B.assemble()
+        self._volumes = assemble(volumes, self._vector).copy()
         free = None if eigenstrain is None else ufl.tr(eigenstrain.tensor) * size * dx
         self._free = None if free is None else fem.form(free)
         self._bulk = np.zeros_like(self._volumes)

@@ -14,6 +14,7 @@ import basix
 import ufl
 from dolfinx import default_scalar_type, fem, la
 from dolfinx.jit import get_options
+from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.protocol import Law
@@ -128,12 +129,16 @@ def create_forms(
     gram = _gradient_gram(V)
     element_force = integral([weight * _element_force(r.stress, gram) for r in responses])
     energies = [r.energy for r in responses if r.energy is not None]
+    together = [residual, integral(elastic), element_force]
+    if len(energies) == len(regions):
+        together.append(integral(energies))
+    forces, norm, scale, *energy = compat.compile_together(*together)
     return Forms(
-        residual=fem.form(residual),
+        residual=forces,
         tangent=MatrixForm(fem.form(tangent, jit_options=in_any_order())),
-        elastic_norm=fem.form(integral(elastic)),
-        element_force=fem.form(element_force),
-        energy=fem.form(integral(energies)) if len(energies) == len(regions) else None,
+        elastic_norm=norm,
+        element_force=scale,
+        energy=energy[0] if energy else None,
         direction=direction,
         force=create_vector(V),
         dilatation=dilatation,

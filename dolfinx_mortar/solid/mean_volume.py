@@ -55,6 +55,7 @@ import numpy as np
 
 import ufl
 from dolfinx import default_scalar_type, fem
+from dolfinx_mortar import compat
 from dolfinx_mortar.arguments import is_name
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.response import Response
@@ -145,21 +146,22 @@ class MeanVolume:
         self._gradient = kinematics.measure(u)
         J = ufl.det(self._gradient)
         change = ufl.derivative(J, u, ufl.TrialFunction(V))
-        self._B = RowsOfCells(fem.form(cells.tested(change) * size * dx), cells.size)
-        self._volume_form = fem.form(cells.tested(J) * size * dx)
         j = cells.field(self._ratio)
 
-        def summed(densities: Sequence[Expr]) -> fem.Form:
+        def summed(densities: Sequence[Expr]) -> ufl.Form:
             pairs = zip(densities, parts, strict=True)
-            return fem.form(reduce(add, (density * size * on for density, on in pairs)))
+            return reduce(add, (density * size * on for density, on in pairs))
 
         energy, slope, stiffness = ([self._slope(r, k, j) for r in regions] for k in range(3))
-        self._energy_forms = (
+        B, self._volume_form, self._bulk_form, *self._energy_forms = compat.compile_together(
+            cells.tested(change) * size * dx,
+            cells.tested(J) * size * dx,
+            summed([cells.paired(bulk_modulus_of(r)) for r in regions]),
             summed([cells.first(e) for e in energy]),
             summed([cells.tested(e) for e in slope]),
             summed([cells.paired(e) for e in stiffness]),
         )
-        self._bulk_form = summed([cells.paired(bulk_modulus_of(r)) for r in regions])
+        self._B = RowsOfCells(B, cells.size)
 
     def _slope(self, region: Region, order: int, J: Expr) -> Expr:
         """Return a derivative of U at J."""
