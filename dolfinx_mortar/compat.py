@@ -82,19 +82,21 @@ def compile_together(*forms: ufl.Form) -> list[fem.Form]:
 
 
 def _create_form(form: ufl.Form, kernel: Any, module: Any, code: Any) -> fem.Form:
-    """Return a compiled form with its data, as `fem.form` does (0.11 takes a list of kernels)."""
+    """Return a compiled form with its data, as `fem.form` does."""
     ((domain, data),) = form.subdomain_data().items()
     functions, positions = form.coefficients(), kernel.original_coefficient_positions
-    address = module.ffi.cast("uintptr_t", module.ffi.addressof(kernel))
-    lists = hasattr(mesh, "EntityMap")
-    create: Any = fem.form_cpp_class(default_scalar_type)
-    made = create(
-        [int(address)] if lists else address,
-        [argument.ufl_function_space()._cpp_object for argument in form.arguments()],
+    address = int(module.ffi.cast("uintptr_t", module.ffi.addressof(kernel)))
+    spaces = [argument.ufl_function_space()._cpp_object for argument in form.arguments()]
+    rest: Any = (
         [functions[positions[i]]._cpp_object for i in range(kernel.num_coefficients)],
         [constant._cpp_object for constant in form.constants()],
         {fem.IntegralType.cell: [(i, np.array(cells)) for i, cells in data["cell"][0] or []]},
-        [] if lists else {},
+        [] if hasattr(mesh, "EntityMap") else {},
         domain.ufl_cargo(),
     )
+    create: Any = fem.form_cpp_class(default_scalar_type)
+    try:
+        made = create([address], spaces, *rest)
+    except TypeError:  # 0.9 takes one kernel, later versions a list, for meshes of several cells
+        made = create(address, spaces, *rest)
     return fem.Form(made, kernel, code, module)
