@@ -32,7 +32,7 @@ def distances(a: Floats, b: Floats) -> Floats:
     for i, j in edges:
         for k, m in edges:
             square = np.minimum(square, _between_lines(a[:, i], a[:, j], b[:, k], b[:, m]))
-    if d == 3:
+    if d > 2:
         for x, y in ((a, b), (b, a)):
             n = facet_normals(Facets(TRI3, y))
             for k in range(3):

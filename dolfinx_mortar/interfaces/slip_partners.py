@@ -86,7 +86,7 @@ def partners_of(link: Link, x: PETSc.Vec) -> Partners:
     scalars.fill(coupling.P[:, 0, None, None])
     P = scalars.matrix.copy()
     apart, along = _distances(link, P, x)
-    if along.shape[1] == 3:
+    if along.shape[1] > 2:
         P.axpy(1.0, _carried(link, x, along), PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         apart, along = _distances(link, P, x)[0], np.zeros_like(along)
     return Partners(P, coupling.kept[:, 0], coupling.normals, apart, along)

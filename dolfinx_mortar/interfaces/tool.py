@@ -61,7 +61,7 @@ SPACE = ("x", "y", "z", "moment x", "moment y", "moment z")
 
 def motions_in(d: int) -> tuple[str, ...]:
     """Return the names of a tool's motions, and of the forces that drive them."""
-    return SPACE if d == 3 else PLANE
+    return SPACE if d > 2 else PLANE
 
 
 class Tool:
@@ -95,9 +95,9 @@ class Tool:
             )
         self.shape, self.revolved = shape, False
         self.point = shape.point.copy() if reference is None else _check_point(reference, d)
-        cell = "tetrahedron" if d == 3 else "triangle"  # of no mesh
+        cell = "tetrahedron" if d > 2 else "triangle"  # of no mesh
         domain = ufl.Mesh(basix.ufl.element("Lagrange", cell, 1, shape=(d,)))
-        turn = np.zeros(3) if d == 3 else 0.0
+        turn = np.zeros(3) if d > 2 else 0.0
         self.position = fem.Constant(domain, self.point.astype(default_real_type))
         self.rotation = fem.Constant(domain, np.asarray(turn, dtype=default_real_type))
         self.load: Mapping[str, Load] = {}
