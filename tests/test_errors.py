@@ -57,7 +57,7 @@ def test_interior_facets_on_one_rank_only(case):
 
 def test_same_tag_on_both_sides(case):
     with rejected("slave and master", "two different tags"):
-        case.contact(slave=3, master=3)
+        dm.Tie(case.facets, slave=3, master=3)
 
 
 def test_tags_of_another_mesh(case):

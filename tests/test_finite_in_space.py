@@ -211,7 +211,7 @@ def unstable(depth, options=None):
     """Tell whether the report of a straight column says that its balance is unstable."""
     problem, down = column(0.0, options=options)
     down.value = -depth
-    return any("balance found is unstable" in note for note in dm.newton(problem).notes)
+    return any("equilibrium found is unstable" in note for note in dm.newton(problem).notes)
 
 
 @pytest.mark.parametrize("options", [None, {"pc_type": "lu"}])

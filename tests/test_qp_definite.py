@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 from programs import CYCLING, CYCLING_FORCE, from_arrays, gathered, membrane
 
-from dolfinx_mortar.qp import BoundQP, LinearSolver, QPNotSolved, UnusableQP, inertia, solve
+from dolfinx_mortar.qp import (
+    BoundQP,
+    LinearSolver,
+    QPNotSolved,
+    UnusableQP,
+    negative_eigenvalues,
+    solve,
+)
 from dolfinx_mortar.qp.multigrid import Multigrid, OwnUnknowns
 from dolfinx_mortar.qp.operator import Operator
 
@@ -141,11 +148,11 @@ def test_conjugate_gradients_meet_a_negative_eigenvalue(lowest, monkeypatch):
 
     def met(held=mine[:0]):
         operator.hold(held)
-        return inertia.meets_negative_curvature(operator, pc, n)
+        return negative_eigenvalues.meets_negative_curvature(operator, pc, n)
 
     for factor in (0.5, 1.0, 2.0):
-        monkeypatch.setattr(inertia, "RESOLVED", factor * 0.01)
+        monkeypatch.setattr(negative_eigenvalues, "RESOLVED", factor * 0.01)
         assert met() == (lowest < 0.0)
         assert not met(mine)
-    monkeypatch.setattr(inertia, "RESOLVED", 3.0)
+    monkeypatch.setattr(negative_eigenvalues, "RESOLVED", 3.0)
     assert not met()

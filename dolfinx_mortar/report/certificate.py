@@ -104,7 +104,7 @@ def create_certificate(
     g, p = np.concatenate(gap), np.concatenate(multiplier)
     deepest, tensile, pressure, product = _largest(problem.comm, -g, -p, np.abs(p), np.abs(g * p))
     errors = [operator_errors(link, length) for link in links if link.pairing] or [(0.0, 0.0)]
-    x = problem.positions().array_r.reshape(problem.n, -1)
+    x = problem.positions().array_r.reshape(problem.n, problem.d)
     force, moment = _balances(links, x, length)
     kept = [link.coupling.kept.any(axis=1) for link in links]
     covered = [link.coupling.coverage.share for link in links]
