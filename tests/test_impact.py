@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+import ufl
 from dolfinx import fem
+from dolfinx import mesh as dolfinx_mesh
 from tests.meshes import LOWER, UPPER
 from tests.meshes_3d import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_boxes
 from tests.moving_bodies import Blocks, Rod
@@ -189,3 +191,63 @@ def test_a_step_that_would_pass_through_is_cut():
     assert y.min(initial=1.0) > -1e-6
     assert case.inertia.momentum()[1] > 0.0
     assert abs(step.report.ledger.defect) < 1e-9
+
+
+def meet_a_tool(speed, tool_speed, angle=0.0):
+    """Return the mean velocity of a block along a direction, after a tool that moves in it."""
+    c, s = np.cos(angle), np.sin(angle)
+    along = np.array([c, s])
+    domain = dolfinx_mesh.create_rectangle(
+        COMM, [[0.0, 0.0], [1.0, 0.25]], [6, 2], dolfinx_mesh.CellType.quadrilateral
+    )
+    end = dolfinx_mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[0], 1.0))
+    tags = dolfinx_mesh.meshtags(domain, 1, np.sort(end), np.full(len(end), 1, dtype=np.int32))
+    domain.geometry.x[:, :2] = domain.geometry.x[:, :2] @ np.array([[c, s], [-s, c]])
+    solid = dm.Solid(
+        fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,)))), dm.Elastic(1.0, 0.0)
+    )
+    inertia = dm.Inertia(solid, 1.0, velocity=speed * along)
+    wall = dm.Obstacle(tags, slave=1, shape=dm.shapes.Plane(1.0002 * along, -along))
+    problem = dm.ContactProblem(solid, [wall], terms=[inertia])
+    times = np.linspace(0.0, 3.0, 41)[1:]
+    start = 1.0002 * along
+    ramp = {wall.position: [(0.0, start), (3.0, start + 3.0 * tool_speed * along)]}
+    *_, step = steps(problem, times, ramp=ramp)
+    assert abs(step.report.ledger.defect) < 1e-4  # of the first steps, as their energies are small
+    return inertia.momentum() @ along / 0.25, step.report.ledger
+
+
+@pytest.mark.parametrize(("v", "angle"), [(-1e-3, 0.0), (1e-3, 0.0), (1e-3, 0.5)])
+def test_a_tool_that_moves_does_work(v, angle):
+    """The same as for who moves with it, where the tool is at rest and the block bounces."""
+    still, _ = meet_a_tool(1e-3, 0.0)
+    assert still == pytest.approx(-1e-3, rel=0.05)  # the rest vibrates
+    found, ledger = meet_a_tool(1e-3 + v, v, angle)
+    assert found - v == pytest.approx(still, rel=1e-6)
+    assert ledger.supports == pytest.approx(0.25 * v * (found - 1e-3 - v), rel=1e-6)
+
+
+def test_a_belt_takes_a_block_along():
+    """Friction gives what it does not dissipate: half of the work of the belt."""
+    mu, g, v, time = 0.3, 10.0, 0.4, 0.12
+    domain = dolfinx_mesh.create_rectangle(
+        COMM, [[0.0, 0.0], [1.0, 0.5]], [4, 2], dolfinx_mesh.CellType.quadrilateral
+    )
+    base = dolfinx_mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[1], 0.0))
+    tags = dolfinx_mesh.meshtags(domain, 1, np.sort(base), np.full(len(base), 1, dtype=np.int32))
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    solid = dm.Solid(fem.Function(V), dm.Elastic(1e5, 0.0))
+    inertia = dm.Inertia(solid, 1.0)
+    belt = dm.Obstacle(tags, slave=1, shape=dm.shapes.Plane([0.0, 0.0], [0.0, 1.0]), friction=mu)
+    loads = -g * ufl.TestFunction(V)[1] * ufl.dx
+    terms = [inertia, dm.Damping(inertia, stiffness=2e-3)]
+    problem = dm.ContactProblem(solid, [belt], loads=loads, terms=terms)
+    ramp = {belt.position: [(0.0, (0.0, 0.0)), (time, (v * time, 0.0))]}
+    *_, step = steps(problem, np.linspace(0.0, time, 31)[1:], ramp=ramp)
+    reached, mass = mu * g * time, 0.5
+    assert inertia.momentum()[0] / mass == pytest.approx(reached, rel=1e-3)
+    ledger = step.report.ledger
+    assert abs(ledger.defect) < 1e-8
+    assert ledger.supports == pytest.approx(mass * reached * v, rel=5e-3)
+    kinetic = 0.5 * mass * reached**2
+    assert ledger.friction == pytest.approx(ledger.supports - kinetic, rel=0.02)

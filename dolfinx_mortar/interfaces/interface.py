@@ -355,6 +355,10 @@ class Interface(ABC):
         """Move the tool by amounts (m,) of its motions."""
         raise NotImplementedError
 
+    def tool_way(self, before: Floats, after: Floats) -> Floats | None:
+        """Return how far a tool has carried points (n, d) since the last commit; None for none."""
+        return None
+
     # -- results ---------------------------------------------------------------------------------
 
     @property

@@ -390,6 +390,16 @@ class Obstacle(Unilateral):
         """Move the tool by amounts (m,) of its motions."""
         self.tool.move(travel)
 
+    def tool_way(self, before: Floats, after: Floats) -> Floats:
+        """Return how far the tool carries points (n, d) since the last commit.
+
+        The mean of what it does to a point that is there before, and to one that is there after.
+        """
+        began, now = self.began, self.tool.pose()
+        forth = now.to_space(began.to_tool(before)) - before
+        back = after - began.to_space(now.to_tool(after))
+        return np.asarray(0.5 * (forth + back))
+
     @property
     def tool_force(self) -> Floats:
         """Resultant (d,) exerted on the tool."""

@@ -18,7 +18,8 @@ moment of momentum as they are, as c does, for K y has none (Laursen and Love 20
 velocities after the step, too, node by node and with M alone: then a stiff body that is hit cannot
 give back its energy, which is in its motion as a whole). Of the two roots the smaller one is taken;
 if more energy is to be taken than the impulse can, it takes all it can, and the defect shows the
-rest.
+rest. On tools that move, what they do to the bodies is taken from the works of contact and
+friction and counts as that of supports; w and K are then those for who moves with them.
 """
 
 from collections.abc import Sequence
@@ -182,10 +183,21 @@ class EnergyLedger:
             name: self._sum(0.5 * (getattr(before, name) + getattr(after, name)) * du)
             for name in ("contact", "friction", "supports", "loads", "damping")
         }
+        # what a tool that moves does to the bodies is no gain of contact
+        way = self._tool_way(before.u, after.u)
+        tools = {
+            name: self._sum(0.5 * (getattr(before, name) + getattr(after, name)) * way)
+            for name in ("contact", "friction")
+        }
+        for name, share in tools.items():
+            work[name] -= share
+            work["supports"] += share
         gain = work["contact"] + max(work["friction"], 0.0)
         terms = self._sum(np.abs((before.contact + after.contact) * du))
         if self.conserve and abs(gain) > ROUND_OFF * terms:
-            motion = self._restored(motion, before.contact + after.contact, -gain, report.rtol)
+            force = before.contact + after.contact
+            motion, share = self._restored(motion, force, way, -gain, report.rtol)
+            work["supports"] += share
         inertia.finish(motion)
         potential = self._stored()
         problem.commit()
@@ -213,17 +225,43 @@ class EnergyLedger:
             report.certificate = replace(report.certificate, energy_defect=self.last.defect)
         report.notes += notes_on_energy(self.last)
 
-    def _restored(self, motion: Motion, force: Floats, energy: float, rtol: float) -> Motion:
-        """Return a motion that an impulse of contact forces has given an energy; collective."""
-        mass, sums = self.inertia.mass, self.inertia.sum
+    def _tool_way(self, before: Floats, after: Floats) -> Floats:
+        """Return how far tools carry the nodes that they touch in the step, (owned nodes, d).
+
+        A node belongs to the interface that gave it a multiplier, otherwise to the first one on
+        whose side it is.
+        """
+        X = self.inertia.mass.X
+        way, free = np.zeros_like(before), np.ones(len(before), dtype=bool)
+        links = self.problem.system.unilateral
+        for kept in (True, False):
+            for link in links:
+                some = link.coupling.kept[:, 0] | (not kept)
+                nodes = link.nodes[some & free[link.nodes]]
+                free[nodes] = False
+                x = X[nodes]
+                found = link.interface.tool_way(x + before[nodes], x + after[nodes])
+                if found is not None:
+                    way[nodes] = found
+        return way
+
+    def _restored(
+        self, motion: Motion, force: Floats, way: Floats, energy: float, rtol: float
+    ) -> tuple[Motion, float]:
+        """Return a motion that an impulse of contact forces has given an energy; collective.
+
+        The energy is that for who moves with the tool: its work, returned, is beside it.
+        """
+        mass, sums, start = self.inertia.mass, self.inertia.sum, self.inertia.start
         y = mass.extend(respond(self.problem, force, rtol))
         image = mass.times(y)
-        a, b = sums((y * image).sum()), sums((motion.velocity * image).sum())
+        tools = sums((force * way).sum()) / (start.kappa * start.dt)  # of one unit of y
+        a, b = sums((y * image).sum()), sums((motion.velocity * image).sum()) - tools
         if not a > 0.0:
-            return motion
+            return motion, 0.0
         root = b**2 + 2.0 * a * energy
         s = 2.0 * energy / (b + np.copysign(np.sqrt(root), b)) if root > 0.0 else -b / a
-        return replace(motion, velocity=motion.velocity + s * y)
+        return replace(motion, velocity=motion.velocity + s * y), s * tools
 
 
 def _balanced(ledger: Ledger) -> Ledger:
