@@ -92,11 +92,11 @@ def walk(tool, problem, load, levels, **options):
     return [tool.travel[1] for _ in steps]
 
 
-def start():
+def start(friction=None):
     """Return a plastic block under a disc that a Constant drives."""
     case = Block(n=16, fine=0.6)
     load = fem.Constant(case.mesh, default_real_type(-0.2))
-    tool = case.tool(DISC, load={"y": load})
+    tool = case.tool(DISC, load={"y": load}, friction=friction)
     return tool, case.problem([tool], law=STEEL), load
 
 
@@ -211,3 +211,15 @@ def test_a_load_that_is_not_found_undoes_the_step(monkeypatch):
     with rejected("not met in 1 tries", "is missing", error=dm.NewtonNotConverged):
         dm.newton(problem)
     assert not tool.travel.any()
+
+
+@pytest.mark.parametrize("friction", [None, 0.3])
+def test_a_dent_is_left_without_a_load(friction):
+    """Of a plastic block; forces in it remain, and none on the tool."""
+    tool, problem, load = start(friction)
+    ramp = {load: [(0.0, 0.0), (1.0, -2.0), (2.0, 0.0)]}
+    levels = [0.5, 1.0, 1.5, 2.0]
+    *_, step = dm.load_steps(problem, levels, ramp=ramp, progress=False)
+    assert step.report.cuts == 0
+    assert np.abs(tool.tool_force).max() < 1e-9
+    assert -0.08 < tool.travel[1] < -0.04

@@ -23,7 +23,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import ROUND_OFF, Floats
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.failures import StepFailed
@@ -76,6 +76,14 @@ class Drives:
         sums = np.stack([parts.sum(axis=1), np.abs(parts).sum(axis=1)])
         total, size = self.comm.allreduce(sums, op=MPI.SUM)
         return self.loads + total, np.maximum(size, np.abs(self.loads))
+
+    def noise(self, balance: Balance) -> Floats:
+        """Return the round-off in what tools carry (m,), of the forces in the bodies; collective.
+
+        A tool may carry nothing while bodies are strained, as after plastic flow.
+        """
+        arms = maximum(self.comm, *np.abs(self.motions).max(axis=1, initial=0.0))
+        return np.asarray(ROUND_OFF * balance.elements * arms)
 
     def shifted(self, lin: Linearisation, travel: Floats) -> Linearisation:
         """Return the QP with the tools moved by q (m,)."""
@@ -188,9 +196,10 @@ def settle(
     if not diagonal.all():
         raise StepFailed(_unresisted(drives, diagonal == 0.0))
     B: Floats = np.diag(diagonal) if stiffness is None else stiffness
+    noise = drives.noise(lin.balance)
     shrink = 1.0
     for _ in range(MOST_TRIES):
-        if (np.abs(here.missing) <= rtol * here.size).all():
+        if (np.abs(here.missing) <= rtol * here.size + noise).all():
             return Settled(here.lin, here.solved, here.travel, B, drives)
         if here.touches:
             if shrink == 1.0 and len(diagonal) > 1:  # the nodes that touch change, and B with them
@@ -261,5 +270,6 @@ def miss(problem: ContactProblem, balance: Balance, contacts: Contacts) -> float
     if (limits := balance.limits) is not None:
         carried[limits.tangential[limits.some]] = contacts.tangential_reactions(limits)[limits.some]
     missing, size = drives.missing(carried)
-    share = np.divide(np.abs(missing), size, out=np.zeros_like(size), where=size > 0.0)
+    beyond = np.maximum(np.abs(missing) - drives.noise(balance), 0.0)
+    share = np.divide(beyond, size, out=np.zeros_like(size), where=size > 0.0)
     return float(share.max())
