@@ -251,3 +251,15 @@ def test_a_belt_takes_a_block_along():
     assert ledger.supports == pytest.approx(mass * reached * v, rel=5e-3)
     kinetic = 0.5 * mass * reached**2
     assert ledger.friction == pytest.approx(ledger.supports - kinetic, rel=0.02)
+
+
+@pytest.mark.parametrize(("layers", "thin"), [(2, True), (3, False)])
+def test_thin_bodies_make_energy_and_a_note_says_why(layers, thin):
+    """Two layers of cells keep the mass of contact nodes, with which no step is short enough."""
+    case = Blocks(
+        (1, 1), (4, layers), gap=0.01, guided=True, velocity={UPPER: (0, -1), LOWER: (0, 0)}
+    )
+    wave = np.sqrt(1000.0)
+    *_, step = steps(case.problem, 0.5 / layers / wave * np.arange(1, 60 * layers // 2))
+    assert (abs(step.report.ledger.defect) > 0.01) == thin
+    assert any("three layers" in note for note in step.report.notes) == thin

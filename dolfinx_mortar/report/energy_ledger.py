@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dolfinx_mortar.algebra.parallel import ratio
+from dolfinx_mortar.algebra.parallel import any_rank, ratio
 from dolfinx_mortar.arrays import ROUND_OFF, Floats
 from dolfinx_mortar.newton_method.impulse import respond
 from dolfinx_mortar.problem.problem import ContactProblem
@@ -37,6 +37,10 @@ from dolfinx_mortar.terms.inertia import Damping, Inertia, Motion
 
 # Defect from which on a note tells of it.
 LARGE_DEFECT = 0.01
+MASS = (
+    ". Contact nodes of thin bodies, of one or two layers of cells, have kept their mass, with "
+    "which impacts do not keep the energy whatever the step: mesh them with three layers or more"
+)
 
 
 @dataclass(frozen=True)
@@ -223,7 +227,13 @@ class EnergyLedger:
         self.last = report.ledger = _balanced(ledger)
         if report.certificate is not None:
             report.certificate = replace(report.certificate, energy_defect=self.last.defect)
-        report.notes += notes_on_energy(self.last)
+        report.notes += notes_on_energy(self.last, thin=self._contacts_have_mass())
+
+    def _contacts_have_mass(self) -> bool:
+        """Return whether nodes that can touch have kept their mass; collective."""
+        bare, links = self.inertia.mass.massless, self.problem.system.unilateral
+        heavy = any((~bare[k.nodes] & k.coupling.kept[:, 0]).any() for k in links)
+        return bool(any_rank(self.problem.comm, heavy)[0])
 
     def _tool_way(self, before: Floats, after: Floats) -> Floats:
         """Return how far tools carry the nodes that they touch in the step, (owned nodes, d).
@@ -273,13 +283,18 @@ def _balanced(ledger: Ledger) -> Ledger:
     return replace(ledger, largest=largest, defect=float(ratio(total + gone - given, largest)))
 
 
-def notes_on_energy(ledger: Ledger) -> list[str]:
-    """Return a note if energy has come from nowhere, or is missing."""
+def notes_on_energy(ledger: Ledger, *, thin: bool = False) -> list[str]:
+    """Return a note if energy has come from nowhere, or is missing.
+
+    Args:
+        ledger: of the last step.
+        thin: whether contact nodes have mass.
+    """
     if abs(ledger.defect) <= LARGE_DEFECT:
         return []
     what = "appeared" if ledger.defect > 0.0 else "been lost"
     return [
         f"{100 * abs(ledger.defect):.2g} % of the energy has {what} in the steps so far, see "
         "report.ledger: the steps are too large for what moves in them (waves, impacts, rotations),"
-        " or spectral_radius < 1 damps it; halve the steps and compare"
+        " or spectral_radius < 1 damps it; halve the steps and compare" + MASS * thin
     ]

@@ -151,8 +151,8 @@ def relieve(plain: Mass, contact: Bools, body: Ints) -> Mass:
     """Return the mass without any at contact nodes; collective.
 
     Where a body has too few inner nodes for its moments of inertia, less than four layers, it keeps
-    mass and centre; in a single layer of cells all nodes keep their mass, and so does a node that
-    has no inner node within three cells.
+    mass and centre; in one or two layers of cells all nodes keep their mass, and so does a node
+    that has no inner node within three cells.
 
     Args:
         plain: the consistent mass.
