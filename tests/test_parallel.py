@@ -34,7 +34,7 @@ SLOW_ON_TWO = """
     parameters passing patch_3d plane_stress plotting pointwise preload preload_direction
     preload_several qp_descent ramp reaction resolution rubber small_strain smooth_3d
     smooth_contact smooth_second smooth_tie solid solid_state stand_off stress_laws sweep
-    tie_reach tool_friction tying undone user_laws volumetric
+    taylor_bar tie_reach tool_friction tying undone user_laws volumetric
 """.split()
 SLOW_ON_THREE = """
     driven_tools exact_tangent_3d friction_path friction_state impact load_steps
