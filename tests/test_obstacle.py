@@ -350,6 +350,7 @@ def obstacle(**options):
         ({"shape": "ball"}, ("shape is 'ball'", "dolfinx_mortar.shapes")),
         ({"shape": dm.shapes.Sphere([0.0, 0.0, 1.0], 1.0)}, ("3 coordinates", "the mesh has 2")),
         ({"reference": [0.0, 0.0, 0.0]}, ("reference", "2 finite")),
+        ({"reference": ("a", "b")}, ("reference", "2 finite")),
         ({"friction": -0.1}, ("friction is -0.1",)),
         ({"friction": 0.1, "tresca": 1.0}, ("friction", "tresca")),
     ],

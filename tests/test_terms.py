@@ -402,8 +402,9 @@ def test_what_is_no_term_is_refused():
     ):
         with pytest.raises(ValueError, match=message):
             bar.problem(*terms)
-    with pytest.raises(ValueError, match=r"^terms is 'springs': give a list"):
-        dm.ContactProblem(bar.solid, bcs=bar.bcs, terms="springs")
+    for terms in ("springs", same):
+        with pytest.raises(ValueError, match=r"^terms is .*: give a list"):
+            dm.ContactProblem(bar.solid, bcs=bar.bcs, terms=terms)
     with pytest.raises(ValueError, match=r"level is nan: give a finite number"):
         dm.newton(bar.problem(), level=np.nan)
 

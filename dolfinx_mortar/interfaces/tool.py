@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import basix.ufl
 import ufl
 from dolfinx import default_real_type, fem
-from dolfinx_mortar.arguments import is_number
+from dolfinx_mortar.arguments import as_numbers, is_number
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.geometry.facets import facet_normals
 from dolfinx_mortar.geometry.segments import FACING
@@ -208,8 +208,8 @@ def _after(rotation: Floats, step: Floats) -> Floats:
 
 
 def _check_point(given: Any, d: int) -> Floats:
-    found = np.asarray(given, dtype=np.float64) if np.size(given) == d else np.zeros(0)
-    if found.shape != (d,) or not np.isfinite(found).all():
+    found = as_numbers(given)
+    if found is None or found.shape != (d,) or not np.isfinite(found).all():
         raise ValueError(f"reference is {given!r}: give {d} finite coordinates")
     return found
 

@@ -104,10 +104,10 @@ class ContactProblem:
                 side.check_kinematics(solid.V.mesh.geometry.dim, revolved)
         check_options(solid.V.mesh.comm, petsc_options_prefix, petsc_options)
         self.solid, self.geometry = solid, geometry
-        self._inputs = Inputs(changing, find_constants([conditions, loads, potential, *terms]))
         self.timings = Timings()
         kinematics = solid.kinematics
         self.terms = _create_terms(solid, loads, potential, terms)
+        self._inputs = Inputs(changing, find_constants([conditions, loads, potential, *terms]))
         self.supports: Dirichlet = create_dirichlet(solid.V, conditions)
         with self.timings("mortar"):
             at_points = None if kinematics.unweighted else kinematics.weights_at
