@@ -208,7 +208,7 @@ def values_at_points(
     def equation(points: Ints, z: Floats) -> Floats:
         found = at(points, z[:, 0])
         C, norm = found.tangent, np.linalg.norm(found.stress, axis=(1, 2))
-        stiffest = np.abs(C).reshape(len(points), -1).max(axis=1, initial=0.0)
+        stiffest = np.abs(C).max(axis=(1, 2, 3, 4), initial=0.0)
         parts = [found.stress[:, 2, 2], C[:, 2, 2, 2, 2], stiffest, norm]
         return np.stack(parts, axis=1)[:, None]
 

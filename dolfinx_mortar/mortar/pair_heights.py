@@ -140,7 +140,7 @@ def _by_other(facets: Facets, other: Curved, which: Ints) -> Floats:
     """
     _, first, again = np.unique(which, return_index=True, return_inverse=True)
     dK, e = curvature_slopes(other.facets[first], other.sagitta[first]), edges(facets)
-    both = (e[:, :, :, None] * e[:, :, None]).reshape(len(e), -1, 9)
-    by_K = dK.reshape(len(first), -1, 9)[again]
+    both = (e[:, :, :, None] * e[:, :, None]).reshape(*e.shape[:2], 9)
+    by_K = dK.reshape(len(first), 3 * dK.shape[1], 9)[again]
     change = -0.5 * both @ np.swapaxes(by_K, 1, 2)
     return np.asarray(change.reshape(*e.shape[:2], *other.facets.x.shape[1:]))

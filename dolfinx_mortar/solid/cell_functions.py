@@ -149,7 +149,8 @@ class RowsOfCells:
             K: the matrix, AIJ or in blocks.
         """
         indptr, columns, values = csr_of(self._B)
-        blocks = values.reshape(len(weights), self._m, -1)  # rows of a cell have the same columns
+        rows = len(weights), self._m  # those of a cell have the same columns
+        blocks = values.reshape(*rows, len(values) // max(rows[0] * rows[1], 1))
         if self._products is None:
             weighted, transpose = self._B.duplicate(copy=True), self._B.transpose(PETSc.Mat())
             self._products = weighted, transpose, transpose.matMult(weighted)
