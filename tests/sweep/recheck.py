@@ -213,8 +213,10 @@ def _contact(
     floor = NO_PRESSURE * _stiffest(case)
     worst = _complementarity(V.mesh.comm, pressure[acts], gap[acts], size, d, floor)
     if case.limit is not None:
-        way = None
-        if before is not None:
+        # in space the slave side carries what is apart along it when it spins about its normal, so
+        # that slips are objective: there they are read off the contact
+        way, spins = None, d > 2 and case.problem.geometry == "updated"
+        if before is not None and not spins:
             moved = case.problem.u.x.array[: _owned(case)] - before
             plain = _apply(B, moved).reshape(-1, d) / weight[:, None]
             way = _way(case, sides, before, nodes, plain)
