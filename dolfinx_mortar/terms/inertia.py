@@ -432,7 +432,6 @@ class Damping(Term):
         if self._moves:
             rate = self._rate()[0]
             self._inertia.mass.add_to(K, rate * self._mass)
-            K.assemble()
             self._inertia.solid.add_elastic(K, rate * self._stiffness)
 
 
