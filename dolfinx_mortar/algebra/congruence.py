@@ -351,8 +351,8 @@ def _split(matrix: PETSc.Mat, marks: Floats) -> tuple[PETSc.Mat, PETSc.Mat]:
 
 def _values_at(vector: PETSc.Vec, numbers: Ints) -> Floats:
     """Return the values at global numbers, of any rank; collective."""
-    found = PETSc.Vec().createSeq(len(numbers))
-    there = PETSc.IS().createGeneral(numbers.astype(PETSc.IntType))
+    found = PETSc.Vec().createSeq(len(numbers), comm=PETSc.COMM_SELF)
+    there = PETSc.IS().createGeneral(numbers.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
     PETSc.Scatter().create(vector, there, found, None).scatter(vector, found)
     return np.asarray(found.array)
 
