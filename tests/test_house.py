@@ -2,6 +2,7 @@
 """The floors of the house: which way imports point (ARCHITECTURE.md)."""
 
 import ast
+import re
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -123,6 +124,22 @@ def test_every_floor_says_what_it_is_for():
     for floor in BELOW:
         if (PACKAGE / floor).is_dir():
             assert ast.get_docstring(ast.parse((PACKAGE / floor / "__init__.py").read_text()))
+
+
+def creations(file):
+    """Yield the calls that create an object of PETSc on a communicator."""
+    for call in ast.walk(ast.parse(file.read_text())):
+        text = ast.unparse(call) if isinstance(call, ast.Call) else ""
+        if re.match(r"PETSc\.(IS|KSP|Mat|NullSpace|PC|SF|TAO|Vec)\(\)\.create", text):
+            yield text
+
+
+def test_objects_of_petsc_name_their_communicator():
+    """By default it is that of the world: a problem on fewer ranks waits for all others."""
+    made = [text for file in PACKAGE.rglob("*.py") for text in creations(file)]
+    assert len(made) > 20
+    of_arguments = "createDiagonal"  # takes that of its vector
+    assert [t for t in made if "comm" not in t.lower() and of_arguments not in t] == []
 
 
 def test_classes_have_few_attributes():

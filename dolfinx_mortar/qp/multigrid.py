@@ -157,7 +157,7 @@ class Multigrid:
         basis = orthonormal(data.motions)
         if basis:
             data.B.setBlockSize(basis[0].getBlockSize())
-            data.B.setNearNullSpace(PETSc.NullSpace().create(vectors=basis))
+            data.B.setNearNullSpace(PETSc.NullSpace().create(vectors=basis, comm=data.B.comm))
         self.inner.setFromOptions()
         if self.follows:
             self.inner.setUseAmat(True)
