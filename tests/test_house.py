@@ -111,6 +111,17 @@ def test_floors_form_no_circle():
         TopologicalSorter(BELOW | {"algebra": {"steps"}}).prepare()
 
 
+def test_modules_form_no_circle():
+    """Within a floor, too, and not for types either."""
+    files = [f for f in PACKAGE.rglob("*.py") if f.stem != "__init__"]
+    modules = {".".join(f.relative_to(PACKAGE.parent).with_suffix("").parts): f for f in files}
+    graph = {}
+    for module, file in modules.items():
+        names = {part for name in imported(file) for part in (name, name.rpartition(".")[0])}
+        graph[module] = names & modules.keys()
+    TopologicalSorter(graph).prepare()
+
+
 def test_floors_know_no_more_than_they_must():
     wrong = {
         str(file.relative_to(PACKAGE)): sorted(libraries & FOREIGN.get(floor, set()))

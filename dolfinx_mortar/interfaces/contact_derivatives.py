@@ -21,7 +21,7 @@ from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.algebra.triplets import Triplets
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.interfaces.link import Link, node_motions
+from dolfinx_mortar.interfaces.coupled_sides import CoupledSides, node_motions
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.mortar.curvature_correction import height_slopes
 from dolfinx_mortar.mortar.derivatives import Derivatives, Tractions, differentiate
@@ -51,7 +51,7 @@ class SlipRows:
     P is that of the partners, see `slip_partners`; the tangents t turn with the averaged normal.
     """
 
-    link: Link
+    link: CoupledSides
     partners: Partners
     turning: Floats  # (n, d - 1, d) m.dt + t.dm by the averaged normals
     normals: PETSc.Mat  # derivatives of these
@@ -101,12 +101,12 @@ class LinkDerivatives(ABC):
     """Derivatives of forces, gaps and slips of an interface on a surface that moves."""
 
     @abstractmethod
-    def serves(self, link: Link) -> bool:
+    def serves(self, link: CoupledSides) -> bool:
         """Tell whether the pattern is also that of another link; on this rank."""
 
     @abstractmethod
     def differentiate(
-        self, link: Link, u: fem.Function, multipliers: Floats, tangential: Floats | None
+        self, link: CoupledSides, u: fem.Function, multipliers: Floats, tangential: Floats | None
     ) -> tuple[PETSc.Mat, PETSc.Mat, Bools]:
         """Return those of forces, and of gaps in the rows w_n, and which of these; collective.
 
@@ -122,7 +122,9 @@ class LinkDerivatives(ABC):
         """
 
     @abstractmethod
-    def slips(self, link: Link, u: fem.Function, partners: Partners, since: PETSc.Vec) -> SlipRows:
+    def slips(
+        self, link: CoupledSides, u: fem.Function, partners: Partners, since: PETSc.Vec
+    ) -> SlipRows:
         """Return the rows of slips at the iterate that was differentiated last; collective."""
 
 
@@ -133,7 +135,7 @@ class ContactDerivatives(LinkDerivatives):
     forces and gaps depend on all of its partners, by the dual functions.
     """
 
-    def __init__(self, link: Link) -> None:
+    def __init__(self, link: CoupledSides) -> None:
         """Make the patterns, for all candidates of the slave facets that are near; collective."""
         V, slave, pairing = link.sides.V, link.sides.slave, link.pairing
         assert pairing is not None
@@ -168,14 +170,14 @@ class ContactDerivatives(LinkDerivatives):
             self.normals,
         )
 
-    def serves(self, link: Link) -> bool:
+    def serves(self, link: CoupledSides) -> bool:
         """Tell whether a link has the same pairs."""
         new, _ = link.mortar
         names = "pairs", "master_facets", "master_nodes"
         return all(np.array_equal(getattr(self._found, v), getattr(new, v)) for v in names)
 
     def differentiate(
-        self, link: Link, u: fem.Function, multipliers: Floats, tangential: Floats | None
+        self, link: CoupledSides, u: fem.Function, multipliers: Floats, tangential: Floats | None
     ) -> tuple[PETSc.Mat, PETSc.Mat, Bools]:
         """Return those of forces, and of gaps in the rows w_n, and which of these; collective.
 
@@ -199,7 +201,7 @@ class ContactDerivatives(LinkDerivatives):
 
     @staticmethod
     def _derivatives(
-        link: Link, u: fem.Function, segments: Segments, keep: Bools, given: Tractions
+        link: CoupledSides, u: fem.Function, segments: Segments, keep: Bools, given: Tractions
     ) -> Derivatives:
         """Return the derivatives on this rank; collective."""
         pairing, smooth = link.mortar[0], link.pattern.smooth
@@ -209,7 +211,9 @@ class ContactDerivatives(LinkDerivatives):
         slopes = None if smooth is None else height_slopes(pairing, segments, u, smooth)
         return differentiate(*at, slopes)
 
-    def slips(self, link: Link, u: fem.Function, partners: Partners, since: PETSc.Vec) -> SlipRows:
+    def slips(
+        self, link: CoupledSides, u: fem.Function, partners: Partners, since: PETSc.Vec
+    ) -> SlipRows:
         """Return the rows of slips at the iterate that was differentiated last; collective."""
         slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
         n, turning = _turning(link, nodal_normals(slave, coordinates(slave, u))[own])
@@ -220,11 +224,11 @@ class ContactDerivatives(LinkDerivatives):
         return SlipRows(link, partners, tangents @ by_n @ turning, self.normals.zero())
 
 
-def _in_space(link: Link) -> bool:
+def _in_space(link: CoupledSides) -> bool:
     return link.sides.V.mesh.topology.dim == 3
 
 
-def facets_near(link: Link) -> Bools:
+def facets_near(link: CoupledSides) -> Bools:
     """Return the slave facets (m,) of this rank that have nodes in T; collective."""
     slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
     near = np.zeros((len(slave.nodes), 1))
@@ -252,7 +256,7 @@ def layout_of(V: fem.FunctionSpace) -> Unknowns:
     return Unknowns(d * index_map.size_local, d * index_map.size_global)
 
 
-def _turning(link: Link, averaged: Floats) -> tuple[Floats, Floats]:
+def _turning(link: CoupledSides, averaged: Floats) -> tuple[Floats, Floats]:
     """Return the normals n_j (n, d) of the owned slave nodes, 0 where not kept, and dn_j/dn.
 
     n_j is the averaged normal (n, d) without the directions that are prescribed.
@@ -268,7 +272,7 @@ def _turning(link: Link, averaged: Floats) -> tuple[Floats, Floats]:
 
 
 def _tractions(
-    link: Link, averaged: Floats, multipliers: Floats, tangential: Floats | None
+    link: CoupledSides, averaged: Floats, multipliers: Floats, tangential: Floats | None
 ) -> tuple[Tractions, Bools]:
     """Return normals, tractions, and which local slave nodes are kept; collective.
 

@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import NoneType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -24,16 +24,15 @@ from dolfinx_mortar.interfaces.constraints import (
     check_constraints,
     check_limits,
 )
+from dolfinx_mortar.interfaces.contact_derivatives import LinkDerivatives
+from dolfinx_mortar.interfaces.coupled_sides import CoupledSides
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides, create_pattern, mark
+from dolfinx_mortar.interfaces.driven import Driven
+from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.mortar.integrals import Coverage
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.surface import check_tags, create_surface, dependent_nodes
 from dolfinx_mortar.tags import check_tag, label, tag_of
-
-if TYPE_CHECKING:
-    from dolfinx_mortar.interfaces.contact_derivatives import LinkDerivatives
-    from dolfinx_mortar.interfaces.link import Link
-    from dolfinx_mortar.interfaces.slip_partners import Partners
 
 
 class NoResult(RuntimeError, AttributeError):
@@ -273,7 +272,7 @@ class Interface(ABC):
         """Return the limits of tangential reactions where it is rough, see `Contact`."""
         raise NotImplementedError
 
-    def partners(self, link: Link, x: PETSc.Vec, *, frozen: bool) -> Partners | None:
+    def partners(self, link: CoupledSides, x: PETSc.Vec, *, frozen: bool) -> Partners | None:
         """Return from where slips of a step are measured; None for P of the moment; collective.
 
         Args:
@@ -283,14 +282,14 @@ class Interface(ABC):
         """
         return None
 
-    def derivatives(self, link: Link) -> LinkDerivatives | None:
+    def derivatives(self, link: CoupledSides) -> LinkDerivatives | None:
         """Return what differentiates forces and gaps as the side moves; None for none; collective.
 
         For the pattern of a link.
         """
         return None
 
-    def warnings(self, link: Link, x: PETSc.Vec) -> list[str]:
+    def warnings(self, link: CoupledSides, x: PETSc.Vec) -> list[str]:
         """Return what the audit shall warn of, on all ranks; collective.
 
         Args:
@@ -302,7 +301,7 @@ class Interface(ABC):
         """
         return []
 
-    def depths(self, link: Link, u: fem.Function) -> tuple[Floats, Floats, Floats] | None:
+    def depths(self, link: CoupledSides, u: fem.Function) -> tuple[Floats, Floats, Floats] | None:
         """Return how deep points of the side are in a tool at X + u; None without one.
 
         Depths over the length of their facets (q,), depths (q,) and points (q, d).
@@ -335,25 +334,9 @@ class Interface(ABC):
     def take_found(self, found: Mapping[str, list[float]]) -> None:
         """Take over what `found` has returned."""
 
-    def tool_loads(self) -> Floats | None:
-        """Return the given forces (m,) on a tool, one for each unknown motion; None for none.
-
-        Raises:
-            ValueError: for values of Constants that are not finite.
-        """
+    def driven(self) -> Driven | None:
+        """Return the motions of a tool that given forces drive; None where none are."""
         return None
-
-    def tool_unknowns(self) -> Sequence[str]:
-        """Return the names of these motions."""
-        return ()
-
-    def tool_motions(self, x: Floats) -> Floats:
-        """Return what one unit of each motion (m, n, d) does at points x (n, d)."""
-        raise NotImplementedError
-
-    def move_tool(self, travel: Floats) -> None:
-        """Move the tool by amounts (m,) of its motions."""
-        raise NotImplementedError
 
     def tool_way(self, before: Floats, after: Floats) -> Floats | None:
         """Return how far a tool has carried points (n, d) since the last commit; None for none."""

@@ -17,6 +17,7 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
 from dolfinx_mortar.interfaces.contact_derivatives import ContactDerivatives
+from dolfinx_mortar.interfaces.coupled_sides import CoupledSides
 from dolfinx_mortar.interfaces.coupling import (
     Coupling,
     Pattern,
@@ -27,7 +28,6 @@ from dolfinx_mortar.interfaces.coupling import (
 )
 from dolfinx_mortar.interfaces.frames import Frame
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface, ask
-from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.slip_partners import Partners, partners_of
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides
 from dolfinx_mortar.mortar.edges import check_angle, edge_normals, find_edges
@@ -205,11 +205,11 @@ class MortarInterface(Interface):
         segments, _ = self.find_partners(pairing, u)
         return find_coverage(pairing, segments, *node_weights(pairing, segments))
 
-    def partners(self, link: Link, x: PETSc.Vec, *, frozen: bool) -> Partners | None:
+    def partners(self, link: CoupledSides, x: PETSc.Vec, *, frozen: bool) -> Partners | None:
         """Return the points of the master on which the nodes were; collective."""
         return partners_of(link, x) if self.rough and not frozen else None
 
-    def derivatives(self, link: Link) -> ContactDerivatives | None:
+    def derivatives(self, link: CoupledSides) -> ContactDerivatives | None:
         """Return the derivatives of what can open, see `contact_derivatives`; collective."""
         return ContactDerivatives(link) if self.unilateral else None
 

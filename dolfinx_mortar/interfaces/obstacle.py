@@ -12,9 +12,9 @@ is what D and n_j say, so that uniform pressures are exact. The tangent is in `t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from petsc4py import PETSc
 
@@ -28,6 +28,7 @@ from dolfinx_mortar.arrays import ROUND_OFF, Bools, Floats
 from dolfinx_mortar.geometry.facets import facet_sizes
 from dolfinx_mortar.geometry.tolerances import TINY
 from dolfinx_mortar.interfaces.coulomb import Limit, create_law
+from dolfinx_mortar.interfaces.coupled_sides import CoupledSides
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides, create_pattern
 from dolfinx_mortar.interfaces.tool import Load, Pose, Tool, find_facing
 from dolfinx_mortar.interfaces.tool_derivatives import ToolDerivatives
@@ -44,9 +45,6 @@ from dolfinx_mortar.mortar.whole_side import (
     whole_facets,
 )
 from dolfinx_mortar.shapes import Distance, Shape
-
-if TYPE_CHECKING:
-    from dolfinx_mortar.interfaces.link import Link
 
 # |grad phi| - 1 of what is no distance, within a facet length of the surface: forces and gaps are
 # off by as much.
@@ -309,18 +307,18 @@ class Obstacle(Unilateral):
 
     # -- steps -----------------------------------------------------------------------------------
 
-    def partners(self, link: Link, x: PETSc.Vec, *, frozen: bool) -> ToolPartners | None:
+    def partners(self, link: CoupledSides, x: PETSc.Vec, *, frozen: bool) -> ToolPartners | None:
         """Return where the nodes were on the tool at the last commit; None without friction."""
         if not self.rough:
             return None
         return ToolPartners.create(link, x, self.tool, self.began, frozen=frozen)
 
-    def derivatives(self, link: Link) -> ToolDerivatives:
+    def derivatives(self, link: CoupledSides) -> ToolDerivatives:
         """Return the derivatives of forces and gaps for the pattern of a link; collective."""
         assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
         return ToolDerivatives(link, link.pattern.side, self.tool)
 
-    def warnings(self, link: Link, x: PETSc.Vec) -> list[str]:
+    def warnings(self, link: CoupledSides, x: PETSc.Vec) -> list[str]:
         """Return a warning if no facet faces the tool, or if it starts in the body; collective.
 
         Raises:
@@ -354,7 +352,7 @@ class Obstacle(Unilateral):
             "more than a facet: the first step has to remove that; let it start beside the body"
         ]
 
-    def depths(self, link: Link, u: fem.Function) -> tuple[Floats, Floats, Floats]:
+    def depths(self, link: CoupledSides, u: fem.Function) -> tuple[Floats, Floats, Floats]:
         """Return how deep points of integration and middles of facets are in the tool at X + u."""
         assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
         side, pose, x = link.pattern.side, self.tool.pose(), coordinates(link.sides.slave, u)
@@ -374,21 +372,9 @@ class Obstacle(Unilateral):
         position = self.tool.pose().position
         return np.concatenate([position, np.zeros(3 - len(position))])
 
-    def tool_loads(self) -> Floats | None:
-        """Return the given forces (m,) on the tool; None where all of its motion is prescribed."""
-        return self.tool.loads() if self.load else None
-
-    def tool_unknowns(self) -> Sequence[str]:
-        """Return the names of the motions that loads drive."""
-        return tuple(self.load)
-
-    def tool_motions(self, x: Floats) -> Floats:
-        """Return what one unit of each motion (m, n, d) does at points x (n, d)."""
-        return self.tool.motions(x)
-
-    def move_tool(self, travel: Floats) -> None:
-        """Move the tool by amounts (m,) of its motions."""
-        self.tool.move(travel)
+    def driven(self) -> Tool | None:
+        """Return the tool, which loads drive; None where all of its motion is prescribed."""
+        return self.tool if self.load else None
 
     def tool_way(self, before: Floats, after: Floats) -> Floats:
         """Return how far the tool carries points (n, d) since the last commit.

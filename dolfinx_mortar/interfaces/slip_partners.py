@@ -22,7 +22,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.triplets import Triplets
 from dolfinx_mortar.arrays import EPS, Bools, Floats
-from dolfinx_mortar.interfaces.link import Link, node_motions
+from dolfinx_mortar.interfaces.coupled_sides import CoupledSides, node_motions
 from dolfinx_mortar.mortar.surface import accumulate, carrying
 
 
@@ -39,7 +39,7 @@ class Partners:
     apart: Floats  # (n,) n.(x_j - P x) at the last commit
     along: Floats  # (n, d) the tangential part of x_j - P x there, in the plane
 
-    def motion(self, link: Link, moved: PETSc.Vec) -> Floats:
+    def motion(self, link: CoupledSides, moved: PETSc.Vec) -> Floats:
         """Return x_j - P x less its tangential part at the commit, which turns with n; collective.
 
         Args:
@@ -52,7 +52,7 @@ class Partners:
         whole = node_motions(link, self.P, moved) + self.apart[:, None] * self.normals
         return np.asarray(whole + tilt[:, None] * both)
 
-    def motion_by_normals(self, link: Link) -> Floats:
+    def motion_by_normals(self, link: CoupledSides) -> Floats:
         """Return the derivatives (n, d, d) of the motion by the normals of the moment."""
         n = link.coupling.normals
         room = np.maximum(1.0 + (self.normals * n).sum(axis=1), EPS)[:, None]
@@ -61,7 +61,7 @@ class Partners:
         both = (self.normals + n)[:, :, None] * by_n[:, None]
         return np.asarray(both + tilt[:, :, None] * np.eye(n.shape[1]))
 
-    def slip(self, link: Link, moved: PETSc.Vec) -> Floats:
+    def slip(self, link: CoupledSides, moved: PETSc.Vec) -> Floats:
         """Return the motion (n, d) since the last commit, in the frames of the moment; collective.
 
         x_j - P x at present, less its tangential part at the commit: where the pair turns as a
@@ -75,7 +75,7 @@ class Partners:
         return np.where(self.known[:, None], in_frames, link.relative(moved))
 
 
-def partners_of(link: Link, x: PETSc.Vec) -> Partners:
+def partners_of(link: CoupledSides, x: PETSc.Vec) -> Partners:
     """Return the partners in the present configuration of a contact; collective.
 
     Args:
@@ -92,14 +92,14 @@ def partners_of(link: Link, x: PETSc.Vec) -> Partners:
     return Partners(P, coupling.kept[:, 0], coupling.normals, apart, along)
 
 
-def _distances(link: Link, P: PETSc.Mat, x: PETSc.Vec) -> tuple[Floats, Floats]:
+def _distances(link: CoupledSides, P: PETSc.Mat, x: PETSc.Vec) -> tuple[Floats, Floats]:
     """Return the normal (n,) and the tangential part (n, d) of x_j - P x; collective."""
     distance, normals = node_motions(link, P, x), link.coupling.normals
     apart = np.einsum("ni,ni->n", distance, normals)
     return apart, distance - apart[:, None] * normals
 
 
-def _carried(link: Link, x: PETSc.Vec, along: Floats) -> PETSc.Mat:
+def _carried(link: CoupledSides, x: PETSc.Vec, along: Floats) -> PETSc.Mat:
     """Return W (nodes, nodes) of the slave side, of which W x is `along` (n, d); collective.
 
     But for normal parts.

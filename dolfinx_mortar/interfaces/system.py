@@ -247,7 +247,7 @@ class InterfaceSystem:
         for k, (interface, sides) in enumerate(zip(self.interfaces, self.sides, strict=True)):
             parts = sides, *self._room.pairs[k], claims.banned[k]
             coupling = self._couple(k, parts, u, before.links[k].coupling if before else None)
-            links.append(Link(interface, *parts[:3], coupling, near[k], claims.banned[k]))
+            links.append(Link(*parts[:3], coupling, near[k], claims.banned[k], interface))
         return links
 
     def _couple(

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -176,8 +176,13 @@ class Tool:
         return np.array(values)
 
     @property
+    def names(self) -> Sequence[str]:
+        """The motions that loads drive, as in `motions_in`."""
+        return tuple(self.load)
+
+    @property
     def _driven(self) -> list[int]:
-        return [motions_in(len(self.point)).index(name) for name in self.load]
+        return [motions_in(len(self.point)).index(name) for name in self.names]
 
     def motions(self, x: Floats) -> Floats:
         """Return what one unit of each driven motion (m, n, d) does at points x (n, d)."""

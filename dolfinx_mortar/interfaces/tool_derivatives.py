@@ -35,7 +35,7 @@ from dolfinx_mortar.interfaces.contact_derivatives import (
     incidence,
     layout_of,
 )
-from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.interfaces.coupled_sides import CoupledSides
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.tool import Tool, find_facing
 from dolfinx_mortar.mortar.dual import absorbed
@@ -63,7 +63,7 @@ class _OnFacets:
 class ToolDerivatives(LinkDerivatives):
     """Derivatives for all facets of a side that are near the tool."""
 
-    def __init__(self, link: Link, side: WholeSide, tool: Tool) -> None:
+    def __init__(self, link: CoupledSides, side: WholeSide, tool: Tool) -> None:
         """Make the patterns; collective."""
         V, slave = link.sides.V, link.sides.slave
         self.side, self.tool = side, tool
@@ -80,12 +80,12 @@ class ToolDerivatives(LinkDerivatives):
         self.G = BlockSums(*of, BlockEntries(pattern, (1, d), d * nodes, dofs))
         self.N = BlockSums(*of, BlockEntries(alone, (d, d), dofs, dofs))
 
-    def serves(self, link: Link) -> bool:
+    def serves(self, link: CoupledSides) -> bool:
         """Return True: the pattern is that of the nodes in T, with which these are made."""
         return True
 
     def differentiate(
-        self, link: Link, u: fem.Function, multipliers: Floats, tangential: Floats | None
+        self, link: CoupledSides, u: fem.Function, multipliers: Floats, tangential: Floats | None
     ) -> tuple[PETSc.Mat, PETSc.Mat, Bools]:
         """Return those of forces, and of gaps in the rows w_n, and which of these; collective."""
         slave = link.sides.slave
@@ -100,7 +100,9 @@ class ToolDerivatives(LinkDerivatives):
         F = self.F.fill([Blocks(nodes, nodes, forces)])
         return F, self.G.fill([Blocks(nodes, nodes, dg[:, :, None])]), known
 
-    def slips(self, link: Link, u: fem.Function, partners: Partners, since: PETSc.Vec) -> SlipRows:
+    def slips(
+        self, link: CoupledSides, u: fem.Function, partners: Partners, since: PETSc.Vec
+    ) -> SlipRows:
         """Return the rows of slips; collective."""
         slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
         x = coordinates(slave, u)
@@ -114,7 +116,7 @@ class ToolDerivatives(LinkDerivatives):
         N = self.N.fill([Blocks(alone, alone, turned[:, None, :, None])])
         return SlipRows(link, partners, tangents @ turning, N)
 
-    def _turning(self, link: Link, x: Floats) -> Floats:
+    def _turning(self, link: CoupledSides, x: Floats) -> Floats:
         """Return dn_j/dx_j (n, d, d) of the owned slave nodes, 0 where not kept."""
         own = slice(None, link.sides.slave.owned)
         kept, n = link.coupling.kept[:, 0], link.coupling.normals
@@ -128,7 +130,7 @@ class ToolDerivatives(LinkDerivatives):
         return -across @ found.hessian
 
     def _tractions(
-        self, link: Link, x: Floats, multipliers: Floats, tangential: Floats | None
+        self, link: CoupledSides, x: Floats, multipliers: Floats, tangential: Floats | None
     ) -> tuple[Floats, Floats]:
         """Return t_j (n, d) and dt_j/dx_j (n, d, d) at the local slave nodes; collective."""
         slave, own, d = link.sides.slave, slice(None, link.sides.slave.owned), x.shape[1]
@@ -147,7 +149,7 @@ class ToolDerivatives(LinkDerivatives):
         summed = accumulate(slave, columns)
         return summed[:, :d], summed[:, d:].reshape(-1, d, d)
 
-    def _at_points(self, link: Link, u: fem.Function) -> tuple[_OnFacets, Floats]:
+    def _at_points(self, link: CoupledSides, u: fem.Function) -> tuple[_OnFacets, Floats]:
         """Return values at the points of the facets that face the tool, and the nodes' places."""
         slave, side = link.sides.slave, self.side
         x, pose, shape = coordinates(slave, u), self.tool.pose(), self.tool.shape

@@ -17,7 +17,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.interfaces.coupled_sides import CoupledSides
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.tool import Pose, Tool
 
@@ -32,7 +32,7 @@ class ToolPartners(Partners):
 
     @classmethod
     def create(
-        cls, link: Link, x: PETSc.Vec, tool: Tool, began: Pose, *, frozen: bool
+        cls, link: CoupledSides, x: PETSc.Vec, tool: Tool, began: Pose, *, frozen: bool
     ) -> ToolPartners:
         """Return the partners of a link; collective.
 
@@ -58,12 +58,12 @@ class ToolPartners(Partners):
         whole = scalars.matrix.copy(), known, n, np.zeros(len(n)), 0.0 * n
         return cls(*whole, at=at, place=place, tool=tool)
 
-    def motion(self, link: Link, moved: PETSc.Vec) -> Floats:
+    def motion(self, link: CoupledSides, moved: PETSc.Vec) -> Floats:
         """Return the motion (n, d) for the displacement since the last commit."""
         there = self.at + moved.array_r.reshape(-1, self.at.shape[1])[link.nodes]
         return np.asarray(there - self.tool.pose().to_space(self.place))
 
-    def motion_by_normals(self, link: Link) -> Floats:
+    def motion_by_normals(self, link: CoupledSides) -> Floats:
         """Return 0: the motion does not depend on normals."""
         n, d = self.at.shape
         return np.zeros((n, d, d))

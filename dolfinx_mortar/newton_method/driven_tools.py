@@ -24,6 +24,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import ROUND_OFF, Floats
+from dolfinx_mortar.interfaces.driven import Driven
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.failures import StepFailed
@@ -58,7 +59,7 @@ class Settled:
 class Drives:
     """The unknown motions of all driven tools at an iterate."""
 
-    tools: list[tuple[Interface, int]]  # with the numbers of their unknowns
+    tools: list[tuple[Interface, Driven]]
     motions: Floats  # (m, n) e, of the owned unknowns of y
     loads: Floats  # (m,) F
     comm: MPI.Comm
@@ -66,9 +67,10 @@ class Drives:
     def move(self, travel: Floats) -> None:
         """Move the tools by q (m,)."""
         first = 0
-        for tool, count in self.tools:
-            tool.move_tool(travel[first : first + count])
-            first += count
+        for _, tool in self.tools:
+            end = first + len(tool.names)
+            tool.move(travel[first:end])
+            first = end
 
     def missing(self, reactions: Floats) -> tuple[Floats, Floats]:
         """Return F + e.z (m,) for reactions (n,), and the size of its terms (m,); collective."""
@@ -150,20 +152,21 @@ def find_drives(problem: ContactProblem) -> Drives | None:
 
     Without communication.
     """
-    tools: list[tuple[Interface, int]] = []
+    tools: list[tuple[Interface, Driven]] = []
     motions: list[Floats] = []
     loads: list[Floats] = []
     frozen = problem.configuration is None
     for link in problem.system.links:
-        given = link.interface.tool_loads()
-        if given is None:
+        tool = link.interface.driven()
+        if tool is None:
             continue
+        given = tool.loads()
         x = problem.X if frozen else problem.positions().array_r.reshape(-1, problem.d)
-        parts = link.interface.tool_motions(x[link.nodes])
+        parts = tool.motions(x[link.nodes])
         in_frames = np.einsum("nij,mni->mnj", link.coupling.R, parts) * link.constrained
         e = np.zeros((len(given), problem.n, problem.d))
         e[:, link.nodes] = in_frames
-        tools.append((link.interface, len(given)))
+        tools.append((link.interface, tool))
         motions.append(e.reshape(len(given), -1))
         loads.append(given)
     if not tools:
@@ -223,7 +226,7 @@ def settle(
             continue
         here, shrink = there, 1.0
     raise StepFailed(
-        f"the loads of {', '.join(repr(tool) for tool, _ in drives.tools)} are not met in "
+        f"the loads of {', '.join(repr(owner) for owner, _ in drives.tools)} are not met in "
         f"{MOST_TRIES} tries: {np.abs(here.missing).max():.3g} is missing; take smaller steps, or "
         "prescribe the position"
     )
@@ -250,11 +253,11 @@ def _measured(
 
 def _unresisted(drives: Drives, which: Floats) -> str:
     """Say which load of which tool has nothing against it."""
-    names = [name for tool, _ in drives.tools for name in tool.tool_unknowns()]
-    owners = [tool for tool, count in drives.tools for _ in range(count)]
+    unknowns = [(name, owner) for owner, tool in drives.tools for name in tool.names]
     k = int(np.argmax(which))
+    name, owner = unknowns[k]
     return (
-        f"nothing resists the load {names[k]!r} = {drives.loads[k]:g} on {owners[k]!r}: it is the "
+        f"nothing resists the load {name!r} = {drives.loads[k]:g} on {owner!r}: it is the "
         "force on the tool, which has to press it on the body; turn it round, or prescribe the "
         "position"
     )

@@ -11,8 +11,9 @@ from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces import results
 from dolfinx_mortar.interfaces.constraints import SlipLimits
+from dolfinx_mortar.interfaces.coupled_sides import relative_motions, slipped
 from dolfinx_mortar.interfaces.interface import ask
-from dolfinx_mortar.interfaces.link import Link, relative_motions, slipped
+from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.mortar.surface import coordinates, sum_at_nodes
 from dolfinx_mortar.newton_method.contacts import Contacts

@@ -259,7 +259,7 @@ class _Step:
     @property
     def driven(self) -> bool:
         """Whether tools are driven by forces, and move in every iteration."""
-        return any(interface.tool_loads() is not None for interface in self.problem.interfaces)
+        return any(interface.driven() is not None for interface in self.problem.interfaces)
 
     def run(self, max_it: int) -> None:
         """Iterate until convergence; set the results and the certificate."""
