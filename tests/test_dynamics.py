@@ -2,6 +2,7 @@
 """Inertia, damping and steps of time, against closed forms of vibrations and flights."""
 
 from dataclasses import asdict
+from functools import partial
 
 from mpi4py import MPI
 
@@ -194,6 +195,7 @@ def test_the_work_of_a_support_that_moves():
     bar.bcs[1] = fem.dirichletbc(push, dofs, W)
     times = 0.02 * np.arange(1, 26)
     step = walk(bar.problem(), times, ramp={push: [(0.0, 0.0), (0.5, 0.01)]})
+    assert not any("of the supports" in n for n in step.report.notes)
     ledger = step.report.ledger
     gained = ledger.kinetic + ledger.stored - ledger.initial
     assert ledger.supports == pytest.approx(gained, rel=1e-9)
@@ -284,6 +286,9 @@ def test_velocities_that_are_none(bar):
             dm.Inertia(bar.solid, 1.0, velocity=wrong)
     with rejected("velocity", "cell_tags"):
         dm.Inertia(bar.solid, 1.0, velocity={1: (0.0, 0.0)})
+    for function in (lambda x: x[0], lambda x: x):
+        with rejected("velocity", "shape", "2 finite numbers"):
+            dm.Inertia(bar.solid, 1.0, velocity=function)
 
 
 def test_no_time_to_move_in(bar):
@@ -293,6 +298,8 @@ def test_no_time_to_move_in(bar):
     with rejected("Inertia", "time_steps", "level="):
         dm.newton(problem)
     assert np.array_equal(bar.u.x.array, before)
+    with rejected("Inertia", "time_steps"):
+        next(dm.load_steps(problem, [0.1]))
     with rejected("times", "increase"):
         next(dm.time_steps(problem, [0.0, 0.1]))
     with rejected("times", "0.1 after 0.2"):
@@ -316,6 +323,8 @@ def test_dampings_that_are_none(bar):
         dm.Damping(bar.solid, mass=1.0)
     with rejected("Damping", "mass", "-1"):
         dm.Damping(bar.inertia, mass=-1.0)
+    with rejected("Damping", "mass", "stiffness", "0"):
+        dm.Damping(bar.inertia)
     finite = dm.Solid(bar.u, dm.NeoHooke(1.0, 0.3), strain="finite")
     with rejected("stiffness", "finite"):
         dm.Damping(dm.Inertia(finite, 1.0), stiffness=0.1)
@@ -330,6 +339,22 @@ def test_a_large_defect_is_noted(monkeypatch):
     assert "lost" in note and "spectral_radius" in note
     monkeypatch.setattr(energy_ledger, "LARGE_DEFECT", 1.0)
     assert not energy_ledger.notes_on_energy(step.report.ledger)
+
+
+def pulled(at_support, x):
+    along = np.where(np.isclose(x[0], 0.0), at_support, 0.1)
+    return np.stack([along, 0.0 * along])
+
+
+@pytest.mark.mpi
+def test_velocities_at_supports_are_noted():
+    """That of the rod begins where it is clamped; without it the first step is the same walk."""
+    told = []
+    for at_support in (0.1, 0.0):
+        bar = Bar(velocity=partial(pulled, at_support))
+        steps = list(dm.time_steps(bar.problem(), [0.01, 0.02], progress=False))
+        told.append([sum("of the supports" in n for n in s.report.notes) for s in steps])
+    assert told == [[1, 0], [0, 0]]
 
 
 def test_inertia_of_rings():

@@ -15,6 +15,7 @@ from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.step_report import LoadStep
 from dolfinx_mortar.steps.ramp import read_ramps
 from dolfinx_mortar.steps.walk import Loading, Solves, walk
+from dolfinx_mortar.terms.inertia import Inertia
 
 
 def load_steps(
@@ -81,9 +82,9 @@ def load_steps(
         One ``LoadStep`` for every remaining entry of ``times``.
 
     Raises:
-        ValueError: for invalid arguments, for a checkpoint of another problem or with other levels,
-            truncated or of another version, and if a second run starts before this one ends; on all
-            ranks.
+        ValueError: for invalid arguments, a problem with `Inertia`, a checkpoint of another problem
+            or with other levels, truncated or of another version, and if a second run starts before
+            this one ends; on all ranks.
         OSError: if a checkpoint cannot be written or read, on all ranks; after a step that has
             failed, the error of the step is its ``__context__``.
         NewtonNotConverged: if the smallest step fails, too. Steps yielded before are committed, and
@@ -92,6 +93,12 @@ def load_steps(
     check_problem(problem, ContactProblem)
     check_same_on_all_ranks(problem.comm, on_time=on_time)
     levels = check_load_steps(times, start, max_cuts, cuts, problem.comm)
+    moving = [name for name, term in problem.terms.named if isinstance(term, Inertia)]
+    if moving:
+        raise ValueError(
+            f"problem has {moving[0]} among its terms, and load steps are in equilibrium: walk "
+            "with dm.time_steps(problem, times), or leave it out"
+        )
     loading = Loading(read_ramps(problem.comm, ramp), on_time)
     if on_time is not None and not callable(on_time):
         raise ValueError(f"on_time is {on_time!r}: give a function of the load level, or None")

@@ -106,7 +106,8 @@ def time_steps(
         every: as in `load_steps`.
 
     Yields:
-        One ``LoadStep`` for every remaining time, with the `Ledger` of energies in its report.
+        One ``LoadStep`` for every time, with the `Ledger` of energies in its report; where
+        ``checkpoint`` continues a run, for every remaining one.
 
     Raises:
         ValueError: for invalid arguments, a problem without inertia or with several, and times that

@@ -353,7 +353,7 @@ class Damping(Term):
         stiffness: b >= 0, a time; at small strain only, since K at X resists rotations.
 
     Raises:
-        ValueError: for other numbers, and a stiffness at finite strain.
+        ValueError: for other numbers, two zeros, and a stiffness at finite strain.
     """
 
     linear = True
@@ -367,6 +367,11 @@ class Damping(Term):
         for name, value in (("mass", mass), ("stiffness", stiffness)):
             if not (is_number(value) and value >= 0.0):
                 raise ValueError(f"Damping: {name} is {value!r}: give a number >= 0")
+        if mass == 0.0 and stiffness == 0.0:
+            raise ValueError(
+                "Damping: mass and stiffness are 0, which damps nothing: give one, or leave the "
+                "term out"
+            )
         solid = inertia.solid
         if stiffness > 0.0 and solid.strain == "finite":
             raise ValueError(
@@ -514,8 +519,15 @@ def set_velocity(target: fem.Function, given: Any, cell_tags: Any) -> None:
     elif isinstance(given, Mapping):
         _set_by_tag(target, given, cell_tags, wanted)
     elif callable(given):
+        x = V.tabulate_dof_coordinates().T
         with raised_together(V.mesh.comm):
-            target.interpolate(given)
+            values = np.asarray(given(x))
+            if values.shape != (d, x.shape[1]):
+                raise ValueError(
+                    f"Inertia: velocity returns the shape {values.shape} for points of the shape "
+                    f"{x.shape}, where {(d, x.shape[1])} is needed: {wanted}"
+                )
+            target.x.array.reshape(-1, d)[:] = values.T
     else:
         target.x.array.reshape(-1, d)[:] = _vector(given, d, "velocity", wanted)
     if any_rank(V.mesh.comm, not np.isfinite(target.x.array).all())[0]:
