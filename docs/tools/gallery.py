@@ -111,6 +111,11 @@ DEMOS = [
         {"result.png": "Forces and contact radii beside the fits of others; plastic strain."},
     ),
     Demo(
+        "hardness",
+        "A rigid tool: a cone is pressed into a metal and drawn out, as instruments do.",
+        {"result.png": "Force over depth with the slope of unloading; the metal piles up."},
+    ),
+    Demo(
         "own_law",
         "A law that the package lacks, in UFL, in NumPy, and in JAX, which derives its tangent.",
         {"own_law.png": "Plastic strain below the disc, and the pressures of all versions."},
