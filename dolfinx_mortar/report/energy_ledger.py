@@ -205,7 +205,7 @@ class EnergyLedger:
             motion, share = self._restored(motion, force, way, -gain, report.rtol)
             work["supports"] += share
         inertia.finish(motion)
-        unsupported = self._notes_on_supports(du / inertia.start.dt)
+        unsupported = self._notes_on_supports(np.asarray(du / inertia.start.dt))
         potential = self._stored()
         problem.commit()
         inertia.put(contact=after.contact, friction=after.friction, load=after.loads)
