@@ -117,12 +117,14 @@ class Cone(_Pointed):
 class Wedge(_Pointed):
     """A wedge in plane problems, or in space along an edge; its section is that of a `Cone`.
 
+    In an axisymmetric problem it is the rim of a ring, as the edge of a punch or of a die.
+
     Args:
         tip: d coordinates of a point of its edge.
         half_angle: degrees between axis and flanks.
         axis: direction from the tip into the tool, d components.
         radius: of the tip, 0 for a sharp one.
-        edge: direction of the edge in space, across the axis; none in plane problems.
+        edge: direction of the edge in space, across the axis; none in the plane.
 
     Raises:
         ValueError: for other than 2 or 3 finite coordinates, an angle out of range, an axis or an
@@ -145,12 +147,6 @@ class Wedge(_Pointed):
     def given(self) -> Mapping[str, Any]:
         """Return the arguments by name."""
         return {**super().given(), "edge": self.edge}
-
-    def misfit(self, d: int, revolved: bool) -> str:
-        """Say why it cannot be used; "" if it can."""
-        if revolved:
-            return f"{self!r} is no shape of revolution: give a Cone"
-        return super().misfit(d, revolved)
 
     def distance(self, x: Floats) -> Distance:
         """Return the distances of points x (n, d)."""
