@@ -11,8 +11,15 @@ from hypothesis import strategies as st
 from material_point import MaterialPoint
 from scipy.integrate import solve_ivp
 
+import basix.ufl
+import ufl
 from dolfinx_mortar.materials import Elastic, VonMises
+from dolfinx_mortar.materials.response import without_variables
+from ufl.algorithms import strip_variables
+from ufl.algorithms.analysis import extract_type
+from ufl.classes import Variable
 
+POINTS = basix.ufl.element("Lagrange", "triangle", 1, shape=(2,))
 STEEL = VonMises(E=206_900.0, nu=0.29, Y=450 * math.sqrt(2 / 3), a=10_000.0)
 POINT = MaterialPoint(STEEL)
 PLANE = MaterialPoint(STEEL, 2)
@@ -283,3 +290,13 @@ def test_wrong_parameters(name: str, value: float) -> None:
     if name in ("E", "nu"):
         with pytest.raises(ValueError, match=f"Elastic: {name} = "):
             Elastic(**({"E": 1.0, "nu": 0.3} | {name: value}))
+
+
+def test_variables_leave_an_expression() -> None:
+    """As by UFL's visitor, the reference; of what occurs 2^60 times, each part once."""
+    x = ufl.variable(ufl.as_ufl(2.0) + ufl.SpatialCoordinate(ufl.Mesh(POINTS))[0])
+    expression = ufl.sin(x) * x + ufl.conditional(ufl.gt(x, 1.0), x**2, ufl.variable(3.0 * x))
+    assert without_variables(expression) == strip_variables(expression)
+    for _ in range(60):
+        expression = expression * expression
+    assert not extract_type(without_variables(expression), Variable)

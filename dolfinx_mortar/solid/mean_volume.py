@@ -58,13 +58,13 @@ from dolfinx import default_scalar_type, fem
 from dolfinx_mortar import compat
 from dolfinx_mortar.arguments import is_name
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.materials.response import Response
+from dolfinx_mortar.materials.response import Response, without_variables
 from dolfinx_mortar.solid.cell_functions import CellFunctions, RowsOfCells
 from dolfinx_mortar.solid.dilatation import CELLS, MeanDilatation, bulk_modulus_of, check_reducible
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain
 from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.laws import Region, measure, measures
-from ufl.algorithms import expand_derivatives, strip_variables
+from ufl.algorithms import expand_derivatives
 from ufl.classes import Label, Variable
 from ufl.core.expr import Expr
 
@@ -169,7 +169,7 @@ class MeanVolume:
         value = volumetric_energy(region, at)
         for _ in range(order):
             value = ufl.diff(value, at)
-        return ufl.replace(strip_variables(expand_derivatives(value)), {self._at: J})
+        return ufl.replace(without_variables(expand_derivatives(value)), {self._at: J})
 
     def complete(self, region: Region, response: Response) -> Response:
         """Return a response with p in place of U'(J), and without U(J) in the energy."""
@@ -182,7 +182,7 @@ class MeanVolume:
         def change(direction: Expr) -> Expr:
             step = Variable(ufl.as_ufl(0.0), Label(-5))
             slope = ufl.diff(stress(F + step * direction), step)
-            return response.change(direction) + strip_variables(expand_derivatives(slope))
+            return response.change(direction) + without_variables(expand_derivatives(slope))
 
         energy = response.energy
         energy = None if energy is None else energy - volumetric_energy(region, ufl.det(F))
