@@ -68,6 +68,7 @@ def missing(names):
 # -- programs --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 def test_the_tutorial_runs():
     """From Gmsh to the picture; the audit has nothing to warn of, as the text says."""

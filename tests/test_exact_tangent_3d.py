@@ -176,8 +176,7 @@ def test_derivatives_of_one_pair(cell, upper, seed):
     assert max(errors(rough)) < 1e-8
 
 
-@pytest.mark.parametrize("degree", [1, 2])
-@pytest.mark.parametrize("upper", [UNDER, PARTLY])
+@pytest.mark.parametrize(("upper", "degree"), crosswise([(UNDER,), (PARTLY,)], [1, 2]))
 def test_derivatives_of_smooth_heights(upper, degree, monkeypatch):
     """Of one pair: between two master facets heights jump. With integrals that are accurate.
 
@@ -416,6 +415,7 @@ def test_newton_is_quadratic_at_the_end_and_the_answer_the_same(slave, surface, 
     assert np.abs(case.contact.force - force).max() < 1e-8 * np.abs(force).max()
 
 
+@pytest.mark.slow
 def test_newton_is_quadratic_in_second_order():
     """Two successive ratios of residuals are below a tenth of the one before, as in first order."""
     case = Sliding("ball", degree=2, h=1.0)

@@ -84,6 +84,7 @@ def test_the_tail_is_quadratic():
     assert (case.closed()["status"] == 2.0).any()
 
 
+@pytest.mark.slow
 def test_a_deep_step_of_flowing_bodies():
     """With slips along the partners of the moment, which move with the master, it would take 11."""
     counts = []
