@@ -14,6 +14,7 @@ import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.report import energy_ledger
 from dolfinx_mortar.terms import mass
+from tests.choice import quick
 from tests.meshes import LOWER, UPPER
 from tests.moving_bodies import Bar, Blocks
 from tests.pressed_blocks import rejected
@@ -82,7 +83,9 @@ def test_the_spectral_radius_is_what_is_left_of_high_frequencies(radius):
     assert np.abs(rest).max() < 1e-7
 
 
-@pytest.mark.parametrize(("mass", "stiffness"), [(0.1, 0.0), (0.0, 0.04)])
+@pytest.mark.parametrize(
+    ("mass", "stiffness"), quick([(0.1, 0.0), (0.0, 0.04), (0.1, 0.04)], (0.1, 0.04))
+)
 def test_rayleigh_damping_of_a_mode(mass, stiffness):
     """U = e^(-z t) (cos(w' t) + z/w' sin(w' t)), z = (a + b w^2)/2, w'^2 = w^2 - z^2."""
     errors = []
@@ -156,7 +159,7 @@ def test_a_body_of_one_layer_keeps_its_mass():
     assert masses[0] == pytest.approx(masses[1])  # mass and centre, of the three layers, too
 
 
-@pytest.mark.parametrize("options", [{}, DAMPED])
+@pytest.mark.parametrize("options", quick([{}, DAMPED], DAMPED))
 def test_a_checkpoint_holds_the_motion(tmp_path_factory, options):
     """A run that stops while the bodies touch goes on with the same numbers."""
     folder = COMM.bcast(tmp_path_factory.mktemp("motion") if COMM.rank == 0 else None)

@@ -197,8 +197,7 @@ def test_derivatives_are_those_of_forces_and_gaps(cell):
     assert max(errors(rough)) < 1e-8
 
 
-@pytest.mark.parametrize("order", [1, 2])
-@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+@pytest.mark.parametrize(("order", "cell"), crosswise([1, 2], ["tetrahedron", "hexahedron"]))
 @pytest.mark.parametrize("upper", [UNDER, PARTLY])
 def test_derivatives_in_second_order(cell, order, upper, monkeypatch):
     """Of straight and of curved cells, in random directions; with integrals that are accurate.
@@ -300,8 +299,9 @@ def test_tangent_of_a_problem_is_that_of_its_forces_and_gaps(cell, friction, deg
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("slave", ["block", "ball"])
-@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+@pytest.mark.parametrize(
+    ("slave", "cell"), crosswise(["ball", "block"], ["hexahedron", "tetrahedron"])
+)
 def test_rows_of_gaps_and_slips_are_their_derivatives(slave, cell):
     """The trial rows of T_g, with what lumping leaves to the bounds; differences agree to 1e-8.
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from dolfinx import fem
+from tests.choice import crosswise
 from tests.friction_case import COMM, create
 
 EXACT = 1e-10
@@ -205,8 +206,10 @@ def test_the_number_zero_is_no_friction(geometry):
 # -- Tresca
 
 
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral", "tetrahedron", "hexahedron"])
-@pytest.mark.parametrize("geometry", ["reference", "updated"])
+@pytest.mark.parametrize(
+    ("cell", "geometry"),
+    crosswise(["triangle", "quadrilateral", "hexahedron", "tetrahedron"], ["reference", "updated"]),
+)
 def test_tresca_with_the_limits_of_coulomb(cell, geometry):
     """With s = mu p of the solution of Coulomb's law, Tresca's law has the same solution."""
     case = create(cell, friction=MU, geometry=geometry)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+from tests.choice import crosswise
 from tests.friction_case import create
 
 COMM = MPI.COMM_WORLD
@@ -40,8 +41,9 @@ def folder(tmp_path):
     return COMM.bcast(tmp_path)
 
 
-@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
-@pytest.mark.parametrize("geometry", ["reference", "updated"])
+@pytest.mark.parametrize(
+    ("cell", "geometry"), crosswise(["triangle", "hexahedron"], ["reference", "updated"])
+)
 def test_slips_come_back(folder, cell, geometry):
     """On another partition; the next step counts from the committed displacement."""
     options = {"friction": 0.3, "geometry": geometry}

@@ -72,7 +72,7 @@ def symmetric(rng: np.random.Generator) -> np.ndarray:
     return (tensor + tensor.T) / 2
 
 
-@pytest.mark.parametrize("name", quick(LAWS, *list(LAWS)[1:]))
+@pytest.mark.parametrize("name", quick(LAWS, list(LAWS)[-1]))
 def test_proportional_path_is_the_rate_solution(name):
     """Cycles of axial strain in 2 steps a leg: what the rate equations give."""
     path = [s * np.diag([1.0, -0.5, -0.5]) for s in (0.0, 0.01, -0.012, 0.015, -0.02)]
@@ -96,7 +96,7 @@ def test_non_proportional_path_converges_to_the_rate_solution(name, rng):
     assert np.linalg.norm(last - expected) < 2e-5 * np.linalg.norm(expected)
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", quick(LAWS, list(LAWS)[-1]))
 def test_check_accepts_the_law(name):
     """Stress, tangent, energy and state fit each other at random strains."""
     report = dm.materials.check(LAWS[name])

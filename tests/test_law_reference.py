@@ -115,7 +115,14 @@ def create_solid(run: dict) -> tuple[Solid, PETSc.Vec]:
     return Solid(fem.Function(V), LAW), plate.assemble_load(plate.top_traction(V, TRACTION), V)
 
 
-RUNS = [pytest.param(r, id=f"{r['element']}-{r['level']}") for r in REFERENCE["runs"]]
+RUNS = [
+    pytest.param(
+        run,
+        id=f"{run['element']}-{run['level']}",
+        marks=pytest.mark.slow if run["level"] > 0 else (),
+    )
+    for run in REFERENCE["runs"]
+]
 
 
 @pytest.mark.parametrize("run", RUNS)

@@ -22,7 +22,7 @@ from dolfinx_mortar.newton_method.watch import Watch
 from dolfinx_mortar.steps import newton as newton_module
 from tests.ball_case import create_problem
 from tests.block_piles import ABOVE, BELOW, EAST, PILE, WEST, Blocks
-from tests.choice import quick
+from tests.choice import crosswise, quick
 from tests.hertz_case import ELASTIC, PLASTIC, create_case
 from tests.meshes import BOTTOM, TOP
 from tests.pressed_blocks import PressedBlocks, rejected
@@ -35,8 +35,9 @@ COMM = MPI.COMM_WORLD
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("geometry", ["updated", "reference"])
-@pytest.mark.parametrize("law", [ELASTIC, PLASTIC])
+@pytest.mark.parametrize(
+    ("geometry", "law"), crosswise(["reference", "updated"], [ELASTIC, PLASTIC])
+)
 def test_approach_and_separation_in_the_plane(geometry, law):
     """Through a gap, into contact and back: every step without contact ends at once."""
     case = create_case(dm.meshing.hertz(COMM, kind="paper", gap=0.06), law, geometry=geometry)
@@ -54,8 +55,9 @@ def test_approach_and_separation_in_the_plane(geometry, law):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("geometry", ["updated", "reference"])
-@pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron"])
+@pytest.mark.parametrize(
+    ("geometry", "cell"), crosswise(["updated", "reference"], ["hexahedron", "tetrahedron"])
+)
 def test_approach_in_space(geometry, cell):
     """The same with an iterative solver: no error of a loose QP may look like a load."""
     mesh = dm.meshing.sphere(COMM, gap=0.06, h=0.5, core=1.0, cell=cell)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from tests.choice import quick
+from tests.choice import crosswise, quick
 from tests.material_point import MaterialPoint
 
 ROOT = Path(__file__).parent.parent
@@ -52,8 +52,7 @@ def test_with_the_exponent_one_it_is_linear_hardening(version):
         assert np.abs(point.commit() - other.commit()).max() < 1e-15
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("exponent", [0.1, 0.5])
+@pytest.mark.parametrize(("exponent", "version"), crosswise([0.5, 0.1], list(VERSIONS)))
 def test_the_stress_follows_the_curve(version, exponent):
     """In shear that grows the deviator is the radius at k = |ep|, in one step as in seven."""
     found = []

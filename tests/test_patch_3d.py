@@ -213,7 +213,7 @@ SIZES = {
 
 
 @CASES
-@pytest.mark.parametrize("sizes", quick(SIZES, "lower larger", "crossed"))
+@pytest.mark.parametrize("sizes", quick(SIZES, "crossed"))
 @pytest.mark.parametrize("turn", [pytest.param(None, marks=pytest.mark.slow), TILTED])
 def test_unequal_sizes(slave, cell, degree, sizes, turn):
     """The slave side is larger or smaller than the master side, straight or inclined."""

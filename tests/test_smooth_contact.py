@@ -64,9 +64,10 @@ def test_a_pin_of_second_order_in_its_hole(counts, swap, order):
     assert found["pressure"].max() == pytest.approx(PEAK, rel=0.01 if order == 2 else 0.025)
 
 
-@pytest.mark.parametrize("order, spread", [(1, 0.04), (2, 0.01)])
+@pytest.mark.parametrize(
+    ("order", "spread", "swap"), crosswise([(1, 0.04), (2, 0.01)], [False, True])
+)
 @pytest.mark.parametrize("geometry", GEOMETRIES)
-@pytest.mark.parametrize("swap", [False, True])
 def test_shrink_fit_of_second_order(swap, geometry, order, spread):
     """As above with half the facets."""
     case = create_shrink_fit((96, 72), swap, geometry=geometry, degree=2, order=order)
