@@ -159,7 +159,7 @@ def test_bad_places_are_named(x):
 @pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
 def test_loops_close_up_to_round_off(factor, monkeypatch):
     """Back and forth between the same forces, as sums have them; a per mille more is refused."""
-    monkeypatch.setattr(cattaneo, "ROUND_OFF", factor * cattaneo.ROUND_OFF)
+    monkeypatch.setattr(cattaneo, "HALF_OF_DIGITS", factor * cattaneo.HALF_OF_DIGITS)
     Q = 0.3 * LIMIT
     expected = analytic.cattaneo_line(CONTACT, MU, [Q, -Q, Q]).dissipation
     found = analytic.cattaneo_line(CONTACT, MU, [Q, -Q * (1.0 + 4e-16), Q]).dissipation
@@ -169,7 +169,7 @@ def test_loops_close_up_to_round_off(factor, monkeypatch):
 
 
 def test_without_round_off_a_loop_does_not_close(monkeypatch):
-    monkeypatch.setattr(cattaneo, "ROUND_OFF", -1e-3)
+    monkeypatch.setattr(cattaneo, "HALF_OF_DIGITS", -1e-3)
     Q = 0.3 * LIMIT
     with pytest.raises(ValueError, match="loop"):
         analytic.cattaneo_line(CONTACT, MU, [Q, -Q, Q])

@@ -132,6 +132,21 @@ def test_a_corner_of_either_side_is_seen_as_deep_as_it_is(slave, master):
         assert all(d < 0.5 for _, d, _ in found)
 
 
+@pytest.mark.parametrize(("times", "noted"), [(1.0, False), (5.0, False), (20.0, True)])
+def test_what_a_step_allows_is_no_overlap(times, noted):
+    """A corner on a side without a force, so many times rtol of its facet deep."""
+    b, rtol = PressedBlocks(n_lower=(3, 2), n_upper=(2, 2), gap=1.0, transform=on_a_corner), 1e-6
+    contact = b.contact(*SIDES, skins(b.mesh, b.cells, b.facets))
+    problem = b.problem([contact])
+    problem.audit()
+    depth = times * rtol / 3
+    b.u.interpolate(lambda x: np.stack([0.0 * x[0], 0.0 * x[0] - depth]), b.cells.find(2))
+    b.u.x.scatter_forward()
+    closed = np.zeros(problem.n, dtype=bool)
+    notes = notes_on_overlaps([problem.system.link(contact)], b.u, closed, rtol)
+    assert len(notes) == noted
+
+
 @SLAVES
 def test_a_bulge_between_vertices_is_seen(slave, master):
     """Curved sides lie in each other where neither has a vertex."""

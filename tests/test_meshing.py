@@ -229,7 +229,7 @@ def test_tags_do_not_hang_on_a_tolerance(factor, monkeypatch):
     options = {"gap": 0.1} if factor < 3.0 else {"h": 1.0, "core": 2.0}
     make = meshing.hertz if factor < 3.0 else meshing.sphere  # which has nothing to mirror
     before = count_tags(make(COMM, **options).facet_tags)
-    monkeypatch.setattr(two_bodies, "ON_PLANE", factor * two_bodies.ON_PLANE)
+    monkeypatch.setattr(two_bodies, "HALF_OF_DIGITS", factor * two_bodies.HALF_OF_DIGITS)
     after = count_tags(make(COMM, **options).facet_tags)
     assert np.array_equal(before, after) == (factor in (0.5, 2.0))
 

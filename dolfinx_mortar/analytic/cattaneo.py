@@ -21,8 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_mortar.analytic.hertz import LineContact
-from dolfinx_mortar.analytic.inputs import ROUND_OFF, check_positive, numbers
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.analytic.inputs import check_positive, numbers
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,9 @@ def legs_of(
     weights = tuple(float(np.sign(c)) * size for c, size in zip(changes, sizes, strict=True))
     shares = [abs(c) / limit / size for c, size in zip(changes, sizes, strict=True)]
     for Q, share, before in zip(path, shares, [1.0, *shares], strict=False):
-        if share > before + ROUND_OFF:  # a force that closes a loop may exceed its range by so much
+        if (
+            share > before + HALF_OF_DIGITS
+        ):  # a force that closes a loop may exceed its range by so much
             raise ValueError(
                 f"force = {force!r}: {Q:g} is beyond friction * P = {limit:g}, where all slides, "
                 "or closes a loop: leave out the forces inside loops that are closed."

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.analytic.inputs import ROUND_OFF, numbers
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.analytic.inputs import numbers
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
 
 # A node is at the edge of a contact where p^2 has fallen below this share of p0^2: its facets reach
 # out of the contact, and its pressure is their mean. Half and twice as much change the peak and the
@@ -65,7 +65,7 @@ def _leave_out(x: Floats, y: Floats, edge: Bools) -> tuple[Floats, Floats]:
 
 def _fit_line(x: Floats, y: Floats) -> tuple[float, float]:
     """Return (c0, c1) of the least-squares line y = c0 + c1 x; NaN for fewer than two x."""
-    if len(x) < 2 or np.ptp(x) <= ROUND_OFF * np.max(x):
+    if len(x) < 2 or np.ptp(x) <= HALF_OF_DIGITS * np.max(x):
         return np.nan, np.nan
     slope = float(np.sum((x - x.mean()) * (y - y.mean())) / np.sum((x - x.mean()) ** 2))
     return float(y.mean()) - slope * float(x.mean()), slope

@@ -9,9 +9,6 @@ import numpy.typing as npt
 from dolfinx_mortar.arguments import as_numbers, is_number
 from dolfinx_mortar.arrays import Floats
 
-# Half of the digits: numbers that differ by less than this share are one, but for round-off.
-ROUND_OFF = float(np.sqrt(np.finfo(float).eps))
-
 
 def numbers(name: str, values: npt.ArrayLike) -> Floats:
     """Return finite numbers as an array of any shape."""

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import ufl
+from dolfinx_mortar.arrays import EPS
 from dolfinx_mortar.materials.elastic import Elastic, bulk_modulus, shear_modulus
 from dolfinx_mortar.materials.protocol import Material
 from dolfinx_mortar.materials.ranges import Parameter, Range, check_fields, check_parameters
-from dolfinx_mortar.materials.von_mises import NORM_GUARD, YIELD_TOLERANCE
+from dolfinx_mortar.materials.von_mises import YIELD_TOLERANCE
 from ufl.core.expr import Expr
 
 
@@ -119,7 +120,7 @@ class DruckerPrager(Material):
         elastic = strain - state["plastic_strain"]
         mu, K = shear_modulus(p), bulk_modulus(p)
         s, mean = 2 * mu * ufl.dev(elastic), K * ufl.tr(elastic)
-        norm = ufl.sqrt(ufl.inner(s, s) + (NORM_GUARD * p.Y) ** 2)
+        norm = ufl.sqrt(ufl.inner(s, s) + (EPS * p.Y) ** 2)
         excess = norm + p.beta * mean - p.Y
         g = excess / (2 * mu + K * p.beta**2)
         yields = ufl.gt(excess, YIELD_TOLERANCE * p.Y)

@@ -19,12 +19,9 @@ import numba
 import numpy as np
 
 import ufl
-from dolfinx_mortar.arrays import ROUND_OFF, Floats, Ints
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, ROUND_OFF, Floats, Ints
 from ufl.core.expr import Expr
 
-# Of the stress: what sigma_zz may be before the last iteration, as Newton's method doubles the
-# digits. At the end of the dead band of a yield condition, where stresses jump by 1e-10, none is 0.
-HALF_OF_DIGITS = float(np.sqrt(np.finfo(float).eps))
 # As many halvings as a number has binary digits, and as many iterations again to find an interval.
 MOST_ITERATIONS = 2 * int(np.finfo(float).nmant)
 NORMAL = ufl.as_tensor([[0.0, 0, 0], [0, 0, 0], [0, 0, 1.0]])
@@ -96,6 +93,8 @@ def solve(law: str, equation: Equation, shape: tuple[int, int], *, finite: bool 
     rows: Ints = np.arange(shape[0], dtype=np.int32)
     for iteration in range(MOST_ITERATIONS):
         values = equation(rows, z[rows])
+        # Newton's method doubles the digits: before the last iteration half of them are right. At
+        # the end of the dead band of a yield condition, where stresses jump by 1e-10, none is 0.
         rows = rows[: _advance(z, low, high, rows, values, HALF_OF_DIGITS, floor, 0.5**iteration)]
         if not rows.size:
             return z

@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 import ufl
+from dolfinx_mortar.arrays import EPS
 from dolfinx_mortar.materials.elastic import Elastic, shear_modulus
 from dolfinx_mortar.materials.protocol import PLASTIC, Material
 from dolfinx_mortar.materials.ranges import Parameter, Range, check_fields, check_parameters
@@ -22,8 +23,6 @@ from ufl.core.expr import Expr
 # 1e-16 Y times the strain over the yield strain, so the band is wide enough for 1e5 of those.
 # Without it, 12-20 % of such points would count as plastic at the start of the next step.
 YIELD_TOLERANCE = 1e-10
-# Of Y: keeps |xi| differentiable at xi = 0. At |xi| = Y its square is below round-off.
-NORM_GUARD = float(np.finfo(float).eps)
 LEAST_RATIO = -0.9
 """Poisson's ratio down to which `flow_in_plane_stress` is exact: below, its root has two scales."""
 # Name of the internal variable beside the plastic strain
@@ -34,7 +33,8 @@ def shifted_stress(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Exp
     """Return xi = 2 mu dev(eps) - (2 mu + a) ep_n, 3x3, and |xi|, differentiable also at xi = 0."""
     mu = shear_modulus(p)
     xi = 2 * mu * ufl.dev(strain) - (2 * mu + p.a) * state["plastic_strain"]
-    return xi, ufl.sqrt(ufl.inner(xi, xi) + (NORM_GUARD * p.Y) ** 2)
+    # (eps Y)^2 keeps |xi| differentiable at xi = 0; at |xi| = Y it is below round-off
+    return xi, ufl.sqrt(ufl.inner(xi, xi) + (EPS * p.Y) ** 2)
 
 
 def flow_in_plane_stress(p: Expr, q: Expr, r: Expr) -> Expr:

@@ -16,8 +16,8 @@ import numpy as np
 
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.arrays import Longs
-from dolfinx_mortar.meshing.two_bodies import ON_PLANE, TaggedMesh, gmsh_model
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Longs
+from dolfinx_mortar.meshing.two_bodies import TaggedMesh, gmsh_model
 from dolfinx_mortar.tags import Tags
 
 # Gmsh's numbers of the cells that the package knows.
@@ -233,7 +233,7 @@ def _check_plane(model: Any, bodies: list[Group], path: str) -> None:
     tags, x, _ = model.mesh.getNodes()
     x = x.reshape(-1, 3)[np.isin(tags, np.unique(np.concatenate([g.nodes[0] for g in bodies])))]
     low, high = float(x[:, 2].min()), float(x[:, 2].max())
-    if max(-low, high) > ON_PLANE * np.ptp(x, axis=0).max():
+    if max(-low, high) > HALF_OF_DIGITS * np.ptp(x, axis=0).max():
         raise ValueError(
             f"{path}: a mesh of surfaces must be in the plane z = 0, but has z from {low:g} to "
             f"{high:g}: rotate or move it; bodies in space need physical volumes."

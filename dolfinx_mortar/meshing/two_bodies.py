@@ -14,7 +14,7 @@ import basix.ufl
 import ufl
 from dolfinx import mesh as dmesh
 from dolfinx_mortar.arguments import as_numbers, is_number
-from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints, Longs
 from dolfinx_mortar.tags import Tags
 
 Arrays = tuple[Floats, Longs]  # nodes (n, d), cells (m, k)
@@ -32,8 +32,6 @@ GMSH_OPTIONS = {
     "Mesh.RecombinationAlgorithm": 1.0,
     "Mesh.RecombineAll": 0.0,
 }
-# Of the size of a body: a point closer to a plane is on it.
-ON_PLANE = float(np.sqrt(np.finfo(float).eps))
 
 
 class TaggedMesh(NamedTuple):
@@ -108,7 +106,7 @@ def read_cells(gmsh: Any, cell: str) -> Arrays:
 
 def on_axis(x: Floats) -> Floats:
     """Return nodes (n, d) with those at x = 0 up to round-off moved there."""
-    near = np.abs(x[:, 0]) < ON_PLANE * np.ptp(x[:, 0])
+    near = np.abs(x[:, 0]) < HALF_OF_DIGITS * np.ptp(x[:, 0])
     return np.column_stack([np.where(near, 0.0, x[:, 0]), x[:, 1:]])
 
 
@@ -222,7 +220,7 @@ def name_sides(
     in_block = mesh.topology.original_cell_index < first
     facets, of_block, x = exterior_facets(mesh, in_block)
     # on the scale of the body itself: the other one and the gap may be of any size
-    tolerance = ON_PLANE * np.where(of_block, thickness, radius)
+    tolerance = HALF_OF_DIGITS * np.where(of_block, thickness, radius)
     up = mesh.geometry.dim - 1
 
     def at(axis: int, position: float) -> Bools:

@@ -19,8 +19,7 @@ from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arguments import as_numbers
-from dolfinx_mortar.arrays import Ints
-from dolfinx_mortar.materials.plane_stress import HALF_OF_DIGITS
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Ints
 from dolfinx_mortar.materials.tensor import COMPONENTS, from_components, to_components
 from dolfinx_mortar.solid.laws import tags_of_cells
 from dolfinx_mortar.solid.sources import (

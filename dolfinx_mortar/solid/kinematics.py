@@ -16,13 +16,10 @@ import numpy as np
 import ufl
 from dolfinx.mesh import Mesh
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.arrays import ROUND_OFF, Bools, Floats
 from ufl.algorithms import expand_derivatives
 from ufl.algorithms.analysis import extract_coefficients
 from ufl.core.expr import Expr
-
-# Coordinates below this share of the largest one are those of points on the axis.
-ON_AXIS = 32.0 * np.finfo(float).eps
 
 
 @dataclass(frozen=True)
@@ -262,7 +259,7 @@ def on_axis(kinematics: Kinematics, mesh: Mesh, x: Floats) -> Bools:
     if kinematics.radius is None:
         return np.zeros(len(x), dtype=bool)
     size = float(maximum(mesh.comm, np.abs(mesh.geometry.x).max(initial=0.0))[0])
-    return np.asarray(np.abs(x[:, kinematics.radius]) <= ON_AXIS * size)
+    return np.asarray(np.abs(x[:, kinematics.radius]) <= ROUND_OFF * size)
 
 
 def check_radius(kinematics: Kinematics, mesh: Mesh) -> None:

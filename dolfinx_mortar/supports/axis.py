@@ -8,9 +8,9 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import ROUND_OFF, Floats
 from dolfinx_mortar.interfaces.coupling import Sides
-from dolfinx_mortar.solid.kinematics import ON_AXIS, on_axis
+from dolfinx_mortar.solid.kinematics import on_axis
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.supports.dirichlet import Dirichlet
 
@@ -57,7 +57,7 @@ def check_targets(solid: Solid, target: Floats) -> None:
     radial = target.reshape(-1, V.dofmap.index_map_bs)[:, i]
     axis = on_axis(solid.kinematics, V.mesh, V.tabulate_dof_coordinates()[: len(radial)])
     largest = float(maximum(V.mesh.comm, np.abs(target).max(initial=0.0))[0])
-    leaving = axis & (np.abs(radial) > ON_AXIS * largest)  # what is interpolated has round-off
+    leaving = axis & (np.abs(radial) > ROUND_OFF * largest)  # what is interpolated has round-off
     moved = V.mesh.comm.allreduce(int(np.sum(leaving)), op=MPI.SUM)
     if moved:
         raise ValueError(
