@@ -126,6 +126,7 @@ def test_a_rubber_cylinder_is_pressed_as_others_have_found():
     assert max(row["volume_change"] for row in rows) < 0.01  # pressure over bulk modulus
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_rubber_of_second_order_needs_no_more_force(tmp_path):
     """Triangles of second order: within 1 % of the quadrilaterals where the contact is wide."""
@@ -178,8 +179,9 @@ def test_curved_beams_slide_as_others_have_found():
     assert work[-1] == pytest.approx(energy[-1], rel=0.03)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
-@pytest.mark.parametrize("friction", [0.3, pytest.param(0.6, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("friction", [0.3, 0.6])
 def test_curved_beams_with_friction(friction, tmp_path):
     check_beams(steps_of(tmp_path, "curved_beams", "--friction", str(friction)), friction)
 

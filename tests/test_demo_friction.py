@@ -49,10 +49,9 @@ def test_a_disc_pushed_to_and_fro_is_cattaneos():
     check_fine_cattaneo(read(shown("cattaneo")))
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("slave", "ranks"), [("disc", 1), pytest.param("block", 2, marks=pytest.mark.nightly)]
-)
+@pytest.mark.parametrize(("slave", "ranks"), [("disc", 1), ("block", 2)])
 def test_either_slave_and_two_ranks_are_cattaneos(slave, ranks, tmp_path):
     check_fine_cattaneo(summary(tmp_path, "cattaneo", "--slave", slave, ranks=ranks))
 
@@ -114,7 +113,7 @@ def test_a_shaft_is_held_by_friction(slave, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.nightly)])
 def test_a_shaft_is_held_by_friction_in_space(ranks, tmp_path):
     found = summary(tmp_path, "shrink_fit", "--space", "--cells", "2", ranks=ranks)
     check_fit(found, 0.003)

@@ -89,6 +89,7 @@ def test_a_cylinder_that_is_pressed_to_two_fifths():
     assert np.abs(stress[:, [0, 2, 3]]).max() < 1e-3 * tau
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_bar_of_second_order():
     """In the ranges of other codes on three by 24 cells; the radius at 12 us is .6 % too large."""
