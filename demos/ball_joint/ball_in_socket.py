@@ -14,10 +14,9 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
 from dolfinx_mortar.meshing.graded_octant import graded_octant
 from dolfinx_mortar.meshing.two_bodies import (
-    ON_PLANE,
     Arrays,
     TaggedMesh,
     distribute,
@@ -71,7 +70,7 @@ def ball_in_socket(
     mesh.name = "socket"
     in_block = mesh.topology.original_cell_index < first
     facets, block_side, x = exterior_facets(mesh, in_block)
-    tolerance = ON_PLANE * R
+    tolerance = HALF_OF_DIGITS * R
 
     def at(axis: int, position: float) -> Bools:
         return np.abs(x[:, :, axis] - position).max(axis=1, initial=0.0) < tolerance

@@ -9,9 +9,8 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
 from dolfinx_mortar.meshing.two_bodies import (
-    ON_PLANE,
     Arrays,
     TaggedMesh,
     distribute,
@@ -57,7 +56,7 @@ def tubes(
     z = x[:, :, mesh.topology.dim - 1]
 
     def on(values: Floats, at: float, size: float) -> Bools:
-        return np.asarray(np.abs(values - at).max(axis=1, initial=0.0) < ON_PLANE * size)
+        return np.asarray(np.abs(values - at).max(axis=1, initial=0.0) < HALF_OF_DIGITS * size)
 
     a, c, b = radii
     start, end, none = on(z, 0.0, length), on(z, length, length), np.zeros_like(inner)

@@ -9,9 +9,8 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
 from dolfinx_mortar.meshing.two_bodies import (
-    ON_PLANE,
     Arrays,
     TaggedMesh,
     distribute,
@@ -51,7 +50,7 @@ def ring_section(
     radius: Floats = np.linalg.norm(x, axis=2)
 
     def on(values: Floats, at: float) -> Bools:
-        return np.asarray(np.abs(values - at).max(axis=1, initial=0.0) < ON_PLANE * radii[-1])
+        return np.asarray(np.abs(values - at).max(axis=1, initial=0.0) < HALF_OF_DIGITS * radii[-1])
 
     between = on(radius, radii[1]) if len(radii) == 3 else np.zeros_like(inner)
     sides = {
