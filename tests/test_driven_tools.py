@@ -205,7 +205,7 @@ def test_loads_that_cannot_be_carried():
 
 def test_a_load_that_is_not_found_undoes_the_step(monkeypatch):
     """The tool is where it was, and the message says how much is missing."""
-    monkeypatch.setattr(driven_tools, "MOST_TRIES", 1)
+    monkeypatch.setattr(driven_tools, "LIMIT", 1)
     case = Block(n=8, fine=0.6)
     tool = case.tool(DISC, load={"y": -1.0})
     problem = case.problem([tool])

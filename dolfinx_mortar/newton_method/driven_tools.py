@@ -31,9 +31,7 @@ from dolfinx_mortar.newton_method.failures import StepFailed
 from dolfinx_mortar.newton_method.linearisation import Balance, Linearisation
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPSolution
-
-MOST_TRIES = 100
-"""QPs of one Newton iteration; a tool with one unknown takes 3 to 8."""
+from dolfinx_mortar.qp.updates import LIMIT
 
 OVERSHOOT = 0.5
 """Share of the force along a step that may be there in the other direction at its end."""
@@ -200,8 +198,8 @@ def settle(
         raise StepFailed(_unresisted(drives, diagonal == 0.0))
     B: Floats = np.diag(diagonal) if stiffness is None else stiffness
     noise = drives.noise(lin.balance)
-    shrink = 1.0
-    for _ in range(MOST_TRIES):
+    shrink = 1.0  # of one unknown it takes 3 to 8 QPs
+    for _ in range(LIMIT):
         if (np.abs(here.missing) <= rtol * here.size + noise).all():
             return Settled(here.lin, here.solved, here.travel, B, drives)
         if here.touches:
@@ -227,7 +225,7 @@ def settle(
         here, shrink = there, 1.0
     raise StepFailed(
         f"the loads of {', '.join(repr(owner) for owner, _ in drives.tools)} are not met in "
-        f"{MOST_TRIES} tries: {np.abs(here.missing).max():.3g} is missing; take smaller steps, or "
+        f"{LIMIT} tries: {np.abs(here.missing).max():.3g} is missing; take smaller steps, or "
         "prescribe the position"
     )
 
