@@ -32,11 +32,12 @@ SLOW_ON_TWO = """
     jump jump_errors kinematics law_contact linear linearisation loads locking
     logarithmic_solid margin measure newton obstacle orthotropic output output_resume
     parameters passing patch_3d plane_stress plotting pointwise preload preload_direction
-    preload_several qp_descent ramp reaction resolution rubber small_strain smooth_3d
+    preload_several qp_definite qp_descent ramp reaction resolution rubber small_strain smooth_3d
     smooth_contact smooth_second smooth_tie solid solid_state stand_off stress_laws sweep
     taylor_bar tie_reach tool_friction tying undone user_laws volumetric
 """.split()
 SLOW_ON_THREE = """
+    checkpoint_edits crossings
     driven_tools exact_tangent_3d friction_path friction_state impact load_steps
     looks_change_nothing mortar_3d near numbers_of_steps own_interface patch plotting_space
     preload_restart pretension same_sums skins stack
