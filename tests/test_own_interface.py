@@ -135,6 +135,48 @@ def test_it_opens_and_slides():
     assert gap == pytest.approx(np.full(len(gap), 0.01), rel=1e-10)
 
 
+class Lifted(Plane):
+    """A plane that a force along its normal lifts: what `driven` promises, it is itself."""
+
+    names, load, moved_by_loads = ("lift",), 0.0, True
+
+    def driven(self):
+        return self
+
+    def loads(self):
+        return np.array([self.load])
+
+    def motions(self, x):
+        return np.broadcast_to(self.normal, (1, *x.shape))
+
+    def move(self, amounts):
+        self.point = self.point + amounts[0] * self.normal
+
+    def keep(self):
+        return super().keep(), self.point
+
+    def put_back(self, kept):
+        shown, self.point = kept
+        super().put_back(shown)
+
+
+@pytest.mark.parametrize("geometry", ["updated", "reference"])
+def test_a_force_may_drive_it(geometry):
+    """It moves by 2 F / E, as two bars of height and width 1 shorten, and carries F."""
+    case, force = Pressed(0.4), 10.0
+    plane = Lifted(case.facets, slave=BOTTOM, point=case.plane.point, normal=case.plane.normal)
+    problem = case.problem([plane, case.tie()], geometry=geometry)
+    case.press(0.0)
+    plane.load = force
+    dm.newton(problem)
+    way = (plane.point - case.plane.point) @ plane.normal
+    assert way == pytest.approx(2.0 * force / E, rel=1e-7)
+    assert plane.force @ plane.normal == pytest.approx(force, rel=1e-9)
+    plane.load = -force
+    with rejected("nothing resists", "'lift' = -10", error=dm.NewtonNotConverged):
+        dm.newton(problem)
+
+
 DEPTHS = {0.25: 0.005, 0.5: 0.01, 0.75: 0.004, 1.0: 0.012}
 
 
