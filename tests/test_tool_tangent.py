@@ -13,6 +13,7 @@ from dolfinx import fem, mesh
 from dolfinx_mortar.steps import newton as newton_module
 from tests.choice import quick
 from tests.tool_case import ELASTIC, SIDE, TOP, Block
+from tests.triangles_case import ball
 
 SELF = MPI.COMM_SELF
 pytestmark = pytest.mark.serial
@@ -47,6 +48,7 @@ class InSpace:
 PLANAR = dm.shapes.Cylinder([0.3, 0.8], 1.0)
 RING = dm.shapes.Torus([0.0, 0.5], 0.7, 0.6)
 SOLID = dm.shapes.Torus([0.1, 0.0, 0.7], 0.5, 0.8, [0.1, 0.2, 1.0])
+CURVED = dm.shapes.Triangles(ball(1, 2.0, (0.1, 0.2, 2.0)), crease=45.0)
 
 
 def block(degree, n):
@@ -66,6 +68,7 @@ CASES = {
     "tetrahedra": lambda: (InSpace("tetrahedron", 1), SOLID, {}),
     "tetrahedra2": lambda: (InSpace("tetrahedron", 2), SOLID, {}),
     "hexahedra": lambda: (InSpace("hexahedron", 1), SOLID, {}),
+    "curved triangles": lambda: (InSpace("hexahedron", 1), CURVED, {}),
     "hexahedra2": lambda: (InSpace("hexahedron", 2), SOLID, {}),
 }
 

@@ -7,6 +7,7 @@ from dolfinx_mortar.shapes.half_space import Plane
 from dolfinx_mortar.shapes.pointed import Cone, Wedge
 from dolfinx_mortar.shapes.round_shapes import Cylinder, Sphere, Torus
 from dolfinx_mortar.shapes.shape import Distance, Shape
+from dolfinx_mortar.shapes.triangles import Triangles
 
 __all__ = [
     "Complement",
@@ -19,6 +20,7 @@ __all__ = [
     "SignedDistance",
     "Sphere",
     "Torus",
+    "Triangles",
     "Union",
     "Wedge",
     "berkovich",

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: MIT
+"""Files of triangles: STL, binary or text."""
+
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+
+from dolfinx_mortar.arrays import Floats, Longs
+
+HEADER = 84
+"""Bytes before the first triangle of a binary file: 80 of text, and the number of triangles."""
+
+RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+"""A triangle of a binary file, 50 bytes."""
+
+VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
+
+
+def read_stl(path: str | os.PathLike[str]) -> tuple[Floats, Longs]:
+    """Return the points (n, 3) and the triangles (m, 3) of a file, with equal corners merged.
+
+    The normals in the file are not read: those of a triangle are by its order of corners.
+
+    Raises:
+        ValueError: if the file cannot be read, or is no STL file.
+    """
+    try:
+        content = Path(path).read_bytes()
+    except OSError as error:
+        raise ValueError(
+            f"surface is {os.fspath(path)!r}, which cannot be read: {error.strerror}"
+        ) from error
+    corners = _binary(content)
+    if corners is None:
+        corners = _text(content)
+    if corners is None or not len(corners):
+        raise ValueError(
+            f"surface is {os.fspath(path)!r}, which is no STL file, {len(content)} bytes long: "
+            "export the surface as STL, binary or text"
+        )
+    points, place = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    return points.astype(np.float64), place.reshape(-1, 3).astype(np.int64)
+
+
+def _binary(content: bytes) -> Floats | None:
+    """Return the corners (m, 3, 3); None for a file whose length is not that of its triangles."""
+    if len(content) < HEADER:
+        return None
+    count = int.from_bytes(content[HEADER - 4 : HEADER], "little")
+    if len(content) != HEADER + RECORD.itemsize * count:
+        return None
+    return np.frombuffer(content, RECORD, offset=HEADER)["corners"].astype(np.float64)
+
+
+def _text(content: bytes) -> Floats | None:
+    """Return the corners (m, 3, 3); None for what is no such text."""
+    if not content.lstrip()[:5].lower() == b"solid":
+        return None
+    try:
+        found = np.array(VERTEX.findall(content)).astype(np.float64)
+    except ValueError:
+        return None
+    return found.reshape(-1, 3, 3) if found.size and len(found) % 3 == 0 else None

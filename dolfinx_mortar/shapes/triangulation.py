@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: MIT
+"""A surface of triangles: which of them meet, whether they enclose a body, and its normals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
+
+FIRST, SECOND = np.array([0, 1, 2]), np.array([1, 2, 0])
+"""Corners of the edges of a triangle."""
+
+
+@dataclass(frozen=True)
+class Triangulation:
+    """Triangles with common corners and edges."""
+
+    points: Floats  # (n, 3)
+    triangles: Longs  # (m, 3), counterclockwise as seen from outside
+    normals: Floats  # (m, 3), of unit length
+    beyond: Longs  # (m, 3) the triangle on the other side of each edge, -1 at a rim
+
+    @property
+    def corners(self) -> Floats:
+        """The corners of the triangles (m, 3, 3)."""
+        return self.points[self.triangles]
+
+    def edge_normals(self) -> Floats:
+        """Return the sum of the normals at each edge (m, 3, 3)."""
+        other = np.where((self.beyond >= 0)[..., None], self.normals[self.beyond], 0.0)
+        return np.asarray(self.normals[:, None] + other)
+
+    def point_normals(self) -> Floats:
+        """Return the sum of the normals around each corner (m, 3, 3), weighted by their angles.
+
+        With these a point is outside where its offset from the nearest one has a positive product
+        with the normal there. J. A. Baerentzen, H. Aanaes: Signed distance computation using the
+        angle weighted pseudonormal (2005).
+        """
+        one, other = self._arms()
+        cosine = (one * other).sum(axis=2) / (_length(one) * _length(other))
+        angles = np.arccos(np.clip(cosine, -1.0, 1.0))
+        return self._summed(self.triangles.ravel(), angles[..., None] * self.normals[:, None])
+
+    def smooth_normals(self, crease: float) -> tuple[Floats, Bools]:
+        """Return unit normals at corners (m, 3, 3), and which edges (m, 3) are no creases.
+
+        Those at a corner are averaged over the triangles that meet there without a crease between
+        them, an edge at which normals turn by more than an angle in degrees, with the weights that
+        are exact for points of a sphere. N. Max: Weights for computing vertex normals from facet
+        normals (1999).
+        """
+        turn = (self.normals[:, None] * self.normals[self.beyond]).sum(axis=2)
+        smooth = (self.beyond >= 0) & (turn >= np.cos(np.radians(crease)) - HALF_OF_DIGITS)
+        # corners of two triangles are one where a smooth edge begins or ends
+        m = len(self.triangles)
+        mine, edge = np.nonzero(smooth)
+        other = self.beyond[mine, edge]
+        pairs = []
+        for corner in (FIRST[edge], SECOND[edge]):
+            same = self.triangles[other] == self.triangles[mine, corner][:, None]
+            pairs.append((3 * mine + corner, 3 * other + np.argmax(same, axis=1)))
+        rows, columns = (np.concatenate(part) for part in zip(*pairs, strict=True))
+        graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(3 * m, 3 * m))
+        _, group = connected_components(graph, directed=False)
+        one, other_arm = self._arms()
+        weights = (_length(one) * _length(other_arm)) ** 2
+        found = self._summed(group, np.cross(one, other_arm) / weights[..., None])
+        return found / _length(found)[..., None], smooth | (self.beyond < 0)
+
+    def _arms(self) -> tuple[Floats, Floats]:
+        x = self.corners
+        return x[:, [1, 2, 0]] - x, x[:, [2, 0, 1]] - x
+
+    def _summed(self, group: Longs, parts: Floats) -> Floats:
+        """Return the sums (m, 3, 3) of parts of corners (m, 3, 3) over groups of them (3 m,)."""
+        total = np.zeros((int(group.max()) + 1, 3))
+        np.add.at(total, group, parts.reshape(-1, 3))
+        return np.asarray(total[group].reshape(-1, 3, 3))
+
+
+def create_triangulation(points: Floats, triangles: Longs, *, rim: bool) -> Triangulation:
+    """Return what triangles make up.
+
+    Args:
+        points: (n, 3).
+        triangles: (m, 3).
+        rim: whether the surface may end somewhere.
+
+    Raises:
+        ValueError: for triangles without area, edges of more than two, holes, triangles that are
+            turned against their neighbours, and a body that is turned inside out; with their
+            number, and where the first one is.
+    """
+    x = points[triangles]
+    across = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    sides = _length(x - x[:, [1, 2, 0]])
+    flat = _length(across) <= HALF_OF_DIGITS * sides.max(axis=1) ** 2
+    _refuse(
+        x,
+        flat,
+        "triangles without area",
+        "remove them, and let their neighbours have common corners",
+    )
+    beyond = _find_neighbours(x, triangles, rim)
+    volume = float((x[:, 0] * np.cross(x[:, 1], x[:, 2])).sum())
+    if (beyond >= 0).all() and volume < 0.0:
+        raise ValueError(
+            "surface is turned inside out, as normals of all its triangles point into it: turn "
+            "them round, triangles[:, ::-1], or for a body in a cavity give the Complement of that"
+        )
+    return Triangulation(points, triangles, across / _length(across)[:, None], beyond)
+
+
+def _find_neighbours(x: Floats, triangles: Longs, rim: bool) -> Longs:
+    """Return the triangle beyond each edge (m, 3), -1 at a rim.
+
+    Raises:
+        ValueError: see `create_triangulation`.
+    """
+    ends = np.stack([triangles[:, FIRST], triangles[:, SECOND]], axis=2).reshape(-1, 2)
+    _, place, count = np.unique(
+        np.sort(ends, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    place = place.ravel()
+    uses = count[place].reshape(-1, 3)
+    _refuse(
+        x,
+        np.asarray((uses > 2).any(axis=1)),
+        "triangles with an edge of three or more of them",
+        "no surface does that; leave out what is inside the tool",
+    )
+    order = np.argsort(place, kind="stable")
+    starts = np.cumsum(count) - count
+    both = count == 2
+    one, other = order[starts[both]], order[starts[both] + 1]
+    beyond = np.full(len(ends), -1, dtype=np.int64)
+    beyond[one], beyond[other] = other // 3, one // 3
+    against = np.flatnonzero(ends[one, 0] == ends[other, 0])
+    _refuse(
+        x,
+        _find_turned(beyond, one, other, against, len(x)),
+        "triangles that are turned against their neighbours",
+        "order the corners of all counterclockwise as seen from outside of the tool",
+    )
+    found = beyond.reshape(-1, 3)
+    if not rim:
+        _refuse(
+            x,
+            np.asarray((found < 0).any(axis=1)),
+            "triangles at a hole",
+            "close it; or give rim=True for a surface that ends beside the body",
+        )
+    return found
+
+
+def _find_turned(beyond: Longs, one: Longs, other: Longs, against: Longs, m: int) -> Bools:
+    """Return which triangles (m,) are turned against most of those that hang together with them.
+
+    Args:
+        beyond: (3 m,) the triangle beyond each edge.
+        one: (k,) an edge that two triangles have.
+        other: (k,) the same edge as that of the other one.
+        against: which of these pairs disagree.
+        m: number of triangles.
+    """
+    turned = np.zeros(m, dtype=bool)
+    if not len(against):
+        return turned
+    differs = np.zeros(len(one), dtype=bool)
+    differs[against] = True
+    # of two triangles that meet at two edges, one of them counts
+    pairs, first = np.unique(np.stack([one // 3, other // 3], axis=1), axis=0, return_index=True)
+    flips = {
+        (int(pairs[k, 0]), int(pairs[k, 1])): bool(differs[first[k]]) for k in range(len(pairs))
+    }
+    graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(m, m)).tocsr()
+    parts, part = connected_components(graph, directed=False)
+    for k in range(parts):
+        mine = np.flatnonzero(part == k)
+        reached, before = breadth_first_order(graph, mine[0], directed=False)
+        for at in reached[1:]:
+            a, b = int(before[at]), int(at)
+            turned[b] = turned[a] ^ flips[(a, b) if (a, b) in flips else (b, a)]
+        if 2 * turned[mine].sum() > len(mine):
+            turned[mine] = ~turned[mine]
+    return turned
+
+
+def _refuse(x: Floats, wrong: Bools, what: str, remedy: str) -> None:
+    """Raise a ValueError with number and place if some triangles (m,) are wrong."""
+    if wrong.any():
+        middle = x[int(np.argmax(wrong))].mean(axis=0)
+        place = ", ".join(f"{c:.4g}" for c in middle)
+        raise ValueError(
+            f"surface has {int(wrong.sum())} {what} among {len(x)}, the first one around "
+            f"({place}): {remedy}"
+        )
+
+
+def _length(vectors: npt.NDArray[np.floating[Any]]) -> Floats:
+    return np.asarray(np.linalg.norm(vectors, axis=-1))
