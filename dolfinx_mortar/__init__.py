@@ -14,6 +14,7 @@ from dolfinx_mortar import analytic, materials, meshing, plotting, shapes
 from dolfinx_mortar.audit.pairs import Pair, Pairs, find_pairs
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.obstacle import Obstacle
+from dolfinx_mortar.interfaces.rigid_side import RigidSide
 from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.materials import (
     DruckerPrager,
@@ -70,6 +71,7 @@ __all__ = [
     "Pressure",
     "QPNotSolved",
     "Reaction",
+    "RigidSide",
     "Solid",
     "StepReport",
     "Tags",

@@ -34,13 +34,13 @@ SLOW_ON_TWO = """
     parameters passing patch_3d plane_stress plotting pointwise preload preload_direction
     preload_several qp_definite qp_descent ramp reaction resolution rubber small_strain smooth_3d
     smooth_contact smooth_second smooth_tie solid solid_state stand_off stress_laws sweep
-    taylor_bar tie_reach tool_friction tying undone user_laws volumetric
+    taylor_bar tie_reach tool_friction triangles tying undone user_laws volumetric
 """.split()
 SLOW_ON_THREE = """
     checkpoint_edits crossings
     driven_tools exact_tangent_3d friction_path friction_state impact load_steps
     looks_change_nothing mortar_3d near numbers_of_steps own_interface patch plotting_space
-    preload_restart pretension same_sums skins stack
+    preload_restart pretension rigid_side same_sums skins stack
 """.split()
 QUICK = "mpi and not slow and not serial"
 SLOW = "mpi and not nightly and not serial"

@@ -8,11 +8,15 @@ from dolfinx_mortar.arrays import Floats
 
 
 class Driven(Protocol):
-    """A rigid tool with m unknown motions, each with a given force; the same on all ranks.
+    """A rigid tool or side with m unknown motions, each with a given force; the same on all ranks.
 
     An interface offers it, see `Interface.driven`, and Newton's method finds the motions, see
     `newton_method.driven_tools`.
     """
+
+    @property
+    def holds(self) -> bool:
+        """Whether nodes follow it in all directions, rather than touch it."""
 
     @property
     def names(self) -> Sequence[str]:
@@ -25,8 +29,15 @@ class Driven(Protocol):
             ValueError: for values of Constants that are not finite.
         """
 
-    def motions(self, x: Floats) -> Floats:
-        """Return what one unit of each motion (m, n, d) does at points x (n, d)."""
+    def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
+        """Return what one unit of each motion (m, n, d) does at points.
+
+        Args:
+            x: (n, d) where they are, X if the geometry is frozen.
+            X: (n, d) where they were at the start.
+            moved: (m,) amounts of the motions by which it is moved from where it is; what that
+                changes is found to first order, or neglected.
+        """
 
     def move(self, amounts: Floats) -> None:
         """Move the tool by amounts (m,) of its motions."""

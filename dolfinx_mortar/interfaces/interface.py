@@ -133,12 +133,13 @@ class Interface(ABC):
     def check(self, V: fem.FunctionSpace) -> None:
         """Raise a ValueError unless a problem with the displacement's space can take it."""
 
-    def check_kinematics(self, d: int, revolved: bool) -> None:
+    def check_kinematics(self, d: int, revolved: bool, strain: str) -> None:
         """Raise a ValueError unless a problem of a kind can take it.
 
         Args:
             d: dimension of the mesh.
             revolved: whether it is axisymmetric.
+            strain: "small" or "finite".
         """
 
     def take(self, owner: object, V: fem.FunctionSpace) -> None:

@@ -172,7 +172,7 @@ class Obstacle(Unilateral):
         names = "shape", "point", "position", "rotation", "load"
         return super().given() | {name: getattr(self.tool, name) for name in names}
 
-    def check_kinematics(self, d: int, revolved: bool) -> None:
+    def check_kinematics(self, d: int, revolved: bool, strain: str) -> None:
         """Raise a ValueError for shapes that are none in d dimensions, or not of revolution."""
         self.tool.check(d, revolved)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A rigid tool: its shape, and where it is."""
+"""What is rigid: where it is, and the forces that drive it; and a tool, which has a shape."""
 
 from __future__ import annotations
 
@@ -64,37 +64,24 @@ def motions_in(d: int) -> tuple[str, ...]:
     return SPACE if d > 2 else PLANE
 
 
-class Tool:
-    """A shape, and the Constants that say where it is.
+class RigidBody:
+    """The Constants that say where something rigid is, and the forces that drive it instead.
 
     Attributes:
-        shape: as given.
         point: (d,) about which it turns, where it starts.
         position: Constant (d,), where that point is.
         rotation: Constant, an angle in the plane, a rotation vector (3,) in space.
-        revolved: whether the problem is axisymmetric, so that the tool stays on the axis.
+        revolved: whether the problem is axisymmetric, so that it stays on the axis.
         load: forces and moments about its point that are given, by name, see `motions_in`.
         travel: (3,) or (6,) how far these have moved it, beyond position and rotation.
     """
 
-    def __init__(self, shape: Any, reference: Any, d: int) -> None:
-        """Make the Constants, in d dimensions.
+    holds = False
 
-        Raises:
-            ValueError: for what is no shape, one of another dimension, and a point that has not d
-                finite coordinates.
-        """
-        if not isinstance(shape, Shape):
-            raise ValueError(
-                f"shape is {shape!r}: give one of dolfinx_mortar.shapes, such as Plane(point, "
-                "normal), or SignedDistance(phi, point)"
-            )
-        if len(shape.point) != d:
-            raise ValueError(
-                f"shape is {shape!r}, of {len(shape.point)} coordinates, but the mesh has {d}"
-            )
-        self.shape, self.revolved = shape, False
-        self.point = shape.point.copy() if reference is None else _check_point(reference, d)
+    def __init__(self, point: Floats) -> None:
+        """Make the Constants, with the point (d,) where it starts."""
+        d = len(point)
+        self.point, self.revolved = point, False
         cell = "tetrahedron" if d > 2 else "triangle"  # of no mesh
         domain = ufl.Mesh(basix.ufl.element("Lagrange", cell, 1, shape=(d,)))
         turn = np.zeros(3) if d > 2 else 0.0
@@ -102,16 +89,6 @@ class Tool:
         self.rotation = fem.Constant(domain, np.asarray(turn, dtype=default_real_type))
         self.load: Mapping[str, Load] = {}
         self.travel: Floats = np.zeros(len(motions_in(d)))
-
-    def check(self, d: int, revolved: bool) -> None:
-        """Take note of the kinematics.
-
-        Raises:
-            ValueError: for a shape that is none in d dimensions, or none of revolution.
-        """
-        if misfit := self.shape.misfit(d, revolved):
-            raise ValueError(f"shape: {misfit}")
-        self.revolved = revolved
 
     def pose(self) -> Pose:
         """Return where it is at present.
@@ -132,7 +109,7 @@ class Tool:
         d = len(position)
         position = position + self.travel[:d]
         if self.travel[d:].any():
-            rotation = _after(rotation, self.travel[d:])
+            rotation = after(rotation, self.travel[d:])
         return Pose(position, rotation, self.point)
 
     def check_load(self, load: Any) -> Mapping[str, Load]:
@@ -184,10 +161,14 @@ class Tool:
     def _driven(self) -> list[int]:
         return [motions_in(len(self.point)).index(name) for name in self.names]
 
-    def motions(self, x: Floats) -> Floats:
-        """Return what one unit of each driven motion (m, n, d) does at points x (n, d)."""
-        n, d = x.shape
-        every, arm = np.zeros((len(motions_in(d)), n, d)), x - self.pose().position
+    def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
+        """Return what one unit of each driven motion (m, n, d) does, see `Driven`."""
+        return self.along(x - self.pose().position)
+
+    def along(self, arm: Floats) -> Floats:
+        """Return what one unit of each driven motion (m, n, d) does at arms (n, d)."""
+        n, d = arm.shape
+        every = np.zeros((len(motions_in(d)), n, d))
         every[np.arange(d), :, np.arange(d)] = 1.0
         if d == 2:
             every[2] = np.stack([-arm[:, 1], arm[:, 0]], axis=1)
@@ -195,16 +176,56 @@ class Tool:
             every[3:] = np.cross(np.eye(3)[:, None], arm[None])
         return every[self._driven]
 
+    def steps(self, amounts: Floats) -> Floats:
+        """Return amounts (m,) of the driven motions as those of all, (3,) or (6,)."""
+        step = np.zeros(len(self.travel))
+        step[self._driven] = amounts
+        return step
+
     def move(self, amounts: Floats) -> None:
         """Add amounts (m,) of the driven motions to the travel."""
-        step, d = np.zeros(len(self.travel)), len(self.point)
-        step[self._driven] = amounts
-        self.travel = np.concatenate(
-            [self.travel[:d] + step[:d], _after(self.travel[d:], step[d:])]
-        )
+        step, d = self.steps(amounts), len(self.point)
+        self.travel = np.concatenate([self.travel[:d] + step[:d], after(self.travel[d:], step[d:])])
 
 
-def _after(rotation: Floats, step: Floats) -> Floats:
+class Tool(RigidBody):
+    """A shape, and where it is.
+
+    Attributes:
+        shape: as given.
+    """
+
+    def __init__(self, shape: Any, reference: Any, d: int) -> None:
+        """Check the shape, in d dimensions.
+
+        Raises:
+            ValueError: for what is no shape, one of another dimension, and a point that has not d
+                finite coordinates.
+        """
+        if not isinstance(shape, Shape):
+            raise ValueError(
+                f"shape is {shape!r}: give one of dolfinx_mortar.shapes, such as Plane(point, "
+                "normal), or SignedDistance(phi, point)"
+            )
+        if len(shape.point) != d:
+            raise ValueError(
+                f"shape is {shape!r}, of {len(shape.point)} coordinates, but the mesh has {d}"
+            )
+        super().__init__(shape.point.copy() if reference is None else check_point(reference, d))
+        self.shape = shape
+
+    def check(self, d: int, revolved: bool) -> None:
+        """Take note of the kinematics.
+
+        Raises:
+            ValueError: for a shape that is none in d dimensions, or none of revolution.
+        """
+        if misfit := self.shape.misfit(d, revolved):
+            raise ValueError(f"shape: {misfit}")
+        self.revolved = revolved
+
+
+def after(rotation: Floats, step: Floats) -> Floats:
     """Return a rotation, an angle (1,) or a vector (3,), followed by another one."""
     if len(rotation) == 1:
         return rotation + step
@@ -212,7 +233,8 @@ def _after(rotation: Floats, step: Floats) -> Floats:
     return np.asarray(turned.as_rotvec())
 
 
-def _check_point(given: Any, d: int) -> Floats:
+def check_point(given: Any, d: int) -> Floats:
+    """Return d finite coordinates; raise a ValueError for anything else."""
     found = as_numbers(given)
     if found is None or found.shape != (d,) or not np.isfinite(found).all():
         raise ValueError(f"reference is {given!r}: give {d} finite coordinates")

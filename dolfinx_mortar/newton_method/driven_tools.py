@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-r"""Tools driven by forces: their motion in a Newton step, so that each carries its load.
+r"""What forces drive: its motion in a Newton step, so that each tool carries its load.
 
 With the motions e_a (in the frames of the nodes) of the unknowns q_a of the tools, a QP with its
 bounds and slips taken relative to the moved tools,
@@ -10,6 +10,11 @@ has reactions z(q), and q solves the m equations F_a + e_a.z(q) = 0. Without fri
 derivatives of a convex function, piecewise linear in q: of one unknown they are solved by secants,
 which begin with the diagonal of K^ at the closed nodes, of several by Newton's method with
 differences. All QPs have one matrix, and its factorisation.
+
+Nodes of a rigid side follow it, w = w_0 + e.q, and are eliminated: q moves their values to the
+right-hand side, and z is r^ - K^ y there. The arms of moments turn with the side, e = e_0 + De q:
+with the reactions z_0 of the iterate De q.z_0 belongs to the equations, so that Newton's method is
+quadratic.
 """
 
 from __future__ import annotations
@@ -23,12 +28,18 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import ROUND_OFF, Floats
+from dolfinx_mortar.arrays import ROUND_OFF, SAME, Bools, Floats, Ints
 from dolfinx_mortar.interfaces.driven import Driven
 from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.failures import StepFailed
-from dolfinx_mortar.newton_method.linearisation import Balance, Linearisation
+from dolfinx_mortar.newton_method.linearisation import (
+    Balance,
+    Linearisation,
+    to_displacement,
+    to_reduced,
+)
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPSolution
 from dolfinx_mortar.qp.updates import LIMIT
@@ -60,6 +71,10 @@ class Drives:
     tools: list[tuple[Interface, Driven]]
     motions: Floats  # (m, n) e, of the owned unknowns of y
     loads: Floats  # (m,) F
+    held: Ints  # (k,) owned unknowns of y that follow rigid sides
+    follows: Bools  # (m,) which motions are theirs
+    moved: Callable[[Floats], Floats]  # q (m,) -> e (m, n) there, to first order
+    product: Callable[[PETSc.Vec], PETSc.Vec]  # y -> K^ y; collective
     comm: MPI.Comm
 
     def move(self, travel: Floats) -> None:
@@ -70,20 +85,42 @@ class Drives:
             tool.move(travel[first:end])
             first = end
 
-    def missing(self, reactions: Floats) -> tuple[Floats, Floats]:
-        """Return F + e.z (m,) for reactions (n,), and the size of its terms (m,); collective."""
-        parts = self.motions * reactions
+    def missing(self, reactions: Floats, turned: Floats | float = 0.0) -> tuple[Floats, Floats]:
+        """Return F + e.z (m,) for reactions (n,), and the size of its terms (m,); collective.
+
+        Args:
+            reactions: z.
+            turned: (m, n) terms that are added to those of e.z.
+        """
+        parts = self.motions * reactions + turned
         sums = np.stack([parts.sum(axis=1), np.abs(parts).sum(axis=1)])
         total, size = self.comm.allreduce(sums, op=MPI.SUM)
-        return self.loads + total, np.maximum(size, np.abs(self.loads))
+        size = np.maximum(size, np.abs(self.loads))
+        if (on := self.follows).any():  # none of its forces is more accurate than the largest
+            arms = np.maximum(self._arms(), np.finfo(float).tiny)
+            size[on] = (size[on] / arms[on]).max() * arms[on]
+        return self.loads + total, size
 
     def noise(self, balance: Balance) -> Floats:
         """Return the round-off in what tools carry (m,), of the forces in the bodies; collective.
 
         A tool may carry nothing while bodies are strained, as after plastic flow.
         """
-        arms = maximum(self.comm, *np.abs(self.motions).max(axis=1, initial=0.0))
-        return np.asarray(ROUND_OFF * balance.elements * arms)
+        return np.asarray(ROUND_OFF * balance.elements * self._arms())
+
+    def _arms(self) -> Floats:
+        return maximum(self.comm, *np.abs(self.motions).max(axis=1, initial=0.0))
+
+    def noise_of_step(self, lin: Linearisation, solved: QPSolution) -> Floats:
+        """Return the round-off in what a step adds to r^ - K^ y at rigid sides (m,); collective.
+
+        In the first one bodies are not strained before it.
+        """
+        if not self.follows.any():
+            return np.zeros(len(self.loads))
+        strained = lin.diagonal.duplicate()
+        strained.pointwiseMult(lin.diagonal, solved.x)
+        return np.asarray(ROUND_OFF * strained.norm() * self._arms() * self.follows)
 
     def shifted(self, lin: Linearisation, travel: Floats) -> Linearisation:
         """Return the QP with the tools moved by q (m,)."""
@@ -93,7 +130,21 @@ class Drives:
         upper.array[bounds.dofs] = np.minimum(shifted, PETSc.INFINITY)
         if law is not None and lin.balance.limits is not None:
             law = replace(law, rest=-lin.balance.limits.slip + law.pick(way))
-        return replace(lin, qp=replace(lin.qp, upper=upper, friction=law))
+        found = replace(lin, qp=replace(lin.qp, upper=upper, friction=law))
+        return self._carried_along(found, way) if self.follows.any() else found
+
+    def _carried_along(self, lin: Linearisation, way: Floats) -> Linearisation:
+        """Return the QP with the eliminated nodes of rigid sides moved (n,); collective."""
+        equal, held = lin.balance.equal, np.zeros(len(way))
+        held[self.held] = way[self.held]
+        motion = lin.qp.b.duplicate()
+        motion.array[:] = held
+        b = lin.qp.b.copy()
+        b.axpy(-1.0, self.product(motion))
+        values = equal.upper + held[equal.dofs]
+        b.array[equal.dofs] = lin.qp.A.getDiagonal().array_r[equal.dofs] * values
+        balance = replace(lin.balance, equal=replace(equal, lower=values, upper=values))
+        return replace(lin, qp=replace(lin.qp, b=b), balance=balance)
 
     def reactions(self, lin: Linearisation, solved: QPSolution) -> Floats:
         """Return what the closed nodes carry (n,)."""
@@ -102,15 +153,21 @@ class Drives:
         carried[dofs[on]] = z[dofs[on]]
         if (law := lin.qp.friction) is not None:
             law.put(carried, law.pick(z) * law.acts(on[law.normal])[:, None])
+        if self.follows.any():
+            inner = self.product(solved.x).array_r
+            carried[self.held] = (lin.balance.reduced.array_r - inner)[self.held]
         return carried
 
     def carried(
-        self, lin: Linearisation, solved: QPSolution
+        self, lin: Linearisation, solved: QPSolution, travel: Floats
     ) -> tuple[Floats, Floats, Floats, bool]:
         """Return what closed nodes carry (n,), what is missing, its size, and if any does."""
-        found = self.reactions(lin, solved)
+        found, turned = self.reactions(lin, solved), np.zeros_like(self.motions)
         touches = self.comm.allreduce(bool((self.motions * found).any()), op=MPI.LOR)
-        return found, *self.missing(found), bool(touches)
+        if self.follows.any():
+            before = lin.balance.reduced.array_r[self.held]
+            turned[:, self.held] = (self.moved(travel) - self.motions)[:, self.held] * before
+        return found, *self.missing(found, turned), bool(touches or self.follows.any())
 
     def stiffness(self, lin: Linearisation, carried: Floats) -> Floats:
         """Return sum_j e_aj^2 K^_jj (m,) over the nodes that carry, or the largest; collective."""
@@ -150,26 +207,54 @@ def find_drives(problem: ContactProblem) -> Drives | None:
 
     Without communication.
     """
-    tools: list[tuple[Interface, Driven]] = []
-    motions: list[Floats] = []
-    loads: list[Floats] = []
-    frozen = problem.configuration is None
+    parts: list[tuple[Link, Driven]] = []
     for link in problem.system.links:
         tool = link.interface.driven()
-        if tool is None:
-            continue
-        given = tool.loads()
-        x = problem.X if frozen else problem.positions().array_r.reshape(-1, problem.d)
-        parts = tool.motions(x[link.nodes])
-        in_frames = np.einsum("nij,mni->mnj", link.coupling.R, parts) * link.constrained
-        e = np.zeros((len(given), problem.n, problem.d))
-        e[:, link.nodes] = in_frames
-        tools.append((link.interface, tool))
-        motions.append(e.reshape(len(given), -1))
-        loads.append(given)
-    if not tools:
+        if tool is not None:
+            parts.append((link, tool))
+    if not parts:
         return None
-    return Drives(tools, np.concatenate(motions), np.concatenate(loads), problem.comm)
+    x = problem.X if problem.configuration is None else _positions(problem)
+    counts = [len(tool.names) for _, tool in parts]
+    ends = np.cumsum(counts)[:-1]
+
+    def moved(travel: Floats) -> Floats:
+        rows = []
+        for (link, tool), q in zip(parts, np.split(travel, ends), strict=True):
+            ways = tool.motions(x[link.nodes], problem.X[link.nodes], q)
+            in_frames = np.einsum("nij,mni->mnj", link.coupling.R, ways) * link.constrained
+            e = np.zeros((len(q), problem.n, problem.d))
+            e[:, link.nodes] = in_frames
+            rows.append(e.reshape(len(q), -1))
+        return np.concatenate(rows)
+
+    def product(y: PETSc.Vec) -> PETSc.Vec:
+        T = problem.system.transformation
+        return to_reduced(T, problem.K * to_displacement(T, y))
+
+    loads = np.concatenate([tool.loads() for _, tool in parts])
+    follows = np.repeat([tool.holds for _, tool in parts], counts)
+    held = [_unknowns(link, problem.d) for link, tool in parts if tool.holds]
+    return Drives(
+        tools=[(link.interface, tool) for link, tool in parts],
+        motions=moved(np.zeros(len(loads))),
+        loads=loads,
+        held=np.concatenate([np.zeros(0, dtype=np.int32), *held]),
+        follows=follows,
+        moved=moved,
+        product=product,
+        comm=problem.comm,
+    )
+
+
+def _positions(problem: ContactProblem) -> Floats:
+    return np.asarray(problem.positions().array_r.reshape(-1, problem.d))
+
+
+def _unknowns(link: Link, d: int) -> Ints:
+    """Return the owned unknowns of y that a link constrains."""
+    node, axis = np.nonzero(link.constrained)
+    return (d * link.nodes[node] + axis).astype(np.int32)
 
 
 def settle(
@@ -192,18 +277,23 @@ def settle(
         StepFailed: if nothing resists the load of a tool, or it is not found.
     """
     solved = solve(lin)  # as accurately as those with which it is compared
-    here = _Try(lin, solved, np.zeros(len(drives.loads)), *drives.carried(lin, solved))
+    start = np.zeros(len(drives.loads))
+    here = _Try(lin, solved, start, *drives.carried(lin, solved, start))
     diagonal = drives.stiffness(lin, here.carried)
     if not diagonal.all():
         raise StepFailed(_unresisted(drives, diagonal == 0.0))
     B: Floats = np.diag(diagonal) if stiffness is None else stiffness
     noise = drives.noise(lin.balance)
-    shrink = 1.0  # of one unknown it takes 3 to 8 QPs
-    for _ in range(LIMIT):
-        if (np.abs(here.missing) <= rtol * here.size + noise).all():
+    shrink, far = 1.0, 0.0
+    for _ in range(LIMIT):  # of one unknown it takes 3 to 8 QPs
+        lost = noise + drives.noise_of_step(lin, here.solved)
+        if (np.abs(here.missing) <= rtol * here.size + lost).all():
             return Settled(here.lin, here.solved, here.travel, B, drives)
         if here.touches:
-            if shrink == 1.0 and len(diagonal) > 1:  # the nodes that touch change, and B with them
+            lasts = drives.follows.all() and here.far(diagonal) < PROBE * far
+            far = here.far(diagonal)
+            # the nodes that touch change, and B with them
+            if shrink == 1.0 and len(diagonal) > 1 and not lasts:
                 B = _measured(drives, here, solve, lin, diagonal)
             way = np.asarray(shrink * np.linalg.solve(B, here.missing), dtype=np.float64)
         else:
@@ -215,11 +305,12 @@ def settle(
         q = here.travel + way
         at = drives.shifted(lin, q)
         solved = solve(at)
-        there = _Try(at, solved, q, *drives.carried(at, solved))
+        there = _Try(at, solved, q, *drives.carried(at, solved, q))
+        gain = here.missing @ way  # none towards a saddle point, of sides that forces turn
         if here.touches and there.touches and len(diagonal) == 1:
             slope = (here.missing - there.missing) / way
             B = np.diag(slope) if slope[0] > 0.0 else B
-        if here.touches and there.missing @ way < -OVERSHOOT * (here.missing @ way):
+        if here.touches and gain > 0.0 and there.missing @ way < -OVERSHOOT * gain:
             shrink = 0.5 * shrink  # beyond the minimum along the way
             continue
         here, shrink = there, 1.0
@@ -237,16 +328,27 @@ def _measured(
 
     A plate that touches with one node may turn about it.
     """
-    small = PROBE * here.far(diagonal) / np.sqrt(diagonal)
+    part = 1.0 if drives.follows.all() else PROBE  # linear unless contacts change
+    small = part * here.far(diagonal) / np.sqrt(diagonal)
     columns = []
     for a, step in enumerate(small):
         q = here.travel.copy()
         q[a] += np.copysign(step, here.missing[a])
         at = drives.shifted(lin, q)
-        _, missing, _, _ = drives.carried(at, solve(at))
+        _, missing, _, _ = drives.carried(at, solve(at), q)
         columns.append((here.missing - missing) / (q[a] - here.travel[a]))
     found = np.stack(columns, axis=1)
-    return np.asarray((found + found.T) / 2 + PROBE * np.diag(diagonal))
+    if drives.follows.all():  # moments that turn with a side have no symmetric tangent
+        size = np.sqrt(diagonal)
+        values, vectors = np.linalg.eig(found / np.outer(size, size))
+        least = int(np.argmin(np.abs(values)))
+        if np.abs(values[least]) <= SAME:  # of the stiffness of the nodes themselves
+            weakest = np.abs(vectors[:, least])
+            raise StepFailed(_unresisted(drives, np.asarray(weakest == weakest.max())))
+        return found
+    return np.asarray(
+        (found + found.T) / 2 + PROBE * np.diag(np.where(drives.follows, 0.0, diagonal))
+    )
 
 
 def _unresisted(drives: Drives, which: Floats) -> str:
@@ -270,6 +372,7 @@ def miss(problem: ContactProblem, balance: Balance, contacts: Contacts) -> float
     carried[balance.bounds.dofs] = contacts.reactions(balance)
     if (limits := balance.limits) is not None:
         carried[limits.tangential[limits.some]] = contacts.tangential_reactions(limits)[limits.some]
+    carried[drives.held] = balance.reduced.array_r[drives.held]
     missing, size = drives.missing(carried)
     beyond = np.maximum(np.abs(missing) - drives.noise(balance), 0.0)
     share = np.divide(beyond, size, out=np.zeros_like(size), where=size > 0.0)

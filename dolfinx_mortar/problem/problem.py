@@ -101,7 +101,7 @@ class ContactProblem:
             for side in sides:
                 side.check(solid.V)
                 revolved = solid.kinematics.radius is not None
-                side.check_kinematics(solid.V.mesh.geometry.dim, revolved)
+                side.check_kinematics(solid.V.mesh.geometry.dim, revolved, solid.strain)
         check_options(solid.V.mesh.comm, petsc_options_prefix, petsc_options)
         self.solid, self.geometry = solid, geometry
         self.timings = Timings()

@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: MIT
+r"""A side of a body that moves as a rigid body, as if a rigid plate were glued to it.
+
+At its nodes u is that of the plate, with its point c at the start, the displacement t of that
+point and the rotation R,
+
+    u_j = t + R (X_j - c) - (X_j - c);    where strains are small  u_j = t + theta x (X_j - c).
+
+t and R are prescribed, or unknown where the force or moment along them is given: then the forces
+f_j with which the plate holds the nodes are in balance with it, sum_j f_j = F and
+sum_j R (X_j - c) x f_j = M, see `newton_method.driven_tools`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx import fem
+from dolfinx.mesh import MeshTags
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.geometry.facets import tributary_weights
+from dolfinx_mortar.interfaces.constraints import Constraints, equalities
+from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides
+from dolfinx_mortar.interfaces.driven import Driven
+from dolfinx_mortar.interfaces.interface import Interface, full_coverage
+from dolfinx_mortar.interfaces.tool import Load, Pose, RigidBody, check_point
+from dolfinx_mortar.mortar.pairing import Pairing, Weight
+from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_normals, sum_at_nodes
+
+
+class Plate(RigidBody):
+    """What is glued to a side.
+
+    Attributes:
+        small: whether rotations are those of a small strain, which add up.
+    """
+
+    holds = True
+
+    def __init__(self, point: Floats) -> None:
+        """Start at rest."""
+        super().__init__(point)
+        self.small = True
+
+    def move(self, amounts: Floats) -> None:
+        """Add amounts (m,) of the driven motions to the travel."""
+        if self.small:
+            self.travel = self.travel + self.steps(amounts)
+        else:
+            super().move(amounts)
+
+    def turned(self, arm: Floats, rotation: Floats) -> Floats:
+        """Return arms (n, d) turned by a rotation, in the first order where strains are small."""
+        if not self.small:
+            origin = np.zeros(len(self.point))
+            return Pose(origin, rotation, origin).to_space(arm)
+        return arm + _spun(arm, rotation)
+
+    def place(self, X: Floats) -> Floats:
+        """Return where points (n, d) of the plate are that started at X."""
+        pose, d = self.pose(), len(self.point)
+        rotation: Floats = np.array(self.rotation.value, dtype=np.float64).reshape(-1)
+        rotation = rotation + self.travel[d:] if self.small else pose.rotation
+        return np.asarray(self.turned(X - self.point, rotation) + pose.position)
+
+    def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
+        """Return what one unit of each driven motion (m, n, d) does, see `Driven`."""
+        arm = X - self.point
+        if not self.small:
+            arm = self.turned(arm, self.pose().rotation)
+            arm = arm + _spun(arm, self.steps(moved)[len(self.point) :])
+        return self.along(arm)
+
+
+def _spun(arm: Floats, rotation: Floats) -> Floats:
+    """Return theta x r of arms r (n, d)."""
+    if len(rotation) == 1:
+        return np.asarray(rotation[0] * np.stack([-arm[:, 1], arm[:, 0]], axis=1))
+    return np.asarray(np.cross(rotation, arm))
+
+
+class RigidSide(Interface):
+    """A side that moves as a rigid body: clamped, moved and turned, or driven by force and moment.
+
+    Its point ``reference`` is at ``position``, and it is turned by ``rotation`` about it: both are
+    Constants, whose values ``ramp`` and ``on_time`` of `load_steps` may set, and which are read in
+    every step. Where strains are finite rotations are exact, else linear in the angle.
+
+    After a step ``force`` is the force with which the side is held, ``reference_moment`` the moment
+    of that about the point where it is now, ``pressure`` its normal traction, and ``travel`` how
+    far loads have moved it. Nodes belong to it alone: it shares none with Dirichlet conditions, nor
+    with the slave side of another interface, but may be the master of one.
+
+    Args:
+        facet_tags: facet markers on the mesh of the displacement.
+        side: tag of the side, or its name, see `Tags`.
+        reference: d coordinates of the point about which it turns, at the start.
+        load: forces and moments that are given instead of its motion, by name: "x", "y" and
+            "moment" about its point in the plane, "x", "y", "z", "moment x" to "moment z" in space,
+            "y" in axisymmetric problems, each a number or a scalar Constant, read at every step; 0
+            leaves a motion free. What is not named, position and rotation prescribe.
+
+    Raises:
+        ValueError: for tags that are none, unknown names, a point or loads that are none. When a
+            problem takes it, for a side without facets, and one that shares nodes with Dirichlet
+            conditions or with an interface that is named before it.
+    """
+
+    pressure_name = "normal traction"
+    moved_by_loads = True
+
+    def __init__(
+        self,
+        facet_tags: MeshTags,
+        side: int | str,
+        *,
+        reference: Any,
+        load: Mapping[str, Load] | None = None,
+    ) -> None:
+        """Keep the description; nodes are found when a problem takes it."""
+        super().__init__(facet_tags, slave=side)
+        self.plate = Plate(check_point(reference, facet_tags.topology.dim))
+        self.load = load or {}
+
+    @property
+    def sides(self) -> str:
+        """How messages call the side."""
+        return super().sides.removeprefix("slave=")
+
+    @property
+    def reference(self) -> Floats:
+        """Where its point is at the start (d,)."""
+        return self.plate.point
+
+    @property
+    def position(self) -> fem.Constant:
+        """Where its point is (d,); set its value."""
+        return self.plate.position
+
+    @property
+    def rotation(self) -> fem.Constant:
+        """How it is turned from where it starts; set its value.
+
+        An angle in the plane, in space a rotation vector (3,): axis times angle, in radians.
+        """
+        return self.plate.rotation
+
+    @property
+    def load(self) -> Mapping[str, Load]:
+        """Forces and moments that are given, by name; may be set anew between steps."""
+        return self.plate.load
+
+    @load.setter
+    def load(self, value: Mapping[str, Load] | None) -> None:
+        self.plate.load = self.plate.check_load(value)
+
+    @property
+    def travel(self) -> Floats:
+        """How far loads have moved it beyond position and rotation, (3,) or (6,).
+
+        Displacement and angle in the plane, displacement and rotation vector in space.
+        """
+        return self.plate.travel.copy()
+
+    def given(self) -> dict[str, Any]:
+        """Return what all ranks have to give the same, by name; see `agreement`."""
+        names = "point", "position", "rotation", "load"
+        return super().given() | {name: getattr(self.plate, name) for name in names}
+
+    def check_kinematics(self, d: int, revolved: bool, strain: str) -> None:
+        """Take note of the kinematics."""
+        self.plate.revolved, self.plate.small = revolved, strain == "small"
+
+    # -- state -----------------------------------------------------------------------------------
+
+    def found(self) -> dict[str, list[float]]:
+        """Return how far loads have moved it."""
+        return {"travel": [*map(float, self.plate.travel)]}
+
+    def take_found(self, found: Mapping[str, list[float]]) -> None:
+        """Take that over."""
+        self.plate.travel = np.array(found["travel"], float)
+
+    def keep(self) -> Any:
+        """Return copies of results and state, for `put_back`."""
+        return super().keep(), self.plate.travel
+
+    def put_back(self, kept: Any) -> None:
+        """Show what `keep` has returned; without communication."""
+        shown, self.plate.travel = kept
+        super().put_back(shown)
+
+    # -- nodes -----------------------------------------------------------------------------------
+
+    def configuration(self, u: fem.Function | None) -> fem.Function | None:
+        """Return the displacement at which forces act: none where strains are small."""
+        return None if self.plate.small else u
+
+    def find_sides(self, V: fem.FunctionSpace, fixed: Bools, weight: Weight | None = None) -> Sides:
+        """Return the surface in V; collective.
+
+        Raises:
+            ValueError: on all ranks, if Dirichlet conditions hold some of its nodes.
+        """
+        sides = super().find_sides(V, fixed, weight)
+        free = 1 if self.plate.revolved else 0  # on the axis u_r = 0, as on the side
+        held = np.asarray(fixed[sides.nodes][:, free:].any(axis=1))
+        self._refuse(sides, held, "Dirichlet conditions hold", "of these")
+        return sides
+
+    def couple(
+        self,
+        sides: Sides,
+        pairing: Pairing | None,
+        pattern: Pattern,
+        banned: Bools,
+        u: fem.Function | None,
+        before: Coupling | None = None,
+    ) -> Coupling:
+        """Return that all nodes are held in all directions, see `Interface.couple`; collective."""
+        self._refuse(sides, banned[sides.nodes], "an earlier interface has", "to that")
+        slave, n, d = sides.slave, len(sides.nodes), sides.fixed.shape[1]
+        x = coordinates(slave, u)
+        areas = tributary_weights(facets_at(slave, x)).mean(axis=1)  # equal parts, none is zero
+        if sides.weight is not None:
+            areas = areas * sides.weight(slave.X[slave.facets].mean(axis=1))
+        areas = np.repeat(areas[:, None, None], slave.facets.shape[1], axis=1)
+        areas = sum_at_nodes(slave, areas)[: slave.owned]
+        fixed = sides.fixed[sides.nodes]
+        return Coupling(
+            blocks=np.zeros((0, d, d)),
+            P=np.zeros((0, 1)),
+            R=np.broadcast_to(np.eye(d), (n, d, d)),
+            slot=np.where(fixed, np.arange(d, dtype=np.int32), -1).astype(np.int32),
+            directions=~fixed,
+            kept=np.ones((n, 1), dtype=bool),
+            weight=areas,
+            normals=nodal_normals(slave, x)[: slave.owned],
+            heights=np.zeros(n),
+            coverage=full_coverage(sides),
+            lost=np.zeros((n, 1), dtype=bool),
+        )
+
+    def _refuse(self, sides: Sides, wrong: Bools, who: str, whose: str) -> None:
+        """Raise a ValueError if some owned nodes (n,) are another's; collective."""
+        count = int(sides.V.mesh.comm.allreduce(int(wrong.sum()), op=MPI.SUM))
+        if count:
+            raise ValueError(
+                f"{self!r}: {who} {count} of its nodes, but all of them move as it does: leave "
+                f"them to one {whose}"
+            )
+
+    # -- constraints -----------------------------------------------------------------------------
+
+    def measured(self, x: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:
+        """Return how far nodes are from where they have to be, as if all were of the side."""
+        found, X = x.copy(), x - u
+        d = len(self.reference)
+        found.array -= self.plate.place(X.array_r.reshape(-1, d)).ravel()
+        return found
+
+    def constraints(self, nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
+        """Return that this distance is taken back."""
+        node, axis = np.nonzero(directions)
+        dofs = (directions.shape[1] * nodes[node] + axis).astype(np.int32)
+        return equalities(dofs, -slip[node, axis], np.maximum(D[node, 0], np.finfo(float).tiny))
+
+    def driven(self) -> Driven | None:
+        """Return the motions that given forces drive; None where all of them are prescribed."""
+        return self.plate if self.load else None
+
+    # -- results ---------------------------------------------------------------------------------
+
+    def place(self) -> Floats:
+        """Return where its point is, (3,): at the start where strains are small."""
+        at = self.plate.point if self.plate.small else self.plate.pose().position
+        return np.concatenate([at, np.zeros(3 - len(at))])
+
+    @property
+    def reference_moment(self) -> Floats:
+        """Moment (3,) about its point of the forces that hold it; the last component in a plane."""
+        force = np.concatenate([self.force, np.zeros(3 - len(self.force))])
+        place = self._result(self.resultants, "place")
+        return np.asarray(self.moment - np.cross(place, force))
