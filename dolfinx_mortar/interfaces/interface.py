@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from types import NoneType
 from typing import Any, ClassVar
@@ -17,7 +17,7 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.errors import is_ours, named, raised_together
-from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.interfaces.constraints import (
     Constraints,
     SlipLimits,
@@ -65,6 +65,14 @@ class Resultants:
     nodes: Ints  # (n,) local numbers of these nodes
     carries: Bools  # (n,) which of them have a multiplier
     place: Floats  # (3,) where a tool is; 0 without one
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Where a tool is, for pictures."""
+
+    distance: Callable[[Floats], Floats]  # points (n, d) -> signed distances (n,)
+    surface: tuple[Floats, Longs] | None = None  # points and triangles, where it is made of these
 
 
 # Facets whose normals differ by more degrees meet in an edge, unless the user says otherwise.
@@ -341,6 +349,10 @@ class Interface(ABC):
 
     def tool_way(self, before: Floats, after: Floats) -> Floats | None:
         """Return how far a tool has carried points (n, d) since the last commit; None for none."""
+        return None
+
+    def outline(self) -> Outline | None:
+        """Return where a tool is at present, for pictures; None without one."""
         return None
 
     # -- results ---------------------------------------------------------------------------------

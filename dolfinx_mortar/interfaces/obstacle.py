@@ -30,6 +30,7 @@ from dolfinx_mortar.geometry.tolerances import TINY
 from dolfinx_mortar.interfaces.coulomb import Limit, create_law
 from dolfinx_mortar.interfaces.coupled_sides import CoupledSides
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides, create_pattern
+from dolfinx_mortar.interfaces.interface import Outline
 from dolfinx_mortar.interfaces.tool import Load, Pose, Tool, find_facing
 from dolfinx_mortar.interfaces.tool_derivatives import ToolDerivatives
 from dolfinx_mortar.interfaces.tool_slips import ToolPartners
@@ -385,6 +386,13 @@ class Obstacle(Unilateral):
         forth = now.to_space(began.to_tool(before)) - before
         back = after - began.to_space(now.to_tool(after))
         return np.asarray(0.5 * (forth + back))
+
+    def outline(self) -> Outline:
+        """Return where the tool is at present, for pictures."""
+        pose, surface = self.tool.pose(), self.shape.surface
+        if surface is not None:
+            surface = pose.to_space(surface[0]), surface[1]
+        return Outline(lambda x: pose.distance(self.shape, x).value, surface)
 
     @property
     def tool_force(self) -> Floats:

@@ -13,6 +13,10 @@ from dolfinx import mesh as dmesh
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.plotting.gathered import SIDES, Parts, groups, polygons_of, triangles_of
 
+GRID = 400
+"""Points along each side of the box in which tools are drawn."""
+
+TOOL = "#b8b8b8"
 BODIES = ("#c6d8ea", "#ecd3b4", "#cfe3c4", "#dccbe6", "#e8e0b0", "#d9d9d9")
 
 
@@ -64,6 +68,18 @@ def draw_field(axes: Any, cells: Parts, name: str) -> None:
         _add_cells(axes, cells, facecolor="none", edgecolor="#00000030")
     axes.figure.colorbar(drawn, ax=axes, label=name, shrink=0.8)
     _frame(axes)
+
+
+def draw_tools(axes: Any, tools: list[Any], low: Floats, high: Floats) -> None:
+    """Draw where the signed distances of tools are negative, in the box from low to high (2,)."""
+    x, y = (np.linspace(low[i], high[i], GRID) for i in range(2))
+    points = np.stack(np.meshgrid(x, y), axis=-1)
+    for tool in tools:
+        phi = tool.distance(points.reshape(-1, 2)).reshape(GRID, GRID)
+        if phi.min() < 0.0:
+            axes.contourf(x, y, phi, levels=[phi.min(), 0.0], colors=[TOOL], zorder=0.5)
+            axes.contour(x, y, phi, levels=[0.0], colors=["#404040"], linewidths=1.0)
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
 
 
 def draw_pressure(axes: Any, sides: list[tuple[str, Parts]], over: str | None, title: str) -> None:

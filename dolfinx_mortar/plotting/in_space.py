@@ -17,6 +17,10 @@ from dolfinx import mesh as dmesh
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.plotting.gathered import SIDES, Parts, groups, polygons_of, triangles_of
 
+GRID = 60
+"""Points along each side of the box in which tools are drawn."""
+
+TOOL = "#808080"
 BODIES = ("#6f9bc4", "#cf9650", "#7fae69", "#a583bd", "#b5a53c", "#909090")  # also of their names
 
 
@@ -79,6 +83,22 @@ def draw_field(plotter: Any, outside: Parts, name: str) -> None:
     """Draw a field of cells (flat colours) or of nodes (shaded) with its scale."""
     _add_values(plotter, outside, name, name)
     _describe(plotter, [])
+
+
+def draw_tools(plotter: Any, tools: list[Any], low: Floats, high: Floats) -> None:
+    """Draw the surfaces of tools, one can see through them, in the box from low to high (3,)."""
+    for tool in tools:
+        if tool.surface is not None:
+            surface = pyvista.PolyData.from_regular_faces(*tool.surface)
+        else:
+            spacing = (high - low) / (GRID - 1)
+            grid = pyvista.ImageData(dimensions=(GRID,) * 3, spacing=spacing, origin=low)
+            grid["phi"] = tool.distance(np.asarray(grid.points, dtype=np.float64))
+            surface = grid.contour([0.0], scalars="phi")
+        box = [bound for ends in zip(low, high, strict=True) for bound in ends]
+        surface = surface.clip_box(box, invert=False).extract_surface()
+        if surface.n_points:
+            plotter.add_mesh(surface, color=TOOL, opacity=0.35, smooth_shading=True)
 
 
 def draw_pressure(

@@ -88,8 +88,11 @@ def field(
 ) -> Any:
     """Draw a field on the deformed bodies. Collective; all is gathered on rank 0.
 
+    Rigid tools are drawn where they are now, as far as they reach around the bodies, unless
+    displacements are enlarged.
+
     Args:
-        problem: a `ContactProblem`, or a `Solid`.
+        problem: a `ContactProblem`, or a `Solid`, which has no tools.
         name: of a scalar field of `Solid.cell_values`, such as "von_mises", "stress_yy" or
             "plastic_strain_norm", with one colour per cell; "displacement" for its length, or
             "displacement_x"; or another Function: one value per cell (DG0), or a continuous scalar
@@ -113,10 +116,15 @@ def field(
     drawer = _drawer(V.mesh, file, view, ax)
     title, at_nodes, of_cells = _values(solid, name)
     bodies = gather_bodies(V, {**at_nodes, **_moved(V, solid.u, scale)}, of_cells)
+    every = getattr(problem, "interfaces", ()) if scale == 1.0 else ()
+    tools = [tool for one in every if (tool := one.outline()) is not None]
 
     def draw(on: Any) -> None:
         assert bodies is not None
-        drawer.draw_field(on, replace(bodies, x=bodies.at_nodes[MOVED]), title)
+        moved = bodies.at_nodes[MOVED]
+        drawer.draw_field(on, replace(bodies, x=moved), title)
+        if tools and len(moved):
+            drawer.draw_tools(on, tools, *_box(moved[:, : V.mesh.geometry.dim]))
 
     return _on_rank_0(V.mesh, drawer, draw, file, view, ax)
 
@@ -170,6 +178,13 @@ def pressure(
     return _on_rank_0(
         V.mesh, drawer, lambda on: drawer.draw_pressure(on, sides, over, title), file, view, ax
     )
+
+
+def _box(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the corners (d,) of the box around points (n, d), a tenth of its diagonal larger."""
+    low, high = x.min(axis=0), x.max(axis=0)
+    beside = 0.1 * np.linalg.norm(high - low)
+    return low - beside, high + beside
 
 
 def _chosen(problem: Any, interfaces: Any) -> list[Any]:

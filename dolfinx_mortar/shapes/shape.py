@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from dolfinx_mortar.arguments import as_numbers, is_number
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.arrays import Bools, Floats, Longs
 
 # Relative to the size of vectors: what is round-off of zero.
 NOTHING = 1e-12
@@ -62,6 +62,11 @@ class Shape(ABC):
     @abstractmethod
     def given(self) -> Mapping[str, Any]:
         """Return the arguments by name."""
+
+    @property
+    def surface(self) -> tuple[Floats, Longs] | None:
+        """Points (n, 3) and triangles (m, 3) for pictures; None where it is not made of these."""
+        return None
 
     def misfit(self, d: int, revolved: bool) -> str:
         """Say why the shape is none in d dimensions, or none of revolution; "" if it is one.

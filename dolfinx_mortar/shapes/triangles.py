@@ -75,6 +75,11 @@ class Triangles(Shape):
         """As given, or the middle of the box around it, (3,)."""
         return self._point
 
+    @property
+    def surface(self) -> tuple[Floats, Longs]:
+        """Points (n, 3) and triangles (m, 3) for pictures."""
+        return self.triangulation.points, self.triangulation.triangles
+
     def given(self) -> Mapping[str, Any]:
         """Return the arguments by name, of the triangles a digest."""
         shape = self.triangulation
