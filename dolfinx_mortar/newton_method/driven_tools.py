@@ -285,7 +285,8 @@ def settle(
     B: Floats = np.diag(diagonal) if stiffness is None else stiffness
     noise = drives.noise(lin.balance)
     shrink, far = 1.0, 0.0
-    for _ in range(LIMIT):  # of one unknown it takes 3 to 8 QPs
+    secants = len(diagonal) == 1 and not drives.follows.all()
+    for _ in range(LIMIT):  # with secants it takes 3 to 8 QPs
         lost = noise + drives.noise_of_step(lin, here.solved)
         if (np.abs(here.missing) <= rtol * here.size + lost).all():
             return Settled(here.lin, here.solved, here.travel, B, drives)
@@ -293,7 +294,7 @@ def settle(
             lasts = drives.follows.all() and here.far(diagonal) < PROBE * far
             far = here.far(diagonal)
             # the nodes that touch change, and B with them
-            if shrink == 1.0 and len(diagonal) > 1 and not lasts:
+            if shrink == 1.0 and not (secants or lasts):
                 B = _measured(drives, here, solve, lin, diagonal)
             way = np.asarray(shrink * np.linalg.solve(B, here.missing), dtype=np.float64)
         else:
@@ -307,7 +308,7 @@ def settle(
         solved = solve(at)
         there = _Try(at, solved, q, *drives.carried(at, solved, q))
         gain = here.missing @ way  # none towards a saddle point, of sides that forces turn
-        if here.touches and there.touches and len(diagonal) == 1:
+        if here.touches and there.touches and secants:
             slope = (here.missing - there.missing) / way
             B = np.diag(slope) if slope[0] > 0.0 else B
         if here.touches and gain > 0.0 and there.missing @ way < -OVERSHOOT * gain:
@@ -356,10 +357,14 @@ def _unresisted(drives: Drives, which: Floats) -> str:
     unknowns = [(name, owner) for owner, tool in drives.tools for name in tool.names]
     k = int(np.argmax(which))
     name, owner = unknowns[k]
+    remedy = (
+        "hold the body against it"
+        if drives.follows[k]
+        else "it is the force on the tool, which has to press it on the body; turn it round"
+    )
     return (
-        f"nothing resists the load {name!r} = {drives.loads[k]:g} on {owner!r}: it is the "
-        "force on the tool, which has to press it on the body; turn it round, or prescribe the "
-        "position"
+        f"nothing resists the load {name!r} = {drives.loads[k]:g} on {owner!r}: {remedy}, or "
+        "prescribe the position"
     )
 
 
