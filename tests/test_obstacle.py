@@ -9,8 +9,11 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar.interfaces import obstacle as obstacle_module
+from tests.ball_case import STEEL as STEEL_3D
+from tests.ball_case import create_mesh, create_problem
 from tests.pressed_blocks import PressedBlocks, rejected
 from tests.tool_case import DEPTH, ELASTIC, NU, TOP, Block, E, R, fit
+from tests.triangles_case import ball
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi
@@ -181,6 +184,60 @@ def test_as_a_meshed_body_a_million_times_stiffer():
     assert rigid.pressure.x.array == pytest.approx(pressure, rel=1e-4, abs=1e-5)
     traction = meshed.traction.x.array
     assert rigid.traction.x.array == pytest.approx(traction, rel=1e-4, abs=1e-5)
+
+
+@pytest.mark.serial
+@pytest.mark.slow
+def test_as_a_meshed_disc_a_million_times_stiffer():
+    """A curved one: force and peak to 1e-4 with parabolic facets, whose arcs are nearly round."""
+    tagged = dm.meshing.hertz(COMM, kind="graded", h=0.1, half=True)
+    facets, found = tagged.facet_tags, []
+    V = fem.functionspace(tagged.mesh, ("Lagrange", 2, (2,)))
+    disc = dm.shapes.Cylinder([0.0, R], R)
+    for contact in (
+        dm.Contact(facets, slave="top", master="arc"),
+        dm.Obstacle(facets, slave="top", shape=disc),
+    ):
+        if isinstance(contact, dm.Obstacle):
+            contact.position.value[1] -= 0.05
+        laws = {"block": ELASTIC, "disc": dm.Elastic(1e6 * E, NU)}
+        values = ("bottom", np.zeros(2)), ("flat", np.array([0.0, -0.05]))
+        bcs = [
+            fem.dirichletbc(
+                value, fem.locate_dofs_topological(V, 1, facets.find(facets.names[name])), V
+            )
+            for name, value in values
+        ]
+        axis = fem.locate_dofs_topological(V.sub(0), 1, facets.find(facets.names["axis"]))
+        bcs.append(fem.dirichletbc(0.0, axis, V.sub(0)))
+        solid = dm.Solid(fem.Function(V), laws, tagged.cell_tags)
+        dm.newton(dm.ContactProblem(solid, [contact], bcs=bcs), rtol=1e-9)
+        found.append((contact.force[1], contact.pressure.x.array.max()))
+    assert found[1] == pytest.approx(found[0], rel=1e-4)
+
+
+@pytest.mark.serial
+@pytest.mark.slow
+def test_hertz_in_space():
+    """Radius and peak of a ball with four facets across the radius; of its STL file the same."""
+    meshed, _ = create_problem(h=0.15, depth=0.0)
+    tags, centre, forces = create_mesh(0.15, "hexahedron").facet_tags, (0.0, 0.0, 8.0), []
+    shapes = dm.shapes.Sphere(centre, 8.0), dm.shapes.Triangles(ball(4, 8.0, centre))
+    for shape in shapes:
+        meshed.solid.u.x.array[:] = 0.0
+        tool = dm.Obstacle(tags, slave="top", shape=shape)
+        problem = dm.ContactProblem(meshed.solid, [tool], bcs=meshed.bcs)
+        tool.position.value[2] -= 0.05
+        assert dm.newton(problem).newton_iterations <= 4
+        forces.append(4.0 * abs(tool.force[2]))
+    found = tool.gather(problem.u)
+    on = found["active"] > 0.0
+    r = np.hypot(*found["x"][on, :2].T)
+    peak, radius = dm.analytic.fit_pressure(r, found["pressure"][on])
+    exact = dm.analytic.hertz_point(forces[0], 8.0, STEEL_3D.E, STEEL_3D.nu, 1e9 * E, 0.0)
+    assert radius == pytest.approx(exact.contact_radius, rel=0.04)
+    assert peak == pytest.approx(exact.peak_pressure, rel=0.03)
+    assert forces[1] == pytest.approx(forces[0], rel=1e-4)
 
 
 @pytest.mark.serial

@@ -59,26 +59,32 @@ def create_tree(corners: Floats, offsets: Floats) -> tuple[Floats, Longs]:
 
 
 @numba.njit(cache=True)
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    """Return a.b of vectors (3,), without a call of BLAS."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@numba.njit(cache=True)
 def _on_edge(x, p, q, m):  # type: ignore[no-untyped-def]
     """Return t of the nearest point p + t (q - p) + 4 t (1 - t) m, and its distance squared.
 
     Newton's method in [0, 1], from the nearest point of the chord.
     """
     chord = q - p
-    t = min(max((x - p) @ chord / (chord @ chord), 0.0), 1.0)
+    t = min(max(_dot(x - p, chord) / _dot(chord, chord), 0.0), 1.0)
     for _ in range(MOST):
         r = x - p - t * chord - 4.0 * t * (1.0 - t) * m
         slope = chord + 4.0 * (1.0 - 2.0 * t) * m
-        curved = slope @ slope + 8.0 * (r @ m)
+        curved = _dot(slope, slope) + 8.0 * (_dot(r, m))
         if curved <= 0.0:
-            curved = slope @ slope
-        new = min(max(t + (r @ slope) / curved, 0.0), 1.0)
+            curved = _dot(slope, slope)
+        new = min(max(t + (_dot(r, slope)) / curved, 0.0), 1.0)
         done = abs(new - t) <= EPS
         t = new
         if done:
             break
     r = x - p - t * chord - 4.0 * t * (1.0 - t) * m
-    return t, r @ r
+    return t, _dot(r, r)
 
 
 @numba.njit(cache=True)
@@ -89,8 +95,8 @@ def _in_face(x, p, m):  # type: ignore[no-untyped-def]
     """
     a, b = p[1] - p[0], p[2] - p[0]
     r = x - p[0]
-    aa, ab, bb = a @ a, a @ b, b @ b
-    ra, rb = r @ a, r @ b
+    aa, ab, bb = _dot(a, a), _dot(a, b), _dot(b, b)
+    ra, rb = _dot(r, a), _dot(r, b)
     det = aa * bb - ab * ab
     s, t = (bb * ra - ab * rb) / det, (aa * rb - ab * ra) / det
     mss, mtt, mst = -8.0 * m[0], -8.0 * m[2], 4.0 * (m[1] - m[0] - m[2])
@@ -102,8 +108,12 @@ def _in_face(x, p, m):  # type: ignore[no-untyped-def]
         r = r - 4.0 * (o * s * m[0] + s * t * m[1] + t * o * m[2])
         js = a + 4.0 * ((o - s) * m[0] + t * (m[1] - m[2]))
         jt = b + 4.0 * (s * (m[1] - m[0]) + (o - t) * m[2])
-        gs, gt = r @ js, r @ jt
-        aa, ab, bb = js @ js - r @ mss, js @ jt - r @ mst, jt @ jt - r @ mtt
+        gs, gt = _dot(r, js), _dot(r, jt)
+        aa, ab, bb = (
+            _dot(js, js) - _dot(r, mss),
+            _dot(js, jt) - _dot(r, mst),
+            _dot(jt, jt) - _dot(r, mtt),
+        )
         det = aa * bb - ab * ab
         if aa <= 0.0 or det <= 0.0:  # beyond the centre of curvature
             return s, t, np.inf
@@ -116,7 +126,7 @@ def _in_face(x, p, m):  # type: ignore[no-untyped-def]
     o = 1.0 - s - t
     r = x - o * p[0] - s * p[1] - t * p[2]
     r = r - 4.0 * (o * s * m[0] + s * t * m[1] + t * o * m[2])
-    return s, t, r @ r
+    return s, t, _dot(r, r)
 
 
 @numba.njit(cache=True)
@@ -127,6 +137,25 @@ def _box_distance(x, box):  # type: ignore[no-untyped-def]
         off = max(box[0, i] - x[i], x[i] - box[1, i], 0.0)
         total += off * off
     return total
+
+
+@numba.njit(cache=True)
+def _from_flat(x, p):  # type: ignore[no-untyped-def]
+    """Return the distance of a point from the flat triangle of the corners."""
+    a, b, r = p[1] - p[0], p[2] - p[0], x - p[0]
+    aa, ab, bb, ra, rb = _dot(a, a), _dot(a, b), _dot(b, b), _dot(r, a), _dot(r, b)
+    det = aa * bb - ab * ab
+    s, t = (bb * ra - ab * rb) / det, (aa * rb - ab * ra) / det
+    if s >= 0.0 and t >= 0.0 and s + t <= 1.0:
+        off = r - s * a - t * b
+        return np.sqrt(_dot(off, off))
+    least = np.inf
+    for k in range(3):
+        side, r = p[(k + 1) % 3] - p[k], x - p[k]
+        along = min(max((_dot(r, side)) / (_dot(side, side)), 0.0), 1.0)
+        off = r - along * side
+        least = min(least, _dot(off, off))
+    return np.sqrt(least)
 
 
 @numba.njit(cache=True)
@@ -178,7 +207,12 @@ def find_nearest(points, corners, offsets, boxes, leaves):  # type: ignore[no-un
                 size += 2
                 continue
             j = leaves[box - k]
-            least, place, s, t = _on_triangle(x, corners[j], offsets[j])
+            p, m = corners[j], offsets[j]
+            # 4 sum s_i s_j is at most 4 / 3
+            bulge = np.sqrt(max(_dot(m[0], m[0]), _dot(m[1], m[1]), _dot(m[2], m[2]))) * 4.0 / 3.0
+            if max(_from_flat(x, p) - bulge, 0.0) ** 2 >= best:
+                continue
+            least, place, s, t = _on_triangle(x, p, m)
             if least < best:
                 best, nearest[i], where[i] = least, j, place
                 at[i, 0], at[i, 1] = s, t
