@@ -52,7 +52,8 @@ def warnings_on_neighbours(
         system: the interfaces.
         at: displacement, None for X.
     """
-    if bodies.count == 1:
+    coupled = _coupled(bodies, system)
+    if (coupled | np.eye(bodies.count, dtype=bool)).all():
         return []
     comm = bodies.V.mesh.comm
     facets, cells, _, _ = exterior_facets(bodies.V, at)
@@ -63,7 +64,6 @@ def warnings_on_neighbours(
     skin = Skin(facets, part, np.zeros((len(part), 0), dtype=np.int64))
     found = find_facing(comm, skin, near_others(facets.x, part, boxes))
     found = found[are_near(found, None)]
-    coupled = _coupled(bodies, system)
     nearest: Nearest = {}
     for k in np.argsort(-found.distance, kind="stable"):  # the nearest is the last
         one, other = int(found.part[k].min()), int(found.part[k].max())

@@ -186,12 +186,13 @@ def curvatures(facets: Facets, sagitta: Floats) -> Floats:
     [[[0.25, 0.0], [0.0, 0.0]]]
     """
     e = edges(facets)
-    d = e.shape[2]
+    if e.shape[2] == 2:  # c_ab e e^T / |e|^4
+        t = e[:, 0] / np.maximum((e[:, 0] ** 2).sum(axis=1), TINY)[:, None]
+        return np.asarray(sagitta[:, :, None] * t[:, :, None] * t[:, None])
     n = facet_normals(facets)[:, None]
     B = unit(e[:, :1] - (e[:, :1] * n).sum(axis=2, keepdims=True) * n)
-    if d > 2:
-        B = np.concatenate([B, np.cross(n, B)], axis=1)
-    i, j = np.triu_indices(d - 1)
+    B = np.concatenate([B, np.cross(n, B)], axis=1)
+    i, j = np.triu_indices(2)
     p = np.einsum("mki,mei->mek", B, e)
     p = unit(p) * np.linalg.norm(e, axis=2)[:, :, None]  # on spheres, c_ab is |e|^2 / R
     A = p[:, :, i] * p[:, :, j] * np.where(i == j, 1.0, 2.0)
@@ -199,7 +200,7 @@ def curvatures(facets: Facets, sagitta: Floats) -> Floats:
     size = EPS * np.trace(normal, axis1=1, axis2=2) + TINY  # needles: nothing across them
     normal = normal + size[:, None, None] * np.eye(len(i))
     k = np.linalg.solve(normal, np.einsum("mea,me->ma", A, sagitta)[:, :, None])[:, :, 0]
-    K = np.empty((len(e), d - 1, d - 1))
+    K = np.empty((len(e), 2, 2))
     K[:, i, j] = K[:, j, i] = k
     return np.asarray(np.einsum("mki,mkl,mlj->mij", B, K, B))
 

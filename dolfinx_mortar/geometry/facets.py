@@ -36,10 +36,12 @@ def area_vectors(facets: Facets) -> Floats:
         >>> area_vectors(Facets(QUAD4, x)) + 0.0
         array([[0., 0., 2.]])
     """
+    if facets.x.shape[2] == 2:
+        first, last = facets.element.vertices
+        n = (facets.x[:, last] - facets.x[:, first])[:, ::-1].copy()
+        np.negative(n[:, 1], out=n[:, 1])
+        return n
     x = facets.x[:, facets.element.vertices]
-    if x.shape[2] == 2:
-        t = x[:, 1] - x[:, 0]
-        return np.stack([t[:, 1], -t[:, 0]], axis=1)
     if facets.element.bilinear:
         return np.cross(x[:, 2] - x[:, 0], x[:, 3] - x[:, 1]) / 2
     return np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) / 2

@@ -12,6 +12,7 @@ master's functions are extrapolated beyond their ends. The kernels take the coef
 a + b xi + c xi^2; straight facets have c = 0.
 """
 
+from functools import cache
 from typing import Any
 
 import numba
@@ -188,6 +189,17 @@ def _polynomials(element: FacetElement, v: Floats) -> Floats:
     return np.ascontiguousarray(np.stack([b, (c - a) / 2, square], axis=1))
 
 
+@cache
+def gauss_points(n: int) -> tuple[Floats, Floats]:
+    """Return n Gauss points on [-1, 1] and their weights, sum 2; nobody may change them.
+
+    >>> gauss_points(1)[0].tolist(), gauss_points(1)[1].tolist()
+    ([0.0], [2.0])
+    """
+    points, weights = np.polynomial.legendre.leggauss(n)  # .5 ms: eigenvalues of a matrix
+    return points, weights
+
+
 def place_points(
     slave: Facets, n_s: Floats, master: Facets, pairs: Ints, deepest: Floats
 ) -> tuple[npt.NDArray[Any], Floats, Floats, Floats]:
@@ -211,6 +223,6 @@ def place_points(
     corners = np.ascontiguousarray(master.x[:, master.element.vertices])
     which, ends = _clip(x_s, n, x_m, corners, pairs, deepest)
     degree = max(slave.element.degree, master.element.degree)
-    points, weights = np.polynomial.legendre.leggauss(2 * degree + 1)
+    points, weights = gauss_points(2 * degree + 1)
     xi_s, xi_m, weight = _place(x_s, n, x_m, pairs, which, ends, points, weights)
     return np.repeat(which, len(points)), xi_s[:, None], xi_m[:, None], weight

@@ -23,6 +23,7 @@ import numpy as np
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
+from dolfinx_mortar.geometry.line import gauss_points
 from dolfinx_mortar.geometry.segments import Segments
 
 SNAP = 1e-9
@@ -96,7 +97,7 @@ def differentiate_points(
         log_slope: (ln f)' (q,) of the factor of the weights, by xi_s.
     """
     degree = max(slave.element.degree, master.element.degree)
-    t = np.polynomial.legendre.leggauss(2 * degree + 1)[0]
+    t = gauss_points(2 * degree + 1)[0]
     first = slice(None, None, len(t))
     s, m, xi = segments.slave, segments.master, segments.xi_s[:, 0]
     grouped = xi.reshape(-1, len(t))

@@ -229,6 +229,9 @@ def find_curved(
 
 
 def _curved(side: SmoothSide, moved: Facets, which: Ints) -> Curved:
+    if moved.x.shape[2] == 2:  # cheaper than to find out which are the same
+        facets, sagitta = moved[which], side.sagitta[which]
+        return Curved(facets, sagitta, curvatures(facets, sagitta))
     once, again = np.unique(which, return_inverse=True)  # a facet is in several pairs
     facets, sagitta = moved[once.astype(np.int32)], side.sagitta[once]
     K = curvatures(facets, sagitta)

@@ -55,7 +55,7 @@ def interface_unknowns(K: PETSc.Mat, C: PETSc.Mat | None, options: SolverOptions
     """Return the unknowns of C, if (I + C)^T K (I + C) need not be formed; see `set_apart`."""
     if C is None or C.comm.size > 1:
         return None
-    start, columns, _ = csr_of(C)
+    start, columns = C.getRowIJ()
     on = np.diff(start) > 0
     on[columns] = True
     return _few(K, np.flatnonzero(on).astype(np.int32), options, 2)
