@@ -214,25 +214,33 @@ def assert_solved(A, decoupled, scale, held, b, x) -> None:
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize("d", [1, 2], ids=["rows refer to rows", "nodes to themselves"])
 @pytest.mark.parametrize("held_by", [0.0, 1.0], ids=["by contact alone", "by supports"])
-def test_one_factorisation_serves_all_products(held_by: float) -> None:
+def test_one_factorisation_serves_all_products(held_by: float, d: int) -> None:
     """Of (I + C)^T K (I + C), for any C on the same unknowns, some of which are decoupled.
 
-    Against dense algebra; without supports K is singular, and so is its Schur complement.
+    Against dense algebra; without supports K is singular, and so is its Schur complement. The rows
+    of C refer to each other, or only to those of the same node.
     """
     line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(20, 20)).toarray()
     line[0, 0] = line[-1, -1] = 1.0 + held_by
     K = from_arrays(line, *np.zeros((3, 20)), COMM_SELF).A
     product, linear = CongruentOperator(K), LinearSolver(COMM_SELF, prefix="product_")
+    K.setBlockSize(d)
     rng, rows, columns = np.random.default_rng(3), [3, 4, 5], [4, 12, 13]
-    apart, bounded = np.array([3, 4, 5, 12, 13], dtype=np.int32), np.array([3, 5], dtype=np.int32)
+    if d == 2:
+        rows, columns = [2, 3, 4, 5], [2, 3, 4, 5, 12, 13]
+    apart = np.union1d(rows, columns).astype(np.int32)
+    bounded = np.array([3, 5], dtype=np.int32)
     decoupled = np.array([4, 9] if held_by else [4], dtype=np.int32)  # in K 9 alone is fixed
     b, x = K.createVecRight(), K.createVecRight()
     b.array[:] = rng.normal(size=20)
     for held in (bounded, bounded[:1], bounded[1:]):
         dense = np.zeros((20, 20))
-        dense[np.ix_(rows, columns)] = 0.3 * rng.normal(size=(3, 3))
-        C = PETSc.Mat().createAIJ((20, 20), nnz=3, comm=COMM_SELF)
+        dense[np.ix_(rows, columns)] = 0.3 * rng.normal(size=(len(rows), len(columns)))
+        if d == 2:
+            dense[2:4, 4:6] = dense[4:6, 2:4] = 0.0
+        C = PETSc.Mat().createAIJ((20, 20), nnz=len(columns), comm=COMM_SELF)
         C.setValues(rows, columns, dense[np.ix_(rows, columns)])
         C.assemble()
         product.follow(C, decoupled)

@@ -24,7 +24,7 @@ from petsc4py import PETSc
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, lapack, solve_triangular
-from scipy.sparse import csr_array, eye_array
+from scipy.sparse import bsr_array, csc_array, csr_array, eye_array
 from scipy.sparse.linalg import splu
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator, decouple
@@ -78,37 +78,57 @@ class _Change:
 
     Args:
         C: its entries.
+        d: size of the diagonal blocks that 1 + F E has unless sides refer to their own nodes.
     """
 
-    def __init__(self, C: csr_array) -> None:
-        """Factorise 1 + F E."""
+    def __init__(self, C: csr_array, d: int = 1) -> None:
+        """Find (1 + F E)^-1 F."""
         self.C, self.places = C, np.flatnonzero(np.diff(C.indptr))
-        self.F = C[self.places]
-        inner = self.F[:, self.places] + eye_array(self.places.size, format="csr")
-        self._inner = splu(inner.tocsc())
+        self._back = _divided(C[self.places], self.places, d)  # (s, k)
 
     def solve(self, x: Floats) -> Floats:
         """Return T^-1 x (k,)."""
         y = x.copy()
-        y[self.places] -= self._inner.solve(self.F @ x)
+        y[self.places] -= self._back @ x
         return y
 
     def solve_transposed(self, x: Floats) -> Floats:
         """Return T^-T x (k,)."""
-        return np.asarray(x - self.F.T @ self._inner.solve(x[self.places], "T"))
+        return np.asarray(x - self._back.T @ x[self.places])
 
     def inverse_change(self, rows: Ints) -> csr_array:
         """Return some rows (m,) of T^-1 - 1 (m, k)."""
-        on = np.flatnonzero(np.isin(rows, self.places))
-        units = np.zeros((self.places.size, rows.size))
-        units[np.searchsorted(self.places, rows[on]), on] = -1.0
-        return csr_array(self._inner.solve(units, "T").T) @ self.F
+        on = np.isin(rows, self.places)
+        starts = np.concatenate([[0], np.cumsum(on)])
+        which = np.searchsorted(self.places, rows[on])
+        taken = csr_array((-np.ones(which.size), which, starts), (rows.size, self.places.size))
+        return taken @ self._back
 
     def congruent(self, M: Floats, *, transposed: bool = False) -> Floats:
         """Return T M T^T, or T^T M T, for symmetric M (k, k)."""
         C = self.C.T if transposed else self.C
         half = M + C @ M
         return np.asarray(half.T + C @ half.T)
+
+
+def _divided(F: csr_array, places: Ints, d: int) -> csr_array:
+    """Return (1 + F E)^-1 F (s, k) for F (s, k), E being the columns of its rows, the places (s,).
+
+    By d x d blocks where 1 + F E has no others: 282 rows take .5 ms so, and 2.6 ms by LU.
+    """
+    s = places.size
+    position = np.full(F.shape[1], -1, dtype=np.int32)
+    position[places] = np.arange(s)
+    columns, rows = position[F.indices], np.repeat(np.arange(s), np.diff(F.indptr))
+    on = columns >= 0
+    i, j, values = rows[on], columns[on], F.data[on]
+    if s % d == 0 and np.array_equal(i // d, j // d):
+        blocks = np.tile(np.eye(d), (s // d, 1, 1))
+        blocks[i // d, i % d, j % d] += values
+        numbers = np.arange(s // d + 1)
+        return bsr_array((np.linalg.inv(blocks), numbers[:-1], numbers), (s, s)).tocsr() @ F
+    inner = csc_array((values, (i, j)), (s, s)) + eye_array(s, format="csc")
+    return csr_array(splu(inner).solve(F.toarray()))
 
 
 @dataclass(frozen=True)
@@ -229,7 +249,10 @@ class SchurComplement:
             start, columns, values = csr_of(self.product.C)
             places = np.searchsorted(self.unknowns, columns)
             rows = np.append(start[self.unknowns], start[-1])
-            T = _Change(csr_array((values, places, rows), shape=(k, k)))
+            d = self.product.K.getBlockSize()
+            C = csr_array((values, places, rows), shape=(k, k))
+            C.eliminate_zeros()  # half of its pattern, which provides for sliding
+            T = _Change(C, d)
         if self.R is None:
             return _Basis(T, known, nothing, nothing)
         if T is None:
