@@ -50,11 +50,12 @@ class RowsOf:
         rows, K_r = self.including(rows)
         start, columns, values = csr_of(K_r)
         places, others = _others(C, entries, columns)
-        own, more = entries[rows], (others.indptr, others.indices, others.data)
-        terms = _terms((start, columns, values, places), (own.indptr, own.indices, own.data), more)
+        own = np.append(entries.indptr[rows], entries.nnz), entries.indices, entries.data
+        more = others.indptr, others.indices, others.data
+        terms = _terms((start, columns, values, places), own, more)
         change = self.K.createVecRight()
         add = PETSc.InsertMode.ADD_VALUES
-        change.setValues(own.indices.astype(PETSc.IntType), terms, add)
+        change.setValues(entries.indices.astype(PETSc.IntType), terms, add)
         change.assemble()
         return change
 

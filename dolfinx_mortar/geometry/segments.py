@@ -54,7 +54,9 @@ class Segments:
     @property
     def covered(self) -> Ints:
         """Slave facets (c,), ascending, of which some part is covered."""
-        return self.slave[np.diff(self.slave, prepend=-1) > 0]
+        first = np.ones(len(self.slave), dtype=bool)
+        np.not_equal(self.slave[1:], self.slave[:-1], out=first[1:])
+        return self.slave[first]
 
 
 def projection_directions(slave: Facets, n_s: Floats) -> Floats:
