@@ -183,10 +183,12 @@ def _polynomials(element: FacetElement, v: Floats) -> Floats:
     >>> _polynomials(LINE3, np.array([[[0.0, 1.0], [2.0, 1.0], [1.0, 3.0]]])).tolist()
     [[[1.0, 3.0], [1.0, 0.0], [0.0, -2.0]]]
     """
-    N = element.shape_functions(np.array([[-1.0], [0.0], [1.0]]))
-    a, b, c = np.moveaxis(N @ v, 1, 0)
-    square = (a + c) / 2 - b if element.degree > 1 else np.zeros_like(b)
-    return np.ascontiguousarray(np.stack([b, (c - a) / 2, square], axis=1))
+    result = np.zeros((len(v), 3, 2))
+    middle = (v[:, 0] + v[:, 1]) / 2
+    result[:, 0], result[:, 1] = middle, (v[:, 1] - v[:, 0]) / 2
+    if element.degree > 1:
+        result[:, 0], result[:, 2] = v[:, 2], middle - v[:, 2]
+    return result
 
 
 @cache
