@@ -32,7 +32,7 @@ from dolfinx_mortar.mortar.surface import (
     mean_facet_length,
     nodal_normals,
 )
-from dolfinx_mortar.supports.bodies import Bodies, Motion, free_motions
+from dolfinx_mortar.supports.bodies import Bodies, Motion, find_free
 from dolfinx_mortar.supports.dirichlet import Dirichlet
 
 # A slave facet this many times longer than the master's makes the contact pressure coarse.
@@ -135,7 +135,7 @@ def create_audit(
         ValueError: if a body can move rigidly without any resistance.
     """
     links = system.links
-    loose = find_loose_motions(bodies, system, supports, springs)
+    loose, by_contact = find_free_motions(bodies, system, supports, springs)
     if loose:
         reaches = [reach for link in links if (reach := measure_reach(link))]
         raise ValueError(
@@ -149,7 +149,6 @@ def create_audit(
         if link.pairing:
             _check_sides(link, bodies, x, increment)
     found = [_audit(link, x) for link in links]
-    by_contact = find_held_by_contact(bodies, system, supports, springs)
     warnings = list(system.notes)
     if by_contact:
         warnings.append(f"contact alone holds {'; '.join(by_contact)}: the loads must press it on")
@@ -164,32 +163,26 @@ def create_audit(
     return Audit(bodies.count, found, by_contact, warnings)
 
 
-def find_held_by_contact(
+def find_free_motions(
     bodies: Bodies,
     system: InterfaceSystem,
     supports: Dirichlet,
     springs: Callable[[PETSc.Vec], Floats],
-) -> list[str]:
-    """Return the names of the bodies that contact alone holds, see `create_audit`; collective."""
-    if not system.unilateral:
-        return []
-    free = free_motions(bodies, _held_motions(system, supports, springs))
-    return list(dict.fromkeys(motion.partition(" of ")[2] for motion in free))
-
-
-def find_loose_motions(
-    bodies: Bodies,
-    system: InterfaceSystem,
-    supports: Dirichlet,
-    springs: Callable[[PETSc.Vec], Floats],
-) -> list[str]:
-    """Return the names of the rigid motions that nothing resists, see `create_audit`; collective.
+) -> tuple[list[str], list[str]]:
+    """Return what may move rigidly, see `create_audit`; collective.
 
     A tie with a pretension resists all but the overlap of its sides.
+
+    Returns:
+        The names of the rigid motions that nothing resists, and those of the bodies that contact
+        alone holds.
     """
     contacts = [link.constrained_motion for link in system.unilateral]
     facets = [_facet_motion(link) for link in system.unilateral]
-    return free_motions(bodies, _held_motions(system, supports, springs), contacts, facets)
+    held = _held_motions(system, supports, springs)
+    loose, free = find_free(bodies, held, contacts, facets)
+    names = [motion.partition(" of ")[2] for motion in free] if contacts else []
+    return loose, list(dict.fromkeys(names))
 
 
 def _held_motions(

@@ -11,7 +11,6 @@ from dolfinx_mortar.geometry.crossings import near_others
 from dolfinx_mortar.geometry.facets import facet_sizes
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.facing_bodies import Facing, Skin, find_facing
-from dolfinx_mortar.mortar.surface import exterior_facets
 from dolfinx_mortar.supports.bodies import Bodies, name_of
 
 Nearest = dict[tuple[int, int], tuple[float, list[float]]]
@@ -56,8 +55,8 @@ def warnings_on_neighbours(
     if (coupled | np.eye(bodies.count, dtype=bool)).all():
         return []
     comm = bodies.V.mesh.comm
-    facets, cells, _, _ = exterior_facets(bodies.V, at)
-    part = bodies.of_cells[cells].astype(np.int64)
+    facets = system.boundary.at(at)
+    part = bodies.of_cells[system.boundary.cells].astype(np.int64)
     largest = comm.allreduce(float(facet_sizes(facets.x).max(initial=0.0)), op=MPI.MAX)
     boxes = boxes_of(comm, facets.x, part, bodies.count)
     boxes += np.array([-largest, largest])[:, None]

@@ -28,7 +28,7 @@ from dolfinx_mortar.interfaces.mortar_interface import SURFACES
 from dolfinx_mortar.mortar.edges import check_angle
 from dolfinx_mortar.mortar.faces import Faces, find_faces
 from dolfinx_mortar.mortar.facing_bodies import Facing, Skin, find_facing
-from dolfinx_mortar.mortar.surface import exterior_facets
+from dolfinx_mortar.mortar.surface import find_boundary
 from dolfinx_mortar.spaces import check_space
 from dolfinx_mortar.supports.bodies import find_bodies
 from dolfinx_mortar.tags import Tags, check_entities, names_of
@@ -251,9 +251,10 @@ def _find(
     keys = known[:, 0] * count + known[:, 1]
     body_of_cell = np.searchsorted(keys, bodies[:, 0] * count + bodies[:, 1])
 
-    facets, cells, entities, nodes = exterior_facets(V)
+    boundary = find_boundary(V)
+    facets, cells, entities = boundary.facets, boundary.cells, boundary.entities
     body = body_of_cell[cells].astype(np.int64)
-    faces = find_faces(V, facets, nodes, body, feature_angle)
+    faces = find_faces(V, facets, boundary.nodes, body, feature_angle)
     label = np.column_stack([body, faces.of_facets])
     facing = find_facing(comm, Skin(facets, part_of_cell[cells], label))
     sides = _sides(comm, facing[are_near(facing, within)])

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -29,7 +30,7 @@ from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.passing import Middles
-from dolfinx_mortar.mortar.surface import Surface, mean_facet_length
+from dolfinx_mortar.mortar.surface import Boundary, Surface, find_boundary, mean_facet_length
 
 
 @dataclass(frozen=True)
@@ -168,6 +169,11 @@ class InterfaceSystem:
             (sides.slave, sides.master) if interface.unilateral and sides.master else None
             for interface, sides in zip(self.interfaces, self.sides, strict=True)
         ]
+
+    @cached_property
+    def boundary(self) -> Boundary:
+        """All exterior facets of this rank, of systems with a surface."""
+        return find_boundary(self.V)
 
     @property
     def tied(self) -> list[tuple[Bools, Bools]]:

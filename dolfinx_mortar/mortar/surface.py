@@ -246,8 +246,8 @@ def _thickness(facets: Facets, V: dolfinx.fem.FunctionSpace) -> Floats:
     unknown = np.isinf(result)
     around, partly = any_rank(V.mesh.comm, (~unknown).any(), unknown.any())
     if around and partly:
-        surface, *_ = exterior_facets(V)
-        result[unknown] = thickness_behind(facets[unknown], surface, V.mesh.comm)
+        everything = find_boundary(V).facets
+        result[unknown] = thickness_behind(facets[unknown], everything, V.mesh.comm)
     return result
 
 
@@ -262,23 +262,30 @@ def thickness_behind(facets: Facets, others: Facets, comm: MPI.Intracomm) -> Flo
     return thickness(facets, others)
 
 
-def exterior_facets(
-    V: dolfinx.fem.FunctionSpace, u: dolfinx.fem.Function | None = None
-) -> tuple[Facets, Ints, Ints, Ints]:
-    """Return all exterior facets (m,) at X + u that this rank integrates.
+@dataclass(frozen=True, eq=False)
+class Boundary:
+    """All exterior facets of a mesh that this rank integrates, at X."""
 
-    Once a surface exists: that has made the connectivities.
+    facets: Facets  # (m,)
+    cells: Ints  # (m,) the owned cells behind them
+    entities: Ints  # (m,) their numbers in the mesh
+    nodes: Ints  # (m, k) local nodes
 
-    Returns:
-        The facets, their owned cells (m,), their numbers (m,) in the mesh, and their local nodes
-        (m, k).
-    """
+    def at(self, u: dolfinx.fem.Function | None) -> Facets:
+        """Return the facets at X + u."""
+        if u is None:
+            return self.facets
+        X = self.facets.x
+        return Facets(self.facets.element, X + u.x.array.reshape(-1, X.shape[2])[self.nodes])
+
+
+def find_boundary(V: dolfinx.fem.FunctionSpace) -> Boundary:
+    """Return all exterior facets, once a surface exists: that has made the connectivities."""
     entities = dolfinx.mesh.exterior_facet_indices(V.mesh.topology)
     nodes, cells = _facet_nodes(V, entities)
     X = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
     nodes = _order_outwards(X, nodes, cells, V)
-    x = X[nodes] if u is None else X[nodes] + u.x.array.reshape(-1, X.shape[1])[nodes]
-    return Facets(_element(V), x), cells, entities, nodes
+    return Boundary(Facets(_element(V), X[nodes]), cells, entities, nodes)
 
 
 def cells_of(surface: Surface) -> Ints:

@@ -3,7 +3,7 @@
 
 from dolfinx import fem
 from dolfinx_mortar.mortar.passing import Middles, find_middles, find_passed, is_far
-from dolfinx_mortar.mortar.surface import cells_of, exterior_facets
+from dolfinx_mortar.mortar.surface import cells_of
 from dolfinx_mortar.problem.problem import ContactProblem
 
 
@@ -43,10 +43,11 @@ def _find_middles(problem: ContactProblem) -> list[tuple[Middles, Middles] | Non
         return [None] * len(problem.interfaces)
     body_of = problem.bodies.of_cells
     found: list[tuple[Middles, Middles] | None] = []
-    skin, cells, *_ = exterior_facets(problem.V)
+    boundary = problem.system.boundary
     for surfaces in problem.system.opposite:
         parts = [
-            find_middles(s, body_of[cells_of(s)], skin, body_of[cells]) for s in surfaces or ()
+            find_middles(s, body_of[cells_of(s)], boundary.facets, body_of[boundary.cells])
+            for s in surfaces or ()
         ]
         found.append((parts[0], parts[1]) if parts else None)
     return found

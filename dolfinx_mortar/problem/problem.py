@@ -22,7 +22,7 @@ from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import Bools, Floats
-from dolfinx_mortar.audit.audit import Audit, create_audit, find_held_by_contact, find_loose_motions
+from dolfinx_mortar.audit.audit import Audit, create_audit, find_free_motions
 from dolfinx_mortar.audit.mesh_audit import check_mesh
 from dolfinx_mortar.interfaces.interface import Interface, ask, check_owned
 from dolfinx_mortar.interfaces.pretension import Pretension
@@ -410,12 +410,12 @@ class ContactProblem:
         The overlaps of ties with a pretension are free.
         """
         springs = self._resistance_of_potential()
-        return find_loose_motions(self.bodies, self.system, self.supports, springs)
+        return find_free_motions(self.bodies, self.system, self.supports, springs)[0]
 
     def held_by_contact(self) -> list[str]:
         """Return the names of the bodies that contact alone holds at present; collective."""
         springs = self._resistance_of_potential()
-        return find_held_by_contact(self.bodies, self.system, self.supports, springs)
+        return find_free_motions(self.bodies, self.system, self.supports, springs)[1]
 
     def _resistance_of_potential(self) -> Callable[[PETSc.Vec], Floats]:
         """Return the function v -> forces of the terms against v over the norm of their tangent."""

@@ -18,7 +18,6 @@ from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.mortar.surface import (
     cells_of,
     coordinates,
-    exterior_facets,
     facets_at,
     nodal_sagittas,
 )
@@ -139,14 +138,15 @@ def _point(x: Floats) -> str:
 
 def _create_skin(problem: ContactProblem) -> _Skin:
     """Return the exterior facets of this rank that the box of another body meets; collective."""
-    facets, cells, entities, nodes = exterior_facets(problem.V, problem.u)
-    body = problem.bodies.of_cells[cells].astype(np.int64)
+    boundary = problem.system.boundary
+    facets, nodes = boundary.at(problem.u), boundary.nodes
+    body = problem.bodies.of_cells[boundary.cells].astype(np.int64)
     sides = np.zeros((len(body), 2, len(problem.system.sides)), dtype=bool)
     sagittas = la.vector(problem.V.dofmap.index_map)
     sagittas.array[:] = 0.0
     for k, interface in enumerate(problem.system.sides):
         for j, surface in enumerate(interface.surfaces):
-            sides[:, j, k] = np.isin(entities, surface.entities)
+            sides[:, j, k] = np.isin(boundary.entities, surface.entities)
             own = surface.nodes[: surface.owned]
             found = nodal_sagittas(surface, coordinates(surface, problem.u))[: surface.owned]
             sagittas.array[own] = np.maximum(sagittas.array[own], found)

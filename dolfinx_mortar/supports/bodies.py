@@ -27,6 +27,7 @@ from dolfinx_mortar.arrays import (
 from dolfinx_mortar.solid.kinematics import translations_and_rotations
 
 Motion = Callable[[PETSc.Vec], Floats]
+Modes = list[tuple[int, str, PETSc.Vec]]
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Bodies:
     motions: Callable[[Floats], dict[str, Floats]] = translations_and_rotations  # see `Kinematics`
     group: Ints | None = None  # (count,) a number that tied bodies have in common
 
-    def rigid_modes(self) -> list[tuple[int, str, PETSc.Vec]]:
+    def rigid_modes(self) -> Modes:
         """Return (body, name, displacement) of every rigid motion, rotations scaled by 1/radius."""
         d = self.V.dofmap.index_map_bs
         x = self.V.tabulate_dof_coordinates()[: len(self.label), :d]
@@ -218,10 +219,29 @@ def free_motions(
         The motions in the null space by name: of single bodies where possible, then of several
         bodies together, then sums of motions; empty if all is held.
     """
+    return find_free(bodies, constraints, contacts, facets)[0]
+
+
+def find_free(
+    bodies: Bodies,
+    constraints: Sequence[Motion],
+    contacts: Sequence[Motion],
+    facets: Sequence[Motion],
+) -> tuple[list[str], list[str]]:
+    """Return the `free_motions`, and those without the contacts; collective."""
     modes = bodies.rigid_modes()
     if not modes:
-        return []
+        return [], []
     held, touching, uneven = (_gram(bodies, modes, f) for f in (constraints, contacts, facets))
+    none = np.zeros_like(held)
+    with_contacts = _name_free(bodies, modes, held, touching, uneven)
+    return with_contacts, _name_free(bodies, modes, held, none, none)
+
+
+def _name_free(
+    bodies: Bodies, modes: Modes, held: Floats, touching: Floats, uneven: Floats
+) -> list[str]:
+    """Return the names of the modes in the null space of quadratic forms, see `free_motions`."""
     scale = max(float((held + touching).diagonal().max()), np.finfo(float).tiny)
     null = np.eye(len(modes))
     # only of contacts a part is taken off: other constraints do not depend on facets
@@ -243,9 +263,7 @@ def free_motions(
     return found
 
 
-def _gram(
-    bodies: Bodies, modes: list[tuple[int, str, PETSc.Vec]], functions: Sequence[Motion]
-) -> Floats:
+def _gram(bodies: Bodies, modes: Modes, functions: Sequence[Motion]) -> Floats:
     """Return the sums (modes, modes) of f(v_a).f(v_b) over linear functions f; collective."""
     rows = np.zeros((0, len(modes)))
     if functions:
