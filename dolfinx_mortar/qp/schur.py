@@ -83,7 +83,7 @@ class _Change:
 
     def __init__(self, C: csr_array, d: int = 1) -> None:
         """Find (1 + F E)^-1 F."""
-        self.C, self.places = C, np.flatnonzero(np.diff(C.indptr))
+        self.C, self.places = C, np.flatnonzero(np.diff(C.indptr)).astype(np.int32)
         self._back = _divided(C[self.places], self.places, d)  # (s, k)
 
     def solve(self, x: Floats) -> Floats:
