@@ -207,6 +207,23 @@ def test_the_work_of_a_support_that_moves():
     assert ledger.supports == pytest.approx(0.02**2 * 0.1 * 0.5, rel=0.04)
 
 
+@pytest.mark.parametrize("by", ["ramp", "on_time"])
+def test_the_first_acceleration_is_that_of_the_loads_at_the_start(by):
+    """A force that grows from zero with time: after a step of 1 the velocity is (0 + 1) / 2."""
+    bar = Bar()
+    bar.u.x.array[:] = 0.0
+    force = fem.Constant(bar.mesh, 0.0)
+    load = force * ufl.TestFunction(bar.V)[0] * ufl.dx
+    problem = dm.ContactProblem(bar.solid, bcs=bar.bcs[:1], loads=load, terms=[bar.inertia])
+
+    def grow(time):
+        force.value = time
+
+    options = {"ramp": {force: [(0.0, 0.0), (1.0, 1.0)]}, "on_time": grow}
+    walk(problem, [1.0], **{by: options[by]})
+    assert np.allclose(bar.inertia.values("velocity"), [0.5, 0.0], atol=1e-9)
+
+
 def test_what_the_numbers_of_the_mass_are_for(monkeypatch):
     """Three layers of inner nodes: the middle one would have no mass; one step is not enough."""
 

@@ -130,12 +130,14 @@ def find_pairs(
             refuses; a mesh that is one connected body; and if there is no pair, with the distance
             of the nearest bodies.
     """
-    _check(mesh, cell_tags, within, surface)
-    check_angle(feature_angle)
-    create_law(friction, tresca)
+    if not isinstance(mesh, Mesh):
+        raise ValueError(f"mesh is {mesh!r}: give a dolfinx.mesh.Mesh of all bodies")
     given = {"within": within, "surface": surface, "feature_angle": feature_angle}
     options = {"friction": friction, "tresca": tresca, "show": show}
     check_same_on_all_ranks(mesh.comm, cell_tags=cell_tags, **given, **options)
+    _check(mesh, cell_tags, within, surface)
+    check_angle(feature_angle)
+    create_law(friction, tresca)
     with raised_together(mesh.comm):
         tag_of_cell = _tags_of_cells(mesh, cell_tags)
     check_mesh(mesh)
@@ -148,10 +150,8 @@ def find_pairs(
     return pairs
 
 
-def _check(mesh: Any, cell_tags: Any, within: Any, surface: Any) -> None:
-    """Raise a ValueError for arguments that are wrong; without communication."""
-    if not isinstance(mesh, Mesh):
-        raise ValueError(f"mesh is {mesh!r}: give a dolfinx.mesh.Mesh of all bodies")
+def _check(mesh: Mesh, cell_tags: Any, within: Any, surface: Any) -> None:
+    """Raise a ValueError for arguments that are wrong, the same on all ranks; collective."""
     kinds = compat.cell_kinds(mesh)
     if len(kinds) > 1:
         raise ValueError(

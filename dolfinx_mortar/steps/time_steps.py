@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy.typing as npt
@@ -29,6 +29,7 @@ class TimeSolves(Solves):
     """How steps of time are solved: with a ledger, of which the first step makes the beginning."""
 
     conserve: bool = True
+    loading: Loading = field(default_factory=lambda: Loading([], None))
     ledger: EnergyLedger | None = None
     name: ClassVar[str] = "time step"
 
@@ -39,7 +40,10 @@ class TimeSolves(Solves):
             self.ledger = EnergyLedger(self.problem, inertia, conserve=self.conserve)
             begun = any(step.report.ledger is not None for step in self.problem.history[-1:])
             if not begun:
-                self.ledger.start(self.problem.committed.level, level.time)
+                begin = self.problem.committed.level
+                self.loading.set(self.problem, begin)
+                self.ledger.start(begin, level.time)
+                self.loading.set(self.problem, level.time)
         self.ledger.open()
         return super().to(level)
 
@@ -129,7 +133,7 @@ def time_steps(
     file = check_every(problem.comm, checkpoint, every)
     inertia.scheme = found
     yield from walk(
-        TimeSolves(problem, qp, rtol, max_it, conserve=scheme == CONSERVING),
+        TimeSolves(problem, qp, rtol, max_it, conserve=scheme == CONSERVING, loading=loading),
         levels,
         loading,
         begin,
