@@ -29,6 +29,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import ROUND_OFF, SAME, Bools, Floats, Ints
+from dolfinx_mortar.interfaces.coupled_sides import relative_motions
 from dolfinx_mortar.interfaces.driven import Driven
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.link import Link
@@ -205,7 +206,8 @@ class _Try:
 def find_drives(problem: ContactProblem) -> Drives | None:
     """Return the motions of the tools that forces drive, in the present geometry; None for none.
 
-    Without communication.
+    A contact node stands for a part of the side, on which tool and forces act: its motion is the
+    mean of those there, sum_l D_jl e_l / D_jj, which is e_j where D is diagonal; collective.
     """
     parts: list[tuple[Link, Driven]] = []
     for link in problem.system.links:
@@ -222,6 +224,8 @@ def find_drives(problem: ContactProblem) -> Drives | None:
         rows = []
         for (link, tool), q in zip(parts, np.split(travel, ends), strict=True):
             ways = tool.motions(x[link.nodes], problem.X[link.nodes], q)
+            if not tool.holds:
+                ways = np.array([_mean(problem, link, way) for way in ways])
             in_frames = np.einsum("nij,mni->mnj", link.coupling.R, ways) * link.constrained
             e = np.zeros((len(q), problem.n, problem.d))
             e[:, link.nodes] = in_frames
@@ -255,6 +259,13 @@ def _unknowns(link: Link, d: int) -> Ints:
     """Return the owned unknowns of y that a link constrains."""
     node, axis = np.nonzero(link.constrained)
     return (d * link.nodes[node] + axis).astype(np.int32)
+
+
+def _mean(problem: ContactProblem, link: Link, motion: Floats) -> Floats:
+    """Return sum_l D_jl e_l / D_jj (n, d) of a motion (n, d) at the slave nodes; collective."""
+    e = problem.vector()
+    e.array.reshape(problem.n, problem.d)[link.nodes] = motion
+    return np.asarray(relative_motions(link, e)[0])
 
 
 def settle(
