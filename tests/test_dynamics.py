@@ -318,12 +318,20 @@ def test_no_time_to_move_in(bar):
     with rejected("Inertia", "time_steps", "level="):
         dm.newton(problem)
     assert np.array_equal(bar.u.x.array, before)
-    with rejected("Inertia", "time_steps"):
+    with rejected("Inertia", "dm.time_steps"):
         next(dm.load_steps(problem, [0.1]))
     with rejected("times", "increase"):
         next(dm.time_steps(problem, [0.0, 0.1]))
     with rejected("times", "0.1 after 0.2"):
         next(dm.time_steps(problem, [0.2, 0.1]))
+
+
+def test_the_mass_is_that_of_the_problem_made_last():
+    """Where nodes have no mass depends on the contacts: a problem without any has it everywhere."""
+    case = Blocks(velocity=(0.0, -1.0))
+    dm.ContactProblem(case.solid, terms=[case.inertia])
+    with rejected("problem made later", "other contacts", "make an Inertia for each"):
+        next(dm.time_steps(case.problem, [0.1]))
 
 
 def test_schemes_that_are_none(bar):

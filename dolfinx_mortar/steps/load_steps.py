@@ -82,9 +82,9 @@ def load_steps(
         One ``LoadStep`` for every remaining entry of ``times``.
 
     Raises:
-        ValueError: for invalid arguments, a problem with `Inertia`, a checkpoint of another problem
-            or with other levels, truncated or of another version, and if a second run starts before
-            this one ends; on all ranks.
+        ValueError: for invalid arguments, for a problem with `Inertia`, for a checkpoint of another
+            problem or with other levels, truncated or of another version, and if a second run
+            starts before this one ends; on all ranks.
         OSError: if a checkpoint cannot be written or read, on all ranks; after a step that has
             failed, the error of the step is its ``__context__``.
         NewtonNotConverged: if the smallest step fails, too. Steps yielded before are committed, and
@@ -93,11 +93,10 @@ def load_steps(
     check_problem(problem, ContactProblem)
     check_same_on_all_ranks(problem.comm, on_time=on_time)
     levels = check_load_steps(times, start, max_cuts, cuts, problem.comm)
-    moving = [name for name, term in problem.terms.named if isinstance(term, Inertia)]
-    if moving:
+    if any(isinstance(term, Inertia) for _, term in problem.terms.named):
         raise ValueError(
-            f"problem has {moving[0]} among its terms, and load steps are in equilibrium: walk "
-            "with dm.time_steps(problem, times), or leave it out"
+            "problem has an Inertia among its terms, which would move the bodies from level to "
+            "level as if these were times: walk with dm.time_steps(problem, times), or leave it out"
         )
     loading = Loading(read_ramps(problem.comm, ramp), on_time)
     if on_time is not None and not callable(on_time):

@@ -176,10 +176,10 @@ def check_increasing(begin: float, levels: list[float]) -> None:
 
 
 def find_inertia(problem: ContactProblem) -> list[Inertia]:
-    """Return the inertia of a problem, in a list.
+    """Return the inertia of a problem, in a list; collective.
 
     Raises:
-        ValueError: unless there is one.
+        ValueError: unless there is one, of its solid and with the mass for its contacts.
     """
     found = [term for _, term in problem.terms.named if isinstance(term, Inertia)]
     if len(found) != 1:
@@ -195,4 +195,5 @@ def find_inertia(problem: ContactProblem) -> list[Inertia]:
     for name, term in problem.terms.named:
         if isinstance(term, Damping) and term.inertia is not inertia:
             raise ValueError(f"problem: {name} is that of another Inertia: make it with this one")
+    inertia.check_met(problem.system.can_open[: problem.n], problem.bodies.label)
     return found

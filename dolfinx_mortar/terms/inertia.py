@@ -171,6 +171,7 @@ class Inertia(Term):
         self._start: Start | None = None
         self._end: Motion | None = None
         self._added: tuple[int, float] | None = None  # the last matrix, and its factor of M
+        self._met: tuple[Bools, Ints] | None = None  # what the mass was made for
 
     # -- the state -------------------------------------------------------------------------------
 
@@ -210,6 +211,19 @@ class Inertia(Term):
         """Take the mass off the nodes of contacts; collective."""
         self.mass = relieve(self.plain, contact, body)
         self.couplings = self.mass.couplings(self.plain.matrix)
+        self._added, self._met = None, (contact.copy(), body.copy())
+
+    def check_met(self, contact: Bools, body: Ints) -> None:
+        """Raise a ValueError on all ranks if a problem made later has other contacts; collective.
+
+        The arguments are those of `meet`.
+        """
+        same = self._met is not None and all(map(np.array_equal, self._met, (contact, body)))
+        if any_rank(self.comm, not same)[0]:
+            raise ValueError(
+                "problem: a problem made later, with other contacts or ties, has taken its Inertia,"
+                " whose mass is now for those: make an Inertia for each, or this problem last"
+            )
 
     def begin(self, start: float, end: float) -> None:
         """Prepare a step from one time to another.
