@@ -138,7 +138,7 @@ def test_it_opens_and_slides():
 class Lifted(Plane):
     """A plane that a force along its normal lifts: what `driven` promises, it is itself."""
 
-    names, load, moved_by_loads = ("lift",), 0.0, True
+    names, load, moved_by_loads, holds = ("lift",), 0.0, True, False
 
     def driven(self):
         return self
@@ -146,7 +146,7 @@ class Lifted(Plane):
     def loads(self):
         return np.array([self.load])
 
-    def motions(self, x):
+    def motions(self, x, X, moved):
         return np.broadcast_to(self.normal, (1, *x.shape))
 
     def move(self, amounts):
