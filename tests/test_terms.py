@@ -439,3 +439,18 @@ def test_without_energy_steps_are_whole(guide):
     report = dm.newton(problem, rtol=1e-10)
     assert all(i.line_search_steps == 0 for i in report.iterations)
     assert np.isclose(-bar.bottom(), (E * 0.3 + 25.0) / (E + 250.0), rtol=1e-10)
+
+
+def test_a_tangent_that_varies_on_one_rank_is_assembled_by_all():
+    """Otherwise that one would wait for the others in the assembly."""
+
+    class Spring(dm.WeakForm):
+        """Tells on the last rank alone that its tangent is another."""
+
+        def varies(self, K):
+            return COMM.rank == COMM.size - 1
+
+    bar = Bar()
+    problem = bar.problem(Spring(bar.solid, energy=0.5 * bar.u[1] ** 2 * bar.ds))
+    assert problem.terms.linear and not problem.solid.varying
+    assert problem.terms.vary(problem.K)

@@ -82,18 +82,26 @@ class Terms:
         return all(term.linear for term in self.every)
 
     def vary(self, K: PETSc.Mat) -> bool:
-        """Tell whether the tangent may be another than a matrix holds even so; at the start."""
-        return self.solid.varying or any(t.varies(K) for _, t in self.named if t.has_tangent)
+        """Tell whether the tangent may be another than a matrix holds even so, on some rank.
+
+        Asked at the start of a step; collective.
+        """
+        found = [self._ask(f"{n}: varies()", t, partial(t.varies, K)) for n, t in self._stiff]
+        return bool(any_rank(self.comm, self.solid.varying or any(found))[0])
+
+    @property
+    def _stiff(self) -> list[tuple[str, Term]]:
+        return [(name, term) for name, term in self.named if term.has_tangent]
 
     @property
     def have_tangent(self) -> bool:
         """Whether there is more than bodies and dead forces."""
-        return any(term.has_tangent for _, term in self.named)
+        return bool(self._stiff)
 
     @property
     def convex(self) -> bool:
         """Whether the tangent of all terms but the bodies is positive semidefinite."""
-        return all(term.convex for _, term in self.named if term.has_tangent)
+        return all(term.convex for _, term in self._stiff)
 
     # -- sums ------------------------------------------------------------------------------------
 
