@@ -101,7 +101,8 @@ def solve(law: str, equation: Equation, shape: tuple[int, int], *, finite: bool 
     raise ValueError(
         f"{law}: in plane stress, no strain out of the plane was found that leaves no stress there "
         f"around {len(rows)} points after {MOST_ITERATIONS} iterations; check the law with "
-        "dolfinx_mortar.materials.check(law, plane_stress=True), or take smaller steps"
+        f"dolfinx_mortar.materials.check(law{'' if finite else ', plane_stress=True'}), or take "
+        "smaller steps"
     )
 
 

@@ -116,7 +116,7 @@ class Solid(Term):
                 the volume ratio is then linear in quadrilaterals and hexahedra, see `mean_volume`.
             strain: "small", or "finite" for bodies that turn or strain by more than a few percent:
                 laws see the deformation gradient F = I + grad u, the weak form is int P : dF[v].
-                Without eigenstrain; in plane stress for laws of F.
+                Without eigenstrain.
             energies: whether the end of each step evaluates what is stored and dissipated, for
                 `energies`, and as the fields "stored_energy" and "dissipated_energy". All laws need
                 a potential.
