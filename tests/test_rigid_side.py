@@ -183,6 +183,41 @@ def test_newton_is_quadratic_with_forces_on_a_turned_side(monkeypatch):
     assert counts[0] + 5 < counts[1]
 
 
+@pytest.mark.parametrize("law", [dm.Elastic(E, 0.0), RUBBER])
+def test_unloading(law):
+    """Without a load the bar is straight again, and the forces at the start are the scale."""
+    moment = fem.Constant(Bar().V.mesh, 0.0)
+    strain = "small" if isinstance(law, dm.Elastic) else "finite"
+    case = Bar(law, strain=strain, load={"x": 0.0, "y": 0.0, "moment": moment})
+    for value in (1.5, 0.0, 0.0):
+        moment.value = value
+        assert dm.newton(case.problem).newton_iterations <= 4
+        case.problem.commit()
+        assert case.side.reference_moment[2] == pytest.approx(value, abs=1e-5)
+    assert np.abs(case.side.travel).max() < 1e-6
+
+
+@pytest.mark.serial
+@pytest.mark.slow
+def test_bent_and_twisted_at_once_in_space():
+    """Rotation vectors of two axes: Newton's rate, and moments about the turned point."""
+    corners = [[-0.5, -0.5, 0.0], [0.5, 0.5, 4.0]]
+    domain = mesh.create_box(COMM, corners, (2, 2, 6), mesh.CellType.hexahedron)
+    tags = tagged(domain, 4.0)
+    V = fem.functionspace(domain, ("Lagrange", 1, (3,)))
+    names = ("x", "y", "z", "moment x", "moment y", "moment z")
+    load = dict(zip(names, (0.0, 0.0, 0.0, 3.0, 0.0, 5.0), strict=True))
+    side = dm.RigidSide(tags, END, reference=(0.0, 0.0, 4.0), load=load)
+    at = fem.locate_dofs_topological(V, 2, tags.find(FIXED))
+    solid = dm.Solid(fem.Function(V), dm.NeoHooke(E, 0.3), strain="finite")
+    problem = dm.ContactProblem(solid, [side], bcs=[fem.dirichletbc(np.zeros(3), at, V)])
+    report = dm.newton(problem, rtol=1e-10)
+    assert side.reference_moment == pytest.approx([3.0, 0.0, 5.0], abs=1e-8)
+    assert side.force == pytest.approx(np.zeros(3), abs=1e-8) and side.travel[5] > 0.3
+    last = [iteration.increment for iteration in report.iterations[-3:]]
+    assert np.log(last[2]) < 1.5 * np.log(last[1]) < 1.5**2 * np.log(last[0]) < 0.0
+
+
 @pytest.mark.mpi
 def test_on_any_ranks():
     """Motions found at finite strain, the same as on one rank to 1e-10."""

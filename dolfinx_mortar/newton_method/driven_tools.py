@@ -112,16 +112,9 @@ class Drives:
     def _arms(self) -> Floats:
         return maximum(self.comm, *np.abs(self.motions).max(axis=1, initial=0.0))
 
-    def noise_of_step(self, lin: Linearisation, solved: QPSolution) -> Floats:
-        """Return the round-off in what a step adds to r^ - K^ y at rigid sides (m,); collective.
-
-        In the first one bodies are not strained before it.
-        """
-        if not self.follows.any():
-            return np.zeros(len(self.loads))
-        strained = lin.diagonal.duplicate()
-        strained.pointwiseMult(lin.diagonal, solved.x)
-        return np.asarray(ROUND_OFF * strained.norm() * self._arms() * self.follows)
+    def allowed(self, force: float) -> Floats:
+        """Return what may be missing at rigid sides (m,) where a force may be; collective."""
+        return np.where(self.follows, force * self._arms(), 0.0)
 
     def shifted(self, lin: Linearisation, travel: Floats) -> Linearisation:
         """Return the QP with the tools moved by q (m,)."""
@@ -274,6 +267,7 @@ def settle(
     solve: Solve,
     rtol: float,
     stiffness: Floats | None,
+    begun: float,
 ) -> Settled:
     """Find the motions with which the tools carry their loads; collective.
 
@@ -283,6 +277,8 @@ def settle(
         solve: solves it, and those with other bounds.
         rtol: largest share of the forces on a tool that may be missing.
         stiffness: (m, m) to begin with; None for the diagonal of K^.
+        begun: largest force at the start of the step, of which rigid sides may miss as much, where
+            loads are taken off.
 
     Raises:
         StepFailed: if nothing resists the load of a tool, or it is not found.
@@ -294,12 +290,11 @@ def settle(
     if not diagonal.all():
         raise StepFailed(_unresisted(drives, diagonal == 0.0))
     B: Floats = np.diag(diagonal) if stiffness is None else stiffness
-    noise = drives.noise(lin.balance)
+    noise = drives.noise(lin.balance) + drives.allowed(rtol * begun)
     shrink, far = 1.0, 0.0
     secants = len(diagonal) == 1 and not drives.follows.all()
     for _ in range(LIMIT):  # with secants it takes 3 to 8 QPs
-        lost = noise + drives.noise_of_step(lin, here.solved)
-        if (np.abs(here.missing) <= rtol * here.size + lost).all():
+        if (np.abs(here.missing) <= rtol * here.size + noise).all():
             return Settled(here.lin, here.solved, here.travel, B, drives)
         if here.touches:
             lasts = drives.follows.all() and here.far(diagonal) < PROBE * far
@@ -379,8 +374,15 @@ def _unresisted(drives: Drives, which: Floats) -> str:
     )
 
 
-def miss(problem: ContactProblem, balance: Balance, contacts: Contacts) -> float:
-    """Return by which share of their forces loads of tools are missed at most; collective."""
+def miss(problem: ContactProblem, balance: Balance, contacts: Contacts, limit: float) -> float:
+    """Return by which share of their forces loads of tools are missed at most; collective.
+
+    Args:
+        problem: the problem.
+        balance: forces at an iterate.
+        contacts: the multipliers there.
+        limit: what may be missing in the balance of forces, and of rigid sides.
+    """
     drives = find_drives(problem)
     if drives is None:
         return 0.0
@@ -390,6 +392,7 @@ def miss(problem: ContactProblem, balance: Balance, contacts: Contacts) -> float
         carried[limits.tangential[limits.some]] = contacts.tangential_reactions(limits)[limits.some]
     carried[drives.held] = balance.reduced.array_r[drives.held]
     missing, size = drives.missing(carried)
-    beyond = np.maximum(np.abs(missing) - drives.noise(balance), 0.0)
+    least = drives.noise(balance) + drives.allowed(limit)
+    beyond = np.maximum(np.abs(missing) - least, 0.0)
     share = np.divide(beyond, size, out=np.zeros_like(size), where=size > 0.0)
     return float(share.max())

@@ -410,7 +410,7 @@ class _Step:
         """Return the residuals of a balance, those of tools that forces drive included."""
         rtol = self.report.rtol
         found = measure(self.problem.u, balance, contacts, diagonal, scales, norm, rtol)
-        missed = driven_tools.miss(self.problem, balance, contacts) / rtol
+        missed = driven_tools.miss(self.problem, balance, contacts, found.limit) / rtol
         return replace(found, excess=max(found.excess, missed))
 
     def drive(
@@ -425,7 +425,7 @@ class _Step:
         def again(at: Linearisation) -> QPSolution:
             return self.solve(at, solved.active, old, tightest(self.report.rtol))
 
-        found = driven_tools.settle(drives, lin, again, rtol, self.stiffness)
+        found = driven_tools.settle(drives, lin, again, rtol, self.stiffness, old.scales.begun)
         self.stiffness = found.stiffness
         return found.lin, found.solved, found
 
