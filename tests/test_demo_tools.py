@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The demo of a rigid tool as a command, beside Sneddon, Tabor, and Oliver and Pharr."""
+"""The demos of rigid tools as commands, beside Sneddon, Tabor, Oliver and Pharr, Siebel, Hill."""
 
 import pytest
 
@@ -36,3 +36,14 @@ def test_a_cone_on_an_elastic_half_space(tmp_path):
 @pytest.mark.nightly
 def test_the_hardness_as_the_gallery_shows_it():
     check_metal(read(shown("hardness")), 0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.nightly
+def test_a_cup_is_drawn():
+    found = read(shown("deep_drawing"))["found"]
+    # a rim that nothing pulls: uniaxial compression around the axis (Hill 1950)
+    assert found["thickness_of_rim"] == pytest.approx(found["thickness_hill"], rel=0.01)
+    # what Siebel's estimate of the force is worth
+    assert found["largest_force"] == pytest.approx(found["largest_force_siebel"], rel=0.2)
+    assert found["holder"] == pytest.approx(10_000.0, rel=1e-4)

@@ -116,6 +116,11 @@ DEMOS = [
         {"result.png": "Force over depth with the slope of unloading; the metal piles up."},
     ),
     Demo(
+        "deep_drawing",
+        "Rigid tools, one of them driven by a force: a cup is drawn from a sheet.",
+        {"result.png": "Force of the punch beside Siebel's estimate; the cup between its tools."},
+    ),
+    Demo(
         "own_law",
         "A law that the package lacks, in UFL, in NumPy, and in JAX, which derives its tangent.",
         {"own_law.png": "Plastic strain below the disc, and the pressures of all versions."},
