@@ -224,6 +224,32 @@ def test_the_first_acceleration_is_that_of_the_loads_at_the_start(by):
     assert np.allclose(bar.inertia.values("velocity"), [0.5, 0.0], atol=1e-9)
 
 
+def test_an_initial_velocity_at_a_support_is_taken_away():
+    """The motion is that of the velocity that fits the support, and a note says so."""
+    found = []
+    for clamp in (1.0, 0.0):
+        bar = Bar(
+            velocity=lambda x, s=clamp: np.stack(
+                [np.where(x[0] > 0.01, 1e-3, 1e-3 * s), s * 0.01 * x[1]]
+            )
+        )
+        bar.u.x.array[:] = 0.0
+        first, *_, last = dm.time_steps(
+            bar.problem(), 0.02 * np.arange(1, 6), progress=False, rtol=1e-11
+        )
+        notes = [n for n in first.report.notes if "velocity" in n]
+        assert len(notes) == (clamp == 1.0)
+        # two at the clamp, and along it those of the upper edge, where v_y is not 0
+        assert all("up to 0.001 at 10 nodes" in n and "set to 0" in n for n in notes)
+        assert not any("velocity" in n for n in last.report.notes)
+        assert abs(last.report.ledger.defect) < 1e-10
+        found.append((bar.u.x.array.copy(), bar.inertia.velocity.x.array.copy()))
+    (u, v), (w, z) = found
+    assert COMM.allreduce(np.abs(u).max(initial=0.0), op=MPI.MAX) > 0.0
+    assert np.array_equal(u, w)
+    assert np.array_equal(v, z)
+
+
 def test_what_the_numbers_of_the_mass_are_for(monkeypatch):
     """Three layers of inner nodes: the middle one would have no mass; one step is not enough."""
 

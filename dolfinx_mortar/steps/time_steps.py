@@ -8,11 +8,16 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
+from mpi4py import MPI
+
+import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks
+from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arguments import is_name, is_number
+from dolfinx_mortar.arrays import ROUND_OFF
 from dolfinx_mortar.problem.checks import check_every, check_load_steps, check_problem
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.energy_ledger import EnergyLedger
@@ -31,14 +36,17 @@ class TimeSolves(Solves):
     conserve: bool = True
     loading: Loading = field(default_factory=lambda: Loading([], None))
     ledger: EnergyLedger | None = None
+    notes: list[str] = field(default_factory=list)  # of the start, for the first step's report
     name: ClassVar[str] = "time step"
 
     def to(self, level: Level) -> StepReport:
         """Solve a step to a time; collective."""
         if self.ledger is None:
             (inertia,) = find_inertia(self.problem)
-            self.ledger = EnergyLedger(self.problem, inertia, conserve=self.conserve)
             begun = any(step.report.ledger is not None for step in self.problem.history[-1:])
+            if not begun:
+                self.notes = stop_held(self.problem, inertia)
+            self.ledger = EnergyLedger(self.problem, inertia, conserve=self.conserve)
             if not begun:
                 begin = self.problem.committed.level
                 self.loading.set(self.problem, begin)
@@ -51,6 +59,8 @@ class TimeSolves(Solves):
         """Commit a step with its ledger; collective."""
         assert self.ledger is not None
         self.ledger.commit(report)
+        report.notes += self.notes
+        self.notes = []
 
     def may_cut(self, loading: Loading) -> bool:
         """Return that half the time is another problem."""
@@ -86,7 +96,8 @@ def time_steps(
     velocities, too. Each step minimises the energy of the step plus kappa/2 |u - p|_M^2, p the
     position to which velocity and acceleration carry the bodies, within the bounds of contact.
     Bodies that nothing holds are free to fly. The first acceleration is that of the forces at
-    the start; loads and supports of the start are those of ``start``.
+    the start; loads and supports of the start are those of ``start``. An initial velocity where a
+    support holds still is set to 0, with a note.
 
     Args:
         problem: bodies and constraints, with an `Inertia` among its terms.
@@ -163,6 +174,34 @@ def choose_scheme(scheme: Any, radius: Any) -> Scheme:
     if not (is_number(radius) and 0.0 <= radius <= 1.0):
         raise ValueError(f"spectral_radius is {radius!r}: give a number from 0 to 1")
     return generalised_alpha(float(radius))
+
+
+def stop_held(problem: ContactProblem, inertia: Inertia) -> list[str]:
+    """Take the initial velocity from what supports hold still in the first step; collective.
+
+    The trapezoidal rule, v = 2 (u - u_n) / dt - v_n, would turn it round in every step. Where a
+    support moves in the first step, its velocity is the user's to give.
+
+    Returns:
+        A note if there was any.
+    """
+    supports, velocity = problem.supports, inertia.values("velocity").copy()
+    way = supports.increment(supports.values(), problem.u.x.array)
+    largest = (np.abs(values).max(initial=0.0) for values in (problem.u.x.array, velocity))
+    size, speed = maximum(problem.comm, *largest)
+    still = supports.owned & (np.abs(way) <= ROUND_OFF * size)
+    against = still & (np.abs(velocity) > ROUND_OFF * speed)
+    (stopped,) = maximum(problem.comm, np.abs(velocity[against]).max(initial=0.0))
+    if stopped == 0.0:
+        return []
+    count = problem.comm.allreduce(int(against.any(axis=1).sum()), op=MPI.SUM)
+    velocity[still] = 0.0
+    inertia.put(velocity=velocity)
+    return [
+        f"Inertia: velocity is up to {stopped:.3g} at {count} nodes in directions that bcs hold; "
+        "it has been set to 0 there, since it would change its sign in every step: give a velocity "
+        "that vanishes where bcs hold, or move the support"
+    ]
 
 
 def check_increasing(begin: float, levels: list[float]) -> None:
