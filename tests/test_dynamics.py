@@ -177,6 +177,30 @@ def test_a_checkpoint_holds_the_motion(tmp_path_factory, options):
     assert one.kinetic != one.initial
 
 
+def test_a_restored_motion_goes_on(tmp_path_factory):
+    """With all times those are left out that have been made; the numbers of steps go on."""
+    folder = COMM.bcast(tmp_path_factory.mktemp("restored") if COMM.rank == 0 else None)
+    times = 0.01 * np.arange(1, 5)
+    case = Blocks(gap=0.02, velocity={UPPER: (0.0, -1.0)})
+    for _ in dm.time_steps(case.problem, times[:2], progress=False):
+        pass
+    case.problem.save(folder / "half.h5")
+    rest = Blocks(gap=0.02, velocity={UPPER: (0.0, -1.0)})
+    rest.problem.restore(folder / "half.h5")
+    file = folder / "rest.h5"
+    steps = list(dm.time_steps(rest.problem, times, progress=False, checkpoint=file))
+    assert [(step.number, step.time) for step in steps] == [(3, times[2]), (4, times[3])]
+    assert not list(dm.time_steps(rest.problem, times, progress=False))
+    again = Blocks(gap=0.02, velocity={UPPER: (0.0, -1.0)})
+    assert not list(dm.time_steps(again.problem, times, progress=False, checkpoint=file))
+    whole = list(dm.time_steps(case.problem, times[2:], progress=False))
+    assert asdict(steps[-1].report.ledger) == pytest.approx(
+        asdict(whole[-1].report.ledger), rel=1e-9, abs=1e-12
+    )
+    with rejected("times", "0.02 after 0.04"):
+        next(dm.time_steps(rest.problem, [0.02, 0.05]))
+
+
 def test_the_summary_has_the_ledger():
     case = Blocks(gap=0.02, velocity={UPPER: (0.0, -1.0)})
     step = walk(case.problem, [0.01])

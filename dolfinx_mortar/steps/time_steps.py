@@ -17,7 +17,7 @@ from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arguments import is_name, is_number
-from dolfinx_mortar.arrays import ROUND_OFF
+from dolfinx_mortar.arrays import ROUND_OFF, SAME
 from dolfinx_mortar.problem.checks import check_every, check_load_steps, check_problem
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.energy_ledger import EnergyLedger
@@ -101,7 +101,8 @@ def time_steps(
 
     Args:
         problem: bodies and constraints, with an `Inertia` among its terms.
-        times: ends of the steps, increasing.
+        times: ends of the steps, increasing. If they begin with all those of the last walk on this
+            problem, as after `ContactProblem.restore`, that walk goes on.
         scheme: "energy-conserving" is the trapezoidal rule, with an impulse of the contact forces
             after each step that gives back what contact has taken from the energy, or takes what it
             has given, so that impacts conserve it, and friction only takes its part. With
@@ -135,7 +136,8 @@ def time_steps(
     check_same_on_all_ranks(problem.comm, on_time=on_time, **given)
     levels = check_load_steps(times, start, max_cuts, cuts, problem.comm)
     begin = problem.committed.level if start is None else float(start)
-    check_increasing(begin, levels)
+    done = count_done(problem, levels) if start is None else 0
+    check_increasing(begin, levels[done:])
     found = choose_scheme(scheme, spectral_radius)
     (inertia,) = find_inertia(problem)
     loading = Loading(read_ramps(problem.comm, ramp), on_time)
@@ -152,6 +154,7 @@ def time_steps(
         file=file,
         every=every,
         progress=progress,
+        done=done,
     )
 
 
@@ -202,6 +205,15 @@ def stop_held(problem: ContactProblem, inertia: Inertia) -> list[str]:
         "it has been set to 0 there, since it would change its sign in every step: give a velocity "
         "that vanishes where bcs hold, or move the support"
     ]
+
+
+def count_done(problem: ContactProblem, levels: list[float]) -> int:
+    """Return how many times the last walk has made, if these begin with them up to round-off."""
+    committed = problem.committed
+    walked = [step.time for step in committed.history[len(committed.history) - committed.walked :]]
+    size = max(map(abs, walked), default=0.0)
+    same = all(abs(a - b) <= SAME * size for a, b in zip(levels, walked, strict=False))
+    return len(walked) if same and len(walked) <= len(levels) else 0
 
 
 def check_increasing(begin: float, levels: list[float]) -> None:

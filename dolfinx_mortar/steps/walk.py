@@ -165,6 +165,7 @@ def walk(
     file: Path | None,
     every: int,
     progress: bool | None,
+    done: int = 0,
 ) -> Iterator[LoadStep]:
     """Walk along levels, see `load_steps` for the arguments and errors; collective.
 
@@ -177,16 +178,19 @@ def walk(
         file: of checkpoints, None for none.
         every: after how many steps it is written.
         progress: whether a line is printed for each step.
+        done: how many levels the last walk has reached already, which this one continues.
     """
     problem = solves.problem
     committed = problem.committed
     check_range(loading.ramps, [begin, *levels])
-    committed.level, committed.walked = begin, 0
+    committed.level, committed.walked = begin, done
+    if done and committed.walk is not None:
+        begin = committed.walk.start
     if file is not None:
         begin = _continue(problem, file, levels, loading, begin)
     committed.walk = Walk(begin, [one.rows for one in loading.ramps])
     written = Checkpoint(problem, file, committed.walk)
-    done = committed.walked
+    done = committed.walked  # of the checkpoint, if there is one
     idle = _idle(problem, loading)
     tell = lines(problem.comm, False if progress is None and len(levels) == 1 else progress)
     for number, time in enumerate(levels[done:], start=done + 1):
