@@ -86,7 +86,6 @@ class EnergyLedger:
             )
         self.last, self._potential = last, stored
         self._before: Ends | None = None
-        self._given: Floats | None = None  # initial velocity, until the first step has ended
 
     def _stored(self) -> float | None:
         """Return the potential of the bodies at the committed state, None without; collective."""
@@ -138,7 +137,6 @@ class EnergyLedger:
         off = held | ~inertia.mass.massless[:, None]
         contact = np.where(off, 0.0, balance - forces) if begun else np.zeros_like(forces)
         inertia.put(acceleration=acceleration, balance=balance, contact=contact, load=loads)
-        self._given = velocity.copy()
 
     @property
     def _dampings(self) -> list[Damping]:
@@ -205,7 +203,6 @@ class EnergyLedger:
             motion, share = self._restored(motion, force, way, -gain, report.rtol)
             work["supports"] += share
         inertia.finish(motion)
-        unsupported = self._notes_on_supports(np.asarray(du / inertia.start.dt))
         potential = self._stored()
         problem.commit()
         inertia.put(contact=after.contact, friction=after.friction, load=after.loads)
@@ -231,26 +228,6 @@ class EnergyLedger:
         if report.certificate is not None:
             report.certificate = replace(report.certificate, energy_defect=self.last.defect)
         report.notes += notes_on_energy(self.last, thin=self._contacts_have_mass())
-        report.notes += unsupported
-
-    def _notes_on_supports(self, mean: Floats) -> list[str]:
-        """Return a note if initial velocities are not those of the supports; collective.
-
-        Args:
-            mean: velocity of the step, (owned nodes, d).
-        """
-        given, self._given = self._given, None
-        if given is None:
-            return []
-        wrong = self.problem.supports.owned & (np.abs(given - mean) > 0.5 * np.abs(given))
-        count = self.problem.comm.allreduce(int((wrong & (given != 0.0)).sum()))
-        if not count:
-            return []
-        return [
-            f"the initial velocity is not that of the supports in {count} prescribed components, "
-            "where it changes its sign in every step: give Inertia a velocity that is there that "
-            "of the supports, as 0 where they hold a body"
-        ]
 
     def _contacts_have_mass(self) -> bool:
         """Return whether nodes that can touch have kept their mass; collective."""
