@@ -50,7 +50,7 @@ def find_crossings(x: Floats, body: Longs) -> Crossings:
         >>> found.pairs.tolist(), found.depth.tolist(), found.place.tolist()
         ([[0, 1], [1, 0]], [0.5, 1.0], [[0.5, 0.0], [0.5, 0.0]])
     """
-    d, pairs = x.shape[2], _near_pairs(x, body)
+    d, pairs = x.shape[2], near_pairs(x, body)
     pairs = np.concatenate([pairs, pairs[:, ::-1]])
     normals = facet_normals(Facets(LINE2 if d == 2 else TRI3, x))
     found = []
@@ -70,8 +70,12 @@ def find_crossings(x: Floats, body: Longs) -> Crossings:
     return Crossings(pairs, depth, place, cosine)
 
 
-def _near_pairs(x: Floats, body: Longs) -> Longs:
+def near_pairs(x: Floats, body: Longs) -> Longs:
     """Return pairs (p, 2) of facets of different bodies whose boxes meet, each once.
+
+    Args:
+        x: points (m, k, d) whose boxes hold the facets, such as vertices at two times.
+        body: number (m,) of the body of each.
 
     Facets are sorted into classes of size, each twice the last, so that a small one is not compared
     with all small ones within the reach of the largest.

@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 
 from dolfinx_mortar.arrays import Floats, Longs
 from dolfinx_mortar.geometry.elements import LINE2, TRI3
-from dolfinx_mortar.geometry.facets import Facets, are_inside, facet_normals
+from dolfinx_mortar.geometry.facets import Facets, are_inside, facet_normals, facet_sizes
 from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS
 
 
@@ -65,3 +65,42 @@ def find_passing(p: tuple[Floats, Floats], x: tuple[Floats, Floats]) -> Longs:
     at = p[0][a] + t * (p[1][a] - p[0][a])
     facets = x[0][b] + t[:, None] * (x[1][b] - x[0][b])
     return np.unique(a[are_inside(facets, facet_normals(Facets(element, facets)), at)])
+
+
+def find_entering(start: Floats, end: Floats, pairs: Longs, share: float) -> tuple[Longs, Floats]:
+    """Return which pairs of facets (q,) meet from outside in a step, where (q, d) at its start.
+
+    A vertex or the middle of the first facet of a pair enters the second one through its outer
+    face, and ends behind its plane, wherever that is. Points, vertices and distances are taken as
+    linear in time. What passes nearer to the rim of the facet, or ends less deep, than a share of
+    it is left out, so that what slides along a face and over its edge does not enter.
+
+    Args:
+        start: vertices (m, d, d) of lines or triangles at the start of the step.
+        end: those at its end.
+        pairs: (p, 2) numbers of facets.
+        share: of the size of the second facet.
+
+    Example:
+        >>> x = np.array([[[0.5, 2.0], [-0.5, 2.0]], [[1.0, 0.0], [-1.0, 0.0]]])
+        >>> moved = x - np.array([[[0.0, 9.0]], [[0.0, 0.0]]])
+        >>> find_entering(x, moved, np.array([[0, 1]]), 0.05)[0].tolist()
+        [0]
+    """
+    element = LINE2 if start.shape[2] == 2 else TRI3
+    a, b = pairs.T
+    x = [(1.0 - share) * y + share * y.mean(axis=1, keepdims=True) for y in (start, end)]
+    normals = [facet_normals(Facets(element, y)) for y in (start, end)]
+    size = facet_sizes(start)[b]
+    points = [np.concatenate([y, y.mean(axis=1, keepdims=True)], axis=1) for y in (start, end)]
+    which, places = [], []
+    for k in range(points[0].shape[1]):
+        d0, d1 = (((points[i][a, k] - x[i][b, 0]) * normals[i][b]).sum(axis=1) for i in (0, 1))
+        some = np.flatnonzero((d0 > -HALF_OF_DIGITS * size) & (d1 < -share * size))
+        t = np.maximum(d0[some] / (d0 - d1)[some], 0.0)[:, None]
+        at = (1.0 - t) * points[0][a[some], k] + t * points[1][a[some], k]
+        y = (1.0 - t[:, None]) * x[0][b[some]] + t[:, None] * x[1][b[some]]
+        inside = are_inside(y, facet_normals(Facets(element, y)), at)
+        which.append(some[inside])
+        places.append(points[0][a[some[inside]], k])
+    return np.concatenate(which), np.concatenate(places)

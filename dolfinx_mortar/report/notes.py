@@ -20,6 +20,7 @@ from dolfinx_mortar.report.lost_stress import notes_on_lost_stress
 from dolfinx_mortar.report.overlaps import notes_on_overlaps
 from dolfinx_mortar.report.resolution import note_on_few_nodes, notes_on_rims
 from dolfinx_mortar.report.small_strain import LeftOut, notes_on_small_strain
+from dolfinx_mortar.report.swept import notes_on_swept
 from dolfinx_mortar.report.uncoupled import Crossing, notes_on_crossings
 
 log = logging.getLogger(__name__)
@@ -82,6 +83,7 @@ DIAGNOSES: tuple[Diagnosis, ...] = (
     lambda end: notes_on_rims(end.links),
     _overlaps,
     lambda end: notes_on_crossings(end.problem, end.crossing),
+    lambda end: notes_on_swept(end.problem, end.crossing),
     lambda end: notes_on_small_strain(end.problem, end.left_out),
     lambda end: notes_on_lost_stress(end.problem),
 )

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: MIT
+"""Bodies that nothing couples and that have moved into or through each other within a step."""
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx import fem, la
+from dolfinx_mortar.arrays import Bools, Floats, Longs
+from dolfinx_mortar.geometry.crossings import near_others, near_pairs
+from dolfinx_mortar.geometry.sweep import find_entering, flat_parts
+from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.report.overlaps import SUNK
+from dolfinx_mortar.report.uncoupled import Crossing
+
+
+@dataclass(frozen=True)
+class _Swept:
+    """Flat parts of exterior facets at the start and the end of a step."""
+
+    start: Floats  # (m, d, d)
+    end: Floats  # (m, d, d), less the mean motion of all
+    body: Longs  # (m,)
+    sides: Bools  # (m, 2, interfaces) whether a node belongs to its slave or its master side
+
+    def part(self, which: Bools) -> "_Swept":
+        """Return some of the facets."""
+        return _Swept(self.start[which], self.end[which], self.body[which], self.sides[which])
+
+    def vertices(self) -> Floats:
+        """Return the vertices at both times (m, 2 d, d)."""
+        return np.concatenate([self.start, self.end], axis=1)
+
+
+def notes_on_swept(problem: ContactProblem, crossing: Crossing) -> list[str]:
+    """Return a note if bodies have moved into or through each other unseen; collective.
+
+    Since the last commit, on straight paths. Facets with a node on one side of an interface and
+    points of its other side are left out: contacts see to those themselves, see `mortar.passing`.
+
+    Args:
+        problem: at the end of a step.
+        crossing: what crosses there; a pair of bodies that the note on it names has none here.
+    """
+    if problem.bodies.count < 2:
+        return []
+    swept = _received(problem.comm, _create(problem))
+    pairs = near_pairs(swept.vertices(), swept.body)
+    pairs = np.concatenate([pairs, pairs[:, ::-1]])
+    a, b = pairs.T
+    pairs = pairs[~(swept.sides[a] & swept.sides[b][:, ::-1]).any(axis=(1, 2))]
+    which, places = find_entering(swept.start, swept.end, pairs, SUNK)
+    bodies = np.sort(swept.body[pairs[which]], axis=1)
+    if crossing.share > SUNK:
+        other = (bodies != np.sort(np.array(crossing.bodies))).any(axis=1)
+        bodies, places = bodies[other], places[other]
+    mine = [(*bodies[i].tolist(), *places[i].tolist()) for i in _first(bodies, places)]
+    found = [row for rank in problem.comm.allgather(mine) for row in rank]
+    if not found:
+        return []
+    one, other_one, *place = min(found)
+    x, y = (_point(problem.bodies.centre[k]) for k in (one, other_one))
+    return [
+        f"the bodies around {x} and {y} have moved into or through each other in this step, first "
+        f"of all what was at {_point(np.array(place))} at its start: no interface couples them "
+        "there; give them a Contact, or take smaller steps to see where they meet"
+    ]
+
+
+def _first(bodies: Longs, places: Floats) -> Longs:
+    """Return the number (1,) of the least row, (0,) where there is none."""
+    return np.lexsort(np.column_stack([bodies, places]).T[::-1])[:1]
+
+
+def _point(x: Floats) -> str:
+    return f"({', '.join(f'{c:.4g}' for c in x)})"
+
+
+def _create(problem: ContactProblem) -> _Swept:
+    """Return the own exterior facets whose paths meet the box of the path of another body."""
+    comm, boundary, d = problem.comm, problem.system.boundary, problem.d
+    began = fem.Function(problem.V)
+    began.x.array[: d * problem.n] = problem.committed.displacement
+    began.x.scatter_forward()
+    start, end = (boundary.at(u) for u in (began, problem.u))
+    x = [flat_parts(facets) for facets in (start, end)]
+    again = np.arange(len(x[0])) % max(len(start.x), 1)  # see `uncoupled._create_skin`
+    moved = np.array([*(x[1] - x[0]).sum(axis=(0, 1)), len(x[0]) * d], dtype=float)
+    comm.Allreduce(MPI.IN_PLACE, moved)
+    x[1] = x[1] - moved[:d] / moved[d]  # a common translation does not count
+    body = problem.bodies.of_cells[boundary.cells].astype(np.int64)[again]
+    swept = _Swept(x[0], x[1], body, _touched(problem)[again])
+    boxes = np.full((problem.bodies.count, 2, d), np.inf)
+    np.minimum.at(boxes[:, 0], body, swept.vertices().min(axis=1))
+    np.minimum.at(boxes[:, 1], body, -swept.vertices().max(axis=1))
+    comm.Allreduce(MPI.IN_PLACE, boxes, op=MPI.MIN)
+    boxes[:, 1] *= -1.0
+    return swept.part(near_others(swept.vertices(), body, boxes))
+
+
+def _touched(problem: ContactProblem) -> Bools:
+    """Return whether facets (m, 2, interfaces) have a node on a side of each interface."""
+    boundary, sides = problem.system.boundary, problem.system.sides
+    result = np.zeros((len(boundary.nodes), 2, len(sides)), dtype=bool)
+    marks = la.vector(problem.V.dofmap.index_map)
+    for k, interface in enumerate(sides):
+        for j, surface in enumerate(interface.surfaces):
+            marks.array[:] = 0.0
+            marks.array[surface.nodes[: surface.owned]] = 1.0
+            marks.scatter_forward()
+            result[:, j, k] = (marks.array[boundary.nodes] > 0.0).any(axis=1)
+    return result
+
+
+def _received(comm: MPI.Comm, own: _Swept) -> _Swept:
+    """Return the own facets, and those of other ranks whose paths their box meets; collective."""
+    if comm.size == 1:
+        return own
+    low, high = own.vertices().min(axis=1), own.vertices().max(axis=1)
+    box = low.min(axis=0, initial=np.inf), high.max(axis=0, initial=-np.inf)
+    sent = [
+        own.part(((low <= most) & (high >= least)).all(axis=1) & (rank != comm.rank))
+        for rank, (least, most) in enumerate(comm.allgather(box))
+    ]
+    parts = [own, *comm.alltoall(sent)]
+    names = "start", "end", "body", "sides"
+    return _Swept(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: MIT
+"""Bodies that nothing couples and that pass through each other within one step: a note says so."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx import fem
+from dolfinx_mortar.geometry.sweep import find_entering
+from dolfinx_mortar.report.swept import notes_on_swept
+from dolfinx_mortar.report.uncoupled import Crossing
+from tests.meshes import BOTTOM, TOP, two_blocks
+from tests.test_crossings import sunk
+
+COMM = MPI.COMM_WORLD
+LAW = dm.Elastic(1000.0, 0.3)
+
+
+def notes(report):
+    """Return the notes on bodies that have moved through each other."""
+    return [note for note in report.notes if "into or through each other" in note]
+
+
+def faces(d):
+    """Return a facet above another one with the normal e_d, three times as large."""
+    lower = {2: [[1, 0], [-1, 0]], 3: [[1, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.8, 0]]}[d]
+    low = np.array(lower, dtype=float)
+    return np.stack([low / 3 + 2 * np.eye(d)[-1], low])
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_what_enters(d):
+    """Through the face from outside; not beside it, along it, back out, nor when both move."""
+    x, pairs = faces(d), np.array([[0, 1]])
+    up, along = np.eye(d)[-1], np.eye(d)[0]
+    rim = {2: -0.98 - 1 / 3, 3: -0.49 - 1 / 3}  # a vertex within 5 % of the edge of the lower one
+    touching = x - np.stack([2 * up, 0 * up])[:, None]
+    for start, way, enters in (
+        (x, -9 * up, True),
+        (touching, -9 * up, True),
+        (x, -1.5 * up, False),
+        (x - np.stack([4 * up, 0 * up])[:, None], 9 * up, False),
+        (x + np.stack([3 * along, 0 * up])[:, None], -9 * up, False),
+        (touching, 5 * along, False),
+        (touching, 0.2 * along - 0.02 * up, False),
+        (x + np.stack([rim[d] * along, 0 * up])[:, None], -9 * up, False),
+    ):
+        end = start + np.stack([way, 0 * up])[:, None]
+        assert bool(len(find_entering(start, end, pairs, 0.05)[0])) is enters
+    both = x - 9 * up
+    assert not len(find_entering(x, both, pairs, 0.05)[0])
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("partition", ["graph", "bodies", "empty"])
+@pytest.mark.parametrize("way", [-3.5, -0.05, -0.3])
+def test_a_block_through_a_block(partition, way):
+    """Wholly through, not as far as the other one, and into it, which another note tells."""
+    report = dm.newton(sunk(partition, way=way))
+    found = notes(report)
+    assert report.certificate.crossing == (pytest.approx(0.6) if way == -0.3 else 0.0)
+    assert len(found) == (way == -3.5)
+    if found:
+        assert "give them a Contact" in found[0] and "smaller steps" in found[0]
+
+
+@pytest.mark.mpi
+def test_one_that_ends_inside():
+    """A small block ends wholly within a large one: no boundaries cross there."""
+    mesh, _, facets = two_blocks(COMM, gap=0.1, x_upper=(0.3, 0.7), heights=(1.0, 0.3))
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [], bcs=held(V, facets, -0.5))
+    report = dm.newton(problem)
+    assert report.certificate.crossing == 0.0 and len(notes(report)) == 1
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("make", [dm.Contact, dm.Tie])
+def test_sides_are_left_to_their_interface(make):
+    """The same motion, .2 into each other, with and without an interface between the faces."""
+    for interfaces, count in (([], 1), ([make], 0)):
+        problem = sunk(interfaces=interfaces)
+        problem.u.interpolate(lambda x: np.stack([0 * x[0], -0.3 * (x[1] > 0.01)]))
+        assert len(notes_on_swept(problem, Crossing())) == count
+
+
+def held(V, facets, way):
+    """Return supports that hold the lower block and move the upper one."""
+    bottom, top = (fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (BOTTOM, TOP))
+    down = fem.Constant(V.mesh, (0.0, way))
+    return [fem.dirichletbc(np.zeros(2), bottom, V), fem.dirichletbc(down, top, V)]
