@@ -37,7 +37,10 @@ class _Swept:
 def notes_on_swept(problem: ContactProblem, crossing: Crossing) -> list[str]:
     """Return a note if bodies have moved into or through each other unseen; collective.
 
-    Since the last commit, on straight paths. Facets with a node on one side of an interface and
+    Since the last commit, on straight paths: a corner that turns by a large angle moves along an
+    arc, beyond its path here. Measured, two elastic boxes of 30 thousand unknowns, of a step's
+    processor time: .9 % at rest, 1.5 % where one slides by a tenth of its length, 4 % by a third,
+    13 % by all of it. Facets with a node on one side of an interface and
     points of its other side are left out: contacts see to those themselves, see `mortar.passing`.
 
     Args:
