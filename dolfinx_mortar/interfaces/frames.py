@@ -39,14 +39,9 @@ def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:
     # turns a little, and old levels of multigrid would know them no more (37 iterations for 23).
     order = np.argsort(np.abs(normals) - 2.0 * fixed, axis=1, kind="stable")[:, : d - 1]
     order = np.sort(order, axis=1)
-    if d == 2:
-        tangents = np.column_stack([-normals[:, 1], normals[:, 0]])
-        tangents *= np.sign(np.take_along_axis(tangents, order, axis=1))
-        R = np.stack([normals, tangents], axis=2)
-    else:
-        columns = np.concatenate([normals[:, None, :], np.eye(d)[order]], axis=1)
-        R, upper = np.linalg.qr(np.swapaxes(columns, 1, 2))
-        R = R * np.sign(np.einsum("nii->ni", upper))[:, None, :]
+    columns = np.concatenate([normals[:, None, :], np.eye(d)[order]], axis=1)
+    R, upper = np.linalg.qr(np.swapaxes(columns, 1, 2))
+    R = R * np.sign(np.einsum("nii->ni", upper))[:, None, :]
     slot = np.full((n, d), -1, dtype=np.int32)
     np.put_along_axis(slot, order, np.arange(1, d, dtype=np.int32)[None, :], axis=1)
     return R + 0.0, np.where(fixed, slot, -1).astype(np.int32)
