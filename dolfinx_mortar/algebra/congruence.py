@@ -12,6 +12,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.csr import csr_of
 from dolfinx_mortar.algebra.diagonal import RowsOf
+from dolfinx_mortar.algebra.parallel import values_at
 from dolfinx_mortar.arrays import Floats, Ints
 
 log = logging.getLogger(__name__)
@@ -338,23 +339,13 @@ def _split(matrix: PETSc.Mat, marks: Floats) -> tuple[PETSc.Mat, PETSc.Mat]:
     indptr, columns, values = csr_of(matrix)
     rows = np.repeat(np.arange(len(indptr) - 1), np.diff(indptr))
     there, place = np.unique(columns, return_inverse=True)
-    all_marks = matrix.createVecRight()
-    all_marks.array[:] = marks
-    of_columns = _values_at(all_marks, there)[place]
+    of_columns = values_at(matrix.comm, marks[:, None], there)[place, 0]
     within = np.abs(of_columns) == np.abs(marks[rows])
     between = ~within & (of_columns > 0.0) & (marks[rows] > 0.0)
     inside, outside = (
         _select(matrix, rows[on], columns[on], values[on]) for on in (within, between)
     )
     return inside, outside
-
-
-def _values_at(vector: PETSc.Vec, numbers: Ints) -> Floats:
-    """Return the values at global numbers, of any rank; collective."""
-    found = PETSc.Vec().createSeq(len(numbers), comm=PETSc.COMM_SELF)
-    there = PETSc.IS().createGeneral(numbers.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
-    PETSc.Scatter().create(vector, there, found, None).scatter(vector, found)
-    return np.asarray(found.array)
 
 
 def _select(like: PETSc.Mat, rows: Ints, columns: Ints, values: Floats) -> PETSc.Mat:

@@ -12,7 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.blocks import Layout
-from dolfinx_mortar.arrays import Bools, Floats, Longs
+from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 
 
 def maximum(comm: MPI.Comm, *values: float | np.bool_) -> Floats:
@@ -72,6 +72,17 @@ def sums_at_nodes(comm: MPI.Comm, layout: Layout, nodes: Longs, values: Floats) 
         graph.reduceEnd(MPI.DOUBLE, addends, result, MPI.SUM)
     graph.destroy()
     return sums.T
+
+
+def values_at(comm: PETSc.Comm, values: Floats, rows: Longs | Ints) -> Floats:
+    """Return the rows (r, k), by global numbers of any rank, of owned rows (n, k); collective."""
+    k = values.shape[1]
+    source = PETSc.Vec().createMPI((k * len(values), None), bsize=k, comm=comm)
+    source.array[:] = values.ravel()
+    wanted = PETSc.IS().createBlock(k, rows.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
+    target = PETSc.Vec().createSeq(k * len(rows), comm=PETSc.COMM_SELF)
+    PETSc.Scatter().create(source, wanted, target, None).scatter(source, target)
+    return np.asarray(target.array_r.reshape(-1, k)).copy()
 
 
 def free_unused(comm: MPI.Comm) -> None:

@@ -26,7 +26,7 @@ def are_near(facing: Facing, within: float | None) -> Bools:
     return np.asarray(facing.distance <= reach)
 
 
-def boxes_of(comm: MPI.Intracomm, x: Floats, body: Longs, count: int) -> Floats:
+def boxes_of(comm: MPI.Comm, x: Floats, body: Longs, count: int) -> Floats:
     """Return smallest and largest coordinates (count, 2, d) of facets x (m, k, d) of bodies (m,).
 
     Of all ranks; collective.

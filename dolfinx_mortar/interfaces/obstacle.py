@@ -31,7 +31,7 @@ from dolfinx_mortar.interfaces.coulomb import Limit, create_law
 from dolfinx_mortar.interfaces.coupled_sides import CoupledSides
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides, create_pattern
 from dolfinx_mortar.interfaces.interface import Outline
-from dolfinx_mortar.interfaces.tool import Load, Pose, Tool, find_facing
+from dolfinx_mortar.interfaces.tool import Load, Movable, Pose, Tool, find_facing
 from dolfinx_mortar.interfaces.tool_derivatives import ToolDerivatives
 from dolfinx_mortar.interfaces.tool_slips import ToolPartners
 from dolfinx_mortar.interfaces.unilateral import Unilateral
@@ -62,7 +62,7 @@ class SidePattern(Pattern):
     side: WholeSide | None = None
 
 
-class Obstacle(Unilateral):
+class Obstacle(Movable, Unilateral):
     """Contact of a side with a rigid tool: w_n <= gap, pressure >= 0; perhaps with friction.
 
     The tool is a shape of `dolfinx_mortar.shapes`, without a mesh. Its point ``reference`` is at
@@ -134,39 +134,9 @@ class Obstacle(Unilateral):
         return self.tool.shape
 
     @property
-    def reference(self) -> Floats:
-        """Where the tool's point is when it starts (d,)."""
-        return self.tool.point
-
-    @property
-    def position(self) -> fem.Constant:
-        """Where the tool's point is (d,); set its value."""
-        return self.tool.position
-
-    @property
-    def rotation(self) -> fem.Constant:
-        """How the tool is turned from where it starts; set its value.
-
-        An angle in the plane, in space a rotation vector (3,): axis times angle, in radians.
-        """
-        return self.tool.rotation
-
-    @property
-    def load(self) -> Mapping[str, Load]:
-        """Forces on the tool that are given, by name; may be set anew between steps."""
-        return self.tool.load
-
-    @load.setter
-    def load(self, value: Mapping[str, Load] | None) -> None:
-        self.tool.load = self.tool.check_load(value)
-
-    @property
-    def travel(self) -> Floats:
-        """How far loads have moved the tool beyond position and rotation, (3,) or (6,).
-
-        Displacement and angle in the plane, displacement and rotation vector in space.
-        """
-        return self.tool.travel.copy()
+    def rigid(self) -> Tool:
+        """What is rigid: the tool."""
+        return self.tool
 
     def given(self) -> dict[str, Any]:
         """Return what all ranks have to give the same, by name; see `agreement`."""

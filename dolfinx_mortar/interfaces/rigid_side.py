@@ -29,7 +29,7 @@ from dolfinx_mortar.interfaces.constraints import Constraints, equalities
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides
 from dolfinx_mortar.interfaces.driven import Driven
 from dolfinx_mortar.interfaces.interface import Interface, full_coverage
-from dolfinx_mortar.interfaces.tool import Load, Pose, RigidBody, check_point
+from dolfinx_mortar.interfaces.tool import Load, Movable, Pose, RigidBody, check_point
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_normals, sum_at_nodes
 
@@ -85,7 +85,7 @@ def _spun(arm: Floats, rotation: Floats) -> Floats:
     return np.asarray(np.cross(rotation, arm))
 
 
-class RigidSide(Interface):
+class RigidSide(Movable, Interface):
     """A side that moves as a rigid body: clamped, moved and turned, or driven by force and moment.
 
     Its point ``reference`` is at ``position``, and it is turned by ``rotation`` about it: both are
@@ -134,39 +134,9 @@ class RigidSide(Interface):
         return super().sides.removeprefix("slave=")
 
     @property
-    def reference(self) -> Floats:
-        """Where its point is at the start (d,)."""
-        return self.plate.point
-
-    @property
-    def position(self) -> fem.Constant:
-        """Where its point is (d,); set its value."""
-        return self.plate.position
-
-    @property
-    def rotation(self) -> fem.Constant:
-        """How it is turned from where it starts; set its value.
-
-        An angle in the plane, in space a rotation vector (3,): axis times angle, in radians.
-        """
-        return self.plate.rotation
-
-    @property
-    def load(self) -> Mapping[str, Load]:
-        """Forces and moments that are given, by name; may be set anew between steps."""
-        return self.plate.load
-
-    @load.setter
-    def load(self, value: Mapping[str, Load] | None) -> None:
-        self.plate.load = self.plate.check_load(value)
-
-    @property
-    def travel(self) -> Floats:
-        """How far loads have moved it beyond position and rotation, (3,) or (6,).
-
-        Displacement and angle in the plane, displacement and rotation vector in space.
-        """
-        return self.plate.travel.copy()
+    def rigid(self) -> Plate:
+        """What is rigid: the plate on the side."""
+        return self.plate
 
     def given(self) -> dict[str, Any]:
         """Return what all ranks have to give the same, by name; see `agreement`."""

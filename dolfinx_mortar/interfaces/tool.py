@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -186,6 +187,50 @@ class RigidBody:
         """Add amounts (m,) of the driven motions to the travel."""
         step, d = self.steps(amounts), len(self.point)
         self.travel = np.concatenate([self.travel[:d] + step[:d], after(self.travel[d:], step[d:])])
+
+
+class Movable(ABC):
+    """What users of an interface with something rigid set and see of it."""
+
+    @property
+    @abstractmethod
+    def rigid(self) -> RigidBody:
+        """What is rigid."""
+
+    @property
+    def reference(self) -> Floats:
+        """Where its point is when it starts (d,)."""
+        return self.rigid.point
+
+    @property
+    def position(self) -> fem.Constant:
+        """Where its point is (d,); set its value."""
+        return self.rigid.position
+
+    @property
+    def rotation(self) -> fem.Constant:
+        """How it is turned from where it starts; set its value.
+
+        An angle in the plane, in space a rotation vector (3,): axis times angle, in radians.
+        """
+        return self.rigid.rotation
+
+    @property
+    def load(self) -> Mapping[str, Load]:
+        """Forces and moments on it that are given, by name; may be set anew between steps."""
+        return self.rigid.load
+
+    @load.setter
+    def load(self, value: Mapping[str, Load] | None) -> None:
+        self.rigid.load = self.rigid.check_load(value)
+
+    @property
+    def travel(self) -> Floats:
+        """How far loads have moved it beyond position and rotation, (3,) or (6,).
+
+        Displacement and angle in the plane, displacement and rotation vector in space.
+        """
+        return self.rigid.travel.copy()
 
 
 class Tool(RigidBody):

@@ -9,25 +9,21 @@ import numpy as np
 
 from dolfinx import fem, la
 from dolfinx_mortar.arrays import Bools, Floats, Longs
+from dolfinx_mortar.audit.neighbours import boxes_of
 from dolfinx_mortar.geometry.crossings import near_others, near_pairs
 from dolfinx_mortar.geometry.sweep import find_entering, flat_parts
 from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.report.facet_parts import FacetParts, point
 from dolfinx_mortar.report.overlaps import SUNK
 from dolfinx_mortar.report.uncoupled import Crossing
 
 
 @dataclass(frozen=True)
-class _Swept:
-    """Flat parts of exterior facets at the start and the end of a step."""
+class _Swept(FacetParts):
+    """Those at the start and the end of a step; a side has all facets with a node on it."""
 
     start: Floats  # (m, d, d)
     end: Floats  # (m, d, d), less the mean motion of all
-    body: Longs  # (m,)
-    sides: Bools  # (m, 2, interfaces) whether a node belongs to its slave or its master side
-
-    def part(self, which: Bools) -> "_Swept":
-        """Return some of the facets."""
-        return _Swept(self.start[which], self.end[which], self.body[which], self.sides[which])
 
     def vertices(self) -> Floats:
         """Return the vertices at both times (m, 2 d, d)."""
@@ -49,7 +45,7 @@ def notes_on_swept(problem: ContactProblem, crossing: Crossing) -> list[str]:
     """
     if problem.bodies.count < 2:
         return []
-    swept = _received(problem.comm, _create(problem))
+    swept = _create(problem).received(problem.comm)
     pairs = near_pairs(swept.vertices(), swept.body)
     pairs = np.concatenate([pairs, pairs[:, ::-1]])
     a, b = pairs.T
@@ -64,10 +60,10 @@ def notes_on_swept(problem: ContactProblem, crossing: Crossing) -> list[str]:
     if not found:
         return []
     one, other_one, *place = min(found)
-    x, y = (_point(problem.bodies.centre[k]) for k in (one, other_one))
+    x, y = (point(problem.bodies.centre[k]) for k in (one, other_one))
     return [
-        f"the bodies around {x} and {y} have moved into or through each other in this step, first "
-        f"of all what was at {_point(np.array(place))} at its start: no interface couples them "
+        f"the bodies around {x} and {y} have moved into or through each other in this step, as "
+        f"what was at {point(np.array(place))} at its start: no interface couples them "
         "there; give them a Contact, or take smaller steps to see where they meet"
     ]
 
@@ -75,10 +71,6 @@ def notes_on_swept(problem: ContactProblem, crossing: Crossing) -> list[str]:
 def _first(bodies: Longs, places: Floats) -> Longs:
     """Return the number (1,) of the least row, (0,) where there is none."""
     return np.lexsort(np.column_stack([bodies, places]).T[::-1])[:1]
-
-
-def _point(x: Floats) -> str:
-    return f"({', '.join(f'{c:.4g}' for c in x)})"
 
 
 def _create(problem: ContactProblem) -> _Swept:
@@ -94,12 +86,8 @@ def _create(problem: ContactProblem) -> _Swept:
     comm.Allreduce(MPI.IN_PLACE, moved)
     x[1] = x[1] - moved[:d] / moved[d]  # a common translation does not count
     body = problem.bodies.of_cells[boundary.cells].astype(np.int64)[again]
-    swept = _Swept(x[0], x[1], body, _touched(problem)[again])
-    boxes = np.full((problem.bodies.count, 2, d), np.inf)
-    np.minimum.at(boxes[:, 0], body, swept.vertices().min(axis=1))
-    np.minimum.at(boxes[:, 1], body, -swept.vertices().max(axis=1))
-    comm.Allreduce(MPI.IN_PLACE, boxes, op=MPI.MIN)
-    boxes[:, 1] *= -1.0
+    swept = _Swept(body, _touched(problem)[again], *x)
+    boxes = boxes_of(comm, swept.vertices(), body, problem.bodies.count)
     return swept.part(near_others(swept.vertices(), body, boxes))
 
 
@@ -115,18 +103,3 @@ def _touched(problem: ContactProblem) -> Bools:
             marks.scatter_forward()
             result[:, j, k] = (marks.array[boundary.nodes] > 0.0).any(axis=1)
     return result
-
-
-def _received(comm: MPI.Comm, own: _Swept) -> _Swept:
-    """Return the own facets, and those of other ranks whose paths their box meets; collective."""
-    if comm.size == 1:
-        return own
-    low, high = own.vertices().min(axis=1), own.vertices().max(axis=1)
-    box = low.min(axis=0, initial=np.inf), high.max(axis=0, initial=-np.inf)
-    sent = [
-        own.part(((low <= most) & (high >= least)).all(axis=1) & (rank != comm.rank))
-        for rank, (least, most) in enumerate(comm.allgather(box))
-    ]
-    parts = [own, *comm.alltoall(sent)]
-    names = "start", "end", "body", "sides"
-    return _Swept(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))

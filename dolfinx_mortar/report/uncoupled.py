@@ -10,7 +10,8 @@ import numpy as np
 
 from dolfinx import la
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import Bools, Floats, Longs
+from dolfinx_mortar.arrays import Floats, Longs
+from dolfinx_mortar.audit.neighbours import boxes_of
 from dolfinx_mortar.geometry.crossings import find_crossings, near_others
 from dolfinx_mortar.geometry.facets import facet_sizes
 from dolfinx_mortar.geometry.sweep import flat_parts
@@ -22,6 +23,7 @@ from dolfinx_mortar.mortar.surface import (
     nodal_sagittas,
 )
 from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.report.facet_parts import FacetParts, point
 from dolfinx_mortar.report.overlaps import SUNK
 
 
@@ -36,17 +38,15 @@ class Crossing:
 
 
 @dataclass(frozen=True)
-class _Skin:
-    """Flat parts of exterior facets, near other bodies, with what they belong to."""
+class _Skin(FacetParts):
+    """Those near other bodies."""
 
     x: Floats  # (m, d, d)
-    body: Longs  # (m,)
-    sides: Bools  # (m, 2, interfaces) whether they belong to its slave and its master side
     sagitta: Floats  # (m,) of the sides of interfaces to which they belong, or which they touch
 
-    def part(self, which: Bools | Longs) -> "_Skin":
-        """Return some of the facets."""
-        return _Skin(self.x[which], self.body[which], self.sides[which], self.sagitta[which])
+    def vertices(self) -> Floats:
+        """Return the vertices."""
+        return self.x
 
 
 def find_crossing(problem: ContactProblem) -> Crossing:
@@ -79,7 +79,7 @@ def find_self_crossing(problem: ContactProblem, link: Link) -> Crossing:
     again = np.arange(len(flat)) % max(len(facets.x), 1)  # see `_create_skin`
     sagitta, slave = sagittas.max(axis=1, initial=0.0)[again], link.pairing.roles.slave[again]
     sides = np.stack([slave, ~slave], axis=1)[:, :, None]
-    skin = _received(comm, _Skin(flat, first + again, sides, sagitta))
+    skin = _Skin(first + again, sides, flat, sagitta).received(comm)
     found = find_crossings(skin.x, skin.body)
     one, other = skin.part(found.pairs[:, 0]), skin.part(found.pairs[:, 1])
     coupled = (one.sides & other.sides[:, ::-1]).any(axis=(1, 2)) & (found.cosine < 0.0)
@@ -101,8 +101,7 @@ def _deepest(
 
 def _find_between(problem: ContactProblem) -> Crossing:
     """Return the deepest crossing of the boundaries of two bodies; collective."""
-    comm, own = problem.comm, _create_skin(problem)
-    skin = _received(comm, own)
+    comm, skin = problem.comm, _create_skin(problem).received(problem.comm)
     found = find_crossings(skin.x, skin.body)
     one, other = skin.part(found.pairs[:, 0]), skin.part(found.pairs[:, 1])
     coupled = (one.sides & other.sides[:, ::-1]).any(axis=(1, 2)) & (found.cosine < 0.0)
@@ -118,7 +117,7 @@ def notes_on_crossings(problem: ContactProblem, found: Crossing) -> list[str]:
     if found.share <= SUNK:
         return []
     centres = problem.bodies.centre[list(found.bodies)]
-    where, *around = (_point(x) for x in (np.array(found.place), *centres))
+    where, *around = (point(x) for x in (np.array(found.place), *centres))
     if len(set(found.bodies)) == 1:
         return [
             f"the surface of the body around {around[0]} lies in itself around {where}, by "
@@ -130,10 +129,6 @@ def notes_on_crossings(problem: ContactProblem, found: Crossing) -> list[str]:
         f"interface couples them: by {found.depth:.3g}, {found.share:.0%} of a facet there; give "
         "them a Contact, or add these facets to the sides of one"
     ]
-
-
-def _point(x: Floats) -> str:
-    return f"({', '.join(f'{c:.4g}' for c in x)})"
 
 
 def _create_skin(problem: ContactProblem) -> _Skin:
@@ -152,27 +147,9 @@ def _create_skin(problem: ContactProblem) -> _Skin:
             sagittas.array[own] = np.maximum(sagittas.array[own], found)
     sagittas.scatter_forward()
     sagitta = sagittas.array[nodes].max(axis=1, initial=0.0)
-    boxes = np.full((problem.bodies.count, 2, facets.x.shape[2]), np.inf)
-    np.minimum.at(boxes[:, 0], body, facets.x.min(axis=1))
-    np.minimum.at(boxes[:, 1], body, -facets.x.max(axis=1))
-    problem.comm.Allreduce(MPI.IN_PLACE, boxes, op=MPI.MIN)
-    boxes[:, 1] *= -1.0
+    boxes = boxes_of(problem.comm, facets.x, body, problem.bodies.count)
     near = near_others(facets.x, body, boxes)
     x, count = flat_parts(facets[near]), int(near.sum())
     again = np.arange(len(x)) % max(count, 1)  # the halves of quadrilaterals follow each other
-    return _Skin(x, *(part[near][again] for part in (body, sides, sagitta)))
-
-
-def _received(comm: MPI.Comm, own: _Skin) -> _Skin:
-    """Return the own facets, and those of other ranks that their box meets; collective."""
-    if comm.size == 1:
-        return own
-    low, high = own.x.min(axis=1), own.x.max(axis=1)
-    box = low.min(axis=0, initial=np.inf), high.max(axis=0, initial=-np.inf)
-    sent = [
-        own.part(((low <= most) & (high >= least)).all(axis=1) & (rank != comm.rank))
-        for rank, (least, most) in enumerate(comm.allgather(box))
-    ]
-    parts = [own, *comm.alltoall(sent)]
-    names = "x", "body", "sides", "sagitta"
-    return _Skin(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    body, sides, sagitta = (part[near][again] for part in (body, sides, sagitta))
+    return _Skin(body, sides, x, sagitta)

@@ -28,7 +28,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
-from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.algebra.parallel import maximum, values_at
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, ROUND_OFF, SAME, Bools, Floats, Ints
 
 LEAST_FACTOR = 0.5
@@ -222,7 +222,7 @@ def _inner_nodes(
     """
     indptr, columns, _ = near.getValuesCSR()
     wanted, place = np.unique(columns, return_inverse=True)
-    there = _gather(plain.matrix, np.column_stack([plain.X, contact]), wanted)[place]
+    there = values_at(plain.matrix.comm, np.column_stack([plain.X, contact]), wanted)[place]
     for k, row in enumerate(rows):
         span = slice(indptr[k], indptr[k + 1])
         inner = there[span, -1] == 0.0
@@ -232,18 +232,6 @@ def _inner_nodes(
         distance = np.linalg.norm(x - plain.X[row], axis=1)
         chosen = nodes[distance <= (1.0 + HALF_OF_DIGITS) * distance.min()]
         yield int(row), (chosen, np.full(len(chosen), 1.0 / len(chosen)))
-
-
-def _gather(matrix: PETSc.Mat, values: Floats, rows: Ints) -> Floats:
-    """Return the values (owned rows, k) of any rows, (rows, k); collective."""
-    k, comm = values.shape[1], matrix.comm
-    source = PETSc.Vec().createMPI((k * len(values), None), bsize=k, comm=comm)
-    source.array[:] = values.ravel()
-    wanted = PETSc.IS().createBlock(k, rows.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
-    target = PETSc.Vec().createSeq(k * len(rows), comm=PETSc.COMM_SELF)
-    scatter = PETSc.Scatter().create(source, wanted, target, None)
-    scatter.scatter(source, target)
-    return np.asarray(target.array_r.reshape(-1, k)).copy()
 
 
 def _restore_moments(
