@@ -263,6 +263,30 @@ def test_one_factorisation_serves_all_products(held_by: float, d: int) -> None:
 
 
 @pytest.mark.mpi
+def test_a_body_that_could_nearly_move() -> None:
+    """Held on stiff neighbours: the inverse without contact has lost what it needs, S has not."""
+    stiffness = np.ones(19)
+    stiffness[3:5] = 1e6
+    line = np.diag([1e-7, *np.zeros(18), 1e-7])
+    for i, k in enumerate(stiffness):
+        line[i : i + 2, i : i + 2] += k * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    K = from_arrays(line, *np.zeros((3, 20)), COMM_SELF).A
+    product, linear = CongruentOperator(K), LinearSolver(COMM_SELF, prefix="nearly_")
+    apart, held = (np.array(v, dtype=np.int32) for v in ([3, 4, 5, 12, 13], [3, 5]))
+    none = np.zeros(0, dtype=np.int32)
+    b, x = K.createVecRight(), K.createVecRight()
+    b.array[:] = np.random.default_rng(3).normal(size=20)
+    product.follow(None, none)
+    linear.set_matrix(product.matrix, apart=apart, product=product, bounded=held)
+    x.set(0.0)
+    linear.solve(b, x, held, atol=1e-9)
+    assert_solved(line, none, product.scale, held, b, x)
+    schur = linear.setup.preconditioner.schur
+    assert schur is not None and schur.R is None
+    assert linear.counts.iterations == 1
+
+
+@pytest.mark.mpi
 def test_products_with_other_bounds_and_supports() -> None:
     """Other bounded unknowns keep the factorisation; other supports elsewhere need a new one."""
     line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(20, 20)).toarray()

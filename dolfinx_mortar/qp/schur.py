@@ -301,16 +301,13 @@ class SchurComplement:
         Raises:
             LinAlgError: if S without them is not positive definite.
         """
-        basis = self.basis
+        basis = self.basis  # first: another geometry forgets what is held
         if self._held is not None and np.array_equal(self._held, held):
             return
         holds = self._holds(held)
-        if self.R is not None:
-            on = holds[basis.known]
-            factor = np.linalg.cholesky(basis.NRN[np.ix_(on, on)])
-            part = solve_triangular(factor, basis.NR[on], lower=True) if on.any() else basis.NR[on]
-            inverse = self.R - part.T @ part
-        else:
+        inverse = None if self.R is None else self._with_held(self.R, basis, holds)
+        if inverse is None:
+            self.R = None
             S = self._transform(self.S, transposed=True)
             free, inverse = np.flatnonzero(~holds), np.zeros_like(S)
             if free.size:
@@ -319,6 +316,22 @@ class SchurComplement:
         with _Entries(pc, self.unknowns.size) as entries:
             entries.T[:] = inverse  # in the order of its columns
         self._held = held.copy()
+
+    @staticmethod
+    def _with_held(R: Floats, basis: _Basis, holds: Bools) -> Floats | None:
+        """Return R with some of G held; None if that loses half of the digits.
+
+        As where contact holds a body that else could nearly move: R is then mostly that motion.
+        """
+        on = holds[basis.known]
+        if not on.any():
+            return R
+        NRN = basis.NRN[np.ix_(on, on)]
+        factor, failed = lapack.dpotrf(NRN, lower=True)
+        if failed or (np.diag(factor) ** 2 <= HALF_OF_DIGITS * np.diag(NRN)).any():
+            return None
+        part = solve_triangular(factor, basis.NR[on], lower=True)
+        return np.asarray(R - part.T @ part)
 
     # -- the PC ----------------------------------------------------------------------------------
 
