@@ -448,6 +448,9 @@ def test_where_a_tool_cannot_be():
     case, tool = obstacle(shape=dm.shapes.Plane([0.0, 0.0], [0.0, 1.0]))
     warnings = case.problem([tool]).audit().warnings
     assert any("no facet of the side faces the tool" in warning for warning in warnings)
+    tool.position.value[1] -= DEPTH
+    (note,) = dm.newton(case.problem([tool])).notes  # without an audit
+    assert "no slave node carries a multiplier" in note and "Plane" in note
     case, tool = obstacle(shape=dm.shapes.Plane([0.0, -20.0], [0.0, -1.0]))
     problem = case.problem([tool])
     with rejected("Obstacle", "20 deep", "turn it round"):

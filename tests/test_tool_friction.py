@@ -8,7 +8,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.tool_case import BASE, DEPTH, Block, R
+from tests.tool_case import BASE, DEPTH, TOP, Block, R
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi
@@ -94,6 +94,42 @@ def test_what_is_carried_along_keeps_its_traction(geometry):
     assert tool.status.x.array == pytest.approx(status)
     assert np.abs(tool.step_slip.x.array).max() < 1e-9
     assert tool.dissipation == pytest.approx(0.0, abs=1e-10)
+
+
+@pytest.mark.parametrize("early", [False, True])
+def test_a_step_ends_where_the_tool_was(early):
+    """Set for the next step before the commit of this one: its slip counts all of that motion."""
+    _, tool, problem = pressed()
+    tool.position.value[0] += 0.05
+    dm.newton(problem, rtol=1e-10)
+    if early:
+        tool.position.value[0] += 0.04
+    problem.commit()
+    if not early:
+        tool.position.value[0] += 0.04
+    dm.newton(problem, rtol=1e-10)
+    nodes = tool.active.x.array[: problem.n] > 0.0
+    slip = np.abs(tool.step_slip.x.array[: 2 * problem.n : 2][nodes])
+    assert slip == pytest.approx(np.full(nodes.sum(), 0.04), rel=1e-2)
+
+
+def test_held_nodes_have_no_friction_with_a_tool_that_moves():
+    """They stand still, the tool slides over them: noted; where both move alike, nothing is."""
+    case = Held(n=3, size=1.0, fine=0.8)
+    tool = case.tool(dm.shapes.Plane([0.4, 0.0], [0.0, -1.0]), friction=MU)
+    top = fem.locate_dofs_topological(case.V.sub(0), 1, case.facets.find(TOP))
+    given = fem.Constant(case.mesh, 0.0)
+    bcs = [*case.bcs(), fem.dirichletbc(given, top, case.V.sub(0))]
+    problem = dm.ContactProblem(dm.Solid(case.u, SOFT), [tool], bcs=bcs)
+    tool.position.value[:] += [0.0, -0.02]
+    assert not [note for note in dm.newton(problem).notes if "no friction" in note]
+    problem.commit()
+    tool.position.value[0] += 0.3
+    told = [note for note in dm.newton(problem).notes if "no friction" in note]
+    assert len(told) == 1 and "by up to 0.3" in told[0]
+    problem.commit()
+    given.value, tool.position.value[0] = 0.1, tool.position.value[0] + 0.1
+    assert not [note for note in dm.newton(problem).notes if "no friction" in note]
 
 
 def test_a_turning_tool_carries_a_body():

@@ -330,8 +330,12 @@ class Interface(ABC):
     def tighten(self, way: Floats) -> None:
         """Keep by how much (d,) a step has let the sides overlap."""
 
-    def commit(self) -> None:
-        """Make the present the state from which the next step starts."""
+    def ended(self) -> Any:
+        """Return what `commit` takes of the end of a step, whatever is set after it."""
+        return None
+
+    def commit(self, ended: Any) -> None:
+        """Make the end of a step, see `ended`, the state from which the next one starts."""
 
     def found(self) -> dict[str, list[float]]:
         """Return what steps have found and no nodal result holds, for a checkpoint.

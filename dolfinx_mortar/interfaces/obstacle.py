@@ -154,9 +154,13 @@ class Obstacle(Movable, Unilateral):
 
     # -- state -----------------------------------------------------------------------------------
 
-    def commit(self) -> None:
-        """Keep where the tool is: the slips of the next step count from here."""
-        self.began = self.tool.pose()
+    def ended(self) -> Pose:
+        """Return where the tool is."""
+        return self.tool.pose()
+
+    def commit(self, ended: Pose) -> None:
+        """Keep where the tool was at the end of a step: the slips of the next count from there."""
+        self.began = ended
 
     def found(self) -> dict[str, list[float]]:
         """Return where the tool was at the last commit."""

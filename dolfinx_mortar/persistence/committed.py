@@ -3,6 +3,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from mpi4py import MPI
 
@@ -54,6 +55,7 @@ class StepOutcome:
     # (owned nodes, d) forces of the contacts on both sides, normal to them and along
     normal: Floats | None = None
     tangential: Floats | None = None
+    ended: Sequence[Any] = ()  # of the interfaces, see `Interface.ended`
 
 
 @dataclass

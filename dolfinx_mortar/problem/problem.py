@@ -471,10 +471,16 @@ class ContactProblem:
         self.check_owned()
         with self.timings("commit"):
             self.terms.commit()
-            self.committed.commit(self.owned_u, self.ended_here())
-            for interface in self.interfaces:
-                ask(self.comm, interface, "commit")
+            outcome = self.ended_here()
+            self.committed.commit(self.owned_u, outcome)
+            ended = outcome.ended if outcome and outcome.ended else self.ends_of_interfaces()
+            for interface, end in zip(self.interfaces, ended, strict=True):
+                ask(self.comm, interface, "commit", end)
             self.outcome = None
+
+    def ends_of_interfaces(self) -> list[Any]:
+        """Return what the interfaces take over of the present state; collective."""
+        return [ask(self.comm, interface, "ended") for interface in self.interfaces]
 
     def ended_here(self) -> StepOutcome | None:
         """Return the outcome of the last step, None if u has been reset since; collective."""

@@ -7,7 +7,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces import results
 from dolfinx_mortar.interfaces.constraints import SlipLimits
@@ -141,11 +141,18 @@ def notes_on_lost_friction(problem: ContactProblem, contacts: Contacts) -> list[
     Dirichlet data leave no tangential unknown there, to which friction could be applied.
     """
     notes = []
+    began, now = (
+        problem.X + u.reshape(problem.X.shape)
+        for u in (problem.committed.displacement, problem.owned_u)
+    )
     moved = problem.vector(problem.owned_u - problem.committed.displacement)
     for link in problem.system.links:
         if not link.interface.rough:
             continue
         relative, directions = _motion(link, moved), link.coupling.directions
+        way = link.interface.tool_way(began[link.nodes], now[link.nodes])
+        if way is not None:
+            relative = relative - np.einsum("nij,ni->nj", link.coupling.R, way)
         on = contacts.active[link.nodes] & directions[:, 0]
         lost = np.abs(np.where(on[:, None] & ~directions, relative, 0.0)).max(axis=1, initial=0.0)
         slides = lost > NO_SLIDING * problem.system.facet_length
@@ -156,6 +163,25 @@ def notes_on_lost_friction(problem: ContactProblem, contacts: Contacts) -> list[
                 f"{link.interface} has no friction at {count} slave nodes, which slide by up to "
                 f"{farthest:.3g} as Dirichlet data prescribe; let the other side be the slave, or "
                 "prescribe less"
+            )
+    return notes
+
+
+def notes_on_missed_tools(links: Sequence[Link]) -> list[str]:
+    """Return a note for every tool that nothing can meet; collective.
+
+    Not of tools on sides that they share: their nodes may belong to another interface.
+    """
+    notes = []
+    for link in links:
+        shared = [np.isin(link.nodes, other.nodes).any() for other in links if other is not link]
+        met = link.pairing is not None or link.constrained.any() or any(shared)
+        if not any_rank(link.sides.V.mesh.comm, met)[0]:
+            notes.append(
+                f"{link.interface}: no slave node carries a multiplier, so that the step has gone "
+                "on as if it were not there: no facet of the side faces it (the normal of a tool "
+                "points out of it, towards the body), or Dirichlet data hold them all; see "
+                "dm.audit(problem)"
             )
     return notes
 

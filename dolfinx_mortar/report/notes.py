@@ -15,7 +15,11 @@ from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.linearisation import Balance
 from dolfinx_mortar.newton_method.residuals import gap_round_off
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.report.interface_results import notes_on_lost_friction, notes_on_sliding
+from dolfinx_mortar.report.interface_results import (
+    notes_on_lost_friction,
+    notes_on_missed_tools,
+    notes_on_sliding,
+)
 from dolfinx_mortar.report.lost_stress import notes_on_lost_stress
 from dolfinx_mortar.report.overlaps import notes_on_overlaps
 from dolfinx_mortar.report.resolution import note_on_few_nodes, notes_on_rims
@@ -77,6 +81,7 @@ def _overlaps(end: StepEnd) -> list[str]:
 
 
 DIAGNOSES: tuple[Diagnosis, ...] = (
+    lambda end: notes_on_missed_tools(end.unilateral),
     lambda end: notes_on_sliding(end.problem, end.contacts),
     lambda end: notes_on_lost_friction(end.problem, end.contacts),
     _pressures,

@@ -722,7 +722,8 @@ class _Step:
         supports = support_forces(problem, iterate.balance)  # last, as no error may follow
         at, paired = problem.owned_u.copy(), problem.system.present.paired
         forces = -normal_forces(problem, contacts), -tangential_forces(problem, contacts)
-        outcome = StepOutcome(at, contacts.active, contacts.sliding, paired, slips, *forces)
+        ended = problem.ends_of_interfaces()
+        outcome = StepOutcome(at, contacts.active, contacts.sliding, paired, slips, *forces, ended)
         problem.outcome, problem.committed.supports = outcome, supports
         report.converged = True
 
