@@ -8,7 +8,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.geometry.crossings import find_crossings
+from dolfinx_mortar.geometry.crossings import find_crossings, near_pairs
 from dolfinx_mortar.geometry.facets import facet_sizes
 from dolfinx_mortar.mortar.surface import create_surface, facets_at, nodal_sagittas
 from dolfinx_mortar.report.uncoupled import find_crossing
@@ -108,3 +108,22 @@ def test_sagittas_of_a_cylinder():
     found = nodal_sagittas(surface, surface.X)
     size = facet_sizes(facets_at(surface, surface.X).x).mean() / (angle * lug_case.HOLE)
     assert found / size == pytest.approx(np.full(len(found), exact), rel=0.02)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("d", [2, 3])
+def test_boxes_that_meet(d):
+    """As by comparing all: facets of sizes apart by 100, flat ones, three bodies, long paths."""
+    rng = np.random.default_rng(5)
+    size = 10.0 ** rng.uniform(-2, 0, (300, 1, 1))
+    stretch = np.where(rng.random((300, 1, d)) < 0.2, 0.0, 1.0)  # flat in some directions
+    x = rng.random((300, 1, d)) * stretch + 0.3 * size * stretch * rng.random((300, d, d))
+    x = np.concatenate([x, x + 0.5 * np.eye(d)[0]], axis=1)  # of a slide
+    body = rng.integers(3, size=300)
+    low, high = x.min(axis=1), x.max(axis=1)
+    meet = ((low[:, None] <= high) & (high[:, None] >= low)).all(axis=2)
+    meet &= body[:, None] != body
+    found = np.sort(near_pairs(x, body), axis=1)
+    assert len(np.unique(found, axis=0)) == len(found)
+    assert {*map(tuple, found.tolist())} == {*zip(*np.nonzero(np.triu(meet)), strict=True)}
+    assert 0 < len(found) < meet.size // 4

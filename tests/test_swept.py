@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx import fem
+from dolfinx import fem, mesh
 from dolfinx_mortar.geometry.sweep import find_entering
 from dolfinx_mortar.report.swept import notes_on_swept
 from dolfinx_mortar.report.uncoupled import Crossing
@@ -69,11 +69,48 @@ def test_a_block_through_a_block(partition, way):
 @pytest.mark.mpi
 def test_one_that_ends_inside():
     """A small block ends wholly within a large one: no boundaries cross there."""
-    mesh, _, facets = two_blocks(COMM, gap=0.1, x_upper=(0.3, 0.7), heights=(1.0, 0.3))
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    blocks, _, facets = two_blocks(COMM, gap=0.1, x_upper=(0.3, 0.7), heights=(1.0, 0.3))
+    V = fem.functionspace(blocks, ("Lagrange", 1, (2,)))
     problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [], bcs=held(V, facets, -0.5))
     report = dm.newton(problem)
     assert report.certificate.crossing == 0.0 and len(notes(report)) == 1
+
+
+def three_bodies(d, strain):
+    """Return a problem of three cubes, with gaps between them as wide as they are."""
+    n = [5, 1, 1][:d]
+    ends = [np.zeros(d), np.array(n, dtype=float)]
+    whole = (mesh.create_rectangle if d == 2 else mesh.create_box)(COMM, ends, n)
+    cells = mesh.locate_entities(whole, d, lambda x: np.ones(x.shape[1], dtype=bool))
+    middle = mesh.compute_midpoints(whole, d, cells)[:, 0]
+    part = mesh.create_submesh(whole, d, cells[middle.astype(int) % 2 == 0])[0]
+    V = fem.functionspace(part, ("Lagrange", 1, (d,)))
+    return dm.ContactProblem(dm.Solid(fem.Function(V), LAW, strain=strain), [])
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("strain", ["small", "finite"])
+@pytest.mark.parametrize("d", [2, 3])
+def test_ways_of_three_bodies(d, strain):
+    """The first one goes through both others, through one, past it, or all turn as one body."""
+    problem = three_bodies(d, strain)
+    X = problem.V.tabulate_dof_coordinates()[:, :d]
+    first = (X[:, 0] < 1.5)[:, None]
+    across = np.eye(d)[1]
+
+    def told(u):
+        problem.u.x.array[:] = u.ravel()
+        return notes_on_swept(problem, Crossing())
+
+    (both,) = told(first * 6.0 * np.eye(d)[0])
+    assert "(0.5, 0.5" in both and "(the first of 2 pairs of bodies)" in both
+    (one,) = told(first * 3.0 * np.eye(d)[0])
+    assert "pairs" not in one
+    assert not told(first * (2.0 * np.eye(d)[0] + 4.0 * across))
+    for angle in np.radians([30.0, 90.0]):
+        turn = np.eye(d)
+        turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        assert not told(X @ turn.T - X)
 
 
 @pytest.mark.mpi

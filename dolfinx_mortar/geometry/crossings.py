@@ -8,7 +8,8 @@ from scipy.spatial import cKDTree
 
 from dolfinx_mortar.arrays import Bools, Floats, Longs
 from dolfinx_mortar.geometry.elements import LINE2, TRI3
-from dolfinx_mortar.geometry.facets import Facets, are_inside, bounding_balls, facet_normals
+from dolfinx_mortar.geometry.facets import Facets, are_inside, facet_normals
+from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,20 +79,27 @@ def near_pairs(x: Floats, body: Longs) -> Longs:
         body: number (m,) of the body of each.
 
     Facets are sorted into classes of size, each twice the last, so that a small one is not compared
-    with all small ones within the reach of the largest.
+    with all small ones within the reach of the largest. In each direction distances are measured in
+    the largest extents there: where all slide in one direction, boxes are long and thin.
     """
-    centre, radius = bounding_balls(x)
     low, high = x.min(axis=1), x.max(axis=1)
-    size = np.frexp(radius)[1]
+    centre, half = (low + high) / 2, (high - low) / 2
+    size = np.frexp(half.max(axis=1, initial=0.0))[1]
     found = [np.zeros((0, 2), dtype=np.int64)]
-    for power in np.unique(size):
-        larger, smaller = np.flatnonzero(size == power), np.flatnonzero(size <= power)
-        tree = cKDTree(centre[larger])
-        near = tree.query_ball_point(centre[smaller], radius[smaller] + np.ldexp(1.0, int(power)))
+    for power, one in np.unique(np.stack([size, body], axis=1), axis=0):
+        larger = np.flatnonzero((size == power) & (body == one))
+        once = (size < power) | ((size == power) & (body > one))
+        within = (low <= high[larger].max(axis=0)) & (high >= low[larger].min(axis=0))
+        smaller = np.flatnonzero(once & (body != one) & within.all(axis=1))
+        if len(smaller) == 0:
+            continue
+        unit = half[larger].max(axis=0) + half[smaller].max(axis=0)
+        unit = np.maximum(unit, HALF_OF_DIGITS * np.maximum(unit.max(), TINY))
+        tree = cKDTree(centre[larger] / unit)
+        reach = 1.0 + HALF_OF_DIGITS  # beyond round-off
+        near = tree.query_ball_point(centre[smaller] / unit, reach, p=np.inf)
         a = np.repeat(smaller, [len(b) for b in near])
         b = larger[np.concatenate([np.array(b, dtype=np.int64) for b in near])]
-        once = (body[a] != body[b]) & ((size[a] < power) | (a < b))
-        a, b = a[once], b[once]
         meet = ((low[a] <= high[b]) & (high[a] >= low[b])).all(axis=1)
         found.append(np.stack([a[meet], b[meet]], axis=1))
     return np.concatenate(found)

@@ -172,7 +172,7 @@ class InterfaceSystem:
 
     @cached_property
     def boundary(self) -> Boundary:
-        """All exterior facets of this rank, of systems with a surface."""
+        """All exterior facets of this rank; collective at first."""
         return find_boundary(self.V)
 
     @property

@@ -98,8 +98,7 @@ def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str
             f"facet_tags ({name}={label(facet_tags, tag)}) mark entities of dimension "
             f"{facet_tags.dim}; facets have dimension {fdim}."
         )
-    for pair in ((fdim, topology.dim), (topology.dim, fdim)):
-        topology.create_connectivity(*pair)
+    _connect(topology)
     with raised_together(comm):
         check_entities("facet_tags", facet_tags)
     facets = _owned_facets_with(facet_tags, tag)
@@ -279,8 +278,16 @@ class Boundary:
         return Facets(self.facets.element, X + u.x.array.reshape(-1, X.shape[2])[self.nodes])
 
 
+def _connect(topology: dolfinx.mesh.Topology) -> None:
+    """Make the connectivities between facets and cells; collective."""
+    d = topology.dim
+    topology.create_connectivity(d - 1, d)
+    topology.create_connectivity(d, d - 1)
+
+
 def find_boundary(V: dolfinx.fem.FunctionSpace) -> Boundary:
-    """Return all exterior facets, once a surface exists: that has made the connectivities."""
+    """Return all exterior facets; collective."""
+    _connect(V.mesh.topology)
     entities = dolfinx.mesh.exterior_facet_indices(V.mesh.topology)
     nodes, cells = _facet_nodes(V, entities)
     X = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
