@@ -499,8 +499,9 @@ class LinearSolver:
             cause += f" after {iterations} iterations"
         raise LinearSolveFailed(
             f"The linear solver, {self.description}, gave no solution: {cause} (PETSc reason "
-            f"{self._ksp.getConvergedReason()}). A solution with large round-off comes from a "
-            f"singular matrix: a body is held by nothing.{self.remedy}"
+            f"{self._ksp.getConvergedReason()}). Most often the matrix is singular: a body "
+            "is held by nothing, or plastic flow or buckling has left the tangent no stiffness, so "
+            f"that smaller steps help.{self.remedy}"
         )
 
 
