@@ -8,10 +8,11 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
-from dolfinx_mortar.geometry.sweep import find_entering
+from dolfinx_mortar.geometry.sweep import find_entering, find_passing_edges
 from dolfinx_mortar.report.swept import notes_on_swept
 from dolfinx_mortar.report.uncoupled import Crossing
 from tests.meshes import BOTTOM, TOP, two_blocks
+from tests.meshes_3d import two_boxes
 from tests.test_crossings import sunk
 
 COMM = MPI.COMM_WORLD
@@ -51,6 +52,48 @@ def test_what_enters(d):
         assert bool(len(find_entering(start, end, pairs, 0.05)[0])) is enters
     both = x - 9 * up
     assert not len(find_entering(x, both, pairs, 0.05)[0])
+
+
+def test_edges_that_pass():
+    """Across each other in any direction; not beside, nearly parallel, touching, or not as far."""
+    x = np.array([[[-1.0, 0, 1], [1, 0.5, 1]], [[0.1, -1, 0], [0, 1, 0.2]]])
+    pairs = np.array([[0, 1]])
+    parallel = np.stack([x[0], x[0] + [0.0, 0.01, -1.0]])
+    down = np.array([0.3, 0.2, -2.0])
+    for start, way, passes in (
+        (x, down, True),
+        (x + np.array([[[0.0, 0, -2]], [[0, 0, 0]]]), -down, True),
+        (x, 0.4 * down, False),
+        (x + np.array([[[0.0, 0, -2]], [[0, 0, 0]]]), down, False),
+        (x, down + 3.0 * np.eye(3)[0], False),
+        (parallel, down, False),
+    ):
+        end = start + np.stack([way, 0 * way])[:, None]
+        assert bool(len(find_passing_edges(start, end, pairs, 0.05))) is passes
+        assert bool(len(find_passing_edges(start, end, pairs[:, ::-1], 0.05))) is passes
+    assert not len(find_passing_edges(x, x + down, pairs, 0.05))
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("partition", ["graph", "bodies", "empty"])
+def test_bars_that_cross(partition):
+    """Of one cell across each: no vertex and no middle of a facet of one meets the other."""
+    bars, *_ = two_boxes(
+        COMM,
+        (1, 1, 1),
+        (1, 1, 1),
+        lower=(0.0, 5.0, 2.2, 2.8),
+        upper=(2.2, 2.8, 0.0, 5.0),
+        heights=(0.4, 0.4),
+        gap=0.1,
+        partition=partition,
+    )
+    V = fem.functionspace(bars, ("Lagrange", 1, (3,)))
+    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [])
+    upper = V.tabulate_dof_coordinates()[:, 2] > 0.05
+    for way, count in ((-1.5, 1), (-0.05, 0), (1.0, 0)):
+        problem.u.x.array[2::3] = way * upper
+        assert len(notes_on_swept(problem, Crossing())) == count
 
 
 @pytest.mark.mpi

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which points pass through facets from outside to inside, while both move during a step."""
+"""Points that pass through facets, and edges through edges, while both move during a step."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -104,3 +104,47 @@ def find_entering(start: Floats, end: Floats, pairs: Longs, share: float) -> tup
         which.append(some[inside])
         places.append(points[0][a[some[inside]], k])
     return np.concatenate(which), np.concatenate(places)
+
+
+def find_passing_edges(start: Floats, end: Floats, pairs: Longs, share: float) -> Longs:
+    """Return which pairs of edges (q,) pass through each other in a step.
+
+    In the direction across both they are on one side of each other at its start, and on the other
+    one at its end, by a share of their lengths; and they meet farther than that from their ends.
+    Points and distances are taken as linear in time. Edges that are nearly parallel have no
+    direction across.
+
+    Args:
+        start: ends (m, 2, 3) of the edges at the start of the step.
+        end: those at its end.
+        pairs: (p, 2) numbers of edges.
+        share: of the length of the shorter edge; also of the sine of the angle between them.
+
+    Example:
+        >>> x = np.array([[[-1.0, 0, 1], [1, 0, 1]], [[0, -1.0, 0], [0, 1, 0]]])
+        >>> moved = x - np.array([[[0.0, 0, 2]], [[0.0, 0, 0]]])
+        >>> find_passing_edges(x, moved, np.array([[0, 1]]), 0.05).tolist()
+        [0]
+    """
+
+    def distances(x: Floats) -> tuple[Floats, Floats]:
+        one, other = x[pairs[:, 0]], x[pairs[:, 1]]
+        lengths = [np.linalg.norm(y[:, 1] - y[:, 0], axis=1) for y in (one, other)]
+        across = np.cross(one[:, 1] - one[:, 0], other[:, 1] - other[:, 0])
+        size = np.linalg.norm(across, axis=1)
+        apart = np.where(size > share * lengths[0] * lengths[1], size, np.inf)
+        return ((one[:, 0] - other[:, 0]) * across).sum(axis=1) / apart, np.minimum(*lengths)
+
+    (d0, _), (d1, length) = distances(start), distances(end)
+    passes = (
+        (d0 * d1 < 0.0) & (np.abs(d0) > HALF_OF_DIGITS * length) & (np.abs(d1) > share * length)
+    )
+    some = np.flatnonzero(passes)
+    t = (d0[some] / (d0 - d1)[some])[:, None, None]
+    one, other = ((1.0 - t) * start[k] + t * end[k] for k in pairs[some].T)
+    a, b, between = one[:, 1] - one[:, 0], other[:, 1] - other[:, 0], other[:, 0] - one[:, 0]
+    across = np.cross(a, b)
+    square = (across**2).sum(axis=1)
+    at = [(np.cross(between, y) * across).sum(axis=1) / square for y in (b, a)]
+    inside = np.logical_and.reduce([(s > share) & (s < 1.0 - share) for s in at])
+    return np.asarray(some[inside])
