@@ -24,6 +24,7 @@ from dolfinx_mortar.materials.tensor import COMPONENTS, from_components, to_comp
 from dolfinx_mortar.solid.laws import tags_of_cells
 from dolfinx_mortar.solid.sources import (
     Followed,
+    Part,
     Source,
     check_source,
     create_source,
@@ -65,12 +66,13 @@ class Eigenstrain(Followed):
         for name, value, cells in parts:
             tensor = ufl.sym(value) if value.ufl_shape else value * ufl.Identity(3)
             stored = to_components(tensor, shape[0]) if shape else value
-            sources.append(create_source(function, cells, name, stored))
+            sources.append(create_source(cells, Part(name, function, stored)))
             zero = None
             if value.ufl_shape:
                 terms = [value[i, j] - value[j, i] for i, j in ((0, 1), (1, 2), (0, 2))]
                 terms += [tensor[1, 2], tensor[0, 2]] if d == 2 else []
-                zero = create_source(function, cells, name, ufl.as_vector(terms)).expression
+                part = Part(name, function, ufl.as_vector(terms))
+                zero = create_source(cells, part).expression
             self._vanishing.append(zero)
         super().__init__(function, sources)
 
@@ -90,7 +92,7 @@ class Eigenstrain(Followed):
         """Raise a ValueError on all ranks if values in the cells of a source make no sense."""
         V = self.function.function_space
         owned = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
-        cells = source.cells[source.cells < owned]
+        cells, name = source.cells[source.cells < owned], source.parts[0].name
         values = self.function.x.array.reshape(-1, V.dofmap.bs)[V.dofmap.list[cells].ravel()]
         undefined = ~np.isfinite(values).all(axis=1)
         skew, out_of_plane = np.zeros((2, len(undefined)), dtype=bool)
@@ -105,17 +107,17 @@ class Eigenstrain(Followed):
         bad = V.mesh.comm.allreduce(counts, op=MPI.SUM)
         if bad[0]:
             raise ValueError(
-                f"{source.name} is NaN or infinite at {bad[0]} integration points; check what it "
+                f"{name} is NaN or infinite at {bad[0]} integration points; check what it "
                 "depends on"
             )
         if bad[1]:
             raise ValueError(
-                f"{source.name} is not symmetric at {bad[1]} integration points; a strain is: "
+                f"{name} is not symmetric at {bad[1]} integration points; a strain is: "
                 "give its symmetric part, ufl.sym(..) or (e + e.T) / 2"
             )
         if bad[2]:
             raise ValueError(
-                f"{source.name} has components xz or yz at {bad[2]} integration points, which "
+                f"{name} has components xz or yz at {bad[2]} integration points, which "
                 "bodies in the plane cannot follow; set them to 0"
             )
 

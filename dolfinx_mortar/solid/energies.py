@@ -22,7 +22,7 @@ from dolfinx import fem, mesh
 from dolfinx_mortar.materials.response import Response
 from dolfinx_mortar.solid.laws import Region, tags_of_cells
 from dolfinx_mortar.solid.points import PointFields
-from dolfinx_mortar.solid.sources import create_source, point_function
+from dolfinx_mortar.solid.sources import Part, create_source, point_function
 from dolfinx_mortar.solid.state import fill_all
 from dolfinx_mortar.tags import names_of
 
@@ -79,7 +79,7 @@ class EnergyDensities:
         self.stored = point_function(domain, degree, (), STORED)
         self._of_volume, self._mesh, self._cell_tags = of_volume, domain, cell_tags
         self._sources = [
-            create_source(self.stored, region.cells, f"{name}: energy", found.energy)
+            create_source(region.cells, Part(f"{name}: energy", self.stored, found.energy))
             for region, (name, found) in zip(regions, pairs, strict=True)
             if found.energy is not None
         ]

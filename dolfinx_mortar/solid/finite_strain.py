@@ -14,7 +14,7 @@ from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import is_name
 from dolfinx_mortar.materials.response import Response
 from dolfinx_mortar.solid.at_points import middle_of
-from dolfinx_mortar.solid.sources import create_source, point_function
+from dolfinx_mortar.solid.sources import Part, create_source, point_function
 from ufl.core.expr import Expr
 
 
@@ -47,7 +47,7 @@ class Volumes:
         every = np.arange(cells.size_local + cells.num_ghosts, dtype=np.int32)
         self.J = point_function(domain, degree, (), "J")
         self.J.x.array[:] = 1.0
-        self.source = create_source(self.J, every, "J", ufl.det(gradient))
+        self.source = create_source(every, Part("J", self.J, ufl.det(gradient)))
         self._owned = cells.size_local
         self._comm = domain.comm
 

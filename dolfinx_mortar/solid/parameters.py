@@ -17,6 +17,7 @@ from dolfinx_mortar.materials.protocol import Law
 from dolfinx_mortar.materials.ranges import grouped, named_parameters, wrong_values
 from dolfinx_mortar.solid.sources import (
     Followed,
+    Part,
     check_source,
     create_source,
     point_function,
@@ -81,7 +82,7 @@ class ParameterTable(Followed):
             row = [0.0 if isinstance(value, Expr) else value for value in values] or [0.0]
             function.x.array.reshape(-1, width)[dofmap.list[on]] = row
         sources = [
-            create_source(function, on, f"{law.name}: {names[i]}", value, slice(i, i + 1))
+            create_source(on, Part(f"{law.name}: {names[i]}", function, value, slice(i, i + 1)))
             for on, i, value in moving
         ]
         super().__init__(function, sources)

@@ -24,35 +24,58 @@ from ufl.core.expr import Expr
 
 
 @dataclass(frozen=True)
-class Source:
-    """An expression in some cells, which fills some components of a Function at its points."""
+class Part:
+    """A value, and the components of a Function that it fills."""
 
     name: str  # of what the user gave, for messages
     function: fem.Function
-    components: slice  # of the Function
+    value: Expr  # a scalar or a vector of components
+    components: slice = slice(None)  # of the Function
+
+    @property
+    def table(self) -> Floats:
+        """The values (points, components) of the Function, which may be set."""
+        rows = self.function.x.array.reshape(-1, self.function.function_space.dofmap.bs)
+        return rows[:, self.components]
+
+    @property
+    def entries(self) -> list[Expr]:
+        """The components of the value."""
+        value = self.value
+        return [value[i] for i in range(*value.ufl_shape)] if value.ufl_shape else [value]
+
+
+@dataclass(frozen=True)
+class Source:
+    """Values in some cells, which one expression fills into components of Functions."""
+
+    parts: Sequence[Part]  # all at the same points
     cells: Ints  # local cells, ghosts included
     expression: fem.Expression
     inputs: tuple[Any, ...]  # the Constants and Functions that it depends on
 
     @property
-    def dofs(self) -> Ints:
-        """The points (cells, points) of the cells, rows of the table of values."""
-        return np.asarray(self.function.function_space.dofmap.list[self.cells])
+    def _space(self) -> fem.FunctionSpace:
+        return self.parts[0].function.function_space
 
-    def evaluate(self) -> Floats:
-        """Return the values (cells, points * components); without communication."""
-        return np.asarray(self.expression.eval(self.function.function_space.mesh, self.cells))
+    @property
+    def dofs(self) -> Ints:
+        """The points (cells, points) of the cells, rows of the tables of values."""
+        return np.asarray(self._space.dofmap.list[self.cells])
 
     def fill(self) -> None:
-        """Evaluate the expression into the Function."""
-        table = self.function.x.array.reshape(-1, self.function.function_space.dofmap.bs)
-        dofs, count = self.dofs, table[:0, self.components].shape[1]
-        table[dofs, self.components] = self.evaluate().reshape(*dofs.shape, count)
+        """Evaluate the expression into the Functions; without communication."""
+        dofs, tables = self.dofs, [part.table for part in self.parts]
+        ends = np.cumsum([table.shape[1] for table in tables])
+        values = np.asarray(self.expression.eval(self._space.mesh, self.cells))
+        columns = np.split(values.reshape(*dofs.shape, ends[-1]), ends[:-1], axis=-1)
+        for table, of_part in zip(tables, columns, strict=True):
+            table[dofs] = of_part
 
-    def undefined(self) -> int:
-        """Return at how many points of the cells the Function is NaN or infinite."""
-        values = self.function.x.array.reshape(-1, self.function.function_space.dofmap.bs)
-        return int(np.sum(~np.isfinite(values[self.dofs]).all(axis=-1)))
+    def undefined(self) -> list[int]:
+        """Return at how many points of the cells the Function of each part is NaN or infinite."""
+        at = [part.table[self.dofs] for part in self.parts]
+        return [int(np.sum(~np.isfinite(values).all(axis=-1))) for values in at]
 
     def numbers(self) -> list[Floats]:
         """Return the numbers that it depends on."""
@@ -61,26 +84,29 @@ class Source:
         ]
 
 
-def create_source(
-    function: fem.Function, cells: Ints, name: str, value: Expr, components: slice = slice(None)
-) -> Source:
-    """Compile the evaluation of a scalar or a vector of components; collective.
+def create_source(cells: Ints, *parts: Part) -> Source:
+    """Compile the evaluation of parts whose Functions have the same points; collective.
+
+    Together they cost one start of compiler and linker, see `compat.compile_together`, and what
+    they share is evaluated once.
 
     Raises:
         ValueError: on all ranks, if that is impossible.
     """
-    V = function.function_space
+    V = parts[0].function.function_space
+    value = ufl.as_vector([entry for part in parts for entry in part.entries])
     # a number alone has no mesh
     zero = fem.Constant(V.mesh, np.zeros(value.ufl_shape, dtype=default_scalar_type))
     try:
         expression = fem.Expression(value + zero, compat.interpolation_points(V))
     except Exception as error:
         raise ValueError(
-            f"{name} cannot be evaluated at the integration points ({error}); a Function in a "
-            "quadrature space must have the quadrature_degree of the Solid."
+            f"{', '.join(part.name for part in parts)} cannot be evaluated at the integration "
+            f"points ({error}); a Function in a quadrature space must have the quadrature_degree "
+            "of the Solid."
         ) from error
     inputs = (*extract_coefficients(value), *extract_constants(value))
-    return Source(name, function, components, cells, expression, inputs)
+    return Source(parts, cells, expression, inputs)
 
 
 def point_function(

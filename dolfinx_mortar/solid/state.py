@@ -10,7 +10,7 @@ from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.materials.response import Response
 from dolfinx_mortar.materials.tensor import COMPONENTS, from_components, to_components
 from dolfinx_mortar.solid.laws import Region
-from dolfinx_mortar.solid.sources import Source, create_source, point_function
+from dolfinx_mortar.solid.sources import Part, Source, create_source, point_function
 from ufl.core.expr import Expr
 
 
@@ -20,7 +20,8 @@ def fill_all(comm: MPI.Comm, evaluations: Sequence[Source]) -> None:
     Raises:
         ValueError: on all ranks, if a law gives NaN or infinity on any, naming the law.
     """
-    before = {f: f.x.array.copy() for f in {evaluation.function for evaluation in evaluations}}
+    filled = {part.function for source in evaluations for part in source.parts}
+    before = {f: f.x.array.copy() for f in filled}
     try:
         for evaluation in evaluations:
             evaluation.fill()
@@ -33,11 +34,12 @@ def fill_all(comm: MPI.Comm, evaluations: Sequence[Source]) -> None:
 
 def _check_defined(comm: MPI.Comm, evaluations: Sequence[Source]) -> None:
     """Raise a ValueError on all ranks if a law has given NaN or infinity on any; collective."""
-    counts = maximum(comm, *(float(evaluation.undefined()) for evaluation in evaluations))
-    for evaluation, count in zip(evaluations, counts, strict=True):
+    names = [part.name for source in evaluations for part in source.parts]
+    found = [float(count) for source in evaluations for count in source.undefined()]
+    for name, count in zip(names, maximum(comm, *found), strict=True):
         if count:
             raise ValueError(
-                f"{evaluation.name} is NaN or infinite at {count:.0f} integration points or more; "
+                f"{name} is NaN or infinite at {count:.0f} integration points or more; "
                 "check the law with dolfinx_mortar.materials.check and its parameters"
             )
 
@@ -91,8 +93,13 @@ def create_evaluations(
     for region, response in zip(regions, responses, strict=True):
         given = [("stress", stress, response.stress)]
         given += [(name, staged[name], value) for name, value in response.updated.items()]
-        for name, target, value in given:
-            stored = to_components(value, size) if value.ufl_shape else value
-            what = f"{region.law.name}: {name}"
-            evaluations.append(create_source(target, region.cells, what, stored))
+        parts = [
+            Part(
+                f"{region.law.name}: {name}",
+                target,
+                to_components(value, size) if value.ufl_shape else value,
+            )
+            for name, target, value in given
+        ]
+        evaluations.append(create_source(region.cells, *parts))
     return evaluations
