@@ -112,9 +112,9 @@ def main(path, result, steps, moment=""):
         if writer is not None:
             writer.write(step.number)
         if made == [1, 2, 3] and moment == "write":
-            writing.ROWS, writing.seal = 8, die
+            writing.CHUNK, writing.seal = 8, die
         if made == [1, 2, 3] and moment == "send":
-            writing.ROWS = 8
+            writing.CHUNK = 8
             writing._parts = mortal(writing._parts)
         if made == [1, 2, 3] and moment == "replace":
             Path.replace = die

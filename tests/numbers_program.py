@@ -44,7 +44,7 @@ ROOMS = [
 
 ABSURD = {
     "EPS": 10.0, "HALF_OF_DIGITS": 1.0, "ROUND_OFF": 0.1, "TINY": 1.0,
-    "area._ACCURACY": 1.0, "area._HIGHEST": 2,
+    "SAME": 1.0, "area._HIGHEST": 2,
 }  # fmt: skip
 calls = {"halve": 0}
 halve = plane.halve

@@ -373,7 +373,7 @@ def test_a_disk_that_fails(good, folder, monkeypatch, work):
     def fail(*_):
         raise OSError("no space left on device")
 
-    monkeypatch.setattr(writing, "ROWS", 3)  # many parts, also after the first error
+    monkeypatch.setattr(writing, "CHUNK", 3)  # many parts, also after the first error
     monkeypatch.setattr(writing, work, fail)
     with rejected("could not be written", "no space left", error=OSError):
         press.problem.save(file)

@@ -44,7 +44,7 @@ def values_at(places):
 @pytest.mark.mpi
 @pytest.mark.parametrize("rows", [7, 2**15])
 def test_rows_are_dealt_out_anew(file, rng, monkeypatch, rows):
-    monkeypatch.setattr(writing, "ROWS", rows)
+    monkeypatch.setattr(writing, "CHUNK", rows)
     places = rng.uniform(-1.0, 1.0, (101, 4))
     written, wanted = share(places, rng), share(rng.permutation(places), rng)
     none = np.zeros((0, 4))
@@ -61,7 +61,7 @@ def test_rows_are_dealt_out_anew(file, rng, monkeypatch, rows):
 @pytest.mark.mpi
 def test_a_rank_reads_what_is_near_only(file, monkeypatch):
     """Pieces are boxes: of those that are elsewhere no row is read."""
-    monkeypatch.setattr(writing, "ROWS", 10)
+    monkeypatch.setattr(writing, "CHUNK", 10)
     places = np.linspace(0.0, 1.0, 100)[:, None] * np.ones(2)
     own = places[COMM.rank :: COMM.size] if COMM.size == 1 else places[:0]
     write(COMM, file, {}, {"x": Table(own if COMM.size == 1 else _block(places), {})})

@@ -124,7 +124,11 @@ def test_loading_and_unloading_goes_on_from_a_checkpoint(tmp_path):
 @pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "value"), [("OVERSHOOT", 0.25), ("OVERSHOOT", 1.0), ("PROBE", 2e-3), ("PROBE", 5e-4)]
+    ("name", "value"),
+    [
+        *(("OVERSHOOT", 0.25), ("OVERSHOOT", 1.0)),
+        *(("QUARTER_OF_DIGITS", 2e-3), ("QUARTER_OF_DIGITS", 5e-5)),
+    ],
 )
 def test_numbers_of_the_search_do_not_matter(name, value, monkeypatch):
     """Of a plate on an uneven side; an absurd share of overshoot is felt."""

@@ -263,7 +263,7 @@ def test_newton_reaches_curved_facets_or_says_so(element, monkeypatch):
         n = x - points_of(facets, which, at)
         assert np.abs(lines(facets, at + 0.1, x, n) - at).max() < 1e-13
         for steps in (0, 1, 2):  # too few: the kernel as Python sees the number
-            monkeypatch.setattr(parts_module, "_STEPS", steps)
+            monkeypatch.setattr(parts_module, "LIMIT", steps)
             monkeypatch.setattr(parts_module, "meet", meet.py_func)
             assert np.isnan(lines(facets, at + 0.1, x, n)).all()
             monkeypatch.undo()

@@ -32,7 +32,7 @@ from dolfinx_mortar.mortar.surface import (
     facets_at,
     normal_derivatives,
 )
-from dolfinx_mortar.newton_method.watch import AGAIN, MOST_RISES, Watch
+from dolfinx_mortar.newton_method.watch import DIGIT, MOST_RISES, Watch
 from tests import meshes
 from tests.choice import quick
 from tests.finite_sliding import indentation, walk
@@ -310,7 +310,7 @@ def test_when_the_exact_tangent_pays():
     assert not slow.is_slow(False, 1000.0, 1000.0)  # the law is out of balance
     assert not Watch(True).turning(100.0).is_slow(True, 100.0, 100.0)  # no rate yet
     assert slow.after_exact(1.0, 100.0).is_slow(True, 1.0, 1.0)
-    assert slow.after_exact(90.0, 100.0).barred == AGAIN * 100.0
+    assert slow.after_exact(90.0, 100.0).barred == DIGIT * 100.0
     held = replace(slow, held=True, change=1.0, forces=1.0, barred=0.5)
     thawed = held.thawed().after(2.0, 2.0)  # the first change since then is no rise
     assert (thawed.held, thawed.rises, thawed.barred) == (False, 0, 0.5)

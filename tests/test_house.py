@@ -153,6 +153,50 @@ def test_objects_of_petsc_name_their_communicator():
     assert [t for t in made if "comm" not in t.lower() and of_arguments not in t] == []
 
 
+# Named numbers that decide nothing: formats of files, capabilities, codes of other programs.
+FORMATS = """
+    FORMAT HEAD INDEX HEADER RECORD CELLS GMSH_OPTIONS TOPOLOGY KINDS WORKSPACE_ERRORS MEMORY_ERRORS
+    OUT_OF_MEMORY OUT_OF_RANGE HIGHEST HIGHEST_RULE
+""".split()
+# Sizes of pictures, messages and buffers.
+SIZES = "CHUNK GRID SHOWN VERTICES".split()
+# Tables of elements, components and differences, samples of checks, a published mesh.
+TABLES = """
+    _R _S LINE2 LINE3 TRI3 TRI6 QUAD4 QUAD9 FACETS_OF _ON_EDGES SHEAR ANYWHERE _CORNERS WEIGHTS
+    STRETCHES VOLUMES SIZES NORMAL _NONE _POSITIVE COMPONENTS GRADIENT INDEX FIRST SECOND TURNS
+    PAPER_DIVISIONS PAPER_DISC_SIZE
+""".split()
+TAGS = "LOOSE TIGHT FACE EDGE POINT".split()
+
+
+def test_named_numbers_are_few():
+    """At most seventy that are no format, size, table or tag; those that decide have tests."""
+    names = [
+        (file.stem, name.id)
+        for file in PACKAGE.rglob("*.py")
+        for node in ast.parse(file.read_text()).body
+        for name in assigned_numbers(node)
+    ]
+    known = {*FORMATS, *SIZES, *TABLES, *TAGS}
+    assert known <= {name for _, name in names}
+    left = [pair for pair in names if pair[1] not in known or pair == ("fit", "EDGE")]
+    assert len(left) <= 70, sorted(left)
+
+
+def assigned_numbers(node):
+    """Return the constants that a statement of a module makes of numbers written there."""
+    if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
+        return []
+    numbers = [
+        part
+        for part in ast.walk(node.value)
+        if isinstance(part, ast.Constant) and type(part.value) in (int, float)
+    ]
+    target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+    names = target.elts if isinstance(target, ast.Tuple) else [target]
+    return [n for n in names if numbers and isinstance(n, ast.Name) and n.id.strip("_").isupper()]
+
+
 def test_classes_have_few_attributes():
     """At most twelve on self: more belong to several subjects."""
     kinds = [

@@ -26,13 +26,12 @@ from tests import (
 
 ROOT = Path(__file__).resolve().parent.parent
 NUMBERS = [
-    "BLUR", "EPS", "FACING", "FEW_PAIRS", "HALF_OF_DIGITS", "JUMP", "LEAST_COVERAGE",
-    "LEAST_MOMENT", "LEAST_WEIGHT", "OPEN", "PROJECTIONS", "QUARTER_OF_DIGITS", "REACH",
-    "ROUND_OFF", "SNAP", "STAYS", "THROUGH", "TINY", "VERTICES", "area._ACCURACY", "area._HIGHEST",
-    "operators._CHUNK", "parts._STEPS", "segments._SLIDING", "surface._MOST_WARPED",
+    "BLUR", "CHUNK", "EPS", "FACING", "HALF_OF_DIGITS", "JUMP", "LEAST_COVERAGE", "LEAST_WEIGHT",
+    "LIMIT", "PROJECTIONS", "QUARTER_OF_DIGITS", "REACH", "ROUND_OFF", "SAME", "STAYS", "SUNK",
+    "THROUGH", "TINY", "VERTICES", "area._HIGHEST", "segments._SLIDING", "surface._MOST_WARPED",
 ]  # fmt: skip
 # Numbers that its cases do not reach: absurd values, and tests that fail with them. LEAST_WEIGHT is
-# in test_axisymmetric_patch, PROJECTIONS in test_smooth_3d, _STEPS of parts, which only a kernel
+# in test_axisymmetric_patch, PROJECTIONS in test_smooth_3d, LIMIT of parts, which only a kernel
 # sees, in test_elements.
 FELT = {
     "ALPHA": (
@@ -58,7 +57,7 @@ FELT = {
         (0.5,),
         lambda: test_curvature_jumps.test_what_varies_smoothly_does_not_jump(3.0, 32, 0.25),
     ),
-    "OPEN": (
+    "SUNK": (
         edges,
         (1e12,),
         test_edges.test_a_corner_beside_a_clamped_node_does_not_sink_in,

@@ -38,20 +38,17 @@ NUMBERS = {
     "materials.von_mises": {"YIELD_TOLERANCE": (1e-10, 1e9)},
     "materials.comparison": {
         "PATHS": (0,),
-        "STRAINS": (1 / 6,),
-        "LENGTHS": (1e-8, 1e5),
         "RTOL": (1e-10, 1e5),
-    },
-    "materials.plane_stress": {
-        "MOST_ITERATIONS": (0.02,),
     },
     "materials.voce": {"SERIES_BELOW": (0.01, 100.0)},
     "analytic.fit": {"EDGE": (1e-6, 11.0), "ENOUGH": (100,)},
 }
 # Of another module: the same.
 SHARED = {
+    "materials.comparison": {"LENGTHS": (1e-8, 1e5), "SIZES": (1e-6,)},
     "analytic.fit": {"HALF_OF_DIGITS": (0.0, 1e8)},
-    "materials.plane_stress": {"HALF_OF_DIGITS": (1e7,)},  # a smaller one costs an iteration
+    # a smaller one costs an iteration
+    "materials.plane_stress": {"HALF_OF_DIGITS": (1e7,), "LIMIT": (0.02,)},
     "materials.von_mises": {"EPS": (0.0, 1e14)},
     "solid.kinematics": {"ROUND_OFF": (0.0, 2e13)},
 }

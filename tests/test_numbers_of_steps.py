@@ -36,7 +36,7 @@ FLOORS = (
 )
 PACKAGE = Path(dm.__file__).parent
 NUMBERS = {
-    "interfaces.near": ("INCREMENT_SHARE", "FACETS", "ROOM", "OVERLAP", "SAME_DEPTH"),
+    "interfaces.near": ("INCREMENT_SHARE", "FACETS", "ROOM", "OVERLAP"),
     "audit.audit": ("COARSE",),
     "newton_method.failures": ("SOFT", "SQUEEZED"),
     "newton_method.line_search": ("ARMIJO",),
@@ -211,11 +211,7 @@ def probe(module, name):
     PROBES.get(f"{module}.{name}", PROBES.get(name, lambda: None))()
 
 
-LARGE = (
-    "INCREMENT_SHARE",
-    "ARMIJO",
-    "SAME_DEPTH",
-)
+LARGE = ("INCREMENT_SHARE", "ARMIJO")
 ABSURD = dict.fromkeys(LARGE, 1e12) | {"arrays.ROUND_OFF": 1e-12}  # 0 for the others
 
 

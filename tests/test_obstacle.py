@@ -367,7 +367,7 @@ def test_two_tools_share_a_side(monkeypatch):
     dm.newton(problem)
     both = [-tool.force[1] for tool in tools]
     assert both == pytest.approx(alone, rel=0.2) and min(both) > 0.0
-    monkeypatch.setattr(obstacle_module, "REACH", 1e3)  # the first one takes all
+    monkeypatch.setattr(obstacle_module, "FACETS", 1e3)  # the first one takes all
     case.u.x.array[:] = 0.0
     tools = [case.tool(shape) for shape in shapes]
     problem = case.problem(tools)

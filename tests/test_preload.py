@@ -311,7 +311,6 @@ def test_a_tie_of_another_problem():
 # -- numbers
 
 NUMBERS = (
-    (pretension, "AGAINST"),
     (pretension, "AROUND"),
     (pretension, "ALONG"),
 )

@@ -160,7 +160,7 @@ def test_points_in_parts_add_up_to_the_same(monkeypatch):
     """To round-off: points of one part are summed in any order, parts one after the other."""
     mesh, tags = sides(COMM, "tetrahedron", to_sphere)
     whole = couple(mesh, tags).coupling.blocks
-    monkeypatch.setattr(operators, "_CHUNK", 7)
+    monkeypatch.setattr(operators, "CHUNK", 7)
     scale = np.abs(whole).max(initial=0.0)  # of this rank, which may have none
     assert np.allclose(couple(mesh, tags).coupling.blocks, whole, rtol=0.0, atol=1e-14 * scale)
 

@@ -15,12 +15,11 @@ from dolfinx_mortar import compat
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arguments import is_number
-from dolfinx_mortar.arrays import Floats, Longs
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Longs
 from dolfinx_mortar.audit.audit import COARSE
 from dolfinx_mortar.audit.mesh_audit import check_mesh
 from dolfinx_mortar.audit.neighbours import are_near
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.coulomb import Limit, create_law
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE

@@ -14,9 +14,9 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm, ratio
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, ROUND_OFF
+from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.mortar.curvature_correction import (
     SmoothSide,

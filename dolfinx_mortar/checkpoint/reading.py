@@ -18,14 +18,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.arrays import Floats, Longs
+from dolfinx_mortar.arrays import SAME, Floats, Longs
 from dolfinx_mortar.checkpoint.places import box_of
 from dolfinx_mortar.checkpoint.seal import check_seal
 from dolfinx_mortar.checkpoint.writing import import_h5py, version
-
-# Tolerance of a place, over the largest coordinate. Round-off is a thousandth of it, and strains of
-# nodes that are displaced by as much are the same to ten digits.
-SAME_PLACE = 1e-10
 
 
 def read_about(comm: MPI.Comm, path: Path) -> dict[str, Any]:
@@ -72,7 +68,7 @@ def read_tables(
             table = file[f"tables/{name}"]
             _check_table(name, table)
             there[name] = len(table["places"])
-            found[name], hits[name] = _read_table(table, own, SAME_PLACE * size)
+            found[name], hits[name] = _read_table(table, own, SAME * size)
     differences = {}
     for name, total in totals.items():
         text = _difference(comm, places[name], hits[name], total, there[name])

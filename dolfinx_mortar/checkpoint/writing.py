@@ -8,7 +8,7 @@ r"""Writing: the values of all ranks go through rank 0 into one HDF5 file, part 
     tables/NAME/pieces        (p, 2 + 2k)    first row, rows, corners of the box of each piece
     tables/NAME/values/FIELD  (N, c)
 
-Rank 0 receives at most `ROWS` rows at a time: nothing is gathered, no file is open on two ranks,
+Rank 0 receives at most `CHUNK` rows at a time: nothing is gathered, no file is open on two ranks,
 and only rank 0 needs access to the folder. The file is written under another name, closed, sealed
 with its checksum, flushed to the disk and then renamed: whenever the program is killed, there is a
 complete file under the right name, the old or the new one.
@@ -28,7 +28,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import CHUNK, Floats
 from dolfinx_mortar.checkpoint.places import box_of
 from dolfinx_mortar.checkpoint.seal import HEAD, seal
 from dolfinx_mortar.disk import (
@@ -38,9 +38,6 @@ from dolfinx_mortar.disk import (
     replace_by_draft,
     space_for,
 )
-
-# Rows that travel together: 2 MB of strains and places.
-ROWS = 2**15
 
 
 def version() -> str:
@@ -139,15 +136,15 @@ def _parts(comm: MPI.Comm, values: Floats) -> Iterator[Floats]:
     """
     counts = comm.gather(len(values))
     values = np.ascontiguousarray(values, dtype=np.float64)
-    for first in range(0, max(len(values), 1), ROWS):
-        part = values[first : first + ROWS]
+    for first in range(0, max(len(values), 1), CHUNK):
+        part = values[first : first + CHUNK]
         if comm.rank == 0:
             yield part  # at least one, which may be empty
         elif len(part):
             comm.Send(part, dest=0)
     for rank, count in enumerate(counts or []):
-        for first in range(0, count if rank else 0, ROWS):
-            part = np.empty((min(ROWS, count - first), values.shape[1]))
+        for first in range(0, count if rank else 0, CHUNK):
+            part = np.empty((min(CHUNK, count - first), values.shape[1]))
             comm.Recv(part, source=rank)
             yield part
 

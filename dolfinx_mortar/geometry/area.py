@@ -27,7 +27,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.arrays import Floats, Ints, Longs
+from dolfinx_mortar.arrays import SAME, Floats, Ints, Longs
 from dolfinx_mortar.geometry import plane
 from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls
@@ -44,11 +44,6 @@ from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 _HIGHEST = 24
 """Highest degree of the quadrature, which limits it on facets of low quality, as said above."""
-_ACCURACY = 1e-12
-"""Relative error allowed to integrals of shape functions where the inverse map is no polynomial.
-
-Both sides exchange a constant pressure up to this error. With EPS degrees are a third higher.
-"""
 
 
 @cache
@@ -294,10 +289,12 @@ def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners, least
         variation = max(variation, turn / 2)  # the weight contains sqrt(1 + slope^2)
         degree = float(least)
         if variation > 0.0:
-            # the singularities of the inverse maps lie 1 / variation triangles away
+            # the singularities of the inverse maps lie 1 / variation triangles away; integrals are
+            # the SAME then, and both sides exchange a constant pressure up to that: with EPS
+            # degrees are a third higher
             degree = _HIGHEST
             if variation < 2.0:
-                degree = min(least - 2 + np.log(_ACCURACY) / np.log(variation / 2), degree)
+                degree = min(least - 2 + np.log(SAME) / np.log(variation / 2), degree)
         rule[t] = min(max(np.ceil(degree / 2), least / 2), _HIGHEST // 2) - 1
     return rule
 

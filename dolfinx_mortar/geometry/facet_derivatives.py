@@ -33,7 +33,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry import plane
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, surface_gradients
@@ -46,7 +46,6 @@ from dolfinx_mortar.geometry.parts import (
     parts_of,
 )
 from dolfinx_mortar.geometry.plane import create_planes, inverse, project, slopes
-from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS
 
 _ON_EDGES = {True: 3, False: 8}
 """Gauss points on edges: of first-order triangles, where 3 are exact, and of other facets.

@@ -19,10 +19,10 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.arrays import EPS, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.tolerances import EPS, ROUND_OFF
+from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 
 @numba.njit(cache=True)

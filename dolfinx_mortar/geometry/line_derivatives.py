@@ -20,15 +20,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.geometry.line import gauss_points
 from dolfinx_mortar.geometry.segments import Segments
-
-SNAP = 1e-9
-"""An end of a segment as near as this to an end of its slave facet, or to the projection of a
-master's node, is taken for it: of two that coincide the clipping shows round-off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +146,7 @@ def _end_gradient(
     N_m[:, vertex] = 1.0
     slope = _cross(x.slope, n.value) + _cross(p, n.slope)
     off = _cross(p, n.value) / slope
-    own: Bools = (np.abs(off) < SNAP) & (np.abs(xi) < 1.0 - SNAP)
+    # of two ends that coincide the clipping shows round-off
+    own: Bools = (np.abs(off) < HALF_OF_DIGITS) & (np.abs(xi) < 1.0 - HALF_OF_DIGITS)
     gradient = _moment_gradient(x.N, N_m, n.value, p)
     return np.where(own[:, None], -gradient / slope[:, None], 0.0)

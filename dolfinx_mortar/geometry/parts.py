@@ -12,17 +12,10 @@ point and its two tangents take a third of the operations that shape functions d
 import numba
 import numpy as np
 
-from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
-from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, ROUND_OFF
-
-_STEPS = 32
-"""Limit of Newton's steps to a curved facet; the coordinates of a line that is not met are NaN.
-
-Convergence is quadratic from within the part's sagitta times its slope: two or three steps where
-the normal of a part changes by a tenth of a radian, one where facets are straight.
-"""
+from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 
 def count(element: FacetElement) -> int:
@@ -186,9 +179,11 @@ def _project(c, m, axes, i, P):  # type: ignore[no-untyped-def]
 def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
     """Return where a facet projected on a plane, P (1, 2, 9), has the point (x, y), or NaN.
 
-    By Newton's method from (r, s), where the point is on a part of the facet.
+    By Newton's method from (r, s), where the point is on a part of the facet. It converges
+    quadratically from within the part's sagitta times its slope: in two or three steps where the
+    normal of a part changes by a tenth of a radian, in one where facets are straight.
     """
-    for _ in range(_STEPS):
+    for _ in range(LIMIT):
         y0, a0, b0 = _component(P, 0, 0, r, s)
         y1, a1, b1 = _component(P, 0, 1, r, s)
         e0, e1, size = x - y0, y - y1, a0 * b1 - a1 * b0

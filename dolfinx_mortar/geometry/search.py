@@ -12,13 +12,9 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from dolfinx_mortar.arrays import Floats, Ints, Longs
+from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, Floats, Ints, Longs
 from dolfinx_mortar.geometry.facets import bounding_balls
-from dolfinx_mortar.geometry.tolerances import EPS, HALF_OF_DIGITS, TINY
-
-# Testing so many pairs of cones and balls takes .1 ms, less than sorting the balls (.3 to 1 ms) and
-# enclosing them in larger ones (.4 ms).
-FEW_PAIRS = 2**14
+from dolfinx_mortar.geometry.tolerances import TINY
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,10 +138,9 @@ def find_meeting(cones: Cones, centre: Floats, radius: Floats) -> Ints:
     n = len(radius)
     if len(cones.radius) == 0 or n == 0:
         return np.empty((0, 2), dtype=np.int32)
-    few = len(cones.radius) * n <= FEW_PAIRS
-    order = np.arange(n) if few else sort_in_space(centre)
+    order = sort_in_space(centre)
     levels = [(centre[order], radius[order])]
-    while not few and len(levels[-1][1]) > 1:
+    while len(levels[-1][1]) > 1:
         levels.append(_enclose(*levels[-1]))
     start = np.cumsum([0] + [len(rho) for _, rho in levels])
     balls, radii = (np.concatenate([level[i] for level in levels]) for i in range(2))

@@ -4,10 +4,9 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dolfinx_mortar.arrays import Floats, Longs
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Longs
 from dolfinx_mortar.geometry.elements import LINE2, TRI3
 from dolfinx_mortar.geometry.facets import Facets, are_inside, facet_normals, facet_sizes
-from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS
 
 
 def flat_parts(facets: Facets) -> Floats:

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats
 from dolfinx_mortar.geometry.facets import (
     Facets,
     are_inside,
@@ -13,7 +13,6 @@ from dolfinx_mortar.geometry.facets import (
 )
 from dolfinx_mortar.geometry.search import Cones, find_meeting
 from dolfinx_mortar.geometry.segments import are_facing
-from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS
 
 
 def thickness(facets: Facets, others: Facets) -> Floats:

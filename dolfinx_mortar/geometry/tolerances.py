@@ -6,13 +6,12 @@ Numba compiles it in and does not notice a change here: touch the files with ker
 
 import numpy as np
 
-EPS = float(np.finfo(float).eps)
+from dolfinx_mortar.arrays import EPS
+
 ROUND_OFF = 512 * EPS
 """Error of a length relative to its facet, where coordinates are up to some hundred times as large.
 
 Where errors add up, a small multiple of it is used.
 """
-HALF_OF_DIGITS = float(np.sqrt(EPS))
-"""Relative error of the root of a difference of squares; what is smaller counts as zero."""
 TINY = float(np.finfo(float).tiny)
 """Least divisor, in place of zero."""

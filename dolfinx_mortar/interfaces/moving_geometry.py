@@ -41,15 +41,7 @@ from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.contact_derivatives import SlipRows
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.slip_partners import Partners
-
-LEAST_ALONG = 0.25
-"""A row dG_j whose own part has less than this share along n_j is replaced by that of T.
-
-So is a row of the slip with which the two rows of j would span less than this area.
-
-So that T_g has an inverse. The QP is corrected either way: with none replaced that could be, each
-correction gains three digits, with all of them one.
-"""
+from dolfinx_mortar.interfaces.unilateral import MIN_FREE_NORMAL
 
 
 @dataclass(frozen=True)
@@ -186,7 +178,10 @@ class MovingGeometry:
 def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None) -> Link:
     """Scale rows dG_j to those of w_n, and return the link with those of T_g; collective.
 
-    Where they are not known (n,), rows of w_n are 0, and those of T_g are those of T.
+    Where they are not known (n,), rows of w_n are 0, and those of T_g are those of T. So that T_g
+    has an inverse, so are rows of gaps whose own part is short along n_j, and rows of slips that
+    would span a small area with them. The QP is corrected either way: with none replaced that could
+    be, each correction gains three digits, with all of them one.
     """
     coupling, nodes, row = link.coupling, link.nodes, link.pattern.row
     kept, R, across = coupling.kept[:, 0], coupling.R, np.swapaxes(coupling.R, 1, 2)
@@ -202,12 +197,12 @@ def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None
         for t in range(1, d):
             slid[:, t], q[:, t] = _lumped(link, slips.rows(t - 1))
         # far slips lump partners beyond the pattern on j, so that nothing may be left there
-        regular = np.linalg.det(slid) * np.linalg.det(R) > LEAST_ALONG
+        regular = np.linalg.det(slid) * np.linalg.det(R) > MIN_FREE_NORMAL
         faced = (slips.partners.known & regular)[:, None, None]
         rows, moved = np.where(faced, slid, rows), np.where(faced[row], q, moved)
     rows[:, 1:] = np.where(coupling.directions[:, 1:, None], rows[:, 1:], across[:, 1:])
     moved[:, 1:] *= coupling.directions[row, 1:, None]
-    moves = kept & ((rows[:, 0] * coupling.normals).sum(axis=1) > LEAST_ALONG)
+    moves = kept & ((rows[:, 0] * coupling.normals).sum(axis=1) > MIN_FREE_NORMAL)
     inverted = np.linalg.inv(np.where(moves[:, None, None], rows, across))
     blocks = np.where(moves[row][:, None, None], inverted[row] @ moved, coupling.blocks)
     frames = np.where(moves[:, None, None], inverted, R)

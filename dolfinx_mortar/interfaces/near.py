@@ -15,18 +15,18 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.arrays import Actives, Bools, Floats, Ints
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Actives, Bools, Floats, Ints
 from dolfinx_mortar.interfaces.link import Link
 
 # What counts as near: this share of the largest prescribed increment, plus so many facet lengths.
+# Beside a node that touches, the next one is a facet away, and its gap below two facet lengths if
+# the surfaces are inclined to each other by less than 63 degrees; at right angles none faces.
 INCREMENT_SHARE, FACETS = 0.25, 2.0
 # T gets room for so many times that distance, so that it need not change in every step.
 ROOM = 2.0
 # Two round bodies that overlap by delta touch where they would overlap by half of it (Hertz: a^2 =
 # R delta, while the overlap ends at 2 R delta).
 OVERLAP = 0.5
-# Gaps that differ by less than so many facet lengths are equally near.
-SAME_DEPTH = 1e-6
 
 
 def nodal_gaps(links: Sequence[Link], v: PETSc.Vec, n: int) -> Floats:
@@ -94,4 +94,5 @@ def predict_active(
     gap = nodal_gaps(links, x, n)
     nearest = -float(maximum(comm, -gap.min(initial=np.inf))[0])
     depth = nearest if nearest > 0.0 else OVERLAP * nearest
-    return np.asarray(gap[bounded] <= depth + SAME_DEPTH * facet_length).astype(np.int8)
+    level = HALF_OF_DIGITS * facet_length  # differences of coordinates: these are equally near
+    return np.asarray(gap[bounded] <= depth + level).astype(np.int8)

@@ -31,6 +31,7 @@ from dolfinx_mortar.interfaces.coulomb import Limit, create_law
 from dolfinx_mortar.interfaces.coupled_sides import CoupledSides
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides, create_pattern
 from dolfinx_mortar.interfaces.interface import Outline
+from dolfinx_mortar.interfaces.near import FACETS
 from dolfinx_mortar.interfaces.tool import Load, Movable, Pose, Tool, find_facing
 from dolfinx_mortar.interfaces.tool_derivatives import ToolDerivatives
 from dolfinx_mortar.interfaces.tool_slips import ToolPartners
@@ -50,9 +51,6 @@ from dolfinx_mortar.shapes import Distance, Shape
 # |grad phi| - 1 of what is no distance, within a facet length of the surface: forces and gaps are
 # off by as much.
 NO_DISTANCE = 0.1
-# A node faces the tool, rather than another interface that shares its side, within so many facet
-# lengths.
-REACH = 2.0
 
 
 @dataclass(frozen=True)
@@ -213,7 +211,7 @@ class Obstacle(Movable, Unilateral):
         length = mean_facet_length(slave)
         with raised_together(sides.V.mesh.comm):
             close = self.tool.pose().distance(self.shape, coordinates(slave, u)).value
-        near = np.asarray(close <= REACH * length)
+        near = np.asarray(close <= FACETS * length)
         count = np.zeros(len(near))
         count[slave.facets[near[slave.facets].any(axis=1)]] = 1.0
         reached = np.asarray(accumulate(slave, count)[own] > 0.0)
@@ -240,7 +238,7 @@ class Obstacle(Movable, Unilateral):
             facing = find_facing(side, pose, self.shape, x)
         normals, left = free_normals(at_nodes, sides.fixed[slave.nodes])
         allowed = self.may_carry(left, sides.fixed[slave.nodes])[:, 0] & ~banned[slave.nodes]
-        near = at_nodes.value <= REACH * side.facet_length
+        near = at_nodes.value <= FACETS * side.facet_length
         if any_rank(comm, banned[slave.nodes].any())[0]:  # others have the rest
             facing &= near[slave.facets].any(axis=1)
         found = integrate_side(side, x, facing, allowed, _returned(sides, before))

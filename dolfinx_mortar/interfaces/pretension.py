@@ -38,9 +38,8 @@ Direction = Sequence[float] | Floats | None
 Force = float | fem.Constant | None
 """A number, or a scalar Constant."""
 
-# Against the outward normal of the slave side, cosine: a direction that points into the body.
-AGAINST = -0.5
-# Along it, cosine: less is shear rather than tension. Cuts at 60 degrees to the axis are above.
+# Along the outward normal of the slave side, cosine: less is shear rather than tension, or points
+# into the body where it is negative. Cuts at 60 degrees to the axis are above.
 ALONG = 0.45
 # Mean of the unit normals of a side, length: a shorter one is that of a side around a shank.
 AROUND = 0.1
@@ -193,7 +192,7 @@ def find_axis(link: Link, direction: Floats) -> Floats:
                 "the bolt"
             )
         return normal
-    if float(direction @ normal) < AGAINST:
+    if float(direction @ normal) < -ALONG:
         raise ValueError(
             f"direction is {direction.tolist()}, which points from the master side into the slave "
             "side: turn it round (out of the slave side) for tension; to push the sides apart, "

@@ -17,8 +17,8 @@ from dolfinx_mortar.interfaces.frames import Frame, normal_frames
 from dolfinx_mortar.interfaces.interface import Interface, NoResult
 from dolfinx_mortar.interfaces.nodal import check_mesh
 
-# A slave normal that loses more than this share of its length to Dirichlet data has no direction
-# left in which contact could act.
+# A slave normal of which Dirichlet data, or the motion of surfaces, leave less than this share of
+# its length has no direction in which contact could act.
 MIN_FREE_NORMAL = 0.5
 
 

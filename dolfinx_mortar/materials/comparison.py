@@ -11,14 +11,11 @@ import numpy as np
 from dolfinx_mortar.arguments import is_integer, is_number
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.compiled import CompiledLaw, Point, PointwiseNumbers
-from dolfinx_mortar.materials.finite_comparison import compare_at_finite_strain
+from dolfinx_mortar.materials.finite_comparison import LENGTHS, SIZES, compare_at_finite_strain
 from dolfinx_mortar.materials.protocol import PLASTIC, create_law
 from dolfinx_mortar.materials.tensor import COMPONENTS, INDEX, tensor_of
 
-PATHS, STRAINS = 8, 6  # random strain paths, and strains on each, over five decades
-# Of finite differences, relative to the strain; the better counts. At the short one truncation and
-# round-off are equal, the long one survives the round-off of formulas that cancel at small strains.
-LENGTHS = tuple(float(np.finfo(float).eps) ** (1 / n) for n in (3, 5))
+PATHS = 8  # random ones, with strains of all sizes on each
 RTOL = 1e-5  # errors of central differences are near LENGTH^2 and eps/LENGTH
 SHEAR = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])  # how often a stored component is in a tensor
 
@@ -174,7 +171,7 @@ def check(
     found = []
     for _ in range(PATHS):
         state = virgin
-        for norm in np.geomspace(1e-5 * size, size, STRAINS):
+        for norm in size * np.array(SIZES):
             along, first, second = (_unit(rng) for _ in range(3))
             sample = _Sample(compiled, name, norm * along, state)
             if parts.linear:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import ufl
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import EPS, Floats
 from dolfinx_mortar.materials.compiled import compile_vectors, constants, entries, parameters
 from dolfinx_mortar.materials.finite_law import Evaluation, create_finite_law
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
@@ -18,9 +18,11 @@ from dolfinx_mortar.materials.response import elastic_response, respond
 from dolfinx_mortar.materials.tensor import from_components, stored, tensor_of, to_components
 
 RTOL = 1e-7
-# Of differences of sixth order, over the smallest stretch: errors are near LENGTH^6 and eps/LENGTH.
-# The second is for laws that yield, where the first goes across a kink.
-LENGTHS = (3e-3, 3e-6)
+# Of finite differences, relative to the strain or the smallest stretch. At the short one truncation
+# and round-off of central differences are equal, and fewer of them go across a kink, where a law
+# yields. The long one survives the round-off of formulas that cancel.
+LENGTHS = tuple(EPS ** (1 / n) for n in (5, 3))
+SIZES = tuple(np.geomspace(1e-5, 1.0, 6))  # of strains, over five decades
 WEIGHTS = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
 STRETCHES = (  # before they are scaled to a volume
     *((1.0, 1.0, 1.0), (1.0, 1.0, 2.0), (0.5, 1.0, 1.0), (1.0, 1.0 + 1e-9, 1.5)),
@@ -56,8 +58,8 @@ class FiniteLawErrors:
 
 def gradients(rng: np.random.Generator, size: float) -> Iterator[Floats]:
     """Yield deformation gradients: small ones, and large ones with coincident stretches."""
-    for norm in np.geomspace(1e-5 * size, size, 6):
-        yield np.eye(3) + norm * rng.uniform(-1.0, 1.0, (3, 3))
+    for share in SIZES:
+        yield np.eye(3) + share * size * rng.uniform(-1.0, 1.0, (3, 3))
     for J in VOLUMES:
         for stretches in STRETCHES:
             scaled = np.array(stretches) * (J / np.prod(stretches)) ** (1 / 3)

@@ -31,6 +31,7 @@ terms of Seth-Hill's family of generalized strain tensors", Commun. Numer. Meth.
 import numba
 import numpy as np
 
+from dolfinx_mortar.arrays import LIMIT
 from dolfinx_mortar.materials.tensor import INDEX
 
 PAIRS = INDEX
@@ -38,8 +39,7 @@ SETTINGS = {"cache": True, "error_model": "numpy"}
 
 # Below these relative differences of eigenvalues the power series are exact to round-off, and above
 # them differences keep all but two digits.
-NEAR, ALL_NEAR = 0.1, 0.08
-MOST_SWEEPS = 30  # five are enough, where nothing is NaN
+NEAR = 0.08
 
 
 @numba.njit(**SETTINGS)
@@ -51,7 +51,7 @@ def diagonalise(A, N):  # type: ignore[no-untyped-def]
     for i in range(3):
         for j in range(3):
             N[i, j] = 1.0 if i == j else 0.0
-    for _ in range(MOST_SWEEPS):
+    for _ in range(LIMIT):  # five are enough, where nothing is NaN
         turned = False
         for p, q, r in ((0, 1, 2), (0, 2, 1), (1, 2, 0)):
             off = A[p, q]
@@ -147,7 +147,7 @@ def second_difference(x, y, z, f_xy, f_yz, f_zx):  # type: ignore[no-untyped-def
     """Return f_xyz of 1/2 ln(1 + .)."""
     m = 1 + (x + y + z) / 3
     a, b, c = (1 + x - m) / m, (1 + y - m) / m, (1 + z - m) / m
-    if max(abs(a), abs(b), abs(c)) < ALL_NEAR:
+    if max(abs(a), abs(b), abs(c)) < NEAR:
         # complete homogeneous polynomials of a, b, c, whose sum is zero
         second, third = a * b + b * c + c * a, a * b * c
         h0, h1, h2 = 0.0, 0.0, 1.0

@@ -19,11 +19,9 @@ import numba
 import numpy as np
 
 import ufl
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, ROUND_OFF, Floats, Ints
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, ROUND_OFF, Floats, Ints
 from ufl.core.expr import Expr
 
-# As many halvings as a number has binary digits, and as many iterations again to find an interval.
-MOST_ITERATIONS = 2 * int(np.finfo(float).nmant)
 NORMAL = ufl.as_tensor([[0.0, 0, 0], [0, 0, 0], [0, 0, 1.0]])
 
 
@@ -91,7 +89,7 @@ def solve(law: str, equation: Equation, shape: tuple[int, int], *, finite: bool 
     z, high = np.zeros(shape), np.full(shape, np.inf)
     low = np.full(shape, -1.0 if finite else -np.inf)
     rows: Ints = np.arange(shape[0], dtype=np.int32)
-    for iteration in range(MOST_ITERATIONS):
+    for iteration in range(LIMIT):
         values = equation(rows, z[rows])
         # Newton's method doubles the digits: before the last iteration half of them are right. At
         # the end of the dead band of a yield condition, where stresses jump by 1e-10, none is 0.
@@ -100,7 +98,7 @@ def solve(law: str, equation: Equation, shape: tuple[int, int], *, finite: bool 
             return z
     raise ValueError(
         f"{law}: in plane stress, no strain out of the plane was found that leaves no stress there "
-        f"around {len(rows)} points after {MOST_ITERATIONS} iterations; check the law with "
+        f"around {len(rows)} points after {LIMIT} iterations; check the law with "
         f"dolfinx_mortar.materials.check(law{'' if finite else ', plane_stress=True'}), or take "
         "smaller steps"
     )

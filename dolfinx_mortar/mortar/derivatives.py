@@ -30,7 +30,7 @@ from scipy import sparse
 import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra.block_sums import Blocks, Matrix
-from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Bools, Floats, Ints
+from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, SAME, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.geometry.line_derivatives import PointDerivatives, differentiate_points
 from dolfinx_mortar.geometry.segments import Segments
@@ -45,8 +45,6 @@ from dolfinx_mortar.mortar.surface import (
 )
 
 Part: TypeAlias = Matrix | Blocks
-LEAST_MOMENT = 1e-10
-"""Facets of which m is as near to singular as this have the dual functions of the moment."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +216,8 @@ class _Chain:
         d = covered_weights(N, w, self.facet, self.count)
         size = np.maximum(np.trace(m, axis1=1, axis2=2), TINY)[:, None, None]
         whole = m + size * (~kept)[:, :, None] * one
-        some = (np.linalg.det(whole / size) > LEAST_MOMENT) & (kept.sum(axis=1) > 1)
+        # facets of which m is nearer to singular have the dual functions of the moment
+        some = (np.linalg.det(whole / size) > SAME) & (kept.sum(axis=1) > 1)
         whole = np.where(some[:, None, None], whole, one)
         both = kept[:, :, None] & kept[:, None, :] & some[:, None, None]
         inverse = np.linalg.inv(whole) * both

@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Bools, Floats, Longs
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
 from dolfinx_mortar.geometry.distances import facet_distances
 from dolfinx_mortar.geometry.facets import (
     Facets,
@@ -22,7 +22,7 @@ from dolfinx_mortar.geometry.facets import (
     points_of,
 )
 from dolfinx_mortar.geometry.segments import Segments, create_segments, find_candidates
-from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, ROUND_OFF
+from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.mortar.pairing import THROUGH
 from dolfinx_mortar.mortar.receivers import create_groups, find_receivers, group_cones
 from dolfinx_mortar.mortar.surface import thickness_behind

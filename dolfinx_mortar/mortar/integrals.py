@@ -16,10 +16,10 @@ import numpy as np
 
 import dolfinx
 from dolfinx.common import timed
-from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import Facets, facet_sizes, points_of, tributary_weights
 from dolfinx_mortar.geometry.segments import Segments, create_segments
-from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS, TINY
+from dolfinx_mortar.geometry.tolerances import TINY
 from dolfinx_mortar.mortar.dual import absorbed, covered_weights, dual_values
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (

@@ -16,7 +16,7 @@ import numpy as np
 import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.arrays import CHUNK, Bools, Floats
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide, point_heights, point_motions
@@ -32,9 +32,6 @@ from dolfinx_mortar.mortar.integrals import (
     weighted_duals,
 )
 from dolfinx_mortar.mortar.pairing import Pairing
-
-_CHUNK = 2**14
-"""Points at which the motions of offsets are known at a time: 5 MB in 3D, against calls."""
 
 SmoothSides = tuple[SmoothSide, SmoothSide]
 
@@ -197,8 +194,8 @@ def integrate_motions(
     """
     d, k, m = len(Phi), pairing.slave.element.nodes, pairing.master.element.nodes
     blocks = np.zeros((d, len(pairing.pairs), k, m * d))
-    for first in range(0, len(segments.pair), _CHUNK):
-        part = slice(first, first + _CHUNK)
+    for first in range(0, len(segments.pair), CHUNK):
+        part = slice(first, first + CHUNK)
         A = motions(part)
         for i, P in enumerate(Phi):
             rows = A[:, :, i].reshape(len(A), -1)

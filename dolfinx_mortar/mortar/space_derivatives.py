@@ -18,7 +18,7 @@ from scipy import sparse
 import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra.block_sums import Blocks, Matrix
-from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.arrays import SAME, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.facet_derivatives import (
     Coefficients,
     Integrands,
@@ -30,7 +30,7 @@ from dolfinx_mortar.geometry.facet_derivatives import (
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
 from dolfinx_mortar.geometry.segments import Segments, are_facing
 from dolfinx_mortar.geometry.tolerances import TINY
-from dolfinx_mortar.mortar.derivatives import LEAST_MOMENT, Derivatives, Part, Tractions
+from dolfinx_mortar.mortar.derivatives import Derivatives, Part, Tractions
 from dolfinx_mortar.mortar.dual import absorbed, sums_of_products
 from dolfinx_mortar.mortar.operators import SmoothSides
 from dolfinx_mortar.mortar.pair_heights import pair_heights
@@ -103,7 +103,7 @@ def _coefficients(m: Floats, kept: Bools) -> tuple[Floats, Floats]:
     mean = np.maximum(np.trace(m, axis1=1, axis2=2) / len(one), TINY)[:, None, None]
     whole = m * both + mean * (~kept)[:, :, None] * one
     least, most = np.linalg.eigvalsh(whole)[:, [0, -1]].T
-    some = (least > LEAST_MOMENT * most) & (kept.sum(axis=1) > 1)
+    some = (least > SAME * most) & (kept.sum(axis=1) > 1)
     inverse = np.linalg.inv(np.where(some[:, None, None], whole, one))
     inverse *= both & some[:, None, None]
     return m.sum(axis=2)[:, :, None] * inverse, inverse

@@ -28,7 +28,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import ROUND_OFF, SAME, Bools, Floats, Ints
+from dolfinx_mortar.arrays import LIMIT, QUARTER_OF_DIGITS, ROUND_OFF, SAME, Bools, Floats, Ints
 from dolfinx_mortar.interfaces.coupled_sides import relative_motions
 from dolfinx_mortar.interfaces.driven import Driven
 from dolfinx_mortar.interfaces.interface import Interface
@@ -43,13 +43,9 @@ from dolfinx_mortar.newton_method.linearisation import (
 )
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPSolution
-from dolfinx_mortar.qp.updates import LIMIT
 
 OVERSHOOT = 0.5
 """Share of the force along a step that may be there in the other direction at its end."""
-
-PROBE = 1e-3
-"""Part of a Newton step, and of the diagonal, of differences: any that is small will do."""
 
 Solve = Callable[[Linearisation], QPSolution]
 
@@ -297,7 +293,7 @@ def settle(
         if (np.abs(here.missing) <= rtol * here.size + noise).all():
             return Settled(here.lin, here.solved, here.travel, B, drives)
         if here.touches:
-            lasts = drives.follows.all() and here.far(diagonal) < PROBE * far
+            lasts = drives.follows.all() and here.far(diagonal) < QUARTER_OF_DIGITS * far
             far = here.far(diagonal)
             # the nodes that touch change, and B with them
             if shrink == 1.0 and not (secants or lasts):
@@ -335,7 +331,7 @@ def _measured(
 
     A plate that touches with one node may turn about it.
     """
-    part = 1.0 if drives.follows.all() else PROBE  # linear unless contacts change
+    part = 1.0 if drives.follows.all() else QUARTER_OF_DIGITS  # linear unless contacts change
     small = part * here.far(diagonal) / np.sqrt(diagonal)
     columns = []
     for a, step in enumerate(small):
@@ -354,7 +350,7 @@ def _measured(
             raise StepFailed(_unresisted(drives, np.asarray(weakest == weakest.max())))
         return found
     return np.asarray(
-        (found + found.T) / 2 + PROBE * np.diag(np.where(drives.follows, 0.0, diagonal))
+        (found + found.T) / 2 + QUARTER_OF_DIGITS * np.diag(np.where(drives.follows, 0.0, diagonal))
     )
 
 

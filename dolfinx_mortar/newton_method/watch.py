@@ -15,6 +15,7 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.linearisation import Balance
+from dolfinx_mortar.newton_method.residuals import DIGIT
 from dolfinx_mortar.problem.problem import ContactProblem
 
 # A fixed point whose change grows so often, with Newton converged in between, does not contract.
@@ -27,9 +28,8 @@ SHARE = 0.5
 # And where it saves iterations: each costs an unsymmetric factorisation, which with linear laws
 # those of the fixed point do not: 47 thousand unknowns, elastic: .6 s against .2 s.
 SAVED = {True: 8.0, False: 3.0}
-# It has failed where an iteration does not lower the residual to this share of the last one, and is
-# tried again only well below that; from there on, and where the fixed point has failed, too.
-LOWERS, AGAIN = 0.5, 0.1
+# It has failed where an iteration does not lower the residual to that share of the last one, too,
+# and is tried again only a digit below that; from there on, and where the fixed point has failed.
 
 
 @dataclass(frozen=True)
@@ -62,12 +62,12 @@ class Watch:
 
         The fixed point starts anew. Where that had failed, the exact tangent goes on.
         """
-        failed = not excess <= LOWERS * before
+        failed = not excess <= SHARE * before
         fresh = Watch(self.moving, barred=self.barred, failed=self.failed)
         if self.rises >= MOST_RISES:
             return replace(fresh, rises=self.rises, failed=self.failed + failed)
         if failed:
-            return replace(fresh, barred=AGAIN * before)
+            return replace(fresh, barred=DIGIT * before)
         return replace(fresh, exact=True)
 
     def thawed(self) -> Watch:

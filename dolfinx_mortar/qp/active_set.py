@@ -15,12 +15,13 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_mortar.arrays import LIMIT
 from dolfinx_mortar.qp import condensed, interior_point
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPNotSolved, QPSolution, check
 from dolfinx_mortar.qp.descent import descend
 from dolfinx_mortar.qp.held import HeldProblem, State
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
-from dolfinx_mortar.qp.updates import LIMIT, LOOSE, TIGHT, Outcome, update
+from dolfinx_mortar.qp.updates import LOOSE, TIGHT, Outcome, update
 
 # How friction was linearised: limits of the pressure of the solution, or of a solution before it
 EXACT, GIVEN = "exact linearisation", "given limits"

@@ -42,11 +42,11 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, eigh
 from scipy.sparse import csr_array
 
 from dolfinx_mortar.algebra.csr import csr_of
-from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, ROUND_OFF, Actives, Floats, Ints
+from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, LIMIT, ROUND_OFF, Actives, Floats, Ints
 from dolfinx_mortar.qp.bound_qp import Bounded, BoundQP
 from dolfinx_mortar.qp.held import SHARE
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
-from dolfinx_mortar.qp.updates import LIMIT, Found, update
+from dolfinx_mortar.qp.updates import Found, update
 
 T = TypeVar("T")
 

@@ -15,7 +15,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm
-from dolfinx_mortar.arrays import ROUND_OFF, Actives, Bools, Floats, Ints
+from dolfinx_mortar.arrays import LIMIT, ROUND_OFF, Actives, Bools, Floats, Ints
 from dolfinx_mortar.qp.bound_qp import (
     KKT,
     BoundQP,
@@ -27,7 +27,7 @@ from dolfinx_mortar.qp.bound_qp import (
 )
 from dolfinx_mortar.qp.friction import Friction, Sliding
 from dolfinx_mortar.qp.linear import LinearSolver
-from dolfinx_mortar.qp.updates import LIMIT, LOOSE, TIGHT, Found, Outcome
+from dolfinx_mortar.qp.updates import LOOSE, TIGHT, Found, Outcome
 
 # Solves are this much more accurate than the check, whose scale may decrease meanwhile.
 SHARE = 0.5

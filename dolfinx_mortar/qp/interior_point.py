@@ -10,11 +10,11 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, QUARTER_OF_DIGITS
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, QUARTER_OF_DIGITS
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution, check, on_bounded, reaction
 from dolfinx_mortar.qp.held import SHARE, HeldProblem, State
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
-from dolfinx_mortar.qp.updates import LIMIT, update
+from dolfinx_mortar.qp.updates import update
 
 
 def solve(qp: BoundQP, linear: LinearSolver, *, rtol: float) -> QPSolution:

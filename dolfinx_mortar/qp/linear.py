@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import LinAlgError
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
-from dolfinx_mortar.arrays import EPS, QUARTER_OF_DIGITS, ROUND_OFF, Ints
+from dolfinx_mortar.arrays import EPS, LIMIT, QUARTER_OF_DIGITS, ROUND_OFF, Ints
 from dolfinx_mortar.qp.friction import Sliding
 from dolfinx_mortar.qp.multigrid import Unknowns
 from dolfinx_mortar.qp.negative_eigenvalues import (
@@ -36,7 +36,6 @@ from dolfinx_mortar.qp.preconditioner import (
     no_more,
 )
 from dolfinx_mortar.qp.schur import SchurComplement
-from dolfinx_mortar.qp.updates import LIMIT
 
 log = logging.getLogger(__name__)
 

@@ -14,12 +14,11 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import free_unused
-from dolfinx_mortar.arrays import Ints
+from dolfinx_mortar.arrays import LIMIT, Ints
 from dolfinx_mortar.qp.multigrid import Multigrid, OwnUnknowns, Unknowns
 from dolfinx_mortar.qp.operator import Operator
 from dolfinx_mortar.qp.options import SolverOptions
 from dolfinx_mortar.qp.schur import SchurComplement
-from dolfinx_mortar.qp.updates import LIMIT
 
 # Iterations that cost as much as a renewal. A numeric factorisation in 2D costs 5 to 7 solves with
 # it (5k, 50k and 200k unknowns, MUMPS). A set-up of multigrid in 3D costs 25 to 45 iterations

@@ -12,9 +12,8 @@ from typing import Generic, Protocol, TypeVar
 
 from mpi4py import MPI
 
-# Largest number of iterations of loops that have a stopping criterion of their own; no problem met
-# so far has taken half as many.
-LIMIT = 100
+from dolfinx_mortar.arrays import LIMIT
+
 # Levels of accuracy: the first sets follow from loose solves, the last one from a tight one.
 LOOSE, TIGHT = 0, 2
 

@@ -8,7 +8,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Floats
 from dolfinx_mortar.interfaces import results
 from dolfinx_mortar.interfaces.constraints import SlipLimits
 from dolfinx_mortar.interfaces.coupled_sides import relative_motions, slipped
@@ -21,10 +21,6 @@ from dolfinx_mortar.newton_method.linearisation import Balance
 from dolfinx_mortar.persistence.committed import Slips
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.solid.kinematics import on_axis
-
-# Of a facet. On a plane of symmetry a slave node stands still, and P u of the master is zero for
-# linear fields only: under a pressed ball up to 2e-5 of a facet are left.
-NO_SLIDING = 1e-3
 
 
 def set_results(
@@ -155,7 +151,9 @@ def notes_on_lost_friction(problem: ContactProblem, contacts: Contacts) -> list[
             relative = relative - np.einsum("nij,ni->nj", link.coupling.R, way)
         on = contacts.active[link.nodes] & directions[:, 0]
         lost = np.abs(np.where(on[:, None] & ~directions, relative, 0.0)).max(axis=1, initial=0.0)
-        slides = lost > NO_SLIDING * problem.system.facet_length
+        # on a plane of symmetry a slave node stands still, and P u of the master is zero for linear
+        # fields only: under a pressed ball up to 2e-5 of a facet are left
+        slides = lost > QUARTER_OF_DIGITS * problem.system.facet_length
         count = int(problem.comm.allreduce(int(slides.sum())))
         if count:
             farthest = float(maximum(problem.comm, lost.max(initial=0.0))[0])

@@ -2,10 +2,7 @@
 """The range of plasticity in the logarithmic strain space, measured after every step."""
 
 from dolfinx_mortar.problem.problem import ContactProblem
-
-# Of a perfectly plastic body in simple shear by 1, where the shear stress is 2.7 % low; by .5, 2
-# and 5: .002, .089, .137, and 0.3, 17, 56 % of the shear stress.
-LARGEST_SHARE = 0.02
+from dolfinx_mortar.report.small_strain import LARGEST_SHARE
 
 
 def notes_on_lost_stress(problem: ContactProblem) -> list[str]:

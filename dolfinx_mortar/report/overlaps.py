@@ -9,7 +9,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import (
     Facets,
@@ -19,21 +19,13 @@ from dolfinx_mortar.geometry.facets import (
     points_of,
 )
 from dolfinx_mortar.geometry.segments import FACING
-from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.mortar.curvature_correction import point_heights
+from dolfinx_mortar.mortar.edges import SUNK
 from dolfinx_mortar.mortar.pairing import received_facets
 from dolfinx_mortar.mortar.surface import accumulate, coordinates, facets_at
+from dolfinx_mortar.newton_method.residuals import DIGIT
 
-# Largest pointwise overlap without a note, over the length of the finer facet. In 280 steps of the
-# tests (pins, balls, blocks and sockets, elastic, plastic, with friction) it is .04 at most, apart
-# from the sagittas of facets; a corner between nodes penetrates as far as it is pressed.
-SUNK = 0.05
-
-
-# The same where no node of the contact is closed, in what a step allows, rtol facet lengths. No
-# mean over facets with a force excuses an overlap then; a digit is left to points beside the nodes.
-UNSEEN = 10.0
 # Then the sagittas of facets are taken off so many times: of heights that are known at two points
 # of Gauss, the end of a segment may have 1 / 0.79 of the larger one.
 HIGHER = 2.0
@@ -60,7 +52,9 @@ def notes_on_overlaps(
     for link in links:
         if link.pairing:
             is_open = closed is not None and _is_open(link, closed)
-            notes += _note(link, u, UNSEEN * rtol if is_open else None)
+            # where no node is closed, no mean over facets with a force excuses an overlap: it is
+            # what a step allows, with a digit for points beside the nodes
+            notes += _note(link, u, rtol / DIGIT if is_open else None)
             notes += _note_on_poles(link, u, rtol) if is_open else []
         notes += _note_on_tool(link, u)
     return notes

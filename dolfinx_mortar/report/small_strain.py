@@ -14,21 +14,23 @@ import numpy as np
 
 from dolfinx import mesh
 from dolfinx_mortar.algebra.parallel import maximum, ratio
-from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.geometry.tolerances import HALF_OF_DIGITS
+from dolfinx_mortar.arrays import CHUNK, HALF_OF_DIGITS, Floats
 from dolfinx_mortar.materials.tensor import double_contraction, frobenius_norm
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.solid.gradients import elastic_stresses
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.supports.bodies import name_of
 
-# Largest share of the work of a body's stresses in the term of rotations without a note.
+# Largest share that a measure of strain may leave out without a note.
+# At small strain: of the work of a body's stresses, in the term of rotations.
 # That is the change of the energy, to first order, so the error of forces: two pressed blocks
 # turned as one by 1, 2, 5 degrees have forces that are 1.7, 6.7, 42 % too high, for a share of
 # 1.7, 6.4, 31 %. What is pressed in has at most 1.5 % (a half disc by a twentieth of its radius,
 # with 7 % strain and 7 degrees at the edge), 1.7 % (a sphere likewise), 0.5 % (a bent flange):
 # there Hencky's strain changes forces by 1.4 %, Green's by -5.5 %, so no measure is the right one.
-TURNED = 0.02
+# In the logarithmic strain space: of the norm of the stress. A perfectly plastic body in simple
+# shear by .5, 1, 2, 5 loses .002, .02, .089, .137, and its shear stress is 0.3, 2.7, 17, 56 % low.
+LARGEST_SHARE = 0.02
 # Or where the mean of |H^T H|, twice the term, over a body's volume or where its stresses work, is
 # as large: energies are quadratic in lengths. Lengths are wrong by half of that, or by 0.7 of the
 # half where both along and across: a strip bent down by 11 % of its length, a bar stretched by
@@ -37,10 +39,6 @@ TURNED = 0.02
 # What is no small strain or rotation any more (radians, 2.9 degrees), at any point: the measure is
 # off by half of the strain there, relatively. A note says so, also where forces hardly feel it.
 LARGE = 0.05
-
-_CHUNK = 2**12
-"""Cells whose points are known at a time: 6 MB of hexahedra, where all at once would be as much as
-the tangent."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +91,8 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
     """
     solid, comm, count = problem.solid, problem.comm, problem.bodies.count
     body, weights = problem.bodies.of_cells, solid.fields.weights  # assembled by all ranks
-    chunks = [slice(i, i + _CHUNK) for i in range(0, len(body), _CHUNK)]
+    many = CHUNK // weights.shape[1]  # cells: those of a mesh would be as much as the tangent
+    chunks = [slice(i, i + many) for i in range(0, len(body), many)]
     parts = [_measure(solid, weights, cells) for cells in chunks]
     columns = np.concatenate([np.zeros((8, 0)), *parts], axis=1)
     space, left, work, made, size, *highest = columns
@@ -111,7 +110,7 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
     share = np.divide(np.abs(sums[4]), sums[2], out=np.zeros(count), where=strained)
     means = np.divide(sums[3], sums[2], out=np.zeros(count), where=sums[2] > 0.0)
     means = np.maximum(means, sums[1] / sums[0])
-    felt = np.maximum(share, 2.0 * means) / TURNED
+    felt = np.maximum(share, 2.0 * means) / LARGEST_SHARE
     worst = int(np.argmax(felt))
     largest = float(maximum(comm, size.max(initial=0.0))[0])
     steep = np.maximum(highest[0], highest[2])

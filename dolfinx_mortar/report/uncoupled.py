@@ -16,6 +16,7 @@ from dolfinx_mortar.geometry.crossings import find_crossings, near_others
 from dolfinx_mortar.geometry.facets import facet_sizes
 from dolfinx_mortar.geometry.sweep import flat_parts
 from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.mortar.edges import SUNK
 from dolfinx_mortar.mortar.surface import (
     cells_of,
     coordinates,
@@ -24,7 +25,6 @@ from dolfinx_mortar.mortar.surface import (
 )
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.facet_parts import FacetParts, point
-from dolfinx_mortar.report.overlaps import SUNK
 
 
 @dataclass(frozen=True)

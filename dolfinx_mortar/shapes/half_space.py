@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.shapes.shape import NOTHING, Distance, Shape, check_unit, check_vector
+from dolfinx_mortar.arrays import SAME, Floats
+from dolfinx_mortar.shapes.shape import Distance, Shape, check_unit, check_vector
 
 
 class Plane(Shape):
@@ -37,7 +37,7 @@ class Plane(Shape):
 
     def misfit(self, d: int, revolved: bool) -> str:
         """Say why it cannot be used; "" if it can: across the axis, of an axisymmetric problem."""
-        if revolved and abs(self.normal[0]) > NOTHING:
+        if revolved and abs(self.normal[0]) > SAME:
             return f"{self!r} is not across the axis, so no plane of revolution: give a Cone"
         return super().misfit(d, revolved)
 

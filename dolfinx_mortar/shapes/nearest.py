@@ -13,13 +13,7 @@ over the middles p_ij of the edges, the corners of its net as a Bezier triangle.
 import numba
 import numpy as np
 
-from dolfinx_mortar.arrays import EPS, Floats, Longs
-
-LEAF = 1
-"""Triangles of a leaf of the tree; any number will do."""
-
-MOST = 50
-"""Iterations of Newton's method for the nearest point of a triangle or an edge; it takes 3 to 6."""
+from dolfinx_mortar.arrays import EPS, LIMIT, Floats, Longs
 
 FACE, EDGE, POINT = 0, 1, 4
 """Where the nearest point lies: in the triangle, on the edges 1 to 3, at the corners 4 to 6."""
@@ -72,7 +66,7 @@ def _on_edge(x, p, q, m):  # type: ignore[no-untyped-def]
     """
     chord = q - p
     t = min(max(_dot(x - p, chord) / _dot(chord, chord), 0.0), 1.0)
-    for _ in range(MOST):
+    for _ in range(LIMIT):
         r = x - p - t * chord - 4.0 * t * (1.0 - t) * m
         slope = chord + 4.0 * (1.0 - 2.0 * t) * m
         curved = _dot(slope, slope) + 8.0 * (_dot(r, m))
@@ -100,7 +94,7 @@ def _in_face(x, p, m):  # type: ignore[no-untyped-def]
     det = aa * bb - ab * ab
     s, t = (bb * ra - ab * rb) / det, (aa * rb - ab * ra) / det
     mss, mtt, mst = -8.0 * m[0], -8.0 * m[2], 4.0 * (m[1] - m[0] - m[2])
-    for _ in range(MOST):
+    for _ in range(LIMIT):
         if s < -0.5 or t < -0.5 or s + t > 1.5:
             return s, t, np.inf
         o = 1.0 - s - t

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from dolfinx_mortar.arguments import is_number
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import SAME, Floats
 from dolfinx_mortar.shapes.shape import (
-    NOTHING,
     Distance,
     Shape,
     check_length,
@@ -64,7 +63,7 @@ class _Pointed(Shape):
             c * across.value - s * height, c * across.gradient - s * self.axis, c * across.hessian
         )
         # on the axis flanks meet from all around: their mean normal
-        lost = across.value <= NOTHING * (np.abs(height) + self.radius)
+        lost = across.value <= SAME * (np.abs(height) + self.radius)
         flank = replace(flank, gradient=np.where(lost[:, None], -self.axis, flank.gradient))
         found = flank.where(s * across.value + c * height > 0.0, tip)
         sharp = found.value == 0.0  # the tip itself, of a sharp one
@@ -103,7 +102,7 @@ class Cone(_Pointed):
         if d == 2 and not revolved:
             return f"{self!r} is no plane figure: give a Wedge"
         size = self.radius + float(np.abs(self.tip).max())
-        off = abs(self.axis[0]) > NOTHING or abs(self.tip[0]) > NOTHING * size
+        off = abs(self.axis[0]) > SAME or abs(self.tip[0]) > SAME * size
         if revolved and off:
             return f"{self!r} is not about the axis: give axis=(0, 1) or (0, -1), a tip (0, z)"
         return super().misfit(d, revolved)
@@ -141,7 +140,7 @@ class Wedge(_Pointed):
             wanted = "none in plane problems" if d == 2 else "the direction of the edge in space"
             raise ValueError(f"edge is {edge!r}: give {wanted}")
         self.edge = None if edge is None else check_unit("edge", edge, d)
-        if self.edge is not None and abs(self.edge @ self.axis) > np.sqrt(NOTHING):
+        if self.edge is not None and abs(self.edge @ self.axis) > np.sqrt(SAME):
             raise ValueError(f"edge is {edge!r}: it has to be across the axis {axis!r}")
 
     def given(self) -> Mapping[str, Any]:

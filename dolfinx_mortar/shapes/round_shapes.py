@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import SAME, Floats
 from dolfinx_mortar.shapes.shape import (
-    NOTHING,
     Distance,
     Shape,
     check_length,
@@ -56,7 +55,7 @@ class Sphere(_Round):
         """Say why it cannot be used; "" if it can."""
         if d == 2 and not revolved:
             return f"{self!r} is no plane figure: give a Cylinder"
-        if revolved and abs(self.centre[0]) > NOTHING * self._size:
+        if revolved and abs(self.centre[0]) > SAME * self._size:
             return f"{self!r} is not centred on the axis, where it would be a Torus: give that"
         return super().misfit(d, revolved)
 
@@ -97,7 +96,7 @@ class Cylinder(_Round):
         if revolved:
             if self.axis is None:
                 return f"{self!r} is no shape of revolution: give a Sphere or a Torus"
-            if abs(self.axis[0]) > NOTHING or abs(self.centre[0]) > NOTHING * self._size:
+            if abs(self.axis[0]) > SAME or abs(self.centre[0]) > SAME * self._size:
                 return f"{self!r} is not about the axis: give axis=(0, 1) and a centre (0, z)"
         return super().misfit(d, revolved)
 
@@ -138,7 +137,7 @@ class Torus(_Round):
         """Say why it cannot be used; "" if it can."""
         if d == 2 and not revolved:
             return f"{self!r} is no plane figure: give Cylinders, and their Union"
-        if revolved and (abs(self.axis[0]) > NOTHING or abs(self.centre[0]) > NOTHING * self._size):
+        if revolved and (abs(self.axis[0]) > SAME or abs(self.centre[0]) > SAME * self._size):
             return f"{self!r} is not about the axis: give axis=(0, 1) and a centre (0, z)"
         return super().misfit(d, revolved)
 

@@ -18,9 +18,6 @@ import numpy as np
 from dolfinx_mortar.arguments import as_numbers, is_number
 from dolfinx_mortar.arrays import Bools, Floats, Longs
 
-# Relative to the size of vectors: what is round-off of zero.
-NOTHING = 1e-12
-
 
 @dataclass(frozen=True)
 class Distance:
