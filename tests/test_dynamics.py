@@ -302,6 +302,23 @@ def test_what_the_numbers_of_the_mass_are_for(monkeypatch):
         assert massless() != usual
 
 
+def test_forces_that_are_no_numbers_have_no_acceleration(bar):
+    """Of a term of the user's, on one rank: all of them raise."""
+
+    class Broken(dm.Term):
+        def add_forces(self, F):
+            if COMM.rank == COMM.size - 1:
+                F.array_w[:] = np.nan
+
+        def add_tangent(self, K):
+            pass
+
+    problem = bar.problem(Broken())
+    words = "Inertia", "initial acceleration along x", "nan", "finite forces"
+    with rejected(*words, error=RuntimeError):
+        next(dm.time_steps(problem, [0.1]))
+
+
 def test_corners_between_contact_sides(monkeypatch):
     """A node all of whose neighbours are on contact sides takes part in the motion further in."""
 

@@ -10,6 +10,9 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx import mesh as dolfinx_mesh
+from dolfinx_mortar.newton_method import impulse
+from dolfinx_mortar.qp import MULTIGRID
+from dolfinx_mortar.report import energy_ledger
 from tests.choice import quick
 from tests.meshes import LOWER, UPPER
 from tests.meshes_3d import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_boxes
@@ -268,3 +271,61 @@ def test_thin_bodies_make_energy_and_a_note_says_why(layers, thin):
     *_, step = steps(case.problem, 0.5 / layers / wave * np.arange(1, 60 * layers // 2))
     assert (abs(step.report.ledger.defect) > 0.01) == thin
     assert any("three layers" in note for note in step.report.notes) == thin
+    # contact has made more energy in a step than its impulse could take
+    notes = [n for one in case.problem.history for n in one.report.notes if "in this step" in n]
+    assert bool(notes) == thin
+    assert all("given to the bodies" in note and "push too little" in note for note in notes)
+
+
+def test_an_impulse_without_a_response_is_noted(monkeypatch):
+    """Then the energy that contact takes stays away, which the note says in per cent."""
+    case = Blocks((2, 2), (3, 4), gap=0.01, guided=True, velocity={UPPER: (0, -1), LOWER: (0, 0)})
+    solve, failing = dm.qp.solve, []
+
+    def refuse(*args, **options):
+        if failing:
+            raise dm.qp.QPNotSolved("no solution")
+        return solve(*args, **options)
+
+    def respond(*args):
+        failing.append(True)
+        found = impulse.respond(*args)
+        failing.clear()
+        return found
+
+    monkeypatch.setattr(dm.qp, "solve", refuse)
+    monkeypatch.setattr(energy_ledger, "respond", respond)
+    for step in steps(case.problem, 4e-3 * np.arange(1, 9)):
+        if notes := [note for note in step.report.notes if "no response" in note]:
+            break
+    ledger, (note,) = step.report.ledger, notes
+    assert "without giving it back" in note
+    lost = -ledger.contact / ledger.largest
+    assert f"{100 * lost:.2g} % of the energy" in note
+    assert ledger.defect == pytest.approx(-lost, rel=1e-6) and lost > 1e-4
+
+
+@pytest.mark.slow
+def test_the_impulse_is_solved_as_the_steps_are(monkeypatch):
+    """Multigrid fails: steps are factorised, and so is what restores their energy."""
+    mesh, cells, facets = two_boxes(COMM, (2, 2, 3), (3, 3, 4), gap=0.02)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    solid = dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.3))
+    inertia = dm.Inertia(
+        solid, 1.0, cells, velocity={LOWER: (0.0, 0.0, 0.0), UPPER: (0.0, 0.0, -1)}
+    )
+    contact = dm.Contact(facets, slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER)
+    problem = dm.ContactProblem(solid, [contact], terms=[inertia])
+    tried = []
+
+    def respond(problem, forces, rtol, linear):
+        tried.append(linear.direct)
+        return impulse.respond(problem, forces, rtol, linear)
+
+    monkeypatch.setattr(energy_ledger, "respond", respond)
+    monkeypatch.setitem(MULTIGRID, "ksp_max_it", 1)
+    *_, step = steps(problem, 8e-3 * np.arange(1, 5))
+    assert tried and all(tried)
+    assert contact.force[2] > 0.0 and "mumps" in step.report.linear_solver
+    assert abs(step.report.ledger.contact) > 1e-3 * step.report.ledger.largest
+    assert abs(step.report.ledger.defect) < 1e-10

@@ -17,9 +17,12 @@ from dolfinx_mortar.newton_method.linearisation import (
 )
 from dolfinx_mortar.newton_method.residuals import tightest
 from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.qp import LinearSolver
 
 
-def respond(problem: ContactProblem, forces: Floats, rtol: float) -> Floats:
+def respond(
+    problem: ContactProblem, forces: Floats, rtol: float, linear: LinearSolver
+) -> Floats | None:
     """Return y with K y = f, K the last tangent; collective.
 
     Supports and ties hold, contacts neither hold nor push. The factorisation of the step serves.
@@ -28,9 +31,10 @@ def respond(problem: ContactProblem, forces: Floats, rtol: float) -> Floats:
         problem: at the end of a step.
         forces: f (owned nodes, d).
         rtol: tolerance of the step.
+        linear: the linear solver of the step.
 
     Returns:
-        (owned nodes, d), zero if there is no solution.
+        (owned nodes, d), None if the linear solver finds no solution.
     """
     T, r = problem.system.transformation, problem.vector(forces)
     found = problem.system.constraints(problem.positions(), problem.vector(problem.owned_u))
@@ -48,14 +52,14 @@ def respond(problem: ContactProblem, forces: Floats, rtol: float) -> Floats:
         external=0.0,
     )
     try:
-        lin = linearise(problem, balance, tangent=False)
+        lin = linearise(problem, balance, tangent=False, linear=linear)
         solved = backends.solve(
             lin.qp,
-            linear=problem.linear,
+            linear=linear,
             start_active=np.zeros(len(contacts.dofs), dtype=np.int8),
             changes=0,
             rtol=tightest(rtol),
         )
     except (backends.QPNotSolved, backends.UnusableQP):
-        return np.zeros_like(forces)
+        return None
     return np.asarray(to_displacement(T, solved.x).array_r.reshape(forces.shape)).copy()

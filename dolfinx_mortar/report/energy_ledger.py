@@ -31,6 +31,7 @@ from dolfinx_mortar.algebra.parallel import any_rank, ratio
 from dolfinx_mortar.arrays import ROUND_OFF, Floats
 from dolfinx_mortar.newton_method.impulse import respond
 from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.qp import LinearSolver
 from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.step_report import Ledger, StepReport
 from dolfinx_mortar.terms.inertia import Damping, Inertia, Motion
@@ -177,8 +178,13 @@ class EnergyLedger:
             internal=self._internal(),
         )
 
-    def commit(self, report: StepReport) -> None:
-        """Commit a step that has converged, and put its ledger into the report; collective."""
+    def commit(self, report: StepReport, linear: LinearSolver) -> None:
+        """Commit a step that has converged, and put its ledger into the report; collective.
+
+        Args:
+            report: of the step; it gets a note if the energy could not be restored.
+            linear: the linear solver of the step.
+        """
         problem, inertia, before = self.problem, self.inertia, self._before
         assert before is not None
         after, motion = self._end(), inertia.end()
@@ -198,10 +204,13 @@ class EnergyLedger:
             work["supports"] += share
         gain = work["contact"] + max(work["friction"], 0.0)
         terms = self._sum(np.abs((before.contact + after.contact) * du))
+        left, unsolved = 0.0, False
         if self.conserve and abs(gain) > ROUND_OFF * terms:
             force = before.contact + after.contact
-            motion, share = self._restored(motion, force, way, -gain, report.rtol)
+            y = respond(problem, force, report.rtol, linear)
+            motion, share, left = self._restored(motion, y, force, way, -gain)
             work["supports"] += share
+            unsolved = y is None
         inertia.finish(motion)
         potential = self._stored()
         problem.commit()
@@ -227,6 +236,9 @@ class EnergyLedger:
         self.last = report.ledger = _balanced(ledger)
         if report.certificate is not None:
             report.certificate = replace(report.certificate, energy_defect=self.last.defect)
+        left = float(ratio(left, self.last.largest))
+        if abs(left) > report.rtol:
+            report.notes.append(_not_restored(left, unsolved=unsolved))
         report.notes += notes_on_energy(self.last, thin=self._contacts_have_mass())
 
     def _contacts_have_mass(self) -> bool:
@@ -256,22 +268,51 @@ class EnergyLedger:
         return way
 
     def _restored(
-        self, motion: Motion, force: Floats, way: Floats, energy: float, rtol: float
-    ) -> tuple[Motion, float]:
+        self, motion: Motion, y: Floats | None, force: Floats, way: Floats, energy: float
+    ) -> tuple[Motion, float, float]:
         """Return a motion that an impulse of contact forces has given an energy; collective.
 
-        The energy is that for who moves with the tool: its work, returned, is beside it.
+        Args:
+            motion: at the end of the step.
+            y: the response to the forces, None if there is none.
+            force: the contact forces (owned nodes, d).
+            way: of the tools, see `_tool_way`.
+            energy: for who moves with the tool.
+
+        Returns:
+            The motion, the work of tools that is in it beside the energy, and the part of the
+            energy that it has not got.
         """
+        if y is None:
+            return motion, 0.0, energy
         mass, sums, start = self.inertia.mass, self.inertia.sum, self.inertia.start
-        y = mass.extend(respond(self.problem, force, rtol))
+        y = mass.extend(y)
         image = mass.times(y)
         tools = sums((force * way).sum()) / (start.kappa * start.dt)  # of one unit of y
         a, b = sums((y * image).sum()), sums((motion.velocity * image).sum()) - tools
         if not a > 0.0:
-            return motion, 0.0
+            return motion, 0.0, energy
         root = b**2 + 2.0 * a * energy
         s = 2.0 * energy / (b + np.copysign(np.sqrt(root), b)) if root > 0.0 else -b / a
-        return replace(motion, velocity=motion.velocity + s * y), s * tools
+        left = min(root, 0.0) / (2.0 * a)
+        return replace(motion, velocity=motion.velocity + s * y), s * tools, left
+
+
+def _not_restored(share: float, *, unsolved: bool) -> str:
+    """Return the note on energy that contact has kept, or has made, in a step.
+
+    Args:
+        share: what the bodies have not got back, over the largest energy; negative if too much.
+        unsolved: whether there is no response to the impulse.
+    """
+    what = "taken from the bodies without giving it back" if share > 0.0 else "given to the bodies"
+    why = "its forces push too little against the motion for the impulse that restores the energy"
+    if unsolved:
+        why = "the linear solver found no response to the impulse that restores the energy"
+    return (
+        f"in this step contact has {what} {100 * abs(share):.2g} % of the energy: {why}; take "
+        "shorter steps, or some damping"
+    )
 
 
 def _balanced(ledger: Ledger) -> Ledger:

@@ -58,7 +58,7 @@ class TimeSolves(Solves):
     def commit(self, report: StepReport) -> None:
         """Commit a step with its ledger; collective."""
         assert self.ledger is not None
-        self.ledger.commit(report)
+        self.ledger.commit(report, self.linear)
         report.notes += self.notes
         self.notes = []
 

@@ -88,6 +88,11 @@ class Solves:
     factorising: LinearSolver | None = None  # in place of the problem's
     name: ClassVar[str] = "load step"
 
+    @property
+    def linear(self) -> LinearSolver:
+        """The linear solver of the steps at present."""
+        return self.factorising or self.problem.linear
+
     def commit(self, report: StepReport) -> None:
         """Make a converged step the state from which the next one starts; collective."""
         self.problem.commit()
@@ -103,7 +108,7 @@ class Solves:
         nothing holds a body.
         """
         try:
-            return self._solve(level, self.factorising)
+            return self._solve(level, self.linear)
         except NewtonNotConverged as error:
             failed, given_up = isinstance(error.__cause__, QPNotSolved), error.report.linear_solver
             factorising = self.problem.linear.factorising() if failed else None
@@ -119,7 +124,7 @@ class Solves:
         )
         return report
 
-    def _solve(self, level: Level, linear: LinearSolver | None) -> StepReport:
+    def _solve(self, level: Level, linear: LinearSolver) -> StepReport:
         return solve_step(
             self.problem,
             qp=self.qp,

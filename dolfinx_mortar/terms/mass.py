@@ -82,6 +82,10 @@ class Mass:
         Args:
             values: f.
             held: (owned nodes, d) components that are prescribed.
+
+        Raises:
+            RuntimeError: on all ranks, if conjugate gradients find no solution, as for forces that
+                are not finite.
         """
         result = np.zeros_like(values)
         for k in range(values.shape[1]):
@@ -90,6 +94,13 @@ class Mass:
             b, x = solver.getOperators()[0].createVecs()
             b.array[:] = values[free, k]
             solver.solve(b, x)
+            if (reason := solver.getConvergedReason()) <= 0:  # the same on all ranks
+                raise RuntimeError(
+                    f"Inertia: conjugate gradients found no initial acceleration along "
+                    f"{'xyz'[k]} for the forces at the start, whose norm is {b.norm():.3g} (PETSc "
+                    f"reason {reason}, after {solver.getIterationNumber()} iterations): check that "
+                    "the terms of the problem give finite forces there"
+                )
             result[free, k] = x.array_r
         return self.extend(result)
 
@@ -97,7 +108,7 @@ class Mass:
         """Return conjugate gradients for the rows and columns that are free; collective.
 
         The condition number of a consistent mass, scaled by its diagonal, does not depend on the
-        mesh: ten digits are some twenty iterations.
+        mesh: ten digits are some twenty iterations, of which PETSc allows ten thousand.
         """
         first = self.matrix.getOwnershipRange()[0]
         rows = (np.flatnonzero(free) + first).astype(PETSc.IntType)
@@ -106,7 +117,7 @@ class Mass:
         solver.setOperators(self.matrix.createSubMatrix(chosen, chosen))
         solver.setType("cg")
         solver.getPC().setType("jacobi")
-        solver.setTolerances(rtol=ROUND_OFF, atol=0.0, max_it=1000)
+        solver.setTolerances(rtol=ROUND_OFF, atol=0.0)
         return solver
 
     def couplings(self, plain: PETSc.Mat) -> list[Ints]:
