@@ -9,7 +9,7 @@ bounds and slips taken relative to the moved tools,
 has reactions z(q), and q solves the m equations F_a + e_a.z(q) = 0. Without friction these are the
 derivatives of a convex function, piecewise linear in q: of one unknown they are solved by secants,
 which begin with the diagonal of K^ at the closed nodes, of several by Newton's method with
-differences. All QPs have one matrix, and its factorisation.
+differences. All QPs have one matrix; on one rank they have one factorisation, too.
 
 Nodes of a rigid side follow it, w = w_0 + e.q, and are eliminated: q moves their values to the
 right-hand side, and z is r^ - K^ y there. The arms of moments turn with the side, e = e_0 + De q:
