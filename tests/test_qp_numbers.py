@@ -107,3 +107,18 @@ def test_breakdowns_count_as_a_quarter_of_a_set_up() -> None:
     """SHARE_OF_RESTART: after four of them levels are set up again."""
     renewal = Renewal(RENEWAL_COST["iterative"], direct=False)
     assert [renewal.restarts() for _ in range(5)] == [True, True, True, True, False]
+
+
+def test_levels_of_an_elastic_tangent_serve_a_plastic_step() -> None:
+    """RENEWAL_COST: new levels of a flowing body take 20 iterations where it was elastic in 10.
+
+    So of the excess over 10 that old ones have, 24 iterations, a set-up would save a small part.
+    """
+    renewal = Renewal(RENEWAL_COST["iterative"], direct=False)
+    renewal.learn(np.logspace(0.0, -6.0, 1 + 10).tolist(), stale=False)
+    for _ in range(5):  # Newton iterations of a step
+        assert not renewal.is_far(0)
+        renewal.learn(np.logspace(0.0, -6.0, 1 + 24).tolist(), stale=True)
+    assert not renewal.is_far(0)
+    renewal.learn(np.logspace(0.0, -6.0, 1 + 24).tolist(), stale=True)
+    assert renewal.is_far(0)

@@ -20,12 +20,14 @@ from dolfinx_mortar.qp.operator import Operator
 from dolfinx_mortar.qp.options import SolverOptions
 from dolfinx_mortar.qp.schur import SchurComplement
 
-# Iterations that cost as much as a renewal. A numeric factorisation in 2D costs 5 to 7 solves with
-# it (5k, 50k and 200k unknowns, MUMPS). A set-up of multigrid in 3D costs 25 to 45 iterations
-# (GAMG, 30k to 181k unknowns); it is renewed when an old one has cost so many more than a new one
-# would have: at most twice the least is lost. With half of them the time is the same up to 43k
-# unknowns; at 148k an elastic step has a second set-up for its last ten iterations.
-RENEWAL_COST = {"direct": 6, "iterative": 40}
+# Iterations above those of a new one that are worth a renewal. A numeric factorisation in 2D costs
+# 5 to 7 solves with it (5k, 50k and 200k unknowns, MUMPS). A set-up of multigrid in 3D costs 25 to
+# 50 iterations (GAMG, 30k to 181k unknowns). It is renewed after twice 40 more than it would have
+# cost when it was new: that was for an elastic tangent as a rule, and new levels of a flowing
+# body take twice its iterations (6 digits, 8k to 160k unknowns: 17 to 24 for 9 to 10). With 40,
+# second set-ups saved 2 to 13 of 75 to 114 iterations of a plastic step (41k to 160k unknowns),
+# which took 1.1 to 1.25 times as long.
+RENEWAL_COST = {"direct": 6, "iterative": 80}
 # A breakdown of conjugate gradients with an old set-up that has reduced the residual. Plastic step
 # with 181 thousand unknowns: two set-ups and 100 iterations instead of three and 93.
 SHARE_OF_RESTART = 0.25
@@ -53,7 +55,7 @@ class Renewal:
     """When to renew, from the convergence observed so far.
 
     Attributes:
-        after: iterations that cost as much as a renewal.
+        after: iterations above those of a new one that are worth a renewal.
         direct: for a factorisation one solve decides, for multigrid the sum of all.
     """
 
@@ -83,7 +85,7 @@ class Renewal:
         return (different if self.direct else self.excess) > self.after
 
     def restarts(self) -> bool:
-        """Tell whether to go on after a breakdown: each counts as a share of a renewal."""
+        """Tell whether to go on after a breakdown: each counts as a share of `after`."""
         self.excess += SHARE_OF_RESTART * self.after
         return self.excess <= self.after
 
