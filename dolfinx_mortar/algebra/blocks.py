@@ -60,19 +60,23 @@ class BlockMatrix:
         ascending = key[order]
         fresh = np.diff(ascending, prepend=-1) > 0
         places = ascending[fresh]
-        self.places = np.empty(len(key), dtype=np.int64)
-        self.places[order] = np.cumsum(fresh) - 1
-        self.repeats = len(places) < len(key)
+        self._count, self._places = len(places), None
+        if len(places) < len(key):  # some are repeated
+            self._places = np.empty(len(key), dtype=_smallest_integer(len(key)))
+            self._places[order] = np.cumsum(fresh) - 1
+            order = np.arange(len(places))
         row, column = np.divmod(places, N)
         start = np.searchsorted(row, np.arange(n + 1))
-        zeros = np.zeros((len(places), d, d))
-        self.blocks = bsr_array((zeros, column, start), shape=(d * n, d * N))
-        self.blocks.data[:] = np.arange(zeros.size).reshape(zeros.shape)
-        csr = self.blocks.tocsr()
-        self._order = csr.data.astype(np.int64)  # of the entries of all blocks, row by row
+        numbers = order[:, None] * d**2 + np.arange(d**2)
+        numbers = numbers.astype(_smallest_integer(numbers.size))
+        numbered = numbers.reshape(-1, d, d), column, start
+        csr = bsr_array(numbered, shape=(d * n, d * N)).tocsr()
+        self._order = csr.data  # of the entries of all different blocks, row by row
         self.indptr, self.indices = (v.astype(PETSc.IntType) for v in (csr.indptr, csr.indices))
         self.matrix = PETSc.Mat().createAIJ(
-            [(d * n, d * N)] * 2, csr=(self.indptr, self.indices, 0.0 * csr.data), comm=comm
+            [(d * n, d * N)] * 2,
+            csr=(self.indptr, self.indices, np.zeros(len(csr.data))),
+            comm=comm,
         )
 
     def of(self, blocks: Floats) -> PETSc.Mat:
@@ -87,10 +91,13 @@ class BlockMatrix:
     def fill(self, blocks: Floats) -> None:
         """Set the matrix to the blocks (p, d, d) (collective)."""
         self._filled = blocks
-        values = self.blocks.data
-        if self.repeats:
-            values[:] = 0.0
-            np.add.at(values, self.places, blocks)
-        else:
-            values[self.places] = blocks
+        values = blocks
+        if self._places is not None:
+            values = np.zeros((self._count, *blocks.shape[1:]))
+            np.add.at(values, self._places, blocks)
         set_csr(self.matrix, self.indptr, self.indices, values.ravel()[self._order])
+
+
+def _smallest_integer(count: int) -> type[np.signedinteger]:
+    """Return the type of numbers up to a count: there are many of them, and they are kept."""
+    return np.int32 if count <= np.iinfo(np.int32).max else np.int64
