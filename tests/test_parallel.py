@@ -31,7 +31,7 @@ SLOW_ON_TWO = """
     eigenstrain energies failures finite_in_space finite_plane_stress finite_sliding folds
     jump jump_errors kinematics law_contact linear linearisation loads locking
     logarithmic_solid margin measure newton obstacle orthotropic output output_resume
-    parameters passing patch_3d plane_stress plotting pointwise preload preload_direction
+    parameters passing patch_3d plane_stress plotting pointwise polyline preload preload_direction
     preload_several qp_definite qp_descent ramp reaction resolution rubber small_strain smooth_3d
     smooth_contact smooth_second smooth_tie solid solid_state stand_off stress_laws sweep
     taylor_bar tie_reach tool_friction tool_pictures triangles tying undone user_laws volumetric

@@ -128,6 +128,17 @@ def check_length(name: str, value: Any, *, least: str = "> 0") -> float:
     return float(value)
 
 
+def check_angle(name: str, value: Any) -> float:
+    """Return an angle in degrees, from 0 to 90.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    if not is_number(value) or not 0.0 <= value <= 90.0:
+        raise ValueError(f"{name} is {value!r}: give an angle in degrees, from 0 to 90")
+    return float(value)
+
+
 def unit_vectors(v: Floats) -> tuple[Floats, Floats]:
     """Return the lengths (n,) of vectors (n, d) and the unit vectors, 0 where there is none."""
     size = np.linalg.norm(v, axis=1)

@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_mortar.arguments import as_numbers, is_number
+from dolfinx_mortar.arguments import as_numbers
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Longs
 from dolfinx_mortar.shapes.nearest import EDGE, FACE, POINT, create_tree, find_nearest
-from dolfinx_mortar.shapes.shape import Distance, Shape, check_vector
+from dolfinx_mortar.shapes.shape import Distance, Shape, check_angle, check_vector
 from dolfinx_mortar.shapes.stl import read_stl
 from dolfinx_mortar.shapes.triangulation import FIRST, SECOND, create_triangulation
 
@@ -54,16 +54,14 @@ class Triangles(Shape):
         self, surface: Any, point: Any = None, *, crease: float = 30.0, rim: bool = False
     ) -> None:
         """Find neighbours and normals."""
-        if not is_number(crease) or not 0.0 <= crease <= 90.0:
-            raise ValueError(f"crease is {crease!r}: give an angle in degrees, from 0 to 90")
+        self.crease, self.rim = check_angle("crease", crease), bool(rim)
         file = isinstance(surface, str | os.PathLike)
         points, triangles = read_stl(surface) if file else _check_arrays(surface)
         self.file = os.fspath(surface) if file else None
-        self.triangulation = create_triangulation(points, triangles, rim=bool(rim))
+        self.triangulation = create_triangulation(points, triangles, rim=self.rim)
         x = self.triangulation.corners
         middle = (x.min(axis=(0, 1)) + x.max(axis=(0, 1))) / 2
         self._point = middle if point is None else check_vector("point", point, 3)
-        self.crease, self.rim = float(crease), bool(rim)
         normals, smooth = self.triangulation.smooth_normals(self.crease)
         self._offsets = _bulges(x, normals) * smooth[..., None] * (self.crease > 0.0)
         self._tree = create_tree(x, self._offsets)
