@@ -188,32 +188,39 @@ def test_as_a_meshed_body_a_million_times_stiffer():
 
 @pytest.mark.serial
 @pytest.mark.slow
-def test_as_a_meshed_disc_a_million_times_stiffer():
-    """A curved one: force and peak to 1e-4 with parabolic facets, whose arcs are nearly round."""
-    tagged = dm.meshing.hertz(COMM, kind="graded", h=0.1, half=True)
+@pytest.mark.parametrize(("degree", "h"), [(2, 0.1), (1, 0.05)])
+def test_as_a_meshed_disc_a_million_times_stiffer(degree, h):
+    """A curved one: the force to 1e-4; with parabolic facets, which are nearly round, the peak too.
+
+    Of first order the meshed disc is a polygon, and so is the tool: a round one has 6e-4 more.
+    """
+    tagged = dm.meshing.hertz(COMM, kind="graded", h=h, half=True)
     facets, found = tagged.facet_tags, []
-    V = fem.functionspace(tagged.mesh, ("Lagrange", 2, (2,)))
-    disc = dm.shapes.Cylinder([0.0, R], R)
+    V = fem.functionspace(tagged.mesh, ("Lagrange", degree, (2,)))
+
+    def dofs(W, name):
+        return fem.locate_dofs_topological(W, 1, facets.find(facets.names[name]))
+
+    shape = dm.shapes.Cylinder([0.0, R], R)
+    if degree == 1:
+        arc = V.tabulate_dof_coordinates()[dofs(V, "arc"), :2]
+        arc = arc[np.argsort(arc[:, 0])]
+        shape = dm.shapes.Polyline([*(arc[:0:-1] * [-1, 1]), *arc], closed=False, crease=0.0)
     for contact in (
         dm.Contact(facets, slave="top", master="arc"),
-        dm.Obstacle(facets, slave="top", shape=disc),
+        dm.Obstacle(facets, slave="top", shape=shape),
     ):
         if isinstance(contact, dm.Obstacle):
             contact.position.value[1] -= 0.05
         laws = {"block": ELASTIC, "disc": dm.Elastic(1e6 * E, NU)}
         values = ("bottom", np.zeros(2)), ("flat", np.array([0.0, -0.05]))
-        bcs = [
-            fem.dirichletbc(
-                value, fem.locate_dofs_topological(V, 1, facets.find(facets.names[name])), V
-            )
-            for name, value in values
-        ]
-        axis = fem.locate_dofs_topological(V.sub(0), 1, facets.find(facets.names["axis"]))
-        bcs.append(fem.dirichletbc(0.0, axis, V.sub(0)))
+        bcs = [fem.dirichletbc(value, dofs(V, name), V) for name, value in values]
+        bcs.append(fem.dirichletbc(0.0, dofs(V.sub(0), "axis"), V.sub(0)))
         solid = dm.Solid(fem.Function(V), laws, tagged.cell_tags)
         dm.newton(dm.ContactProblem(solid, [contact], bcs=bcs), rtol=1e-9)
         found.append((contact.force[1], contact.pressure.x.array.max()))
-    assert found[1] == pytest.approx(found[0], rel=1e-4)
+    assert found[1][0] == pytest.approx(found[0][0], rel=1e-4)
+    assert degree == 1 or found[1][1] == pytest.approx(found[0][1], rel=1e-4)
 
 
 @pytest.mark.serial
