@@ -8,7 +8,13 @@ from hypothesis import strategies as st
 
 from dolfinx_mortar.geometry.elements import QUAD9, TRI6
 from dolfinx_mortar.geometry.facets import Facets, tributary_weights
-from dolfinx_mortar.mortar.dual import ALPHA, absorbed, covered_weights, dual_values
+from dolfinx_mortar.mortar.dual import (
+    ALPHA,
+    absorbed,
+    covered_weights,
+    dual_values,
+    sums_of_values,
+)
 from tests.polylines import assemble
 from tests.test_segments import flat, split
 
@@ -229,3 +235,12 @@ def test_coordinates_are_in_the_space_of_nine_node_facets():
     means = (weight[:, None] * N).T @ points / (weight @ N)[:, None]
     assert means == pytest.approx(QUAD9.points, abs=1e-14)
     assert tributary_weights(Facets(QUAD9, np.pad(QUAD9.points, ((0, 0), (0, 1)))[None])).min() > 0
+
+
+def test_sums_of_values_are_taken_in_the_order_of_the_points() -> None:
+    """To the last bit those of `np.bincount`, whose time is ten times as long."""
+    rng = np.random.default_rng(4)
+    Phi, values, where = rng.normal(size=(500, 9)), rng.normal(size=500), rng.integers(0, 40, 500)
+    sums = sums_of_values(Phi, values, where, 41)
+    for found, function in zip(sums.T, Phi.T, strict=True):
+        assert (found == np.bincount(where, function * values, minlength=41)).all()

@@ -232,16 +232,30 @@ def _curved(side: SmoothSide, moved: Facets, which: Ints) -> Curved:
     if moved.x.shape[2] == 2:  # cheaper than to find out which are the same
         facets, sagitta = moved[which], side.sagitta[which]
         return Curved(facets, sagitta, curvatures(facets, sagitta))
-    once, again = np.unique(which, return_inverse=True)  # a facet is in several pairs
-    facets, sagitta = moved[once.astype(np.int32)], side.sagitta[once]
+    once, again = distinct(which)  # a facet is in several pairs
+    facets, sagitta = moved[once], side.sagitta[once]
     K = curvatures(facets, sagitta)
     return Curved(moved[which], sagitta[again], K[again])
 
 
 def _meeting(segments: Segments) -> tuple[Ints, Ints]:
     """Return the pairs that meet (p,), and which of them each point belongs to (q,)."""
-    pairs, of = np.unique(segments.pair, return_inverse=True)
-    return pairs.astype(np.int32), of.astype(np.int32)
+    return distinct(segments.pair)
+
+
+def distinct(numbers: Ints) -> tuple[Ints, Ints]:
+    """Return the different ones of numbers (q,), ascending, and which of them each is (q,).
+
+    They are not negative and small, so that marks do, where `np.unique` sorts: 10 to 12 % of the
+    time of an update of curved surfaces with hexahedra.
+
+    >>> [found.tolist() for found in distinct(np.array([3, 1, 3, 5]))]
+    [[1, 3, 5], [1, 0, 1, 2]]
+    """
+    there = np.zeros(numbers.max(initial=-1) + 1, dtype=bool)
+    there[numbers] = True
+    place = np.cumsum(there, dtype=np.int32) - np.int32(1)
+    return np.flatnonzero(there).astype(np.int32), place[numbers]
 
 
 @timed("~Mortar: heights")

@@ -129,6 +129,30 @@ def sums_of_products(Phi: Floats, N: Floats, where: Ints, size: int) -> Floats:
     return blocks
 
 
+def sums_of_values(Phi: Floats, values: Floats, where: Ints, size: int) -> Floats:
+    """Return the sums (size, k) of Phi (q, k) times values (q,) over the points of each place.
+
+    In the order of the points, as `np.bincount` of each function, in a tenth of the time.
+
+    Args:
+        Phi: Values of functions, times the weights of the points.
+        values: Values at the points.
+        where: Place (q,) of each point.
+        size: Number of places.
+    """
+    sums = np.zeros((size, Phi.shape[1]))
+    _add_values(sums, np.ascontiguousarray(Phi.T), np.ascontiguousarray(values), where)
+    return sums
+
+
+@numba.njit(cache=True)
+def _add_values(sums, Phi, values, where):  # type: ignore[no-untyped-def]
+    """Add Phi (k, q) times values (q,) to sums (size, k)."""
+    for i in range(len(Phi)):
+        for q in range(len(where)):
+            sums[where[q], i] += Phi[i, q] * values[q]
+
+
 def covered_weights(N_s: Floats, weight: Floats, slave: Ints, m: int) -> Floats:
     """Return the integrals (m, k) of N_j over the covered part of every slave facet (eq. 19).
 

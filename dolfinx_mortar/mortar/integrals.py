@@ -20,7 +20,7 @@ from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import Facets, facet_sizes, points_of, tributary_weights
 from dolfinx_mortar.geometry.segments import Segments, create_segments
 from dolfinx_mortar.geometry.tolerances import TINY
-from dolfinx_mortar.mortar.dual import absorbed, covered_weights, dual_values
+from dolfinx_mortar.mortar.dual import absorbed, covered_weights, dual_values, sums_of_values
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
     Surface,
@@ -288,6 +288,5 @@ def integrate_values(
         values: f.
     """
     slave = pairing.slave
-    count = len(slave.facets)
-    parts = [np.bincount(segments.slave, P * values, minlength=count) for P in Phi.T]
-    return sum_at_nodes(slave, np.stack(parts, axis=1)[:, :, None])[:, 0]
+    parts = sums_of_values(Phi, values, segments.slave, len(slave.facets))
+    return sum_at_nodes(slave, parts[:, :, None])[:, 0]

@@ -30,6 +30,7 @@ from dolfinx_mortar.geometry.facet_derivatives import (
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
 from dolfinx_mortar.geometry.segments import Segments, are_facing
 from dolfinx_mortar.geometry.tolerances import TINY
+from dolfinx_mortar.mortar.curvature_correction import distinct
 from dolfinx_mortar.mortar.derivatives import Derivatives, Part, Tractions
 from dolfinx_mortar.mortar.dual import absorbed, sums_of_products
 from dolfinx_mortar.mortar.operators import SmoothSides
@@ -55,13 +56,13 @@ def differentiate_in_space(
     """
     slave, master = pairing.slave, received_facets(pairing, u)
     facets, nodes = facets_at(slave, coordinates(slave, u)), slave.facets
-    used, of = np.unique(segments.pair, return_inverse=True)
+    used, of = distinct(segments.pair)
     pairs = np.ascontiguousarray(pairing.pairs[used])
     edges = place_on_edges(facets, master, pairs, _free_edges(pairing, facets, master, pairs))
     inner = Points(of.astype(np.int64), segments.xi_s, segments.xi_m, segments.weight)
     sagittas, heights, h = None, None, None
     if smooth is not None:
-        sagittas = pair_heights(pairing, used.astype(np.int32), u, smooth)
+        sagittas = pair_heights(pairing, used, u, smooth)
         at_inner, at_edges = (sagittas.at(at.pair, at.xi_s, at.xi_m) for at in (inner, edges))
         heights, h = (at_inner, at_edges), at_inner.h
     kept = keep[nodes]
