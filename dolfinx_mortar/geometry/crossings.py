@@ -2,6 +2,7 @@
 """Where the boundaries of bodies cross: edges of one that pierce facets of the other."""
 
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -98,8 +99,9 @@ def near_pairs(x: Floats, body: Longs) -> Longs:
         tree = cKDTree(centre[larger] / unit)
         reach = 1.0 + HALF_OF_DIGITS  # beyond round-off
         near = tree.query_ball_point(centre[smaller] / unit, reach, p=np.inf)
-        a = np.repeat(smaller, [len(b) for b in near])
-        b = larger[np.concatenate([np.array(b, dtype=np.int64) for b in near])]
+        counts = [len(b) for b in near]
+        a = np.repeat(smaller, counts)
+        b = larger[np.fromiter(chain.from_iterable(near), np.int64, sum(counts))]
         meet = ((low[a] <= high[b]) & (high[a] >= low[b])).all(axis=1)
         found.append(np.stack([a[meet], b[meet]], axis=1))
     return np.concatenate(found)
