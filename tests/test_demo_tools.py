@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""The demos of rigid tools as commands, beside Sneddon, Tabor, Oliver and Pharr, Siebel, Hill."""
+"""The demos of rigid tools as commands, beside Hertz, Johnson, Larsson, Siebel, Hill and others."""
+
+import json
 
 import pytest
 
-from tests.test_demo import shown
-from tests.test_demo_friction import read, summary
+from tests.test_demo import run, shown
+from tests.test_demo_friction import read
 
 pytestmark = pytest.mark.serial
 
@@ -20,22 +22,63 @@ def check_metal(found, modulus):
     assert 2.3 < found["hardness_contact"] / found["yield_stress"] < 3.0
 
 
+def check_ball(found):
+    """First as Hertz says, then as Johnson's cavity, in the end nearly three yield stresses."""
+    rows, found = found["steps"], found["found"]
+    assert found["first_force_over_hertz"] == pytest.approx(1.0, abs=0.02)
+    cavity = [row for row in rows if 1.8 < row.get("pressure_cavity", 0.0) < 2.5]
+    assert len(cavity) >= 3
+    for row in cavity:
+        assert row["force"] / row["area"] == pytest.approx(row["pressure_cavity"], rel=0.08)
+    assert 2.5 < found["hardness_contact"] / found["yield_stress"] < 3.0
+    assert found["modulus_contact"] == pytest.approx(found["modulus_given"], rel=0.08)
+    # its impression is shallow: less is piled up than beside a cone
+    assert 1.0 < found["piled_up"] < 1.15
+    assert found["modulus_contact"] < found["modulus_oliver_pharr"]
+
+
+def indented(folder, tool, *options):
+    """Return the summary of the demo with one tool."""
+    done = run("--tool", tool, *options, "--output", str(folder), demo="hardness")
+    assert done.returncode == 0, done.stderr
+    return of_tool(folder, tool)
+
+
+def of_tool(folder, tool):
+    assert (folder / "result.png").stat().st_size > 5000
+    return json.loads((folder / f"{tool}.json").read_text())
+
+
 @pytest.mark.slow
 def test_the_modulus_and_hardness_of_a_metal(tmp_path):
-    check_metal(summary(tmp_path, "hardness", "--h", "0.2", "--steps", "10"), 0.05)
+    check_metal(indented(tmp_path, "cone", "--h", "0.2", "--steps", "10"), 0.05)
 
 
 @pytest.mark.slow
-def test_a_cone_on_an_elastic_half_space(tmp_path):
-    """Hay, Bolshakov and Pharr (1999): 6.7 % more than Sneddon's force."""
-    found = summary(tmp_path, "hardness", "--elastic", "--h", "0.2", "--steps", "1")["found"]
-    assert found["force_over_sneddon"] == pytest.approx(found["factor"], abs=0.02)
+def test_a_ball_in_a_metal(tmp_path):
+    check_ball(indented(tmp_path, "ball", "--h", "0.2", "--steps", "12"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("tool", "error"), [("cone", 0.02), ("berkovich", 0.025)])
+def test_tools_on_an_elastic_half_space(tmp_path, tool, error):
+    """Hay, Bolshakov, Pharr (1999): 6.7 % over Sneddon; Larsson's computations (1996)."""
+    found = indented(tmp_path, tool, "--elastic", "--h", "0.15", "--steps", "1")["found"]
+    assert found["force_over_theory"] == pytest.approx(1.0, abs=error)
 
 
 @pytest.mark.slow
 @pytest.mark.nightly
 def test_the_hardness_as_the_gallery_shows_it():
-    check_metal(read(shown("hardness")), 0.02)
+    folder = shown("hardness")
+    check_metal(of_tool(folder, "cone"), 0.02)
+    check_ball(of_tool(folder, "ball"))
+    found = of_tool(folder, "berkovich")["found"]
+    # the cone displaces as much as the pyramid; King's factor is that of a flat punch
+    assert found["modulus_contact"] == pytest.approx(found["modulus_given"], rel=0.06)
+    assert found["modulus_oliver_pharr"] > 1.1 * found["modulus_given"]
+    assert 1.1 < found["piled_up"] < 1.3
+    assert 2.0 < found["hardness_contact"] / found["yield_stress"] < 3.0
 
 
 @pytest.mark.slow

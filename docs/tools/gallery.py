@@ -112,8 +112,9 @@ DEMOS = [
     ),
     Demo(
         "hardness",
-        "A rigid tool: a cone is pressed into a metal and drawn out, as instruments do.",
+        "Rigid tools: a cone, a ball and a pyramid are pressed into a metal, as instruments do.",
         {"result.png": "Force over depth with the slope of unloading; the metal piles up."},
+        ("--tool", "cone", "ball", "berkovich"),
     ),
     Demo(
         "deep_drawing",
