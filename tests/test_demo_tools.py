@@ -29,7 +29,7 @@ def check_ball(found):
     cavity = [row for row in rows if 1.8 < row.get("pressure_cavity", 0.0) < 2.5]
     assert len(cavity) >= 3
     for row in cavity:
-        assert row["force"] / row["area"] == pytest.approx(row["pressure_cavity"], rel=0.08)
+        assert row["force"] / row["area"] == pytest.approx(row["pressure_cavity"], rel=0.05)
     assert 2.5 < found["hardness_contact"] / found["yield_stress"] < 3.0
     assert found["modulus_contact"] == pytest.approx(found["modulus_given"], rel=0.08)
     # its impression is shallow: less is piled up than beside a cone

@@ -10,15 +10,24 @@
 # finite strain.
 #
 # The flange is drawn to a smaller radius, so it is compressed around the axis. At its rim nothing
-# pulls, and with that stress alone its thickness grows like $t = t_0 \sqrt{R_0 / r}$ (Hill 1950).
-# For the largest force there is the estimate of Siebel (Siebel and Beisswaenger 1955), when the
-# outer diameter $D$ is 0.77 of the disc's, with the diameter $d$ of the wall's middle,
+# pulls: with that stress alone, and without a change of volume, the strains along the radius and
+# through the thickness are half of that around the axis, so that the thickness grows like
+# $t = t_0 \sqrt{R_0 / r}$ (Hill 1950, chapter XI). For the largest force there is the estimate of
+# Siebel (Siebel and Beisswaenger 1955), when the outer diameter $D$ is 0.77 of the disc's, with
+# the diameter $d$ of the wall's middle,
 #
 # $$F = \pi d t_0 \left[ 1.1\, e^{\mu \pi / 2} k_f \ln \frac Dd + e^{\mu \pi / 2}
 #       \frac{2 \mu F_h}{\pi D t_0} + k_f' \frac{t_0}{2 r} \right],$$
 #
 # with the force $F_h$ of the holder, the radius $r$ of the die's edge, the mean yield stress $k_f$
-# of the flange and that at the edge, $k_f'$. Units: mm, MPa, N.
+# of the flange and that at the edge, $k_f'$: what the flange would take without friction and a
+# tenth for the bending of it, the holder's friction on both sides, both by the rope around the
+# edge, and the bending there.
+#
+# *Sources.* R. Hill, The Mathematical Theory of Plasticity (1950); E. Siebel, H. Beisswaenger,
+# Tiefziehen (1955); M. Gruener, M. Merklein, Prod. Eng. 8 (2014) 577, who find friction by this
+# formula. None of them was at hand: Hill's is derived above, Siebel's is from memory, its numbers
+# 1.1 and 0.77 among it. Units: mm, MPa, N.
 
 import argparse
 import logging
