@@ -159,6 +159,11 @@ DEMOS = [
         {"result.png": "Velocities, forces beside Saint-Venant's, and the ledger of energies."},
     ),
     Demo(
+        "bouncing_rings",
+        "Dynamics: a ring hits another one, both go on ringing; where the energy is.",
+        {"result.png": "Velocities, the oval that rings, and the ledger of energies."},
+    ),
+    Demo(
         "curved_beams",
         "Finite plasticity: a half ring is dragged over another one until they part.",
         {
