@@ -81,6 +81,7 @@ def test_a_block_that_bounces():
 @pytest.mark.nightly
 @pytest.mark.slow
 def test_a_block_that_bounces_a_thousand_times():
+    """In 12 thousand steps, some five minutes; measured: 2e-10."""
     _, defects, impacts, _ = bounce(1000)
     assert impacts == 1000
     assert np.ptp(defects[12:]) < 1e-6
