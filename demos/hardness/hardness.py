@@ -29,8 +29,9 @@
 # On an elastic half-space, `--elastic`, the forces should be this factor times Sneddon's (1948),
 # Hertz', and for the pyramid the fit of Larsson and others (1996) to their computations,
 #
-# $$P = \frac{2 \beta}{\pi} E_r \tan\alpha\, h^2, \qquad P = \tfrac43 E_r \sqrt{R h^3}, \qquad
-#   P = 2.1891\, (1 - 0.21 \nu - 0.01 \nu^2 - 0.41 \nu^3) E_r h^2.$$
+# $$P = \frac{2 \beta}{\pi} E_r \tan\alpha\, h^2, \qquad P = \tfrac43 E_r \sqrt{R h^3},$$
+#
+# $$P = 2.1891\, (1 - 0.21 \nu - 0.01 \nu^2 - 0.41 \nu^3) E_r h^2.$$
 #
 # The ball begins like Hertz', too, and ends at its hardness. In between, Johnson (1970) takes the
 # contact for half a spherical cavity with the radius $a$ of the contact, which the ball's volume
