@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """One cell under a prescribed homogeneous strain: a law seen without any boundary value problem."""
 
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -18,15 +19,23 @@ class MaterialPoint:
     """A law at one integration point, on each rank for itself."""
 
     def __init__(self, law: Any, d: int = 3, kinematics: str | None = None) -> None:
-        """Create a triangle (d = 2, by default plane strain) or a tetrahedron (d = 3)."""
-        if d == 2:
+        """Choose a triangle (d = 2, by default plane strain) or a tetrahedron (d = 3)."""
+        self._law, self.d, self._kinematics = law, d, kinematics
+
+    @cached_property
+    def solid(self) -> Solid:
+        """The cell, compiled when first needed: many modules keep a point that all tests share."""
+        if self.d == 2:
             domain = mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
         else:
             domain = mesh.create_unit_cube(MPI.COMM_SELF, 1, 1, 1)
-        V = fem.functionspace(domain, ("Lagrange", 1, (d,)))
-        self.d = d
-        self.x = V.tabulate_dof_coordinates()[:, :d]
-        self.solid = Solid(fem.Function(V), law, kinematics=kinematics)
+        V = fem.functionspace(domain, ("Lagrange", 1, (self.d,)))
+        return Solid(fem.Function(V), self._law, kinematics=self._kinematics)
+
+    @cached_property
+    def x(self) -> np.ndarray:
+        """The places of the degrees of freedom (nodes, d)."""
+        return self.solid.V.tabulate_dof_coordinates()[:, : self.d]
 
     def reset(self) -> None:
         """Return to the virgin state."""
