@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
 """What every test needs: reproducible random numbers, and an orderly life on several ranks."""
 
+import functools
 import gc
+import importlib.metadata
 import os
 import shutil
 import tempfile
@@ -26,6 +28,10 @@ WORKERS = 4  # at most: each holds the libraries, half a GiB
 # run; a process waits longer than the default 10 s for a kernel that another one is compiling.
 # Programs that tests start inherit it.
 os.environ["XDG_CONFIG_HOME"] = str(Path(__file__).parent / "config")
+
+# setuptools starts the compiler for each module of kernels, and six times reads the entry points of
+# all installed packages, which stay the same during a run.
+importlib.metadata.entry_points = functools.cache(importlib.metadata.entry_points)
 
 # Ranks must draw the same examples, and machines differ in speed.
 hypothesis.settings.register_profile("ranks", deadline=None, derandomize=True, database=None)
