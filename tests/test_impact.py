@@ -118,6 +118,41 @@ def test_two_free_bodies_collide(scheme):
     assert inertia.momentum() == pytest.approx(momentum)
 
 
+@pytest.mark.parametrize("g", quick([0.0, 2.0], 2.0))
+def test_two_free_bodies_collide_and_spin_at_finite_strain(g):
+    """Momentum stays, or is that of the weight, and its moment that of the weight's moments."""
+    case = Blocks(
+        (5, 4),
+        (6, 5),
+        x_upper=(0.35, 1.2),
+        gap=0.05,
+        jitter=0.4,
+        clamped=False,
+        strain="finite",
+        law=dm.NeoHooke(1000.0, 0.3),
+        gravity=g,
+        velocity={LOWER: (0.0, 0.2), UPPER: (0.3, -1.0)},
+    )
+    inertia, dt, touched = case.inertia, 4e-3, 0
+    upper = np.column_stack([np.zeros(case.problem.n), case.problem.X[:, 1] > 0.01])
+    weight = -g * inertia.plain.times(upper)
+
+    def turning():
+        x = case.problem.X + case.problem.owned_u.reshape(-1, 2)
+        return COMM.allreduce((x[:, 0] * weight[:, 1] - x[:, 1] * weight[:, 0]).sum())
+
+    moment, before = inertia.moment_of_momentum()[0], turning()
+    size = abs(moment)
+    for step in steps(case.problem, dt * np.arange(1, 60), rtol=1e-12):
+        touched += bool(case.contact.force[1] > 0.0)
+        moment += 0.5 * dt * (before + turning())
+        before = turning()
+        assert inertia.moment_of_momentum()[0] == pytest.approx(moment, abs=1e-10 * size)
+        assert inertia.momentum() == pytest.approx([0.3 * 0.85, -0.65 - 0.85 * g * step.time])
+    assert touched > 5
+    assert abs(step.report.ledger.defect) < 1e-2
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron"])
 def test_two_boxes_collide_in_space(cell):

@@ -24,16 +24,19 @@ friction and counts as that of supports; w and K are then those for who moves wi
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank, ratio
-from dolfinx_mortar.arrays import ROUND_OFF, Floats
+from dolfinx_mortar.arrays import ROUND_OFF, Bools, Floats
 from dolfinx_mortar.newton_method.impulse import respond
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import LinearSolver
 from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.step_report import Ledger, StepReport
+from dolfinx_mortar.supports.bodies import with_ties
+from dolfinx_mortar.terms.free_rotation import free_groups, give_back, moments
 from dolfinx_mortar.terms.inertia import Damping, Inertia, Motion
 
 # Defect from which on a note tells of it.
@@ -211,6 +214,8 @@ class EnergyLedger:
             motion, share, left = self._restored(motion, y, force, way, -gain)
             work["supports"] += share
             unsolved = y is None
+        if self.conserve:
+            motion = self._turned(motion, before, after)
         inertia.finish(motion)
         potential = self._stored()
         problem.commit()
@@ -240,6 +245,45 @@ class EnergyLedger:
         if abs(left) > report.rtol:
             report.notes.append(_not_restored(left, unsolved=unsolved))
         report.notes += notes_on_energy(self.last, thin=self._contacts_have_mass())
+
+    def _turned(self, motion: Motion, before: Ends, after: Ends) -> Motion:
+        """Return a motion with the moment of momentum that loads leave to free bodies; collective.
+
+        At finite strain; the linear theory keeps it about X.
+        """
+        inertia, total = self.inertia, self.inertia.sum
+        mass, dt = inertia.mass, inertia.start.dt
+        ends = (before, inertia.values("velocity"), 1.0), (after, motion.velocity, -1.0)
+        for on in self._free:
+            missing: Floats = np.zeros(len(self._spins(mass.X)))
+            for end, velocity, sign in ends:
+                spins = self._spins(mass.X + end.u)
+                impulse = 0.5 * dt * (end.loads - end.damping) + sign * mass.times(velocity)
+                missing = missing + moments(spins, impulse, on, total)
+            at = mass.X + after.u
+            v = give_back(mass, motion.velocity, at, missing, on, self._spins, total)
+            motion = replace(motion, velocity=v)
+        return motion
+
+    def _spins(self, x: Floats) -> list[Floats]:
+        """Return the rotations about the origin, none of rings."""
+        named = self.problem.solid.kinematics.rigid_motions(x)
+        return [motion for name, motion in named.items() if name.startswith("rotation")]
+
+    @cached_property
+    def _free(self) -> list[Bools]:
+        """Marks (owned nodes,) of what meets or is tied, where no support or tool may hold it."""
+        problem, n = self.problem, len(self.inertia.mass.X)
+        if problem.solid.strain != "finite" or not self._spins(self.inertia.mass.X):
+            return []
+        sides = problem.system.sides
+        bodies = with_ties(problem.bodies, [(s.on_slave, s.on_master) for s in sides])
+        held = np.asarray(problem.supports.owned.any(axis=1))
+        for side in sides:
+            if side.master is None:
+                held |= side.on_slave[:n]
+        label = bodies.label if bodies.group is None else bodies.group[bodies.label]
+        return free_groups(label, held, self.inertia.mass)
 
     def _contacts_have_mass(self) -> bool:
         """Return whether nodes that can touch have kept their mass; collective."""
