@@ -20,6 +20,9 @@ give back its energy, which is in its motion as a whole). Of the two roots the s
 if more energy is to be taken than the impulse can, it takes all it can, and the defect shows the
 rest. On tools that move, what they do to the bodies is taken from the works of contact and
 friction and counts as that of supports; w and K are then those for who moves with them.
+
+At finite strain neither the rule nor this impulse keeps the moment of momentum to round-off: free
+bodies are turned in the end, see `terms.free_rotation`; the energy of that is part of the defect.
 """
 
 from collections.abc import Sequence
