@@ -16,7 +16,7 @@ import ffcx.codegeneration.jit
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar import compat
-from dolfinx_mortar.materials import Elastic, VonMises
+from dolfinx_mortar.materials import Elastic, NeoHooke, VonMises
 from dolfinx_mortar.materials.tensor import from_components
 from dolfinx_mortar.solid.forms import REASSOCIATE
 from dolfinx_mortar.solid.kinematics import kinematics_of_dimension
@@ -254,6 +254,31 @@ def test_forms_of_a_law_are_one_module(
     domain = create_domain("quadrilateral")
     Solid(create_displacement(domain), Elastic(STEEL.E, STEEL.nu), **given)  # type: ignore[arg-type]
     assert sorted(sizes) == modules
+
+
+def test_stress_and_state_of_a_law_are_one_module(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside it there is one of strain and rotation, which all laws share."""
+    calls = []
+    compile_expressions = ffcx.codegeneration.jit.compile_expressions
+
+    def count(*args: Any, **others: Any) -> Any:
+        calls.append(args)
+        return compile_expressions(*args, **others)
+
+    monkeypatch.setattr(ffcx.codegeneration.jit, "compile_expressions", count)
+    domain = create_domain("quadrilateral")
+    solid = Solid(create_displacement(domain), STEEL)
+    assert solid.state and len(calls) == 2
+
+
+def test_values_at_points_have_one_axis_for_each() -> None:
+    """Cells, points and components, which versions of dolfinx give in different forms."""
+    u = create_displacement(create_domain("quadrilateral"))
+    solid = Solid(u, NeoHooke(STEEL.E, STEEL.nu), strain="finite")
+    assert solid.volumes is not None
+    cells = np.arange(u.function_space.mesh.topology.index_map(2).size_local, dtype=np.int32)
+    assert np.array_equal(solid.volumes.source.evaluate(cells), np.ones((len(cells), 4, 1)))
+    assert solid.volumes.smallest() == 1.0
 
 
 def test_forms_of_one_module_are_those_compiled_alone() -> None:

@@ -63,12 +63,18 @@ class Source:
         """The points (cells, points) of the cells, rows of the tables of values."""
         return np.asarray(self._space.dofmap.list[self.cells])
 
+    def evaluate(self, cells: Ints) -> Floats:
+        """Return the values (cells, points, components) in some cells; without communication."""
+        values = np.asarray(self.expression.eval(self._space.mesh, cells))
+        points = self._space.dofmap.list.shape[1]
+        # dolfinx 0.9 has points and components on one axis, 0.11 on two
+        return values.reshape(len(cells), points, sum(part.table.shape[1] for part in self.parts))
+
     def fill(self) -> None:
         """Evaluate the expression into the Functions; without communication."""
         dofs, tables = self.dofs, [part.table for part in self.parts]
         ends = np.cumsum([table.shape[1] for table in tables])
-        values = np.asarray(self.expression.eval(self._space.mesh, self.cells))
-        columns = np.split(values.reshape(*dofs.shape, ends[-1]), ends[:-1], axis=-1)
+        columns = np.split(self.evaluate(self.cells), ends[:-1], axis=-1)
         for table, of_part in zip(tables, columns, strict=True):
             table[dofs] = of_part
 
