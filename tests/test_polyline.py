@@ -89,6 +89,12 @@ def test_derivatives(kind):
     assert (np.abs(bend - found.hessian).max(axis=(1, 2)) < 1e-7 * size)[same].mean() > 0.99
 
 
+def test_no_points():
+    """As of a rank without a facet of the side."""
+    found = shapes.Polyline(BOX).distance(np.zeros((0, 2)))
+    assert found.value.shape == (0,) and found.hessian.shape == (0, 2, 2)
+
+
 def press(shape, **options):
     """Press it into a block; return force and report."""
     case = Block(n=24)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -133,8 +134,9 @@ class Polyline(Shape):
         bulge = 2.0 * np.linalg.norm(self._middles, axis=1).max()
         reach = self._tree.query(x)[0] + 2.0 * (half + bulge)
         lists = self._tree.query_ball_point(x, reach * (1.0 + HALF_OF_DIGITS))
-        point = np.repeat(np.arange(len(x)), [len(some) for some in lists])
-        edge = np.concatenate([np.array(some, dtype=np.int64) for some in lists])
+        counts = np.array([len(some) for some in lists], dtype=np.int64)
+        point = np.repeat(np.arange(len(x)), counts)
+        edge = np.fromiter(chain.from_iterable(lists), np.int64, counts.sum())
         t, square = self._on_edges(x[point], edge)
         order = np.lexsort((square, point))
         first = order[np.flatnonzero(np.diff(point[order], prepend=-1))]
