@@ -176,6 +176,25 @@ def test_two_boxes_collide_in_space(cell):
     assert mean == pytest.approx((0.1 - 2.0) / 3.0)
 
 
+@pytest.mark.slow
+def test_two_boxes_collide_in_space_at_finite_strain():
+    """Rotations about three axes are given back: the moment of momentum stays to round-off."""
+    mesh, cells, facets = two_boxes(
+        COMM, (3, 3, 5), (4, 4, 5), gap=0.02, upper=(0.2, 1.2, 0.1, 1.1)
+    )
+    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    solid = dm.Solid(fem.Function(V), dm.NeoHooke(1000.0, 0.3), strain="finite")
+    velocity = {LOWER: (0.0, 0.0, 0.1), UPPER: (0.2, 0.1, -1.0)}
+    inertia = dm.Inertia(solid, {LOWER: 1.0, UPPER: 2.0}, cells, velocity=velocity)
+    contact = dm.Contact(facets, slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER)
+    problem = dm.ContactProblem(solid, [contact], terms=[inertia])
+    moment, touched = inertia.moment_of_momentum(), 0
+    for _ in steps(problem, 8e-3 * np.arange(1, 6)):
+        touched += bool(contact.force[2] > 0.0)
+        assert inertia.moment_of_momentum() == pytest.approx(moment, abs=1e-10)
+    assert touched == 3
+
+
 def test_on_a_mesh_without_structure():
     """Moved masses couple nodes that share no cell: the matrix has room for them."""
     mesh, _, facets = dm.meshing.hertz(COMM)

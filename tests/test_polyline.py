@@ -49,6 +49,9 @@ def test_a_disc_converges():
         )
     orders = np.log2(np.array(errors)[:-1] / np.array(errors)[1:])
     assert (orders > [3.7, 2.7, 1.7]).all()
+    over = DISC.centre + 1.1 * (disc(24) - DISC.centre)  # the points
+    normals = shapes.Polyline(disc(24), crease=60.0).distance(over).gradient
+    assert normals == pytest.approx(DISC.distance(over).gradient, abs=1e-12)
     flat = shapes.Polyline(disc(48), crease=0.0).distance(x)
     assert np.abs(flat.value - exact.value).max() > 1e2 * errors[-1][0]
 
@@ -87,6 +90,14 @@ def test_derivatives(kind):
     assert same.mean() > 0.95
     assert (np.abs(slope - found.gradient).max(axis=1) < 1e-8 * size)[same].all()
     assert (np.abs(bend - found.hessian).max(axis=(1, 2)) < 1e-7 * size)[same].mean() > 0.99
+
+
+def test_a_reentrant_corner():
+    """What is nearest to it from within is inside: an L, and the corner at (1, 1)."""
+    L = [(0.0, 0.0), (3.0, 0.0), (3.0, 1.0), (1.0, 1.0), (1.0, 3.0), (0.0, 3.0)]
+    found = shapes.Polyline(L).distance(np.array([[0.7, 0.6], [1.2, 1.5]]))
+    assert found.value == pytest.approx([-0.5, 0.2])
+    assert found.gradient == pytest.approx(np.array([[0.6, 0.8], [1.0, 0.0]]))
 
 
 def test_no_points():

@@ -6,6 +6,7 @@ Lengths are in micrometres, and each is pressed in by DEPTH.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
@@ -23,7 +24,7 @@ Floats = np.ndarray
 Mesh = tuple[mesh.Mesh, mesh.MeshTags]
 
 
-class Tool:
+class Tool(ABC):
     """An indenter of revolution, in the half section of a block; others override what differs."""
 
     kinematics: Mapping[str, str] = MappingProxyType({"kinematics": "axisymmetric"})
@@ -63,17 +64,17 @@ class Tool:
         """Return the area of contact: up to half-way between the last node in it and the next."""
         return float(np.pi * edge(nodes) ** 2)
 
+    @abstractmethod
     def area(self, depth: float) -> float:
         """Return the area of the tool's section at a height over its tip."""
-        raise NotImplementedError
 
+    @abstractmethod
     def beta(self, nu: float) -> float:
         """Return the slope of unloading over that of a flat punch of the same area."""
-        raise NotImplementedError
 
+    @abstractmethod
     def elastic(self, depth: float, modulus: float, nu: float) -> float:
         """Return the force on an elastic half-space of a reduced modulus."""
-        raise NotImplementedError
 
 
 class Cone(Tool):

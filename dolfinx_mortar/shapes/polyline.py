@@ -22,7 +22,14 @@ from scipy.spatial import cKDTree
 
 from dolfinx_mortar.arguments import as_numbers
 from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, LIMIT, Bools, Floats, Longs
-from dolfinx_mortar.shapes.shape import Distance, Shape, check_angle, check_vector, unit_vectors
+from dolfinx_mortar.shapes.shape import (
+    Distance,
+    Shape,
+    check_angle,
+    check_vector,
+    of_centre,
+    unit_vectors,
+)
 
 
 class Polyline(Shape):
@@ -118,14 +125,9 @@ class Polyline(Shape):
         found = Distance(phi, normal, hessian)
         if not at_corner.any():
             return found
-        r, e = unit_vectors(offset)
-        sign = np.where((offset * self._corner_normals(near, t)).sum(axis=1) < 0.0, -1.0, 1.0)
-        gradient = sign[:, None] * e
-        across = np.eye(2) - e[:, :, None] * e[:, None]
-        divisor = sign * np.where(at_corner, r, 1.0)
-        return found.where(
-            ~at_corner, Distance(sign * r, gradient, across / divisor[:, None, None])
-        )
+        corner = of_centre(offset)
+        outside = (offset * self._corner_normals(near, t)).sum(axis=1) >= 0.0
+        return found.where(~at_corner, corner.where(outside, -corner))
 
     def _nearest(self, x: Floats) -> tuple[Longs, Floats]:
         """Return the nearest edge (n,) of points (n, 2), and t there (n,)."""
