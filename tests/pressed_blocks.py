@@ -20,10 +20,10 @@ ELASTIC = dm.Elastic(1000.0, 0.3)
 class PressedBlocks:
     """Mesh, tags, space and displacement, and the parts of a problem on them."""
 
-    def __init__(self, **options):
-        """Create the blocks; the options are those of `two_blocks`."""
+    def __init__(self, *, degree=1, **options):
+        """Create the blocks; the other options are those of `two_blocks`."""
         self.mesh, self.cells, self.facets = two_blocks(COMM, **options)
-        self.V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
+        self.V = fem.functionspace(self.mesh, ("Lagrange", degree, (2,)))
         self.u = fem.Function(self.V)
         self.top = fem.Constant(self.mesh, default_scalar_type((0.0, -0.01)))
 

@@ -19,6 +19,7 @@ from dolfinx_mortar.mortar.curvature_correction import (
     point_heights,
 )
 from dolfinx_mortar.mortar.derivatives import Tractions, differentiate
+from dolfinx_mortar.mortar.edges import Sharing, open_duals
 from dolfinx_mortar.mortar.integrals import (
     default_keep,
     find_segments,
@@ -37,16 +38,21 @@ from tests import meshes
 from tests.choice import quick
 from tests.finite_sliding import indentation, walk
 from tests.hertz_case import ELASTIC, create_case, create_mesh
+from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
+from tests.pressed_blocks import PressedBlocks
 
-COMM = MPI.COMM_SELF
+COMM, COMM_WORLD = MPI.COMM_SELF, MPI.COMM_WORLD
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
 class Rough:
     """Two rough, bent sides that cover each other in part, with random tractions."""
 
-    def __init__(self, degree, *, smooth, rings, seed):
-        """Create them; the degree is that of the displacement."""
+    def __init__(self, degree, *, smooth, rings, shared, seed):
+        """Create them; the degree is that of the displacement.
+
+        Functions of nodes without multiplier are shared out, or in part, as beside open edges.
+        """
         rng = np.random.default_rng(seed)
         mesh, _, facets = meshes.two_blocks(
             COMM, n_lower=(7, 1), n_upper=(4, 1), x_lower=(0.5, 1.5), x_upper=(1.0, 2.0)
@@ -68,7 +74,16 @@ class Rough:
         self.values = rng.uniform(0.5, 1.0, (2, len(self.slave.nodes)))
         segments, _ = find_segments(self.pairing, self.u)
         self.keep = default_keep(self.pairing, segments, *node_weights(self.pairing, segments))
+        closed = (
+            np.ones(len(self.slave.facets)) if shared else rng.uniform(0, 1, len(self.slave.facets))
+        )
+        self.sharing = Sharing(~self.keep, closed)
         self.nodes = np.concatenate([self.slave.nodes, self.pairing.master_nodes])
+
+    def duals(self, segments):
+        """Return the weighted dual functions."""
+        Phi = weighted_duals(self.pairing, segments, self.keep)
+        return open_duals(self.pairing, segments, Phi, self.keep, self.sharing)
 
     def given(self, n):
         """Return normals and tractions for averaged normals."""
@@ -81,7 +96,7 @@ class Rough:
         """Return the forces on all nodes and the weighted gaps."""
         segments, n = find_segments(self.pairing, self.u)
         given, own = self.given(n), len(self.slave.nodes)
-        Phi = weighted_duals(self.pairing, segments, self.keep)
+        Phi = self.duals(segments)
         sides = (
             (facets_at(self.slave, coordinates(self.slave, self.u)), segments.slave, segments.xi_s),
             (received_facets(self.pairing, self.u), segments.master, segments.xi_m),
@@ -105,9 +120,8 @@ class Rough:
         slopes = None
         if self.smooth is not None:
             slopes = height_slopes(self.pairing, segments, self.u, self.smooth)
-        Phi = weighted_duals(self.pairing, segments, self.keep)
-        at = self.pairing, self.u, segments, self.keep, Phi
-        found = differentiate(*at, self.given(n), slopes)
+        at = self.pairing, self.u, segments, self.keep, self.duals(segments)
+        found = differentiate(*at, self.given(n), slopes, self.sharing)
         blocks, own = normal_derivatives(self.slave, coordinates(self.slave, self.u)), len(n)
         N = np.zeros((own, 2, len(self.nodes), 2))
         for f, nodes in enumerate(self.slave.facets):
@@ -139,11 +153,12 @@ class Rough:
         return (results[0] - results[1]) / (2 * h)
 
 
+@pytest.mark.parametrize("shared", [False, True])
 @pytest.mark.parametrize("rings", [False, True])
 @pytest.mark.parametrize(("degree", "smooth"), [(1, False), (1, True), (2, False)])
-def test_derivatives_are_those_of_forces_and_gaps(degree, smooth, rings):
+def test_derivatives_are_those_of_forces_and_gaps(degree, smooth, rings, shared):
     """Of random tractions on sides that cover each other in part; to 1e-9 of the largest entry."""
-    rough = Rough(degree, smooth=smooth, rings=rings, seed=3)
+    rough = Rough(degree, smooth=smooth, rings=rings, shared=shared, seed=3)
     assert 0 < rough.keep.sum() < len(rough.keep)
     for found, expected in zip(rough.derivatives(), rough.differences(), strict=True):
         assert np.abs(found - expected).max() < 1e-9 * np.abs(expected).max()
@@ -259,6 +274,80 @@ def test_rows_of_gaps_and_slips_are_their_derivatives(dragged):
         largest = problem.comm.allreduce(np.abs(expected).max(initial=0.0), op=MPI.MAX)
         assert np.abs(column - expected).max(initial=0.0) < 1e-8 * largest
     assert problem.comm.allreduce(int(near.sum())) > 5
+
+
+PRESSED = {
+    "corners of the slave": ((6, 4), (4, 4), BOTTOM_OF_UPPER, TOP_OF_LOWER, 0.0),
+    "edge on edge": ((6, 4), (5, 4), BOTTOM_OF_UPPER, TOP_OF_LOWER, 0.4),
+    "edge on edge, swapped": ((6, 4), (5, 4), TOP_OF_LOWER, BOTTOM_OF_UPPER, 0.4),
+}
+
+
+def begun_on_edges(name, degree):
+    """Return a problem with whole skins in a third step, with friction, and what it begins with."""
+    n_lower, n_upper, slave, master, right = PRESSED[name]
+    x_upper = (0.23 + right, 0.77 + right)
+    case = PressedBlocks(n_lower=n_lower, n_upper=n_upper, x_upper=x_upper, degree=degree)
+    tags = meshes.skins(case.mesh, case.cells, case.facets)
+    problem = case.problem([dm.Contact(tags, slave=slave, master=master, friction=0.3)])
+    for push in ((0.0, -0.01), (0.003, -0.02)):
+        case.top.value[:] = push
+        dm.newton(problem)
+        problem.commit()
+    case.top.value[:] = 0.01, -0.02
+    return problem, problem.begin_step()
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("degree", quick([1, 2], 1))
+@pytest.mark.parametrize("name", PRESSED)
+def test_derivatives_at_edges_are_those_of_forces_gaps_and_slips(name, degree):
+    """With the normals of edges; differences agree to 1e-8 of the largest entry."""
+    problem, data = begun_on_edges(name, degree)
+    rng, u = np.random.default_rng(COMM_WORLD.rank), problem.owned_u
+    u += 1e-4 * rng.standard_normal(u.shape)  # far from balance, so that all terms count
+    start, du = u.copy(), rng.standard_normal(u.shape)
+    multipliers, tangential = rng.uniform(0.5, 1.0, problem.n), rng.standard_normal((problem.n, 2))
+
+    def at(step):
+        u[:] = start + step * du
+        problem.u.x.scatter_forward()
+        problem.follow_geometry()
+        (link,) = problem.system.unilateral
+        weight, n, along = (
+            link.coupling.weight[:, :1],
+            link.coupling.normals,
+            tangential[link.nodes],
+        )
+        along = along - (along * n).sum(axis=1)[:, None] * n
+        forces = np.add(*link.transpose(weight * (multipliers[link.nodes, None] * n + along)))
+        since = problem.vector(u - problem.committed.displacement)
+        slip = data.partners[0].slip(link, since)[:, 1]
+        return link, since, forces, weight[:, 0] * link.gaps(problem.positions()), slip
+
+    def difference(step):
+        (_, _, *above), (_, _, *below) = at(step), at(-step)
+        return [(a - b) / (2 * step) for a, b in zip(above, below, strict=True)]
+
+    link, *_ = at(0.0)
+    n = link.coupling.normals
+    tangential[link.nodes] -= (tangential[link.nodes] * n).sum(axis=1)[:, None] * n
+    differences = zip(difference(1e-6), difference(2e-6), strict=True)
+    forces, gaps, slips = ((4 * a - b) / 3 for a, b in differences)
+    link, since, *_ = at(0.0)
+    kept = link.coupling.kept[:, 0] & link.near
+    assert problem.comm.allreduce(int((kept & link.sides.edges[: len(kept)]).sum())) > 0
+    given, du = (multipliers, tangential, (since, data.partners)), problem.vector(du)
+    tangent = problem.system.linearise_geometry(problem.u, *given)
+    known, closing = kept & data.partners[0].known, tangent.closing(du).reshape(-1, 2)[link.nodes]
+    checks = (
+        ((tangent.forces[0] * du).array_r.reshape(-1, 2), forces),
+        (closing[kept, 0] * link.coupling.weight[kept, 0], -gaps[kept]),
+        (closing[known, 1], slips[known]),
+    )
+    for found, expected in checks:
+        largest = problem.comm.allreduce(np.abs(expected).max(initial=0.0), op=MPI.MAX)
+        assert np.abs(found - expected).max(initial=0.0) < 1e-8 * largest
 
 
 @pytest.mark.parametrize("to", [(0.15, -0.2), (0.12, -0.3)])

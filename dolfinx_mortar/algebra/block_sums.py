@@ -115,25 +115,41 @@ class BlockSums:
         return self._sums.fill(self._entries.sum(parts))
 
 
-class SumWithProduct:
-    """A + B N over all ranks, on a fixed pattern."""
+class SumWithProducts:
+    """A + sum_i B_i N_i over all ranks, on a fixed pattern."""
 
     def __init__(
-        self, comm: MPI.Intracomm, layout: Layout, A: BlockEntries, B: BlockEntries, N: Triplets
+        self,
+        comm: MPI.Intracomm,
+        layout: Layout,
+        A: BlockEntries,
+        *products: tuple[BlockEntries, PETSc.Mat],
     ) -> None:
-        """Analyse the patterns; collective."""
-        self._A, self._B = A, BlockSums(comm, layout, B)
-        self._product = self._B.zero().matMult(N.zero())
-        start, columns, _ = csr_of(self._product)
-        first, last = self._product.getOwnershipRange()
-        rows = np.repeat(np.arange(first, last), np.diff(start))
-        numbers = (A.rows, rows), (A.columns, columns)
-        self._total = Triplets(comm, layout, *(np.concatenate(v) for v in numbers))
+        """Analyse the patterns of A and of each B and N; collective."""
+        self._A, rows, columns = A, [A.rows], [A.columns]
+        self._products: list[tuple[BlockSums, PETSc.Mat]] = []
+        for B, N in products:
+            sums = BlockSums(comm, layout, B)
+            product = sums.zero().matMult(N)
+            start, found, _ = csr_of(product)
+            first, last = product.getOwnershipRange()
+            rows.append(np.repeat(np.arange(first, last), np.diff(start)))
+            columns.append(found.astype(np.int64))
+            self._products.append((sums, product))
+        self._total = Triplets(comm, layout, np.concatenate(rows), np.concatenate(columns))
+
+    def zero(self) -> PETSc.Mat:
+        """Return the matrix of `fill`, whatever its values, for the analysis of its pattern."""
+        return self._total.zero()
 
     def fill(
-        self, A: Sequence[Matrix | Blocks], B: Sequence[Matrix | Blocks], N: PETSc.Mat
+        self,
+        A: Sequence[Matrix | Blocks],
+        *products: tuple[Sequence[Matrix | Blocks], PETSc.Mat],
     ) -> PETSc.Mat:
         """Return the sum, the same matrix in every call; collective."""
-        self._B.fill(B).matMult(N, result=self._product)
-        _, _, values = csr_of(self._product)
-        return self._total.fill(np.concatenate([self._A.sum(A), values]))
+        values = [self._A.sum(A)]
+        for (sums, product), (B, N) in zip(self._products, products, strict=True):
+            sums.fill(B).matMult(N, result=product)
+            values.append(csr_of(product)[2])
+        return self._total.fill(np.concatenate(values))

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import sparse
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.block_sums import BlockEntries, SumWithProduct
+from dolfinx_mortar.algebra.block_sums import BlockEntries, Blocks, SumWithProducts
 from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.algebra.triplets import Triplets
 from dolfinx_mortar.arrays import Bools, Floats, Ints
@@ -25,6 +25,8 @@ from dolfinx_mortar.interfaces.coupled_sides import CoupledSides, node_motions
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.mortar.curvature_correction import height_slopes
 from dolfinx_mortar.mortar.derivatives import Derivatives, Tractions, differentiate
+from dolfinx_mortar.mortar.edge_derivatives import differentiate_edges
+from dolfinx_mortar.mortar.edges import edge_normals, find_sharing, open_duals
 from dolfinx_mortar.mortar.integrals import some_points, weighted_duals
 from dolfinx_mortar.mortar.space_derivatives import differentiate_in_space
 from dolfinx_mortar.mortar.surface import (
@@ -54,7 +56,7 @@ class SlipRows:
     link: CoupledSides
     partners: Partners
     turning: Floats  # (n, d - 1, d) m.dt + t.dm by the averaged normals
-    normals: PETSc.Mat  # derivatives of these
+    normals: PETSc.Mat  # derivatives of these, on edges of the normals there
 
     @property
     def d(self) -> int:
@@ -131,8 +133,9 @@ class LinkDerivatives(ABC):
 class ContactDerivatives(LinkDerivatives):
     """Derivatives of the forces and the weighted gaps of one contact.
 
-    They are sums F_x + F_n N, N being the derivatives of the averaged normals. On a slave facet
-    forces and gaps depend on all of its partners, by the dual functions.
+    They are sums F_x + F_n N + F_c C, N being the derivatives of the averaged normals, C those of
+    the normals on edges in 2D, which are held in 3D. On a slave facet forces and gaps depend on all
+    of its partners, by the dual functions.
     """
 
     def __init__(self, link: CoupledSides) -> None:
@@ -156,19 +159,25 @@ class ContactDerivatives(LinkDerivatives):
         block = *at.shape, *at.shape[1:]
         rows = np.broadcast_to(at[:, :, :, None, None], block)
         columns = np.broadcast_to(at[:, None, None], block)
-        self.normals = Triplets(*of, rows, columns)
-        self.forces = SumWithProduct(
-            *of,
-            BlockEntries(on_both.T @ on_both, (d, d), forces, by_x),
-            BlockEntries(on_both.T @ on_slave, (d, d), forces, by_n),
-            self.normals,
-        )
-        self.gaps = SumWithProduct(
-            *of,
-            BlockEntries(on_slave.T @ on_both, (1, d), gaps, by_x),
-            BlockEntries(on_slave.T @ on_slave, (1, d), gaps, by_n),
-            self.normals,
-        )
+        self.averaged = Triplets(*of, rows, columns)
+        N = self.averaged.zero()
+        by_forces = [(BlockEntries(on_both.T @ on_slave, (d, d), forces, by_n), N)]
+        by_gaps = [(BlockEntries(on_slave.T @ on_slave, (1, d), gaps, by_n), N)]
+        self.normals: SumWithProducts | None = None  # of the nodes, with those on edges
+        self.edges = None if d == 3 else link.sides.edges
+        if self.edges is not None:
+            facets = facets[self.edges[slave.facets[facets]].any(axis=1)]
+            at_edges = incidence(facets, slave.facets[facets], (len(self.asked), n))
+            x = BlockEntries(on_slave.T @ on_both, (d, d), by_n, by_x)
+            y = BlockEntries(at_edges.T @ at_edges, (d, d), by_n, by_n)
+            self.normals = SumWithProducts(*of, x, (y, N))
+            C = self.normals.zero()
+            by_forces.append((BlockEntries(on_both.T @ at_edges, (d, d), forces, by_n), C))
+            by_gaps.append((BlockEntries(at_edges.T @ at_edges, (1, d), gaps, by_n), C))
+        x = BlockEntries(on_both.T @ on_both, (d, d), forces, by_x)
+        self.forces = SumWithProducts(*of, x, *by_forces)
+        x = BlockEntries(on_slave.T @ on_both, (1, d), gaps, by_x)
+        self.gaps = SumWithProducts(*of, x, *by_gaps)
 
     def serves(self, link: CoupledSides) -> bool:
         """Tell whether a link has the same pairs."""
@@ -184,44 +193,72 @@ class ContactDerivatives(LinkDerivatives):
         The matrices are refilled. In space rows of gaps are those of facets that carry tractions,
         and of their neighbours: others are open, and cost as much.
         """
-        slave, (_, operators) = link.sides.slave, link.mortar
+        slave, (pairing, operators) = link.sides.slave, link.mortar
         x = coordinates(slave, u)
-        given, keep = _tractions(link, nodal_normals(slave, x), multipliers, tangential)
+        given, keep = _tractions(link, self._normals(link, u), multipliers, tangential)
         asked, loaded = self.asked, np.asarray(given.tractions.any(axis=1))
         known: Bools = np.ones_like(loaded)
         if _in_space(link):
             known = _neighbours(slave, loaded)
             asked = asked & known[slave.facets].any(axis=1)
         segments = some_points(operators.segments, asked[operators.segments.slave])
-        found = self._derivatives(link, u, segments, keep, given)
-        normals = self.normals.fill(normal_derivatives(slave, x))
-        F = self.forces.fill(found.F_x, found.F_n, normals)
-        G = self.gaps.fill(found.G_x, found.G_n, normals)
+        at_edges = link.sides.edges
+        off_edges = given if at_edges is None else given.held(at_edges)
+        found, Phi = self._derivatives(link, u, segments, keep, off_edges)
+        blocks = normal_derivatives(slave, x)
+        N = self.averaged.fill(blocks)
+        by_forces, by_gaps = [(found.F_n, N)], [(found.G_n, N)]
+        if self.edges is not None and self.normals is not None:
+            at = differentiate_edges(pairing, u, segments, self.edges, Phi, given)
+            blocks[self.edges[slave.facets]] = 0.0
+            facets = slave.facets[self.asked]
+            rest = Blocks(facets, facets, blocks[self.asked])
+            C = self.normals.fill([rest, at.n_x], ([at.n_n], N))
+            by_forces.append(([at.F], C))
+            by_gaps.append(([at.G], C))
+        F = self.forces.fill(found.F_x, *by_forces)
+        G = self.gaps.fill(found.G_x, *by_gaps)
         return F, G, known[: slave.owned]
+
+    def _normals(self, link: CoupledSides, u: fem.Function) -> Floats:
+        """Return the averaged normals (n, d), on edges those of both sides; collective."""
+        averaged = nodal_normals(link.sides.slave, coordinates(link.sides.slave, u))
+        if self.edges is None:
+            return averaged
+        pairing, operators = link.mortar
+        return edge_normals(pairing, operators.segments, u, averaged, self.edges)
 
     @staticmethod
     def _derivatives(
         link: CoupledSides, u: fem.Function, segments: Segments, keep: Bools, given: Tractions
-    ) -> Derivatives:
-        """Return the derivatives on this rank; collective."""
-        pairing, smooth = link.mortar[0], link.pattern.smooth
-        at = pairing, u, segments, keep, weighted_duals(pairing, segments, keep), given
+    ) -> tuple[Derivatives, Floats]:
+        """Return the derivatives on this rank, and the weighted dual functions; collective."""
+        pairing, smooth, edges = link.mortar[0], link.pattern.smooth, link.sides.edges
+        Phi, sharing = weighted_duals(pairing, segments, keep), None
+        if edges is not None:
+            banned = link.banned[link.sides.slave.nodes]
+            sharing = find_sharing(pairing, segments, u, keep, edges, banned)
+            Phi = open_duals(pairing, segments, Phi, keep, sharing)
+        at = pairing, u, segments, keep, Phi, given
         if _in_space(link):
-            return differentiate_in_space(*at, smooth)
+            return differentiate_in_space(*at, smooth), Phi
         slopes = None if smooth is None else height_slopes(pairing, segments, u, smooth)
-        return differentiate(*at, slopes)
+        return differentiate(*at, slopes, sharing), Phi
 
     def slips(
         self, link: CoupledSides, u: fem.Function, partners: Partners, since: PETSc.Vec
     ) -> SlipRows:
         """Return the rows of slips at the iterate that was differentiated last; collective."""
-        slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
-        n, turning = _turning(link, nodal_normals(slave, coordinates(slave, u))[own])
+        own = slice(None, link.sides.slave.owned)
+        n, turning = _turning(link, self._normals(link, u)[own])
+        if self.edges is None and link.sides.edges is not None:
+            turning[link.sides.edges[own]] = 0.0
         along = (partners.motion(link, since) * n).sum(axis=1)
         by_n = partners.motion_by_normals(link) - along[:, None, None] * np.eye(n.shape[1])
         by_n[~partners.known] = 0.0
         tangents = np.swapaxes(link.coupling.R, 1, 2)[:, 1:]
-        return SlipRows(link, partners, tangents @ by_n @ turning, self.normals.zero())
+        N = (self.averaged if self.normals is None else self.normals).zero()
+        return SlipRows(link, partners, tangents @ by_n @ turning, N)
 
 
 def _in_space(link: CoupledSides) -> bool:
@@ -259,15 +296,16 @@ def layout_of(V: fem.FunctionSpace) -> Unknowns:
 def _turning(link: CoupledSides, averaged: Floats) -> tuple[Floats, Floats]:
     """Return the normals n_j (n, d) of the owned slave nodes, 0 where not kept, and dn_j/dn.
 
-    n_j is the averaged normal (n, d) without the directions that are prescribed.
+    n_j is the averaged normal (n, d), or that on an edge, without the directions that are
+    prescribed.
     """
-    kept, edges = link.coupling.kept[:, 0], link.sides.edges
+    kept = link.coupling.kept[:, 0]
     n = np.where(kept[:, None], link.coupling.normals, 0.0)
     free = ~link.sides.fixed[link.nodes]
     left = np.linalg.norm(averaged * free, axis=1)
     turning = (np.eye(n.shape[1]) - n[:, :, None] * n[:, None, :]) * free[:, None, :]
     turning /= np.where(kept, left, 1.0)[:, None, None]
-    turning[~kept if edges is None else ~kept | edges[: len(n)]] = 0.0
+    turning[~kept] = 0.0
     return n, turning
 
 

@@ -20,7 +20,7 @@ coordinates of the received master nodes of this rank.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import TypeAlias
 
@@ -37,6 +37,7 @@ from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.geometry.tolerances import TINY
 from dolfinx_mortar.mortar.curvature_correction import HeightSlopes
 from dolfinx_mortar.mortar.dual import covered_weights, sums_of_products
+from dolfinx_mortar.mortar.edges import Sharing
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
     coordinates,
@@ -55,6 +56,11 @@ class Tractions:
     turning: Floats  # (n, 2, 2) dn_j/dn of the averaged normals n
     tractions: Floats  # (n, 2) c_j
     changes: Floats  # (n, 2, 2) dc_j/dn
+
+    def held(self, nodes: Bools) -> "Tractions":
+        """Return the same, of which those at some nodes (n,) do not turn."""
+        off = ~nodes[:, None, None]
+        return replace(self, turning=self.turning * off, changes=self.changes * off)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +121,7 @@ def differentiate(
     Phi: Floats,
     given: Tractions,
     slopes: HeightSlopes | None,
+    sharing: Sharing | None = None,
 ) -> Derivatives:
     """Return the derivatives of forces and weighted gaps at X + u (collective).
 
@@ -123,16 +130,23 @@ def differentiate(
         u: Displacement.
         segments: Its segments at X + u, of all slave facets or of some.
         keep: Local slave nodes (n,) that carry a multiplier.
-        Phi: Their weighted functions (q, k) of `weighted_duals`.
+        Phi: Their weighted functions (q, k) of `open_duals`.
         given: Normals and tractions.
         slopes: Heights of smooth surfaces and their derivatives; None for facets.
+        sharing: What is shared out beside edges; None without. Its closed parts are held.
     """
     slave, master = pairing.slave, received_facets(pairing, u)
     x = coordinates(slave, u)
     facets, n_s = facets_at(slave, x), nodal_normals(slave, x)[slave.facets]
-    points = differentiate_points(facets, n_s, master, segments, _log_slopes(pairing, segments))
+    points = differentiate_points(facets, n_s, master, segments, log_slopes(pairing, segments))
     chain = _Chain(segments, facets, master, points, given, slave.facets[segments.slave])
     A, slope = chain.coefficients(keep[slave.facets])
+    if sharing is not None:
+        whole = chain.coefficients((keep | sharing.silent)[slave.facets])
+        kept, closed = keep[slave.facets][:, :, None], sharing.closed[:, None, None]
+        A = closed * A + (1.0 - closed) * kept * whole[0]
+        closed, kept = closed[..., None], kept[..., None]
+        slope = closed * slope + (1.0 - closed) * kept * whole[1]
     duals = chain.duals(A, Phi)
     F_x, F_A = chain.forces(duals)
     G_x, G_A = chain.gaps(duals, slopes)
@@ -146,7 +160,7 @@ def differentiate(
     return Derivatives(*parts)
 
 
-def _log_slopes(pairing: Pairing, segments: Segments) -> Floats:
+def log_slopes(pairing: Pairing, segments: Segments) -> Floats:
     """Return the derivatives (q,) of ln f by xi_s for the weight f of a pairing, linear at X."""
     if pairing.weight is None:
         return np.zeros(len(segments.slave))

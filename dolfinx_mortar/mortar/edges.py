@@ -22,6 +22,7 @@ There the dual function is not shared out, and has no constraint: the other func
 biorthogonal to it, too, and have the gaps at their own nodes.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -118,25 +119,7 @@ def edge_normals(
         normals: Averaged normals (n, d) at X + u: kept off the edges, and where nothing is covered.
         edges: Nodes (n,) on edges, of `find_edges`.
     """
-    slave, d = pairing.slave, normals.shape[1]
-    at_edges = np.asarray(edges[slave.facets].any(axis=1))
-    some = np.flatnonzero(at_edges[segments.slave])
-    on_slave, on_master = segments.slave[some], segments.master[some]
-    N = slave.element.shape_functions(segments.xi_s[some])
-    N = np.clip(N, 0.0, None) * segments.weight[some, None]
-    n_s = facet_normals(facets_at(slave, coordinates(slave, u)))[on_slave]
-    n_m = -facet_normals(received_facets(pairing, u))[on_master]
-    i, j = np.triu_indices(d)
-    columns = [np.ones((len(some), 1)), n_s, n_m, n_s[:, i] * n_s[:, j], n_m[:, i] * n_m[:, j]]
-    sums = sums_of_products(N, np.concatenate(columns, axis=1), on_slave, len(slave.facets))
-    total = sum_at_nodes(slave, sums)[edges]
-    weight, a, b, *squares = np.split(total, np.cumsum([1, d, d, len(i)]), axis=1)
-    C = np.zeros((2, len(total), d, d))
-    C[:, :, i, j] = C[:, :, j, i] = np.stack(squares) / np.maximum(weight, TINY)
-    C += BLUR * np.eye(d)
-    # (A^-1 + B^-1)^-1 = A (A + B)^-1 B
-    both = np.linalg.solve(C[0] + C[1], C[1] @ (unit(a) + unit(b))[:, :, None])
-    found = (C[0] @ both)[:, :, 0]
+    found = _in_both_cones(sums_at_edges(pairing, segments, u, edges), normals.shape[1])[0]
     length = np.linalg.norm(found, axis=1, keepdims=True)
     result = np.copy(normals)
     least = HALF_OF_DIGITS * BLUR  # it vanishes where a and b are opposite
@@ -144,22 +127,100 @@ def edge_normals(
     return result
 
 
-def open_duals(
+def edged(slave: Surface, edges: Bools, segments: Segments) -> Bools:
+    """Return which points (q,) lie on a facet with a node on an edge (n,)."""
+    some = np.asarray(edges[slave.facets].any(axis=1))
+    return np.asarray(some[segments.slave])
+
+
+def products(n_s: Floats, n_m: Floats) -> Floats:
+    """Return 1, the normals (q, d) of both sides, and their products with themselves, (q, c).
+
+    With the weights w N_j their sums give the normal of a node on an edge.
+    """
+    i, j = np.triu_indices(n_s.shape[1])
+    columns = [np.ones((len(n_s), 1)), n_s, n_m, n_s[:, i] * n_s[:, j], n_m[:, i] * n_m[:, j]]
+    return np.concatenate(columns, axis=1)
+
+
+def sums_at_edges(
+    pairing: Pairing, segments: Segments, u: dolfinx.fem.Function | None, edges: Bools
+) -> Floats:
+    """Return the sums (e, c) of w N_j times `products` at the nodes on edges; collective."""
+    slave, some = pairing.slave, np.flatnonzero(edged(pairing.slave, edges, segments))
+    on_slave, on_master = segments.slave[some], segments.master[some]
+    N = slave.element.shape_functions(segments.xi_s[some])
+    N = np.clip(N, 0.0, None) * segments.weight[some, None]
+    n_s = facet_normals(facets_at(slave, coordinates(slave, u)))[on_slave]
+    n_m = -facet_normals(received_facets(pairing, u))[on_master]
+    sums = sums_of_products(N, products(n_s, n_m), on_slave, len(slave.facets))
+    return np.asarray(sum_at_nodes(slave, sums)[edges])
+
+
+def _in_both_cones(sums: Floats, d: int) -> tuple[Floats, Floats]:
+    """Return (C_s^-1 + C_m^-1)^-1 (a + b) (e, d) for sums (e, c), and its derivatives (e, d, c)."""
+    i, j = np.triu_indices(d)
+    parts = np.cumsum([1, d, d, len(i)])
+    weight, a, b, *squares = np.split(sums, parts, axis=1)
+    weight = np.maximum(weight, TINY)
+    C, by_square = np.zeros((2, len(sums), d, d)), np.zeros((d, d, len(i)))
+    C[:, :, i, j] = C[:, :, j, i] = np.stack(squares) / weight
+    by_square[i, j, np.arange(len(i))] = by_square[j, i, np.arange(len(i))] = 1.0
+    A, B = C + BLUR * np.eye(d)
+    # (A^-1 + B^-1)^-1 = A (A + B)^-1 B, of which the derivative is
+    # B (A + B)^-1 dA y + A (A + B)^-1 (dB (v - y) + B dv) with y = (A + B)^-1 B v
+    v = unit(a) + unit(b)
+    y = np.linalg.solve(A + B, B @ v[:, :, None])
+    left, right = (np.swapaxes(np.linalg.solve(A + B, X), 1, 2) for X in (B, A))
+    by_sums = np.zeros((len(sums), d, sums.shape[1]))
+    for first, vector in ((1, a), (1 + d, b)):
+        by_sums[:, :, first : first + d] = right @ B @ _by_direction(vector)
+    for S, X, w, first in (
+        (left, C[0], y[:, :, 0], parts[2]),
+        (right, C[1], v - y[:, :, 0], parts[3]),
+    ):
+        by_sums[:, :, first : first + len(i)] = (
+            S @ np.einsum("hic,ei->ehc", by_square, w) / weight[:, :, None]
+        )
+        by_sums[:, :, :1] -= S @ X @ w[:, :, None] / weight[:, :, None]
+    return (A @ y)[:, :, 0], by_sums
+
+
+def _by_direction(v: Floats) -> Floats:
+    """Return the derivative (e, d, d) of v / |v| by v (e, d)."""
+    n, size = unit(v), np.maximum(np.linalg.norm(v, axis=1), TINY)
+    return (np.eye(v.shape[1]) - n[:, :, None] * n[:, None]) / size[:, None, None]
+
+
+def edge_normals_by_sums(sums: Floats, d: int) -> Floats:
+    """Return the derivatives (e, d, c) of normals on edges by the sums (e, c), 0 for averaged."""
+    found, by_sums = _in_both_cones(sums, d)
+    some = np.linalg.norm(found, axis=1) > HALF_OF_DIGITS * BLUR
+    return np.where(some[:, None, None], _by_direction(found) @ by_sums, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Sharing:
+    """How far dual functions of nodes without multiplier beside edges are shared out."""
+
+    silent: Bools  # (n,) such nodes
+    closed: Floats  # (m,) share of each slave facet: 1 where they are closed, 0 where one is open
+
+
+def find_sharing(
     pairing: Pairing,
     segments: Segments,
     u: dolfinx.fem.Function | None,
-    Phi: Floats,
     keep: Bools,
     edges: Bools,
     claimed: Bools,
-) -> Floats:
-    """Return the weighted dual functions (q, k), not shared out beside open edges; collective.
+) -> Sharing | None:
+    """Return what is shared out beside edges, None without such nodes on any rank; collective.
 
     Args:
         pairing: The pair of surfaces.
         segments: Its segments at X + u.
         u: Displacement, None for X.
-        Phi: Functions (q, k) of `weighted_duals` for the nodes kept.
         keep: Nodes (n,) that carry a multiplier.
         edges: Nodes (n,) on edges, of `find_edges`.
         claimed: Nodes (n,) with a multiplier of another interface: always shared out.
@@ -169,9 +230,27 @@ def open_duals(
     beside = accumulate(slave, np.bincount(at_edges.ravel(), minlength=len(keep))) > 0
     silent = np.asarray(beside & ~keep & ~claimed)
     if not any_rank(slave.V.mesh.comm, silent.any())[0]:
+        return None
+    return Sharing(silent, _closed(pairing, segments, u, silent))
+
+
+def open_duals(
+    pairing: Pairing, segments: Segments, Phi: Floats, keep: Bools, sharing: Sharing | None
+) -> Floats:
+    """Return the weighted dual functions (q, k), not shared out beside open edges.
+
+    Args:
+        pairing: The pair of surfaces.
+        segments: Its segments at X + u.
+        Phi: Functions (q, k) of `weighted_duals` for the nodes kept.
+        keep: Nodes (n,) that carry a multiplier.
+        sharing: What is shared out, of `find_sharing`.
+    """
+    if sharing is None:
         return Phi
-    full = weighted_duals(pairing, segments, keep | silent) * keep[nodes][segments.slave]
-    closed = _closed(pairing, segments, u, silent)[segments.slave, None]
+    kept = keep[pairing.slave.facets][segments.slave]
+    full = weighted_duals(pairing, segments, keep | sharing.silent) * kept
+    closed = sharing.closed[segments.slave, None]
     return np.asarray(closed * Phi + (1.0 - closed) * full)
 
 

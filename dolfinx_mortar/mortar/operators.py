@@ -21,7 +21,7 @@ from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide, point_heights, point_motions
 from dolfinx_mortar.mortar.dual import sums_of_products
-from dolfinx_mortar.mortar.edges import open_duals
+from dolfinx_mortar.mortar.edges import find_sharing, open_duals
 from dolfinx_mortar.mortar.integrals import (
     Coverage,
     Integrated,
@@ -99,7 +99,8 @@ def create_operators(
         Phi[c] = weighted_duals(pairing, segments, keep, N_s)
         if edges is not None:
             others = np.zeros_like(keep) if claimed is None else claimed
-            Phi[c] = open_duals(pairing, segments, u, Phi[c], keep, edges, others)
+            sharing = find_sharing(pairing, segments, u, keep, edges, others)
+            Phi[c] = open_duals(pairing, segments, Phi[c], keep, sharing)
         matrices[c] = integrate_matrices(pairing, segments, keep, Phi[c], N_s)
     entries_D, entries_M = (np.column_stack([matrices[c][i] for c in choices]) for i in (0, 1))
     weight = np.zeros((pairing.slave.owned, len(choices)))
