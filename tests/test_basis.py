@@ -6,7 +6,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.interfaces.frames import create_frames
+from dolfinx_mortar.interfaces.coupling import create_frames
 from dolfinx_mortar.mortar.integrals import (
     default_keep,
     find_segments,

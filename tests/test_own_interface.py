@@ -12,8 +12,7 @@ import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.geometry.facets import tributary_weights
 from dolfinx_mortar.interfaces.constraints import upper_bounds
-from dolfinx_mortar.interfaces.coupling import Coupling
-from dolfinx_mortar.interfaces.frames import normal_frames
+from dolfinx_mortar.interfaces.coupling import Coupling, normal_frames
 from dolfinx_mortar.interfaces.interface import Interface, full_coverage
 from dolfinx_mortar.interfaces.mortar_interface import MortarInterface
 from dolfinx_mortar.mortar.surface import facets_at, sum_at_nodes

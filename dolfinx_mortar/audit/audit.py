@@ -20,7 +20,7 @@ from dolfinx_mortar.audit.unheld import Unheld, find_unheld
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes, normals_at_nodes
 from dolfinx_mortar.geometry.segments import FACING
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
-from dolfinx_mortar.interfaces.coupled_sides import relative_motions
+from dolfinx_mortar.interfaces.coupling import relative_motions
 from dolfinx_mortar.interfaces.interface import ask
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.pretension import describe_shear

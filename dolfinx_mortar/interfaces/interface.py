@@ -25,8 +25,14 @@ from dolfinx_mortar.interfaces.constraints import (
     check_limits,
 )
 from dolfinx_mortar.interfaces.contact_derivatives import LinkDerivatives
-from dolfinx_mortar.interfaces.coupled_sides import CoupledSides
-from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides, create_pattern, mark
+from dolfinx_mortar.interfaces.coupling import (
+    CoupledSides,
+    Coupling,
+    Pattern,
+    Sides,
+    create_pattern,
+    mark,
+)
 from dolfinx_mortar.interfaces.driven import Driven
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.mortar.integrals import Coverage

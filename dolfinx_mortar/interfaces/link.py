@@ -10,7 +10,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.arrays import Bools, Floats
-from dolfinx_mortar.interfaces.coupled_sides import CoupledSides
+from dolfinx_mortar.interfaces.coupling import CoupledSides
 from dolfinx_mortar.interfaces.interface import Interface
 
 

@@ -17,16 +17,16 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
 from dolfinx_mortar.interfaces.contact_derivatives import ContactDerivatives
-from dolfinx_mortar.interfaces.coupled_sides import CoupledSides
 from dolfinx_mortar.interfaces.coupling import (
+    CoupledSides,
     Coupling,
+    Frame,
     Pattern,
     Sides,
     create_pattern,
     mark,
     with_ghosts,
 )
-from dolfinx_mortar.interfaces.frames import Frame
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface, ask
 from dolfinx_mortar.interfaces.slip_partners import Partners, partners_of
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides

@@ -28,8 +28,13 @@ from dolfinx_mortar.arrays import ROUND_OFF, Bools, Floats
 from dolfinx_mortar.geometry.facets import facet_sizes
 from dolfinx_mortar.geometry.tolerances import TINY
 from dolfinx_mortar.interfaces.coulomb import Limit, create_law
-from dolfinx_mortar.interfaces.coupled_sides import CoupledSides
-from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides, create_pattern
+from dolfinx_mortar.interfaces.coupling import (
+    CoupledSides,
+    Coupling,
+    Pattern,
+    Sides,
+    create_pattern,
+)
 from dolfinx_mortar.interfaces.interface import Outline
 from dolfinx_mortar.interfaces.near import FACETS
 from dolfinx_mortar.interfaces.tool import Load, Movable, Pose, Tool, find_facing

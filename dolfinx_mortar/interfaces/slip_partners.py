@@ -22,7 +22,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.triplets import Triplets
 from dolfinx_mortar.arrays import EPS, Bools, Floats
-from dolfinx_mortar.interfaces.coupled_sides import CoupledSides, node_motions
+from dolfinx_mortar.interfaces.coupling import CoupledSides, node_motions
 from dolfinx_mortar.mortar.surface import accumulate, carrying
 
 

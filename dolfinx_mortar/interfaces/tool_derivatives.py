@@ -35,7 +35,7 @@ from dolfinx_mortar.interfaces.contact_derivatives import (
     incidence,
     layout_of,
 )
-from dolfinx_mortar.interfaces.coupled_sides import CoupledSides
+from dolfinx_mortar.interfaces.coupling import CoupledSides
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.tool import Tool, find_facing
 from dolfinx_mortar.mortar.dual import absorbed

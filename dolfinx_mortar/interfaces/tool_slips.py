@@ -17,7 +17,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.interfaces.coupled_sides import CoupledSides
+from dolfinx_mortar.interfaces.coupling import CoupledSides
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.tool import Pose, Tool
 

@@ -13,7 +13,7 @@ from dolfinx import fem
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, upper_bounds
 from dolfinx_mortar.interfaces.coulomb import FrictionLaw, Limit
-from dolfinx_mortar.interfaces.frames import Frame, normal_frames
+from dolfinx_mortar.interfaces.coupling import Frame, normal_frames
 from dolfinx_mortar.interfaces.interface import Interface, NoResult
 from dolfinx_mortar.interfaces.nodal import check_mesh
 

@@ -29,7 +29,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import LIMIT, QUARTER_OF_DIGITS, ROUND_OFF, SAME, Bools, Floats, Ints
-from dolfinx_mortar.interfaces.coupled_sides import relative_motions
+from dolfinx_mortar.interfaces.coupling import relative_motions
 from dolfinx_mortar.interfaces.driven import Driven
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.link import Link
