@@ -46,7 +46,7 @@ NUMBERS = {
 # test_edges, in those of checkpoints, in test_preload, in test_friction_bodies, in
 # test_tie_reach, in test_small_strain, and in test_ramp
 OTHERS = {
-    "interfaces.unilateral",
+    "interfaces.contact",
     "interfaces.obstacle",  # in test_obstacle
     "newton_method.driven_tools",  # in test_driven_tools
     "interfaces.interface",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Unilateral contact, without and with friction.
+"""Unilateral contact, without and with friction: between two sides, and what all kinds share.
 
 The functional of contact, with Lagrange multipliers lambda_j >= 0 and weighted gaps g_j, its first
 variation and its linearisation are
@@ -14,14 +14,265 @@ lambda_j g_j = 0 are bounds in the basis of `dolfinx_mortar.interfaces.basis`, w
 the reaction of that bound is D_jj lambda_j.
 """
 
-from typing import ClassVar
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx import fem
 from dolfinx.mesh import MeshTags
-from dolfinx_mortar.interfaces.coulomb import Limit, create_law
-from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, upper_bounds
+from dolfinx_mortar.interfaces.coulomb import FrictionLaw, Limit, create_law
+from dolfinx_mortar.interfaces.coupling import Frame, normal_frames
+from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface, NoResult
 from dolfinx_mortar.interfaces.mortar_interface import MortarInterface
-from dolfinx_mortar.interfaces.unilateral import Unilateral
+from dolfinx_mortar.interfaces.nodal import check_mesh
 from dolfinx_mortar.mortar.operators import SmoothSides
+
+# A slave normal of which Dirichlet data, or the motion of surfaces, leave less than this share of
+# its length has no direction in which contact could act.
+MIN_FREE_NORMAL = 0.5
+
+
+@dataclass(frozen=True)
+class SlidingFields:
+    """Nodal results of friction as Functions; zero until the first step."""
+
+    traction: fem.Function
+    step_slip: fem.Function
+    slip: fem.Function
+    status: fem.Function
+    energy: fem.Function  # dissipated by friction at a node since the start
+
+    @property
+    def functions(self) -> list[fem.Function]:
+        """All of them."""
+        return [self.traction, self.step_slip, self.slip, self.status, self.energy]
+
+
+class Unilateral(Interface):
+    """w_n <= gap, pressure >= 0, pressure * opening = 0; perhaps with friction, see `Contact`.
+
+    Attributes:
+        law: of friction, None for none.
+        sliding: nodal results of friction.
+        dissipated: sum of the energies, all ranks.
+    """
+
+    unilateral = True
+    pressure_name = "contact pressure"
+    law: FrictionLaw | None = None
+    sliding: SlidingFields | None = None
+    dissipated: float = 0.0
+
+    def __repr__(self) -> str:
+        """Name the class, the tags, and what is not the default."""
+        name = super().__repr__()
+        if self.law is None:
+            return name
+        value = self.law.value
+        said = f"{value:g}" if isinstance(value, float) else type(value).__name__
+        return f"{name[:-1]}, {self.law.name}={said})"
+
+    def given(self) -> dict[str, Any]:
+        """Return what all ranks have to give the same, by name; see `agreement`."""
+        return super().given() | {"friction": self.friction, "tresca": self.tresca}
+
+    def check(self, V: fem.FunctionSpace) -> None:
+        """Raise a ValueError for limits of friction on another mesh than V's."""
+        if self.law is not None and isinstance(self.law.value, fem.Function):
+            check_mesh(self.law.name, self.law.value, V)  # a Constant is a number
+
+    def take(self, owner: object, V: fem.FunctionSpace) -> None:
+        """Belong to a problem from now on, with fields on V and without results; collective."""
+        super().take(owner, V)
+        assert self.fields is not None
+        self.sliding, self.dissipated = None, 0.0
+        if self.law is not None:
+            scalar = self.fields.pressure.function_space
+            self.sliding = SlidingFields(
+                fem.Function(V, name="traction"),
+                fem.Function(V, name="step_slip"),
+                fem.Function(scalar, name="slip"),
+                fem.Function(scalar, name="status"),
+                fem.Function(scalar, name="energy"),
+            )
+
+    @property
+    def functions(self) -> list[fem.Function]:
+        """All nodal results."""
+        return super().functions + self.functions_of_friction
+
+    @property
+    def functions_of_friction(self) -> list[fem.Function]:
+        """Traction, slip of the step, slip, status and energy; none without friction."""
+        return [] if self.sliding is None else self.sliding.functions
+
+    def clear(self) -> None:
+        """Have no results, as before the first step; without communication."""
+        super().clear()
+        self.dissipated = 0.0
+
+    def sum_up(self, comm: MPI.Comm, nodes: Ints) -> None:
+        """Add up the dissipation at the owned slave nodes; collective."""
+        if self.sliding is not None:
+            energy = self.sliding.energy.x.array[nodes]
+            self.dissipated = comm.allreduce(float(energy.sum()), op=MPI.SUM)
+
+    def field(self, name: str) -> fem.Function | None:
+        """Return a field by the name under which it is written, None if there is none."""
+        if self.sliding is not None and name in ("status", "traction", "slip"):
+            return getattr(self.sliding, name)
+        return super().field(name)
+
+    def keep(self) -> Any:
+        """Return copies of the results, for `put_back`."""
+        return super().keep(), self.dissipated
+
+    def put_back(self, kept: Any) -> None:
+        """Show what `keep` has returned; without communication."""
+        shown, self.dissipated = kept
+        super().put_back(shown)
+
+    @property
+    def friction(self) -> Limit | None:
+        """What was given as coefficient of friction; None if there is none."""
+        return self._limit("friction")
+
+    @property
+    def tresca(self) -> Limit | None:
+        """What was given as limit of the tangential traction; None if there is none."""
+        return self._limit("tresca")
+
+    def _limit(self, name: str) -> Limit | None:
+        return self.law.value if self.law is not None and self.law.name == name else None
+
+    @property
+    def rough(self) -> bool:
+        """Whether it has friction."""
+        return self.law is not None
+
+    @property
+    def acts_openly(self) -> bool:
+        """Whether given friction acts at open nodes, too."""
+        return self.law is not None and self.law.name == "tresca"
+
+    def limits(self) -> Floats | None:
+        """Return mu or s at the owned nodes, None without friction; collective.
+
+        Raises:
+            ValueError: on all ranks, for values that are negative or not finite.
+        """
+        if self.law is None:
+            return None
+        assert self.fields is not None
+        return self.law.values(self.fields.pressure.function_space)
+
+    def may_carry(self, left: Floats, fixed: Bools) -> Bools:
+        """Return (n, 1): nodes whose normal is not taken by Dirichlet data."""
+        return np.asarray((left >= MIN_FREE_NORMAL)[:, None])
+
+    def frame(self, normals: Floats, kept: Bools, fixed: Bools) -> Frame:
+        """Return frames with the normal first, which is constrained; Cartesian where not kept.
+
+        With friction the tangents are constrained, too, but for prescribed ones.
+        """
+        R, slot, directions = normal_frames(normals, kept[:, 0], fixed)
+        if self.law is not None:
+            prescribed = (slot[:, :, None] == np.arange(R.shape[1])).any(axis=1)
+            directions = kept & ~prescribed
+        return Frame(R, slot, directions, np.where(kept, normals, 0.0))
+
+    def blocks(self, P: Floats, frame: Frame, row: Ints) -> Floats:
+        """Return P_jl n_j n_j^T, with friction P_jl R_j S_j R_j^T."""
+        if self.law is None:
+            n = frame.normals[row]
+            return np.asarray(P[:, 0, None, None] * n[:, :, None] * n[:, None, :])
+        R = frame.R * frame.directions[:, None, :]
+        return np.asarray(P[:, 0, None, None] * (R @ np.swapaxes(frame.R, 1, 2))[row])
+
+    def constraints(self, nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
+        """Return w_n <= gap, the gap being minus the relative position along the normal."""
+        return upper_bounds(nodes, directions, slip, D)
+
+    def slip_limits(
+        self, nodes: Ints, directions: Bools, frames: Floats, slip: Floats, D: Floats, limit: Floats
+    ) -> SlipLimits:
+        """Return the limits of tangential reactions.
+
+        Args:
+            nodes: (n,) owned slave nodes.
+            directions: (n, d) which directions of the frames are constrained.
+            frames: (n, d, d).
+            slip: (n, d) relative motion since the last commit, in the frames.
+            D: (n, c) weights.
+            limit: (owned nodes,) mu or s.
+        """
+        on = directions[:, 0]
+        some, d = directions[on, 1:], directions.shape[1]
+        normal = (d * nodes[on]).astype(np.int32)
+        tangential = np.where(some, normal[:, None] + np.arange(1, d), -1).astype(np.int32)
+        values, weight = limit[nodes[on]], D[on, 0]
+        coulomb = self.law is not None and self.law.name == "friction"
+        return SlipLimits(
+            nodes=nodes[on],
+            normal=normal,
+            tangential=tangential,
+            axes=np.swapaxes(frames[on, :, 1:], 1, 2),
+            slip=np.where(some, slip[on, 1:], 0.0),
+            coefficient=values if coulomb else np.zeros_like(values),
+            cohesion=np.zeros_like(values) if coulomb else values * weight,
+            weight=weight,
+        )
+
+    # -- results ---------------------------------------------------------------------------------
+
+    def _of_friction(self, name: str) -> Any:
+        if self.law is None:
+            raise NoResult(self, name, "it has no friction: give friction= or tresca=")
+        return self._result(self.sliding, name)
+
+    @property
+    def traction(self) -> fem.Function:
+        """Tangential traction (d,) exerted on the slave side."""
+        return self._of_friction("traction")
+
+    @property
+    def step_slip(self) -> fem.Function:
+        """Tangential motion (d,) of the slave side along the master in the last step."""
+        return self._of_friction("step_slip")
+
+    @property
+    def slip(self) -> fem.Function:
+        """Length of the slip path of the nodes since the start, the last step included."""
+        return self._of_friction("slip")
+
+    @property
+    def status(self) -> fem.Function:
+        """0 open, 1 stick, 2 slip."""
+        return self._of_friction("status")
+
+    @property
+    def dissipation(self) -> float:
+        """Energy dissipated by friction since the start, the last step included."""
+        self._of_friction("status")
+        return self.dissipated
+
+    def gather(self, u: fem.Function) -> Mapping[str, Floats]:
+        """Return the slave nodes of all ranks on every rank; collective.
+
+        Returns:
+            What `Interface.gather` does; with friction also "traction" (n, d), "step_slip" (n, d),
+            "slip" and "status" (n,).
+        """
+        if self.sliding is None:
+            return super().gather(u)
+        names = ("traction", "step_slip", "slip", "status")
+        return self.gather_functions(u, {name: getattr(self.sliding, name) for name in names})
 
 
 class Contact(Unilateral, MortarInterface):

@@ -38,10 +38,10 @@ from dolfinx_mortar.algebra.congruence import (
 from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.interfaces.basis import Transformation
+from dolfinx_mortar.interfaces.contact import MIN_FREE_NORMAL
 from dolfinx_mortar.interfaces.contact_derivatives import SlipRows
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.slip_partners import Partners
-from dolfinx_mortar.interfaces.unilateral import MIN_FREE_NORMAL
 
 
 @dataclass(frozen=True)

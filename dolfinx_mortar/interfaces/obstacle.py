@@ -27,6 +27,7 @@ from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import ROUND_OFF, Bools, Floats
 from dolfinx_mortar.geometry.facets import facet_sizes
 from dolfinx_mortar.geometry.tolerances import TINY
+from dolfinx_mortar.interfaces.contact import Unilateral
 from dolfinx_mortar.interfaces.coulomb import Limit, create_law
 from dolfinx_mortar.interfaces.coupling import (
     CoupledSides,
@@ -40,7 +41,6 @@ from dolfinx_mortar.interfaces.near import FACETS
 from dolfinx_mortar.interfaces.tool import Load, Movable, Pose, Tool, find_facing
 from dolfinx_mortar.interfaces.tool_derivatives import ToolDerivatives
 from dolfinx_mortar.interfaces.tool_slips import ToolPartners
-from dolfinx_mortar.interfaces.unilateral import Unilateral
 from dolfinx_mortar.mortar.integrals import Coverage
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import accumulate, coordinates, mean_facet_length
