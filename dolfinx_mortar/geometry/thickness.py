@@ -11,8 +11,7 @@ from dolfinx_mortar.geometry.facets import (
     facet_normals,
     facet_sizes,
 )
-from dolfinx_mortar.geometry.search import Cones, find_meeting
-from dolfinx_mortar.geometry.segments import are_facing
+from dolfinx_mortar.geometry.segments import Cones, are_facing, find_meeting
 
 
 def thickness(facets: Facets, others: Facets) -> Floats:

@@ -12,7 +12,7 @@ import numpy as np
 
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls
-from dolfinx_mortar.geometry.search import Cones, create_cones, find_meeting, sort_in_space
+from dolfinx_mortar.geometry.segments import Cones, create_cones, find_meeting, sort_in_space
 
 
 def create_groups(x: Floats) -> list[Ints]:
