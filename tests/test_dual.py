@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from dolfinx_mortar.geometry.elements import QUAD9, TRI6
 from dolfinx_mortar.geometry.facets import Facets, tributary_weights
-from dolfinx_mortar.mortar.dual import (
+from dolfinx_mortar.mortar.integrals import (
     ALPHA,
     absorbed,
     covered_weights,

@@ -6,7 +6,7 @@ At a kept slave node j with frame R_j = (n_j, t_j, ..) the displacement is writt
     u_j = R_j w_j + sum_l Q_jl u_l,      Q_jl = R_j S_j R_j^T P_jl,      P = D^-1 (M - D_other)
 
 with D on the diagonal, and D_other its other entries: columns of removed nodes, and of the vertices
-on which mid-side nodes of six-node triangles depend (`dolfinx_mortar.mortar.dual`). Here
+on which mid-side nodes of six-node triangles depend (`mortar.integrals`). Here
 S_j = diag(1 in constrained directions); for ties of smooth surfaces P_jl I is completed by the
 motions D_jj^-1 int Phi_j A_l of `dolfinx_mortar.geometry.offset_vectors`. Then w is the relative
 displacement of the two sides in those directions, and every constraint is a bound on w. Without a

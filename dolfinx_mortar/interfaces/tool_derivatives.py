@@ -2,7 +2,7 @@
 r"""Derivatives of the forces and weighted gaps of contact with a rigid tool.
 
 On a facet, with w = w_q J the weights of its points, N the functions of its nodes and N~ those that
-the dual ones are biorthogonal to (see `mortar.dual`), over the nodes that carry a multiplier
+the dual ones are biorthogonal to (see `mortar.integrals`), over the nodes that carry a multiplier
 
     Phi = B N~ + 1/k,  B = (I - 1 1^T / k) A,  A = diag(d) m^-1,  d = sum w N~,  m = sum w N~ N~^T.
 
@@ -38,8 +38,7 @@ from dolfinx_mortar.interfaces.contact_derivatives import (
 from dolfinx_mortar.interfaces.coupling import CoupledSides
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.tool import Tool, find_facing
-from dolfinx_mortar.mortar.dual import absorbed
-from dolfinx_mortar.mortar.integrals import weighted_duals
+from dolfinx_mortar.mortar.integrals import absorbed, weighted_duals
 from dolfinx_mortar.mortar.operators import in_D
 from dolfinx_mortar.mortar.surface import accumulate, coordinates, facets_at
 from dolfinx_mortar.mortar.whole_side import WholeSide, rule_of, whole_facets

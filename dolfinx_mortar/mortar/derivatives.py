@@ -12,7 +12,7 @@ to the coordinates of the slave side, which may be another rank's. On a facet
 
     Phi_j = 1/c + sum_b A'_jb N_b,    A = diag(d) m^-1,   m_ab = sum w N_a N_b,   d_a = sum w N_a
 
-over its c kept nodes, A' being A less its mean over the rows, see `dolfinx_mortar.mortar.dual`. So
+over its c kept nodes, A' being A less its mean over the rows, see `mortar.integrals`. So
 dA m = diag(dd) - A dm, which is zero where w is constant and all of a straight facet is covered.
 At the points derivatives are those by the nodes of their own pair. Those of all segments are summed
 in sparse matrices, of which the columns are, in this order, slave coordinates, normals, and the
@@ -36,8 +36,8 @@ from dolfinx_mortar.geometry.line_derivatives import PointDerivatives, different
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.geometry.tolerances import TINY
 from dolfinx_mortar.mortar.curvature_correction import HeightSlopes
-from dolfinx_mortar.mortar.dual import covered_weights, sums_of_products
 from dolfinx_mortar.mortar.edges import Sharing
+from dolfinx_mortar.mortar.integrals import covered_weights, sums_of_products
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
     coordinates,

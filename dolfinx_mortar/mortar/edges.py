@@ -40,8 +40,7 @@ from dolfinx_mortar.geometry.facets import (
 )
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.geometry.tolerances import TINY
-from dolfinx_mortar.mortar.dual import sums_of_products
-from dolfinx_mortar.mortar.integrals import weighted_duals
+from dolfinx_mortar.mortar.integrals import sums_of_products, weighted_duals
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
     Surface,

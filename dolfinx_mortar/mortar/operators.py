@@ -20,7 +20,6 @@ from dolfinx_mortar.arrays import CHUNK, Bools, Floats
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide, point_heights, point_motions
-from dolfinx_mortar.mortar.dual import sums_of_products
 from dolfinx_mortar.mortar.edges import find_sharing, open_duals
 from dolfinx_mortar.mortar.integrals import (
     Coverage,
@@ -29,6 +28,7 @@ from dolfinx_mortar.mortar.integrals import (
     find_coverage,
     integrate_values,
     node_weights,
+    sums_of_products,
     weighted_duals,
 )
 from dolfinx_mortar.mortar.pairing import Pairing

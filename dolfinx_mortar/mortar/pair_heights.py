@@ -32,7 +32,7 @@ from dolfinx_mortar.mortar.curvature_correction import (
     facet_stretches,
     find_curved,
 )
-from dolfinx_mortar.mortar.dual import sums_of_products
+from dolfinx_mortar.mortar.integrals import sums_of_products
 from dolfinx_mortar.mortar.pairing import Pairing
 
 

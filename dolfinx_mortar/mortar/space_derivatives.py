@@ -32,7 +32,7 @@ from dolfinx_mortar.geometry.segments import Segments, are_facing
 from dolfinx_mortar.geometry.tolerances import TINY
 from dolfinx_mortar.mortar.curvature_correction import distinct
 from dolfinx_mortar.mortar.derivatives import Derivatives, Part, Tractions
-from dolfinx_mortar.mortar.dual import absorbed, sums_of_products
+from dolfinx_mortar.mortar.integrals import absorbed, sums_of_products
 from dolfinx_mortar.mortar.operators import SmoothSides
 from dolfinx_mortar.mortar.pair_heights import pair_heights
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
