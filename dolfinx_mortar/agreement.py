@@ -63,7 +63,6 @@ def check_same_on_all_ranks(comm: MPI.Comm, **named_values: Any) -> dict[str, Ch
     is given can raise another error here, which one rank might meet alone.
 
     Args:
-        comm: the ranks.
         **named_values: the values by the names that the error shall use.
 
     Returns:

@@ -19,7 +19,6 @@ def check_space(V: dolfinx.fem.FunctionSpace, name: str = "V") -> None:
     """Raise a ValueError, without communication, for spaces that are not supported.
 
     Args:
-        V: a space of displacements.
         name: the argument that it comes from, for messages.
 
     Raises:
@@ -69,7 +68,6 @@ def check_real(name: str, *values: Any) -> None:
     """Raise a ValueError unless Constants and Functions are those of dolfinx, of type float64.
 
     Args:
-        name: what they belong to, for the message.
         values: Constants and Functions.
     """
     for value in values:

@@ -32,7 +32,6 @@ class Tags(mesh.MeshTags):
         """Give names to tags; the tags themselves are shared, not copied.
 
         Args:
-            tags: of cells or facets.
             names: tag by name, the same on all ranks.
 
         Raises:

@@ -34,7 +34,6 @@ class BlockMatrix:
     Scipy's BSR format sorts the blocks; PETSc's block format has no product with AIJ matrices.
 
     Args:
-        comm: communicator.
         layout: how the nodes are divided among its ranks.
         d: rows and columns of a block.
         rows: owned node (p,) of each block, local number.

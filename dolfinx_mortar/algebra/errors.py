@@ -63,7 +63,6 @@ def raise_together(comm: MPI.Comm, own: BaseException | None) -> None:
     """Raise the error of this rank, or of another one; collective.
 
     Args:
-        comm: communicator.
         own: the error of this rank, if any.
     """
     found = comm.allgather(None if own is None else _kind_and_text(own))

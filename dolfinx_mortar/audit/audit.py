@@ -123,9 +123,6 @@ def create_audit(
     """Audit bodies and interfaces whose pairings exist; collective.
 
     Args:
-        bodies: the connected parts of the mesh.
-        system: the interfaces.
-        supports: the Dirichlet conditions.
         x: (n,) present coordinates X + u.
         springs: resistance of the potential to a motion, relative to the stiffest.
         at: displacement at which contacts are taken, None for X.

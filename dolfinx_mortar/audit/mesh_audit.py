@@ -44,9 +44,6 @@ def check_mesh(mesh: Mesh) -> None:
     without volume, cells whose Jacobian changes sign, cells that overlap a neighbour. Bodies may
     overlap each other. Unsupported kinds of cells are left to other checks.
 
-    Args:
-        mesh: the mesh of all bodies.
-
     Raises:
         ValueError: with what is wrong, how many cells, where the first one is, and the remedy.
     """

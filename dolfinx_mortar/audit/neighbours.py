@@ -47,8 +47,6 @@ def warnings_on_neighbours(
     Near is as for `find_pairs`. Collective.
 
     Args:
-        bodies: the connected parts of the mesh.
-        system: the interfaces.
         at: displacement, None for X.
     """
     coupled = _coupled(bodies, system)

@@ -85,7 +85,6 @@ def warnings_on_straight_facets(link: Link, u: fem.Function | None = None) -> li
     0.3 %, on curved facets 0.3 % and less.
 
     Args:
-        link: the interface, coupled at X + u.
         u: displacement, None for X.
     """
     slave, interface = link.sides.slave, link.interface
@@ -121,7 +120,6 @@ def note_on_facets(
     that of the forces K^_jj e_j of nodes that carry, or are so near that they might.
 
     Args:
-        link: the contact, coupled at X + u.
         x: where the nodes are, X + u.
         u: displacement by which facets have moved, None for X.
         forces: (owned nodes,) of contact.

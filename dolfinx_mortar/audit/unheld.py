@@ -34,7 +34,6 @@ def find_unheld(link: Link, prescribed: Bools) -> Unheld | None:
     """Return the slave facets without a multiplier that meet several master facets; collective.
 
     Args:
-        link: the interface.
         prescribed: (n,) owned slave nodes without a multiplier because of Dirichlet data.
     """
     if not link.pairing:

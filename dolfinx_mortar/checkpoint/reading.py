@@ -48,7 +48,6 @@ def read_tables(
     """Return the values at the places of this rank; collective.
 
     Args:
-        comm: the ranks.
         path: a file that `read_about` has accepted.
         places: (n, k) of this rank, by the name of the table.
         size: largest coordinate, which scales what counts as the same place.

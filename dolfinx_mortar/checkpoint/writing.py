@@ -99,8 +99,6 @@ def write(
     """Write a file and replace an older one of this name; collective.
 
     Args:
-        comm: the ranks.
-        path: the file.
         about: JSON values, the same on all ranks.
         tables: values at the places of this rank, by name.
 

@@ -73,7 +73,6 @@ def one_ring_sums(
     """Return the terms of each facet (m,) in the sums over the one-rings of its nodes.
 
     Args:
-        facets: the facets.
         n: normals (m, k, d) at their nodes as known so far.
         K: curvatures (m, k, d, d) there, by which edges are projected on the tangent plane.
 
@@ -320,7 +319,6 @@ def heights(facets: Facets, sagitta: Floats, which: Ints, xi: Floats) -> Floats:
     """Return the heights (q,) of the smooth surface over points of facets, along their normals.
 
     Args:
-        facets: facets of the side.
         sagitta: c_ab (p, e) of `edge_sagittas`, or at pairs of facets; of tensors C_ab
             (p, e, d, d), the same sums are tensors.
         which: (q,) which of them belongs to each point.

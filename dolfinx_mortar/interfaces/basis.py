@@ -34,7 +34,6 @@ class Transformation:
     """T and the product T^T K T on patterns that stay fixed while the pairings do.
 
     Args:
-        V: the vector space of the displacement.
         links: the interfaces with their pairings, claims and near nodes.
         order: topological order of the interfaces, from ``resolve_claims``.
 

@@ -75,7 +75,6 @@ def resolve_claims(
 
     Args:
         interfaces: the descriptions, in the user's order.
-        sides: their surfaces.
         patterns: what their candidate pairs couple.
         coverage: how far the slave nodes face the masters.
     """

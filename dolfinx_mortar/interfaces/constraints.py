@@ -45,8 +45,6 @@ def check_shapes(
     """Raise a ValueError unless the arrays of a record have their shapes and no NaN.
 
     Args:
-        name: how the message begins.
-        found: the record.
         shapes: of its fields, by name.
         infinite: whether values may be infinite.
     """
@@ -62,8 +60,6 @@ def check_constraints(name: str, found: Constraints, nodes: Ints, directions: Bo
     """Raise a ValueError unless bounds can be those of an interface.
 
     Args:
-        name: how the message begins.
-        found: the bounds.
         nodes: (n,) owned slave nodes.
         directions: (n, d) which directions of the frames are constrained.
     """
@@ -82,13 +78,7 @@ def check_constraints(name: str, found: Constraints, nodes: Ints, directions: Bo
 
 
 def check_limits(name: str, found: SlipLimits, d: int) -> None:
-    """Raise a ValueError unless the arrays of `SlipLimits` fit each other, without NaN.
-
-    Args:
-        name: how the message begins.
-        found: the limits.
-        d: dimension of the space.
-    """
+    """Raise a ValueError unless the arrays of `SlipLimits` fit each other, without NaN."""
     m = np.shape(found.nodes)[0] if np.ndim(found.nodes) else 0
     one: dict[str, tuple[int, ...]] = dict.fromkeys(
         ("nodes", "normal", "coefficient", "cohesion", "weight"), (m,)

@@ -114,7 +114,6 @@ class LinkDerivatives(ABC):
 
         Args:
             link: the interface at X + u.
-            u: displacement.
             multipliers: lambda_j (owned nodes,).
             tangential: tangential tractions (owned nodes, d), None without friction.
 
@@ -315,7 +314,6 @@ def _tractions(
     """Return normals, tractions, and which local slave nodes are kept; collective.
 
     Args:
-        link: the contact.
         averaged: normals (local slave nodes, d).
         multipliers: lambda_j (owned nodes,).
         tangential: tangential tractions (owned nodes, d), None without friction.

@@ -103,10 +103,7 @@ def check_coupling(name: str, found: object, sides: Sides, pattern: Pattern) -> 
     """Raise a ValueError unless a coupling has the right shapes and finite values.
 
     Args:
-        name: of the interface.
         found: what its `couple` has returned.
-        sides: its surfaces.
-        pattern: of Q.
     """
     if not isinstance(found, Coupling):
         raise ValueError(f"{name}: couple() returns a {type(found).__name__}: return a Coupling")
@@ -131,7 +128,6 @@ def create_blocks(V: fem.FunctionSpace, rows: Ints, columns: Longs) -> BlockMatr
     """Return a matrix of d x d blocks between nodes of V; collective.
 
     Args:
-        V: the vector space of the displacement.
         rows: owned node (p,) of each block, local number.
         columns: node (p,) of each block, global number.
     """

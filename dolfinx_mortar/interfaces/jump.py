@@ -73,7 +73,6 @@ def values_at(jump: Any, V: fem.FunctionSpace, nodes: Ints) -> Floats:
 
     Args:
         jump: what `check_jump` has returned, a Function as one of V.
-        V: the space of the displacement.
         nodes: (n,) local numbers.
 
     Raises:

@@ -73,7 +73,6 @@ class GeometryTangent:
         """Return the same as an operator; valid until the next call; collective.
 
         Args:
-            K: the tangent.
             T: of the test functions.
             decoupled: owned unknowns that are decoupled.
             diagonal: (n,) of T^T K T.
@@ -127,7 +126,6 @@ class MovingGeometry:
     """The derivatives of the contacts of some links, on patterns made once for their pairs.
 
     Args:
-        V: the vector space of the displacement.
         links: the interfaces, of which the ties stay at X.
         order: topological order of the interfaces.
     """
@@ -155,7 +153,6 @@ class MovingGeometry:
 
         Args:
             links: those of the patterns, in another configuration.
-            u: displacement.
             multipliers: lambda_j (owned nodes,).
             tangential: tangential tractions (owned nodes, d), None without friction.
             slips: displacement since the last commit, and the partners of each interface.

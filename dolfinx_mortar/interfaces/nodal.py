@@ -10,7 +10,6 @@ def check_nodal(name: str, function: fem.Function, shape: tuple[int, ...], wante
     """Raise a ValueError unless a Function has one value of a shape at every node.
 
     Args:
-        name: of the argument.
         function: what it is.
         shape: () for a scalar, (d,) for a vector.
         wanted: what to give instead, for the message.

@@ -20,7 +20,6 @@ def set_results(
     """Set resultants and Functions of an interface; collective.
 
     Args:
-        link: the interface in its present configuration.
         reaction: (n, d) D_jj lambda_j in the frames, at the owned slave nodes; zero in directions
             that are not constrained.
         gap: (n,) nodal gaps that may still close; how far a jump opens a tie.

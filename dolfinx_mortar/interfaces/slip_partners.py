@@ -43,7 +43,6 @@ class Partners:
         """Return x_j - P x less its tangential part at the commit, which turns with n; collective.
 
         Args:
-            link: the contact in its present configuration.
             moved: (n,) displacement since the last commit.
         """
         both = self.normals + link.coupling.normals
@@ -68,7 +67,6 @@ class Partners:
         whole, both parts turn with the normals, and are no slip.
 
         Args:
-            link: the contact in its present configuration.
             moved: (n,) displacement since the last commit.
         """
         in_frames = np.einsum("nij,ni->nj", link.coupling.R, self.motion(link, moved))
@@ -79,7 +77,6 @@ def partners_of(link: CoupledSides, x: PETSc.Vec) -> Partners:
     """Return the partners in the present configuration of a contact; collective.
 
     Args:
-        link: the contact.
         x: (n,) positions at the last commit.
     """
     scalars, coupling = link.pattern.scalars, link.coupling

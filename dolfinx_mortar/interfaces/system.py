@@ -65,7 +65,6 @@ class Configuration:
         """Return by how much tied sides miss their jumps at most; collective.
 
         Args:
-            u: (n,) displacement.
             jumps: as for `InterfaceSystem.constraints`.
         """
         missed: list[Floats] = [np.zeros(0)]
@@ -105,7 +104,6 @@ class InterfaceSystem:
     """The interfaces of a problem, and where they are at present.
 
     Args:
-        V: the vector space of the displacement.
         interfaces: in the order in which they claim slave nodes.
         fixed: (local nodes, d) True where a direction of a node is prescribed.
         weight: factor of all integrals over interfaces, 1 if not given.
@@ -268,7 +266,6 @@ class InterfaceSystem:
         Args:
             k: number of the interface.
             parts: what else `couple` takes.
-            u: displacement.
             before: of the last geometry of the step; in its first one None. Then what lasts is
                 asked once a search: ties, and contacts of frozen geometry.
         """
@@ -324,7 +321,6 @@ class InterfaceSystem:
         T holds the nodes that are near, and those of the last step unless others have come near.
 
         Args:
-            found: the configuration.
             x: (n,) its coordinates X + u, also for frozen surfaces.
             increment: largest motion that the step asks for.
 
@@ -456,7 +452,6 @@ class InterfaceSystem:
 
         Args:
             x: (n,) coordinates X + u (also with frozen geometry: the gap is linear in u).
-            u: (n,) displacement.
             jumps: (n,) by the number of an interface: a displacement of its slave side that is no
                 relative motion; none if not given.
         """

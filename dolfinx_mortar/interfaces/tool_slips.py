@@ -37,7 +37,6 @@ class ToolPartners(Partners):
         """Return the partners of a link; collective.
 
         Args:
-            link: the obstacle.
             x: (n,) positions at the last commit.
             tool: which may move in the step.
             began: where it was at the last commit.

@@ -95,7 +95,6 @@ class LogarithmicLaw:
         """Compile a law in UFL.
 
         Args:
-            law: its parts.
             parameters: their names.
             dimension: 2 where H has zeros out of the plane but for H_zz.
             jit: how expressions are compiled.

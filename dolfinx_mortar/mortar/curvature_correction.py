@@ -63,7 +63,6 @@ def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: flo
     deviatoric part of the curvatures that these normals give, and summed anew.
 
     Args:
-        surface: the surface.
         x: coordinates (n, d) of its nodes.
         fixed: (n, d) components of the nodes with Dirichlet data.
         feature_angle: degrees between facets from which on they meet in an edge.
@@ -175,7 +174,6 @@ def find_smooth_sides(
     """Return the smooth surfaces of the slave and of the received master facets; collective.
 
     Args:
-        pairing: the pair of surfaces.
         fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
         feature_angle: see `smooth_normals`.
     """
@@ -218,7 +216,6 @@ def find_curved(
     `dolfinx_mortar.geometry.curvature` for the reason.
 
     Args:
-        pairing: the pair of surfaces.
         u: displacement, None for X.
         sides: their smooth surfaces at X.
         pairs: (p,) which of the candidate pairs.
@@ -275,7 +272,6 @@ def point_heights(
     and 24 facets. At X there is no strain, and heights are h. Collective.
 
     Args:
-        pairing: the pair of surfaces.
         segments: its segments at X + u.
         u: displacement, None for X.
         sides: the smooth surfaces at X.

@@ -127,7 +127,6 @@ def differentiate(
 
     Args:
         pairing: The pair of surfaces, in 2D.
-        u: Displacement.
         segments: Its segments at X + u, of all slave facets or of some.
         keep: Local slave nodes (n,) that carry a multiplier.
         Phi: Their weighted functions (q, k) of `open_duals`.

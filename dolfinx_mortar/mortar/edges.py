@@ -88,7 +88,6 @@ def find_edges(surface: Surface, feature_angle: float) -> Bools | None:
     angle, and the facets lie below the node along that normal.
 
     Args:
-        surface: The surface.
         feature_angle: Degrees between facets from which on they meet in an edge.
     """
     facets = facets_at(surface, surface.X)
@@ -112,8 +111,6 @@ def edge_normals(
     """Return the normals (n, d) of the slave nodes, those on edges by both sides; collective.
 
     Args:
-        pairing: The pair of surfaces.
-        segments: Its segments at X + u.
         u: Displacement, None for X.
         normals: Averaged normals (n, d) at X + u: kept off the edges, and where nothing is covered.
         edges: Nodes (n,) on edges, of `find_edges`.
@@ -217,8 +214,6 @@ def find_sharing(
     """Return what is shared out beside edges, None without such nodes on any rank; collective.
 
     Args:
-        pairing: The pair of surfaces.
-        segments: Its segments at X + u.
         u: Displacement, None for X.
         keep: Nodes (n,) that carry a multiplier.
         edges: Nodes (n,) on edges, of `find_edges`.

@@ -61,7 +61,6 @@ def find_facing(comm: MPI.Intracomm, skin: Skin, asked: Bools | None = None) -> 
     `pairing.THROUGH`: it lies beyond it. In an overlap the middle of a facet lies in the body.
 
     Args:
-        comm: the ranks.
         skin: all exterior facets of this rank.
         asked: (m,) which of them to project, on all of the others; all if not given.
     """

@@ -157,7 +157,6 @@ def sums_of_products(Phi: Floats, N: Floats, where: Ints, size: int) -> Floats:
         Phi: Values of functions, times the weights of the points.
         N: Values of others.
         where: Place (q,) of each point.
-        size: Number of places.
     """
     blocks = np.zeros((size, Phi.shape[1], N.shape[1]))
     _add_products(blocks, np.ascontiguousarray(Phi.T), np.ascontiguousarray(N.T), where)
@@ -173,7 +172,6 @@ def sums_of_values(Phi: Floats, values: Floats, where: Ints, size: int) -> Float
         Phi: Values of functions, times the weights of the points.
         values: Values at the points.
         where: Place (q,) of each point.
-        size: Number of places.
     """
     sums = np.zeros((size, Phi.shape[1]))
     _add_values(sums, np.ascontiguousarray(Phi.T), np.ascontiguousarray(values), where)
@@ -364,8 +362,6 @@ def drop_far(
     independent on it.
 
     Args:
-        pairing: The pair of surfaces.
-        segments: Its segments at X + u.
         u: Displacement, None for X.
         reach: Largest distances (q,) for sizes of facets (q,), see `point_distances`, and the least
             distance of all.
@@ -409,8 +405,6 @@ def node_weights(
     The former is D_jj of eq. 19 where all nodes carry a multiplier and N~ is N, see `absorbed`.
 
     Args:
-        pairing: The pair of surfaces.
-        segments: Its segments.
         keep: Slave nodes (n,) that carry a multiplier; all if not given.
         N_s: Values (q, k) of the slave shape functions, if they are at hand.
     """
@@ -485,8 +479,6 @@ def default_keep(
     the slave side is without multiplier.
 
     Args:
-        pairing: The pair of surfaces.
-        segments: Its segments.
         covered: Covered weight (n,) of each slave node, of `node_weights`.
         tributary: Whole weight (n,), of `node_weights`.
         allowed: Nodes (n,) that may be kept; all if not given.
@@ -531,8 +523,6 @@ def weighted_duals(
     """Return w Phi_j (q, k) at the points of the segments, w their weights.
 
     Args:
-        pairing: The pair of surfaces.
-        segments: Its segments.
         keep: Slave nodes (n,) that carry a multiplier; a node has the same value on all ranks.
         N_s: Values (q, k) of the slave shape functions, if they are at hand.
     """
@@ -549,8 +539,6 @@ def integrate_values(
     """Return int Phi_j f (n,) at the slave nodes for values f (q,) at the points (collective).
 
     Args:
-        pairing: The pair of surfaces.
-        segments: Its segments.
         Phi: Weighted dual functions (q, k) of `weighted_duals`.
         values: f.
     """

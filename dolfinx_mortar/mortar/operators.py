@@ -73,9 +73,7 @@ def create_operators(
     """Integrate D and M over segments at X + u (collective).
 
     Args:
-        pairing: The pair of surfaces.
         u: Displacement, None for X.
-        segments: Its segments at X + u.
         normals: Outward unit normals (n, d) of the local slave nodes there.
         allowed: Local slave nodes (n, c) that may carry a multiplier, for each choice.
         returned: Those (n, c) that lost their multiplier in this step and got it back; none if not
@@ -147,8 +145,6 @@ def integrate_matrices(
     """Return the entries of D (eq. 19) and M (eq. 20) on the patterns of the pairing (collective).
 
     Args:
-        pairing: The pair of surfaces.
-        segments: Its segments.
         keep: Slave nodes (n,) that carry a multiplier; a node has the same value on all ranks.
         Phi: Their weighted functions of `weighted_duals`, if they are at hand.
         N_s: Values (q, k) of the slave shape functions, if they are at hand.
@@ -188,8 +184,6 @@ def integrate_motions(
     """Return int Phi_j A_l (f, d, d) at the entries of M (collective).
 
     Args:
-        pairing: The pair of surfaces.
-        segments: Its segments.
         Phi: Weighted dual functions (q, k) of `weighted_duals` for each row of A_l.
         motions: A_l (q, k, d, d) at a part of the points for each node of their master facets.
     """
@@ -212,8 +206,6 @@ def mean_values(
     """Return int Phi_j f / D_jj (n,) at the owned slave nodes (collective).
 
     Args:
-        pairing: The pair of surfaces.
-        segments: Its segments.
         Phi: Weighted dual functions (q, k) of `weighted_duals`.
         weight: D_jj (n,); zero where that is.
         at_points: f (q,).

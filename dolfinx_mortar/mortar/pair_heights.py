@@ -101,9 +101,7 @@ def pair_heights(
     """Return the heights over pairs of facets in 3D; collective.
 
     Args:
-        pairing: the pair of surfaces.
         pairs: (p,) which of its candidates.
-        u: displacement.
         sides: the smooth surfaces at X.
     """
     a, b = find_curved(pairing, u, sides, pairs)

@@ -226,9 +226,6 @@ def create_pairing(
     `self_contact`.
 
     Args:
-        V: Vector space of the displacement.
-        slave: Its slave surface.
-        master: Its master surface.
         u: Displacement, None for X.
         moving: Whether the surfaces move.
         again: Whether this is a later search. Sides that faced each other once may turn away: then
@@ -344,8 +341,6 @@ def outside_margin(
     not finite: the search that is due then names it.
 
     Args:
-        pairing: The pair of surfaces.
-        u: Displacement.
         among: Slave facets of this rank (ms,) to look at; all if not given.
     """
     comm = pairing.slave.V.mesh.comm

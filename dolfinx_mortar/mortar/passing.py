@@ -36,7 +36,6 @@ def find_middles(surface: Surface, body_of: Ints, skin: Facets, bodies: Ints) ->
     Bodies are measured one by one, since they may overlap.
 
     Args:
-        surface: the surface.
         body_of: number (m,) of the body behind each of its facets.
         skin: exterior facets of this rank.
         bodies: number of the body of each of those.

@@ -83,7 +83,6 @@ def choose_roles(
     converge. All ranks decide the same, from the pairs of all ranks.
 
     Args:
-        comm: the ranks.
         pairs: (p, 2) own and received facets that are near.
         distance: (p,) in facet diameters.
         nodes: global nodes (ms, k) and (mm, k).
@@ -171,7 +170,6 @@ def divide(
     """Return which candidates (p, 2) of a surface with itself remain, and the roles; collective.
 
     Args:
-        comm: the ranks.
         facets: own facets (ms,) where they are.
         copies: the received ones (mm,).
         pairs: candidates of these.

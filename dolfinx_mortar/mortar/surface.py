@@ -202,7 +202,6 @@ def create_surface(
         V: Vector Lagrange space on the mesh of all bodies.
         facet_tags: Facet tags of the same mesh.
         tag: Value that marks the surface, or its name if the tags have names.
-        name: Name of the argument, for messages.
 
     Raises:
         ValueError: On all ranks, for a space that is not supported, tags of another mesh or
@@ -414,7 +413,6 @@ def carrying(surface: Surface, x: Floats, n: Floats, vectors: Floats) -> Floats:
     I - n_f n_f^T. Nothing is carried where the facets of a node have no tangent in common.
 
     Args:
-        surface: the surface.
         x: coordinates (n, d) of its nodes.
         n: unit normals (n, d) of the vectors, zero at nodes without a vector.
         vectors: tangential vectors v_j (n, d).

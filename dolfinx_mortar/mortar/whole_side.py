@@ -123,7 +123,6 @@ def integrate_side(
     """Integrate D over the facets that face something; collective.
 
     Args:
-        side: the side.
         x: (n, d) positions of its local nodes.
         facing: (m,) facets of this rank.
         allowed: (n,) local nodes that may carry a multiplier.

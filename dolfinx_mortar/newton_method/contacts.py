@@ -91,7 +91,6 @@ def find_sliders(
 
     Args:
         limits: of a configuration.
-        contacts: the multipliers.
         diagonal: of K^, the stiffness by which a slip is compared with a force.
         noise: slips below this are round-off.
     """

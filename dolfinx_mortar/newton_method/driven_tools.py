@@ -374,7 +374,6 @@ def miss(problem: ContactProblem, balance: Balance, contacts: Contacts, limit: f
     """Return by which share of their forces loads of tools are missed at most; collective.
 
     Args:
-        problem: the problem.
         balance: forces at an iterate.
         contacts: the multipliers there.
         limit: what may be missing in the balance of forces, and of rigid sides.

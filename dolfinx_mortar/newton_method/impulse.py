@@ -30,8 +30,6 @@ def respond(
     Args:
         problem: at the end of a step.
         forces: f (owned nodes, d).
-        rtol: tolerance of the step.
-        linear: the linear solver of the step.
 
     Returns:
         (owned nodes, d), None if the linear solver finds no solution.

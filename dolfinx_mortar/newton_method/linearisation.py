@@ -116,7 +116,6 @@ def linearise(
 
     Args:
         problem: the problem, in the geometry of the balance.
-        balance: forces and constraints.
         tangent: assemble K anew; a linear law needs it once.
         shift: multiple of the elastic stiffness that makes an indefinite K convex.
         pressure: mean stresses of a linearisation, see `Solid.add_tangent`.
@@ -179,7 +178,6 @@ def linearise_all(
 
     Args:
         problem: the problem, in the geometry of the balance, at the present u.
-        balance: forces and constraints.
         partners: of each interface, along which its slips are measured; empty without friction.
         multipliers: lambda_j (owned nodes,), with which the forces balance.
         tangential: tangential tractions (owned nodes, d), None without friction.

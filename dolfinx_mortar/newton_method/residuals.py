@@ -113,7 +113,6 @@ def measure(
         diagonal: of the last K^, the stiffness by which a penetration is compared with a force.
         scales: further scales of the step.
         elastic_norm: |u|_e of the iterate.
-        rtol: tolerance.
     """
     comm, z = u.function_space.mesh.comm, contacts.reactions(balance)
     free = balance.reduced.array_r.copy()
@@ -173,7 +172,6 @@ def next_tolerance(kind: str, rtol: float, size: float, residuals: Sequence[Resi
 
     Args:
         kind: "direct" or "iterative".
-        rtol: tolerance of the step.
         size: norm of the QP's right-hand side.
         residuals: of the iterates so far.
 

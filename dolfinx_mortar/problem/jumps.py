@@ -20,7 +20,6 @@ def read_jumps(system: InterfaceSystem, empty: PETSc.Vec) -> dict[int, PETSc.Vec
     """Return the jumps of ties as displacements (n,) of their slave sides by number; collective.
 
     Args:
-        system: the interfaces.
         empty: a vector of the displacement, which is duplicated.
 
     Raises:

@@ -21,8 +21,6 @@ class UnknownsOfBodies:
     Args:
         operator: that of the QP, with the tangent K.
         system: the interfaces, with T up to date.
-        supports: the Dirichlet conditions.
-        bodies: the connected parts of the mesh.
     """
 
     def __init__(

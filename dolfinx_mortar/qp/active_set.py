@@ -39,14 +39,11 @@ def solve(
     """Solve a bound-constrained QP by active-set updates (collective).
 
     Args:
-        qp: the problem.
-        linear: linear solver, set up for qp.A.
         start: initial active set and directions of slip.
         changes: bounded unknowns in which the solution is expected to differ from the initial set;
             None for any number. Each may cost an iteration. If they cost more than a factorisation,
             the condensed QP predicts the set (always to predict it would take plastic steps of
             benchmarks/hertz_2d.py with 50 thousand unknowns 4 more factorisations).
-        rtol: tolerance of the check.
         guess: (n,) first x, 0 by default.
 
     Returns:

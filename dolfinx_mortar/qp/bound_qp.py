@@ -244,7 +244,6 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     """Measure how well x satisfies the optimality conditions, from the data alone (collective).
 
     Args:
-        qp: the problem.
         x: (n,) iterate.
         z: b - A x if known; computed otherwise.
 

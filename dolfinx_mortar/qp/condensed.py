@@ -71,8 +71,6 @@ def predict(
     """Solve the QP through its Schur complement on the bounded unknowns (collective).
 
     Args:
-        qp: the problem.
-        linear: linear solver, set up for qp.A.
         x: (n,) out: the solution.
         start: (k,) initial active set.
         rtol: residual of the free bounded unknowns relative to the forces.

@@ -103,10 +103,7 @@ class HeldProblem:
     on the next set, and to all forces for the tight one.
 
     Args:
-        qp: the problem.
-        linear: linear solver, set up for qp.A.
         x: (n,) in: initial guess; out: the last solution.
-        rtol: tolerance of the check.
     """
 
     def __init__(self, qp: BoundQP, linear: LinearSolver, x: PETSc.Vec, rtol: float) -> None:

@@ -53,7 +53,6 @@ def meets_negative_curvature(operator: Operator, pc: PETSc.PC, max_it: int) -> b
     Args:
         operator: A and the unknowns that are held.
         pc: a positive definite preconditioner.
-        max_it: largest number of iterations.
     """
     comm = operator.A.comm.tompi4py()
     x, b = operator.A.createVecs()

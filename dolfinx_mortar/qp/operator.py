@@ -44,7 +44,6 @@ class Operator:
     its symbolic factorisation remains valid; an iteration applies A itself.
 
     Args:
-        A: the matrix.
         direct: whether it is to be factorised with some unknowns held.
         definite: whether A is symmetric and positive definite, see `BoundQP`.
 

@@ -129,7 +129,6 @@ def check_options(comm: MPI.Comm, prefix: str, options: Mapping[str, Any] | None
     """Check options by a small matrix on each rank (collective).
 
     Args:
-        comm: communicator.
         prefix: prefix of the options.
         options: options without prefix, over the defaults.
 

@@ -151,7 +151,6 @@ class Preconditioner:
     """M^-1 for an operator with an earlier matrix and earlier held unknowns.
 
     Args:
-        operator: the operator.
         ksp: its solver, whose PC is set.
         options: PETSc options of both.
         unknowns: those of multigrid; by default those of the operator.

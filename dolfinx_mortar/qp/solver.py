@@ -60,7 +60,6 @@ def solve(
     """Solve a bound-constrained QP (collective).
 
     Args:
-        qp: the problem.
         backend: "active-set", or for a definite matrix without friction "interior-point".
         linear: linear solver, whose factorisation is reused; by default a new one with MUMPS.
         start_active: (k,) initial active set on ``qp.bounded``: +1 upper, -1 lower, 0 free. By

@@ -53,7 +53,6 @@ def _balances(links: Sequence[Link], x: Floats, facet_length: float) -> tuple[fl
     The resultants of a surface that meets itself may cancel; there the sums of nodal sizes count.
 
     Args:
-        links: the interfaces, with results.
         x: (owned nodes, d) coordinates.
         facet_length: added to the arms of moments.
     """
@@ -86,7 +85,6 @@ def create_certificate(
     Args:
         problem: the problem, in the geometry of the step's end.
         report: iterations of the step.
-        contacts: the contact set.
         residual: of equilibrium there.
         sliders: slips and tangential reactions, with friction.
         left_out: what the small strain leaves out; None measures it.

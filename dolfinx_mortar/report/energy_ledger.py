@@ -189,7 +189,6 @@ class EnergyLedger:
 
         Args:
             report: of the step; it gets a note if the energy could not be restored.
-            linear: the linear solver of the step.
         """
         problem, inertia, before = self.problem, self.inertia, self._before
         assert before is not None

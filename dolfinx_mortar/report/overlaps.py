@@ -43,8 +43,6 @@ def notes_on_overlaps(
     nor is a node on an axis, where functions of second order integrate to nothing.
 
     Args:
-        links: the contacts, coupled.
-        u: displacement.
         closed: (owned nodes,) where contacts are; if given, one without any may overlap less.
         rtol: facet lengths by which a step lets sides overlap.
     """
@@ -84,8 +82,6 @@ def _note(link: Link, u: fem.Function, unseen: float | None) -> list[str]:
     """Return the note on one contact, if any; collective.
 
     Args:
-        link: the contact.
-        u: displacement.
         unseen: what an open contact may overlap, over the finer facet; None for one that is closed.
     """
     comm, smooth = link.sides.V.mesh.comm, link.pattern.smooth is not None

@@ -29,7 +29,6 @@ def note_on_few_nodes(link: Link, contacts: Contacts, sure: bool = True) -> str:
     A patch that reaches the ends of its sides is left out: its size is given by the model.
 
     Args:
-        link: the contact.
         contacts: which contacts are closed, and their multipliers.
         sure: whether facets do not spoil its forces, as far as is known.
     """

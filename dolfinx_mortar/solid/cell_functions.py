@@ -43,8 +43,6 @@ class CellFunctions:
         """Integrate the products of the functions; collective.
 
         Args:
-            domain: the mesh.
-            weight: of the kinematics.
             dx: measure of all cells.
             affine: whether the coordinates are among the functions.
         """

@@ -59,7 +59,6 @@ class EnergyDensities:
         Args:
             regions: the laws and their cells.
             responses: of the laws.
-            domain: the mesh.
             cell_tags: of the bodies, with their names; without, there is one.
             degree: of the quadrature.
             of_volume: gives what the responses leave out, a density (owned cells,), if they do.

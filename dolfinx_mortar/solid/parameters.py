@@ -48,7 +48,6 @@ class ParameterTable(Followed):
 
         Args:
             u: displacement, on which no parameter may depend.
-            law: its parts.
             materials: all of one class.
             cells: local cells of each, ghosts included.
             degree: of the quadrature of the solid.

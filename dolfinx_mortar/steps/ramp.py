@@ -103,7 +103,6 @@ def notes_on_unread(ramps: Sequence[Ramp], read: Sequence[Any] | None) -> list[s
     Conditions hold Constants of C++; two are the same if their values are at the same place.
 
     Args:
-        ramps: the tables.
         read: the Constants that steps read; None if that is not known.
     """
     if read is None:

@@ -365,7 +365,6 @@ def lines(comm: MPI.Comm, wanted: bool | None) -> Callable[[str], None]:
     """Return a function that logs a line on rank 0, and prints it unless the log is shown.
 
     Args:
-        comm: communicator.
         wanted: whether to print; None prints if logging is not configured, except in notebooks.
 
     Raises:

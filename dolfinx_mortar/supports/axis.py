@@ -48,7 +48,6 @@ def check_targets(solid: Solid, target: Floats) -> None:
     """Raise a ValueError on all ranks if points on the axis shall move off it; collective.
 
     Args:
-        solid: the bodies.
         target: (owned dofs,) prescribed displacements, 0 where there is none.
     """
     V, i = solid.V, solid.kinematics.radius

@@ -138,7 +138,6 @@ def find_bodies(
     """Find the connected parts of the mesh through the nodes that cells share; collective.
 
     Args:
-        V: space of the displacement.
         motions: the rigid-body modes, `rigid_motions` of the solid's kinematics.
     """
     layout, comm = V.dofmap.index_map, V.mesh.comm
@@ -170,7 +169,6 @@ def with_ties(bodies: Bodies, sides: Sequence[tuple[Bools, Bools]]) -> Bodies:
     """Return the bodies with the groups in which they are tied; collective.
 
     Args:
-        bodies: the connected parts of the mesh.
         sides: for each tie, marks of its slave and of its master nodes, (local nodes,) each.
     """
     n = len(bodies.label)
@@ -208,7 +206,6 @@ def free_motions(
     """Name the rigid-body modes that no constraint resists; collective.
 
     Args:
-        bodies: the bodies.
         constraints: linear functions that return the constrained displacements (any number on each
             rank) of a displacement vector: prescribed components, relative motions at ties.
         contacts: such functions of contacts, which count as if they could also pull.

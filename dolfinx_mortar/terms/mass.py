@@ -146,7 +146,6 @@ def assemble_mass(V: fem.FunctionSpace, density: Any, weight: Any) -> Mass:
     """Assemble the consistent mass of one component: int rho N_i N_j weight dx; collective.
 
     Args:
-        V: the space of the displacement.
         density: UFL.
         weight: volume per integrated area or volume, UFL.
     """
