@@ -14,6 +14,8 @@ Actives = npt.NDArray[np.int8]
 """State of bounded unknowns: +1 at the upper bound, -1 at the lower one, 0 free."""
 
 EPS = float(np.finfo(np.float64).eps)
+TINY = float(np.finfo(np.float64).tiny)
+"""Least divisor, in place of zero."""
 ROUND_OFF = 16 * EPS
 """Error of a sum of products over the size of its terms, such as of a matrix times a vector."""
 HALF_OF_DIGITS = float(np.sqrt(EPS))

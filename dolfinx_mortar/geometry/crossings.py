@@ -7,10 +7,9 @@ from itertools import chain
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Longs
 from dolfinx_mortar.geometry.elements import LINE2, TRI3
 from dolfinx_mortar.geometry.facets import Facets, are_inside, facet_normals
-from dolfinx_mortar.geometry.tolerances import TINY
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,9 +46,8 @@ from itertools import combinations
 import numba
 import numpy as np
 
-from dolfinx_mortar.arrays import EPS, Bools, Floats, Ints
+from dolfinx_mortar.arrays import EPS, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import Facets, area_vectors, facet_normals, facet_sizes
-from dolfinx_mortar.geometry.tolerances import TINY
 
 
 @dataclass(frozen=True)

@@ -3,10 +3,9 @@
 
 import numpy as np
 
-from dolfinx_mortar.arrays import EPS, Bools, Floats
+from dolfinx_mortar.arrays import EPS, TINY, Bools, Floats
 from dolfinx_mortar.geometry.elements import TRI3
 from dolfinx_mortar.geometry.facets import Facets, are_inside, facet_normals
-from dolfinx_mortar.geometry.tolerances import TINY
 
 
 def distances(a: Floats, b: Floats) -> Floats:

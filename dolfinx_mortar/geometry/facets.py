@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints, Longs
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.elements import FacetElement
-from dolfinx_mortar.geometry.tolerances import TINY
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,10 +11,10 @@ Numba's cache of a caller in another file does not notice changes here: touch th
 import numba
 import numpy as np
 
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls, facet_normals
 from dolfinx_mortar.geometry.parts import count, pairs_of_parts, parts_of
-from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
+from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 VERTICES = 32
 """Space for the vertices of a polygon (cost only).

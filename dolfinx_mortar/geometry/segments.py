@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, Bools, Floats, Ints, Longs
+from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry import area, line, plane
 from dolfinx_mortar.geometry.facets import (
     Facets,
@@ -29,7 +29,6 @@ from dolfinx_mortar.geometry.facets import (
     tributary_weights,
 )
 from dolfinx_mortar.geometry.parts import count, parts_of
-from dolfinx_mortar.geometry.tolerances import TINY
 
 FACING = 0.2
 """A master facet faces a slave facet if n_s . n_m < -FACING for all n_s of the slave facet.

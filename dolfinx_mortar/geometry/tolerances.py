@@ -4,8 +4,6 @@
 Numba compiles it in and does not notice a change here: touch the files with kernels, too.
 """
 
-import numpy as np
-
 from dolfinx_mortar.arrays import EPS
 
 ROUND_OFF = 512 * EPS
@@ -13,5 +11,3 @@ ROUND_OFF = 512 * EPS
 
 Where errors add up, a small multiple of it is used.
 """
-TINY = float(np.finfo(float).tiny)
-"""Least divisor, in place of zero."""

@@ -16,6 +16,7 @@ master Q is empty, and w the motion of the node itself.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from petsc4py import PETSc
 
@@ -23,14 +24,15 @@ import numpy as np
 
 from dolfinx import fem, la
 from dolfinx_mortar.algebra.blocks import BlockMatrix
-from dolfinx_mortar.algebra.parallel import sums_at_nodes
-from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.algebra.parallel import any_rank, sums_at_nodes
+from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints, Longs
+from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.constraints import check_shapes
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide
 from dolfinx_mortar.mortar.integrals import Coverage
 from dolfinx_mortar.mortar.operators import MortarOperators
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
-from dolfinx_mortar.mortar.surface import Surface
+from dolfinx_mortar.mortar.surface import Surface, accumulate
 
 
 @dataclass(frozen=True)
@@ -346,3 +348,43 @@ def normal_frames(normals: Floats, kept: Bools, fixed: Bools) -> tuple[Floats, I
     slot = np.where(fixed, axes, -1).astype(np.int32)
     R[kept], slot[kept] = create_frames(normals[kept], fixed[kept])
     return R, slot, kept[:, None] & (axes == 0)
+
+
+def free_directions(normals: Floats, fixed: Bools) -> tuple[Floats, Floats]:
+    """Return normals (n, d) without prescribed directions, of length 1 or 0, and what is left (n,).
+
+    Args:
+        normals: (n, d) unit normals.
+        fixed: (n, d) True where a Cartesian direction is prescribed.
+    """
+    free = normals * ~fixed
+    left = np.linalg.norm(free, axis=1)
+    some = (left > ROUND_OFF)[:, None]  # of less only round-off has a direction
+    return np.where(some, free / np.maximum(left, TINY)[:, None], 0.0), left
+
+
+def returned_nodes(sides: Sides, before: Coupling | None) -> Bools | None:
+    """Return the local slave nodes (n, c) that have returned; None if none has; collective."""
+    if before is None or not any_rank(sides.V.mesh.comm, before.returned.any())[0]:
+        return None
+    marks = np.zeros((len(sides.slave.nodes), before.returned.shape[1]))
+    marks[: sides.slave.owned] = before.returned
+    return np.asarray(accumulate(sides.slave, marks) > 0)
+
+
+def couple_in(
+    frame: Frame, kept: Bools, before: Coupling | None, *, blocks: Floats, **rest: Any
+) -> Coupling:
+    """Return the coupling in a frame, and which nodes it has lost since the one before."""
+    lost = np.zeros_like(kept) if before is None else before.lost | (before.kept & ~kept)
+    blocks.flags.writeable = False
+    return Coupling(
+        blocks=blocks,
+        R=frame.R,
+        slot=frame.slot,
+        directions=frame.directions,
+        kept=kept,
+        normals=frame.normals,
+        lost=lost,
+        **rest,
+    )

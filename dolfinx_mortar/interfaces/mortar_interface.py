@@ -12,10 +12,8 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
-from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
 from dolfinx_mortar.interfaces.contact_derivatives import ContactDerivatives
 from dolfinx_mortar.interfaces.coupling import (
     CoupledSides,
@@ -23,8 +21,11 @@ from dolfinx_mortar.interfaces.coupling import (
     Frame,
     Pattern,
     Sides,
+    couple_in,
     create_pattern,
+    free_directions,
     mark,
+    returned_nodes,
     with_ghosts,
 )
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface, ask
@@ -40,7 +41,7 @@ from dolfinx_mortar.mortar.integrals import (
 )
 from dolfinx_mortar.mortar.operators import SmoothSides, create_operators
 from dolfinx_mortar.mortar.pairing import Pairing, Weight, create_pairing, outside_margin
-from dolfinx_mortar.mortar.surface import accumulate, create_surface, dependent_nodes
+from dolfinx_mortar.mortar.surface import create_surface, dependent_nodes
 from dolfinx_mortar.tags import check_tag, label, tag_of
 
 SURFACES = ("smooth", "facets")
@@ -228,8 +229,7 @@ class MortarInterface(Interface):
         if sides.edges is not None:
             normals = edge_normals(pairing, segments, u, normals, sides.edges)
         nodes, own = sides.slave.nodes, slice(None, sides.slave.owned)
-        free = normals * ~sides.fixed[nodes]
-        left = np.linalg.norm(free, axis=1)
+        direction, left = free_directions(normals, sides.fixed[nodes])
         may = ask(sides.V.mesh.comm, self, "may_carry", left, sides.fixed[nodes])
         allowed = may & ~banned[nodes, None]
         operators = create_operators(
@@ -238,42 +238,26 @@ class MortarInterface(Interface):
             segments,
             normals,
             allowed,
-            returned=_returned(sides, before),
+            returned=returned_nodes(sides, before),
             edges=sides.edges,
             claimed=banned[nodes],
             **({} if pattern.smooth is None else self.corrections(pattern.smooth)),
         )
         kept = operators.kept
-        lost = np.zeros_like(kept) if before is None else before.lost | (before.kept & ~kept)
-        some = (left > ROUND_OFF)[:, None]  # of less only round-off has a direction
-        direction = np.where(some, free / np.maximum(left, TINY)[:, None], 0.0)
         frame = ask(
             sides.V.mesh.comm, self, "frame", direction[own], kept, sides.fixed[sides.nodes]
         )
         blocks = self.blocks(operators.P, frame, pattern.row)
         if operators.motions is not None:
             blocks[pattern.split :] += operators.motions
-        blocks.flags.writeable = False
-        return Coupling(
+        return couple_in(
+            frame,
+            kept,
+            before,
             blocks=blocks,
             P=operators.P,
-            R=frame.R,
-            slot=frame.slot,
-            directions=frame.directions,
-            kept=kept,
             weight=operators.weight,
-            normals=frame.normals,
             heights=operators.heights,
             coverage=operators.coverage,
-            lost=lost,
             operators=operators,
         )
-
-
-def _returned(sides: Sides, before: Coupling | None) -> Bools | None:
-    """Return the local slave nodes (n, c) that have returned; None if none has; collective."""
-    if before is None or not any_rank(sides.V.mesh.comm, before.returned.any())[0]:
-        return None
-    marks = np.zeros((len(sides.slave.nodes), before.returned.shape[1]))
-    marks[: sides.slave.owned] = before.returned
-    return np.asarray(accumulate(sides.slave, marks) > 0)

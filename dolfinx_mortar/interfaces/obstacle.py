@@ -24,9 +24,8 @@ from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.arrays import ROUND_OFF, Bools, Floats
+from dolfinx_mortar.arrays import TINY, Bools, Floats
 from dolfinx_mortar.geometry.facets import facet_sizes
-from dolfinx_mortar.geometry.tolerances import TINY
 from dolfinx_mortar.interfaces.contact import Unilateral
 from dolfinx_mortar.interfaces.coulomb import Limit, create_law
 from dolfinx_mortar.interfaces.coupling import (
@@ -34,7 +33,10 @@ from dolfinx_mortar.interfaces.coupling import (
     Coupling,
     Pattern,
     Sides,
+    couple_in,
     create_pattern,
+    free_directions,
+    returned_nodes,
 )
 from dolfinx_mortar.interfaces.interface import Outline
 from dolfinx_mortar.interfaces.near import FACETS
@@ -241,12 +243,16 @@ class Obstacle(Movable, Unilateral):
             at_nodes = pose.distance(self.shape, x)
             self._check_distance(at_nodes, x, side.facet_length)
             facing = find_facing(side, pose, self.shape, x)
-        normals, left = free_normals(at_nodes, sides.fixed[slave.nodes])
+        size = np.maximum(np.linalg.norm(at_nodes.gradient, axis=1), TINY)
+        into = -at_nodes.gradient / size[:, None]
+        normals, left = free_directions(into, sides.fixed[slave.nodes])
         allowed = self.may_carry(left, sides.fixed[slave.nodes])[:, 0] & ~banned[slave.nodes]
         near = at_nodes.value <= FACETS * side.facet_length
         if any_rank(comm, banned[slave.nodes].any())[0]:  # others have the rest
             facing &= near[slave.facets].any(axis=1)
-        found = integrate_side(side, x, facing, allowed, _returned(sides, before))
+        returned = returned_nodes(sides, before)
+        returned = None if returned is None else returned[:, 0]
+        found = integrate_side(side, x, facing, allowed, returned)
         frame = self.frame(normals[own], found.kept, sides.fixed[sides.nodes])
         with raised_together(comm):
             gaps = pose.distance(self.shape, found.x).value
@@ -254,21 +260,15 @@ class Obstacle(Movable, Unilateral):
         # at these positions the gap n.(P x - x_j) - h_j is the mean of phi
         heights = -(frame.normals * at[:, :-1]).sum(axis=1) - at[:, -1]
         kept = found.kept
-        lost = np.zeros_like(kept) if before is None else before.lost | (before.kept & ~kept)
-        blocks = self.blocks(found.P, frame, pattern.row)
-        blocks.flags.writeable = False
-        return Coupling(
-            blocks=blocks,
+        return couple_in(
+            frame,
+            kept,
+            before,
+            blocks=self.blocks(found.P, frame, pattern.row),
             P=found.P,
-            R=frame.R,
-            slot=frame.slot,
-            directions=frame.directions,
-            kept=kept,
             weight=np.where(kept, found.weight, 0.0),
-            normals=frame.normals,
             heights=np.where(kept[:, 0], heights, 0.0),
             coverage=replace(found.coverage, near=near[own]),
-            lost=lost,
         )
 
     def _check_distance(self, at_nodes: Distance, x: Floats, length: float) -> None:
@@ -385,22 +385,3 @@ class Obstacle(Movable, Unilateral):
         force = np.concatenate([self.master_force, np.zeros(3 - len(self.master_force))])
         place = self._result(self.resultants, "place")
         return np.asarray(self.master_moment - np.cross(place, force))
-
-
-def free_normals(at_nodes: Distance, fixed: Bools) -> tuple[Floats, Floats]:
-    """Return unit normals (n, d) into the tool without prescribed directions, and what is left."""
-    size = np.maximum(np.linalg.norm(at_nodes.gradient, axis=1), TINY)
-    free = -at_nodes.gradient / size[:, None] * ~fixed
-    left = np.linalg.norm(free, axis=1)
-    some = (left > ROUND_OFF)[:, None]
-    return np.where(some, free / np.maximum(left, TINY)[:, None], 0.0), left
-
-
-def _returned(sides: Sides, before: Coupling | None) -> Bools | None:
-    """Return the local slave nodes (n,) that have returned; None without an earlier geometry."""
-    if before is None:
-        return None
-    slave = sides.slave
-    marks = np.zeros(len(slave.nodes))
-    marks[: slave.owned] = before.returned[:, 0]
-    return np.asarray(accumulate(slave, marks) > 0)

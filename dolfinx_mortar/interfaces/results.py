@@ -8,7 +8,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx import fem, la
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.arrays import TINY, Bools, Floats
 from dolfinx_mortar.interfaces.coupling import Sides, with_ghosts
 from dolfinx_mortar.interfaces.interface import Interface, Resultants, ask
 from dolfinx_mortar.interfaces.link import Link
@@ -35,7 +35,7 @@ def set_results(
     multiplier = np.divide(reaction, weight, out=np.zeros_like(reaction), where=weight > 0)
     forces = np.einsum("nij,nj->ni", link.coupling.R, reaction)
     link.interface.resultants = _resultants(link, forces, multiplier, x)
-    area = np.maximum(D.max(axis=1, initial=0.0) * growth, np.finfo(float).tiny)
+    area = np.maximum(D.max(axis=1, initial=0.0) * growth, TINY)
     normal = np.einsum("ni,ni->n", forces, link.coupling.normals) / area
     _fill(fields.pressure, link, np.where(kept, normal, 0.0), kept)
     fields.pressure.x.array[:] = np.nan_to_num(fields.pressure.x.array)

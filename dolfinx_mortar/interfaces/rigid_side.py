@@ -23,7 +23,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
-from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import tributary_weights
 from dolfinx_mortar.interfaces.constraints import Constraints, equalities
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides
@@ -239,7 +239,7 @@ class RigidSide(Movable, Interface):
         """Return that this distance is taken back."""
         node, axis = np.nonzero(directions)
         dofs = (directions.shape[1] * nodes[node] + axis).astype(np.int32)
-        return equalities(dofs, -slip[node, axis], np.maximum(D[node, 0], np.finfo(float).tiny))
+        return equalities(dofs, -slip[node, axis], np.maximum(D[node, 0], TINY))
 
     def driven(self) -> Driven | None:
         """Return the motions that given forces drive; None where all of them are prescribed."""

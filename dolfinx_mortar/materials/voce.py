@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 import ufl
+from dolfinx_mortar.arrays import EPS
 from dolfinx_mortar.materials.elastic import Elastic, shear_modulus
 from dolfinx_mortar.materials.protocol import Material
 from dolfinx_mortar.materials.ranges import Parameter, Range, check_fields, check_parameters
@@ -25,7 +26,7 @@ from ufl.core.expr import Expr
 
 # Below, exp(3 y) is round-off, and three terms of the series of omega in exp(y) are exact (the next
 # one is 8/3 exp(4 y)); they keep digits that y - ln w loses.
-SERIES_BELOW = float(np.log(np.cbrt(np.finfo(float).eps)))
+SERIES_BELOW = float(np.log(np.cbrt(EPS)))
 
 
 def wright_omega(y: Any) -> Expr:

@@ -8,7 +8,7 @@ import numpy as np
 
 import dolfinx
 from dolfinx.common import timed
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.curvature import (
     NodeNormals,
     common_sagittas,
@@ -25,7 +25,6 @@ from dolfinx_mortar.geometry.curvature import (
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
 from dolfinx_mortar.geometry.offset_vectors import offset_motions
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.geometry.tolerances import TINY
 from dolfinx_mortar.mortar.pairing import Pairing, receive, received_facets
 from dolfinx_mortar.mortar.surface import (
     Surface,

@@ -30,11 +30,10 @@ from scipy import sparse
 import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra.block_sums import Blocks, Matrix
-from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, SAME, Bools, Floats, Ints
+from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, SAME, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.geometry.line_derivatives import PointDerivatives, differentiate_points
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.geometry.tolerances import TINY
 from dolfinx_mortar.mortar.curvature_correction import HeightSlopes
 from dolfinx_mortar.mortar.edges import Sharing
 from dolfinx_mortar.mortar.integrals import covered_weights, sums_of_products

@@ -30,7 +30,7 @@ import numpy as np
 import dolfinx
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import is_number
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats
 from dolfinx_mortar.geometry.curvature import unit
 from dolfinx_mortar.geometry.facets import (
     facet_normals,
@@ -39,7 +39,6 @@ from dolfinx_mortar.geometry.facets import (
     points_of,
 )
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.geometry.tolerances import TINY
 from dolfinx_mortar.mortar.integrals import sums_of_products, weighted_duals
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (

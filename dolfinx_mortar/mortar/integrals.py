@@ -54,10 +54,10 @@ import numpy as np
 
 import dolfinx
 from dolfinx.common import timed
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import Facets, facet_sizes, points_of, tributary_weights
 from dolfinx_mortar.geometry.segments import Segments, create_segments
-from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
+from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
     Surface,

@@ -18,7 +18,7 @@ from scipy import sparse
 import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra.block_sums import Blocks, Matrix
-from dolfinx_mortar.arrays import SAME, Bools, Floats, Ints, Longs
+from dolfinx_mortar.arrays import SAME, TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.facet_derivatives import (
     Coefficients,
     Integrands,
@@ -29,7 +29,6 @@ from dolfinx_mortar.geometry.facet_derivatives import (
 )
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
 from dolfinx_mortar.geometry.segments import Segments, are_facing
-from dolfinx_mortar.geometry.tolerances import TINY
 from dolfinx_mortar.mortar.curvature_correction import distinct
 from dolfinx_mortar.mortar.derivatives import Derivatives, Part, Tractions
 from dolfinx_mortar.mortar.integrals import absorbed, sums_of_products

@@ -15,7 +15,7 @@ import dolfinx
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.elements import FACETS_OF, FacetElement
 from dolfinx_mortar.geometry.facets import (
     Facets,
@@ -27,7 +27,7 @@ from dolfinx_mortar.geometry.facets import (
     surface_gradients,
 )
 from dolfinx_mortar.geometry.thickness import thickness
-from dolfinx_mortar.geometry.tolerances import ROUND_OFF, TINY
+from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.mortar.receivers import create_groups, find_receivers, group_cones
 from dolfinx_mortar.spaces import check_space
 from dolfinx_mortar.tags import check_entities, check_tag, label, labels, tag_of

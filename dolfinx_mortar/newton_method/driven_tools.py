@@ -28,7 +28,16 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import LIMIT, QUARTER_OF_DIGITS, ROUND_OFF, SAME, Bools, Floats, Ints
+from dolfinx_mortar.arrays import (
+    LIMIT,
+    QUARTER_OF_DIGITS,
+    ROUND_OFF,
+    SAME,
+    TINY,
+    Bools,
+    Floats,
+    Ints,
+)
 from dolfinx_mortar.interfaces.coupling import relative_motions
 from dolfinx_mortar.interfaces.driven import Driven
 from dolfinx_mortar.interfaces.interface import Interface
@@ -94,7 +103,7 @@ class Drives:
         total, size = self.comm.allreduce(sums, op=MPI.SUM)
         size = np.maximum(size, np.abs(self.loads))
         if (on := self.follows).any():  # none of its forces is more accurate than the largest
-            arms = np.maximum(self._arms(), np.finfo(float).tiny)
+            arms = np.maximum(self._arms(), TINY)
             size[on] = (size[on] / arms[on]).max() * arms[on]
         return self.loads + total, size
 

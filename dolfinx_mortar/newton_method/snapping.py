@@ -13,10 +13,8 @@ moved much further than K(u_0)^-1 r_0, which few of them do otherwise.
 
 from petsc4py import PETSc
 
-import numpy as np
-
 from dolfinx_mortar.algebra.parallel import norm
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import EPS, Floats
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.terms.sum import Energy
 
@@ -47,7 +45,7 @@ def notes_on_snapping(
     assert after is not None  # as before
     work = problem.comm.allreduce(float(residual.array_r @ (problem.owned_u - start)))
     drop = before.value - work - after.value
-    if not drop > 1e3 * np.finfo(float).eps * after.terms:
+    if not drop > 1e3 * EPS * after.terms:
         return _note_on_motion(problem, start, expected)
     return [
         "the bodies have snapped through: under the loads from which the step has started they "

@@ -21,7 +21,7 @@ from dolfinx_mortar.agreement import Inputs, check_same_on_all_ranks, find_const
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.arrays import TINY, Bools, Floats
 from dolfinx_mortar.audit.audit import Audit, create_audit, find_free_motions
 from dolfinx_mortar.audit.mesh_audit import check_mesh
 from dolfinx_mortar.interfaces.interface import Interface, ask, check_owned
@@ -423,7 +423,7 @@ class ContactProblem:
             return lambda v: np.zeros(0)
         self.terms.check_energies()
         springs = self.terms.stiffness()
-        scale = max(springs.norm(PETSc.NormType.INFINITY), np.finfo(float).tiny)
+        scale = max(springs.norm(PETSc.NormType.INFINITY), TINY)
         return lambda v: np.asarray((springs * v).array_r / scale)
 
     def update_geometry(self, increment: float) -> None:

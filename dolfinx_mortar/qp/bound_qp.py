@@ -11,7 +11,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, ratio
-from dolfinx_mortar.arrays import ROUND_OFF, Actives, Bools, Floats, Ints
+from dolfinx_mortar.arrays import ROUND_OFF, TINY, Actives, Bools, Floats, Ints
 from dolfinx_mortar.qp.friction import Friction, Sliders
 
 
@@ -283,9 +283,8 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     force, length = b2 + np.hypot(zb2, zt2), max(x_top, bound_top)
     # One of the two must vanish; their product would mix distant bounds with round-off in z.
     # Forces whose squares underflow (1e-170 in a step without loads) count as zero.
-    tiny = np.finfo(float).tiny
     forces = np.abs(zb) / force if force > 0.0 else np.zeros_like(zb)
-    both = np.minimum(forces, distance / max(length, tiny))
+    both = np.minimum(forces, distance / max(length, TINY))
     both_top = maximum(qp.comm, both.max(initial=0.0))[0]
     return KKT(
         stationarity=ratio(free2, force),

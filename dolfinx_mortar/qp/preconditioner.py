@@ -14,7 +14,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import free_unused
-from dolfinx_mortar.arrays import LIMIT, Ints
+from dolfinx_mortar.arrays import LIMIT, TINY, Ints
 from dolfinx_mortar.qp.multigrid import Multigrid, OwnUnknowns, Unknowns
 from dolfinx_mortar.qp.operator import Operator
 from dolfinx_mortar.qp.options import SolverOptions
@@ -93,7 +93,7 @@ class Renewal:
         """Observe the residual norms of a solve with a new or an old set-up."""
         its, reached = len(norms) - 1, 0.0
         if its > 0 and norms[0] > 0.0:
-            reached = float(np.log(max(norms[-1] / norms[0], np.finfo(float).tiny)))
+            reached = float(np.log(max(norms[-1] / norms[0], TINY)))
         if not stale:
             self.fresh_rate, self.excess = reached / max(its, 1), 0.0
         elif self.fresh_rate < 0.0:

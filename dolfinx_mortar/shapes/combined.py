@@ -2,7 +2,7 @@
 """Shapes made of others: all of them together, what they have in common, and what is left out."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -12,7 +12,9 @@ from dolfinx_mortar.shapes.shape import Distance, Shape, check_unit, check_vecto
 
 
 class _Combined(Shape):
-    """Several shapes, of which one is nearest."""
+    """Several shapes, of which that with the least phi counts, or with the least -phi."""
+
+    sign: ClassVar[float]
 
     def __init__(self, *shapes: Shape) -> None:
         """Keep them."""
@@ -44,6 +46,13 @@ class _Combined(Shape):
         """Say why one of them cannot be used; "" if all can."""
         return next((m for shape in self.shapes if (m := shape.misfit(d, revolved))), "")
 
+    def distance(self, x: Floats) -> Distance:
+        """Return the distances of points x (n, d)."""
+        found, *others = (shape.distance(x) for shape in self.shapes)
+        for other in others:
+            found = found.where(self.sign * found.value <= self.sign * other.value, other)
+        return found
+
 
 class Union(_Combined):
     """All of some shapes: phi = min phi_k, exact outside.
@@ -55,12 +64,7 @@ class Union(_Combined):
         ValueError: for none, for what is no shape, and for different dimensions.
     """
 
-    def distance(self, x: Floats) -> Distance:
-        """Return the distances of points x (n, d)."""
-        found, *others = (shape.distance(x) for shape in self.shapes)
-        for other in others:
-            found = found.where(found.value <= other.value, other)
-        return found
+    sign = 1.0
 
 
 class Intersection(_Combined):
@@ -77,12 +81,7 @@ class Intersection(_Combined):
         ValueError: for none, for what is no shape, and for different dimensions.
     """
 
-    def distance(self, x: Floats) -> Distance:
-        """Return the distances of points x (n, d)."""
-        found, *others = (shape.distance(x) for shape in self.shapes)
-        for other in others:
-            found = found.where(found.value >= other.value, other)
-        return found
+    sign = -1.0
 
 
 class Complement(Shape):

@@ -20,6 +20,7 @@ from dolfinx_mortar.arrays import (
     HALF_OF_DIGITS,
     QUARTER_OF_DIGITS,
     ROUND_OFF,
+    TINY,
     Bools,
     Floats,
     Ints,
@@ -239,7 +240,7 @@ def _name_free(
     bodies: Bodies, modes: Modes, held: Floats, touching: Floats, uneven: Floats
 ) -> list[str]:
     """Return the names of the modes in the null space of quadratic forms, see `free_motions`."""
-    scale = max(float((held + touching).diagonal().max()), np.finfo(float).tiny)
+    scale = max(float((held + touching).diagonal().max()), TINY)
     null = np.eye(len(modes))
     # only of contacts a part is taken off: other constraints do not depend on facets
     for form in (held, touching - uneven):
