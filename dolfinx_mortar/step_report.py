@@ -14,7 +14,6 @@ class Timings:
     """Wall-clock seconds by part of the work, this rank's."""
 
     def __init__(self) -> None:
-        """Start with nothing measured."""
         self.seconds: dict[str, float] = {}
 
     @contextmanager
@@ -53,7 +52,6 @@ class Iteration:
     exact_tangent: bool = False  # the motion of the surfaces was part of the linearisation
 
     def __str__(self) -> str:
-        """Return one line, for the log and the report."""
         return (
             f"Newton {self.number:2d}: increment {self.increment:.2e}, "
             f"forces {self.force_residual:.2e}, contact {self.contact_residual:.2e}, "
@@ -134,7 +132,6 @@ class Ledger:
     largest: float  # of all these energies and works, so far
 
     def __str__(self) -> str:
-        """Return one line."""
         parts = ", ".join(f"{f.name} {getattr(self, f.name):.6g}" for f in fields(self))
         return f"energy: {parts}"
 
@@ -216,7 +213,6 @@ class StepReport:
         return cls(**values)
 
     def __str__(self) -> str:
-        """Return a table of the iterations, the certificate and the seconds."""
         state = "converged" if self.converged else "NOT converged"
         lines = [
             f"{state} in {self.newton_iterations} Newton iterations "
@@ -273,7 +269,6 @@ class LoadStep:
         return f"to {self.time:g}{cut}: {iterations} Newton iterations, {active} nodes in contact"
 
     def __str__(self) -> str:
-        """Return one line."""
         return f"step {self.number} {self.outcome}"
 
     __repr__ = __str__
@@ -292,5 +287,4 @@ class NewtonNotConverged(RuntimeError):
         self.message, self.report = message, report
 
     def __str__(self) -> str:
-        """Return the message and the report as it is now."""
         return f"{self.message}\n{self.report}"

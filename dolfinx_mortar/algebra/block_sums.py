@@ -68,7 +68,6 @@ class BlockEntries:
     def __init__(
         self, pattern: Matrix, block: tuple[int, int], rows: Longs, columns: Longs
     ) -> None:
-        """Fix the pattern."""
         pattern = Matrix(pattern).sorted_indices()
         self._start, self._nodes = pattern.indptr, pattern.indices
         self._width, self._block = pattern.shape[1], block

@@ -51,7 +51,6 @@ class BlockMatrix:
         rows: npt.ArrayLike,
         columns: npt.ArrayLike,
     ) -> None:
-        """Fix the pattern."""
         self._filled: Floats | None = None
         n, N = layout.size_local, layout.size_global
         key = np.asarray(rows, dtype=np.int64) * N + np.asarray(columns, dtype=np.int64)

@@ -96,7 +96,6 @@ class OperatorOfBases:
     """
 
     def __init__(self, like: PETSc.Mat) -> None:
-        """Create it with the sizes of a matrix."""
         self._product = _BasesProduct(like)
         self.matrix = PETSc.Mat().createPython(like.getSizes(), self._product, comm=like.comm)
         self.matrix.setUp()
@@ -201,7 +200,6 @@ class CongruentOperator:
     """
 
     def __init__(self, K: PETSc.Mat, rows: RowsOf | None = None) -> None:
-        """Start with C = 0 and nothing decoupled; operators of one K may share its rows."""
         self._product = _Product(K, RowsOf(K) if rows is None else rows)
         self.matrix = PETSc.Mat().createPython(K.getSizes(), self._product, comm=K.comm)
         self.matrix.setUp()

@@ -21,7 +21,6 @@ class RowsOf:
     """
 
     def __init__(self, K: PETSc.Mat) -> None:
-        """Keep nothing yet."""
         self.K = K
         self._state = -1
         self._rows: Ints = np.empty(0, dtype=np.int32)

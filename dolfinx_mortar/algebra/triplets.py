@@ -40,7 +40,6 @@ class Triplets:
     def __init__(
         self, comm: MPI.Intracomm, layout: Layout, rows: npt.ArrayLike, columns: npt.ArrayLike
     ) -> None:
-        """Fix the pattern."""
         i, j = (np.array(v, dtype=PETSc.IntType).ravel() for v in (rows, columns))  # PETSc sorts
         assert i.size == j.size
         for indices in (i, j):  # PETSc would write past the end

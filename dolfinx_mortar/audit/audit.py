@@ -53,7 +53,6 @@ class Edges:
     without_normal: int  # of these: at a cusp, or between opposite facets
 
     def __str__(self) -> str:
-        """Return a part of a line."""
         return f"{self.nodes} nodes on edges of {self.feature_angle:g} degrees or more"
 
 
@@ -79,7 +78,6 @@ class InterfaceAudit:
     meets_itself: bool = False  # one surface, divided into slaves and masters where it is near
 
     def __str__(self) -> str:
-        """Return one line."""
         gap = f"gaps from {self.least_gap:.3g} to {self.largest_gap:.3g}"
         if self.least_gap < 0.0:
             gap += f" (overlap {-self.least_gap:.3g})"
@@ -102,7 +100,6 @@ class Audit:
     warnings: list[str]
 
     def __str__(self) -> str:
-        """Return one line per interface and warning."""
         lines = [f"{self.bodies} bodies, {len(self.interfaces)} interfaces"]
         lines += [str(i) for i in self.interfaces]
         return "\n".join(lines + [f"warning: {w}" for w in self.warnings])

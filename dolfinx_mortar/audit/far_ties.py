@@ -28,7 +28,6 @@ class TieReach:
     beyond: int  # slave nodes that face the master, but farther away than the tie reaches
 
     def __str__(self) -> str:
-        """Return a part of a line."""
         beyond = f", {self.beyond} nodes farther apart are not" if self.beyond else ""
         return f"tied over distances up to {self.farthest:.3g}{beyond}"
 

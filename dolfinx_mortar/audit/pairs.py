@@ -54,11 +54,9 @@ class Pairs:
     found: list[Pair]
 
     def __iter__(self) -> Iterator[Any]:
-        """Yield the tags, then the list of contacts."""
         return iter((self.tags, self.contacts))
 
     def __str__(self) -> str:
-        """Return a table, one line for each contact."""
         head = "slave", "facets", "size", "master", "facets", "size", "area", "distance"
         rows = [
             (

@@ -24,7 +24,6 @@ class Unheld:
     place: tuple[float, ...]  # centre of one of them
 
     def __str__(self) -> str:
-        """Return a part of a sentence."""
         return (
             f"{self.facets} slave facets (one around ({', '.join(f'{c:.4g}' for c in self.place)}))"
         )

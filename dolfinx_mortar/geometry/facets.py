@@ -19,7 +19,6 @@ class Facets:
     x: Floats  # (m, k, d) coordinates of their nodes
 
     def __getitem__(self, which: Bools | Ints | Longs) -> Facets:
-        """Return some of the facets."""
         return Facets(self.element, self.x[which])
 
 

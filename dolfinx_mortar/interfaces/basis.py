@@ -43,7 +43,6 @@ class Transformation:
     """
 
     def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], order: list[int]) -> None:
-        """Build the patterns; values come with ``update``."""
         # Without chains all interfaces fit in one matrix, which saves the products.
         n = V.dofmap.index_map.size_local
         referenced = [

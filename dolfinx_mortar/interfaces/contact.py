@@ -70,7 +70,6 @@ class Unilateral(Interface):
     dissipated: float = 0.0
 
     def __repr__(self) -> str:
-        """Name the class, the tags, and what is not the default."""
         name = super().__repr__()
         if self.law is None:
             return name
@@ -334,7 +333,6 @@ class Contact(Unilateral, MortarInterface):
         friction: Limit | None = None,
         tresca: Limit | None = None,
     ) -> None:
-        """Keep the description; surfaces are found when a problem takes the contact."""
         tags = {"slave": slave, "master": master}
         super().__init__(facet_tags, **tags, surface=surface, feature_angle=feature_angle)
         self.law = create_law(friction, tresca)

@@ -45,7 +45,6 @@ class NoResult(RuntimeError, AttributeError):
     """A result was asked for before the first step; also an AttributeError, for ``hasattr``."""
 
     def __init__(self, interface: Interface, name: str, why: str = "") -> None:
-        """Say what is missing, and what to do."""
         why = f": {why}" if why else " yet: solve a step first, newton(problem)"
         super().__init__(f"{interface} has no {name}{why}")
 
@@ -117,7 +116,6 @@ class Interface(ABC):
     moved_by_loads: ClassVar[bool] = False  # whether what the side meets moves with the load level
 
     def __init__(self, facet_tags: MeshTags, *, slave: int | str) -> None:
-        """Keep the description; surfaces are found when a problem takes the interface."""
         check_tags(facet_tags)
         self.slave: int = tag_of(facet_tags, slave, "slave")
         check_tag("slave", self.slave)
@@ -127,7 +125,6 @@ class Interface(ABC):
         self.resultants: Resultants | None = None
 
     def __repr__(self) -> str:
-        """Name the class, the tags, and what is not the default."""
         return f"{type(self).__name__}({self.sides})"
 
     @property

@@ -74,7 +74,6 @@ class MortarInterface(Interface):
         surface: str = "smooth",
         feature_angle: float = FEATURE_ANGLE,
     ) -> None:
-        """Keep the description; surfaces are found when a problem takes the interface."""
         super().__init__(facet_tags, slave=slave)
         self.master: int = tag_of(facet_tags, master, "master")
         check_tag("master", self.master)
@@ -88,7 +87,6 @@ class MortarInterface(Interface):
         self.smooth, self.feature_angle = surface == "smooth", check_angle(feature_angle)
 
     def __repr__(self) -> str:
-        """Name the class, the tags, and what is not the default."""
         said = "" if self.smooth else ", surface='facets'"
         if self.smooth and self.feature_angle != FEATURE_ANGLE:
             said = f", feature_angle={self.feature_angle:g}"

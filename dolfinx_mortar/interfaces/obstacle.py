@@ -121,7 +121,6 @@ class Obstacle(Movable, Unilateral):
         friction: Limit | None = None,
         tresca: Limit | None = None,
     ) -> None:
-        """Keep the description; surfaces are found when a problem takes it."""
         super().__init__(facet_tags, slave=slave)
         self.tool = Tool(shape, reference, facet_tags.topology.dim)
         self.load = load or {}

@@ -44,7 +44,6 @@ class Plate(RigidBody):
     holds = True
 
     def __init__(self, point: Floats) -> None:
-        """Start at rest."""
         super().__init__(point)
         self.small = True
 
@@ -123,7 +122,6 @@ class RigidSide(Movable, Interface):
         reference: Any,
         load: Mapping[str, Load] | None = None,
     ) -> None:
-        """Keep the description; nodes are found when a problem takes it."""
         super().__init__(facet_tags, slave=side)
         self.plate = Plate(check_point(reference, facet_tags.topology.dim))
         self.load = load or {}

@@ -99,7 +99,6 @@ class Tie(MortarInterface):
         within: float | None = None,
         **others: Any,
     ) -> None:
-        """Keep the description; surfaces are found when a problem takes the tie."""
         for name in ("friction", "tresca"):
             if name in others:
                 raise TypeError(
@@ -174,7 +173,6 @@ class Tie(MortarInterface):
         }
 
     def __repr__(self) -> str:
-        """Name the class, the tags, and what is not the default."""
         name = super().__repr__()
         return name if self.within is None else f"{name[:-1]}, within={self.within!r})"
 

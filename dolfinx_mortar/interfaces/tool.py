@@ -80,7 +80,6 @@ class RigidBody:
     holds = False
 
     def __init__(self, point: Floats) -> None:
-        """Make the Constants, with the point (d,) where it starts."""
         d = len(point)
         self.point, self.revolved = point, False
         cell = "tetrahedron" if d > 2 else "triangle"  # of no mesh

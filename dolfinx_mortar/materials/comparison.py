@@ -38,7 +38,6 @@ class LawReport:
     isotropy_error: float = float("nan")
 
     def __str__(self) -> str:
-        """Return a few lines to read."""
         lines = [
             f"{self.law}: consistent at {self.samples} strains and states, in {self.changed} of "
             "which an internal variable changes",

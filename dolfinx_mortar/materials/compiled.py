@@ -52,7 +52,6 @@ class CompiledLaw:
     """
 
     def __init__(self, material: Any, law: Law | None = None) -> None:
-        """Compile the law of a material; its mistakes are ValueErrors."""
         law = create_law("law", material) if law is None else law
         self.shapes = {name: (6,) if shape else () for name, shape in law.state.items()}
         given = parameters(material)
@@ -112,7 +111,6 @@ class PointwiseNumbers:
     has_energy = False
 
     def __init__(self, material: Any, law: Law) -> None:
-        """Compile the elastic stress; the rest are numbers anyway."""
         self.shapes = {name: (6,) if shape else () for name, shape in law.state.items()}
         self._law, self._p = law, parameters(material)
         strain, *rest = symbols((6,), *[()] * len(self._p))

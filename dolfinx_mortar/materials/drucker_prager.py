@@ -69,7 +69,6 @@ class DruckerPrager(Material):
     elastic_stress = staticmethod(Elastic.elastic_stress)
 
     def __post_init__(self) -> None:
-        """Check the parameters."""
         check_fields(self)
 
     @classmethod

@@ -48,7 +48,6 @@ class Elastic(Material):
     }
 
     def __post_init__(self) -> None:
-        """Check the parameters."""
         check_fields(self)
 
     @staticmethod

@@ -265,7 +265,6 @@ class _InUFL:
     def __init__(
         self, law: Law, parameters: list[str], size: int, jit: Callable[[Expr], Kernel]
     ) -> None:
-        """Compile stress, moduli and potential, and the new state."""
         self._law, self._names, self._size = law, parameters, size
         self._width = 3 if law.isotropic else size
         self._memory = {
@@ -380,7 +379,6 @@ class _OfArrays:
     """A law of arrays, as `_InUFL` is for one in UFL."""
 
     def __init__(self, law: Law, parameters: list[str], size: int, jit: Any) -> None:
-        """Keep the law: there is nothing to compile."""
         self._law, self._size = law, size
 
     def numbers(

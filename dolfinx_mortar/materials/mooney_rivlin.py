@@ -38,7 +38,6 @@ class MooneyRivlin(Material):
     }
 
     def __post_init__(self) -> None:
-        """Check the parameters."""
         check_fields(self)
 
     @staticmethod

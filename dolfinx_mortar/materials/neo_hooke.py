@@ -36,7 +36,6 @@ class NeoHooke(Material):
     }
 
     def __post_init__(self) -> None:
-        """Check the parameters."""
         check_fields(self)
 
     elastic_stress = staticmethod(Elastic.elastic_stress)

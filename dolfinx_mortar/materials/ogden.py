@@ -39,7 +39,6 @@ class Ogden(PointwiseLaw):
     ranges: ClassVar[Mapping[str, Range]] = {"K": (0.0, math.inf, False)}
 
     def __post_init__(self) -> None:
-        """Check the parameters."""
         given = self.mu, self.alpha
         if not all(isinstance(v, tuple) for v in given) or len(self.mu) != len(self.alpha):
             raise ValueError(

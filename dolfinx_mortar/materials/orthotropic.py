@@ -52,7 +52,6 @@ class Orthotropic(Material):
     }
 
     def __post_init__(self) -> None:
-        """Check the parameters."""
         check_fields(self)
 
     @staticmethod

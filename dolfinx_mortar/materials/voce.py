@@ -118,7 +118,6 @@ class VonMisesVoce(Material):
     output = staticmethod(VonMises.output)
 
     def __post_init__(self) -> None:
-        """Check the parameters."""
         check_fields(self)
 
     isotropic = VonMises.isotropic

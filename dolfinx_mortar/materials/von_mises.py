@@ -106,7 +106,6 @@ class VonMises(Material):
     }
 
     def __post_init__(self) -> None:
-        """Check the parameters."""
         check_fields(self)
 
     @property

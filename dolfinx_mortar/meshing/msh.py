@@ -40,7 +40,6 @@ class Group:
     nodes: tuple[Longs, ...]  # of each kind, (elements, nodes of an element)
 
     def __str__(self) -> str:
-        """Return how messages call it."""
         return f"{self.name!r}" if self.name else f"number {self.tag}"
 
 

@@ -50,7 +50,6 @@ class Facing:
     place: Floats  # (p, d) middle of the first
 
     def __getitem__(self, which: Bools | Longs) -> "Facing":
-        """Return some of the pairs."""
         return Facing(*(getattr(self, field.name)[which] for field in fields(self)))
 
 

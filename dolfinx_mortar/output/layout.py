@@ -40,7 +40,6 @@ class Layout:
     """Bring Functions into the numbering of the displacement space's nodes, or of the cells."""
 
     def __init__(self, V: fem.FunctionSpace) -> None:
-        """Take the space of the displacement."""
         self.V = V
         self.element = V.ufl_element()
         self._rows: dict[str, tuple[fem.FunctionSpace, Ints]] = {}  # by name

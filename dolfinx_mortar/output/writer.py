@@ -178,7 +178,6 @@ class Writer:
         release_files(self.path, self)
 
     def __enter__(self) -> Writer:
-        """Return the writer."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:

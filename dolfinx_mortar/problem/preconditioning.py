@@ -30,7 +30,6 @@ class UnknownsOfBodies:
         supports: Dirichlet,
         bodies: Bodies,
     ) -> None:
-        """Store the parts, which are up to date at each call."""
         self.system, self.supports, self.bodies = system, supports, bodies
         self.operator = CongruentOperator(operator.K, operator.rows)
 

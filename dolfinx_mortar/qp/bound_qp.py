@@ -167,7 +167,6 @@ class QPNotSolved(RuntimeError):
     """
 
     def __init__(self, message: str, solution: QPSolution | None = None) -> None:
-        """Keep the last iterate for the report."""
         super().__init__(message)
         self.solution = solution
 

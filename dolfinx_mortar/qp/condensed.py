@@ -169,7 +169,6 @@ class SchurModel:
     """A symmetric positive definite model M of the Schur complement on the bounded unknowns."""
 
     def __init__(self, base: Floats, *, exact: bool = False) -> None:
-        """Start with M up to a factor, or with S itself, of which there is nothing to learn."""
         self.M, self.scaled, self.exact = base, False, exact
 
     def learn(self, v: Floats, w: Floats) -> None:

@@ -97,7 +97,6 @@ class _Descent:
     """A point within the bounds, and its state."""
 
     def __init__(self, problem: HeldProblem, start: State, level: int) -> None:
-        """Project the solution in a state onto the bounds."""
         self.problem, self.qp, self.level = problem, problem.qp, level
         assert problem.qp.friction is not None
         self.law: Friction = problem.qp.friction

@@ -107,7 +107,6 @@ class HeldProblem:
     """
 
     def __init__(self, qp: BoundQP, linear: LinearSolver, x: PETSc.Vec, rtol: float) -> None:
-        """Calculate the forces of the guess."""
         self.qp, self.linear, self.x, self.rtol = qp, linear, x, rtol
         self.bounds = qp.bounds()
         self.z = reaction(qp, x)

@@ -132,7 +132,6 @@ class LinearSolver:
         unknowns: Unknowns | None = None,
         refactor_after: int | None = None,
     ) -> None:
-        """Check the options; the PETSc objects are created with the first matrix."""
         check_options(comm, prefix, options)
         self.options = SolverOptions(prefix, options, multigrid=multigrid)
         self.counts = LinearCounts()
@@ -508,7 +507,6 @@ class Applied:
     """Context of a PETSc PC of type python that applies another PC."""
 
     def __init__(self, pc: PETSc.PC) -> None:
-        """Store it."""
         self.pc = pc
 
     def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:

@@ -64,7 +64,6 @@ class OwnUnknowns:
     """The unknowns v = x, for the matrix A of the QP."""
 
     def __init__(self, A: PETSc.Mat) -> None:
-        """Create the operator; nothing is held."""
         self.operator = CongruentOperator(A)
 
     def preconditioning(self, held: Ints) -> Preconditioning:

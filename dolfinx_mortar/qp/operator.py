@@ -19,7 +19,6 @@ class FreePart:
     """
 
     def __init__(self, A: PETSc.Mat) -> None:
-        """Hold nothing, and let nothing slip."""
         self.A = A
         self.held: Ints = np.empty(0, dtype=np.int32)
         self.sliding: Sliding | None = None
@@ -60,7 +59,6 @@ class Operator:
     """
 
     def __init__(self, A: PETSc.Mat, *, direct: bool, definite: bool) -> None:
-        """Create the matrices; nothing is held yet."""
         self.A, self.definite = A, definite
         self.held: Ints | None = None
         self.z, self.r = A.createVecRight(), A.createVecRight()

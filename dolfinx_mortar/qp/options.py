@@ -70,7 +70,6 @@ class SolverOptions:
         self._unread = {k for k, v in self.given.items() if k not in ours or v != ours[k]}
 
     def __getitem__(self, key: str) -> str:
-        """Return the value that PETSc uses."""
         return self._used(key, self.values)
 
     def of_definite(self, key: str) -> str:

@@ -60,7 +60,6 @@ class Renewal:
     """
 
     def __init__(self, after: int, *, direct: bool) -> None:
-        """Start without observations."""
         self.after, self.direct = after, direct
         self.fresh_rate = 0.0  # log of the reduction per iteration when it was new
         self.excess = 0.0  # iterations above those of a new one, since it was new
@@ -125,7 +124,6 @@ class SlownessTest:
         stale: bool,
         go_on: Callable[[], float] = no_more,
     ) -> None:
-        """Start without observations."""
         self.renewal, self.reduction, self.limit, self.stale = renewal, reduction, limit, stale
         self.go_on = go_on
         self.norms: list[float] = []
@@ -165,7 +163,6 @@ class Preconditioner:
         unknowns: Unknowns | None,
         schur: SchurComplement | None = None,
     ) -> None:
-        """Create the PC; nothing is set up."""
         self.operator, self.ksp, self.options = operator, ksp, options
         self.schur = schur
         self.comm = ksp.comm.tompi4py()

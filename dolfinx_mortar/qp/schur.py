@@ -82,7 +82,6 @@ class _Change:
     """
 
     def __init__(self, C: csr_array, d: int = 1) -> None:
-        """Find (1 + F E)^-1 F."""
         self.C, self.places = C, np.flatnonzero(np.diff(C.indptr)).astype(np.int32)
         self._back = _divided(C[self.places], self.places, d)  # (s, k)
 
@@ -166,7 +165,6 @@ class SchurComplement:
     def __init__(
         self, unknowns: Ints, bounded: Ints, product: CongruentOperator | None = None
     ) -> None:
-        """Store the unknowns."""
         self.unknowns, self.bounded, self.product = unknowns, bounded, product
         self.R: Floats | None = None
         self.prepared = False

@@ -17,7 +17,6 @@ class _Combined(Shape):
     sign: ClassVar[float]
 
     def __init__(self, *shapes: Shape) -> None:
-        """Keep them."""
         wrong = [shape for shape in shapes if not isinstance(shape, Shape)]
         if wrong or not shapes:
             given = repr(wrong[0]) if wrong else "nothing"
@@ -39,7 +38,6 @@ class _Combined(Shape):
         return {f"shape{k}": shape for k, shape in enumerate(self.shapes, start=1)}
 
     def __repr__(self) -> str:
-        """Name the class and the shapes."""
         return f"{type(self).__name__}({', '.join(map(repr, self.shapes))})"
 
     def misfit(self, d: int, revolved: bool) -> str:
@@ -95,7 +93,6 @@ class Complement(Shape):
     """
 
     def __init__(self, shape: Shape) -> None:
-        """Keep it."""
         if not isinstance(shape, Shape):
             raise ValueError(f"Complement of {shape!r}: give a shape")
         self.shape = shape

@@ -40,7 +40,6 @@ class SignedDistance(Shape):
         hessian: Function | None = None,
         length: Any = None,
     ) -> None:
-        """Keep the functions."""
         for name, function in (("phi", phi), ("gradient", gradient), ("hessian", hessian)):
             if not callable(function) and (name == "phi" or function is not None):
                 raise ValueError(f"{name} is {function!r}: give a function of points x (d, n)")

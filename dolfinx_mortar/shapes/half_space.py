@@ -22,7 +22,6 @@ class Plane(Shape):
     """
 
     def __init__(self, point: Any, normal: Any) -> None:
-        """Keep both."""
         self._point = check_vector("point", point)
         self.normal = check_unit("normal", normal, len(self._point))
 

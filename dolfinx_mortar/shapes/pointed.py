@@ -94,7 +94,6 @@ class Cone(_Pointed):
     """
 
     def __init__(self, tip: Any, half_angle: Any, axis: Any, radius: Any = 0.0) -> None:
-        """Keep them."""
         super().__init__(tip, half_angle, axis, radius)
 
     def misfit(self, d: int, revolved: bool) -> str:
@@ -133,7 +132,6 @@ class Wedge(_Pointed):
     def __init__(
         self, tip: Any, half_angle: Any, axis: Any, radius: Any = 0.0, edge: Any = None
     ) -> None:
-        """Keep them."""
         super().__init__(tip, half_angle, axis, radius)
         d = len(self.tip)
         if (edge is None) != (d == 2):

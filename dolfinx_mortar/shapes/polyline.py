@@ -55,7 +55,6 @@ class Polyline(Shape):
     def __init__(
         self, points: Any, point: Any = None, *, crease: float = 30.0, closed: bool = True
     ) -> None:
-        """Find normals at the points."""
         self.crease, self.closed = check_angle("crease", crease), bool(closed)
         self.points = _check_points(points, 3 if closed else 2)
         x = self.points
@@ -93,7 +92,6 @@ class Polyline(Shape):
         return {"points": digest, **names}
 
     def __repr__(self) -> str:
-        """Say how many points there are."""
         return f"Polyline({len(self.points)} points{'' if self.closed else ', closed=False'})"
 
     def misfit(self, d: int, revolved: bool) -> str:

@@ -79,7 +79,6 @@ class Cylinder(_Round):
     """
 
     def __init__(self, centre: Any, radius: Any, axis: Any = None) -> None:
-        """Keep them."""
         super().__init__(centre, radius)
         self.axis = None if axis is None else check_unit("axis", axis, len(self.centre))
         if self.axis is None and len(self.centre) == 3:
@@ -122,7 +121,6 @@ class Torus(_Round):
     """
 
     def __init__(self, centre: Any, radius: Any, tube: Any, axis: Any = None) -> None:
-        """Keep them."""
         super().__init__(centre, radius)
         self.tube = check_length("tube", tube)
         if axis is None and len(self.centre) == 2:

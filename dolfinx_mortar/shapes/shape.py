@@ -76,7 +76,6 @@ class Shape(ABC):
         return "" if n == d else f"{self!r} has points of {n} components, the mesh of {d}"
 
     def __repr__(self) -> str:
-        """Name the class and what is not the default."""
         shown = ", ".join(f"{k}={_shown(v)}" for k, v in self.given().items() if v is not None)
         return f"{type(self).__name__}({shown})"
 

@@ -53,7 +53,6 @@ class Triangles(Shape):
     def __init__(
         self, surface: Any, point: Any = None, *, crease: float = 30.0, rim: bool = False
     ) -> None:
-        """Find neighbours and normals."""
         self.crease, self.rim = check_angle("crease", crease), bool(rim)
         file = isinstance(surface, str | os.PathLike)
         points, triangles = read_stl(surface) if file else _check_arrays(surface)
@@ -86,7 +85,6 @@ class Triangles(Shape):
         return {"surface": digest, **names}
 
     def __repr__(self) -> str:
-        """Name the file, and say how many there are."""
         of = f"{self.file!r}, " if self.file else ""
         return f"Triangles({of}{len(self.triangulation.triangles)} triangles)"
 

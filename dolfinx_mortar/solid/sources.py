@@ -146,7 +146,6 @@ class Followed(ABC):
     """
 
     def __init__(self, function: fem.Function, sources: Sequence[Source]) -> None:
-        """Keep what is there; `follow` fills the function."""
         self.function = function
         self.varying = bool(sources)
         self._sources = list(sources)

@@ -119,7 +119,6 @@ class MatrixForm:
     """
 
     def __init__(self, form: Any) -> None:
-        """Take the form."""
         self.form = form
         self._sums: Any = None
 

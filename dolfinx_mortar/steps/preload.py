@@ -31,7 +31,6 @@ class PreloadNotReached(RuntimeError):
     """
 
     def __init__(self, message: str, report: StepReport) -> None:
-        """Keep the report."""
         super().__init__(message)
         self.report = report
 
