@@ -62,7 +62,6 @@ OTHERS = {
     "newton_method.snapping",
     "newton_method.watch",
     "steps.newton",
-    "report.lost_stress",
     "report.energy_ledger",  # in test_dynamics
 }
 

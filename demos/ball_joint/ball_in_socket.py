@@ -15,7 +15,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
-from dolfinx_mortar.meshing.graded_octant import graded_octant
+from dolfinx_mortar.meshing.ball_on_block import graded_octant
 from dolfinx_mortar.meshing.two_bodies import (
     Arrays,
     TaggedMesh,

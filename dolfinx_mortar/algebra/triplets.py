@@ -15,8 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_mortar.algebra.blocks import Layout
-from dolfinx_mortar.algebra.csr import csr_of
-from dolfinx_mortar.algebra.library import call
+from dolfinx_mortar.algebra.csr import call, csr_of
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 
 

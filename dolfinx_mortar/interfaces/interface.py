@@ -33,8 +33,8 @@ from dolfinx_mortar.interfaces.coupling import (
     create_pattern,
     mark,
 )
-from dolfinx_mortar.interfaces.driven import Driven
 from dolfinx_mortar.interfaces.slip_partners import Partners
+from dolfinx_mortar.interfaces.tool import Driven
 from dolfinx_mortar.mortar.integrals import Coverage
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.surface import check_tags, create_surface, dependent_nodes

@@ -27,9 +27,8 @@ from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import tributary_weights
 from dolfinx_mortar.interfaces.constraints import Constraints, equalities
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides
-from dolfinx_mortar.interfaces.driven import Driven
 from dolfinx_mortar.interfaces.interface import Interface, full_coverage
-from dolfinx_mortar.interfaces.tool import Load, Movable, Pose, RigidBody, check_point
+from dolfinx_mortar.interfaces.tool import Driven, Load, Movable, Pose, RigidBody, check_point
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_normals, sum_at_nodes
 

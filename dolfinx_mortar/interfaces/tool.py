@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""What is rigid: where it is, and the forces that drive it; and a tool, which has a shape."""
+"""What forces drive, what is rigid and where it is; and a tool, which has a shape."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -21,6 +21,42 @@ from dolfinx_mortar.geometry.segments import FACING
 from dolfinx_mortar.mortar.surface import facets_at
 from dolfinx_mortar.mortar.whole_side import WholeSide
 from dolfinx_mortar.shapes import Distance, Shape
+
+
+class Driven(Protocol):
+    """A rigid tool or side with m unknown motions, each with a given force; the same on all ranks.
+
+    An interface offers it, see `Interface.driven`, and Newton's method finds the motions, see
+    `newton_method.driven_tools`.
+    """
+
+    @property
+    def holds(self) -> bool:
+        """Whether nodes follow it in all directions, rather than touch it."""
+
+    @property
+    def names(self) -> Sequence[str]:
+        """How messages call the m motions, and the forces that drive them."""
+
+    def loads(self) -> Floats:
+        """Return the given forces (m,) on the tool.
+
+        Raises:
+            ValueError: for values of Constants that are not finite.
+        """
+
+    def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
+        """Return what one unit of each motion (m, n, d) does at points.
+
+        Args:
+            x: (n, d) where they are, X if the geometry is frozen.
+            X: (n, d) where they were at the start.
+            moved: (m,) amounts of the motions by which it is moved from where it is; what that
+                changes is found to first order, or neglected.
+        """
+
+    def move(self, amounts: Floats) -> None:
+        """Move the tool by amounts (m,) of its motions."""
 
 
 @dataclass(frozen=True)

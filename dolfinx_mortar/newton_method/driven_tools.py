@@ -39,9 +39,9 @@ from dolfinx_mortar.arrays import (
     Ints,
 )
 from dolfinx_mortar.interfaces.coupling import relative_motions
-from dolfinx_mortar.interfaces.driven import Driven
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.interfaces.tool import Driven
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.failures import StepFailed
 from dolfinx_mortar.newton_method.linearisation import (

@@ -28,8 +28,7 @@ from scipy.sparse import bsr_array, csc_array, csr_array, eye_array
 from scipy.sparse.linalg import splu
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator, decouple
-from dolfinx_mortar.algebra.csr import csr_of
-from dolfinx_mortar.algebra.library import call, has
+from dolfinx_mortar.algebra.csr import call, csr_of, has
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints
 from dolfinx_mortar.qp.bound_qp import BoundQP
 from dolfinx_mortar.qp.options import SolverOptions

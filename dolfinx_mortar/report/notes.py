@@ -20,10 +20,9 @@ from dolfinx_mortar.report.interface_results import (
     notes_on_missed_tools,
     notes_on_sliding,
 )
-from dolfinx_mortar.report.lost_stress import notes_on_lost_stress
 from dolfinx_mortar.report.overlaps import notes_on_overlaps
 from dolfinx_mortar.report.resolution import note_on_few_nodes, notes_on_rims
-from dolfinx_mortar.report.small_strain import LeftOut, notes_on_small_strain
+from dolfinx_mortar.report.small_strain import LeftOut, notes_on_lost_stress, notes_on_small_strain
 from dolfinx_mortar.report.swept import notes_on_swept
 from dolfinx_mortar.report.uncoupled import Crossing, notes_on_crossings
 

@@ -3,7 +3,8 @@
 
 The small strain neglects the term H^T H / 2 of the Green-Lagrange strain, H = grad u. Of a strain e
 it is about e / 2 relatively, which is also what different measures of finite strain differ by. Of a
-rotation by an angle a it is a^2 / 2, an error in any measure.
+rotation by an angle a it is a^2 / 2, an error in any measure. Finite plasticity in the logarithmic
+strain space has a range, too.
 """
 
 from dataclasses import dataclass
@@ -178,4 +179,17 @@ def _notes_on_large_ones(problem: ContactProblem, found: LeftOut) -> list[str]:
         f"there is wrong by about {max(found.largest, found.strain) / 2:.1%}, the work of the "
         f"stresses by {found.work:.1%}, lengths by {found.lengths:.2%}. If that is too much, "
         "choose a finite strain, Solid(.., strain='finite')"
+    ]
+
+
+def notes_on_lost_stress(problem: ContactProblem) -> list[str]:
+    """Say where laws in the additive form are out of their range; collective."""
+    share, name = problem.solid.stress_lost()
+    if share < LARGEST_SHARE:
+        return []
+    return [
+        f"{name} runs in the logarithmic strain space, where shears soften: the norm of the stress "
+        f"is up to {100 * share:.0f} % below that of the law (2 % where a shear reaches 1, whose "
+        "stress is then 3 % too low; 9 % at 2, with 17 %). Isotropic laws, without kinematic "
+        "hardening, have no such limit"
     ]

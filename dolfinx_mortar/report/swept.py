@@ -13,9 +13,8 @@ from dolfinx_mortar.audit.neighbours import boxes_of
 from dolfinx_mortar.geometry.crossings import near_others, near_pairs
 from dolfinx_mortar.geometry.sweep import find_entering, find_passing_edges, flat_parts
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.report.facet_parts import FacetParts, point
 from dolfinx_mortar.report.overlaps import SUNK
-from dolfinx_mortar.report.uncoupled import Crossing
+from dolfinx_mortar.report.uncoupled import Crossing, FacetParts, point
 
 
 @dataclass(frozen=True)

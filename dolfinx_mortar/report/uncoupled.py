@@ -2,7 +2,8 @@
 """Bodies whose boundaries cross where no contact and no tie couples them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Self
 
 from mpi4py import MPI
 
@@ -10,21 +11,54 @@ import numpy as np
 
 from dolfinx import la
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import Floats, Longs
+from dolfinx_mortar.arrays import Bools, Floats, Longs
 from dolfinx_mortar.audit.neighbours import boxes_of
 from dolfinx_mortar.geometry.crossings import find_crossings, near_others
 from dolfinx_mortar.geometry.facets import facet_sizes
 from dolfinx_mortar.geometry.sweep import flat_parts
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.mortar.edges import SUNK
-from dolfinx_mortar.mortar.surface import (
-    cells_of,
-    coordinates,
-    facets_at,
-    nodal_sagittas,
-)
+from dolfinx_mortar.mortar.surface import cells_of, coordinates, facets_at, nodal_sagittas
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.report.facet_parts import FacetParts, point
+
+
+@dataclass(frozen=True)
+class FacetParts:
+    """Arrays of m facets, which subclasses add to."""
+
+    body: Longs  # (m,)
+    sides: Bools  # (m, 2, interfaces) whether they belong to its slave and its master side
+
+    def vertices(self) -> Floats:
+        """Return the points (m, k, d) whose box holds what is looked at."""
+        raise TypeError(f"{type(self).__name__} has no vertices")
+
+    def part(self, which: Bools | Longs) -> Self:
+        """Return some of the facets."""
+        return type(self)(**{f.name: getattr(self, f.name)[which] for f in fields(self)})
+
+    def received(self, comm: MPI.Comm) -> Self:
+        """Return the own facets, and those of other ranks that their box meets; collective."""
+        if comm.size == 1:
+            return self
+        low, high = self.vertices().min(axis=1), self.vertices().max(axis=1)
+        box = low.min(axis=0, initial=np.inf), high.max(axis=0, initial=-np.inf)
+        sent = [
+            self.part(((low <= most) & (high >= least)).all(axis=1) & (rank != comm.rank))
+            for rank, (least, most) in enumerate(comm.allgather(box))
+        ]
+        parts = [self, *comm.alltoall(sent)]
+        joined = {f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(self)}
+        return type(self)(**joined)
+
+
+def point(x: Floats) -> str:
+    """Write a point for a note.
+
+    >>> point(np.array([0.5, -2.0]))
+    '(0.5, -2)'
+    """
+    return f"({', '.join(f'{c:.4g}' for c in x)})"
 
 
 @dataclass(frozen=True)
