@@ -11,8 +11,8 @@ import pytest
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.blocks import BlockMatrix
-from dolfinx_mortar.algebra.congruence import CongruentOperator
-from dolfinx_mortar.algebra.csr import csr_of, set_csr
+from dolfinx_mortar.algebra.congruence import Congruence, CongruentOperator, as_aij, refill
+from dolfinx_mortar.algebra.csr import add_blocks, csr_of, set_csr, set_sum
 from dolfinx_mortar.algebra.parallel import free_unused
 from tests.meshes import two_blocks
 
@@ -169,3 +169,53 @@ def test_no_entries_as_arrays():
     none.assemble()
     assert [len(part) for part in csr_of(none)] == [n + 1, 0, 0]
     set_csr(none, *csr_of(none))
+
+
+def test_a_refilled_product_has_the_bits_of_a_new_one(matrices, rng):
+    """T^T K T on one pattern, for other values of K and C."""
+    K, C = matrices
+    product = Congruence(K, C)
+    K.scale(rng.uniform(2.0, 3.0))
+    start, columns, values = csr_of(C)
+    set_csr(C, start, columns, values * rng.uniform(1.0, 2.0, len(values)))
+    product.update(K, C)
+    expected = csr_of(Congruence(K, C).product)
+    assert all(map(np.array_equal, csr_of(product.product), expected))
+
+
+def test_a_sum_has_the_bits_of_axpy(matrices):
+    """Of parts whose patterns overlap, on a pattern that holds them; values before do not count."""
+    K, C = as_aij(matrices[0]), matrices[1]
+    KC = K.matMult(C)
+    parts = KC, C, K
+    expected = K.duplicate(copy=True)
+    for part in parts:
+        expected.axpy(1.0, part, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    total = expected.copy()
+    expected.zeroEntries()
+    for part in parts:
+        expected.axpy(1.0, part, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+    state = total.stateGet()
+    refill(total, parts)
+    assert np.array_equal(csr_of(total)[2], csr_of(expected)[2])
+    assert total.stateGet() != state  # or a factorisation would be taken for a present one
+
+
+@pytest.mark.skipif(COMM.size > 1, reason="of matrices on one rank")
+def test_what_has_no_place_is_an_error(matrices):
+    K, C = as_aij(matrices[0]), matrices[1]
+    with pytest.raises(ValueError, match="no place for an entry"):
+        set_sum(C, [K])
+    with pytest.raises(ValueError, match="no place for a block"):
+        add_blocks(C, np.array([0, 1]), np.array([10**6]), np.ones((1, 2, 2)))
+
+
+def test_the_diagonal_follows_k(matrices):
+    """That of K is read again where its values are others."""
+    K, C = matrices
+    operator = CongruentOperator(K)
+    operator.follow(C, decoupled(K))
+    before = operator.diagonal.copy()
+    K.scale(2.0)
+    operator.follow(C, decoupled(K))
+    assert (operator.diagonal - 2.0 * before).norm() < 1e-14 * before.norm()

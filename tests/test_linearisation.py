@@ -9,8 +9,9 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
+from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.newton_method.linearisation import find_balance, linearise
-from tests.meshes import TOP
+from tests.meshes import BOTTOM, TOP
 from tests.pressed_blocks import PressedBlocks
 
 pytestmark = pytest.mark.mpi
@@ -42,6 +43,24 @@ def test_a_linear_tangent_is_assembled_once(solver, what, monkeypatch):
         forces.append(problem.contacts[0].force[1] / (E.value if what == "modulus" else 1.0))
     assert len(calls) == (1 if what == "nothing" else 3)
     assert forces == pytest.approx([forces[0]] * 3, rel=1e-9)
+
+
+@pytest.mark.parametrize(("bent", "products"), [(False, 0), (True, 1)])
+def test_products_with_nothing_are_not_formed(bent, products, monkeypatch):
+    """Supports ask for increments in the first iteration, and only if they strain their body."""
+    case, calls = PressedBlocks(), []
+    top = fem.Function(case.V)
+    top.interpolate(lambda x: np.stack([0.0 * x[0], -0.01 - bent * 1e-3 * x[0] ** 2]))
+    dofs = fem.locate_dofs_topological(case.V, 1, case.facets.find(TOP))
+    bcs = [case.bc(BOTTOM), fem.dirichletbc(top, dofs)]
+    product = CongruentOperator.product
+    monkeypatch.setattr(
+        CongruentOperator, "product", lambda self, x, y: (calls.append(x), product(self, x, y))
+    )
+    problem = case.problem(bcs=bcs, petsc_options=SOLVERS["iterative"], geometry="updated")
+    report = dm.newton(problem, rtol=1e-10)
+    assert len(report.iterations) > 2
+    assert len(calls) == products
 
 
 def test_both_forms_are_one_program():

@@ -24,6 +24,7 @@ from dolfinx_mortar.qp import (
     solve,
     solver,
 )
+from dolfinx_mortar.qp.bound_qp import reaction
 from dolfinx_mortar.qp.preconditioner import RENEWAL_COST
 
 COMM = MPI.COMM_WORLD
@@ -259,6 +260,24 @@ def test_data_without_a_solution(name: str) -> None:
     )
     with pytest.raises(ValueError, match=message):
         solve(qp)
+
+
+class Unused:
+    """Context of a Mat that must not be multiplied with."""
+
+    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        raise AssertionError
+
+
+@pytest.mark.mpi
+def test_the_reaction_of_no_motion_costs_no_product() -> None:
+    qp = membrane(5)
+    x = qp.b.duplicate()
+    x.set(0.0)
+    A = PETSc.Mat().createPython(qp.A.getSizes(), Unused(), comm=COMM)
+    z = reaction(replace(qp, A=A), x)
+    assert np.array_equal(z.array_r, qp.b.array_r)
+    assert z.handle != qp.b.handle
 
 
 def test_unknown_backend() -> None:

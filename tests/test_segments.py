@@ -216,6 +216,17 @@ def test_broad_phase_is_selective():
     assert np.bincount(wide[:, 0], minlength=200).max() <= 7
 
 
+def test_any_order_in_space_finds_the_same_pairs(rng):
+    """That of the places before the sides have moved, and none at all."""
+    for seed in range(20):
+        x_s, x_m = (polyline(random_side(seed + k, 30, k > 0)) for k in range(2))
+        normals = np.broadcast_to([0.0, -1.0], x_s.x.shape)
+        found = segments.find_candidates(x_s, normals, x_m, np.zeros(len(x_s.x)))
+        for order in (np.arange(len(x_m.x)), rng.permutation(len(x_m.x))):
+            again = segments.find_candidates(x_s, normals, x_m, np.zeros(len(x_s.x)), order)
+            assert np.array_equal(again, found)
+
+
 def test_every_facet_may_be_a_candidate_of_every_other():
     """Far away and provided for rotation: more pairs than the first allocation holds."""
     grid = np.linspace(0, 1, 61)

@@ -10,7 +10,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.csr import csr_of
+from dolfinx_mortar.algebra.csr import csr_of, set_sum
 from dolfinx_mortar.algebra.diagonal import RowsOf
 from dolfinx_mortar.algebra.parallel import values_at
 from dolfinx_mortar.arrays import Floats, Ints
@@ -51,9 +51,7 @@ class Congruence:
         K.matMult(C, result=self.KC)
         KCt = self.KC.transpose(PETSc.Mat())
         self.Ct.matMult(self.KC, result=self.CtKC)
-        self.product.zeroEntries()
-        for part in (self.KC, KCt, self.CtKC, K):  # as in __init__: the same round-off
-            self.product.axpy(1.0, part, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        refill(self.product, (self.KC, KCt, self.CtKC, K))  # as in __init__: the same round-off
         KCt.destroy()
 
 
@@ -176,6 +174,9 @@ def union(A: PETSc.Mat, others: Iterable[PETSc.Mat]) -> PETSc.Mat:
 
 def refill(total: PETSc.Mat, parts: Iterable[PETSc.Mat]) -> None:
     """Set a matrix to the sum of others, the patterns of which it contains; collective."""
+    if total.getType() == "seqaij":
+        set_sum(total, parts)
+        return
     total.zeroEntries()
     for part in parts:
         total.axpy(1.0, part, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
@@ -263,11 +264,15 @@ class _Product:
         self.C: PETSc.Mat | None = None
         self.decoupled: Ints = np.empty(0, dtype=np.int32)
         self.diagonal, self.scale = K.createVecRight(), 1.0
+        self._of_K, self._state = K.createVecRight(), -1  # diagonal of K, and K's state then
         self._x, self._moved = K.createVecRight(), K.createVecRight()
 
     def follow(self, C: PETSc.Mat | None, decoupled: Ints) -> None:
         self.C, self.decoupled = C, decoupled
-        self.K.getDiagonal(self.diagonal)
+        if self._state != int(self.K.stateGet()):
+            self.K.getDiagonal(self._of_K)
+            self._state = int(self.K.stateGet())
+        self._of_K.copy(self.diagonal)
         if C is not None:
             self.diagonal.axpy(1.0, self.rows.diagonal_change(C))
         self.scale = self.diagonal.sum() / self.diagonal.getSize()

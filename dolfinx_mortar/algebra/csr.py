@@ -8,11 +8,12 @@ thousand entries in 400 of 46 thousand rows takes 1.2 ms so, and .01 ms as array
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 from petsc4py import PETSc
 
+import numba
 import numpy as np
 from scipy.sparse import csr_array
 
@@ -66,9 +67,68 @@ def set_csr(A: PETSc.Mat, start: Ints, columns: Ints, values: Floats) -> None:
         stored[:] = values
 
 
+def add_blocks(A: PETSc.Mat, start: Ints, columns: Ints, blocks: Floats) -> None:
+    """Add blocks (e, d, c) to a matrix on one rank, on the pattern that it has.
+
+    PETSc's functions look for the place of each entry (47 thousand unknowns in the plane, elastic:
+    cells into AIJ 18 ms, cells into blocks 6.9, blocks into AIJ by PETSc 11, so 2).
+
+    Args:
+        A: the matrix, assembled.
+        start: (rows of blocks + 1,) first block of each row.
+        columns: (e,) columns of blocks, ascending in each row.
+        blocks: their entries.
+
+    Raises:
+        ValueError: if the matrix has no place for one of them; it is then half filled.
+    """
+    rows, places = A.getRowIJ()
+    with _stored(A, "", len(places)) as values:
+        if not _add_blocks(rows, places, values, start, columns, blocks):
+            raise ValueError("a matrix has no place for a block")
+
+
+def set_sum(A: PETSc.Mat, parts: Iterable[PETSc.Mat]) -> None:
+    """Set a matrix on one rank to the sum of others, the patterns of which it contains.
+
+    With the bits of PETSc's `MatAXPY` for each in turn, which takes 7 ms for the largest part of
+    T^T K T (47 thousand unknowns in the plane; so 1.5).
+
+    Raises:
+        ValueError: if it has no place for an entry; it is then half filled.
+    """
+    rows, places = A.getRowIJ()
+    with _stored(A, "Write", len(places)) as values:
+        values[:] = 0.0
+        for part in parts:
+            start, columns = part.getRowIJ()
+            with _stored(part, "Read", len(columns)) as entries:
+                entries = entries.reshape(-1, 1, 1)
+                if not _add_blocks(rows, places, values, start, columns, entries):
+                    raise ValueError("a sum of matrices has no place for an entry")
+
+
+@numba.njit(cache=True)
+def _add_blocks(rows, places, values, start, columns, blocks):  # type: ignore[no-untyped-def]
+    """Add to the values of a matrix with columns that ascend; tell whether all had a place."""
+    d, c = blocks.shape[1:]
+    for r in range(len(start) - 1):
+        for i in range(d):
+            p, end = rows[d * r + i], rows[d * r + i + 1]
+            for e in range(start[r], start[r + 1]):
+                while p < end and places[p] < c * columns[e]:
+                    p += 1
+                if p + c > end or places[p] != c * columns[e]:
+                    return False
+                for j in range(c):
+                    values[p + j] += blocks[e, i, j]
+                p += c
+    return True
+
+
 @contextmanager
 def _stored(A: PETSc.Mat, access: str, count: int) -> Iterator[Floats]:
-    """Lend the values of a matrix on one rank, for "Read" or "Write"."""
+    """Lend the values of a matrix on one rank, for "Read", "Write", or "" for both."""
     if not count:
         yield np.zeros(0)
         return

@@ -156,12 +156,16 @@ def _enclose(centre: Floats, radius: Floats) -> tuple[Floats, Floats]:
     return middle, np.maximum.reduceat(reach, first) * (1 + HALF_OF_DIGITS)
 
 
-def find_meeting(cones: Cones, centre: Floats, radius: Floats) -> Ints:
-    """Return the pairs (p, 2) of cones and balls that can meet, ordered by cone, then ball."""
+def find_meeting(cones: Cones, centre: Floats, radius: Floats, order: Longs | None = None) -> Ints:
+    """Return the pairs (p, 2) of cones and balls that can meet, ordered by cone, then ball.
+
+    An order of the balls in space decides how fast they are found, not which: one of places where
+    they have been serves as well. By default it is made here.
+    """
     n = len(radius)
     if len(cones.radius) == 0 or n == 0:
         return np.empty((0, 2), dtype=np.int32)
-    order = sort_in_space(centre)
+    order = sort_in_space(centre) if order is None else order
     levels = [(centre[order], radius[order])]
     while len(levels[-1][1]) > 1:
         levels.append(_enclose(*levels[-1]))
@@ -239,7 +243,9 @@ def are_facing(n_s: Floats, n_m: Floats) -> Bools:
     return np.einsum("pki,pi->pk", n_s, n_m).max(axis=1, initial=-1.0) < -FACING
 
 
-def find_candidates(slave: Facets, n_s: Floats, master: Facets, margin: Floats) -> Ints:
+def find_candidates(
+    slave: Facets, n_s: Floats, master: Facets, margin: Floats, order: Longs | None = None
+) -> Ints:
     """Find the pairs of facets that can share a segment, at any distance from each other.
 
     Args:
@@ -247,13 +253,14 @@ def find_candidates(slave: Facets, n_s: Floats, master: Facets, margin: Floats) 
         n_s: Unit averaged normals (ms, k, d) at their nodes.
         master: Master facets (mm,).
         margin: Lateral margin (ms,) for which to provide.
+        order: Of the master facets in space, if it is known; see `find_meeting`.
 
     Returns:
         Pairs (p, 2) of slave and master facet, ordered by slave, then master. Without margins they
         are still a superset of the pairs that have segments.
     """
     cones = create_cones(slave.x, bounding_directions(slave, n_s), margin)
-    pairs = find_meeting(cones, *bounding_balls(master.x))
+    pairs = find_meeting(cones, *bounding_balls(master.x), order)
     if slave.x.shape[2] == 3:
         pairs = pairs[plane.are_near(slave, master, pairs, margin)]
     n_s, n_m = projection_directions(slave, n_s), facet_normals(master)

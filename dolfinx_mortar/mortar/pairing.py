@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -28,6 +29,7 @@ from dolfinx_mortar.geometry.segments import (
     find_candidates,
     projection_directions,
     sliding_margins,
+    sort_in_space,
 )
 from dolfinx_mortar.mortar.receivers import create_groups, find_receivers, group_cones
 from dolfinx_mortar.mortar.self_contact import Roles, divide, has_changed
@@ -77,6 +79,11 @@ class Pairing:
     diagonal: tuple[Ints, Ints]  # positions of D_jj among D's entries, and indices of the nodes j
     weight: Weight | None = None  # of all integrals over the slave side; None for 1
     roles: Roles | None = None  # of a surface that meets itself
+
+    @cached_property
+    def order(self) -> Longs:
+        """The received master facets (mm,) in an order in space, of X."""
+        return sort_in_space(self.master_X[self.master_facets].mean(axis=1))
 
 
 def _slave_facets(slave: Surface, u: dolfinx.fem.Function | None) -> tuple[Facets, Floats]:
@@ -349,7 +356,7 @@ def outside_margin(
     none, count = np.zeros(len(slave.x)), len(master.x)
     among = np.ones(len(none), dtype=bool) if among is None else among
     asked = np.flatnonzero(among)
-    pairs = find_candidates(slave[asked], n_s[asked], master, none[asked])
+    pairs = find_candidates(slave[asked], n_s[asked], master, none[asked], pairing.order)
     pairs[:, 0] = asked[pairs[:, 0]]
     if pairing.roles is not None:
         missing = has_changed(pairing.roles, slave, master, pairs)

@@ -278,10 +278,11 @@ def _lifted(
     problem: ContactProblem, balance: Balance, operator: CongruentOperator | OperatorOfBases
 ) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
     """Return K^ of an operator, r^ after the elimination, and the diagonal of T^T K T before."""
-    dy, b = problem.vector(), problem.vector()
+    dy, b = problem.vector(), balance.reduced.copy()
     dy.array[balance.equal.dofs] = balance.equal.upper
-    operator.product(dy, b)
-    b.aypx(-1.0, balance.reduced)
+    if dy.norm(PETSc.NormType.INFINITY) != 0.0:  # as it is once supports have their values
+        operator.product(dy, b)
+        b.aypx(-1.0, balance.reduced)
     b.array[balance.equal.dofs] = operator.scale * balance.equal.upper
     return operator.matrix, b, problem.operator.diagonal.copy()
 

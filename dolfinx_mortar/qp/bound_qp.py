@@ -52,10 +52,16 @@ class BoundQP:
         return lower, upper
 
     @cached_property
+    def diagonal(self) -> PETSc.Vec:
+        """The diagonal (n,) of A, which is read once (collective)."""
+        return self.A.getDiagonal()
+
+    @cached_property
     def stiffness(self) -> Floats:
         """|diag(A)| (n,), which scales distances to forces; no entry is 0 (collective)."""
-        diagonal = self.A.getDiagonal()
+        diagonal = self.diagonal
         if not self.definite:
+            diagonal = diagonal.copy()
             diagonal.abs()
             mean = diagonal.sum() / diagonal.getSize()
             diagonal.array[diagonal.array_r == 0.0] = mean
@@ -183,7 +189,7 @@ def validate(qp: BoundQP) -> None:
             a number that is not finite in b or A, or indices out of range.
     """
     lower, upper = qp.lower.array_r, qp.upper.array_r
-    diagonal = qp.A.getDiagonal().array_r
+    diagonal = qp.diagonal.array_r
     outside = (qp.bounded < 0) | (qp.bounded >= lower.size)
     unlisted = (lower > PETSc.NINFINITY) | (upper < PETSc.INFINITY)
     unlisted[qp.bounded[~outside]] = False
@@ -207,7 +213,9 @@ def validate(qp: BoundQP) -> None:
 
 
 def reaction(qp: BoundQP, x: PETSc.Vec) -> PETSc.Vec:
-    """Return z = b - A x."""
+    """Return z = b - A x; a product with x = 0, as before the first solve, is not formed."""
+    if x.norm(PETSc.NormType.INFINITY) == 0.0:
+        return qp.b.copy()
     z = qp.b.duplicate()
     qp.A.mult(x, z)
     z.aypx(-1.0, qp.b)

@@ -302,33 +302,35 @@ class SchurComplement:
         if self._held is not None and np.array_equal(self._held, held):
             return
         holds = self._holds(held)
-        inverse = None if self.R is None else self._with_held(self.R, basis, holds)
-        if inverse is None:
-            self.R = None
+        change = None if self.R is None else self._change_by(basis, holds)
+        if self.R is None or change is None:
+            self.R = change = None
             S = self._transform(self.S, transposed=True)
             free, inverse = np.flatnonzero(~holds), np.zeros_like(S)
             if free.size:
                 inverse[np.ix_(free, free)] = _inverse(S[np.ix_(free, free)])
             inverse = self._transform(inverse)
+        else:
+            inverse = self.R
         with _Entries(pc, self.unknowns.size) as entries:
-            entries.T[:] = inverse  # in the order of its columns
+            np.subtract(inverse, 0.0 if change is None else change, out=entries.T)  # column order
         self._held = held.copy()
 
     @staticmethod
-    def _with_held(R: Floats, basis: _Basis, holds: Bools) -> Floats | None:
-        """Return R with some of G held; None if that loses half of the digits.
+    def _change_by(basis: _Basis, holds: Bools) -> Floats | None:
+        """Return by how much R is smaller with some of G held; None if half of the digits go.
 
         As where contact holds a body that else could nearly move: R is then mostly that motion.
         """
         on = holds[basis.known]
         if not on.any():
-            return R
+            return np.zeros(1)
         NRN = basis.NRN[np.ix_(on, on)]
         factor, failed = lapack.dpotrf(NRN, lower=True)
         if failed or (np.diag(factor) ** 2 <= HALF_OF_DIGITS * np.diag(NRN)).any():
             return None
         part = solve_triangular(factor, basis.NR[on], lower=True)
-        return np.asarray(R - part.T @ part)
+        return np.asarray(part.T @ part)
 
     # -- the PC ----------------------------------------------------------------------------------
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from dolfinx import fem, la
 from dolfinx.fem import petsc as fem_petsc
+from dolfinx_mortar.algebra.csr import add_blocks
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 
 
@@ -112,7 +113,8 @@ class MatrixForm:
     """A bilinear form whose matrix is the same each time, to the last bit.
 
     PETSc adds up what other ranks send in the order in which it comes. Where several send, on more
-    than two ranks, dolfinx does it in the order of the ranks, in a matrix of its own.
+    than two ranks, dolfinx does it in the order of the ranks, in a matrix of its own. On one rank
+    that takes half the time of assembly in AIJ, from the second on, and gives the same bits.
 
     Attributes:
         form: the form, compiled; Any because dolfinx annotates one overload only.
@@ -124,7 +126,8 @@ class MatrixForm:
 
     def add_to(self, K: PETSc.Mat) -> None:
         """Add the matrix to K, which has to be assembled afterwards; collective."""
-        if K.comm.size <= 2:
+        alone = K.getType() == "seqaij" and K.isAssembled()
+        if K.comm.size <= 2 and not alone:
             fem_petsc.assemble_matrix(K, self.form)
             return
         if self._sums is None:
@@ -135,5 +138,9 @@ class MatrixForm:
         sums.scatter_reverse()
         start = sums.indptr[: sums.index_map(0).size_local + 1].astype(PETSc.IntType)
         columns = sums.index_map(1).local_to_global(sums.indices[: start[-1]])
-        blocks = sums.data[: start[-1] * sums.block_size[0] * sums.block_size[1]]
-        K.setValuesBlockedCSR(start, columns.astype(PETSc.IntType), blocks, addv=True)
+        columns, d = columns.astype(PETSc.IntType), sums.block_size
+        blocks = sums.data[: start[-1] * d[0] * d[1]].reshape(-1, *d)
+        if alone:
+            add_blocks(K, start, columns, blocks)
+        else:
+            K.setValuesBlockedCSR(start, columns, blocks, addv=True)
