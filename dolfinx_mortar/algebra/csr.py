@@ -91,8 +91,8 @@ def add_blocks(A: PETSc.Mat, start: Ints, columns: Ints, blocks: Floats) -> None
 def set_sum(A: PETSc.Mat, parts: Iterable[PETSc.Mat]) -> None:
     """Set a matrix on one rank to the sum of others, the patterns of which it contains.
 
-    With the bits of PETSc's `MatAXPY` for each in turn, which takes 7 ms for the largest part of
-    T^T K T (47 thousand unknowns in the plane; so 1.5).
+    With the bits of PETSc's `MatAXPY` for each in turn, which takes 6.3 ms for the four parts of
+    T^T K T (47 thousand unknowns in the plane; so 2.3).
 
     Raises:
         ValueError: if it has no place for an entry; it is then half filled.
@@ -103,8 +103,7 @@ def set_sum(A: PETSc.Mat, parts: Iterable[PETSc.Mat]) -> None:
         for part in parts:
             start, columns = part.getRowIJ()
             with _stored(part, "Read", len(columns)) as entries:
-                entries = entries.reshape(-1, 1, 1)
-                if not _add_blocks(rows, places, values, start, columns, entries):
+                if not _add_entries(rows, places, values, start, columns, entries):
                     raise ValueError("a sum of matrices has no place for an entry")
 
 
@@ -123,6 +122,29 @@ def _add_blocks(rows, places, values, start, columns, blocks):  # type: ignore[n
                 for j in range(c):
                     values[p + j] += blocks[e, i, j]
                 p += c
+    return True
+
+
+@numba.njit(cache=True)
+def _add_entries(rows, places, values, start, columns, entries):  # type: ignore[no-untyped-def]
+    """Do so for scalar entries, of which most rows have all that the matrix has."""
+    for r in range(len(start) - 1):
+        p, end, first = rows[r], rows[r + 1], start[r]
+        if start[r + 1] - first == end - p:
+            same = True
+            for k in range(end - p):
+                same &= places[p + k] == columns[first + k]
+                values[p + k] += entries[first + k]
+            if not same:
+                return False
+            continue
+        for e in range(first, start[r + 1]):
+            while p < end and places[p] < columns[e]:
+                p += 1
+            if p == end or places[p] != columns[e]:
+                return False
+            values[p] += entries[e]
+            p += 1
     return True
 
 
