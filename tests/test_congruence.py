@@ -219,3 +219,22 @@ def test_the_diagonal_follows_k(matrices):
     K.scale(2.0)
     operator.follow(C, decoupled(K))
     assert (operator.diagonal - 2.0 * before).norm() < 1e-14 * before.norm()
+
+
+def test_products_read_the_upper_half_of_blocks(matrices, rng):
+    """On one rank; a set-up has its memory, and other values of K are followed."""
+    K, C = matrices
+    operator = CongruentOperator(K)
+    operator.follow(C, decoupled(K))
+    context, x = operator._product, random_vector(K, rng)
+    half, y = K.getType() == "seqbaij", operator.matrix * x
+    K.scale(2.0)
+    operator.follow(C, decoupled(K))
+    z = operator.matrix * x
+    assert np.array_equal(z.array_r, 2.0 * y.array_r)
+    assert context.factor.getType() == ("seqsbaij" if half else K.getType())
+    operator.split(np.zeros(K.getLocalSize()[0]))
+    assert context._half is None
+    assert (z - operator.matrix.copy() * x).norm() < 1e-13 * z.norm()
+    assert (z - operator.matrix * x).norm() == 0.0
+    assert (context._half is not None) == half
