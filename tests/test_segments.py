@@ -158,6 +158,16 @@ def test_points_lie_on_the_interpolated_normal():
     assert ((ray * normal).sum(axis=1) > 0).all()
 
 
+def test_points_lie_on_the_master_between_its_ends():
+    """A facet of an iterate whose normals meet it twice, once beyond an end, as at -2.29 here."""
+    slave = np.array([[1.25, 0.364], [-1.1, 0.043], [-0.356, -0.395]])
+    normals = np.array([[-0.2625, 0.965], [0.4204, 0.907], [-0.4164, 0.909]])
+    master = np.array([[-0.6155, 1.097], [0.825, 0.957], [0.201, 0.003]])
+    sides = Facets(LINE3, slave[None]), normals[None], Facets(LINE3, master[None])
+    _, _, xi_m, _ = line.place_points(*sides, np.zeros((1, 2), np.int32), np.full(1, np.inf))
+    assert len(xi_m) == 5 and np.abs(xi_m).max() <= 1.0
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_segments_end_where_the_normal_meets_a_node(seed):
     """(x_s(xi) - x_m) x n(xi) = 0 at the ends inside a slave facet; it is quadratic in xi."""

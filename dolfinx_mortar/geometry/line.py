@@ -74,14 +74,17 @@ def _project_node(x, n, y0, y1):  # type: ignore[no-untyped-def]
 def _opposite(x, n, y, xi):  # type: ignore[no-untyped-def]
     """Return eta on the master facet y (3, 2) that the normal of the slave facet meets at xi.
 
-    Of the two roots of a curved facet, the one that tends to the root of the straight facet.
+    Of the two roots of a curved facet, the one that tends to the root of the straight facet. Where
+    the facets of an iterate are so curved that normals meet one of them more than once, a root may
+    lie beyond its ends, where functions have no bounds: then the nearest end.
     """
     n0, n1 = _at(n, xi, 0), _at(n, xi, 1)
     C = (y[0, 0] - _at(x, xi, 0)) * n1 - (y[0, 1] - _at(x, xi, 1)) * n0
     B = y[1, 0] * n1 - y[1, 1] * n0
     A = y[2, 0] * n1 - y[2, 1] * n0
     root = np.sqrt(max(B * B - 4 * A * C, 0.0))  # the form that does not cancel
-    return -2 * C / (B + root) if B > 0.0 else -2 * C / (B - root)
+    eta = -2 * C / (B + root) if B > 0.0 else -2 * C / (B - root)
+    return min(max(eta, -1.0), 1.0)
 
 
 @numba.njit(cache=True)
