@@ -13,6 +13,7 @@ from dolfinx_mortar.geometry.sweep import find_passing
 from dolfinx_mortar.mortar import passing
 from dolfinx_mortar.newton_method import failures, tunnelling
 from dolfinx_mortar.newton_method.tunnelling import describe_passing
+from tests.close_fits import rings
 from tests.hertz_case import create_mesh
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, UPPER, skins, two_blocks
 from tests.meshes_3d import rotation, two_boxes
@@ -181,6 +182,24 @@ def test_bodies_may_turn_together(degrees):
     assert not describe_passing(pushed.problem)
     pushed.problem.u.interpolate(lambda x: np.stack([0 * x[0], np.where(x[1] > 0.2, -6.0, 0.0)]))
     assert "has passed through the other one" in describe_passing(pushed.problem)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("degrees", [45.0, 90.0, -150.0])
+@pytest.mark.parametrize("slave", [2, 3])
+def test_a_hub_may_turn_in_a_ring(degrees, slave):
+    """Middles move along arcs: those of the ring's outer part, on chords, pass through the hub."""
+    domain, facets = rings(COMM, (0.4, 1.0), (1.0, 1.8), (40, 36), (3, 3))
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    contact = dm.Contact(facets, slave=slave, master=5 - slave)
+    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [contact])
+    X, R = problem.X, rotation((0.0, 0.0, 1.0), np.radians(degrees))[:2, :2]
+    moves = problem.bodies.label == problem.bodies.radius.argmax()
+    u = problem.u.x.array[: 2 * problem.n].reshape(-1, 2)
+    for shift, passes in ((0.0, False), (4.0, True)):
+        u[:] = np.where(moves[:, None], X @ R.T + [shift, 0.0], X) - X
+        problem.u.x.scatter_forward()
+        assert bool(describe_passing(problem)) == passes
 
 
 @pytest.mark.mpi

@@ -49,9 +49,9 @@ def test_what_enters(d):
         (x + np.stack([rim[d] * along, 0 * up])[:, None], -9 * up, False),
     ):
         end = start + np.stack([way, 0 * up])[:, None]
-        assert bool(len(find_entering(start, end, pairs, 0.05)[0])) is enters
+        assert bool(len(find_entering(start, end, pairs, 0.05))) is enters
     both = x - 9 * up
-    assert not len(find_entering(x, both, pairs, 0.05)[0])
+    assert not len(find_entering(x, both, pairs, 0.05))
 
 
 def test_edges_that_pass():
@@ -154,6 +154,101 @@ def test_ways_of_three_bodies(d, strain):
         turn = np.eye(d)
         turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
         assert not told(X @ turn.T - X)
+
+
+def cut_out(d, inside):
+    """Return a problem of the cells of a box, .25 wide, whose middles (3, m) are inside."""
+    ends, n = [np.array([-3.0, -3.0, 0.0][:d]), np.array([3.0, 3.0, 0.25][:d])], [24, 24, 1][:d]
+    whole = (mesh.create_rectangle if d == 2 else mesh.create_box)(COMM, ends, n)
+    cells = mesh.locate_entities(whole, d, lambda x: np.ones(x.shape[1], dtype=bool))
+    part = cells[inside(mesh.compute_midpoints(whole, d, cells).T)]
+    V = fem.functionspace(mesh.create_submesh(whole, d, part)[0], ("Lagrange", 1, (d,)))
+    return dm.ContactProblem(dm.Solid(fem.Function(V), LAW, strain="finite"), [])
+
+
+def turn(x, degrees, pole=(0.0, 0.0)):
+    """Return points (n, d), turned in the plane of the first two axes."""
+    arms = x[:, :2] - pole
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.column_stack([arms @ np.array([[c, s], [-s, c]]) + pole, x[:, 2:]])
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("carried", [0.0, 50.0])
+@pytest.mark.parametrize("d", [2, 3])
+def test_corners_move_along_arcs(d, carried):
+    """A bar turns by 90 degrees over a larger body: what lies beyond the chords is in its way."""
+
+    def is_bar(x):
+        return (np.abs(x[0]) < 2.001) & (np.abs(x[1]) < 0.501)
+
+    def is_block(x):  # from 1.77 to 2.12 from the origin; the bar reaches to 2.06, chords to 1.46
+        return (np.abs(x[0] - 1.375) < 0.126) & (np.abs(x[1] - 1.375) < 0.126)
+
+    problem = cut_out(d, lambda x: is_bar(x) | is_block(x) | (x[1] < -2.25))
+    X = problem.V.tabulate_dof_coordinates()
+    bar, X = is_bar(X.T)[:, None], X[:, :d]
+    for degrees, count in ((90.0, 1), (-90.0, 0), (20.0, 0)):
+        x = turn(np.where(bar, turn(X, degrees), X), carried, (5.0, 1.0))
+        problem.u.x.array[:] = (x - X).ravel()
+        assert len(notes_on_swept(problem, Crossing())) == count
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("moved", ["ring", "pin"])
+def test_a_ring_turns_around_a_pin(d, moved):
+    """By 90 degrees: the chords of the ring's inner side meet the pin, the arcs do not.
+
+    The pin is a chequerboard, and has more facets than the ring.
+    """
+
+    def is_pin(x):
+        return np.hypot(x[0], x[1]) < 1.7
+
+    def is_part(x):
+        r, even = np.hypot(x[0], x[1]), np.floor(x[:2] / 0.25).sum(axis=0) % 2 == 0
+        return ((r < 1.45) & even) | ((r > 1.95) & (r < 2.2))
+
+    problem = cut_out(d, is_part)
+    assert problem.bodies.count == 2
+    X = problem.V.tabulate_dof_coordinates()
+    turning, X = (is_pin(X.T) == (moved == "pin"))[:, None], X[:, :d]
+    problem.u.x.array[:] = (np.where(turning, turn(X, 90.0), X) - X).ravel()
+    assert not notes_on_swept(problem, Crossing())
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("degrees", [30.0, 90.0])
+def test_what_turns_on_a_face_does_not_enter(degrees):
+    """Two boxes that touch: edges in the common plane turn through ends of upright ones."""
+    boxes, *_ = two_boxes(COMM, (9, 9, 9), (10, 10, 10), heights=(1.0, 1.0))
+    V = fem.functionspace(boxes, ("Lagrange", 1, (3,)))
+    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW, strain="finite"), [])
+    X, upper = problem.X, problem.bodies.label == problem.bodies.centre[:, 2].argmax()
+    x = np.where(upper[:, None], turn(X, degrees, (0.5, 0.5)), X)
+    problem.u.x.array[: 3 * problem.n] = (x - X).ravel()
+    problem.u.x.scatter_forward()
+    assert not notes_on_swept(problem, Crossing())
+
+
+@pytest.mark.mpi
+def test_a_corner_that_enters_slowly():
+    """A square turns over a facet: its corner is a twentieth of it deep for 27 degrees only."""
+    side, gap = 4 / 3, 0.2
+    squares, *_ = two_blocks(
+        COMM, (1, 1), (1, 1), x_upper=(0.5 - side / 2, 0.5 + side / 2), heights=(1, side), gap=gap
+    )
+    V = fem.functionspace(squares, ("Lagrange", 1, (2,)))
+    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW, strain="finite"), [])
+    X = V.tabulate_dof_coordinates()[:, :2]
+    upper = (X[:, 1] > gap / 2)[:, None]
+    for higher, count in ((0.0, 1), (0.1, 0)):
+        raised = X + upper * np.array([0.0, higher])
+        problem.committed.displacement[:] = (raised - X).ravel()[: 2 * problem.n]
+        x = turn(raised, 90.0, (0.5, higher + gap + side / 2))
+        problem.u.x.array[:] = (np.where(upper, x, X) - X).ravel()
+        assert len(notes_on_swept(problem, Crossing())) == count
 
 
 @pytest.mark.mpi

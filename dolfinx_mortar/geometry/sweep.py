@@ -66,8 +66,8 @@ def find_passing(p: tuple[Floats, Floats], x: tuple[Floats, Floats]) -> Longs:
     return np.unique(a[are_inside(facets, facet_normals(Facets(element, facets)), at)])
 
 
-def find_entering(start: Floats, end: Floats, pairs: Longs, share: float) -> tuple[Longs, Floats]:
-    """Return which pairs of facets (q,) meet from outside in a step, where (q, d) at its start.
+def find_entering(start: Floats, end: Floats, pairs: Longs, share: float) -> Longs:
+    """Return which pairs of facets (q,) meet from outside in a step, perhaps more than once.
 
     A vertex or the middle of the first facet of a pair enters the second one through its outer
     face, and ends behind its plane, wherever that is. Points, vertices and distances are taken as
@@ -83,7 +83,7 @@ def find_entering(start: Floats, end: Floats, pairs: Longs, share: float) -> tup
     Example:
         >>> x = np.array([[[0.5, 2.0], [-0.5, 2.0]], [[1.0, 0.0], [-1.0, 0.0]]])
         >>> moved = x - np.array([[[0.0, 9.0]], [[0.0, 0.0]]])
-        >>> sorted({*find_entering(x, moved, np.array([[0, 1]]), 0.05)[0].tolist()})
+        >>> sorted({*find_entering(x, moved, np.array([[0, 1]]), 0.05).tolist()})
         [0]
     """
     element = LINE2 if start.shape[2] == 2 else TRI3
@@ -92,17 +92,15 @@ def find_entering(start: Floats, end: Floats, pairs: Longs, share: float) -> tup
     normals = [facet_normals(Facets(element, y)) for y in (start, end)]
     size = facet_sizes(start)[b]
     points = [np.concatenate([y, y.mean(axis=1, keepdims=True)], axis=1) for y in (start, end)]
-    which, places = [], []
+    which = []
     for k in range(points[0].shape[1]):
         d0, d1 = (((points[i][a, k] - x[i][b, 0]) * normals[i][b]).sum(axis=1) for i in (0, 1))
         some = np.flatnonzero((d0 > -HALF_OF_DIGITS * size) & (d1 < -share * size))
         t = np.maximum(d0[some] / (d0 - d1)[some], 0.0)[:, None]
         at = (1.0 - t) * points[0][a[some], k] + t * points[1][a[some], k]
         y = (1.0 - t[:, None]) * x[0][b[some]] + t[:, None] * x[1][b[some]]
-        inside = are_inside(y, facet_normals(Facets(element, y)), at)
-        which.append(some[inside])
-        places.append(points[0][a[some[inside]], k])
-    return np.concatenate(which), np.concatenate(places)
+        which.append(some[are_inside(y, facet_normals(Facets(element, y)), at)])
+    return np.concatenate(which)
 
 
 def find_passing_edges(start: Floats, end: Floats, pairs: Longs, share: float) -> Longs:
@@ -110,7 +108,8 @@ def find_passing_edges(start: Floats, end: Floats, pairs: Longs, share: float) -
 
     In the direction across both they are on one side of each other at its start, and on the other
     one at its end, by a share of their lengths; and they meet farther than that from their ends.
-    Points and distances are taken as linear in time. Edges that are nearly parallel have no
+    Points are taken as linear in time; edges that touch and turn meet at an end of one of them,
+    which distances that are linear in time, too, would miss. Edges that are nearly parallel have no
     direction across.
 
     Args:
@@ -139,11 +138,25 @@ def find_passing_edges(start: Floats, end: Floats, pairs: Longs, share: float) -
         (d0 * d1 < 0.0) & (np.abs(d0) > HALF_OF_DIGITS * length) & (np.abs(d1) > share * length)
     )
     some = np.flatnonzero(passes)
-    t = (d0[some] / (d0 - d1)[some])[:, None, None]
-    one, other = ((1.0 - t) * start[k] + t * end[k] for k in pairs[some].T)
+    low: Floats = np.zeros(len(some))
+    high = low + 1.0
+    while (high - low > HALF_OF_DIGITS).any():  # halved 26 times
+        t = (low + high) / 2
+        one, other = _edges_at(start, end, pairs[some], t)
+        across = np.cross(one[:, 1] - one[:, 0], other[:, 1] - other[:, 0])
+        before = ((one[:, 0] - other[:, 0]) * across).sum(axis=1) * d0[some] > 0.0
+        low, high = np.where(before, t, low), np.where(before, high, t)
+    one, other = _edges_at(start, end, pairs[some], high)
     a, b, between = one[:, 1] - one[:, 0], other[:, 1] - other[:, 0], other[:, 0] - one[:, 0]
     across = np.cross(a, b)
     square = (across**2).sum(axis=1)
     at = [(np.cross(between, y) * across).sum(axis=1) / square for y in (b, a)]
     inside = np.logical_and.reduce([(s > share) & (s < 1.0 - share) for s in at])
     return np.asarray(some[inside])
+
+
+def _edges_at(start: Floats, end: Floats, pairs: Longs, t: Floats) -> tuple[Floats, Floats]:
+    """Return both edges (p, 2, 3) of pairs (p, 2) at the times t (p,), on straight paths."""
+    s = t[:, None, None]
+    one, other = ((1.0 - s) * start[k] + s * end[k] for k in pairs.T)
+    return one, other

@@ -18,6 +18,7 @@ from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.geometry.facets import Facets, facet_normals
 from dolfinx_mortar.geometry.sweep import find_passing, flat_parts
+from dolfinx_mortar.geometry.turning import best_motion, path, rigid_sums, times_of
 from dolfinx_mortar.mortar.pairing import THROUGH
 from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, thickness_behind
 
@@ -104,13 +105,27 @@ def _passed(
     """Return how middles of a side have passed through another surface; collective."""
     own, comm = side.surface, other.V.mesh.comm
     finite = np.isfinite(side.depth)
-    facets = [facets_at(own, coordinates(own, u))[finite] for u in (before, now)]
+    facets = [facets_at(own, coordinates(own, u)) for u in (before, now)]
     depth, corners = side.depth[finite], np.array(own.element.vertices)
-    faces = [f.x[:, corners].mean(axis=1) for f in facets]
-    middles = [x - depth[:, None] * facet_normals(f) for x, f in zip(faces, facets, strict=True)]
+    faces = [f.x[finite][:, corners].mean(axis=1) for f in facets]
+    middles = [
+        x - depth[:, None] * facet_normals(f[finite]) for x, f in zip(faces, facets, strict=True)
+    ]
     parts = [flat_parts(facets_at(other, coordinates(other, u))) for u in (before, now)]
     start, end = (np.concatenate(comm.allgather(part)) for part in parts)
-    passed = find_passing((middles[0], middles[1]), (start, end))
+    d, origin = start.shape[2], start.mean(axis=(0, 1))  # the sums are made near it
+    frame = best_motion(rigid_sums(*((x - origin).reshape(-1, d) for x in (start, end))))
+    sums = rigid_sums(*((f.x - origin).reshape(-1, d) for f in facets))
+    motion = best_motion(comm.allreduce(sums, op=MPI.SUM)).seen_from(frame)
+    times = times_of([motion])
+    ways = path(motion, times, middles[0] - origin, frame.back(middles[1] - origin))
+    back = frame.back(end - origin)
+    others = [(1.0 - t) * (start - origin) + t * back for t in times]
+    found = [
+        find_passing((ways[k], ways[k + 1]), (others[k], others[k + 1]))
+        for k in range(len(times) - 1)
+    ]
+    passed = np.unique(np.concatenate(found))
     count = comm.allreduce(len(passed), op=MPI.SUM)
     if not count:
         return None
