@@ -156,3 +156,23 @@ def test_conjugate_gradients_meet_a_negative_eigenvalue(lowest, monkeypatch):
         assert not met(mine)
     monkeypatch.setattr(negative_eigenvalues, "RESOLVED", 3.0)
     assert not met()
+
+
+@pytest.mark.parametrize("lowest", [-1.0, 1.0])
+@pytest.mark.parametrize("method", ["none", "cholesky"])
+def test_a_matrix_that_had_nothing_to_solve(lowest, method):
+    """As after a step that ends where it begins: nothing has been set up for it."""
+    A = PETSc.Mat().createAIJ((N, N), nnz=1, comm=COMM)
+    A.setUp()
+    diagonal = A.createVecRight()
+    diagonal.set(1.0)
+    if COMM.rank == 0:
+        diagonal.array[0] = lowest
+    A.setDiagonal(diagonal)
+    A.assemble()
+    linear = LinearSolver(COMM, prefix="unused_", options={"pc_type": method})
+    linear.set_matrix(A)
+    b, x = A.createVecRight(), A.createVecRight()
+    linear.solve(b, x, np.zeros(0, dtype=np.int32), atol=1.0)
+    assert linear.counts.factorisations == 0
+    assert linear.is_indefinite() == (lowest < 0.0)

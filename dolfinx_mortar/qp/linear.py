@@ -335,6 +335,8 @@ class LinearSolver:
             return False
         setup = self.setup
         if not self.direct:
+            if setup.preconditioner.held is None:  # no system with it had to be solved
+                self.factorise(held)
             setup.preconditioner.follow(held)
             return meets_negative_curvature(setup.operator, setup.ksp.getPC(), setup.max_iterations)
         self.factorise(held)
