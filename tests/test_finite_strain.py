@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Finite strain through the whole package: patch, turns, derivatives, bifurcation, volumes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -8,6 +10,7 @@ from scipy.optimize import brentq
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem, mesh
+from dolfinx_mortar.steps import newton
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
 from tests.pressed_blocks import COMM, rejected
 from tests.solid_case import create_displacement, create_domain, residual, set_wave
@@ -221,13 +224,13 @@ def test_an_unstable_balance_is_told(options):
     assert any("unstable" in note for note in dm.newton(problem).notes)
 
 
-def shallow_arch():
+def shallow_arch(rise=0.1, n=24):
     """Return a shallow arch whose ends are held: its mesh, a displacement and the support."""
     domain = mesh.create_rectangle(
-        COMM, [(-1.0, 0.0), (1.0, 0.05)], (24, 1), mesh.CellType.quadrilateral
+        COMM, [(-1.0, 0.0), (1.0, 0.05)], (n, 1), mesh.CellType.quadrilateral
     )
     x = domain.geometry.x
-    x[:, 1] += 0.1 * np.cos(np.pi * x[:, 0] / 2)
+    x[:, 1] += rise * np.cos(np.pi * x[:, 0] / 2)
     u = fem.Function(fem.functionspace(domain, ("Lagrange", 2, (2,))))
     ends = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(abs(x[0]), 1.0))
     held = fem.locate_dofs_topological(u.function_space, 1, ends)
@@ -255,6 +258,46 @@ def test_limit_points_pass_under_displacement_control():
         forces.append(-dm.reaction(problem, bcs[1]).force[1])
         assert not any("snapped" in note for note in report.notes)
     assert forces[0] < forces[1] > forces[2] < forces[3]
+
+
+def test_a_tool_passes_a_limit_point():
+    """It presses an arch at its crown. Open contacts leave the tangent indefinite.
+
+    That the condensed QP tells, not the pivots. Without a shift the interior point took over: the
+    last steps had 27 iterations, or failed.
+    """
+    domain, u, support = shallow_arch(0.3, 16)
+    found = mesh.locate_entities_boundary(domain, 1, lambda x: x[1] > -1.0)
+    x, y, _ = mesh.compute_midpoints(domain, 1, found).T
+    found = np.sort(found[y - 0.3 * np.cos(np.pi / 2 * x) > 0.04])
+    tags = mesh.meshtags(domain, 1, found, np.full(len(found), 1, dtype=np.int32))
+    tool = dm.Obstacle(tags, slave=1, shape=dm.shapes.Cylinder((0.0, 0.55), 0.2))
+    solid = dm.Solid(u, RUBBER, strain="finite")
+    problem = dm.ContactProblem(solid, [tool], bcs=[support])
+    forces, iterations = [], []
+    for depth in (0.04, 0.08, 0.12, 0.16, 0.2, 0.24):
+        tool.position.value[1] = 0.55 - depth
+        iterations.append(dm.newton(problem).newton_iterations)
+        problem.commit()
+        forces.append(abs(tool.force[1]))
+    assert max(iterations) <= 6
+    assert forces[0] < forces[1] > 1.3 * forces[5]
+
+
+def test_what_no_shift_holds_stays(monkeypatch):
+    """A tangent that is singular with the largest shift is not indefinite: the solution stands."""
+    blocks = Blocks()
+    blocks.place(0.0, 0.1)
+    expected = blocks.step().newton_iterations
+    solve = newton._Step.solve
+    monkeypatch.setattr(
+        newton._Step, "solve", lambda *given: replace(solve(*given), definite=False)
+    )
+    blocks = Blocks()
+    blocks.place(0.0, 0.1)
+    report = blocks.step()
+    assert report.newton_iterations == expected
+    assert not any(it.shift for it in report.iterations)
 
 
 def test_loads_that_turn_a_limit_point():

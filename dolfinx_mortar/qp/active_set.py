@@ -20,7 +20,7 @@ from dolfinx_mortar.qp import condensed, interior_point
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPNotSolved, QPSolution, check
 from dolfinx_mortar.qp.descent import descend
 from dolfinx_mortar.qp.held import HeldProblem, State
-from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
+from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver, NotDefinite
 from dolfinx_mortar.qp.updates import LOOSE, TIGHT, Outcome, update
 
 # How friction was linearised: limits of the pressure of the solution, or of a solution before it
@@ -59,6 +59,7 @@ def solve(
         guess.copy(x)
     if qp.friction is not None:
         return _solve_frictional(qp, linear, x, start, rtol)
+    definite = True
     try:
         level, first = LOOSE, start
         if condensed.is_worthwhile(qp, linear):
@@ -74,6 +75,7 @@ def solve(
         reason = outcome.reason
     except LinearSolveFailed as error:
         reason = f"an active set could not be solved ({error})"
+        definite = not isinstance(error, NotDefinite)
     if not qp.definite:
         raise QPNotSolved(f"Active set: {reason}. The matrix is not said to be definite.")
     try:
@@ -84,7 +86,7 @@ def solve(
             "Most often a body is unconstrained: add a support or a load that closes the contact."
         ) from error
     note = f"handed to the interior point: {reason}. {solution.note}".strip()
-    return replace(solution, note=note)
+    return replace(solution, note=note, definite=definite)
 
 
 def _solve_frictional(

@@ -163,6 +163,7 @@ class QPSolution:
     sliding: Floats | None = None  # (m, t) directions of slipping nodes, zero at others
     linearisation: str = ""  # of friction
     changes: int | None = None  # unknowns in which the active set differs from the initial one
+    definite: bool = True  # False if A was seen not to be so on the unknowns that were free
 
 
 class QPNotSolved(RuntimeError):

@@ -52,6 +52,10 @@ class LinearSolveFailed(RuntimeError):
     """A linear system could not be solved; the message says why and what to do."""
 
 
+class NotDefinite(LinearSolveFailed):
+    """A matrix that is not positive definite on the free unknowns: singular, or indefinite."""
+
+
 # Asked with a solution x and its b - A x: the tolerance with which to go on, 0 to end.
 GoOn = Callable[[PETSc.Vec, PETSc.Vec], float]
 
@@ -446,7 +450,7 @@ class LinearSolver:
         try:
             setup.preconditioner.follow(held)
         except LinAlgError as error:
-            raise LinearSolveFailed(f"a body is held by nothing ({error})") from error
+            raise NotDefinite(f"a body is held by nothing ({error})") from error
         stale = not setup.preconditioner.is_of(held)
         ksp, floor = self._ksp, self._operator.round_off(x) * (EPS / ROUND_OFF)
 

@@ -445,34 +445,64 @@ class _Step:
         iteration begins with a tenth of what the last one needed. Near a balance Newton's step goes
         to it, be it stable or not.
         """
-        problem, finite = self.problem, self.problem.solid.strain == "finite"
+        finite, given = self.problem.solid.strain == "finite", (old, start, tangent, accuracy)
         first: Exception | None = None
         begin = 0 if near else max(self.shifted - 1, 0)
         for k in range(begin, len(SHIFTS) if finite else begin + 1):
-            shift = SHIFTS[k]
-            lin = linearise(
-                problem,
-                old.balance,
-                tangent=tangent,
-                shift=shift,
-                pressure=old.pressure,
-                linear=self.solver,
-            )
-            self.shifted = k
             try:
-                solved = self.solve(lin, start, old, accuracy(lin))
+                lin, solved = self.solve_shifted(k, *given)
             except (backends.QPNotSolved, backends.UnusableQP) as error:
                 first = first or error
             else:
-                self.negative = finite and self.has_negative_pivots()
+                self.negative = finite and (self.has_negative_pivots() or not solved.definite)
                 if not self.negative or (near and k == 0):
                     return lin, solved
+                if k == begin and not solved.definite and self.is_loose(*given):
+                    return self.solve_shifted(begin, *given)
                 first = first or backends.QPNotSolved(
                     "the tangent stays indefinite, whatever multiple of the elastic one is added"
                 )
             self.solver.forget()  # what has been factorised is of no use
         assert first is not None
         raise first
+
+    def solve_shifted(
+        self,
+        k: int,
+        old: Iterate,
+        start: Actives,
+        tangent: bool,
+        accuracy: Callable[[Linearisation], float],
+    ) -> tuple[Linearisation, QPSolution]:
+        """Return the QP of an iterate with the k-th of `SHIFTS`, and its solution."""
+        lin = linearise(
+            self.problem,
+            old.balance,
+            tangent=tangent,
+            shift=SHIFTS[k],
+            pressure=old.pressure,
+            linear=self.solver,
+        )
+        self.shifted = k
+        return lin, self.solve(lin, start, old, accuracy(lin))
+
+    def is_loose(
+        self,
+        old: Iterate,
+        start: Actives,
+        tangent: bool,
+        accuracy: Callable[[Linearisation], float],
+    ) -> bool:
+        """Tell whether the largest of `SHIFTS` leaves the tangent singular: no strain holds it."""
+        self.solver.forget()
+        try:
+            loose = not self.solve_shifted(len(SHIFTS) - 1, old, start, tangent, accuracy)[
+                1
+            ].definite
+        except (backends.QPNotSolved, backends.UnusableQP):
+            loose = True
+        self.solver.forget()
+        return loose
 
     def has_negative_pivots(self) -> bool:
         """Tell whether the last factorisation has negative pivots; collective."""
