@@ -480,3 +480,55 @@ def test_what_is_no_distance(slope):
         return
     with rejected("phi is no distance", f"abs(grad phi) is {slope:g}", "phi / abs(grad phi)"):
         dm.newton(problem)
+
+
+def ring_on_a_shaft(cell, n):
+    """Return pressure over Lame's at the bore of a quarter of a ring, straight cells of degree 2.
+
+    The shaft is thicker than the bore a = 1 by d, the ring is b = 2 outside, in plane strain:
+    p = E d (b^2 - a^2) / ((1 + nu) a ((1 - 2 nu) a^2 + b^2)).
+    """
+    d, flat = 2e-3, cell in ("triangle", "quadrilateral")
+    ends, counts = ([1.0, 1.0], [n // 2, n]) if flat else ([1.0, 1.0, 0.2], [n // 2, n, 1])
+    make = mesh.create_rectangle if flat else mesh.create_box
+    domain = make(COMM, [np.zeros(len(ends)), ends], counts, mesh.CellType[cell])
+    fdim = len(ends) - 1
+    bore, *planes = (
+        mesh.locate_entities_boundary(domain, fdim, lambda x, i=i, v=v: np.isclose(x[i], v))
+        for i, v in ((0, 0.0), (1, 0.0), (1, 1.0))
+    )
+    tags = mesh.meshtags(domain, fdim, np.sort(bore), np.ones(len(bore), dtype=np.int32))
+    r, t = 1.0 + domain.geometry.x[:, 0], np.pi / 2 * domain.geometry.x[:, 1]
+    domain.geometry.x[:, :2] = np.stack([r * np.cos(t), r * np.sin(t)], axis=1)
+    V = fem.functionspace(domain, ("Lagrange", 2, (len(ends),)))
+    dofs = [
+        fem.locate_dofs_topological(V.sub(i), fdim, facets)
+        for i, facets in zip((1, 0), planes, strict=True)
+    ]
+    if not flat:
+        W = V.sub(2)
+        every = fem.locate_dofs_geometrical((W, W.collapse()[0]), lambda x: x[0] > -1.0)
+        dofs.append(every[0])
+    zeros = zip((1, 0, 2), dofs, strict=False)
+    bcs = [fem.dirichletbc(0.0, held, V.sub(i)) for i, held in zeros]
+    axis = () if flat else ([0.0, 0.0, 1.0],)
+    shaft = dm.shapes.Cylinder(np.zeros(len(ends)), 1.0 + d, *axis)
+    tool, u = dm.Obstacle(tags, slave=1, shape=shaft), fem.Function(V)
+    dm.newton(dm.ContactProblem(dm.Solid(u, ELASTIC), [tool], bcs=bcs), rtol=1e-8)
+    found, exact = tool.gather(u), E * d * 3.0 / ((1.0 + NU) * (5.0 - 2.0 * NU))
+    return found["pressure"][found["active"] > 0.0] / exact
+
+
+@pytest.mark.parametrize(
+    ("cell", "n", "bar"),
+    [
+        *(("quadrilateral", 8, 0.04), ("triangle", 16, 0.02)),
+        *(("hexahedron", 16, 0.02), ("tetrahedron", 16, 0.07)),
+    ],
+)
+def test_straight_facets_stand_for_a_round_bore(cell, n, bar):
+    """On the shaft in it; mid-side nodes are 2.4 (n = 8) and 0.6 d (n = 16) off the circle at X.
+
+    By the facets alone some nodes are open, and others have a multiple of the pressure.
+    """
+    assert ring_on_a_shaft(cell, n) == pytest.approx(1.0, abs=bar)

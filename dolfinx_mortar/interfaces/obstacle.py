@@ -7,13 +7,15 @@ With the signed distance phi of the tool, positive outside, the weighted gaps ar
 
 and the multipliers lambda_j >= 0 act along n_j = -grad phi(x_j), into the tool: forces -D_jl
 lambda_j n_j on the nodes l of the side, and as much on the tool. Where phi is that of a plane, g_j
-is what D and n_j say, so that uniform pressures are exact. The tangent is in `tool_derivatives`.
+is what D and n_j say, so that uniform pressures are exact. Facets of second order on straight cells
+stand for a smooth surface, which is nearer by its height, see `smooth_heights`. The tangent is in
+`tool_derivatives`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from petsc4py import PETSc
@@ -38,16 +40,24 @@ from dolfinx_mortar.interfaces.coupling import (
     free_directions,
     returned_nodes,
 )
-from dolfinx_mortar.interfaces.interface import Outline
+from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Outline
 from dolfinx_mortar.interfaces.near import FACETS
-from dolfinx_mortar.interfaces.tool import Load, Movable, Pose, Tool, find_facing
+from dolfinx_mortar.interfaces.tool import (
+    Load,
+    Movable,
+    Pose,
+    SidePattern,
+    Tool,
+    find_facing,
+    smooth_heights,
+)
 from dolfinx_mortar.interfaces.tool_derivatives import ToolDerivatives
 from dolfinx_mortar.interfaces.tool_slips import ToolPartners
+from dolfinx_mortar.mortar.curvature_correction import find_smooth_side
 from dolfinx_mortar.mortar.integrals import Coverage
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import accumulate, coordinates, mean_facet_length
 from dolfinx_mortar.mortar.whole_side import (
-    WholeSide,
     create_whole_side,
     integrate_side,
     means,
@@ -58,13 +68,6 @@ from dolfinx_mortar.shapes import Distance, Shape
 # |grad phi| - 1 of what is no distance, within a facet length of the surface: forces and gaps are
 # off by as much.
 NO_DISTANCE = 0.1
-
-
-@dataclass(frozen=True)
-class SidePattern(Pattern):
-    """The pattern of a side alone."""
-
-    side: WholeSide | None = None
 
 
 class Obstacle(Movable, Unilateral):
@@ -205,9 +208,11 @@ class Obstacle(Movable, Unilateral):
             return None, earlier[1]
         side = create_whole_side(sides.slave, sides.weight)
         plain = create_pattern(sides, side.row, side.column, len(side.row))
-        return None, SidePattern(
-            plain.row, plain.column, plain.split, plain.blocks, plain.scalars, side=side
-        )
+        slave, own = sides.slave, None
+        if slave.element.degree > 1 and not slave.curved:
+            own = find_smooth_side(slave, sides.fixed, FEATURE_ANGLE)
+        at = plain.row, plain.column, plain.split, plain.blocks, plain.scalars
+        return None, SidePattern(*at, side=side, own=own)
 
     def measure_coverage(
         self, sides: Sides, pairing: Pairing | None, u: fem.Function | None
@@ -253,8 +258,9 @@ class Obstacle(Movable, Unilateral):
         returned = None if returned is None else returned[:, 0]
         found = integrate_side(side, x, facing, allowed, returned)
         frame = self.frame(normals[own], found.kept, sides.fixed[sides.nodes])
+        h = smooth_heights(pattern, slave, u, found.segments)
         with raised_together(comm):
-            gaps = pose.distance(self.shape, found.x).value
+            gaps = pose.distance(self.shape, found.x).value - h
         at = means(side, found, np.column_stack([found.x, gaps]))
         # at these positions the gap n.(P x - x_j) - h_j is the mean of phi
         heights = -(frame.normals * at[:, :-1]).sum(axis=1) - at[:, -1]
@@ -335,11 +341,13 @@ class Obstacle(Movable, Unilateral):
         side, pose, x = link.pattern.side, self.tool.pose(), coordinates(link.sides.slave, u)
         facing = find_facing(side, pose, self.shape, x)
         segments, points = whole_facets(side, x, facing)
+        h = smooth_heights(link.pattern, link.sides.slave, u, segments)
         nodes = x[side.slave.facets]
         sizes, middles = facet_sizes(nodes), nodes.mean(axis=1)
         points = np.concatenate([points, middles[facing]])
         sizes = np.concatenate([sizes[segments.slave], sizes[facing]])
         depth = -pose.distance(self.shape, points).value
+        depth[: len(h)] += h
         return depth / sizes, depth, points
 
     # -- results ---------------------------------------------------------------------------------

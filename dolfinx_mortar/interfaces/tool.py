@@ -17,8 +17,10 @@ from dolfinx import default_real_type, fem
 from dolfinx_mortar.arguments import as_numbers, is_number
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.geometry.facets import facet_normals
-from dolfinx_mortar.geometry.segments import FACING
-from dolfinx_mortar.mortar.surface import facets_at
+from dolfinx_mortar.geometry.segments import FACING, Segments
+from dolfinx_mortar.interfaces.coupling import Pattern
+from dolfinx_mortar.mortar.curvature_correction import SmoothSide, side_heights
+from dolfinx_mortar.mortar.surface import Surface, facets_at
 from dolfinx_mortar.mortar.whole_side import WholeSide
 from dolfinx_mortar.shapes import Distance, Shape
 
@@ -329,3 +331,24 @@ def find_facing(side: WholeSide, pose: Pose, shape: Shape, x: Floats) -> Bools:
     facets = facets_at(side.slave, x)
     tool = pose.distance(shape, facets.x.mean(axis=1)).gradient
     return np.asarray(-(facet_normals(facets) * tool).sum(axis=1) > FACING)
+
+
+@dataclass(frozen=True)
+class SidePattern(Pattern):
+    """The pattern of a side alone."""
+
+    side: WholeSide | None = None
+    own: SmoothSide | None = None  # for which its facets stand, where they are of second order
+
+
+def smooth_heights(
+    pattern: SidePattern, slave: Surface, u: fem.Function | None, segments: Segments
+) -> Floats:
+    """Return how much (q,) the smooth surface is nearer than points of facets at X + u; collective.
+
+    Facets of second order bend with u, but those of a mesh with straight cells are straight at X,
+    and a side that is round there would meet a round tool with its mid-side or its end nodes alone.
+    """
+    if pattern.own is None:
+        return np.zeros(len(segments.slave))
+    return side_heights(slave, pattern.own, u, segments.slave, segments.xi_s)

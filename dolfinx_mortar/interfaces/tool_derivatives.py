@@ -13,6 +13,8 @@ Its points move with the nodes, dx = N_m dx_m, and dJ = J grad N_m . dx_m. So
     dA = (diag(dd) - A dm) m^-1,
 
 and the tractions t_j = lambda_j n_j + tau_j turn with n_j, dn_j = -(I - n n^T) Hess phi dx_j.
+With phi stands phi - h, the height of the smooth surface for which facets of second order stand;
+its change by the strain of the bodies along the normal is left out.
 """
 
 from __future__ import annotations
@@ -37,7 +39,7 @@ from dolfinx_mortar.interfaces.contact_derivatives import (
 )
 from dolfinx_mortar.interfaces.coupling import CoupledSides
 from dolfinx_mortar.interfaces.slip_partners import Partners
-from dolfinx_mortar.interfaces.tool import Tool, find_facing
+from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, smooth_heights
 from dolfinx_mortar.mortar.integrals import absorbed, weighted_duals
 from dolfinx_mortar.mortar.operators import in_D
 from dolfinx_mortar.mortar.surface import accumulate, coordinates, facets_at
@@ -160,6 +162,8 @@ class ToolDerivatives(LinkDerivatives):
         Phi = weighted_duals(side, segments, keep)
         xi, _ = rule_of(slave.element)
         gradients, _ = surface_gradients(facets_at(slave, x), segments.slave, segments.xi_s)
+        assert isinstance(link.pattern, SidePattern)
+        h = smooth_heights(link.pattern, slave, u, segments)
         found = pose.distance(shape, points)
         which, q = np.flatnonzero(facing), len(xi)
         among, k, d = keep[slave.facets[which]], slave.element.nodes, x.shape[1]
@@ -174,7 +178,7 @@ class ToolDerivatives(LinkDerivatives):
             N_dual=N_dual.reshape(-1, q, k),
             Phi=Phi.reshape(-1, q, k) / w[:, :, None],
             gradients=gradients.reshape(-1, q, k, d),
-            phi=found.value.reshape(-1, q),
+            phi=(found.value - h).reshape(-1, q),
             slope=found.gradient.reshape(-1, q, d),
         )
         return at, x

@@ -188,6 +188,43 @@ def find_smooth_sides(
     return a, b
 
 
+def find_smooth_side(surface: Surface, fixed: Bools, feature_angle: float) -> SmoothSide:
+    """Return the smooth surface of a side alone; collective.
+
+    Args:
+        surface: the side.
+        fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
+        feature_angle: see `smooth_normals`.
+    """
+    normals = smooth_normals(surface, surface.X, fixed[surface.nodes], feature_angle)
+    facets, edges = facets_at(surface, surface.X), count_edges(normals, surface.owned)
+    sagitta = edge_sagittas(facets, normals, surface.facets)
+    return SmoothSide(facets, normals, surface.facets, sagitta, edges)
+
+
+def side_heights(
+    surface: Surface, side: SmoothSide, u: dolfinx.fem.Function | None, which: Ints, xi: Floats
+) -> Floats:
+    """Return the heights (q,) of a side of second order over its facets at X + u; collective.
+
+    See `point_heights`.
+
+    Args:
+        surface: the side.
+        side: its smooth surface at X.
+        u: displacement, None for X.
+        which: (q,) the facet of each point.
+        xi: (q, d-1) reference coordinates.
+    """
+    facets, c = facets_at(surface, coordinates(surface, u)), side.sagitta
+    if u is not None:
+        c = c * thickness_stretches(surface, u)[surface.facets].mean(axis=1, keepdims=True)
+    h = heights(facets, c, which, xi)
+    if u is not None and facets.x.shape[2] == 2:
+        h = heights_of_arcs(facets, c[:, 0], which, h)
+    return h
+
+
 def count_edges(normals: NodeNormals, owned: int) -> Ints:
     """Return how many owned nodes lie on an edge, and how many of them have no normal."""
     none = np.abs(normals.n[:owned]).max(axis=1, initial=0.0) == 0.0
