@@ -167,6 +167,22 @@ def test_a_roller_that_turns_in_place():
     assert (status == 2.0).all()
 
 
+@pytest.mark.parametrize(("angle", "noted"), [(0.4, False), (4.0, True), (2.0 * np.pi, True)])
+def test_a_roller_that_turns_far_in_a_step(angle, noted):
+    """Friction would act the other way beyond half a turn: noted; in small steps it is right."""
+    case = Held(n=12, fine=8.0)
+    tool = case.tool(dm.shapes.Cylinder([4.0, R], R), friction=MU)
+    problem = case.problem([tool], law=dm.Elastic(200.0, 0.3))
+    tool.position.value[1] -= 6 * DEPTH
+    dm.newton(problem)
+    problem.commit()
+    tool.rotation.value[...] = angle
+    told = [note for note in dm.newton(problem).notes if "the tool turns by" in note]
+    assert len(told) == noted
+    assert not noted or f"{np.degrees(angle):.0f} degrees in this step" in told[0]
+    assert noted or tool.tool_moment[2] < 0.0
+
+
 def test_in_space_a_disc_of_slip():
     """A plane that turns about its normal drags a box around, without a resultant."""
     from tests.test_obstacle import box

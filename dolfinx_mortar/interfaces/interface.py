@@ -358,6 +358,10 @@ class Interface(ABC):
         """Return how far a tool has carried points (n, d) since the last commit; None for none."""
         return None
 
+    def turn(self) -> float:
+        """Return by which angle a tool has turned since the last commit; 0 without one."""
+        return 0.0
+
     def outline(self) -> Outline | None:
         """Return where a tool is at present, for pictures; None without one."""
         return None

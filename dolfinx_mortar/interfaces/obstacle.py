@@ -48,6 +48,7 @@ from dolfinx_mortar.interfaces.tool import (
     Pose,
     SidePattern,
     Tool,
+    after,
     find_facing,
     smooth_heights,
 )
@@ -370,6 +371,16 @@ class Obstacle(Movable, Unilateral):
         forth = now.to_space(began.to_tool(before)) - before
         back = after - began.to_space(now.to_tool(after))
         return np.asarray(0.5 * (forth + back))
+
+    def turn(self) -> float:
+        """Return by which angle the tool has turned since the last commit.
+
+        All of it where it is prescribed, with whole turns; the least that leads there by loads.
+        """
+        began, now = self.began, self.tool.pose()
+        if self.tool.travel[len(self.tool.point) :].any() and len(self.tool.point) > 2:
+            return float(np.linalg.norm(after(now.rotation, -began.rotation)))
+        return float(np.linalg.norm(now.rotation - began.rotation))
 
     def outline(self) -> Outline:
         """Return where the tool is at present, for pictures."""

@@ -22,6 +22,9 @@ from dolfinx_mortar.persistence.committed import Slips
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.solid.kinematics import on_axis
 
+LARGE_TURN = 0.5
+"""Radians, up to which slips on a tool that turns in a step are right to 4.5 %: 1 - sin(a) / a."""
+
 
 def set_results(
     problem: ContactProblem,
@@ -127,6 +130,28 @@ def notes_on_sliding(problem: ContactProblem, contacts: Contacts) -> list[str]:
             notes.append(
                 f"{link.interface} has slid {farthest:.3g}, {farthest / length:.1f} facet lengths, "
                 "with frozen geometry, which is for small sliding; choose geometry='updated'"
+            )
+    return notes
+
+
+def notes_on_turns(problem: ContactProblem, contacts: Contacts) -> list[str]:
+    """Return a note for every tool that turns so far in a step that slips are wrong; collective.
+
+    They are chords of length 2 r sin(a/2), in the mean tangential by r sin a, of arcs r a: 4.5 % are
+    missed at the limit, where it is 0.5 radians, and all of it at half a turn; beyond that friction
+    acts the other way.
+    """
+    notes = []
+    for link in problem.system.links:
+        if not link.interface.rough or (angle := link.interface.turn()) <= LARGE_TURN:
+            continue
+        assert contacts.sliding is not None
+        if any_rank(problem.comm, contacts.sliding[link.nodes].any())[0]:
+            notes.append(
+                f"{link.interface}: the tool turns by {np.degrees(angle):.0f} degrees in this step "
+                f"while the side slides on it; slips are taken along straight ways, which are "
+                f"{1.0 - np.sin(angle) / angle:.0%} too short, and point back beyond 180 degrees: "
+                f"take steps of {np.degrees(LARGE_TURN):.0f} degrees at most"
             )
     return notes
 

@@ -19,6 +19,7 @@ from dolfinx_mortar.report.interface_results import (
     notes_on_lost_friction,
     notes_on_missed_tools,
     notes_on_sliding,
+    notes_on_turns,
 )
 from dolfinx_mortar.report.overlaps import notes_on_overlaps
 from dolfinx_mortar.report.resolution import note_on_few_nodes, notes_on_rims
@@ -82,6 +83,7 @@ def _overlaps(end: StepEnd) -> list[str]:
 DIAGNOSES: tuple[Diagnosis, ...] = (
     lambda end: notes_on_missed_tools(end.unilateral),
     lambda end: notes_on_sliding(end.problem, end.contacts),
+    lambda end: notes_on_turns(end.problem, end.contacts),
     lambda end: notes_on_lost_friction(end.problem, end.contacts),
     _pressures,
     lambda end: notes_on_rims(end.links),
