@@ -137,9 +137,8 @@ def notes_on_sliding(problem: ContactProblem, contacts: Contacts) -> list[str]:
 def notes_on_turns(problem: ContactProblem, contacts: Contacts) -> list[str]:
     """Return a note for every tool that turns so far in a step that slips are wrong; collective.
 
-    They are chords of length 2 r sin(a/2), in the mean tangential by r sin a, of arcs r a: 4.5 % are
-    missed at the limit, where it is 0.5 radians, and all of it at half a turn; beyond that friction
-    acts the other way.
+    They are the tangential parts r sin(a) of chords, of arcs r a: a part is missed up to half a
+    turn, where nothing is left, and beyond that friction acts the other way.
     """
     notes = []
     for link in problem.system.links:
