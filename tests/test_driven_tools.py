@@ -8,6 +8,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import default_real_type, fem
+from dolfinx_mortar.interfaces.tool import SPACE
 from dolfinx_mortar.newton_method import driven_tools
 from tests.choice import quick
 from tests.pressed_blocks import rejected
@@ -86,6 +87,43 @@ def test_in_space_a_plate_settles_on_a_box(cell, degree):
     moved = tool.travel
     assert moved[:2] == pytest.approx(np.zeros(2), abs=1e-8) and moved[2] < -0.02
     assert abs(moved[5]) <= abs(moved[3] * moved[4])  # turns about x and y do not commute
+
+
+def plate_with_friction():
+    """Return a plate on a box, pressed on by a force of 0.5, and the problem."""
+    from tests.test_obstacle import box
+
+    tags, u = box("hexahedron", 1, np.eye(3))
+    base = fem.locate_dofs_topological(u.function_space, 2, tags.find(1))
+    plane = dm.shapes.Plane([0.5, 0.5, 1.0], [0.0, 0.0, -1.0])
+    tool = dm.Obstacle(tags, slave=2, shape=plane, friction=0.5, load={"z": -0.5})
+    held = [fem.dirichletbc(np.zeros(3), base, u.function_space)]
+    problem = dm.ContactProblem(dm.Solid(u, dm.Elastic(100.0, 0.2)), [tool], bcs=held)
+    dm.newton(problem, rtol=1e-7)
+    problem.commit()
+    return tool, problem
+
+
+def test_six_forces_and_moments():
+    """On a plate that friction holds: all of them are met, about a point beside it, too."""
+    tool, problem = plate_with_friction()
+    force, moment = np.array([0.05, -0.03, -0.5]), np.array([0.02, 0.01, 0.01])
+    values = zip(SPACE, [*force, *moment], strict=True)
+    tool.load = {name: float(value) for name, value in values}
+    dm.newton(problem, rtol=1e-7)
+    assert tool.tool_force == pytest.approx(-force, abs=1e-6)
+    assert tool.tool_moment == pytest.approx(-moment, abs=1e-6)
+    assert (tool.travel * [1, -1, -1, 1, 1, 1] > 0.0).all()
+
+
+def test_friction_that_cannot_carry_a_load():
+    """Which is more than mu N: an error that names it, and nothing moves."""
+    tool, problem = plate_with_friction()
+    tool.load = {"x": 0.3, "z": -0.5}
+    travel = tool.travel
+    with pytest.raises(dm.NewtonNotConverged, match="up to its limit"):
+        dm.newton(problem, rtol=1e-7)
+    assert tool.travel == pytest.approx(travel, abs=0.0)
 
 
 def walk(tool, problem, load, levels, **options):

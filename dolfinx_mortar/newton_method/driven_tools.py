@@ -326,10 +326,16 @@ def settle(
             shrink = 0.5 * shrink  # beyond the minimum along the way
             continue
         here, shrink = there, 1.0
+    remedy = "take smaller steps, or prescribe the position"
+    if lin.qp.friction is not None and len(diagonal) > 1:
+        remedy = (
+            "what friction has to carry it can carry only up to its limit, and is not found in the "
+            "step in which a tool is first pressed on: give the force that presses it in an "
+            "earlier step"
+        )
     raise StepFailed(
         f"the loads of {', '.join(repr(owner) for owner, _ in drives.tools)} are not met in "
-        f"{LIMIT} tries: {np.abs(here.missing).max():.3g} is missing; take smaller steps, or "
-        "prescribe the position"
+        f"{LIMIT} tries: {np.abs(here.missing).max():.3g} is missing; {remedy}"
     )
 
 
