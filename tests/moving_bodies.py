@@ -88,23 +88,23 @@ class Blocks:
         self.inertia = dm.Inertia(self.solid, density, self.cells, velocity=velocity)
         sides = {"slave": BOTTOM_OF_UPPER, "master": TOP_OF_LOWER}
         self.contact = dm.Contact(self.facets, **sides, friction=friction)
-        bcs = []
+        self.bcs = bcs = []
         if clamped:
             owned = self.cells.indices[self.cells.values == LOWER]
             dofs = np.unique(self.V.dofmap.list[owned]).astype(np.int32)
             bcs.append(fem.dirichletbc(np.zeros(2), dofs, self.V))
         if guided:
             bcs.append(component(self.V, 0))
-        loads = None
+        self.loads = None
         if gravity:
             weight = ufl.Measure("dx", self.mesh, subdomain_data=self.cells)(UPPER)
-            loads = -density * gravity * ufl.TestFunction(self.V)[1] * weight
+            self.loads = -density * gravity * ufl.TestFunction(self.V)[1] * weight
         dampings = [dm.Damping(self.inertia, stiffness=damping)] if damping else []
         self.problem = dm.ContactProblem(
             self.solid,
             [self.contact],
             bcs=bcs,
-            loads=loads,
+            loads=self.loads,
             terms=[self.inertia, *dampings],
             geometry=geometry,
         )

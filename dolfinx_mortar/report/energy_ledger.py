@@ -121,9 +121,8 @@ class EnergyLedger:
     def start(self, begin: float, end: float) -> None:
         """Find the initial acceleration, with the loads of the start; collective.
 
-        After a static step contact forces balance all others at nodes without mass, so that they
-        need not be known: M a = f - F elsewhere. At a start from nothing these nodes hang on the
-        others, and what acts on them is moved there, M a = P^T (f - F).
+        Nodes without mass are in equilibrium, with the contact forces that are known, or hang on
+        the others, and what acts on them is moved there: M a = P^T (f - F + c).
 
         Args:
             begin: time of the start.
@@ -137,13 +136,12 @@ class EnergyLedger:
         forces = loads - self._forces([problem.solid])
         for damping in self._dampings:
             forces -= damping.times(velocity)
-        held, begun = problem.supports.owned, problem.committed.begun
-        acting = forces if begun else inertia.mass.inner(forces)
+        forces += inertia.values("contact") + inertia.values("friction")
+        held = problem.supports.owned
+        acting = inertia.mass.inner(np.where(held, 0.0, forces))
         acceleration = inertia.mass.solve(acting, held)
         balance = inertia.mass.times(acceleration)
-        off = held | ~inertia.mass.massless[:, None]
-        contact = np.where(off, 0.0, balance - forces) if begun else np.zeros_like(forces)
-        inertia.put(acceleration=acceleration, balance=balance, contact=contact, load=loads)
+        inertia.put(acceleration=acceleration, balance=balance, load=loads)
 
     @property
     def _dampings(self) -> list[Damping]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 from mpi4py import MPI
@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arguments import is_name, is_number
 from dolfinx_mortar.arrays import ROUND_OFF, SAME
 from dolfinx_mortar.problem.checks import check_every, check_load_steps, check_problem
@@ -24,8 +24,17 @@ from dolfinx_mortar.report.energy_ledger import EnergyLedger
 from dolfinx_mortar.step_report import LoadStep, StepReport
 from dolfinx_mortar.steps.ramp import read_ramps
 from dolfinx_mortar.steps.walk import Level, Loading, Solves, walk
-from dolfinx_mortar.terms.inertia import NEWMARK, Damping, Inertia, Scheme, generalised_alpha
+from dolfinx_mortar.terms.inertia import (
+    IMPLICIT,
+    NEWMARK,
+    Damping,
+    Inertia,
+    Scheme,
+    generalised_alpha,
+)
 
+PART = 1e-4
+"""Of the first step: how long nodes without mass have for settling at the start."""
 CONSERVING, DAMPED = "energy-conserving", "generalised-alpha"
 
 
@@ -43,17 +52,48 @@ class TimeSolves(Solves):
         """Solve a step to a time; collective."""
         if self.ledger is None:
             (inertia,) = find_inertia(self.problem)
-            begun = any(step.report.ledger is not None for step in self.problem.history[-1:])
-            if not begun:
-                self.notes = stop_held(self.problem, inertia)
-            self.ledger = EnergyLedger(self.problem, inertia, conserve=self.conserve)
-            if not begun:
-                begin = self.problem.committed.level
-                self.loading.set(self.problem, begin)
-                self.ledger.start(begin, level.time)
-                self.loading.set(self.problem, level.time)
+            if any(step.report.ledger is not None for step in self.problem.history[-1:]):
+                self.ledger = EnergyLedger(self.problem, inertia, conserve=self.conserve)
+            else:
+                self.ledger = self._start(inertia, level)
         self.ledger.open()
         return super().to(level)
+
+    def _start(self, inertia: Inertia, level: Level) -> EnergyLedger:
+        """Return the ledger of a motion that begins, with a step to a level; collective."""
+        problem, begin = self.problem, self.problem.committed.level
+        self.notes = stop_held(problem, inertia)
+        self.loading.set(problem, begin)
+        self._settle(inertia, begin, level)
+        ledger = EnergyLedger(problem, inertia, conserve=self.conserve)
+        ledger.start(begin, level.time)
+        self.loading.set(problem, level.time)
+        return ledger
+
+    def _settle(self, inertia: Inertia, begin: float, level: Level) -> None:
+        """Bring nodes without mass into equilibrium, and find what acts on them; collective.
+
+        They follow the loads and contacts of the start in no time: a step from rest, so short that
+        it moves the others by PART^2 of what the accelerations of the start do in the first step.
+        """
+        problem, mass = self.problem, inertia.mass
+        if not any_rank(problem.comm, mass.massless.any())[0]:
+            return
+        names, scheme = ("velocity", "acceleration", "balance"), inertia.scheme
+        before = {name: inertia.values(name).copy() for name in names}
+        inertia.put(**dict.fromkeys(names, np.zeros_like(mass.X)))
+        inertia.scheme = IMPLICIT
+        part = begin + PART * (level.time - begin)
+        try:
+            self._solve(replace(level, time=part), self.linear, audit=False)
+        finally:
+            inertia.put(**before)
+            inertia.scheme = scheme
+        outcome = problem.outcome
+        assert outcome is not None and outcome.normal is not None
+        assert outcome.tangential is not None
+        inertia.put(contact=outcome.normal, friction=outcome.tangential)
+        problem.terms.roll_back()
 
     def commit(self, report: StepReport) -> None:
         """Commit a step with its ledger; collective."""
@@ -96,7 +136,8 @@ def time_steps(
     velocities, too. Each step minimises the energy of the step plus kappa/2 |u - p|_M^2, p the
     position to which velocity and acceleration carry the bodies, within the bounds of contact.
     Bodies that nothing holds are free to fly. The first acceleration is that of the forces at
-    the start; loads and supports of the start are those of ``start``. An initial velocity where a
+    the start, with which nodes without mass are in equilibrium from then on; loads and supports of
+    the start are those of ``start``. An initial velocity where a
     support holds still is set to 0, with a note.
 
     Args:

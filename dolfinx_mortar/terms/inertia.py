@@ -76,6 +76,8 @@ class Scheme:
 
 NEWMARK = Scheme()
 """Newmark's trapezoidal rule, which keeps the energy of a linear motion."""
+IMPLICIT = Scheme(beta=1.0, gamma=1.0)
+"""Euler's implicit rule."""
 
 
 def generalised_alpha(radius: float) -> Scheme:
