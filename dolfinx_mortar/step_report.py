@@ -130,6 +130,7 @@ class Ledger:
     contact: float  # what contact forces gave beyond friction, before the energy was restored
     defect: float  # left side less right side, over the largest energy so far
     largest: float  # of all these energies and works, so far
+    owed: float = 0.0  # what contact has given and not yet taken back; it waits until it matters
 
     def __str__(self) -> str:
         parts = ", ".join(f"{f.name} {getattr(self, f.name):.6g}" for f in fields(self))

@@ -12,6 +12,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.report import energy_ledger
+from dolfinx_mortar.steps.time_steps import TimeSolves
 from dolfinx_mortar.terms import mass
 from tests.choice import quick
 from tests.meshes import BOTTOM_OF_UPPER, LOWER, TOP_OF_LOWER, UPPER
@@ -237,6 +238,36 @@ def test_a_body_that_rests_stays_at_rest():
     walk(case.problem, [0.01, 0.02, 0.03])
     assert np.abs(case.u.x.array - rest).max() < 1e-9 * np.abs(rest).max()
     assert case.contact.force[1] == pytest.approx(9.81)
+
+
+def test_a_start_without_equilibrium_is_noted(monkeypatch):
+    """Of the nodes without mass, which nothing can settle; the motion begins all the same."""
+    solve = TimeSolves._solve
+
+    def fails(self, level, linear, *, audit=True):
+        if not audit:
+            raise dm.NewtonNotConverged("no equilibrium", None)
+        return solve(self, level, linear)
+
+    monkeypatch.setattr(TimeSolves, "_solve", fails)
+    case = Blocks(gravity=9.81, guided=True)
+    first, second = dm.time_steps(case.problem, [0.01, 0.02], progress=False)
+    said = "no equilibrium with the loads of the start (no equilibrium)"
+    assert said in "".join(first.report.notes) and said not in "".join(second.report.notes)
+
+
+def test_nothing_settles_where_nothing_acts(monkeypatch):
+    """Forces that are zero have no equilibrium that could be told from another one."""
+    solve, audits = TimeSolves._solve, []
+
+    def solved(self, level, linear, *, audit=True):
+        audits.append(audit)
+        return solve(self, level, linear, audit=audit)
+
+    monkeypatch.setattr(TimeSolves, "_solve", solved)
+    for gravity in (0.0, 1.0):
+        walk(Blocks(gravity=gravity, guided=True).problem, [0.01])
+    assert audits == [True, False, True]
 
 
 @pytest.mark.parametrize("by", ["ramp", "on_time"])

@@ -17,11 +17,11 @@ from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arguments import is_name, is_number
-from dolfinx_mortar.arrays import ROUND_OFF, SAME
+from dolfinx_mortar.arrays import ROUND_OFF, SAME, Bools
 from dolfinx_mortar.problem.checks import check_every, check_load_steps, check_problem
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.energy_ledger import EnergyLedger
-from dolfinx_mortar.step_report import LoadStep, StepReport
+from dolfinx_mortar.step_report import LoadStep, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.ramp import read_ramps
 from dolfinx_mortar.steps.walk import Level, Loading, Solves, walk
 from dolfinx_mortar.terms.inertia import (
@@ -85,15 +85,30 @@ class TimeSolves(Solves):
         inertia.scheme = IMPLICIT
         part = begin + PART * (level.time - begin)
         try:
-            self._solve(replace(level, time=part), self.linear, audit=False)
+            if self._acts(mass.massless, begin, part):
+                self._solve(replace(level, time=part), self.linear, audit=False)
+                outcome = problem.outcome
+                assert outcome is not None and outcome.normal is not None
+                assert outcome.tangential is not None
+                inertia.put(contact=outcome.normal, friction=outcome.tangential)
+        except NewtonNotConverged as error:
+            self.notes.append(
+                "Inertia: nodes of contacts, which have no mass, found no equilibrium with the "
+                f"loads of the start ({error.message.splitlines()[0]}): the first step knows no "
+                "contact forces at its start"
+            )
         finally:
+            problem.terms.roll_back()
             inertia.put(**before)
             inertia.scheme = scheme
-        outcome = problem.outcome
-        assert outcome is not None and outcome.normal is not None
-        assert outcome.tangential is not None
-        inertia.put(contact=outcome.normal, friction=outcome.tangential)
-        problem.terms.roll_back()
+
+    def _acts(self, nodes: Bools, begin: float, end: float) -> bool:
+        """Tell whether loads or stresses act on some of the nodes (owned nodes,); collective."""
+        problem, r = self.problem, self.problem.vector()
+        problem.terms.begin(begin, end)
+        problem.terms.assemble_forces(r)
+        forces = r.array_r.reshape(len(nodes), -1)
+        return bool(any_rank(problem.comm, forces[nodes].any())[0])
 
     def commit(self, report: StepReport) -> None:
         """Commit a step with its ledger; collective."""
