@@ -240,6 +240,15 @@ def test_a_body_that_rests_stays_at_rest():
     assert case.contact.force[1] == pytest.approx(9.81)
 
 
+@pytest.mark.parametrize(("damping", "least"), [(0.0, 1e-12), (2e-3, 5e-6)])
+def test_a_load_put_on_at_rest_leaves_no_defect(damping, least):
+    """Viscous forces on nodes without mass begin from nothing, which costs 1e-6 once."""
+    case = Blocks(gravity=9.81, guided=True, damping=damping)
+    for step in dm.time_steps(case.problem, 0.01 * np.arange(1, 11), progress=False, rtol=1e-11):
+        assert abs(step.report.ledger.defect) < least
+    assert step.report.ledger.largest > 0.01 and not step.report.notes
+
+
 def test_a_start_without_equilibrium_is_noted(monkeypatch):
     """Of the nodes without mass, which nothing can settle; the motion begins all the same."""
     solve = TimeSolves._solve

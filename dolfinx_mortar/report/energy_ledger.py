@@ -137,14 +137,14 @@ class EnergyLedger:
                 term.begin(begin, end)
         loads, velocity = self._loads(), inertia.values("velocity")
         forces = loads - self._forces([problem.solid])
-        for damping in self._dampings:
-            forces -= damping.times(velocity)
+        damping = sum((d.times(velocity) for d in self._dampings), np.zeros_like(velocity))
+        forces -= damping
         forces += inertia.values("contact") + inertia.values("friction")
         held = problem.supports.owned
         acting = inertia.mass.inner(np.where(held, 0.0, forces))
         acceleration = inertia.mass.solve(acting, held)
         balance = inertia.mass.times(acceleration)
-        inertia.put(acceleration=acceleration, balance=balance, load=loads)
+        inertia.put(acceleration=acceleration, balance=balance, load=loads, damping=damping)
 
     @property
     def _dampings(self) -> list[Damping]:
@@ -153,16 +153,14 @@ class EnergyLedger:
     def open(self) -> None:
         """Note the forces at the start of a step; collective."""
         problem, inertia = self.problem, self.inertia
-        velocity = inertia.mass.extend(inertia.values("velocity"))
-        damping = sum((d.times(velocity) for d in self._dampings), np.zeros_like(velocity))
-        supports = problem.committed.supports
+        supports, shape = problem.committed.supports, inertia.mass.X.shape
         self._before = Ends(
-            u=problem.owned_u.reshape(velocity.shape).copy(),
+            u=problem.owned_u.reshape(shape).copy(),
             contact=inertia.values("contact").copy(),
             friction=inertia.values("friction").copy(),
-            supports=np.zeros_like(velocity) if supports is None else supports.forces,
+            supports=np.zeros(shape) if supports is None else supports.forces,
             loads=inertia.values("load").copy(),
-            damping=damping,
+            damping=inertia.values("damping").copy(),
             internal=self._internal(),
         )
 
@@ -223,7 +221,8 @@ class EnergyLedger:
         inertia.finish(motion)
         potential = self._stored()
         problem.commit()
-        inertia.put(contact=after.contact, friction=after.friction, load=after.loads)
+        kept = {"load": after.loads, "damping": after.damping}
+        inertia.put(contact=after.contact, friction=after.friction, **kept)
         last, flow = self.last, 0.0
         if potential is None or self._potential is None:
             assert before.internal is not None and after.internal is not None

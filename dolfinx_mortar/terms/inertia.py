@@ -60,6 +60,9 @@ NO_TIME = (
 as_floats = partial(np.asarray, dtype=np.float64)
 
 
+STATE = ("velocity", "acceleration", "balance", "contact", "friction", "load", "damping")
+
+
 @dataclass(frozen=True)
 class Scheme:
     """The parameters of the generalised alpha method.
@@ -167,7 +170,15 @@ class Inertia(Term):
         self.plain = self.mass = assemble_mass(V, rho, weight)
         self._state = {
             name: fem.Function(V, name=name)
-            for name in ("velocity", "acceleration", "balance", "contact", "friction", "load")
+            for name in (
+                "velocity",
+                "acceleration",
+                "balance",
+                "contact",
+                "friction",
+                "load",
+                "damping",
+            )
         }
         set_velocity(self.velocity, velocity, cell_tags)
         self._start: Start | None = None
