@@ -62,7 +62,7 @@ class TimeSolves(Solves):
     def _start(self, inertia: Inertia, level: Level) -> EnergyLedger:
         """Return the ledger of a motion that begins, with a step to a level; collective."""
         problem, begin = self.problem, self.problem.committed.level
-        self.notes = stop_held(problem, inertia)
+        self.notes = stop_held(problem, inertia) + notes_on_mass(inertia)
         self.loading.set(problem, begin)
         self._settle(inertia, begin, level)
         ledger = EnergyLedger(problem, inertia, conserve=self.conserve)
@@ -260,6 +260,17 @@ def stop_held(problem: ContactProblem, inertia: Inertia) -> list[str]:
         f"Inertia: velocity is up to {stopped:.3g} at {count} nodes in directions that bcs hold; "
         "it has been set to 0 there, since it would change its sign in every step: give a velocity "
         "that vanishes where bcs hold, or move the support"
+    ]
+
+
+def notes_on_mass(inertia: Inertia) -> list[str]:
+    """Return a note if bodies have not kept their moments of inertia."""
+    if not inertia.mass.changed > SAME:
+        return []
+    return [
+        f"Inertia: moments of inertia are up to {100 * inertia.mass.changed:.2g} % from those of "
+        "the bodies, which are too thin for moving the mass of contact nodes inwards, so that they "
+        "turn too easily: mesh them with four layers of cells or more behind each contact side"
     ]
 
 

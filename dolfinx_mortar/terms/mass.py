@@ -51,6 +51,7 @@ class Mass:
     X: Floats  # (owned nodes, d)
     extension: PETSc.Mat | None = None  # P, None for the identity
     bare: Bools | None = None  # (owned nodes,) without mass; None for none of them
+    changed: float = 0.0  # the largest share by which a body's sum of m x^2 has changed
 
     @property
     def massless(self) -> Bools:
@@ -184,7 +185,23 @@ def relieve(plain: Mass, contact: Bools, body: Ints) -> Mass:
     v = moved.createVecRight()
     v.array[:] = scale
     moved.diagonalScale(v, v)
-    return replace(plain, matrix=moved, extension=extension, bare=bare)
+    made = replace(plain, matrix=moved, extension=extension, bare=bare)
+    return replace(made, changed=_change_of_moments(plain, made, body, len(degree)))
+
+
+def _change_of_moments(plain: Mass, moved: Mass, body: Ints, count: int) -> float:
+    """Return the largest relative change of a body's sum of m |x - centre|^2; collective."""
+    comm = plain.matrix.comm.tompi4py()
+
+    def by_body(values: Floats) -> Floats:
+        sums = np.zeros((count, values.shape[1]))
+        np.add.at(sums, body, values)
+        return np.asarray(comm.allreduce(sums))
+
+    weights = plain.times(np.ones_like(plain.X))
+    x = plain.X - (by_body(weights * plain.X) / by_body(weights))[body]
+    before, after = (by_body(x * mass.times(x)).sum(axis=1) for mass in (plain, moved))
+    return float(np.abs(after / before - 1.0).max())
 
 
 def _extension(plain: Mass, contact: Bools) -> tuple[PETSc.Mat, Bools]:
