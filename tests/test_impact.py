@@ -153,6 +153,35 @@ def test_two_free_bodies_collide_and_spin_at_finite_strain(g):
     assert abs(step.report.ledger.defect) < 1e-2
 
 
+def test_a_tool_gives_the_moment_of_its_forces_at_finite_strain(monkeypatch):
+    """By the trapezoidal rule: a block falls on a corner and turns; without the impulse."""
+    monkeypatch.setattr(energy_ledger, "respond", lambda *_: None)
+    domain = dolfinx_mesh.create_rectangle(
+        COMM, [[0.0, 0.0], [1.0, 0.5]], [6, 5], dolfinx_mesh.CellType.quadrilateral
+    )
+    c, s = np.cos(0.4), np.sin(0.4)
+    domain.geometry.x[:, :2] = domain.geometry.x[:, :2] @ np.array([[c, s], [-s, c]])
+    domain.topology.create_connectivity(1, 2)
+    skin = np.sort(dolfinx_mesh.exterior_facet_indices(domain.topology))
+    tags = dolfinx_mesh.meshtags(domain, 1, skin, np.full(len(skin), 1, dtype=np.int32))
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    solid = dm.Solid(fem.Function(V), dm.NeoHooke(1000.0, 0.3), strain="finite")
+    inertia = dm.Inertia(solid, 1.0, velocity=(0.2, -1.0))
+    plane = dm.shapes.Plane([0.0, -0.01], [0.0, 1.0])
+    floor = dm.Obstacle(tags, slave=1, shape=plane, friction=0.3)
+    problem = dm.ContactProblem(solid, [floor], terms=[inertia])
+    dt, touched, before, largest = 5e-3, 0, 0.0, 0.0
+    moment = inertia.moment_of_momentum([0.0, -0.01])[0]
+    size = abs(moment)
+    for _ in steps(problem, dt * np.arange(1, 41)):
+        now = -floor.tool_moment[2]
+        moment += 0.5 * dt * (before + now)
+        before, touched, largest = now, touched + bool(now), max(largest, abs(now))
+        found = inertia.moment_of_momentum([0.0, -0.01])[0]
+        assert found == pytest.approx(moment, abs=1e-10 * size)
+    assert touched > 5 and largest > 0.2 * size
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron"])
 def test_two_boxes_collide_in_space(cell):
@@ -314,6 +343,46 @@ def test_a_belt_takes_a_block_along():
     assert ledger.supports == pytest.approx(mass * reached * v, rel=5e-3)
     kinetic = 0.5 * mass * reached**2
     assert ledger.friction == pytest.approx(ledger.supports - kinetic, rel=0.02)
+
+
+class Pushed:
+    """A free block, and a plane tool above it that a force of 10 drives from the start."""
+
+    def __init__(self, gap=0.0):
+        """Make them, with a gap between them."""
+        domain = dolfinx_mesh.create_rectangle(
+            COMM, [[0.0, 0.0], [1.0, 1.0]], [4, 6], dolfinx_mesh.CellType.quadrilateral
+        )
+        top = dolfinx_mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[1], 1.0))
+        tags = dolfinx_mesh.meshtags(domain, 1, np.sort(top), np.full(len(top), 1, dtype=np.int32))
+        V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+        solid = dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.0))
+        plane = dm.shapes.Plane([0.5, 1.0 + gap], [0.0, -1.0])
+        self.force = fem.Constant(domain, -10.0)
+        self.tool = dm.Obstacle(tags, slave=1, shape=plane, load={"y": self.force})
+        self.inertia = dm.Inertia(solid, 1.0)
+        self.problem = dm.ContactProblem(solid, [self.tool], terms=[self.inertia])
+
+
+def test_the_load_of_a_tool_that_jumps():
+    """A tool has no mass: it hands on its load at once, and follows the block."""
+    case, dt, before, momentum = Pushed(), 5e-3, -10.0, 0.0
+
+    def load(time):
+        case.force.value = -10.0 if time < 2.5 * dt else -40.0
+
+    for step in steps(case.problem, dt * np.arange(1, 8), on_time=load):
+        now = float(case.force.value)
+        momentum += 0.5 * dt * (before + now)
+        before = now
+        assert case.tool.tool_force == pytest.approx([0.0, -now], abs=1e-8)
+        assert case.inertia.momentum()[1] == pytest.approx(momentum, rel=1e-8)
+        assert abs(step.report.ledger.defect) < 1e-10
+
+
+def test_a_tool_without_mass_does_not_cross_a_gap():
+    with pytest.raises(dm.NewtonNotConverged, match="begin where they touch: tools have no mass"):
+        list(steps(Pushed(gap=0.05).problem, [5e-3], cuts="none"))
 
 
 @pytest.mark.parametrize(("layers", "thin"), quick([(2, True), (3, False)], (2, True)))

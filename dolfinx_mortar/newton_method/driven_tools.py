@@ -326,7 +326,10 @@ def settle(
             shrink = 0.5 * shrink  # beyond the minimum along the way
             continue
         here, shrink = there, 1.0
-    remedy = "take smaller steps, or prescribe the position"
+    remedy = (
+        "take smaller steps, or prescribe the position. With inertia, let them begin where they "
+        "touch: tools have no mass, so that forces move them over a gap in no time"
+    )
     if lin.qp.friction is not None and len(diagonal) > 1:
         remedy = (
             "what friction has to carry it can carry only up to its limit, and is not found in the "

@@ -208,6 +208,8 @@ class EnergyLedger:
             work["supports"] += share
         gain = work["contact"] + max(work["friction"], 0.0)
         terms = self._sum(np.abs((before.contact + after.contact) * du))
+        if self.conserve:
+            motion = self._turned(motion, before, after, self._on_tools)
         left, unsolved, owed = 0.0, False, self.last.owed + gain
         least = max(ROUND_OFF * terms, report.rtol * self.last.largest)
         if self.conserve and abs(owed) > least:
@@ -217,7 +219,7 @@ class EnergyLedger:
             work["supports"] += share
             unsolved, owed = y is None, 0.0
         if self.conserve:
-            motion = self._turned(motion, before, after)
+            motion = self._turned(motion, before, after, self._free)
         inertia.finish(motion)
         potential = self._stored()
         problem.commit()
@@ -250,19 +252,21 @@ class EnergyLedger:
             report.notes.append(_not_restored(left, unsolved=unsolved))
         report.notes += notes_on_energy(self.last, thin=self._contacts_have_mass())
 
-    def _turned(self, motion: Motion, before: Ends, after: Ends) -> Motion:
-        """Return a motion with the moment of momentum that loads leave to free bodies; collective.
+    def _turned(self, motion: Motion, before: Ends, after: Ends, groups: list[Bools]) -> Motion:
+        """Return a motion with the moment of momentum that forces leave to groups; collective.
 
-        At finite strain; the linear theory keeps it about X.
+        These are loads and, of bodies on tools, what the tools do. At finite strain; the linear
+        theory keeps it about X.
         """
         inertia, total = self.inertia, self.inertia.sum
-        mass, dt = inertia.mass, inertia.start.dt
+        mass, dt, tools = inertia.mass, inertia.start.dt, self._tools[:, None]
         ends = (before, inertia.values("velocity"), 1.0), (after, motion.velocity, -1.0)
-        for on in self._free:
+        for on in groups:
             missing: Floats = np.zeros(len(self._spins(mass.X)))
             for end, velocity, sign in ends:
                 spins = self._spins(mass.X + end.u)
-                impulse = 0.5 * dt * (end.loads - end.damping) + sign * mass.times(velocity)
+                acting = end.loads - end.damping + np.where(tools, end.contact + end.friction, 0.0)
+                impulse = 0.5 * dt * acting + sign * mass.times(velocity)
                 missing = missing + moments(spins, impulse, on, total)
             at = mass.X + after.u
             v = give_back(mass, motion.velocity, at, missing, on, self._spins, total)
@@ -275,17 +279,45 @@ class EnergyLedger:
         return [motion for name, motion in named.items() if name.startswith("rotation")]
 
     @cached_property
+    def _tools(self) -> Bools:
+        """Which nodes (owned nodes,) are on sides that may meet rigid tools."""
+        n, on = len(self.inertia.mass.X), np.zeros(len(self.inertia.mass.X), dtype=bool)
+        for side in self.problem.system.sides:
+            if side.master is None:
+                on |= side.on_slave[:n]
+        return on
+
+    @cached_property
     def _free(self) -> list[Bools]:
         """Marks (owned nodes,) of what meets or is tied, where no support or tool may hold it."""
-        problem, n = self.problem, len(self.inertia.mass.X)
+        return self._groups(self._held | self._tools)
+
+    @cached_property
+    def _on_tools(self) -> list[Bools]:
+        """Those where no support holds it, but tools may."""
+        comm = self.problem.comm
+        groups = self._groups(self._held)
+        return [on for on in groups if any_rank(comm, (on & self._tools).any())[0]]
+
+    @cached_property
+    def _held(self) -> Bools:
+        """Which nodes (owned nodes,) supports hold, or rigid sides and tools that cannot let go."""
+        held = np.asarray(self.problem.supports.owned.any(axis=1))
+        n = len(held)
+        system = self.problem.system
+        for side, interface in zip(system.sides, system.interfaces, strict=True):
+            if side.master is None and not interface.unilateral:
+                held |= side.on_slave[:n]
+        return held
+
+    def _groups(self, held: Bools) -> list[Bools]:
+        """Return the groups of which none of these nodes (owned nodes,) is a part; collective."""
+        problem = self.problem
         if problem.solid.strain != "finite" or not self._spins(self.inertia.mass.X):
             return []
-        sides = problem.system.sides
-        bodies = with_ties(problem.bodies, [(s.on_slave, s.on_master) for s in sides])
-        held = np.asarray(problem.supports.owned.any(axis=1))
-        for side in sides:
-            if side.master is None:
-                held |= side.on_slave[:n]
+        bodies = with_ties(
+            problem.bodies, [(s.on_slave, s.on_master) for s in problem.system.sides]
+        )
         label = bodies.label if bodies.group is None else bodies.group[bodies.label]
         return free_groups(label, held, self.inertia.mass)
 

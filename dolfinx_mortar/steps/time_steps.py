@@ -86,11 +86,13 @@ class TimeSolves(Solves):
         part = begin + PART * (level.time - begin)
         try:
             if self._acts(mass.massless, begin, part):
-                self._solve(replace(level, time=part), self.linear, audit=False)
+                self._solve(replace(level, time=part), self.linear)
                 outcome = problem.outcome
                 assert outcome is not None and outcome.normal is not None
                 assert outcome.tangential is not None
                 inertia.put(contact=outcome.normal, friction=outcome.tangential)
+                inertia.roll_back()
+                problem.commit()
         except NewtonNotConverged as error:
             self.notes.append(
                 "Inertia: nodes of contacts, which have no mass, found no equilibrium with the "
@@ -103,8 +105,11 @@ class TimeSolves(Solves):
             inertia.scheme = scheme
 
     def _acts(self, nodes: Bools, begin: float, end: float) -> bool:
-        """Tell whether loads or stresses act on some of the nodes (owned nodes,); collective."""
+        """Tell whether loads, tools or stresses may act on nodes (owned nodes,); collective."""
         problem, r = self.problem, self.problem.vector()
+        driven = [interface.driven() for interface in problem.interfaces]
+        if any(tool is not None and np.any(tool.loads()) for tool in driven):
+            return True
         problem.terms.begin(begin, end)
         problem.terms.assemble_forces(r)
         forces = r.array_r.reshape(len(nodes), -1)

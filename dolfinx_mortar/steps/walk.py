@@ -124,7 +124,7 @@ class Solves:
         )
         return report
 
-    def _solve(self, level: Level, linear: LinearSolver, *, audit: bool = True) -> StepReport:
+    def _solve(self, level: Level, linear: LinearSolver) -> StepReport:
         return solve_step(
             self.problem,
             qp=self.qp,
@@ -132,7 +132,6 @@ class Solves:
             max_it=self.max_it,
             overlap=level.overlap,
             level=level.time,
-            audit=audit,
             linear=linear,
         )
 
