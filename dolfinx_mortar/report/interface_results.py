@@ -20,10 +20,8 @@ from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.linearisation import Balance
 from dolfinx_mortar.persistence.committed import Slips
 from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.report.small_strain import LARGE
 from dolfinx_mortar.solid.kinematics import on_axis
-
-LARGE_TURN = 0.5
-"""Radians, up to which slips on a tool that turns in a step are right to 4.5 %: 1 - sin(a) / a."""
 
 
 def set_results(
@@ -142,15 +140,18 @@ def notes_on_turns(problem: ContactProblem, contacts: Contacts) -> list[str]:
     """
     notes = []
     for link in problem.system.links:
-        if not link.interface.rough or (angle := link.interface.turn()) <= LARGE_TURN:
+        if not link.interface.rough:
+            continue
+        angle = link.interface.turn()
+        if (missed := 1.0 - np.sinc(angle / np.pi)) <= LARGE:
             continue
         assert contacts.sliding is not None
         if any_rank(problem.comm, contacts.sliding[link.nodes].any())[0]:
             notes.append(
                 f"{link.interface}: the tool turns by {np.degrees(angle):.0f} degrees in this step "
                 f"while the side slides on it; slips are taken along straight ways, which are "
-                f"{1.0 - np.sin(angle) / angle:.0%} too short, and point back beyond 180 degrees: "
-                f"take steps of {np.degrees(LARGE_TURN):.0f} degrees at most"
+                f"{missed:.0%} too short, and point back beyond 180 degrees: take steps of 30 "
+                "degrees at most"
             )
     return notes
 

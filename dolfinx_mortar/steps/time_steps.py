@@ -17,7 +17,7 @@ from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arguments import is_name, is_number
-from dolfinx_mortar.arrays import ROUND_OFF, SAME, Bools
+from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, ROUND_OFF, SAME, Bools
 from dolfinx_mortar.problem.checks import check_every, check_load_steps, check_problem
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.energy_ledger import EnergyLedger
@@ -33,8 +33,6 @@ from dolfinx_mortar.terms.inertia import (
     generalised_alpha,
 )
 
-PART = 1e-4
-"""Of the first step: how long nodes without mass have for settling at the start."""
 CONSERVING, DAMPED = "energy-conserving", "generalised-alpha"
 
 
@@ -74,7 +72,8 @@ class TimeSolves(Solves):
         """Bring nodes without mass into equilibrium, and find what acts on them; collective.
 
         They follow the loads and contacts of the start in no time: a step from rest, so short that
-        it moves the others by PART^2 of what the accelerations of the start do in the first step.
+        it moves the others by a share h^2, 1e-8, of what the accelerations of the start do in the
+        first one, h being its part of that.
         """
         problem, mass = self.problem, inertia.mass
         if not any_rank(problem.comm, mass.massless.any())[0]:
@@ -83,7 +82,7 @@ class TimeSolves(Solves):
         before = {name: inertia.values(name).copy() for name in names}
         inertia.put(**dict.fromkeys(names, np.zeros_like(mass.X)))
         inertia.scheme = IMPLICIT
-        part = begin + PART * (level.time - begin)
+        part = begin + QUARTER_OF_DIGITS * (level.time - begin)
         try:
             if self._acts(mass.massless, begin, part):
                 self._solve(replace(level, time=part), self.linear)
