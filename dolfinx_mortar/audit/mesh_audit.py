@@ -72,12 +72,6 @@ def check_mesh(mesh: Mesh) -> None:
         _reject(cells, _beside_neighbour(cells), f"{what} folded", remedy)
 
 
-def _lagrange(kind: str, degree: int) -> Any:
-    """Return the element of the geometry."""
-    cell, variant = basix.CellType[kind], basix.LagrangeVariant.equispaced
-    return basix.create_element(basix.ElementFamily.P, cell, degree, variant)
-
-
 def jacobians(x: Floats, kind: str, points: Floats, degree: int = 1) -> Floats:
     """Return the Jacobians (q, n) of cells x (k, d, n) at reference points (q, d).
 
@@ -85,7 +79,9 @@ def jacobians(x: Floats, kind: str, points: Floats, degree: int = 1) -> Floats:
     >>> jacobians(square, "quadrilateral", np.array([[0.25, 0.5]])).round(12).tolist()
     [[2.0]]
     """
-    slopes = np.asarray(_lagrange(kind, degree).tabulate(1, points))[1:, :, :, 0]  # (d, q, k)
+    cell, variant = basix.CellType[kind], basix.LagrangeVariant.equispaced
+    element = basix.create_element(basix.ElementFamily.P, cell, degree, variant)
+    slopes = np.asarray(element.tabulate(1, points))[1:, :, :, 0]  # (d, q, k)
     return _determinants([np.tensordot(slope, x, 1) for slope in slopes])
 
 

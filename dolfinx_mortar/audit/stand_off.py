@@ -7,7 +7,6 @@ from node to node. The forces K^_jj times these differences are compared with th
 
 from collections.abc import Callable
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -66,12 +65,6 @@ def _means(link: Link, u: fem.Function | None, find: Find) -> Floats:
     Phi = weighted_duals(pairing, operators.segments, accumulate(sides.slave, kept) > 0)
     at_points = find(pairing, operators.segments, u, smooth)
     return mean_values(pairing, operators.segments, Phi, operators.weight[:, 0], at_points)
-
-
-def _uneven(comm: MPI.Comm, heights: Floats) -> Floats:
-    """Return the differences from the mean over all ranks; collective."""
-    total, count = comm.allreduce(np.array([heights.sum(), len(heights)]))
-    return np.asarray(heights - total / max(count, 1))
 
 
 def warnings_on_straight_facets(link: Link, u: fem.Function | None = None) -> list[str]:
@@ -159,7 +152,8 @@ def _uncertain(link: Link, x: PETSc.Vec, missed: Floats, k: Floats, z: Floats) -
 def _uneven_facets(link: Link, heights: Floats, k: Floats, z: Floats) -> str:
     """Return the note on a contact whose nodes (c,) carry forces z; collective."""
     comm = link.sides.V.mesh.comm
-    uneven = _uneven(comm, heights)
+    total, count = comm.allreduce(np.array([heights.sum(), len(heights)]))
+    uneven = heights - total / max(count, 1)
     share = ratio(norm(comm, k * uneven), norm(comm, z))
     if share <= SPOILT:
         return ""

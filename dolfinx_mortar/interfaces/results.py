@@ -129,7 +129,8 @@ def merge_results(
     for side, interface in zip(sides, interfaces, strict=True):
         nodes = side.nodes
         facing = ~np.isnan(_nodal(interface, "gap", 1)[nodes, 0])
-        claim = np.where(facing, 1 + _carries(interface, len(nodes)), 0)
+        last = interface.resultants
+        claim = np.where(facing, 1 + (np.False_ if last is None else last.carries), 0)
         take = claim > best[nodes]
         best[nodes[take]] = claim[take]
         values = _nodal(interface, name, size)[nodes]
@@ -149,8 +150,3 @@ def _nodal(interface: Interface, name: str, size: int) -> Floats:
     if field is None:
         return np.zeros((len(gap), size))
     return np.asarray(field.x.array.reshape(-1, size))
-
-
-def _carries(interface: Interface, n: int) -> Bools:
-    """Return which slave nodes have had a multiplier in the last step."""
-    return np.zeros(n, dtype=bool) if interface.resultants is None else interface.resultants.carries

@@ -179,7 +179,7 @@ def check(
             errors = _compare(sample, first, second)
             kept = _compare_state(sample, state) if rate_independent else 0.0
             turned = (
-                _compare_turned(sample, _rotation(turns))
+                _compare_turned(sample, np.linalg.qr(turns.standard_normal((3, 3)))[0])
                 if parts.isotropic and not parts.plane_stress
                 else np.nan
             )
@@ -277,7 +277,10 @@ def _compare_state(sample: _Sample, state: Mapping[str, Floats]) -> float:
 
 
 def _compare_turned(sample: _Sample, Q: Floats) -> float:
-    """Return the error of what a law makes of the elastic strain alone, turned by Q."""
+    """Return the error of what a law makes of the elastic strain alone, turned by Q.
+
+    A reflection tells the same as a rotation.
+    """
     none = np.zeros(6)
     before = sample.at(sample.strain, none)
     plastic = sample.state.get(PLASTIC, none)
@@ -299,11 +302,6 @@ def _compare_turned(sample: _Sample, Q: Floats) -> float:
 def _turned(components: Floats, Q: Floats) -> Floats:
     """Return the stored components of Q A Q^T."""
     return _components(Q @ tensor_of(components[None])[0] @ Q.T)
-
-
-def _rotation(rng: np.random.Generator) -> Floats:
-    """Return a random rotation (3, 3), or one with a reflection, which tells the same."""
-    return np.asarray(np.linalg.qr(rng.standard_normal((3, 3)))[0])
 
 
 def _unit(rng: np.random.Generator) -> Floats:

@@ -18,7 +18,7 @@ from scipy import sparse
 import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra.block_sums import Blocks, Matrix
-from dolfinx_mortar.arrays import SAME, TINY, Bools, Floats, Ints, Longs
+from dolfinx_mortar.arrays import SAME, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facet_derivatives import (
     Coefficients,
     Integrands,
@@ -67,8 +67,11 @@ def differentiate_in_space(
     kept = keep[nodes]
     own = _Own(segments, inner, len(pairs), facets, master, kept, Phi, h)
     A, inverse = _coefficients(own.m, kept)
-    duals = own.duals, _duals(facets, kept, pairs[edges.pair, 0], edges.xi_s)
-    on_edges = _values(A, kept, pairs[edges.pair, 0], duals[1], edges.weight)
+    slave_of = pairs[edges.pair, 0]
+    N = facets.element.shape_functions(edges.xi_s)
+    N = np.ascontiguousarray(absorbed(facets.element.shares, N, kept[slave_of]))
+    duals = own.duals, N
+    on_edges = _values(A, kept, slave_of, N, edges.weight)
     which = np.full(len(nodes), facets.element.bilinear or facets.element.degree > 1)
     which[pairs[edges.pair[edges.free], 0]] = True
     vectors = Integrands(given.tractions[nodes], given.normals[nodes])
@@ -107,12 +110,6 @@ def _coefficients(m: Floats, kept: Bools) -> tuple[Floats, Floats]:
     inverse = np.linalg.inv(np.where(some[:, None, None], whole, one))
     inverse *= both & some[:, None, None]
     return m.sum(axis=2)[:, :, None] * inverse, inverse
-
-
-def _duals(facets: Facets, kept: Bools, facet: Ints | Longs, xi: Floats) -> Floats:
-    """Return N~ (q, k) at points of facets (q,)."""
-    N = facets.element.shape_functions(xi)
-    return np.ascontiguousarray(absorbed(facets.element.shares, N, kept[facet]))
 
 
 def _values(A: Floats, kept: Bools, facet: Ints, duals: Floats, weight: Floats) -> Floats:

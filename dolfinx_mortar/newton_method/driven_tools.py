@@ -214,7 +214,9 @@ def find_drives(problem: ContactProblem) -> Drives | None:
             parts.append((link, tool))
     if not parts:
         return None
-    x = problem.X if problem.configuration is None else _positions(problem)
+    x = problem.X
+    if problem.configuration is not None:
+        x = problem.positions().array_r.reshape(x.shape)
     counts = [len(tool.names) for _, tool in parts]
     ends = np.cumsum(counts)[:-1]
 
@@ -247,10 +249,6 @@ def find_drives(problem: ContactProblem) -> Drives | None:
         product=product,
         comm=problem.comm,
     )
-
-
-def _positions(problem: ContactProblem) -> Floats:
-    return np.asarray(problem.positions().array_r.reshape(-1, problem.d))
 
 
 def _unknowns(link: Link, d: int) -> Ints:

@@ -170,10 +170,12 @@ def notes_on_lost_friction(problem: ContactProblem, contacts: Contacts) -> list[
     for link in problem.system.links:
         if not link.interface.rough:
             continue
-        relative, directions = _motion(link, moved), link.coupling.directions
+        R, directions = link.coupling.R, link.coupling.directions
+        # prescribed directions, too, unlike `link.relative`
+        relative = np.einsum("nij,ni->nj", R, relative_motions(link, moved)[0])
         way = link.interface.tool_way(began[link.nodes], now[link.nodes])
         if way is not None:
-            relative = relative - np.einsum("nij,ni->nj", link.coupling.R, way)
+            relative = relative - np.einsum("nij,ni->nj", R, way)
         on = contacts.active[link.nodes] & directions[:, 0]
         lost = np.abs(np.where(on[:, None] & ~directions, relative, 0.0)).max(axis=1, initial=0.0)
         # on a plane of symmetry a slave node stands still, and P u of the master is zero for linear
@@ -207,8 +209,3 @@ def notes_on_missed_tools(links: Sequence[Link]) -> list[str]:
                 "dm.audit(problem)"
             )
     return notes
-
-
-def _motion(link: Link, moved: PETSc.Vec) -> Floats:
-    """Return R^T (v_j - P v) (n, d) at the slave nodes, prescribed directions too; collective."""
-    return np.asarray(np.einsum("nij,ni->nj", link.coupling.R, relative_motions(link, moved)[0]))

@@ -49,7 +49,8 @@ def notes_on_overlaps(
     notes = []
     for link in links:
         if link.pairing:
-            is_open = closed is not None and _is_open(link, closed)
+            comm = link.sides.V.mesh.comm
+            is_open = closed is not None and not any_rank(comm, closed[link.nodes].any())[0]
             # where no node is closed, no mean over facets with a force excuses an overlap: it is
             # what a step allows, with a digit for points beside the nodes
             notes += _note(link, u, rtol / DIGIT if is_open else None)
@@ -71,11 +72,6 @@ def _note_on_tool(link: Link, u: fem.Function) -> list[str]:
         f"{deepest:.3g} deep in the side, {ratio:.0%} of a facet there: it is sharper than the "
         "facets, over which the gap is a mean; refine there, or give the tool a radius"
     ]
-
-
-def _is_open(link: Link, closed: Bools) -> bool:
-    """Tell whether no slave node of a contact is closed; collective."""
-    return not any_rank(link.sides.V.mesh.comm, closed[link.nodes].any())[0]
 
 
 def _note(link: Link, u: fem.Function, unseen: float | None) -> list[str]:

@@ -68,7 +68,7 @@ class Polyline(Shape):
             self._p, lengths <= HALF_OF_DIGITS * np.ptp(x, axis=0).max(), "points that coincide"
         )
         _refuse(self._p, _crossed(self._p, self._q, self.closed), "edges that cross others")
-        if closed and _area(x) < 0.0:
+        if closed and (x[:, 0] * self._q[:, 1] - x[:, 1] * self._q[:, 0]).sum() < 0.0:  # area
             raise ValueError(
                 "points go clockwise around the tool: reverse them, points[::-1], or for a body in "
                 "a cavity give the Complement of that"
@@ -207,11 +207,6 @@ def _check_points(given: Any, least: int) -> Floats:
         k = int(np.argmax(bad))
         raise ValueError(f"points[{k}] is {found[k].tolist()}, which is not finite")
     return np.asarray(found, dtype=np.float64)
-
-
-def _area(x: Floats) -> float:
-    y = np.roll(x, -1, axis=0)
-    return float((x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]).sum() / 2)
 
 
 def _crossed(p: Floats, q: Floats, closed: bool) -> Bools:

@@ -537,9 +537,11 @@ def set_velocity(target: fem.Function, given: Any, cell_tags: Any) -> None:
     if given is None:
         return
     if isinstance(given, fem.Function):
-        if given.function_space != V and not _same_space(given.function_space, V):
+        space = given.function_space  # another one with the same values at the same nodes will do
+        same = space.mesh is V.mesh and space.ufl_element() == V.ufl_element()
+        if space != V and (not same or space.component()):
             raise ValueError(
-                f"Inertia: velocity is a Function on {given.function_space.ufl_element()}, which "
+                f"Inertia: velocity is a Function on {space.ufl_element()}, which "
                 f"is not the space of the displacement, solid.V: {wanted}"
             )
         target.x.array[:] = given.x.array
@@ -559,12 +561,6 @@ def set_velocity(target: fem.Function, given: Any, cell_tags: Any) -> None:
         target.x.array.reshape(-1, d)[:] = _vector(given, d, "velocity", wanted)
     if any_rank(V.mesh.comm, not np.isfinite(target.x.array).all())[0]:
         raise ValueError(f"Inertia: velocity holds NaN or infinity: {wanted}")
-
-
-def _same_space(one: fem.FunctionSpace, other: fem.FunctionSpace) -> bool:
-    """Tell whether Functions of two spaces have the same values at the same nodes."""
-    same = one.mesh is other.mesh and one.ufl_element() == other.ufl_element()
-    return same and not one.component()
 
 
 def _vector(given: Any, d: int, name: str, wanted: str) -> Floats:
