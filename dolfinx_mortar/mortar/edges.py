@@ -152,46 +152,54 @@ def sums_at_edges(
     return np.asarray(sum_at_nodes(slave, sums)[edges])
 
 
-def _in_both_cones(sums: Floats, d: int) -> tuple[Floats, Floats]:
-    """Return (C_s^-1 + C_m^-1)^-1 (a + b) (e, d) for sums (e, c), and its derivatives (e, d, c)."""
+def _in_both_cones(sums: Floats, d: int) -> tuple[Floats, Floats, Floats]:
+    """Return (C_s^-1 + C_m^-1)^-1 (a + b) (e, d) for sums (e, c); C_s and C_m (2, e, d, d), y.
+
+    With A = C_s, B = C_m it is A y, y = (A + B)^-1 B (a + b).
+    """
     i, j = np.triu_indices(d)
-    parts = np.cumsum([1, d, d, len(i)])
-    weight, a, b, *squares = np.split(sums, parts, axis=1)
-    weight = np.maximum(weight, TINY)
-    C, by_square = np.zeros((2, len(sums), d, d)), np.zeros((d, d, len(i)))
-    C[:, :, i, j] = C[:, :, j, i] = np.stack(squares) / weight
-    by_square[i, j, np.arange(len(i))] = by_square[j, i, np.arange(len(i))] = 1.0
-    A, B = C + BLUR * np.eye(d)
-    # (A^-1 + B^-1)^-1 = A (A + B)^-1 B, of which the derivative is
-    # B (A + B)^-1 dA y + A (A + B)^-1 (dB (v - y) + B dv) with y = (A + B)^-1 B v
-    v = unit(a) + unit(b)
-    y = np.linalg.solve(A + B, B @ v[:, :, None])
+    weight, a, b, *squares = np.split(sums, np.cumsum([1, d, d, len(i)]), axis=1)
+    C = np.zeros((2, len(sums), d, d))
+    C[:, :, i, j] = C[:, :, j, i] = np.stack(squares) / np.maximum(weight, TINY)
+    C += BLUR * np.eye(d)
+    y = np.linalg.solve(C[0] + C[1], C[1] @ (unit(a) + unit(b))[:, :, None])
+    return (C[0] @ y)[:, :, 0], C, y[:, :, 0]
+
+
+def edge_normals_by_sums(sums: Floats, d: int) -> Floats:
+    """Return the derivatives (e, d, c) of normals on edges by the sums (e, c), 0 for averaged.
+
+    With K = (A + B)^-1 and v = a + b, d(A y) = B K dA y + A K (dB (v - y) + B dv).
+    """
+    result = np.zeros((len(sums), d, sums.shape[1]))
+    some = np.flatnonzero(sums[:, 0] > TINY)
+    found, (A, B), y = _in_both_cones(sums[some], d)
+    some, A, B, y, found = (
+        v[np.linalg.norm(found, axis=1) > HALF_OF_DIGITS * BLUR] for v in (some, A, B, y, found)
+    )
+    i, j = np.triu_indices(d)
+    _, a, b, of_A, of_B = np.cumsum([0, 1, d, d, len(i)])
+    sums, size, e = sums[some], sums[some, :1, None], np.arange(len(i))
+    v = unit(sums[:, a:b]) + unit(sums[:, b:of_A])
     left, right = (np.swapaxes(np.linalg.solve(A + B, X), 1, 2) for X in (B, A))
-    by_sums = np.zeros((len(sums), d, sums.shape[1]))
-    for first, vector in ((1, a), (1 + d, b)):
-        by_sums[:, :, first : first + d] = right @ B @ _by_direction(vector)
-    for S, X, w, first in (
-        (left, C[0], y[:, :, 0], parts[2]),
-        (right, C[1], v - y[:, :, 0], parts[3]),
-    ):
-        by_sums[:, :, first : first + len(i)] = (
-            S @ np.einsum("hic,ei->ehc", by_square, w) / weight[:, :, None]
-        )
-        by_sums[:, :, :1] -= S @ X @ w[:, :, None] / weight[:, :, None]
-    return (A @ y)[:, :, 0], by_sums
+    by_square = np.zeros((d, d, len(i)))
+    by_square[i, j, e] = by_square[j, i, e] = 1.0
+    by_sums = np.zeros((len(sums), d, result.shape[2]))
+    for first in (a, b):
+        part = slice(first, first + d)
+        by_sums[:, :, part] = right @ B @ _by_direction(sums[:, part])
+    for S, X, w, first in ((left, A, y, of_A), (right, B, v - y, of_B)):
+        part, blurred = slice(first, first + len(i)), X - BLUR * np.eye(d)
+        by_sums[:, :, part] = S @ np.einsum("hic,ei->ehc", by_square, w) / size
+        by_sums[:, :, :1] -= S @ blurred @ w[:, :, None] / size
+    result[some] = _by_direction(found) @ by_sums
+    return result
 
 
 def _by_direction(v: Floats) -> Floats:
     """Return the derivative (e, d, d) of v / |v| by v (e, d)."""
     n, size = unit(v), np.maximum(np.linalg.norm(v, axis=1), TINY)
     return (np.eye(v.shape[1]) - n[:, :, None] * n[:, None]) / size[:, None, None]
-
-
-def edge_normals_by_sums(sums: Floats, d: int) -> Floats:
-    """Return the derivatives (e, d, c) of normals on edges by the sums (e, c), 0 for averaged."""
-    found, by_sums = _in_both_cones(sums, d)
-    some = np.linalg.norm(found, axis=1) > HALF_OF_DIGITS * BLUR
-    return np.where(some[:, None, None], _by_direction(found) @ by_sums, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
