@@ -229,6 +229,9 @@ def test_products_read_the_upper_half_of_blocks(matrices, rng):
     operator.follow(C, decoupled(K))
     rows, x = operator.rows, random_vector(K, rng)
     kind = "seqsbaij" if K.getType() == "seqbaij" else K.getType()
+    assert rows.factor.handle == K.handle  # before the first set-up
+    beside.split(np.zeros(K.getLocalSize()[0]))
+    operator.follow(C, decoupled(K))
     y = operator.matrix * x
     K.scale(2.0)
     operator.follow(C, decoupled(K))

@@ -26,7 +26,8 @@ class RowsOf:
         self._rows: Ints = np.empty(0, dtype=np.int32)
         self._kept: PETSc.Mat | None = None
         self._half: PETSc.Mat | None = None  # the upper half of K
-        self._half_state, self._resting = -1, False  # of K when it was copied; until the next use
+        self._half_state = -1  # of K when it was copied
+        self._set_up, self._resting = False, True  # whether levels were made; whether K serves
 
     @property
     def factor(self) -> PETSc.Mat:
@@ -46,15 +47,15 @@ class RowsOf:
         return self._half
 
     def release_half(self) -> None:
-        """Free the copy of K until the next QP: a set-up needs the memory."""
-        self._resting = True
+        """Free the copy of K until the next QP: a set-up, which begins, needs the memory."""
+        self._set_up = self._resting = True
         if self._half is not None:
             self._half.destroy()
             self._half = None
 
     def use_half(self) -> None:
-        """Let products use the copy again."""
-        self._resting = False
+        """Let products use the copy, but not before the first set-up: it would leave a gap."""
+        self._resting = not self._set_up
 
     def including(self, rows: Ints) -> tuple[Ints, PETSc.Mat]:
         """Return owned rows, among them these, and K on them in AIJ; collective."""
