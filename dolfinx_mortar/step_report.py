@@ -126,7 +126,7 @@ class Ledger:
     friction: float  # dissipated by friction
     damping: float  # dissipated by Rayleigh's damping
     loads: float  # work of loads and of all other terms
-    supports: float  # work of the supports, and of rigid tools that move
+    supports: float  # work of the supports, and of rigid sides and tools that move
     contact: float  # what contact forces gave beyond friction, before the energy was restored
     defect: float  # left side less right side, over the largest energy so far
     largest: float  # of all these energies and works, so far

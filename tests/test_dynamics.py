@@ -16,9 +16,9 @@ from dolfinx_mortar.report import energy_ledger
 from dolfinx_mortar.steps.time_steps import TimeSolves
 from dolfinx_mortar.terms import mass
 from tests.choice import quick
-from tests.meshes import BOTTOM_OF_UPPER, LOWER, TOP_OF_LOWER, UPPER
+from tests.meshes import BOTTOM_OF_UPPER, LOWER, TOP, TOP_OF_LOWER, UPPER
 from tests.moving_bodies import Bar, Blocks
-from tests.pressed_blocks import rejected
+from tests.pressed_blocks import PressedBlocks, rejected
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi
@@ -274,6 +274,28 @@ def test_a_start_without_equilibrium_is_noted(monkeypatch):
     first, second = dm.time_steps(case.problem, [0.01, 0.02], progress=False)
     said = "no equilibrium with the loads of the start (no equilibrium)"
     assert said in "".join(first.report.notes) and said not in "".join(second.report.notes)
+
+
+@pytest.mark.parametrize("by", ["position", "load", "load that jumps"])
+def test_the_ledger_counts_what_rigid_sides_do(by):
+    """A plate lifts a free block: by a way, or by a force, whose impulse it then has."""
+    case = PressedBlocks(n_lower=(3, 3), n_upper=(1, 1), gap=1.0)
+    force = fem.Constant(case.mesh, 1.0)
+    free = {} if by == "position" else {"load": {"y": force}}
+    plate = dm.RigidSide(case.facets, TOP_OF_LOWER, reference=(0.5, 1.0), **free)
+    other = [case.bc(BOTTOM_OF_UPPER), case.bc(TOP, (0.0, 0.0))]
+    inertia = dm.Inertia(solid := dm.Solid(case.u, dm.Elastic(100.0, 0.3)), 1.0)
+    problem = dm.ContactProblem(solid, [plate], bcs=other, terms=[inertia])
+    ramps = {
+        "position": {plate.position: [(0.0, (0.5, 1.0)), (0.5, (0.5, 1.05))]},
+        "load": {force: [(0.0, 0.0), (0.5, 1.0)]},
+    }
+    ledger = walk(problem, 0.02 * np.arange(1, 26), ramp=ramps.get(by)).report.ledger
+    assert ledger.supports > 1e-3
+    assert abs(ledger.defect) < 1e-9
+    if by != "position":
+        impulse = 0.25 if by == "load" else 0.5
+        assert inertia.momentum()[1] == pytest.approx(impulse, rel=1e-9)
 
 
 def test_nothing_settles_where_nothing_acts(monkeypatch):

@@ -105,6 +105,7 @@ class Interface(ABC):
     """
 
     unilateral: ClassVar[bool] = False  # can open: its bounds have one side
+    holds_nodes: ClassVar[bool] = False  # in all directions, as supports do
     pressure_name: ClassVar[str] = "normal traction"  # as pictures call it
     # where straight facets of degree 2 spoil pressures, how, and whether only in a close fit
     spoilt: ClassVar[tuple[str, str, bool]] = "", "", False

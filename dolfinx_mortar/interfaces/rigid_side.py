@@ -110,6 +110,7 @@ class RigidSide(Movable, Interface):
             conditions or with an interface that is named before it.
     """
 
+    holds_nodes = True
     pressure_name = "normal traction"
     moved_by_loads = True
 

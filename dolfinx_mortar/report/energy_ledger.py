@@ -121,7 +121,7 @@ class EnergyLedger:
     def _internal(self) -> Floats | None:
         return None if self._potential is not None else self._forces([self.problem.solid])
 
-    def start(self, begin: float, end: float) -> None:
+    def start(self, begin: float, end: float, sides: Floats) -> None:
         """Find the initial acceleration, with the loads of the start; collective.
 
         Nodes without mass are in equilibrium, with the contact forces that are known, or hang on
@@ -130,13 +130,14 @@ class EnergyLedger:
         Args:
             begin: time of the start.
             end: time of the first step's end, for terms that read it.
+            sides: (owned nodes, d) with which rigid sides hold their nodes.
         """
         problem, inertia = self.problem, self.inertia
         for _, term in problem.terms.named:
             if not isinstance(term, Inertia | Damping):
                 term.begin(begin, end)
         loads, velocity = self._loads(), inertia.values("velocity")
-        forces = loads - self._forces([problem.solid])
+        forces = loads - self._forces([problem.solid]) + sides
         damping = sum((d.times(velocity) for d in self._dampings), np.zeros_like(velocity))
         forces -= damping
         forces += inertia.values("contact") + inertia.values("friction")

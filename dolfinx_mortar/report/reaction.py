@@ -101,9 +101,17 @@ def reactions(problem: ContactProblem) -> list[Reaction]:
 
 
 def support_forces(problem: ContactProblem, balance: Balance) -> SupportForces:
-    """Return the forces of the supports after a step, and where they act; collective."""
+    """Return the forces of the supports after a step, and where they act; collective.
+
+    So that motions have all works, also those of rigid sides, which hold their nodes as supports
+    do: in unknowns of their own.
+    """
     dofs, slots = support_slots(problem)
-    forces = np.zeros(problem.d * problem.n)
+    forces = np.zeros((problem.n, problem.d))
+    for link in problem.system.links:
+        if link.interface.holds_nodes:
+            forces[link.nodes] = -balance.reduced.array_r.reshape(forces.shape)[link.nodes]
+    forces = forces.ravel()
     forces[dofs] = -balance.reduced.array_r[slots]
     asked = [
         ask(problem.comm, i, "configuration", problem.configuration) for i in problem.interfaces

@@ -17,7 +17,7 @@ from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arguments import is_name, is_number
-from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, ROUND_OFF, SAME, Bools
+from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, ROUND_OFF, SAME, Bools, Floats
 from dolfinx_mortar.problem.checks import check_every, check_load_steps, check_problem
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.energy_ledger import EnergyLedger
@@ -62,29 +62,35 @@ class TimeSolves(Solves):
         problem, begin = self.problem, self.problem.committed.level
         self.notes = stop_held(problem, inertia) + notes_on_mass(inertia)
         self.loading.set(problem, begin)
-        self._settle(inertia, begin, level)
+        sides = self._settle(inertia, begin, level)
         ledger = EnergyLedger(problem, inertia, conserve=self.conserve)
-        ledger.start(begin, level.time)
+        ledger.start(begin, level.time, sides)
         self.loading.set(problem, level.time)
         return ledger
 
-    def _settle(self, inertia: Inertia, begin: float, level: Level) -> None:
+    def _settle(self, inertia: Inertia, begin: float, level: Level) -> Floats:
         """Bring nodes without mass into equilibrium, and find what acts on them; collective.
+
+        Also with which forces (owned nodes, d) rigid sides hold their nodes, which are returned.
 
         They follow the loads and contacts of the start in no time: a step from rest, so short that
         it moves the others by a share h^2, 1e-8, of what the accelerations of the start do in the
         first one, h being its part of that.
         """
         problem, mass = self.problem, inertia.mass
-        if not any_rank(problem.comm, mass.massless.any())[0]:
-            return
+        on_sides, forces = np.zeros_like(mass.massless), np.zeros_like(mass.X)
+        for side, interface in zip(problem.system.sides, problem.interfaces, strict=True):
+            on_sides[side.nodes] |= interface.holds_nodes
+        nodes = mass.massless | on_sides
+        if not any_rank(problem.comm, nodes.any())[0]:
+            return forces
         names, scheme = ("velocity", "acceleration", "balance"), inertia.scheme
         before = {name: inertia.values(name).copy() for name in names}
         inertia.put(**dict.fromkeys(names, np.zeros_like(mass.X)))
         inertia.scheme = IMPLICIT
         part = begin + QUARTER_OF_DIGITS * (level.time - begin)
         try:
-            if self._acts(mass.massless, begin, part):
+            if self._acts(nodes, begin, part):
                 self._solve(replace(level, time=part), self.linear)
                 outcome = problem.outcome
                 assert outcome is not None and outcome.normal is not None
@@ -92,6 +98,8 @@ class TimeSolves(Solves):
                 inertia.put(contact=outcome.normal, friction=outcome.tangential)
                 inertia.roll_back()
                 problem.commit()
+                assert problem.committed.supports is not None
+                forces[on_sides] = problem.committed.supports.forces[on_sides]
         except NewtonNotConverged as error:
             self.notes.append(
                 "Inertia: nodes of contacts, which have no mass, found no equilibrium with the "
@@ -102,6 +110,7 @@ class TimeSolves(Solves):
             problem.terms.roll_back()
             inertia.put(**before)
             inertia.scheme = scheme
+        return forces
 
     def _acts(self, nodes: Bools, begin: float, end: float) -> bool:
         """Tell whether loads, tools or stresses may act on nodes (owned nodes,); collective."""
