@@ -107,11 +107,11 @@ def support_forces(problem: ContactProblem, balance: Balance) -> SupportForces:
     do: in unknowns of their own.
     """
     dofs, slots = support_slots(problem)
-    forces = np.zeros((problem.n, problem.d))
+    forces = np.zeros(problem.d * problem.n)
     for link in problem.system.links:
         if link.interface.holds_nodes:
-            forces[link.nodes] = -balance.reduced.array_r.reshape(forces.shape)[link.nodes]
-    forces = forces.ravel()
+            own = (problem.d * link.nodes[:, None] + np.arange(problem.d)).ravel()
+            forces[own] = -balance.reduced.array_r[own]
     forces[dofs] = -balance.reduced.array_r[slots]
     asked = [
         ask(problem.comm, i, "configuration", problem.configuration) for i in problem.interfaces
