@@ -10,7 +10,7 @@ import pytest
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.geometry import search
+from dolfinx_mortar.geometry import segments as segments_module
 from dolfinx_mortar.mortar import pairing as pairing_module
 from dolfinx_mortar.mortar.integrals import _best_nodes, find_segments
 from dolfinx_mortar.mortar.pairing import create_pairing, outside_margin
@@ -192,8 +192,8 @@ def test_equally_covered_nodes_are_chosen_by_place():
 def test_the_master_is_sorted_once(monkeypatch):
     """Its facets have an order in space, which serves while the sides move."""
     pairing, nodes = pair_up("triangle")
-    calls, sort = [], search.sort_in_space
-    for module in (search, pairing_module):
+    calls, sort = [], segments_module.sort_in_space
+    for module in (segments_module, pairing_module):
         monkeypatch.setattr(module, "sort_in_space", lambda x: (calls.append(x), sort(x))[1])
     for shift in (0.0, 1e-3, 2e-3):
         assert not outside_margin(pairing, slide(pairing, nodes, (shift, 0.0)))

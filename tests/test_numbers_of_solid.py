@@ -40,7 +40,6 @@ NUMBERS = {
         "PATHS": (0,),
         "RTOL": (1e-10, 1e5),
     },
-    "materials.voce": {"SERIES_BELOW": (0.01, 100.0)},
     "analytic.fit": {"EDGE": (1e-6, 11.0), "ENOUGH": (100,)},
 }
 # Of another module: the same.
@@ -49,6 +48,7 @@ SHARED = {
     "analytic.fit": {"HALF_OF_DIGITS": (0.0, 1e8)},
     # a smaller one costs an iteration
     "materials.plane_stress": {"HALF_OF_DIGITS": (1e7,), "LIMIT": (0.02,)},
+    "materials.voce": {"SERIES_BELOW": (0.01, 100.0)},
     "materials.von_mises": {"EPS": (0.0, 1e14)},
     "solid.kinematics": {"ROUND_OFF": (0.0, 2e13)},
 }

@@ -163,7 +163,7 @@ class ContactDerivatives(LinkDerivatives):
         by_forces = [(BlockEntries(on_both.T @ on_slave, (d, d), forces, by_n), N)]
         by_gaps = [(BlockEntries(on_slave.T @ on_slave, (1, d), gaps, by_n), N)]
         self.normals: SumWithProducts | None = None  # of the nodes, with those on edges
-        self.edges = None if d == 3 else link.sides.edges
+        self.edges = None if _in_space(link) else link.sides.edges
         if self.edges is not None:
             facets = facets[self.edges[slave.facets[facets]].any(axis=1)]
             at_edges = incidence(facets, slave.facets[facets], (len(self.asked), n))
