@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from dolfinx_mortar.geometry import segments
+from dolfinx_mortar.geometry import segments, turning
 from dolfinx_mortar.mortar import curvature_correction, edges, integrals, self_contact, surface
 from tests import (
     test_curvature_jumps,
@@ -22,13 +22,15 @@ from tests import (
     test_segments_3d,
     test_self_contact,
     test_surface,
+    test_swept,
 )
 
 ROOT = Path(__file__).resolve().parent.parent
 NUMBERS = [
     "BLUR", "CHUNK", "EPS", "FACING", "HALF_OF_DIGITS", "JUMP", "LEAST_COVERAGE", "LEAST_WEIGHT",
     "LIMIT", "PROJECTIONS", "QUARTER_OF_DIGITS", "REACH", "ROUND_OFF", "SAME", "STAYS", "SUNK",
-    "THROUGH", "TINY", "VERTICES", "area._HIGHEST", "segments._SLIDING", "surface._MOST_WARPED",
+    "THROUGH", "TINY", "TURN", "VERTICES", "area._HIGHEST", "segments._SLIDING",
+    "surface._MOST_WARPED",
 ]  # fmt: skip
 # Numbers that its cases do not reach: absurd values, and tests that fail with them. LEAST_WEIGHT is
 # in test_axisymmetric_patch, PROJECTIONS in test_smooth_3d, LIMIT of parts, which only a kernel
@@ -67,6 +69,7 @@ FELT = {
         (0.1,),
         test_self_contact.test_parts_that_come_near_ask_for_a_search,
     ),
+    "TURN": (turning, (1e9,), lambda: test_swept.test_corners_move_along_arcs(2, 0.0)),
     "_MOST_WARPED": (
         surface,
         (0.0, 0.9),
