@@ -103,7 +103,7 @@ def main(options: argparse.Namespace) -> None:
     # |---|---|---|---|---|---|
     # | default | 315.9 | 66.9 | 403.8 | 131.9 | 5.5 |
     # | `--slave block` | 317.8 | 67.6 | 407.1 | 134.8 | 8.9 |
-    # | `--h 0.075` | 315.8 | 66.6 | 401.7 | 140.7 | 8.5 |
+    # | `--h 0.075` | 315.8 | 66.6 | 401.7 | 140.7 | 8.2 |
     # | `--friction 0` | 309.9 | 32.7 | 400.8 | 0.2 | 5.3 |
     #
     # While it goes down the block yields more to the near free end than to the far one, and the
