@@ -227,16 +227,15 @@ class ContactDerivatives(LinkDerivatives):
         pairing, operators = link.mortar
         return edge_normals(pairing, operators.segments, u, averaged, self.edges)
 
-    @staticmethod
     def _derivatives(
-        link: CoupledSides, u: fem.Function, segments: Segments, keep: Bools, given: Tractions
+        self, link: CoupledSides, u: fem.Function, segments: Segments, keep: Bools, given: Tractions
     ) -> tuple[Derivatives, Floats]:
         """Return the derivatives on this rank, and the weighted dual functions; collective."""
-        pairing, smooth, edges = link.mortar[0], link.pattern.smooth, link.sides.edges
+        pairing, smooth = link.mortar[0], link.pattern.smooth
         Phi, sharing = weighted_duals(pairing, segments, keep), None
-        if edges is not None:
+        if self.edges is not None:
             banned = link.banned[link.sides.slave.nodes]
-            sharing = find_sharing(pairing, segments, u, keep, edges, banned)
+            sharing = find_sharing(pairing, segments, u, keep, self.edges, banned)
             Phi = open_duals(pairing, segments, Phi, keep, sharing)
         at = pairing, u, segments, keep, Phi, given
         if _in_space(link):
