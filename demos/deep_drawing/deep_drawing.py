@@ -173,10 +173,13 @@ def draw(path: Path, problem: dm.ContactProblem, rows: list[dict], found: dict) 
     figure = Figure(figsize=(11.0, 3.8), layout="constrained")
     curve, section = figure.subplots(1, 2, width_ratios=(1.0, 1.6))
     curve.plot(*zip(*((r["depth"], 1e-3 * r["force"]) for r in rows), strict=True), color="#20609f")
-    curve.axhline(1e-3 * found["largest_force_siebel"], color="black", ls="--", lw=0.8)
+    largest = 1e-3 * found["largest_force_siebel"]
+    curve.axhline(largest, color="black", ls="--", lw=0.8, label="largest force, Siebel")
+    curve.legend(frameon=False)
     curve.set(xlabel="depth [mm]", ylabel="force of the punch [kN]", ylim=(0.0, None))
     curve.grid(alpha=0.3)
     dm.plotting.field(problem, "von_mises", ax=section)
+    section.set(xlabel="r [mm]", ylabel="z [mm]")
     if problem.comm.rank == 0:
         figure.savefig(path, dpi=110)
 
