@@ -28,7 +28,7 @@ The coefficients A of the dual functions Phi_j of a facet depend on all its poin
 `Coefficients`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
@@ -503,6 +503,41 @@ def differentiate_pairs(
         by_master.reshape(-1, 3, k, n, 3),
         with_edges,
     )
+
+
+def differentiate_areas(
+    slave: Facets,
+    master: Facets,
+    pairs: Ints,
+    points: tuple[Points, EdgePoints],
+    N: tuple[Floats, Floats],
+) -> Floats:
+    """Return the derivatives (p, k, 3 (k + l)) of int N_j over pairs by their nodes' coordinates.
+
+    Args:
+        slave: Slave facets (ms,).
+        master: Master facets (mm,).
+        pairs: Pairs (p, 2).
+        points: Their points (q,), and those on all edges (r,) that bound a pair.
+        N: Values of functions on the slave facets at both, (q, k) and (r, k).
+    """
+    inner, edges = points
+    m, k = slave.x.shape[:2]
+    held = Coefficients(np.zeros(m, dtype=bool), np.zeros((m, k, k)), np.zeros((m, k, k)))
+    none = np.zeros((m, k, 3))
+    one = [Heights(-np.ones(len(at.pair)), np.zeros((len(at.pair), 2))) for at in points]
+    found = differentiate_pairs(
+        slave,
+        master,
+        pairs,
+        (inner, replace(edges, free=np.zeros_like(edges.free))),
+        (N[0] * inner.weight[:, None], N[1] * edges.weight[:, None]),
+        N,
+        Integrands(none, none),
+        held,
+        (one[0], one[1]),
+    )
+    return found.gaps.reshape(len(pairs), k, -1)
 
 
 def _functions(facets: Facets, xi: Floats) -> tuple[Floats, Floats]:

@@ -163,13 +163,15 @@ class ContactDerivatives(LinkDerivatives):
         by_forces = [(BlockEntries(on_both.T @ on_slave, (d, d), forces, by_n), N)]
         by_gaps = [(BlockEntries(on_slave.T @ on_slave, (1, d), gaps, by_n), N)]
         self.normals: SumWithProducts | None = None  # of the nodes, with those on edges
-        self.edges = None if _in_space(link) else link.sides.edges
+        self.edges = link.sides.edges
         if self.edges is not None:
             facets = facets[self.edges[slave.facets[facets]].any(axis=1)]
             at_edges = incidence(facets, slave.facets[facets], (len(self.asked), n))
-            x = BlockEntries(on_slave.T @ on_both, (d, d), by_n, by_x)
+            own = sparse.hstack([on_slave.T @ on_slave, sparse.csr_array((n, shape[1]))])
+            x = BlockEntries(at_edges.T @ on_both + own, (d, d), by_n, by_x)
             y = BlockEntries(at_edges.T @ at_edges, (d, d), by_n, by_n)
-            self.normals = SumWithProducts(*of, x, (y, N))
+            projected = () if _in_space(link) else ((y, N),)  # along averaged normals
+            self.normals = SumWithProducts(*of, x, *projected)
             C = self.normals.zero()
             by_forces.append((BlockEntries(on_both.T @ at_edges, (d, d), forces, by_n), C))
             by_gaps.append((BlockEntries(at_edges.T @ at_edges, (1, d), gaps, by_n), C))
@@ -201,8 +203,7 @@ class ContactDerivatives(LinkDerivatives):
             known = _neighbours(slave, loaded)
             asked = asked & known[slave.facets].any(axis=1)
         segments = some_points(operators.segments, asked[operators.segments.slave])
-        at_edges = link.sides.edges
-        off_edges = given if at_edges is None else given.held(at_edges)
+        off_edges = given if self.edges is None else given.held(self.edges)
         found, Phi = self._derivatives(link, u, segments, keep, off_edges)
         blocks = normal_derivatives(slave, x)
         N = self.averaged.fill(blocks)
@@ -212,7 +213,8 @@ class ContactDerivatives(LinkDerivatives):
             blocks[self.edges[slave.facets]] = 0.0
             facets = slave.facets[self.asked]
             rest = Blocks(facets, facets, blocks[self.asked])
-            C = self.normals.fill([rest, at.n_x], ([at.n_n], N))
+            projected = () if at.n_n is None else (([at.n_n], N),)
+            C = self.normals.fill([rest, at.n_x], *projected)
             by_forces.append(([at.F], C))
             by_gaps.append(([at.G], C))
         F = self.forces.fill(found.F_x, *by_forces)
@@ -249,8 +251,6 @@ class ContactDerivatives(LinkDerivatives):
         """Return the rows of slips at the iterate that was differentiated last; collective."""
         own = slice(None, link.sides.slave.owned)
         n, turning = _turning(link, self._normals(link, u)[own])
-        if self.edges is None and link.sides.edges is not None:
-            turning[link.sides.edges[own]] = 0.0
         along = (partners.motion(link, since) * n).sum(axis=1)
         by_n = partners.motion_by_normals(link) - along[:, None, None] * np.eye(n.shape[1])
         by_n[~partners.known] = 0.0
