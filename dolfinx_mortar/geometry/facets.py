@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
-from dolfinx_mortar.geometry.elements import FacetElement
+from dolfinx_mortar.geometry.elements import LINE2, FacetElement
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +55,28 @@ def facet_normals(facets: Facets) -> Floats:
     """
     n = area_vectors(facets)
     return n / np.maximum(np.linalg.norm(n, axis=1), TINY)[:, None]
+
+
+def normal_slopes(facets: Facets) -> Floats:
+    """Return the derivatives (m, k, d, d) of the mean normals by the nodes.
+
+    With the gradients G_k of flat functions in the middle, dn = -sum_k G_k (n.dx_k); nodes that are
+    no vertices do not turn it.
+
+    Example:
+        >>> from dolfinx_mortar.geometry.elements import LINE2
+        >>> line = Facets(LINE2, np.array([[[2.0, 0.0], [0.0, 0.0]]]))  # n = (0, 1)
+        >>> normal_slopes(line)[0, 0].tolist()
+        [[-0.0, -0.5], [-0.0, -0.0]]
+    """
+    element, (m, k, d) = facets.element, facets.x.shape
+    corners = list(element.vertices)
+    flat = Facets(LINE2 if d == 2 else element.part or element, facets.x[:, corners])
+    middle = flat.element.points.mean(axis=0, keepdims=True).repeat(m, axis=0)
+    G, _ = surface_gradients(flat, np.arange(m, dtype=np.int32), middle)
+    slopes = np.zeros((m, k, d, d))
+    slopes[:, corners] = -G[:, :, :, None] * facet_normals(facets)[:, None, None]
+    return slopes
 
 
 def normals_at_nodes(facets: Facets) -> Floats:

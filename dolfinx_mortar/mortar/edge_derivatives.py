@@ -26,7 +26,7 @@ from dolfinx_mortar.geometry.facet_derivatives import (
     differentiate_areas,
     place_on_edges,
 )
-from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of, surface_gradients
+from dolfinx_mortar.geometry.facets import Facets, facet_normals, normal_slopes, points_of
 from dolfinx_mortar.geometry.line_derivatives import differentiate_points
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.curvature_correction import distinct
@@ -190,12 +190,8 @@ def _add_turning(by_x: Floats, facets: Facets, sign: float, side: int, first: in
         side: 0 for slaves, 1 for masters.
         first: column of the first coordinate.
     """
-    corners = list(facets.element.vertices)
-    flat = Facets(facets.element.part or facets.element, facets.x[:, corners])
-    q, d = len(flat.x), flat.x.shape[2]
-    middle = flat.element.points.mean(axis=0, keepdims=True).repeat(q, axis=0)
-    gradients, _ = surface_gradients(flat, np.arange(q, dtype=np.int32), middle)
-    n = sign * facet_normals(facets)
+    n, slopes = sign * facet_normals(facets), sign * normal_slopes(facets)
+    q, k, d, _ = slopes.shape
     i, j = np.triu_indices(d)
     e = np.arange(len(i))
     by_n = np.zeros((q, d + len(i), d))
@@ -203,6 +199,5 @@ def _add_turning(by_x: Floats, facets: Facets, sign: float, side: int, first: in
     by_n[:, d + e, i] += n[:, j]
     by_n[:, d + e, j] += n[:, i]
     rows = 1 + np.r_[d * side + np.arange(d), 2 * d + len(i) * side + e]
-    for corner, G in zip(corners, np.moveaxis(gradients, 1, 0), strict=True):
-        change = -(by_n @ G[:, :, None]) * n[:, None]
-        by_x[:, rows, first + d * corner : first + d * (corner + 1)] += change
+    change = by_n @ np.swapaxes(slopes, 1, 2).reshape(q, d, k * d)
+    by_x[:, rows, first : first + k * d] += change
