@@ -153,6 +153,22 @@ def facet_sizes(x: Floats) -> Floats:
     return 2 * bounding_balls(x)[1]
 
 
+def size_slopes(x: Floats) -> Floats:
+    """Return the derivatives (m, k, d) of `facet_sizes` by the nodes.
+
+    Example:
+        >>> size_slopes(np.array([[[0.0, 0], [2, 0]]])).tolist()
+        [[[-1.0, 0.0], [1.0, 0.0]]]
+    """
+    offsets = x - x.mean(axis=1, keepdims=True)
+    square = (offsets**2).sum(axis=2)
+    k, furthest = x.shape[1], square.argmax(axis=1)
+    along = np.take_along_axis(offsets, furthest[:, None, None], axis=1)
+    along /= np.maximum(np.linalg.norm(along, axis=2, keepdims=True), TINY)
+    parts = (np.arange(k) == furthest[:, None])[:, :, None] - 1.0 / k
+    return np.asarray(2 * parts * along)
+
+
 def are_inside(x: Floats, n: Floats, p: Floats) -> Bools:
     """Tell (m,) whether projections of points lie in facets, edges included.
 

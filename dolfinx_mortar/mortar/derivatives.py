@@ -31,12 +31,17 @@ import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra.block_sums import Blocks, Matrix
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, SAME, TINY, Bools, Floats, Ints
-from dolfinx_mortar.geometry.facets import Facets
+from dolfinx_mortar.geometry.facets import Facets, facet_normals, normal_slopes, points_of
 from dolfinx_mortar.geometry.line_derivatives import PointDerivatives, differentiate_points
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.curvature_correction import HeightSlopes
-from dolfinx_mortar.mortar.edges import Sharing
-from dolfinx_mortar.mortar.integrals import covered_weights, sums_of_products
+from dolfinx_mortar.mortar.edges import PartlyOpen, Sharing, find_partly_open
+from dolfinx_mortar.mortar.integrals import (
+    covered_weights,
+    some_points,
+    sums_of_products,
+    weighted_duals,
+)
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
     coordinates,
@@ -131,7 +136,7 @@ def differentiate(
         Phi: Their weighted functions (q, k) of `open_duals`.
         given: Normals and tractions.
         slopes: Heights of smooth surfaces and their derivatives; None for facets.
-        sharing: What is shared out beside edges; None without. Its closed parts are held.
+        sharing: What is shared out beside edges; None without.
     """
     slave, master = pairing.slave, received_facets(pairing, u)
     x = coordinates(slave, u)
@@ -152,10 +157,60 @@ def differentiate(
     dA = place.by_coefficients(slope, chain.moments())
     F = place.forces(F_x) + place.forces_by_coefficients(F_A) @ dA
     G = place.gaps(G_x) + place.gaps_by_coefficients(G_A) @ dA
+    if sharing is not None:
+        partly = find_partly_open(pairing, segments, u, sharing)
+        heights = np.zeros(len(segments.slave)) if slopes is None else slopes.height
+        F_c, G_c = by_closed_parts(pairing, u, segments, keep, sharing, given, heights)
+        by_x = place.by_facets(chain.closed_parts(partly, facets), partly)
+        F, G = F + F_c @ by_x, G + G_c @ by_x
     n, z = 2 * len(x), place.columns
     coordinate_columns, normal_columns = np.r_[0:n, 2 * n : z], np.arange(n, 2 * n)
     parts = ([Matrix(B)[:, c]] for B in (F, G) for c in (coordinate_columns, normal_columns))
     return Derivatives(*parts)
+
+
+def by_closed_parts(
+    pairing: Pairing,
+    u: dolfinx.fem.Function,
+    segments: Segments,
+    keep: Bools,
+    sharing: Sharing,
+    given: Tractions,
+    heights: Floats,
+) -> tuple[Matrix, Matrix]:
+    """Return forces (d n + d nm, m) and weighted gaps (n, m) by the parts that facets share out.
+
+    Collective. The arguments are those of `differentiate`, with the heights (q,) at the points.
+    """
+    slave, master, d = pairing.slave, received_facets(pairing, u), pairing.slave.X.shape[1]
+    n, size = len(slave.nodes), (len(slave.nodes) + len(pairing.master_nodes), len(slave.facets))
+    partly = (sharing.closed > 0.0) & (sharing.closed < 1.0)
+    some = partly[segments.slave]
+    segments, heights = some_points(segments, some), heights[some]
+    s, m = segments.slave, segments.master
+    own, other = slave.facets[s], n + pairing.master_facets[m]
+    change = weighted_duals(pairing, segments, keep)
+    change -= weighted_duals(pairing, segments, keep | sharing.silent) * keep[own]
+    N = [
+        side.element.shape_functions(xi)
+        for side, xi in ((slave, segments.xi_s), (master, segments.xi_m))
+    ]
+    o = points_of(master, m, segments.xi_m)
+    o -= points_of(facets_at(slave, coordinates(slave, u)), s, segments.xi_s)
+    c, gap = (
+        np.einsum("qj,qji->qi", change, given.tractions[own]),
+        given.normals[own] @ o[:, :, None],
+    )
+    forces = np.hstack([N[0], -N[1]])[:, :, None] * c[:, None]
+    rows = d * np.concatenate([own, other], axis=1)[:, :, None] + np.arange(d)
+    F = _summed(rows, s[:, None, None], forces, (d * size[0], size[1]))
+    return F, _summed(own, s[:, None], change * (gap[:, :, 0] - heights[:, None]), (n, size[1]))
+
+
+def _summed(rows: Ints, columns: Ints, values: Floats, size: tuple[int, int]) -> Matrix:
+    """Return the sums of values at rows and columns that broadcast to their shape."""
+    where = (np.broadcast_to(v, values.shape).ravel() for v in (rows, columns))
+    return Matrix(sparse.coo_array((values.ravel(), tuple(where)), shape=size).tocsr())
 
 
 def log_slopes(pairing: Pairing, segments: Segments) -> Floats:
@@ -292,6 +347,26 @@ class _Chain:
             values.append(gap.value)
         return np.stack(by_x, axis=1), np.stack(values, axis=1)[:, :, None] * self.slave.N[:, None]
 
+    def closed_parts(self, partly: PartlyOpen, slave: Facets) -> Floats:
+        """Return the derivatives (q, p) of the parts that slave facets share out, but by size."""
+        which = np.full(self.count, -1)
+        which[partly.facets] = np.arange(len(partly.facets))
+        which = which[self.facet]
+        some, at, s = np.flatnonzero(which >= 0), which[which >= 0], self.slave
+        f, j = self.facet[some], partly.node[at]
+        n = facet_normals(slave[f])
+        o = np.stack([offset.value[some] for offset in self.offsets], axis=1)
+        d_gap = sum(n[:, i, None] * offset.d[some] for i, offset in enumerate(self.offsets))
+        turned = np.einsum("qi,qkih->qkh", o, normal_slopes(slave[f]))
+        d_gap[:, : 2 * s.k] += turned.reshape(len(some), 2 * s.k)
+        gap = _Field((o * n).sum(axis=1) - partly.opening[at], d_gap)
+        N, slope = s.N[some, j], s.slopes[some, j]
+        N_j = _Field(np.maximum(N, 0.0), np.where(N > 0.0, slope, 0.0)[:, None] * s.d_xi[some])
+        found = np.zeros((len(self.facet), self.p))
+        w = _Field(self.w.value[some], self.w.d[some])
+        found[some] = partly.by_moment[at, None] * (w * N_j * gap).d
+        return found
+
     def _below(self, slopes: HeightSlopes | None) -> _Field:
         """Return minus the heights, 0 for facets."""
         q = len(self.facet)
@@ -311,7 +386,8 @@ class _Places:
         self.slave, self.facet = pairing.slave.facets[segments.slave], segments.slave
         self.master = pairing.master_facets[segments.master]
         self.columns = 4 * n + 2 * len(pairing.master_nodes)
-        self.count, self.k = len(pairing.slave.facets), self.slave.shape[1]
+        self.facets, self.k = pairing.slave.facets, self.slave.shape[1]
+        self.count = len(self.facets)
         q, x_s = len(self.slave), 2 * self.slave[:, :, None] + xy
         x_m = 2 * self.master[:, :, None] + xy
         parts = x_s, 2 * n + x_s, 4 * n + x_m
@@ -322,29 +398,32 @@ class _Places:
         items = np.arange(self.k**2).reshape(self.k, self.k)
         self.coefficients = self.k**2 * self.facet[:, None, None] + items
 
-    def _sum(self, rows: Ints, columns: Ints, values: Floats, size: tuple[int, int]) -> Matrix:
-        where = (np.broadcast_to(v, values.shape).ravel() for v in (rows, columns))
-        return Matrix(sparse.coo_array((values.ravel(), tuple(where)), shape=size).tocsr())
+    def by_facets(self, values: Floats, partly: PartlyOpen) -> Matrix:
+        """Return the sums (m, columns) of values (q, p) of facets, with those by their size."""
+        size = self.count, self.columns
+        own = 2 * self.facets[partly.facets][:, :, None] + np.arange(2)
+        by_size = _summed(partly.facets[:, None, None], own, partly.by_x, size)
+        return Matrix(by_size + _summed(self.facet[:, None], self.stencil, values, size))
 
     def forces(self, values: Floats) -> Matrix:
         """Return the sums of values (q, k + l, 2, p)."""
         rows, columns = self.force_rows[..., None], self.stencil[:, None, None]
-        return self._sum(rows, columns, values, (self.columns - 2 * self.n, self.columns))
+        return _summed(rows, columns, values, (self.columns - 2 * self.n, self.columns))
 
     def gaps(self, values: Floats) -> Matrix:
         """Return the sums of values (q, k, p)."""
         where = self.slave[..., None], self.stencil[:, None]
-        return self._sum(*where, values, (self.n, self.columns))
+        return _summed(*where, values, (self.n, self.columns))
 
     def forces_by_coefficients(self, values: Floats) -> Matrix:
         """Return the sums of values (q, k + l, 2, k, k)."""
         rows, columns = self.force_rows[..., None, None], self.coefficients[:, None, None]
-        return self._sum(rows, columns, values, (self.columns - 2 * self.n, self.k**2 * self.count))
+        return _summed(rows, columns, values, (self.columns - 2 * self.n, self.k**2 * self.count))
 
     def gaps_by_coefficients(self, values: Floats) -> Matrix:
         """Return the sums of values (q, k, k)."""
         where = self.slave[..., None], self.coefficients
-        return self._sum(*where, values, (self.n, self.k**2 * self.count))
+        return _summed(*where, values, (self.n, self.k**2 * self.count))
 
     def by_coefficients(self, slope: Floats, moments: Floats) -> Matrix:
         """Return the derivatives of A' on all facets.
@@ -355,8 +434,8 @@ class _Places:
         """
         i, f = moments.shape[1], np.arange(self.count)[:, None, None]
         rows = i * self.facet[:, None, None] + np.arange(i)[:, None]
-        integrals = self._sum(rows, self.stencil[:, None], moments, (i * self.count, self.columns))
+        integrals = _summed(rows, self.stencil[:, None], moments, (i * self.count, self.columns))
         entry = self.k**2 * f + np.arange(self.k**2)[:, None]
         slope = slope.reshape(self.count, self.k**2, i)
         size = self.k**2 * self.count, i * self.count
-        return Matrix(self._sum(entry, i * f + np.arange(i), slope, size) @ integrals)
+        return Matrix(_summed(entry, i * f + np.arange(i), slope, size) @ integrals)

@@ -30,13 +30,15 @@ import numpy as np
 import dolfinx
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import is_number
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.curvature import unit
 from dolfinx_mortar.geometry.facets import (
+    Facets,
     facet_normals,
     facet_sizes,
     normals_at_nodes,
     points_of,
+    size_slopes,
 )
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.integrals import sums_of_products, weighted_duals
@@ -255,13 +257,19 @@ def open_duals(
     return np.asarray(closed * Phi + (1.0 - closed) * full)
 
 
-def _closed(
-    pairing: Pairing, segments: Segments, u: dolfinx.fem.Function | None, silent: Bools
-) -> Floats:
-    """Return the part (m,) in which slave facets share out functions of silent nodes; collective.
+@dataclass(frozen=True, eq=False)
+class _Openings:
+    """How far slave facets (m,) are open at their silent nodes: o_j, the mean of gaps over N_j."""
 
-    1 where these nodes are closed, 0 where one of them is open; 1 without such nodes.
-    """
+    facets: Facets
+    opening: Floats  # (m, k) o_j, 0 at other nodes
+    weight: Floats  # (m, k) int N_j, of which only what is positive counts
+
+
+def _openings(
+    pairing: Pairing, segments: Segments, u: dolfinx.fem.Function | None, silent: Bools
+) -> _Openings:
+    """Return the openings at silent nodes (n,); collective."""
     slave = pairing.slave
     facets = facets_at(slave, coordinates(slave, u))
     x_s = points_of(facets, segments.slave, segments.xi_s)
@@ -271,5 +279,46 @@ def _closed(
     values = np.stack([np.ones_like(gap), gap], axis=1)
     weight, moment = np.moveaxis(sums_of_products(N, values, segments.slave, len(facets.x)), 2, 0)
     opening = np.where(silent[slave.facets], moment / np.maximum(weight, TINY), 0.0)
-    widest = opening.max(axis=1, initial=0.0) / (SUNK * facet_sizes(facets.x))
+    return _Openings(facets, opening, weight)
+
+
+def _closed(
+    pairing: Pairing, segments: Segments, u: dolfinx.fem.Function | None, silent: Bools
+) -> Floats:
+    """Return the part (m,) in which slave facets share out functions of silent nodes; collective.
+
+    1 where these nodes are closed, 0 where one of them is open; 1 without such nodes.
+    """
+    found = _openings(pairing, segments, u, silent)
+    widest = found.opening.max(axis=1, initial=0.0) / (SUNK * facet_sizes(found.facets.x))
     return np.asarray(np.clip(1.0 - widest, 0.0, 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class PartlyOpen:
+    """Slave facets (f,) that share out in part, 1 - o_j / (SUNK L), L being their size."""
+
+    facets: Ints  # (f,)
+    node: Ints  # (f,) number on the facet of the widest opening j
+    opening: Floats  # (f,) o_j
+    by_moment: Floats  # (f,) derivative of the part by int N_j (gap - o_j), o_j being fixed
+    by_x: Floats  # (f, k, d) that by the coordinates, by which L changes
+
+
+def find_partly_open(
+    pairing: Pairing, segments: Segments, u: dolfinx.fem.Function, sharing: Sharing
+) -> PartlyOpen:
+    """Return the slave facets that share out in part; collective.
+
+    Args:
+        segments: Those at X + u, of all slave facets or of some.
+        sharing: Of the same.
+    """
+    found = _openings(pairing, segments, u, sharing.silent)
+    some = np.flatnonzero((sharing.closed > 0.0) & (sharing.closed < 1.0)).astype(np.int32)
+    node = found.opening[some].argmax(axis=1).astype(np.int32)
+    (opening, weight), x = (v[some, node] for v in (found.opening, found.weight)), found.facets.x
+    size = SUNK * facet_sizes(x[some])
+    by_size = SUNK * opening / size**2
+    by_x = by_size[:, None, None] * size_slopes(x[some])
+    return PartlyOpen(some, node, opening, -1.0 / (size * weight), by_x)
