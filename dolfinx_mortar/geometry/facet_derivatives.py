@@ -505,39 +505,35 @@ def differentiate_pairs(
     )
 
 
-def differentiate_areas(
+def differentiate_integrals(
     slave: Facets,
     master: Facets,
     pairs: Ints,
     points: tuple[Points, EdgePoints],
     N: tuple[Floats, Floats],
+    n: Floats,
+    h: Floats,
 ) -> Floats:
-    """Return the derivatives (p, k, 3 (k + l)) of int N_j over pairs by their nodes' coordinates.
+    """Return the derivatives (p, k, k + l, 3) of int N_j (n.o - h) over pairs at fixed n and h.
 
     Args:
         slave: Slave facets (ms,).
         master: Master facets (mm,).
         pairs: Pairs (p, 2).
-        points: Their points (q,), and those on all edges (r,) that bound a pair.
+        points: Their points (q,), and those on edges (r,) that bound the pairs.
         N: Values of functions on the slave facets at both, (q, k) and (r, k).
+        n: Vector (ms, 3) of each slave facet.
+        h: Number (ms,) of each.
     """
     inner, edges = points
     m, k = slave.x.shape[:2]
     held = Coefficients(np.zeros(m, dtype=bool), np.zeros((m, k, k)), np.zeros((m, k, k)))
-    none = np.zeros((m, k, 3))
-    one = [Heights(-np.ones(len(at.pair)), np.zeros((len(at.pair), 2))) for at in points]
-    found = differentiate_pairs(
-        slave,
-        master,
-        pairs,
-        (inner, replace(edges, free=np.zeros_like(edges.free))),
-        (N[0] * inner.weight[:, None], N[1] * edges.weight[:, None]),
-        N,
-        Integrands(none, none),
-        held,
-        (one[0], one[1]),
-    )
-    return found.gaps.reshape(len(pairs), k, -1)
+    vectors = Integrands(np.zeros((m, k, 3)), np.repeat(n[:, None], k, axis=1))
+    a, b = (Heights(h[pairs[at.pair, 0]], np.zeros((len(at.pair), 2))) for at in points)
+    edges = replace(edges, free=np.zeros_like(edges.free))  # functions do not change
+    weighted = N[0] * inner.weight[:, None], N[1] * edges.weight[:, None]
+    at = slave, master, pairs, (inner, edges), weighted, N, vectors, held, (a, b)
+    return differentiate_pairs(*at).gaps
 
 
 def _functions(facets: Facets, xi: Floats) -> tuple[Floats, Floats]:

@@ -241,7 +241,7 @@ class ContactDerivatives(LinkDerivatives):
             Phi = open_duals(pairing, segments, Phi, keep, sharing)
         at = pairing, u, segments, keep, Phi, given
         if _in_space(link):
-            return differentiate_in_space(*at, smooth), Phi
+            return differentiate_in_space(*at, smooth, sharing), Phi
         slopes = None if smooth is None else height_slopes(pairing, segments, u, smooth)
         return differentiate(*at, slopes, sharing), Phi
 

@@ -23,7 +23,7 @@ from dolfinx_mortar.algebra.block_sums import Blocks
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.facet_derivatives import (
     Points,
-    differentiate_areas,
+    differentiate_integrals,
     place_on_edges,
 )
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, normal_slopes, points_of
@@ -143,7 +143,10 @@ def _in_space(
     N = [np.clip(N, 0.0, None) for N in (N_s, slave.element.shape_functions(on_edges.xi_s))]
     sums = sums_of_products(N[0] * segments.weight[:, None], np.ones((len(of), 1)), of, p)
     inner = Points(of.astype(np.int64), segments.xi_s, segments.xi_m, segments.weight)
-    moved = differentiate_areas(facets, master, pairs, (inner, on_edges), (N[0], N[1]))
+    none, areas = np.zeros((len(facets.x), 3)), -np.ones(len(facets.x))
+    moved = differentiate_integrals(
+        facets, master, pairs, (inner, on_edges), (N[0], N[1]), none, areas
+    ).reshape(p, k, -1)
     values = products(facet_normals(facets)[s], -facet_normals(master)[m])
     by_x = np.zeros((p, values.shape[1], 3 * both.shape[1]))
     _add_turning(by_x, facets[s], 1.0, 0, 0)

@@ -24,14 +24,21 @@ from dolfinx_mortar.geometry.facet_derivatives import (
     Integrands,
     PairIntegrals,
     Points,
+    differentiate_integrals,
     differentiate_pairs,
     place_on_edges,
 )
-from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
+from dolfinx_mortar.geometry.facets import Facets, facet_normals, normal_slopes, points_of
 from dolfinx_mortar.geometry.segments import Segments, are_facing
-from dolfinx_mortar.mortar.curvature_correction import distinct
-from dolfinx_mortar.mortar.derivatives import Derivatives, Part, Tractions
-from dolfinx_mortar.mortar.integrals import absorbed, sums_of_products
+from dolfinx_mortar.mortar.curvature_correction import distinct, point_heights
+from dolfinx_mortar.mortar.derivatives import Derivatives, Part, Tractions, by_closed_parts
+from dolfinx_mortar.mortar.edges import PartlyOpen, Sharing, find_partly_open
+from dolfinx_mortar.mortar.integrals import (
+    absorbed,
+    some_points,
+    sums_of_products,
+    weighted_duals,
+)
 from dolfinx_mortar.mortar.operators import SmoothSides
 from dolfinx_mortar.mortar.pair_heights import pair_heights
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
@@ -47,11 +54,47 @@ def differentiate_in_space(
     Phi: Floats,
     given: Tractions,
     smooth: SmoothSides | None = None,
+    sharing: Sharing | None = None,
 ) -> Derivatives:
     """Return the derivatives of forces and weighted gaps at X + u (collective).
 
     The arguments are those of `dolfinx_mortar.mortar.derivatives.differentiate`, of surfaces in 3D;
-    smooth surfaces by themselves.
+    smooth surfaces by themselves. Functions that are shared out in part are sums of those that are
+    and those that are not, each with a share that depends on the opening.
+    """
+    if sharing is None:
+        return _differentiate(pairing, u, segments, keep, Phi, given, smooth)
+    heights = np.zeros(len(segments.pair))
+    if smooth is not None:
+        heights = point_heights(pairing, segments, u, smooth)
+    F_c, G_c = by_closed_parts(pairing, u, segments, keep, sharing, given, heights)
+    by_x = _closed_parts(pairing, u, segments, find_partly_open(pairing, segments, u, sharing))
+    F, G, F_n, G_n = [Matrix(F_c @ by_x)], [Matrix(G_c @ by_x)], [], []
+    for kept, share in ((keep, sharing.closed), (keep | sharing.silent, 1.0 - sharing.closed)):
+        some = some_points(segments, share[segments.slave] > 0.0)
+        Phi = weighted_duals(pairing, some, kept)
+        parts = _differentiate(pairing, u, some, kept, Phi, given, smooth, share)
+        F += parts.F_x
+        G += parts.G_x
+        F_n += parts.F_n
+        G_n += parts.G_n
+    return Derivatives(F, F_n, G, G_n)
+
+
+def _differentiate(
+    pairing: Pairing,
+    u: dolfinx.fem.Function,
+    segments: Segments,
+    keep: Bools,
+    Phi: Floats,
+    given: Tractions,
+    smooth: SmoothSides | None,
+    share: Floats | None = None,
+) -> Derivatives:
+    """Return the derivatives for the dual functions of some nodes; collective.
+
+    Args:
+        share: Factor (m,) of the functions on each slave facet; None for 1.
     """
     slave, master = pairing.slave, received_facets(pairing, u)
     facets, nodes = facets_at(slave, coordinates(slave, u)), slave.facets
@@ -90,14 +133,46 @@ def differentiate_in_space(
     if sagittas is not None and sagittas.by_x is not None:
         gaps = gaps - sagittas.integrals(Phi, of.astype(np.int32), segments.xi_s, segments.xi_m)
     place = _Places(pairing, pairs, len(slave.nodes))
-    F: list[Part] = [
-        Blocks(place.nodes, place.nodes, _add_dual_changes(found, own, pairs[:, 0], which))
-    ]
+    part = np.ones(len(pairs)) if share is None else share[pairs[:, 0]]
+    forces = _add_dual_changes(found, own, pairs[:, 0], which) * part[:, None, None, None, None]
+    F: list[Part] = [Blocks(place.nodes, place.nodes, forces)]
     if len(found.with_edges):
-        F.append(_by_edges(place, found, own))
-    G = Blocks(place.slave, place.nodes, gaps[:, :, None])
-    F_n, G_n = _by_normals(place, own, given)
+        F.append(_by_edges(place, found, own, part))
+    G = Blocks(place.slave, place.nodes, (gaps * part[:, None, None, None])[:, :, None])
+    F_n, G_n = _by_normals(place, own, given, part)
     return Derivatives(F, [F_n], [G], [G_n])
+
+
+def _closed_parts(
+    pairing: Pairing, u: dolfinx.fem.Function, segments: Segments, partly: PartlyOpen
+) -> Matrix:
+    """Return the derivatives (m, 3 n + 3 nm) of the parts that facets share out; collective."""
+    slave, master = pairing.slave, received_facets(pairing, u)
+    facets = facets_at(slave, coordinates(slave, u))
+    m, k = slave.facets.shape
+    node, opening, by_moment = np.zeros(m, dtype=np.int32), np.zeros(m), np.zeros(m)
+    node[partly.facets], opening[partly.facets] = partly.node, partly.opening
+    by_moment[partly.facets] = partly.by_moment
+    segments = some_points(segments, by_moment[segments.slave] != 0.0)
+    used, of = distinct(segments.pair)
+    pairs = np.ascontiguousarray(pairing.pairs[used])
+    edges = place_on_edges(facets, master, pairs, _free_edges(pairing, facets, master, pairs))
+    inner = Points(of.astype(np.int64), segments.xi_s, segments.xi_m, segments.weight)
+    N, on = (np.clip(slave.element.shape_functions(at.xi_s), 0.0, None) for at in (inner, edges))
+    at = facets, master, pairs, (inner, edges), (N, on), facet_normals(facets), opening
+    p, s = np.arange(len(pairs)), pairs[:, 0]
+    values = differentiate_integrals(*at)[p, node[s]]  # (p, k + l, 3)
+    o = points_of(master, segments.master, inner.xi_m) - points_of(
+        facets, segments.slave, inner.xi_s
+    )
+    moved = sums_of_products(N * inner.weight[:, None], o, of.astype(np.int32), len(pairs))
+    turned = np.einsum("pi,pkih->pkh", moved[p, node[s]], normal_slopes(facets[s]))
+    values[:, :k] += turned
+    place = _Places(pairing, pairs, len(slave.nodes))
+    size = m, place.columns
+    by_moments = place.sum(s[:, None, None], place.dofs, by_moment[s, None, None] * values, size)
+    own = 3 * slave.facets[partly.facets][:, :, None] + np.arange(3)
+    return Matrix(by_moments + place.sum(partly.facets[:, None, None], own, partly.by_x, size))
 
 
 def _coefficients(m: Floats, kept: Bools) -> tuple[Floats, Floats]:
@@ -234,8 +309,11 @@ def _add_dual_changes(found: PairIntegrals, own: _Own, facet: Ints, which: Bools
     return forces
 
 
-def _by_edges(place: "_Places", found: PairIntegrals, own: _Own) -> Matrix:
-    """Return the derivatives of forces by the master's nodes of pairs with edges, by C_b."""
+def _by_edges(place: "_Places", found: PairIntegrals, own: _Own, part: Floats) -> Matrix:
+    """Return the derivatives of forces by the master's nodes of pairs with edges, by C_b.
+
+    Times the parts (p,) of pairs.
+    """
     k, on = place.k, found.with_edges
     xyz = np.arange(3, dtype=np.int32)
     item = 3 * (k * place.facet[:, None] + np.arange(k, dtype=np.int32))[:, :, None] + xyz
@@ -246,14 +324,16 @@ def _by_edges(place: "_Places", found: PairIntegrals, own: _Own) -> Matrix:
     F_C = place.sum(rows, columns, forces, (place.columns, count))
     columns = place.dofs[on][:, None, None, k:]
     rows = np.swapaxes(item[on], 1, 2)[..., None, None]
-    return Matrix(F_C @ place.sum(rows, columns, found.by_master, (count, place.columns)))
+    values = found.by_master * part[on][:, None, None, None, None]
+    return Matrix(F_C @ place.sum(rows, columns, values, (count, place.columns)))
 
 
-def _by_normals(place: _Places, own: _Own, given: Tractions) -> tuple[Blocks, Blocks]:
-    """Return the derivatives of forces and gaps by the averaged normals."""
+def _by_normals(place: _Places, own: _Own, given: Tractions, part: Floats) -> tuple[Blocks, Blocks]:
+    """Return the derivatives of forces and gaps by the averaged normals, times parts (p,)."""
     by_c, changes = np.concatenate([own.D, -own.M], axis=2), given.changes[place.slave]
+    by_c, v = by_c * part[:, None, None], own.v * part[:, None, None]
     forces = np.swapaxes(by_c, 1, 2)[:, :, None, :, None] * np.swapaxes(changes, 1, 2)[:, None]
-    gaps = own.v[:, :, None] @ given.turning[place.slave]  # (p, j, 1, 3)
+    gaps = v[:, :, None] @ given.turning[place.slave]  # (p, j, 1, 3)
     each = place.slave.reshape(-1, 1)  # a gap depends on the normal of its own node
     return (
         Blocks(place.nodes, place.slave, forces),
