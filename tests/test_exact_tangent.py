@@ -34,12 +34,11 @@ from dolfinx_mortar.mortar.surface import (
     normal_derivatives,
 )
 from dolfinx_mortar.newton_method.watch import DIGIT, MOST_RISES, Watch
-from tests import meshes
+from tests import meshes, on_edges
 from tests.choice import quick
 from tests.finite_sliding import indentation, walk
 from tests.hertz_case import ELASTIC, create_case, create_mesh
 from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
-from tests.pressed_blocks import PressedBlocks
 
 COMM, COMM_WORLD = MPI.COMM_SELF, MPI.COMM_WORLD
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
@@ -277,77 +276,35 @@ def test_rows_of_gaps_and_slips_are_their_derivatives(dragged):
 
 
 PRESSED = {
-    "corners of the slave": ((6, 4), (4, 4), BOTTOM_OF_UPPER, TOP_OF_LOWER, 0.0),
-    "edge on edge": ((6, 4), (5, 4), BOTTOM_OF_UPPER, TOP_OF_LOWER, 0.4),
-    "edge on edge, swapped": ((6, 4), (5, 4), TOP_OF_LOWER, BOTTOM_OF_UPPER, 0.4),
+    "corners of the slave": ((6, 4), (4, 4), BOTTOM_OF_UPPER, TOP_OF_LOWER, 0.0, 0.0),
+    "edge on edge": ((6, 4), (5, 4), BOTTOM_OF_UPPER, TOP_OF_LOWER, 0.4, 0.0),
+    "edge on edge, swapped": ((6, 4), (5, 4), TOP_OF_LOWER, BOTTOM_OF_UPPER, 0.4, 0.0),
+    "open": ((6, 4), (5, 4), BOTTOM_OF_UPPER, TOP_OF_LOWER, 0.75, 0.004),
+    "open, swapped": ((6, 4), (5, 4), TOP_OF_LOWER, BOTTOM_OF_UPPER, 0.75, 0.004),
 }
 
 
-def begun_on_edges(name, degree):
-    """Return a problem with whole skins in a third step, with friction, and what it begins with."""
-    n_lower, n_upper, slave, master, right = PRESSED[name]
-    x_upper = (0.23 + right, 0.77 + right)
-    case = PressedBlocks(n_lower=n_lower, n_upper=n_upper, x_upper=x_upper, degree=degree)
-    tags = meshes.skins(case.mesh, case.cells, case.facets)
-    problem = case.problem([dm.Contact(tags, slave=slave, master=master, friction=0.3)])
-    for push in ((0.0, -0.01), (0.003, -0.02)):
-        case.top.value[:] = push
-        dm.newton(problem)
-        problem.commit()
-    case.top.value[:] = 0.01, -0.02
-    return problem, problem.begin_step()
+ON_STRAIGHT = [(name, 1) for name in PRESSED]
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("degree", quick([1, 2], 1))
-@pytest.mark.parametrize("name", PRESSED)
+@pytest.mark.parametrize(
+    ("name", "degree"),
+    quick(
+        [(name, k) for name in PRESSED for k in (1, 2) if (name, k) != ("open", 2)], *ON_STRAIGHT
+    ),
+)
 def test_derivatives_at_edges_are_those_of_forces_gaps_and_slips(name, degree):
-    """With the normals of edges; differences agree to 1e-8 of the largest entry."""
-    problem, data = begun_on_edges(name, degree)
-    rng, u = np.random.default_rng(COMM_WORLD.rank), problem.owned_u
-    u += 1e-4 * rng.standard_normal(u.shape)  # far from balance, so that all terms count
-    start, du = u.copy(), rng.standard_normal(u.shape)
-    multipliers, tangential = rng.uniform(0.5, 1.0, problem.n), rng.standard_normal((problem.n, 2))
-
-    def at(step):
-        u[:] = start + step * du
-        problem.u.x.scatter_forward()
-        problem.follow_geometry()
-        (link,) = problem.system.unilateral
-        weight, n, along = (
-            link.coupling.weight[:, :1],
-            link.coupling.normals,
-            tangential[link.nodes],
-        )
-        along = along - (along * n).sum(axis=1)[:, None] * n
-        forces = np.add(*link.transpose(weight * (multipliers[link.nodes, None] * n + along)))
-        since = problem.vector(u - problem.committed.displacement)
-        slip = data.partners[0].slip(link, since)[:, 1]
-        return link, since, forces, weight[:, 0] * link.gaps(problem.positions()), slip
-
-    def difference(step):
-        (_, _, *above), (_, _, *below) = at(step), at(-step)
-        return [(a - b) / (2 * step) for a, b in zip(above, below, strict=True)]
-
-    link, *_ = at(0.0)
-    n = link.coupling.normals
-    tangential[link.nodes] -= (tangential[link.nodes] * n).sum(axis=1)[:, None] * n
-    differences = zip(difference(1e-6), difference(2e-6), strict=True)
-    forces, gaps, slips = ((4 * a - b) / 3 for a, b in differences)
-    link, since, *_ = at(0.0)
-    kept = link.coupling.kept[:, 0] & link.near
-    assert problem.comm.allreduce(int((kept & link.sides.edges[: len(kept)]).sum())) > 0
-    given, du = (multipliers, tangential, (since, data.partners)), problem.vector(du)
-    tangent = problem.system.linearise_geometry(problem.u, *given)
-    known, closing = kept & data.partners[0].known, tangent.closing(du).reshape(-1, 2)[link.nodes]
-    checks = (
-        ((tangent.forces[0] * du).array_r.reshape(-1, 2), forces),
-        (closing[kept, 0] * link.coupling.weight[kept, 0], -gaps[kept]),
-        (closing[known, 1], slips[known]),
-    )
-    for found, expected in checks:
-        largest = problem.comm.allreduce(np.abs(expected).max(initial=0.0), op=MPI.MAX)
-        assert np.abs(found - expected).max(initial=0.0) < 1e-8 * largest
+    """With the normals of edges, and what open facets share out; to 1e-8 of the largest entry."""
+    n_lower, n_upper, slave, master, right, up = PRESSED[name]
+    x_upper = (0.23 + right, 0.77 + right)
+    mesh = meshes.two_blocks(COMM_WORLD, n_lower=n_lower, n_upper=n_upper, x_upper=x_upper)
+    problem, data = on_edges.begin(*mesh, degree, slave, master)
+    on_edges.raise_upper(problem, up)
+    tangent = on_edges.Tangent(problem, data)
+    assert tangent.on_edges > 0
+    assert not up or tangent.open_in_part() > 0
+    assert max(tangent.errors) < 1e-8
 
 
 @pytest.mark.parametrize("to", [(0.15, -0.2), (0.12, -0.3)])

@@ -35,9 +35,10 @@ from dolfinx_mortar.mortar.surface import (
 )
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.watch import contact_forces
-from tests import meshes_3d
+from tests import meshes_3d, on_edges
 from tests.ball_case import STEEL, create_mesh
-from tests.choice import crosswise
+from tests.choice import crosswise, quick
+from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
 
 COMM = MPI.COMM_SELF
 FACTORISED = {"pc_type": "cholesky"}
@@ -347,6 +348,57 @@ def test_rows_of_gaps_and_slips_are_their_derivatives(slave, cell):
         largest = maximum(problem.comm, *(np.abs(v[near]).max(initial=0.0) for v in (error, size)))
         assert largest[0] < 1e-8 * largest[1]
     assert problem.comm.allreduce(int(near.sum())) > 5
+
+
+SMALL, BESIDE, CORNER, LITTLE = (
+    (0.23, 0.77, 0.21, 0.75),
+    (0.43, 1.37, -0.1, 1.12),
+    (0.43, 1.37, 0.38, 1.41),
+    (0.97, 1.87, 0.38, 1.41),
+)
+ON_EDGES = {
+    "corners of the slave": (SMALL, BOTTOM_OF_UPPER, TOP_OF_LOWER, 0.0),
+    "edge on edge": (BESIDE, BOTTOM_OF_UPPER, TOP_OF_LOWER, 0.0),
+    "edge on edge, swapped": (BESIDE, TOP_OF_LOWER, BOTTOM_OF_UPPER, 0.0),
+    "corner on corner": (CORNER, BOTTOM_OF_UPPER, TOP_OF_LOWER, 0.0),
+    "corner on corner, swapped": (CORNER, TOP_OF_LOWER, BOTTOM_OF_UPPER, 0.0),
+    "open": (LITTLE, BOTTOM_OF_UPPER, TOP_OF_LOWER, 0.004),
+    "open, swapped": (LITTLE, TOP_OF_LOWER, BOTTOM_OF_UPPER, 0.004),
+}
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("name", "cell", "degree"),
+    quick(
+        [
+            (name, cell, degree)
+            for name in ON_EDGES
+            for cell in ("tetrahedron", "hexahedron")
+            for degree in (1, 2)
+        ],
+        ("edge on edge", "tetrahedron", 1),
+        ("corner on corner, swapped", "hexahedron", 1),
+        ("open", "tetrahedron", 1),
+        ("open, swapped", "hexahedron", 1),
+    ),
+)
+def test_derivatives_at_edges_are_those_of_forces_gaps_and_slips(name, cell, degree, monkeypatch):
+    """With the normals of edges, and what open facets share out; to 1e-8 of the largest entry.
+
+    Of second order with integrals that are accurate.
+    """
+    if degree == 2:
+        monkeypatch.setattr(area, "_least_degree", lambda slave, master: 16)
+    upper, slave, master, up = ON_EDGES[name]
+    n = ((4, 4, 1), (3, 3, 1)) if upper == SMALL else ((3, 3, 1), (3, 3, 1))
+    mesh = meshes_3d.two_boxes(MPI.COMM_WORLD, *n, upper=upper, cell=cell, jitter=0.15)
+    problem, data = on_edges.begin(*mesh, degree, slave, master, surface="facets")
+    on_edges.raise_upper(problem, up)
+    tangent = on_edges.Tangent(problem, data, noise=1e-3)
+    assert tangent.on_edges > 0
+    assert not up or tangent.open_in_part() > 0
+    assert max(tangent.errors) < 1e-8
 
 
 class Sliding:
