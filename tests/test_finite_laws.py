@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+import ufl
 from dolfinx_mortar.materials.finite_comparison import law_at_points
 from dolfinx_mortar.materials.protocol import create_law
 from tests.pressed_blocks import rejected
@@ -57,8 +58,37 @@ def test_a_law_fits_its_energy_at_any_stretch(law):
 
 
 def test_an_energy_that_sees_rotations_is_refused():
-    with rejected("Unturned", "a rotation"):
+    with rejected("Unturned", "a rotation", "write psi in C = F^T F"):
         dm.materials.check(Unturned(1.0))
+
+
+class Strained(Unturned):
+    """Without -2 ln J: it pulls together."""
+
+    @staticmethod
+    def energy(F, state, p):
+        return p.E / 2 * ufl.inner(F, F) + p.E / 2 * (ufl.det(F) - 1) ** 2
+
+
+class Undefined(Unturned):
+    """Of volumes above .35 only."""
+
+    @staticmethod
+    def energy(F, state, p):
+        part = ufl.sqrt(ufl.det(F) - 0.35)
+        return p.E / 2 * (ufl.inner(F, F) - 2 * ufl.ln(ufl.det(F))) + 1e-9 * p.E * (part**3 - part)
+
+
+def test_a_stress_without_strain_is_refused_unless_meant():
+    with rejected("Strained", "stress at F = I", "[[3.", "initial_stress=True"):
+        dm.materials.check(Strained(3.0))
+    found = dm.materials.check(Strained(3.0), initial_stress=True)
+    assert found.energy_error < 1e-9
+
+
+def test_an_energy_that_is_not_defined_in_small_volumes_is_refused():
+    with rejected("Undefined gives NaN or infinity", "J = 0.3", "J > 0"):
+        dm.materials.check(Undefined(1.0), initial_stress=True)
 
 
 @dataclass(frozen=True)

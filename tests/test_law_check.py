@@ -56,6 +56,10 @@ class Slips:
         return C + ufl.as_tensor([[0, 0.1 * C[0, 1], 0], [0, 0, 0], [0, 0, 0]])
 
     @staticmethod
+    def start(strain, state, p):
+        return von_mises_stress(strain, state, p) + 0.01 * p.E * ufl.Identity(3)
+
+    @staticmethod
     def root(strain, state, p):
         return ufl.sqrt(0.01 - ufl.inner(strain, strain) * 2) * strain
 
@@ -96,6 +100,7 @@ def test_arguments_of_a_check(bad):
         ({"stress": Slips.skew}, "mirrored it is"),
         ({"linear": True}, "linear is True, but the tangent .*at zero strain it is"),
         ({"stress": Slips.root, "energy": None}, "gives NaN or infinity at strain"),
+        ({"stress": Slips.start, "energy": None}, "the stress at zero strain is .*, not 0"),
     ],
 )
 def test_check_finds_what_does_not_fit(changes, message):

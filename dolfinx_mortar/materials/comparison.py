@@ -11,7 +11,12 @@ import numpy as np
 from dolfinx_mortar.arguments import is_integer, is_number
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.compiled import CompiledLaw, Point, PointwiseNumbers
-from dolfinx_mortar.materials.finite_comparison import LENGTHS, SIZES, compare_at_finite_strain
+from dolfinx_mortar.materials.finite_comparison import (
+    LENGTHS,
+    SIZES,
+    check_start,
+    compare_at_finite_strain,
+)
 from dolfinx_mortar.materials.protocol import PLASTIC, create_law
 from dolfinx_mortar.materials.tensor import COMPONENTS, INDEX, tensor_of
 
@@ -113,12 +118,14 @@ def check(
     rate_independent: bool = True,
     plane_stress: bool = False,
     strain: str | None = None,
+    initial_stress: bool = False,
 ) -> LawReport:
     """Compare stress, energy, tangent and state of a law at random strains and states.
 
     The law runs as compiled code, as in a solid, but without a mesh: along random strain paths from
     the virgin state, whose steps grow over five decades up to `size`. At each strain and state
 
+    * there must be no stress at the start;
     * d energy / d strain by central differences must be the stress, where there is an energy;
     * d stress / d strain by central differences must be the tangent that UFL derives;
     * with `linear`, the tangent must be the same everywhere;
@@ -139,6 +146,7 @@ def check(
             stretches of .3 to 3 and J from .3 to 3, with coincident stretches, d psi / dF has to be
             P and dP/dF its derivative, both by differences of sixth order to 1e-7, and energy and
             stress have to turn with F.
+        initial_stress: True for a law that is meant to have a stress before anything has moved.
 
     Returns:
         The largest errors found; ``print`` it.
@@ -160,13 +168,20 @@ def check(
             raise ValueError(
                 "plane_stress is True: at finite strain a law is judged in space alone"
             )
-        found_ = compare_at_finite_strain(law, parts, rng, float(size))
+        found_ = compare_at_finite_strain(
+            law, parts, rng, float(size), initial_stress=initial_stress
+        )
         whole = (found_.energy, found_.tangent, 0.0, found_.skew, 0.0, found_.turned)
         return LawReport(parts.name, found_.samples, found_.changed, *whole)
     compiled = CompiledLaw(law, parts) if parts.update is None else PointwiseNumbers(law, parts)
     name = parts.name
     virgin = {n: np.zeros(shape) for n, shape in compiled.shapes.items()}
     start = _Sample(compiled, name, np.zeros(6), virgin)
+    if not initial_stress:
+        least = size * SIZES[0]
+        stiff = [start.at(least * e, e).elastic / least for e in np.eye(6)]
+        stress = start.at(start.strain, start.strain).stress
+        check_start(parts, stress, RTOL * float(np.abs(stiff).max()))
     found = []
     for _ in range(PATHS):
         state = virgin

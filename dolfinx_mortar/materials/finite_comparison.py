@@ -151,19 +151,33 @@ def _of_arrays(law: Law, given: Mapping[str, float], evaluate: Evaluation) -> At
 
 
 def compare_at_finite_strain(
-    material: Any, law: Law, rng: np.random.Generator, size: float
+    material: Any, law: Law, rng: np.random.Generator, size: float, *, initial_stress: bool
 ) -> FiniteLawErrors:
     """Compare energy, P and dP/dF of a law at random F, and its answer to rotations.
 
     Raises:
         ValueError: where they do not fit, with F and both values.
     """
-    at, stiffness, has_energy = law_at_points(material, law)
+    evaluate, stiffness, has_energy = law_at_points(material, law)
+
+    def at(F: Floats, state: Mapping[str, Floats]) -> FinitePoint:
+        point = evaluate(F, state)
+        values = [point.stress, point.tangent, *point.state.values()]
+        values += [point.energy] if has_energy else []
+        if not all(np.isfinite(value).all() for value in values):
+            raise ValueError(
+                f"{law.name} gives NaN or infinity at J = {np.linalg.det(F):.3g}, "
+                f"F = {_written(F)}: it has to be defined wherever J > 0"
+            )
+        return point
+
     virgin = {n: np.zeros(6 if shape else ()) for n, shape in law.state.items()}
+    start = at(np.eye(3), virgin).stress
+    if not initial_stress:
+        check_start(law, start, RTOL * stiffness)
     found, state = [], virgin
     for F in gradients(rng, size):
         here = at(F, state)
-        _demand(law, "the response", F, np.isfinite(here.stress).all(), "finite", "NaN")
         scale = max(stiffness, float(np.abs(here.tangent).max()))
         D = rng.uniform(-1.0, 1.0, (3, 3))
         for length in LENGTHS:
@@ -187,7 +201,15 @@ def compare_at_finite_strain(
         off = [np.abs(turned.stress - Q @ here.stress).max()]
         off += [abs(turned.energy - here.energy)] if has_energy else []
         errors[2] = float(max(off)) / scale
-        _demand(law, "P(Q F), Q a rotation,", F, errors[2] <= RTOL, turned.stress, Q @ here.stress)
+        _demand(
+            law,
+            "P(Q F), Q a rotation,",
+            F,
+            errors[2] <= RTOL,
+            turned.stress,
+            Q @ here.stress,
+            "as Q P(F), since a rotation strains nothing: write psi in C = F^T F",
+        )
         errors[3] = float(np.abs(here.tangent - here.tangent.transpose(2, 3, 0, 1)).max()) / scale
         changed = any(np.any(here.state[n] != state[n]) for n in state)
         found.append((changed, *errors))
@@ -197,16 +219,33 @@ def compare_at_finite_strain(
     )
 
 
+def check_start(law: Law, stress: Floats, tolerance: float) -> None:
+    """Raise ValueError if a law has a stress (3, 3) before anything has moved."""
+    if np.abs(stress).max() > tolerance:
+        where = "F = I" if law.strain == "finite" else "zero strain"
+        raise ValueError(
+            f"{law.name}: the stress at {where} is {_written(stress)}, not 0, so bodies strain "
+            "without loads: a term is missing, as -2 ln J beside tr C - 3; if it is meant, say "
+            "initial_stress=True"
+        )
+
+
 def _difference(values: Mapping[int, Any], step: float) -> Any:
     """Return the derivative from values at multiples of a step."""
     return sum(w * (values[k] - values[-k]) for k, w in WEIGHTS.items()) / step
 
 
-def _demand(law: Law, what: str, F: Floats, holds: Any, given: Any, wanted: Any) -> None:
+def _demand(
+    law: Law, what: str, F: Floats, holds: Any, given: Any, wanted: Any, why: str = "by differences"
+) -> None:
     """Raise ValueError, with F and both values, unless something holds."""
     if not holds:
-        place, *both = (np.array2string(np.asarray(v), precision=8) for v in (F, given, wanted))
+        place, *both = (_written(v) for v in (F, given, wanted))
         raise ValueError(
-            f"{law.name}: {what} is {both[0]}, but should be {both[1]} (by differences, or turned "
-            f"with F) at F = {place}"
+            f"{law.name}: {what} is {both[0]}, but should be {both[1]} ({why}) at F = {place}"
         )
+
+
+def _written(values: Any) -> str:
+    """Return an array in one line."""
+    return np.array2string(np.asarray(values), precision=8).replace("\n", "")
