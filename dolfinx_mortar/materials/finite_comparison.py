@@ -163,7 +163,7 @@ def compare_at_finite_strain(
     def at(F: Floats, state: Mapping[str, Floats]) -> FinitePoint:
         point = evaluate(F, state)
         values = [point.stress, point.tangent, *point.state.values()]
-        values += [point.energy] if has_energy else []
+        values += [np.array(point.energy)] if has_energy else []
         if not all(np.isfinite(value).all() for value in values):
             raise ValueError(
                 f"{law.name} gives NaN or infinity at J = {np.linalg.det(F):.3g}, "

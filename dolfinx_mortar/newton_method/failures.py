@@ -78,6 +78,12 @@ def explain(
             "beyond a limit point of loads: if they exceed what the bodies carry, prescribe "
             "displacements instead of forces or pressures"
         )
+    elif problem.solid.strain == "finite" and problem.linear.blind:
+        message += (
+            f". The factorisation {problem.linear.blind} does not tell whether a tangent is "
+            "indefinite, and nothing was added to it: choose the default, "
+            "petsc_options={'pc_type': 'cholesky', 'pc_factor_mat_solver_type': 'mumps'}"
+        )
     if squeezed and squeezed not in message and "inside out" not in message:
         message += f". Where it ended, {squeezed}: take smaller load steps"
     message += _describe_own_laws(problem)

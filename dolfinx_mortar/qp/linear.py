@@ -157,6 +157,12 @@ class LinearSolver:
         """Tell whether the preconditioner is a factorisation."""
         return self.options.direct
 
+    @property
+    def blind(self) -> str:
+        """The factorisation of definite matrices, if it does not count negative pivots, else ""."""
+        kind, by = (self.options.of_definite(k) for k in ("pc_type", "pc_factor_mat_solver_type"))
+        return "" if not self.direct or (kind, by) == ("cholesky", "mumps") else f"{kind!r} ({by})"
+
     def factorising(self) -> LinearSolver | None:
         """Return a solver that factorises instead, and free the matrices of this one; collective.
 
@@ -290,12 +296,19 @@ class LinearSolver:
             if not (definite and keep_definite):
                 setup.preconditioner.held = None
 
-    @property
     def negative_pivots(self) -> int:
-        """How many pivots of the last factorisation are negative, 0 if the method cannot tell."""
-        if self._setup is None or not self.direct or self._setup.preconditioner.held is None:
+        """Return how many pivots of the last factorisation are negative; collective.
+
+        0 if the method cannot tell. Of multigrid, the factorisation is that of the coarsest level.
+        """
+        if self._setup is None or self._setup.preconditioner.held is None:
             return 0
-        return negative_pivots(self._setup.preconditioner.pc)
+        multigrid = self._setup.preconditioner.multigrid
+        if multigrid is None:
+            return negative_pivots(self._setup.preconditioner.pc)
+        if multigrid.negative and self._operator.held is not None:
+            self.factorise(self._operator.held)  # an old one is of another matrix
+        return multigrid.negative
 
     @property
     def setup(self) -> MatrixSetup:
@@ -341,6 +354,8 @@ class LinearSolver:
         if not self.direct:
             if setup.preconditioner.held is None:  # no system with it had to be solved
                 self.factorise(held)
+            if self.negative_pivots() > 0:
+                return True
             setup.preconditioner.follow(held)
             return meets_negative_curvature(setup.operator, setup.ksp.getPC(), setup.max_iterations)
         self.factorise(held)

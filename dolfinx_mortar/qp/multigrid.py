@@ -30,6 +30,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Ints
+from dolfinx_mortar.qp.negative_eigenvalues import count_negative
 
 
 @dataclass(frozen=True)
@@ -136,6 +137,7 @@ class Multigrid:
         self.held_by_B: Ints = self.held
         self.freed: Ints = self.held
         self.freed_diagonal: Floats = np.empty(0)
+        self.negative = 0  # eigenvalues of the coarsest level's matrix
         self._r, self._v = A.createVecRight(), A.createVecRight()
 
     @property
@@ -170,6 +172,7 @@ class Multigrid:
             self.inner.setUp()
             if data.between is not None and self.follows:
                 self._join(data.B, data.between)
+        self.negative = count_negative(self._coarsest) if self.follows and definite else 0
         self.inner.setReusePreconditioner(True)  # the finest matrix changes, coarse levels stay
         if self.follows:
             self._release(data.change.matrix)
@@ -184,6 +187,11 @@ class Multigrid:
         for level in range(self.inner.getMGLevels() - 1, 0, -1):
             between = between.ptap(self.inner.getMGInterpolation(level))
             _add(self.inner.getMGSmoother(level - 1).getOperators()[0], between)
+
+    @property
+    def _coarsest(self) -> PETSc.Mat:
+        """The matrix that a factorisation inverts, P^T B P, or B where there is one level."""
+        return self.inner.getMGSmoother(0).getOperators()[1]
 
     @property
     def _needs_diagonal(self) -> bool:

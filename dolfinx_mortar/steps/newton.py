@@ -506,7 +506,7 @@ class _Step:
 
     def has_negative_pivots(self) -> bool:
         """Tell whether the last factorisation has negative pivots; collective."""
-        return bool(maximum(self.problem.comm, float(self.solver.negative_pivots))[0] > 0)
+        return bool(maximum(self.problem.comm, float(self.solver.negative_pivots()))[0] > 0)
 
     def ends_indefinite(self) -> bool:
         """Tell whether the last tangent is indefinite, whatever the linear solver is; collective.
