@@ -181,9 +181,7 @@ def column(imperfection, height=1.0, options=None, cells=(1, 2, 12)):
 
     The options are those of PETSc.
     """
-    domain = mesh.create_box(
-        COMM, [(0, 0, 0), (0.1, 0.1, height)], cells, mesh.CellType.hexahedron
-    )
+    domain = mesh.create_box(COMM, [(0, 0, 0), (0.1, 0.1, height)], cells, mesh.CellType.hexahedron)
     x = domain.geometry.x
     x[:, 1] += imperfection * np.sin(np.pi * x[:, 2] / 2 / height)
     u = create_displacement(domain)
@@ -221,6 +219,17 @@ def test_the_coarsest_level_tells_an_indefinite_tangent():
     report = dm.newton(problem)
     assert report.newton_iterations <= 10 and max(it.shift for it in report.iterations) > 0.0
     assert largest(problem.u.x.array[1::3]) == pytest.approx(0.1945, abs=1e-3)
+
+
+def test_advice_where_displacements_are_prescribed_already():
+    """Loads are not the cause, so it is not said to prescribe displacements instead."""
+    problem, down = column(1e-3, cells=(1, 1, 4))
+    down.value = -0.05
+    with pytest.raises(
+        dm.NewtonNotConverged, match=r"indefinite in .* prescribed already"
+    ) as found:
+        dm.newton(problem, max_it=5)
+    assert "instead of forces" not in str(found.value)
 
 
 def test_a_factorisation_that_does_not_tell_an_indefinite_tangent_is_named():

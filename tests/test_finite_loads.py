@@ -165,6 +165,14 @@ def test_the_tangent_of_an_open_side_is_the_symmetric_part(cell):
     assert abs(one - other) > 1e-2 * abs(one)  # no potential
     found = v.x.petsc_vec.dot(K * w.x.petsc_vec)
     assert found == pytest.approx((one + other) / 2, rel=1e-7)
+    nodes = u.function_space.dofmap.index_map.size_local
+    X = u.function_space.tabulate_dof_coordinates()[:nodes, :d]
+    ends = np.isclose(X[:, 1:], 0.0) | np.isclose(X[:, 1:], (2.0, 1.5)[: d - 1])
+    rim = np.isclose(X[:, 0], 1.0) & ends.any(axis=1)
+    said, free = dm.Pressure(solid, tags, 1, 2.0, closed=True), np.ones((nodes, d), dtype=bool)
+    assert not pressure.has_potential(free) and not said.has_potential(free)
+    free[rim] = False
+    assert said.has_potential(free)
 
 
 def test_what_pressure_needs():
@@ -175,3 +183,37 @@ def test_what_pressure_needs():
         dm.Pressure(dm.Solid(u, dm.Elastic(1.0, 0.3)), tags, 1, 1.0)
     with rejected("Pressure", "no facet"):
         dm.Pressure(dm.Solid(u, dm.NeoHooke(1.0, 0.3), strain="finite"), tags, 1, 1.0)
+
+
+def flap(p, *, closed, held=False):
+    """Return a strip, its left end held, perhaps the right one, with a pressure on its top."""
+    domain = mesh.create_rectangle(COMM, [(1, 1), (2, 1.05)], (10, 1), mesh.CellType.quadrilateral)
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 2, (2,))))
+    ends, top = (
+        mesh.locate_entities_boundary(domain, 1, lambda x, i=i, a=a: np.isin(x[i].round(9), a))
+        for i, a in ((0, (1.0, 2.0) if held else (1.0,)), (1, (1.05,)))
+    )
+    dofs = fem.locate_dofs_topological(u.function_space, 1, ends)
+    support = fem.dirichletbc(np.zeros(2, dtype=default_scalar_type), dofs, u.function_space)
+    tags = mesh.meshtags(domain, 1, np.sort(top), np.full(len(top), 1, dtype=np.int32))
+    solid = dm.Solid(u, dm.NeoHooke(200.0, 0.3), strain="finite")
+    pressure = dm.Pressure(solid, tags, 1, p, closed=closed)
+    return dm.ContactProblem(solid, [], bcs=[support], terms=[pressure]), pressure
+
+
+@pytest.mark.mpi
+def test_a_pressure_said_to_be_closed_that_is_not():
+    """Its right edge is free: the line search fails, and the error says why."""
+    problem, _ = flap(5e-4, closed=True)
+    with rejected("line search", "closed=True", "leave it out", error=dm.NewtonNotConverged):
+        dm.newton(problem)
+    problem, pressure = flap(5e-4, closed=True, held=True)
+    assert pressure.has_potential(~problem.supports.owned)
+    assert dm.newton(problem).converged
+
+
+@pytest.mark.mpi
+def test_a_step_that_fails_without_the_potential_of_a_pressure():
+    problem, _ = flap(5e-3, closed=False)
+    with rejected("no potential", "smaller load steps", error=dm.NewtonNotConverged):
+        dm.newton(problem, max_it=12)

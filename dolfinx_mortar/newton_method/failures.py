@@ -9,6 +9,7 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.step_report import NewtonNotConverged, StepReport
 from dolfinx_mortar.supports.bodies import name_of
+from dolfinx_mortar.terms.pressure import Pressure
 
 # Bodies whose tangent is softer than this share of their elastic stiffness, along the displacement,
 # have reached a limit load; hardening laws of metals are ten times stiffer and more.
@@ -20,11 +21,22 @@ AS_BEFORE = (
     ". The displacement and the committed state are as before the step: retry with a smaller one "
     "(dm.load_steps does)"
 )
-# First sentence where only friction holds a body.
-TOO_MUCH = (
-    "the loads may exceed what friction carries (then prescribe displacements instead of forces), "
-    "or the step is too large for it (then take smaller ones)"
-)
+# First sentence where only friction holds a body, under loads and without.
+TOO_MUCH = {
+    True: "the loads may exceed what friction carries (then prescribe displacements instead of "
+    "forces), or the step is too large for it (then take smaller ones)",
+    False: "the step may be too large for friction (then take smaller ones), or drag a body that "
+    "friction does not hold (then support it)",
+}
+# What to do about tangents that are indefinite, as beyond a limit point, under loads and without.
+UNSTABLE = {
+    True: "beyond a limit point of loads: if they exceed what the bodies carry, prescribe "
+    "displacements instead of forces or pressures",
+    False: "where bodies buckle or snap. Displacements are prescribed already, so take smaller "
+    "steps, and give a symmetric mesh an imperfection; if small steps fail, too, the next "
+    "equilibrium is far away: prescribe the displacement of another point, or follow the motion in "
+    "time, dm.time_steps with dm.Inertia",
+}
 
 
 class StepFailed(Exception):
@@ -66,7 +78,7 @@ def explain(
         )
     elif held := problem.held_by_contact():
         if problem.system.has_friction:  # solvers report this cause in several ways
-            message = f"{TOO_MUCH}: {message}"
+            message = f"{TOO_MUCH[is_loaded(problem)]}: {message}"
         message += (
             f". Contact alone holds {'; '.join(held)}: it may float away (do the loads press it "
             "on?), or slides or rolls freely (then prescribe that motion)"
@@ -75,8 +87,7 @@ def explain(
     if 2 * shifted > len(report.iterations):
         message += (
             f". The tangent was indefinite in {shifted} of {len(report.iterations)} iterations, as "
-            "beyond a limit point of loads: if they exceed what the bodies carry, prescribe "
-            "displacements instead of forces or pressures"
+            f"{UNSTABLE[is_loaded(problem)]}"
         )
     elif problem.solid.strain == "finite" and problem.linear.blind:
         message += (
@@ -86,8 +97,14 @@ def explain(
         )
     if squeezed and squeezed not in message and "inside out" not in message:
         message += f". Where it ended, {squeezed}: take smaller load steps"
-    message += _describe_own_laws(problem)
+    message += _describe_pressures(problem) + _describe_own_laws(problem)
     return NewtonNotConverged(f"{message}{AS_BEFORE}", report)
+
+
+def is_loaded(problem: ContactProblem) -> bool:
+    """Tell whether loads act beside prescribed motions: terms, or forces on tools; collective."""
+    driven = any(link.interface.driven() is not None for link in problem.system.links)
+    return driven or problem.terms.assemble_forces(problem.K.createVecLeft()) > 0.0
 
 
 def unsettled(problem: ContactProblem) -> str:
@@ -100,6 +117,27 @@ def unsettled(problem: ContactProblem) -> str:
         f"surfaces may be stiffer than {soft}take smaller steps, or hold the surfaces, "
         "geometry='reference'"
     )
+
+
+def _describe_pressures(problem: ContactProblem) -> str:
+    """Say of pressures that follow which potential they lack; empty without any; collective."""
+    told = ""
+    for name, term in problem.terms.named:
+        if not isinstance(term, Pressure) or term.has_potential(~problem.supports.owned):
+            continue
+        where = "where the surface is closed, or its edges are held or slide in planes through the "
+        where += "origin"
+        if term.energy() is None:
+            told += (
+                f". {name}, has no potential, so that steps are whole, without a line search: take "
+                f"smaller load steps, or say closed=True {where}"
+            )
+        else:
+            told += (
+                f". {name}: closed=True holds {where}, with a uniform p, and does not hold here: "
+                "leave it out"
+            )
+    return told
 
 
 def _describe_own_laws(problem: ContactProblem) -> str:
@@ -140,6 +178,7 @@ def describe_flow(problem: ContactProblem) -> str:
     return (
         f"limit load? {name_of(problem.bodies, [most])} flows in "
         f"{100 * flow[most] / whole[most]:.0f} % of its volume at the last iterate; without "
-        "hardening a law carries no more than its limit load: reduce the load, or give the law "
+        "hardening a law carries no more than its limit load: "
+        f"{'reduce the load' if is_loaded(problem) else 'take smaller steps'}, or give the law "
         "hardening"
     )

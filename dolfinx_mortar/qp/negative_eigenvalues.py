@@ -5,8 +5,8 @@ A factorisation by MUMPS for symmetric matrices counts them (Sylvester's law of 
 factorisations do not, so that one more is made. Conjugate gradients meet a negative curvature: of a
 random vector b every eigenvector has a part of about |b| / sqrt(n), which the residual keeps until
 the iteration has resolved its eigenvalue, whatever the symmetries of loads are. For that the
-preconditioner has to be positive: the factorisation of multigrid's coarsest level, P^T A P, inverts a
-negative eigenvalue and hides it, and is asked itself.
+preconditioner has to be positive: the factorisation of multigrid's coarsest level, P^T A P,
+inverts a negative eigenvalue and hides it, and is asked itself.
 """
 
 from mpi4py import MPI

@@ -3,12 +3,19 @@
 
 from typing import Any
 
+from mpi4py import MPI
+
+import numpy as np
+
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx.mesh import MeshTags
+from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arguments import is_number
+from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Bools
 from dolfinx_mortar.compat import on_same_mesh
 from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.solid.term import assemble
 from dolfinx_mortar.tags import check_entities, check_tag, tag_of
 from dolfinx_mortar.terms.weak_forms import WeakForm, weighted
 from ufl.core.expr import Expr
@@ -77,3 +84,31 @@ class Pressure(WeakForm):
             share = 2 if solid.kinematics.radius is None and d == 2 else 3  # div x
             volume = ufl.inner(traction, place) / share * ds
             self._energy = fem.form(weighted(volume, solid))
+
+    def has_potential(self, free: Bools) -> bool:
+        """Tell whether p V is a potential of the forces at present; collective.
+
+        By differences of p V, cubic in u, along a random displacement; those are exact.
+
+        Args:
+            free: which components of the owned nodes (n, d) are not prescribed.
+        """
+        if self._energy is None:
+            return False
+        x, comm = self.u.x, self.u.function_space.mesh.comm
+        before, way = x.array.copy(), np.zeros_like(x.array)
+        random = np.random.default_rng(comm.rank).standard_normal(free.shape)
+        way[: free.size] = (free * random).ravel()
+        size = np.abs(self.u.function_space.mesh.geometry.x).max(initial=0.0)
+        step = float(QUARTER_OF_DIGITS * maximum(comm, size)[0])
+        work = assemble(self._forces, self._vector)[: free.size] * way[: free.size]
+        slope = 0.0
+        try:
+            for k, weight in ((1, 8), (2, -1), (-1, -8), (-2, 1)):
+                x.array[:] = before + k * step * way
+                x.scatter_forward()
+                slope += weight * float(fem.assemble_scalar(self._energy)) / (12 * step)
+        finally:
+            x.array[:] = before
+        sums = comm.allreduce(np.array([slope - work.sum(), np.abs(work).sum()]), op=MPI.SUM)
+        return bool(abs(sums[0]) <= QUARTER_OF_DIGITS * sums[1])
