@@ -437,6 +437,11 @@ def test_densities_by_tag():
         dm.Inertia(case.solid, {LOWER: 1.0})
     with rejected("density is missing", str([UPPER])):
         dm.Inertia(case.solid, {LOWER: 1.0}, case.cells)
+    some = np.flatnonzero(case.cells.values == LOWER)[:1]
+    marked = case.cells.indices[some], case.cells.values[some]
+    part = mesh.meshtags(case.mesh, 2, *marked)
+    with rejected("density is missing", "cells without a tag in cell_tags"):
+        dm.Inertia(case.solid, {LOWER: 1.0}, part)
     with rejected("density", "7", "no cell"):
         dm.Inertia(case.solid, {LOWER: 1.0, UPPER: 1.0, 7: 1.0}, case.cells)
     with rejected("density of 2", "-1"):
@@ -472,6 +477,11 @@ def test_no_time_to_move_in(bar):
         next(dm.time_steps(problem, [0.0, 0.1]))
     with rejected("times", "0.1 after 0.2"):
         next(dm.time_steps(problem, [0.2, 0.1]))
+    with rejected("Inertia", "1e-300"):
+        dm.newton(problem, level=1e-300)
+    for start, time in ((0.0, 1e-300), (1e9, 1e9 + 1e-6)):
+        with rejected("times", "too short a step"):
+            next(dm.time_steps(problem, [time], start=start))
 
 
 def test_the_mass_is_that_of_the_problem_made_last():

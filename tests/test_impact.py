@@ -288,6 +288,23 @@ def test_a_step_that_would_pass_through_is_cut():
     assert abs(step.report.ledger.defect) < 1e-9
 
 
+def test_a_step_that_would_pass_through_a_tool_is_cut():
+    """A block that would be below a cylinder after the step bounces up from it."""
+    domain = dolfinx_mesh.create_rectangle(
+        COMM, [[0.0, 0.0], [1.0, 0.5]], [12, 6], dolfinx_mesh.CellType.quadrilateral
+    )
+    base = dolfinx_mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[1], 0.0))
+    tags = dolfinx_mesh.meshtags(domain, 1, np.sort(base), np.full(len(base), 1, dtype=np.int32))
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    solid = dm.Solid(fem.Function(V), dm.NeoHooke(1000.0, 0.3), strain="finite")
+    inertia = dm.Inertia(solid, 1.0, velocity=(0.0, -20.0))
+    pin = dm.Obstacle(tags, slave=1, shape=dm.shapes.Cylinder([0.5, -0.5], 0.2))
+    problem = dm.ContactProblem(solid, [pin], terms=[inertia])
+    (step,) = steps(problem, [0.1])
+    assert any("the step was cut" in note for note in step.report.notes)
+    assert inertia.momentum()[1] > 0.0
+
+
 def meet_a_tool(speed, tool_speed, angle=0.0):
     """Return the mean velocity of a block along a direction, after a tool that moves in it."""
     c, s = np.cos(angle), np.sin(angle)

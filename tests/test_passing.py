@@ -6,6 +6,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
+import dolfinx
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx.mesh import meshtags
@@ -284,3 +285,78 @@ def test_a_first_step_that_goes_too_far_is_cut(far):
     top.value[:] = 0.0, -2.0 * far
     with pytest.raises(dm.NewtonNotConverged):
         dm.newton(problem)
+
+
+# -- tools -----------------------------------------------------------------------------------------
+
+
+def on_ball(d, n, radius=0.2):
+    """Return a problem of the box [0, 1]^(d-1) x [0, .5] above a ball, and the ball."""
+    ends = [[0.0] * d, [1.0] * (d - 1) + [0.5]]
+    create = {2: dolfinx.mesh.create_rectangle, 3: dolfinx.mesh.create_box}[d]
+    domain = create(COMM, ends, [n] * (d - 1) + [2])
+    facets = dolfinx.mesh.locate_entities_boundary(domain, d - 1, lambda x: np.isclose(x[d - 1], 0))
+    tags = meshtags(domain, d - 1, np.sort(facets), np.full(len(facets), 1, dtype=np.int32))
+    below = np.array([0.5] * (d - 1) + [-0.3])
+    shape = dm.shapes.Cylinder(below, radius) if d == 2 else dm.shapes.Sphere(below, radius)
+    ball = dm.Obstacle(tags, slave=1, shape=shape)
+    V = fem.functionspace(domain, ("Lagrange", 1, (d,)))
+    return dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [ball]), ball
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("n", [8, 2])
+def test_a_tool_and_a_body_that_pass(d, n):
+    """Middles of the body in the tool, or the tool's centre where facets are larger than it."""
+    problem, ball = on_ball(d, n)
+    up, start = np.eye(d)[-1], ball.position.value.copy()
+    said = "side has passed through the tool" if n == 8 else "tool has passed through the side"
+
+    def moved(body, tool):
+        problem.u.interpolate(lambda x: np.broadcast_to(body[:, None], (d, x.shape[1])))
+        ball.position.value[:] = start + tool
+        return describe_passing(problem)
+
+    for body, tool in ((-2.0, 0.0), (0.0, 2.0), (-1.0, 1.0), (-0.5, 0.0)):
+        assert said in moved(body * up, tool * up)
+    aside = np.eye(d)[0]
+    for body, tool in ((2.0 * up, 0.0 * up), (40.0 * aside, 0.0 * up), (-40.0 * up, -40.0 * up)):
+        assert not moved(body, tool)
+    assert not moved(-2.0 * up + 2.0 * aside, 1.5 * aside - 2.0 * up)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("degrees", [90.0, -170.0])
+def test_a_body_may_turn_around_a_tool(degrees):
+    """On arcs: the chords of its middles lead through the ball."""
+    problem, ball = on_ball(2, 8)
+    R = rotation((0.0, 0.0, 1.0), np.radians(degrees))[:2, :2]
+    for aside, passes in ((0.0, False), (np.sign(degrees) * 0.55, True)):
+        centre = ball.reference + np.array([aside, 0.0])
+        problem.u.interpolate(lambda x, c=centre: (R - np.eye(2)) @ (x[:2] - c[:, None]))
+        assert ("passed through" in describe_passing(problem)) == passes
+
+
+@pytest.mark.mpi
+def test_a_step_that_ends_beyond_a_tool_is_refused():
+    problem, ball = on_ball(2, 8)
+    V = problem.V
+    top = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], 0.5))
+    bcs = [fem.dirichletbc(np.zeros(2), top, V)]
+    held = dm.ContactProblem(problem.solid, [ball], bcs=bcs)
+    ball.position.value[1] = 1.5
+    with pytest.raises(dm.NewtonNotConverged, match="the side has passed through the tool"):
+        dm.newton(held)
+    assert not problem.u.x.array.any()
+
+
+@pytest.mark.mpi
+def test_what_lies_in_a_tool_already_has_not_passed():
+    """As the middle of a flattened body, half of its first height behind a side, in another die."""
+    problem, _ = on_ball(2, 8, radius=0.6)
+    problem.committed.displacement[1::2] = -0.5
+    problem.u.interpolate(lambda x: np.stack([0 * x[0] + 0.25, 0 * x[0] - 0.5]))
+    assert not describe_passing(problem)
+    problem.committed.displacement[1::2] = 0.0
+    assert "passed through" in describe_passing(problem)

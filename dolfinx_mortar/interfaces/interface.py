@@ -37,6 +37,7 @@ from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.tool import Driven
 from dolfinx_mortar.mortar.integrals import Coverage
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
+from dolfinx_mortar.mortar.passing import SeenByTool
 from dolfinx_mortar.mortar.surface import check_tags, create_surface, dependent_nodes
 from dolfinx_mortar.tags import check_tag, label, tag_of
 
@@ -357,6 +358,10 @@ class Interface(ABC):
 
     def tool_way(self, before: Floats, after: Floats) -> Floats | None:
         """Return how far a tool has carried points (n, d) since the last commit; None for none."""
+        return None
+
+    def seen_by_tool(self) -> SeenByTool | None:
+        """Return how a tool has seen points since the last commit; None without one."""
         return None
 
     def turn(self) -> float:

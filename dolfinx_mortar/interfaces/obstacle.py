@@ -57,6 +57,7 @@ from dolfinx_mortar.interfaces.tool_slips import ToolPartners
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_side
 from dolfinx_mortar.mortar.integrals import Coverage
 from dolfinx_mortar.mortar.pairing import Pairing
+from dolfinx_mortar.mortar.passing import SeenByTool
 from dolfinx_mortar.mortar.surface import accumulate, coordinates, mean_facet_length
 from dolfinx_mortar.mortar.whole_side import (
     create_whole_side,
@@ -371,6 +372,13 @@ class Obstacle(Movable, Unilateral):
         forth = now.to_space(began.to_tool(before)) - before
         back = after - began.to_space(now.to_tool(after))
         return np.asarray(0.5 * (forth + back))
+
+    def seen_by_tool(self) -> SeenByTool:
+        """Return how the tool has seen points since the last commit."""
+        began, now, shape = self.began, self.tool.pose(), self.shape
+        return SeenByTool(
+            began.to_tool, now.to_tool, lambda x: shape.distance(x).value, shape.point
+        )
 
     def turn(self) -> float:
         """Return by which angle the tool has turned since the last commit.

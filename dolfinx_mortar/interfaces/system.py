@@ -132,7 +132,7 @@ class InterfaceSystem:
         self.present = Configuration()
         self._room = Room()
         self.searches = 0
-        self.middles: list[tuple[Middles, Middles] | None] | None = None  # when first asked for
+        self.middles: list[tuple[Middles, ...]] | None = None  # when first asked for
         self.faced = False
 
     @property
@@ -161,10 +161,12 @@ class InterfaceSystem:
         return [interface for interface in self.interfaces if not interface.unilateral]
 
     @property
-    def opposite(self) -> list[tuple[Surface, Surface] | None]:
-        """The sides of each interface that could pass through each other; None where none can."""
+    def opposite(self) -> list[tuple[Surface, ...]]:
+        """Both sides of each interface that may pass through each other, one that may a tool."""
         return [
-            (sides.slave, sides.master) if interface.unilateral and sides.master else None
+            tuple(sides.surfaces)
+            if interface.unilateral and (sides.master or interface.seen_by_tool())
+            else ()
             for interface, sides in zip(self.interfaces, self.sides, strict=True)
         ]
 

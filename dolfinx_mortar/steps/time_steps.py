@@ -297,8 +297,14 @@ def count_done(problem: ContactProblem, levels: list[float]) -> int:
 
 
 def check_increasing(begin: float, levels: list[float]) -> None:
-    """Raise a ValueError unless times increase."""
+    """Raise a ValueError unless times increase, by steps that numbers can tell, and square."""
     for before, after in zip([begin, *levels], levels, strict=False):
+        dt = QUARTER_OF_DIGITS * (after - before)  # of the step in which the start settles
+        if dt > 0.0 and (before + dt == before or dt**2 == 0.0):
+            raise ValueError(
+                f"times holds {after:g}, {after - before:g} after {before:g}: that is too short a "
+                "step for the digits of numbers; take longer ones, or count from a nearer start"
+            )
         if not after > before:
             raise ValueError(
                 f"times holds {after:g} after {before:g}: times must increase, from the start at "

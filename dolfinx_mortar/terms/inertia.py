@@ -36,7 +36,7 @@ from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import as_numbers, is_number
 from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.solid.laws import tags_of_cells
+from dolfinx_mortar.solid.laws import UNTAGGED, tags_of_cells
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.tags import by_tag, label
@@ -245,7 +245,7 @@ class Inertia(Term):
             ValueError: unless time goes on.
         """
         dt = end - start
-        if not dt > 0.0:
+        if not (dt > 0.0 and dt**2 > 0.0):  # of numbers, squares of small ones are 0
             raise ValueError(f"Inertia: the step goes from {start:g} to {end:g}; {NO_TIME}")
         s, mass = self.scheme, self.mass
         v, a = mass.extend(self.values("velocity")), self.values("acceleration")
@@ -520,8 +520,13 @@ def create_density(solid: Solid, density: Any, cell_tags: Any) -> Any:
         some |= on
     if any_rank(solid.mesh.comm, not some.all())[0]:
         missing = sorted(set().union(*solid.mesh.comm.allgather(set(tags[~some].tolist()))))
+        named = [tag for tag in missing if tag != UNTAGGED]
+        those = [f"with the tags {named}"] if named else []
+        if len(named) < len(missing):
+            those.append("without a tag in cell_tags")
         raise ValueError(
-            f"Inertia: density is missing for the cells with the tags {missing}: give one for each"
+            f"Inertia: density is missing for the cells {' and those '.join(those)}: give one for "
+            "each"
         )
     return rho
 
