@@ -7,7 +7,6 @@ middle of the body behind each facet: as long as the sides have not passed throu
 does not lie in the other body. Nor does it lie in a rigid tool, or the tool's point in the body.
 """
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -182,18 +181,20 @@ def find_in_tool(
     start, end = seen.began(start), seen.now(end)
     motion = best_motion(comm.allreduce(rigid_sums(*(y[: own.owned] for y in x)), op=MPI.SUM))
     times = times_of([motion])
-    ways = list(path(motion, times, start, end))
+    ways = path(motion, times, start, end)
     inside = np.zeros(len(start), dtype=bool)
     with raised_together(comm):  # what a user's function raises
         outside = seen.distance(start) > 0.0
-        for a, b in itertools.pairwise(ways):
-            inside |= _enters(a, b, THROUGH * depth, seen.distance)
+        for k in range(len(times) - 1):
+            inside |= _enters(ways[k], ways[k + 1], THROUGH * depth, seen.distance)
     found = _first(side, None, faces, np.flatnonzero(inside & outside).astype(np.int64))
     if found is not None or inner <= 0.0:
         return found
-    parts = list(path(motion, times, *(flat_parts(facets_at(own, y)) for y in x)))
+    parts = path(motion, times, *(flat_parts(facets_at(own, y)) for y in x))
     point = seen.point[None]
-    passes = [len(find_passing((point,) * 2, ab)) for ab in itertools.pairwise(parts)]
+    passes = [
+        len(find_passing((point, point), (parts[k], parts[k + 1]))) for k in range(len(times) - 1)
+    ]
     if not maximum(comm, float(sum(passes)))[0]:
         return None
     return Passing(None, 0, tuple(map(float, seen.point)), inner)
