@@ -83,6 +83,33 @@ def test_what_is_coupled_does_not_cross(make):
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize("depth", [0.01, 0.1])
+@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
+def test_the_flank_of_a_block_in_contact(cell, depth):
+    """Its end, which the contact sees, tells how deep it is; the facet below reaches farther."""
+    if cell == "triangle":
+        mesh, _, facets = two_blocks(COMM, x_upper=(0.2, 0.8), gap=-depth)
+    else:
+        upper = (0.1, 0.9, 0.1, 0.9)
+        mesh, _, facets = two_boxes(COMM, (3, 3, 2), cell=cell, upper=upper, gap=-depth)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
+    for tags in ((TOP_OF_LOWER, BOTTOM_OF_UPPER), (BOTTOM_OF_UPPER, TOP_OF_LOWER)):
+        contact = dm.Contact(facets, slave=tags[0], master=tags[1])
+        problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [contact])
+        assert find_crossing(problem).depth == pytest.approx(depth)
+
+
+@pytest.mark.mpi
+def test_a_flank_that_no_contact_sees():
+    """The contact has the upper side of the block; the facet below reaches .2 beyond the flank."""
+    mesh, _, facets = two_blocks(COMM, x_upper=(0.2, 0.8), gap=-0.01)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    contact = dm.Contact(facets, slave=TOP, master=TOP_OF_LOWER)
+    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [contact])
+    assert find_crossing(problem).depth == pytest.approx(0.2)
+
+
+@pytest.mark.mpi
 @pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
 def test_beside_a_contact(cell):
     """Sides of a contact do not count where they face each other, their flanks do."""

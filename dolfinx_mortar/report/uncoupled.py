@@ -14,7 +14,8 @@ from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Bools, Floats, Longs
 from dolfinx_mortar.audit.neighbours import boxes_of
 from dolfinx_mortar.geometry.crossings import find_crossings, near_others
-from dolfinx_mortar.geometry.facets import facet_sizes
+from dolfinx_mortar.geometry.elements import LINE2, TRI3
+from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
 from dolfinx_mortar.geometry.sweep import flat_parts
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.mortar.edges import SUNK
@@ -76,6 +77,7 @@ class _Skin(FacetParts):
     """Those near other bodies."""
 
     x: Floats  # (m, d, d)
+    on: Bools  # (m, d, 2, interfaces) whether their vertices belong to its slave and master side
     sagitta: Floats  # (m,) of the sides of interfaces to which they belong, or which they touch
 
     def vertices(self) -> Floats:
@@ -113,7 +115,8 @@ def find_self_crossing(problem: ContactProblem, link: Link) -> Crossing:
     again = np.arange(len(flat)) % max(len(facets.x), 1)  # see `_create_skin`
     sagitta, slave = sagittas.max(axis=1, initial=0.0)[again], link.pairing.roles.slave[again]
     sides = np.stack([slave, ~slave], axis=1)[:, :, None]
-    skin = _Skin(first + again, sides, flat, sagitta).received(comm)
+    on = np.repeat(sides[:, None], flat.shape[1], axis=1)
+    skin = _Skin(first + again, sides, flat, on, sagitta).received(comm)
     found = find_crossings(skin.x, skin.body)
     one, other = skin.part(found.pairs[:, 0]), skin.part(found.pairs[:, 1])
     coupled = (one.sides & other.sides[:, ::-1]).any(axis=(1, 2)) & (found.cosine < 0.0)
@@ -140,10 +143,23 @@ def _find_between(problem: ContactProblem) -> Crossing:
     one, other = skin.part(found.pairs[:, 0]), skin.part(found.pairs[:, 1])
     coupled = (one.sides & other.sides[:, ::-1]).any(axis=(1, 2)) & (found.cosine < 0.0)
     size = np.minimum(facet_sizes(one.x), facet_sizes(other.x))
-    depth = np.maximum(found.depth - one.sagitta - other.sagitta, 0.0)
+    reach = np.minimum(_seen_reach(one, other), _seen_reach(other, one))
+    depth = np.minimum(found.depth - one.sagitta - other.sagitta, reach).clip(min=0.0)
     share = np.where(coupled, 0.0, depth / size)
     bodies = np.stack([one.body, other.body], axis=1)
     return _deepest(comm, share, depth, found.place, bodies)
+
+
+def _seen_reach(one: _Skin, other: _Skin) -> Floats:
+    """Return how far (m,) facets reach behind others, infinity where no interface sees all of that.
+
+    The flank of a block that stands on a larger one ends in nodes of the contact. These say how
+    deep it is: a facet below them, which rises beside the flank, reaches beyond it by half of it.
+    """
+    n = facet_normals(Facets(LINE2 if one.x.shape[2] == 2 else TRI3, one.x))
+    behind = -np.einsum("mkd,md->mk", other.x - one.x[:, :1], n)
+    seen = (one.sides[:, None] & other.on[:, :, ::-1]).any(axis=(2, 3))
+    return np.where(seen | (behind <= 0.0), behind, np.inf).max(axis=1, initial=0.0)
 
 
 def notes_on_crossings(problem: ContactProblem, found: Crossing) -> list[str]:
@@ -171,19 +187,24 @@ def _create_skin(problem: ContactProblem) -> _Skin:
     facets, nodes = boundary.at(problem.u), boundary.nodes
     body = problem.bodies.of_cells[boundary.cells].astype(np.int64)
     sides = np.zeros((len(body), 2, len(problem.system.sides)), dtype=bool)
-    sagittas = la.vector(problem.V.dofmap.index_map)
-    sagittas.array[:] = 0.0
+    index_map, count = problem.V.dofmap.index_map, sides.shape[2]
+    sagittas, marks = la.vector(index_map), la.vector(index_map, 2 * count)
+    sagittas.array[:] = marks.array[:] = 0.0
+    marked = marks.array.reshape(len(sagittas.array), 2, count)
     for k, interface in enumerate(problem.system.sides):
         for j, surface in enumerate(interface.surfaces):
             sides[:, j, k] = np.isin(boundary.entities, surface.entities)
             own = surface.nodes[: surface.owned]
             found = nodal_sagittas(surface, coordinates(surface, problem.u))[: surface.owned]
             sagittas.array[own] = np.maximum(sagittas.array[own], found)
+            marked[own, j, k] = 1.0
     sagittas.scatter_forward()
+    marks.scatter_forward()
     sagitta = sagittas.array[nodes].max(axis=1, initial=0.0)
     boxes = boxes_of(problem.comm, facets.x, body, problem.bodies.count)
     near = near_others(facets.x, body, boxes)
     x, count = flat_parts(facets[near]), int(near.sum())
     again = np.arange(len(x)) % max(count, 1)  # the halves of quadrilaterals follow each other
+    on = flat_parts(Facets(facets.element, marked[nodes[near]])) > 0.0
     body, sides, sagitta = (part[near][again] for part in (body, sides, sagitta))
-    return _Skin(body, sides, x, sagitta)
+    return _Skin(body, sides, x, on, sagitta)
