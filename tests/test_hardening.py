@@ -17,7 +17,7 @@ from scipy.special import wrightomega
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
-from dolfinx_mortar.materials.compiled import compile_vectors, constants
+from dolfinx_mortar.kernels import compile_vectors, constants
 from dolfinx_mortar.materials.voce import VonMisesVoce, increment, wright_omega
 from dolfinx_mortar.materials.von_mises import VonMises
 from tests.choice import quick

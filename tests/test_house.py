@@ -51,7 +51,7 @@ BELOW = {
     "plotting": {"algebra", "geometry"},
 }
 OPEN = {
-    *("agreement", "arguments", "arrays", "compat", "disk", "spaces"),
+    *("agreement", "arguments", "arrays", "compat", "disk", "kernels", "spaces"),
     *("step_report", "tags"),
 }
 BELOW |= {room: set() for room in OPEN}  # what all may import imports nothing but the like
@@ -61,7 +61,7 @@ FOREIGN = {  # libraries that a floor must not know
     "qp": {"dolfinx", "ufl", "basix"},
     "materials": {"dolfinx", "petsc4py", "mpi4py"},
     "checkpoint": {"petsc4py", "ufl"},
-    "shapes": {"dolfinx", "petsc4py", "mpi4py", "ufl"},
+    "shapes": {"dolfinx", "petsc4py", "mpi4py"},
 }
 
 

@@ -21,8 +21,9 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import mesh
 from dolfinx_mortar import analytic
+from dolfinx_mortar.kernels import compile_vectors, constants
 from dolfinx_mortar.materials import comparison
-from dolfinx_mortar.materials.compiled import CompiledLaw, compile_vectors, constants
+from dolfinx_mortar.materials.compiled import CompiledLaw
 from dolfinx_mortar.materials.protocol import create_law
 from dolfinx_mortar.materials.response import values_at_points
 from dolfinx_mortar.materials.voce import wright_omega

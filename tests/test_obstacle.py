@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.interfaces import obstacle as obstacle_module
 from tests.ball_case import STEEL as STEEL_3D
@@ -480,6 +481,32 @@ def test_what_is_no_distance(slope):
         return
     with rejected("phi is no distance", f"abs(grad phi) is {slope:g}", "phi / abs(grad phi)"):
         dm.newton(problem)
+
+
+def test_a_distance_in_ufl():
+    """Hertz with a ball in UFL, about the axis: the numbers of the shape to 1e-12."""
+    results = []
+    for given in (False, True):
+        case = Block(n=16)
+        x = ufl.SpatialCoordinate(case.mesh)
+        phi = ufl.sqrt(x[0] ** 2 + (x[1] - R) ** 2) - R
+        tool = case.tool(dm.shapes.SignedDistance(phi, [0.0, R]) if given else BALL)
+        problem = case.problem([tool], kinematics="axisymmetric")
+        tool.position.value[1] -= DEPTH
+        report = dm.newton(problem, rtol=1e-10)
+        parts = tool.tool_force, tool.pressure.x.array, tool.gap.x.array, case.u.x.array
+        results.append((report.newton_iterations, *(part.copy() for part in parts)))
+    (count, *found), (other, *expected) = results
+    assert count == other
+    for one, of_shape in zip(found, expected, strict=True):
+        assert one == pytest.approx(
+            of_shape, rel=1e-12, abs=1e-12 * np.abs(of_shape).max(initial=0)
+        )
+    with rejected("phi is no distance", "abs(grad phi) is 16"):
+        x = ufl.SpatialCoordinate(case.mesh)
+        square = x[0] ** 2 + (x[1] - R) ** 2 - R**2
+        tool = case.tool(dm.shapes.SignedDistance(square, [0.0, R]))
+        dm.newton(case.problem([tool], kinematics="axisymmetric"))
 
 
 def ring_on_a_shaft(cell, n):

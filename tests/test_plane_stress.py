@@ -12,8 +12,8 @@ from scipy.optimize import brentq
 
 import dolfinx_mortar as dm
 import ufl
+from dolfinx_mortar.kernels import compile_vectors, constants
 from dolfinx_mortar.materials import plane_stress
-from dolfinx_mortar.materials.compiled import compile_vectors, constants
 from dolfinx_mortar.materials.protocol import create_law
 from dolfinx_mortar.materials.von_mises import LEAST_RATIO, flow_in_plane_stress
 from tests.choice import quick

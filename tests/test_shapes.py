@@ -6,6 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import ufl
+from basix.ufl import element
 from dolfinx_mortar import shapes
 from tests.pressed_blocks import rejected
 
@@ -135,6 +137,64 @@ WRONG = [
 ]
 
 
+PLANE_MESH, SPACE_MESH = (
+    ufl.Mesh(element("Lagrange", cell, 1, shape=(d,)))
+    for cell, d in (("triangle", 2), ("tetrahedron", 3))
+)
+
+
+def in_ufl(d):
+    """Return the coordinates of a mesh in d dimensions."""
+    return ufl.SpatialCoordinate({2: PLANE_MESH, 3: SPACE_MESH}[d])
+
+
+def length(v):
+    """Return the length of a vector in UFL."""
+    return ufl.sqrt(ufl.dot(v, v))
+
+
+def test_a_distance_in_ufl():
+    """A rounded cone in space, a scaled level set over its slope: the shapes to round-off."""
+    x, y = in_ufl(3), in_ufl(2)
+    s, c, h = np.sin(0.7), np.cos(0.7), x[2] - 0.5
+    rho = ufl.sqrt(x[0] ** 2 + x[1] ** 2)
+    flank, tip = rho * c - h * s, ufl.sqrt(rho**2 + h**2)
+    cone = ufl.conditional(rho * s + h * c > 0.0, flank, tip) - 0.5
+    ball = ufl.dot(y - ufl.as_vector([0.1, 0.2]), y - ufl.as_vector([0.1, 0.2])) - 0.25
+    plane = 3.0 * (y[1] - 0.2)
+    cases = [
+        (cone, shapes.Cone([0.0, 0.0, 0.0], np.degrees(0.7), [0.0, 0.0, 1.0], 0.5), 1.0),
+        (plane / length(ufl.grad(plane)), shapes.Plane([0.0, 0.2], [0.0, 1.0]), 1.0),
+        (length(y - ufl.as_vector([0.1, 0.2])) - 0.5, shapes.Cylinder([0.1, 0.2], 0.5), 1.0),
+    ]
+    for phi, shape, size in cases:
+        at = np.random.default_rng(5).uniform(-1.0, 1.0, (30, len(shape.point)))
+        found, exact = shapes.SignedDistance(phi, shape.point).distance(at), shape.distance(at)
+        for name in ("value", "gradient", "hessian"):
+            wanted = getattr(exact, name)
+            assert getattr(found, name) == pytest.approx(size * wanted, rel=1e-12, abs=1e-13), name
+    found = shapes.SignedDistance(ball, [0.1, 0.2])
+    assert found.distance(np.array([[0.6, 0.2]])).gradient == pytest.approx(np.array([[1.0, 0.0]]))
+    with rejected("grad phi is NaN", "(0.1, 0.2)"):
+        shapes.SignedDistance(cases[2][0], [0.1, 0.2]).distance(np.array([[0.1, 0.2]]))
+    assert shapes.SignedDistance(cases[2][0], [0.1, 0.2]).values(np.array([[0.1, 0.2]])) == [-0.5]
+
+
+WRONG_IN_UFL = [
+    (lambda x: x, {}, ("of shape (2,)", "scalar")),
+    (lambda x: x[0] + ufl.Constant(PLANE_MESH), {}, ("phi contains c_", "position")),
+    (lambda x: ufl.as_ufl(1.0), {}, ("no SpatialCoordinate",)),
+    (lambda x: in_ufl(3)[0], {}, ("x of 3 coordinates", "of 2 coordinates")),
+    (lambda x: x[0], {"length": 1.0}, ("leave out",)),
+]
+
+
+@pytest.mark.parametrize(("make", "options", "words"), WRONG_IN_UFL)
+def test_what_is_no_distance_in_ufl(make, options, words):
+    with rejected(*words):
+        shapes.SignedDistance(make(in_ufl(2)), [0.0, 0.0], **options)
+
+
 @pytest.mark.parametrize(("make", "words"), WRONG)
 def test_what_is_no_shape(make, words):
     with rejected(*words):
@@ -146,7 +206,7 @@ def test_what_is_no_shape(make, words):
     [
         (lambda x: x, ("phi returns the shape (2, 3)", "(3,)")),
         (lambda x: "far", ("phi returns no numbers",)),
-        (lambda x: np.where(x[1] > 0.5, np.nan, x[0]), ("NaN or infinity at (1, 1)",)),
+        (lambda x: np.where(x[1] > 0.5, np.nan, x[0]), ("phi is NaN or infinite at (1, 1)",)),
     ],
 )
 def test_what_a_given_distance_may_return(phi, words):

@@ -1,29 +1,21 @@
 # SPDX-License-Identifier: MIT
 """A law as a compiled function of numbers: the code that a solid runs, without any mesh."""
 
-import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
-from llvmlite import ir
 
-import basix.ufl
-import ffcx.codegeneration.jit
 import ufl
 from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.kernels import compile_vectors, constants
 from dolfinx_mortar.materials.plane_stress import Equation, solve
 from dolfinx_mortar.materials.protocol import Law, create_law
 from dolfinx_mortar.materials.ranges import grouped, named_parameters
 from dolfinx_mortar.materials.response import elastic_response, respond, values_at_points
 from dolfinx_mortar.materials.tensor import from_components, stored, tensor_of, to_components
 from ufl.core.expr import Expr
-
-ANYWHERE = np.full((1, 3), 0.25)  # in the reference tetrahedron, on which nothing depends
-_CORNERS = np.vstack([np.zeros(3), np.eye(3)])
 
 
 @dataclass(frozen=True)
@@ -151,12 +143,6 @@ def entries(tensor: Expr) -> list[Expr]:
     return [tensor[i, j] for i in range(3) for j in range(3)]
 
 
-def constants(count: int) -> ufl.Constant:
-    """Return numbers of which `compile_vectors` makes the argument of functions."""
-    domain = ufl.Mesh(basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,)))
-    return ufl.Constant(domain, shape=(count,))
-
-
 def symbols(*shapes: tuple[int, ...]) -> list[Expr]:
     """Return `constants` in turn as scalars, (), and tensors of stored components, (6,)."""
     numbers = constants(sum(6 if shape else 1 for shape in shapes))
@@ -167,91 +153,3 @@ def symbols(*shapes: tuple[int, ...]) -> list[Expr]:
         else numbers[next(rest)]
         for shape in shapes
     ]
-
-
-def compile_vectors(vectors: list[Expr]) -> list[Callable[[Floats], Floats]]:
-    """Return for each expression a function of the constants (n,) that gives its values."""
-    # A number of its own distinguishes equal expressions, whose code would have the same name.
-    told = [ufl.as_vector([*vector, ufl.as_ufl(k + 1.0)]) for k, vector in enumerate(vectors)]
-    # In a folder of its own, so that ranks that compile at the same time do not meet.
-    with tempfile.TemporaryDirectory() as folder:
-        compiled, module, _ = ffcx.codegeneration.jit.compile_expressions(
-            [(vector, ANYWHERE) for vector in told],
-            cache_dir=Path(folder),
-            cffi_extra_compile_args=["-O1"],
-        )
-    return [
-        _evaluation(module.ffi, one.tabulate_tensor_float64, vector.ufl_shape[0])
-        for one, vector in zip(compiled, vectors, strict=True)
-    ]
-
-
-def _evaluation(ffi: Any, kernel: Any, count: int) -> Callable[[Floats], Floats]:
-    """Return a compiled expression as a function of its constants."""
-    nothing = [ffi.NULL] * (len(ffi.typeof(kernel).args) - 4)  # newer kernels take more
-
-    def evaluate(numbers: Floats) -> Floats:
-        values, none = np.zeros(count + 1), np.zeros(1)
-        arrays = (values, none, np.ascontiguousarray(numbers), _CORNERS)
-        kernel(*(ffi.cast("double *", ffi.from_buffer(a)) for a in arrays), *nothing)
-        return values[:count]
-
-    return evaluate
-
-
-@dataclass(frozen=True)
-class Kernel:
-    """A compiled expression of `constants`."""
-
-    address: int  # of its function in C
-    size: int  # how many values it has
-    module: Any  # keeps the code
-
-
-def compile_kernel(vector: Expr) -> Kernel:
-    """Compile a vector of expressions of `constants`."""
-    with tempfile.TemporaryDirectory() as folder:
-        compiled, module, _ = ffcx.codegeneration.jit.compile_expressions(
-            [(vector, ANYWHERE)], cache_dir=Path(folder), cffi_extra_compile_args=["-O2"]
-        )
-    return kernel_of(compiled[0], module, vector)
-
-
-def kernel_of(compiled: Any, module: Any, vector: Expr) -> Kernel:
-    """Return what FFCx has made of a vector of expressions."""
-    ffi = module.ffi
-    address = int(ffi.cast("uintptr_t", compiled.tabulate_tensor_float64))
-    return Kernel(address, vector.ufl_shape[0], (compiled, module))
-
-
-def tabulate(kernel: Kernel, numbers: Floats) -> Floats:
-    """Return the values (q, size) of a kernel at q points, for their numbers (q, n)."""
-    values = np.zeros((len(numbers), kernel.size))
-    _tabulate(kernel.address, numbers, values, _CORNERS)
-    return values
-
-
-@numba.extending.intrinsic
-def _call(typing, address, values, numbers, corners):  # type: ignore[no-untyped-def]
-    """Call a function of FFCx by its address; all arguments are addresses."""
-    integer = numba.types.intp
-
-    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        pointer = ir.IntType(8).as_pointer()
-        # values, coefficients, constants, coordinates, entity, permutation; newer ones take more
-        function = ir.FunctionType(ir.VoidType(), [pointer] * 7)
-        called, values, numbers, corners = arguments
-        none = ir.Constant(pointer, None)
-        given = [builder.inttoptr(a, pointer) for a in (values, numbers, corners)]
-        where = builder.inttoptr(called, function.as_pointer())
-        builder.call(where, [given[0], none, given[1], given[2], none, none, none])
-        return context.get_dummy_value()
-
-    return numba.types.void(integer, integer, integer, integer), generate
-
-
-@numba.njit(cache=True)
-def _tabulate(address, numbers, values, corners):  # type: ignore[no-untyped-def]
-    """Call a kernel at all points."""
-    for q in range(len(numbers)):
-        _call(address, values[q].ctypes.data, numbers[q].ctypes.data, corners.ctypes.data)

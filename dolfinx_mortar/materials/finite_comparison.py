@@ -9,7 +9,8 @@ import numpy as np
 
 import ufl
 from dolfinx_mortar.arrays import EPS, Floats
-from dolfinx_mortar.materials.compiled import compile_vectors, constants, entries, parameters
+from dolfinx_mortar.kernels import compile_vectors, constants
+from dolfinx_mortar.materials.compiled import entries, parameters
 from dolfinx_mortar.materials.finite_law import Evaluation, create_finite_law
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
 from dolfinx_mortar.materials.protocol import Law

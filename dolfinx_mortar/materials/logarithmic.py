@@ -33,8 +33,8 @@ import numpy as np
 
 import ufl
 from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.kernels import Kernel, compile_kernel, constants, tabulate
 from dolfinx_mortar.materials import logarithms
-from dolfinx_mortar.materials.compiled import Kernel, compile_kernel, constants, tabulate
 from dolfinx_mortar.materials.finite_law import FiniteValues
 from dolfinx_mortar.materials.plane_stress import solve
 from dolfinx_mortar.materials.protocol import PLASTIC, Law

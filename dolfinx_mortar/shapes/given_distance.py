@@ -1,56 +1,83 @@
 # SPDX-License-Identifier: MIT
-"""A signed distance that a user gives as a function of points."""
+"""A signed distance that a user gives, in UFL or as a function of points."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
+import ufl
 from dolfinx_mortar.arguments import as_numbers
 from dolfinx_mortar.arrays import EPS, Floats
+from dolfinx_mortar.kernels import Kernel, compile_kernel, constants, tabulate
 from dolfinx_mortar.shapes.shape import Distance, Shape, check_length, check_vector
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.algorithms.apply_derivatives import apply_derivatives
+from ufl.constantvalue import ConstantValue
+from ufl.core.expr import Expr
+from ufl.corealg.traversal import traverse_unique_terminals
 
 Function = Callable[[Floats], Any]
 
 
 class SignedDistance(Shape):
-    """phi, a function of points; derivatives that are not given are central differences.
+    """phi, in UFL with exact derivatives, or a function of points.
+
+    Derivatives of a function that are not given are central differences.
 
     Args:
-        phi: points x (d, n) -> distances (n,), positive outside, with abs(grad phi) = 1 near the
-            surface.
+        phi: an expression of ``ufl.SpatialCoordinate`` of any mesh of d coordinates and numbers; or
+            a function, points x (d, n) -> distances (n,). Positive outside, with abs(grad phi) = 1
+            near the surface.
         point: d coordinates that tell where the tool is, about which it turns.
         gradient: x (d, n) -> (d, n).
         hessian: x (d, n) -> (d, d, n).
         length: over which phi varies, the least radius of the surface for one: differences are
             taken over a part of it, the cube root of the round-off for the best accuracy. Needed
-            where a derivative is not given.
+            where a derivative of a function is not given.
 
     Raises:
-        ValueError: for what is no function, coordinates that are not 2 or 3 finite ones, and a
-            length that is not > 0, or missing. When it is evaluated, for another shape, and NaN.
+        ValueError: for what is no function and no scalar expression of x alone, coordinates that
+            are not 2 or 3 finite ones, derivatives beside an expression, and a length that is not
+            > 0, or missing. When it is evaluated, for another shape, and NaN.
+
+    Example:
+        >>> from basix.ufl import element
+        >>> x = ufl.SpatialCoordinate(ufl.Mesh(element("Lagrange", "triangle", 1, shape=(2,))))
+        >>> disc = SignedDistance(ufl.sqrt(ufl.dot(x, x)) - 1.0, (0.0, 0.0))
+        >>> disc.distance(np.array([[0.0, 2.0]])).hessian.tolist()
+        [[[0.5, 0.0], [0.0, 0.0]]]
     """
 
     def __init__(
         self,
-        phi: Function,
+        phi: Expr | Function,
         point: Any,
         *,
         gradient: Function | None = None,
         hessian: Function | None = None,
         length: Any = None,
     ) -> None:
-        for name, function in (("phi", phi), ("gradient", gradient), ("hessian", hessian)):
-            if not callable(function) and (name == "phi" or function is not None):
-                raise ValueError(f"{name} is {function!r}: give a function of points x (d, n)")
         self._point = check_vector("point", point)
         self.phi, self.gradient, self.hessian = phi, gradient, hessian
+        self._kernel: Kernel | None = None
+        if isinstance(phi, Expr):
+            if any(given is not None for given in (gradient, hessian, length)):
+                raise ValueError("phi is in UFL: leave out gradient, hessian and length")
+            self._kernel, self.length = _compile(phi, len(self._point)), None
+            return
+        for name, function in (("phi", phi), ("gradient", gradient), ("hessian", hessian)):
+            if not callable(function) and (name == "phi" or function is not None):
+                raise ValueError(
+                    f"{name} is {function!r}: give a function of points x (d, n)"
+                    f"{', or an expression of UFL' * (name == 'phi')}"
+                )
         if length is None and (gradient is None or hessian is None):
             raise ValueError(
                 "length is None: give the length over which phi varies, such as the least radius "
                 "of the surface, for differences; or gradient and hessian"
             )
-        self.length = 1.0 if length is None else check_length("length", length)
+        self.length = None if length is None else check_length("length", length)
 
     @property
     def point(self) -> Floats:
@@ -63,23 +90,79 @@ class SignedDistance(Shape):
 
     def distance(self, x: Floats) -> Distance:
         """Return the distances of points x (n, d)."""
-        return Distance(self._values(x), self._gradients(x), self._hessians(x))
+        if self._kernel is None:
+            return Distance(self.values(x), self._gradients(x), self._hessians(x))
+        d = x.shape[1]
+        found = tabulate(self._kernel, np.ascontiguousarray(x))
+        parts = {"phi": found[:, 0], "grad phi": found[:, 1 : d + 1], "Hess phi": found[:, d + 1 :]}
+        for name, part in parts.items():
+            _check_finite(name, part, x)
+        value, gradient, hessian = parts.values()
+        return Distance(value, gradient, hessian.reshape(-1, d, d))
 
-    def _values(self, x: Floats) -> Floats:
-        return _returned("phi", self.phi, x, ())
+    def values(self, x: Floats) -> Floats:
+        """Return phi (n,) at points x (n, d)."""
+        if self._kernel is None:
+            return _returned("phi", self.phi, x, ())
+        found = tabulate(self._kernel, np.ascontiguousarray(x))[:, 0]
+        _check_finite("phi", found, x)
+        return found
 
     def _gradients(self, x: Floats) -> Floats:
         if self.gradient is not None:
             return _returned("gradient", self.gradient, x, (x.shape[1],))
-        return _differences(self._values, x, EPS ** (1 / 3) * self.length)
+        return _differences(self.values, x, self._step(1 / 3))
 
     def _hessians(self, x: Floats) -> Floats:
         if self.hessian is not None:
             return _returned("hessian", self.hessian, x, (x.shape[1],) * 2)
         # second differences have the round-off of a square
         power = 1 / 3 if self.gradient is not None else 1 / 5
-        found = _differences(self._gradients, x, EPS**power * self.length)
+        found = _differences(self._gradients, x, self._step(power))
         return np.asarray((found + np.swapaxes(found, 1, 2)) / 2)
+
+    def _step(self, power: float) -> float:
+        assert self.length is not None
+        return float(EPS**power * self.length)
+
+
+def _compile(phi: Expr, d: int) -> Kernel:
+    """Return phi, its gradient and its Hessian, (1 + d + d^2,), as functions of x (d,).
+
+    Raises:
+        ValueError: for what is no scalar expression of x (d,) and numbers.
+    """
+    known = ufl.SpatialCoordinate, ConstantValue, ufl.classes.MultiIndex
+    if phi.ufl_shape != () or phi.ufl_free_indices:
+        raise ValueError(f"phi is {phi}, of shape {phi.ufl_shape}: give a scalar expression")
+    phi = apply_derivatives(apply_algebra_lowering(phi))
+    parts = list(traverse_unique_terminals(phi))
+    others = [str(part) for part in parts if not isinstance(part, known)]
+    if others:
+        raise ValueError(
+            f"phi contains {', '.join(others)}: give an expression of x, a SpatialCoordinate, and "
+            "numbers; where the tool is, position and rotation say"
+        )
+    at = [part for part in parts if isinstance(part, ufl.SpatialCoordinate)]
+    wrong = [x for x in at if x.ufl_shape != (d,)]
+    if wrong or not at:
+        has = f"x of {wrong[0].ufl_shape[0]} coordinates" if wrong else "no SpatialCoordinate"
+        raise ValueError(f"phi has {has}: give an expression of x of {d} coordinates, as point")
+    x = ufl.variable(constants(d))
+    value = ufl.replace(phi, dict.fromkeys(at, x))
+    gradient = ufl.diff(value, x)
+    hessian = ufl.diff(gradient, x)
+    numbers = [value, *(gradient[i] for i in range(d))]
+    numbers += [hessian[i, j] for i in range(d) for j in range(d)]
+    return compile_kernel(ufl.as_vector(numbers))
+
+
+def _check_finite(name: str, found: Floats, x: Floats) -> None:
+    """Raise a ValueError for NaN and infinity among values (n, ..) at points x (n, d)."""
+    finite = np.isfinite(found).all(axis=tuple(range(1, found.ndim)))
+    if not finite.all():
+        place = ", ".join(f"{c:.4g}" for c in x[int(np.argmin(finite))])
+        raise ValueError(f"{name} is NaN or infinite at ({place})")
 
 
 def _returned(name: str, function: Function, x: Floats, shape: tuple[int, ...]) -> Floats:
@@ -97,11 +180,9 @@ def _returned(name: str, function: Function, x: Floats, shape: tuple[int, ...]) 
         raise ValueError(
             f"{name} returns {has} for {n} points x {(x.shape[1], n)}; it must return {(*shape, n)}"
         )
-    if not np.isfinite(found).all():
-        bad = int(np.argmin(np.isfinite(found.reshape(-1, n)).all(axis=0)))
-        place = ", ".join(f"{c:.4g}" for c in x[bad])
-        raise ValueError(f"{name} returns NaN or infinity at ({place})")
-    return np.asarray(np.moveaxis(found, -1, 0), dtype=np.float64)
+    found = np.asarray(np.moveaxis(found, -1, 0), dtype=np.float64)
+    _check_finite(name, found, x)
+    return found
 
 
 def _differences(function: Callable[[Floats], Floats], x: Floats, step: float) -> Floats:

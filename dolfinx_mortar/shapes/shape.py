@@ -56,6 +56,10 @@ class Shape(ABC):
     def distance(self, x: Floats) -> Distance:
         """Return the distances of points x (n, d)."""
 
+    def values(self, x: Floats) -> Floats:
+        """Return phi (n,) alone, at points x (n, d)."""
+        return self.distance(x).value
+
     @abstractmethod
     def given(self) -> Mapping[str, Any]:
         """Return the arguments by name."""

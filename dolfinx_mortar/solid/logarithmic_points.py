@@ -12,7 +12,7 @@ import numpy as np
 import ufl
 from dolfinx import fem, jit
 from dolfinx_mortar.arrays import Floats, Ints
-from dolfinx_mortar.materials.compiled import ANYWHERE, Kernel, kernel_of
+from dolfinx_mortar.kernels import ANYWHERE, Kernel, kernel_of
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw, Start
 from dolfinx_mortar.materials.ranges import ungrouped
 from dolfinx_mortar.materials.tensor import stored
