@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import NoneType
 from typing import Any, ClassVar
@@ -34,11 +34,13 @@ from dolfinx_mortar.interfaces.coupling import (
     mark,
 )
 from dolfinx_mortar.interfaces.slip_partners import Partners
-from dolfinx_mortar.interfaces.tool import Driven
+from dolfinx_mortar.interfaces.tool import Driven, Pose
 from dolfinx_mortar.mortar.integrals import Coverage
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.passing import SeenByTool
 from dolfinx_mortar.mortar.surface import check_tags, create_surface, dependent_nodes
+from dolfinx_mortar.shapes import Shape
+from dolfinx_mortar.shapes.zero_level import find_zero_level
 from dolfinx_mortar.tags import check_tag, label, tag_of
 
 
@@ -75,10 +77,32 @@ class Resultants:
 
 @dataclass(frozen=True)
 class Outline:
-    """Where a tool is, for pictures."""
+    """What a tool is and where, for pictures and files."""
 
-    distance: Callable[[Floats], Floats]  # points (n, d) -> signed distances (n,)
-    surface: tuple[Floats, Longs] | None = None  # points and triangles, where it is made of these
+    shape: Shape
+    pose: Pose
+    revolved: bool = False  # only the part r >= 0 is shown
+
+    def distance(self, x: Floats) -> Floats:
+        """Return the signed distances (n,) of points (n, d)."""
+        return self.shape.values(self.pose.to_tool(x))
+
+    @property
+    def surface(self) -> tuple[Floats, Longs] | None:
+        """Points (n, d) where it is, with lines or triangles; None if it is not made of these."""
+        found = self.shape.surface
+        return None if found is None else (self.pose.to_space(found[0]), found[1])
+
+    def cut(self, low: Floats, high: Floats) -> tuple[Floats, Longs]:
+        """Return points (n, d) of the tool as it starts, and the lines or triangles (m, d) of them.
+
+        All of what it is made of, or else what is in a box (d,).
+        """
+        if (found := self.shape.surface) is not None:
+            return found
+        if self.revolved:
+            low = np.maximum(low, [0.0, -np.inf])
+        return find_zero_level(self.shape, low, high)
 
 
 # Facets whose normals differ by more degrees meet in an edge, unless the user says otherwise.

@@ -391,11 +391,8 @@ class Obstacle(Movable, Unilateral):
         return float(np.linalg.norm(now.rotation - began.rotation))
 
     def outline(self) -> Outline:
-        """Return where the tool is at present, for pictures."""
-        pose, surface = self.tool.pose(), self.shape.surface
-        if surface is not None:
-            surface = pose.to_space(surface[0]), surface[1]
-        return Outline(lambda x: pose.distance(self.shape, x).value, surface)
+        """Return where the tool is at present, for pictures and files."""
+        return Outline(self.shape, self.tool.pose(), self.tool.revolved)
 
     @property
     def tool_force(self) -> Floats:

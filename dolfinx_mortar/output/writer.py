@@ -15,18 +15,16 @@ import hashlib
 import logging
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from typing import Any
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx import default_scalar_type, fem, plot
+from dolfinx import fem, plot
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.errors import raise_together, raised_together
+from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.disk import check_path
@@ -40,6 +38,8 @@ from dolfinx_mortar.output.files import (
 )
 from dolfinx_mortar.output.grids import Step, free_name, insert, read_steps
 from dolfinx_mortar.output.layout import KINDS, TOPOLOGY, Layout
+from dolfinx_mortar.output.numbers import Numbers
+from dolfinx_mortar.output.tool_file import ToolFile, create_tool_file, tools_of
 
 log = logging.getLogger(__name__)
 
@@ -57,6 +57,9 @@ class Writer:
     (x, y, z); tensors of shape (2, 2) or (3, 3), and symmetric ones stored in four or six
     components in the order of `materials.tensor`, to nine (xx, xy, xz, yx, ...); other shapes are
     written as a flat row of components.
+
+    Rigid tools go to a second file, out.tools.xdmf with the same times: their surfaces as far as
+    the sides that meet them may get, with the number of the tool in "tool".
 
     After every step the HDF5 file is closed and the XDMF file replaced in one move, so what has
     been written stays readable whatever happens next. An error on one rank is raised on all.
@@ -104,13 +107,16 @@ class Writer:
             if cell not in TOPOLOGY:
                 raise ValueError(f"problem: {cell[0]} cells with {cell[1]} nodes: no XDMF name.")
         self._steps = read_steps(self.comm, self.path) if resume else []
-        self._data = free_name(self.path, self._steps)
-        claim_files(self.comm, self.path, self._data, self, resume=resume)
+        self._numbers = Numbers(self.comm, free_name(self.path, self._steps))
+        claim_files(self.comm, self.path, self._numbers.path, self, resume=resume)
         self.problem = problem
         self._layout = Layout(V)
+        self._tools: ToolFile | None = None
         self._open = True
         try:
             self._grid_head = self._write_mesh(V, TOPOLOGY[cell])
+            given = problem, self.path, {} if notes is None else notes
+            self._tools = create_tool_file(self.comm, *given, resume=resume)
         except BaseException:
             self._leave()
             raise
@@ -129,7 +135,7 @@ class Writer:
         """
         if not self._open:
             raise ValueError(f"Writer of {str(self.path)!r} is closed: make a new one.")
-        fields = self.problem.output_fields()
+        fields, tools = self.problem.output_fields(), tools_of(self.problem)
         number = sum(not step.earlier for step in self._steps)
         grid = ET.Element("Grid", GridType="Uniform")
         with raised_together(self.comm):
@@ -147,13 +153,16 @@ class Writer:
         self._check_finite({name: values for name, (values, _) in found.items()})
         grid.extend(self._grid_head)
         size = sum(values.nbytes for values, _ in found.values())
-        demand_space_for_step(self.comm, self.path, self._data, size, len(found))
-        with self._viewer("a") as viewer:
+        demand_space_for_step(self.comm, self.path, self._numbers.path, size, len(found))
+        with self._numbers.viewer("a") as viewer:
             for name, (values, centre) in found.items():
                 kind = KINDS.get(values.shape[1], "Matrix")
                 about = {"Name": name, "AttributeType": kind, "Center": centre}
-                item = self._write_values(viewer, f"{keys[name]}_{number:06d}", values)
+                item = self._numbers.write(viewer, f"{keys[name]}_{number:06d}", values)
                 ET.SubElement(grid, "Attribute", about).append(item)
+        with raised_together(self.comm):
+            if self._tools is not None:  # first: what the results lack is dropped
+                self._tools.write(steps, step, tools)
         self._collection[:] = [one.grid for one in steps]
         replace_tree(self.comm, self.path, self._root)
         self._steps = steps
@@ -176,6 +185,8 @@ class Writer:
     def _leave(self) -> None:
         self._open = False
         release_files(self.path, self)
+        if self._tools is not None:
+            self._tools.leave()
 
     def __enter__(self) -> Writer:
         return self
@@ -187,25 +198,6 @@ class Writer:
         else:
             self._leave()
 
-    @contextmanager
-    def _viewer(self, mode: str) -> Iterator[PETSc.Viewer]:
-        """Open the HDF5 file within a ``with`` block; collective."""
-        viewer = PETSc.Viewer()
-        self._together(lambda: viewer.createHDF5(str(self._data), mode, comm=self.comm))
-        try:
-            yield viewer
-        finally:
-            self._together(viewer.destroy)
-
-    def _together(self, action: Callable[[], Any]) -> None:
-        """Do something collective; an error on one rank is raised on all, naming the file."""
-        failed = None
-        try:
-            action()
-        except Exception as error:
-            failed = OSError(f"{self._data} could not be written: {error}")
-        raise_together(self.comm, failed)
-
     def _write_mesh(self, V: fem.FunctionSpace, topology: str) -> list[ET.Element]:
         """Write cells and points, to which the grids of all steps refer; return these references.
 
@@ -215,15 +207,15 @@ class Writer:
         k = V.dofmap.dof_layout.num_dofs
         local = nodes.reshape(-1, k + 1)[:, 1:]  # the first column repeats the number of nodes
         cells = V.dofmap.index_map.local_to_global(local.reshape(-1).astype(np.int32))
+        cells = cells.reshape(-1, k)
         x = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local]
-        shape = V.mesh.topology.index_map(V.mesh.topology.dim).size_global, k
-        head = ET.Element("Topology", TopologyType=topology, NumberOfElements=str(shape[0]))
-        head.append(self._item("cells", shape, "Int", np.dtype(PETSc.IntType).itemsize))
+        count = V.mesh.topology.index_map(V.mesh.topology.dim).size_global
+        head = ET.Element("Topology", TopologyType=topology, NumberOfElements=str(count))
         geometry = ET.Element("Geometry", GeometryType="XYZ")
         self._mesh = _digest(self.comm, cells, x)
         for step in self._steps:
             if step.mesh == self._mesh:
-                with self._viewer("w"):
+                with self._numbers.viewer("w"):
                     return [one for one in step.grid if one.tag in ("Topology", "Geometry")]
         if self._steps and self.comm.rank == 0:
             log.warning(
@@ -232,36 +224,11 @@ class Writer:
                 self.path,
             )
         size = cells.nbytes + x.nbytes
-        demand_space_for_step(self.comm, self.path, self._data, size, 2)
-        with self._viewer("w") as viewer:
-            indices = PETSc.IS().createGeneral(cells.astype(PETSc.IntType), comm=self.comm)
-            indices.setBlockSize(k)
-            indices.setName("cells")
-            self._together(lambda: indices.view(viewer))
-            indices.destroy()
-            geometry.append(self._write_values(viewer, "points", x))
+        demand_space_for_step(self.comm, self.path, self._numbers.path, size, 2)
+        with self._numbers.viewer("w") as viewer:
+            head.append(self._numbers.write_cells(viewer, "cells", cells))
+            geometry.append(self._numbers.write(viewer, "points", x))
         return [head, geometry]
-
-    def _write_values(self, viewer: PETSc.Viewer, key: str, values: Floats) -> ET.Element:
-        """Write the rows of this rank, shape (n, components), and return the reference to them."""
-        n, components = values.shape
-        vector = PETSc.Vec().createWithArray(
-            np.ascontiguousarray(values, dtype=default_scalar_type).reshape(-1),
-            size=(n * components, None),
-            bsize=components,
-            comm=self.comm,
-        )
-        vector.setName(key)
-        self._together(lambda: vector.view(viewer))
-        rows = vector.getSize() // components
-        vector.destroy()
-        return self._item(key, (rows, components) if components > 1 else (rows,), "Float", 8)
-
-    def _item(self, key: str, shape: tuple[int, ...], kind: str, precision: int) -> ET.Element:
-        about = {"NumberType": kind, "Precision": str(precision), "Format": "HDF"}
-        item = ET.Element("DataItem", about, Dimensions=" ".join(map(str, shape)))
-        item.text = f"{self._data.name}:/{key}"
-        return item
 
 
 def _space(problem: Any) -> fem.FunctionSpace:

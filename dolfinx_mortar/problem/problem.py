@@ -24,11 +24,12 @@ from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import TINY, Bools, Floats
 from dolfinx_mortar.audit.audit import Audit, create_audit, find_free_motions
 from dolfinx_mortar.audit.mesh_audit import check_mesh
-from dolfinx_mortar.interfaces.interface import Interface, ask, check_owned
+from dolfinx_mortar.interfaces.interface import Interface, Outline, ask, check_owned
 from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.system import Configuration, InterfaceSystem
+from dolfinx_mortar.mortar.surface import coordinates
 from dolfinx_mortar.persistence import restoring, saving
 from dolfinx_mortar.persistence.committed import Committed, ProblemState, StepOutcome
 from dolfinx_mortar.problem.checks import check_arguments
@@ -561,6 +562,21 @@ class ContactProblem:
             merged = fem.Function(self.V if name == "traction" else scalar, name=name)
             fields[name] = merge_results(self.system.sides, self.interfaces, name, merged)
         return fields
+
+    def output_tools(self) -> list[tuple[Outline, Floats]]:
+        """Return where the rigid tools are, each with a box in its frame; collective.
+
+        The box (2, d) is that around the side at X + u, for all ranks.
+        """
+        tools = []
+        for interface, sides in zip(self.interfaces, self.system.sides, strict=True):
+            if (tool := interface.outline()) is None:
+                continue
+            x = tool.pose.to_tool(coordinates(sides.slave, self.u))
+            ends = np.concatenate([-x, x]).reshape(2, -1, self.d).max(axis=1, initial=-np.inf)
+            low, high = maximum(self.comm, *ends.ravel()).reshape(2, -1)
+            tools.append((tool, np.stack([-low, high])))
+        return tools
 
 
 def _create_terms(

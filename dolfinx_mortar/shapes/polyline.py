@@ -85,6 +85,14 @@ class Polyline(Shape):
         """As given, or the middle of the box around the points, (2,)."""
         return self._point
 
+    @property
+    def surface(self) -> tuple[Floats, Longs]:
+        """Ends and middles of the edges (n, 2), and two lines (m, 2) for each."""
+        p, q, n = self._p, self._q, np.arange(len(self._p))
+        x = np.concatenate([p, (p + q) / 2 + self._middles, q])
+        lines = np.concatenate([n, n + len(n)]), np.concatenate([n + len(n), n + 2 * len(n)])
+        return x, np.stack(lines, axis=1)
+
     def given(self) -> Mapping[str, Any]:
         """Return the arguments by name, of the points a digest."""
         digest = hashlib.sha256(self.points.tobytes()).hexdigest()

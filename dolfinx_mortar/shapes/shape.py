@@ -66,7 +66,7 @@ class Shape(ABC):
 
     @property
     def surface(self) -> tuple[Floats, Longs] | None:
-        """Points (n, 3) and triangles (m, 3) for pictures; None where it is not made of these."""
+        """Points (n, d), and lines or triangles (m, d) of them; None if it is not made of these."""
         return None
 
     def misfit(self, d: int, revolved: bool) -> str:
