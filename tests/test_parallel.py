@@ -34,7 +34,8 @@ SLOW_ON_TWO = """
     parameters passing patch_3d plane_stress plotting pointwise polyline preload preload_direction
     preload_several qp_definite qp_descent ramp reaction resolution rubber small_strain smooth_3d
     smooth_contact smooth_second smooth_tie solid solid_state stand_off stress_laws sweep
-    taylor_bar tie_reach tool_files tool_friction tool_pictures triangles tying undone user_laws volumetric
+    taylor_bar tie_reach tool_files tool_friction tool_pictures triangles tying undone user_laws
+    volumetric
 """.split()
 SLOW_ON_THREE = """
     checkpoint_edits crossings
