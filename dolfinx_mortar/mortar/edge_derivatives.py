@@ -146,7 +146,7 @@ def _in_space(
     none, areas = np.zeros((len(facets.x), 3)), -np.ones(len(facets.x))
     moved = differentiate_integrals(
         facets, master, pairs, (inner, on_edges), (N[0], N[1]), none, areas
-    ).reshape(p, k, -1)
+    ).reshape(p, k, 3 * both.shape[1])
     values = products(facet_normals(facets)[s], -facet_normals(master)[m])
     by_x = np.zeros((p, values.shape[1], 3 * both.shape[1]))
     _add_turning(by_x, facets[s], 1.0, 0, 0)
