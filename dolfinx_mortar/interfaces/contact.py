@@ -8,8 +8,9 @@ variation and its linearisation are
     delta Pi_c = delta lambda^T g(u) - lambda^T B_I delta u,
     Delta delta Pi_c = -(delta lambda^T B_I Delta u + Delta lambda^T B_I delta u).
 
-A step is the saddle point of J(u) - Pi_c. D, M and N are those of the present iterate: their
-derivatives are left out, which is exact for frozen geometry. g_j >= 0, lambda_j >= 0 and
+A step is the saddle point of J(u) - Pi_c. D, M and N are those of the present iterate. Their
+derivatives, zero for frozen geometry, are no part of these rows: where the fixed point of the
+geometry is slow, `dolfinx_mortar.interfaces.moving_geometry` adds them. g_j >= 0, lambda_j >= 0 and
 lambda_j g_j = 0 are bounds in the basis of `dolfinx_mortar.interfaces.basis`, w_n <= g_j / D_jj;
 the reaction of that bound is D_jj lambda_j.
 """

@@ -133,7 +133,7 @@ class ContactDerivatives(LinkDerivatives):
     """Derivatives of the forces and the weighted gaps of one contact.
 
     They are sums F_x + F_n N + F_c C, N being the derivatives of the averaged normals, C those of
-    the normals on edges in 2D, which are held in 3D. On a slave facet forces and gaps depend on all
+    the normals on edges. On a slave facet forces and gaps depend on all
     of its partners, by the dual functions.
     """
 

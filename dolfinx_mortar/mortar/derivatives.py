@@ -14,6 +14,7 @@ to the coordinates of the slave side, which may be another rank's. On a facet
 
 over its c kept nodes, A' being A less its mean over the rows, see `mortar.integrals`. So
 dA m = diag(dd) - A dm, which is zero where w is constant and all of a straight facet is covered.
+Beside open edges Phi is a mean of two such bases, whose shares change with the opening (`edges`).
 At the points derivatives are those by the nodes of their own pair. Those of all segments are summed
 in sparse matrices, of which the columns are, in this order, slave coordinates, normals, and the
 coordinates of the received master nodes of this rank.

@@ -8,8 +8,9 @@ kernels, `dolfinx_mortar.geometry.facet_derivatives`; the coefficients of the du
 facet change with the weights at the points of all its pairs. On flat triangles that are covered
 without a free edge they do not: their moments have the factor of all weights in common.
 
-In second order the height of a smooth surface has a factor, the strain of the bodies along the
-normal (`dolfinx_mortar.mortar.curvature_correction.point_heights`), which is held.
+Held are edges that one master facet casts on another one behind it, jumps of heights between
+master facets, and in second order the strain of the bodies along the normal, a factor of the height
+of a smooth surface (`dolfinx_mortar.mortar.curvature_correction.point_heights`).
 """
 
 import numpy as np
@@ -295,7 +296,7 @@ def _add_dual_changes(found: PairIntegrals, own: _Own, facet: Ints, which: Bools
     Without those by the master's nodes, which `_by_edges` returns.
 
     Args:
-        found: those with the functions held.
+        found: those at fixed coefficients of the functions.
         own: integrals.
         facet: slave facets (p,) of the pairs.
         which: facets of which the functions change.
