@@ -84,7 +84,8 @@ def explain(
             "on?), or slides or rolls freely (then prescribe that motion)"
         )
     shifted = sum(it.shift > 0.0 for it in report.iterations)
-    if 2 * shifted > len(report.iterations):
+    inverted = bool(squeezed) or "inside out" in message
+    if 2 * shifted > len(report.iterations) and (not inverted or is_loaded(problem)):
         message += (
             f". The tangent was indefinite in {shifted} of {len(report.iterations)} iterations, as "
             f"{UNSTABLE[is_loaded(problem)]}"
@@ -95,8 +96,8 @@ def explain(
             "indefinite, and nothing was added to it: choose the default, "
             "petsc_options={'pc_type': 'cholesky', 'pc_factor_mat_solver_type': 'mumps'}"
         )
-    if squeezed and squeezed not in message and "inside out" not in message:
-        message += f". Where it ended, {squeezed}: take smaller load steps"
+    if squeezed and "inside out" not in message:
+        message += f". Where it ended, {squeezed}: take smaller load steps, or compress it less"
     message += _describe_pressures(problem) + _describe_own_laws(problem)
     return NewtonNotConverged(f"{message}{AS_BEFORE}", report)
 
