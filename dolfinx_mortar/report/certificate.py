@@ -26,21 +26,21 @@ def _largest(comm: MPI.Comm, *arrays: Floats) -> Floats:
     return maximum(comm, *(a.max(initial=0.0) for a in arrays))
 
 
-def operator_errors(link: Link, facet_length: float) -> tuple[float, float]:
+def operator_errors(link: Link, X: Floats, facet_length: float) -> tuple[float, float]:
     """Return the linear-field error and the row-sum error of D and M; collective.
 
     On a flat interface (D - M) X has no tangential part, whatever the gap; on a curved one it is
     the gap times the angle between the projections and the nodal normals. Rows of D - M sum to
     zero on every interface. Both over D_jj, the first also over the gap plus a facet length. Where
-    Dirichlet data give the directions of a tie different nodes, that holds for each direction.
+    Dirichlet data give the directions of a tie different nodes, that holds for each direction. X:
+    reference coordinates (owned nodes, d).
     """
     sides, normals = link.sides, link.coupling.normals
     judged = link.coupling.kept.T & normals.any(axis=1)  # Dirichlet data may leave no normal
     v = link.Q.createVecRight()
     v.set(1.0)
     sums = np.abs(relative_motions(link, v)).max(initial=0.0)
-    d = normals.shape[1]
-    v.array[:] = sides.V.tabulate_dof_coordinates()[: sides.n_owned, :d].ravel()
+    v.array[:] = X.ravel()
     along, across = along_and_across(relative_motions(link, v), normals)
     linear = (across / (np.abs(along) + facet_length))[judged].max(initial=0.0)
     linear, sums = maximum(sides.V.mesh.comm, linear, sums)
@@ -102,7 +102,9 @@ def create_certificate(
         multiplier.append(link.interface.multiplier[on])
     g, p = np.concatenate(gap), np.concatenate(multiplier)
     deepest, tensile, pressure, product = _largest(problem.comm, -g, -p, np.abs(p), np.abs(g * p))
-    errors = [operator_errors(link, length) for link in links if link.pairing] or [(0.0, 0.0)]
+    errors = [operator_errors(link, problem.X, length) for link in links if link.pairing] or [
+        (0.0, 0.0)
+    ]
     x = problem.positions().array_r.reshape(problem.n, problem.d)
     force, moment = _balances(links, x, length)
     kept = [link.coupling.kept.any(axis=1) for link in links]

@@ -95,6 +95,8 @@ def _check_unique(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC], target: 
             difference = np.abs(given[dofs] - chosen.array[dofs])
         farther = difference > off[dofs]
         off[dofs[farther]], farthest[dofs[farther]] = difference[farther], given[dofs[farther]]
+    if not any_rank(comm, off.any())[0]:
+        return
     X = V.tabulate_dof_coordinates()
     sizes = (np.abs(x).max(initial=0.0) for x in (X, given))
     allowed = ROUND_OFF * maximum(comm, *sizes).sum()
