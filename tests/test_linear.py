@@ -114,6 +114,18 @@ def test_a_slightly_changed_matrix_needs_no_factorisation(qp: BoundQP) -> None:
     assert linear.counts.symbolic == 1
 
 
+def test_multigrid_after_a_matrix_it_could_not_be_set_up_for(qp: BoundQP) -> None:
+    """PETSc keeps a failure in the PC: it is no failure of the next matrix, with a shift, say."""
+    linear = LinearSolver(COMM, prefix="shifted_", multigrid=True)
+    diagonal = qp.A.getDiagonal()
+    qp.A.setDiagonal(0.5 * diagonal)
+    with pytest.raises(LinearSolveFailed, match="factorisation of a matrix"):
+        solved(linear, qp, none())
+    linear.forget()
+    qp.A.setDiagonal(diagonal)
+    assert solved(linear, qp, none()) <= RTOL
+
+
 def test_the_same_matrix_again_costs_one_iteration(qp: BoundQP) -> None:
     linear = LinearSolver(COMM, prefix="again_")
     solved(linear, qp, none())
