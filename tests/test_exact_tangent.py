@@ -50,7 +50,8 @@ class Rough:
     def __init__(self, degree, *, smooth, rings, shared, seed):
         """Create them; the degree is that of the displacement.
 
-        Functions of nodes without multiplier are shared out, or in part, as beside open edges.
+        Functions of nodes without multiplier are shared out, or on some facets, as beside open
+        edges.
         """
         rng = np.random.default_rng(seed)
         mesh, _, facets = meshes.two_blocks(
@@ -73,9 +74,8 @@ class Rough:
         self.values = rng.uniform(0.5, 1.0, (2, len(self.slave.nodes)))
         segments, _ = find_segments(self.pairing, self.u)
         self.keep = default_keep(self.pairing, segments, *node_weights(self.pairing, segments))
-        closed = (
-            np.ones(len(self.slave.facets)) if shared else rng.uniform(0, 1, len(self.slave.facets))
-        )
+        size = len(self.slave.facets)
+        closed = np.ones(size) if shared else rng.integers(0, 2, size).astype(float)
         self.sharing = Sharing(~self.keep, closed)
         self.nodes = np.concatenate([self.slave.nodes, self.pairing.master_nodes])
 
