@@ -62,9 +62,9 @@ class RowsOf:
         state, comm = int(self.K.stateGet()), self.K.comm.tompi4py()
         lacks, old = any_rank(comm, not np.isin(rows, self._rows).all(), state != self._state)
         if self._kept is None or lacks:
-            self._rows, self._kept = rows, _rows(self.K, rows)
+            self._rows, self._kept = rows, rows_of(self.K, rows)
         elif old:
-            self._kept = _rows(self.K, self._rows, self._kept)
+            self._kept = rows_of(self.K, self._rows, self._kept)
         self._state = state
         return self._rows, self._kept
 
@@ -135,7 +135,7 @@ def _terms(K, C, others):  # type: ignore[no-untyped-def]
     return terms
 
 
-def _rows(K: PETSc.Mat, rows: Ints, result: PETSc.Mat | None = None) -> PETSc.Mat:
+def rows_of(K: PETSc.Mat, rows: Ints, result: PETSc.Mat | None = None) -> PETSc.Mat:
     """Return owned rows of K in AIJ, in a matrix of the same rows if one is given; collective."""
     first = K.getOwnershipRange()[0]
     if K.getType() == "seqaij":  # blocks give blocks only

@@ -29,6 +29,8 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
+from dolfinx_mortar.algebra.csr import csr_of
+from dolfinx_mortar.algebra.diagonal import rows_of
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Ints
 from dolfinx_mortar.qp.negative_eigenvalues import count_negative
 
@@ -115,6 +117,12 @@ def _add(matrix: PETSc.Mat, other: PETSc.Mat) -> None:
     matrix.axpy(1.0, other, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
 
 
+def _product_of_few(X: PETSc.Mat, P: PETSc.Mat) -> PETSc.Mat:
+    """Return P^T X P of a symmetric X with few rows, without a transposed copy of P; collective."""
+    rows = np.flatnonzero(np.diff(csr_of(X)[0])).astype(np.int32)
+    return rows_of(P, rows).transposeMatMult(rows_of(X, rows).matMult(P))
+
+
 class Multigrid:
     """Context of a PETSc PC of type python: M^-1 above, with any PC for B^-1.
 
@@ -186,7 +194,7 @@ class Multigrid:
         if not self._needs_diagonal:
             _add(B, between)
         for level in range(self.inner.getMGLevels() - 1, 0, -1):
-            between = between.ptap(self.inner.getMGInterpolation(level))
+            between = _product_of_few(between, self.inner.getMGInterpolation(level))
             _add(self.inner.getMGSmoother(level - 1).getOperators()[0], between)
 
     @property
