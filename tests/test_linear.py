@@ -201,6 +201,24 @@ def test_a_singular_matrix_is_an_error(pc: str) -> None:
     assert "choose a factorisation" not in str(caught.value)  # it is one
 
 
+def test_multigrid_after_a_set_up_that_failed() -> None:
+    """Levels of an indefinite matrix cannot be set up, those of a definite one can, afterwards.
+
+    PETSc keeps the reason of the failure, so that all later set-ups were taken for failed.
+    """
+    A = PETSc.Mat().createAIJ((64, 64), nnz=3, comm=MPI.COMM_SELF)
+    for i in range(64):
+        columns = [j for j in (i - 1, i, i + 1) if 0 <= j < 64]
+        A.setValues(i, columns, [1.5 if j == i else -1.0 for j in columns])
+    A.assemble()
+    linear = LinearSolver(MPI.COMM_SELF, prefix="again_", multigrid=True)
+    linear.set_matrix(A)
+    with pytest.raises(LinearSolveFailed):
+        linear.factorise(none())
+    A.shift(1.5)
+    linear.factorise(none())
+
+
 @pytest.mark.mpi
 def test_an_iteration_that_fails_is_told_of_direct_solvers() -> None:
     qp = membrane(12)

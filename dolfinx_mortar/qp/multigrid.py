@@ -175,6 +175,7 @@ class Multigrid:
         else:
             self.inner.setOperators(data.B)
         self.inner.setReusePreconditioner(False)
+        self.inner.setFailedReason(PETSc.PC.FailedReason.NOERROR)  # PETSc keeps that of a set-up
         if data.between is not None and not self.follows:
             _add(data.B, data.between)
         with _product_of_three(data.B.comm.size):
