@@ -48,15 +48,17 @@ class Unknowns:
 
 @dataclass(frozen=True)
 class SlipRows:
-    """Rows of the slips of a contact, t.(du_j - P du) + m.dt + t.dm, m being the motion so far.
+    """Rows of the slips of a contact, s.(du_j - P du) + m.dt + t.dm, m being the motion so far.
 
-    P is that of the partners, see `slip_partners`; the tangents t turn with the averaged normal.
+    P is that of the partners, see `slip_partners`; the tangents t turn with the averaged normal. s
+    is t, but on tools, along whose surface the motion is taken.
     """
 
     link: CoupledSides
     partners: Partners
     turning: Floats  # (n, d - 1, d) m.dt + t.dm by the averaged normals
     normals: PETSc.Mat  # derivatives of these, on edges of the normals there
+    along: Floats  # (n, d - 1, d) s
 
     @property
     def d(self) -> int:
@@ -68,21 +70,17 @@ class SlipRows:
         """How many unknowns there are."""
         return int(self.normals.getSize()[1])
 
-    @property
-    def _tangents(self) -> Floats:
-        return np.asarray(np.swapaxes(self.link.coupling.R, 1, 2)[:, 1:])
-
     def of(self, du: PETSc.Vec) -> Floats:
         """Return the slips (n, d - 1) that du adds, 0 without partners; collective."""
         motion = node_motions(self.link, self.partners.P, du)
         turned = (self.normals * du).array_r.reshape(-1, self.d)[self.link.nodes]
-        added = np.einsum("nti,ni->nt", self._tangents, motion)
+        added = np.einsum("nti,ni->nt", self.along, motion)
         added += np.einsum("nti,ni->nt", self.turning, turned)
         return np.where(self.partners.known[:, None], added, 0.0)
 
     def rows(self, t: int) -> sparse.csr_array:
         """Return the rows (n, unknowns) of one tangent of the owned slave nodes."""
-        nodes, d, tangents = self.link.nodes, self.d, self._tangents[:, t]
+        nodes, d, tangents = self.link.nodes, self.d, self.along[:, t]
         index_map, n = self.link.sides.V.dofmap.index_map, len(self.link.nodes)
         P = owned_rows(self.partners.P)[nodes].tocoo()
         own = nodes + index_map.local_range[0]
@@ -256,7 +254,7 @@ class ContactDerivatives(LinkDerivatives):
         by_n[~partners.known] = 0.0
         tangents = np.swapaxes(link.coupling.R, 1, 2)[:, 1:]
         N = (self.averaged if self.normals is None else self.normals).zero()
-        return SlipRows(link, partners, tangents @ by_n @ turning, N)
+        return SlipRows(link, partners, tangents @ by_n @ turning, N, tangents)
 
 
 def _in_space(link: CoupledSides) -> bool:

@@ -388,9 +388,9 @@ class Interface(ABC):
         """Return how a tool has seen points since the last commit; None without one."""
         return None
 
-    def turn(self) -> float:
-        """Return by which angle a tool has turned since the last commit; 0 without one."""
-        return 0.0
+    def turn(self) -> Floats:
+        """Return how a tool has turned since the last commit, (1,) or (3,); 0 without one."""
+        return np.zeros(1)
 
     def outline(self) -> Outline | None:
         """Return where a tool is at present, for pictures; None without one."""

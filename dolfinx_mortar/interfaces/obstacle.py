@@ -48,9 +48,9 @@ from dolfinx_mortar.interfaces.tool import (
     Pose,
     SidePattern,
     Tool,
-    after,
     find_facing,
     smooth_heights,
+    turn_between,
 )
 from dolfinx_mortar.interfaces.tool_derivatives import ToolDerivatives
 from dolfinx_mortar.interfaces.tool_slips import ToolPartners
@@ -380,15 +380,9 @@ class Obstacle(Movable, Unilateral):
             began.to_tool, now.to_tool, lambda x: shape.distance(x).value, shape.point
         )
 
-    def turn(self) -> float:
-        """Return by which angle the tool has turned since the last commit.
-
-        All of it where it is prescribed, with whole turns; the least that leads there by loads.
-        """
-        began, now = self.began, self.tool.pose()
-        if self.tool.travel[len(self.tool.point) :].any() and len(self.tool.point) > 2:
-            return float(np.linalg.norm(after(now.rotation, -began.rotation)))
-        return float(np.linalg.norm(now.rotation - began.rotation))
+    def turn(self) -> Floats:
+        """Return how the tool has turned since the last commit, see `turn_between`."""
+        return turn_between(self.began, self.tool.pose())
 
     def outline(self) -> Outline:
         """Return where the tool is at present, for pictures and files."""

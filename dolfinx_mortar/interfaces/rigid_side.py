@@ -28,7 +28,7 @@ from dolfinx_mortar.geometry.facets import tributary_weights
 from dolfinx_mortar.interfaces.constraints import Constraints, equalities
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides
 from dolfinx_mortar.interfaces.interface import Interface, full_coverage
-from dolfinx_mortar.interfaces.tool import Driven, Load, Movable, Pose, RigidBody, check_point
+from dolfinx_mortar.interfaces.tool import Driven, Load, Movable, Pose, RigidBody, check_point, spun
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_normals, sum_at_nodes
 
@@ -58,7 +58,7 @@ class Plate(RigidBody):
         if not self.small:
             origin = np.zeros(len(self.point))
             return Pose(origin, rotation, origin).to_space(arm)
-        return arm + _spun(arm, rotation)
+        return arm + spun(arm, rotation)
 
     def place(self, X: Floats) -> Floats:
         """Return where points (n, d) of the plate are that started at X."""
@@ -72,15 +72,8 @@ class Plate(RigidBody):
         arm = X - self.point
         if not self.small:
             arm = self.turned(arm, self.pose().rotation)
-            arm = arm + _spun(arm, self.steps(moved)[len(self.point) :])
+            arm = arm + spun(arm, self.steps(moved)[len(self.point) :])
         return self.along(arm)
-
-
-def _spun(arm: Floats, rotation: Floats) -> Floats:
-    """Return theta x r of arms r (n, d)."""
-    if len(rotation) == 1:
-        return np.asarray(rotation[0] * np.stack([-arm[:, 1], arm[:, 0]], axis=1))
-    return np.asarray(np.cross(rotation, arm))
 
 
 class RigidSide(Movable, Interface):

@@ -307,6 +307,23 @@ class Tool(RigidBody):
         self.revolved = revolved
 
 
+def spun(arm: Floats, rotation: Floats) -> Floats:
+    """Return theta x r of arms r (n, d)."""
+    if len(rotation) == 1:
+        return np.asarray(rotation[0] * np.stack([-arm[:, 1], arm[:, 0]], axis=1))
+    return np.asarray(np.cross(rotation, arm))
+
+
+def turn_between(before: Pose, now: Pose) -> Floats:
+    """Return the rotation, an angle (1,) or a vector (3,), from one pose to another one.
+
+    In the plane with whole turns, in space about an axis that does not change, too.
+    """
+    if len(now.rotation) > 1 and np.cross(before.rotation, now.rotation).any():
+        return np.asarray(Rotation.from_matrix(now.R @ before.R.T).as_rotvec())
+    return now.rotation - before.rotation
+
+
 def after(rotation: Floats, step: Floats) -> Floats:
     """Return a rotation, an angle (1,) or a vector (3,), followed by another one."""
     if len(rotation) == 1:

@@ -40,6 +40,7 @@ from dolfinx_mortar.interfaces.contact_derivatives import (
 from dolfinx_mortar.interfaces.coupling import CoupledSides
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, smooth_heights
+from dolfinx_mortar.interfaces.tool_slips import ToolPartners
 from dolfinx_mortar.mortar.integrals import absorbed, weighted_duals
 from dolfinx_mortar.mortar.operators import in_D
 from dolfinx_mortar.mortar.surface import accumulate, coordinates, facets_at
@@ -107,15 +108,14 @@ class ToolDerivatives(LinkDerivatives):
         """Return the rows of slips; collective."""
         slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
         x = coordinates(slave, u)
-        n = np.where(link.coupling.kept, link.coupling.normals, 0.0)
-        along = (partners.motion(link, since) * n).sum(axis=1)
-        turning = np.tile(np.eye(x.shape[1]), (len(n), 1, 1)) * -along[:, None, None]
+        assert isinstance(partners, ToolPartners)
+        by_x, by_n = partners.derivatives(link, since)  # the motion has no part along n
         tangents = np.swapaxes(link.coupling.R, 1, 2)[:, 1:]
-        turned = np.zeros((len(slave.nodes), *turning.shape[1:]))
+        turned = np.zeros((len(slave.nodes), *by_n.shape[1:]))
         turned[own] = self._turning(link, x)
         alone = np.arange(len(turned))[:, None]
         N = self.N.fill([Blocks(alone, alone, turned[:, None, :, None])])
-        return SlipRows(link, partners, tangents @ turning, N)
+        return SlipRows(link, partners, tangents @ by_n, N, tangents @ by_x)
 
     def _turning(self, link: CoupledSides, x: Floats) -> Floats:
         """Return dn_j/dx_j (n, d, d) of the owned slave nodes, 0 where not kept."""

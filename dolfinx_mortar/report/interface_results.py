@@ -135,23 +135,36 @@ def notes_on_sliding(problem: ContactProblem, contacts: Contacts) -> list[str]:
 def notes_on_turns(problem: ContactProblem, contacts: Contacts) -> list[str]:
     """Return a note for every tool that turns so far in a step that slips are wrong; collective.
 
-    They are the tangential parts r sin(a) of chords, of arcs r a: a part is missed up to half a
-    turn, where nothing is left, and beyond that friction acts the other way.
+    Along a surface they are those of arcs up to half a turn, see `tool_slips`. Of a turn by a about
+    its normal they are the parts r sin(a) of chords, of arcs r a.
     """
-    notes = []
+    notes: list[str] = []
+    if problem.geometry == "reference":
+        return notes
     for link in problem.system.links:
         if not link.interface.rough:
             continue
-        angle = link.interface.turn()
-        if (missed := 1.0 - np.sinc(angle / np.pi)) <= LARGE:
-            continue
+        turn = link.interface.turn()
         assert contacts.sliding is not None
-        if any_rank(problem.comm, contacts.sliding[link.nodes].any())[0]:
+        slides = contacts.sliding[link.nodes].any(axis=1)
+        about = np.zeros(0)
+        if len(turn) > 1:
+            about = np.abs(link.coupling.normals[slides] @ turn)
+        spin = float(maximum(problem.comm, about.max(initial=0.0))[0])
+        angle = float(np.linalg.norm(turn))
+        if not any_rank(problem.comm, slides.any())[0]:
+            continue
+        if angle >= np.pi:
             notes.append(
                 f"{link.interface}: the tool turns by {np.degrees(angle):.0f} degrees in this step "
-                f"while the side slides on it; slips are taken along straight ways, which are "
-                f"{missed:.0%} too short, and point back beyond 180 degrees: take steps of 30 "
-                "degrees at most"
+                "while the side slides on it; slips are taken along the shorter way around, back "
+                "beyond 180 degrees: take shorter steps"
+            )
+        elif (missed := 1.0 - np.sinc(spin / np.pi)) > LARGE:
+            notes.append(
+                f"{link.interface}: the tool turns by {np.degrees(spin):.0f} degrees about normals "
+                "of the side in this step, which slides on it; slips are taken along straight "
+                f"ways, which are {missed:.0%} too short: take steps of 30 degrees at most"
             )
     return notes
 
