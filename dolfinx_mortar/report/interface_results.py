@@ -147,7 +147,7 @@ def notes_on_turns(problem: ContactProblem, contacts: Contacts) -> list[str]:
         turn = link.interface.turn()
         assert contacts.sliding is not None
         slides = contacts.sliding[link.nodes].any(axis=1)
-        about = np.zeros(0)
+        about: Floats = np.zeros(0)
         if len(turn) > 1:
             about = np.abs(link.coupling.normals[slides] @ turn)
         spin = float(maximum(problem.comm, about.max(initial=0.0))[0])
