@@ -77,6 +77,7 @@ class Blocks:
         damping=0.0,
         strain="small",
         geometry="updated",
+        relief="all",
         **options,
     ):
         """Make them; the options are those of `two_blocks`."""
@@ -85,7 +86,7 @@ class Blocks:
         self.V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
         self.u = fem.Function(self.V)
         self.solid = dm.Solid(self.u, law or dm.Elastic(1000.0, 0.3), strain=strain)
-        self.inertia = dm.Inertia(self.solid, density, self.cells, velocity=velocity)
+        self.inertia = dm.Inertia(self.solid, density, self.cells, velocity=velocity, relief=relief)
         sides = {"slave": BOTTOM_OF_UPPER, "master": TOP_OF_LOWER}
         self.contact = dm.Contact(self.facets, **sides, friction=friction)
         self.bcs = bcs = []
@@ -120,7 +121,7 @@ class Rod(Blocks):
     E, density, velocity, length, gap = 3e7, 0.73e-3, 202.2, 10.0, 0.01
     touches, leaves, force = 4.946e-5, 1.4811e-4, 29923.0
 
-    def __init__(self, n=100):
+    def __init__(self, n=100, **options):
         """Make n cells along it."""
         super().__init__(
             (1, 1),
@@ -131,6 +132,7 @@ class Rod(Blocks):
             density=self.density,
             velocity={UPPER: (0.0, -self.velocity), LOWER: (0.0, 0.0)},
             guided=True,
+            **options,
         )
         self.mass = self.density * self.length
         self.wave = np.sqrt(self.E / self.density)

@@ -2,7 +2,7 @@
 """A term of the energy: what bodies, loads and your own classes have in common."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from petsc4py import PETSc
@@ -68,6 +68,13 @@ class Term(ABC):
         Args:
             contact: (owned nodes,) which nodes belong to sides that can open.
             body: (owned nodes,) numbers of the connected bodies.
+        """
+
+    def meet_along(self, normals: Callable[[], Floats]) -> None:
+        """Learn the normals of such nodes before `meet`, by a function to be called; collective.
+
+        Args:
+            normals: returns unit vectors (owned nodes, d) at X, 0 where sides meet in an edge.
         """
 
     def stride(self) -> float:

@@ -283,7 +283,8 @@ def notes_on_mass(inertia: Inertia) -> list[str]:
     return [
         f"Inertia: moments of inertia are up to {100 * inertia.mass.changed:.2g} % from those of "
         "the bodies, which are too thin for moving the mass of contact nodes inwards, so that they "
-        "turn too easily: mesh them with four layers of cells or more behind each contact side"
+        "turn too easily: mesh them with four layers of cells or more behind each contact side, or "
+        "give dm.Inertia(.., relief='normal') where there is no friction and strain is small"
     ]
 
 
@@ -332,5 +333,10 @@ def find_inertia(problem: ContactProblem) -> list[Inertia]:
     for name, term in problem.terms.named:
         if isinstance(term, Damping) and term.inertia is not inertia:
             raise ValueError(f"problem: {name} is that of another Inertia: make it with this one")
+    if inertia.relief == "normal" and any(interface.rough for interface in problem.interfaces):
+        raise ValueError(
+            "problem: its Inertia has relief='normal', with which contacts that stick make nodes "
+            "with mass stop in no time, and chatter: leave it out where there is friction"
+        )
     inertia.check_met(problem.system.can_open[: problem.n], problem.bodies.label)
     return found

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: MIT
+"""Directions in which contact nodes may be met."""
+
+import numpy as np
+
+from dolfinx import fem, la
+from dolfinx_mortar.arrays import TINY, Bools, Floats
+from dolfinx_mortar.geometry.facets import normals_at_nodes
+from dolfinx_mortar.mortar.surface import find_boundary
+
+
+def contact_normals(V: fem.FunctionSpace, contact: Bools, degrees: float) -> Floats:
+    """Return the mean normals at X of the facets between contact nodes; collective.
+
+    (owned nodes, d), zero at other nodes, and at those where one of these facets is turned from the
+    mean by more than an angle, as at edges.
+
+    Args:
+        V: of the displacement.
+        contact: (owned nodes,) those of sides that can open.
+        degrees: the angle.
+    """
+    d, boundary = V.dofmap.index_map_bs, find_boundary(V)
+    on, mean, turned = fem.Function(V), fem.Function(V), fem.Function(V)
+    on.x.array.reshape(-1, d)[: len(contact)] = contact[:, None]
+    on.x.scatter_forward()
+    touching = np.flatnonzero(on.x.array.reshape(-1, d)[boundary.nodes, 0].all(axis=1))
+    nodes, normals = boundary.nodes[touching], normals_at_nodes(boundary.facets[touching])
+    np.add.at(mean.x.array.reshape(-1, d), nodes, normals)
+    for f in (mean, turned):
+        if f is turned:
+            n = mean.x.array.reshape(-1, d)
+            n /= np.maximum(np.linalg.norm(n, axis=1), TINY)[:, None]
+            angle = np.cos(np.radians(degrees))
+            edge = (normals * n[nodes]).sum(axis=2) < angle
+            np.add.at(f.x.array.reshape(-1, d), nodes, edge[:, :, None].astype(float))
+        f.x.scatter_reverse(la.InsertMode.add)
+        f.x.scatter_forward()
+    found = mean.x.array.reshape(-1, d)[: len(contact)].copy()
+    found[turned.x.array.reshape(-1, d)[: len(contact), 0] > 0.0] = 0.0
+    return found
