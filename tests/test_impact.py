@@ -211,7 +211,8 @@ def test_two_boxes_collide_in_space(cell):
 
 
 @pytest.mark.slow
-def test_two_boxes_collide_in_space_at_finite_strain():
+@pytest.mark.parametrize("friction", [None, 0.3])
+def test_two_boxes_collide_in_space_at_finite_strain(friction):
     """Rotations about three axes are given back: the moment of momentum stays to round-off."""
     mesh, cells, facets = two_boxes(
         COMM, (3, 3, 5), (4, 4, 5), gap=0.02, upper=(0.2, 1.2, 0.1, 1.1)
@@ -220,13 +221,17 @@ def test_two_boxes_collide_in_space_at_finite_strain():
     solid = dm.Solid(fem.Function(V), dm.NeoHooke(1000.0, 0.3), strain="finite")
     velocity = {LOWER: (0.0, 0.0, 0.1), UPPER: (0.2, 0.1, -1.0)}
     inertia = dm.Inertia(solid, {LOWER: 1.0, UPPER: 2.0}, cells, velocity=velocity)
-    contact = dm.Contact(facets, slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER)
+    contact = dm.Contact(facets, slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER, friction=friction)
     problem = dm.ContactProblem(solid, [contact], terms=[inertia])
-    moment, touched = inertia.moment_of_momentum(), 0
-    for _ in steps(problem, 8e-3 * np.arange(1, 6)):
+    moment, touched, taken = inertia.moment_of_momentum(), 0, [0.0]
+    momentum = inertia.momentum()
+    for step in steps(problem, 8e-3 * np.arange(1, 6)):
         touched += bool(contact.force[2] > 0.0)
         assert inertia.moment_of_momentum() == pytest.approx(moment, abs=1e-10)
+        assert inertia.momentum() == pytest.approx(momentum, abs=1e-10)
+        taken.append(step.report.ledger.friction)
     assert touched == 3
+    assert (np.diff(taken) >= 0.0).all() and bool(taken[-1] > 0.0) == bool(friction)
 
 
 def test_on_a_mesh_without_structure():
