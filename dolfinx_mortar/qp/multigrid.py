@@ -156,7 +156,6 @@ class Multigrid:
     def clear(self) -> None:
         """Free the matrices of the inner PC."""
         self.inner.reset()
-        self.inner.setFailedReason(PETSc.PC.FailedReason.NOERROR)  # PETSc keeps it
         self.B = self.E = None
 
     def renew(self, data: Preconditioning, held: Ints, *, definite: bool) -> None:
