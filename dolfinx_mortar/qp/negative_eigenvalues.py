@@ -36,7 +36,8 @@ def negative_pivots(pc: PETSc.PC) -> int:
 def count_negative(A: PETSc.Mat) -> int:
     """Return the number of negative eigenvalues of a symmetric matrix, factorising it; collective.
 
-    A singular matrix counts as one that has one.
+    A singular matrix counts as one that has one. The same on all ranks, which may see other reasons
+    of a failure.
     """
     pc = PETSc.PC().create(A.comm)
     try:
@@ -44,7 +45,8 @@ def count_negative(A: PETSc.Mat) -> int:
         pc.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
         pc.setOperators(A)
         pc.setUp()
-        return 1 if pc.getFailedReason() else negative_pivots(pc)
+        found = 1 if pc.getFailedReason() else negative_pivots(pc)
+        return int(A.comm.tompi4py().allreduce(found, op=MPI.MAX))
     finally:
         pc.destroy()
 
