@@ -12,7 +12,7 @@ from dolfinx_mortar.interfaces.tool import SPACE
 from dolfinx_mortar.newton_method import driven_tools
 from tests.choice import quick
 from tests.pressed_blocks import rejected
-from tests.tool_case import DEPTH, ELASTIC, Block, E, R
+from tests.tool_case import BASE, DEPTH, ELASTIC, Block, E, R
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi
@@ -268,3 +268,28 @@ def test_a_dent_is_left_without_a_load(friction):
     assert step.report.cuts == 0
     assert np.abs(tool.tool_force).max() < 1e-9
     assert -0.08 < tool.travel[1] < -0.04
+
+
+@pytest.mark.serial
+def test_friction_is_not_symmetric(monkeypatch):
+    """A tilted plane pressed and dragged by forces: 60 QPs; 78 with a symmetric tangent."""
+    case = Block(n=24, fine=8.0)
+    case.bcs = lambda: [fem.dirichletbc(np.zeros(2), base, case.V)]
+    base = fem.locate_dofs_topological(case.V, 1, case.facets.find(BASE))
+    press, drag = (fem.Constant(case.mesh, 0.0) for _ in range(2))
+    plane = dm.shapes.Plane([4.0, 0.0], [-0.1, -1.0])
+    tool = case.tool(plane, friction=0.6, load={"x": drag, "y": press})
+    problem = case.problem([tool])
+    shifted, made = driven_tools.Drives.shifted, []
+
+    def counted(self, *given):
+        made.append(given)
+        return shifted(self, *given)
+
+    monkeypatch.setattr(driven_tools.Drives, "shifted", counted)
+    for p, q in ((-8.0, 0.0), (-10.0, 0.5), (-10.0, 1.2), (-10.0, 1.8), (-10.0, 0.5)):
+        press.value, drag.value = p, q
+        dm.newton(problem)
+        problem.commit()
+    assert tool.tool_force == pytest.approx([-0.5, 10.0], rel=1e-5)
+    assert len(made) < 70

@@ -365,9 +365,9 @@ def _measured(
             weakest = np.abs(vectors[:, least])
             raise StepFailed(_unresisted(drives, np.asarray(weakest == weakest.max())))
         return found
-    return np.asarray(
-        (found + found.T) / 2 + QUARTER_OF_DIGITS * np.diag(np.where(drives.follows, 0.0, diagonal))
-    )
+    if lin.qp.friction is None:  # with friction it is not symmetric
+        found = (found + found.T) / 2
+    return found + QUARTER_OF_DIGITS * np.diag(np.where(drives.follows, 0.0, diagonal))
 
 
 def _unresisted(drives: Drives, which: Floats) -> str:
