@@ -90,13 +90,21 @@ def find_entering(start: Floats, end: Floats, pairs: Longs, share: float) -> Lon
     a, b = pairs.T
     x = [(1.0 - share) * y + share * y.mean(axis=1, keepdims=True) for y in (start, end)]
     normals = [facet_normals(Facets(element, y)) for y in (start, end)]
-    size = facet_sizes(start)[b]
+    size, every = facet_sizes(start)[b], np.arange(len(pairs))
     points = [np.concatenate([y, y.mean(axis=1, keepdims=True)], axis=1) for y in (start, end)]
     which = []
     for k in range(points[0].shape[1]):
-        d0, d1 = (((points[i][a, k] - x[i][b, 0]) * normals[i][b]).sum(axis=1) for i in (0, 1))
-        some = np.flatnonzero((d0 > -HALF_OF_DIGITS * size) & (d1 < -share * size))
-        t = np.maximum(d0[some] / (d0 - d1)[some], 0.0)[:, None]
+
+        def heights(i: int, some: Longs, k: int = k) -> Floats:
+            above = points[i][a[some], k] - x[i][b[some], 0]
+            return np.asarray(np.einsum("pi,pi->p", above, normals[i][b[some]]))
+
+        d1 = heights(1, every)
+        some = np.flatnonzero(d1 < -share * size)  # few: what does not end behind, does not enter
+        d0, d1 = heights(0, some), d1[some]
+        before = d0 > -HALF_OF_DIGITS * size[some]
+        some, d0, d1 = some[before], d0[before], d1[before]
+        t = np.maximum(d0 / (d0 - d1), 0.0)[:, None]
         at = (1.0 - t) * points[0][a[some], k] + t * points[1][a[some], k]
         y = (1.0 - t[:, None]) * x[0][b[some]] + t[:, None] * x[1][b[some]]
         which.append(some[are_inside(y, facet_normals(Facets(element, y)), at)])
@@ -125,26 +133,28 @@ def find_passing_edges(start: Floats, end: Floats, pairs: Longs, share: float) -
         [0]
     """
 
-    def distances(x: Floats) -> tuple[Floats, Floats]:
+    def distances(x: Floats, pairs: Longs) -> tuple[Floats, Floats]:
         one, other = x[pairs[:, 0]], x[pairs[:, 1]]
-        lengths = [np.linalg.norm(y[:, 1] - y[:, 0], axis=1) for y in (one, other)]
-        across = np.cross(one[:, 1] - one[:, 0], other[:, 1] - other[:, 0])
-        size = np.linalg.norm(across, axis=1)
-        apart = np.where(size > share * lengths[0] * lengths[1], size, np.inf)
-        return ((one[:, 0] - other[:, 0]) * across).sum(axis=1) / apart, np.minimum(*lengths)
+        u, v, between = one[:, 1] - one[:, 0], other[:, 1] - other[:, 0], one[:, 0] - other[:, 0]
+        squares = [np.einsum("pi,pi->p", y, y) for y in (u, v)]
+        across = np.cross(u, v)
+        size = np.sqrt(np.einsum("pi,pi->p", across, across))
+        apart = np.where(size > share * np.sqrt(squares[0] * squares[1]), size, np.inf)
+        return np.einsum("pi,pi->p", between, across) / apart, np.sqrt(np.minimum(*squares))
 
-    (d0, _), (d1, length) = distances(start), distances(end)
-    passes = (
-        (d0 * d1 < 0.0) & (np.abs(d0) > HALF_OF_DIGITS * length) & (np.abs(d1) > share * length)
-    )
-    some = np.flatnonzero(passes)
+    d1, length = distances(end, pairs)
+    some = np.flatnonzero(np.abs(d1) > share * length)  # few where edges slide in a plane
+    d1, length = d1[some], length[some]
+    d0, _ = distances(start, pairs[some])
+    passes = (d0 * d1 < 0.0) & (np.abs(d0) > HALF_OF_DIGITS * length)
+    some, d0 = some[passes], d0[passes]
     low: Floats = np.zeros(len(some))
     high = low + 1.0
     while (high - low > HALF_OF_DIGITS).any():  # halved 26 times
         t = (low + high) / 2
         one, other = _edges_at(start, end, pairs[some], t)
         across = np.cross(one[:, 1] - one[:, 0], other[:, 1] - other[:, 0])
-        before = ((one[:, 0] - other[:, 0]) * across).sum(axis=1) * d0[some] > 0.0
+        before = ((one[:, 0] - other[:, 0]) * across).sum(axis=1) * d0 > 0.0
         low, high = np.where(before, t, low), np.where(before, high, t)
     one, other = _edges_at(start, end, pairs[some], high)
     a, b, between = one[:, 1] - one[:, 0], other[:, 1] - other[:, 0], other[:, 0] - one[:, 0]

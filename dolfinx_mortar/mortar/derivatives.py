@@ -350,14 +350,15 @@ class _Chain:
 
     def closed_parts(self, partly: PartlyOpen, slave: Facets) -> Floats:
         """Return the derivatives (q, p) of the parts that slave facets share out, but by size."""
-        which = np.full(self.count, -1)
-        which[partly.facets] = np.arange(len(partly.facets))
-        which = which[self.facet]
-        some, at, s = np.flatnonzero(which >= 0), which[which >= 0], self.slave
+        place = np.full(self.count, -1)
+        place[partly.facets] = np.arange(len(partly.facets))
+        some = np.flatnonzero(place[self.facet] >= 0)
+        at, s = place[self.facet[some]], self.slave
         f, j = self.facet[some], partly.node[at]
         n = facet_normals(slave[f])
         o = np.stack([offset.value[some] for offset in self.offsets], axis=1)
-        d_gap = sum(n[:, i, None] * offset.d[some] for i, offset in enumerate(self.offsets))
+        moved = np.stack([offset.d[some] for offset in self.offsets], axis=1)
+        d_gap = (n[:, None] @ moved)[:, 0]
         turned = np.einsum("qi,qkih->qkh", o, normal_slopes(slave[f]))
         d_gap[:, : 2 * s.k] += turned.reshape(len(some), 2 * s.k)
         gap = _Field((o * n).sum(axis=1) - partly.opening[at], d_gap)

@@ -70,7 +70,10 @@ def differentiate_in_space(
         heights = point_heights(pairing, segments, u, smooth)
     F_c, G_c = by_closed_parts(pairing, u, segments, keep, sharing, given, heights)
     by_x = _closed_parts(pairing, u, segments, find_partly_open(pairing, segments, u, sharing))
-    F, G, F_n, G_n = [Matrix(F_c @ by_x)], [Matrix(G_c @ by_x)], [], []
+    F: list[Part] = [Matrix(F_c @ by_x)]
+    G: list[Part] = [Matrix(G_c @ by_x)]
+    F_n: list[Part] = []
+    G_n: list[Part] = []
     for kept, share in ((keep, sharing.closed), (keep | sharing.silent, 1.0 - sharing.closed)):
         some = some_points(segments, share[segments.slave] > 0.0)
         Phi = weighted_duals(pairing, some, kept)
