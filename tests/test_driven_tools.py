@@ -247,13 +247,25 @@ def test_loads_that_cannot_be_carried():
     assert tool.tool_force[1] == pytest.approx(0.1, rel=1e-5)
 
 
+@pytest.mark.parametrize(
+    "load", quick([{"moment": 0.05}, {"y": -0.3, "moment": 0.05}], {"moment": 0.05})
+)
+def test_a_moment_about_the_axis_of_a_smooth_disc(load):
+    """Nothing resists it but round-off; it was sought in a hundred QPs, or up to NaN."""
+    case = Block(n=16, fine=0.6)
+    problem = case.problem([case.tool(DISC, load=load)])
+    words = "nothing resists the load 'moment' = 0.05", "turns there without friction"
+    with rejected(*words, error=dm.NewtonNotConverged):
+        dm.newton(problem)
+
+
 def test_a_load_that_is_not_found_undoes_the_step(monkeypatch):
     """The tool is where it was, and the message says how much is missing."""
     monkeypatch.setattr(driven_tools, "LIMIT", 1)
     case = Block(n=8, fine=0.6)
     tool = case.tool(DISC, load={"y": -1.0})
     problem = case.problem([tool])
-    with rejected("not met in 1 tries", "is missing", error=dm.NewtonNotConverged):
+    with rejected("not met in 1 tries", "of 'y' is missing", error=dm.NewtonNotConverged):
         dm.newton(problem)
     assert not tool.travel.any()
 

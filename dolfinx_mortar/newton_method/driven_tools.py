@@ -103,7 +103,7 @@ class Drives:
         total, size = self.comm.allreduce(sums, op=MPI.SUM)
         size = np.maximum(size, np.abs(self.loads))
         if (on := self.follows).any():  # none of its forces is more accurate than the largest
-            arms = np.maximum(self._arms(), TINY)
+            arms = np.maximum(self.arms(), TINY)
             size[on] = (size[on] / arms[on]).max() * arms[on]
         return self.loads + total, size
 
@@ -112,14 +112,15 @@ class Drives:
 
         A tool may carry nothing while bodies are strained, as after plastic flow.
         """
-        return np.asarray(ROUND_OFF * balance.elements * self._arms())
+        return np.asarray(ROUND_OFF * balance.elements * self.arms())
 
-    def _arms(self) -> Floats:
+    def arms(self) -> Floats:
+        """Return the largest motion (m,) of a node by each unknown; collective."""
         return maximum(self.comm, *np.abs(self.motions).max(axis=1, initial=0.0))
 
     def allowed(self, force: float) -> Floats:
         """Return what may be missing at rigid sides (m,) where a force may be; collective."""
-        return np.where(self.follows, force * self._arms(), 0.0)
+        return np.where(self.follows, force * self.arms(), 0.0)
 
     def shifted(self, lin: Linearisation, travel: Floats) -> Linearisation:
         """Return the QP with the tools moved by q (m,)."""
@@ -271,6 +272,7 @@ def settle(
     rtol: float,
     stiffness: Floats | None,
     begun: float,
+    extent: float,
 ) -> Settled:
     """Find the motions with which the tools carry their loads; collective.
 
@@ -282,6 +284,7 @@ def settle(
         stiffness: (m, m) to begin with; None for the diagonal of K^.
         begun: largest force at the start of the step, of which rigid sides may miss as much, where
             loads are taken off.
+        extent: size of the model.
 
     Raises:
         StepFailed: if nothing resists the load of a tool, or it is not found.
@@ -305,7 +308,7 @@ def settle(
             # the nodes that touch change, and B with them
             if shrink == 1.0 and not (secants or lasts):
                 B = _measured(drives, here, solve, lin, diagonal)
-            way = np.asarray(shrink * np.linalg.solve(B, here.missing), dtype=np.float64)
+            way = shrink * _resisted(drives, B, here.missing, extent)
         else:
             way = here.missing / diagonal
             touching = drives.until_touching(here.lin, here.solved, way)
@@ -324,6 +327,8 @@ def settle(
             shrink = 0.5 * shrink  # beyond the minimum along the way
             continue
         here, shrink = there, 1.0
+    worst = int(np.argmax(np.abs(here.missing) / np.maximum(here.size, TINY)))
+    name, _ = _names(drives)[worst]
     remedy = (
         "take smaller steps, or prescribe the position. With inertia, let them begin where they "
         "touch: tools have no mass, so that forces move them over a gap in no time"
@@ -336,7 +341,7 @@ def settle(
         )
     raise StepFailed(
         f"the loads of {', '.join(repr(owner) for owner, _ in drives.tools)} are not met in "
-        f"{LIMIT} tries: {np.abs(here.missing).max():.3g} is missing; {remedy}"
+        f"{LIMIT} tries: {here.missing[worst]:.3g} of {name!r} is missing; {remedy}"
     )
 
 
@@ -370,16 +375,30 @@ def _measured(
     return found + QUARTER_OF_DIGITS * np.diag(np.where(drives.follows, 0.0, diagonal))
 
 
+def _resisted(drives: Drives, B: Floats, missing: Floats, extent: float) -> Floats:
+    """Return B^-1 (F + e.z) (m,), the way at whose end loads are met, unless it is far too long."""
+    way = np.asarray(np.linalg.solve(B, missing), dtype=np.float64)
+    length = np.abs(way) * drives.arms()
+    if not QUARTER_OF_DIGITS * length.max() <= extent:  # as of bodies that nothing holds
+        raise StepFailed(_unresisted(drives, length))
+    return way
+
+
+def _names(drives: Drives) -> list[tuple[str, Interface]]:
+    """Return the unknowns (m,) by name and owner."""
+    return [(name, owner) for owner, tool in drives.tools for name in tool.names]
+
+
 def _unresisted(drives: Drives, which: Floats) -> str:
     """Say which load of which tool has nothing against it."""
-    unknowns = [(name, owner) for owner, tool in drives.tools for name in tool.names]
     k = int(np.argmax(which))
-    name, owner = unknowns[k]
-    remedy = (
-        "hold the body against it"
-        if drives.follows[k]
-        else "it is the force on the tool, which has to press it on the body; turn it round"
-    )
+    name, owner = _names(drives)[k]
+    if drives.follows[k]:
+        remedy = "hold the body against it"
+    elif "moment" in name:
+        remedy = "a tool that is round about that axis turns there without friction; take it away"
+    else:
+        remedy = "it is the force on the tool, which has to press it on the body; turn it round"
     return (
         f"nothing resists the load {name!r} = {drives.loads[k]:g} on {owner!r}: {remedy}, or "
         "prescribe the position"

@@ -425,7 +425,8 @@ class _Step:
         def again(at: Linearisation) -> QPSolution:
             return self.solve(at, solved.active, old, tightest(self.report.rtol))
 
-        found = driven_tools.settle(drives, lin, again, rtol, self.stiffness, old.scales.begun)
+        at = self.stiffness, old.scales.begun, old.scales.extent
+        found = driven_tools.settle(drives, lin, again, rtol, *at)
         self.stiffness = found.stiffness
         return found.lin, found.solved, found
 
