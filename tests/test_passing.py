@@ -290,7 +290,7 @@ def test_a_first_step_that_goes_too_far_is_cut(far):
 # -- tools -----------------------------------------------------------------------------------------
 
 
-def on_ball(d, n, radius=0.2):
+def on_ball(d, n, radius=0.2, tip=False):
     """Return a problem of the box [0, 1]^(d-1) x [0, .5] above a ball, and the ball."""
     ends = [[0.0] * d, [1.0] * (d - 1) + [0.5]]
     create = {2: dolfinx.mesh.create_rectangle, 3: dolfinx.mesh.create_box}[d]
@@ -299,6 +299,10 @@ def on_ball(d, n, radius=0.2):
     tags = meshtags(domain, d - 1, np.sort(facets), np.full(len(facets), 1, dtype=np.int32))
     below = np.array([0.5] * (d - 1) + [-0.3])
     shape = dm.shapes.Cylinder(below, radius) if d == 2 else dm.shapes.Sphere(below, radius)
+    if tip:
+        point = below + 0.95 * radius * np.eye(d)[-1]
+        phi = lambda x: np.linalg.norm(x - below[:, None], axis=0) - radius  # noqa: E731
+        shape = dm.shapes.SignedDistance(phi, point, length=radius)
     ball = dm.Obstacle(tags, slave=1, shape=shape)
     V = fem.functionspace(domain, ("Lagrange", 1, (d,)))
     return dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [ball]), ball
@@ -324,6 +328,17 @@ def test_a_tool_and_a_body_that_pass(d, n):
     for body, tool in ((2.0 * up, 0.0 * up), (40.0 * aside, 0.0 * up), (-40.0 * up, -40.0 * up)):
         assert not moved(body, tool)
     assert not moved(-2.0 * up + 2.0 * aside, 1.5 * aside - 2.0 * up)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_tip_may_lie_a_bit_behind_a_coarse_facet(d):
+    """Which approximates it: by a tenth of a facet, not by the half of the body."""
+    problem, ball = on_ball(d, 2, tip=True)
+    start = ball.position.value.copy()
+    for up, passes in ((0.16, False), (0.37, True)):
+        ball.position.value[:] = start + up * np.eye(d)[-1]
+        assert ("passed through" in describe_passing(problem)) == passes
 
 
 @pytest.mark.mpi

@@ -376,9 +376,7 @@ class Obstacle(Movable, Unilateral):
     def seen_by_tool(self) -> SeenByTool:
         """Return how the tool has seen points since the last commit."""
         began, now, shape = self.began, self.tool.pose(), self.shape
-        return SeenByTool(
-            began.to_tool, now.to_tool, lambda x: shape.distance(x).value, shape.point
-        )
+        return SeenByTool(began.to_tool, now.to_tool, shape.values, shape.point)
 
     def turn(self) -> Floats:
         """Return how the tool has turned since the last commit, see `turn_between`."""

@@ -18,7 +18,8 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
-from dolfinx_mortar.geometry.facets import Facets, facet_normals
+from dolfinx_mortar.geometry.elements import LINE2, TRI3
+from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
 from dolfinx_mortar.geometry.sweep import find_passing, flat_parts
 from dolfinx_mortar.geometry.turning import best_motion, path, rigid_sums, times_of
 from dolfinx_mortar.mortar.pairing import THROUGH
@@ -158,10 +159,12 @@ def find_in_tool(
 ) -> Passing | None:
     """Return whether a body and a rigid tool have passed through each other; collective.
 
-    Middles of the body that have been in the tool, or a point in the tool that has passed through
-    the side. Paths are those that the tool sees, along arcs where body and tool turn against each
-    other. Those of middles are followed by steps of the distance from the tool, which it cannot be
-    nearer, and at least of half of the middle's depth.
+    Middles of the body that have been in the tool, or a point in the tool that has passed a facet,
+    where it is deeper in the tool than the facet is long or the middle deep. If less deep, it has
+    to go as much farther: a tip to which facets are chords lies a bit behind them. Paths are those
+    that the tool sees, along arcs where body and tool turn against each other. Those of middles are
+    followed by steps of the distance from the tool, which it cannot be nearer, and at least of half
+    of the middle's depth.
 
     Args:
         side: of the body.
@@ -190,7 +193,7 @@ def find_in_tool(
     found = _first(side, None, faces, np.flatnonzero(inside & outside).astype(np.int64))
     if found is not None or inner <= 0.0:
         return found
-    parts = path(motion, times, *(flat_parts(facets_at(own, y)) for y in x))
+    parts = path(motion, times, *(_behind(flat_parts(facets_at(own, y)), -least, inner) for y in x))
     point = seen.point[None]
     passes = [
         len(find_passing((point, point), (parts[k], parts[k + 1]))) for k in range(len(times) - 1)
@@ -198,6 +201,13 @@ def find_in_tool(
     if not maximum(comm, float(sum(passes)))[0]:
         return None
     return Passing(None, 0, tuple(map(float, seen.point)), inner)
+
+
+def _behind(parts: Floats, most: float, less: float) -> Floats:
+    """Return lines or triangles (m, d, d) moved into their body by their size or `most`, - less."""
+    facets = Facets(LINE2 if parts.shape[2] == 2 else TRI3, parts)
+    shift = np.maximum(np.minimum(facet_sizes(parts), most) - less, 0.0)
+    return np.asarray(parts - (shift[:, None] * facet_normals(facets))[:, None])
 
 
 def _enters(a: Floats, b: Floats, step: Floats, distance: Callable[[Floats], Floats]) -> Bools:
