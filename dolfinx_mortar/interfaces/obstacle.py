@@ -7,8 +7,8 @@ With the signed distance phi of the tool, positive outside, the weighted gaps ar
 
 and the multipliers lambda_j >= 0 act along n_j = -grad phi(x_j), into the tool: forces -D_jl
 lambda_j n_j on the nodes l of the side, and as much on the tool. Where phi is that of a plane, g_j
-is what D and n_j say, so that uniform pressures are exact. Facets of straight cells stand for a
-smooth surface, which is nearer by its height, see `smooth_heights`. The tangent is in
+is what D and n_j say, so that uniform pressures are exact. Facets of second order on straight cells
+stand for a smooth surface, which is nearer by its height, see `smooth_heights`. The tangent is in
 `tool_derivatives`.
 """
 
@@ -211,7 +211,7 @@ class Obstacle(Movable, Unilateral):
         side = create_whole_side(sides.slave, sides.weight)
         plain = create_pattern(sides, side.row, side.column, len(side.row))
         slave, own = sides.slave, None
-        if not slave.curved:
+        if slave.element.degree > 1 and not slave.curved:
             own = find_smooth_side(slave, sides.fixed, FEATURE_ANGLE)
         at = plain.row, plain.column, plain.split, plain.blocks, plain.scalars
         return None, SidePattern(*at, side=side, own=own)

@@ -355,7 +355,7 @@ class SidePattern(Pattern):
     """The pattern of a side alone."""
 
     side: WholeSide | None = None
-    own: SmoothSide | None = None  # for which its facets stand, where cells are straight
+    own: SmoothSide | None = None  # for which its facets stand, where they are of second order
 
 
 def smooth_heights(
@@ -363,8 +363,8 @@ def smooth_heights(
 ) -> Floats:
     """Return how much (q,) the smooth surface is nearer than points of facets at X + u; collective.
 
-    Facets of straight cells are straight at X, and a side that is round there would meet a round
-    tool with some of its nodes alone: with the ends of the longer facets, or with mid-side nodes.
+    Facets of second order bend with u, but those of a mesh with straight cells are straight at X,
+    and a side that is round there would meet a round tool with its mid-side or its end nodes alone.
     """
     if pattern.own is None:
         return np.zeros(len(segments.slave))

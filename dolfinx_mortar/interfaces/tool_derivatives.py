@@ -13,7 +13,7 @@ Its points move with the nodes, dx = N_m dx_m, and dJ = J grad N_m . dx_m. So
     dA = (diag(dd) - A dm) m^-1,
 
 and the tractions t_j = lambda_j n_j + tau_j turn with n_j, dn_j = -(I - n n^T) Hess phi dx_j.
-With phi stands phi - h, the height of the smooth surface for which facets stand;
+With phi stands phi - h, the height of the smooth surface for which facets of second order stand;
 its change by the strain of the bodies along the normal is left out.
 """
 
