@@ -34,10 +34,11 @@ class RowsOf:
     def factor(self) -> PETSc.Mat | UpperHalf:
         """K for products: of blocks a copy of the upper half, which is read faster.
 
-        An iteration of multigrid forms eight. The copy is made again when K has other values.
+        In space, where an iteration of multigrid forms eight; its sums have other last digits. The
+        copy is made again when K has other values.
         """
         K, state = self.K, int(self.K.stateGet())
-        if "baij" not in K.getType() or self._resting:
+        if "baij" not in K.getType() or K.getBlockSize() < 3 or self._resting:
             return K
         if self._half is None:
             self._half = UpperHalf(K)
