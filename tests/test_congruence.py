@@ -24,20 +24,31 @@ pytestmark = pytest.mark.mpi
 @pytest.fixture(params=["aij", "baij"])
 def matrices(request, rng):
     """A symmetric K in either format, C with blocks in every third row, on nodes of all ranks."""
-    V = fem.functionspace(two_blocks(COMM)[0], ("Lagrange", 1, (2,)))
+    return create(request.param, rng, 2)
+
+
+@pytest.fixture(params=["aij", "baij"])
+def matrices_in_space(request, rng):
+    """The same with blocks of three."""
+    return create(request.param, rng, 3)
+
+
+def create(kind, rng, d):
+    """Return K and C."""
+    V = fem.functionspace(two_blocks(COMM)[0], ("Lagrange", 1, (d,)))
     layout = V.dofmap.index_map
     n, N = layout.size_local, layout.size_global
     some = np.arange(0, n, 3)
     rows, columns = np.repeat(some, 4), rng.integers(0, N, 4 * len(some))
-    C = BlockMatrix(COMM, layout, 2, rows, columns)
-    C.fill(rng.normal(size=(len(rows), 2, 2)))
-    half = BlockMatrix(COMM, layout, 2, np.arange(n), rng.integers(0, N, n))
-    half.fill(rng.normal(size=(n, 2, 2)))
+    C = BlockMatrix(COMM, layout, d, rows, columns)
+    C.fill(rng.normal(size=(len(rows), d, d)))
+    half = BlockMatrix(COMM, layout, d, np.arange(n), rng.integers(0, N, n))
+    half.fill(rng.normal(size=(n, d, d)))
     K = half.matrix.copy()
     K.axpy(1.0, half.matrix.transpose(PETSc.Mat()))
     K.shift(10.0)
-    K.setBlockSize(2)
-    return K.convert(request.param), C.matrix
+    K.setBlockSize(d)
+    return K.convert(kind), C.matrix
 
 
 def decoupled(K):
@@ -222,9 +233,9 @@ def test_the_diagonal_follows_k(matrices):
     assert (operator.diagonal - 2.0 * before).norm() < 1e-14 * before.norm()
 
 
-def test_products_read_the_upper_half_of_blocks(matrices, rng):
-    """Operators of one K share it, a set-up has its memory until the next QP."""
-    K, C = matrices
+def test_products_read_the_upper_half_of_blocks(matrices_in_space, rng):
+    """Operators of one K share it, a set-up has its memory until the next QP; in space."""
+    K, C = matrices_in_space
     operator = CongruentOperator(K)
     beside = CongruentOperator(K, operator.rows)
     operator.follow(C, decoupled(K))
@@ -246,3 +257,13 @@ def test_products_read_the_upper_half_of_blocks(matrices, rng):
         operator.follow(C, decoupled(K))
         assert type(rows.factor) is kind
         assert (z - operator.matrix * x).norm() == 0.0
+
+
+def test_products_in_the_plane_read_k(matrices):
+    """On any ranks: a step that is taken back would change the last digits of the next one."""
+    K, C = matrices
+    operator = CongruentOperator(K)
+    beside = CongruentOperator(K, operator.rows)
+    beside.split(np.zeros(K.getLocalSize()[0]))
+    operator.follow(C, decoupled(K))
+    assert operator.rows.factor is K
