@@ -8,6 +8,7 @@ import pytest
 
 import dolfinx
 import dolfinx_mortar as dm
+import ufl
 from dolfinx import fem
 from dolfinx.mesh import meshtags
 from dolfinx_mortar.geometry.sweep import find_passing
@@ -290,7 +291,7 @@ def test_a_first_step_that_goes_too_far_is_cut(far):
 # -- tools -----------------------------------------------------------------------------------------
 
 
-def on_ball(d, n, radius=0.2, tip=False):
+def on_ball(d, n, radius=0.2, tip=None):
     """Return a problem of the box [0, 1]^(d-1) x [0, .5] above a ball, and the ball."""
     ends = [[0.0] * d, [1.0] * (d - 1) + [0.5]]
     create = {2: dolfinx.mesh.create_rectangle, 3: dolfinx.mesh.create_box}[d]
@@ -299,8 +300,8 @@ def on_ball(d, n, radius=0.2, tip=False):
     tags = meshtags(domain, d - 1, np.sort(facets), np.full(len(facets), 1, dtype=np.int32))
     below = np.array([0.5] * (d - 1) + [-0.3])
     shape = dm.shapes.Cylinder(below, radius) if d == 2 else dm.shapes.Sphere(below, radius)
-    if tip:
-        point = below + 0.95 * radius * np.eye(d)[-1]
+    if tip is not None:
+        point = below + tip * radius * np.eye(d)[-1]
         phi = lambda x: np.linalg.norm(x - below[:, None], axis=0) - radius  # noqa: E731
         shape = dm.shapes.SignedDistance(phi, point, length=radius)
     ball = dm.Obstacle(tags, slave=1, shape=shape)
@@ -331,12 +332,13 @@ def test_a_tool_and_a_body_that_pass(d, n):
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize("tip", [0.95, 1.0, np.nextafter(1.0, 2.0)])
 @pytest.mark.parametrize("d", [2, 3])
-def test_a_tip_may_lie_a_bit_behind_a_coarse_facet(d):
+def test_a_tip_may_lie_a_bit_behind_a_coarse_facet(d, tip):
     """Which approximates it: by a tenth of a facet, not by the half of the body."""
-    problem, ball = on_ball(d, 2, tip=True)
+    problem, ball = on_ball(d, 2, tip=tip)
     start = ball.position.value.copy()
-    for up, passes in ((0.16, False), (0.37, True)):
+    for up, passes in ((0.14, False), (0.37, True)):
         ball.position.value[:] = start + up * np.eye(d)[-1]
         assert ("passed through" in describe_passing(problem)) == passes
 
@@ -375,3 +377,21 @@ def test_what_lies_in_a_tool_already_has_not_passed():
     assert not describe_passing(problem)
     problem.committed.displacement[1::2] = 0.0
     assert "passed through" in describe_passing(problem)
+
+
+@pytest.mark.mpi
+def test_a_tool_without_a_distance_at_its_point():
+    """An oval by its level over the norm of the gradient, which is 0 in the middle."""
+    problem, _ = on_ball(2, 8)
+    x = ufl.SpatialCoordinate(problem.V.mesh)
+    level = (x[0] - 0.5) ** 2 / 0.09 + (x[1] + 0.3) ** 2 / 0.04 - 1.0
+    slope = ufl.sqrt(ufl.dot(ufl.grad(level), ufl.grad(level)))
+    oval = dm.Obstacle(
+        problem.interfaces[0].facet_tags,
+        slave=1,
+        shape=dm.shapes.SignedDistance(level / slope, (0.5, -0.3)),
+    )
+    problem = dm.ContactProblem(problem.solid, [oval])
+    for down, passes in ((0.05, False), (2.0, True)):
+        problem.u.x.array[1::2] = -down
+        assert ("passed through" in describe_passing(problem)) == passes

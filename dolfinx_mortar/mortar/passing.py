@@ -17,7 +17,7 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.elements import LINE2, TRI3
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
 from dolfinx_mortar.geometry.sweep import find_passing, flat_parts
@@ -176,9 +176,10 @@ def find_in_tool(
     x = [to(coordinates(own, u)) for to, u in ((seen.began, before), (seen.now, now))]
     depth = side.depth[np.isfinite(side.depth)]
     way = np.linalg.norm(x[1] - x[0], axis=1).max(initial=0.0)
-    inner = -float(seen.distance(seen.point[None])[0])  # depth of the point in the tool
+    inner = _depth_of_point(seen)
     most, least = maximum(comm, way, -depth.min(initial=np.inf))
-    if not most >= min(-least, inner if inner > 0.0 else np.inf):
+    within = inner >= HALF_OF_DIGITS * least  # tips are on the surface, up to round-off
+    if not most >= min(-least, inner if within else np.inf):
         return None
     (faces, start), (_, end) = side.at(before), side.at(now)
     start, end = seen.began(start), seen.now(end)
@@ -191,7 +192,7 @@ def find_in_tool(
         for k in range(len(times) - 1):
             inside |= _enters(ways[k], ways[k + 1], THROUGH * depth, seen.distance)
     found = _first(side, None, faces, np.flatnonzero(inside & outside).astype(np.int64))
-    if found is not None or inner <= 0.0:
+    if found is not None or not within:
         return found
     parts = path(motion, times, *(_behind(flat_parts(facets_at(own, y)), -least, inner) for y in x))
     point = seen.point[None]
@@ -201,6 +202,14 @@ def find_in_tool(
     if not maximum(comm, float(sum(passes)))[0]:
         return None
     return Passing(None, 0, tuple(map(float, seen.point)), inner)
+
+
+def _depth_of_point(seen: SeenByTool) -> float:
+    """Return how deep the tool's point is in it, -inf where it has no distance, as in an oval."""
+    try:
+        return -float(seen.distance(seen.point[None])[0])
+    except ValueError:  # NaN or infinity, on all ranks
+        return -np.inf
 
 
 def _behind(parts: Floats, most: float, less: float) -> Floats:
