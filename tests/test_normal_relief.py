@@ -10,6 +10,7 @@ import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
 from dolfinx_mortar.mortar.contact_normals import contact_normals
+from dolfinx_mortar.mortar.surface import find_boundary
 from tests.meshes import LOWER, UPPER
 from tests.meshes_3d import BOTTOM_OF_UPPER, TOP_OF_LOWER, rotation, two_boxes
 from tests.moving_bodies import Blocks, Rod
@@ -55,7 +56,7 @@ def check(problem, inertia):
     for body in range(problem.bodies.count):
         found, wanted = (rigid_mass(inertia, m, label == body) for m in (M, inertia.plain))
         assert found == pytest.approx(wanted, abs=1e-11 * np.abs(wanted).max())
-    normals = contact_normals(problem.V, contact, FEATURE_ANGLE)
+    normals = contact_normals(problem.V, find_boundary(problem.V), contact, FEATURE_ANGLE)
     x = np.random.default_rng(COMM.rank).normal(size=M.X.shape)
     along = (M.times(x) * normals).sum(axis=1)
     assert np.abs(along).max(initial=0.0) < 1e-12 * np.abs(M.times(x)).max(initial=1.0)
@@ -127,7 +128,7 @@ def test_edges_lose_mass_in_all_directions():
     upper = case.problem.bodies.label == case.problem.bodies.centre[:, 1].argmax()
     low, left = np.isclose(X[:, 1], 0.0) & upper, np.isclose(X[:, 0], 0.0) & upper
     inertia = dm.Inertia(case.solid, 1.0, **NORMAL)
-    normals = contact_normals(V, low | left, FEATURE_ANGLE)
+    normals = contact_normals(V, find_boundary(V), low | left, FEATURE_ANGLE)
     inertia.meet_along(lambda: normals)
     inertia.meet(low | left, case.problem.bodies.label)
     assert np.allclose(normals[low & ~left], [0.0, -1.0])

@@ -22,15 +22,28 @@ from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.claims import Claims, are_outdated, find_referenced, resolve_claims
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, join, join_limits
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides, check_coupling
-from dolfinx_mortar.interfaces.interface import Interface, ask, full_coverage
+from dolfinx_mortar.interfaces.interface import (
+    FEATURE_ANGLE,
+    Interface,
+    Outline,
+    ask,
+    full_coverage,
+)
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent, MovingGeometry
 from dolfinx_mortar.interfaces.near import find_reach, touches_far_nodes
 from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.interfaces.slip_partners import Partners
+from dolfinx_mortar.mortar.contact_normals import contact_normals
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.passing import Middles
-from dolfinx_mortar.mortar.surface import Boundary, Surface, find_boundary, mean_facet_length
+from dolfinx_mortar.mortar.surface import (
+    Boundary,
+    Surface,
+    coordinates,
+    find_boundary,
+    mean_facet_length,
+)
 
 
 @dataclass(frozen=True)
@@ -190,6 +203,26 @@ class InterfaceSystem:
             if interface.unilateral:
                 marks |= side.on_slave | side.on_master
         return marks
+
+    def open_normals(self) -> Floats:
+        """Return the normals at X (owned nodes, d) of open sides, see `contact_normals`."""
+        owned = self.V.dofmap.index_map.size_local
+        return contact_normals(self.V, self.boundary, self.can_open[:owned], FEATURE_ANGLE)
+
+    def tools_at(self, u: fem.Function) -> list[tuple[Outline, Floats]]:
+        """Return where the rigid tools are, each with the box (2, d) of its side; collective.
+
+        The box is that around the side at X + u, in the frame of the tool, for all ranks.
+        """
+        tools = []
+        for interface, sides in zip(self.interfaces, self.sides, strict=True):
+            if (tool := interface.outline()) is None:
+                continue
+            x = tool.pose.to_tool(coordinates(sides.slave, u))
+            ends = np.concatenate([-x, x]).reshape(2, *x.shape).max(axis=1, initial=-np.inf)
+            low, high = maximum(self.V.mesh.comm, *ends.ravel()).reshape(2, -1)
+            tools.append((tool, np.stack([-low, high])))
+        return tools
 
     @property
     def transformation(self) -> Transformation | None:

@@ -6,10 +6,12 @@ import numpy as np
 from dolfinx import fem, la
 from dolfinx_mortar.arrays import TINY, Bools, Floats
 from dolfinx_mortar.geometry.facets import normals_at_nodes
-from dolfinx_mortar.mortar.surface import find_boundary
+from dolfinx_mortar.mortar.surface import Boundary
 
 
-def contact_normals(V: fem.FunctionSpace, contact: Bools, degrees: float) -> Floats:
+def contact_normals(
+    V: fem.FunctionSpace, boundary: Boundary, contact: Bools, degrees: float
+) -> Floats:
     """Return the mean normals at X of the facets between contact nodes; collective.
 
     (owned nodes, d), zero at other nodes, and at those where one of these facets is turned from the
@@ -17,10 +19,11 @@ def contact_normals(V: fem.FunctionSpace, contact: Bools, degrees: float) -> Flo
 
     Args:
         V: of the displacement.
+        boundary: all exterior facets.
         contact: (owned nodes,) those of sides that can open.
         degrees: the angle.
     """
-    d, boundary = V.dofmap.index_map_bs, find_boundary(V)
+    d = V.dofmap.index_map_bs
     on, mean, turned = fem.Function(V), fem.Function(V), fem.Function(V)
     on.x.array.reshape(-1, d)[: len(contact)] = contact[:, None]
     on.x.scatter_forward()

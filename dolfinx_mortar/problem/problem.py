@@ -7,7 +7,7 @@ import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -24,19 +24,11 @@ from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import TINY, Bools, Floats
 from dolfinx_mortar.audit.audit import Audit, create_audit, find_free_motions
 from dolfinx_mortar.audit.mesh_audit import check_mesh
-from dolfinx_mortar.interfaces.interface import (
-    FEATURE_ANGLE,
-    Interface,
-    Outline,
-    ask,
-    check_owned,
-)
+from dolfinx_mortar.interfaces.interface import Interface, Outline, ask, check_owned
 from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.system import Configuration, InterfaceSystem
-from dolfinx_mortar.mortar.contact_normals import contact_normals
-from dolfinx_mortar.mortar.surface import coordinates
 from dolfinx_mortar.persistence import restoring, saving
 from dolfinx_mortar.persistence.committed import Committed, ProblemState, StepOutcome
 from dolfinx_mortar.problem.checks import check_arguments
@@ -127,11 +119,9 @@ class ContactProblem:
             self.terms = replace(self.terms, named=[*self.terms.named, (PRETENSION, pretensions)])
         bodies = find_bodies(self.V, kinematics.rigid_motions)
         self.bodies: Bodies = with_ties(bodies, self.system.tied)
-        open_nodes = self.system.can_open[: self.n]
-        normals = partial(contact_normals, self.V, open_nodes, FEATURE_ANGLE)
         for term in self.terms.every:
-            term.meet_along(normals)
-            term.meet(open_nodes, self.bodies.label)
+            term.meet_along(self.system.open_normals)
+            term.meet(self.system.can_open[: self.n], self.bodies.label)
         motions = kinematics.nearly_rigid or kinematics.rigid_motions
         with self.timings("setup"):
             self.linear = LinearSolver(
@@ -578,15 +568,7 @@ class ContactProblem:
 
         The box (2, d) is that around the side at X + u, for all ranks.
         """
-        tools = []
-        for interface, sides in zip(self.interfaces, self.system.sides, strict=True):
-            if (tool := interface.outline()) is None:
-                continue
-            x = tool.pose.to_tool(coordinates(sides.slave, self.u))
-            ends = np.concatenate([-x, x]).reshape(2, -1, self.d).max(axis=1, initial=-np.inf)
-            low, high = maximum(self.comm, *ends.ravel()).reshape(2, -1)
-            tools.append((tool, np.stack([-low, high])))
-        return tools
+        return self.system.tools_at(self.u)
 
 
 def _create_terms(
