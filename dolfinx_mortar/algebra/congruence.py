@@ -12,7 +12,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.csr import csr_of, set_sum
 from dolfinx_mortar.algebra.diagonal import RowsOf
-from dolfinx_mortar.algebra.parallel import values_at
+from dolfinx_mortar.algebra.parallel import free_unused, values_at
 from dolfinx_mortar.arrays import Floats, Ints
 
 log = logging.getLogger(__name__)
@@ -317,6 +317,7 @@ class _Product:
         within, between = self.K.convert("aij", out=PETSc.Mat()), None
         if self.C is not None:
             change, coupled = _change(within, self.C), np.ones(len(parts))
+            free_unused(self.K.comm.tompi4py())
             coupled[self.decoupled] = -1.0
             inside, between = _split(change, coupled * (parts + 1.0))
             within.axpy(1.0, inside, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)

@@ -19,6 +19,7 @@ aggregates of one body). The entries between bodies come from contact alone. The
 levels are made, and P^T X P of them is added to the matrix of each level.
 """
 
+import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -29,8 +30,9 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
-from dolfinx_mortar.algebra.csr import csr_of
+from dolfinx_mortar.algebra.csr import call, csr_of
 from dolfinx_mortar.algebra.diagonal import rows_of
+from dolfinx_mortar.algebra.parallel import free_unused
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Ints
 from dolfinx_mortar.qp.negative_eigenvalues import count_negative
 
@@ -179,12 +181,20 @@ class Multigrid:
             _add(data.B, data.between)
         with _product_of_three(data.B.comm.size):
             self.inner.setUp()
+            if self.follows:
+                self._forget_factors()
             if data.between is not None and self.follows:
                 self._join(data.B, data.between)
         self.negative = count_negative(self._coarsest) if self.follows and definite else 0
         self.inner.setReusePreconditioner(True)  # the finest matrix changes, coarse levels stay
         if self.follows:
             self._release(data.change.matrix)
+
+    def _forget_factors(self) -> None:
+        """Free what products P^T B P would need to be formed again, B among it; collective."""
+        for level in range(self.inner.getMGLevels() - 1):
+            product = self.inner.getMGSmoother(level).getOperators()[0]
+            call("MatProductClear", ctypes.c_void_p(product.handle))
 
     def _join(self, B: PETSc.Mat, between: PETSc.Mat) -> None:
         """Add what couples the parts to the matrices of all levels; collective.
@@ -196,6 +206,7 @@ class Multigrid:
         for level in range(self.inner.getMGLevels() - 1, 0, -1):
             between = _product_of_few(between, self.inner.getMGInterpolation(level))
             _add(self.inner.getMGSmoother(level - 1).getOperators()[0], between)
+            free_unused(B.comm.tompi4py())
 
     @property
     def _coarsest(self) -> PETSc.Mat:

@@ -233,6 +233,7 @@ class Preconditioner:
         else:
             with self.options.database(self.options.prefix):
                 data = self.unknowns.preconditioning(held)
+                free_unused(self.comm)
                 self.multigrid.renew(data, held, definite=self.operator.definite)
                 self._followed = self.operator.state, held.copy()
             counts.factorisations += 1
