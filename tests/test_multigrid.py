@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Contact in 3D by conjugate gradients and multigrid: the basis, the answer, the failures."""
 
+import ctypes
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -8,7 +10,9 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+from dolfinx_mortar.algebra import congruence
 from dolfinx_mortar.algebra.congruence import Congruence
+from dolfinx_mortar.algebra.csr import call
 from dolfinx_mortar.qp import MULTIGRID
 from dolfinx_mortar.qp.multigrid import Multigrid
 from tests.ball_case import create_problem
@@ -310,6 +314,41 @@ def test_no_more_is_kept_than_cycles_read(moved):
     levels = [inner.getMGSmoother(k).getOperators()[0] for k in range(1, finest)]
     assert levels and all("baij" in level.getType() for level in levels)
     assert not PETSc.Options().hasName("matptap_via")
+
+
+def test_a_set_up_frees_matrices_at_once(monkeypatch, capfd):
+    """On several ranks PETSc keeps those without references; products keep their factors."""
+    problem, seen = moving_problem()[0], []
+
+    def watch(owner, name):
+        method = getattr(owner, name)
+
+        def watched(*args, **options):
+            capfd.readouterr()
+            PETSc.garbage_view(problem.comm)
+            ctypes.CDLL(None).fflush(None)
+            seen.append((name, capfd.readouterr().out.count("| Mat ")))
+            return method(*args, **options)
+
+        monkeypatch.setattr(owner, name, watched)
+
+    join, factors = Multigrid._join, []
+
+    def watched_join(self, *matrices):
+        for level in range(self.inner.getMGLevels() - 1):
+            product, first = self.inner.getMGSmoother(level).getOperators()[0], ctypes.c_void_p()
+            handle = ctypes.c_void_p(product.handle)
+            call("MatProductGetMats", handle, ctypes.byref(first), None, None)
+            factors.append(first.value)
+        join(self, *matrices)
+
+    monkeypatch.setattr(Multigrid, "_join", watched_join)
+    for owner, name in ((congruence, "_split"), (Multigrid, "renew"), (Multigrid, "_release")):
+        watch(owner, name)
+    dm.newton(problem)
+    assert seen[:2] == [("_split", 0), ("renew", 0)]
+    assert seen[2][1] <= 2  # the last sum is let go on return
+    assert factors and not any(factors)
 
 
 @pytest.mark.parametrize(
