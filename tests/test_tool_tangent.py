@@ -70,6 +70,9 @@ CASES = {
     "tetrahedra2": lambda: (InSpace("tetrahedron", 2), SOLID, {}),
     "hexahedra": lambda: (InSpace("hexahedron", 1), SOLID, {}),
     "curved triangles": lambda: (InSpace("hexahedron", 1), CURVED, {}),
+    "smooth triangles": lambda: (block(1, 4), PLANAR, {}),
+    "smooth rings": lambda: (block(1, 4), RING, {"kinematics": "axisymmetric"}),
+    "smooth hexahedra": lambda: (InSpace("hexahedron", 1), SOLID, {}),
     "hexahedra2": lambda: (InSpace("hexahedron", 2), SOLID, {}),
 }
 
@@ -86,7 +89,8 @@ class Differences:
     def __init__(self, name, rng):
         """Start from a random displacement of a case."""
         case, shape, options = CASES[name]()
-        self.tool = case.tool(shape, friction=0.3)
+        surface = "smooth" if "smooth" in name else None
+        self.tool = case.tool(shape, friction=0.3, surface=surface)
         self.problem = case.problem([self.tool], **options)
         if not options:
             self.tool.rotation.value[...] = 0.2

@@ -105,9 +105,10 @@ def note_on_facets(
 ) -> str:
     """Return the note on a contact if facets make its pressures inaccurate, else ""; collective.
 
-    Facets: smooth surfaces would be nearer by heights h_j; the forces K^_jj (h_j - mean of h), over
-    the contact forces z_j, are the share by which pressures are wrong. Where no node carries,
-    smooth surfaces that overlap show that the facets keep the sides apart.
+    Facets: smooth surfaces, of tools too, would be nearer by heights h_j; the forces
+    K^_jj (h_j - mean of h), over the contact forces z_j, are the share by which pressures are
+    wrong. Where no node carries, smooth surfaces that overlap show that the facets keep the sides
+    apart.
 
     Smooth surfaces of degree 1: heights miss those of arcs by e_j (`missed_heights`). The share is
     that of the forces K^_jj e_j of nodes that carry, or are so near that they might.
@@ -118,14 +119,19 @@ def note_on_facets(
         forces: (owned nodes,) of contact.
         stiffness: (owned nodes,) force per gap, K^_jj.
     """
-    if link.pairing is None or link.sides.slave.curved:
+    if link.sides.slave.curved:
         return ""
     k, z = stiffness[link.nodes], forces[link.nodes]
+    on = z > 0.0
+    touches = any_rank(link.sides.V.mesh.comm, on.any())[0]
+    if link.pairing is None:
+        heights = link.interface.heights(link, u) if touches else None
+        return "" if heights is None else _uneven_facets(link, heights[on], k[on], z[on])
     if link.interface.smooth:
         first = link.sides.slave.element.degree == 1
         return _uncertain(link, x, _means(link, u, missed_heights), k, z) if first else ""
-    heights, on = _means(link, u, point_heights), z > 0.0
-    if any_rank(link.sides.V.mesh.comm, on.any())[0]:
+    heights = _means(link, u, point_heights)
+    if touches:
         return _uneven_facets(link, heights[on], k[on], z[on])
     return _apart(link, x, heights)
 
@@ -161,7 +167,8 @@ def _uneven_facets(link: Link, heights: Floats, k: Floats, z: Floats) -> str:
     return (
         f"{link.interface}: facets stand off the curved sides by lengths that differ by up "
         f"to {highest:.2g} from their mean, which amounts to {100 * share:.0f} % of the "
-        "contact forces: pressures may be wrong; choose Contact(..., surface='smooth')"
+        "contact forces: pressures may be wrong; choose "
+        f"{type(link.interface).__name__}(..., surface='smooth')"
     )
 
 

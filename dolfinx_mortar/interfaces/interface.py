@@ -346,6 +346,13 @@ class Interface(ABC):
         """
         return None
 
+    def heights(self, link: CoupledSides, u: fem.Function | None) -> Floats | None:
+        """Return how much nearer a tool would be to smooth surfaces (n,) at the owned slave nodes.
+
+        None where facets are what is meant, or stand for these already; collective.
+        """
+        return None
+
     # -- what steps read and find ----------------------------------------------------------------
 
     def jump_at(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:

@@ -47,6 +47,13 @@ from dolfinx_mortar.tags import check_tag, label, tag_of
 SURFACES = ("smooth", "facets")
 
 
+def is_smooth(surface: str) -> bool:
+    """Return which of `SURFACES` it is; raise a ValueError for anything else."""
+    if not isinstance(surface, str) or surface not in SURFACES:
+        raise ValueError(f"surface is {surface!r}: choose 'smooth' or 'facets'")
+    return surface == "smooth"
+
+
 class MortarInterface(Interface):
     """A slave and a master side, marked in facet tags, coupled by D and M.
 
@@ -82,9 +89,7 @@ class MortarInterface(Interface):
                 f"slave and master are both tag {label(facet_tags, self.slave)}: give two "
                 "different tags"
             )
-        if not isinstance(surface, str) or surface not in SURFACES:
-            raise ValueError(f"surface is {surface!r}: choose 'smooth' or 'facets'")
-        self.smooth, self.feature_angle = surface == "smooth", check_angle(feature_angle)
+        self.smooth, self.feature_angle = is_smooth(surface), check_angle(feature_angle)
 
     def __repr__(self) -> str:
         said = "" if self.smooth else ", surface='facets'"

@@ -7,9 +7,8 @@ With the signed distance phi of the tool, positive outside, the weighted gaps ar
 
 and the multipliers lambda_j >= 0 act along n_j = -grad phi(x_j), into the tool: forces -D_jl
 lambda_j n_j on the nodes l of the side, and as much on the tool. Where phi is that of a plane, g_j
-is what D and n_j say, so that uniform pressures are exact. Facets of second order on straight cells
-stand for a smooth surface, which is nearer by its height, see `smooth_heights`. The tangent is in
-`tool_derivatives`.
+is what D and n_j say, so that uniform pressures are exact. Facets may stand for a smooth surface,
+see `point_gaps`. The tangent is in `tool_derivatives`.
 """
 
 from __future__ import annotations
@@ -41,6 +40,7 @@ from dolfinx_mortar.interfaces.coupling import (
     returned_nodes,
 )
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Outline
+from dolfinx_mortar.interfaces.mortar_interface import is_smooth
 from dolfinx_mortar.interfaces.near import FACETS
 from dolfinx_mortar.interfaces.tool import (
     Load,
@@ -49,13 +49,14 @@ from dolfinx_mortar.interfaces.tool import (
     SidePattern,
     Tool,
     find_facing,
-    smooth_heights,
+    point_gaps,
     turn_between,
 )
 from dolfinx_mortar.interfaces.tool_derivatives import ToolDerivatives
 from dolfinx_mortar.interfaces.tool_slips import ToolPartners
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_side
-from dolfinx_mortar.mortar.integrals import Coverage
+from dolfinx_mortar.mortar.integrals import Coverage, weighted_duals
+from dolfinx_mortar.mortar.operators import mean_values
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.passing import SeenByTool
 from dolfinx_mortar.mortar.surface import accumulate, coordinates, mean_facet_length
@@ -100,6 +101,10 @@ class Obstacle(Movable, Unilateral):
             "y" in axisymmetric problems, each a number or a scalar Constant, read at every step.
             What is not named, position and rotation prescribe. The tool moves until contact carries
             the load: ``tool_force + load = 0``; ``travel`` is how far.
+        surface: as of `Contact`, for straight cells: "smooth" measures the gap between the smooth
+            surface through the nodes and the tool, "facets" that of the facets. By default it is
+            "smooth" for displacements of second order, "facets" for those of first order: of these,
+            "smooth" takes the distances of the nodes, so that a tip between them goes unseen.
         friction: coefficient of Coulomb's law, as of `Contact`.
         tresca: limit of the tangential traction instead, as of `Contact`.
 
@@ -123,10 +128,12 @@ class Obstacle(Movable, Unilateral):
         shape: Shape,
         reference: Any = None,
         load: Mapping[str, Load] | None = None,
+        surface: str | None = None,
         friction: Limit | None = None,
         tresca: Limit | None = None,
     ) -> None:
         super().__init__(facet_tags, slave=slave)
+        self.meant = None if surface is None else is_smooth(surface)  # None: by the order
         self.tool = Tool(shape, reference, facet_tags.topology.dim)
         self.load = load or {}
         self.law = create_law(friction, tresca)
@@ -150,7 +157,8 @@ class Obstacle(Movable, Unilateral):
     def given(self) -> dict[str, Any]:
         """Return what all ranks have to give the same, by name; see `agreement`."""
         names = "shape", "point", "position", "rotation", "load"
-        return super().given() | {name: getattr(self.tool, name) for name in names}
+        given = super().given() | {name: getattr(self.tool, name) for name in names}
+        return given | {"surface": self.meant}
 
     def check_kinematics(self, d: int, revolved: bool, strain: str) -> None:
         """Raise a ValueError for shapes that are none in d dimensions, or not of revolution."""
@@ -211,10 +219,12 @@ class Obstacle(Movable, Unilateral):
         side = create_whole_side(sides.slave, sides.weight)
         plain = create_pattern(sides, side.row, side.column, len(side.row))
         slave, own = sides.slave, None
-        if slave.element.degree > 1 and not slave.curved:
+        second = slave.element.degree > 1
+        smooth = not slave.curved and (second if self.meant is None else self.meant)
+        if smooth and second:
             own = find_smooth_side(slave, sides.fixed, FEATURE_ANGLE)
         at = plain.row, plain.column, plain.split, plain.blocks, plain.scalars
-        return None, SidePattern(*at, side=side, own=own)
+        return None, SidePattern(*at, side=side, own=own, nodal=smooth and not second)
 
     def measure_coverage(
         self, sides: Sides, pairing: Pairing | None, u: fem.Function | None
@@ -260,9 +270,7 @@ class Obstacle(Movable, Unilateral):
         returned = None if returned is None else returned[:, 0]
         found = integrate_side(side, x, facing, allowed, returned)
         frame = self.frame(normals[own], found.kept, sides.fixed[sides.nodes])
-        h = smooth_heights(pattern, slave, u, found.segments)
-        with raised_together(comm):
-            gaps = pose.distance(self.shape, found.x).value - h
+        gaps = point_gaps(pattern, pose, self.shape, u, found.segments, found.x)
         at = means(side, found, np.column_stack([found.x, gaps]))
         # at these positions the gap n.(P x - x_j) - h_j is the mean of phi
         heights = -(frame.normals * at[:, :-1]).sum(axis=1) - at[:, -1]
@@ -343,14 +351,30 @@ class Obstacle(Movable, Unilateral):
         side, pose, x = link.pattern.side, self.tool.pose(), coordinates(link.sides.slave, u)
         facing = find_facing(side, pose, self.shape, x)
         segments, points = whole_facets(side, x, facing)
-        h = smooth_heights(link.pattern, link.sides.slave, u, segments)
+        pattern = replace(link.pattern, nodal=False)  # between nodes, too
+        depth = -point_gaps(pattern, pose, self.shape, u, segments, points)
         nodes = x[side.slave.facets]
-        sizes, middles = facet_sizes(nodes), nodes.mean(axis=1)
-        points = np.concatenate([points, middles[facing]])
+        sizes, middles = facet_sizes(nodes), nodes.mean(axis=1)[facing]
+        depth = np.concatenate([depth, -pose.distance(self.shape, middles).value])
         sizes = np.concatenate([sizes[segments.slave], sizes[facing]])
-        depth = -pose.distance(self.shape, points).value
-        depth[: len(h)] += h
-        return depth / sizes, depth, points
+        return depth / sizes, depth, np.concatenate([points, middles])
+
+    def heights(self, link: CoupledSides, u: fem.Function | None) -> Floats | None:
+        """Return those of facets of first order, see `Interface.heights`; collective."""
+        pattern, slave = link.pattern, link.sides.slave
+        assert isinstance(pattern, SidePattern) and pattern.side is not None
+        if slave.element.degree > 1 or pattern.nodal:
+            return None
+        side, pose, x = pattern.side, self.tool.pose(), coordinates(slave, u)
+        segments, points = whole_facets(side, x, find_facing(side, pose, self.shape, x))
+        facets, smooth = (
+            point_gaps(which, pose, self.shape, u, segments, points)
+            for which in (pattern, replace(pattern, nodal=True))
+        )
+        kept = np.zeros(len(slave.nodes))
+        kept[: slave.owned] = link.coupling.kept[:, 0]
+        Phi = weighted_duals(side, segments, accumulate(slave, kept) > 0.0)
+        return mean_values(side, segments, Phi, link.coupling.weight[:, 0], facets - smooth)
 
     # -- results ---------------------------------------------------------------------------------
 

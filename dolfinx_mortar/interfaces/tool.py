@@ -14,13 +14,14 @@ from scipy.spatial.transform import Rotation
 import basix.ufl
 import ufl
 from dolfinx import default_real_type, fem
+from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arguments import as_numbers, is_number
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.geometry.facets import facet_normals
 from dolfinx_mortar.geometry.segments import FACING, Segments
 from dolfinx_mortar.interfaces.coupling import Pattern
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide, side_heights
-from dolfinx_mortar.mortar.surface import Surface, facets_at
+from dolfinx_mortar.mortar.surface import coordinates, facets_at
 from dolfinx_mortar.mortar.whole_side import WholeSide
 from dolfinx_mortar.shapes import Distance, Shape
 
@@ -356,16 +357,39 @@ class SidePattern(Pattern):
 
     side: WholeSide | None = None
     own: SmoothSide | None = None  # for which its facets stand, where they are of second order
+    nodal: bool = False  # whether distances are those of nodes, for facets of first order
 
 
-def smooth_heights(
-    pattern: SidePattern, slave: Surface, u: fem.Function | None, segments: Segments
+def point_gaps(
+    pattern: SidePattern,
+    pose: Pose,
+    shape: Shape,
+    u: fem.Function | None,
+    segments: Segments,
+    points: Floats,
 ) -> Floats:
-    """Return how much (q,) the smooth surface is nearer than points of facets at X + u; collective.
+    """Return the gaps (q,) between a tool and the surface for which facets stand; collective.
 
+    Of smooth surfaces of first order they are the distances of the nodes, interpolated: facets
+    between nodes on the tool then have none, as the smooth surfaces through the nodes of both.
     Facets of second order bend with u, but those of a mesh with straight cells are straight at X,
-    and a side that is round there would meet a round tool with its mid-side or its end nodes alone.
+    and a side that is round there would meet a round tool with its mid-side or its end nodes alone:
+    the smooth surface is nearer by its height.
+
+    Args:
+        pose: where the tool is.
+        u: displacement, None for X.
+        segments: whole facets.
+        points: (q, d) their points at X + u.
     """
+    assert pattern.side is not None
+    slave = pattern.side.slave
+    with raised_together(slave.V.mesh.comm):  # what a user's function raises
+        if pattern.nodal:
+            of_facets = pose.distance(shape, coordinates(slave, u)).value[slave.facets]
+            N = slave.element.shape_functions(segments.xi_s)
+            return np.asarray((N * of_facets[segments.slave]).sum(axis=1))
+        gaps = pose.distance(shape, points).value
     if pattern.own is None:
-        return np.zeros(len(segments.slave))
-    return side_heights(slave, pattern.own, u, segments.slave, segments.xi_s)
+        return gaps
+    return gaps - side_heights(slave, pattern.own, u, segments.slave, segments.xi_s)

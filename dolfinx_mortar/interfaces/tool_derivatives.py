@@ -13,8 +13,9 @@ Its points move with the nodes, dx = N_m dx_m, and dJ = J grad N_m . dx_m. So
     dA = (diag(dd) - A dm) m^-1,
 
 and the tractions t_j = lambda_j n_j + tau_j turn with n_j, dn_j = -(I - n n^T) Hess phi dx_j.
-With phi stands phi - h, the height of the smooth surface for which facets of second order stand;
-its change by the strain of the bodies along the normal is left out.
+For phi stands what `point_gaps` has there. Of distances of nodes, sum N_m phi_m, the last term has
+N_m grad phi_m for grad phi N_m; the change of heights of second order by the strain of the bodies
+along the normal is left out.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from dolfinx_mortar.interfaces.contact_derivatives import (
 )
 from dolfinx_mortar.interfaces.coupling import CoupledSides
 from dolfinx_mortar.interfaces.slip_partners import Partners
-from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, smooth_heights
+from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
 from dolfinx_mortar.interfaces.tool_slips import ToolPartners
 from dolfinx_mortar.mortar.integrals import absorbed, weighted_duals
 from dolfinx_mortar.mortar.operators import in_D
@@ -59,7 +60,7 @@ class _OnFacets:
     Phi: Floats  # (f, q, k)
     gradients: Floats  # (f, q, k, d) of the functions, along the surface
     phi: Floats  # (f, q)
-    slope: Floats  # (f, q, d) grad phi
+    by_x: Floats  # (f, q, k, d) of phi by the places of the nodes
 
 
 class ToolDerivatives(LinkDerivatives):
@@ -163,12 +164,13 @@ class ToolDerivatives(LinkDerivatives):
         xi, _ = rule_of(slave.element)
         gradients, _ = surface_gradients(facets_at(slave, x), segments.slave, segments.xi_s)
         assert isinstance(link.pattern, SidePattern)
-        h = smooth_heights(link.pattern, slave, u, segments)
-        found = pose.distance(shape, points)
+        phi = point_gaps(link.pattern, pose, shape, u, segments, points)
+        slope = pose.distance(shape, x if link.pattern.nodal else points).gradient
         which, q = np.flatnonzero(facing), len(xi)
         among, k, d = keep[slave.facets[which]], slave.element.nodes, x.shape[1]
         w = segments.weight.reshape(-1, q)
         N = slave.element.shape_functions(segments.xi_s)
+        slope = slope[slave.facets[segments.slave]] if link.pattern.nodal else slope[:, None]
         N_dual = absorbed(slave.element.shares, N, np.repeat(among, q, axis=0))
         at = _OnFacets(
             which=which,
@@ -178,8 +180,8 @@ class ToolDerivatives(LinkDerivatives):
             N_dual=N_dual.reshape(-1, q, k),
             Phi=Phi.reshape(-1, q, k) / w[:, :, None],
             gradients=gradients.reshape(-1, q, k, d),
-            phi=(found.value - h).reshape(-1, q),
-            slope=found.gradient.reshape(-1, q, d),
+            phi=phi.reshape(-1, q),
+            by_x=(N[:, :, None] * slope).reshape(-1, q, k, d),
         )
         return at, x
 
@@ -212,5 +214,5 @@ def _differentiate(
     heights = np.einsum("fq,fqi,fq->fi", at.w, N_t, at.phi)
     dg = np.einsum("fjimc,fi->fjmc", dB, heights)
     dg += np.einsum("fqmc,fqj,fq->fjmc", w_grad, at.Phi, at.phi)
-    dg += np.einsum("fq,fqj,fqc,qm->fjmc", at.w, at.Phi, at.slope, at.N)
+    dg += np.einsum("fq,fqj,fqmc->fjmc", at.w, at.Phi, at.by_x)
     return dD, dg, D
