@@ -224,7 +224,14 @@ def test_assembly_of_gmsh_in_the_plane_without_sides():
     pairs = dm.find_pairs(domain, cells, show=False)
     assert sorted(map(sorted, ends(pairs))) == [["bush", "plate"], ["liner", "pin"]]
     assert np.allclose([p.distance for p in pairs.found], 0.05, atol=0.02)
+    ((joined, nodes),) = pairs.joined.items()
+    assert sorted(joined) == ["bush", "liner"]
+    assert str(pairs).splitlines()[-1].startswith(f"'{joined[0]}' and '{joined[1]}' share {nodes}")
+    V = fem.functionspace(domain, ("Lagrange", 1))
+    x = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local]
+    assert nodes == COMM.allreduce(int(np.isclose(np.hypot(*x[:, :2].T), 0.8).sum()))
     bodies = dm.find_pairs(domain, show=False)  # by connected parts: three
+    assert not bodies.joined and len(str(bodies).splitlines()) == 3
     assert sorted(p.facets for p in bodies.found) == sorted(p.facets for p in pairs.found)
 
 
@@ -346,9 +353,10 @@ def test_errors_name_the_argument_and_the_remedy():
     halves = mesh.locate_entities(one, 2, lambda x: x[0] > -1)
     values = (mesh.compute_midpoints(one, 2, halves)[:, 0] > 0.5).astype(np.int32)
     tags = mesh.meshtags(one, 2, halves, values)
-    for given in (None, tags):
-        with pytest.raises(ValueError, match=r"one connected body.*do not fragment"):
-            dm.find_pairs(one, given)
+    with pytest.raises(ValueError, match=r"one connected body.*nodes of their own"):
+        dm.find_pairs(one)
+    with pytest.raises(ValueError, match=r"'body 0' and 'body 1' share 5 nodes.*do not fragment"):
+        dm.find_pairs(one, tags)
     with pytest.raises(ValueError, match="cells of type prism"):
         dm.find_pairs(mesh.create_unit_cube(COMM, 2, 2, 2, mesh.CellType.prism))
     for wrong, text in (

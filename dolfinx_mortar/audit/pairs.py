@@ -14,6 +14,7 @@ from dolfinx.mesh import Mesh, MeshTags, meshtags
 from dolfinx_mortar import compat
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import sums_at_nodes
 from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Longs
 from dolfinx_mortar.audit.audit import COARSE
@@ -52,6 +53,7 @@ class Pairs:
     tags: Tags
     contacts: list[Contact]
     found: list[Pair]
+    joined: dict[tuple[str, str], int]  # nodes that two bodies of one part share: no contact
 
     def __iter__(self) -> Iterator[Any]:
         return iter((self.tags, self.contacts))
@@ -67,15 +69,29 @@ class Pairs:
             for p in self.found
         ]
         wide = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
-        return "\n".join(
+        lines = [
             "  ".join(
                 text.ljust(w) if k in (0, 3) else text.rjust(w)
                 for k, (text, w) in enumerate(zip(row, wide, strict=True))
             ).rstrip()
             for row in (head, *rows)
-        )
+        ]
+        return "\n".join([*lines, *([describe_joined(self.joined)] if self.joined else [])])
 
     __repr__ = __str__  # what notebooks show
+
+
+def describe_joined(joined: dict[tuple[str, str], int]) -> str:
+    """Return a sentence about bodies that share nodes."""
+    who = ", ".join(
+        f"{one!r} and {other!r} share {count} node{'s' * (count > 1)}"
+        for (one, other), count in joined.items()
+    )
+    return (
+        f"{who}: what shares nodes is tied by the mesh, and no contact is found within it. If that "
+        "is meant, there is nothing to do; bodies that may part or slide need nodes of their own "
+        "(in Gmsh, do not fragment them, or split the mesh along the interface)"
+    )
 
 
 def find_pairs(
@@ -95,13 +111,13 @@ def find_pairs(
         problem = dm.ContactProblem(solid, contacts, bcs=bcs)
 
     Bodies are the connected parts of the mesh and, where cell tags are given, the parts of these
-    with different tags. What is joined by common nodes is no contact. Facets are projected along
-    their normals on what lies before them: two bodies are a pair if some facet of one meets a
-    facet of the other that faces it, with nothing between them, at a distance of at most `within`;
-    overlaps count up to half of the thinner body. A side is all of the face to which such facets
-    belong, up to edges, so that bodies can slide. The side with the finer facets is the slave; the
-    other one where a part would be the slave in two contacts, unless it is more than twice as
-    coarse. Faces that face several bodies have one tag.
+    with different tags. What is joined by common nodes is no contact, which the table says. Facets
+    are projected along their normals on what lies before them: two bodies are a pair if some facet
+    of one meets a facet of the other that faces it, with nothing between them, at most `within`
+    apart; overlaps count up to half of the thinner body. A side is all of the face to which such
+    facets belong, up to edges, so that bodies can slide. The side with the finer facets is the
+    slave; the other one where a part would be the slave in two contacts, unless it is more than
+    twice as coarse. Faces that face several bodies have one tag.
 
     Tags, their order and names do not depend on the ranks: bodies are ordered by their cell tags
     and by the smallest coordinates of their boxes.
@@ -119,7 +135,8 @@ def find_pairs(
         show: whether rank 0 prints the table of what was found.
 
     Returns:
-        Facet tags such as "disc to block", contacts, and the numbers of the table.
+        Facet tags such as "disc to block", contacts, the numbers of the table, and how many nodes
+        bodies share, `joined`.
 
     Raises:
         ValueError: on all ranks, for a mesh that is not supported or not sound; tags of another
@@ -222,6 +239,7 @@ class _Found:
     entities: Longs  # their numbers in the mesh
     faces: Faces
     sides: dict[tuple[int, int], _Side]  # by body and the other one
+    joined: dict[tuple[str, str], int]  # nodes that bodies share
 
 
 def _find(
@@ -236,17 +254,20 @@ def _find(
     for pair in ((topology.dim - 1, topology.dim), (topology.dim, topology.dim - 1)):
         topology.create_connectivity(*pair)
     part_of_cell, count = _ordered_parts(V)
-    if count == 1:
-        raise ValueError(
-            "mesh is one connected body, in which nothing can come apart or touch: bodies need "
-            "nodes of their own where they touch (in Gmsh, do not fragment them)"
-        )
     bodies = np.column_stack([tag_of_cell, part_of_cell])
     own = np.unique(bodies, axis=0).reshape(-1, 2)
     known = np.unique(np.concatenate(comm.allgather(own)), axis=0)
     names = _names(known, cell_tags)
     keys = known[:, 0] * count + known[:, 1]
     body_of_cell = np.searchsorted(keys, bodies[:, 0] * count + bodies[:, 1])
+    shared = _shared_nodes(V, body_of_cell, known[:, 1])
+    joined = {(names[a], names[b]): nodes for (a, b), nodes in shared.items()}
+    told = f". {describe_joined(joined)}" if joined else ""
+    if count == 1:
+        raise ValueError(
+            "mesh is one connected body: bodies need nodes of their own where they touch; one that "
+            f"touches itself is a Contact with one tag as both sides{told}"
+        )
 
     boundary = find_boundary(V)
     facets, cells, entities = boundary.facets, boundary.cells, boundary.entities
@@ -256,8 +277,30 @@ def _find(
     facing = find_facing(comm, Skin(facets, part_of_cell[cells], label))
     sides = _sides(comm, facing[are_near(facing, within)])
     if not sides:
-        _raise_nearest(_sides(comm, facing), names, within)
-    return _Found(names, facets, entities.astype(np.int64), faces, sides)
+        _raise_nearest(_sides(comm, facing), names, within, told)
+    return _Found(names, facets, entities.astype(np.int64), faces, sides, joined)
+
+
+def _shared_nodes(
+    V: fem.FunctionSpace, body_of_cell: Longs, part: Longs
+) -> dict[tuple[int, int], int]:
+    """Return how many nodes bodies of one part have in common; collective.
+
+    Args:
+        V: of the displacement.
+        body_of_cell: (owned cells,).
+        part: (bodies,) connected part of each.
+    """
+    layout, comm = V.dofmap.index_map, V.mesh.comm
+    several = np.flatnonzero(np.bincount(part)[part] > 1)
+    on = np.zeros((len(several), layout.size_local))
+    for row, k in zip(on, several, strict=True):
+        own = np.unique(V.dofmap.list[: len(body_of_cell)][body_of_cell == k])
+        nodes = layout.local_to_global(own).astype(np.int64)
+        row[:] = sums_at_nodes(comm, layout, nodes, np.ones((len(nodes), 1)))[:, 0] > 0.0
+    common = np.triu(comm.allreduce(on @ on.T, op=MPI.SUM), 1)
+    pairs = np.argwhere(common)
+    return {(int(several[a]), int(several[b])): int(common[a, b]) for a, b in pairs}
 
 
 def _ordered_parts(V: fem.FunctionSpace) -> tuple[Longs, int]:
@@ -316,17 +359,17 @@ def _sides(comm: MPI.Intracomm, facing: Facing) -> dict[tuple[int, int], _Side]:
 
 
 def _raise_nearest(
-    sides: dict[tuple[int, int], _Side], names: Sequence[str], within: float | None
+    sides: dict[tuple[int, int], _Side], names: Sequence[str], within: float | None, told: str
 ) -> None:
     """Raise a ValueError that says which bodies are nearest."""
     how = "a facet is long" if within is None else f"within={within:g}"
     none = f"find_pairs: no two bodies face each other at a distance of at most {how}"
     if not sides:
-        raise ValueError(f"{none}, or at all: check the mesh, or tag the sides by hand")
+        raise ValueError(f"{none}, or at all: check the mesh, or tag the sides by hand{told}")
     near = min(sides.values(), key=lambda side: (side.distance, side.body, side.other))
     raise ValueError(
         f"{none}. The nearest, {names[near.body]!r} and {names[near.other]!r}, are "
-        f"{near.distance:.4g} apart: give a larger within="
+        f"{near.distance:.4g} apart: give a larger within={told}"
     )
 
 
@@ -354,7 +397,7 @@ def _create(V: fem.FunctionSpace, found: _Found, options: dict[str, Any]) -> Pai
         sizes = slave.sizes / max(slave.count, 1)
         facets, size = (int(counts[at[0]]), int(counts[at[1]])), (float(sizes[0]), float(sizes[1]))
         rows.append(Pair(names[0], names[1], facets, size, slave.area, slave.distance))
-    return Pairs(named, contacts, rows)
+    return Pairs(named, contacts, rows, found.joined)
 
 
 def _groups(found: _Found) -> list[tuple[str, frozenset[int]]]:
