@@ -209,6 +209,40 @@ def test_a_restored_motion_goes_on(tmp_path_factory):
         next(dm.time_steps(rest.problem, [0.02, 0.05]))
 
 
+def test_a_checkpoint_knows_the_mass_and_the_scheme(tmp_path_factory, monkeypatch):
+    """What would change the answer in silence is refused, with both; files of before are read."""
+    folder = COMM.bcast(tmp_path_factory.mktemp("schemes") if COMM.rank == 0 else None)
+    times, moving = [0.01, 0.02], {"velocity": {UPPER: (0.0, -1.0)}}
+    file, case = folder / "half.h5", Blocks(damping=1e-3, **moving)
+    walk(case.problem, times[:1], checkpoint=file, **DAMPED)
+    for other, said in (
+        ({"relief": "normal"}, "relief is 'normal', in the checkpoint 'all'"),
+        ({"density": {LOWER: 1.0, UPPER: 2.0}}, "density is {'1': 1.0, '2': 2.0}, in the che"),
+    ):
+        with rejected(said):
+            Blocks(damping=1e-3, **moving, **other).problem.restore(file)
+    for damping, options, said in (
+        (1e-3, {}, "scheme is 'energy-conserving', in the checkpoint"),
+        (1e-3, DAMPED | {"spectral_radius": 0.5}, "spectral_radius is 0.5, in the checkpoint"),
+        (0.0, DAMPED, "Damping(mass, stiffness) is [], in the checkpoint"),
+    ):
+        other = Blocks(damping=damping, **moving)
+        with rejected(said):
+            walk(other.problem, times, checkpoint=file, **options)
+        other.problem.restore(file)
+        with rejected(said.split(",")[0], "the walk that these times continue"):
+            walk(other.problem, times, **options)
+        if options:
+            walk(other.problem, times[1:], **options)  # a walk of its own
+    before = Blocks(damping=1e-3, **moving)
+    with monkeypatch.context() as context:
+        context.setattr(dm.Inertia, "identity", {})
+        context.setattr(TimeSolves, "settings", lambda self: None)
+        walk(before.problem, times[:1], checkpoint=folder / "old.h5", **DAMPED)
+    again = Blocks(damping=1e-3, **moving)
+    assert walk(again.problem, times, checkpoint=folder / "old.h5").number == 2
+
+
 def test_the_summary_has_the_ledger():
     case = Blocks(gap=0.02, velocity={UPPER: (0.0, -1.0)})
     step = walk(case.problem, [0.01])

@@ -29,10 +29,11 @@ class SupportForces:
 
 @dataclass(frozen=True, eq=False)  # compared by identity: two calls may have the same levels
 class Walk:
-    """A call of `load_steps`."""
+    """A call of `load_steps` or `time_steps`."""
 
     start: float  # level at which it began
     ramp: list[list[list[float]]]  # tables, see `steps.ramp`
+    settings: dict[str, Any] | None = None  # of its steps by name; None in files of before
 
 
 @dataclass(frozen=True)

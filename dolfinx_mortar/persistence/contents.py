@@ -94,7 +94,8 @@ def check_about(state: ProblemState, about: Mapping[str, Any], present: Mapping[
         about: what a checkpoint says beside its tables.
         present: what `identity.describe` returns, which is that of the checkpoint where it has it.
     """
-    if missing := present.keys() - about["problem"].keys():
+    terms = {name for name, _ in state.terms}  # of which files of before say nothing
+    if missing := present.keys() - about["problem"].keys() - terms:
         raise ValueError(f"problem lacks {', '.join(sorted(missing))}")
     if not isinstance(about["begun"], bool):
         raise ValueError(f"begun is {about['begun']!r}: need true or false")
@@ -144,8 +145,11 @@ def _check_step(state: ProblemState, name: str, step: Any) -> None:
 
 
 def _check_walk(walk: Any) -> None:
-    """Check start and tables of a call of `load_steps`."""
-    if walk.keys() != {"start", "ramp"}:
+    """Check start and tables of a call of `load_steps`, and what there is of its settings."""
+    settings = walk.get("settings")
+    if not isinstance(settings, dict | None):
+        raise ValueError(f"walk.settings is {settings!r}: need values by name")
+    if walk.keys() - {"settings"} != {"start", "ramp"}:
         raise ValueError(f"walk has {', '.join(walk)}: need start and ramp")
     _check_numbers("walk.start", walk["start"])
     for k, rows in enumerate(walk["ramp"]):

@@ -36,7 +36,7 @@ def describe(state: ProblemState) -> dict[str, dict[str, Any]]:
     stateful = [(name, term) for name, term in state.terms if term.state]
     own = [int((part < cells.size_local).sum()) for _, part in parts]
     counts = domain.comm.allreduce(np.array(own, dtype=int), op=MPI.SUM).tolist()
-    return {
+    identity: dict[str, dict[str, Any]] = {
         "mesh": {
             "dimension": domain.geometry.dim,
             "cell": domain.topology.cell_name(),
@@ -62,6 +62,7 @@ def describe(state: ProblemState) -> dict[str, dict[str, Any]]:
         f"material {k}, {type(material).__name__}": _describe_material(material) | {"cells": count}
         for k, ((material, _), count) in enumerate(zip(parts, counts, strict=True))
     }
+    return identity | {name: dict(term.identity) for name, term in state.terms if term.identity}
 
 
 def _parts(solid: Solid) -> list[tuple[Any, Ints]]:

@@ -47,6 +47,11 @@ class Term(ABC):
         """Functions that go on from step to step, by name."""
         return {}
 
+    @property
+    def identity(self) -> Mapping[str, Any]:
+        """What a state belongs to, by name, of what JSON can hold: a checkpoint is refused else."""
+        return {}
+
     def energy(self) -> float | Floats | None:
         """Return this rank's share of Pi(u), or its addends; None if there is no potential.
 

@@ -41,6 +41,7 @@ class TimeSolves(Solves):
     """How steps of time are solved: with a ledger, of which the first step makes the beginning."""
 
     conserve: bool = True
+    radius: float | None = None  # of "generalised-alpha"
     loading: Loading = field(default_factory=lambda: Loading([], None))
     ledger: EnergyLedger | None = None
     notes: list[str] = field(default_factory=list)  # of the start, for the first step's report
@@ -130,6 +131,15 @@ class TimeSolves(Solves):
         report.notes += self.notes
         self.notes = []
 
+    def settings(self) -> dict[str, Any]:
+        """Return the scheme and the damping."""
+        terms = [term for _, term in self.problem.terms.named if isinstance(term, Damping)]
+        return {
+            "scheme": CONSERVING if self.conserve else DAMPED,
+            "spectral_radius": self.radius,
+            "Damping(mass, stiffness)": [term.shares for term in terms],
+        }
+
     def may_cut(self, loading: Loading) -> bool:
         """Return that half the time is another problem."""
         return True
@@ -207,7 +217,7 @@ def time_steps(
     begin = problem.committed.level if start is None else float(start)
     done = count_done(problem, levels) if start is None else 0
     check_increasing(begin, levels[done:])
-    found = choose_scheme(scheme, spectral_radius)
+    found, radius = choose_scheme(scheme, spectral_radius)
     (inertia,) = find_inertia(problem)
     loading = Loading(read_ramps(problem.comm, ramp), on_time)
     if on_time is not None and not callable(on_time):
@@ -215,7 +225,12 @@ def time_steps(
     file = check_every(problem.comm, checkpoint, every)
     inertia.scheme = found
     yield from walk(
-        TimeSolves(problem, qp, rtol, max_it, conserve=scheme == CONSERVING, loading=loading),
+        TimeSolves(
+            *(problem, qp, rtol, max_it),
+            conserve=scheme == CONSERVING,
+            radius=radius,
+            loading=loading,
+        ),
         levels,
         loading,
         begin,
@@ -227,8 +242,8 @@ def time_steps(
     )
 
 
-def choose_scheme(scheme: Any, radius: Any) -> Scheme:
-    """Return the parameters of a scheme.
+def choose_scheme(scheme: Any, radius: Any) -> tuple[Scheme, float | None]:
+    """Return the parameters of a scheme, and its spectral radius if it has one.
 
     Raises:
         ValueError: for unknown names, and a spectral radius that is none or of no use.
@@ -241,11 +256,11 @@ def choose_scheme(scheme: Any, radius: Any) -> Scheme:
                 f"spectral_radius is {radius!r}, but {CONSERVING!r} damps nothing: leave it out, or"
                 f" choose scheme={DAMPED!r}"
             )
-        return NEWMARK
+        return NEWMARK, None
     radius = 0.8 if radius is None else radius
     if not (is_number(radius) and 0.0 <= radius <= 1.0):
         raise ValueError(f"spectral_radius is {radius!r}: give a number from 0 to 1")
-    return generalised_alpha(float(radius))
+    return generalised_alpha(float(radius)), float(radius)
 
 
 def stop_held(problem: ContactProblem, inertia: Inertia) -> list[str]:

@@ -10,10 +10,10 @@ import logging
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from mpi4py import MPI
 
@@ -96,6 +96,10 @@ class Solves:
     def commit(self, report: StepReport) -> None:
         """Make a converged step the state from which the next one starts; collective."""
         self.problem.commit()
+
+    def settings(self) -> dict[str, Any]:
+        """Return what changes the answers, by the name of the argument, of what JSON can hold."""
+        return {}
 
     def may_cut(self, loading: Loading) -> bool:
         """Tell whether a part of a step is another problem than the whole of it."""
@@ -189,11 +193,13 @@ def walk(
     committed = problem.committed
     check_range(loading.ramps, [begin, *levels])
     committed.level, committed.walked = begin, done
+    settings = solves.settings()
     if done and committed.walk is not None:
+        _check_settings(settings, committed.walk.settings, "the walk that these times continue")
         begin = committed.walk.start
     if file is not None:
-        begin = _continue(problem, file, levels, loading, begin)
-    committed.walk = Walk(begin, [one.rows for one in loading.ramps])
+        begin = _continue(solves, file, levels, loading, begin)
+    committed.walk = Walk(begin, [one.rows for one in loading.ramps], settings)
     written = Checkpoint(problem, file, committed.walk)
     done = committed.walked  # of the checkpoint, if there is one
     idle = _idle(problem, loading)
@@ -225,7 +231,7 @@ def _idle(problem: ContactProblem, loading: Loading) -> list[str]:
 
 
 def _continue(
-    problem: ContactProblem,
+    solves: Solves,
     file: Path,
     levels: list[float],
     loading: Loading,
@@ -237,10 +243,11 @@ def _continue(
         The initial level of the run: `begin` without a checkpoint.
 
     Raises:
-        ValueError: on all ranks, if the first levels are not those that it has reached, or if
-            tables differ up to there.
+        ValueError: on all ranks, if the first levels are not those that it has reached, if tables
+            differ up to there, or if steps were made otherwise.
         OSError: on all ranks, if no file can be written there.
     """
+    problem = solves.problem
     # other ranks may have no access to the folder; the check has the errors of wrong names
     if not problem.comm.bcast(problem.comm.rank == 0 and os.path.exists(file)):
         check_folder(problem.comm, file)
@@ -249,6 +256,8 @@ def _continue(
     walk = saved.walk
     _check_walked(levels, walk, file)
     _check_tables(loading.ramps, saved, file)
+    settings = (saved.about["walk"] or {}).get("settings") if walk else None
+    _check_settings(solves.settings(), settings, f"the checkpoint {str(file)!r}")
     if len(walk) < len(levels):  # an error now rather than after the next step
         check_folder(problem.comm, file)
     problem.outcome = saved.put()
@@ -274,6 +283,20 @@ def _check_walked(levels: list[float], walk: list[float], file: Path) -> None:
                 f"times: level {k + 1} is {given}, but the checkpoint {str(file)!r} has walked "
                 f"{len(walk)} levels, and there to {reached}: give times that begin so, give this "
                 "walk a file of its own, or delete the file to begin anew"
+            )
+
+
+def _check_settings(
+    present: Mapping[str, Any], before: Mapping[str, Any] | None, where: str
+) -> None:
+    """Raise a ValueError unless steps are made as before, where that is known."""
+    if before is None:
+        return
+    for name in {**present, **before}:
+        if present.get(name) != before.get(name):
+            raise ValueError(
+                f"{name} is {present.get(name)!r}, in {where} {before.get(name)!r}: give the same, "
+                "or the times after those alone, for a walk of its own that goes on from there"
             )
 
 

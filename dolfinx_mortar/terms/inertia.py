@@ -173,7 +173,8 @@ class Inertia(Term):
             check_relief(relief, solid)
         rho = create_density(solid, density, cell_tags)
         weight = ufl.as_ufl(solid.kinematics.weight(ufl.SpatialCoordinate(solid.mesh)))
-        self.solid, self.scheme, self.relief = solid, NEWMARK, relief
+        self.solid, self.scheme = solid, NEWMARK
+        self._identity = {"relief": relief, "density": numbers_of(density)}
         self.plain = self.mass = assemble_mass(V, rho, weight)
         self._state = {
             name: fem.Function(V, name=name)
@@ -200,6 +201,16 @@ class Inertia(Term):
     def state(self) -> Mapping[str, fem.Function]:
         """Velocity, acceleration, and the forces at the end of the last step."""
         return self._state
+
+    @property
+    def identity(self) -> Mapping[str, Any]:
+        """The mass, and where it has been moved."""
+        return self._identity
+
+    @property
+    def relief(self) -> str:
+        """Directions in which contact nodes lose their mass."""
+        return str(self._identity["relief"])
 
     @property
     def velocity(self) -> fem.Function:
@@ -431,6 +442,11 @@ class Damping(Term):
         """Of the bodies that are damped."""
         return self._inertia
 
+    @property
+    def shares(self) -> list[float]:
+        """Those of the mass and of the stiffness, a and b."""
+        return [self._mass, self._stiffness]
+
     def times(self, velocity: Floats) -> Floats:
         """Return C v, (owned nodes, d); collective."""
         x, y = self._K.createVecs()
@@ -500,6 +516,13 @@ def read_numbers(density: Any) -> None:
                 f"Inertia: {name} is {value!r}: give a positive number, mass per volume in the "
                 "units of the model (N, mm, s: tonnes per mm^3, 7.85e-9 for steel)"
             )
+
+
+def numbers_of(density: Any) -> Any:
+    """Return the number, or the numbers by tag."""
+    if isinstance(density, Mapping):
+        return {str(tag): float(_value(given)) for tag, given in sorted(density.items(), key=str)}
+    return float(_value(density))
 
 
 def _value(given: Any) -> Any:
