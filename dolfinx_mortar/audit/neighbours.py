@@ -7,7 +7,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.arrays import Bools, Floats, Longs
-from dolfinx_mortar.geometry.crossings import near_others
+from dolfinx_mortar.geometry.crossings import bounds, near_others
 from dolfinx_mortar.geometry.facets import facet_sizes
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.facing_bodies import Facing, Skin, find_facing
@@ -32,8 +32,9 @@ def boxes_of(comm: MPI.Comm, x: Floats, body: Longs, count: int) -> Floats:
     Of all ranks; collective.
     """
     boxes = np.full((count, 2, x.shape[2]), np.inf)
-    np.minimum.at(boxes[:, 0], body, x.min(axis=1))
-    np.minimum.at(boxes[:, 1], body, -x.max(axis=1))
+    low, high = bounds(x)
+    np.minimum.at(boxes[:, 0], body, low)
+    np.minimum.at(boxes[:, 1], body, -high)
     comm.Allreduce(MPI.IN_PLACE, boxes, op=MPI.MIN)
     boxes[:, 1] *= -1.0
     return boxes

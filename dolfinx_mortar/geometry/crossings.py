@@ -19,7 +19,21 @@ class Crossings:
     pairs: Longs  # (p, 2) the facet with the edge, the facet that it crosses
     depth: Floats  # (p,) how far the edge reaches beyond that facet, to its nearer end
     place: Floats  # (p, d) where it crosses
-    cosine: Floats  # (p,) of the angle between the outward normals of both
+
+
+def bounds(x: Floats) -> tuple[Floats, Floats]:
+    """Return the smallest and largest coordinates (m, d) of few points (m, k, d).
+
+    NumPy's reduction along the middle axis takes two to five times as long.
+
+    Example:
+        >>> [end.tolist() for end in bounds(np.array([[[0.0, 3.0], [1.0, 2.0]]]))]
+        [[[0.0, 2.0]], [[1.0, 3.0]]]
+    """
+    low = high = x[:, 0]
+    for k in range(1, x.shape[1]):
+        low, high = np.minimum(low, x[:, k]), np.maximum(high, x[:, k])
+    return low, high
 
 
 def near_others(x: Floats, body: Longs, boxes: Floats) -> Bools:
@@ -30,7 +44,7 @@ def near_others(x: Floats, body: Longs, boxes: Floats) -> Bools:
         body: number of the body of each facet.
         boxes: smallest and largest coordinates (bodies, 2, d).
     """
-    low, high = x.min(axis=1), x.max(axis=1)
+    low, high = bounds(x)
     near = np.zeros(len(x), dtype=bool)
     for other in range(len(boxes)):
         meets = (low <= boxes[other, 1]) & (high >= boxes[other, 0])
@@ -38,20 +52,20 @@ def near_others(x: Floats, body: Longs, boxes: Floats) -> Bools:
     return near
 
 
-def find_crossings(x: Floats, body: Longs) -> Crossings:
-    """Return where facets of different bodies cross.
+def find_crossings(x: Floats, pairs: Longs) -> Crossings:
+    """Return where facets cross.
 
     Args:
         x: vertices (m, d, d) of lines or triangles.
-        body: number (m,) of the body of each.
+        pairs: (p, 2) those to look at, each once.
 
     Example:
         >>> line = np.array([[[1.0, 0.0], [-1.0, 0.0]], [[0.5, 3.0], [0.5, -1.0]]])
-        >>> found = find_crossings(line, np.array([0, 1]))
+        >>> found = find_crossings(line, np.array([[0, 1]]))
         >>> found.pairs.tolist(), found.depth.tolist(), found.place.tolist()
         ([[0, 1], [1, 0]], [0.5, 1.0], [[0.5, 0.0], [0.5, 0.0]])
     """
-    d, pairs = x.shape[2], near_pairs(x, body)
+    d = x.shape[2]
     pairs = np.concatenate([pairs, pairs[:, ::-1]])
     normals = facet_normals(Facets(LINE2 if d == 2 else TRI3, x))
     found = []
@@ -67,30 +81,30 @@ def find_crossings(x: Floats, body: Longs) -> Crossings:
         some, place = some[inside], place[inside]
         found.append((pairs[some], np.minimum(np.abs(d0), np.abs(d1))[some], place))
     pairs, depth, place = (np.concatenate([part[i] for part in found]) for i in range(3))
-    cosine = (normals[pairs[:, 0]] * normals[pairs[:, 1]]).sum(axis=1)
-    return Crossings(pairs, depth, place, cosine)
+    return Crossings(pairs, depth, place)
 
 
-def near_pairs(x: Floats, body: Longs) -> Longs:
-    """Return pairs (p, 2) of facets of different bodies whose boxes meet, each once.
+def near_pairs(x: Floats, group: Longs, apart: Bools) -> Longs:
+    """Return pairs (p, 2) of facets whose boxes meet, each once.
 
     Args:
         x: points (m, k, d) whose boxes hold the facets, such as vertices at two times.
-        body: number (m,) of the body of each.
+        group: number (m,) of the group of each.
+        apart: (groups, groups) which of them to compare, symmetric, such as other bodies.
 
     Facets are sorted into classes of size, each twice the last, so that a small one is not compared
     with all small ones within the reach of the largest. In each direction distances are measured in
     the largest extents there: where all slide in one direction, boxes are long and thin.
     """
-    low, high = x.min(axis=1), x.max(axis=1)
+    low, high = bounds(x)
     centre, half = (low + high) / 2, (high - low) / 2
     size = np.frexp(half.max(axis=1, initial=0.0))[1]
     found = [np.zeros((0, 2), dtype=np.int64)]
-    for power, one in np.unique(np.stack([size, body], axis=1), axis=0):
-        larger = np.flatnonzero((size == power) & (body == one))
-        once = (size < power) | ((size == power) & (body > one))
+    for power, one in np.unique(np.stack([size, group], axis=1), axis=0):
+        larger = np.flatnonzero((size == power) & (group == one))
+        once = (size < power) | ((size == power) & (group >= one))
         within = (low <= high[larger].max(axis=0)) & (high >= low[larger].min(axis=0))
-        smaller = np.flatnonzero(once & (body != one) & within.all(axis=1))
+        smaller = np.flatnonzero(once & apart[one, group] & within.all(axis=1))
         if len(smaller) == 0:
             continue
         unit = half[larger].max(axis=0) + half[smaller].max(axis=0)
@@ -102,5 +116,6 @@ def near_pairs(x: Floats, body: Longs) -> Longs:
         a = np.repeat(smaller, counts)
         b = larger[np.fromiter(chain.from_iterable(near), np.int64, sum(counts))]
         meet = ((low[a] <= high[b]) & (high[a] >= low[b])).all(axis=1)
+        meet &= (size[a] < power) | (group[a] != one) | (a < b)
         found.append(np.stack([a[meet], b[meet]], axis=1))
     return np.concatenate(found)

@@ -10,7 +10,7 @@ import numpy as np
 from dolfinx import fem, la
 from dolfinx_mortar.arrays import Bools, Floats, Longs
 from dolfinx_mortar.audit.neighbours import boxes_of
-from dolfinx_mortar.geometry.crossings import near_others, near_pairs
+from dolfinx_mortar.geometry.crossings import bounds, near_others, near_pairs
 from dolfinx_mortar.geometry.sweep import find_entering, find_passing_edges, flat_parts
 from dolfinx_mortar.geometry.turning import best_motion, path, rigid_sums, times_of
 from dolfinx_mortar.problem.problem import ContactProblem
@@ -30,34 +30,39 @@ class _Swept(FacetParts):
         return self.path.reshape(m, t * k, d)
 
     def edges(self) -> "_Swept":
-        """Return the edges of triangles: of two of opposite facets, that with the later end."""
+        """Return the edges of triangles, three to each."""
         ends = np.array([[0, 1], [1, 2], [2, 0]])
         m, t, _, d = self.path.shape
         path = self.path[:, :, ends].swapaxes(1, 2).reshape(3 * m, t, 2, d)
-        later = np.sign(path[:, 0, 1] - path[:, 0, 0]) @ [9, 3, 1] > 0  # the first that differs
-        return replace(self.part(np.repeat(np.arange(m), 3)), path=path).part(later)
+        return replace(self.part(np.repeat(np.arange(m), 3)), path=path)
 
     def between(self, first: int, last: int) -> "_Swept":
         """Return the straight paths between two of the times."""
         return replace(self, path=self.path[:, [first, last]])
 
-    def pairs(self) -> Longs:
-        """Return pairs (p, 2), each once, whose paths meet and which no interface couples."""
-        found = near_pairs(self.vertices(), self.body)
-        one, other = self.sides[found.T]
-        return found[~(one & other[:, ::-1]).any(axis=(1, 2))]
+    def groups(self) -> tuple[Longs, Bools]:
+        """Return the group (m,) of each, and which groups (g, g) no interface couples.
+
+        A group has one body, and the same sides of interfaces.
+        """
+        kinds = np.column_stack(
+            [self.body, self.sides.reshape(len(self.body), 2 * self.sides.shape[2])]
+        )
+        _, first, group = np.unique(kinds, axis=0, return_index=True, return_inverse=True)
+        body, sides = self.body[first], self.sides[first]
+        coupled = (sides[:, None] & sides[None, :, ::-1]).any(axis=(2, 3))
+        return group.ravel(), (body[:, None] != body) & ~coupled
 
 
 def notes_on_swept(problem: ContactProblem, crossing: Crossing) -> list[str]:
     """Return a note if bodies have moved into or through each other unseen; collective.
 
     Since the last commit, on the paths of `dolfinx_mortar.geometry.turning`, as seen from the body
-    with most facets. Measured, two elastic boxes of 41 thousand unknowns that touch, of the
-    processor time of a step of one iteration that needs no set-up: 7 % at rest, 13 % where one
-    slides by a third of its length, 16 % by all of it, 37 % where it turns by 30 degrees; in the
-    plane with 47 thousand 3, 4, 6 and 14 %. Facets with a node on
-    one side of an interface are left out with those of its other side: contacts see to those
-    themselves, see `mortar.passing`.
+    with most facets. Measured, two elastic boxes of 45 thousand unknowns that touch, of the
+    processor time of a step of one iteration that needs no set-up: 6 % at rest and where one
+    slides by a third of its length or by all of it, 12 % where it turns by 30 degrees; in the
+    plane with 47 thousand 2 and 7 %. Facets with a node on one side of an interface are left out
+    with those of its other side: contacts see to those themselves, see `mortar.passing`.
 
     Args:
         problem: at the end of a step.
@@ -88,22 +93,38 @@ def _meetings(swept: _Swept) -> tuple[Longs, Floats]:
 
     Between all times but one: who enters slowly is not deep enough at the next one.
     """
+    groups = swept.groups()
     edges = swept.edges() if swept.path.shape[3] > 2 else None
     found = []
     for last in range(1, swept.path.shape[1]):
         step = swept.between(max(last - 2, 0), last)
-        pairs = step.pairs()
-        pairs = np.concatenate([pairs, pairs[:, ::-1]])
+        once = near_pairs(step.vertices(), *groups)
+        pairs = np.concatenate([once, once[:, ::-1]])
         which = find_entering(step.path[:, 0], step.path[:, 1], pairs, SUNK)
         found.append((swept, pairs[which]))
         if edges is not None:
             step = edges.between(max(last - 2, 0), last)
-            pairs = step.pairs()
+            pairs = _near_edges(step, once)
             which = find_passing_edges(step.path[:, 0], step.path[:, 1], pairs, SUNK)
             found.append((edges, pairs[which]))
     bodies = [np.sort(parts.body[pairs], axis=1) for parts, pairs in found]
     places = [parts.path[pairs[:, 0], 0].mean(axis=1) for parts, pairs in found]
     return np.concatenate(bodies), np.concatenate(places)
+
+
+def _near_edges(edges: _Swept, pairs: Longs) -> Longs:
+    """Return the pairs (q, 2) of edges of pairs (p, 2) of triangles whose boxes meet.
+
+    Of two opposite edges of neighbours, only that with the later end is looked at.
+    """
+    start = edges.path[:, 0]
+    later = np.sign(start[:, 1] - start[:, 0]) @ [9, 3, 1] > 0  # the first that differs
+    a, b = (3 * pairs[:, :, None, None] + np.mgrid[:3, :3]).swapaxes(0, 1).reshape(2, -1)
+    some = later[a] & later[b]
+    a, b = a[some], b[some]
+    (low, high), (least, most) = (bounds(edges.vertices()[k]) for k in (a, b))
+    meet = ((low <= most) & (high >= least)).all(axis=1)
+    return np.stack([a[meet], b[meet]], axis=1)
 
 
 def _first(comm: MPI.Comm, bodies: Longs, places: Floats) -> dict[tuple[int, int], list[float]]:

@@ -13,7 +13,7 @@ from dolfinx import la
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Bools, Floats, Longs
 from dolfinx_mortar.audit.neighbours import boxes_of
-from dolfinx_mortar.geometry.crossings import find_crossings, near_others
+from dolfinx_mortar.geometry.crossings import bounds, find_crossings, near_others, near_pairs
 from dolfinx_mortar.geometry.elements import LINE2, TRI3
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
 from dolfinx_mortar.geometry.sweep import flat_parts
@@ -42,7 +42,7 @@ class FacetParts:
         """Return the own facets, and those of other ranks that their box meets; collective."""
         if comm.size == 1:
             return self
-        low, high = self.vertices().min(axis=1), self.vertices().max(axis=1)
+        low, high = bounds(self.vertices())
         box = low.min(axis=0, initial=np.inf), high.max(axis=0, initial=-np.inf)
         sent = [
             self.part(((low <= most) & (high >= least)).all(axis=1) & (rank != comm.rank))
@@ -84,6 +84,13 @@ class _Skin(FacetParts):
         """Return the vertices."""
         return self.x
 
+    def apart(self, pairs: Longs) -> Longs:
+        """Return those of pairs (p, 2) that are no two sides of one interface facing each other."""
+        one, other = pairs.T
+        coupled = (self.sides[one] & self.sides[other][:, ::-1]).any(axis=(1, 2))
+        n = facet_normals(Facets(LINE2 if self.x.shape[2] == 2 else TRI3, self.x))
+        return pairs[~(coupled & ((n[one] * n[other]).sum(axis=1) < 0.0))]
+
 
 def find_crossing(problem: ContactProblem) -> Crossing:
     """Return the deepest crossing of the boundaries of bodies at X + u; collective.
@@ -117,10 +124,11 @@ def find_self_crossing(problem: ContactProblem, link: Link) -> Crossing:
     sides = np.stack([slave, ~slave], axis=1)[:, :, None]
     on = np.repeat(sides[:, None], flat.shape[1], axis=1)
     skin = _Skin(first + again, sides, flat, on, sagitta).received(comm)
-    found = find_crossings(skin.x, skin.body)
+    pairs = near_pairs(skin.x, np.zeros_like(skin.body), np.ones((1, 1), dtype=bool))
+    halves = skin.body[pairs[:, 0]] == skin.body[pairs[:, 1]]  # of a quadrilateral
+    found = find_crossings(skin.x, skin.apart(pairs[~halves]))
     one, other = skin.part(found.pairs[:, 0]), skin.part(found.pairs[:, 1])
-    coupled = (one.sides & other.sides[:, ::-1]).any(axis=(1, 2)) & (found.cosine < 0.0)
-    depth = np.where(coupled, 0.0, np.maximum(found.depth - one.sagitta - other.sagitta, 0.0))
+    depth = np.maximum(found.depth - one.sagitta - other.sagitta, 0.0)
     share = depth / np.minimum(facet_sizes(one.x), facet_sizes(other.x))
     body = int(maximum(comm, problem.bodies.of_cells[cells_of(surface)].max(initial=0))[0])
     return _deepest(comm, share, depth, found.place, np.full((len(share), 2), body))
@@ -139,15 +147,14 @@ def _deepest(
 def _find_between(problem: ContactProblem) -> Crossing:
     """Return the deepest crossing of the boundaries of two bodies; collective."""
     comm, skin = problem.comm, _create_skin(problem).received(problem.comm)
-    found = find_crossings(skin.x, skin.body)
+    others = ~np.eye(problem.bodies.count, dtype=bool)
+    found = find_crossings(skin.x, skin.apart(near_pairs(skin.x, skin.body, others)))
     one, other = skin.part(found.pairs[:, 0]), skin.part(found.pairs[:, 1])
-    coupled = (one.sides & other.sides[:, ::-1]).any(axis=(1, 2)) & (found.cosine < 0.0)
     size = np.minimum(facet_sizes(one.x), facet_sizes(other.x))
     reach = np.minimum(_seen_reach(one, other), _seen_reach(other, one))
     depth = np.minimum(found.depth - one.sagitta - other.sagitta, reach).clip(min=0.0)
-    share = np.where(coupled, 0.0, depth / size)
     bodies = np.stack([one.body, other.body], axis=1)
-    return _deepest(comm, share, depth, found.place, bodies)
+    return _deepest(comm, depth / size, depth, found.place, bodies)
 
 
 def _seen_reach(one: _Skin, other: _Skin) -> Floats:
