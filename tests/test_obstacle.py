@@ -315,6 +315,8 @@ def test_a_walk_goes_on_from_a_checkpoint(tmp_path):
     assert tool.began.position == pytest.approx(tool.reference - [0.0, 3.0 * DEPTH])
     rest = press(case, problem, tool, levels[2:])
     assert np.array([*first, *rest]) == pytest.approx(np.array(whole), rel=1e-9, abs=1e-11)
+    with rejected("surface='smooth'", "a checkpoint of another problem"):
+        start(friction=0.3, surface="smooth")[2].restore(path)
 
 
 @pytest.mark.serial

@@ -142,7 +142,8 @@ class Obstacle(Movable, Unilateral):
     @property
     def sides(self) -> str:
         """How messages call the side and the tool."""
-        return f"{super().sides}, shape={type(self.tool.shape).__name__}"
+        names = {None: "", True: ", surface='smooth'", False: ", surface='facets'"}
+        return f"{super().sides}, shape={type(self.tool.shape).__name__}{names[self.meant]}"
 
     @property
     def shape(self) -> Shape:
