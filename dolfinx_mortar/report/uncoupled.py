@@ -118,15 +118,14 @@ def find_self_crossing(problem: ContactProblem, link: Link) -> Crossing:
     comm, surface = problem.comm, link.sides.slave
     x = coordinates(surface, problem.u)
     facets, sagittas = facets_at(surface, x), nodal_sagittas(surface, x)[surface.facets]
-    first, flat = sum(comm.allgather(len(facets.x))[: comm.rank]), flat_parts(facets)
+    flat = flat_parts(facets)
     again = np.arange(len(flat)) % max(len(facets.x), 1)  # see `_create_skin`
     sagitta, slave = sagittas.max(axis=1, initial=0.0)[again], link.pairing.roles.slave[again]
     sides = np.stack([slave, ~slave], axis=1)[:, :, None]
     on = np.repeat(sides[:, None], flat.shape[1], axis=1)
-    skin = _Skin(first + again, sides, flat, on, sagitta).received(comm)
-    pairs = near_pairs(skin.x, np.zeros_like(skin.body), np.ones((1, 1), dtype=bool))
-    halves = skin.body[pairs[:, 0]] == skin.body[pairs[:, 1]]  # of a quadrilateral
-    found = find_crossings(skin.x, skin.apart(pairs[~halves]))
+    skin = _Skin(np.zeros_like(again), sides, flat, on, sagitta).received(comm)
+    pairs = near_pairs(skin.x, skin.body, np.ones((1, 1), dtype=bool))
+    found = find_crossings(skin.x, skin.apart(pairs))
     one, other = skin.part(found.pairs[:, 0]), skin.part(found.pairs[:, 1])
     depth = np.maximum(found.depth - one.sagitta - other.sagitta, 0.0)
     share = depth / np.minimum(facet_sizes(one.x), facet_sizes(other.x))
