@@ -77,6 +77,11 @@ class Committed:
     walk: Walk | None = None  # the last call of `load_steps`, the only one that may continue
     supports: SupportForces | None = None  # of the last step that has converged
 
+    @property
+    def last_walk(self) -> list[LoadStep]:
+        """The steps of the last call."""
+        return self.history[len(self.history) - self.walked :]
+
     def commit(self, u: Floats, outcome: StepOutcome | None) -> None:
         """Commit the displacement (n,), with the outcome of the step that has ended there."""
         self.begun, self.displacement = True, u.copy()

@@ -128,7 +128,7 @@ class TimeSolves(Solves):
         """Commit a step with its ledger; collective."""
         assert self.ledger is not None
         self.ledger.commit(report, self.linear)
-        report.notes += self.notes
+        report.notes += self.notes + notes_on_chatter(self.problem)
         self.notes = []
 
     def settings(self) -> dict[str, Any]:
@@ -303,10 +303,34 @@ def notes_on_mass(inertia: Inertia) -> list[str]:
     ]
 
 
+def notes_on_chatter(problem: ContactProblem) -> list[str]:
+    """Return a note for contacts with friction that open and close faster than steps resolve.
+
+    They have opened three times in the last ten steps: twice with a period of four or less, and one
+    step before. Of the trapezoidal rule, tan(w' dt / 2) = w dt / 2, four are the period of a
+    vibration of pi steps.
+    """
+    period, notes = 4, []
+    last = problem.committed.last_walk[-(2 * period + 1) :]  # and the step that has just ended
+    for k, interface in enumerate(problem.interfaces):
+        forces = [*(step.forces[k] for step in last), interface.force]
+        closed = np.array([np.any(force) for force in forces])
+        opened = np.count_nonzero(closed[:-1] & ~closed[1:])
+        if interface.rough and opened > 2:
+            notes.append(
+                f"{interface} has opened wholly {opened} times in the last {len(forces)} steps, "
+                "which are too long for vibrations along its normals, so that forces of friction "
+                f"are wrong: bring loads up over some 20 steps, give scheme={DAMPED!r} with "
+                "spectral_radius=0, or take steps in which a wave crosses the body once at most, "
+                "with dm.Damping(.., stiffness=..)"
+            )
+    return notes
+
+
 def count_done(problem: ContactProblem, levels: list[float]) -> int:
     """Return how many times the last walk has made, if these begin with them up to round-off."""
     committed = problem.committed
-    walked = [step.time for step in committed.history[len(committed.history) - committed.walked :]]
+    walked = [step.time for step in committed.last_walk]
     size = max(map(abs, walked), default=0.0)
     same = all(abs(a - b) <= SAME * size for a, b in zip(levels, walked, strict=False))
     return len(walked) if same and len(walked) <= len(levels) else 0
