@@ -12,6 +12,7 @@ import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.geometry.elements import LINE2, LINE3, QUAD4, QUAD9, TRI3, TRI6
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
+from dolfinx_mortar.mortar.edges import _in_both_cones, products
 from dolfinx_mortar.report.overlaps import notes_on_overlaps, opposite
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP, TOP_OF_LOWER, skins, two_blocks
 from tests.meshes_3d import rotation, two_boxes
@@ -48,6 +49,15 @@ def test_forces_of_crossing_edges_are_normal_to_both(slave, master):
     *across, along = contact.force
     assert abs(along) > 1.0
     assert np.hypot(*across) < 0.01 * abs(along)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_the_normal_of_parallel_edges_is_the_mean(d):
+    """Of the normals of two facets that meet there, whatever the weights of both."""
+    n_s, n_m = np.array([[0.0, 0.6, 0.8], [0.0, -0.8, 0.6]])[:, -d:]
+    found = _in_both_cones(3.0 * products(n_s[None], n_m[None]), d)[0][0]
+    mean = (n_s + n_m) / np.linalg.norm(n_s + n_m)
+    assert np.allclose(found / np.linalg.norm(found), mean, atol=1e-12)
 
 
 STACKS = {

@@ -176,3 +176,12 @@ def test_a_matrix_that_had_nothing_to_solve(lowest, method):
     linear.solve(b, x, np.zeros(0, dtype=np.int32), atol=1.0)
     assert linear.counts.factorisations == 0
     assert linear.is_indefinite() == (lowest < 0.0)
+
+
+@pytest.mark.parametrize(("entries", "count"), [((1.0, 2.0), 0), ((1.0, -2.0), 1), ((1.0, 0.0), 1)])
+def test_a_singular_matrix_counts_as_one_negative_eigenvalue(entries, count):
+    """A pivot of 0 fails the factorisation, which has no negative ones to count then."""
+    ends = np.ones(N)
+    ends[: len(entries)] = entries
+    qp = spread(np.diag(ends), np.zeros(N), np.full(N, INF))
+    assert negative_eigenvalues.count_negative(qp.A) == count

@@ -9,10 +9,11 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar.geometry.sweep import find_entering, find_passing_edges
+from dolfinx_mortar.geometry.turning import RigidMotion
 from dolfinx_mortar.report.swept import notes_on_swept
 from dolfinx_mortar.report.uncoupled import Crossing
 from tests.meshes import BOTTOM, TOP, two_blocks
-from tests.meshes_3d import two_boxes
+from tests.meshes_3d import rotation, two_boxes
 from tests.test_crossings import sunk
 
 COMM = MPI.COMM_WORLD
@@ -266,3 +267,14 @@ def held(V, facets, way):
     bottom, top = (fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (BOTTOM, TOP))
     down = fem.Constant(V.mesh, (0.0, way))
     return [fem.dirichletbc(np.zeros(2), bottom, V), fem.dirichletbc(down, top, V)]
+
+
+def test_a_screw_is_made_in_equal_parts():
+    """Three thirds of a motion that turns and shifts along its axis are the whole, with its way."""
+    x, axis = np.array([[1.0, 0.0, 2.0], [0.0, -3.0, 1.0]]), np.array([1.0, 2.0, 2.0]) / 3.0
+    whole = RigidMotion(rotation(axis, 2.0), np.array([0.3, 0.1, -0.7]))
+    third, at = whole.part(1 / 3), [x]
+    for _ in range(3):
+        at.append(third.at(at[-1]))
+    assert np.allclose(at[-1], whole.at(x), atol=1e-12)
+    assert np.allclose(np.diff(np.array(at), axis=0) @ axis, whole.c @ axis / 3, atol=1e-12)

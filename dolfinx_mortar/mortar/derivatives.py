@@ -204,11 +204,11 @@ def by_closed_parts(
     )
     forces = np.hstack([N[0], -N[1]])[:, :, None] * c[:, None]
     rows = d * np.concatenate([own, other], axis=1)[:, :, None] + np.arange(d)
-    F = _summed(rows, s[:, None, None], forces, (d * size[0], size[1]))
-    return F, _summed(own, s[:, None], change * (gap[:, :, 0] - heights[:, None]), (n, size[1]))
+    F = summed(rows, s[:, None, None], forces, (d * size[0], size[1]))
+    return F, summed(own, s[:, None], change * (gap[:, :, 0] - heights[:, None]), (n, size[1]))
 
 
-def _summed(rows: Ints, columns: Ints, values: Floats, size: tuple[int, int]) -> Matrix:
+def summed(rows: Ints, columns: Ints, values: Floats, size: tuple[int, int]) -> Matrix:
     """Return the sums of values at rows and columns that broadcast to their shape."""
     where = (np.broadcast_to(v, values.shape).ravel() for v in (rows, columns))
     return Matrix(sparse.coo_array((values.ravel(), tuple(where)), shape=size).tocsr())
@@ -404,28 +404,28 @@ class _Places:
         """Return the sums (m, columns) of values (q, p) of facets, with those by their size."""
         size = self.count, self.columns
         own = 2 * self.facets[partly.facets][:, :, None] + np.arange(2)
-        by_size = _summed(partly.facets[:, None, None], own, partly.by_x, size)
-        return Matrix(by_size + _summed(self.facet[:, None], self.stencil, values, size))
+        by_size = summed(partly.facets[:, None, None], own, partly.by_x, size)
+        return Matrix(by_size + summed(self.facet[:, None], self.stencil, values, size))
 
     def forces(self, values: Floats) -> Matrix:
         """Return the sums of values (q, k + l, 2, p)."""
         rows, columns = self.force_rows[..., None], self.stencil[:, None, None]
-        return _summed(rows, columns, values, (self.columns - 2 * self.n, self.columns))
+        return summed(rows, columns, values, (self.columns - 2 * self.n, self.columns))
 
     def gaps(self, values: Floats) -> Matrix:
         """Return the sums of values (q, k, p)."""
         where = self.slave[..., None], self.stencil[:, None]
-        return _summed(*where, values, (self.n, self.columns))
+        return summed(*where, values, (self.n, self.columns))
 
     def forces_by_coefficients(self, values: Floats) -> Matrix:
         """Return the sums of values (q, k + l, 2, k, k)."""
         rows, columns = self.force_rows[..., None, None], self.coefficients[:, None, None]
-        return _summed(rows, columns, values, (self.columns - 2 * self.n, self.k**2 * self.count))
+        return summed(rows, columns, values, (self.columns - 2 * self.n, self.k**2 * self.count))
 
     def gaps_by_coefficients(self, values: Floats) -> Matrix:
         """Return the sums of values (q, k, k)."""
         where = self.slave[..., None], self.coefficients
-        return _summed(*where, values, (self.n, self.k**2 * self.count))
+        return summed(*where, values, (self.n, self.k**2 * self.count))
 
     def by_coefficients(self, slope: Floats, moments: Floats) -> Matrix:
         """Return the derivatives of A' on all facets.
@@ -436,8 +436,8 @@ class _Places:
         """
         i, f = moments.shape[1], np.arange(self.count)[:, None, None]
         rows = i * self.facet[:, None, None] + np.arange(i)[:, None]
-        integrals = _summed(rows, self.stencil[:, None], moments, (i * self.count, self.columns))
+        integrals = summed(rows, self.stencil[:, None], moments, (i * self.count, self.columns))
         entry = self.k**2 * f + np.arange(self.k**2)[:, None]
         slope = slope.reshape(self.count, self.k**2, i)
         size = self.k**2 * self.count, i * self.count
-        return Matrix(_summed(entry, i * f + np.arange(i), slope, size) @ integrals)
+        return Matrix(summed(entry, i * f + np.arange(i), slope, size) @ integrals)

@@ -14,7 +14,6 @@ of a smooth surface (`dolfinx_mortar.mortar.curvature_correction.point_heights`)
 """
 
 import numpy as np
-from scipy import sparse
 
 import dolfinx
 from dolfinx.common import timed
@@ -32,7 +31,7 @@ from dolfinx_mortar.geometry.facet_derivatives import (
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, normal_slopes, points_of
 from dolfinx_mortar.geometry.segments import Segments, are_facing
 from dolfinx_mortar.mortar.curvature_correction import distinct, point_heights
-from dolfinx_mortar.mortar.derivatives import Derivatives, Part, Tractions, by_closed_parts
+from dolfinx_mortar.mortar.derivatives import Derivatives, Part, Tractions, by_closed_parts, summed
 from dolfinx_mortar.mortar.edges import PartlyOpen, Sharing, find_partly_open
 from dolfinx_mortar.mortar.integrals import (
     absorbed,
@@ -174,9 +173,9 @@ def _closed_parts(
     values[:, :k] += turned
     place = _Places(pairing, pairs, len(slave.nodes))
     size = m, place.columns
-    by_moments = place.sum(s[:, None, None], place.dofs, by_moment[s, None, None] * values, size)
+    by_moments = summed(s[:, None, None], place.dofs, by_moment[s, None, None] * values, size)
     own = 3 * slave.facets[partly.facets][:, :, None] + np.arange(3)
-    return Matrix(by_moments + place.sum(partly.facets[:, None, None], own, partly.by_x, size))
+    return Matrix(by_moments + summed(partly.facets[:, None, None], own, partly.by_x, size))
 
 
 def _coefficients(m: Floats, kept: Bools) -> tuple[Floats, Floats]:
@@ -282,11 +281,6 @@ class _Places:
         self.nodes = np.concatenate(both, axis=1)  # (p, k + l)
         self.k = self.slave.shape[1]
 
-    def sum(self, rows: Ints, columns: Ints, values: Floats, size: tuple[int, int]) -> Matrix:
-        """Return the sums of values at rows and columns of their shape, or that broadcast to it."""
-        where = (np.broadcast_to(v, values.shape).ravel() for v in (rows, columns))
-        return Matrix(sparse.coo_array((values.ravel(), tuple(where)), shape=size).tocsr())
-
     @property
     def dofs(self) -> Ints:
         """Components (p, k + l, 3) of the nodes of pairs."""
@@ -325,11 +319,11 @@ def _by_edges(place: "_Places", found: PairIntegrals, own: _Own, part: Floats) -
     edged = np.isin(place.facet, place.facet[on])
     forces = np.repeat(np.swapaxes(own.by_duals[edged], 1, 2)[:, :, None], 3, axis=2)
     rows, columns = place.dofs[edged][..., None], np.swapaxes(item[edged], 1, 2)[:, None]
-    F_C = place.sum(rows, columns, forces, (place.columns, count))
+    F_C = summed(rows, columns, forces, (place.columns, count))
     columns = place.dofs[on][:, None, None, k:]
     rows = np.swapaxes(item[on], 1, 2)[..., None, None]
     values = found.by_master * part[on][:, None, None, None, None]
-    return Matrix(F_C @ place.sum(rows, columns, values, (count, place.columns)))
+    return Matrix(F_C @ summed(rows, columns, values, (count, place.columns)))
 
 
 def _by_normals(place: _Places, own: _Own, given: Tractions, part: Floats) -> tuple[Blocks, Blocks]:
