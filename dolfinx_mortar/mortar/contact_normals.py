@@ -29,16 +29,19 @@ def contact_normals(
     on.x.scatter_forward()
     touching = np.flatnonzero(on.x.array.reshape(-1, d)[boundary.nodes, 0].all(axis=1))
     nodes, normals = boundary.nodes[touching], normals_at_nodes(boundary.facets[touching])
-    np.add.at(mean.x.array.reshape(-1, d), nodes, normals)
-    for f in (mean, turned):
-        if f is turned:
-            n = mean.x.array.reshape(-1, d)
-            n /= np.maximum(np.linalg.norm(n, axis=1), TINY)[:, None]
-            angle = np.cos(np.radians(degrees))
-            edge = (normals * n[nodes]).sum(axis=2) < angle
-            np.add.at(f.x.array.reshape(-1, d), nodes, edge[:, :, None].astype(float))
-        f.x.scatter_reverse(la.InsertMode.add)
-        f.x.scatter_forward()
-    found = mean.x.array.reshape(-1, d)[: len(contact)].copy()
+    n = mean.x.array.reshape(-1, d)
+    np.add.at(n, nodes, normals)
+    _share(mean)
+    n /= np.maximum(np.linalg.norm(n, axis=1), TINY)[:, None]
+    edge = (normals * n[nodes]).sum(axis=2) < np.cos(np.radians(degrees))
+    np.add.at(turned.x.array.reshape(-1, d), nodes, edge[:, :, None].astype(float))
+    _share(turned)
+    found = n[: len(contact)].copy()
     found[turned.x.array.reshape(-1, d)[: len(contact), 0] > 0.0] = 0.0
     return found
+
+
+def _share(sums: fem.Function) -> None:
+    """Add up what the ranks have at nodes they share; collective."""
+    sums.x.scatter_reverse(la.InsertMode.add)
+    sums.x.scatter_forward()

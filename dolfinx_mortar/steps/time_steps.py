@@ -306,15 +306,14 @@ def notes_on_mass(inertia: Inertia) -> list[str]:
 def notes_on_chatter(problem: ContactProblem) -> list[str]:
     """Return a note for contacts with friction that open and close faster than steps resolve.
 
-    They have opened three times in the last ten steps: twice with a period of four or less, and one
-    step before. Of the trapezoidal rule, tan(w' dt / 2) = w dt / 2, four are the period of a
-    vibration of pi steps.
+    They have opened three times in nine steps and one before, at most four apart in the mean. Of
+    the trapezoidal rule, tan(w' dt / 2) = w dt / 2, four are the period of a vibration of pi steps.
     """
     period, notes = 4, []
     last = problem.committed.last_walk[-(2 * period + 1) :]  # and the step that has just ended
     for k, interface in enumerate(problem.interfaces):
-        forces = [*(step.forces[k] for step in last), interface.force]
-        closed = np.array([np.any(force) for force in forces])
+        forces = np.array([*(step.forces[k] for step in last), interface.force])
+        closed = np.abs(forces).max(axis=1) > 0.0
         opened = np.count_nonzero(closed[:-1] & ~closed[1:])
         if interface.rough and opened > 2:
             notes.append(
