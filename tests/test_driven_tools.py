@@ -68,6 +68,17 @@ def test_a_plate_finds_its_angle():
     assert held.tool_moment == pytest.approx(tool.tool_moment, rel=1e-6, abs=1e-7)
 
 
+def test_a_tight_tolerance_with_friction():
+    """Differences for the stiffness of a tool are not smaller than the round-off of QPs."""
+    case = Block(n=12, fine=4.0)
+    disc = dm.shapes.Cylinder([5.0, 3.0], 3.0)
+    driven = case.tool(disc, friction=0.3, load={"y": -1.0, "moment": -0.3})
+    report = dm.newton(case.problem([driven]), rtol=1e-10)
+    assert driven.tool_force[1] == pytest.approx(1.0, rel=1e-9)
+    assert driven.tool_moment[2] == pytest.approx(0.3, rel=1e-9)
+    assert report.newton_iterations <= 6
+
+
 @pytest.mark.parametrize(("cell", "degree"), [("hexahedron", 1), ("tetrahedron", 2)])
 def test_in_space_a_plate_settles_on_a_box(cell, degree):
     """Three of six are given, the others stay prescribed; of six-node facets D is not diagonal."""

@@ -29,6 +29,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import (
+    HALF_OF_DIGITS,
     LIMIT,
     QUARTER_OF_DIGITS,
     ROUND_OFF,
@@ -354,6 +355,7 @@ def _measured(
     """
     part = 1.0 if drives.follows.all() else QUARTER_OF_DIGITS  # linear unless contacts change
     small = part * here.far(diagonal) / np.sqrt(diagonal)
+    small = np.maximum(small, HALF_OF_DIGITS * here.size / diagonal)  # beyond round-off of QPs
     columns = []
     for a, step in enumerate(small):
         q = here.travel.copy()
