@@ -385,8 +385,10 @@ def test_an_initial_velocity_at_a_support_is_taken_away():
         found.append((bar.u.x.array.copy(), bar.inertia.velocity.x.array.copy()))
     (u, v), (w, z) = found
     assert COMM.allreduce(np.abs(u).max(initial=0.0), op=MPI.MAX) > 0.0
-    assert np.array_equal(u, w)
-    assert np.array_equal(v, z)
+    # several ranks add up in the order in which messages come
+    share = 0.0 if COMM.size == 1 else 1e-11
+    for a, b in ((u, w), (v, z)):
+        assert np.allclose(a, b, rtol=0.0, atol=share * np.abs(b).max(initial=0.0))
 
 
 def test_what_the_numbers_of_the_mass_are_for(monkeypatch):
