@@ -281,9 +281,11 @@ def test_a_limit_point_in_space_passes_under_displacement_control():
     assert forces[0] < forces[1] > forces[2] < forces[3]
 
 
-def test_cells_that_invert_in_space():
-    """Impossible: an error that names cell and place, all as before; a possible push is made."""
-    domain = mesh.create_box(COMM, [(0, 0, 0), (1, 1, 1)], (3, 3, 3), mesh.CellType.hexahedron)
+def pressed_cube(law, cells):
+    """Return a cube whose bottom is held, and the displacement that is prescribed at its top."""
+    domain = mesh.create_box(
+        COMM, [(0, 0, 0), (1, 1, 1)], (cells, cells, cells), mesh.CellType.hexahedron
+    )
     u = create_displacement(domain)
     V, move = u.function_space, zero(domain, (3,))
     sides = []
@@ -292,7 +294,13 @@ def test_cells_that_invert_in_space():
         sides.append(fem.locate_dofs_topological(V, 2, found))
     nothing = np.zeros(3, dtype=default_scalar_type)
     bcs = [fem.dirichletbc(nothing, sides[0], V), fem.dirichletbc(move, sides[1], V)]
-    problem = dm.ContactProblem(dm.Solid(u, RUBBER, strain="finite"), [], bcs=bcs)
+    return dm.ContactProblem(dm.Solid(u, law, strain="finite"), [], bcs=bcs), move
+
+
+def test_cells_that_invert_in_space():
+    """Impossible: an error that names cell and place, all as before; a possible push is made."""
+    problem, move = pressed_cube(RUBBER, 3)
+    u = problem.u
     move.value[2] = -1.5
     place = r"inside out.*cell \d+ of the input around \(\S+, \S+, \S+\) at X"
     with pytest.raises(dm.NewtonNotConverged, match=place) as said:
@@ -300,8 +308,22 @@ def test_cells_that_invert_in_space():
     assert "buckle" not in str(said.value)  # cells are the cause, whatever tangents are
     assert not u.x.array.any()
     move.value[2] = -0.95  # takes ten
-    with pytest.raises(dm.NewtonNotConverged, match=r"of their volume.*compress it less"):
+    with pytest.raises(dm.NewtonNotConverged, match=r"of a length.*compress it less"):
         dm.newton(problem, max_it=5)
     move.value[2] = -0.5
     assert dm.newton(problem).newton_iterations <= 6
     assert 0.0 < problem.solid.volumes.smallest() < 1.0
+
+
+def test_a_metal_flattened_in_one_step():
+    """It keeps its volume as it flows, and does not buckle: the step is too large; eighths end."""
+    problem, move = pressed_cube(dm.VonMises(200e3, NU, 200.0, 0.0, 5000.0), 3)
+    move.value[2] = -0.8
+    with pytest.raises(dm.NewtonNotConverged, match=r"of a length.*smaller load steps") as said:
+        dm.newton(problem, max_it=20)
+    assert "buckle" not in str(said.value)
+    ramp = {move: [(0.0, (0.0, 0.0, 0.0)), (0.8, (0.0, 0.0, -0.8))]}
+    for step in dm.load_steps(problem, np.arange(1, 9) / 10, ramp=ramp, cuts="none"):
+        assert step.report.newton_iterations <= 10
+    problem.u.x.array[:] = np.nan
+    assert not problem.solid.gradients.describe_shortened(0.3)

@@ -14,7 +14,7 @@ from dolfinx_mortar.terms.pressure import Pressure
 # Bodies whose tangent is softer than this share of their elastic stiffness, along the displacement,
 # have reached a limit load; hardening laws of metals are ten times stiffer and more.
 SOFT = 0.01
-# A volume ratio below which a cell is nearly turned inside out, which messages tell.
+# A stretch below which a cell is nearly turned inside out, which messages tell.
 SQUEEZED = 0.3
 # Last sentence of the message about a single step.
 AS_BEFORE = (
@@ -62,8 +62,8 @@ def explain(
     try:
         problem.u.x.array[:] = at
         flowing = describe_flow(problem)
-        volumes = problem.solid.volumes
-        squeezed = "" if volumes is None or flowing else volumes.describe_smallest(SQUEEZED)
+        finite = problem.solid.strain == "finite"
+        squeezed = problem.solid.gradients.describe_shortened(SQUEEZED) if finite else ""
     finally:
         problem.u.x.array[:] = before
         problem.solid.put_back(shown)
@@ -90,7 +90,7 @@ def explain(
             f". The tangent was indefinite in {shifted} of {len(report.iterations)} iterations, as "
             f"{UNSTABLE[is_loaded(problem)]}"
         )
-    elif problem.solid.strain == "finite" and problem.linear.blind:
+    elif finite and problem.linear.blind:
         message += (
             f". The factorisation {problem.linear.blind} does not tell whether a tangent is "
             "indefinite, and nothing was added to it: choose the default, "

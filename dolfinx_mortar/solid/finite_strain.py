@@ -10,8 +10,10 @@ import numpy as np
 
 import ufl
 from dolfinx import fem
+from dolfinx.mesh import Mesh
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import is_name
+from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.response import Response
 from dolfinx_mortar.solid.at_points import middle_of
 from dolfinx_mortar.solid.sources import Part, create_source, point_function
@@ -62,30 +64,40 @@ class Volumes:
 
     def describe_inverted(self) -> str:
         """Say where a cell is turned inside out at u, "" if nowhere; collective."""
-        return self.describe_smallest(0.0)
-
-    def describe_smallest(self, limit: float) -> str:
-        """Say where J at u is not above a limit, at 0 inside out, "" if nowhere; collective."""
-        values = self._now()
-        bad = ~(values > limit).all(axis=1)
-        where = ""
-        if bad.any():
-            lowest = np.where(np.isnan(values), -np.inf, values).min(axis=1)
-            cell = int(np.argmin(lowest))
-            domain = self.J.function_space.mesh
-            number = int(domain.topology.original_cell_index[cell])
-            where = (
-                f"cell {number} of the input around {middle_of(domain, cell)} at X, whose "
-                f"J = det F is {values[cell].min():.3g}"
-            )
-        found = [place for place in self._comm.allgather(where) if place]
-        count = self._comm.allreduce(int(bad.sum()))
-        how = f"have less than {limit:g} of their volume" if limit else "are turned inside out"
-        return f"{count} cells {how}, such as {found[0]}" if found else ""
+        words = "are turned inside out", "J = det F"
+        return describe_lowest(self.J.function_space.mesh, self._now(), 0.0, *words)
 
     def _now(self) -> np.ndarray:
         """Return J at u (owned cells, points)."""
         return self.source.evaluate(self.source.cells[: self._owned])[..., 0]
+
+
+def describe_lowest(domain: Mesh, values: Floats, limit: float, cells_do: str, name: str) -> str:
+    """Say where values at points (owned cells, points) are not above a limit; collective.
+
+    Args:
+        domain: the mesh.
+        values: what is judged; NaN is not above any limit.
+        limit: for all of them.
+        cells_do: what cells do whose values are not above it.
+        name: of the values.
+
+    Returns:
+        How many cells do, and the worst one of a rank; empty if none.
+    """
+    bad = ~(values > limit).all(axis=1)
+    where = ""
+    if bad.any():
+        lowest = np.where(np.isnan(values), -np.inf, values).min(axis=1)
+        cell = int(np.argmin(lowest))
+        number = int(domain.topology.original_cell_index[cell])
+        where = (
+            f"cell {number} of the input around {middle_of(domain, cell)} at X, whose "
+            f"{name} is {values[cell].min():.3g}"
+        )
+    found = [place for place in domain.comm.allgather(where) if place]
+    count = domain.comm.allreduce(int(bad.sum()))
+    return f"{count} cells {cells_do}, such as {found[0]}" if found else ""
 
 
 def as_cauchy(response: Response, gradient: Expr) -> Response:

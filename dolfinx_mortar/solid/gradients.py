@@ -21,10 +21,11 @@ from dolfinx_mortar.materials.tensor import (
     INDEX,
     double_contraction,
     from_components,
+    tensor_of,
     to_components,
 )
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain
-from dolfinx_mortar.solid.finite_strain import Volumes
+from dolfinx_mortar.solid.finite_strain import Volumes, describe_lowest
 from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.laws import Region
 from ufl.core.expr import Expr
@@ -125,6 +126,18 @@ class PointGradients:
         values: Floats = np.asfortranarray(found)
         strain, rotation, seen = np.split(values, [size, size + self._axes], axis=1)
         return Gradients(strain, seen if seen.shape[1] else strain, rotation, self.small)
+
+    def describe_shortened(self, limit: float) -> str:
+        """Say where a finite strain at u shortens lengths to less than a limit; collective.
+
+        Empty if nowhere, and where u is not a number. What flows keeps its volume: J does not tell.
+        """
+        strain = np.nan_to_num(self.evaluate().strain, posinf=0.0, neginf=0.0)
+        C = np.eye(3) + 2 * tensor_of(strain)
+        stretches = np.sqrt(np.maximum(np.linalg.eigvalsh(C)[:, 0], 0.0))
+        values = stretches.reshape(-1, self._space.dofmap.list.shape[1])
+        words = f"are shortened to less than {limit:g} of a length", "smallest stretch"
+        return describe_lowest(self._space.mesh, values, limit, *words)
 
 
 def elastic_stresses(
