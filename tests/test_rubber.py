@@ -8,13 +8,14 @@ The cylinder of Sussman and Bathe: read off their graph 250 and 1400 N/mm at an 
 from dataclasses import replace
 from functools import cache
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx import fem
+from dolfinx import default_scalar_type, fem, mesh
 from dolfinx_mortar.solid.mean_volume import VolumeStep
 from tests.choice import quick
 from tests.rubber_cylinder import RUBBER, create_cylinder
@@ -90,6 +91,29 @@ def test_cells_of_second_order_bear_volumes_that_stay(cell):
     found = solid.fields.values("stress")
     expected = np.broadcast_to(stress[place], found.shape)
     np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-8 * np.abs(stress).max())
+
+
+@pytest.mark.parametrize(
+    ("degree", "volumetric", "K", "height", "told"),
+    [(2, "reduced", 1e3, 0.7, []), (2, "reduced", 1e3, 0.58, [True]), (1, "reduced", 1e3, 0.58, [])]
+    + [(2, "full", 2.0, 0.5, [False])],  # where a continuum loses its stability, too
+)
+def test_cells_that_lose_their_stability_first_are_named(degree, volumetric, K, height, told):
+    """A square between smooth plates; a continuum holds to .54, "reduced" of degree 2 to .62."""
+    domain = mesh.create_unit_square(MPI.COMM_SELF, 2, 2, mesh.CellType.quadrilateral)
+    V = fem.functionspace(domain, ("Lagrange", degree, (2,)))
+    u, bcs = fem.Function(V), []
+    for part, side, value in ((0, 0.0, 0.0), (1, 0.0, 0.0), (1, 1.0, height - 1)):
+        facets = mesh.locate_entities_boundary(
+            domain, 1, lambda x, i=part, at=side: np.isclose(x[i], at)
+        )
+        dofs = fem.locate_dofs_topological(V.sub(part), 1, facets)
+        bcs.append(fem.dirichletbc(default_scalar_type(value), dofs, V.sub(part)))
+    law = dm.MooneyRivlin(1 / 3, 1 / 6, K)  # the shear modulus is 1
+    solid = dm.Solid(u, law, strain="finite", volumetric=volumetric)
+    notes = dm.newton(dm.ContactProblem(solid, [], bcs=bcs)).notes
+    last = [note for note in notes if "indefinite" in note][-1:]
+    assert ["cells of degree 2" in note for note in last] == told
 
 
 @cache

@@ -39,6 +39,17 @@ UNSTABLE = {
 }
 
 
+# Heights at which blocks between smooth plates lose their stability, by the eigenvalues of tangents
+# (MooneyRivlin, NeoHooke; K/mu = 500): hexahedra .70, .56, quadrilaterals and triangles .62, .64. A
+# continuum holds to .54 in plane strain, .44 in space; cells of degree 1 are stable beyond. Source:
+# D. Pantuso, K.-J. Bathe, Finite Elem. Anal. Des. 28 (1997) 83-104, on mixed elements.
+BY_THEMSELVES = (
+    ". Under compression by 30 % or more, cells of degree 2 with volumetric='reduced' may buckle "
+    "by themselves, in waves as long as cells: compare with cells of degree 1 or, where the law is "
+    "compressible, with volumetric='full'"
+)
+
+
 class StepFailed(Exception):
     """A step ends without a solution; nothing has been undone or diagnosed yet."""
 

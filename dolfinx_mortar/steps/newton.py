@@ -772,6 +772,9 @@ class _Step:
                 "the tangent is indefinite at the end: the equilibrium found is unstable, and a "
                 "small disturbance leads elsewhere; give the mesh an imperfection to follow that"
             )
+        second = self.problem.V.element.basix_element.degree > 1
+        if notes and second and self.problem.solid.volumetric == "reduced":
+            notes[-1] += failures.BY_THEMSELVES
         return notes
 
     def notes_on_snapping(self, begun: Iterate, contacts: Contacts) -> list[str]:
