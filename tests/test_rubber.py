@@ -95,8 +95,12 @@ def test_cells_of_second_order_bear_volumes_that_stay(cell):
 
 @pytest.mark.parametrize(
     ("degree", "volumetric", "K", "height", "told"),
-    [(2, "reduced", 1e3, 0.7, []), (2, "reduced", 1e3, 0.58, [True]), (1, "reduced", 1e3, 0.58, [])]
-    + [(2, "full", 2.0, 0.5, [False])],  # where a continuum loses its stability, too
+    [
+        (2, "reduced", 1e3, 0.7, []),
+        (2, "reduced", 1e3, 0.58, [True]),
+        (1, "reduced", 1e3, 0.58, []),
+        (2, "full", 2.0, 0.5, [False]),  # where the continuum has lost its stability, too
+    ],
 )
 def test_cells_that_lose_their_stability_first_are_named(degree, volumetric, K, height, told):
     """A square between smooth plates; a continuum holds to .54, "reduced" of degree 2 to .62."""

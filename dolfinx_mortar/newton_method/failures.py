@@ -38,11 +38,10 @@ UNSTABLE = {
     "time, dm.time_steps with dm.Inertia",
 }
 
-
-# Heights at which blocks between smooth plates lose their stability, by the eigenvalues of tangents
-# (MooneyRivlin, NeoHooke; K/mu = 500): hexahedra .70, .56, quadrilaterals and triangles .62, .64. A
-# continuum holds to .54 in plane strain, .44 in space; cells of degree 1 are stable beyond. Source:
-# D. Pantuso, K.-J. Bathe, Finite Elem. Anal. Des. 28 (1997) 83-104, on mixed elements.
+# Heights at which blocks of MooneyRivlin (NeoHooke), K/mu = 500, between smooth plates lose their
+# stability, by eigenvalues of tangents: hexahedra .70 (.56), the continuum .57 (.54);
+# quadrilaterals .62 (.64), the continuum .54. Of mixed elements: D. Pantuso, K.-J. Bathe, Finite
+# Elem. Anal. Des. 28 (1997) 83-104.
 BY_THEMSELVES = (
     ". Under compression by 30 % or more, cells of degree 2 with volumetric='reduced' may buckle "
     "by themselves, in waves as long as cells: compare with cells of degree 1 or, where the law is "
