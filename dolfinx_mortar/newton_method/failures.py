@@ -40,8 +40,7 @@ UNSTABLE = {
 
 # Heights at which blocks of MooneyRivlin (NeoHooke), K/mu = 500, between smooth plates lose their
 # stability, by eigenvalues of tangents: hexahedra .70 (.56), the continuum .57 (.54);
-# quadrilaterals .62 (.64), the continuum .54. Of mixed elements: D. Pantuso, K.-J. Bathe, Finite
-# Elem. Anal. Des. 28 (1997) 83-104.
+# quadrilaterals .62 (.64), the continuum .54.
 BY_THEMSELVES = (
     ". Under compression by 30 % or more, cells of degree 2 with volumetric='reduced' may buckle "
     "by themselves, in waves as long as cells: compare with cells of degree 1 or, where the law is "
