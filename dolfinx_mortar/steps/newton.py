@@ -172,8 +172,8 @@ def solve_step(
             except (failures.StepFailed, backends.QPNotSolved, backends.UnusableQP) as error:
                 reached = problem.u.x.array.copy()
                 before.restore()
-                if isinstance(error, backends.QPNotSolved) and problem.solid.strain == "finite":
-                    linear.clear()  # levels of a tangent that could not be solved
+                if not linear.direct:
+                    linear.clear()  # levels of tangents of the step that is undone
                 raise failures.explain(problem, report, error, reached) from error
             except BaseException:  # perhaps of this rank only: no communication
                 before.restore()
