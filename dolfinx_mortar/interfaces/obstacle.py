@@ -271,7 +271,7 @@ class Obstacle(Movable, Unilateral):
         returned = None if returned is None else returned[:, 0]
         found = integrate_side(side, x, facing, allowed, returned)
         frame = self.frame(normals[own], found.kept, sides.fixed[sides.nodes])
-        gaps = point_gaps(pattern, pose, self.shape, u, found.segments, found.x)
+        gaps, _ = point_gaps(pattern, pose, self.shape, u, found.segments, found.x)
         at = means(side, found, np.column_stack([found.x, gaps]))
         # at these positions the gap n.(P x - x_j) - h_j is the mean of phi
         heights = -(frame.normals * at[:, :-1]).sum(axis=1) - at[:, -1]
@@ -353,10 +353,10 @@ class Obstacle(Movable, Unilateral):
         facing = find_facing(side, pose, self.shape, x)
         segments, points = whole_facets(side, x, facing)
         pattern = replace(link.pattern, nodal=False)  # between nodes, too
-        depth = -point_gaps(pattern, pose, self.shape, u, segments, points)
+        gaps, _ = point_gaps(pattern, pose, self.shape, u, segments, points)
         nodes = x[side.slave.facets]
         sizes, middles = facet_sizes(nodes), nodes.mean(axis=1)[facing]
-        depth = np.concatenate([depth, -pose.distance(self.shape, middles).value])
+        depth = -np.concatenate([gaps, pose.distance(self.shape, middles).value])
         sizes = np.concatenate([sizes[segments.slave], sizes[facing]])
         return depth / sizes, depth, np.concatenate([points, middles])
 
@@ -369,7 +369,7 @@ class Obstacle(Movable, Unilateral):
         side, pose, x = pattern.side, self.tool.pose(), coordinates(slave, u)
         segments, points = whole_facets(side, x, find_facing(side, pose, self.shape, x))
         facets, smooth = (
-            point_gaps(which, pose, self.shape, u, segments, points)
+            point_gaps(which, pose, self.shape, u, segments, points)[0]
             for which in (pattern, replace(pattern, nodal=True))
         )
         kept = np.zeros(len(slave.nodes))

@@ -367,8 +367,10 @@ def point_gaps(
     u: fem.Function | None,
     segments: Segments,
     points: Floats,
-) -> Floats:
+) -> tuple[Floats, Distance]:
     """Return the gaps (q,) between a tool and the surface for which facets stand; collective.
+
+    And the distances behind them: of all nodes where they are `nodal`, else of the points.
 
     Of smooth surfaces of first order they are the distances of the nodes, interpolated: facets
     between nodes on the tool then have none, as the smooth surfaces through the nodes of both.
@@ -386,10 +388,12 @@ def point_gaps(
     slave = pattern.side.slave
     with raised_together(slave.V.mesh.comm):  # what a user's function raises
         if pattern.nodal:
-            of_facets = pose.distance(shape, coordinates(slave, u)).value[slave.facets]
+            found = pose.distance(shape, coordinates(slave, u))
             N = slave.element.shape_functions(segments.xi_s)
-            return np.asarray((N * of_facets[segments.slave]).sum(axis=1))
-        gaps = pose.distance(shape, points).value
+            of_nodes = found.value[slave.facets[segments.slave]]
+            return np.asarray((N * of_nodes).sum(axis=1)), found
+        found = pose.distance(shape, points)
     if pattern.own is None:
-        return gaps
-    return gaps - side_heights(slave, pattern.own, u, segments.slave, segments.xi_s)
+        return found.value, found
+    heights = side_heights(slave, pattern.own, u, segments.slave, segments.xi_s)
+    return found.value - heights, found

@@ -164,13 +164,14 @@ class ToolDerivatives(LinkDerivatives):
         xi, _ = rule_of(slave.element)
         gradients, _ = surface_gradients(facets_at(slave, x), segments.slave, segments.xi_s)
         assert isinstance(link.pattern, SidePattern)
-        phi = point_gaps(link.pattern, pose, shape, u, segments, points)
-        slope = pose.distance(shape, x if link.pattern.nodal else points).gradient
+        phi, found = point_gaps(link.pattern, pose, shape, u, segments, points)
         which, q = np.flatnonzero(facing), len(xi)
         among, k, d = keep[slave.facets[which]], slave.element.nodes, x.shape[1]
         w = segments.weight.reshape(-1, q)
         N = slave.element.shape_functions(segments.xi_s)
-        slope = slope[slave.facets[segments.slave]] if link.pattern.nodal else slope[:, None]
+        slope = found.gradient[:, None]
+        if link.pattern.nodal:
+            slope = found.gradient[slave.facets[segments.slave]]
         N_dual = absorbed(slave.element.shares, N, np.repeat(among, q, axis=0))
         at = _OnFacets(
             which=which,
