@@ -8,6 +8,7 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
+from scipy import sparse
 
 from dolfinx import fem
 from dolfinx.mesh import Mesh, MeshTags, meshtags
@@ -293,14 +294,17 @@ def _shared_nodes(
     """
     layout, comm = V.dofmap.index_map, V.mesh.comm
     several = np.flatnonzero(np.bincount(part)[part] > 1)
-    on = np.zeros((len(several), layout.size_local))
-    for row, k in zip(on, several, strict=True):
+    on = []
+    for k in several:
         own = np.unique(V.dofmap.list[: len(body_of_cell)][body_of_cell == k])
         nodes = layout.local_to_global(own).astype(np.int64)
-        row[:] = sums_at_nodes(comm, layout, nodes, np.ones((len(nodes), 1)))[:, 0] > 0.0
-    common = np.triu(comm.allreduce(on @ on.T, op=MPI.SUM), 1)
-    pairs = np.argwhere(common)
-    return {(int(several[a]), int(several[b])): int(common[a, b]) for a, b in pairs}
+        found = sums_at_nodes(comm, layout, nodes, np.ones((len(nodes), 1)))[:, 0] > 0.0
+        on.append(sparse.csr_array(found.astype(np.int64)[None]))
+    if not on:
+        return {}
+    rows = sparse.vstack(on)  # few ones: no dense row of all nodes for each body
+    common = np.triu(comm.allreduce((rows @ rows.T).toarray(), op=MPI.SUM), 1)
+    return {(int(several[a]), int(several[b])): int(common[a, b]) for a, b in np.argwhere(common)}
 
 
 def _ordered_parts(V: fem.FunctionSpace) -> tuple[Longs, int]:
