@@ -46,12 +46,9 @@ class Plate(RigidBody):
         super().__init__(point)
         self.small = True
 
-    def move(self, amounts: Floats) -> None:
-        """Add amounts (m,) of the driven motions to the travel."""
-        if self.small:
-            self.travel = self.travel + self.steps(amounts)
-        else:
-            super().move(amounts)
+    def ahead(self, amounts: Floats) -> Floats:
+        """Return the travel (3,) or (6,) with amounts (m,) of the driven motions added."""
+        return self.travel + self.steps(amounts) if self.small else super().ahead(amounts)
 
     def turned(self, arm: Floats, rotation: Floats) -> Floats:
         """Return arms (n, d) turned by a rotation, in the first order where strains are small."""
@@ -60,12 +57,20 @@ class Plate(RigidBody):
             return Pose(origin, rotation, origin).to_space(arm)
         return arm + spun(arm, rotation)
 
-    def place(self, X: Floats) -> Floats:
-        """Return where points (n, d) of the plate are that started at X."""
-        pose, d = self.pose(), len(self.point)
+    def place(self, X: Floats, travel: Floats | None = None) -> Floats:
+        """Return where points (n, d) of the plate are that started at X, at present or ahead."""
+        travel = self.travel if travel is None else travel
+        pose, d = self.pose(travel), len(self.point)
         rotation: Floats = np.array(self.rotation.value, dtype=np.float64).reshape(-1)
-        rotation = rotation + self.travel[d:] if self.small else pose.rotation
+        rotation = rotation + travel[d:] if self.small else pose.rotation
         return np.asarray(self.turned(X - self.point, rotation) + pose.position)
+
+    def curve(self, X: Floats, amounts: Floats) -> Floats:
+        """Return by how much a motion ends beside its tangent (n, d), see `Driven`."""
+        if self.small:
+            return np.zeros_like(X)
+        way = np.tensordot(amounts, self.motions(X, X, np.zeros_like(amounts)), 1)
+        return self.place(X, self.ahead(amounts)) - self.place(X) - way
 
     def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
         """Return what one unit of each driven motion (m, n, d) does, see `Driven`."""

@@ -58,6 +58,14 @@ class Driven(Protocol):
                 changes is found to first order, or neglected.
         """
 
+    def curve(self, X: Floats, amounts: Floats) -> Floats:
+        """Return by how much a motion ends beside its tangent (n, d), at points that follow it.
+
+        Args:
+            X: (n, d) where they were at the start.
+            amounts: (m,) of the motions.
+        """
+
     def move(self, amounts: Floats) -> None:
         """Move the tool by amounts (m,) of its motions."""
 
@@ -129,8 +137,8 @@ class RigidBody:
         self.load: Mapping[str, Load] = {}
         self.travel: Floats = np.zeros(len(motions_in(d)))
 
-    def pose(self) -> Pose:
-        """Return where it is at present.
+    def pose(self, travel: Floats | None = None) -> Pose:
+        """Return where it is at present, or would be with another travel.
 
         Raises:
             ValueError: for NaN and infinity, and in an axisymmetric problem off the axis.
@@ -146,9 +154,10 @@ class RigidBody:
                 f"axisymmetric problem a tool moves along the axis only, from {self.point.tolist()}"
             )
         d = len(position)
-        position = position + self.travel[:d]
-        if self.travel[d:].any():
-            rotation = after(rotation, self.travel[d:])
+        travel = self.travel if travel is None else travel
+        position = position + travel[:d]
+        if travel[d:].any():
+            rotation = after(rotation, travel[d:])
         return Pose(position, rotation, self.point)
 
     def check_load(self, load: Any) -> Mapping[str, Load]:
@@ -204,6 +213,10 @@ class RigidBody:
         """Return what one unit of each driven motion (m, n, d) does, see `Driven`."""
         return self.along(x - self.pose().position)
 
+    def curve(self, X: Floats, amounts: Floats) -> Floats:
+        """Return 0: nothing follows a tool, see `Driven`."""
+        return np.zeros_like(X)
+
     def along(self, arm: Floats) -> Floats:
         """Return what one unit of each driven motion (m, n, d) does at arms (n, d)."""
         n, d = arm.shape
@@ -221,10 +234,14 @@ class RigidBody:
         step[self._driven] = amounts
         return step
 
+    def ahead(self, amounts: Floats) -> Floats:
+        """Return the travel (3,) or (6,) with amounts (m,) of the driven motions added."""
+        step, d = self.steps(amounts), len(self.point)
+        return np.concatenate([self.travel[:d] + step[:d], after(self.travel[d:], step[d:])])
+
     def move(self, amounts: Floats) -> None:
         """Add amounts (m,) of the driven motions to the travel."""
-        step, d = self.steps(amounts), len(self.point)
-        self.travel = np.concatenate([self.travel[:d] + step[:d], after(self.travel[d:], step[d:])])
+        self.travel = self.ahead(amounts)
 
 
 class Movable(ABC):

@@ -14,7 +14,9 @@ differences. All QPs have one matrix; on one rank they have one factorisation, t
 Nodes of a rigid side follow it, w = w_0 + e.q, and are eliminated: q moves their values to the
 right-hand side, and z is r^ - K^ y there. The arms of moments turn with the side, e = e_0 + De q:
 with the reactions z_0 of the iterate De q.z_0 belongs to the equations, so that Newton's method is
-quadratic.
+quadratic. A step t q turns the side as a rigid body: its nodes end beside u_0 + t e.q, on its arcs,
+so that nothing is left to prescribe, and the energy less the work of the loads, which decreases
+along the way, can tell how long the step may be.
 """
 
 from __future__ import annotations
@@ -70,6 +72,10 @@ class Settled:
     stiffness: Floats  # (m, m) -d(e.z)/dq, where the next Newton iteration begins
     drives: Drives
 
+    def curve(self, t: float) -> Floats:
+        """Return what rotations of rigid sides add to their motions t e.q (n,)."""
+        return self.drives.curve(t * self.travel)
+
 
 @dataclass(frozen=True)
 class Drives:
@@ -81,6 +87,7 @@ class Drives:
     held: Ints  # (k,) owned unknowns of y that follow rigid sides
     follows: Bools  # (m,) which motions are theirs
     moved: Callable[[Floats], Floats]  # q (m,) -> e (m, n) there, to first order
+    curve: Callable[[Floats], Floats]  # q (m,) -> what rotations of sides add to e.q (n,)
     product: Callable[[PETSc.Vec], PETSc.Vec]  # y -> K^ y; collective
     comm: MPI.Comm
 
@@ -209,11 +216,8 @@ def find_drives(problem: ContactProblem) -> Drives | None:
     A contact node stands for a part of the side, on which tool and forces act: its motion is the
     mean of those there, sum_l D_jl e_l / D_jj, which is e_j where D is diagonal; collective.
     """
-    parts: list[tuple[Link, Driven]] = []
-    for link in problem.system.links:
-        tool = link.interface.driven()
-        if tool is not None:
-            parts.append((link, tool))
+    offered = [(link, link.interface.driven()) for link in problem.system.links]
+    parts = [(link, tool) for link, tool in offered if tool is not None]
     if not parts:
         return None
     x = problem.X
@@ -234,6 +238,12 @@ def find_drives(problem: ContactProblem) -> Drives | None:
             rows.append(e.reshape(len(q), -1))
         return np.concatenate(rows)
 
+    def curve(travel: Floats) -> Floats:
+        beside = np.zeros((problem.n, problem.d))
+        for (link, tool), q in zip(parts, np.split(travel, ends), strict=True):
+            beside[link.nodes] += tool.curve(problem.X[link.nodes], q) * link.constrained
+        return beside.ravel()
+
     def product(y: PETSc.Vec) -> PETSc.Vec:
         T = problem.system.transformation
         return to_reduced(T, problem.K * to_displacement(T, y))
@@ -248,6 +258,7 @@ def find_drives(problem: ContactProblem) -> Drives | None:
         held=np.concatenate([np.zeros(0, dtype=np.int32), *held]),
         follows=follows,
         moved=moved,
+        curve=curve,
         product=product,
         comm=problem.comm,
     )
@@ -356,6 +367,7 @@ def _measured(
     part = 1.0 if drives.follows.all() else QUARTER_OF_DIGITS  # linear unless contacts change
     small = part * here.far(diagonal) / np.sqrt(diagonal)
     small = np.maximum(small, HALF_OF_DIGITS * here.size / diagonal)  # beyond round-off of QPs
+    small = np.maximum(small, HALF_OF_DIGITS * np.abs(here.travel))  # and of what is added
     columns = []
     for a, step in enumerate(small):
         q = here.travel.copy()

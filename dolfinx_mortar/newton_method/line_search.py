@@ -10,6 +10,7 @@ which its values carry no information; there the residuals decide.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from petsc4py import PETSc
@@ -26,6 +27,9 @@ from dolfinx_mortar.terms.sum import Energy, VolumeStep
 
 # Share of the decrease promised by the slope that is enough; and the smallest length of a step.
 ARMIJO = 1e-4
+
+Curve = Callable[[float], Floats]
+"""By how much a path is beside u + t du at t (n,): that of sides that turn as rigid bodies."""
 
 
 class NoDescent(RuntimeError):
@@ -46,6 +50,11 @@ class Direction:
     slide: Floats  # (m, d - 1) by how much they slip in the step
     limits: Floats  # (m,) what resists
     pull: float = 0.0  # -F.q, of tools that forces drive; on one rank
+    curve: Curve | None = None
+
+    def at(self, t: float) -> Floats:
+        """Return u (n,) there."""
+        return on_path(self.start, self.du, t, self.curve)
 
     def excess(self, t: float) -> float:
         """Return the terms of penalty and friction at t; on this rank."""
@@ -61,6 +70,7 @@ class Direction:
             self,
             motion=self.motion - way[lin.balance.bounds.dofs],
             pull=-float(driven.drives.loads @ driven.travel) if first else 0.0,
+            curve=driven.curve,
         )
         if (law := lin.qp.friction) is None or lin.balance.limits is None:
             return path
@@ -104,7 +114,7 @@ def search(
     promise = find_slope(problem, lin, path)
     length, halvings, inverted = 1.0, 0, ""
     while length > ARMIJO:
-        move(problem, path.start + length * path.du)
+        move(problem, path.at(length))
         along = None if volumes is None else (volumes, length)
         after, penalty = problem.terms.energy(along), problem.comm.allreduce(path.excess(length))
         assert after is not None  # as before
@@ -123,7 +133,13 @@ def search(
     raise NoDescent(inverted or "the line search found no step that lowers the energy")
 
 
-def shorten(problem: ContactProblem, du: Floats) -> tuple[float, int]:
+def on_path(start: Floats, du: Floats, t: float, curve: Curve | None) -> Floats:
+    """Return u (n,) at t of a path."""
+    straight = start + t * du
+    return straight if curve is None else straight + curve(t)
+
+
+def shorten(problem: ContactProblem, du: Floats, curve: Curve | None = None) -> tuple[float, int]:
     """Move u along a step, by its half, its quarter .. while it turns cells inside out; collective.
 
     Returns:
@@ -134,14 +150,14 @@ def shorten(problem: ContactProblem, du: Floats) -> tuple[float, int]:
     """
     start = problem.u.x.array[: du.size].copy()
     length, halvings, volumes = 1.0, 0, problem.solid.volumes
-    move(problem, start + du)
+    move(problem, on_path(start, du, 1.0, curve))
     while volumes is not None and volumes.inverted():
         length, halvings = 0.5 * length, halvings + 1
         if length <= ARMIJO:
             inverted = describe_inverted(problem)
             move(problem, start)
             raise NoDescent(inverted)
-        move(problem, start + length * du)
+        move(problem, on_path(start, du, length, curve))
     return length, halvings
 
 

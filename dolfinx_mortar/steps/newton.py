@@ -344,7 +344,7 @@ class _Step:
         if number == 1 and not self.shifted:
             self.expected = du.norm()
         volumes = problem.solid.volume_step(self.as_function(du))
-        length, halvings, energy = self.move(lin, solved, du, largest, old.energy, volumes, driven)
+        length, halvings, energy = self.move(lin, solved, du, largest, old, volumes, driven)
         if driven is not None:
             driven.drives.move(length * driven.travel)
         norm = problem.solid.elastic_norm(problem.u)
@@ -634,7 +634,7 @@ class _Step:
         solved: QPSolution,
         du: PETSc.Vec,
         largest: float,
-        energy: Energy | None,
+        old: Iterate,
         volumes: VolumeStep | None,
         driven: driven_tools.Settled | None,
     ) -> tuple[float, int, Energy | None]:
@@ -644,13 +644,14 @@ class _Step:
         for which the energy may increase; they do not once the supports have moved their bodies
         rigidly at the start of the step. It is shorter where it would turn a cell inside out.
         """
-        problem = self.problem
+        problem, energy = self.problem, old.energy
         lost = gap_round_off(problem.u)
-        asked = float(maximum(problem.comm, lin.balance.equal.scale)[0])
+        asked = float(maximum(problem.comm, old.balance.equal.scale)[0])
         with problem.timings("assembly"):
             try:
                 if energy is None or asked > lost or lin.geometry is not None:
-                    return *shorten(problem, du.array_r), problem.terms.energy()
+                    curve = None if driven is None else driven.curve
+                    return *shorten(problem, du.array_r, curve), problem.terms.energy()
                 found = search(problem, lin, solved, du, largest, energy, volumes, driven)
                 return found if volumes is None else (*found[:2], problem.terms.energy())
             except NoDescent as error:
