@@ -56,6 +56,55 @@ def test_a_disc_converges():
     assert np.abs(flat.value - exact.value).max() > 1e2 * errors[-1][0]
 
 
+def angle_iron(n, ends):
+    """Return points of a line, a quarter of a unit circle about (1, 1) with n edges, and a line."""
+    t = np.pi + np.pi / 2 * np.linspace(0.0, 1.0, n + 1)
+    arc = 1.0 + np.column_stack([np.cos(t), np.sin(t)])
+    return np.concatenate([[(0.0, y) for y in ends[::-1]], arc, [(x, 0.0) for x in ends]])
+
+
+@pytest.mark.parametrize("ends", [(4.0,), (1.1, 1.3, 4.0)])
+def test_lines_stay_straight_beside_arcs(ends):
+    """A die's profile: lines to round-off, the arc with order 4, and normals without a jump."""
+    y = np.linspace(1.0, 4.0, 41)
+    t = np.pi + np.pi / 2 * np.linspace(0.0, 1.0, 101)
+    out, errors = np.column_stack([np.cos(t), np.sin(t)]), []
+    for n in (4, 8, 16):
+        points = angle_iron(n, ends)
+        shape = shapes.Polyline(points, closed=False)
+        line = shape.distance(np.column_stack([0.0 * y - 0.1, y]))
+        assert line.value == pytest.approx(0.0 * y + 0.1, abs=1e-14)
+        assert line.gradient[:, 0] == pytest.approx(-np.ones(41), abs=1e-14)
+        found = shape.distance(1.0 + out)
+        errors.append([np.abs(found.value).max(), np.abs(found.gradient - out).max()])
+        inner, step = points[1:-1], 1e-7 * np.array([1.0, -1.0])
+        sides = [shape.distance(inner + way).gradient for way in (step, -step)]
+        assert np.abs(sides[0] - sides[1]).max() < 1e-5
+    assert (np.log2(np.array(errors)[:-1] / np.array(errors)[1:]) > [3.7, 2.7]).all()
+
+
+@pytest.mark.parametrize("bend", [1.0, -1.0])
+def test_a_line_between_arcs_is_straight(bend):
+    """One edge between two quarter circles that bend to the same side, or to either side."""
+    t, y = np.pi / 2 * np.linspace(0.0, 1.0, 6), np.linspace(2.0, 5.0, 41)
+    first = np.column_stack([bend * (np.sin(t) - 1.0), 2.0 - np.cos(t)])
+    second = np.column_stack([np.cos(t) - 1.0, 5.0 + np.sin(t)])
+    shape = shapes.Polyline(np.concatenate([first, second]), closed=False)
+    found = shape.distance(np.column_stack([0.0 * y, y]))
+    assert np.abs(found.value).max() < 1e-14
+
+
+def test_an_arc_ends_at_a_corner():
+    """Half a disc: its last edge goes on as the arc, whose distances have order 4 up to there."""
+    t, errors = np.pi * np.linspace(0.0, 1.0, 201), []
+    for n in (8, 16, 32):
+        angle = np.pi * np.linspace(0.0, 1.0, n + 1)
+        shape = shapes.Polyline(np.column_stack([np.cos(angle), np.sin(angle)]))
+        x = np.column_stack([np.cos(t), np.sin(t)])
+        errors.append(np.abs(shape.distance(x).value).max())
+    assert (np.log2(np.array(errors)[:-1] / np.array(errors)[1:]) > 3.7).all()
+
+
 BOX = [(-1.0, -0.5), (1.0, -0.5), (1.0, 0.5), (0.2, 0.5), (-1.0, 0.5)]
 
 

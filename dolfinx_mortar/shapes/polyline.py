@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: MIT
 r"""Tools in the plane by points of their outline, from a drawing or a measured profile.
 
-The edge from p to q, with the unit normals n_p, n_q there, is the parabola p + t (q - p)
-+ 4 t (1 - t) m whose middle is moved by
+The edge from p to q = p + c is the cubic with the tangents t_p and t_q there,
 
-    m = (n_p + n_q) (n_q - n_p).(q - p) / (4 |n_p + n_q|^2),
+    x(t) = p + t c + t (1 - t)^2 a - t^2 (1 - t) b,    a = |c| t_p - c,  b = |c| t_q - c.
 
-as are the edges of `Triangles`. Corners at which normals turn by more than ``crease`` stay sharp.
-phi is the distance from this line, with the normal and the curvature of the nearest point.
+A tangent is the mean of the two that agree best of five: those of the edges before and after the
+point, and of the circles through the point and both its neighbours, or the next two on one side. On
+an arc the three circles agree, on a line and where it goes on as an arc a circle and an edge: so
+lines stay straight, and distances from arcs have order 4 in the length of their edges.
+Corners at which normals turn by more than ``crease`` stay sharp; an edge ends there with the angle
+at its other end, as an arc does. phi is the distance from this line, with the normal and the
+curvature of the nearest point.
 """
 
 from __future__ import annotations
@@ -73,11 +77,9 @@ class Polyline(Shape):
                 "points go clockwise around the tool: reverse them, points[::-1], or for a body in "
                 "a cavity give the Complement of that"
             )
-        self._normals = np.column_stack([along[:, 1], -along[:, 0]])
-        at_p, at_q = self._smooth_normals(lengths)
-        both = at_p + at_q
-        turn = ((at_q - at_p) * (self._q - self._p)).sum(axis=1) / (4.0 * (both**2).sum(axis=1))
-        self._middles = turn[:, None] * both * (self.crease > 0.0)
+        chord = self._q - self._p
+        start, end = self._tangents(lengths, along)
+        self._a, self._b = (lengths[:, None] * t - chord for t in (start, end))
         self._tree = cKDTree((self._p + self._q) / 2)
 
     @property
@@ -89,7 +91,7 @@ class Polyline(Shape):
     def surface(self) -> tuple[Floats, Longs]:
         """Ends and middles of the edges (n, 2), and two lines (m, 2) for each."""
         p, q, n = self._p, self._q, np.arange(len(self._p))
-        x = np.concatenate([p, (p + q) / 2 + self._middles, q])
+        x = np.concatenate([p, (p + q) / 2 + (self._a - self._b) / 8.0, q])
         lines = np.concatenate([n, n + len(n)]), np.concatenate([n + len(n), n + 2 * len(n)])
         return x, np.stack(lines, axis=1)
 
@@ -117,15 +119,14 @@ class Polyline(Shape):
     def distance(self, x: Floats) -> Distance:
         """Return the distances of points x (n, 2)."""
         near, t = self._nearest(x)
-        p, chord, m = self._p[near], (self._q - self._p)[near], self._middles[near]
-        offset = x - p - t[:, None] * chord - (4.0 * t * (1.0 - t))[:, None] * m
-        slope = chord + 4.0 * (1.0 - 2.0 * t)[:, None] * m
+        foot, slope, second = self._on_edge(near, t)
+        offset = x - foot
         square = (slope**2).sum(axis=1)
         normal = np.column_stack([slope[:, 1], -slope[:, 0]]) / np.sqrt(square)[:, None]
         past = np.abs((offset * slope).sum(axis=1)) > HALF_OF_DIGITS * square
         at_corner = past & ((t == 0.0) | (t == 1.0))
         phi = (offset * normal).sum(axis=1)
-        bend = -8.0 * (m * normal).sum(axis=1)
+        bend = (second * normal).sum(axis=1)
         curved = -bend / (square * (square - phi * bend))
         hessian = curved[:, None, None] * slope[:, :, None] * slope[:, None]
         found = Distance(phi, normal, hessian)
@@ -139,7 +140,8 @@ class Polyline(Shape):
         """Return the nearest edge (n,) of points (n, 2), and t there (n,)."""
         half = np.linalg.norm(self._q - self._p, axis=1).max() / 2
         # a point of an edge is no farther from its middle than half of it and its bulge
-        bulge = 2.0 * np.linalg.norm(self._middles, axis=1).max()
+        ends = np.linalg.norm(self._a, axis=1) + np.linalg.norm(self._b, axis=1)
+        bulge = 4.0 / 27.0 * ends.max()  # the largest t (1 - t)^2
         reach = self._tree.query(x)[0] + 2.0 * (half + bulge)
         lists = self._tree.query_ball_point(x, reach * (1.0 + HALF_OF_DIGITS))
         counts = np.array([len(some) for some in lists], dtype=np.int64)
@@ -155,49 +157,85 @@ class Polyline(Shape):
 
         Newton's method in [0, 1], from the nearest point of the chord.
         """
-        p, chord, m = self._p[edge], (self._q - self._p)[edge], self._middles[edge]
+        p, chord = self._p[edge], (self._q - self._p)[edge]
         t = np.clip(((x - p) * chord).sum(axis=1) / (chord**2).sum(axis=1), 0.0, 1.0)
         for _ in range(LIMIT):
-            r = x - p - t[:, None] * chord - (4.0 * t * (1.0 - t))[:, None] * m
-            slope = chord + 4.0 * (1.0 - 2.0 * t)[:, None] * m
-            square = (slope**2).sum(axis=1)
-            curved = square + 8.0 * (r * m).sum(axis=1)
+            foot, slope, second = self._on_edge(edge, t)
+            r, square = x - foot, (slope**2).sum(axis=1)
+            curved = square - (r * second).sum(axis=1)
             step = (r * slope).sum(axis=1) / np.where(curved > 0.0, curved, square)
             last, t = t, np.clip(t + step, 0.0, 1.0)
             if (np.abs(t - last) <= 4.0 * EPS).all():
                 break
-        r = x - p - t[:, None] * chord - (4.0 * t * (1.0 - t))[:, None] * m
+        r = x - self._on_edge(edge, t)[0]
         return t, (r**2).sum(axis=1)
 
-    def _smooth_normals(self, lengths: Floats) -> tuple[Floats, Floats]:
-        """Return unit normals at the starts and the ends of edges (m, 2).
+    def _on_edge(self, edge: Longs, t: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return x(t) of edges (n, 2), its first and its second derivative."""
+        p, chord, a, b = self._p[edge], (self._q - self._p)[edge], self._a[edge], self._b[edge]
+        t = t[:, None]
+        x = p + t * chord + t * (1.0 - t) ** 2 * a - t**2 * (1.0 - t) * b
+        slope = chord + (1.0 - 4.0 * t + 3.0 * t**2) * a + (3.0 * t**2 - 2.0 * t) * b
+        return x, slope, (6.0 * t - 4.0) * a + (6.0 * t - 2.0) * b
 
-        With weights 1 / length they are exact where the points are those of a circle.
-        """
-        n = self._normals
-        before = np.roll(n, 1, axis=0)
-        smooth = (n * before).sum(axis=1) >= np.cos(np.radians(self.crease)) - HALF_OF_DIGITS
+    def _tangents(self, lengths: Floats, along: Floats) -> tuple[Floats, Floats]:
+        """Return unit tangents at the starts and the ends of edges (m, 2)."""
+        before = np.roll(along, 1, axis=0)
+        smooth = (along * before).sum(axis=1) >= np.cos(np.radians(self.crease)) - HALF_OF_DIGITS
+        smooth &= self.crease > 0.0
         if not self.closed:
             smooth[0] = False
-        weighted = n / lengths[:, None]
-        _, mean = unit_vectors(weighted + np.roll(weighted, 1, axis=0))
-        at_p = np.where(smooth[:, None], mean, n)
-        at_q = np.where(np.roll(smooth, -1)[:, None], np.roll(mean, -1, axis=0), n)
-        return at_p, at_q
+        weighted = along / lengths[:, None]
+        _, middle = unit_vectors(weighted + np.roll(weighted, 1, axis=0))
+        last = np.roll(lengths, 1)
+        found, spans = [middle, before, along], [last + lengths, last, lengths]
+        for ways, way in ((before, -1), (along, 1)):  # from the next point, and the last one
+            of_circle = np.roll(_mirrored(middle, ways), way, axis=0)
+            found.append(np.where(np.roll(smooth, way)[:, None], of_circle, np.inf))
+            spans.append(np.roll(spans[0], way))
+        tangent = _agreeing(np.array(found), np.array(spans))
+        start, end = tangent, np.roll(tangent, -1, axis=0)
+        at_end = np.roll(smooth, -1)
+        sharp_start = np.where(at_end[:, None], _mirrored(end, along), along)
+        sharp_end = np.where(smooth[:, None], _mirrored(start, along), along)
+        start = np.where(smooth[:, None], start, sharp_start)
+        return start, np.where(at_end[:, None], end, sharp_end)
 
     def _corner_normals(self, edge: Longs, t: Floats) -> Floats:
         """Return the sum of the normals (n, 2) of the edges that meet at t = 0 or 1 of edges."""
         m = len(self._p)
         other = edge + np.where(t == 0.0, -1, 1)
         known = self.closed | ((other >= 0) & (other < m))
-        slopes = 4.0 * self._middles
         ends = []
         for number, at_start in ((edge, t == 0.0), (other % m, t != 0.0)):
-            turn = np.where(at_start, 1.0, -1.0)[:, None] * slopes[number]
-            slope = (self._q - self._p)[number] + turn
-            _, unit = unit_vectors(slope)
+            turn = np.where(at_start[:, None], self._a[number], self._b[number])
+            _, unit = unit_vectors((self._q - self._p)[number] + turn)
             ends.append(np.column_stack([unit[:, 1], -unit[:, 0]]))
         return np.asarray(ends[0] + np.where(known[:, None], ends[1], 0.0))
+
+
+def _mirrored(tangent: Floats, along: Floats) -> Floats:
+    """Return the tangent (n, 2) of a circle at the other end of a chord along unit vectors."""
+    return 2.0 * (tangent * along).sum(axis=1)[:, None] * along - tangent
+
+
+def _agreeing(directions: Floats, spans: Floats) -> Floats:
+    """Return the mean (n, 2) of the two of k unit vectors (k, n, 2) that are nearest to each other.
+
+    Of several that agree to half of the digits, those found from shorter lines: a line between two
+    arcs could be an arc, too.
+
+    Args:
+        directions: those that are not finite are none.
+        spans: (k, n) lengths of the lines that they are found from.
+    """
+    one, other = np.triu_indices(len(directions), 1)
+    with np.errstate(invalid="ignore"):
+        apart = ((directions[one] - directions[other]) ** 2).sum(axis=2)
+    apart = np.maximum(np.nan_to_num(apart, nan=np.inf, posinf=np.inf), HALF_OF_DIGITS**2)
+    best = (apart * np.minimum(spans[one], spans[other]) ** 2).argmin(axis=0)
+    n = np.arange(len(best))
+    return unit_vectors(directions[one[best], n] + directions[other[best], n])[1]
 
 
 def _check_points(given: Any, least: int) -> Floats:
