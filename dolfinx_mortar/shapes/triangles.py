@@ -9,8 +9,8 @@ p_i to p_j is moved by
 and the edge is a parabola. Where it bends to one side, as on a sphere, it is across n_i and n_j,
 and the surface that of T. Nagata, Simple local interpolation of surfaces using normal vectors
 (2005); edges that would bend to both sides stay straight. Neighbours have the same parabola, so the
-surface has no gaps. Creases stay straight, flat faces flat. phi is the distance from this surface,
-with the normal and the curvature of the nearest point.
+surface has no gaps. Creases stay straight, faces without a smooth edge flat. phi is the distance
+from this surface, with the normal and the curvature of the nearest point.
 """
 
 from __future__ import annotations
