@@ -66,17 +66,22 @@ def cell_kinds(domain: mesh.Mesh) -> list[str]:
     return sorted(kind.name for kind in kinds[-1]) if kinds else [domain.topology.cell_name()]
 
 
-def compile_together(*forms: ufl.Form) -> list[fem.Form]:
+def compile_together(*forms: ufl.Form, compiler: list[str] | None = None) -> list[fem.Form]:
     """Return `fem.form` of forms of integrals over cells, compiled in one module; collective.
 
     A module of its own costs each form a start of compiler and linker, 0.1 s of processor time,
     which most kernels do not need. Modules are kept on disk as a whole: what varies alone, such as
     the user's load, would make those of others anew.
+
+    Args:
+        forms: what is compiled.
+        compiler: options of the compiler; those that are set by default.
     """
     comm = forms[0].ufl_domain().ufl_cargo().comm
     options = ffcx.get_options({"scalar_type": default_scalar_type})
     compile_forms = jit.mpi_jit_decorator(ffcx.codegeneration.jit.compile_forms)
-    kernels, module, code = compile_forms(comm, list(forms), options, **jit.get_options())
+    given = jit.get_options() | ({} if compiler is None else {"cffi_extra_compile_args": compiler})
+    kernels, module, code = compile_forms(comm, list(forms), options, **given)
     pairs = zip(forms, kernels, strict=True)
     return [_create_form(form, kernel, module, code) for form, kernel in pairs]
 

@@ -18,6 +18,7 @@ from dolfinx import default_scalar_type, fem
 from dolfinx_mortar import compat
 from dolfinx_mortar.materials import Elastic, NeoHooke, VonMises
 from dolfinx_mortar.materials.tensor import from_components
+from dolfinx_mortar.solid import forms
 from dolfinx_mortar.solid.forms import REASSOCIATE
 from dolfinx_mortar.solid.kinematics import kinematics_of_dimension
 from dolfinx_mortar.solid.solid import Solid
@@ -226,6 +227,28 @@ def test_only_sums_of_the_tangent_may_be_reordered(monkeypatch: pytest.MonkeyPat
     assert {arguments for arguments, _ in given} == {0, 1, 2} and usual
     for arguments, options in given:
         assert options == (usual | set(REASSOCIATE) if arguments == 2 else usual)
+
+
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize("level", ["-O0", "-O2"])
+def test_loops_on_cells_of_products_are_unrolled(
+    cell: str, level: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the options ask for the usual optimisation; others are the user's."""
+    options = {"cffi_extra_compile_args": [level, "-g0"]}
+    given = []
+    compile_together = compat.compile_together
+
+    def look(*all_forms: ufl.Form, compiler: list[str] | None = None) -> Any:
+        given.append(compiler)
+        return compile_together(*all_forms)
+
+    monkeypatch.setattr(forms, "get_options", lambda: options)
+    monkeypatch.setattr(forms, "in_any_order", dict)
+    monkeypatch.setattr(compat, "compile_together", look)
+    Solid(create_displacement(create_domain(cell)), STEEL)
+    usual = cell == "triangle" or level == "-O0"
+    assert given[-1] == ([level, "-g0"] if usual else ["-O3", "-g0", "-fno-trapping-math"])
 
 
 @pytest.mark.parametrize(
