@@ -136,6 +136,35 @@ def public():
     return {id(getattr(room, n)): f"{room.__name__}.{n}" for room in rooms for n in room.__all__}
 
 
+def called_by_users():
+    """Yield (name, function) of all that is called: no records and errors, which others make."""
+    for name in public().values():
+        found = resolve(name)
+        kinds = getattr(found, "__mro__", ())
+        made = dataclasses.is_dataclass(found) and dm.Material not in kinds
+        if callable(found) and not made and Exception not in kinds:
+            yield name, found
+            methods = inspect.getmembers(found, inspect.isfunction) if kinds else []
+            yield from ((f"{name}.{method}", function) for method, function in methods)
+
+
+def test_every_option_is_in_the_guide():
+    """Arguments that may be left out or need their name; of methods, those that the guide calls."""
+    text = "".join(page.read_text() for page in sorted((DOCS / "guide").glob("*.md")))
+    code = " ".join(re.findall(r"```.*?```|`[^`\n]+`", text, re.DOTALL))
+    methods = set(re.findall(r"\.(\w+)\b", code))
+    named = {*re.findall(r"\b(\w+) ?=", code), *re.findall(r"[(,]\s*(\w+)(?=[,)])", code)}
+    options = {
+        (name, argument.name)
+        for name, function in called_by_users()
+        if inspect.isclass(function) or name in public().values() or name.split(".")[-1] in methods
+        for argument in inspect.signature(function).parameters.values()
+        if argument.kind is argument.KEYWORD_ONLY or argument.default is not argument.empty
+    }
+    assert len(options) > 150
+    assert not {option for option in options if option[1] not in named}
+
+
 def described():
     """Return the names that the reference describes."""
     kinds = r"\.\. (?:auto\w+|py:module):: ([\w.]+)"
