@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: MIT
 """What every test needs: reproducible random numbers, and an orderly life on several ranks."""
 
-import functools
 import gc
-import importlib.metadata
 import os
 import shutil
 import tempfile
@@ -18,7 +16,7 @@ import hypothesis
 import numpy as np
 import pytest
 
-from tests import alone
+from tests import alone, compiling
 
 COMM = MPI.COMM_WORLD
 WAIT = 60.0  # seconds a failed test waits for the other ranks before it ends the whole run
@@ -29,9 +27,7 @@ WORKERS = 4  # at most: each holds the libraries, half a GiB
 # Programs that tests start inherit it.
 os.environ["XDG_CONFIG_HOME"] = str(Path(__file__).parent / "config")
 
-# setuptools starts the compiler for each module of kernels, and six times reads the entry points of
-# all installed packages, which stay the same during a run.
-importlib.metadata.entry_points = functools.cache(importlib.metadata.entry_points)
+compiling.know_what_stays()
 
 # Ranks must draw the same examples, and machines differ in speed.
 hypothesis.settings.register_profile("ranks", deadline=None, derandomize=True, database=None)
@@ -50,7 +46,11 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_configure(config: pytest.Config) -> None:
-    """Let only rank 0 write to the terminal; make the locks of the workers."""
+    """Let only rank 0 write to the terminal; make the locks of the workers, and what all read."""
+    if COMM.size == 1 and alone.WORKER not in os.environ:
+        headers = tempfile.mkdtemp(prefix="headers-")
+        config.add_cleanup(lambda: shutil.rmtree(headers))
+        compiling.precompile(Path(headers))
     if getattr(config.option, "numprocesses", None) and alone.WORKER not in os.environ:
         folder = os.environ[alone.FOLDER] = tempfile.mkdtemp(prefix="locks-")
         config.add_cleanup(lambda: shutil.rmtree(folder))
