@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Check of displacement spaces: which are supported; for all floors."""
+"""Displacement spaces: which are supported, and values of their Functions; for all floors."""
 
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 
 import dolfinx
 from dolfinx_mortar import compat
+from dolfinx_mortar.arrays import Floats
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 HIGHEST = 2
@@ -82,3 +83,9 @@ def check_real(name: str, *values: Any) -> None:
                 f"{name} holds a {type(value).__name__} of type {numbers.dtype}: make it with real "
                 "numbers of type float64"
             )
+
+
+def set_owned(f: dolfinx.fem.Function, values: Floats) -> None:
+    """Set the owned values (n, c) of a Function, and those of ghosts; collective."""
+    f.x.array[: values.size] = values.ravel()
+    f.x.scatter_forward()

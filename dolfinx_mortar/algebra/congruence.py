@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import logging
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 
 from petsc4py import PETSc
@@ -129,27 +130,17 @@ class OperatorOfBases:
         self._product.whole(x, y)
 
 
-class _BasesProduct:
-    """Context of the Mat of `OperatorOfBases`."""
+class _Decoupled(ABC):
+    """Context of an operator's Mat, decoupled at some unknowns."""
 
     def __init__(self, like: PETSc.Mat) -> None:
-        self.parts: list[PETSc.Mat] = []
-        self.bases: list[tuple[PETSc.Mat, PETSc.Mat]] = []
         self.decoupled: Ints = np.empty(0, dtype=np.int32)
         self.diagonal, self.scale = like.createVecRight(), 1.0
-        self._x, self._u, self._change = (like.createVecRight() for _ in range(3))
+        self._x = like.createVecRight()
 
+    @abstractmethod
     def whole(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        x.copy(self._u)
-        for _, D in reversed(self.bases):
-            D.mult(self._u, self._change)
-            self._u.axpy(1.0, self._change)
-        y.set(0.0)
-        for part in self.parts:
-            part.multAdd(self._u, y, y)
-        for C, _ in self.bases:
-            C.multTranspose(y, self._change)
-            y.axpy(1.0, self._change)
+        """Set y to the product with x, nothing decoupled; collective."""
 
     # -- called by PETSc -------------------------------------------------------------------------
 
@@ -162,6 +153,28 @@ class _BasesProduct:
     def getDiagonal(self, mat: PETSc.Mat, d: PETSc.Vec) -> None:
         self.diagonal.copy(d)
         d.array[self.decoupled] = self.scale
+
+
+class _BasesProduct(_Decoupled):
+    """Context of the Mat of `OperatorOfBases`."""
+
+    def __init__(self, like: PETSc.Mat) -> None:
+        super().__init__(like)
+        self.parts: list[PETSc.Mat] = []
+        self.bases: list[tuple[PETSc.Mat, PETSc.Mat]] = []
+        self._u, self._change = like.createVecRight(), like.createVecRight()
+
+    def whole(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        x.copy(self._u)
+        for _, D in reversed(self.bases):
+            D.mult(self._u, self._change)
+            self._u.axpy(1.0, self._change)
+        y.set(0.0)
+        for part in self.parts:
+            part.multAdd(self._u, y, y)
+        for C, _ in self.bases:
+            C.multTranspose(y, self._change)
+            y.axpy(1.0, self._change)
 
 
 def union(A: PETSc.Mat, others: Iterable[PETSc.Mat]) -> PETSc.Mat:
@@ -256,16 +269,15 @@ class CongruentOperator:
         return self._product.split(parts)
 
 
-class _Product:
+class _Product(_Decoupled):
     """Context of the operator's Mat, without a reference to it: PETSc could not free a cycle."""
 
     def __init__(self, K: PETSc.Mat, rows: RowsOf) -> None:
+        super().__init__(K)
         self.K, self.rows = K, rows
         self.C: PETSc.Mat | None = None
-        self.decoupled: Ints = np.empty(0, dtype=np.int32)
-        self.diagonal, self.scale = K.createVecRight(), 1.0
         self._of_K, self._state = K.createVecRight(), -1  # diagonal of K, and K's state then
-        self._x, self._moved = K.createVecRight(), K.createVecRight()
+        self._moved = K.createVecRight()
 
     def follow(self, C: PETSc.Mat | None, decoupled: Ints) -> None:
         self.C, self.decoupled = C, decoupled
@@ -289,18 +301,8 @@ class _Product:
 
     # -- called by PETSc -------------------------------------------------------------------------
 
-    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        x.copy(self._x)
-        self._x.array[self.decoupled] = 0.0
-        self.whole(self._x, y)
-        y.array[self.decoupled] = self.scale * x.array_r[self.decoupled]
-
     def multTranspose(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         self.mult(mat, x, y)  # K is symmetric
-
-    def getDiagonal(self, mat: PETSc.Mat, d: PETSc.Vec) -> None:
-        self.diagonal.copy(d)
-        d.array[self.decoupled] = self.scale
 
     def duplicate(self, mat: PETSc.Mat, op: int) -> PETSc.Mat:
         """Return the explicit matrix."""

@@ -12,6 +12,7 @@ import numpy as np
 
 import ufl
 from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.materials.mooney_rivlin import MooneyRivlin
 from dolfinx_mortar.materials.protocol import PointwiseLaw
 from dolfinx_mortar.materials.ranges import Parameter, Range, check_fields
 from ufl.core.expr import Expr
@@ -75,10 +76,7 @@ class Ogden(PointwiseLaw):
             psi = psi + mu / alpha * powers.sum(axis=1)
         return np.asarray(psi)
 
-    @staticmethod
-    def volumetric(J: Expr, p: Any) -> Expr:
-        """Return the part of psi that only depends on the volume, in UFL."""
-        return p.K / 2 * (J - 1) ** 2
+    volumetric = staticmethod(MooneyRivlin.volumetric)
 
     @staticmethod
     def update(

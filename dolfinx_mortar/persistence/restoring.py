@@ -10,7 +10,6 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx import fem
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.checkpoint import read_about, read_tables, size_of
@@ -36,6 +35,7 @@ from dolfinx_mortar.persistence.contents import (
 )
 from dolfinx_mortar.persistence.identity import describe, differences, material_numbers
 from dolfinx_mortar.persistence.saving import places_of
+from dolfinx_mortar.spaces import set_owned
 from dolfinx_mortar.step_report import LoadStep
 
 Tables = Mapping[str, Mapping[str, Floats]]
@@ -63,9 +63,9 @@ class Saved:
         """
         self._take_found()
         state, committed = self.state, self.state.committed
-        _set(state.u, self.tables[NODES]["displacement"])
+        set_owned(state.u, self.tables[NODES]["displacement"])
         for name, f in state.states_of_terms.items():
-            _set(f, self.tables[NODES][name])
+            set_owned(f, self.tables[NODES][name])
         closed = self.tables[NODES]["active"][:, 0] > 0.0
         # without a column, begin stuck
         committed.active, committed.sliding = closed, self.tables[NODES].get("sliding")
@@ -77,7 +77,7 @@ class Saved:
         shown = self.tables[POINTS]
         for name, field in state.solid.lasting_fields().items():
             same = name.replace("shown/", "committed/")
-            _set(field, shown[name] if name in shown else shown[same])
+            set_owned(field, shown[name] if name in shown else shown[same])
         slips = Slips(*np.zeros((2, *committed.slid.shape)))
         for k, resultants in enumerate(self.about["interfaces"]):
             _take(state, k, slips, resultants, self.tables.get(name_of(k), {}))
@@ -185,9 +185,3 @@ def _take(
         for column, name in zip(columns, (*SLIPS, "slip", "energy"), strict=True):
             column[nodes] = values[name][:, 0]
     interface.sum_up(state.comm, nodes)
-
-
-def _set(f: fem.Function, values: Floats) -> None:
-    """Set a Function to owned values (n, c); collective."""
-    f.x.array[: values.size] = values.ravel()
-    f.x.scatter_forward()

@@ -93,11 +93,6 @@ class CellFunctions:
         """Return a view of the coefficients (owned cells, m)."""
         return np.asarray(f.x.array[: self.inverse[:, 0].size].reshape(-1, self.size))
 
-    def set(self, f: fem.Function, values: Floats) -> None:
-        """Set the coefficients (owned cells, m), and those of ghosts; collective."""
-        f.x.array[: values.size] = values.ravel()
-        f.x.scatter_forward()
-
 
 def _create_basis(space: fem.FunctionSpace) -> Expr:
     """Return (1, (x - x_c) / h), with the size h of the cell, for round-off in any unit."""

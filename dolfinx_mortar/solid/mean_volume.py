@@ -64,6 +64,7 @@ from dolfinx_mortar.solid.dilatation import CELLS, MeanDilatation, bulk_modulus_
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain
 from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.laws import Region, measure, measures
+from dolfinx_mortar.spaces import set_owned
 from ufl.algorithms import expand_derivatives
 from ufl.classes import Label, Variable
 from ufl.core.expr import Expr
@@ -192,12 +193,12 @@ class MeanVolume:
     def follow(self) -> None:
         """Take over the displacement and the parameters of the laws; collective."""
         cells = self.cells
-        cells.set(self._ratio, cells.coefficients(cells.vectors(self._volume_form)))
+        set_owned(self._ratio, cells.coefficients(cells.vectors(self._volume_form)))
         self.set_pressure(cells.coefficients(cells.vectors(self._energy_forms[1])))
 
     def set_pressure(self, pressure: Floats) -> None:
         """Let p have coefficients (owned cells, m), until the next `follow`; collective."""
-        self.cells.set(self.mean_stress, pressure)
+        set_owned(self.mean_stress, pressure)
 
     def energy(self, along: tuple[VolumeStep, float] | None = None) -> float:
         """Return sum_c int U(j) over the owned cells, as `follow` found j.

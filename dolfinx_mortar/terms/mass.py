@@ -25,6 +25,7 @@ where n is not one, all directions follow the inner nodes, with sum_k w_k x_k = 
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations_with_replacement, pairwise
 from typing import Any
 
@@ -266,15 +267,16 @@ def _create(like: PETSc.Mat, csr: Any, d: int = 1) -> PETSc.Mat:
     return PETSc.Mat().createAIJ(((d * n, d * N),) * 2, csr=arrays, comm=like.comm)
 
 
+def _sum_by_body(comm: MPI.Intracomm, body: Ints, count: int, values: Floats) -> Floats:
+    """Return the sums (count, m) over each body of values (owned nodes, m); collective."""
+    sums = np.zeros((count, values.shape[1]))
+    np.add.at(sums, body, values)
+    return np.asarray(comm.allreduce(sums))
+
+
 def _change_of_moments(plain: Mass, moved: Mass, body: Ints, count: int) -> float:
     """Return the largest relative change of a body's sum of m |x - centre|^2; collective."""
-    comm = plain.matrix.comm.tompi4py()
-
-    def by_body(values: Floats) -> Floats:
-        sums = np.zeros((count, values.shape[1]))
-        np.add.at(sums, body, values)
-        return np.asarray(comm.allreduce(sums))
-
+    by_body = partial(_sum_by_body, plain.matrix.comm.tompi4py(), body, count)
     weights = plain.times(np.ones_like(plain.X))
     x = plain.X - (by_body(weights * plain.X) / by_body(weights))[body]
     before, after = (by_body(x * mass.times(x)).sum(axis=1) for mass in (plain, moved))
@@ -382,12 +384,7 @@ def _restore_moments(
         degree: of s, for each body: 2 for all moments, 1 for mass and centre, 0 for nothing.
     """
     comm, count = moved.comm.tompi4py(), len(degree)
-
-    def by_body(values: Floats) -> Floats:
-        sums = np.zeros((count, values.shape[1]))
-        np.add.at(sums, body, values)
-        return np.asarray(comm.allreduce(sums))
-
+    by_body = partial(_sum_by_body, comm, body, count)
     n, d = plain.X.shape
     mean = by_body(np.column_stack([np.ones(n), plain.X]))
     x = plain.X - (mean[:, 1:] / mean[:, :1])[body]
