@@ -2,6 +2,10 @@
 """Finite strain through the whole package: patch, turns, derivatives, bifurcation, volumes."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+
+from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import pytest
@@ -10,7 +14,9 @@ from scipy.optimize import brentq
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem, mesh
+from dolfinx_mortar.newton_method.snapping import notes_on_snapping
 from dolfinx_mortar.steps import newton
+from dolfinx_mortar.terms.sum import Energy
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
 from tests.pressed_blocks import COMM, rejected
 from tests.solid_case import create_displacement, create_domain, residual, set_wave
@@ -346,3 +352,19 @@ def test_what_finite_strain_does_not_go_with():
         dm.Solid(u, RUBBER, strain="finite", eigenstrain=0.01)
     with rejected("NeoHooke", "strain='finite'"):
         dm.Solid(u, RUBBER)
+
+
+@pytest.mark.parametrize("digits, told", [(1e2, False), (1e4, True)])
+def test_round_off_of_energies_is_no_limit_point(digits, told):
+    """A drop of the energy by so many round-offs of the terms that are added up."""
+    terms = 7.0
+    end = Energy(3.0 - digits * np.finfo(float).eps * terms, terms)
+    problem = SimpleNamespace(
+        comm=MPI.COMM_SELF,
+        owned_u=np.zeros(2),
+        solid=SimpleNamespace(state={"p": ()}),
+        terms=SimpleNamespace(energy=lambda: end),
+    )
+    residual = PETSc.Vec().createWithArray(np.zeros(2), comm=MPI.COMM_SELF)
+    notes = notes_on_snapping(problem, np.zeros(2), residual, Energy(3.0, terms), np.nan)
+    assert any("limit point" in note for note in notes) == told

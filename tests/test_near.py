@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Slave nodes far from the master stay out of T; what is left out must not change the answer."""
 
+from types import SimpleNamespace
+
 from mpi4py import MPI
 
 import numpy as np
@@ -113,3 +115,20 @@ def test_what_stays_at_X_is_coupled_once_a_search(coupled):
         forces.append(case.force)
     assert len(coupled) == case.problem.system.searches
     assert forces[0] == pytest.approx(forces[2], rel=1e-9) and forces[0] < forces[1]
+
+
+@pytest.mark.parametrize("nearest", [-0.02, 0.03])
+def test_the_first_guess_of_a_ball_that_is_pressed_in(monkeypatch, nearest):
+    """By Hertz a ball that overlaps by delta touches within a = (delta R)^(1/2).
+
+    One that does not touch yet does so at the nearest nodes, as far as coordinates tell.
+    """
+    radius, x = 2.0, np.linspace(-0.5, 0.5, 101)
+    gaps = nearest + x**2 / (2.0 * radius) + 1e-14 * np.sign(x)
+    monkeypatch.setattr(near, "nodal_gaps", lambda links, x, n: gaps)
+    mesh = SimpleNamespace(comm=MPI.COMM_SELF)
+    link = SimpleNamespace(sides=SimpleNamespace(V=SimpleNamespace(mesh=mesh)))
+    bounded = np.arange(0, 101, 2)
+    found = near.predict_active([link], None, 101, bounded, facet_length=0.02)
+    a = np.sqrt(-nearest * radius) if nearest < 0.0 else 0.0
+    assert found.tolist() == (np.abs(x[bounded]) < a + 1e-9).astype(int).tolist()

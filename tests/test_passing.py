@@ -325,6 +325,8 @@ def test_a_tool_and_a_body_that_pass(d, n):
 
     for body, tool in ((-2.0, 0.0), (0.0, 2.0), (-1.0, 1.0), (-0.5, 0.0)):
         assert said in moved(body * up, tool * up)
+    if n == 8 and d == 2:  # whose middles, 1/16 and 3/16 beside that of the disc, go through it
+        assert "at 4 facets" in moved(-2.0 * up, 0.0 * up)
     aside = np.eye(d)[0]
     for body, tool in ((2.0 * up, 0.0 * up), (40.0 * aside, 0.0 * up), (-40.0 * up, -40.0 * up)):
         assert not moved(body, tool)

@@ -10,7 +10,7 @@ import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar.geometry.sweep import find_entering, find_passing_edges
 from dolfinx_mortar.geometry.turning import RigidMotion
-from dolfinx_mortar.report.swept import notes_on_swept
+from dolfinx_mortar.report.swept import _first, notes_on_swept
 from dolfinx_mortar.report.uncoupled import Crossing
 from tests.meshes import BOTTOM, TOP, two_blocks
 from tests.meshes_3d import rotation, two_boxes
@@ -278,3 +278,27 @@ def test_a_screw_is_made_in_equal_parts():
         at.append(third.at(at[-1]))
     assert np.allclose(at[-1], whole.at(x), atol=1e-12)
     assert np.allclose(np.diff(np.array(at), axis=0) @ axis, whole.c @ axis / 3, atol=1e-12)
+
+
+class Ranks:
+    """A communicator on which this rank is one of several."""
+
+    def __init__(self, *others):
+        self.others = others
+
+    def allgather(self, mine):
+        return [self.others[0], mine, *self.others[1:]]
+
+
+def test_the_first_place_is_that_of_all_ranks():
+    """Of each pair the least place, whichever rank has it; of a rank without any, none."""
+    bodies = np.array([[0, 1], [1, 2], [0, 1]])
+    places = np.array([[2.0, 9.0], [1.0, 0.0], [2.0, 3.0]])
+    before, after = (
+        {(0, 1): [1.0, 5.0], (1, 2): [4.0, 0.0]},
+        {(0, 1): [1.0, 6.0], (0, 2): [7.0, 7.0]},
+    )
+    found = _first(Ranks(before, {}, after), bodies, places)
+    assert found == {(0, 1): [1.0, 5.0], (1, 2): [1.0, 0.0], (0, 2): [7.0, 7.0]}
+    alone = _first(Ranks({}), bodies, places)
+    assert alone == {(0, 1): [2.0, 3.0], (1, 2): [1.0, 0.0]}
