@@ -154,7 +154,7 @@ def _first(side: Middles, through: Surface | None, faces: Floats, passed: Longs)
     return Passing(through, count, tuple(place), deep)
 
 
-def find_in_tool(
+def find_passed_tool(
     side: Middles, before: fem.Function, now: fem.Function, seen: SeenByTool
 ) -> Passing | None:
     """Return whether a body and a rigid tool have passed through each other; collective.

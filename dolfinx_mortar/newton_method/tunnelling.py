@@ -5,7 +5,7 @@ from dolfinx import fem
 from dolfinx_mortar.mortar.passing import (
     Middles,
     Passing,
-    find_in_tool,
+    find_passed_tool,
     find_middles,
     find_passed,
     is_far,
@@ -38,7 +38,7 @@ def describe_passing(problem: ContactProblem) -> str:
         if seen is None:
             found = find_passed(side, other[0], began, problem.u)
         else:
-            found = find_in_tool(side, began, problem.u, seen)
+            found = find_passed_tool(side, began, problem.u, seen)
         if found is not None:
             at = [float(f"{x:.4g}") for x in found.place]
             if found.surface is None:
