@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Space on the disk is asked for without a trace."""
+"""Space on the disk is asked for without a trace; files and spaces are what they should be."""
 
 import resource
 
 import pytest
 
-from dolfinx_mortar.disk import demand_space
+from dolfinx_mortar.disk import CHECKPOINT, demand_space, is_checkpoint
+from dolfinx_mortar.spaces import check_space
 
 pytestmark = pytest.mark.serial
 
@@ -36,3 +37,18 @@ def test_file_systems_that_cannot_tell(tmp_path, monkeypatch, number):
     file = tmp_path / "out.h5"
     file.touch()
     demand_space(file, 10**6)
+
+
+def test_a_folder_and_no_file_are_no_checkpoints(tmp_path):
+    """Asked of every path that a run may write to: neither is an error."""
+    assert not is_checkpoint(tmp_path)
+    assert not is_checkpoint(tmp_path / "nothing")
+    file = tmp_path / "state"
+    file.write_bytes(CHECKPOINT + b" 7\n")
+    assert is_checkpoint(file)
+
+
+@pytest.mark.parametrize("given", [None, "Lagrange", ("Lagrange", 1)])
+def test_what_is_no_space_of_functions(given):
+    with pytest.raises(ValueError, match=r"V is .*give a dolfinx.fem.FunctionSpace"):
+        check_space(given)

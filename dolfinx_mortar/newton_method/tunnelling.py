@@ -5,9 +5,9 @@ from dolfinx import fem
 from dolfinx_mortar.mortar.passing import (
     Middles,
     Passing,
-    find_passed_tool,
     find_middles,
     find_passed,
+    find_passed_tool,
     is_far,
 )
 from dolfinx_mortar.mortar.surface import cells_of
