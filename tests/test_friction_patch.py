@@ -10,6 +10,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
 from tests import meshes, meshes_3d
+from tests.block_piles import ABOVE, BELOW, EAST, WEST, Blocks
 from tests.choice import crosswise
 from tests.friction_case import COMM, ELASTIC
 
@@ -241,3 +242,27 @@ def test_turning_together_is_no_slip():
     assert largest(nodes["pressure"][on] - pressure) < 1e-8 * pressure
     expected = (t @ force) * t
     assert largest(nodes["traction"][on] - expected) < 1e-8 * pressure
+
+
+CORNER = [(0.0, 1.0, 0.0, 1.0, 3, 2), (1.0, 2.0, 0.0, 1.0, 4, 3), (0.0, 2.0, 1.0, 2.0, 5, 2)]
+
+
+@pytest.mark.mpi
+def test_blocks_that_meet_in_a_corner_shrink_without_slip():
+    """One law, no gaps: all is one block that is pressed together, by 10 per cent in one step."""
+    pile, shrink = Blocks(CORNER, cell="quadrilateral"), -0.1
+    sides = [(10 + EAST, 20 + WEST), (10 + ABOVE, 30 + BELOW), (20 + ABOVE, 30 + BELOW)]
+    rough = [dm.Contact(pile.facets, slave=s, master=m, friction=MU) for s, m in sides]
+    whole = fem.Function(pile.V)
+    whole.interpolate(lambda x: shrink * x[:2])
+    rim = fem.locate_dofs_geometrical(pile.V, lambda x: np.isclose(abs(x[:2] - 1), 1).any(axis=0))
+    solid = dm.Solid(pile.u, dm.NeoHooke(E=1000.0, nu=0.3), strain="finite")
+    dm.newton(dm.ContactProblem(solid, rough, bcs=[fem.dirichletbc(whole, rim)]), rtol=1e-11)
+    mu, lame, stretch = 1000.0 / 2.6, 300.0 / (1.3 * 0.4), 1.0 + shrink
+    pressure = -(mu * (stretch**2 - 1.0) + 2.0 * lame * np.log(stretch)) / stretch**2
+    assert largest(pile.u.x.array - whole.x.array) < EXACT
+    for contact in rough:
+        nodes = contact.gather(pile.u)
+        closed = nodes["active"] > 0.0
+        assert np.allclose(nodes["pressure"][closed], pressure, rtol=1e-9)
+        assert largest(nodes["step_slip"]) < EXACT

@@ -39,6 +39,24 @@ class Partners:
     apart: Floats  # (n,) n.(x_j - P x) at the last commit
     along: Floats  # (n, d) the tangential part of x_j - P x there, in the plane
 
+    def completed(self, link: CoupledSides, other: "Partners") -> "Partners":
+        """Return these, and the others at nodes that have no partner here; collective."""
+        P, only = self.P.copy(), other.P.copy()
+        for matrix, nodes in ((P, ~self.known), (only, self.known)):
+            keep = matrix.createVecLeft()
+            keep.array[:] = 1.0
+            keep.array[link.nodes[nodes]] = 0.0
+            matrix.diagonalScale(keep)
+        P.axpy(1.0, only, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+        here = self.known[:, None]
+        return Partners(
+            P,
+            self.known | other.known,
+            np.where(here, self.normals, other.normals),
+            np.where(self.known, self.apart, other.apart),
+            np.where(here, self.along, other.along),
+        )
+
     def motion(self, link: CoupledSides, moved: PETSc.Vec) -> Floats:
         """Return x_j - P x less its tangential part at the commit, which turns with n; collective.
 

@@ -78,6 +78,10 @@ class ToolPartners(Partners):
             frozen=frozen,
         )
 
+    def completed(self, link: CoupledSides, other: Partners) -> Partners:
+        """Return these: all nodes have a place on the tool."""
+        return self
+
     def motion(self, link: CoupledSides, moved: PETSc.Vec) -> Floats:
         """Return the motion (n, d) for the displacement since the last commit."""
         moved = moved.array_r.reshape(-1, self.at.shape[1])[link.nodes]

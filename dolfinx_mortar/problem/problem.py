@@ -282,14 +282,14 @@ class ContactProblem:
         audit = audit and not self.committed.begun
         if audit:
             self._check_mesh()
-        partners = self._partners(data.target) if data.limits else []
+        partners = self._partners(data.target) if data.limits else [None]
         with self.timings("mortar"):
             found = self.system.begin(self.configuration, self.committed.paired)
             u = self.vector(self.owned_u)
             data = replace(
                 data,
                 increment=max(data.increment, found.largest_slip(u, data.jumps)),
-                partners=partners or self._found_partners(found),
+                partners=self._completed(found, partners),
             )
         self._enter(found, data.increment)
         if audit:
@@ -346,27 +346,43 @@ class ContactProblem:
         """Return the positions (n,) from which slips count."""
         return self.vector(self.X.ravel() + self.committed.displacement)
 
-    def _partners(self, target: Floats) -> list[Partners | None]:
-        """Return the partners from which slips are measured; none for those at u; collective.
+    def _partners(self, target: Floats) -> list[Sequence[Partners | None] | None]:
+        """Return the partners from which slips are measured; collective.
 
-        They are those at the last commit; in the first step those where the supports move the
-        bodies, as the sides may not face each other before.
+        They are those at the last commit. In the first step sides may not face each other there:
+        those where the supports move the bodies follow. None stands for those at u.
         """
-        if not self.system.has_friction:
-            return []
-        if self.geometry == "reference":  # partners stay
-            return []
+        if not self.system.has_friction or self.geometry == "reference":
+            return [None]  # frozen partners stay
         began = self.committed.displacement
+        places = [began]
         if not self.committed.begun:
-            began = began + self._carried(self.supports.increment(target, began), began)
-        differs = not np.array_equal(self.u.x.array[: began.size], began)
-        if not any_rank(self.comm, differs)[0]:
-            return []
-        there = fem.Function(self.V)
-        there.x.array[: began.size] = began
-        there.x.scatter_forward()
-        with self.timings("mortar"):
-            return self._found_partners(self.system.begin(there, self.committed.paired))
+            moved = self._carried(self.supports.increment(target, began), began)
+            if any_rank(self.comm, moved.any())[0]:
+                places.append(began + moved)
+        found: list[Sequence[Partners | None] | None] = []
+        for place in places:
+            if not any_rank(self.comm, not np.array_equal(self.owned_u, place))[0]:
+                found.append(None)
+                continue
+            there = fem.Function(self.V)
+            there.x.array[: place.size] = place
+            there.x.scatter_forward()
+            with self.timings("mortar"):
+                at = self.system.begin(there, self.committed.paired)
+                found.append(self._found_partners(at))
+        return found
+
+    def _completed(
+        self, here: Configuration, partners: Sequence[Sequence[Partners | None] | None]
+    ) -> list[Partners | None]:
+        """Return the first partners that nodes have, None being those of ``here``; collective."""
+        first, *others = (self._found_partners(here) if p is None else p for p in partners)
+        result = list(first)
+        for other in others:
+            pairs = zip(here.links, result, other, strict=True)
+            result = [a and b and a.completed(link, b) for link, a, b in pairs]
+        return result
 
     def _found_partners(self, found: Configuration) -> list[Partners | None]:
         """Return those of a configuration; collective."""
