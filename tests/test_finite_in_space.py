@@ -313,6 +313,24 @@ def test_a_step_that_fails_leaves_no_levels_to_later_ones():
     assert np.array_equal(ends[0], ends[1]) and np.array_equal(ends[0], ends[2])
 
 
+@pytest.mark.serial
+@pytest.mark.parametrize("depth", [0.6, 0.7])
+def test_a_saddle_is_factorised_where_multigrid_gives_up(depth, monkeypatch):
+    """Its own tangent leads to it, a shifted one away. What is too large is not factorised."""
+    problem, move = pressed_cube(dm.VonMises(206_900.0, 0.29, 367.0, 1000.0), 3)
+    move.value[2] = -depth
+    report = dm.newton(problem)
+    assert len(report.iterations) <= 20 and report.iterations[-1].shift == 0.0
+    assert any("rest of this step is factorised" in note for note in report.notes)
+    assert any("the equilibrium found is unstable" in note for note in report.notes)
+    assert not problem.linear.direct  # the next step begins with multigrid
+    monkeypatch.setattr("dolfinx_mortar.qp.linear.MOST_FACTORISED", 100)
+    problem, move = pressed_cube(dm.VonMises(206_900.0, 0.29, 367.0, 1000.0), 3)
+    move.value[2] = -depth
+    with pytest.raises(dm.NewtonNotConverged):
+        dm.newton(problem, max_it=20)
+
+
 def test_cells_that_invert_in_space():
     """Impossible: an error that names cell and place, all as before; a possible push is made."""
     problem, move = pressed_cube(RUBBER, 3)

@@ -97,7 +97,7 @@ def explain(
     if 2 * shifted > len(report.iterations) and (not inverted or is_loaded(problem)):
         message += (
             f". The tangent was indefinite in {shifted} of {len(report.iterations)} iterations, as "
-            f"{UNSTABLE[is_loaded(problem)]}"
+            f"{UNSTABLE[is_loaded(problem)]}{describe_cells(problem)}"
         )
     elif finite and problem.linear.blind:
         message += (
@@ -109,6 +109,12 @@ def explain(
         message += f". Where it ended, {squeezed}: take smaller load steps, or compress it less"
     message += _describe_pressures(problem) + _describe_own_laws(problem)
     return NewtonNotConverged(f"{message}{AS_BEFORE}", report)
+
+
+def describe_cells(problem: ContactProblem) -> str:
+    """Say that cells may buckle by themselves, of an indefinite tangent; empty if they may not."""
+    second = problem.V.element.basix_element.degree > 1
+    return BY_THEMSELVES if second and problem.solid.volumetric == "reduced" else ""
 
 
 def is_loaded(problem: ContactProblem) -> bool:

@@ -444,7 +444,9 @@ class _Step:
         At finite strain K may be indefinite, far from the solution or beyond a bifurcation. Then
         multiples of the elastic stiffness are added until it is positive on the free unknowns; an
         iteration begins with a tenth of what the last one needed. Near a balance Newton's step goes
-        to it, be it stable or not.
+        to it, be it stable or not: where multigrid cannot solve that, as conjugate gradients may
+        not where the balance is a saddle of the energy, the rest of the step is factorised.
+        Shifted steps would leave the saddle again.
         """
         finite, given = self.problem.solid.strain == "finite", (old, start, tangent, accuracy)
         first: Exception | None = None
@@ -453,6 +455,8 @@ class _Step:
             try:
                 lin, solved = self.solve_shifted(k, *given)
             except (backends.QPNotSolved, backends.UnusableQP) as error:
+                if near and k == 0 and finite and self.factorises_from_here():
+                    return self.linearise(old, start, tangent, accuracy, near=near)
                 first = first or error
             else:
                 self.negative = finite and (self.has_negative_pivots() or not solved.definite)
@@ -466,6 +470,19 @@ class _Step:
             self.solver.forget()  # what has been factorised is of no use
         assert first is not None
         raise first
+
+    def factorises_from_here(self) -> bool:
+        """Replace multigrid by a factorisation for the rest of the step, if it may; collective."""
+        given_up, factorising = self.solver.description, self.solver.factorising()
+        if factorising is None:
+            return False
+        self.solver = factorising
+        told = f"{given_up} cannot solve the tangent near the balance, which may be a saddle of "
+        told += "the energy: the rest of this step is factorised"
+        self.report.notes.append(told)
+        if self.problem.comm.rank == 0:
+            log.info("%s", told)
+        return True
 
     def solve_shifted(
         self,
@@ -773,9 +790,8 @@ class _Step:
                 "the tangent is indefinite at the end: the equilibrium found is unstable, and a "
                 "small disturbance leads elsewhere; give the mesh an imperfection to follow that"
             )
-        second = self.problem.V.element.basix_element.degree > 1
-        if notes and second and self.problem.solid.volumetric == "reduced":
-            notes[-1] += failures.BY_THEMSELVES
+        if notes:
+            notes[-1] += failures.describe_cells(self.problem)
         return notes
 
     def notes_on_snapping(self, begun: Iterate, contacts: Contacts) -> list[str]:
