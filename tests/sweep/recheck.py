@@ -263,10 +263,10 @@ def _way(
 ) -> Floats:
     """Return by how much slave nodes (n, d) have moved relative to the master in the step.
 
-    With updated geometry to those points of the master that they faced before the step, in the
-    first one when the supports had moved the upper body as a whole; what was apart along the normal
-    then turns with it. Nodes ``at`` that faced none have moved as in the present configuration,
-    ``plain``.
+    With updated geometry to those points of the master that they faced before the step; those that
+    faced none, in the first step to those where the supports had moved the upper body as a whole.
+    What was apart along the normal then turns with it. Nodes ``at`` that faced none either have
+    moved as in the present configuration, ``plain``.
     """
     problem, V = case.problem, case.problem.V
     d, own = V.mesh.geometry.dim, _owned(case)
@@ -278,12 +278,24 @@ def _way(
     asked = (u - before)[held].reshape(-1, d)
     shift = V.mesh.comm.allreduce(asked.sum(axis=0), op=MPI.SUM)
     shift /= V.mesh.comm.allreduce(len(asked), op=MPI.SUM)
-    begin = fem.Function(V)
-    begin.x.array[:own] = before
-    begin.x.scatter_forward()
     first = not V.mesh.comm.allreduce(float(np.abs(before).max(initial=0.0)), op=MPI.MAX)
-    upper = np.unique(V.dofmap.list[case.cell_tags.find(2)])
-    begin.x.array.reshape(-1, d)[upper] += shift if first else 0.0
+    way = np.full((problem.n, d), np.nan)
+    for moved in (0.0, shift) if first else (0.0,):
+        begin = fem.Function(V)
+        begin.x.array[:own] = before
+        begin.x.scatter_forward()
+        begin.x.array.reshape(-1, d)[np.unique(V.dofmap.list[case.cell_tags.find(2)])] += moved
+        there = _way_from(case, sides, begin, before)
+        way = np.where(np.isnan(way), there, way)
+    return np.where(np.isnan(way[at]), plain, way[at])
+
+
+def _way_from(
+    case: RandomProblem, sides: tuple[int, int], begin: fem.Function, before: Floats
+) -> Floats:
+    """Return the same (owned nodes, d) by what nodes face at a displacement; NaN for nothing."""
+    problem, V, own = case.problem, case.problem.V, _owned(case)
+    d, u = V.mesh.geometry.dim, case.problem.u.x.array[:own]
     ring = _circumference if is_ring(case) else None
     mortar = dm.assemble_mortar(
         V, case.facet_tags, slave=sides[0], master=sides[1], u=begin, weight=ring
@@ -297,7 +309,7 @@ def _way(
     then -= normals * (normals * then).sum(axis=1, keepdims=True)
     way = np.full((problem.n, d), np.nan)
     way[nodes] = now - then
-    return np.where(np.isnan(way[at]), plain, way[at])
+    return way
 
 
 def _heights(case: RandomProblem, contact: dm.Contact) -> Floats:
