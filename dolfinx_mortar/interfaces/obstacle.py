@@ -25,7 +25,7 @@ from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.arrays import TINY, Bools, Floats
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats
 from dolfinx_mortar.geometry.facets import facet_sizes
 from dolfinx_mortar.interfaces.contact import Unilateral
 from dolfinx_mortar.interfaces.coulomb import Limit, create_law
@@ -102,9 +102,9 @@ class Obstacle(Movable, Unilateral):
             What is not named, position and rotation prescribe. The tool moves until contact carries
             the load: ``tool_force + load = 0``; ``travel`` is how far.
         surface: as of `Contact`, for straight cells: "smooth" measures the gap between the smooth
-            surface through the nodes and the tool, "facets" that of the facets. By default it is
-            "smooth" for displacements of second order, "facets" for those of first order: of these,
-            "smooth" takes the distances of the nodes, so that a tip between them goes unseen.
+            surface through the nodes and the tool, "facets" that of the facets. For displacements
+            of first order "smooth" takes the distances of the nodes, so that a tip between them
+            goes unseen: by default it is "smooth", but for flat sides of first order "facets".
         friction: coefficient of Coulomb's law, as of `Contact`.
         tresca: limit of the tangential traction instead, as of `Contact`.
 
@@ -221,9 +221,14 @@ class Obstacle(Movable, Unilateral):
         plain = create_pattern(sides, side.row, side.column, len(side.row))
         slave, own = sides.slave, None
         second = slave.element.degree > 1
-        smooth = not slave.curved and (second if self.meant is None else self.meant)
-        if smooth and second:
+        smooth = not slave.curved and self.meant is not False
+        if smooth and (second or self.meant is None):
             own = find_smooth_side(slave, sides.fixed, FEATURE_ANGLE)
+        if smooth and not second and own is not None:
+            # between the nodes of a flat side a tip of the tool is seen by its facets alone
+            comm, highest = sides.V.mesh.comm, np.abs(own.sagitta).max(initial=0.0)
+            smooth = float(maximum(comm, highest)[0]) > HALF_OF_DIGITS * mean_facet_length(slave)
+            own = None
         at = plain.row, plain.column, plain.split, plain.blocks, plain.scalars
         return None, SidePattern(*at, side=side, own=own, nodal=smooth and not second)
 
