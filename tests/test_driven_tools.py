@@ -8,7 +8,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import default_real_type, fem
-from dolfinx_mortar.interfaces.tool import SPACE
+from dolfinx_mortar.interfaces.tool import SPACE, Tool, motions_in
 from dolfinx_mortar.newton_method import driven_tools
 from tests.choice import quick
 from tests.pressed_blocks import rejected
@@ -236,11 +236,16 @@ def test_what_is_no_load(load, words):
 
 def test_loads_that_cannot_be_carried():
     """Away from the body, along it without friction, NaN, and a moment about the axis."""
-    for load, words in (({"y": 1.0}, "'y' = 1"), ({"x": 1.0}, "'x' = 1")):
-        case = Block(n=4)
-        shape = dm.shapes.Plane([0.0, 0.1], [0.0, -1.0])
-        problem = case.problem([case.tool(shape, load=load)])
-        with rejected("nothing resists the load", words, error=dm.NewtonNotConverged):
+    plane, disc = dm.shapes.Plane([0.0, 0.1], [0.0, -1.0]), dm.shapes.Cylinder([5.0, 3.0], 3.0)
+    for shape, load, mu, *words in (
+        (plane, {"y": 1.0}, None, "'y' = 1", "turn it round"),
+        (plane, {"x": 1.0}, None, "'x' = 1", "along x the side carries nothing without friction"),
+        (disc, {"x": 1.0}, None, "'x' = 1", "along x the side carries nothing without friction"),
+        (plane, {"x": 1.0}, 0.3, "'x' = 1", "along x friction carries only what another force"),
+    ):
+        case = Block(n=10, fine=10.0)
+        problem = case.problem([case.tool(shape, load=load, friction=mu)])
+        with rejected("nothing resists the load", *words, error=dm.NewtonNotConverged):
             dm.newton(problem)
         assert not case.u.x.array.any()
     case = Block(n=4)
@@ -268,6 +273,72 @@ def test_a_moment_about_the_axis_of_a_smooth_disc(load):
     words = "nothing resists the load 'moment' = 0.05", "turns there without friction"
     with rejected(*words, error=dm.NewtonNotConverged):
         dm.newton(problem)
+
+
+@pytest.mark.parametrize(
+    ("mu", "load", "words"),
+    [
+        (None, {"x": 0.1}, "moves along the side, by 'x' of its loads: give friction"),
+        (0.3, {"x": 0.2, "moment": 0.58}, "rolls, by 'x' and 'moment' of its loads"),
+    ],
+)
+def test_motions_that_the_mesh_alone_resists(mu, load, words):
+    """A smooth disc slides, a rough one rolls, on a block, wherever its forces balance."""
+    case = Block(n=20, fine=5.0, size=5.0)
+    tool = case.tool(dm.shapes.Cylinder([2.5, 3.0], 3.0), friction=mu, load={"y": -20.0})
+    problem = case.problem([tool])
+    dm.newton(problem)
+    problem.commit()
+    tool.load = {"y": -20.0} | load
+    with rejected("hardly anything resists", words, error=dm.NewtonNotConverged):
+        dm.newton(problem, max_it=3)
+
+
+@pytest.mark.parametrize("given", quick(["rotation", "position"], "rotation"))
+def test_a_disc_rolls_over_facets_in_a_step(given):
+    """Its angle or its way is given, the other one found: R times the angle."""
+    case, radius = Block(n=20, fine=5.0, size=5.0), 3.0
+    base = fem.locate_dofs_topological(case.V, 1, case.facets.find(BASE))
+    case.bcs = lambda: [fem.dirichletbc(np.zeros(2), base, case.V)]
+    tool = case.tool(dm.shapes.Cylinder([2.0, radius], radius), friction=0.3, load={"y": -20.0})
+    problem = case.problem([tool])
+    dm.newton(problem)
+    problem.commit()
+    way = 4 * 0.25
+    if given == "rotation":
+        tool.rotation.value[...] = -way / radius
+        tool.load = {"x": 0.0, "y": -20.0}
+    else:
+        tool.position.value[0] += way
+        tool.load = {"y": -20.0, "moment": 0.0}
+    assert dm.newton(problem).newton_iterations <= 8
+    pose = tool.tool.pose()
+    assert pose.position[0] - 2.0 == pytest.approx(-radius * pose.rotation[0], abs=0.1)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_how_distances_turn_with_a_tool(d):
+    """Second derivatives of gaps by the motions of a tool, by differences."""
+    rng, h = np.random.default_rng(0), 1e-4
+    shape = DISC if d == 2 else dm.shapes.Torus([0.1, 0.2, 0.3], 2.0, 0.5, [0.0, 0.3, 1.0])
+    tool = Tool(shape, rng.normal(size=d), d)
+    tool.load = dict.fromkeys(motions_in(d), 1.0)
+    tool.position.value[:] += 0.3
+    tool.rotation.value[...] = 0.2
+    x, z, m = rng.normal(size=(4, d)), rng.uniform(1.0, 2.0, 4), len(tool.load)
+
+    def gaps(way):
+        tool.travel = np.zeros(m)
+        tool.move(way)
+        found = tool.pose().distance(shape, x).value @ z
+        tool.travel = np.zeros(m)
+        return found
+
+    e = h * np.eye(m)
+    expected = [
+        [sum(i * j * gaps(i * a + j * b) for i in (-1, 1) for j in (-1, 1)) for b in e] for a in e
+    ]
+    assert tool.turning(x, z) == pytest.approx(np.array(expected) / (4.0 * h**2), abs=1e-5)
 
 
 def test_a_load_that_is_not_found_undoes_the_step(monkeypatch):

@@ -44,7 +44,7 @@ from dolfinx_mortar.arrays import (
 from dolfinx_mortar.interfaces.coupling import relative_motions
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.tool import Driven
+from dolfinx_mortar.interfaces.tool import Driven, Tool
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.failures import StepFailed
 from dolfinx_mortar.newton_method.linearisation import (
@@ -306,7 +306,7 @@ def settle(
     here = _Try(lin, solved, start, *drives.carried(lin, solved, start))
     diagonal = drives.stiffness(lin, here.carried)
     if not diagonal.all():
-        raise StepFailed(_unresisted(drives, diagonal == 0.0))
+        raise StepFailed(_unresisted(drives, lin, diagonal == 0.0))
     B: Floats = np.diag(diagonal) if stiffness is None else stiffness
     noise = drives.noise(lin.balance) + drives.allowed(rtol * begun)
     shrink, far = 1.0, 0.0
@@ -320,12 +320,12 @@ def settle(
             # the nodes that touch change, and B with them
             if shrink == 1.0 and not (secants or lasts):
                 B = _measured(drives, here, solve, lin, diagonal)
-            way = shrink * _resisted(drives, B, here.missing, extent)
+            way = shrink * _resisted(drives, lin, B, here.missing, extent)
         else:
             way = here.missing / diagonal
             touching = drives.until_touching(here.lin, here.solved, way)
             if not np.isfinite(touching):
-                raise StepFailed(_unresisted(drives, here.missing != 0.0))
+                raise StepFailed(_unresisted(drives, lin, here.missing != 0.0))
             way *= touching + 1.0
         q = here.travel + way
         at = drives.shifted(lin, q)
@@ -382,19 +382,21 @@ def _measured(
         least = int(np.argmin(np.abs(values)))
         if np.abs(values[least]) <= SAME:  # of the stiffness of the nodes themselves
             weakest = np.abs(vectors[:, least])
-            raise StepFailed(_unresisted(drives, np.asarray(weakest == weakest.max())))
+            raise StepFailed(_unresisted(drives, lin, np.asarray(weakest == weakest.max())))
         return found
     if lin.qp.friction is None:  # with friction it is not symmetric
         found = (found + found.T) / 2
     return found + QUARTER_OF_DIGITS * np.diag(np.where(drives.follows, 0.0, diagonal))
 
 
-def _resisted(drives: Drives, B: Floats, missing: Floats, extent: float) -> Floats:
+def _resisted(
+    drives: Drives, lin: Linearisation, B: Floats, missing: Floats, extent: float
+) -> Floats:
     """Return B^-1 (F + e.z) (m,), the way at whose end loads are met, unless it is far too long."""
     way = np.asarray(np.linalg.solve(B, missing), dtype=np.float64)
     length = np.abs(way) * drives.arms()
     if not QUARTER_OF_DIGITS * length.max() <= extent:  # as of bodies that nothing holds
-        raise StepFailed(_unresisted(drives, length))
+        raise StepFailed(_unresisted(drives, lin, length))
     return way
 
 
@@ -403,20 +405,80 @@ def _names(drives: Drives) -> list[tuple[str, Interface]]:
     return [(name, owner) for owner, tool in drives.tools for name in tool.names]
 
 
-def _unresisted(drives: Drives, which: Floats) -> str:
-    """Say which load of which tool has nothing against it."""
+def _unresisted(drives: Drives, lin: Linearisation, which: Floats) -> str:
+    """Say which load of which tool has nothing against it; collective."""
     k = int(np.argmax(which))
     name, owner = _names(drives)[k]
+    closing = -np.sign(drives.loads[k]) * drives.motions[k][lin.balance.bounds.dofs]
+    sums = drives.comm.allreduce(np.array([closing.sum(), np.abs(closing).sum()]))
     if drives.follows[k]:
         remedy = "hold the body against it"
     elif "moment" in name:
         remedy = "a tool that is round about that axis turns there without friction; take it away"
-    else:
+    elif sums[0] < -OVERSHOOT * sums[1]:
         remedy = "it is the force on the tool, which has to press it on the body; turn it round"
+    elif sums[0] > OVERSHOOT * sums[1]:
+        remedy = "the other motions of the step take the tool off the side; take smaller steps"
+    elif lin.qp.friction is None:
+        remedy = f"along {name} the side carries nothing without friction; give friction"
+    else:
+        remedy = (
+            f"along {name} friction carries only what another force presses on; give that force in "
+            "an earlier step"
+        )
     return (
         f"nothing resists the load {name!r} = {drives.loads[k]:g} on {owner!r}: {remedy}, or "
         "prescribe the position"
     )
+
+
+def loose_motion(
+    problem: ContactProblem, stiffness: Floats | None, balance: Balance, contacts: Contacts
+) -> str:
+    """Say which motion of tools hardly anything resists, such as rolling, or ""; collective.
+
+    The normals of a tool turn as it moves, which the QPs leave out: with its gaps g_j and normal
+    forces z_j their stiffness B is that of the problem and G_ab = sum_j z_j d^2 g_j / dq_a dq_b.
+    Newton's iterations, each with the tool where it is, have the factors of B^-1 G, which is 1 for
+    motions along which B - G is 0.
+
+    Args:
+        problem: at the last iterate.
+        stiffness: B (m, m) there.
+        balance: forces there.
+        contacts: the multipliers there.
+    """
+    drives = find_drives(problem)
+    if drives is None or stiffness is None or drives.follows.any():
+        return ""
+    carried = np.zeros(problem.n * problem.d)
+    carried[balance.bounds.dofs] = contacts.reactions(balance)
+    x = problem.positions().array_r.reshape(problem.n, problem.d)
+    G, first = np.zeros_like(stiffness), 0
+    for link in problem.system.links:
+        tool = link.interface.driven()
+        if not isinstance(tool, Tool):
+            continue
+        end = first + len(tool.names)
+        forces = carried.reshape(x.shape)[link.nodes, 0]
+        G[first:end, first:end] = tool.turning(x[link.nodes], forces)
+        first = end
+    factors, ways = np.linalg.eig(np.linalg.solve(stiffness, drives.comm.allreduce(G)))
+    most = int(np.argmax(factors.real))
+    if factors[most].real <= OVERSHOOT:
+        return ""
+    length = np.abs(ways[:, most]) * drives.arms()
+    on, names = length >= OVERSHOOT * length.max(), _names(drives)
+    owner = names[int(np.argmax(length))][1]
+    along = [name for (name, _), some in zip(names, on, strict=True) if some]
+    turns = ["moment" in name for name in along]
+    does, remedy = "moves along the side", "give friction, or prescribe its position"
+    if all(turns):
+        does, remedy = "turns", "take the moment away, or prescribe its rotation"
+    elif any(turns):
+        does, remedy = "rolls", "prescribe its position or its rotation along that way"
+    loads = " and ".join(f"{name!r}" for name in along)
+    return f"hardly anything resists that {owner!r} {does}, by {loads} of its loads: {remedy}"
 
 
 def miss(problem: ContactProblem, balance: Balance, contacts: Contacts, limit: float) -> float:

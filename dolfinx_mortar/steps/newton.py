@@ -268,7 +268,10 @@ class _Step:
         iterate, start = self.first()
         begun, residuals = iterate, list[Residuals]()
         for number in range(1, max_it + 1):
-            iterate, watch, residual = self.iterate(number, iterate, start, watch, residuals)
+            try:
+                iterate, watch, residual = self.iterate(number, iterate, start, watch, residuals)
+            except failures.StepFailed as error:
+                raise self.told(error, iterate) from error
             residuals.append(residual)
             if problem.comm.rank == 0:
                 log.info("%s", self.report.iterations[-1])
@@ -279,7 +282,14 @@ class _Step:
                     return
                 iterate = replace(iterate, balance=self.balance())  # with another T
             start = iterate.start
-        raise failures.StepFailed(f"Newton did not converge in max_it={max_it} iterations")
+        end = failures.StepFailed(f"Newton did not converge in max_it={max_it} iterations")
+        raise self.told(end, iterate)
+
+    def told(self, error: failures.StepFailed, last: Iterate) -> failures.StepFailed:
+        """Return the error with the motion of tools that hardly anything resists; collective."""
+        at = self.stiffness, last.balance, last.contacts
+        loose = driven_tools.loose_motion(self.problem, *at) if self.driven else ""
+        return failures.StepFailed(f"{loose}: {error}") if loose else error
 
     def first(self) -> tuple[Iterate, Actives]:
         """Return the initial iterate, and the initial active set of its QP."""
