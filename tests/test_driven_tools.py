@@ -240,12 +240,12 @@ def test_loads_that_cannot_be_carried():
     for shape, load, mu, *words in (
         (plane, {"y": 1.0}, None, "'y' = 1", "turn it round"),
         (plane, {"x": 1.0}, None, "'x' = 1", "along x the side carries nothing without friction"),
-        (disc, {"x": 1.0}, None, "'x' = 1", "along x the side carries nothing without friction"),
+        (disc, {"x": 1.0}, None, "'x'", "give friction"),  # before it moves, or after it
         (plane, {"x": 1.0}, 0.3, "'x' = 1", "along x friction carries only what another force"),
     ):
         case = Block(n=10, fine=10.0)
         problem = case.problem([case.tool(shape, load=load, friction=mu)])
-        with rejected("nothing resists the load", *words, error=dm.NewtonNotConverged):
+        with rejected("resists", *words, error=dm.NewtonNotConverged):
             dm.newton(problem)
         assert not case.u.x.array.any()
     case = Block(n=4)
