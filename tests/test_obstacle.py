@@ -399,6 +399,39 @@ def test_a_tip_between_nodes_is_noted():
         assert any("sharper than the facets" in note for note in notes) == noted
 
 
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("share", [0.02, 0.3])
+def test_a_ball_smaller_than_a_facet_is_noted(d, share):
+    """It sinks in beside all points of integration, without any force."""
+    tagged, h = on_grid(d), 0.25
+    centre = np.array([0.5 + 0.37 * h] * (d - 1) + [0.0])
+    ball = (dm.shapes.Cylinder if d == 2 else dm.shapes.Sphere)(centre, share * h)
+    tags, u = tagged
+    tool = dm.Obstacle(tags, slave=2, shape=ball)
+    base = fem.locate_dofs_topological(u.function_space, d - 1, tags.find(1))
+    held = [fem.dirichletbc(np.zeros(d), base, u.function_space)]
+    problem = dm.ContactProblem(dm.Solid(u, ELASTIC), [tool], bcs=held)
+    tool.position.value[d - 1] = (share - 0.02) * h  # nearly in touch
+    assert not any("sharper than" in note for note in dm.newton(problem).notes)
+    tool.position.value[d - 1] = (share - 0.3) * h
+    assert any("sharper than the facets" in note for note in dm.newton(problem).notes)
+
+
+def on_grid(d):
+    """Return tags and u of a box [0, 1]^(d-1) x [-1, 0] of four cells each way."""
+    make = mesh.create_rectangle if d == 2 else mesh.create_box
+    domain = make(COMM, [[0.0] * (d - 1) + [-1.0], [1.0] * (d - 1) + [0.0]], [4] * d)
+    facets, values = [], []
+    for tag, y in ((1, -1.0), (2, 0.0)):
+        found = mesh.locate_entities_boundary(domain, d - 1, lambda x, y=y: np.isclose(x[d - 1], y))
+        facets.append(found)
+        values.append(np.full(len(found), tag, dtype=np.int32))
+    order = np.argsort(np.concatenate(facets))
+    marks = np.concatenate(facets)[order], np.concatenate(values)[order]
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (d,))))
+    return mesh.meshtags(domain, d - 1, *marks), u
+
+
 # -- bad input -----------------------------------------------------------------------------------
 
 

@@ -26,7 +26,7 @@ from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats
-from dolfinx_mortar.geometry.facets import facet_sizes
+from dolfinx_mortar.geometry.facets import are_inside, facet_normals, facet_sizes
 from dolfinx_mortar.interfaces.contact import Unilateral
 from dolfinx_mortar.interfaces.coulomb import Limit, create_law
 from dolfinx_mortar.interfaces.coupling import (
@@ -58,8 +58,13 @@ from dolfinx_mortar.mortar.curvature_correction import find_smooth_side
 from dolfinx_mortar.mortar.integrals import Coverage, weighted_duals
 from dolfinx_mortar.mortar.operators import mean_values
 from dolfinx_mortar.mortar.pairing import Pairing
-from dolfinx_mortar.mortar.passing import SeenByTool
-from dolfinx_mortar.mortar.surface import accumulate, coordinates, mean_facet_length
+from dolfinx_mortar.mortar.passing import SeenByTool, depth_of_point
+from dolfinx_mortar.mortar.surface import (
+    accumulate,
+    coordinates,
+    facets_at,
+    mean_facet_length,
+)
 from dolfinx_mortar.mortar.whole_side import (
     create_whole_side,
     integrate_side,
@@ -352,7 +357,11 @@ class Obstacle(Movable, Unilateral):
         ]
 
     def depths(self, link: CoupledSides, u: fem.Function) -> tuple[Floats, Floats, Floats]:
-        """Return how deep points of integration and middles of facets are in the tool at X + u."""
+        """Return how deep points of integration and middles of facets are in the tool at X + u.
+
+        And how deep the tool lies below its own point, of the facet that is nearest to that along
+        its normal: a ball may be smaller than what is between the others.
+        """
         assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
         side, pose, x = link.pattern.side, self.tool.pose(), coordinates(link.sides.slave, u)
         facing = find_facing(side, pose, self.shape, x)
@@ -361,9 +370,15 @@ class Obstacle(Movable, Unilateral):
         gaps, _ = point_gaps(pattern, pose, self.shape, u, segments, points)
         nodes = x[side.slave.facets]
         sizes, middles = facet_sizes(nodes), nodes.mean(axis=1)[facing]
-        depth = -np.concatenate([gaps, pose.distance(self.shape, middles).value])
-        sizes = np.concatenate([sizes[segments.slave], sizes[facing]])
-        return depth / sizes, depth, np.concatenate([points, middles])
+        facets = facets_at(side.slave, x)
+        corners, n = nodes[:, list(facets.element.vertices)], facet_normals(facets)
+        point = np.broadcast_to(pose.to_space(self.shape.point[None]), (len(n), x.shape[1]))
+        above = ((point - corners.mean(axis=1)) * n).sum(axis=1)
+        below = depth_of_point(self.seen_by_tool()) - above
+        met = (above >= -sizes) & (below > 0.0) & are_inside(corners, n, point)
+        depth = -np.concatenate([gaps, pose.distance(self.shape, middles).value, -below[met]])
+        sizes = np.concatenate([sizes[segments.slave], sizes[facing], sizes[met]])
+        return depth / sizes, depth, np.concatenate([points, middles, point[met]])
 
     def heights(self, link: CoupledSides, u: fem.Function | None) -> Floats | None:
         """Return those of facets of first order, see `Interface.heights`; collective."""

@@ -176,7 +176,7 @@ def find_passed_tool(
     x = [to(coordinates(own, u)) for to, u in ((seen.began, before), (seen.now, now))]
     depth = side.depth[np.isfinite(side.depth)]
     way = np.linalg.norm(x[1] - x[0], axis=1).max(initial=0.0)
-    inner = _depth_of_point(seen)
+    inner = depth_of_point(seen)
     most, least = maximum(comm, way, -depth.min(initial=np.inf))
     within = inner >= HALF_OF_DIGITS * least  # tips are on the surface, up to round-off
     if not most >= min(-least, inner if within else np.inf):
@@ -204,7 +204,7 @@ def find_passed_tool(
     return Passing(None, 0, tuple(map(float, seen.point)), inner)
 
 
-def _depth_of_point(seen: SeenByTool) -> float:
+def depth_of_point(seen: SeenByTool) -> float:
     """Return how deep the tool's point is in it, -inf where it has no distance, as in an oval."""
     try:
         return -float(seen.distance(seen.point[None])[0])
