@@ -227,5 +227,21 @@ def test_what_is_no_file(tmp_path, content):
         shapes.Triangles(path)
 
 
+@pytest.mark.parametrize(
+    ("value", "end", "words"),
+    [
+        ("0.0", "", ("ends after 2 triangles", "cut off")),
+        ("nan", "endsolid\n", ("1 of 2 triangles", "not finite, first number 2")),
+    ],
+)
+def test_damaged_text(tmp_path, value, end, words):
+    """Which a surface with rim=True would not show."""
+    path = tmp_path / "tool.stl"
+    corners = "vertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n"
+    path.write_text(f"solid\n{corners}{corners[:-2]}{value}\n{end}")
+    with rejected("tool.stl", *words):
+        shapes.Triangles(path, rim=True)
+
+
 def test_in_space_only():
     assert "mesh of 2" in shapes.Triangles(box()).misfit(2, True)

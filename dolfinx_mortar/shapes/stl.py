@@ -24,7 +24,7 @@ def read_stl(path: str | os.PathLike[str]) -> tuple[Floats, Longs]:
     The normals in the file are not read: those of a triangle are by its order of corners.
 
     Raises:
-        ValueError: if the file cannot be read, or is no STL file.
+        ValueError: if the file cannot be read, is no STL file, is cut off, or has NaN or infinity.
     """
     try:
         content = Path(path).read_bytes()
@@ -35,10 +35,22 @@ def read_stl(path: str | os.PathLike[str]) -> tuple[Floats, Longs]:
     corners = _binary(content)
     if corners is None:
         corners = _text(content)
+        if corners is not None and b"endsolid" not in content.lower():
+            raise ValueError(
+                f"surface is {os.fspath(path)!r}, which ends after {len(corners)} triangles "
+                "without 'endsolid': it is cut off; export or copy it anew"
+            )
     if corners is None or not len(corners):
         raise ValueError(
             f"surface is {os.fspath(path)!r}, which is no STL file, {len(content)} bytes long: "
             "export the surface as STL, binary or text"
+        )
+    wrong = np.asarray(~np.isfinite(corners).all(axis=(1, 2)))
+    if wrong.any():
+        raise ValueError(
+            f"surface is {os.fspath(path)!r}, in which {int(wrong.sum())} of {len(corners)} "
+            "triangles have corners that are not finite, first number "
+            f"{int(np.argmax(wrong)) + 1}: export it anew"
         )
     points, place = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     return points.astype(np.float64), place.reshape(-1, 3).astype(np.int64)
