@@ -273,8 +273,11 @@ def test_it_costs_less_than_half_of_a_pair():
         bcs.append(fem.dirichletbc(0.0, axis, V.sub(0)))
         problem = dm.ContactProblem(dm.Solid(u, laws, tagged.cell_tags), [contact], bcs=bcs)
         dm.newton(problem)  # compiles
-        u.x.array[:] = 0.0
-        seconds.append(dm.newton(problem).seconds["mortar"])
+        spent = []
+        for _ in range(5):  # the least: other programs share the machine
+            u.x.array[:] = 0.0
+            spent.append(dm.newton(problem).seconds["mortar"])
+        seconds.append(min(spent))
         forces.append(-contact.force[1])
     assert forces[1] == pytest.approx(forces[0], rel=1e-3)  # whose normals are those of the disc
     assert seconds[1] < 0.5 * seconds[0]

@@ -374,6 +374,8 @@ def _least_degree(slave: FacetElement, master: FacetElement) -> int:
     Maps and areas of curved facets are no polynomials. Measured, paraboloids whose facets turn by
     an angle phi: D_jj to 1e-5 phi^4, entries of M to 2e-3 phi^2 (triangles) and 1e-6 phi^2
     (quadrilaterals) of the largest D_jj. Both sides of a pair see the same points, so that forces
-    and constants stay exact.
+    and constants stay exact. The exact tangent has the derivatives of the integrals, not of the
+    sums over points: for second-order tetrahedra at edges forces differ by 2e-7 to 6e-6 of their
+    largest entry from differences, 4e-11 with degree 12.
     """
     return max(slave.degree, master.degree) * (4 if slave.bilinear or master.bilinear else 2)
