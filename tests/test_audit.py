@@ -60,6 +60,17 @@ def test_nothing_to_complain():
     assert found.size_ratio == pytest.approx(0.75)
 
 
+@pytest.mark.mpi
+def test_supports_that_hold_nothing():
+    """As with a tag that no facet has; also where that is why a body is loose."""
+    held = ((11, None), (22, None))
+    assert create(supports=held).audit().warnings == []
+    (warning,) = create(supports=(*held, (99, 1))).audit().warnings
+    assert "bcs[2], on V.sub(1), has no dofs" in warning and "check the tag" in warning
+    with pytest.raises(ValueError, match=r"(?s)nothing holds.*bcs\[1\], on V, has no dofs"):
+        create(supports=((11, None), (99, None))).audit()
+
+
 def test_print(capsys):
     """One line for the whole, one per interface and warning; the tags are in it."""
     problem = create(supports=((11, None), (22, 0)))

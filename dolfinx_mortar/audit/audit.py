@@ -128,7 +128,7 @@ def create_audit(
     Raises:
         ValueError: if a body can move rigidly without any resistance.
     """
-    links = system.links
+    links, empty = system.links, supports.warnings()
     loose, by_contact = find_free_motions(bodies, system, supports, springs)
     if loose:
         reaches = [reach for link in links if (reach := measure_reach(link))]
@@ -138,12 +138,13 @@ def create_audit(
             + ". Prescribe these motions (bcs), or check slave and master tags"
             + (PRETENSION_HINT if system.pretensions else "")
             + "".join(reach.hint for reach in reaches)
+            + "".join(f". {one}" for one in empty)
         )
     for link in links:
         if link.pairing:
             _check_sides(link, bodies, x, increment)
     found = [_audit(link, x) for link in links]
-    warnings = list(system.notes)
+    warnings = list(system.notes) + empty
     if by_contact:
         warnings.append(f"contact alone holds {'; '.join(by_contact)}: the loads must press it on")
     shears = [describe_shear(links[one.number], one.axis) for one in system.pretensions]

@@ -132,6 +132,20 @@ class Dirichlet:
         """Return the prescribed values at owned dofs, 0 where there is none; collective."""
         return prescribed_values(self.V, self.bcs)
 
+    def warnings(self) -> list[str]:
+        """Return a warning for each condition that holds nothing; collective."""
+        found = [len(bc.dof_indices()[0]) for bc in self.bcs]
+        counts = self.V.mesh.comm.allreduce(np.array(found, dtype=np.int64))
+        told = []
+        for k in np.flatnonzero(counts == 0):
+            component = self.bcs[k].function_space.component()
+            where = f"V.sub({component[0]})" if component else "V"
+            told.append(
+                f"bcs[{k}], on {where}, has no dofs, so that it holds nothing: check the tag or "
+                "the function that locates them, or leave it out"
+            )
+        return told
+
     def increment(self, target: Floats, u: Floats) -> Floats:
         """Return prescribed minus present values, (owned nodes, d), 0 where free."""
         difference = (target - u[: target.size]).reshape(self.owned.shape)
