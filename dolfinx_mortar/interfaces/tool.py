@@ -61,6 +61,8 @@ class Driven(Protocol):
     def curve(self, X: Floats, amounts: Floats) -> Floats:
         """Return by how much a motion ends beside its tangent (n, d), at points that follow it.
 
+        Asked only of what `holds` nodes.
+
         Args:
             X: (n, d) where they were at the start.
             amounts: (m,) of the motions.

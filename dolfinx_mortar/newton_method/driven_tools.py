@@ -241,7 +241,8 @@ def find_drives(problem: ContactProblem) -> Drives | None:
     def curve(travel: Floats) -> Floats:
         beside = np.zeros((problem.n, problem.d))
         for (link, tool), q in zip(parts, np.split(travel, ends), strict=True):
-            beside[link.nodes] += tool.curve(problem.X[link.nodes], q) * link.constrained
+            if tool.holds:
+                beside[link.nodes] += tool.curve(problem.X[link.nodes], q) * link.constrained
         return beside.ravel()
 
     def product(y: PETSc.Vec) -> PETSc.Vec:
