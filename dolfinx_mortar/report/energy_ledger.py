@@ -8,14 +8,18 @@ In a step from n to n+1 the trapezoidal rule keeps, of linear bodies,
 exactly, q the forces of loads, supports, damping and contacts. Contacts do no work in the motion
 itself, but in a step in which sides meet or part the force at one of its ends goes with a gap at
 the other: 1/2 (lambda g_n - lambda_n g) is lost. So after a step the velocity is corrected by an
-impulse s of the normal contact forces c, by the work w of friction, too, where that is positive (as
-it may be where a slip turns back),
+impulse s of the contact forces, so that the work of the normal ones c is zero, and that w of
+friction f where it is positive (as it may be where a slip turns back),
 
-    v <- v + s y,   (kappa M + K) y = c + c_n,   K(v + s y) = K(v) - 1/2 (c + c_n).(u - u_n) - <w>,
+    v <- v + s y,   (kappa M + K) y = c + c_n + f + f_n,
+    K(v + s y) = K(v) - 1/2 (c + c_n).(u - u_n) - <w> + s y_f.M (v + s y / 2),
 
-y being how far these forces move the bodies within a step, waves and all. That leaves momentum and
-moment of momentum as they are, as c does, for K y has none (Laursen and Love 2002 correct
-velocities after the step, too, node by node and with M alone: then a stiff body that is hit cannot
+the last being the work of f in the impulse (y_f its part of y), which counts as that of friction.
+Without f what slides would get mu times a part of the normal impulse only: where steps are too long
+for vibrations a block slid with a third of its acceleration. y is how far these forces move the
+bodies within a step, waves and all. That leaves momentum and moment of momentum as they are, as
+forces between bodies do, for K y has none (Laursen and Love 2002 correct velocities after the step,
+too, node by node and with M alone: then a stiff body that is hit cannot
 give back its energy, which is in its motion as a whole). Of the two roots the smaller one is taken;
 if more energy is to be taken than the impulse can, it takes all it can, and the defect shows the
 rest. On tools that move, what they do to the bodies is taken from the works of contact and
@@ -24,8 +28,8 @@ friction and counts as that of supports; w and K are then those for who moves wi
 At finite strain neither the rule nor this impulse keeps the moment of momentum to round-off: free
 bodies are turned in the end, see `terms.free_rotation`; the energy of that is part of the defect.
 
-The impulse takes a solve, a fifth of a step. It waits until what it has to restore is more than
-rtol of the largest energy so far, which contact that lasts reaches seldom.
+The impulse takes a solve, a fifth of a step, with friction two. It waits until what it has to
+restore is more than rtol of the largest energy so far, which contact that lasts reaches seldom.
 """
 
 from collections.abc import Sequence
@@ -215,11 +219,12 @@ class EnergyLedger:
         left, unsolved, owed = 0.0, False, self.last.owed + gain
         least = max(ROUND_OFF * terms, report.rtol * self.last.largest)
         if self.conserve and abs(owed) > least:
-            force = before.contact + after.contact
-            y = respond(problem, force, report.rtol, linear)
-            motion, share, left = self._restored(motion, y, force, way, -owed)
+            forces = before.contact + after.contact, before.friction + after.friction
+            found = self._responses(forces, report.rtol, linear)
+            motion, share, dragged, left = self._restored(motion, found, forces, way, -owed)
             work["supports"] += share
-            unsolved, owed = y is None, 0.0
+            work["friction"] += dragged
+            unsolved, owed = found is None, 0.0
         if self.conserve:
             motion = self._turned(motion, before, after, self._free)
         inertia.finish(motion)
@@ -349,35 +354,58 @@ class EnergyLedger:
                     way[nodes] = found
         return way
 
+    def _responses(
+        self, forces: tuple[Floats, Floats], rtol: float, linear: LinearSolver
+    ) -> tuple[Floats, Floats] | None:
+        """Return how far forces of contact and of friction move the bodies; None if not solved."""
+        contact, friction = forces
+        y: Floats | None = np.zeros_like(friction)
+        if any_rank(self.problem.comm, friction.any())[0]:
+            y = respond(self.problem, friction, rtol, linear)
+        x = respond(self.problem, contact, rtol, linear)
+        return None if x is None or y is None else (x, y)
+
     def _restored(
-        self, motion: Motion, y: Floats | None, force: Floats, way: Floats, energy: float
-    ) -> tuple[Motion, float, float]:
+        self,
+        motion: Motion,
+        responses: tuple[Floats, Floats] | None,
+        forces: tuple[Floats, Floats],
+        way: Floats,
+        energy: float,
+    ) -> tuple[Motion, float, float, float]:
         """Return a motion that an impulse of contact forces has given an energy; collective.
 
         Args:
             motion: at the end of the step.
-            y: the response to the forces, None if there is none.
-            force: the contact forces (owned nodes, d).
+            responses: to the forces of contact and of friction, None if there are none.
+            forces: of contact and of friction (owned nodes, d), which the impulse has in the same
+                share.
             way: of the tools, see `_tool_way`.
             energy: for who moves with the tool.
 
         Returns:
-            The motion, the work of tools that is in it beside the energy, and the part of the
-            energy that it has not got.
+            The motion, the works of tools and of friction that are in it beside the energy, and the
+            part of the energy that it has not got.
         """
-        if y is None:
-            return motion, 0.0, energy
+        if responses is None:
+            return motion, 0.0, 0.0, energy
         mass, sums, start = self.inertia.mass, self.inertia.sum, self.inertia.start
-        y = mass.extend(y)
-        image = mass.times(y)
-        tools = sums((force * way).sum()) / (start.kappa * start.dt)  # of one unit of y
-        a, b = sums((y * image).sum()), sums((motion.velocity * image).sum()) - tools
+        moved = [mass.extend(y) for y in responses]
+        whole = moved[0] + moved[1]
+        images = [mass.times(y) for y in moved]
+        # of one unit of y
+        tools, drags = (sums((f * way).sum()) / (start.kappa * start.dt) for f in forces)
+        a = sums((whole * images[0]).sum())
+        b = sums((motion.velocity * images[0]).sum()) - tools
         if not a > 0.0:
-            return motion, 0.0, energy
+            return motion, 0.0, 0.0, energy
         root = b**2 + 2.0 * a * energy
         s = 2.0 * energy / (b + np.copysign(np.sqrt(root), b)) if root > 0.0 else -b / a
         left = min(root, 0.0) / (2.0 * a)
-        return replace(motion, velocity=motion.velocity + s * y), s * tools, left
+        mean = motion.velocity + 0.5 * s * whole
+        dragged = s * (sums((mean * images[1]).sum()) - drags)
+        changed = replace(motion, velocity=motion.velocity + s * whole)
+        return changed, s * (tools + drags), dragged, left
 
 
 def _not_restored(share: float, *, unsolved: bool) -> str:
