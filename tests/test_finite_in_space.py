@@ -99,7 +99,9 @@ def test_patch_of_boxes_in_space(cell, strain, options):
     down.value = -strain * 2.0
     report = dm.newton(problem, rtol=1e-10)
     check_uniform(problem, contact, report, 1.0, 1.0 - strain)
-    assert report.newton_iterations <= (5 if options else 7)
+    # below 1e-9 digits are those of multigrid: they differ with what was solved before
+    far = [it for it in report.iterations if options or it.force_residual > 1e-9]
+    assert len(far) <= (5 if options else 6)
 
 
 def test_everything_turned_in_space():
