@@ -294,6 +294,32 @@ def test_motions_that_the_mesh_alone_resists(mu, load, words):
         dm.newton(problem, max_it=3)
 
 
+class Own:
+    """What a user's own interface drives: it promises what a tool does, and is none."""
+
+    def __init__(self, tool):
+        self.tool = tool
+
+    def __getattr__(self, name):
+        return getattr(self.tool, name)
+
+
+def test_which_of_two_tools_is_loose():
+    """Also behind one of which nothing is known but its motions."""
+    case, discs = Block(n=20, fine=5.0, size=5.0), []
+    for x in (1.25, 3.75):
+        discs.append(case.tool(dm.shapes.Cylinder([x, 3.0], 3.0), load={"y": -20.0}))
+    one, other = discs
+    own = Own(one.tool)
+    one.driven = lambda: own
+    problem = case.problem(discs)
+    dm.newton(problem)
+    problem.commit()
+    other.load = {"y": -20.0, "x": 0.1}
+    with rejected(f"{other!r} moves along the side", error=dm.NewtonNotConverged):
+        dm.newton(problem, max_it=3)
+
+
 @pytest.mark.parametrize("given", quick(["rotation", "position"], "rotation"))
 def test_a_disc_rolls_over_facets_in_a_step(given):
     """Its angle or its way is given, the other one found: R times the angle."""

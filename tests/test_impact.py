@@ -311,10 +311,13 @@ def test_a_step_that_would_pass_through_a_tool_is_cut():
     assert inertia.momentum()[1] > 0.0
 
 
-def meet_a_tool(speed, tool_speed, angle=0.0):
-    """Return the mean velocity of a block along a direction, after a tool that moves in it."""
+def meet_a_tool(speed, tool_speed, angle=0.0, mu=None, across=(0.0, 0.0)):
+    """Return the mean velocity of a block along a direction, after a tool that moves in it.
+
+    Both may move across it, too.
+    """
     c, s = np.cos(angle), np.sin(angle)
-    along = np.array([c, s])
+    along, aside = np.array([c, s]), np.array([-s, c])
     domain = dolfinx_mesh.create_rectangle(
         COMM, [[0.0, 0.0], [1.0, 0.25]], [6, 2], dolfinx_mesh.CellType.quadrilateral
     )
@@ -324,12 +327,14 @@ def meet_a_tool(speed, tool_speed, angle=0.0):
     solid = dm.Solid(
         fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,)))), dm.Elastic(1.0, 0.0)
     )
-    inertia = dm.Inertia(solid, 1.0, velocity=speed * along)
-    wall = dm.Obstacle(tags, slave=1, shape=dm.shapes.Plane(1.0002 * along, -along))
+    inertia = dm.Inertia(solid, 1.0, velocity=speed * along + across[0] * aside)
+    plane = dm.shapes.Plane(1.0002 * along, -along)
+    wall = dm.Obstacle(tags, slave=1, shape=plane, friction=mu)
     problem = dm.ContactProblem(solid, [wall], terms=[inertia])
     times = np.linspace(0.0, 3.0, 41)[1:]
     start = 1.0002 * along
-    ramp = {wall.position: [(0.0, start), (3.0, start + 3.0 * tool_speed * along)]}
+    moved = tool_speed * along + across[1] * aside
+    ramp = {wall.position: [(0.0, start), (3.0, start + 3.0 * moved)]}
     *_, step = steps(problem, times, ramp=ramp)
     assert abs(step.report.ledger.defect) < 1e-4  # of the first steps, as their energies are small
     return inertia.momentum() @ along / 0.25, step.report.ledger
@@ -345,6 +350,13 @@ def test_a_tool_that_moves_does_work(v, angle):
     found, ledger = meet_a_tool(1e-3 + v, v, angle)
     assert found - v == pytest.approx(still, rel=1e-6)
     assert ledger.supports == pytest.approx(0.25 * v * (found - 1e-3 - v), rel=1e-6)
+
+
+def test_friction_takes_as_much_where_the_tool_slides_as_where_the_block_does():
+    """In a step that restores the energy, too: that of tools is no loss of friction."""
+    of_block, of_tool = (meet_a_tool(1e-3, 0.0, 0.5, 0.1, v)[1] for v in ((2e-3, 0), (0, -2e-3)))
+    assert of_block.friction > 1e-9
+    assert of_tool.friction == pytest.approx(of_block.friction, rel=1e-6)
 
 
 def test_a_belt_takes_a_block_along():

@@ -46,7 +46,7 @@ from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.tool import Driven, Tool
 from dolfinx_mortar.newton_method.contacts import Contacts
-from dolfinx_mortar.newton_method.failures import StepFailed
+from dolfinx_mortar.newton_method.failures import StepFailed, Unresisted
 from dolfinx_mortar.newton_method.linearisation import (
     Balance,
     Linearisation,
@@ -307,7 +307,7 @@ def settle(
     here = _Try(lin, solved, start, *drives.carried(lin, solved, start))
     diagonal = drives.stiffness(lin, here.carried)
     if not diagonal.all():
-        raise StepFailed(_unresisted(drives, lin, diagonal == 0.0))
+        raise Unresisted(_unresisted(drives, lin, diagonal == 0.0))
     B: Floats = np.diag(diagonal) if stiffness is None else stiffness
     noise = drives.noise(lin.balance) + drives.allowed(rtol * begun)
     shrink, far = 1.0, 0.0
@@ -326,7 +326,7 @@ def settle(
             way = here.missing / diagonal
             touching = drives.until_touching(here.lin, here.solved, way)
             if not np.isfinite(touching):
-                raise StepFailed(_unresisted(drives, lin, here.missing != 0.0))
+                raise Unresisted(_unresisted(drives, lin, here.missing != 0.0))
             way *= touching + 1.0
         q = here.travel + way
         at = drives.shifted(lin, q)
@@ -383,7 +383,7 @@ def _measured(
         least = int(np.argmin(np.abs(values)))
         if np.abs(values[least]) <= SAME:  # of the stiffness of the nodes themselves
             weakest = np.abs(vectors[:, least])
-            raise StepFailed(_unresisted(drives, lin, np.asarray(weakest == weakest.max())))
+            raise Unresisted(_unresisted(drives, lin, np.asarray(weakest == weakest.max())))
         return found
     if lin.qp.friction is None:  # with friction it is not symmetric
         found = (found + found.T) / 2
@@ -397,7 +397,7 @@ def _resisted(
     way = np.asarray(np.linalg.solve(B, missing), dtype=np.float64)
     length = np.abs(way) * drives.arms()
     if not QUARTER_OF_DIGITS * length.max() <= extent:  # as of bodies that nothing holds
-        raise StepFailed(_unresisted(drives, lin, length))
+        raise Unresisted(_unresisted(drives, lin, length))
     return way
 
 
@@ -458,11 +458,12 @@ def loose_motion(
     G, first = np.zeros_like(stiffness), 0
     for link in problem.system.links:
         tool = link.interface.driven()
-        if not isinstance(tool, Tool):
+        if tool is None:
             continue
         end = first + len(tool.names)
-        forces = carried.reshape(x.shape)[link.nodes, 0]
-        G[first:end, first:end] = tool.turning(x[link.nodes], forces)
+        if isinstance(tool, Tool):
+            forces = carried.reshape(x.shape)[link.nodes, 0]
+            G[first:end, first:end] = tool.turning(x[link.nodes], forces)
         first = end
     factors, ways = np.linalg.eig(np.linalg.solve(stiffness, drives.comm.allreduce(G)))
     most = int(np.argmax(factors.real))

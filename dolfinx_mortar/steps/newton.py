@@ -292,7 +292,7 @@ class _Step:
         if not loose:
             return error
         # where the tool has moved to, its load may act off the side
-        parted = "nothing resists" in str(error)
+        parted = isinstance(error, failures.Unresisted)
         return failures.StepFailed(loose if parted else f"{loose}: {error}")
 
     def first(self) -> tuple[Iterate, Actives]:
