@@ -209,13 +209,13 @@ def test_newton_is_quadratic_at_the_end_and_the_answer_the_same(degree, monkeypa
 
 def test_what_lumped_rows_neglect_is_corrected(monkeypatch):
     """Each further solution of a QP changes its bounds by less than a tenth of the one before."""
-    changes, correct = [], newton_module.correct_bounds
+    changes, correct = [], newton_module.Corrections.apply
 
-    def noted(lin, solved):
-        changes.append(correct(lin, solved))
+    def noted(self, lin, solved):
+        changes.append(correct(self, lin, solved))
         return changes[-1]
 
-    monkeypatch.setattr(newton_module, "correct_bounds", noted)
+    monkeypatch.setattr(newton_module.Corrections, "apply", noted)
     rolled()
     first, second = (left for _, left in changes[:2])
     assert 0.0 < second < 0.1 * first

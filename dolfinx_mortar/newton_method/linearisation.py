@@ -17,8 +17,8 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator, OperatorOfBases, as_aij
-from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import Actives, Floats, Ints
+from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Actives, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, equalities, join
 from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent
@@ -207,35 +207,80 @@ def linearise_all(
     return Linearisation(replace(qp, definite=False, near=near), balance, diagonal, found)
 
 
-def correct_bounds(lin: Linearisation, solved: QPSolution) -> tuple[Linearisation, float]:
-    """Return the QP whose bounds have the parts of gap rows that T_g neglects; collective.
+class Corrections:
+    """The parts v of gap rows that T_g neglects, as they are at the solution of the QP with v.
 
-    These are known for a solution, and some per cent of it, so that few corrections suffice.
-
-    Args:
-        lin: of the exact tangent.
-        solved: its solution, or that of its QP with other bounds.
-
-    Returns:
-        It, and the largest change of a bound times the stiffness there, a force.
+    They are some per cent of the rows, and affine in v while the active set stays: few corrections
+    suffice, with Anderson's mixing also where a mode of them grows by each.
     """
-    assert lin.geometry is not None
-    dofs, bounds = lin.balance.bounds.dofs, lin.balance.bounds
-    closing = lin.geometry.closing(to_displacement(lin.geometry.trial, solved.x))
-    neglected = np.where(closing != 0.0, closing - solved.x.array_r, 0.0)
-    upper, stiffness = lin.qp.upper.copy(), np.abs(lin.diagonal.array_r)
-    before = upper.array_r[dofs].copy()
-    upper.array[dofs] = np.minimum(bounds.upper - neglected[dofs], PETSc.INFINITY)
-    change = np.abs(upper.array_r[dofs] - before) * stiffness[dofs]
-    largest, law = change[solved.active > 0].max(initial=0.0), lin.qp.friction
-    if law is not None and lin.balance.limits is not None:
-        rest = -lin.balance.limits.slip - law.pick(neglected)
-        change = np.abs(rest - law.rest) * law.pick(stiffness)
-        closed = law.acts(solved.active[law.normal] > 0)
-        largest = max(largest, change[closed].max(initial=0.0))
-        law = replace(law, rest=rest)
-    largest = maximum(lin.qp.comm, largest)[0]
-    return replace(lin, qp=replace(lin.qp, upper=upper, friction=law)), float(largest)
+
+    def __init__(self) -> None:
+        """Begin with v = 0."""
+        self.given: Floats | None = None  # v of the last QP, (n,)
+        self.active: Actives | None = None  # of its solution
+        self.found: list[Floats] = []  # v at solutions with this active set
+        self.changes: list[Floats] = []  # by which they differ from the v of their QPs
+
+    def apply(self, lin: Linearisation, solved: QPSolution) -> tuple[Linearisation, float]:
+        """Return the QP with the next v; collective.
+
+        Args:
+            lin: of the exact tangent.
+            solved: its solution, or that of the QP from the last call.
+
+        Returns:
+            It, and the largest change of a bound times the stiffness there, a force.
+        """
+        assert lin.geometry is not None
+        dofs, bounds, comm = lin.balance.bounds.dofs, lin.balance.bounds, lin.qp.comm
+        closing = lin.geometry.closing(to_displacement(lin.geometry.trial, solved.x))
+        found = np.where(closing != 0.0, closing - solved.x.array_r, 0.0)
+        change = found if self.given is None else found - self.given
+
+        law, acting = lin.qp.friction, dofs[solved.active > 0]
+        if law is not None:
+            slips = law.some & law.acts(solved.active[law.normal] > 0)[:, None]
+            acting = np.concatenate([acting, law.tangential[slips]])
+        weight = np.zeros_like(found)
+        weight[acting] = np.abs(lin.diagonal.array_r[acting])
+        largest = float(maximum(comm, np.abs(weight * change).max(initial=0.0))[0])
+
+        same = self.active is not None and np.array_equal(self.active, solved.active)
+        if any_rank(comm, not same)[0]:
+            self.found, self.changes = [], []
+        self.active = solved.active.copy()
+        self.found.append(found)
+        self.changes.append(change)
+        given = self.given = least_change(comm, self.found, self.changes, weight)
+
+        upper = lin.qp.upper.copy()
+        upper.array[dofs] = np.minimum(bounds.upper - given[dofs], PETSc.INFINITY)
+        if law is not None and lin.balance.limits is not None:
+            law = replace(law, rest=-lin.balance.limits.slip - law.pick(given))
+        return replace(lin, qp=replace(lin.qp, upper=upper, friction=law)), largest
+
+
+def least_change(
+    comm: MPI.Comm, found: Sequence[Floats], changes: Sequence[Floats], weight: Floats
+) -> Floats:
+    """Return sum a_i found_i, sum a_i = 1, of the least |weight sum a_i changes_i|; collective.
+
+    Anderson's mixing. Where found_i is an affine function of found_i - changes_i with one direction
+    that grows or falls, two pairs give its fixed point:
+
+    >>> change = [np.array([x]) for x in (1.0, -3.0)]  # f(v) = 1 - 3 v at 0 and 1
+    >>> found = [np.array([1.0]), np.array([-2.0])]
+    >>> least_change(MPI.COMM_SELF, found, change, np.ones(1)).tolist()
+    [0.25]
+    """
+    last, *before = reversed(changes)
+    if not before:
+        return found[-1]
+    ways = np.stack([weight * (change - last) for change in before])
+    sums = comm.allreduce(ways @ np.column_stack([ways.T, weight * last]), op=MPI.SUM)
+    shares = np.linalg.lstsq(sums[:, :-1], -sums[:, -1], rcond=QUARTER_OF_DIGITS)[0]
+    newest, *older = reversed(found)
+    return np.asarray(newest + shares @ np.stack([one - newest for one in older]))
 
 
 def _law(limits: SlipLimits, bounds: Constraints, n: int) -> Friction:

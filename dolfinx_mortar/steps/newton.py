@@ -38,8 +38,8 @@ from dolfinx_mortar.newton_method.contacts import Contacts, find_sliders, found_
 from dolfinx_mortar.newton_method.line_search import NoDescent, search, shorten
 from dolfinx_mortar.newton_method.linearisation import (
     Balance,
+    Corrections,
     Linearisation,
-    correct_bounds,
     count_changes,
     find_balance,
     linearise,
@@ -584,7 +584,7 @@ class _Step:
     ) -> tuple[Linearisation | None, QPSolution | None, str]:
         """Solve the QP with the exact tangent of the moving geometry; say why it has no solution.
 
-        Its bounds are corrected by what the rows of T_g neglect, see `correct_bounds`.
+        Its bounds are corrected by what the rows of T_g neglect, see `Corrections`.
         """
         contacts = old.contacts
         given = contacts.multipliers, contacts.tangential
@@ -594,8 +594,9 @@ class _Step:
         rtol = self.accuracy(lin, watch, residuals)
         try:
             solved = first = self.solve(lin, start, old, rtol)
+            corrections = Corrections()
             for _ in range(CORRECTIONS):
-                lin, left = correct_bounds(lin, solved)
+                lin, left = corrections.apply(lin, solved)
                 if left <= DIGIT * residuals[-1].limit:
                     break
                 last, guess = solved, None if self.solver.direct else solved.x
