@@ -89,3 +89,10 @@ def set_owned(f: dolfinx.fem.Function, values: Floats) -> None:
     """Set the owned values (n, c) of a Function, and those of ghosts; collective."""
     f.x.array[: values.size] = values.ravel()
     f.x.scatter_forward()
+
+
+def with_values(V: dolfinx.fem.FunctionSpace, values: Floats) -> dolfinx.fem.Function:
+    """Return a Function by its owned values (n, c); collective."""
+    f = dolfinx.fem.Function(V)
+    set_owned(f, values)
+    return f

@@ -68,11 +68,12 @@ class Bodies:
 
 @dataclass
 class Indentation:
-    """A half ring over a block with fixed base; its hub and its cut ends follow `held`."""
+    """A half ring over a block; its hub and its cut ends follow `held`, the base `base`."""
 
     problem: dm.ContactProblem
     contact: dm.Contact
     held: fem.Constant
+    base: fem.Constant
 
 
 def indentation(
@@ -121,16 +122,16 @@ def indentation(
 
     bodies = Bodies.of((lower, upper), tag)
     V = fem.functionspace(bodies.mesh, ("Lagrange", 1, (2,)))
-    u, held = fem.Function(V), fem.Constant(bodies.mesh, default_scalar_type((0.0, 0.0)))
+    u = fem.Function(V)
+    held, base = (fem.Constant(bodies.mesh, default_scalar_type((0.0, 0.0))) for _ in range(2))
     dofs = {t: fem.locate_dofs_topological(V, 1, bodies.facets.find(t)) for t in (BASE, HELD)}
-    zero = np.zeros(2, dtype=default_scalar_type)
-    bcs = [fem.dirichletbc(zero, dofs[BASE], V), fem.dirichletbc(held, dofs[HELD], V)]
+    bcs = [fem.dirichletbc(base, dofs[BASE], V), fem.dirichletbc(held, dofs[HELD], V)]
     make = dm.NeoHooke if strain == "finite" else dm.Elastic
     laws = {BLOCK: make(moduli[0], 0.3), TOOL: make(moduli[1], 0.3)}
     solid = dm.Solid(u, laws, bodies.cells, strain=strain)
     sides = (ARC, TOP) if slave == "tool" else (TOP, ARC)
     contact = dm.Contact(bodies.facets, slave=sides[0], master=sides[1], surface=surface, **options)
-    return Indentation(dm.ContactProblem(solid, [contact], bcs=bcs), contact, held)
+    return Indentation(dm.ContactProblem(solid, [contact], bcs=bcs), contact, held, base)
 
 
 def walk(case, path, times, **options):

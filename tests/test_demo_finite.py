@@ -74,7 +74,7 @@ def test_a_tool_is_dragged_as_others_have_found():
     sliding = (t > 1.07) & (t < 1.83)
     assert np.all((H > 0.3 * V)[sliding]) and np.all((H < 0.36 * V)[sliding])
     assert all(row["parts"] == 1 for row in rows)
-    assert np.mean([row["newton_iterations"] for row in rows]) < 7.0
+    assert np.mean([row["newton_iterations"] for row in rows]) < 4.5
     assert min(row["smallest_J"] for row in rows) > 0.6
 
 
@@ -96,6 +96,7 @@ def test_ironing_depends_little_on_sides_and_mesh(options, tmp_path):
     t, V, _ = forces(rows_in(shown("ironing")))
     rows = steps_of(tmp_path, "ironing", *options)
     assert all(row["parts"] == 1 for row in rows)
+    assert np.mean([row["newton_iterations"] for row in rows]) < 6.0
     _, W, _ = forces(rows)
     down = t > 0.95
     assert np.abs(V - W)[down].max() < 0.015 * V.max()

@@ -91,7 +91,7 @@ def test_shallow_ironing(friction):
     """
     runs = [ironed(20, slave=slave, friction=friction) for slave in ("tool", "block")]
     for steps in runs:
-        assert iterations(steps).mean() < 5.5
+        assert iterations(steps).mean() < 4.5
         H, V = sliding(steps)
         assert np.abs(H - friction * V).max() < 0.02 * V.max()
     if not friction:

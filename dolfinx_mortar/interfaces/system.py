@@ -44,6 +44,7 @@ from dolfinx_mortar.mortar.surface import (
     find_boundary,
     mean_facet_length,
 )
+from dolfinx_mortar.spaces import with_values
 
 
 @dataclass(frozen=True)
@@ -342,7 +343,7 @@ class InterfaceSystem:
             return self.at(u)
         same = self._room.paired_at is not None and np.array_equal(self._room.paired_at, known.at)
         if not self.V.mesh.comm.allreduce(same, op=MPI.LAND):
-            self.at(None if u is None else _function(self.V, known.at))
+            self.at(None if u is None else with_values(self.V, known.at))
         links = self._coupled(u, known.near)
         claims = self._room.claims
         assert claims is not None
@@ -554,14 +555,6 @@ class InterfaceSystem:
             nodes, own = link.nodes[carries], link.slot[carries]
             slot[nodes] = np.where(own >= 0, own, slot[nodes])
         return slot
-
-
-def _function(V: fem.FunctionSpace, owned: Floats) -> fem.Function:
-    """Return the Function with these values at the owned nodes; collective."""
-    function = fem.Function(V)
-    function.x.array[: owned.size] = owned
-    function.x.scatter_forward()
-    return function
 
 
 def _pattern_of(links: Sequence[Link]) -> list[Any]:

@@ -32,12 +32,19 @@ from dolfinx_mortar.interfaces.system import Configuration, InterfaceSystem
 from dolfinx_mortar.persistence import restoring, saving
 from dolfinx_mortar.persistence.committed import Committed, ProblemState, StepOutcome
 from dolfinx_mortar.problem.checks import check_arguments
+from dolfinx_mortar.problem.convected import (
+    convected,
+    elastic_groups,
+    find_slides,
+    overlap,
+)
 from dolfinx_mortar.problem.jumps import Pretensions, read_jumps
 from dolfinx_mortar.problem.preconditioning import UnknownsOfBodies
 from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.qp import LinearSolver, check_options
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term
+from dolfinx_mortar.spaces import with_values
 from dolfinx_mortar.step_report import LoadStep, Timings
 from dolfinx_mortar.supports.axis import check_axis, check_targets
 from dolfinx_mortar.supports.bodies import Bodies, find_bodies, with_ties
@@ -262,7 +269,8 @@ class ContactProblem:
         The prediction moves every body, or tied group of bodies, as a whole by the mean of its
         prescribed increments, without strain. It removes from the first QP what would be forty
         times the contact force in the paper's problem, and a disc that is pressed down by many
-        facet lengths has other partners there than at its start. The surfaces are paired again if
+        facet lengths has other partners there than at its start. A body over which another one
+        slides has its deformation moved along, see `convected`. The surfaces are paired again if
         they have slid past their partners. A step is a function of the displacement and the
         committed state: failed steps, audits or output before it have no influence.
 
@@ -277,8 +285,10 @@ class ContactProblem:
         """
         self.check_owned()
         data = self._read(level)
-        self.owned_u[:] += self._carried(data.asked, self.owned_u)
+        before = self.owned_u.copy()
+        self.owned_u[:] += self._carried(data.asked, before)
         self.u.x.scatter_forward()
+        self._convect(data.asked, before)
         audit = audit and not self.committed.begun
         if audit:
             self._check_mesh()
@@ -342,6 +352,54 @@ class ContactProblem:
         x = self.X + u.reshape(self.X.shape)
         return mean + self.bodies.turned(asked, self.supports.owned, x).ravel()
 
+    def _convect(self, asked: Floats, before: Floats) -> None:
+        """Move the deformation of bodies along with what slides over them; collective.
+
+        Of the two sides of a contact, that whose moved deformation fits the other one. Where
+        strains are small a step is linear, but for friction, from wherever it begins.
+
+        Args:
+            asked: (owned nodes, d), see `StepData`.
+            before: displacement (n,) at the start of the step.
+        """
+        if self.solid.strain == "small" or self.geometry == "reference":
+            return
+        closed, began = self.committed.active & ~self._stuck(), with_values(self.V, before)
+        shifts = self.bodies.mean(asked, self.supports.owned) * self.bodies.shifts
+        slides = find_slides(self.system, closed, self.bodies, shifts, began)
+        if not slides:
+            return
+        elastic, free = elastic_groups(self.solid, self.bodies), ~self.supports.owned
+        left = self._overlap()
+        for slide in slides:
+            for group, c in ((slide.slave, slide.way), (slide.master, -slide.way)):
+                if group < 0 or not elastic[group]:
+                    continue
+                at = self.owned_u.copy()
+                self.owned_u[:] += (free * convected(began, self.bodies, group, c)).ravel()
+                self.u.x.scatter_forward()
+                found = self._overlap()
+                if found < left:
+                    left = found
+                    break
+                self.owned_u[:] = at
+                self.u.x.scatter_forward()
+
+    def _stuck(self) -> Bools:
+        """Return which slave nodes (owned nodes,) of contacts with friction did not slide."""
+        stuck, sliding = np.zeros(self.n, dtype=bool), self.committed.sliding
+        if sliding is not None:
+            for interface, sides in zip(self.interfaces, self.system.sides, strict=True):
+                if interface.rough:
+                    stuck[sides.nodes] = ~sliding[sides.nodes].any(axis=1)
+        return stuck
+
+    def _overlap(self) -> float:
+        """Return how much sides of contacts overlap at u; collective."""
+        with self.timings("mortar"):
+            found = self.system.begin(self.configuration, self.committed.paired)
+            return overlap(found.links, self.positions(), self.n)
+
     def _committed_positions(self) -> PETSc.Vec:
         """Return the positions (n,) from which slips count."""
         return self.vector(self.X.ravel() + self.committed.displacement)
@@ -365,11 +423,8 @@ class ContactProblem:
             if not any_rank(self.comm, not np.array_equal(self.owned_u, place))[0]:
                 found.append(None)
                 continue
-            there = fem.Function(self.V)
-            there.x.array[: place.size] = place
-            there.x.scatter_forward()
             with self.timings("mortar"):
-                at = self.system.begin(there, self.committed.paired)
+                at = self.system.begin(with_values(self.V, place), self.committed.paired)
                 found.append(self._found_partners(at))
         return found
 

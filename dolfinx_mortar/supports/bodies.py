@@ -55,6 +55,11 @@ class Bodies:
             modes += [(body, name, self._vector(m * on)) for name, m in motions.items()]
         return modes
 
+    @property
+    def groups(self) -> Ints:
+        """A number (count,) that tied bodies have in common, see `with_ties`."""
+        return np.arange(self.count, dtype=np.int32) if self.group is None else self.group
+
     @cached_property
     def of_cells(self) -> Ints:
         """The body (owned cells,) of each cell; collective."""
@@ -93,7 +98,7 @@ class Bodies:
         Tied bodies count as one; collective.
         """
         comm, d, result = self.V.mesh.comm, x.shape[1], np.zeros_like(x)
-        group = np.arange(self.count, dtype=np.int32) if self.group is None else self.group
+        group = self.groups
         label, whole = group[self.label], where.all(axis=1)
         some = where.any(axis=1) & ~whole
         partly = maximum(comm, *np.bincount(label[some], minlength=self.count))

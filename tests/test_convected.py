@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: MIT
+"""Steps in which a body slides over another one begin with the deformation moved along."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx import fem, mesh
+from dolfinx_mortar.problem import convected, problem
+from tests.finite_sliding import indentation, walk
+
+COMM = MPI.COMM_WORLD
+CELLS = {
+    "triangle": (mesh.CellType.triangle, 2),
+    "quadrilateral": (mesh.CellType.quadrilateral, 2),
+    "hexahedron": (mesh.CellType.hexahedron, 3),
+}
+A = np.array([[0.3, -0.2, 0.5], [0.1, 0.4, -0.6], [0.7, 0.2, 0.1]])
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("cell", CELLS)
+def test_values_are_those_at_the_nearest_points(cell):
+    """A linear field at random points, of which some lie outside by up to the reach."""
+    kind, d = CELLS[cell]
+    make = mesh.create_unit_square if d == 2 else mesh.create_unit_cube
+    V = fem.functionspace(make(COMM, *[5, 4, 3][:d], kind), ("Lagrange", 1, (d,)))
+    u = fem.Function(V)
+    u.interpolate(lambda x: A[:d] @ x)
+    own = np.arange(V.mesh.topology.index_map(d).size_local, dtype=np.int32)
+    points = np.zeros((30, 3))
+    points[:, :d] = np.random.default_rng(COMM.rank).uniform(-0.2, 1.2, (30, d))
+    found = convected.values_at(u, own, points, 0.2 * np.sqrt(d))
+    assert np.abs(found - points.clip(0.0, 1.0) @ A[:d].T).max() < 1e-12
+    if COMM.rank == 0:
+        assert convected.values_at(u, own, points[:0], 0.1).shape == (0, d)
+    else:
+        convected.values_at(u, own, points, 0.1)
+
+
+PRESSED, DRAGGED = 3, 4
+SIZES = {"radius": 1.0, "length": 6.0, "height": 2.0, "start": 2.0}
+
+
+def slid(slave="tool", way=0.6, friction=0.0, *, tool_held=False):
+    """Press a half ring .3 deep and drag it, or the block, by facets; return the drag's steps."""
+    case = indentation(n=((24, 5), (16, 2)), slave=slave, friction=friction, **SIZES)
+    place = case.base if tool_held else case.held
+
+    def path(t):
+        place.value[:] = (-way if tool_held else way) * max(t - PRESSED, 0.0), 0.0
+        case.held.value[1] = -0.1 * min(t, PRESSED)
+        return case.held.value.copy()
+
+    steps = walk(case, path, np.arange(1, PRESSED + DRAGGED + 1), rtol=1e-8)
+    return steps[PRESSED:]
+
+
+def count(steps):
+    return sum(report.newton_iterations for _, _, report in steps)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("slave", ["tool", "block"])
+def test_it_saves_iterations_and_changes_no_answer(slave, monkeypatch):
+    """Whichever body is moved: that it is the block whose dent moves is found by the overlap."""
+    steps, other = slid(slave), slid(slave, tool_held=True)
+    monkeypatch.setattr(problem, "find_slides", lambda *_: [])
+    rigid = slid(slave)
+    for found in (other, rigid):
+        for (_, force, _), (_, same, _) in zip(steps, found, strict=True):
+            assert np.abs(same - force).max() < 1e-7 * np.abs(force).max()
+    assert abs(count(other) - count(steps)) <= 1
+    assert count(steps) + 3 <= count(rigid)
+
+
+def ironed_by_tool(law, *, friction=0.0, way=0.6, degree=1):
+    """Drag a rigid cylinder by facets along a block; return Newton iterations and forces."""
+    square = mesh.create_rectangle(
+        COMM, [(0.0, -2.0), (6.0, 0.0)], [24, 5], mesh.CellType.quadrilateral
+    )
+    V = fem.functionspace(square, ("Lagrange", degree, (2,)))
+    facets = mesh.locate_entities_boundary(square, 1, lambda x: np.isclose(x[1], 0.0))
+    tags = mesh.meshtags(square, 1, facets, np.ones_like(facets))
+    base = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], -2.0))
+    bc = fem.dirichletbc(np.zeros(2), base, V)
+    cylinder = dm.shapes.Cylinder((2.0, 1.0), 1.0)
+    tool = dm.Obstacle(tags, slave=1, shape=cylinder, friction=friction)
+    solid = dm.Solid(fem.Function(V), law, strain="finite")
+    case, start = dm.ContactProblem(solid, [tool], bcs=[bc]), tool.rigid.position.value.copy()
+
+    def move(t):
+        tool.rigid.position.value[:] = (
+            start[0] + way * max(t - 3.0, 0.0),
+            start[1] - 0.1 * min(t, 3.0),
+        )
+
+    steps = list(dm.load_steps(case, np.arange(1, 8), on_time=move, rtol=1e-8))
+    return sum(step.report.newton_iterations for step in steps[3:]), tool.force
+
+
+@pytest.mark.mpi
+def test_it_follows_rigid_tools(monkeypatch):
+    """A tool is one of two sides: its way counts like that of a body."""
+    few, force = ironed_by_tool(dm.NeoHooke(1.0, 0.3))
+    monkeypatch.setattr(problem, "find_slides", lambda *_: [])
+    many, same = ironed_by_tool(dm.NeoHooke(1.0, 0.3))
+    assert np.abs(same - force).max() < 1e-7 * np.abs(force).max()
+    assert few + 3 <= many
+
+
+@pytest.mark.parametrize(
+    ("law", "friction", "way"),
+    [
+        (dm.VonMises(E=1.0, nu=0.3, Y=0.02, a=0.1), 0.0, 0.6),
+        (dm.NeoHooke(1.0, 0.3), 5.0, 0.3),
+        (dm.NeoHooke(1.0, 0.3), 0.0, 0.2),
+    ],
+    ids=["internal variables", "sticks", "shorter than a facet"],
+)
+def test_what_stays(law, friction, way, monkeypatch):
+    """Plastic strains, material that sticks; and Newton's method is left alone with short ways."""
+
+    def fail(*_):
+        raise AssertionError
+
+    monkeypatch.setattr(problem, "convected", fail)
+    ironed_by_tool(law, friction=friction, way=way)
