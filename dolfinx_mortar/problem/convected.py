@@ -151,7 +151,8 @@ def _nearest_values(u: fem.Function, cells: Ints, points: Floats) -> tuple[Float
     tree = geometry.bb_tree(mesh, tdim, entities=cells)
     middles = geometry.create_midpoint_tree(mesh, tdim, cells)
     nearest = geometry.compute_closest_entity(tree, middles, mesh, points)
-    distances = np.sqrt(geometry.squared_distance(mesh, tdim, nearest, points))
+    squared = geometry.squared_distance(mesh, tdim, nearest, points)  # type: ignore[arg-type]
+    distances = np.sqrt(squared)
     at = points.copy()
     for k in np.flatnonzero(distances > 0.0):
         at[k] += geometry.compute_distance_gjk(mesh.geometry.x[corners[nearest[k]]], points[k])
