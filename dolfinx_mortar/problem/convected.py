@@ -35,20 +35,20 @@ from dolfinx_mortar.supports.bodies import Bodies
 
 
 @dataclass(frozen=True)
-class Slide:
-    """Two groups of tied bodies that slide along each other."""
+class Dent:
+    """A group of tied bodies that may be dented by what slides over it, and the way of that."""
 
-    slave: int
-    master: int  # -1 for a rigid tool
-    way: Floats  # (d,) of the master relative to the slave, along the contact
+    group: int
+    way: Floats  # (d,) in this step, relative to the group, along the contact
 
 
 def find_slides(
     system: InterfaceSystem, closed: Bools, bodies: Bodies, shifts: Floats, u: fem.Function
-) -> list[Slide]:
-    """Return the contacts whose sides supports and tools move by a facet or more; collective.
+) -> list[list[Dent]]:
+    """Return for each contact that slides which of its sides may be dented; collective.
 
-    Against each other, while they touch. Each of their sides belongs to one group.
+    Contacts that touch, whose sides supports or tools move against each other by a facet or more,
+    and whose sides belong to one group each. What moves less comes first.
 
     Args:
         system: the interfaces.
@@ -72,19 +72,21 @@ def find_slides(
         x = coordinates(sides.slave, u)
         at = x[: len(touching)][touching]
         tool = interface.tool_way(at, at) if sides.master is None else None
+        own = shifts[groups == slave[0]][0]
         if len(master):
-            way = shifts[groups == master[0]][0]
+            other = shifts[groups == master[0]][0]
         else:
             ways = np.zeros_like(at) if tool is None else tool
-            way = comm.allreduce(ways.sum(axis=0), op=MPI.SUM) / number
-        way = way - shifts[groups == slave[0]][0]
+            other = comm.allreduce(ways.sum(axis=0), op=MPI.SUM) / number
+        way = other - own
         if np.linalg.norm(way) < system.facet_length:
             continue
         normals = nodal_normals(sides.slave, x)[: len(touching)][touching]
         normal = comm.allreduce(normals.sum(axis=0), op=MPI.SUM)
         way = way - (way @ normal) * normal / max(normal @ normal, TINY)
         if np.linalg.norm(way) >= system.facet_length:
-            slides.append(Slide(int(slave[0]), int(master[0]) if len(master) else -1, way))
+            dents = [Dent(int(slave[0]), way), *(Dent(int(m), -way) for m in master)]
+            slides.append(dents if own @ own <= other @ other else dents[::-1])
     return slides
 
 
@@ -98,23 +100,22 @@ def elastic_groups(solid: Solid, bodies: Bodies) -> Bools:
     return np.asarray(maximum(solid.mesh.comm, *inelastic) == 0.0)
 
 
-def convected(u: fem.Function, bodies: Bodies, group: int, way: Floats) -> Floats:
+def convected(u: fem.Function, bodies: Bodies, dent: Dent) -> Floats:
     """Return u(X - c) - u(X), (owned nodes, d), on the bodies of a group, 0 elsewhere; collective.
 
     Args:
         u: a displacement.
         bodies: of the mesh.
-        group: a number of `Bodies.groups`.
-        way: c, (d,).
+        dent: the group, and c.
     """
     V, d = u.function_space, u.function_space.dofmap.index_map_bs
     values, own = np.zeros((len(bodies.label), d)), u.x.array.reshape(-1, d)[: len(bodies.label)]
-    for body in np.flatnonzero(bodies.groups == group):
+    for body in np.flatnonzero(bodies.groups == dent.group):
         on = bodies.label == body
         x = V.tabulate_dof_coordinates()[: len(on)][on]
-        x[:, :d] -= way
+        x[:, :d] -= dent.way
         cells = np.flatnonzero(bodies.of_cells == body).astype(np.int32)
-        values[on] = values_at(u, cells, x, float(np.linalg.norm(way))) - own[on]
+        values[on] = values_at(u, cells, x, float(np.linalg.norm(dent.way))) - own[on]
     return values
 
 
@@ -149,8 +150,13 @@ def _nearest_values(u: fem.Function, cells: Ints, points: Floats) -> tuple[Float
         return np.full(len(points), np.inf), np.zeros((len(points), d))
     tdim, corners = mesh.topology.dim, mesh.geometry.dofmap
     tree = geometry.bb_tree(mesh, tdim, entities=cells)
+    inside = geometry.compute_collisions_points(tree, points)
+    inside = geometry.compute_colliding_cells(mesh, inside, points)
+    some = np.diff(inside.offsets) > 0
+    nearest = np.zeros(len(points), dtype=np.int32)
+    nearest[some] = inside.array[inside.offsets[:-1][some]]
     middles = geometry.create_midpoint_tree(mesh, tdim, cells)
-    nearest = geometry.compute_closest_entity(tree, middles, mesh, points)
+    nearest[~some] = geometry.compute_closest_entity(tree, middles, mesh, points[~some])
     squared = geometry.squared_distance(mesh, tdim, nearest, points)  # type: ignore[arg-type]
     distances = np.sqrt(squared)
     at = points.copy()

@@ -371,12 +371,12 @@ class ContactProblem:
             return
         elastic, free = elastic_groups(self.solid, self.bodies), ~self.supports.owned
         left = self._overlap()
-        for slide in slides:
-            for group, c in ((slide.slave, slide.way), (slide.master, -slide.way)):
-                if group < 0 or not elastic[group]:
+        for dents in slides:
+            for dent in dents:
+                if not elastic[dent.group]:
                     continue
                 at = self.owned_u.copy()
-                self.owned_u[:] += (free * convected(began, self.bodies, group, c)).ravel()
+                self.owned_u[:] += (free * convected(began, self.bodies, dent)).ravel()
                 self.u.x.scatter_forward()
                 found = self._overlap()
                 if found < left:
