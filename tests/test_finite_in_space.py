@@ -283,7 +283,7 @@ def test_a_limit_point_in_space_passes_under_displacement_control():
     assert forces[0] < forces[1] > forces[2] < forces[3]
 
 
-def pressed_cube(law, cells):
+def pressed_cube(law, cells, **options):
     """Return a cube whose bottom is held, and the displacement that is prescribed at its top."""
     domain = mesh.create_box(
         COMM, [(0, 0, 0), (1, 1, 1)], (cells, cells, cells), mesh.CellType.hexahedron
@@ -296,7 +296,7 @@ def pressed_cube(law, cells):
         sides.append(fem.locate_dofs_topological(V, 2, found))
     nothing = np.zeros(3, dtype=default_scalar_type)
     bcs = [fem.dirichletbc(nothing, sides[0], V), fem.dirichletbc(move, sides[1], V)]
-    return dm.ContactProblem(dm.Solid(u, law, strain="finite"), [], bcs=bcs), move
+    return dm.ContactProblem(dm.Solid(u, law, strain="finite"), [], bcs=bcs, **options), move
 
 
 @pytest.mark.serial
@@ -319,15 +319,20 @@ def test_a_step_that_fails_leaves_no_levels_to_later_ones():
 @pytest.mark.parametrize("depth", [0.6, 0.7])
 def test_a_saddle_is_factorised_where_multigrid_gives_up(depth, monkeypatch):
     """Its own tangent leads to it, a shifted one away. What is too large is not factorised."""
-    problem, move = pressed_cube(dm.VonMises(206_900.0, 0.29, 367.0, 1000.0), 3)
+    law, options = dm.VonMises(206_900.0, 0.29, 367.0, 1000.0), {"mat_mumps_icntl_14": 40}
+    problem, move = pressed_cube(law, 3, petsc_options=options)
     move.value[2] = -depth
     report = dm.newton(problem)
     assert len(report.iterations) <= 20 and report.iterations[-1].shift == 0.0
     assert any("rest of this step is factorised" in note for note in report.notes)
     assert any("the equilibrium found is unstable" in note for note in report.notes)
+    first, _, last = report.linear_solver.partition(", from iteration ")
+    assert first == "cg + gamg" and "mumps" in last and "gamg" not in last
+    assert 1 < int(last.split()[0]) <= len(report.iterations)
+    assert not any("without effect" in note for note in report.notes)  # MUMPS has read its option
     assert not problem.linear.direct  # the next step begins with multigrid
     monkeypatch.setattr("dolfinx_mortar.qp.linear.MOST_FACTORISED", 100)
-    problem, move = pressed_cube(dm.VonMises(206_900.0, 0.29, 367.0, 1000.0), 3)
+    problem, move = pressed_cube(law, 3)
     move.value[2] = -depth
     with pytest.raises(dm.NewtonNotConverged):
         dm.newton(problem, max_it=20)

@@ -164,11 +164,13 @@ def solve_step(
         report.notes.append(f"an initial overlap of {overlap:.3g} remains in this part")
     linear = linear or problem.linear
     before, earlier = Before(problem), dict(problem.timings.seconds)
+    step: _Step | None = None
     try:
         with problem.timings("total"):
             try:
                 data = problem.begin_step(level, audit=audit)
-                _Step(problem, report, data, overlap, linear).run(max_it)
+                step = _Step(problem, report, data, overlap, linear)
+                step.run(max_it)
             except (failures.StepFailed, backends.QPNotSolved, backends.UnusableQP) as error:
                 reached = problem.u.x.array.copy()
                 before.restore()
@@ -180,8 +182,10 @@ def solve_step(
                 raise
     finally:
         report.seconds = problem.timings.since(earlier)
-        report.linear_solver = linear.description
-        if report.converged and (unread := linear.options.unread()):
+        report.linear_solver = linear.description if step is None else step.solvers
+        last = linear if step is None else step.solver
+        unread = [option for option in linear.options.unread() if option in last.options.unread()]
+        if report.converged and unread:
             report.notes.append(
                 f"petsc_options without effect: {', '.join(unread)}; misspelt, or of no use here"
             )
@@ -242,6 +246,7 @@ class _Step:
     ) -> None:
         self.problem, self.report, self.data, self.overlap = problem, report, data, overlap
         self.linear, self.solver = problem.terms.linear, solver
+        self.given_up = ""  # what has solved the first iterations, if another solver went on
         if solver.direct:  # a step that was tried has left another factorisation
             solver.forget(keep_definite=self.linear)
         self.direction = fem.Function(problem.V)  # du, for its norm
@@ -250,6 +255,11 @@ class _Step:
         self.start = problem.owned_u.copy()
         self.expected = np.nan  # norm of the first step
         self.stiffness: Floats | None = None  # of driven tools, found by the last iteration
+
+    @property
+    def solvers(self) -> str:
+        """The linear solvers in use so far, in their order."""
+        return self.given_up + self.solver.description
 
     @property
     def may_be_exact(self) -> bool:
@@ -491,6 +501,8 @@ class _Step:
         if factorising is None:
             return False
         self.solver = factorising
+        if done := len(self.report.iterations):
+            self.given_up = f"{given_up}, from iteration {done + 1} on "
         told = f"{given_up} cannot solve the tangent near the balance, which may be a saddle of "
         told += "the energy: the rest of this step is factorised"
         self.report.notes.append(told)
