@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Contacts proposed by the program: which bodies are near and face each other."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,10 +17,10 @@ from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import sums_at_nodes
 from dolfinx_mortar.arguments import is_number
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Longs
-from dolfinx_mortar.audit.audit import COARSE
+from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.audit.mesh_audit import check_mesh
 from dolfinx_mortar.audit.neighbours import are_near
+from dolfinx_mortar.audit.roles import Candidates, choose_roles
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.coulomb import Limit, create_law
@@ -33,6 +33,9 @@ from dolfinx_mortar.mortar.surface import find_boundary
 from dolfinx_mortar.spaces import check_space
 from dolfinx_mortar.supports.bodies import find_bodies
 from dolfinx_mortar.tags import Tags, check_entities, names_of
+
+# Of slave nodes that lose a constraint.
+REFINE = "so they are not constrained there; refine around them, so that it matters less"
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,7 @@ class Pairs:
     contacts: list[Contact]
     found: list[Pair]
     joined: dict[tuple[str, str], int]  # nodes that two bodies of one part share: no contact
+    lost: list[str]  # where slave nodes lose a constraint, whatever side is the slave
 
     def __iter__(self) -> Iterator[Any]:
         return iter((self.tags, self.contacts))
@@ -77,7 +81,8 @@ class Pairs:
             ).rstrip()
             for row in (head, *rows)
         ]
-        return "\n".join([*lines, *([describe_joined(self.joined)] if self.joined else [])])
+        lines += [describe_joined(self.joined)] if self.joined else []
+        return "\n".join([*lines, *self.lost])
 
     __repr__ = __str__  # what notebooks show
 
@@ -85,8 +90,7 @@ class Pairs:
 def describe_joined(joined: dict[tuple[str, str], int]) -> str:
     """Return a sentence about bodies that share nodes."""
     who = ", ".join(
-        f"{one!r} and {other!r} share {count} node{'s' * (count > 1)}"
-        for (one, other), count in joined.items()
+        f"{one!r} and {other!r} share {_nodes(count)}" for (one, other), count in joined.items()
     )
     return (
         f"{who}: what shares nodes is tied by the mesh, and no contact is found within it. If that "
@@ -116,9 +120,13 @@ def find_pairs(
     are projected along their normals on what lies before them: two bodies are a pair if some facet
     of one meets a facet of the other that faces it, with nothing between them, at most `within`
     apart; overlaps count up to half of the thinner body. A side is all of the face to which such
-    facets belong, up to edges, so that bodies can slide. The side with the finer facets is the
-    slave; the other one where a part would be the slave in two contacts, unless it is more than
-    twice as coarse. Faces that face several bodies have one tag.
+    facets belong, up to edges, so that bodies can slide. Faces that face several bodies have one
+    tag.
+
+    The side with the finer facets is the slave, but where a node would be the slave of two
+    contacts, or contacts would need each other's slave nodes in a cycle: nodes lose a constraint
+    there. Then other sides are slaves, unless they are more than twice as coarse as their masters.
+    What remains, as around an edge in which three blocks meet, is told below the table.
 
     Tags, their order and names do not depend on the ranks: bodies are ordered by their cell tags
     and by the smallest coordinates of their boxes.
@@ -136,8 +144,8 @@ def find_pairs(
         show: whether rank 0 prints the table of what was found.
 
     Returns:
-        Facet tags such as "disc to block", contacts, the numbers of the table, and how many nodes
-        bodies share, `joined`.
+        Facet tags such as "disc to block", contacts, the numbers of the table, how many nodes
+        bodies share, `joined`, and where constraints are lost, `lost`.
 
     Raises:
         ValueError: on all ranks, for a mesh that is not supported or not sound; tags of another
@@ -222,6 +230,12 @@ class _Side:
     sizes: Floats = field(default_factory=lambda: np.zeros(2))  # sums, of both bodies
     count: int = 0
 
+    @property
+    def mean_sizes(self) -> tuple[float, float]:
+        """Mean diameters of the facets of both bodies."""
+        own, other = self.sizes / max(self.count, 1)
+        return float(own), float(other)
+
     def add(self, more: "_Side") -> None:
         """Add what another rank has found."""
         self.faces |= more.faces
@@ -241,6 +255,7 @@ class _Found:
     faces: Faces
     sides: dict[tuple[int, int], _Side]  # by body and the other one
     joined: dict[tuple[str, str], int]  # nodes that bodies share
+    common: Longs  # (sides, sides) nodes that sides share where they face their partners
 
 
 def _find(
@@ -279,7 +294,29 @@ def _find(
     sides = _sides(comm, facing[are_near(facing, within)])
     if not sides:
         _raise_nearest(_sides(comm, facing), names, within, told)
-    return _Found(names, facets, entities.astype(np.int64), faces, sides, joined)
+    numbers, common = entities.astype(np.int64), _facing_nodes(V, boundary.nodes, facing, sides)
+    return _Found(names, facets, numbers, faces, sides, joined, common)
+
+
+def _facing_nodes(
+    V: fem.FunctionSpace, nodes: Ints, facing: Facing, sides: dict[tuple[int, int], _Side]
+) -> Longs:
+    """Return how many nodes two sides (s, s) share where they face their partners; collective.
+
+    At any distance, as the search for contacts has none.
+
+    Args:
+        V: of the displacement.
+        nodes: (m, k) local nodes of the exterior facets of this rank.
+        facing: all facets that face each other.
+        sides: what is near.
+    """
+    bodies, faces = facing.label[:, :, 0], facing.label[:, 0, 1]
+    seen = []
+    for side in sides.values():
+        of = (bodies == [side.body, side.other]).all(axis=1) & np.isin(faces, list(side.faces))
+        seen.append(nodes[facing.facet[of]])
+    return _common_nodes(V, seen)
 
 
 def _shared_nodes(
@@ -292,19 +329,23 @@ def _shared_nodes(
         body_of_cell: (owned cells,).
         part: (bodies,) connected part of each.
     """
-    layout, comm = V.dofmap.index_map, V.mesh.comm
     several = np.flatnonzero(np.bincount(part)[part] > 1)
-    on = []
-    for k in several:
-        own = np.unique(V.dofmap.list[: len(body_of_cell)][body_of_cell == k])
-        nodes = layout.local_to_global(own).astype(np.int64)
+    cells = V.dofmap.list[: len(body_of_cell)]
+    common = np.triu(_common_nodes(V, [cells[body_of_cell == k] for k in several]), 1)
+    return {(int(several[a]), int(several[b])): int(common[a, b]) for a, b in np.argwhere(common)}
+
+
+def _common_nodes(V: fem.FunctionSpace, sets: Sequence[Ints]) -> Longs:
+    """Return how many nodes (n, n) two of n sets of local nodes share, all ranks; collective."""
+    if not sets:
+        return np.zeros((0, 0), dtype=np.int64)
+    layout, comm, on = V.dofmap.index_map, V.mesh.comm, []
+    for local in sets:
+        nodes = layout.local_to_global(np.unique(local).astype(np.int32)).astype(np.int64)
         found = sums_at_nodes(comm, layout, nodes, np.ones((len(nodes), 1)))[:, 0] > 0.0
         on.append(sparse.csr_array(found.astype(np.int64)[None]))
-    if not on:
-        return {}
-    rows = sparse.vstack(on)  # few ones: no dense row of all nodes for each body
-    common = np.triu(comm.allreduce((rows @ rows.T).toarray(), op=MPI.SUM), 1)
-    return {(int(several[a]), int(several[b])): int(common[a, b]) for a, b in np.argwhere(common)}
+    rows = sparse.vstack(on)  # few ones: no dense row of all nodes for each set
+    return np.asarray(comm.allreduce((rows @ rows.T).toarray(), op=MPI.SUM))
 
 
 def _ordered_parts(V: fem.FunctionSpace) -> tuple[Longs, int]:
@@ -394,14 +435,14 @@ def _create(V: fem.FunctionSpace, found: _Found, options: dict[str, Any]) -> Pai
     counts = mesh.comm.allreduce(np.bincount(tags, minlength=len(groups) + 1), op=MPI.SUM)
 
     contacts, rows = [], []
-    for slave, master in _choose_slaves(found):
+    chosen, lost = _choose_slaves(found, tag_of_face)
+    for slave, master in chosen:
         at = [tag_of_face[next(iter(side.faces))] for side in (slave, master)]
         names = [groups[tag - 1][0] for tag in at]
         contacts.append(Contact(named, slave=names[0], master=names[1], **options))
-        sizes = slave.sizes / max(slave.count, 1)
-        facets, size = (int(counts[at[0]]), int(counts[at[1]])), (float(sizes[0]), float(sizes[1]))
-        rows.append(Pair(names[0], names[1], facets, size, slave.area, slave.distance))
-    return Pairs(named, contacts, rows, found.joined)
+        facets = int(counts[at[0]]), int(counts[at[1]])
+        rows.append(Pair(names[0], names[1], facets, slave.mean_sizes, slave.area, slave.distance))
+    return Pairs(named, contacts, rows, found.joined, lost)
 
 
 def _groups(found: _Found) -> list[tuple[str, frozenset[int]]]:
@@ -421,30 +462,31 @@ def _groups(found: _Found) -> list[tuple[str, frozenset[int]]]:
     ]
 
 
-def _choose_slaves(found: _Found) -> list[tuple[_Side, _Side]]:
-    """Return slave and master side of each pair.
+def _nodes(count: int) -> str:
+    """Return a number of nodes as text."""
+    return f"{count} node{'s' * (count > 1)}"
 
-    The finer one is the slave, unless it is beside or part of a side that is slave of an earlier
-    pair and the other one is not.
-    """
-    chosen: list[tuple[_Side, _Side]] = []
 
-    def taken(side: _Side) -> bool:
-        earlier = [slave for slave, _ in chosen if slave.body == side.body]
-        return any(
-            slave.faces & side.faces
-            or any((a, b) in found.faces.beside for a in slave.faces for b in side.faces)
-            for slave in earlier
-        )
-
-    for (a, b), side in found.sides.items():
-        if a > b:
-            continue
-        pair = side, found.sides[b, a]
-        own, others = side.sizes
-        if others < own * (1.0 - HALF_OF_DIGITS):
-            pair, own, others = pair[::-1], others, own
-        if others <= COARSE * own and taken(pair[0]) and not taken(pair[1]):
-            pair = pair[::-1]
-        chosen.append(pair)
-    return chosen
+def _choose_slaves(
+    found: _Found, tag_of_face: Mapping[int, int]
+) -> tuple[list[tuple[_Side, _Side]], list[str]]:
+    """Return slave and master side of each pair, and where slave nodes lose a constraint."""
+    place = {key: k for k, key in enumerate(found.sides)}
+    keys = [(a, b) for a, b in found.sides if a < b]
+    pairs = [(found.sides[a, b], found.sides[b, a]) for a, b in keys]
+    numbers = np.array([[place[a, b], place[b, a]] for a, b in keys], dtype=np.int64)
+    sizes = np.array([one.mean_sizes for one, _ in pairs])
+    tags = np.array([tag_of_face[next(iter(side.faces))] for side in found.sides.values()])
+    roles = choose_roles(Candidates(numbers, sizes, tags, found.common))
+    chosen = [(pair[k], pair[1 - k]) for pair, k in zip(pairs, roles.slave, strict=True)]
+    who = [f"{found.names[s.body]!r} as slave of {found.names[m.body]!r}" for s, m in chosen]
+    lost = [
+        f"{who[other]} loses {_nodes(count)} to its contact with "
+        f"{found.names[chosen[one][1].body]!r}, {REFINE}"
+        for (one, other), count in roles.twice.items()
+    ]
+    lost += [
+        f"{who[other]} loses {_nodes(count)} that would close a cycle with {who[one]}, {REFINE}"
+        for (one, other), count in roles.cyclic.items()
+    ]
+    return chosen, lost

@@ -182,8 +182,8 @@ def solve_step(
                 raise
     finally:
         report.seconds = problem.timings.since(earlier)
-        report.linear_solver = linear.description if step is None else step.solvers
         last = linear if step is None else step.solver
+        report.linear_solver += last.description  # to those that another one took over from
         unread = [option for option in linear.options.unread() if option in last.options.unread()]
         if report.converged and unread:
             report.notes.append(
@@ -246,7 +246,6 @@ class _Step:
     ) -> None:
         self.problem, self.report, self.data, self.overlap = problem, report, data, overlap
         self.linear, self.solver = problem.terms.linear, solver
-        self.given_up = ""  # what has solved the first iterations, if another solver went on
         if solver.direct:  # a step that was tried has left another factorisation
             solver.forget(keep_definite=self.linear)
         self.direction = fem.Function(problem.V)  # du, for its norm
@@ -255,11 +254,6 @@ class _Step:
         self.start = problem.owned_u.copy()
         self.expected = np.nan  # norm of the first step
         self.stiffness: Floats | None = None  # of driven tools, found by the last iteration
-
-    @property
-    def solvers(self) -> str:
-        """The linear solvers in use so far, in their order."""
-        return self.given_up + self.solver.description
 
     @property
     def may_be_exact(self) -> bool:
@@ -502,7 +496,7 @@ class _Step:
             return False
         self.solver = factorising
         if done := len(self.report.iterations):
-            self.given_up = f"{given_up}, from iteration {done + 1} on "
+            self.report.linear_solver = f"{given_up}, from iteration {done + 1} on "
         told = f"{given_up} cannot solve the tangent near the balance, which may be a saddle of "
         told += "the energy: the rest of this step is factorised"
         self.report.notes.append(told)
