@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""The demos of dynamics as commands, beside Saint-Venant's rods and Hoppe's ring."""
+"""The demos of dynamics as commands, beside Saint-Venant's rods, Hoppe's ring, Taylor's bar."""
 
 import pytest
 
-from tests.test_demo import shown
+from tests.test_demo import run, shown
+from tests.test_demo_finite import check_pictures
 from tests.test_demo_friction import read, summary
 
 pytestmark = pytest.mark.serial
+VOLUME = 3.141592653589793 * 3.2**2 * 32.4  # mm^3, of Taylor's bar
 
 
 def check_cradle(found, velocity, force):
@@ -52,3 +54,41 @@ def check_rings(found):
 @pytest.mark.slow
 def test_two_rings_that_collide():
     check_rings(read(shown("bouncing_rings")))
+
+
+def check_bar(found, steps, early, radius, length):
+    """Radii and length of codes that do not lock, extrapolated; the energy becomes heat."""
+    found, rows = found["found"], found["steps"]
+    assert found["steps"] == len(rows) == steps
+    assert found["radius_after_12_microseconds"] == pytest.approx(5.45, rel=early)
+    assert found["radius"] == pytest.approx(7.226, rel=radius)
+    assert 7.19 < found["radius"] < 7.27 and 21.35 < found["length"] < 21.50
+    assert found["length"] == pytest.approx(21.42, rel=length)
+    assert found["largest_defect_of_energy"] < 1e-3
+    ledger = rows[-1]["ledger"]
+    # 1/2 m v^2 in mJ, of 8930 kg/m^3
+    assert ledger["initial"] == pytest.approx(0.5 * 8.93e-9 * VOLUME * 227e3**2, rel=0.02)
+    assert ledger["kinetic"] < 2e-3 * ledger["initial"]
+    assert ledger["dissipated"] > 0.85 * ledger["initial"]
+
+
+@pytest.mark.slow
+def test_a_bar_that_hits_a_wall(tmp_path):
+    """Two cells along the radius, whose fold at the foot is a little too early."""
+    options = "--cells", "2", "--dt", "0.05", "--no-animation"
+    check_bar(summary(tmp_path, "taylor_bar", *options), 600, 3e-3, 3e-3, 2e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.nightly
+def test_the_bar_as_the_gallery_shows_it():
+    folder = shown("taylor_bar")
+    check_bar(read(folder), 750, 3e-3, 1e-3, 5e-4)
+    check_pictures(folder, "taylor_bar", 40)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [("--cells", "1"), ("--dt", "0.03"), ("--dt", "0")])
+def test_a_bar_that_cannot_be(options):
+    done = run(*options, demo="taylor_bar")
+    assert done.returncode == 2 and options[0] in done.stderr and "Traceback" not in done.stderr

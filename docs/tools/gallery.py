@@ -164,6 +164,14 @@ DEMOS = [
         {"result.png": "Velocities, the oval that rings, and the ledger of energies."},
     ),
     Demo(
+        "taylor_bar",
+        "Dynamics and finite plasticity: copper hits a wall at 227 m/s; where its energy goes.",
+        {
+            "result.png": "Plastic strain; radius and length beside other codes'; the ledger.",
+            "taylor_bar.gif": "The 80 microseconds of the impact.",
+        },
+    ),
+    Demo(
         "curved_beams",
         "Finite plasticity: a half ring is dragged over another one until they part.",
         {

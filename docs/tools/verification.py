@@ -242,6 +242,18 @@ def collided_rings() -> Iterator[Row]:
     yield "share of the energy in vibrations", *share, ""
 
 
+@case(
+    "Taylor's bar, copper at 227 m/s (demo taylor_bar)",
+    "codes that do not lock, extrapolated to fine meshes; theirs lie within 1 %",
+)
+def taylor_bar() -> Iterator[Row]:
+    """Radius of the foot on the way and at last, and length."""
+    found = json.loads((of_demo("taylor_bar") / "summary.json").read_text())["found"]
+    yield "radius of the foot after 12 us", 5.45, found["radius_after_12_microseconds"], "mm"
+    yield "radius of the foot at last", 7.226, found["radius"], "mm"
+    yield "length at last", 21.42, found["length"], "mm"
+
+
 def both(step: dict, name: str, fit: str) -> tuple[float, float]:
     """Return the fit's value and ours."""
     return step[f"{name}_{fit}"], step[name]

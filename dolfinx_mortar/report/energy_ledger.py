@@ -446,6 +446,6 @@ def notes_on_energy(ledger: Ledger, *, thin: bool = False) -> list[str]:
     what = "appeared" if ledger.defect > 0.0 else "been lost"
     return [
         f"{100 * abs(ledger.defect):.2g} % of the energy has {what} in the steps so far, see "
-        "report.ledger: the steps are too large for what moves in them (waves, impacts, rotations),"
-        " or spectral_radius < 1 damps it; halve the steps and compare" + MASS * thin
+        "report.ledger: the steps are too large for what moves in them (waves, impacts, rotations, "
+        "plastic flow), or spectral_radius < 1 damps it; halve the steps and compare" + MASS * thin
     ]
