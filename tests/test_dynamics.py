@@ -63,6 +63,21 @@ def test_the_trapezoidal_rule_has_its_known_period():
     assert step.report.ledger.initial == pytest.approx(stored, rel=1e-9)
 
 
+def test_equal_steps_have_one_matrix(monkeypatch):
+    """Of linear bodies, where the differences of times are equal up to round-off only."""
+    blocks, made = Blocks(gravity=1.0), []
+    add = blocks.inertia.add_tangent
+    monkeypatch.setattr(blocks.inertia, "add_tangent", lambda K: made.append(1) or add(K))
+    times, counts = 1e-3 * np.arange(1, 21), []
+    assert len(set(np.diff(times))) > 3
+    for _ in dm.time_steps(blocks.problem, times, progress=False):
+        counts.append(len(made))
+    assert counts == [counts[0]] * 20
+    for _ in dm.time_steps(blocks.problem, [0.0205, 0.021], progress=False):
+        counts.append(len(made))
+    assert counts[-2:] == [counts[0] + 1] * 2
+
+
 @pytest.mark.parametrize("radius", [0.0, 0.5, 0.9])
 def test_the_spectral_radius_is_what_is_left_of_high_frequencies(radius):
     """For dt without end all three roots of the amplification are -r (Chung and Hulbert 1993).

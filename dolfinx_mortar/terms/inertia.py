@@ -56,7 +56,6 @@ NO_TIME = (
     "newton(problem, level=) a time after that of the last step"
 )
 
-
 as_floats = partial(np.asarray, dtype=np.float64)
 
 
@@ -273,6 +272,8 @@ class Inertia(Term):
         dt = end - start
         if not (dt > 0.0 and dt**2 > 0.0):  # of numbers, squares of small ones are 0
             raise ValueError(f"Inertia: the step goes from {start:g} to {end:g}; {NO_TIME}")
+        # 12 digits: those of equal steps are the same to 13 after a thousand, and so are their matrices
+        dt = float(f"{dt:.11e}")
         s, mass = self.scheme, self.mass
         v, a = mass.extend(self.values("velocity")), self.values("acceleration")
         predicted = self._owned(self.solid.u) + dt * v + dt**2 * (0.5 - s.beta) * a
