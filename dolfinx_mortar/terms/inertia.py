@@ -272,7 +272,7 @@ class Inertia(Term):
         dt = end - start
         if not (dt > 0.0 and dt**2 > 0.0):  # of numbers, squares of small ones are 0
             raise ValueError(f"Inertia: the step goes from {start:g} to {end:g}; {NO_TIME}")
-        # 12 digits: those of equal steps are the same to 13 after a thousand, and so are their matrices
+        # Of equal steps 13 digits are the same after a thousand; so they have one matrix.
         dt = float(f"{dt:.11e}")
         s, mass = self.scheme, self.mass
         v, a = mass.extend(self.values("velocity")), self.values("acceleration")
