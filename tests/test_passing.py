@@ -12,6 +12,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import meshtags
 from dolfinx_mortar.geometry.sweep import find_passing
+from dolfinx_mortar.interfaces import tool as tool_poses
 from dolfinx_mortar.mortar import passing
 from dolfinx_mortar.newton_method import failures, tunnelling
 from dolfinx_mortar.newton_method.tunnelling import describe_passing
@@ -19,6 +20,7 @@ from tests.close_fits import rings
 from tests.hertz_case import create_mesh
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, UPPER, skins, two_blocks
 from tests.meshes_3d import rotation, two_boxes
+from tests.triangles_case import box
 
 COMM = MPI.COMM_WORLD
 LAW = dm.Elastic(1000.0, 0.3)
@@ -355,6 +357,63 @@ def test_a_body_may_turn_around_a_tool(degrees):
         centre = ball.reference + np.array([aside, 0.0])
         problem.u.interpolate(lambda x, c=centre: (R - np.eye(2)) @ (x[:2] - c[:, None]))
         assert ("passed through" in describe_passing(problem)) == passes
+
+
+def blade(d):
+    """Return a blade .02 thick, below the box of `on_ball`, and its end, about which it turns."""
+    low, high, end = [-1.0, -1.0, -0.31], [1.8, 2.0, -0.29], [-1.0, -1.0, -0.3]
+    if d == 3:
+        return dm.shapes.Triangles(box(low, high), point=end)
+    sides = np.vstack([np.eye(2), -np.eye(2)])
+    ends = [high[::2], high[::2], low[::2], low[::2]]
+    planes = [dm.shapes.Plane(p, n) for p, n in zip(ends, sides, strict=True)]
+    return dm.shapes.Intersection(*planes)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_blade_that_turns_through_a_body(d):
+    """By half a turn and more, at whose end nothing tells which way it went.
+
+    Seen from its end, the body is between 8 and 39 degrees above the blade.
+    """
+    problem, ball = on_ball(d, 4)
+    end = np.array([-1.0, -0.3]) if d == 2 else np.array([-1.0, -1.0, -0.3])
+    tool = dm.Obstacle(ball.facet_tags, slave=1, shape=blade(d), reference=end)
+    problem = dm.ContactProblem(problem.solid, [tool])
+    about = np.array([0.0, 0.0, 1.0]) if d == 2 else np.array([0.0, -1.0, 0.0])
+
+    def passes(degrees, body=0.0):
+        R = rotation(about, np.radians(body))[:d, :d]
+        problem.u.interpolate(lambda x: (R - np.eye(d)) @ (x[:d] - end[:, None]))
+        tool.rotation.value = np.radians(degrees) * (1.0 if d == 2 else about)
+        return "passed through the tool" in describe_passing(problem)
+
+    assert all(passes(degrees) for degrees in (60.0, 180.0, 200.0, 360.0, 1000.0, -360.0, -1085.0))
+    assert not any(passes(degrees) for degrees in (-60.0, -180.0, -250.0))
+    # against a body that turns, too
+    assert not passes(-170.0, 30.0)
+    assert passes(180.0, -20.0)
+    assert not passes(40.0, 40.0)
+    # far away, and from where it is turned already
+    tool.position.value[-1] -= 9.0
+    passes(400.0)
+    tool.commit(tool.ended())
+    assert not passes(800.0)
+
+
+def test_rotations_go_on_beyond_half_a_turn():
+    """As those of tools that loads turn, in steps about an axis that wobbles by round-off."""
+    axis = np.array([2.0, -1.0, 2.0]) / 3.0
+    rotation = np.zeros(3)
+    for _ in range(20):
+        rotation = tool_poses.after(rotation, 0.5 * axis)
+    assert np.abs(rotation - 10.0 * axis).max() < 1e-13
+    before, now = (tool_poses.Pose(np.zeros(3), r, np.zeros(3)) for r in (2.9 * axis, rotation))
+    assert np.abs(tool_poses.turn_between(before, now) - 7.1 * axis).max() < 1e-13
+    other = np.array([0.3, 0.0, 0.0])  # about another axis: less than half a turn
+    now = tool_poses.Pose(np.zeros(3), tool_poses.after(2.9 * axis, other), np.zeros(3))
+    assert np.abs(tool_poses.turn_between(before, now) - other).max() < 1e-13
 
 
 @pytest.mark.mpi

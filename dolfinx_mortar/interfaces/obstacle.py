@@ -48,7 +48,9 @@ from dolfinx_mortar.interfaces.tool import (
     Pose,
     SidePattern,
     Tool,
+    fewer_turns,
     find_facing,
+    on_the_way,
     point_gaps,
     turn_between,
 )
@@ -421,7 +423,10 @@ class Obstacle(Movable, Unilateral):
     def seen_by_tool(self) -> SeenByTool:
         """Return how the tool has seen points since the last commit."""
         began, now, shape = self.began, self.tool.pose(), self.shape
-        return SeenByTool(began.to_tool, now.to_tool, shape.values, shape.point)
+        turn = fewer_turns(turn_between(began, now))
+        return SeenByTool(
+            lambda t, x: on_the_way(began, now, turn, t).to_tool(x), turn, shape.values, shape.point
+        )
 
     def turn(self) -> Floats:
         """Return how the tool has turned since the last commit, see `turn_between`."""

@@ -16,7 +16,7 @@ import ufl
 from dolfinx import default_real_type, fem
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arguments import as_numbers, is_number
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
 from dolfinx_mortar.geometry.facets import facet_normals
 from dolfinx_mortar.geometry.segments import FACING, Segments
 from dolfinx_mortar.interfaces.coupling import Pattern
@@ -24,6 +24,7 @@ from dolfinx_mortar.mortar.curvature_correction import SmoothSide, side_heights
 from dolfinx_mortar.mortar.surface import coordinates, facets_at
 from dolfinx_mortar.mortar.whole_side import WholeSide
 from dolfinx_mortar.shapes import Distance, Shape
+from dolfinx_mortar.shapes.shape import unit_vectors
 
 
 class Driven(Protocol):
@@ -357,17 +358,51 @@ def turn_between(before: Pose, now: Pose) -> Floats:
 
     In the plane with whole turns, in space about an axis that does not change, too.
     """
-    if len(now.rotation) > 1 and np.cross(before.rotation, now.rotation).any():
-        return np.asarray(Rotation.from_matrix(now.R @ before.R.T).as_rotvec())
-    return now.rotation - before.rotation
+    change = now.rotation - before.rotation
+    if len(change) > 1 and np.cross(before.rotation, now.rotation).any():
+        return _vector_near(Rotation.from_matrix(now.R @ before.R.T), change)
+    return change
 
 
 def after(rotation: Floats, step: Floats) -> Floats:
-    """Return a rotation, an angle (1,) or a vector (3,), followed by another one."""
+    """Return a rotation, an angle (1,) or a vector (3,), followed by another one.
+
+    Whole turns are kept, so that what is turned on and on has no jump.
+    """
     if len(rotation) == 1:
         return rotation + step
     turned = Rotation.from_rotvec(step) * Rotation.from_rotvec(rotation)
-    return np.asarray(turned.as_rotvec())
+    return _vector_near(turned, rotation + step)
+
+
+def _vector_near(turned: Rotation, guess: Floats) -> Floats:
+    """Return the vector (3,) of a rotation with those whole turns that are nearest to a guess."""
+    found = np.asarray(turned.as_rotvec())
+    angle = float(np.linalg.norm(found))
+    axis = found / angle if angle > HALF_OF_DIGITS else unit_vectors(guess[None])[1][0]
+    turns = np.round((guess @ axis - angle) / (2.0 * np.pi))
+    return found if turns == 0.0 else np.asarray(found + 2.0 * np.pi * turns * axis)
+
+
+def fewer_turns(turn: Floats) -> Floats:
+    """Return a rotation with one whole turn at most, in which a tool has been all around."""
+    angle, once = float(np.linalg.norm(turn)), 2.0 * np.pi
+    return turn if angle < 2.0 * once else turn * ((once + angle % once) / angle)
+
+
+def on_the_way(before: Pose, now: Pose, turn: Floats, t: float) -> Pose:
+    """Return where a tool is at a time from 0 to 1: it turns while its point goes straight ahead.
+
+    Args:
+        before: where it is at 0.
+        now: where it is at 1.
+        turn: between both, as of `turn_between`.
+        t: the time.
+    """
+    if t in (0.0, 1.0):
+        return now if t else before
+    position = (1.0 - t) * before.position + t * now.position
+    return Pose(position, after(before.rotation, t * turn), before.point)
 
 
 def check_point(given: Any, d: int) -> Floats:

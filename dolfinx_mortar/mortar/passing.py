@@ -9,6 +9,7 @@ does not lie in the other body. Nor does it lie in a rigid tool, or the tool's p
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 from mpi4py import MPI
 
@@ -17,11 +18,18 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints, Longs
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, QUARTER_OF_DIGITS, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.elements import LINE2, TRI3
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
 from dolfinx_mortar.geometry.sweep import find_passing, flat_parts
-from dolfinx_mortar.geometry.turning import best_motion, path, rigid_sums, times_of
+from dolfinx_mortar.geometry.turning import (
+    TURN,
+    RigidMotion,
+    best_motion,
+    path,
+    rigid_sums,
+    times_of,
+)
 from dolfinx_mortar.mortar.pairing import THROUGH
 from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, thickness_behind
 
@@ -64,10 +72,46 @@ def find_middles(surface: Surface, body_of: Ints, skin: Facets, bodies: Ints) ->
 class SeenByTool:
     """Where a rigid tool sees points, in coordinates that move with it."""
 
-    began: Callable[[Floats], Floats]  # points (n, d) at the start of a step
-    now: Callable[[Floats], Floats]  # points at its end
+    at: Callable[[float, Floats], Floats]  # points (.., d) at a time within the step, from 0 to 1
+    turn: Floats  # (1,) or (3,) of the tool in the step, in radians, with whole turns
     distance: Callable[[Floats], Floats]  # of such points (n,) from the tool, negative inside
     point: Floats  # (d,) of the tool
+
+    def turns_round(self, body: RigidMotion) -> bool:
+        """Tell whether tool and body turn against each other by half a turn or more.
+
+        Then the shorter way around, which the start and the end of the step tell, is another one.
+
+        Args:
+            body: its motion in space.
+        """
+        against = body.rotation()
+        against[-len(self.turn) :] -= self.turn
+        return bool(np.linalg.norm(against) >= np.pi - HALF_OF_DIGITS)
+
+    def ways(
+        self, body: RigidMotion, seen: RigidMotion
+    ) -> Callable[[Floats, Floats], list[Floats]]:
+        """Return a function of points (.., d) in space: those at the start and the end of a step.
+
+        It gives what the tool sees of them at times within the step, one array for each. Of less
+        than half a turn that is a steady motion, see `geometry.turning`. Else the body turns
+        steadily in space, and the tool as its rotation says, about its point, which goes straight.
+
+        Args:
+            body: its motion in space.
+            seen: its motion as the tool sees it.
+        """
+        if not self.turns_round(body):
+            steady = times_of([seen])
+            return lambda a, b: list(path(seen, steady, self.at(0.0, a), self.at(1.0, b)))
+        most = body.angle() + np.degrees(np.linalg.norm(self.turn))
+        count = int(np.ceil(most / TURN))
+        times = [k / count for k in range(count + 1)]
+        return lambda a, b: [
+            self.at(t, np.asarray(x))
+            for t, x in zip(times, path(body, np.array(times), a, b), strict=True)
+        ]
 
 
 @dataclass(frozen=True)
@@ -162,9 +206,9 @@ def find_passed_tool(
     Middles of the body that have been in the tool, or a point in the tool that has passed a facet,
     where it is deeper in the tool than the facet is long or the middle deep. If less deep, it has
     to go as much farther: a tip to which facets are chords lies a bit behind them. Paths are those
-    that the tool sees, along arcs where body and tool turn against each other. Those of middles are
-    followed by steps of the distance from the tool, which it cannot be nearer, and at least of half
-    of the middle's depth.
+    that the tool sees, along arcs where body and tool turn against each other, see
+    `SeenByTool.ways`. Parts of them that lie in the tool are found if they are longer than
+    `QUARTER_OF_DIGITS` of the middle's depth.
 
     Args:
         side: of the body.
@@ -173,33 +217,29 @@ def find_passed_tool(
         seen: how the tool sees points.
     """
     comm, own = side.surface.V.mesh.comm, side.surface
-    x = [to(coordinates(own, u)) for to, u in ((seen.began, before), (seen.now, now))]
+    x = [coordinates(own, u) for u in (before, now)]
+    y = [seen.at(t, at) for t, at in zip((0.0, 1.0), x, strict=True)]
     depth = side.depth[np.isfinite(side.depth)]
-    way = np.linalg.norm(x[1] - x[0], axis=1).max(initial=0.0)
+    way = np.linalg.norm(y[1] - y[0], axis=1).max(initial=0.0)
     inner = depth_of_point(seen)
     most, least = maximum(comm, way, -depth.min(initial=np.inf))
     within = inner >= HALF_OF_DIGITS * least  # tips are on the surface, up to round-off
-    if not most >= min(-least, inner if within else np.inf):
+    sums = np.stack([rigid_sums(*(at[: own.owned] for at in both)) for both in (x, y)])
+    body, motion = (best_motion(part) for part in comm.allreduce(sums, op=MPI.SUM))
+    near = not most >= min(-least, inner if within else np.inf)
+    if near and not seen.turns_round(body):
         return None
+    ways = seen.ways(body, motion)
     (faces, start), (_, end) = side.at(before), side.at(now)
-    start, end = seen.began(start), seen.now(end)
-    motion = best_motion(comm.allreduce(rigid_sums(*(y[: own.owned] for y in x)), op=MPI.SUM))
-    times = times_of([motion])
-    ways = path(motion, times, start, end)
-    inside = np.zeros(len(start), dtype=bool)
     with raised_together(comm):  # what a user's function raises
-        outside = seen.distance(start) > 0.0
-        for k in range(len(times) - 1):
-            inside |= _enters(ways[k], ways[k + 1], THROUGH * depth, seen.distance)
-    found = _first(side, None, faces, np.flatnonzero(inside & outside).astype(np.int64))
+        entered = np.flatnonzero(_enter(ways(start, end), QUARTER_OF_DIGITS * depth, seen.distance))
+    found = _first(side, None, faces, entered.astype(np.int64))
     if found is not None or not within:
         return found
-    parts = path(motion, times, *(_behind(flat_parts(facets_at(own, y)), -least, inner) for y in x))
+    parts = ways(*(_behind(flat_parts(facets_at(own, at)), -least, inner) for at in x))
     point = seen.point[None]
-    passes = [
-        len(find_passing((point, point), (parts[k], parts[k + 1]))) for k in range(len(times) - 1)
-    ]
-    if not maximum(comm, float(sum(passes)))[0]:
+    passes = sum(len(find_passing((point, point), (a, b))) for a, b in pairwise(parts))
+    if not maximum(comm, float(passes))[0]:
         return None
     return Passing(None, 0, tuple(map(float, seen.point)), inner)
 
@@ -219,26 +259,62 @@ def _behind(parts: Floats, most: float, less: float) -> Floats:
     return np.asarray(parts - (shift[:, None] * facet_normals(facets))[:, None])
 
 
-def _enters(a: Floats, b: Floats, step: Floats, distance: Callable[[Floats], Floats]) -> Bools:
-    """Return which straight ways (n, d) from a to b lead to where a distance is negative.
+def _enter(ways: list[Floats], least: Floats, distance: Callable[[Floats], Floats]) -> Bools:
+    """Return which ways lead from where a distance is positive to where it is not.
+
+    Distances are not looked at where a way is too short for the last one that is known.
 
     Args:
-        a: starts.
-        b: ends.
-        step: (n,) how far points go on at least.
-        distance: of points.
+        ways: points (n, d) at each of the times, straight between them.
+        least: (n,) the shortest parts in the tool that are looked for.
+        distance: of points (n,).
 
     Example:
-        >>> a, b = np.array([[-3.0, 0.0], [-3.0, 2.0]]), np.array([[3.0, 0.0], [3.0, 2.0]])
-        >>> _enters(a, b, np.full(2, 0.5), lambda x: np.hypot(*x.T) - 1.0).tolist()
+        >>> ways = [np.array([[-3.0, 0.0], [-3.0, 2.0]]), np.array([[9.0, 0.0], [9.0, 2.0]])]
+        >>> _enter(ways, np.full(2, 0.02), lambda x: np.hypot(*x.T) - 0.01).tolist()
         [True, False]
     """
-    length, inside = np.linalg.norm(b - a, axis=1), np.zeros(len(a), dtype=bool)
-    gone, on = np.zeros(len(a)), np.arange(len(a))
-    while on.size:
-        t = np.divide(gone[on], length[on], out=np.ones(len(on)), where=length[on] > 0.0)
-        phi = distance((1.0 - t[:, None]) * a[on] + t[:, None] * b[on])
-        inside[on] = phi < 0.0
-        on, phi = on[(phi >= 0.0) & (t < 1.0)], phi[(phi >= 0.0) & (t < 1.0)]
-        gone[on] = np.minimum(gone[on] + np.maximum(phi, step[on]), length[on])
+    reach = distance(ways[0])  # which it is at least
+    inside, outside = reach < 0.0, reach > 0.0
+    for a, b in pairwise(ways):
+        before, reach = reach, reach - np.linalg.norm(b - a, axis=1)
+        some = np.flatnonzero((reach < 0.0) & ~inside)
+        if some.size:
+            reach[some] = distance(b[some])
+            ends = (a[some], b[some]), (before[some], reach[some])
+            inside[some] = _cross(*ends, least[some], distance)
+    return inside & outside
+
+
+def _cross(
+    ends: tuple[Floats, Floats],
+    phi: tuple[Floats, Floats],
+    least: Floats,
+    distance: Callable[[Floats], Floats],
+) -> Bools:
+    """Return which straight ways (n, d) lead to where a distance is negative.
+
+    They are halved while they are longer than the distances of both ends together, between which
+    there may be a surface then.
+
+    Args:
+        ends: of the ways.
+        phi: distances (n,) of these, or less.
+        least: (n,) length that is halved no more.
+        distance: of points.
+    """
+    (a, b), (near, far) = ends, phi
+    inside, left = far < 0.0, np.arange(len(a))
+    while left.size:
+        length = np.linalg.norm(b - a, axis=1)
+        some = (length > near + far) & (length > least[left]) & ~inside[left]
+        left, a, b, near, far = left[some], a[some], b[some], near[some], far[some]
+        if not left.size:
+            break
+        half = (a + b) / 2
+        between = distance(half)
+        inside[left[between < 0.0]] = True
+        left = np.concatenate([left, left])
+        a, b = np.concatenate([a, half]), np.concatenate([half, b])
+        near, far = np.concatenate([near, between]), np.concatenate([between, far])
     return inside
