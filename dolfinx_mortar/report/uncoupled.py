@@ -17,6 +17,7 @@ from dolfinx_mortar.geometry.crossings import bounds, find_crossings, near_other
 from dolfinx_mortar.geometry.elements import LINE2, TRI3
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
 from dolfinx_mortar.geometry.sweep import flat_parts
+from dolfinx_mortar.interfaces.interface import ask
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.mortar.edges import SUNK
 from dolfinx_mortar.mortar.surface import cells_of, coordinates, facets_at, nodal_sagittas
@@ -97,9 +98,10 @@ def find_crossing(problem: ContactProblem) -> Crossing:
 
     Of two bodies, and of a surface that a contact of it with itself should keep from crossing. Of
     facets of two bodies that face each other and are the two sides of one interface there is none:
-    where these overlap, the interface has seen it. Facets are taken as flat between their vertices:
-    at the rim of curved sides they reach into the faces beside them, by both sagittas at most,
-    which are taken off.
+    where these overlap, the interface has seen it. Beside a tie bodies overlap by its jump, as
+    where a bolt is cut, which is taken off. Facets are taken as flat between their vertices: at the
+    rim of curved sides they reach into the faces beside them, by both sagittas at most, which are
+    taken off.
     """
     every = [find_self_crossing(problem, link) for link in problem.system.unilateral]
     if problem.bodies.count > 1:
@@ -151,9 +153,24 @@ def _find_between(problem: ContactProblem) -> Crossing:
     one, other = skin.part(found.pairs[:, 0]), skin.part(found.pairs[:, 1])
     size = np.minimum(facet_sizes(one.x), facet_sizes(other.x))
     reach = np.minimum(_seen_reach(one, other), _seen_reach(other, one))
-    depth = np.minimum(found.depth - one.sagitta - other.sagitta, reach).clip(min=0.0)
+    tied = (one.on.any(axis=1) & other.on.any(axis=1)[:, ::-1]).any(axis=1)
+    meant = (tied * _longest_jumps(problem)).max(axis=1, initial=0.0)
+    depth = np.minimum(found.depth - one.sagitta - other.sagitta, reach) - meant
+    depth = depth.clip(min=0.0)
     bodies = np.stack([one.body, other.body], axis=1)
     return _deepest(comm, depth / size, depth, found.place, bodies)
+
+
+def _longest_jumps(problem: ContactProblem) -> Floats:
+    """Return the length of the jump of each interface, by which its sides overlap; collective."""
+    lengths = np.zeros(len(problem.system.interfaces))
+    for tie in problem.ties:
+        link = problem.system.link(tie)
+        jump = ask(problem.comm, tie, "jump_at", problem.V, link.nodes)
+        if jump is not None:
+            longest = np.linalg.norm(jump, axis=1).max(initial=0.0)
+            lengths[problem.system.interfaces.index(tie)] = maximum(problem.comm, longest)[0]
+    return lengths
 
 
 def _seen_reach(one: _Skin, other: _Skin) -> Floats:

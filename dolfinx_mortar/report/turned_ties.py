@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: MIT
+"""Ties of bodies that have turned far: what of a tie is linear in the rotation, or no part of it.
+
+A tie is an equation linear in u with the matrices of X. A jump b, and the overlap of a bolt with
+it, is a given vector: where bodies turn by a rotation R it should be R b, and is off by
+|R b - b| <= 2 sin(a / 2) |b| for an angle a. A distance r of the sides at X should become R r. With
+``surface="smooth"`` it moves by omega x r, omega the mean rotation, which leaves out
+|R r - r - sin(a) n x r| = (1 - cos a) |r| across the axis n; with "facets" it does not turn at all.
+"""
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Floats
+from dolfinx_mortar.geometry.turning import RigidMotion, best_motion, rigid_sums
+from dolfinx_mortar.interfaces.interface import ask
+from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.interfaces.tie import Tie
+from dolfinx_mortar.mortar.integrals import point_distances
+from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.report.small_strain import LARGEST_SHARE
+
+
+def notes_on_turned_ties(problem: ContactProblem) -> list[str]:
+    """Return notes on jumps and distances of ties that do not turn with the bodies; collective.
+
+    At finite strain only: at small strain all is linear in rotations, which has notes of its own.
+    """
+    if problem.solid.strain != "finite":
+        return []
+    notes = []
+    for tie in problem.ties:
+        link = problem.system.link(tie)
+        R = _turned(problem, link)
+        found = _note_on_jump(problem, tie, link, R), _note_on_distance(problem, tie, link, R)
+        notes += [note for note in found if note]
+    return notes
+
+
+def _note_on_jump(problem: ContactProblem, tie: Tie, link: Link, R: Floats) -> str:
+    """Return a note on a jump that has kept its direction while the side has turned; collective.
+
+    Turned since the direction was last set: a user may turn it from step to step, as told.
+    """
+    jump = ask(problem.comm, tie, "jump_at", problem.solid.V, link.nodes)
+    if jump is None:
+        jump = np.zeros((len(link.nodes), problem.d))
+    lengths = np.linalg.norm(jump, axis=1)
+    longest = float(maximum(problem.comm, lengths.max(initial=0.0))[0])
+    along = jump / longest if longest else jump
+    first, at = tie.aligned or (along, np.eye(problem.d))
+    differs = np.abs(along - first).max(initial=0.0) > QUARTER_OF_DIGITS
+    if any_rank(problem.comm, differs)[0]:
+        first, at = along, R
+    tie.aligned = first, at
+    angle = _angle(R @ at.T)
+    if not longest or (off := 2 * np.sin(angle / 2)) <= LARGEST_SHARE:
+        return ""
+    return (
+        f"{tie}: its jump, with the tightening, is up to {longest:.3g} long and has kept its "
+        f"direction, but its sides have turned by {np.degrees(angle):.0f} degrees: it is off by up "
+        f"to {off * longest:.3g}, so that bolts lose force. Turn it with them: set tie.jump, "
+        "tie.tightening and tie.direction for each step, as by on_time=, to R times what they "
+        "were, R the rotation at the end of the step"
+    )
+
+
+def _note_on_distance(problem: ContactProblem, tie: Tie, link: Link, R: Floats) -> str:
+    """Return a note on sides that are apart at X, and have turned far; collective."""
+    angle, smooth = _angle(R), tie.smooth
+    off = 1 - np.cos(angle) if smooth else 2 * np.sin(angle / 2)
+    if off <= LARGEST_SHARE / 10:  # whatever a tie may reach
+        return ""
+    pairing, segments = link.mortar[0], link.mortar[1].segments
+    distances, larger = point_distances(pairing, segments, None)
+    apart, share = maximum(
+        problem.comm, distances.max(initial=0.0), (distances / larger).max(initial=0.0)
+    )
+    if off * share <= LARGEST_SHARE:
+        return ""
+    remedy = "finer facets" if smooth else "surface='smooth', finer facets"
+    return (
+        f"{tie}: its sides are up to {apart:.3g} apart at X and have turned by "
+        f"{np.degrees(angle):.0f} degrees, but what lies between them "
+        f"{'turns as by small rotations' if smooth else 'does not turn'}: it is off by up to "
+        f"{off * apart:.3g}, {off * share:.0%} of a facet. Take sides that fit, {remedy}, or let X "
+        "be nearer to where they turn to"
+    )
+
+
+def _angle(R: Floats) -> float:
+    """Return the angle of a rotation (d, d) in radians."""
+    return float(np.radians(RigidMotion(R, np.zeros(len(R))).angle()))
+
+
+def _turned(problem: ContactProblem, link: Link) -> Floats:
+    """Return the rotation (d, d) of the slave side since X; collective."""
+    x = problem.X[link.nodes]
+    origin = problem.X.mean(axis=0) if len(problem.X) else np.zeros(problem.d)
+    origin = problem.comm.bcast(origin)
+    moved = x + problem.owned_u.reshape(problem.X.shape)[link.nodes]
+    sums = problem.comm.allreduce(rigid_sums(x - origin, moved - origin), op=MPI.SUM)
+    if sums[0, 0] < 2:  # a point does not turn
+        return np.eye(problem.d)
+    return best_motion(sums).R
