@@ -147,10 +147,11 @@ def _describe_pressures(problem: ContactProblem) -> str:
             continue
         where = "where the surface is closed, or its edges are held or slide in planes through the "
         where += "origin"
+        remedy = f", or say closed=True {where}"
         if term.energy() is None:
             told += (
                 f". {name}, has no potential, so that steps are whole, without a line search: take "
-                f"smaller load steps, or say closed=True {where}"
+                f"smaller load steps{'' if problem.solid.kinematics.plane_stress else remedy}"
             )
         else:
             told += (

@@ -153,12 +153,17 @@ def _find_between(problem: ContactProblem) -> Crossing:
     one, other = skin.part(found.pairs[:, 0]), skin.part(found.pairs[:, 1])
     size = np.minimum(facet_sizes(one.x), facet_sizes(other.x))
     reach = np.minimum(_seen_reach(one, other), _seen_reach(other, one))
-    tied = (one.on.any(axis=1) & other.on.any(axis=1)[:, ::-1]).any(axis=1)
+    tied = (_touched(one) & _touched(other)[:, ::-1]).any(axis=1)
     meant = (tied * _longest_jumps(problem)).max(axis=1, initial=0.0)
     depth = np.minimum(found.depth - one.sagitta - other.sagitta, reach) - meant
     depth = depth.clip(min=0.0)
     bodies = np.stack([one.body, other.body], axis=1)
     return _deepest(comm, depth / size, depth, found.place, bodies)
+
+
+def _touched(skin: _Skin) -> Bools:
+    """Tell (m, 2, interfaces) which sides facets belong to or end in."""
+    return np.asarray(skin.on.any(axis=1))
 
 
 def _longest_jumps(problem: ContactProblem) -> Floats:

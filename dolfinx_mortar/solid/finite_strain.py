@@ -40,6 +40,7 @@ class Volumes:
     Attributes:
         J: quadrature Function that `Solid.evaluate` fills; 1 before.
         source: what fills it.
+        thickness: F_zz, of plates the stretch through their thickness; at the points only.
     """
 
     def __init__(self, u: fem.Function, gradient: Expr, degree: int) -> None:
@@ -50,6 +51,7 @@ class Volumes:
         self.J = point_function(domain, degree, (), "J")
         self.J.x.array[:] = 1.0
         self.source = create_source(every, Part("J", self.J, ufl.det(gradient)))
+        self.thickness = gradient[2, 2]
         self._owned = cells.size_local
         self._comm = domain.comm
 

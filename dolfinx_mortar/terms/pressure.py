@@ -4,6 +4,7 @@
 from typing import Any
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Bools
 from dolfinx_mortar.compat import on_same_mesh
+from dolfinx_mortar.solid.cell_functions import CellFunctions
+from dolfinx_mortar.solid.laws import measure
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import assemble
 from dolfinx_mortar.tags import check_entities, check_tag, tag_of
@@ -34,17 +37,22 @@ class Pressure(WeakForm):
     steps are made and converge linearly, at a rate of about p over the moduli. Dead loads, whose
     direction and area are those at X, are the argument ``loads`` of the problem.
 
+    In plane stress cof F is that of the plane times the stretch through the thickness, which the
+    law finds at the integration points; on the edge it is continued from the adjacent cell by its
+    projection onto linear functions of X. Its derivative is no part of the tangent.
+
     Args:
         solid: the bodies, with ``strain="finite"``.
         facet_tags: tags of facets of their mesh.
         tag: where the pressure acts, a tag or its name; exterior facets.
         p: pressure, positive into the body: a number, or a Constant, a Function or UFL, whose
             values may change between steps.
-        closed: whether it has the potential, as above.
+        closed: whether it has the potential, as above; not in plane stress, where the edge of a
+            plate has none.
 
     Raises:
         ValueError: for a solid of small strain, tags of another mesh, a tag that no facet has,
-            or a p that is no scalar.
+            a p that is no scalar, or ``closed`` in plane stress.
     """
 
     def __init__(
@@ -71,19 +79,41 @@ class Pressure(WeakForm):
             p = fem.Constant(domain, default_scalar_type(p))
         if not isinstance(p, Expr) or p.ufl_shape != ():
             raise ValueError(f"Pressure: p is {p!r}: give a number, or a scalar Constant or UFL")
+        if closed and solid.kinematics.plane_stress:
+            raise ValueError(
+                "Pressure: closed is True, but in plane stress the edge of a plate changes its "
+                "thickness, and a pressure on it has no potential: leave closed out"
+            )
         u, d = solid.u, domain.geometry.dim
+        self._thickness = _Thickness(solid) if solid.kinematics.plane_stress else None
         ds = ufl.Measure("ds", domain, subdomain_data=facet_tags)(number)
         F = solid.kinematics.measure(u)
         cofactor = ufl.det(F) * ufl.transpose(ufl.inv(F))
         N = ufl.FacetNormal(domain)
         area = [sum(cofactor[i, j] * N[j] for j in range(d)) for i in range(d)]  # n da / dS
         traction = p * ufl.as_vector(area)
+        if self._thickness is not None:
+            traction *= self._thickness.stretch
         super().__init__(solid, residual=ufl.inner(traction, ufl.TestFunction(solid.V)) * ds)
         if closed:
             place = ufl.SpatialCoordinate(domain) + u
             share = 2 if solid.kinematics.radius is None and d == 2 else 3  # div x
             volume = ufl.inner(traction, place) / share * ds
             self._energy = fem.form(weighted(volume, solid))
+
+    def add_forces(self, F: PETSc.Vec) -> None:
+        """Add the forces, at the present thickness; collective."""
+        self._follow()
+        super().add_forces(F)
+
+    def add_tangent(self, K: PETSc.Mat) -> None:
+        """Add the tangent, at the present thickness; collective."""
+        self._follow()
+        super().add_tangent(K)
+
+    def _follow(self) -> None:
+        if self._thickness is not None:
+            self._thickness.follow()
 
     def has_potential(self, free: Bools) -> bool:
         """Tell whether p V is a potential of the forces at present; collective.
@@ -115,3 +145,26 @@ class Pressure(WeakForm):
         error = slope - work[~held].sum()
         sums = comm.allreduce(np.array([error, np.abs(work).sum()]), op=MPI.SUM)
         return bool(abs(sums[0]) <= QUARTER_OF_DIGITS * sums[1])
+
+
+class _Thickness:
+    """The stretch through the thickness of plates in plane stress, on their edges."""
+
+    def __init__(self, solid: Solid) -> None:
+        """Compile its projection onto linear functions of each cell; collective."""
+        assert solid.volumes is not None
+        dx = measure(solid.mesh, solid.quadrature_degree)
+        # three points of a cell know a linear function
+        affine = solid.fields.weights.shape[1] > solid.mesh.geometry.dim
+        self._cells = CellFunctions(solid.mesh, ufl.as_ufl(1.0), dx, affine=affine)
+        self._tested = fem.form(self._cells.tested(solid.volumes.thickness) * dx)
+        self._coefficients = fem.Function(self._cells.space)
+        self._solid = solid
+        self.stretch = self._cells.field(self._coefficients)
+
+    def follow(self) -> None:
+        """Take over the stretches at the present u; collective."""
+        self._solid.follow()
+        found = self._cells.coefficients(self._cells.vectors(self._tested))
+        self._cells.values(self._coefficients)[:] = found
+        self._coefficients.x.scatter_forward()
