@@ -125,7 +125,7 @@ class Ledger:
     dissipated: float  # by plastic flow
     friction: float  # dissipated by friction
     damping: float  # dissipated by Rayleigh's damping
-    loads: float  # work of loads and of all other terms
+    loads: float  # work of loads, of all other terms, and of heat and parameters that change
     supports: float  # work of the supports, and of rigid sides and tools that move
     contact: float  # what contact forces gave beyond friction, before the energy was restored
     defect: float  # left side less right side, over the largest energy so far

@@ -25,6 +25,11 @@ if more energy is to be taken than the impulse can, it takes all it can, and the
 rest. On tools that move, what they do to the bodies is taken from the works of contact and
 friction and counts as that of supports; w and K are then those for who moves with them.
 
+Where an eigenstrain or parameters of laws change in a step, the potential changes without the
+forces' motion: by Psi - Psi_n - 1/2 (F + F_n).(u - u_n), F the internal forces, each at the data of
+its time. Of an eigenstrain e in linear bodies that is the work -1/2 int (s + s_n):(e - e_n) of the
+stresses, exactly. It counts as that of loads.
+
 At finite strain neither the rule nor this impulse keeps the moment of momentum to round-off: free
 bodies are turned in the end, see `terms.free_rotation`; the energy of that is part of the defect.
 
@@ -68,7 +73,7 @@ class Ends:
     supports: Floats
     loads: Floats
     damping: Floats
-    internal: Floats | None  # where a law has no potential
+    internal: Floats | None  # where a law has no potential, or reads what may change
 
 
 class EnergyLedger:
@@ -101,6 +106,8 @@ class EnergyLedger:
             )
         self.last, self._potential = last, stored
         self._before: Ends | None = None
+        self._heated = False  # in this step
+        self._inner = self._internal()
 
     def _stored(self) -> float | None:
         """Return the potential of the bodies at the committed state, None without; collective."""
@@ -124,7 +131,9 @@ class EnergyLedger:
         return -self._forces(terms)
 
     def _internal(self) -> Floats | None:
-        return None if self._potential is not None else self._forces([self.problem.solid])
+        if self._potential is not None and not self.problem.solid.follows:
+            return None
+        return self._forces([self.problem.solid])
 
     def start(self, begin: float, end: float, sides: Floats) -> None:
         """Find the initial acceleration, with the loads of the start; collective.
@@ -160,6 +169,8 @@ class EnergyLedger:
         """Note the forces at the start of a step; collective."""
         problem, inertia = self.problem, self.inertia
         supports, shape = problem.committed.supports, inertia.mass.X.shape
+        if self._potential is not None and problem.solid.follows:  # by loads that are set already
+            self._heated = self._stored() != self._potential
         self._before = Ends(
             u=problem.owned_u.reshape(shape).copy(),
             contact=inertia.values("contact").copy(),
@@ -167,7 +178,7 @@ class EnergyLedger:
             supports=np.zeros(shape) if supports is None else supports.forces,
             loads=inertia.values("load").copy(),
             damping=inertia.values("damping").copy(),
-            internal=self._internal(),
+            internal=self._inner,
         )
 
     def _sum(self, array: Floats) -> float:
@@ -232,13 +243,7 @@ class EnergyLedger:
         problem.commit()
         kept = {"load": after.loads, "damping": after.damping}
         inertia.put(contact=after.contact, friction=after.friction, **kept)
-        last, flow = self.last, 0.0
-        if potential is None or self._potential is None:
-            assert before.internal is not None and after.internal is not None
-            stored = last.stored + self._sum(0.5 * (before.internal + after.internal) * du)
-        else:
-            stored = self._potential = self._stored() or 0.0
-            flow = potential - stored
+        last, (stored, flow, heat) = self.last, self._in_bodies(before, after, potential)
         ledger = replace(
             last,
             kinetic=inertia.energy_of(motion.velocity),
@@ -246,7 +251,7 @@ class EnergyLedger:
             dissipated=last.dissipated + flow,
             friction=last.friction + max(-work["friction"], 0.0),
             damping=last.damping + work["damping"],
-            loads=last.loads + work["loads"],
+            loads=last.loads + work["loads"] + heat,
             supports=last.supports + work["supports"],
             contact=last.contact + gain,
             owed=owed if self.conserve else 0.0,
@@ -258,6 +263,27 @@ class EnergyLedger:
         if abs(left) > report.rtol:
             report.notes.append(_not_restored(left, unsolved=unsolved))
         report.notes += notes_on_energy(self.last, thin=self._contacts_have_mass())
+
+    def _in_bodies(
+        self, before: Ends, after: Ends, potential: float | None
+    ) -> tuple[float, float, float]:
+        """Return what is stored after a step, what has been dissipated, and the work of heat.
+
+        Args:
+            before: forces at the start.
+            after: forces at the end.
+            potential: before the step was committed, None without one.
+        """
+        inner, start = 0.0, self._potential
+        if before.internal is not None and after.internal is not None:
+            mean = 0.5 * (before.internal + after.internal)
+            inner = self._sum(mean * (after.u - before.u))
+        self._inner = after.internal
+        if potential is None or start is None:
+            return self.last.stored + inner, 0.0, 0.0
+        heat = potential - start - inner if self._heated else 0.0
+        stored = self._potential = self._stored() or 0.0
+        return stored, potential - stored, heat
 
     def _turned(self, motion: Motion, before: Ends, after: Ends, groups: list[Bools]) -> Motion:
         """Return a motion with the moment of momentum that forces leave to groups; collective.

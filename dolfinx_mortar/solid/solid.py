@@ -261,6 +261,11 @@ class Solid(Term):
         return any(region.parameters.varying for region in self.regions)
 
     @property
+    def follows(self) -> bool:
+        """Whether parameters or the eigenstrain may change."""
+        return any(followed.varying for followed in self._followed())
+
+    @property
     def volumetric(self) -> str:
         """How the volumetric part is integrated, "full" or "reduced"."""
         return "full" if self._forms.dilatation is None else "reduced"

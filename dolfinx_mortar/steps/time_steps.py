@@ -52,7 +52,9 @@ class TimeSolves(Solves):
         if self.ledger is None:
             (inertia,) = find_inertia(self.problem)
             if any(step.report.ledger is not None for step in self.problem.history[-1:]):
+                self.loading.set(self.problem, self.problem.committed.level)
                 self.ledger = EnergyLedger(self.problem, inertia, conserve=self.conserve)
+                self.loading.set(self.problem, level.time)
             else:
                 self.ledger = self._start(inertia, level)
         self.ledger.open()
