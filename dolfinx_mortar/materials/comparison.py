@@ -4,7 +4,7 @@
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from dolfinx_mortar.materials.finite_comparison import (
     check_start,
     compare_at_finite_strain,
 )
-from dolfinx_mortar.materials.protocol import PLASTIC, create_law
+from dolfinx_mortar.materials.protocol import PLASTIC, Law, create_law
 from dolfinx_mortar.materials.tensor import COMPONENTS, INDEX, tensor_of
 
 PATHS = 8  # random ones, with strains of all sizes on each
@@ -156,55 +156,114 @@ def check(
             state, component and both values.
     """
     parts = create_law("law", law, plane_stress=plane_stress)
+    _check_arguments(parts, size, seed, strain)
+    rng, turns = (np.random.default_rng(s) for s in (seed, (seed, 1)))
+    if (strain or parts.strain) == "finite":
+        return _check_at_finite_strain(law, parts, rng, float(size), initial_stress)
+    compiled = CompiledLaw(law, parts) if parts.update is None else PointwiseNumbers(law, parts)
+    virgin = {n: np.zeros(shape) for n, shape in compiled.shapes.items()}
+    start = _Sample(compiled, parts.name, np.zeros(6), virgin)
+    if not initial_stress:
+        _check_virgin(start, parts, float(size * SIZES[0]))
+    judge = _Judge(parts, start, turns, rate_independent)
+    found = []
+    for _ in range(PATHS):
+        state: Mapping[str, Floats] = virgin
+        for norm in size * np.array(SIZES):
+            along, first, second = (_unit(rng) for _ in range(3))
+            sample = _Sample(compiled, parts.name, norm * along, state)
+            errors, state = judge(sample, first, second)
+            found.append(errors)
+    return _report(parts.name, found)
+
+
+def _check_arguments(parts: Law, size: float, seed: int, strain: str | None) -> None:
+    """Raise ValueError unless the arguments of `check` make sense."""
     if not (is_number(size) and size > 0.0):
         raise ValueError(f"size is {size!r}: give the norm of a strain, a positive number")
     if not (is_integer(seed) and seed >= 0):
         raise ValueError(f"seed is {seed!r}: give an integer from 0 on")
-    rng, turns = (np.random.default_rng(s) for s in (seed, (seed, 1)))
     if strain not in (None, parts.strain, "finite"):
         raise ValueError(f"strain is {strain!r}: give 'finite', or None for that of the law")
-    if (strain or parts.strain) == "finite":
-        if plane_stress:
-            raise ValueError(
-                "plane_stress is True: at finite strain a law is judged in space alone"
-            )
-        found_ = compare_at_finite_strain(
-            law, parts, rng, float(size), initial_stress=initial_stress
-        )
-        whole = (found_.energy, found_.tangent, 0.0, found_.skew, 0.0, found_.turned)
-        return LawReport(parts.name, found_.samples, found_.changed, *whole)
-    compiled = CompiledLaw(law, parts) if parts.update is None else PointwiseNumbers(law, parts)
-    name = parts.name
-    virgin = {n: np.zeros(shape) for n, shape in compiled.shapes.items()}
-    start = _Sample(compiled, name, np.zeros(6), virgin)
-    if not initial_stress:
-        least = size * SIZES[0]
-        stiff = [start.at(least * e, e).elastic / least for e in np.eye(6)]
-        stress = start.at(start.strain, start.strain).stress
-        check_start(parts, stress, RTOL * float(np.abs(stiff).max()))
-    found = []
-    for _ in range(PATHS):
-        state = virgin
-        for norm in size * np.array(SIZES):
-            along, first, second = (_unit(rng) for _ in range(3))
-            sample = _Sample(compiled, name, norm * along, state)
-            if parts.linear:
-                _compare_with_start(sample, start, first)
-            state = sample.at(sample.strain, first).state
-            errors = _compare(sample, first, second)
-            kept = _compare_state(sample, state) if rate_independent else 0.0
-            turned = (
-                _compare_turned(sample, np.linalg.qr(turns.standard_normal((3, 3)))[0])
-                if parts.isotropic and not parts.plane_stress
-                else np.nan
-            )
-            changed = any(np.any(state[n] != sample.state[n]) for n in state)
-            found.append((changed, *errors, kept, turned, *_extreme_moduli(sample)))
-    changed_, energy, tangent, skew, kept_, turned_, low, high = np.array(found, dtype=float).T
-    lowest = low.min() / high.max() if high.max() > 0.0 else 0.0
-    errors_ = (energy.max(), tangent.max(), kept_.max(), skew.max(), lowest)
-    report = LawReport(name, len(found), int(changed_.sum()), *map(float, errors_))
-    return dataclasses.replace(report, isotropy_error=float(turned_.max()))
+    if parts.plane_stress and (strain or parts.strain) == "finite":
+        raise ValueError("plane_stress is True: at finite strain a law is judged in space alone")
+
+
+def _check_at_finite_strain(
+    law: Any, parts: Law, rng: np.random.Generator, size: float, initial_stress: bool
+) -> LawReport:
+    """Judge a law by its response to deformation gradients."""
+    found = compare_at_finite_strain(law, parts, rng, size, initial_stress=initial_stress)
+    errors = (found.energy, found.tangent, 0.0, found.skew, 0.0, found.turned)
+    return LawReport(parts.name, found.samples, found.changed, *errors)
+
+
+def _check_virgin(start: _Sample, parts: Law, least: float) -> None:
+    """Raise ValueError if there is a stress before anything has moved.
+
+    Its tolerance is that share of the elastic moduli, at strains of the least size.
+    """
+    moduli = [start.at(least * e, e).elastic / least for e in np.eye(6)]
+    stress = start.at(start.strain, start.strain).stress
+    check_start(parts, stress, RTOL * float(np.abs(moduli).max()))
+
+
+class _Errors(NamedTuple):
+    """What was found at one sample; NaN for what does not apply."""
+
+    changed: bool  # whether an internal variable changed
+    energy: float
+    tangent: float
+    skew: float
+    kept: float  # of the stress that the new state gives
+    turned: float
+    lowest: float  # smallest eigenvalue of the tangent
+    highest: float  # largest one, without its sign
+
+
+@dataclass(frozen=True)
+class _Judge:
+    """All comparisons at a sample."""
+
+    parts: Law
+    start: _Sample  # without strain, in the virgin state
+    turns: np.random.Generator  # of rotations
+    rate_independent: bool
+
+    def __call__(
+        self, sample: _Sample, first: Floats, second: Floats
+    ) -> tuple[_Errors, Mapping[str, Floats]]:
+        """Return the errors of a sample, and the state at the end of its step.
+
+        The tangent is tried along the first direction, its symmetry with the second.
+        """
+        if self.parts.linear:
+            _compare_with_start(sample, self.start, first)
+        state = sample.at(sample.strain, first).state
+        changed = any(np.any(state[n] != sample.state[n]) for n in state)
+        derivatives = _compare(sample, first, second)
+        kept = _compare_state(sample, state) if self.rate_independent else 0.0
+        turned = np.nan
+        if self.parts.isotropic and not self.parts.plane_stress:
+            turned = _compare_turned(sample, np.linalg.qr(self.turns.standard_normal((3, 3)))[0])
+        return _Errors(changed, *derivatives, kept, turned, *_extreme_moduli(sample)), state
+
+
+def _report(name: str, found: list[_Errors]) -> LawReport:
+    """Return the largest errors of all samples."""
+    of = _Errors(*np.array(found, dtype=float).T)  # of each kind (samples,)
+    highest = np.max(of.highest)
+    return LawReport(
+        name,
+        samples=len(found),
+        changed=int(np.sum(of.changed)),
+        energy_error=float(np.max(of.energy)),
+        tangent_error=float(np.max(of.tangent)),
+        state_error=float(np.max(of.kept)),
+        skew=float(np.max(of.skew)),
+        lowest=float(np.min(of.lowest) / highest) if highest > 0.0 else 0.0,
+        isotropy_error=float(np.max(of.turned)),
+    )
 
 
 def _compare(sample: _Sample, first: Floats, second: Floats) -> tuple[float, float, float]:

@@ -24,7 +24,8 @@ RTOL = 1e-7
 # yields. The long one survives the round-off of formulas that cancel.
 LENGTHS = tuple(EPS ** (1 / n) for n in (5, 3))
 SIZES = tuple(np.geomspace(1e-5, 1.0, 6))  # of strains, over five decades
-WEIGHTS = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
+WEIGHTS = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}  # central differences of sixth order
+STEPS = [k for m in WEIGHTS for k in (-m, m)]
 STRETCHES = (  # before they are scaled to a volume
     *((1.0, 1.0, 1.0), (1.0, 1.0, 2.0), (0.5, 1.0, 1.0), (1.0, 1.0 + 1e-9, 1.5)),
     *((1.0, 1.0 + 1e-5, 1.0 - 1e-5), (1.0, 1.001, 0.7), (0.5, 1.1, 2.2), (0.4, 0.9, 3.0)),
@@ -160,6 +161,25 @@ def compare_at_finite_strain(
         ValueError: where they do not fit, with F and both values.
     """
     evaluate, stiffness, has_energy = law_at_points(material, law)
+    at = _finite_only(law, evaluate, has_energy)
+    virgin = {n: np.zeros(6 if shape else ()) for n, shape in law.state.items()}
+    if not initial_stress:
+        check_start(law, at(np.eye(3), virgin).stress, RTOL * stiffness)
+    found = []
+    for F in gradients(rng, size):
+        here = at(F, virgin)
+        scale = max(stiffness, float(np.abs(here.tangent).max()))
+        sample = _Sample(law, at, F, virgin, here, scale, has_energy)
+        energy, tangent = sample.compare_with_differences(rng.uniform(-1.0, 1.0, (3, 3)))
+        turned = sample.compare_turned(rotation(rng))
+        changed = any(np.any(here.state[n] != virgin[n]) for n in virgin)
+        found.append((changed, energy, tangent, turned, sample.skew()))
+    changed_, *errors = np.array(found, dtype=float).T
+    return FiniteLawErrors(len(found), int(changed_.sum()), *(float(e.max()) for e in errors))
+
+
+def _finite_only(law: Law, evaluate: At, has_energy: bool) -> At:
+    """Return the function that raises ValueError where a law gives NaN or infinity."""
 
     def at(F: Floats, state: Mapping[str, Floats]) -> FinitePoint:
         point = evaluate(F, state)
@@ -172,52 +192,64 @@ def compare_at_finite_strain(
             )
         return point
 
-    virgin = {n: np.zeros(6 if shape else ()) for n, shape in law.state.items()}
-    start = at(np.eye(3), virgin).stress
-    if not initial_stress:
-        check_start(law, start, RTOL * stiffness)
-    found, state = [], virgin
-    for F in gradients(rng, size):
-        here = at(F, state)
-        scale = max(stiffness, float(np.abs(here.tangent).max()))
-        D = rng.uniform(-1.0, 1.0, (3, 3))
+    return at
+
+
+@dataclass(frozen=True)
+class _Sample:
+    """A law at one F and state."""
+
+    law: Law
+    at: At
+    F: Floats  # (3, 3)
+    state: Mapping[str, Floats]
+    here: FinitePoint  # what the law gives there
+    scale: float  # a modulus: errors are relative to it
+    has_energy: bool
+
+    def compare_with_differences(self, D: Floats) -> tuple[float, float]:
+        """Return the errors of P : D and dP/dF : D (D (3, 3)) against differences along D."""
+        work, change = (self.here.stress * D).sum(), np.tensordot(self.here.tangent, D)
+        smallest_stretch = float(np.linalg.svd(self.F, compute_uv=False).min())
         for length in LENGTHS:
-            step = length * float(np.linalg.svd(F, compute_uv=False).min())
-            points = {k: at(F + k * step * D, state) for m in WEIGHTS for k in (-m, m)}
+            step = length * smallest_stretch
+            points = {k: self.at(self.F + k * step * D, self.state) for k in STEPS}
             slope = _difference({k: point.energy for k, point in points.items()}, step)
-            change = _difference({k: point.stress for k, point in points.items()}, step)
-            given, given_change = (here.stress * D).sum(), np.tensordot(here.tangent, D)
-            errors = [
-                abs(slope - given) / scale,
-                float(np.abs(change - given_change).max()) / scale,
-            ]
-            if np.nanmax(errors) <= RTOL:
+            difference = _difference({k: point.stress for k, point in points.items()}, step)
+            energy_error = abs(slope - work) / self.scale
+            tangent_error = float(np.abs(difference - change).max()) / self.scale
+            if np.nanmax([energy_error, tangent_error]) <= RTOL:
                 break
-        if has_energy:
-            _demand(law, "P : D", F, errors[0] <= RTOL, given, slope)
-        _demand(law, "dP/dF : D", F, errors[1] <= RTOL, given_change, change)
-        errors += [0.0, 0.0]
-        Q = rotation(rng)
-        turned = at(Q @ F, state)
-        off = [np.abs(turned.stress - Q @ here.stress).max()]
-        off += [abs(turned.energy - here.energy)] if has_energy else []
-        errors[2] = float(max(off)) / scale
-        _demand(
-            law,
-            "P(Q F), Q a rotation,",
-            F,
-            errors[2] <= RTOL,
-            turned.stress,
-            Q @ here.stress,
-            "as Q P(F), since a rotation strains nothing: write psi in C = F^T F",
-        )
-        errors[3] = float(np.abs(here.tangent - here.tangent.transpose(2, 3, 0, 1)).max()) / scale
-        changed = any(np.any(here.state[n] != state[n]) for n in state)
-        found.append((changed, *errors))
-    table = np.array(found, dtype=float)
-    return FiniteLawErrors(
-        len(table), int(table[:, 0].sum()), *(float(v) for v in table[:, 1:].max(axis=0))
-    )
+        if self.has_energy:
+            self._demand("P : D", energy_error <= RTOL, work, slope)
+        self._demand("dP/dF : D", tangent_error <= RTOL, change, difference)
+        return energy_error, tangent_error
+
+    def compare_turned(self, Q: Floats) -> float:
+        """Return the error of energy and stress at Q F, Q a rotation (3, 3)."""
+        turned, stress = self.at(Q @ self.F, self.state), Q @ self.here.stress
+        off = [np.abs(turned.stress - stress).max()]
+        off += [abs(turned.energy - self.here.energy)] if self.has_energy else []
+        error = float(max(off)) / self.scale
+        why = "as Q P(F), since a rotation strains nothing: write psi in C = F^T F"
+        self._demand("P(Q F), Q a rotation,", error <= RTOL, turned.stress, stress, why)
+        return error
+
+    def skew(self) -> float:
+        """Return how unsymmetric the tangent is."""
+        tangent = self.here.tangent
+        return float(np.abs(tangent - tangent.transpose(2, 3, 0, 1)).max()) / self.scale
+
+    def _demand(
+        self, what: str, holds: Any, given: Any, wanted: Any, why: str = "by differences"
+    ) -> None:
+        """Raise ValueError, with F and both values, unless something holds."""
+        if not holds:
+            place, *both = (_written(v) for v in (self.F, given, wanted))
+            raise ValueError(
+                f"{self.law.name}: {what} is {both[0]}, but should be {both[1]} ({why}) at F = "
+                f"{place}"
+            )
 
 
 def check_start(law: Law, stress: Floats, tolerance: float) -> None:
@@ -234,17 +266,6 @@ def check_start(law: Law, stress: Floats, tolerance: float) -> None:
 def _difference(values: Mapping[int, Any], step: float) -> Any:
     """Return the derivative from values at multiples of a step."""
     return sum(w * (values[k] - values[-k]) for k, w in WEIGHTS.items()) / step
-
-
-def _demand(
-    law: Law, what: str, F: Floats, holds: Any, given: Any, wanted: Any, why: str = "by differences"
-) -> None:
-    """Raise ValueError, with F and both values, unless something holds."""
-    if not holds:
-        place, *both = (_written(v) for v in (F, given, wanted))
-        raise ValueError(
-            f"{law.name}: {what} is {both[0]}, but should be {both[1]} ({why}) at F = {place}"
-        )
 
 
 def _written(values: Any) -> str:
