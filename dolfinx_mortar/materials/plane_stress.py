@@ -106,36 +106,41 @@ def solve(law: str, equation: Equation, shape: tuple[int, int], *, finite: bool 
 
 @numba.njit(cache=True, error_model="numpy")
 def _advance(z, low, high, rows, values, share, floor, softer):  # type: ignore[no-untyped-def]
-    """Make one iteration in some rows; return how many are not done, moved to the front.
-
-    A law that is undefined from the start, as for a strain that is NaN, is done.
-    """
+    """Make one iteration in some rows; return how many are not done, moved to the front."""
     left = 0
     for k in range(len(rows)):
         row, done = rows[k], True
         for q in range(z.shape[1]):
-            at, (residual, modulus, elastic, stress) = z[row, q], values[k, q]
-            step = -residual / (softer * elastic)
-            new = at - residual / modulus if modulus > 0.0 else at + step
+            residual, modulus, elastic, stress = values[k, q]
             if residual == 0.0:
-                new = at
-            elif not (
-                abs(residual) <= max(share * stress, floor * elastic) and np.isfinite(stress)
-            ):
-                found = softer == 1.0 and np.isnan(stress)
+                continue
+            step = -residual / (softer * elastic)
+            new = z[row, q] - residual / modulus if modulus > 0.0 else z[row, q] + step
+            small = abs(residual) <= max(share * stress, floor * elastic) and np.isfinite(stress)
+            if not small:
                 if residual < 0.0:
-                    low[row, q] = at
+                    low[row, q] = z[row, q]
                 else:
-                    high[row, q] = at
-                if not low[row, q] < new < high[row, q]:
-                    new = (low[row, q] + high[row, q]) / 2
-                    if np.isfinite(new):
-                        found = found or new == low[row, q] or new == high[row, q]
-                    else:
-                        new = at + step
-                done = done and found
+                    high[row, q] = z[row, q]
+                new, narrow = _kept_between(low[row, q], high[row, q], new, z[row, q] + step)
+                # a law that is undefined from the start, as for a strain that is NaN, is done
+                done = done and (narrow or (softer == 1.0 and np.isnan(stress)))
             z[row, q] = new
         if not done:
             rows[left] = row
             left += 1
     return left
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _kept_between(low, high, new, instead):  # type: ignore[no-untyped-def]
+    """Return an iterate in an interval, and whether that is narrower than numbers can tell.
+
+    The middle where `new` is outside, or another one where an end is not known yet.
+    """
+    if low < new < high:
+        return new, False
+    middle = (low + high) / 2
+    if not np.isfinite(middle):
+        return instead, False
+    return middle, middle == low or middle == high

@@ -302,57 +302,78 @@ def settle(
     Raises:
         StepFailed: if nothing resists the load of a tool, or it is not found.
     """
-    solved = solve(lin)  # as accurately as those with which it is compared
-    start = np.zeros(len(drives.loads))
-    here = _Try(lin, solved, start, *drives.carried(lin, solved, start))
+    here = _try(drives, lin, solve, np.zeros(len(drives.loads)))
     diagonal = drives.stiffness(lin, here.carried)
     if not diagonal.all():
         raise Unresisted(_unresisted(drives, lin, diagonal == 0.0))
     B: Floats = np.diag(diagonal) if stiffness is None else stiffness
     noise = drives.noise(lin.balance) + drives.allowed(rtol * begun)
     shrink, far = 1.0, 0.0
-    secants = len(diagonal) == 1 and not drives.follows.all()
+    only_sides = bool(drives.follows.all())
+    secants = len(diagonal) == 1 and not only_sides
     for _ in range(LIMIT):  # with secants it takes 3 to 8 QPs
         if (np.abs(here.missing) <= rtol * here.size + noise).all():
             return Settled(here.lin, here.solved, here.travel, B, drives)
         if here.touches:
-            lasts = drives.follows.all() and here.far(diagonal) < QUARTER_OF_DIGITS * far
-            far = here.far(diagonal)
+            before, far = far, here.far(diagonal)
+            converges = only_sides and far < QUARTER_OF_DIGITS * before
             # the nodes that touch change, and B with them
-            if shrink == 1.0 and not (secants or lasts):
+            if shrink == 1.0 and not (secants or converges):
                 B = _measured(drives, here, solve, lin, diagonal)
             way = shrink * _resisted(drives, lin, B, here.missing, extent)
         else:
-            way = here.missing / diagonal
-            touching = drives.until_touching(here.lin, here.solved, way)
-            if not np.isfinite(touching):
-                raise Unresisted(_unresisted(drives, lin, here.missing != 0.0))
-            way *= touching + 1.0
+            way = _beyond_the_gap(drives, lin, here, diagonal)
         q = here.travel + way
-        at = drives.shifted(lin, q)
-        solved = solve(at)
-        there = _Try(at, solved, q, *drives.carried(at, solved, q))
-        gain = here.missing @ way  # none towards a saddle point, of sides that forces turn
+        there = _try(drives, drives.shifted(lin, q), solve, q)
         if here.touches and there.touches and secants:
             slope = (here.missing - there.missing) / way
             B = np.diag(slope) if slope[0] > 0.0 else B
-        if here.touches and gain > 0.0 and there.missing @ way < -OVERSHOOT * gain:
-            shrink = 0.5 * shrink  # beyond the minimum along the way
-            continue
-        here, shrink = there, 1.0
+        if _overshoots(here, there, way):
+            shrink = 0.5 * shrink
+        else:
+            here, shrink = there, 1.0
+    raise StepFailed(_not_met(drives, lin, here))
+
+
+def _try(drives: Drives, at: Linearisation, solve: Solve, travel: Floats) -> _Try:
+    """Solve the QP in which the tools are moved by q (m,)."""
+    solved = solve(at)
+    return _Try(at, solved, travel, *drives.carried(at, solved, travel))
+
+
+def _beyond_the_gap(drives: Drives, lin: Linearisation, here: _Try, diagonal: Floats) -> Floats:
+    """Return the way (m,) of tools that touch nothing: until a gap closes, and once more beyond.
+
+    How far beyond is what the diagonal of K^ asks for.
+    """
+    way = here.missing / diagonal
+    touching = drives.until_touching(here.lin, here.solved, way)
+    if not np.isfinite(touching):
+        raise Unresisted(_unresisted(drives, lin, here.missing != 0.0))
+    return np.asarray(way * (touching + 1.0))
+
+
+def _overshoots(here: _Try, there: _Try, way: Floats) -> bool:
+    """Tell whether a step has gone far beyond the minimum along its way (m,)."""
+    gain = here.missing @ way  # none towards a saddle point, of sides that forces turn
+    return bool(here.touches and gain > 0.0 and there.missing @ way < -OVERSHOOT * gain)
+
+
+def _not_met(drives: Drives, lin: Linearisation, here: _Try) -> str:
+    """Say which load is not met, and what to do."""
     worst = int(np.argmax(np.abs(here.missing) / np.maximum(here.size, TINY)))
     name, _ = _names(drives)[worst]
     remedy = (
         "take smaller steps, or prescribe the position. With inertia, let them begin where they "
         "touch: tools have no mass, so that forces move them over a gap in no time"
     )
-    if lin.qp.friction is not None and len(diagonal) > 1:
+    if lin.qp.friction is not None and len(drives.loads) > 1:
         remedy = (
             "what friction has to carry it can carry only up to its limit, and is not found in the "
             "step in which a tool is first pressed on: give the force that presses it in an "
             "earlier step"
         )
-    raise StepFailed(
+    return (
         f"the loads of {', '.join(repr(owner) for owner, _ in drives.tools)} are not met in "
         f"{LIMIT} tries: {here.missing[worst]:.3g} of {name!r} is missing; {remedy}"
     )

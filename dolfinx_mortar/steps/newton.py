@@ -233,6 +233,28 @@ class Iterate:
         return self.contacts.active[self.balance.nodes].astype(np.int8)
 
 
+@dataclass(frozen=True)
+class _Solution:
+    """The QP of an iteration and its solution."""
+
+    lin: Linearisation
+    solved: QPSolution
+    driven: driven_tools.Settled | None  # motions of the tools that forces drive
+    exact: bool  # whether it has the exact tangent of the moving geometry
+    rejected: str  # why it has not, where that was tried
+
+
+@dataclass(frozen=True)
+class _Moved:
+    """What a step along the solution of a QP has changed."""
+
+    du: PETSc.Vec  # the whole step
+    length: float  # the share of it that u has moved
+    halvings: int  # of the line search
+    energy: Energy | None  # J at its end
+    pressure: Floats | None  # (owned cells,) mean stresses at its end, by the linearisation
+
+
 class _Step:
     """One load step in progress."""
 
@@ -330,53 +352,30 @@ class _Step:
         residuals: list[Residuals],
     ) -> tuple[Iterate, Watch, Residuals]:
         """Make one Newton iteration and record it in the report."""
-        problem, report = self.problem, self.report
+        problem, first = self.problem, number == 1
         free_unused(problem.comm)
-        tangent = not self.linear or (number == 1 and problem.terms.vary(problem.K))  # parameters
-        lin, solved, rejected = None, None, ""
         if watch.held and problem.solid.strain == "finite" and self.is_exact(watch, residuals):
             old, watch, residuals[-1] = self.thaw(old, watch)
             start = old.start
-        if self.is_exact(watch, residuals):
-            lin, solved, rejected = self.solve_exact(start, old, watch, residuals, tangent)
-            if rejected:
-                watch = watch.after_exact(np.inf, self.missed(residuals[-1]))
-        exact = solved is not None
-        if lin is None or solved is None:
-            accuracy = partial(self.accuracy, watch=watch, residuals=residuals)
-            near = bool(residuals) and residuals[-1].forces < STABLE
-            lin, solved = self.linearise(old, start, tangent, accuracy, near=near)
-        lin, solved, driven = self.drive(lin, solved, old)
-        scales = old.scales
-        if number == 1:
-            scales = replace(scales, first=self.first_forces(lin))
-        report.quote(number, solved.note or rejected)
-        report.note_friction(number, solved.linearisation)
+        found, watch = self.find_solution(number, start, old, watch, residuals)
+        lin, solved = found.lin, found.solved
+        self.report.quote(number, solved.note or found.rejected)
+        self.report.note_friction(number, solved.linearisation)
         contacts = found_by(lin, solved, problem.n)
         multiplier = maximum(problem.comm, contacts.multipliers.max(initial=0.0))[0]
         largest = max(old.largest, float(multiplier))
+        scales = replace(old.scales, first=self.first_forces(lin)) if first else old.scales
 
-        T = problem.system.transformation if lin.geometry is None else lin.geometry.trial
-        du = to_displacement(T, solved.x)
-        self.check_distance(du, scales.extent)
-        if number == 1 and not self.shifted:
-            self.expected = du.norm()
-        volumes = problem.solid.volume_step(self.as_function(du))
-        length, halvings, energy = self.move(lin, solved, du, largest, old, volumes, driven)
-        if driven is not None:
-            driven.drives.move(length * driven.travel)
+        moved = self.take_step(first, found, largest, old)
         norm = problem.solid.elastic_norm(problem.u)
-        increment = self.elastic_norm(du)
+        increment = self.elastic_norm(moved.du)
         increment = increment / (old.norm + norm) if old.norm + norm > 0.0 else 0.0
 
-        bounds = lin.balance.bounds
-        predicted = np.full(problem.n, np.nan)  # gaps
-        predicted[lin.balance.nodes] = bounds.upper - length * solved.x.array_r[bounds.dofs]
         judge = partial(self.judge, contacts, lin.diagonal, scales, norm)
-        balance, residual, watch, change = self.follow(
-            watch, judge, contacts, predicted, residuals[-1] if exact else None
-        )
-        report.iterations.append(
+        predicted = self.predicted_gaps(lin, solved, moved.length)
+        before = residuals[-1] if found.exact else None
+        balance, residual, watch, change = self.follow(watch, judge, contacts, predicted, before)
+        self.report.iterations.append(
             Iteration(
                 number=number,
                 increment=increment,
@@ -388,28 +387,81 @@ class _Step:
                 updates=solved.updates,
                 linear_iterations=solved.linear_iterations,
                 factorisations=solved.factorisations,
-                step_length=length,
-                line_search_steps=halvings,
+                step_length=moved.length,
+                line_search_steps=moved.halvings,
                 geometry_change=change,
                 geometry_held=watch.held,
                 shift=SHIFTS[self.shifted],
-                exact_tangent=exact,
+                exact_tangent=found.exact,
             )
         )
         iterate = Iterate(
             balance,
             contacts,
             scales,
-            energy,
+            moved.energy,
             norm,
             largest,
             lin.diagonal,
             solved.changes,
-            None if volumes is None else volumes.pressure_at(length),
+            moved.pressure,
         )
         return iterate, watch, residual
 
     # -- the parts of an iteration ---------------------------------------------------------------
+
+    def find_solution(
+        self,
+        number: int,
+        start: Actives,
+        old: Iterate,
+        watch: Watch,
+        residuals: list[Residuals],
+    ) -> tuple[_Solution, Watch]:
+        """Return the QP of an iteration with its solution, and the state of the fixed point.
+
+        With the exact tangent where that is of use; where its QP has no solution, without.
+        """
+        tangent = not self.linear or (number == 1 and self.problem.terms.vary(self.problem.K))
+        lin, solved, rejected = None, None, ""
+        if self.is_exact(watch, residuals):
+            lin, solved, rejected = self.solve_exact(start, old, watch, residuals, tangent)
+            if rejected:
+                watch = watch.after_exact(np.inf, self.missed(residuals[-1]))
+        exact = solved is not None
+        if lin is None or solved is None:
+            accuracy = partial(self.accuracy, watch=watch, residuals=residuals)
+            near = bool(residuals) and residuals[-1].forces < STABLE
+            lin, solved = self.linearise(old, start, tangent, accuracy, near=near)
+        return _Solution(*self.drive(lin, solved, old), exact, rejected), watch
+
+    def take_step(self, first: bool, found: _Solution, largest: float, old: Iterate) -> _Moved:
+        """Move u, and tools that forces drive, along the solution of the QP; collective.
+
+        Args:
+            first: whether it is the first iteration of the step.
+            found: the QP and its solution.
+            largest: largest multiplier so far.
+            old: the iterate before.
+        """
+        problem, lin = self.problem, found.lin
+        T = problem.system.transformation if lin.geometry is None else lin.geometry.trial
+        du = to_displacement(T, found.solved.x)
+        self.check_distance(du, old.scales.extent)
+        if first and not self.shifted:
+            self.expected = du.norm()
+        volumes = problem.solid.volume_step(self.as_function(du))
+        length, halvings, energy = self.move(found, du, largest, old, volumes)
+        if found.driven is not None:
+            found.driven.drives.move(length * found.driven.travel)
+        pressure = None if volumes is None else volumes.pressure_at(length)
+        return _Moved(du, length, halvings, energy, pressure)
+
+    def predicted_gaps(self, lin: Linearisation, solved: QPSolution, length: float) -> Floats:
+        """Return the gaps (owned nodes,) that the QP predicts at a share of its solution."""
+        bounds, gaps = lin.balance.bounds, np.full(self.problem.n, np.nan)
+        gaps[lin.balance.nodes] = bounds.upper - length * solved.x.array_r[bounds.dofs]
+        return gaps
 
     def first_forces(self, lin: Linearisation) -> float:
         """Return the size of the forces of the first QP, prescribed increments included."""
@@ -668,13 +720,11 @@ class _Step:
 
     def move(
         self,
-        lin: Linearisation,
-        solved: QPSolution,
+        found: _Solution,
         du: PETSc.Vec,
         largest: float,
         old: Iterate,
         volumes: VolumeStep | None,
-        driven: driven_tools.Settled | None,
     ) -> tuple[float, int, Energy | None]:
         """Move u along the step; return its length, the halvings, and J.
 
@@ -683,6 +733,7 @@ class _Step:
         rigidly at the start of the step. It is shorter where it would turn a cell inside out.
         """
         problem, energy = self.problem, old.energy
+        lin, solved, driven = found.lin, found.solved, found.driven
         lost = gap_round_off(problem.u)
         asked = float(maximum(problem.comm, old.balance.equal.scale)[0])
         with problem.timings("assembly"):
@@ -690,8 +741,8 @@ class _Step:
                 if energy is None or asked > lost or lin.geometry is not None:
                     curve = None if driven is None else driven.curve
                     return *shorten(problem, du.array_r, curve), problem.terms.energy()
-                found = search(problem, lin, solved, du, largest, energy, volumes, driven)
-                return found if volumes is None else (*found[:2], problem.terms.energy())
+                way = search(problem, lin, solved, du, largest, energy, volumes, driven)
+                return way if volumes is None else (*way[:2], problem.terms.energy())
             except NoDescent as error:
                 raise failures.StepFailed(str(error)) from error
 
