@@ -35,7 +35,7 @@ from dolfinx_mortar.interfaces.nodal import check_mesh
 from dolfinx_mortar.mortar.operators import SmoothSides
 
 # A slave normal of which Dirichlet data, or the motion of surfaces, leave less than this share of
-# its length has no direction in which contact could act.
+# its length has no direction in which contact could act: what is left is more than 60 degrees off.
 MIN_FREE_NORMAL = 0.5
 
 

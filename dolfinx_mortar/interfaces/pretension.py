@@ -41,7 +41,8 @@ Force = float | fem.Constant | None
 # Along the outward normal of the slave side, cosine: less is shear rather than tension, or points
 # into the body where it is negative. Cuts at 60 degrees to the axis are above.
 ALONG = 0.45
-# Mean of the unit normals of a side, length: a shorter one is that of a side around a shank.
+# Mean of the unit normals of a side, length: a shorter one is that of a side around a shank. An arc
+# of the angle 2 a has sin(a) / a, which is below for more than 327 of 360 degrees.
 AROUND = 0.1
 
 

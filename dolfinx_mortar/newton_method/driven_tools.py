@@ -57,7 +57,11 @@ from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPSolution
 
 OVERSHOOT = 0.5
-"""Share of the force along a step that may be there in the other direction at its end."""
+"""Share of the force along a step that may be there in the other direction at its end.
+
+A force that changes linearly from 1 to -s vanishes at 1 / (1 + s) of the step: beyond that it may
+go by a third of itself.
+"""
 
 Solve = Callable[[Linearisation], QPSolution]
 

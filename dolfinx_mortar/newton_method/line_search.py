@@ -25,7 +25,9 @@ from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPSolution
 from dolfinx_mortar.terms.sum import Energy, VolumeStep
 
-# Share of the decrease promised by the slope that is enough; and the smallest length of a step.
+# Share of the decrease promised by the slope that is enough (Armijo's condition, with the constant
+# of Dennis and Schnabel 1983, and Nocedal and Wright 2006); and the smallest length of a step: 14
+# halvings.
 ARMIJO = 1e-4
 
 Curve = Callable[[float], Floats]

@@ -88,10 +88,11 @@ from dolfinx_mortar.terms.sum import Energy, VolumeStep
 
 log = logging.getLogger(__name__)
 
+# Relative residual of forces below which an indefinite tangent is used as it is, see `linearise`.
+STABLE = 1e-3
 # Multiples of the elastic stiffness that are tried one after the other where a tangent is
 # indefinite. A compression by a share e of the moduli needs about e, in a slender column, whose
 # elastic stiffness against bending is low, e times its length over its thickness, squared.
-STABLE = 1e-3  # relative residual of forces below which an indefinite tangent is used as it is
 SHIFTS = (0.0, 0.01, 0.1, 1.0, 10.0, 100.0, 1000.0)
 # How often a QP with the exact tangent is solved once more, with the parts of gap rows that T_g
 # neglects. They are some per cent of the rows, so that each correction gains one to two digits.
