@@ -12,27 +12,14 @@ import dolfinx_mortar as dm
 import dolfinx_mortar.steps.newton as newton_module
 from dolfinx import fem
 from dolfinx_mortar.algebra import congruence, triplets
-from dolfinx_mortar.geometry.facets import points_of
 from dolfinx_mortar.mortar import edges
 from dolfinx_mortar.mortar.curvature_correction import (
-    find_smooth_sides,
     height_slopes,
-    point_heights,
 )
-from dolfinx_mortar.mortar.derivatives import Tractions, differentiate
+from dolfinx_mortar.mortar.derivatives import differentiate
 from dolfinx_mortar.mortar.edges import Sharing, open_duals
 from dolfinx_mortar.mortar.integrals import (
-    default_keep,
     find_segments,
-    node_weights,
-    weighted_duals,
-)
-from dolfinx_mortar.mortar.pairing import create_pairing, received_facets
-from dolfinx_mortar.mortar.surface import (
-    coordinates,
-    create_surface,
-    facets_at,
-    normal_derivatives,
 )
 from dolfinx_mortar.newton_method.watch import DIGIT, MOST_RISES, Watch
 from tests import meshes, on_edges
@@ -40,12 +27,13 @@ from tests.choice import quick
 from tests.finite_sliding import indentation, walk
 from tests.hertz_case import ELASTIC, create_case, create_mesh
 from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
+from tests.rough_sides import RoughSides
 
 COMM, COMM_WORLD = MPI.COMM_SELF, MPI.COMM_WORLD
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
-class Rough:
+class Rough(RoughSides):
     """Two rough, bent sides that cover each other in part, with random tractions."""
 
     def __init__(self, degree, *, smooth, rings, shared, seed):
@@ -59,24 +47,13 @@ class Rough:
             COMM, n_lower=(7, 1), n_upper=(4, 1), x_lower=(0.5, 1.5), x_upper=(1.0, 2.0)
         )
         V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
-        self.u, X = fem.Function(V), V.tabulate_dof_coordinates()[:, :2]
-        self.u.x.array[:] = 0.03 * rng.standard_normal(self.u.x.array.size)
-        self.u.x.array[1::2] -= 0.2 * (X[:, 0] - 1.3) ** 2
-        sides = (meshes.TOP_OF_LOWER, "slave"), (meshes.BOTTOM_OF_UPPER, "master")
-        self.slave, self.master = (create_surface(V, facets, *side) for side in sides)
+        u, X = fem.Function(V), V.tabulate_dof_coordinates()
+        u.x.array[:] = 0.03 * rng.standard_normal(u.x.array.size)
+        u.x.array[1::2] -= 0.2 * (X[:, 0] - 1.3) ** 2
         weight = (lambda x: 2 * np.pi * x[..., 0]) if rings else None
-        surfaces = self.slave, self.master
-        self.pairing = create_pairing(V, *surfaces, self.u, weight=weight)
-        self.smooth = None
-        if smooth:
-            found = find_smooth_sides(self.pairing, np.zeros(X.shape, dtype=bool), 40.0)
-            a, b = (replace(s, sagitta=rng.uniform(0.05, 0.1, s.sagitta.shape)) for s in found)
-            self.smooth = a, b
-        self.values = rng.uniform(0.5, 1.0, (2, len(self.slave.nodes)))
-        segments, _ = find_segments(self.pairing, self.u)
-        self.keep = default_keep(self.pairing, segments, *node_weights(self.pairing, segments))
+        sagittas = (0.05, 0.1) if smooth else None
+        super().__init__(u, facets, TURN, rng, sagittas=sagittas, weight=weight)
         self.shared = shared
-        self.nodes = np.concatenate([self.slave.nodes, self.pairing.master_nodes])
 
     def sharing(self, segments):
         """Return what is shared out at the present displacement."""
@@ -87,37 +64,8 @@ class Rough:
 
     def duals(self, segments):
         """Return the weighted dual functions."""
-        Phi = weighted_duals(self.pairing, segments, self.keep)
+        Phi = super().duals(segments)
         return open_duals(self.pairing, segments, Phi, self.keep, self.sharing(segments))
-
-    def given(self, n):
-        """Return normals and tractions for averaged normals."""
-        k, (a, b) = self.keep[:, None], self.values[:, :, None]
-        one = np.broadcast_to(np.eye(2), (len(n), 2, 2)) * k[:, None]
-        changes = a[..., None] * one + b[..., None] * TURN @ one
-        return Tractions(k * n, one, k * (a * n + b * n @ TURN.T), changes)
-
-    def forces_and_gaps(self):
-        """Return the forces on all nodes and the weighted gaps."""
-        segments, n = find_segments(self.pairing, self.u)
-        given, own = self.given(n), len(self.slave.nodes)
-        Phi = self.duals(segments)
-        sides = (
-            (facets_at(self.slave, coordinates(self.slave, self.u)), segments.slave, segments.xi_s),
-            (received_facets(self.pairing, self.u), segments.master, segments.xi_m),
-        )
-        x_s, x_m = (points_of(*side) for side in sides)
-        N_s, N_m = (facets.element.shape_functions(xi) for facets, _, xi in sides)
-        nodes, others = self.slave.facets[segments.slave], self.pairing.master_facets
-        s = np.einsum("qj,qji->qi", Phi, given.tractions[nodes])[:, None]
-        F, G = np.zeros((len(self.nodes), 2)), np.zeros(own)
-        np.add.at(F, nodes, N_s[:, :, None] * s)
-        np.add.at(F, own + others[segments.master], -N_m[:, :, None] * s)
-        gap = np.einsum("qji,qi->qj", given.normals[nodes], x_m - x_s)
-        if self.smooth is not None:
-            gap -= point_heights(self.pairing, segments, self.u, self.smooth)[:, None]
-        np.add.at(G, nodes, Phi * gap)
-        return F.ravel(), G
 
     def derivatives(self):
         """Return those of the forces and the weighted gaps by the coordinates of both sides."""
@@ -127,35 +75,9 @@ class Rough:
             slopes = height_slopes(self.pairing, segments, self.u, self.smooth)
         at = self.pairing, self.u, segments, self.keep, self.duals(segments)
         found = differentiate(*at, self.given(n), slopes, self.sharing(segments))
-        blocks, own = normal_derivatives(self.slave, coordinates(self.slave, self.u)), len(n)
-        N = np.zeros((own, 2, len(self.nodes), 2))
-        for f, nodes in enumerate(self.slave.facets):
-            for j, a in enumerate(nodes):
-                for k, b in enumerate(nodes):
-                    N[a, :, b] += blocks[f, j, :, k]
-        N = N.reshape(2 * own, -1)
+        N = self.normals_by_nodes()
         (F_x,), (F_n,), (G_x,), (G_n,) = found.F_x, found.F_n, found.G_x, found.G_n
         return F_x + F_n @ N, G_x + G_n @ N
-
-    def differences(self):
-        """Return them by central differences, extrapolated."""
-        columns = []
-        for node in self.nodes:
-            for i in range(2):
-                columns.append(
-                    (4 * self._difference(node, i, 1e-5) - self._difference(node, i, 2e-5)) / 3
-                )
-        both = np.stack(columns, axis=1)
-        return np.split(both, [2 * len(self.nodes)])
-
-    def _difference(self, node, i, h):
-        results = []
-        for step in (h, -h):
-            before = self.u.x.array[2 * node + i]
-            self.u.x.array[2 * node + i] += step
-            results.append(np.concatenate(self.forces_and_gaps()))
-            self.u.x.array[2 * node + i] = before
-        return (results[0] - results[1]) / (2 * h)
 
 
 @pytest.mark.parametrize("shared", [False, True])

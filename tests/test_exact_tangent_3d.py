@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The exact tangent of moving geometry in 3D: its derivatives, its rate, and when it is used."""
 
-from dataclasses import replace
-
 from mpi4py import MPI
 
 import numpy as np
@@ -15,30 +13,18 @@ from dolfinx_mortar.algebra import congruence, triplets
 from dolfinx_mortar.algebra.block_sums import Blocks
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.geometry import area
-from dolfinx_mortar.geometry.facets import points_of
 from dolfinx_mortar.mortar import curvature_correction
-from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides, point_heights
-from dolfinx_mortar.mortar.derivatives import Tractions
 from dolfinx_mortar.mortar.integrals import (
-    default_keep,
     find_segments,
-    node_weights,
-    weighted_duals,
 )
-from dolfinx_mortar.mortar.pairing import create_pairing, received_facets
 from dolfinx_mortar.mortar.space_derivatives import differentiate_in_space
-from dolfinx_mortar.mortar.surface import (
-    coordinates,
-    create_surface,
-    facets_at,
-    normal_derivatives,
-)
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.watch import contact_forces
 from tests import meshes_3d, on_edges
 from tests.ball_case import STEEL, create_mesh
 from tests.choice import crosswise, quick
 from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
+from tests.rough_sides import RoughSides
 
 COMM = MPI.COMM_SELF
 FACTORISED = {"pc_type": "cholesky"}
@@ -58,7 +44,7 @@ def summed(parts, shape):
     return total
 
 
-class Rough:
+class Rough(RoughSides):
     """Two rough, bent sides, with random tractions."""
 
     def __init__(
@@ -71,88 +57,23 @@ class Rough:
             COMM, *sizes, upper=upper, jitter=0.2, seed=seed, **kind
         )
         V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
-        self.u, X = fem.Function(V), V.tabulate_dof_coordinates()
-        self.u.x.array[:] = noise * rng.standard_normal(self.u.x.array.size)
-        self.u.x.array[2::3] -= 0.2 * (X[:, 0] - 0.4) ** 2 - 0.1 * X[:, 0] * X[:, 1]
-        tags = (meshes_3d.TOP_OF_LOWER, "slave"), (meshes_3d.BOTTOM_OF_UPPER, "master")
-        self.slave, self.master = (create_surface(V, facets, *tag) for tag in tags)
-        self.pairing = create_pairing(V, self.slave, self.master, self.u)
-        self.smooth = None
-        if smooth:
-            found = find_smooth_sides(self.pairing, np.zeros(X.shape, dtype=bool), 40.0)
-            a, b = (replace(s, sagitta=rng.uniform(0.02, 0.05, s.sagitta.shape)) for s in found)
-            self.smooth = a, b
-        self.values = rng.uniform(0.5, 1.0, (2, len(self.slave.nodes)))
-        segments, _ = find_segments(self.pairing, self.u)
-        self.keep = default_keep(self.pairing, segments, *node_weights(self.pairing, segments))
-        self.nodes = np.concatenate([self.slave.nodes, self.pairing.master_nodes])
-        self.turn = meshes_3d.rotation((1.0, 2.0, 3.0), 0.7)
-
-    def given(self, n):
-        """Return normals and tractions for averaged normals."""
-        k, (a, b) = self.keep[:, None], self.values[:, :, None]
-        one = np.broadcast_to(np.eye(3), (len(n), 3, 3)) * k[:, None]
-        changes = a[..., None] * one + b[..., None] * self.turn @ one
-        return Tractions(k * n, one, k * (a * n + b * n @ self.turn.T), changes)
-
-    def forces_and_gaps(self):
-        """Return the forces on all nodes and the weighted gaps."""
-        segments, n = find_segments(self.pairing, self.u)
-        given, own = self.given(n), len(self.slave.nodes)
-        Phi = weighted_duals(self.pairing, segments, self.keep)
-        sides = (
-            (facets_at(self.slave, coordinates(self.slave, self.u)), segments.slave, segments.xi_s),
-            (received_facets(self.pairing, self.u), segments.master, segments.xi_m),
-        )
-        x_s, x_m = (points_of(*side) for side in sides)
-        N_s, N_m = (facets.element.shape_functions(xi) for facets, _, xi in sides)
-        nodes, others = self.slave.facets[segments.slave], self.pairing.master_facets
-        s = np.einsum("qj,qji->qi", Phi, given.tractions[nodes])[:, None]
-        F, G = np.zeros((len(self.nodes), 3)), np.zeros(own)
-        np.add.at(F, nodes, N_s[:, :, None] * s)
-        np.add.at(F, own + others[segments.master], -N_m[:, :, None] * s)
-        gap = np.einsum("qji,qi->qj", given.normals[nodes], x_m - x_s)
-        if self.smooth is not None:
-            gap -= point_heights(self.pairing, segments, self.u, self.smooth)[:, None]
-        np.add.at(G, nodes, Phi * gap)
-        return F.ravel(), G
+        u, X = fem.Function(V), V.tabulate_dof_coordinates()
+        u.x.array[:] = noise * rng.standard_normal(u.x.array.size)
+        u.x.array[2::3] -= 0.2 * (X[:, 0] - 0.4) ** 2 - 0.1 * X[:, 0] * X[:, 1]
+        turn = meshes_3d.rotation((1.0, 2.0, 3.0), 0.7)
+        super().__init__(u, facets, turn, rng, sagittas=(0.02, 0.05) if smooth else None)
 
     def derivatives(self):
         """Return those of the forces and the weighted gaps by the coordinates of both sides."""
         segments, n = find_segments(self.pairing, self.u)
-        Phi = weighted_duals(self.pairing, segments, self.keep)
-        at = self.pairing, self.u, segments, self.keep, Phi
+        at = self.pairing, self.u, segments, self.keep, self.duals(segments)
         found = differentiate_in_space(*at, self.given(n), self.smooth)
-        blocks, own = normal_derivatives(self.slave, coordinates(self.slave, self.u)), len(n)
-        N = np.zeros((own, 3, len(self.nodes), 3))
-        for f, nodes in enumerate(self.slave.facets):
-            for j, a in enumerate(nodes):
-                for k, b in enumerate(nodes):
-                    N[a, :, b] += blocks[f, j, :, k]
-        N = N.reshape(3 * own, -1)
-        F, G = 3 * len(self.nodes), own
+        N = self.normals_by_nodes()
+        F, G = 3 * len(self.nodes), len(n)
         return tuple(
             summed(by_x, (i, N.shape[1])) + summed(by_n, (i, len(N))) @ N
             for i, by_x, by_n in ((F, found.F_x, found.F_n), (G, found.G_x, found.G_n))
         )
-
-    def differences(self, directions=None):
-        """Return them by central differences, extrapolated; along directions (.., nodes, 3)."""
-        every = np.eye(3 * len(self.nodes)).reshape(-1, len(self.nodes), 3)
-        columns = [
-            (4 * self._difference(1e-5 * v) - self._difference(2e-5 * v) / 2) / 3e-5
-            for v in (every if directions is None else directions)
-        ]
-        both = np.stack(columns, axis=1)
-        return np.split(both, [3 * len(self.nodes)])
-
-    def _difference(self, moved):
-        results, before = [], self.u.x.array.copy()
-        for step in (moved, -moved):
-            self.u.x.array.reshape(-1, 3)[self.nodes] += step
-            results.append(np.concatenate(self.forces_and_gaps()))
-            self.u.x.array[:] = before
-        return (results[0] - results[1]) / 2
 
 
 def errors(rough, directions=None):
