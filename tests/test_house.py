@@ -2,6 +2,7 @@
 """The floors of the house: which way imports point (ARCHITECTURE.md)."""
 
 import ast
+import functools
 import re
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -65,9 +66,15 @@ FOREIGN = {  # libraries that a floor must not know
 }
 
 
+@functools.cache
+def nodes(file):
+    """Return all nodes of a file's syntax tree, the module first."""
+    return list(ast.walk(ast.parse(file.read_text())))
+
+
 def imported(file):
     """Yield the dotted names that a file imports, also inside functions and for types only."""
-    for node in ast.walk(ast.parse(file.read_text())):
+    for node in nodes(file):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -134,13 +141,14 @@ def test_floors_know_no_more_than_they_must():
 def test_every_floor_says_what_it_is_for():
     for floor in BELOW:
         if (PACKAGE / floor).is_dir():
-            assert ast.get_docstring(ast.parse((PACKAGE / floor / "__init__.py").read_text()))
+            assert ast.get_docstring(nodes(PACKAGE / floor / "__init__.py")[0])
 
 
 def creations(file):
     """Yield the calls that create an object of PETSc on a communicator."""
-    for call in ast.walk(ast.parse(file.read_text())):
-        text = ast.unparse(call) if isinstance(call, ast.Call) else ""
+    of_petsc = "PETSc." in file.read_text()
+    for call in nodes(file):
+        text = ast.unparse(call) if of_petsc and isinstance(call, ast.Call) else ""
         if re.match(r"PETSc\.(IS|KSP|Mat|NullSpace|PC|SF|TAO|Vec)\(\)\.create", text):
             yield text
 
@@ -174,7 +182,7 @@ def test_named_numbers_are_few():
     names = [
         (file.stem, name.id)
         for file in PACKAGE.rglob("*.py")
-        for node in ast.parse(file.read_text()).body
+        for node in nodes(file)[0].body
         for name in assigned_numbers(node)
     ]
     known = {*FORMATS, *SIZES, *TABLES, *TAGS}
@@ -202,7 +210,7 @@ def test_classes_have_few_attributes():
     kinds = [
         kind
         for file in PACKAGE.rglob("*.py")
-        for kind in ast.walk(ast.parse(file.read_text()))
+        for kind in nodes(file)
         if isinstance(kind, ast.ClassDef)
     ]
     assert not {kind.name: found for kind in kinds if len(found := attributes(kind)) > 12}
