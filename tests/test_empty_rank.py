@@ -40,12 +40,16 @@ def pressed(comm, partition, d, kind, law):
     return np.array(interface.force), report.certificate, comm.allgather(count)
 
 
-LAWS = [dm.Elastic(500.0, 0.2), dm.VonMises(E=1000.0, nu=0.3, Y=2.0, a=100.0)]
+ELASTIC, PLASTIC = dm.Elastic(500.0, 0.2), dm.VonMises(E=1000.0, nu=0.3, Y=2.0, a=100.0)
+CASES = {  # of two values of three things each, all pairs
+    "plane contact elastic": (2, dm.Contact, ELASTIC),
+    "plane tie plastic": (2, dm.Tie, PLASTIC),
+    "space contact plastic": (3, dm.Contact, PLASTIC),
+    "space tie elastic": (3, dm.Tie, ELASTIC),
+}
 
 
-@pytest.mark.parametrize("law", LAWS, ids=["elastic", "plastic"])
-@pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
-@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize(("d", "kind", "law"), CASES.values(), ids=CASES)
 def test_same_force_with_a_rank_that_has_nothing(d, kind, law):
     alone, expected, _ = pressed(MPI.COMM_SELF, "graph", d, kind, law)
     force, certificate, cells = pressed(COMM, "empty", d, kind, law)

@@ -316,7 +316,7 @@ def test_a_step_that_fails_leaves_no_levels_to_later_ones():
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize("depth", [0.6, 0.7])
+@pytest.mark.parametrize("depth", quick([0.6, 0.7], 0.7))
 def test_a_saddle_is_factorised_where_multigrid_gives_up(depth, monkeypatch):
     """Its own tangent leads to it, a shifted one away. What is too large is not factorised."""
     law, options = dm.VonMises(206_900.0, 0.29, 367.0, 1000.0), {"mat_mumps_icntl_14": 40}
