@@ -71,48 +71,71 @@ def explain(
     if not isinstance(error, StepFailed):
         number, cause = len(report.iterations) + 1, message.rstrip(". ")
         message = f"the QP of Newton iteration {number}: {cause}"
-    before, shown = problem.u.x.array.copy(), problem.solid.keep()
-    try:
-        problem.u.x.array[:] = at
-        flowing = describe_flow(problem)
-        finite = problem.solid.strain == "finite"
-        squeezed = problem.solid.gradients.describe_shortened(SQUEEZED) if finite else ""
-    finally:
-        problem.u.x.array[:] = before
-        problem.solid.put_back(shown)
+    flowing, squeezed = _look_at(problem, at)
     if flowing:  # a singular matrix is reported by the solver as a body that nothing holds
         report.notes.append(message)
         message = flowing
-    elif problem.system.pretensions and (loose := problem.loose_motions()):
-        message = (
-            f"nothing resists the overlap of a tie with a pretension, against {'; '.join(loose)}: "
-            "supports, ties or contacts have to hold both ends of the bolt against the direction, "
-            f"which points out of the slave side for tension. {message}"
-        )
-    elif held := problem.held_by_contact():
-        if problem.system.has_friction:  # solvers report this cause in several ways
-            message = f"{TOO_MUCH[is_loaded(problem)]}: {message}"
-        message += (
-            f". Contact alone holds {'; '.join(held)}: it may float away (do the loads press it "
-            "on?), or slides or rolls freely (then prescribe that motion)"
-        )
-    shifted = sum(it.shift > 0.0 for it in report.iterations)
-    inverted = bool(squeezed) or "inside out" in message
-    if 2 * shifted > len(report.iterations) and (not inverted or is_loaded(problem)):
-        message += (
-            f". The tangent was indefinite in {shifted} of {len(report.iterations)} iterations, as "
-            f"{UNSTABLE[is_loaded(problem)]}{describe_cells(problem)}"
-        )
-    elif finite and problem.linear.blind:
-        message += (
-            f". The factorisation {problem.linear.blind} does not tell whether a tangent is "
-            "indefinite, and nothing was added to it: choose the default, "
-            "petsc_options={'pc_type': 'cholesky', 'pc_factor_mat_solver_type': 'mumps'}"
-        )
+    else:
+        message = _with_loose_motions(problem, message)
+    message += _describe_tangents(problem, report, bool(squeezed) or "inside out" in message)
     if squeezed and "inside out" not in message:
         message += f". Where it ended, {squeezed}: take smaller load steps, or compress it less"
     message += _describe_pressures(problem) + _describe_own_laws(problem)
     return NewtonNotConverged(f"{message}{AS_BEFORE}", report)
+
+
+def _look_at(problem: ContactProblem, u: Floats) -> tuple[str, str]:
+    """Say which body flows at a displacement, and which cells are shortened there; collective."""
+    before, shown = problem.u.x.array.copy(), problem.solid.keep()
+    try:
+        problem.u.x.array[:] = u
+        flowing = describe_flow(problem)
+        finite = problem.solid.strain == "finite"
+        return flowing, problem.solid.gradients.describe_shortened(SQUEEZED) if finite else ""
+    finally:
+        problem.u.x.array[:] = before
+        problem.solid.put_back(shown)
+
+
+def _with_loose_motions(problem: ContactProblem, message: str) -> str:
+    """Return a message with what nothing holds, or contact alone; collective."""
+    if problem.system.pretensions and (loose := problem.loose_motions()):
+        return (
+            f"nothing resists the overlap of a tie with a pretension, against {'; '.join(loose)}: "
+            "supports, ties or contacts have to hold both ends of the bolt against the direction, "
+            f"which points out of the slave side for tension. {message}"
+        )
+    if not (held := problem.held_by_contact()):
+        return message
+    if problem.system.has_friction:  # solvers report this cause in several ways
+        message = f"{TOO_MUCH[is_loaded(problem)]}: {message}"
+    return message + (
+        f". Contact alone holds {'; '.join(held)}: it may float away (do the loads press it "
+        "on?), or slides or rolls freely (then prescribe that motion)"
+    )
+
+
+def _describe_tangents(problem: ContactProblem, report: StepReport, inverted: bool) -> str:
+    """Say whether tangents were indefinite, or that nobody could tell; collective.
+
+    Args:
+        problem: the problem.
+        report: of the step that has failed.
+        inverted: whether cells were turned inside out or nearly so, which is a cause by itself.
+    """
+    shifted = sum(it.shift > 0.0 for it in report.iterations)
+    if 2 * shifted > len(report.iterations) and (not inverted or is_loaded(problem)):
+        return (
+            f". The tangent was indefinite in {shifted} of {len(report.iterations)} iterations, as "
+            f"{UNSTABLE[is_loaded(problem)]}{describe_cells(problem)}"
+        )
+    if problem.solid.strain == "finite" and problem.linear.blind:
+        return (
+            f". The factorisation {problem.linear.blind} does not tell whether a tangent is "
+            "indefinite, and nothing was added to it: choose the default, "
+            "petsc_options={'pc_type': 'cholesky', 'pc_factor_mat_solver_type': 'mumps'}"
+        )
+    return ""
 
 
 def describe_cells(problem: ContactProblem) -> str:
