@@ -62,6 +62,31 @@ def find_referenced(sides: Sides, pattern: Pattern, banned: Bools, coverage: Cov
     return leant_on
 
 
+def _why_claimed(
+    sides: Sequence[Sides], interfaces: Sequence[Interface], owners: Ints, k: int
+) -> str:
+    """Return why nodes of an interface belong to others, and what to do; collective.
+
+    Args:
+        sides: of all interfaces.
+        interfaces: the descriptions.
+        owners: of those nodes; the first one is told of.
+        k: number of the interface that they are taken from.
+    """
+    first = int(owners.min(initial=k))
+    pair = sides[k].V.mesh.comm.allreduce(first, op=MPI.MIN), k
+    why = "claimed by an earlier interface that they face as well; "
+    if all(sides[i].master is None for i in pair):
+        return why + (
+            "where the body may slide from one tool onto the other, give one Obstacle the Union of "
+            "their shapes"
+        )
+    opens = [interfaces[i] for i in pair if interfaces[i].unilateral]
+    if len(opens) == 1:
+        return why + f"let the other side of {opens[0]} be the slave"
+    return why + "give both masters one tag"
+
+
 def resolve_claims(
     interfaces: Sequence[Interface],
     sides: Sequence[Sides],
@@ -102,12 +127,8 @@ def resolve_claims(
     for k in range(len(sides)):
         lost = np.zeros(n, dtype=bool)
         lost[sides[k].nodes] = coverage[k].faces
-        note(
-            k,
-            lost & banned[k],
-            "claimed by an earlier interface whose master they face as well; "
-            "give both masters one tag",
-        )
+        lost &= banned[k]
+        note(k, lost, _why_claimed(sides, interfaces, owner[lost], k))
         both = dependent(k, k)  # of a surface that meets itself, where its slaves begin and end
         if interfaces[k].meets_itself:
             banned[k] |= both

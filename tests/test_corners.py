@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: MIT
+"""A node in the corner between two interfaces, which one of them gets: answers and notes."""
+
+import numpy as np
+import pytest
+
+import basix.ufl
+import dolfinx
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import fem, mesh
+from tests.pressed_blocks import COMM
+
+pytestmark = pytest.mark.mpi
+
+ELASTIC = dm.Elastic(100.0, 0.3)
+FLOOR, FOOT, TOP, BOTTOM, LEFT, RIGHT = range(1, 7)
+
+
+def wedge(friction=None):
+    """Return a square that stands on its corner in a groove of two planes, and its loads."""
+    domain = mesh.create_unit_square(COMM, 8, 8, mesh.CellType.quadrilateral)
+    x, c = domain.geometry.x, np.sqrt(0.5)
+    x[:, :2] = c * np.stack([x[:, 0] - x[:, 1], x[:, 0] + x[:, 1]], axis=1)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    found = [
+        mesh.locate_entities_boundary(domain, 1, lambda x, s=s: np.isclose(x[1], s * x[0]))
+        for s in (1, -1)
+    ]
+    values = np.repeat(np.array([1, 2], dtype=np.int32), [len(part) for part in found])
+    facets = np.concatenate(found)
+    order = np.argsort(facets)
+    tags = mesh.meshtags(domain, 1, facets[order], values[order])
+    planes = [dm.shapes.Plane((0.0, 0.0), (-s * c, c)) for s in (1, -1)]
+    tools = [
+        dm.Obstacle(tags, slave=k, shape=shape, friction=friction)
+        for k, shape in enumerate(planes, start=1)
+    ]
+    load = fem.Constant(domain, np.zeros(2))
+    loads = ufl.inner(load, ufl.TestFunction(V)) * ufl.dx
+    return dm.ContactProblem(dm.Solid(fem.Function(V), ELASTIC), tools, loads=loads), tools, load
+
+
+def test_a_body_in_a_groove_of_two_tools():
+    """Statics without friction: normal to the planes, (W + H) / sqrt 2 and (W - H) / sqrt 2."""
+    problem, tools, load = wedge()
+    for h in (0.0, 0.3):
+        load.value[:] = h, -2.0
+        report = dm.newton(problem, rtol=1e-9)
+        problem.commit()
+        for tool, s in zip(tools, (1, -1), strict=True):
+            assert np.allclose(tool.force, (1 + s * h / 2) * np.array([-s, 1.0]), atol=1e-6)
+    (note,) = (note for note in report.notes if "removed" in note)
+    assert "Union" in note
+    assert "masters" not in note
+
+
+def pressed(split, slave):
+    """Return the problem of a block, perhaps of two halves that are tied, on a floor, and notes.
+
+    Also displacements by coordinates, those of both halves on the cut.
+    """
+    width = np.linspace(0.0, 2.0, 9)
+    halves = [width[:5], width[4:]] if split else [width]
+    grids = [(np.linspace(-1.0, 3.0, 17), -1.0), *((x, 0.0) for x in halves)]
+    points, cells = [], []
+    for x, low in grids:
+        y, n, start = np.linspace(low, low + 1, 5), len(x), sum(map(len, points))
+        i, j = (a.ravel() for a in np.meshgrid(np.arange(n - 1), np.arange(4)))
+        points.append(np.stack([np.tile(x, 5), np.repeat(y, n)], axis=1))
+        cells.append(start + (j * n + i)[:, None] + np.array([0, 1, n, n + 1]))
+    own = COMM.rank == 0
+    domain = dolfinx.mesh.create_mesh(
+        COMM,
+        np.concatenate(cells)[: None if own else 0],
+        x=np.concatenate(points)[: None if own else 0],
+        e=basix.ufl.element("Lagrange", "quadrilateral", 1, shape=(2,)),
+    )
+    domain.topology.create_connectivity(1, 2)
+    facets = mesh.exterior_facet_indices(domain.topology)
+    cell_of = domain.topology.connectivity(1, 2)
+    inside = cell_of.array[cell_of.offsets[facets]]
+    cx, cy = (mesh.compute_midpoints(domain, 2, inside)[:, k] for k in range(2))
+    fx, fy = (mesh.compute_midpoints(domain, 1, facets)[:, k] for k in range(2))
+    flat, cut = np.isclose(fy, 0.0), np.isclose(fx, 1.0) & (cy > 0)
+    marks = [(np.isclose(fy, -1.0), BOTTOM), (np.isclose(fy, 1.0), TOP)]
+    marks += [(flat & (cy < 0), FLOOR), (flat & (cy > 0), FOOT)]
+    marks += [(cut & (cx < 1), LEFT), (cut & (cx > 1), RIGHT)]
+    values = np.zeros(len(facets), dtype=np.int32)
+    for where, tag in marks:
+        values[where] = tag
+    tags = mesh.meshtags(domain, 1, facets[values > 0], values[values > 0])
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    push = fem.Constant(domain, np.zeros(2))
+    bcs = [
+        fem.dirichletbc(value, fem.locate_dofs_topological(V, 1, tags.find(tag)), V)
+        for tag, value in ((BOTTOM, np.zeros(2)), (TOP, push))
+    ]
+    sides = {"slave": slave, "master": FOOT if slave == FLOOR else FLOOR}
+    contact = dm.Contact(tags, **sides, friction=0.3)
+    ties = [dm.Tie(tags, slave=LEFT, master=RIGHT)] if split else []
+    problem = dm.ContactProblem(dm.Solid(fem.Function(V), ELASTIC), [*ties, contact], bcs=bcs)
+    ramp = {push: [(0.0, (0.0, 0.0)), (1.0, (0.0, -0.02)), (2.0, (0.02, -0.02))]}
+    notes = []
+    for step in dm.load_steps(problem, [1.0, 2.0], ramp=ramp, rtol=1e-9, progress=False):
+        notes += step.report.notes
+    return contact, notes
+
+
+def test_a_tie_that_ends_in_a_contact():
+    """With the floor as slave two halves are as one; else the note says to make it the slave."""
+    whole, _ = pressed(split=False, slave=FLOOR)
+    halves, notes = pressed(split=True, slave=FLOOR)
+    assert np.allclose(halves.force, whole.force, rtol=1e-8)
+    assert halves.dissipation == pytest.approx(whole.dissipation, rel=1e-7)
+    assert not any("removed" in note for note in notes)
+    _, notes = pressed(split=True, slave=FOOT)
+    assert any("let the other side of Contact" in note for note in notes)
+    assert not any("masters" in note for note in notes)
