@@ -137,3 +137,16 @@ def test_a_tight_bolt_does_not_lie_in_itself(strain):
     assert tight.jump[1] < -0.05  # a sixth of the upper facets
     assert not told(tight.report, UNCOUPLED)
     assert tight.report.certificate.crossing < 0.01
+
+
+def test_a_rigid_side_that_turns_is_no_tie():
+    """All of it moves with the plate: nothing to tell."""
+    case = Turned(held=[BOTTOM])
+    plate = dm.RigidSide(case.tie.facet_tags, TOP, reference=(0.5, 1.0))
+    problem = dm.ContactProblem(case.solid, [case.tie, plate], bcs=case.problem.bcs)
+    case.turn(np.pi / 6)
+    plate.rotation.value = np.pi / 6
+    plate.position.value[:] = rotation(np.pi / 6) @ [0.5, 1.0]
+    report = dm.newton(problem)
+    assert not told(report, KEPT)
+    assert not told(report, APART)

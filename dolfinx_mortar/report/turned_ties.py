@@ -32,6 +32,8 @@ def notes_on_turned_ties(problem: ContactProblem) -> list[str]:
         return []
     notes = []
     for tie in problem.ties:
+        if not isinstance(tie, Tie):  # a rigid side, or a user's own
+            continue
         link = problem.system.link(tie)
         R = _turned(problem, link)
         found = _note_on_jump(problem, tie, link, R), _note_on_distance(problem, tie, link, R)
