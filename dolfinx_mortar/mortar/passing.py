@@ -5,6 +5,7 @@ Facets deeper than a part of the thinner body are no partners (`THROUGH`), and t
 an edge, so a side that moves far enough in one step has no partners at its end. The test is on the
 middle of the body behind each facet: as long as the sides have not passed through each other, it
 does not lie in the other body. Nor does it lie in a rigid tool, or the tool's point in the body.
+Middles count that are in their body at the start of the step.
 """
 
 from collections.abc import Callable
@@ -184,7 +185,26 @@ def _passed(
         find_passing((ways[k], ways[k + 1]), (others[k], others[k + 1]))
         for k in range(len(times) - 1)
     ]
-    return _first(side, other, faces, np.unique(np.concatenate(found)))
+    passed = np.unique(np.concatenate(found))
+    if comm.allreduce(len(passed), op=MPI.SUM):
+        skin = np.concatenate(comm.allgather(flat_parts(facets[0])))
+        passed = np.setdiff1d(passed, _outside(faces, start_at, skin))
+    return _first(side, other, faces, passed)
+
+
+def _outside(faces: Floats, middles: Floats, skin: Floats) -> Longs:
+    """Return which middles (q,) are not in the body behind their facet any more, ascending.
+
+    They stay straight behind it: of the end of a strip they are farther away than the strip is
+    thick, leave it through its skin as it bends, and may come back in, or into the next winding.
+
+    Args:
+        faces: centres (k, d) of the facets.
+        middles: (k, d).
+        skin: lines or triangles (m, d, d) of the side, outward, of all ranks.
+    """
+    inward = skin[:, ::-1]
+    return find_passing((faces, middles), (inward, inward))
 
 
 def _first(side: Middles, through: Surface | None, faces: Floats, passed: Longs) -> Passing | None:
