@@ -313,8 +313,6 @@ def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
         sides.V.mesh.comm, (-gap).max(initial=-np.inf), gap.max(initial=-np.inf)
     )
     itself = link.interface.meets_itself
-    left_out = covered & ~kept & ~link.coupling.coverage.weightless
-    prescribed = left_out & sides.fixed[link.nodes].any(axis=1)
     counts = sides.V.mesh.comm.allreduce(
         np.array(
             [
@@ -323,7 +321,7 @@ def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
                 kept.sum(),
                 (~covered).sum(),
                 (covered & ~kept).sum(),
-                (prescribed & ~link.banned[link.nodes]).sum(),
+                (link.prescribed & ~link.banned[link.nodes]).sum(),
                 _count_facing_away(link.pairing) if link.pairing and not itself else 0,
             ]
         ),
@@ -336,7 +334,7 @@ def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     size = ROUND_OFF * max(float(lengths[0]), float(maximum(sides.V.mesh.comm, x)[0]))
     ends = [0.0 if abs(end) < size or np.isinf(end) else float(end) for end in (-least, largest)]
     edges = _edges(link) if link.pattern.smooth else None
-    unheld = find_unheld(link, prescribed)
+    unheld = find_unheld(link)
     row = *map(int, counts), ratio, *ends, edges, measure_reach(link), unheld, itself
     return InterfaceAudit(repr(link.interface), *row)  # type: ignore[arg-type]
 

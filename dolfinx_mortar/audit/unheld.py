@@ -7,9 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Bools
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.mortar.surface import accumulate
 
 
 @dataclass(frozen=True)
@@ -29,18 +27,12 @@ class Unheld:
         )
 
 
-def find_unheld(link: Link, prescribed: Bools) -> Unheld | None:
-    """Return the slave facets without a multiplier that meet several master facets; collective.
-
-    Args:
-        prescribed: (n,) owned slave nodes without a multiplier because of Dirichlet data.
-    """
+def find_unheld(link: Link) -> Unheld | None:
+    """Return the slave facets without a multiplier that meet several master facets; collective."""
     if not link.pairing:
         return None
     slave, segments = link.sides.slave, link.mortar[1].segments
-    marks = np.zeros(len(slave.nodes))
-    marks[: slave.owned] = prescribed
-    bare = np.asarray((accumulate(slave, marks) > 0)[slave.facets].all(axis=1))
+    bare = link.prescribed_facets()
     met = np.unique(np.column_stack([segments.slave, segments.master]), axis=0)[:, 0]
     bare &= np.bincount(met, minlength=len(bare)) > 1
     places = slave.X[slave.facets[bare]].mean(axis=1)

@@ -12,6 +12,7 @@ import numpy as np
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.interfaces.coupling import CoupledSides
 from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.mortar.surface import accumulate
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,20 @@ class Link(CoupledSides):
     def equal(self) -> Bools:
         """Constrained directions (n, d) held by equalities: all, or none if the link can open."""
         return self.constrained & (not self.interface.unilateral)
+
+    @property
+    def prescribed(self) -> Bools:
+        """Slave nodes (n,) that face the master without a multiplier, because of Dirichlet data."""
+        kept, coverage = self.coupling.kept.any(axis=1), self.coupling.coverage
+        left_out = coverage.faces & ~kept & ~coverage.weightless
+        return np.asarray(left_out & self.sides.fixed[self.nodes].any(axis=1))
+
+    def prescribed_facets(self) -> Bools:
+        """Return the slave facets (m,) of this rank with such nodes alone; collective."""
+        slave = self.sides.slave
+        marks = np.zeros(len(slave.nodes))
+        marks[: slave.owned] = self.prescribed
+        return np.asarray((accumulate(slave, marks) > 0)[slave.facets].all(axis=1))
 
     def held_motion(self, v: PETSc.Vec) -> Floats:
         """Return the constrained motion that is resisted both ways, see `equal`; collective."""

@@ -91,11 +91,19 @@ def _note(link: Link, u: fem.Function, unseen: float | None) -> list[str]:
     if ratio <= least:
         return []
     part = f"{ratio:.0%}" if ratio >= 0.01 else f"{ratio:.1g}"
+    bare = link.prescribed_facets()[link.mortar[0].pairs[pair, 0]]
+    why = (
+        f"nodes of slave={link.sides.slave.label} have no gap at an edge or corner between them; "
+        "let the finer or sharper side be the slave, or refine there"
+    )
+    if _deepest(comm, np.where(bare, share, 0.0), depth, place)[0] == ratio:
+        why = (
+            f"Dirichlet data prescribe the nodes of slave={link.sides.slave.label} there, so that "
+            "none has a multiplier, and nothing holds the master; let the other side be the slave"
+        )
     return [
         f"{link.interface}: around ({', '.join(f'{c:.4g}' for c in x)}) the sides lie "
-        f"{deepest:.3g} deep in each other, {part} of the finer facet there: nodes of "
-        f"slave={link.sides.slave.label} have no gap at an edge or corner between them; let the "
-        "finer or sharper side be the slave, or refine there"
+        f"{deepest:.3g} deep in each other, {part} of the finer facet there: {why}"
     ]
 
 
