@@ -59,9 +59,6 @@ NO_TIME = (
 as_floats = partial(np.asarray, dtype=np.float64)
 
 
-STATE = ("velocity", "acceleration", "balance", "contact", "friction", "load", "damping")
-
-
 @dataclass(frozen=True)
 class Scheme:
     """The parameters of the generalised alpha method.
