@@ -37,7 +37,7 @@ def read_about(comm: MPI.Comm, path: Path) -> dict[str, Any]:
         if comm.rank == 0:
             _check_kind(path)
             with _opened(path) as file:
-                _check_version(path, file)
+                _check_version(file)
                 about = dict(json.loads(file["about"][:].tobytes()))
     return dict(comm.bcast(about))
 
@@ -166,7 +166,7 @@ def _check_kind(path: Path) -> None:
         raise OSError(error.errno, f"path: {error.strerror}", str(path)) from error
 
 
-def _check_version(path: Path, file: Any) -> None:
+def _check_version(file: Any) -> None:
     """Raise an error if another version has written a file.
 
     Before 1.0 a minor version may change what laws and forms mean.

@@ -94,7 +94,7 @@ class ToolDerivatives(LinkDerivatives):
         slave = link.sides.slave
         at, x = self._at_points(link, u)
         traction, turned = self._tractions(link, x, multipliers, tangential)
-        dD, dg, D = _differentiate(at, slave.element.shares, in_D(slave.element))
+        dD, dg, D = _differentiate(at, in_D(slave.element))
         nodes = slave.facets[at.which]
         t, dt = traction[nodes], turned[nodes]
         forces = np.einsum("fji,fjlmc->flimc", t, dD)
@@ -187,9 +187,7 @@ class ToolDerivatives(LinkDerivatives):
         return at, x
 
 
-def _differentiate(
-    at: _OnFacets, shares: tuple[tuple[int, int, int], ...], diagonal: Bools
-) -> tuple[Floats, Floats, Floats]:
+def _differentiate(at: _OnFacets, diagonal: Bools) -> tuple[Floats, Floats, Floats]:
     """Return dD_jl/dx_mc (f, k, k, k, d), dg_j/dx_mc (f, k, k, d), and D_jl (f, k, k)."""
     keep, k = at.keep, at.keep.shape[1]
     both = keep[:, :, None] & keep[:, None]

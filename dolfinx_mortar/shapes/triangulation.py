@@ -145,7 +145,7 @@ def _find_neighbours(x: Floats, triangles: Longs, rim: bool) -> Longs:
     against = np.flatnonzero(ends[one, 0] == ends[other, 0])
     _refuse(
         x,
-        _find_turned(beyond, one, other, against, len(x)),
+        _find_turned(one, other, against, len(x)),
         "triangles that are turned against their neighbours",
         "order the corners of all counterclockwise as seen from outside of the tool",
     )
@@ -160,11 +160,10 @@ def _find_neighbours(x: Floats, triangles: Longs, rim: bool) -> Longs:
     return found
 
 
-def _find_turned(beyond: Longs, one: Longs, other: Longs, against: Longs, m: int) -> Bools:
+def _find_turned(one: Longs, other: Longs, against: Longs, m: int) -> Bools:
     """Return which triangles (m,) are turned against most of those that hang together with them.
 
     Args:
-        beyond: (3 m,) the triangle beyond each edge.
         one: (k,) an edge that two triangles have.
         other: (k,) the same edge as that of the other one.
         against: which of these pairs disagree.
