@@ -2,7 +2,9 @@
 """Forms compile faster: some hundred of them are a third of a run of the tests with empty caches.
 
 Measured over 128 forms, processor time of each: 171 ms without all this, 128 ms with it. Forms that
-are compiled already are found and loaded only once by each process, 9 % of a run with full caches.
+are compiled already are found and loaded only once by each process, and cells of elements made
+once: 13.9 s instead of 16.3 s for 77 tests with full caches, 74 s instead of 79 s for 301 tests
+with empty ones.
 """
 
 import functools
