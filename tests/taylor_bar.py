@@ -53,7 +53,7 @@ def quarter(n, layers, degree):
         radius *= np.sqrt(half / n / np.sin(half / n))
     s, heights = (np.linspace(0.0, 1.0, degree * k + 1) for k in (n, layers))
     z, t, s = np.meshgrid(LENGTH * heights, s, s, indexing="ij")
-    inner, corner = 0.5 * radius, 0.4 * radius
+    inner, corner = 0.55 * radius, 0.44 * radius
     square = [s * (inner + (corner - inner) * t), t * (inner + (corner - inner) * s), z]
     x, y = inner + (corner - inner) * t, corner * t
     x, y = x + s * (radius * np.cos(half * t) - x), y + s * (radius * np.sin(half * t) - y)
