@@ -140,9 +140,9 @@ def shape(u: fem.Function) -> dict[str, float]:
     X = V.tabulate_dof_coordinates()[:own, :2]
     x = X + u.x.array.reshape(-1, 2)[:own]
     ends = ((x[np.isclose(X[:, i], end), i]) for i, end in ((0, RADIUS), (1, LENGTH)))
-    of_rank = np.array([values.max(initial=0.0) for values in ends])
-    radius, length = MPI.COMM_WORLD.allreduce(of_rank, op=MPI.MAX)
-    return {"radius": float(radius), "length": float(length)}
+    largest = np.array([values.max(initial=0.0) for values in ends])
+    MPI.COMM_WORLD.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
+    return {"radius": float(largest[0]), "length": float(largest[1])}
 
 
 def compare(rows: list[dict]) -> dict[str, float]:
