@@ -29,11 +29,14 @@ from dolfinx_mortar.solid.state import as_tensors
 from dolfinx_mortar.solid.term import MatrixForm, create_vector
 from ufl.core.expr import Expr
 
-REASSOCIATE = ("-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math")
+REASSOCIATE = (
+    *("-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math"),
+    "-funroll-loops",
+)
 """Lets the compiler take the sums of a tangent in any order, several at once: Newton's method asks
 for no more, while residuals and energies are compiled as they are written. Infinity and NaN stay
 what they are. Measured, assembly on hexahedra, tetrahedra, quadrilaterals: .70, .89, .97 of the
-time."""
+time. Unrolled loops over functions take .86, 1.02, .97 of that, of second order .97, .90, .91."""
 
 
 def in_any_order() -> dict[str, list[str]]:
