@@ -25,7 +25,7 @@ import numpy as np
 
 from dolfinx import fem, geometry
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, TINY, Bools, Floats, Ints
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, QUARTER_OF_DIGITS, TINY, Bools, Floats, Ints
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.interfaces.system import InterfaceSystem
@@ -43,21 +43,22 @@ class Dent:
 
 
 def find_slides(
-    system: InterfaceSystem, closed: Bools, bodies: Bodies, shifts: Floats, u: fem.Function
+    system: InterfaceSystem, closed: Bools, bodies: Bodies, carried: Floats, u: fem.Function
 ) -> list[list[Dent]]:
     """Return for each contact that slides which of its sides may be dented; collective.
 
     Contacts that touch, whose sides supports or tools move against each other by a facet or more,
-    and whose sides belong to one group each. What moves less comes first.
+    and whose sides belong to one group each, which does not turn. What moves less comes first.
 
     Args:
         system: the interfaces.
         closed: (owned nodes,) slave nodes that touched at the last commit, and did not stick.
         bodies: of the mesh.
-        shifts: (bodies, d) how far supports carry them.
+        carried: (owned nodes, d) displacement by which supports move the bodies.
         u: displacement at the start of the step.
     """
-    slides, groups, of_nodes = [], bodies.groups, bodies.groups[bodies.label]
+    slides, of_nodes = [], bodies.groups[bodies.label]
+    shifts, turning = _shifts(bodies, carried, system.facet_length)
     for interface, sides in zip(system.interfaces, system.sides, strict=True):
         comm, touching = sides.V.mesh.comm, closed[sides.nodes]
         number = comm.allreduce(int(touching.sum()), op=MPI.SUM)
@@ -69,12 +70,14 @@ def find_slides(
         slave, master = (np.flatnonzero(on) for on in maximum(comm, *found.ravel()).reshape(2, -1))
         if len(slave) != 1 or len(master) > 1 or np.array_equal(slave, master):
             continue
+        if turning[slave[0]] or turning[master].any():
+            continue
         x = coordinates(sides.slave, u)
         at = x[: len(touching)][touching]
         tool = interface.tool_way(at, at) if sides.master is None else None
-        own = shifts[groups == slave[0]][0]
+        own = shifts[slave[0]]
         if len(master):
-            other = shifts[groups == master[0]][0]
+            other = shifts[master[0]]
         else:
             ways = np.zeros_like(at) if tool is None else tool
             other = comm.allreduce(ways.sum(axis=0), op=MPI.SUM) / number
@@ -88,6 +91,21 @@ def find_slides(
             dents = [Dent(int(slave[0]), way), *(Dent(int(m), -way) for m in master)]
             slides.append(dents if own @ own <= other @ other else dents[::-1])
     return slides
+
+
+def _shifts(bodies: Bodies, carried: Floats, length: float) -> tuple[Floats, Bools]:
+    """Return the mean (bodies, d) of a displacement over each group, and which differ; collective.
+
+    By more than round-off of the length.
+    """
+    comm, group, d = bodies.V.mesh.comm, bodies.groups[bodies.label], carried.shape[1]
+    sums = np.zeros((bodies.count, d + 1))
+    np.add.at(sums, group, np.column_stack([carried, np.ones(len(group))]))
+    sums = comm.allreduce(sums, op=MPI.SUM)
+    shifts = sums[:, :d] / np.maximum(sums[:, d:], 1.0)
+    off = np.zeros(bodies.count)
+    np.maximum.at(off, group, np.abs(carried - shifts[group]).max(axis=1, initial=0.0))
+    return shifts, np.asarray(maximum(comm, *off) > HALF_OF_DIGITS * length)
 
 
 def elastic_groups(solid: Solid, bodies: Bodies) -> Bools:

@@ -286,9 +286,10 @@ class ContactProblem:
         self.check_owned()
         data = self._read(level)
         before = self.owned_u.copy()
-        self.owned_u[:] += self._carried(data.asked, before)
+        carried = self._carried(data.asked, before)
+        self.owned_u[:] += carried
         self.u.x.scatter_forward()
-        self._convect(data.asked, before)
+        self._convect(carried, before)
         audit = audit and not self.committed.begun
         if audit:
             self._check_mesh()
@@ -352,21 +353,21 @@ class ContactProblem:
         x = self.X + u.reshape(self.X.shape)
         return mean + self.bodies.turned(asked, self.supports.owned, x).ravel()
 
-    def _convect(self, asked: Floats, before: Floats) -> None:
+    def _convect(self, carried: Floats, before: Floats) -> None:
         """Move the deformation of bodies along with what slides over them; collective.
 
-        Of the two sides of a contact, that whose moved deformation fits the other one. Where
-        strains are small a step is linear, but for friction, from wherever it begins.
+        Of the two sides of a contact, that whose moved deformation fits the other one: it leaves at
+        most half of the overlap. Where strains are small a step is linear, but for friction, from
+        wherever it begins.
 
         Args:
-            asked: (owned nodes, d), see `StepData`.
+            carried: displacement (n,) by which supports have moved the bodies.
             before: displacement (n,) at the start of the step.
         """
         if self.solid.strain == "small" or self.geometry == "reference":
             return
         closed, began = self.committed.active & ~self._stuck(), with_values(self.V, before)
-        shifts = self.bodies.mean(asked, self.supports.owned) * self.bodies.shifts
-        slides = find_slides(self.system, closed, self.bodies, shifts, began)
+        slides = find_slides(self.system, closed, self.bodies, carried.reshape(self.X.shape), began)
         if not slides:
             return
         elastic, free = elastic_groups(self.solid, self.bodies), ~self.supports.owned
@@ -379,7 +380,7 @@ class ContactProblem:
                 self.owned_u[:] += (free * convected(began, self.bodies, dent)).ravel()
                 self.u.x.scatter_forward()
                 found = self._overlap()
-                if found < left:
+                if 2.0 * found < left:
                     left = found
                     break
                 self.owned_u[:] = at
