@@ -613,6 +613,13 @@ def test_facets_of_first_order_on_a_round_tool(cell):
     assert pressure.max() > 3.0 and "choose Obstacle(..., surface='smooth')" in notes[0]
 
 
+@pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron"])
+def test_a_tool_that_fits_is_not_sharp(cell):
+    """Chords of 4 uneven facets leave the circle by up to .08 of their length."""
+    pressure, notes = ring_on_a_shaft(cell, 4, 1, 0.45)
+    assert pressure == pytest.approx(1.0, abs=0.04) and notes == []
+
+
 def test_a_flat_side_is_its_facets():
     """By default: what of a tool is between its nodes counts."""
     forces = []

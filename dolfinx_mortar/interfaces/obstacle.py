@@ -56,7 +56,7 @@ from dolfinx_mortar.interfaces.tool import (
 )
 from dolfinx_mortar.interfaces.tool_derivatives import ToolDerivatives
 from dolfinx_mortar.interfaces.tool_slips import ToolPartners
-from dolfinx_mortar.mortar.curvature_correction import find_smooth_side
+from dolfinx_mortar.mortar.curvature_correction import find_smooth_side, side_heights
 from dolfinx_mortar.mortar.integrals import Coverage, weighted_duals
 from dolfinx_mortar.mortar.operators import mean_values
 from dolfinx_mortar.mortar.pairing import Pairing
@@ -235,7 +235,7 @@ class Obstacle(Movable, Unilateral):
             # between the nodes of a flat side a tip of the tool is seen by its facets alone
             comm, highest = sides.V.mesh.comm, np.abs(own.sagitta).max(initial=0.0)
             smooth = float(maximum(comm, highest)[0]) > HALF_OF_DIGITS * mean_facet_length(slave)
-            own = None
+            own = own if smooth else None
         at = plain.row, plain.column, plain.split, plain.blocks, plain.scalars
         return None, SidePattern(*at, side=side, own=own, nodal=smooth and not second)
 
@@ -362,25 +362,34 @@ class Obstacle(Movable, Unilateral):
         """Return how deep points of integration and middles of facets are in the tool at X + u.
 
         And how deep the tool lies below its own point, of the facet that is nearest to that along
-        its normal: a ball may be smaller than what is between the others.
+        its normal: a ball may be smaller than what is between the others. Where nodes alone have
+        distances, the tool lies less deep in facets by what the surface through the nodes bends
+        away from it, as a bore from its shaft; that is taken in the middles of facets.
         """
         assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
         side, pose, x = link.pattern.side, self.tool.pose(), coordinates(link.sides.slave, u)
         facing = find_facing(side, pose, self.shape, x)
         segments, points = whole_facets(side, x, facing)
-        pattern = replace(link.pattern, nodal=False)  # between nodes, too
+        own, nodal = link.pattern.own, link.pattern.nodal
+        pattern = replace(link.pattern, nodal=False, own=None if nodal else own)
         gaps, _ = point_gaps(pattern, pose, self.shape, u, segments, points)
         nodes = x[side.slave.facets]
         sizes, middles = facet_sizes(nodes), nodes.mean(axis=1)[facing]
         facets = facets_at(side.slave, x)
+        less = np.zeros(len(sizes))
+        if nodal and own is not None:
+            at = np.tile(facets.element.points.mean(axis=0), (len(sizes), 1))
+            every = np.arange(len(sizes), dtype=np.int32)
+            less = np.minimum(side_heights(side.slave, own, u, every, at), 0.0)
         corners, n = nodes[:, list(facets.element.vertices)], facet_normals(facets)
         point = np.broadcast_to(pose.to_space(self.shape.point[None]), (len(n), x.shape[1]))
         above = ((point - corners.mean(axis=1)) * n).sum(axis=1)
         below = depth_of_point(self.seen_by_tool()) - above
         met = (above >= -sizes) & (below > 0.0) & are_inside(corners, n, point)
         depth = -np.concatenate([gaps, pose.distance(self.shape, middles).value, -below[met]])
-        sizes = np.concatenate([sizes[segments.slave], sizes[facing], sizes[met]])
-        return depth / sizes, depth, np.concatenate([points, middles, point[met]])
+        which = np.concatenate([segments.slave, np.flatnonzero(facing), np.flatnonzero(met)])
+        depth = depth + less[which]
+        return depth / sizes[which], depth, np.concatenate([points, middles, point[met]])
 
     def heights(self, link: CoupledSides, u: fem.Function | None) -> Floats | None:
         """Return those of facets of first order, see `Interface.heights`; collective."""
