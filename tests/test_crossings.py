@@ -8,11 +8,13 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
+from dolfinx.mesh import exterior_facet_indices, meshtags
 from dolfinx_mortar.geometry.crossings import find_crossings, near_pairs
 from dolfinx_mortar.geometry.facets import facet_sizes
 from dolfinx_mortar.mortar.surface import create_surface, facets_at, nodal_sagittas
 from dolfinx_mortar.report.uncoupled import find_crossing
 from tests import lug_case
+from tests.box_piles import THREE, create_boxes
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
 from tests.meshes_3d import two_boxes
 
@@ -137,6 +139,41 @@ def test_beside_a_contact(cell):
         move = np.array(way)[:, None]
         problem.u.interpolate(lambda x, move=move: move * (x[2] > 0.01))
         assert (find_crossing(problem).share > 0.1) is crosses
+
+
+def skins_of(mesh, cells):
+    """Tag the whole skin of each body with the tag of its cells."""
+    mesh.topology.create_connectivity(2, 3)
+    facets = exterior_facet_indices(mesh.topology)
+    cell_of, tag_of = mesh.topology.connectivity(2, 3), np.zeros(cells.indices.max() + 1, np.int32)
+    tag_of[cells.indices] = cells.values
+    return meshtags(mesh, 2, facets, tag_of[cell_of.array[cell_of.offsets[facets]]])
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("whole", [False, True])
+@pytest.mark.parametrize(
+    "cells", [((1, 1, 1), (1, 1, 1), (1, 1, 1)), ((5, 2, 2), (2, 2, 2), (3, 2, 2))]
+)
+def test_edges_that_touch_a_flank_do_not_cross_it(cells, whole):
+    """Three boxes around an edge, strained alike up to 1e-9, as a solver leaves them.
+
+    The edges of the base pass through the flanks on it by that, .2 to 1 from their ends.
+    """
+    mesh, tags = create_boxes(COMM, [(*box, n) for box, n in zip(THREE, cells, strict=True)])
+    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    contacts = dm.find_pairs(mesh, tags, show=False).contacts
+    if whole:
+        skins = skins_of(mesh, tags)
+        contacts = [dm.Contact(skins, slave=s, master=m) for s, m in ((2, 1), (3, 1), (2, 3))]
+    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), contacts)
+    strain = np.array([[-0.01], [0.003], [-0.01]])
+    turn = np.array([[12.9898, 78.233, 37.719], [39.346, 11.135, 83.155], [73.156, 52.235, 9.151]])
+    for seed in range(10):  # numbers that do not depend on the ranks
+        problem.u.interpolate(
+            lambda x, seed=seed: strain * x + 1e-9 * np.sin(1e3 * turn @ (x + 0.1 * seed))
+        )
+        assert find_crossing(problem).share < 1e-6
 
 
 def test_sagittas_of_a_cylinder():

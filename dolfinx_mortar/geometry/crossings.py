@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Where the boundaries of bodies cross: edges of one that pierce facets of the other."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import chain
 
 import numpy as np
@@ -19,6 +19,11 @@ class Crossings:
     pairs: Longs  # (p, 2) the facet with the edge, the facet that it crosses
     depth: Floats  # (p,) how far the edge reaches beyond that facet, to its nearer end
     place: Floats  # (p, d) where it crosses
+    ends: Floats  # (p, 2 d) both ends of the edge, ordered: facets that share it have the same
+
+    def part(self, which: Bools) -> "Crossings":
+        """Return some of them."""
+        return Crossings(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
 def bounds(x: Floats) -> tuple[Floats, Floats]:
@@ -79,9 +84,21 @@ def find_crossings(x: Floats, pairs: Longs) -> Crossings:
         place = p[some] + share * (q - p)[some]
         inside = are_inside(x[pairs[some, 1]], n[some], place)
         some, place = some[inside], place[inside]
-        found.append((pairs[some], np.minimum(np.abs(d0), np.abs(d1))[some], place))
-    pairs, depth, place = (np.concatenate([part[i] for part in found]) for i in range(3))
-    return Crossings(pairs, depth, place)
+        depth, ends = np.minimum(np.abs(d0), np.abs(d1))[some], ordered(p[some], q[some])
+        found.append((pairs[some], depth, place, ends))
+    return Crossings(*(np.concatenate([part[i] for part in found]) for i in range(4)))
+
+
+def ordered(p: Floats, q: Floats) -> Floats:
+    """Return the points p and q (m, d) beside each other (m, 2 d), the lower one first.
+
+    Example:
+        >>> ordered(np.array([[1.0, 0.0]]), np.array([[1.0, -2.0]])).tolist()
+        [[1.0, -2.0, 1.0, 0.0]]
+    """
+    differ = (p != q).argmax(axis=1)[:, None]
+    turned = np.take_along_axis(p > q, differ, axis=1)
+    return np.where(turned, np.hstack([q, p]), np.hstack([p, q]))
 
 
 def near_pairs(x: Floats, group: Longs, apart: Bools) -> Longs:

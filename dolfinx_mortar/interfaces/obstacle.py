@@ -380,7 +380,7 @@ class Obstacle(Movable, Unilateral):
         if nodal and own is not None:
             at = np.tile(facets.element.points.mean(axis=0), (len(sizes), 1))
             every = np.arange(len(sizes), dtype=np.int32)
-            less = np.minimum(side_heights(side.slave, own, u, every, at), 0.0)
+            less[:] = np.minimum(side_heights(side.slave, own, u, every, at), 0.0)
         corners, n = nodes[:, list(facets.element.vertices)], facet_normals(facets)
         point = np.broadcast_to(pose.to_space(self.shape.point[None]), (len(n), x.shape[1]))
         above = ((point - corners.mean(axis=1)) * n).sum(axis=1)

@@ -11,9 +11,15 @@ import numpy as np
 
 from dolfinx import la
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import Bools, Floats, Longs
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
 from dolfinx_mortar.audit.neighbours import boxes_of
-from dolfinx_mortar.geometry.crossings import bounds, find_crossings, near_others, near_pairs
+from dolfinx_mortar.geometry.crossings import (
+    Crossings,
+    bounds,
+    find_crossings,
+    near_others,
+    near_pairs,
+)
 from dolfinx_mortar.geometry.elements import LINE2, TRI3
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
 from dolfinx_mortar.geometry.sweep import flat_parts
@@ -90,7 +96,7 @@ class _Skin(FacetParts):
         one, other = pairs.T
         coupled = (self.sides[one] & self.sides[other][:, ::-1]).any(axis=(1, 2))
         n = facet_normals(Facets(LINE2 if self.x.shape[2] == 2 else TRI3, self.x))
-        return pairs[~(coupled & ((n[one] * n[other]).sum(axis=1) < 0.0))]
+        return pairs[~(coupled & ((n[one] * n[other]).sum(axis=1) < -HALF_OF_DIGITS))]
 
 
 def find_crossing(problem: ContactProblem) -> Crossing:
@@ -147,16 +153,17 @@ def _deepest(
 
 def _find_between(problem: ContactProblem) -> Crossing:
     """Return the deepest crossing of the boundaries of two bodies; collective."""
-    comm, skin = problem.comm, _create_skin(problem).received(problem.comm)
-    others = ~np.eye(problem.bodies.count, dtype=bool)
+    comm, own = problem.comm, _create_skin(problem)
+    skin, others = own.received(comm), ~np.eye(problem.bodies.count, dtype=bool)
     found = find_crossings(skin.x, skin.apart(near_pairs(skin.x, skin.body, others)))
+    found = found.part(found.pairs[:, 1] < len(own.body))  # its rank has all facets at the edge
     one, other = skin.part(found.pairs[:, 0]), skin.part(found.pairs[:, 1])
     size = np.minimum(facet_sizes(one.x), facet_sizes(other.x))
     reach = np.minimum(_seen_reach(one, other), _seen_reach(other, one))
     tied = (_touched(one) & _touched(other)[:, ::-1]).any(axis=1)
     meant = (tied * _longest_jumps(problem)).max(axis=1, initial=0.0)
     depth = np.minimum(found.depth - one.sagitta - other.sagitta, reach) - meant
-    depth = depth.clip(min=0.0)
+    depth = _least_at_edges(found, depth.clip(min=0.0))
     bodies = np.stack([one.body, other.body], axis=1)
     return _deepest(comm, depth / size, depth, found.place, bodies)
 
@@ -176,6 +183,20 @@ def _longest_jumps(problem: ContactProblem) -> Floats:
             longest = np.linalg.norm(jump, axis=1).max(initial=0.0)
             lengths[problem.system.interfaces.index(tie)] = maximum(problem.comm, longest)[0]
     return lengths
+
+
+def _least_at_edges(found: Crossings, depth: Floats) -> Floats:
+    """Return the least of the depths (p,) of all facets that share an edge and cross with it.
+
+    The edge between the top of a block and its flank lies along a flank of another block that
+    stands on it and ends there. By round-off it crosses that, far from both of its ends, where no
+    contact has its own flank; but its top sees where the other block ends.
+    """
+    edges = np.column_stack([found.ends, found.pairs[:, 1]])
+    _, edge = np.unique(edges, axis=0, return_inverse=True)
+    least = np.full(len(depth), np.inf)
+    np.minimum.at(least, edge.ravel(), depth)
+    return least[edge.ravel()]
 
 
 def _seen_reach(one: _Skin, other: _Skin) -> Floats:
