@@ -251,7 +251,7 @@ class _Judge:
 
 def _report(name: str, found: list[_Errors]) -> LawReport:
     """Return the largest errors of all samples."""
-    of = _Errors(*np.array(found, dtype=float).T)  # of each kind (samples,)
+    of = _Errors(*np.array(found, dtype=float).reshape(-1, len(_Errors._fields)).T)  # (samples,)
     highest = np.max(of.highest)
     return LawReport(
         name,
