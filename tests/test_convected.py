@@ -32,12 +32,12 @@ def test_values_are_those_at_the_nearest_points(cell):
     own = np.arange(V.mesh.topology.index_map(d).size_local, dtype=np.int32)
     points = np.zeros((30, 3))
     points[:, :d] = np.random.default_rng(COMM.rank).uniform(-0.2, 1.2, (30, d))
-    found = convected.values_at(u, own, points, 0.2 * np.sqrt(d))
+    found = convected.values_near(u, own, points, 0.2 * np.sqrt(d))
     assert np.abs(found - points.clip(0.0, 1.0) @ A[:d].T).max() < 1e-12
     if COMM.rank == 0:
-        assert convected.values_at(u, own, points[:0], 0.1).shape == (0, d)
+        assert convected.values_near(u, own, points[:0], 0.1).shape == (0, d)
     else:
-        convected.values_at(u, own, points, 0.1)
+        convected.values_near(u, own, points, 0.1)
 
 
 PRESSED, DRAGGED = 3, 4

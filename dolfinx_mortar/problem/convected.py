@@ -57,27 +57,31 @@ def find_slides(
         carried: (owned nodes, d) displacement by which supports move the bodies.
         u: displacement at the start of the step.
     """
-    slides, of_nodes = [], bodies.groups[bodies.label]
-    shifts, turning = _shifts(bodies, carried, system.facet_length)
+    slides, groups, of_nodes = [], bodies.groups, bodies.groups[bodies.label]
+    shifts = bodies.mean(carried, np.ones_like(carried, dtype=bool))
+    off = np.abs(carried - shifts[bodies.label]).max(axis=1, initial=0.0)
+    marks = np.zeros(bodies.count)
+    marks[of_nodes[off > HALF_OF_DIGITS * system.facet_length]] = 1.0
+    turning = maximum(bodies.V.mesh.comm, *marks)
     for interface, sides in zip(system.interfaces, system.sides, strict=True):
         comm, touching = sides.V.mesh.comm, closed[sides.nodes]
         number = comm.allreduce(int(touching.sum()), op=MPI.SUM)
         if not interface.unilateral or number == 0:
             continue
         found = np.zeros((2, bodies.count))
-        for marks, on in zip(found, (sides.on_slave, sides.on_master), strict=True):
-            marks[of_nodes[on[: len(of_nodes)]]] = 1.0
+        for there, on in zip(found, (sides.on_slave, sides.on_master), strict=True):
+            there[of_nodes[on[: len(of_nodes)]]] = 1.0
         slave, master = (np.flatnonzero(on) for on in maximum(comm, *found.ravel()).reshape(2, -1))
         if len(slave) != 1 or len(master) > 1 or np.array_equal(slave, master):
             continue
-        if turning[slave[0]] or turning[master].any():
+        if turning[[*slave, *master]].any():
             continue
         x = coordinates(sides.slave, u)
         at = x[: len(touching)][touching]
         tool = interface.tool_way(at, at) if sides.master is None else None
-        own = shifts[slave[0]]
+        own = shifts[groups == slave[0]][0]
         if len(master):
-            other = shifts[master[0]]
+            other = shifts[groups == master[0]][0]
         else:
             ways = np.zeros_like(at) if tool is None else tool
             other = comm.allreduce(ways.sum(axis=0), op=MPI.SUM) / number
@@ -91,21 +95,6 @@ def find_slides(
             dents = [Dent(int(slave[0]), way), *(Dent(int(m), -way) for m in master)]
             slides.append(dents if own @ own <= other @ other else dents[::-1])
     return slides
-
-
-def _shifts(bodies: Bodies, carried: Floats, length: float) -> tuple[Floats, Bools]:
-    """Return the mean (bodies, d) of a displacement over each group, and which differ; collective.
-
-    By more than round-off of the length.
-    """
-    comm, group, d = bodies.V.mesh.comm, bodies.groups[bodies.label], carried.shape[1]
-    sums = np.zeros((bodies.count, d + 1))
-    np.add.at(sums, group, np.column_stack([carried, np.ones(len(group))]))
-    sums = comm.allreduce(sums, op=MPI.SUM)
-    shifts = sums[:, :d] / np.maximum(sums[:, d:], 1.0)
-    off = np.zeros(bodies.count)
-    np.maximum.at(off, group, np.abs(carried - shifts[group]).max(axis=1, initial=0.0))
-    return shifts, np.asarray(maximum(comm, *off) > HALF_OF_DIGITS * length)
 
 
 def elastic_groups(solid: Solid, bodies: Bodies) -> Bools:
@@ -133,11 +122,11 @@ def convected(u: fem.Function, bodies: Bodies, dent: Dent) -> Floats:
         x = V.tabulate_dof_coordinates()[: len(on)][on]
         x[:, :d] -= dent.way
         cells = np.flatnonzero(bodies.of_cells == body).astype(np.int32)
-        values[on] = values_at(u, cells, x, float(np.linalg.norm(dent.way))) - own[on]
+        values[on] = values_near(u, cells, x, float(np.linalg.norm(dent.way))) - own[on]
     return values
 
 
-def values_at(u: fem.Function, cells: Ints, points: Floats, reach: float) -> Floats:
+def values_near(u: fem.Function, cells: Ints, points: Floats, reach: float) -> Floats:
     """Return u (p, d) at points (p, 3), or where some cells are nearest to them; collective.
 
     Args:
