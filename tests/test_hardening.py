@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Isotropic, mixed and saturating hardening against rate equations, bars and differences."""
 
+import dataclasses
 import itertools
 import math
 
@@ -18,6 +19,9 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.kernels import compile_vectors, constants
+from dolfinx_mortar.materials.compiled import CompiledLaw
+from dolfinx_mortar.materials.protocol import create_law
+from dolfinx_mortar.materials.tensor import stored
 from dolfinx_mortar.materials.voce import VonMisesVoce, increment, wright_omega
 from dolfinx_mortar.materials.von_mises import VonMises
 from tests.choice import quick
@@ -103,6 +107,31 @@ def test_check_accepts_the_law(name):
     assert report.changed > 10
     assert report.energy_error < 1e-8 and report.tangent_error < 1e-8
     assert report.state_error < 1e-12 and report.skew < 1e-12
+
+
+@pytest.mark.parametrize("plane_stress", [False, True])
+@pytest.mark.parametrize("name", ["kinematic", *LAWS])
+def test_tangent_is_the_derivative_of_the_stress(name, plane_stress, rng):
+    """What a law states equals what UFL derives, elastic, flowing and beside the yield surface."""
+    material = LAWS.get(name) or VonMises(E, NU, Y, 10_000.0)
+    law = create_law("law", material, plane_stress=plane_stress)
+    assert law.tangent is not None
+    stated, derived = (
+        CompiledLaw(material, of) for of in (law, dataclasses.replace(law, tangent=None))
+    )
+    k, mu = 3e-3, E / (2 * (1 + NU))
+    radius = Y + material.H * k
+    radius += getattr(material, "Q", 0.0) * (1 - math.exp(-getattr(material, "b", 0.0) * k))
+    for size in (0.0, 0.5, 1 - 1e-6, 1 + 1e-6, 1.2, 30.0):
+        direction, ep = symmetric(rng), 2e-3 * symmetric(rng)
+        ep -= np.trace(ep) / 3 * np.eye(3)
+        center = (2 * mu + material.a) * ep / (2 * mu)
+        away = deviator(symmetric(rng))
+        strain = center + size * radius / (2 * mu) * away / np.linalg.norm(away)
+        state = {"plastic_strain": stored(ep[None])[0], "accumulated_plastic_strain": k}
+        arguments = stored(strain[None])[0], stored(direction[None])[0], state
+        a, b = stated(*arguments).change, derived(*arguments).change
+        assert np.abs(a - b).max() < 1e-12 * np.abs(b).max()
 
 
 positive = st.floats(-3.0, 3.0).map(lambda power: 10.0**power)

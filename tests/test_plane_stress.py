@@ -134,6 +134,12 @@ def test_any_parameters(nu, powers, size, seed):
             table[:] = [mixed.E, mixed.nu, mixed.Y, mixed.a, mixed.H]
 
 
+def test_a_tangent_belongs_to_its_energy():
+    """A class with an energy of its own does not inherit the tangent of another one."""
+    assert create_law("law", LAWS["mixed"]).tangent is not None
+    assert create_law("law", SOLVED["other"]).tangent is None
+
+
 def test_the_closed_root_is_that_of_newtons_method(rng):
     """The same path with the root of the law and with the one that is solved for."""
     closed, solved = point("mixed", 2), point("other", 2)

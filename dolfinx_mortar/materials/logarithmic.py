@@ -257,9 +257,7 @@ def _chunks(q: int) -> list[slice]:
 class _InUFL:
     """A law in UFL, compiled as a function of numbers.
 
-    Of an isotropic law the strain is that in its eigenvectors, three numbers. Laws that state their
-    tangent have solved an equation for it; that in six directions at once takes long to compile (a
-    law of Voce 9 s, so 3 s), and their directions are arguments.
+    Of an isotropic law the strain is that in its eigenvectors, three numbers.
     """
 
     def __init__(
@@ -272,12 +270,8 @@ class _InUFL:
             for name, shape in law.state.items()
             if not (law.isotropic and name == PLASTIC)
         }
-        self._directions = size if law.tangent is not None and not law.isotropic else 0
-        response, along = self._response()
+        response = self._response()
         answers = self._principal(response) if law.isotropic else self._components(response)
-        self._change = None
-        if along is not None:
-            self._change = jit(to_components(response.change(along), size))
         if response.energy is not None:
             answers.append(response.energy)
         new = [part for name in law.state for part in self._new(name, response)]
@@ -292,22 +286,11 @@ class _InUFL:
         for name, shape in self._memory.items():
             columns.append(stored(state[name], self._size) if shape else state[name][:, None])
         columns += [parameters[name][:, None] for name in self._names]
-        columns.append(np.zeros((q, self._directions)))
         return np.ascontiguousarray(np.hstack(columns))
 
     def moduli(self, start: Start, some: slice, logs: Floats, N: Floats) -> Floats:
         """Return T and L, see `logarithms`, and psi as the last column if there is a potential."""
-        numbers, size = self._at(start, some, logs, N), self._size
-        found = tabulate(self._moduli, numbers)
-        if self._change is None:
-            return found
-        L, along = np.empty((len(found), size, size)), numbers[:, -size:]
-        for j in range(size):
-            along[:] = 0.0
-            along[:, j] = 1.0 if j < 3 else 0.5  # entries ij and ji of a tensor whose sum is one
-            L[:, :, j] = tabulate(self._change, numbers)
-        rows, columns = np.triu_indices(size)
-        return np.hstack([found[:, :size], L[:, rows, columns], found[:, size:]])
+        return tabulate(self._moduli, self._at(start, some, logs, N))
 
     def update(self, start: Start, some: slice, logs: Floats, N: Floats) -> dict[str, Floats]:
         """Return the new internal variables; plastic strains in the eigenvectors (q, 3)."""
@@ -330,11 +313,11 @@ class _InUFL:
             logarithms.compose_stored(N, logs, self._size, numbers)
         return numbers
 
-    def _response(self) -> tuple[Response, Expr | None]:
-        """Return the response of the law to symbols, and the direction of tangents if it is one."""
+    def _response(self) -> Response:
+        """Return the response of the law to symbols."""
         sizes = [self._size if shape else 1 for shape in self._memory.values()]
         count = self._width + sum(sizes) + len(self._names)
-        numbers = constants(count + self._directions)
+        numbers = constants(count)
         rest = (numbers[i] for i in range(count))
         e = [next(rest) for _ in range(self._width)]
         state = {}
@@ -343,13 +326,11 @@ class _InUFL:
             state[name] = from_components(ufl.as_vector(parts)) if shape else parts[0]
         p = grouped({name: next(rest) for name in self._names})
         if not self._law.isotropic:
-            response = respond(self._law, from_components(ufl.as_vector(e)), state, p)
-            last = [numbers[count + i] for i in range(self._directions)]
-            return response, from_components(ufl.as_vector(last)) if last else None
+            return respond(self._law, from_components(ufl.as_vector(e)), state, p)
         if PLASTIC in self._law.state:
             state[PLASTIC] = ufl.as_tensor([[0] * 3] * 3)
         strain = ufl.as_tensor([[e[i] if i == j else 0 for j in range(3)] for i in range(3)])
-        return respond(self._law, strain, state, p), None
+        return respond(self._law, strain, state, p)
 
     def _principal(self, response: Response) -> list[Expr]:
         """Return T and L of normal strains, and the shear moduli."""
@@ -359,10 +340,8 @@ class _InUFL:
         return [*(response.stress[i, i] for i in range(3)), *normal, *shears]
 
     def _components(self, response: Response) -> list[Expr]:
-        """Return the stored components of T, and the upper triangle of L if all at once."""
+        """Return the stored components of T, and the upper triangle of L."""
         index = INDEX[: self._size]
-        if self._directions:
-            return [response.stress[i, j] for i, j in index]
         changes = [response.change(_unit(i, j)) for i, j in index]
         upper = [changes[b][index[a]] for a in range(len(index)) for b in range(a, len(index))]
         return [*(response.stress[i, j] for i, j in index), *upper]

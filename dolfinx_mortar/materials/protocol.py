@@ -35,13 +35,13 @@ class Material(Protocol):
     tangent must be symmetric. `dolfinx_mortar.materials.check` tries a law out without a mesh.
 
     Where UFL should not differentiate the stress (the solution of a local equation), a law states
-    its derivative: `tangent(strain, state, p, direction)`, d stress / d strain : direction.
+    its derivative: `tangent(strain, state, p, direction)`, d stress / d strain : direction. A class
+    that inherits it and has another energy or stress has to give its own; else UFL differentiates.
 
     In plane stress a law sees the strain out of the plane that leaves no stress there, which is
     solved for at every integration point; the law itself need not know. One that knows this strain
     in closed form saves most of the time by `normal_strain(strain, state, p)`, which is None, or a
-    property that gives None, where it is to be solved for. A class that inherits it and has another
-    energy or stress has to give its own; else it is solved for.
+    property that gives None, where it is to be solved for. It is inherited as `tangent` is.
 
     A law may inherit from this class, which has no memory and no output, or just look like it.
 
@@ -210,7 +210,7 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
         raise ValueError(f"{name} = {material!r} is not a material such as Elastic(E, nu).")
     kind = type(material)
     parts: dict[str, Any] = {}
-    for part in ("elastic_stress", "energy", "stress", "tangent", "updated_state", "update"):
+    for part in ("elastic_stress", "energy", "stress", "updated_state", "update"):
         parts[part] = _method(kind, part)
     state, linear = (getattr(material, part, None) for part in ("state", "linear"))
     needed = {"state": state is not None, "linear": linear is not None}
@@ -239,7 +239,8 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
         splits=bool(getattr(kind, "splits", False)),
         isotropic=_is_isotropic(kind.__name__, material, state),
         ranges=getattr(kind, "ranges", {}),
-        normal_strain=_normal_strain(material),
+        tangent=_fitting(material, "tangent"),
+        normal_strain=_fitting(material, "normal_strain"),
         output=_method(kind, "output"),
         conditions=_method(kind, "conditions"),
         volumetric=_method(kind, "volumetric"),
@@ -287,14 +288,13 @@ def _method(kind: type, name: str) -> Callable[..., Any] | None:
     return found if callable(found) else None
 
 
-def _normal_strain(material: Any) -> Callable[..., Any] | None:
-    """Return what gives the strain out of the plane, if it belongs to the energy and the stress."""
-    names = "normal_strain", "energy", "stress"
+def _fitting(material: Any, part: str) -> Callable[..., Any] | None:
+    """Return what a law derives from its stress, if it belongs to the energy and the stress."""
     places = [
         next((i for i, kind in enumerate(type(material).__mro__) if name in vars(kind)), math.inf)
-        for name in names
+        for name in (part, "energy", "stress")
     ]
-    found = getattr(material, names[0], None)
+    found = getattr(material, part, None)
     return found if callable(found) and places[0] <= min(places[1:]) else None
 
 

@@ -21,6 +21,7 @@ from dolfinx_mortar.materials.von_mises import (
     YIELD_TOLERANCE,
     VonMises,
     shifted_stress,
+    tangent_of_return,
 )
 from ufl.core.expr import Expr
 
@@ -195,13 +196,8 @@ class VonMisesVoce(Material):
     def tangent(strain: Expr, state: Mapping[str, Expr], p: Any, direction: Expr) -> Expr:
         """Return d sigma / d eps : direction."""
         xi, norm, g, slope, yields = VonMisesVoce._flow(strain, state, p)
-        mu, n = shear_modulus(p), xi / norm
-        change = 2 * mu * ufl.dev(direction)  # of xi
-        along = ufl.inner(n, change)
-        turn = g / norm * (change - along * n) + slope * along * n
-        zero = ufl.as_tensor([[0.0] * 3] * 3)
-        flow = ufl.conditional(yields, turn, zero)
-        return Elastic.elastic_stress(direction, p) - 2 * mu * flow
+        grows = ufl.conditional(yields, slope, 0.0)
+        return tangent_of_return(xi, norm, g, grows, direction, p)
 
     @staticmethod
     def updated_state(strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:

@@ -14,7 +14,7 @@ import numpy as np
 
 import ufl
 from dolfinx_mortar.arrays import EPS
-from dolfinx_mortar.materials.elastic import Elastic, shear_modulus
+from dolfinx_mortar.materials.elastic import Elastic, lame_modulus, shear_modulus
 from dolfinx_mortar.materials.protocol import PLASTIC, Material
 from dolfinx_mortar.materials.ranges import Parameter, Range, check_fields, check_parameters
 from ufl.core.expr import Expr
@@ -35,6 +35,21 @@ def shifted_stress(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Exp
     xi = 2 * mu * ufl.dev(strain) - (2 * mu + p.a) * state["plastic_strain"]
     # (eps Y)^2 keeps |xi| differentiable at xi = 0; at |xi| = Y it is below round-off
     return xi, ufl.sqrt(ufl.inner(xi, xi) + (EPS * p.Y) ** 2)
+
+
+def tangent_of_return(xi: Expr, norm: Expr, g: Any, slope: Any, direction: Expr, p: Any) -> Expr:
+    """Return d sigma / d eps : direction of sigma = C (eps - ep_n) - 2 mu g n, n = xi / |xi|.
+
+    With t = g / |xi| and the slope s = dg / d|xi|, both 0 where nothing flows, that is
+
+        C : direction - 4 mu^2 (t dev(direction) + (s - t) (n : direction) n),
+
+    here sorted by trace, direction and the deviator xi, for fewer operations at a point.
+    """
+    mu, turn = shear_modulus(p), g / norm
+    trace = (lame_modulus(p) + 4 / 3 * mu**2 * turn) * ufl.tr(direction) * ufl.Identity(3)
+    along = 4 * mu**2 * (slope - turn) / norm**2 * ufl.inner(xi, direction) * xi
+    return trace + 2 * mu * (1 - 2 * mu * turn) * direction - along
 
 
 def flow_in_plane_stress(p: Expr, q: Expr, r: Expr) -> Expr:
@@ -183,6 +198,14 @@ class VonMises(Material):
         stored = p.a / 2 * ufl.inner(ep, ep) + H / 2 * k**2
         relaxation = excess**2 / (2 * (2 * shear_modulus(p) + p.a + H))
         return Elastic.energy(strain - ep, {}, p) + stored - relaxation
+
+    @staticmethod
+    def tangent(strain: Expr, state: Mapping[str, Expr], p: Any, direction: Expr) -> Expr:
+        """Return d sigma / d eps : direction."""
+        xi, norm, excess = VonMises._trial(strain, state, p)
+        slope = 1 / (2 * shear_modulus(p) + p.a + VonMises._memory(state, p)[1])
+        grows = ufl.conditional(ufl.gt(excess, 0.0), slope, 0.0)
+        return tangent_of_return(ufl.dev(xi), norm, slope * excess, grows, direction, p)
 
     @staticmethod
     def updated_state(strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
