@@ -16,6 +16,7 @@ from dolfinx_mortar.kernels import compile_vectors, constants
 from dolfinx_mortar.materials import plane_stress
 from dolfinx_mortar.materials.protocol import create_law
 from dolfinx_mortar.materials.von_mises import LEAST_RATIO, flow_in_plane_stress
+from dolfinx_mortar.solid import pointwise
 from tests.choice import quick
 from tests.pointwise_laws import Radial
 from tests.pressed_blocks import PressedBlocks, rejected
@@ -138,6 +139,30 @@ def test_a_tangent_belongs_to_its_energy():
     """A class with an energy of its own does not inherit the tangent of another one."""
     assert create_law("law", LAWS["mixed"]).tangent is not None
     assert create_law("law", SOLVED["other"]).tangent is None
+
+
+def test_points_that_do_not_flow_take_one_evaluation(rng, monkeypatch):
+    """The elastic root is where Newton's method starts: virgin, and unloaded after flow."""
+    asked: list[int] = []
+
+    def counted(law, equation, *arguments, **options):
+        def counts(rows, z):
+            asked.append(len(rows))
+            return equation(rows, z)
+
+        return plane_stress.solve(law, counts, *arguments, **options)
+
+    monkeypatch.setattr(pointwise, "solve", counted)
+    flat, strain = point("other", 2), 5e-3 * in_plane(rng)
+    flat.stress(0.01 * strain)
+    assert len(asked) == 1
+    asked.clear()
+    flat.stress(strain)
+    flowed = np.abs(flat.commit()).max()
+    assert flowed > 1e-4 and len(asked) > 1
+    asked.clear()
+    flat.stress(0.9 * strain)
+    assert len(asked) == 1 and np.abs(flat.commit()).max() == flowed
 
 
 def test_the_closed_root_is_that_of_newtons_method(rng):

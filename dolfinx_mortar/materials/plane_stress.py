@@ -69,13 +69,21 @@ Equation = Callable[[Ints, Floats], Floats]
 """Rows (k,) and z (k, m) there -> sigma_zz, C_zzzz, elastic C_zzzz, |sigma|: (k, m, 4)."""
 
 
-def solve(law: str, equation: Equation, shape: tuple[int, int], *, finite: bool = False) -> Floats:
+def solve(
+    law: str,
+    equation: Equation,
+    shape: tuple[int, int],
+    *,
+    finite: bool = False,
+    start: Floats | None = None,
+) -> Floats:
     """Return z with sigma_zz(z) = 0, NaN where the law is undefined.
 
-    Newton's method from z = 0, so that z depends on strain and state alone. sigma_zz grows with z
-    where the potential is convex: the root lies between the z that gave pressure and tension, and
-    where an iterate would leave that interval, it is bisected, down to neighbouring numbers. Where
-    C_zzzz is not positive, steps are those of the elastic modulus, and double.
+    Newton's method from z = 0 or a start that depends, as z does, on strain and state alone.
+    sigma_zz grows with z where the potential is convex: the root lies between the z that gave
+    pressure and tension, and where an iterate would leave that interval, it is bisected, down to
+    neighbouring numbers. Where C_zzzz is not positive, steps are those of the elastic modulus, and
+    double.
 
     At finite strain z, a stretch less 1, is above -1, and stresses have the round-off of moduli.
 
@@ -86,7 +94,8 @@ def solve(law: str, equation: Equation, shape: tuple[int, int], *, finite: bool 
         ValueError: if there are points at which no z is found; the message names the law.
     """
     floor = ROUND_OFF if finite else 0.0
-    z, high = np.zeros(shape), np.full(shape, np.inf)
+    z = np.zeros(shape) if start is None else np.where(np.isfinite(start), start, 0.0)
+    high = np.full(shape, np.inf)
     low = np.full(shape, -1.0 if finite else -np.inf)
     rows: Ints = np.arange(shape[0], dtype=np.int32)
     for iteration in range(LIMIT):

@@ -18,7 +18,7 @@ from dolfinx_mortar.materials.plane_stress import (
     with_normal_strain,
     with_normal_stretch,
 )
-from dolfinx_mortar.materials.protocol import Law
+from dolfinx_mortar.materials.protocol import PLASTIC, Law
 from ufl.algorithms import expand_derivatives
 from ufl.classes import Label, Variable
 from ufl.core.expr import Expr
@@ -37,6 +37,7 @@ class Response:
     # sigma_zz, C_zzzz, the elastic C_zzzz and |sigma| in plane stress, see `plane_stress.solve`
     equation: tuple[Expr, Expr, Expr, Expr] | None = None
     normal_strain: Expr | None = None  # in place of the equation, its root where the law knows it
+    start: Expr | None = None  # the root of the equation if nothing flows
 
 
 def respond(
@@ -51,7 +52,7 @@ def respond(
     Raises:
         ValueError: if a method of the law raises, or returns something of the wrong shape or name.
     """
-    equation = root = None
+    equation = root = start = None
     finite = law.strain == "finite"
     with_normal = with_normal_stretch if finite else with_normal_strain
     if law.plane_stress and law.normal_strain is not None:
@@ -60,6 +61,7 @@ def respond(
         strain = with_normal_strain(strain, z)
     elif law.plane_stress:
         equation = _equation(law, with_normal(strain, 0.0 if z is None else z), state, p)
+        start = None if finite else _elastic_root(law, strain, state, p)
         strain = with_normal(strain, -equation[0] / equation[1] if z is None else z)
     energy = None if law.energy is None else _call(law, "energy", (), strain, state, p)
     stress = _stress(law, strain, state, p)
@@ -71,7 +73,7 @@ def respond(
     if not law.plane_stress:
         return Response(stress, energy, updated, change)
     flat = condensed(change, finite=finite)
-    return Response(in_plane(stress), energy, updated, flat, equation, root)
+    return Response(in_plane(stress), energy, updated, flat, equation, root, start)
 
 
 def _stress(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
@@ -119,6 +121,15 @@ def _equation(
     modulus = _change(law, strain, state, p, NORMAL)[2, 2]
     elastic = _call(law, "elastic_stress", (3, 3), NORMAL, p)[2, 2]
     return stress[2, 2], modulus, elastic, ufl.sqrt(ufl.inner(stress, stress))
+
+
+def _elastic_root(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
+    """Return the strain out of the plane that leaves no stress there if nothing flows."""
+    elastic = with_normal_strain(strain, 0.0)
+    if law.state.get(PLASTIC) == (3, 3):
+        elastic = elastic - state[PLASTIC]
+    stress, moduli = (_call(law, "elastic_stress", (3, 3), e, p) for e in (elastic, NORMAL))
+    return -stress[2, 2] / moduli[2, 2]
 
 
 def elastic_response(law: Law, strain: Expr, p: Any) -> Expr:

@@ -65,6 +65,8 @@ class NormalStrain(PointValuesOfRegion):
             found = ufl.as_vector(self.response.equation)
         points = compat.interpolation_points(self.normal.function_space)
         self._equation = fem.Expression(found, points)
+        start = self.response.start
+        self._start = None if start is None else fem.Expression(start, points)
 
     def _evaluate(self) -> None:
         """Solve the equation at all points, or take its root from the law."""
@@ -80,9 +82,11 @@ class NormalStrain(PointValuesOfRegion):
             return found.reshape(*z.shape, 4)
 
         before, law = values.copy(), self.region.law
-        finite = law.strain == "finite"
+        finite, start = law.strain == "finite", None
+        if self._start is not None:
+            start = np.asarray(self._start.eval(V.mesh, cells)).reshape(dofs.shape)
         try:
-            values[dofs] = solve(law.name, equation, dofs.shape, finite=finite)
+            values[dofs] = solve(law.name, equation, dofs.shape, finite=finite, start=start)
         except ValueError:
             values[:] = before
             raise
