@@ -32,9 +32,10 @@ import numba
 import numpy as np
 
 from dolfinx_mortar.arrays import LIMIT
-from dolfinx_mortar.materials.tensor import INDEX
+from dolfinx_mortar.materials.tensor import GRADIENT, INDEX
 
 PAIRS = INDEX
+IN_PLANE = GRADIENT[2]
 SETTINGS = {"cache": True, "error_model": "numpy"}
 
 # Below these relative differences of eigenvalues the power series are exact to round-off, and above
@@ -243,7 +244,7 @@ def _moduli(pairs, law, x, logs, N, S, M, f, h, T, R, L):  # type: ignore[no-unt
     The others are space for divided differences, and for what is turned to the eigenvectors.
     """
     s = len(pairs)
-    _differences(x, logs, f, h)
+    _differences(s, x, logs, f, h)
     _turn(s, N, R)
     k = s
     for i in range(s):
@@ -259,12 +260,12 @@ def _moduli(pairs, law, x, logs, N, S, M, f, h, T, R, L):  # type: ignore[no-unt
             L[i, j] = law[k]
             L[j, i] = law[k]
             k += 1
-    _transform(s, R, L, M)
     for i in range(s):
         a, b = PAIRS[i]
+        factor = f[a, b] * (1.0 if i < 3 else 2.0)
         for j in range(s):
-            c, d = PAIRS[j]
-            M[i, j] *= f[a, b] * f[c, d] * ((1.0 if i < 3 else 2.0) * (1.0 if j < 3 else 2.0))
+            R[i, j] *= factor
+    _transform(s, R, L, M)
     _add_curvature(s, T, h, M)
 
 
@@ -310,18 +311,20 @@ def _add_curvature(s, T, h, M):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**SETTINGS)
-def _differences(x, logs, f, h):  # type: ignore[no-untyped-def]
-    """Fill the divided differences f_ab and f_abc."""
+def _differences(s, x, logs, f, h):  # type: ignore[no-untyped-def]
+    """Fill the divided differences f_ab and f_abc of the stored pairs."""
     for a in range(3):
         f[a, a] = 1 / (2 * (1 + x[a]))
         h[a, a, a] = -f[a, a] / (2 * (1 + x[a]))
-    for a, b in ((0, 1), (1, 2), (0, 2)):
+    for i in range(3, s):
+        a, b = PAIRS[i]
         f[a, b] = first_difference(x[a], x[b], logs[a], logs[b])
         f[b, a] = f[a, b]
         f_a, f_b = confluent_differences(x[a], x[b], f[a, b])
         h[a, a, b], h[a, b, a], h[b, a, a] = f_a, f_a, f_a
         h[b, b, a], h[b, a, b], h[a, b, b] = f_b, f_b, f_b
-    h[0, 1, 2] = second_difference(x[0], x[1], x[2], f[0, 1], f[1, 2], f[0, 2])
+    if s > 4:
+        h[0, 1, 2] = second_difference(x[0], x[1], x[2], f[0, 1], f[1, 2], f[0, 2])
 
 
 @numba.njit(**SETTINGS)
@@ -378,14 +381,14 @@ def _couple(pairs, isotropic, M, Z, W):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def congruent_columns(m, S, B):  # type: ignore[no-untyped-def]
-    """Set B to m S m^T."""
+    """Set B to m S m^T, S symmetric."""
     for i in range(3):
-        for j in range(3):
-            total = 0.0
-            for a in range(3):
-                for b in range(3):
-                    total += S[a, b] * m[i, a] * m[j, b]
-            B[i, j] = total
+        first = m[i, 0] * S[0, 0] + m[i, 1] * S[1, 0] + m[i, 2] * S[2, 0]
+        second = m[i, 0] * S[0, 1] + m[i, 1] * S[1, 1] + m[i, 2] * S[2, 1]
+        third = m[i, 0] * S[0, 2] + m[i, 1] * S[1, 2] + m[i, 2] * S[2, 2]
+        for j in range(i, 3):
+            B[i, j] = first * m[j, 0] + second * m[j, 1] + third * m[j, 2]
+            B[j, i] = B[i, j]
 
 
 @numba.njit(**SETTINGS)
@@ -408,9 +411,7 @@ def _fill_tangent(pairs, B, Z, W, A):  # type: ignore[no-untyped-def]
 @numba.njit(**SETTINGS)
 def _entry(n, s):  # type: ignore[no-untyped-def]
     """Return row and column of a component of P, see `tensor.GRADIENT`."""
-    if s == 6:
-        return n // 3, n % 3
-    return (n // 2, n % 2) if n < 4 else (2, 2)
+    return (n // 3, n % 3) if s == 6 else IN_PLANE[n]  # in space quicker than from a table
 
 
 @numba.njit(**SETTINGS)
