@@ -11,9 +11,15 @@ import pytest
 
 import dolfinx_mortar as dm
 import ufl
+from dolfinx_mortar.kernels import compile_vectors, constants
 from dolfinx_mortar.materials.finite_comparison import law_at_points
 from dolfinx_mortar.materials.protocol import create_law
+from dolfinx_mortar.materials.response import respond
+from dolfinx_mortar.materials.tensor import GRADIENT
+from dolfinx_mortar.solid import forms
+from dolfinx_mortar.solid.forms import moduli_first
 from tests.pressed_blocks import rejected
+from tests.solid_case import create_displacement, create_domain
 from tests.user_laws import Unturned
 
 NEO_HOOKE = dm.NeoHooke(200.0, 0.3)
@@ -166,3 +172,42 @@ def test_points_without_a_body():
     p = SimpleNamespace(mu=(np.zeros(0),), alpha=(np.zeros(0),), K=np.zeros(0))
     P, A, _ = dm.Ogden.update(np.zeros((0, 3, 3)), {}, p)
     assert P.shape == (0, 3, 3) and A.shape == (0, 3, 3, 3, 3)
+
+
+@pytest.mark.parametrize("d", [2, pytest.param(3, marks=pytest.mark.slow)])
+def test_moduli_times_a_direction_are_the_change_of_the_stress(d, rng):
+    """dP/dF formed once at a point, from the upper triangle of its entries."""
+    entries, count = GRADIENT[d], len(GRADIENT[d])
+    numbers = constants(2 * count)
+
+    def tensor(first: int) -> ufl.core.expr.Expr:
+        rows = [[ufl.as_ufl(0.0)] * 3 for _ in range(3)]
+        for k, (i, j) in enumerate(entries):
+            rows[i][j] = numbers[first + k]
+        return ufl.as_tensor(rows)
+
+    p = SimpleNamespace(**vars(MOONEY))
+    response = respond(create_law("law", MOONEY), tensor(0), {}, p)
+    changes = [r.change(tensor(count)) for r in (response, moduli_first(response, entries))]
+    kernels = compile_vectors([ufl.as_vector([c[e] for e in entries]) for c in changes])
+    F = np.array([float(i == j) for i, j in entries]) + 0.2 * rng.standard_normal(count)
+    direction = rng.standard_normal(count)
+    one, other = (kernel(np.append(F, direction)) for kernel in kernels)
+    assert np.abs(one).max() > 0.0 and np.abs(one - other).max() < 1e-13 * np.abs(one).max()
+
+
+def test_moduli_come_first_of_laws_whose_energy_is_all_they_state(monkeypatch):
+    """Their dP/dF is symmetric by itself; of a stated stress it may not be."""
+    seen: list[int] = []
+
+    def noted(response, entries):
+        seen.append(len(entries))
+        return moduli_first(response, entries)
+
+    monkeypatch.setattr(forms, "moduli_first", noted)
+    u = create_displacement(create_domain("triangle"))
+    dm.Solid(u, MOONEY, strain="finite")
+    assert seen == [len(GRADIENT[2])]
+    for law in (OGDEN, NEO_HOOKE, dm.VonMises(200.0, 0.3, 1.0, 1.0)):
+        dm.Solid(u, law, strain="finite")
+    assert seen == [len(GRADIENT[2])]
