@@ -34,11 +34,14 @@ from dolfinx_mortar.geometry.facets import Facets, bounding_balls
 from dolfinx_mortar.geometry.parts import first_order, on_facets, pairs_of_parts, parts_of
 from dolfinx_mortar.geometry.plane import (
     VERTICES,
+    bilinear_map,
     create_planes,
     height_at,
     inverse,
+    inverse_of,
     project,
     slopes,
+    slopes_of,
 )
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
@@ -310,21 +313,33 @@ def _place(  # type: ignore[no-untyped-def]
     pair, weight = np.empty(total, np.int64), np.empty(total)
     xi_s, xi_m = np.empty((total, 2)), np.empty((total, 2))
     S, M = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3))
+    S0 = S1 = S2 = M0 = M1 = (0.0, 0.0, 0.0, 0.0)  # bilinear maps, made once for a pair
+    s0 = s1 = 0.0
     q = 0
     for t in range(len(which)):
         s, m = pairs[which[t]]
         if t == 0 or which[t] != which[t - 1]:
             project(x_s[s], centre[s], axes[s], S)
             project(x_m[m], centre[s], axes[s], M)
+            if bilinear[0]:
+                S0, S1, S2 = bilinear_map(S, 0), bilinear_map(S, 1), bilinear_map(S, 2)
+            if bilinear[1]:
+                M0, M1 = bilinear_map(M, 0), bilinear_map(M, 1)
         c = corners[t]
         ux, uy, vx, vy = c[1, 0] - c[0, 0], c[1, 1] - c[0, 1], c[2, 0] - c[0, 0], c[2, 1] - c[0, 1]
         area = (ux * vy - uy * vx) / 2 * radius[s] ** 2
         for i in range(start[rule[t]], start[rule[t] + 1]):
             x = c[0, 0] + points[i, 0] * ux + points[i, 1] * vx
             y = c[0, 1] + points[i, 0] * uy + points[i, 1] * vy
-            xi_s[q, 0], xi_s[q, 1], _ = inverse(S, bilinear[0], x, y)
-            xi_m[q, 0], xi_m[q, 1], _ = inverse(M, bilinear[1], x, y)
-            s0, s1 = slopes(S, bilinear[0], xi_s[q, 0], xi_s[q, 1])
+            if bilinear[0]:
+                xi_s[q, 0], xi_s[q, 1], _ = inverse_of(S0, S1, x, y)
+                s0, s1 = slopes_of(S0, S1, S2, xi_s[q, 0], xi_s[q, 1])
+            else:
+                xi_s[q, 0], xi_s[q, 1], _ = inverse(S, False, x, y)
+            if bilinear[1]:
+                xi_m[q, 0], xi_m[q, 1], _ = inverse_of(M0, M1, x, y)
+            else:
+                xi_m[q, 0], xi_m[q, 1], _ = inverse(M, False, x, y)
             weight[q] = weights[i] * area * np.sqrt(1 + s0 * s0 + s1 * s1)
             pair[q] = which[t]
             q += 1

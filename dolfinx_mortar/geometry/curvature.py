@@ -41,12 +41,14 @@ along them, as found with the sums before, without its isotropic part (that of a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from itertools import combinations
 
 import numba
 import numpy as np
 
 from dolfinx_mortar.arrays import EPS, TINY, Bools, Floats, Ints
+from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets, area_vectors, facet_normals, facet_sizes
 
 
@@ -323,9 +325,33 @@ def heights(facets: Facets, sagitta: Floats, which: Ints, xi: Floats) -> Floats:
         which: (q,) which of them belongs to each point.
         xi: (q, d-1) reference coordinates.
     """
+    if xi.shape[1] == 2 and sagitta.ndim == 2:
+        h = np.empty(len(xi))
+        _polynomials(sagitta @ _height_coefficients(facets.element), which, xi, h)
+        return h
     a, b = node_pairs(facets)
     N = facets.element.vertex_functions(xi)
     return np.asarray(0.5 * np.einsum("qe,qe...->q...", N[:, a] * N[:, b], sagitta[which]))
+
+
+@cache
+def _height_coefficients(element: FacetElement) -> Floats:
+    """Return N_a N_b / 2 as coefficients (e, 9) of xi^i eta^j at 3 i + j."""
+    i, j = (power.ravel() for power in np.indices((3, 3)))
+    grid = np.column_stack([i, j]) - 1.0
+    a, b = node_pairs(Facets(element, np.zeros((0, element.nodes, 3))))
+    N = element.vertex_functions(grid)
+    return np.linalg.solve(grid[:, :1] ** i * grid[:, 1:] ** j, N[:, a] * N[:, b] / 2).T
+
+
+@numba.njit(cache=True, fastmath={"contract"})
+def _polynomials(c, which, xi, values):  # type: ignore[no-untyped-def]
+    """Fill the values (q,) of polynomials with the coefficients c (p, 9) of xi^i eta^j."""
+    for q in range(len(which)):
+        p, r, s = which[q], xi[q, 0], xi[q, 1]
+        low = c[p, 0] + s * (c[p, 1] + s * c[p, 2])
+        mid = c[p, 3] + s * (c[p, 4] + s * c[p, 5])
+        values[q] = low + r * (mid + r * (c[p, 6] + s * (c[p, 7] + s * c[p, 8])))
 
 
 def heights_of_arcs(facets: Facets, sagitta: Floats, which: Ints, h: Floats) -> Floats:

@@ -144,9 +144,10 @@ def coefficients(facets: Facets) -> Floats:
 
 
 # Facets by number: a view of each would cost as much as a point.
+_KERNEL = {"cache": True, "error_model": "numpy", "fastmath": {"contract"}}
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(**_KERNEL)
 def _component(c, m, i, r, s):  # type: ignore[no-untyped-def]
     """Return component i of a point of facet m, and of its tangents, at (r, s)."""
     c1, c2, c4, c5, c7, c8 = c[m, i, 1], c[m, i, 2], c[m, i, 4], c[m, i, 5], c[m, i, 7], c[m, i, 8]
@@ -155,7 +156,7 @@ def _component(c, m, i, r, s):  # type: ignore[no-untyped-def]
     return c[m, i, 0] + s * (c1 + s * c2) + r * (mid + r * high), mid + 2 * r * high, along
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(**_KERNEL)
 def _point(c, m, r, s):  # type: ignore[no-untyped-def]
     """Return a point of facet m, three numbers, and the area there per reference area."""
     x0, a0, b0 = _component(c, m, 0, r, s)
@@ -165,7 +166,17 @@ def _point(c, m, r, s):  # type: ignore[no-untyped-def]
     return x0, x1, x2, np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(**_KERNEL)
+def _on_facet(reference, part, r, s):  # type: ignore[no-untyped-def]
+    """Return the reference coordinates on the facet of a point of a part: an affine map."""
+    c = reference
+    return (
+        c[part, 0, 0] + s * c[part, 0, 1] + r * c[part, 0, 3],
+        c[part, 1, 0] + s * c[part, 1, 1] + r * c[part, 1, 3],
+    )
+
+
+@numba.njit(**_KERNEL)
 def _project(c, m, axes, i, P):  # type: ignore[no-untyped-def]
     """Write the coefficients of facet m along the tangents of plane i into P (1, 2, 9)."""
     for a in range(2):
@@ -175,7 +186,7 @@ def _project(c, m, axes, i, P):  # type: ignore[no-untyped-def]
                 P[0, a, k] += axes[i, a, j] * c[m, j, k]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(**_KERNEL)
 def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
     """Return where a facet projected on a plane, P (1, 2, 9), has the point (x, y), or NaN.
 
@@ -186,15 +197,15 @@ def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
     for _ in range(LIMIT):
         y0, a0, b0 = _component(P, 0, 0, r, s)
         y1, a1, b1 = _component(P, 0, 1, r, s)
-        e0, e1, size = x - y0, y - y1, a0 * b1 - a1 * b0
-        dr, ds = (e0 * b1 - e1 * b0) / size, (a0 * e1 - a1 * e0) / size
+        e0, e1, inverse = x - y0, y - y1, 1.0 / (a0 * b1 - a1 * b0)
+        dr, ds = (e0 * b1 - e1 * b0) * inverse, (a0 * e1 - a1 * e0) * inverse
         r, s = r + dr, s + ds
         if max(abs(dr), abs(ds)) <= HALF_OF_DIGITS:  # the next one is round-off
             return r, s
     return np.nan, np.nan
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(**_KERNEL)
 def _place(  # type: ignore[no-untyped-def]
     slave, slave_parts, master, reference_s, reference_m, axes, part, xi_s, xi_m, weight, scale
 ):
@@ -202,17 +213,19 @@ def _place(  # type: ignore[no-untyped-def]
     on_s, on_m, area = np.empty(xi_s.shape), np.empty(xi_m.shape), np.empty(len(weight))
     P = np.empty((1, 2, 9))
     a, b = len(reference_s), len(reference_m)
+    i = j = of_i = of_j = np.int64(0)  # one type of integers: compiled once
     for q in range(len(weight)):
-        i, j = np.int64(part[q, 0]), np.int64(part[q, 1])  # one type of integers: compiled once
-        if q == 0 or i != part[q - 1, 0] or j != part[q - 1, 1]:
-            _project(master, j // b, axes, i, P)
+        if q == 0 or part[q, 0] != i or part[q, 1] != j:
+            i, j = np.int64(part[q, 0]), np.int64(part[q, 1])
+            of_i, of_j = i // a, j // b
+            _project(master, of_j, axes, i, P)
         of_part = _point(slave_parts, i, xi_s[q, 0], xi_s[q, 1])[3]
-        r, s, _, _ = _point(reference_s, i % a, xi_s[q, 0], xi_s[q, 1])
-        x, y, z, of_facet = _point(slave, i // a, r, s)
+        r, s = _on_facet(reference_s, i - a * of_i, xi_s[q, 0], xi_s[q, 1])
+        x, y, z, of_facet = _point(slave, of_i, r, s)
         on_s[q, 0], on_s[q, 1], area[q] = r, s, weight[q] * scale * of_facet / of_part
         u = axes[i, 0, 0] * x + axes[i, 0, 1] * y + axes[i, 0, 2] * z
         v = axes[i, 1, 0] * x + axes[i, 1, 1] * y + axes[i, 1, 2] * z
-        r, s, _, _ = _point(reference_m, j % b, xi_m[q, 0], xi_m[q, 1])
+        r, s = _on_facet(reference_m, j - b * of_j, xi_m[q, 0], xi_m[q, 1])
         on_m[q, 0], on_m[q, 1] = meet(P, u, v, r, s)
     return on_s, on_m, area
 

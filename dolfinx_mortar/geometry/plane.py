@@ -192,7 +192,7 @@ def project(x, centre, axes, P):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _bilinear(P, i):  # type: ignore[no-untyped-def]
+def bilinear_map(P, i):  # type: ignore[no-untyped-def]
     """Return m, a, b, c of component i of a bilinear map m + xi a + eta b + xi eta c."""
     p, q, r, s = P[0, i], P[1, i], P[2, i], P[3, i]
     return (p + q + r + s) / 4, (q + r - p - s) / 4, (r + s - p - q) / 4, (p + r - q - s) / 4
@@ -213,7 +213,13 @@ def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
         xi = (p0 * b1 - p1 * b0) / J
         # by projection on b: on slivers xi is inexact, but the point stays where it is
         return xi, ((p0 - xi * a0) * b0 + (p1 - xi * a1) * b1) / (b0 * b0 + b1 * b1), abs(J)
-    (m0, a0, b0, c0), (m1, a1, b1, c1) = _bilinear(P, 0), _bilinear(P, 1)
+    return inverse_of(bilinear_map(P, 0), bilinear_map(P, 1), x, y)
+
+
+@numba.njit(cache=True)
+def inverse_of(first, second, x, y):  # type: ignore[no-untyped-def]
+    """See `inverse`, of a bilinear map with such components."""
+    (m0, a0, b0, c0), (m1, a1, b1, c1) = first, second
     p0, p1 = m0 - x, m1 - y
     A = a0 * c1 - a1 * c0
     centre = a0 * b1 - a1 * b0
@@ -235,7 +241,7 @@ def height_at(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
     """Return the height of the point (xi, eta) of a facet over the plane."""
     if not bilinear:
         return (1 - xi - eta) * P[0, 2] + xi * P[1, 2] + eta * P[2, 2]
-    m, a, b, c = _bilinear(P, 2)
+    m, a, b, c = bilinear_map(P, 2)
     return m + xi * a + eta * (b + xi * c)
 
 
@@ -247,8 +253,13 @@ def slopes(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
     """
     if not bilinear:
         return 0.0, 0.0
-    (_, a0, b0, c0), (_, a1, b1, c1) = _bilinear(P, 0), _bilinear(P, 1)
-    _, a2, b2, c2 = _bilinear(P, 2)
+    return slopes_of(bilinear_map(P, 0), bilinear_map(P, 1), bilinear_map(P, 2), xi, eta)
+
+
+@numba.njit(cache=True)
+def slopes_of(first, second, height, xi, eta):  # type: ignore[no-untyped-def]
+    """See `slopes`, of a bilinear map with such components."""
+    (_, a0, b0, c0), (_, a1, b1, c1), (_, a2, b2, c2) = first, second, height
     a0, a1, a2 = a0 + eta * c0, a1 + eta * c1, a2 + eta * c2
     b0, b1, b2 = b0 + xi * c0, b1 + xi * c1, b2 + xi * c2
     n2 = a0 * b1 - a1 * b0

@@ -530,7 +530,8 @@ def weighted_duals(
     N_s = element.shape_functions(segments.xi_s) if N_s is None else N_s
     N_s = absorbed(element.shares, N_s, kept[segments.slave])
     Phi = dual_values(N_s, segments.weight, segments.slave, kept)
-    return np.asarray(Phi * segments.weight[:, None])
+    Phi *= segments.weight[:, None]
+    return Phi
 
 
 def integrate_values(

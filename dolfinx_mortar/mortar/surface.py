@@ -2,6 +2,7 @@
 """One side of an interface as flat arrays: nodes, facets, coordinates and normals."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -65,6 +66,22 @@ class Surface:
     def curved(self) -> bool:
         """Whether the mesh has curved cells, whose facets need no correction of their curvature."""
         return compat.cell_degree(self.V.mesh) > 1
+
+    @cached_property
+    def behind(self) -> tuple[Ints, Floats, Floats, Floats]:
+        """Of the cells behind the facets: nodes (m, k), X (m, k, d), slopes, volume over area.
+
+        The derivatives (d, m, k) of their functions in the middle of the facet; the last (m,) at X.
+        """
+        V, cell = self.V, self.V.mesh.basix_cell()
+        cells, local = _cells_behind(V, self.entities)
+        corners = np.asarray(basix.geometry(cell))
+        sides = basix.topology(cell)[len(corners[0]) - 1]
+        middles = np.array([corners[side].mean(axis=0) for side in sides])
+        slopes = V.element.basix_element.tabulate(1, middles)[1:, :, :, 0][:, local]
+        nodes = V.dofmap.list[cells]
+        X = V.tabulate_dof_coordinates()[:, : self.X.shape[1]][nodes]
+        return nodes, X, slopes, _heights_behind(self, X, self.X, slopes)
 
 
 def check_tags(facet_tags: Any) -> None:
@@ -441,23 +458,20 @@ def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
     At the nodes, the mean over their facets of the stretch at the centre: that of the volume of the
     cell behind over that of the area. Rotations do not change it.
     """
-    V, element = surface.V, surface.element
-    cell, d = V.mesh.basix_cell(), V.mesh.geometry.dim
-    cells, local = _cells_behind(V, surface.entities)
-    corners, sides = np.asarray(basix.geometry(cell)), basix.topology(cell)[d - 1]
-    middles = np.array([corners[side].mean(axis=0) for side in sides])
-    slopes = V.element.basix_element.tabulate(1, middles)[1:, :, :, 0][:, local]
-    nodes, middle = V.dofmap.list[cells], element.points[list(element.vertices)].mean(axis=0)
-    X = V.tabulate_dof_coordinates()[:, :d]
-    heights = []
-    for x in (X, X + u.x.array.reshape(-1, d)):
-        volume = np.linalg.det(np.einsum("amk,mki->mai", slopes, x[nodes]))
-        normals = scaled_normals(facets_at(surface, x[surface.nodes]), middle[None])[:, 0]
-        heights.append(volume / np.maximum(np.linalg.norm(normals, axis=1), TINY))
-    stretch = np.abs(heights[1] / heights[0])
+    element, (nodes, X, slopes, height) = surface.element, surface.behind
+    x = X + u.x.array.reshape(-1, X.shape[2])[nodes]
+    stretch = np.abs(_heights_behind(surface, x, coordinates(surface, u), slopes) / height)
     columns = np.stack([stretch, np.ones_like(stretch)], axis=1)[:, None]
     total = sum_at_nodes(surface, np.repeat(columns, element.nodes, axis=1))
     return np.asarray(total[:, 0] / total[:, 1])
+
+
+def _heights_behind(surface: Surface, x: Floats, of_nodes: Floats, slopes: Floats) -> Floats:
+    """Return volume over area (m,) at the middles of facets, of cells with nodes x (m, k, d)."""
+    volume = np.linalg.det(np.einsum("amk,mki->mai", slopes, x))
+    middle = surface.element.points[list(surface.element.vertices)].mean(axis=0)
+    normals = scaled_normals(facets_at(surface, of_nodes), middle[None])[:, 0]
+    return np.asarray(volume / np.maximum(np.linalg.norm(normals, axis=1), TINY))
 
 
 def mean_facet_length(surface: Surface) -> float:
