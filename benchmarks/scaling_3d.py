@@ -56,6 +56,7 @@ def work(h: float, log: str) -> None:
         "cpu": comm.allreduce(cpu, op=MPI.MAX),
         "newton": report.newton_iterations,
         "krylov": sum(i.linear_iterations for i in report.iterations),
+        "set_ups": report.factorisations,
         "parts": problem.timings.seconds,
         "slave_facets": comm.allreduce(facets),
         "slave_facets_of_a_rank": comm.allreduce(facets, op=MPI.MAX),
