@@ -292,12 +292,12 @@ def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners, least
         variation = max(variation, turn / 2)  # the weight contains sqrt(1 + slope^2)
         degree = float(least)
         if variation > 0.0:
-            # the singularities of the inverse maps lie 1 / variation triangles away; integrals are
-            # the SAME then, and both sides exchange a constant pressure up to that: with EPS
-            # degrees are a third higher
+            # the singularities of the inverse maps lie 1 / variation triangles away; integrals of
+            # one function, of half of the degree, are the SAME then, and both sides exchange a
+            # constant pressure up to that: with EPS degrees are a third higher
             degree = _HIGHEST
             if variation < 2.0:
-                degree = min(least - 2 + np.log(SAME) / np.log(variation / 2), degree)
+                degree = min(least // 2 + np.log(SAME) / np.log(variation / 2), degree)
         rule[t] = min(max(np.ceil(degree / 2), least / 2), _HIGHEST // 2) - 1
     return rule
 
