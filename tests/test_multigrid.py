@@ -455,3 +455,18 @@ def test_a_preconditioner_that_breaks_down_is_set_up_anew(moved, monkeypatch, ca
     assert report.factorisations > moved[2].factorisations
     assert COMM.rank > 0 or "an old preconditioner failed and is set up anew" in caplog.text
     assert contact.force == pytest.approx(moved[1].force, rel=1e-6, abs=1e-5)
+
+
+@pytest.mark.serial
+def test_a_first_step_after_a_failure_is_that_without_to_the_last_bit():
+    """Products before the first set-up read all of K, later ones half of it, in another order."""
+    ends = []
+    for fails in (False, True):
+        case = create("boxes3", 2, "smooth")
+        case.on_time(case.levels[0])
+        if fails:
+            with pytest.raises(dm.NewtonNotConverged):
+                dm.newton(case.problem, max_it=1)
+        assert "gamg" in dm.newton(case.problem).linear_solver
+        ends.append(case.problem.u.x.array.copy())
+    assert np.array_equal(*ends)

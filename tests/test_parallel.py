@@ -26,7 +26,7 @@ ON_TWO = """
     progress regions results summary tags terms written_results
 """.split()
 SLOW_ON_TWO = """
-    audit axisymmetric_contact axisymmetric_patch axisymmetry certificate checkpoint
+    audit axisymmetric_contact axisymmetric_patch axisymmetry bending certificate checkpoint
     checkpoint_damage checkpoint_errors curvature_jumps demo_meshes dynamics edges
     eigenstrain energies failures finite_in_space finite_plane_stress finite_sliding folds
     jump jump_errors kinematics law_contact linear linearisation loads locking

@@ -54,6 +54,11 @@ class RowsOf:
             self._half.destroy()
             self._half = None
 
+    def forget(self) -> None:
+        """Be as new: products before the next set-up read K again, whose sums differ in digits."""
+        self.release_half()
+        self._set_up, self._state, self._kept = False, -1, None
+
     def use_half(self) -> None:
         """Let products use the copy, but not before the first set-up: it would leave a gap."""
         self._resting = not self._set_up
