@@ -128,7 +128,7 @@ def indentation(
     bcs = [fem.dirichletbc(base, dofs[BASE], V), fem.dirichletbc(held, dofs[HELD], V)]
     make = dm.NeoHooke if strain == "finite" else dm.Elastic
     laws = {BLOCK: make(moduli[0], 0.3), TOOL: make(moduli[1], 0.3)}
-    solid = dm.Solid(u, laws, bodies.cells, strain=strain)
+    solid = dm.Solid(u, laws, bodies.cells, strain=strain, energies=strain == "finite")
     sides = (ARC, TOP) if slave == "tool" else (TOP, ARC)
     contact = dm.Contact(bodies.facets, slave=sides[0], master=sides[1], surface=surface, **options)
     return Indentation(dm.ContactProblem(solid, [contact], bcs=bcs), contact, held, base)

@@ -6,6 +6,8 @@ mortar method between facets) has solved the same meshes; its forces and its num
 with the exact tangent are quoted. Times are too long for the default run but for the first case.
 """
 
+from itertools import pairwise
+
 from mpi4py import MPI
 
 import numpy as np
@@ -99,6 +101,34 @@ def test_shallow_ironing(friction):
             assert np.abs(np.abs(steps[-1][1]) - force).max() < 2e-6
     (_, V), (_, W) = (sliding(steps) for steps in runs)
     assert np.abs(V - W).max() < 0.015 * V.max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slave", ["tool", "block"])
+def test_without_friction_the_work_of_the_tool_is_stored(slave):
+    """H ds + V dz = dE, so that H is no error where the energy depends on the place.
+
+    On its way to the middle the tool leaves the end of the block, which is softer: E grows there by
+    3 % and decreases again behind the middle. The trapezoidal rule needs steps as short as facets.
+    """
+    for k in (1, 2):
+        case = indentation(n=((48 * k, 10 * k), (32 * k, 4 * k)), slave=slave)
+        places = [(0.0, -0.075 * n) for n in range(11)]
+        places += [(0.15 * n, -0.75) for n in range(1, 41)]
+        work, stored, force = [0.0], [0.0], np.zeros(2)
+        for before, place in pairwise(places):
+            case.held.value[:] = place
+            dm.newton(case.problem, rtol=1e-8)
+            case.problem.commit()
+            last = force
+            force = (case.contact.master_force if slave == "tool" else case.contact.force).copy()
+            work.append(work[-1] + (last + force) @ np.subtract(place, before) / 2)
+            stored.append(sum(body.stored for body in case.problem.solid.energies().values()))
+        W, E = np.array(work), np.array(stored)
+        assert W[10] == pytest.approx(E[10], rel=3e-3)  # pressed
+        rise, off = E[30] - E[10], (W - W[10]) - (E - E[10])
+        assert rise == pytest.approx(0.0057, rel=0.02)  # the same on both meshes
+        assert abs(off[30]) < 0.005 * rise and np.abs(off[10:]).max() < 0.03 * rise
 
 
 @pytest.mark.slow
