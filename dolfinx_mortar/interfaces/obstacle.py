@@ -227,17 +227,25 @@ class Obstacle(Movable, Unilateral):
         side = create_whole_side(sides.slave, sides.weight)
         plain = create_pattern(sides, side.row, side.column, len(side.row))
         slave, own = sides.slave, None
+        faceted: Bools | None = None
         second = slave.element.degree > 1
         smooth = not slave.curved and self.meant is not False
-        if smooth and (second or self.meant is None):
+        if smooth if second else not (slave.curved or self.meant):
             own = find_smooth_side(slave, sides.fixed, FEATURE_ANGLE)
-        if smooth and not second and own is not None:
+        if not second and own is not None:
             # between the nodes of a flat side a tip of the tool is seen by its facets alone
-            comm, highest = sides.V.mesh.comm, np.abs(own.sagitta).max(initial=0.0)
-            smooth = float(maximum(comm, highest)[0]) > HALF_OF_DIGITS * mean_facet_length(slave)
+            limit = HALF_OF_DIGITS * mean_facet_length(slave)
+            bent = (np.abs(own.sagitta) > limit).reshape(len(slave.facets), -1).any(axis=1)
+            at_nodes = np.zeros(len(slave.nodes))
+            at_nodes[slave.facets[bent]] = 1.0
+            on = np.asarray(accumulate(slave, at_nodes) > 0.0)[: slave.owned]
+            is_round = any_rank(sides.V.mesh.comm, on.any())[0]
+            faceted = on if is_round and not smooth else None
+            smooth = smooth and is_round
             own = own if smooth else None
         at = plain.row, plain.column, plain.split, plain.blocks, plain.scalars
-        return None, SidePattern(*at, side=side, own=own, nodal=smooth and not second)
+        nodal = smooth and not second
+        return None, SidePattern(*at, side=side, own=own, nodal=nodal, faceted=faceted)
 
     def measure_coverage(
         self, sides: Sides, pairing: Pairing | None, u: fem.Function | None

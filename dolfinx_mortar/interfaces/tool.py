@@ -430,6 +430,7 @@ class SidePattern(Pattern):
     side: WholeSide | None = None
     own: SmoothSide | None = None  # for which its facets stand, where they are of second order
     nodal: bool = False  # whether distances are those of nodes, for facets of first order
+    faceted: Bools | None = None  # (owned nodes,) where facets are meant that stand for a round one
 
 
 def point_gaps(

@@ -111,10 +111,7 @@ class EnergyLedger:
 
     def _stored(self) -> float | None:
         """Return the potential of the bodies at the committed state, None without; collective."""
-        share = self.problem.solid.energy()
-        comm = self.problem.comm
-        none = comm.allreduce(share is None)
-        return None if none or share is None else float(comm.allreduce(float(np.sum(share))))
+        return self.problem.solid.potential()
 
     def _forces(self, terms: Sequence[Term]) -> Floats:
         """Return the sum of the forces of terms, (owned nodes, d); collective."""

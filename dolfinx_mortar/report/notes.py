@@ -68,7 +68,7 @@ def _pressures(end: StepEnd) -> list[str]:
     x, u = end.problem.positions(), end.problem.configuration
     notes, few = [], []
     for link in end.unilateral:
-        spoilt = note_on_facets(link, x, u, forces, stiffness)
+        spoilt = note_on_facets(link, x, u, forces, stiffness, end.problem.solid.potential)
         notes += [spoilt] if spoilt else []
         if any_rank(end.problem.comm, forces[link.nodes].any())[0]:
             few.append(note_on_few_nodes(link, end.contacts, not spoilt))

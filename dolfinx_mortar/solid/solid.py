@@ -303,6 +303,12 @@ class Solid(Term):
             share += dilatation.energy()
         return share if self.volumes is None else np.array([share, self._moduli, -self._moduli])
 
+    def potential(self) -> float | None:
+        """Return Psi(u) of all ranks, None without; collective."""
+        share, comm = self.energy(), self.mesh.comm
+        none = comm.allreduce(share is None)
+        return None if none or share is None else float(comm.allreduce(float(np.sum(share))))
+
     @cached_property
     def _moduli(self) -> float:
         """The integral over this rank's cells of the norm of the elastic stress of a unit shear."""
