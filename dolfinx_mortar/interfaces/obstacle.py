@@ -235,7 +235,7 @@ class Obstacle(Movable, Unilateral):
         if not second and own is not None:
             # between the nodes of a flat side a tip of the tool is seen by its facets alone
             limit = HALF_OF_DIGITS * mean_facet_length(slave)
-            bent = (np.abs(own.sagitta) > limit).reshape(len(slave.facets), -1).any(axis=1)
+            bent = (np.abs(own.sagitta) > limit).any(axis=1)
             at_nodes = np.zeros(len(slave.nodes))
             at_nodes[slave.facets[bent]] = 1.0
             on = np.asarray(accumulate(slave, at_nodes) > 0.0)[: slave.owned]
