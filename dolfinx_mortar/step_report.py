@@ -131,10 +131,13 @@ class Ledger:
     defect: float  # left side less right side, over the largest energy so far
     largest: float  # of all these energies and works, so far
     owed: float = 0.0  # what contact has given and not yet taken back; it waits until it matters
+    # of each of problem.interfaces that can open: (d,) on the slave side since the start, by the
+    # trapezoidal rule and with what restored the energy, which `force` does not have; else None
+    impulses: list[list[float] | None] = field(default_factory=list)
 
     def __str__(self) -> str:
-        parts = ", ".join(f"{f.name} {getattr(self, f.name):.6g}" for f in fields(self))
-        return f"energy: {parts}"
+        energies = {name: value for name, value in vars(self).items() if name != "impulses"}
+        return "energy: " + ", ".join(f"{name} {value:.6g}" for name, value in energies.items())
 
 
 @dataclass

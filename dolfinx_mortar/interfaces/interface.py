@@ -458,6 +458,8 @@ class Interface(ABC):
     def force(self) -> Floats:
         """Resultant (d,) exerted on the slave side.
 
+        At the end of the step: for impulses in motions see `Ledger.impulses`.
+
         Of rings, (radial, axial): the sum of what pushes outwards all around, which no force on
         the whole balances, and the force along the axis.
         """

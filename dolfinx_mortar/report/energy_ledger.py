@@ -40,6 +40,7 @@ restore is more than rtol of the largest energy so far, which contact that lasts
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -98,12 +99,13 @@ class EnergyLedger:
         if last is None:
             kinetic = inertia.kinetic_energy()
             total = kinetic + (stored or 0.0)
-            zeros = dict.fromkeys(
+            zeros: dict[str, Any] = dict.fromkeys(
                 ("dissipated", "friction", "damping", "loads", "supports", "contact", "defect"), 0.0
             )
             last = Ledger(
                 initial=total, kinetic=kinetic, stored=stored or 0.0, largest=total, **zeros
             )
+        self._acting = self._resultants()
         self.last, self._potential = last, stored
         self._before: Ends | None = None
         self._heated = False  # in this step
@@ -112,6 +114,31 @@ class EnergyLedger:
     def _stored(self) -> float | None:
         """Return the potential of the bodies at the committed state, None without; collective."""
         return self.problem.solid.potential()
+
+    def _resultants(self) -> list[Floats | None]:
+        """Return the forces (d,) on the slave sides that can open, None for other interfaces."""
+        zero = np.zeros(self.problem.d)
+        return [
+            (zero if one.resultants is None else one.force.copy()) if one.unilateral else None
+            for one in self.problem.interfaces
+        ]
+
+    def _impulses(self, restored: float) -> list[list[float] | None]:
+        """Return those of the contacts until the end of the step.
+
+        Args:
+            restored: time for which the sum of the forces at its start and end has restored the
+                energy.
+        """
+        before, self._acting = self._acting, self._resultants()
+        time = 0.5 * self.inertia.start.dt + restored
+        sums = self.last.impulses or [None] * len(before)
+        return [
+            None
+            if start is None or end is None
+            else [*map(float, time * (start + end) + (0.0 if sum_ is None else np.array(sum_)))]
+            for start, end, sum_ in zip(before, self._acting, sums, strict=True)
+        ]
 
     def _forces(self, terms: Sequence[Term]) -> Floats:
         """Return the sum of the forces of terms, (owned nodes, d); collective."""
@@ -224,18 +251,21 @@ class EnergyLedger:
         terms = self._sum(np.abs((before.contact + after.contact) * du))
         if self.conserve:
             motion = self._turned(motion, before, after, self._on_tools)
-        left, unsolved, owed = 0.0, False, self.last.owed + gain
+        left, unsolved, owed, restored = 0.0, False, self.last.owed + gain, 0.0
         least = max(ROUND_OFF * terms, report.rtol * self.last.largest)
         if self.conserve and abs(owed) > least:
             forces = before.contact + after.contact, before.friction + after.friction
             found = self._responses(forces, report.rtol, linear)
-            motion, share, dragged, left = self._restored(motion, found, forces, way, -owed)
+            motion, share, dragged, left, restored = self._restored(
+                motion, found, forces, way, -owed
+            )
             work["supports"] += share
             work["friction"] += dragged
             unsolved, owed = found is None, 0.0
         if self.conserve:
             motion = self._turned(motion, before, after, self._free)
         inertia.finish(motion)
+        impulses = self._impulses(restored)
         potential = self._stored()
         problem.commit()
         kept = {"load": after.loads, "damping": after.damping}
@@ -252,6 +282,7 @@ class EnergyLedger:
             supports=last.supports + work["supports"],
             contact=last.contact + gain,
             owed=owed if self.conserve else 0.0,
+            impulses=impulses,
         )
         self.last = report.ledger = _balanced(ledger)
         if report.certificate is not None:
@@ -395,7 +426,7 @@ class EnergyLedger:
         forces: tuple[Floats, Floats],
         way: Floats,
         energy: float,
-    ) -> tuple[Motion, float, float, float]:
+    ) -> tuple[Motion, float, float, float, float]:
         """Return a motion that an impulse of contact forces has given an energy; collective.
 
         Args:
@@ -407,11 +438,11 @@ class EnergyLedger:
             energy: for who moves with the tool.
 
         Returns:
-            The motion, the works of tools and of friction that are in it beside the energy, and the
-            part of the energy that it has not got.
+            The motion, the works of tools and of friction that are in it beside the energy, the
+            part of the energy that it has not got, and the time for which the forces have acted.
         """
         if responses is None:
-            return motion, 0.0, 0.0, energy
+            return motion, 0.0, 0.0, energy, 0.0
         mass, sums, start = self.inertia.mass, self.inertia.sum, self.inertia.start
         moved = [mass.extend(y) for y in responses]
         whole = moved[0] + moved[1]
@@ -421,14 +452,14 @@ class EnergyLedger:
         a = sums((whole * images[0]).sum())
         b = sums((motion.velocity * images[0]).sum()) - tools
         if not a > 0.0:
-            return motion, 0.0, 0.0, energy
+            return motion, 0.0, 0.0, energy, 0.0
         root = b**2 + 2.0 * a * energy
         s = 2.0 * energy / (b + np.copysign(np.sqrt(root), b)) if root > 0.0 else -b / a
         left = min(root, 0.0) / (2.0 * a)
         mean = motion.velocity + 0.5 * s * whole
         dragged = s * (sums((mean * images[1]).sum()) - drags)
         changed = replace(motion, velocity=motion.velocity + s * whole)
-        return changed, s * (tools + drags), dragged, left
+        return changed, s * (tools + drags), dragged, left, s / start.kappa
 
 
 def _not_restored(share: float, *, unsolved: bool) -> str:
