@@ -298,6 +298,39 @@ def test_motions_that_the_mesh_alone_resists(mu, load, words):
         dm.newton(problem, max_it=3)
 
 
+@pytest.mark.parametrize(
+    ("pressed", "mu", "load", "does"),
+    [
+        (0.5, None, {"x": 5e-4}, "moves along the side"),  # on two nodes
+        (0.5, 0.3, {"x": 5e-3, "moment": 0.015}, "rolls"),
+        (0.5, 0.3, {"x": 5e-3}, ""),  # friction carries it
+        (5.0, 0.3, {"x": 0.05, "moment": 0.15}, "rolls"),  # on three nodes
+        (5.0, 0.3, {"x": 0.05}, ""),
+    ],
+)
+def test_a_step_that_ends_where_the_mesh_holds_a_disc(pressed, mu, load, does):
+    """A note says so, where no equilibrium is on a flat side: it would go on for ever."""
+    case = Block(n=20, fine=5.0, size=5.0)
+    base = fem.locate_dofs_topological(case.V, 1, case.facets.find(BASE))
+    case.bcs = lambda: [fem.dirichletbc(np.zeros(2), base, case.V)]
+    disc = dm.shapes.Cylinder([2.6, 3.0], 3.0)
+    tool = case.tool(disc, friction=mu, load={"y": -pressed})
+    problem = case.problem([tool])
+    assert not any("hardly" in note for note in dm.newton(problem).notes)
+    problem.commit()
+    tool.load = {"y": -pressed} | load
+    told = [note for note in dm.newton(problem).notes if "hardly anything resists" in note]
+    assert [does in note for note in told] == [True] * bool(does)
+
+
+def test_a_plate_on_two_nodes_is_held():
+    """It turns by the moment of its load over theirs: flat tools have no valleys."""
+    case = Block(n=1)
+    tool = case.tool(dm.shapes.Plane([4.0, 0.0], [0.0, -1.0]), load={"y": -1.0, "moment": 0.0})
+    assert not any("hardly" in note for note in dm.newton(case.problem([tool])).notes)
+    assert tool.tool_force[1] == pytest.approx(1.0)
+
+
 class Own:
     """What a user's own interface drives: it promises what a tool does, and is none."""
 

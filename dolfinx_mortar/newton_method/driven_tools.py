@@ -21,7 +21,7 @@ along the way, can tell how long the step may be.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from mpi4py import MPI
@@ -29,7 +29,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import (
     HALF_OF_DIGITS,
     LIMIT,
@@ -45,6 +45,7 @@ from dolfinx_mortar.interfaces.coupling import relative_motions
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.tool import Driven, Tool
+from dolfinx_mortar.mortar.surface import accumulate, mean_facet_length
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.failures import StepFailed, Unresisted
 from dolfinx_mortar.newton_method.linearisation import (
@@ -494,10 +495,15 @@ def loose_motion(
     most = int(np.argmax(factors.real))
     if factors[most].real <= OVERSHOOT:
         return ""
-    length = np.abs(ways[:, most]) * drives.arms()
-    on, names = length >= OVERSHOOT * length.max(), _names(drives)
+    length, names = np.abs(ways[:, most]) * drives.arms(), _names(drives)
     owner = names[int(np.argmax(length))][1]
-    along = [name for (name, _), some in zip(names, on, strict=True) if some]
+    return _describe_way(owner, [name for name, _ in names], length)
+
+
+def _describe_way(owner: Interface, names: Sequence[str], length: Floats) -> str:
+    """Say that hardly anything resists a motion, with the lengths (m,) of its parts, by name."""
+    on = length >= OVERSHOOT * length.max()
+    along = [name for name, some in zip(names, on, strict=True) if some]
     turns = ["moment" in name for name in along]
     does, remedy = "moves along the side", "give friction, or prescribe its position"
     if all(turns):
@@ -506,6 +512,63 @@ def loose_motion(
         does, remedy = "rolls", "prescribe its position or its rotation along that way"
     loads = " and ".join(f"{name!r}" for name in along)
     return f"hardly anything resists that {owner!r} {does}, by {loads} of its loads: {remedy}"
+
+
+def notes_on_loose_tools(
+    problem: ContactProblem, stiffness: Floats | None, balance: Balance, contacts: Contacts
+) -> list[str]:
+    """Return notes on tools that loads have brought where the mesh alone holds them; collective.
+
+    A step may end there: between nodes a tool lies as in a valley. Of three nodes and more the
+    stiffness tells, see `loose_motion`, of nodes of one facet what else they would resist if they
+    were one node.
+
+    Args:
+        problem: at the end of a step.
+        stiffness: as of `loose_motion`.
+        balance: forces there.
+        contacts: the multipliers there.
+    """
+    found = [loose_motion(problem, stiffness, balance, contacts)]
+    if not found[0]:
+        x = problem.positions().array_r.reshape(problem.n, problem.d)
+        found = [_loose_on_a_facet(link, contacts, x) for link in problem.system.links]
+    held = "the facets between its nodes hold it where it is, which a flat side would not"
+    return [f"{loose}; {held}" for loose in found if loose]
+
+
+def _loose_on_a_facet(link: Link, contacts: Contacts, x: Floats) -> str:
+    """Say along which way a tool is loose that meets nodes of one facet only, or ""; collective.
+
+    All directions at them are resisted if any of them sticks, else the normal of the tool, about
+    whose round surface the facet is straight.
+    """
+    tool, slave, comm = link.interface.driven(), link.sides.slave, link.sides.V.mesh.comm
+    if not isinstance(tool, Tool):
+        return ""
+    forces = np.zeros(len(slave.nodes))
+    forces[: slave.owned] = link.coupling.weight[:, 0] * contacts.multipliers[link.nodes]
+    on = accumulate(slave, forces) > 0.0
+    own = on[: slave.owned]
+    count = comm.allreduce(int(own.sum()))
+    alone = (on[slave.facets].sum(axis=1) == count).any()
+    if not (any_rank(comm, alone)[0] and count):
+        return ""
+    z, x = forces[: slave.owned][own], x[link.nodes[own]]
+    slides = contacts.sliding is not None and contacts.sliding[link.nodes[own]].any(axis=1)
+    stuck = bool(link.interface.rough) & ~np.broadcast_to(slides, len(z))
+    sums = comm.allreduce(np.concatenate([z @ x, [z.sum(), stuck.sum()]]), op=MPI.SUM)
+    middle, pose = sums[:-2] / sums[-2], tool.pose()
+    at = pose.distance(tool.shape, middle[None])
+    if np.abs(at.hessian).max() * mean_facet_length(slave) <= HALF_OF_DIGITS:
+        return ""
+    ways = tool.along((middle - pose.position)[None])[:, 0]
+    size = np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), TINY)
+    resisted = ways / size if sums[-1] else ways / size @ at.gradient.T
+    _, factors, parts = np.linalg.svd(resisted.T)
+    if np.count_nonzero(factors > HALF_OF_DIGITS) == len(ways):
+        return ""
+    return _describe_way(link.interface, tool.names, np.abs(parts[-1]))
 
 
 def miss(problem: ContactProblem, balance: Balance, contacts: Contacts, limit: float) -> float:

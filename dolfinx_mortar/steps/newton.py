@@ -850,6 +850,9 @@ class _Step:
         report.notes += (
             find_notes(end) + self.notes_on_shifts() + self.notes_on_snapping(begun, contacts)
         )
+        if self.driven:
+            found = self.stiffness, iterate.balance, contacts
+            report.notes += driven_tools.notes_on_loose_tools(problem, *found)
         report.certificate = create_certificate(
             problem, report, contacts, residual, sliders, left_out, crossing
         )
