@@ -9,7 +9,8 @@ import dolfinx
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
-from tests.pressed_blocks import COMM
+from tests.pressed_blocks import COMM, rejected
+from tests.tool_case import Block
 
 pytestmark = pytest.mark.mpi
 
@@ -17,8 +18,11 @@ ELASTIC = dm.Elastic(100.0, 0.3)
 FLOOR, FOOT, TOP, BOTTOM, LEFT, RIGHT = range(1, 7)
 
 
-def wedge(friction=None):
-    """Return a square that stands on its corner in a groove of two planes, and its loads."""
+def wedge(friction=None, tool=None):
+    """Return a square that stands on its corner in a groove of two planes, and its loads.
+
+    The groove may be one tool, for both sides.
+    """
     domain = mesh.create_unit_square(COMM, 8, 8, mesh.CellType.quadrilateral)
     x, c = domain.geometry.x, np.sqrt(0.5)
     x[:, :2] = c * np.stack([x[:, 0] - x[:, 1], x[:, 0] + x[:, 1]], axis=1)
@@ -27,7 +31,8 @@ def wedge(friction=None):
         mesh.locate_entities_boundary(domain, 1, lambda x, s=s: np.isclose(x[1], s * x[0]))
         for s in (1, -1)
     ]
-    values = np.repeat(np.array([1, 2], dtype=np.int32), [len(part) for part in found])
+    second = 2 if tool is None else 1
+    values = np.repeat(np.array([1, second], dtype=np.int32), [len(part) for part in found])
     facets = np.concatenate(found)
     order = np.argsort(facets)
     tags = mesh.meshtags(domain, 1, facets[order], values[order])
@@ -36,6 +41,9 @@ def wedge(friction=None):
         dm.Obstacle(tags, slave=k, shape=shape, friction=friction)
         for k, shape in enumerate(planes, start=1)
     ]
+    if tool is not None:
+        shape = dm.shapes.Union(*planes) if tool == "union" else tool
+        tools = [dm.Obstacle(tags, slave=1, shape=shape, friction=friction)]
     load = fem.Constant(domain, np.zeros(2))
     loads = ufl.inner(load, ufl.TestFunction(V)) * ufl.dx
     return dm.ContactProblem(dm.Solid(fem.Function(V), ELASTIC), tools, loads=loads), tools, load
@@ -53,6 +61,37 @@ def test_a_body_in_a_groove_of_two_tools():
     (note,) = (note for note in report.notes if "removed" in note)
     assert "Union" in note
     assert "masters" not in note
+
+
+def test_a_corner_in_the_corner_of_one_tool():
+    """Says why it fails; rounded by half of a facet it has the forces of statics."""
+    problem, (tool,), load = wedge(tool="union")
+    load.value[:] = 0.0, -2.0
+    words = "the body reaches into an inner corner of the tool", "its own tag and Obstacle"
+    with rejected(*words, error=dm.NewtonNotConverged):
+        dm.newton(problem)
+    r, angles = 0.06, np.radians(np.linspace(-45.0, -135.0, 9))
+    arc = np.stack([np.cos(angles), np.sin(angles) + 1.0], axis=1) * r
+    high = 3.0 - r * (np.sqrt(2.0) - 1.0)  # of the flanks, 45 degrees, that touch the arc
+    points = np.concatenate([[[3.0, high]], arc, [[-3.0, high]]])
+    problem, (tool,), load = wedge(tool=dm.shapes.Polyline(points, closed=False))
+    for h in (0.0, 0.3):
+        load.value[:] = h, -2.0
+        dm.newton(problem, rtol=1e-9)
+        problem.commit()
+    assert tool.force == pytest.approx([-0.3, 2.0], abs=1e-6)
+
+
+def test_an_outer_corner_of_a_tool_is_none():
+    """Beside a sharp edge that is pressed in, the distances have one normal each."""
+    case, c = Block(n=8, fine=4.0), np.sqrt(0.5)
+    planes = [dm.shapes.Plane((0.0, 0.0), (s * c, -c)) for s in (1, -1)]
+    tool = case.tool(dm.shapes.Intersection(*planes))
+    tool.position.value[1] -= 0.01
+    problem = case.problem([tool])
+    dm.newton(problem)
+    (link,) = problem.system.links
+    assert tool.in_corners(link, problem.positions()) == ""
 
 
 def pressed(split, slave):

@@ -354,6 +354,10 @@ class Interface(ABC):
         """
         return None
 
+    def in_corners(self, link: CoupledSides, x: PETSc.Vec) -> str:
+        """Say where a tool has no one normal, for steps that fail at x = X + u; collective."""
+        return ""
+
     # -- what steps read and find ----------------------------------------------------------------
 
     def jump_at(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:

@@ -366,6 +366,34 @@ class Obstacle(Movable, Unilateral):
             "more than a facet: the first step has to remove that; let it start beside the body"
         ]
 
+    def in_corners(self, link: CoupledSides, x: PETSc.Vec) -> str:
+        """Say where nodes lie in an inner corner of the tool, which has no one normal; collective.
+
+        There grad phi turns by 30 degrees or more within a quarter of a facet to either side, such
+        that phi has its ridge: a node that touches one face has the normal of the other one next.
+        """
+        comm, d = link.sides.V.mesh.comm, link.sides.fixed.shape[1]
+        at = x.array_r.reshape(-1, d)[link.nodes][link.coupling.kept[:, 0]]
+        length, pose = mean_facet_length(link.sides.slave), self.tool.pose()
+        with raised_together(comm):
+            near = at[np.abs(pose.distance(self.shape, at).value) <= length]
+            ridge = np.zeros(len(near), dtype=bool)
+            for way in np.eye(d):
+                beside = 0.25 * length * way
+                ahead, behind = (pose.distance(self.shape, near + s * beside) for s in (1, -1))
+                turn = (ahead.gradient - behind.gradient) @ way
+                ridge |= turn <= -2.0 * np.sin(np.radians(0.5 * FEATURE_ANGLE))
+        found = [place for part in comm.allgather(near[ridge].tolist()) for place in part]
+        if not found:
+            return ""
+        where = ", ".join(f"{c:.3g}" for c in found[0])
+        return (
+            f"{self!r}: at ({where}) the body reaches into an inner corner of the tool, which has "
+            "no one normal there, so that Newton's method need not converge: give each side of the "
+            "body its own tag and Obstacle with one face of the tool, or round the corner of the "
+            "tool by a radius of a quarter of a facet to a whole one"
+        )
+
     def depths(self, link: CoupledSides, u: fem.Function) -> tuple[Floats, Floats, Floats]:
         """Return how deep points of integration and middles of facets are in the tool at X + u.
 

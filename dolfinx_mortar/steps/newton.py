@@ -316,11 +316,17 @@ class _Step:
         raise self.told(end, iterate)
 
     def told(self, error: failures.StepFailed, last: Iterate) -> failures.StepFailed:
-        """Return the error with the motion of tools that hardly anything resists; collective."""
+        """Return the error with what tools may have to do with it; collective.
+
+        That is a motion that hardly anything resists, or corners without a normal.
+        """
         at = self.stiffness, last.balance, last.contacts
         loose = driven_tools.loose_motion(self.problem, *at) if self.driven else ""
         if not loose:
-            return error
+            x, links = self.problem.positions(), self.problem.system.unilateral
+            found = [link.interface.in_corners(link, x) for link in links]
+            corners = "; ".join(told for told in found if told)
+            return failures.StepFailed(f"{corners}. {error}") if corners else error
         # where the tool has moved to, its load may act off the side
         parted = isinstance(error, failures.Unresisted)
         return failures.StepFailed(loose if parted else f"{loose}: {error}")
