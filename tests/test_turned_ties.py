@@ -102,6 +102,25 @@ def test_a_bolt_that_is_tightened_after_a_turn_counts_from_there():
     assert told(case.walk([90.0])[-1], KEPT)
 
 
+def test_since_when_a_jump_has_its_direction_is_state(tmp_path):
+    """It is saved, and what is not committed does not change it."""
+    case, again = Turned(), Turned()
+    case.walk([60.0])
+    dm.preload(case.problem, case.tie, 0.3, direction=rotation(np.pi / 3) @ [0.0, -1.0])
+    path = COMM.bcast(tmp_path) / "tight.h5"
+    case.problem.save(path)
+    tight, u = case.tie.tightening, case.solid.u.x.array.copy()
+    case.tie.tightening = rotation(np.pi / 9) @ tight
+    case.turn(np.radians(80.0))
+    dm.newton(case.problem)  # and no commit
+    case.tie.tightening, case.solid.u.x.array[:] = tight, u
+    again.problem.restore(path)
+    for one in (case, again):
+        (note,) = (note for note in one.walk([90.0])[-1].notes if KEPT in note)
+        (degrees,) = re.findall(r"turned by (\d+) degrees", note)
+        assert abs(int(degrees) - 30) <= 1
+
+
 def test_small_strain_has_its_own_notes():
     case = Turned(strain="small", law=dm.Elastic(10.0, 0.3))
     dm.preload(case.problem, case.tie, 0.3, direction=[0.0, -1.0])

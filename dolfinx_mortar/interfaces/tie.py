@@ -113,9 +113,6 @@ class Tie(MortarInterface):
         self.jump = jump
         self.pretension, self.direction = pretension, direction
         self.tightening: Floats = np.zeros(self._components)
-        # jump at the slave nodes over its length, and the rotation of the side since X, when its
-        # direction was last set: for a note alone
-        self.aligned: tuple[Floats, Floats] | None = None
 
     @property
     def _components(self) -> int:

@@ -45,6 +45,14 @@ class Slips:
 
 
 @dataclass(frozen=True)
+class Turns:
+    """Since when the jump of a tie has had its direction, at the owned slave nodes."""
+
+    along: Floats  # (n, d) jump over the length of the longest
+    since: Floats  # (n, d, d) rotation of the slave side then since X
+
+
+@dataclass(frozen=True)
 class StepOutcome:
     """What a converged step leaves for `Committed.commit`."""
 
@@ -57,6 +65,7 @@ class StepOutcome:
     normal: Floats | None = None
     tangential: Floats | None = None
     ended: Sequence[Any] = ()  # of the interfaces, see `Interface.ended`
+    turns: Sequence[Turns | None] = ()  # of the interfaces, () for none
 
 
 @dataclass
@@ -74,6 +83,7 @@ class Committed:
     history: list[LoadStep] = field(default_factory=list)  # all steps of `load_steps`
     brought: int = 0  # how many of them a checkpoint has restored
     walked: int = 0  # how many of them belong to the last call
+    turns: Sequence[Turns | None] = ()  # of the interfaces, () for none
     walk: Walk | None = None  # the last call of `load_steps`, the only one that may continue
     supports: SupportForces | None = None  # of the last step that has converged
 
@@ -88,6 +98,7 @@ class Committed:
         if outcome is None:
             return
         self.active, self.sliding, self.paired = outcome.active, outcome.sliding, outcome.paired
+        self.turns = outcome.turns
         if outcome.slips is not None:
             self.slid, self.dissipated = outcome.slips.slid, outcome.slips.dissipated
 

@@ -19,6 +19,7 @@ from dolfinx_mortar.persistence.committed import ProblemState
 
 NODES, POINTS = "nodes", "points"
 SLIPS = ("slid", "dissipated")
+TURNS = ("jump along", "jump since")  # see `committed.Turns`
 RESULTANTS = ("force", "moment", "master_force", "master_moment", "place")
 FLAGS = ("active", "carries", "near")  # columns of zeros and ones
 UNDEFINED = ("gap",)  # NaN where a slave node faces no master
@@ -79,6 +80,7 @@ def _columns(state: ProblemState, table: str) -> dict[str, tuple[int, bool]]:
     (interface,) = (i for k, i in enumerate(state.interfaces) if name_of(k) == table)
     columns = {f.name: (f.function_space.dofmap.bs, False) for f in interface.functions}
     columns |= dict.fromkeys(SLIPS if interface.rough else (), (1, False))
+    columns |= dict(zip(TURNS, ((d, True), (d * d, True)), strict=True))
     multipliers = interface.shown(np.zeros((1, d))).size
     return columns | {"multiplier": (multipliers, False), "carries": (1, False), "near": (1, True)}
 

@@ -21,6 +21,7 @@ from dolfinx_mortar.persistence.committed import (
     Slips,
     StepOutcome,
     SupportForces,
+    Turns,
     Walk,
 )
 from dolfinx_mortar.persistence.contents import (
@@ -28,6 +29,7 @@ from dolfinx_mortar.persistence.contents import (
     POINTS,
     RESULTANTS,
     SLIPS,
+    TURNS,
     check_about,
     check_values,
     name_of,
@@ -81,7 +83,7 @@ class Saved:
         slips = Slips(*np.zeros((2, *committed.slid.shape)))
         for k, resultants in enumerate(self.about["interfaces"]):
             _take(state, k, slips, resultants, self.tables.get(name_of(k), {}))
-        committed.paired = self._paired()
+        committed.paired, committed.turns = self._paired(), self._turns()
         committed.begun = self.about["begun"]
         committed.level, committed.walked = self.about["level"], self.about["walked"]
         walk = self.about["walk"]
@@ -89,7 +91,8 @@ class Saved:
         committed.history[:], committed.brought = self.steps, len(self.steps)
         state.system.faced = True
         u = self.tables[NODES]["displacement"].flatten()
-        return StepOutcome(u, committed.active, committed.sliding, committed.paired, slips)
+        closed, sliding, paired = committed.active, committed.sliding, committed.paired
+        return StepOutcome(u, closed, sliding, paired, slips, turns=committed.turns)
 
     def _take_found(self) -> None:
         """Give the interfaces what steps have found; they stay as they are if one refuses it."""
@@ -103,6 +106,16 @@ class Saved:
             for interface, before in zip(interfaces, kept, strict=True):
                 interface.put_back(before)
             raise
+
+    def _turns(self) -> list[Turns | None]:
+        """Return since when the jumps of ties have had their directions; None where not known."""
+        d, found = self.state.solid.V.dofmap.index_map_bs, []
+        for k in range(len(self.state.interfaces)):
+            values = self.tables.get(name_of(k), {})
+            given = [values[name] for name in TURNS if name in values]
+            known = len(given) == len(TURNS)
+            found.append(Turns(given[0], given[1].reshape(-1, d, d)) if known else None)
+        return found
 
     def _paired(self) -> Paired | None:
         """Return where the surfaces were paired; None where that is not known."""

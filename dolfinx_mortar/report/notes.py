@@ -25,7 +25,7 @@ from dolfinx_mortar.report.overlaps import notes_on_overlaps
 from dolfinx_mortar.report.resolution import note_on_few_nodes, notes_on_rims
 from dolfinx_mortar.report.small_strain import LeftOut, notes_on_lost_stress, notes_on_small_strain
 from dolfinx_mortar.report.swept import notes_on_swept
-from dolfinx_mortar.report.turned_ties import notes_on_turned_ties
+from dolfinx_mortar.report.turned_ties import TurnedTie, notes_on_turned_ties
 from dolfinx_mortar.report.uncoupled import Crossing, notes_on_crossings
 
 log = logging.getLogger(__name__)
@@ -42,6 +42,7 @@ class StepEnd:
     overlap: float  # of the sides at X, left to later steps
     left_out: LeftOut
     crossing: Crossing
+    ties: Sequence[TurnedTie | None]
     rtol: float  # of the step
     limit: float  # norm of the forces that it may leave out of balance
 
@@ -93,7 +94,7 @@ DIAGNOSES: tuple[Diagnosis, ...] = (
     lambda end: notes_on_swept(end.problem, end.crossing),
     lambda end: notes_on_small_strain(end.problem, end.left_out),
     lambda end: notes_on_lost_stress(end.problem),
-    lambda end: notes_on_turned_ties(end.problem),
+    lambda end: notes_on_turned_ties(end.problem, end.ties),
 )
 
 

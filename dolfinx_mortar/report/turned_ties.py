@@ -2,11 +2,14 @@
 """Ties of bodies that have turned far: what of a tie is linear in the rotation, or no part of it.
 
 A tie is an equation linear in u with the matrices of X. A jump b, and the overlap of a bolt with
-it, is a given vector: where bodies turn by a rotation R it should be R b, and is off by
-|R b - b| <= 2 sin(a / 2) |b| for an angle a. A distance r of the sides at X should become R r. With
-``surface="smooth"`` it moves by omega x r, omega the mean rotation, which leaves out
+it, is a given vector: where bodies turn by a rotation R it should be R b, and is off by |R b - b|.
+A distance r of the sides at X should become R r. With ``surface="smooth"`` it moves by omega x r,
+omega the mean rotation, which leaves out
 |R r - r - sin(a) n x r| = (1 - cos a) |r| across the axis n; with "facets" it does not turn at all.
 """
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from mpi4py import MPI
 
@@ -19,51 +22,84 @@ from dolfinx_mortar.interfaces.interface import ask
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.mortar.integrals import point_distances
+from dolfinx_mortar.persistence.committed import Turns
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.small_strain import LARGEST_SHARE
 
 
-def notes_on_turned_ties(problem: ContactProblem) -> list[str]:
-    """Return notes on jumps and distances of ties that do not turn with the bodies; collective.
+@dataclass(frozen=True)
+class TurnedTie:
+    """A tie at the end of a step at finite strain."""
+
+    tie: Tie
+    link: Link
+    R: Floats  # (d, d) rotation of the slave side since X
+    jump: Floats | None  # (n, d) at the owned slave nodes, with the tightening
+    longest: float  # of the jumps on all ranks
+    turns: Turns | None  # None without a jump
+
+
+def find_turned_ties(problem: ContactProblem) -> list[TurnedTie | None]:
+    """Return how far the sides of ties have turned, None for other interfaces; collective.
 
     At finite strain only: at small strain all is linear in rotations, which has notes of its own.
     """
     if problem.solid.strain != "finite":
-        return []
+        return [None] * len(problem.interfaces)
+    before = problem.committed.turns or [None] * len(problem.interfaces)
+    return [
+        _turned_tie(problem, interface, last) if isinstance(interface, Tie) else None
+        for interface, last in zip(problem.interfaces, before, strict=True)
+    ]
+
+
+def _turned_tie(problem: ContactProblem, tie: Tie, last: Turns | None) -> TurnedTie:
+    """Return it, with the rotation since when its jump has had its direction; collective.
+
+    A user may turn a jump from step to step, as told.
+    """
+    link = problem.system.link(tie)
+    R = _turned(problem, link)
+    jump = ask(problem.comm, tie, "jump_at", problem.solid.V, link.nodes)
+    lengths = np.zeros(0) if jump is None else np.linalg.norm(jump, axis=1)
+    longest = float(maximum(problem.comm, lengths.max(initial=0.0))[0])
+    if jump is None or not longest:
+        return TurnedTie(tie, link, R, None, 0.0, None)
+    along, since = jump / longest, np.eye(problem.d)
+    if last is not None:
+        differs = np.abs(along - last.along).max(initial=0.0) > QUARTER_OF_DIGITS
+        if not any_rank(problem.comm, differs)[0]:
+            return TurnedTie(tie, link, R, jump, longest, last)
+    if problem.committed.begun:
+        since = R
+    turns = Turns(along, np.broadcast_to(since, (len(jump), *R.shape)))
+    return TurnedTie(tie, link, R, jump, longest, turns)
+
+
+def notes_on_turned_ties(problem: ContactProblem, ties: Sequence[TurnedTie | None]) -> list[str]:
+    """Return notes on jumps and distances of ties that do not turn with the bodies; collective."""
     notes = []
-    for tie in problem.ties:
-        if not isinstance(tie, Tie):  # a rigid side, or a user's own
-            continue
-        link = problem.system.link(tie)
-        R = _turned(problem, link)
-        found = _note_on_jump(problem, tie, link, R), _note_on_distance(problem, tie, link, R)
-        notes += [note for note in found if note]
+    for at in ties:
+        if at is not None:
+            found = _note_on_jump(problem, at), _note_on_distance(problem, at.tie, at.link, at.R)
+            notes += [note for note in found if note]
     return notes
 
 
-def _note_on_jump(problem: ContactProblem, tie: Tie, link: Link, R: Floats) -> str:
-    """Return a note on a jump that has kept its direction while the side has turned; collective.
-
-    Turned since the direction was last set: a user may turn it from step to step, as told.
-    """
-    jump = ask(problem.comm, tie, "jump_at", problem.solid.V, link.nodes)
-    if jump is None:
-        jump = np.zeros((len(link.nodes), problem.d))
-    lengths = np.linalg.norm(jump, axis=1)
-    longest = float(maximum(problem.comm, lengths.max(initial=0.0))[0])
-    along = jump / longest if longest else jump
-    first, at = tie.aligned or (along, np.eye(problem.d))
-    differs = np.abs(along - first).max(initial=0.0) > QUARTER_OF_DIGITS
-    if any_rank(problem.comm, differs)[0]:
-        first, at = along, R
-    tie.aligned = first, at
-    angle = _angle(R @ at.T)
-    if not longest or (off := 2 * np.sin(angle / 2)) <= LARGEST_SHARE:
+def _note_on_jump(problem: ContactProblem, at: TurnedTie) -> str:
+    """Return a note on a jump that has kept its direction while the side has turned; collective."""
+    if at.turns is None or at.jump is None:
+        return ""
+    turned = np.einsum("ab,ncb->nac", at.R, at.turns.since)  # R R_0^T
+    moved = np.linalg.norm(np.einsum("nab,nb->na", turned, at.jump) - at.jump, axis=1)
+    angles = [_angle(one) for one in turned[:1]]  # the same at all nodes
+    off, angle = maximum(problem.comm, moved.max(initial=0.0), max(angles, default=0.0))
+    if off <= LARGEST_SHARE * at.longest:
         return ""
     return (
-        f"{tie}: its jump, with the tightening, is up to {longest:.3g} long and has kept its "
+        f"{at.tie}: its jump, with the tightening, is up to {at.longest:.3g} long and has kept its "
         f"direction, but its sides have turned by {np.degrees(angle):.0f} degrees: it is off by up "
-        f"to {off * longest:.3g}, so that bolts lose force. Turn it with them: set tie.jump, "
+        f"to {off:.3g}, so that bolts lose force. Turn it with them: set tie.jump, "
         "tie.tightening and tie.direction for each step, as by on_time=, to R times what they "
         "were, R the rotation at the end of the step"
     )

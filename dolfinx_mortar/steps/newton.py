@@ -82,6 +82,7 @@ from dolfinx_mortar.report.interface_results import set_results
 from dolfinx_mortar.report.notes import StepEnd, find_notes
 from dolfinx_mortar.report.reaction import support_forces
 from dolfinx_mortar.report.small_strain import find_left_out
+from dolfinx_mortar.report.turned_ties import find_turned_ties
 from dolfinx_mortar.report.uncoupled import find_crossing
 from dolfinx_mortar.step_report import Iteration, NewtonNotConverged, StepReport
 from dolfinx_mortar.terms.sum import Energy, VolumeStep
@@ -850,7 +851,8 @@ class _Step:
             sliders = find_sliders(limits, contacts, iterate.stiffness, noise)
         left_out, crossing = find_left_out(problem), find_crossing(problem)
         stiffness = iterate.stiffness.array_r
-        how = self.overlap, left_out, crossing, report.rtol, residual.limit
+        ties = find_turned_ties(problem)
+        how = self.overlap, left_out, crossing, ties, report.rtol, residual.limit
         end = StepEnd(problem, iterate.balance, contacts, stiffness, *how)
         self.negative = self.negative or self.ends_indefinite()
         report.notes += (
@@ -866,7 +868,9 @@ class _Step:
         at, paired = problem.owned_u.copy(), problem.system.present.paired
         forces = -normal_forces(problem, contacts), -tangential_forces(problem, contacts)
         ended = problem.ends_of_interfaces()
-        outcome = StepOutcome(at, contacts.active, contacts.sliding, paired, slips, *forces, ended)
+        turns = [None if tie is None else tie.turns for tie in ties]
+        closed = contacts.active, contacts.sliding
+        outcome = StepOutcome(at, *closed, paired, slips, *forces, ended, turns)
         problem.outcome, problem.committed.supports = outcome, supports
         report.converged = True
 
