@@ -62,8 +62,7 @@ def count(steps):
     return sum(report.newton_iterations for _, _, report in steps)
 
 
-@pytest.mark.mpi
-@pytest.mark.parametrize("slave", ["tool", "block"])
+@pytest.mark.parametrize("slave", [pytest.param("tool", marks=pytest.mark.mpi), "block"])
 def test_it_saves_iterations_and_changes_no_answer(slave, monkeypatch):
     """Whichever body is moved: that it is the block whose dent moves is found by the overlap."""
     steps, other = slid(slave), slid(slave, tool_held=True)

@@ -27,15 +27,15 @@ ON_TWO = """
 """.split()
 SLOW_ON_TWO = """
     audit axisymmetric_contact axisymmetric_patch axisymmetry bending certificate checkpoint
-    checkpoint_damage checkpoint_errors curvature_jumps demo_meshes dynamics edges
-    eigenstrain energies failures finite_in_space finite_plane_stress finite_sliding folds
-    jump jump_errors kinematics law_contact linear linearisation loads locking
+    checkpoint_damage checkpoint_errors curvature_jumps demo_meshes dynamics edges eigenstrain
+    energies failures finite_in_space finite_loads finite_plane_stress finite_sliding folds
+    heat_in_time jump jump_errors kinematics law_contact linear linearisation loads locking
     logarithmic_solid margin measure newton obstacle orthotropic output output_resume
-    parameters passing patch_3d plane_stress plotting pointwise polyline preload preload_direction
+    parameters passing patch_3d plane_stress plotting pointwise polyline preload
+    preload_direction
     preload_several qp_definite qp_descent ramp reaction resolution rubber small_strain smooth_3d
-    smooth_contact smooth_second smooth_tie solid solid_state stand_off stress_laws sweep
-    taylor_bar tie_reach tool_files tool_friction tool_pictures triangles tying undone user_laws
-    volumetric
+    smooth_contact smooth_second smooth_tie solid solid_state stand_off stress_laws sweep taylor_bar
+    tie_reach tool_files tool_friction tool_pictures triangles tying undone user_laws volumetric
 """.split()
 SLOW_ON_THREE = """
     checkpoint_edits crossings
