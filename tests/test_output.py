@@ -15,7 +15,7 @@ import pytest
 import dolfinx_mortar.output.files
 import ufl
 from basix.ufl import element
-from dolfinx import fem, mesh
+from dolfinx import default_scalar_type, fem, mesh
 from dolfinx_mortar.output import Writer
 
 meshio = pytest.importorskip("meshio")
@@ -43,6 +43,7 @@ class Problem:
         m = mesh.create_rectangle(COMM, [[0.0, 0.0], [2.0, 1.0]], (5, 4), CELLS[cell])
         self.solid = SimpleNamespace(V=fem.functionspace(m, ("Lagrange", degree, (2,))))
         self.t = 0.0
+        self.time = fem.Constant(m, default_scalar_type(0.0))  # in expressions: compiled once
         symmetric = element("DG", cell, 0, shape=(3, 3), symmetry=True)
         self.fields = {
             "displacement": fem.Function(self.solid.V),
@@ -62,7 +63,8 @@ class Problem:
         f["displacement"].interpolate(lambda x: np.stack([self.t * polynomial(x), -x[1]]))
         f["contact pressure [MPa]"].interpolate(lambda x: self.t - polynomial(x))
         f["linear"].interpolate(lambda x: self.t + polynomial(x))
-        y = 1.0 + 2.0 * x[0] - 3.0 * x[1] + self.t
+        self.time.value = self.t
+        y = 1.0 + 2.0 * x[0] - 3.0 * x[1] + self.time
         symmetric = [[y, 2 * y, 3 * y], [2 * y, 4 * y, 5 * y], [3 * y, 5 * y, 6 * y]]
         full = [[y, 2 * y, 3 * y], [4 * y, 5 * y, 6 * y], [7 * y, 8 * y, 9 * y]]
         for name, tensor in (

@@ -219,7 +219,6 @@ def test_balances_are_over_the_sum_of_nodal_forces():
     assert max(_balances(problem.system.links, x, problem.system.facet_length)) < 1e-12
 
 
-@pytest.mark.mpi
 def test_moments_lack_what_turns_the_normals_and_nothing_else():
     """Forces lambda_j D_jj v_j.dn_j/du, of the exact derivative of the gap, have the moment left.
 
