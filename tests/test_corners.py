@@ -9,6 +9,9 @@ import dolfinx
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
+from tests.meshes import BOTTOM as BOTTOM_TAG
+from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, UPPER, two_blocks
+from tests.meshes import TOP as TOP_TAG
 from tests.pressed_blocks import COMM, rejected
 from tests.tool_case import Block
 
@@ -92,6 +95,35 @@ def test_an_outer_corner_of_a_tool_is_none():
     dm.newton(problem)
     (link,) = problem.system.links
     assert tool.in_corners(link, problem.positions()) == ""
+
+
+@pytest.mark.parametrize("slave", [BOTTOM_OF_UPPER, TOP_OF_LOWER])
+def test_a_corner_drawn_over_a_face(slave):
+    """Friction is mu times the force normal to the face, if that is the slave; else a note."""
+    tilt, mu = 0.3, 0.3
+    ends = {"x_lower": (0.0, 2.0), "x_upper": (0.6, 1.2)}
+    domain, cells, facets = two_blocks(COMM, (20, 10), (6, 10), cell="quadrilateral", **ends)
+    upper = np.unique(domain.geometry.dofmap[cells.indices[cells.values == UPPER]])
+    turn = np.array([[np.cos(tilt), -np.sin(tilt)], [np.sin(tilt), np.cos(tilt)]])
+    x = domain.geometry.x
+    x[upper, :2] = (x[upper, :2] - (0.6, 0.0)) @ turn.T + (0.6, 0.0)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    u, lid = fem.Function(V), fem.Constant(domain, (0.0, -0.01))
+    held = [fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (BOTTOM_TAG, TOP_TAG)]
+    bcs = [fem.dirichletbc(np.zeros(2), held[0], V), fem.dirichletbc(lid, held[1], V)]
+    (master,) = {BOTTOM_OF_UPPER, TOP_OF_LOWER} - {slave}
+    contact = dm.Contact(facets, slave=slave, master=master, friction=mu)
+    problem = dm.ContactProblem(dm.Solid(u, dm.Elastic(1.0, 0.3)), [contact], bcs=bcs)
+    for way in (0.0, 0.03, 0.06, 0.09):
+        lid.value[0] = way
+        report = dm.newton(problem)
+        problem.commit()
+    noted = any("degrees askew" in note for note in report.notes)
+    found = abs(contact.force[0] / contact.force[1])
+    if slave == TOP_OF_LOWER:
+        assert not noted and found == pytest.approx(mu, abs=0.005)
+    else:
+        assert noted and found > mu + 0.05
 
 
 def pressed(split, slave):
