@@ -29,6 +29,7 @@ The coefficients A of the dual functions Phi_j of a facet depend on all its poin
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -366,12 +367,65 @@ def _dual_change(w, N, Phi, s, c, inverse, g, t, y, v):  # type: ignore[no-untyp
         y[j] = w * own * N[j] - Phi[j] * across
 
 
+class _Sides(NamedTuple):
+    """Pairs of facets, and the planes of the parts of the slave facets."""
+
+    x_s: Floats  # (ms, k, 3)
+    x_m: Floats  # (mm, l, 3)
+    n_0: Floats  # (parts, 3)
+    G0: Floats  # (parts, k, 3)
+    pairs: Ints  # (p, 2)
+
+
+class _AtPoints(NamedTuple):
+    """What is known at the points of segments."""
+
+    pair: Longs  # (q,)
+    part: Longs  # (q,) of the slave facet
+    N_s: Floats  # (q, k)
+    dN_s: Floats  # (q, k, 2)
+    N_m: Floats  # (q, l)
+    dN_m: Floats  # (q, l, 2)
+    weight: Floats  # (q,)
+    Phi: Floats  # (q, k) times the weight
+    duals: Floats  # (q, k) N~_j
+    height: Floats  # (q,), or one 0
+    slope: Floats  # (q, 2), or one 0
+
+
+class _OnEdges(NamedTuple):
+    """What is known at the points on edges; P_s and P_m are functions of parts."""
+
+    pair: Longs
+    part: Longs
+    N_s: Floats
+    N_m: Floats
+    nu: Floats  # (q, 3)
+    P_s: Floats
+    P_m: Floats
+    weight: Floats
+    Phi: Floats
+    duals: Floats
+    height: Floats
+    free: Bools  # (q,)
+
+
+class _Given(NamedTuple):
+    """The integrands and coefficients of the slave facets, see `Integrands` and `Coefficients`."""
+
+    c: Floats
+    n: Floats
+    which: Bools
+    inverse: Floats
+    g: Floats
+
+
 @numba.njit(cache=True)
-def _integrate_points(  # type: ignore[no-untyped-def]
-    x_s, x_m, n_0, G0, pairs, pair, part, N_s, dN_s, N_m, dN_m, weight, Phi, duals, c, n,
-    height, slope, which, inverse, g, forces, gaps, by_slave,
-):  # fmt: skip
+def _integrate_points(sides, at, given, forces, gaps, by_slave):  # type: ignore[no-untyped-def]
     """Add all points of segments to the derivatives of their pairs."""
+    x_s, x_m, n_0, G0, pairs = sides
+    pair, part, N_s, dN_s, N_m, dN_m, weight, Phi, duals, height, slope = at
+    c, n, which, inverse, g = given
     k, size = N_s.shape[1], N_s.shape[1] + N_m.shape[1]
     o, s, normal = np.empty(3), np.empty(3), np.empty(3)
     a, b, dual = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3))
@@ -405,13 +459,16 @@ def _integrate_points(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _integrate_edges(  # type: ignore[no-untyped-def]
-    x_s, x_m, n_0, G0, pairs, pair, part, N_s, N_m, nu, P_s, P_m, weight, Phi, duals, c, n,
-    height, free, inverse, g, place, forces, gaps, by_slave, by_master,
-):  # fmt: skip
-    """Add all points on edges; P_s and P_m are functions of parts.
+    sides, at, given, forces, gaps, by_slave, by_master, place
+):
+    """Add all points on edges to the derivatives of their pairs.
 
-    Where another facet covers what one loses, functions of the slave stay as they are.
+    Where another facet covers what one loses, functions of the slave stay as they are. The place of
+    a pair with free edges is its row in ``by_master``.
     """
+    x_s, x_m, n_0, G0, pairs = sides
+    pair, part, N_s, N_m, nu, P_s, P_m, weight, Phi, duals, height, free = at
+    c, n, _, inverse, g = given
     k, size = N_s.shape[1], N_s.shape[1] + N_m.shape[1]
     o, s, d = np.empty(3), np.empty(3), np.empty(3)
     r, t, y, u = np.empty(3 * size), np.empty((3, k)), np.zeros(k), np.empty(k)
@@ -478,24 +535,30 @@ def differentiate_pairs(
     by_master = np.zeros((len(with_edges), 3, k, 3 * n))
     none = Heights(np.zeros(1), np.zeros((1, 2)))
     h, h_e = (none, none) if heights is None else heights
-    sides = slave.x, master.x, n_0, G0, pairs
-    vectors = given.c, given.n
+    sides = _Sides(slave.x, master.x, n_0, G0, pairs)
     changed = coefficients.which, coefficients.inverse, coefficients.gaps
+    fixed = _Given(given.c, given.n, *changed)
     parts = [
         pairs[at.pair, 0].astype(np.int64) * count(slave.element) + part_at(slave.element, at.xi_s)
         for at in points
     ]
-    _integrate_points(
-        *sides, inner.pair, parts[0], *_functions(slave, inner.xi_s),
-        *_functions(master, inner.xi_m), inner.weight, Phi[0], duals[0], *vectors,
-        h.h, h.by_xi_m, *changed, forces, gaps, by_slave,
-    )  # fmt: skip
-    _integrate_edges(
-        *sides, edges.pair, parts[1], _functions(slave, edges.xi_s)[0],
-        _functions(master, edges.xi_m)[0], edges.nu, edges.N_s, edges.N_m, edges.weight, Phi[1],
-        duals[1], *vectors, h_e.h, edges.free, *changed[1:], place, forces, gaps, by_slave,
-        by_master,
-    )  # fmt: skip
+    at_points = _AtPoints(
+        inner.pair,
+        parts[0],
+        *_functions(slave, inner.xi_s),
+        *_functions(master, inner.xi_m),
+        inner.weight,
+        Phi[0],
+        duals[0],
+        h.h,
+        h.by_xi_m,
+    )
+    N_s, N_m = _functions(slave, edges.xi_s)[0], _functions(master, edges.xi_m)[0]
+    of_parts, at_edges = (edges.nu, edges.N_s, edges.N_m), (edges.weight, Phi[1], duals[1])
+    on_edges = _OnEdges(edges.pair, parts[1], N_s, N_m, *of_parts, *at_edges, h_e.h, edges.free)
+    sums = forces, gaps, by_slave
+    _integrate_points(sides, at_points, fixed, *sums)
+    _integrate_edges(sides, on_edges, fixed, *sums, by_master, place)
     return PairIntegrals(
         forces.reshape(-1, k + n, 3, k + n, 3),
         gaps.reshape(-1, k, k + n, 3),
