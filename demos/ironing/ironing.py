@@ -101,10 +101,10 @@ def main(options: argparse.Namespace) -> None:
     #
     # | | V(1) | H(1) | V(1.5) | H(1.5) | Newton iterations a step |
     # |---|---|---|---|---|---|
-    # | default | 315.9 | 66.9 | 403.8 | 131.9 | 3.8 |
-    # | `--slave block` | 317.8 | 67.6 | 407.1 | 134.8 | 3.9 |
-    # | `--h 0.075` | 315.8 | 66.6 | 401.7 | 140.7 | 4.4 |
-    # | `--friction 0` | 309.9 | 32.7 | 400.8 | 0.2 | 3.8 |
+    # | default | 315.9 | 66.9 | 403.8 | 131.9 | 3.7 |
+    # | `--slave block` | 317.8 | 67.6 | 407.1 | 134.8 | 4.3 |
+    # | `--h 0.075` | 315.8 | 66.6 | 401.7 | 140.7 | 4.3 |
+    # | `--friction 0` | 309.9 | 32.7 | 400.8 | 0.2 | 3.7 |
     #
     # While it goes down the block yields more to the near free end than to the far one, and the
     # tool feels a thrust, also without friction.
