@@ -245,7 +245,7 @@ def test_a_checkpoint_knows_the_mass_and_the_scheme(tmp_path_factory, monkeypatc
         with rejected(said):
             walk(other.problem, times, checkpoint=file, **options)
         other.problem.restore(file)
-        with rejected(said.split(",")[0], "the walk that these times continue"):
+        with rejected(said.split(",")[0], "the run that these times continue"):
             walk(other.problem, times, **options)
         if options:
             walk(other.problem, times[1:], **options)  # a walk of its own

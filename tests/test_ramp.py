@@ -178,9 +178,9 @@ def test_levels_that_a_table_does_not_hold():
     """Before the first step, those at which a cut would ask, too."""
     press = Press()
     for rows, levels, start, words in (
-        (ROWS, [0.5, 1.1], None, "table 1 holds levels from 0 to 1, but the walk goes from 0"),
-        (ROWS[1:], [0.6, 1.0], None, "from 0.6 to 1, but the walk goes from 0 over levels between"),
-        (ROWS, [0.5], -0.1, "the walk goes from -0.1 over levels between -0.1 and 0.5: add rows"),
+        (ROWS, [0.5, 1.1], None, "table 1 holds levels from 0 to 1, but the run goes from 0"),
+        (ROWS[1:], [0.6, 1.0], None, "from 0.6 to 1, but the run goes from 0 over levels between"),
+        (ROWS, [0.5], -0.1, "the run goes from -0.1 over levels between -0.1 and 0.5: add rows"),
     ):
         with rejected("ramp: ", words):
             next(press.walk(levels, on_time=None, ramp={press.top: rows}, start=start))

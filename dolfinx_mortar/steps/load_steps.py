@@ -96,7 +96,7 @@ def load_steps(
     if any(isinstance(term, Inertia) for _, term in problem.terms.named):
         raise ValueError(
             "problem has an Inertia among its terms, which would move the bodies from level to "
-            "level as if these were times: walk with dm.time_steps(problem, times), or leave it out"
+            "level as if these were times: use dm.time_steps(problem, times), or leave it out"
         )
     loading = Loading(read_ramps(problem.comm, ramp), on_time)
     if on_time is not None and not callable(on_time):

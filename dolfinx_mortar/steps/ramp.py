@@ -129,7 +129,7 @@ def check_range(ramps: Sequence[Ramp], levels: Sequence[float]) -> None:
         first, last = ramp.levels[[0, -1]]
         if min(levels) < first - slack or max(levels) > last + slack:
             raise ValueError(
-                f"ramp: table {k} holds levels from {first:g} to {last:g}, but the walk goes from "
+                f"ramp: table {k} holds levels from {first:g} to {last:g}, but the run goes from "
                 f"{levels[0]:g} over levels between {min(levels):g} and {max(levels):g}: add rows"
             )
 

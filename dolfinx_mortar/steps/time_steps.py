@@ -172,7 +172,7 @@ def time_steps(
         for step in dm.time_steps(problem, np.linspace(0.0, 80e-6, 801)[1:]):
             print(step.time, step.report.ledger)
 
-    A walk like that of `load_steps`, with the same ramps, cuts and checkpoints, which hold the
+    It works like `load_steps`, with the same ramps, cuts and checkpoints, which hold the
     velocities, too. Each step minimises the energy of the step plus kappa/2 |u - p|_M^2, p the
     position to which velocity and acceleration carry the bodies, within the bounds of contact.
     Bodies that nothing holds are free to fly. The first acceleration is that of the forces at
@@ -182,8 +182,8 @@ def time_steps(
 
     Args:
         problem: bodies and constraints, with an `Inertia` among its terms.
-        times: ends of the steps, increasing. If they begin with all those of the last walk on this
-            problem, as after `ContactProblem.restore`, that walk goes on.
+        times: ends of the steps, increasing. If they begin with all those of the last run on this
+            problem, as after `ContactProblem.restore`, that run goes on.
         scheme: "energy-conserving" is the trapezoidal rule, with an impulse of the contact forces
             after each step that gives back what contact has taken from the energy, or takes what it
             has given, so that impacts conserve it, and friction only takes its part. With

@@ -154,7 +154,7 @@ class Checkpoint:
         if self.problem.committed.walk is not self.walk:
             raise ValueError(
                 "problem: a second load_steps has begun on it before this one was done, and has "
-                "moved it on; finish one walk before the next, or give each a problem of its own"
+                "moved it on; finish one run before the next, or give each a problem of its own"
             )
 
     def write(self) -> None:
@@ -195,7 +195,7 @@ def walk(
     committed.level, committed.walked = begin, done
     settings = solves.settings()
     if done and committed.walk is not None:
-        _check_settings(settings, committed.walk.settings, "the walk that these times continue")
+        _check_settings(settings, committed.walk.settings, "the run that these times continue")
         begin = committed.walk.start
     if file is not None:
         begin = _continue(solves, file, levels, loading, begin)
@@ -280,9 +280,9 @@ def _check_walked(levels: list[float], walk: list[float], file: Path) -> None:
         if k == len(levels) or abs(levels[k] - reached) > SAME * size:
             given = levels[k] if k < len(levels) else "missing"
             raise ValueError(
-                f"times: level {k + 1} is {given}, but the checkpoint {str(file)!r} has walked "
-                f"{len(walk)} levels, and there to {reached}: give times that begin so, give this "
-                "walk a file of its own, or delete the file to begin anew"
+                f"times: level {k + 1} is {given}, but the checkpoint {str(file)!r} has "
+                f"{len(walk)} levels, this one {reached}: give times that begin so, give this "
+                "run a file of its own, or delete the file to begin anew"
             )
 
 
@@ -296,7 +296,7 @@ def _check_settings(
         if present.get(name) != before.get(name):
             raise ValueError(
                 f"{name} is {present.get(name)!r}, in {where} {before.get(name)!r}: give the same, "
-                "or the times after those alone, for a walk of its own that goes on from there"
+                "or the times after those alone, for a run of its own that goes on from there"
             )
 
 
@@ -309,7 +309,7 @@ def _check_tables(ramps: Sequence[Ramp], saved: Saved, file: Path) -> None:
     if wrong := difference(before["ramp"], ramps, been):
         raise ValueError(
             f"ramp: {wrong}, when the checkpoint {str(file)!r} was written: give the tables of "
-            "that walk, give this walk a file of its own, or delete the file to begin anew"
+            "that run, give this run a file of its own, or delete the file to begin anew"
         )
 
 
@@ -380,7 +380,7 @@ def _describe_kept(parts: int, reached: Level) -> str:
     still = f", where sides still overlap by {reached.overlap:.3g}" if reached.overlap else ""
     return (
         f"The {count} converged stay committed: displacement, state and results are those at level "
-        f"{reached.time:g}{still}; a next walk goes on from there"
+        f"{reached.time:g}{still}; the next run goes on from there"
     )
 
 

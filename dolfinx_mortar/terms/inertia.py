@@ -52,7 +52,7 @@ Velocity = (
 )
 
 NO_TIME = (
-    "inertia needs the time between two steps: walk with dm.time_steps(problem, times), or give "
+    "inertia needs the time between two steps: use dm.time_steps(problem, times), or give "
     "newton(problem, level=) a time after that of the last step"
 )
 
