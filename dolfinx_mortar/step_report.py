@@ -145,17 +145,17 @@ class StepReport:
     """Report of one load step; ``print`` shows a table, ``as_dict`` goes to JSON."""
 
     converged: bool = False
-    backend: str = ""
-    geometry: str = ""
-    linear_solver: str = ""
+    backend: str = ""  # of the QPs, ``qp``
+    geometry: str = ""  # "updated" or "reference"
+    linear_solver: str = ""  # in words
     friction: str = ""  # how friction was linearised
     rtol: float = 0.0
-    iterations: list[Iteration] = field(default_factory=list)
-    certificate: Certificate | None = None
+    iterations: list[Iteration] = field(default_factory=list)  # one each of Newton's method
+    certificate: Certificate | None = None  # residuals at the end
     ledger: Ledger | None = None  # of `time_steps`
     cuts: int = 0  # failures of larger steps before this one, set by `load_steps`
-    notes: list[str] = field(default_factory=list)
-    seconds: dict[str, float] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)  # on what may be inaccurate
+    seconds: dict[str, float] = field(default_factory=dict)  # of this rank, by part of the work
 
     @property
     def newton_iterations(self) -> int:
@@ -240,10 +240,10 @@ class StepReport:
 
 @dataclass(frozen=True)
 class LoadStep:
-    """A committed load step."""
+    """A committed load step, or time step: what `load_steps` and `time_steps` yield."""
 
     number: int  # 1, 2, ...
-    time: float
+    time: float  # load level, or time, at its end
     report: StepReport  # of the last part
     parts: list[StepReport] = field(default_factory=list)  # one, or several after cut-backs
     forces: list[list[float]] = field(default_factory=list)  # on the slave side of each interface

@@ -70,6 +70,8 @@ def _semi_ellipse(x: npt.ArrayLike, a: float, p0: float) -> Floats:
 def effective_modulus(E1: float, nu1: float, E2: float, nu2: float) -> float:
     """Return E* with 1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2; an infinite E is a rigid body.
 
+    A number that is out of range, or two rigid bodies, are a ValueError.
+
     >>> round(effective_modulus(206_900.0, 0.29, 206_900.0, 0.29), 1)
     112949.0
     """
@@ -86,7 +88,8 @@ def effective_modulus(E1: float, nu1: float, E2: float, nu2: float) -> float:
 def effective_radius(radius: float | tuple[float, float]) -> float:
     """Return R with 1/R = 1/R1 + 1/R2; one number stands for a round body on a flat one.
 
-    A negative radius is that of a hollow surface, an infinite one is flat.
+    A negative radius is that of a hollow surface, an infinite one is flat. Radii of surfaces that
+    do not touch in a point or a line, as 1/R <= 0, are a ValueError.
 
     >>> effective_radius((8.0, 8.0)), effective_radius(8.0), effective_radius((4.0, -8.0))
     (4.0, 8.0, 8.0)

@@ -42,8 +42,8 @@ REFINE = "so they are not constrained there; refine around them, so that it matt
 class Pair:
     """A proposed contact; areas are lengths in the plane."""
 
-    slave: str
-    master: str
+    slave: str  # name of the side in the tags of `Pairs`
+    master: str  # likewise
     facets: tuple[int, int]  # of both sides, all ranks
     sizes: tuple[float, float]  # mean diameter of the facets that are near
     area: float  # of the slave side, where it faces the master and is near
@@ -54,9 +54,9 @@ class Pair:
 class Pairs:
     """Proposed contacts and the tags of their sides; unpacks as ``facet_tags, contacts``."""
 
-    tags: Tags
-    contacts: list[Contact]
-    found: list[Pair]
+    tags: Tags  # of the facets of all sides
+    contacts: list[Contact]  # one for each pair
+    found: list[Pair]  # the rows of the table
     joined: dict[tuple[str, str], int]  # nodes that two bodies of one part share: no contact
     lost: list[str]  # where slave nodes lose a constraint, whatever side is the slave
 

@@ -278,6 +278,13 @@ class Unilateral(Interface):
 class Contact(Unilateral, MortarInterface):
     """Unilateral contact: w_n <= gap, pressure >= 0, pressure * opening = 0; perhaps with friction.
 
+    At slave node j, with the outward normal n_j and the dual function Phi_j, the weighted gap and
+    the conditions on it and the Lagrange multiplier lambda_j are
+
+        g_j = n_j . int Phi_j (x_m - x_s),     g_j >= 0,  lambda_j >= 0,  lambda_j g_j = 0,
+
+    with x_m the projection of x_s on the master side along the slave normal.
+
     ``pressure`` (traction, >= 0 in compression), ``gap`` (>= 0 when open; not-a-number at slave
     nodes that face no master) and ``active`` (1 in contact, else 0) are Functions that vanish off
     the slave side. ``force`` is the resultant exerted on the slave side, -sum_j D_jj lambda_j n_j,
@@ -286,11 +293,11 @@ class Contact(Unilateral, MortarInterface):
     surface. Nodal values are those of the part that faces the master: where that is all of the
     slave side, their integral over it is the force, elsewhere it is larger.
 
-    With friction, |tau| <= mu p, and where it slips tau = mu p against
-    the slip of the step: the tangential motion of the slave side relative to the master since the
-    last commit, R_t^T (D^-1 (D - M) (u - u_committed)). Then there are, as Functions that vanish
-    off the slave side, ``traction`` (tangential, exerted on the slave side), ``step_slip`` (of the
-    last step), ``slip`` (length of the slip path of each node since the start), ``status``
+    With friction abs(tau) <= mu p, and where the sides slip tau has this size and opposes the slip
+    of the step: the tangential motion of the slave side relative to the master since the last
+    commit, R_t^T (D^-1 (D - M) (u - u_committed)). Then there are, as Functions that vanish off
+    the slave side, ``traction`` (tangential, exerted on the slave side), ``step_slip`` (a length,
+    of the last step), ``slip`` (length of the slip path of each node since the start), ``status``
     (0 open, 1 stick, 2 slip), and ``dissipation``, the energy dissipated by friction since the
     start. In directions with Dirichlet data there is no friction.
 
@@ -311,8 +318,12 @@ class Contact(Unilateral, MortarInterface):
             step, and are what may change. 0 is no friction.
         tresca: limit of the tangential traction instead, of the same kinds: given friction, which
             acts at every slave node that faces the master, whatever the pressure, also where there
-            is none (let a Function be 0 there). Then a step is a convex minimisation. Of rings it
-            is per circumference at X.
+            is none (let a Function be 0 there). Then a step is a convex minimisation. In
+            axisymmetry it is per circumference at X.
+
+    Source: the paper, eqs. 12 to 20; friction: S. Hueeber, G. Stadler, B. Wohlmuth, SIAM J. Sci.
+    Comput. 30 (2008) 572-596; M. Gitterle, A. Popp, M. W. Gee, W. A. Wall, Int. J. Numer. Methods
+    Engrg. 84 (2010) 543-571.
 
     Raises:
         ValueError: for tags that are none, unknown names, an unknown surface or angle, negative

@@ -83,11 +83,17 @@ NO_DISTANCE = 0.1
 class Obstacle(Movable, Unilateral):
     """Contact of a side with a rigid tool: w_n <= gap, pressure >= 0; perhaps with friction.
 
-    The tool is a shape of `dolfinx_mortar.shapes`, without a mesh. Its point ``reference`` is at
-    ``position``, and it is turned by ``rotation`` about it: both are Constants, whose values
+    The tool is a shape of `dolfinx_mortar.shapes`, without a mesh. With its signed distance phi,
+    positive outside, and the dual functions Phi_j of the side, the weighted gaps are
+
+        g_j = int Phi_j phi(X + u) >= 0,
+
+    and contact forces act on the side along grad phi, with the opposite on the tool. With
+    geometry="reference" they are int Phi_j phi(X) - D_jj n_j.u_j, n_j = -grad phi.
+
+    The tool's point ``reference`` is at ``position``, and it is turned by ``rotation`` about it (an
+    angle in the plane, a rotation vector in space; radians): both are Constants, whose values
     ``ramp`` and ``on_time`` of `load_steps` may set, and which are read at the start of every step.
-    With geometry="updated" gaps are those at X + u; with "reference" the distances of X from the
-    tool where it is now, less n.u.
 
     Results are those of a `Contact`, with the tool for the master: ``force`` on the side,
     ``pressure``, ``gap``, ``active``; with friction ``traction``, ``slip``, ``status``, and

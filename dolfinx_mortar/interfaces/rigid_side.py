@@ -84,9 +84,13 @@ class Plate(RigidBody):
 class RigidSide(Movable, Interface):
     """A side that moves as a rigid body: clamped, moved and turned, or driven by force and moment.
 
-    Its point ``reference`` is at ``position``, and it is turned by ``rotation`` about it: both are
-    Constants, whose values ``ramp`` and ``on_time`` of `load_steps` may set, and which are read in
-    every step. Where strains are finite rotations are exact, else linear in the angle.
+    Its point c = ``reference`` is at ``position`` = c + t, and it is turned by ``rotation`` about
+    it (an angle in the plane, a rotation vector in space; radians): both are Constants, whose
+    values ``ramp`` and ``on_time`` of `load_steps` may set, and which are read in every step. At
+    its nodes, with the rotation matrix R or the rotation vector theta,
+
+        u_j = t + R (X_j - c) - (X_j - c)      at finite strain,
+        u_j = t + theta x (X_j - c)            at small strain.
 
     After a step ``force`` is the force with which the side is held, ``reference_moment`` the moment
     of that about the point where it is now, ``pressure`` its normal traction, and ``travel`` how

@@ -33,11 +33,11 @@ class Tie(MortarInterface):
 
     The constraint is u_slave - P u_master = jump + s n, with s = 0 unless there is a pretension:
     then the overlap s along the unit vector n is one unknown more, and the equation that belongs to
-    it is ``force @ n == pretension``. Always at X, as in the paper: tied sides keep the
-    partners that they had at the start. Directions with Dirichlet data are left to those data.
-    ``force`` is the resultant exerted on the slave side; ``pressure`` the normal traction per area
-    at X, positive in compression; ``gap`` the part of the jump that opens the sides along their
-    normal, negative where they overlap, zero without a jump.
+    it is ``force @ n == pretension``. P = D^-1 M is always that at X, as in the paper: tied sides
+    keep the partners that they had at the start. Directions with Dirichlet data are left to those
+    data. ``force`` is the resultant exerted on the slave side; ``pressure`` the normal traction per
+    area at X, positive in compression; ``gap`` the normal part of the jump, positive where it opens
+    the sides, negative where they overlap, zero without a jump.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
@@ -66,6 +66,8 @@ class Tie(MortarInterface):
             half of the larger one of two facets, more than sides that stand for one surface, or
             for two at a constant distance, are apart; the audit warns where that leaves anything
             out, and where more is tied than curved sides explain.
+
+    Source: the paper, section 4, eq. 16 with equality.
 
     Raises:
         ValueError: for tags that are none, unknown names, an unknown surface or angle, a jump or a

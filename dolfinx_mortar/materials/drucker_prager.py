@@ -49,6 +49,10 @@ class DruckerPrager(Material):
     Plastic flow dilates: tr dep = beta |dev dep|. There is no hardening, so there are limit loads,
     and a part whose points are all at the apex has no stiffness.
 
+    Source: D. C. Drucker, W. Prager, Q. Appl. Math. 10 (1952) 157-165; the return mapping to cone
+    and apex: E. A. de Souza Neto, D. Peric, D. R. J. Owen, Computational Methods for Plasticity
+    (2008), section 8.3.
+
     Raises:
         ValueError: if E <= 0, nu is outside (-1, 0.5), Y <= 0, beta <= 0 or a number is not finite.
     """

@@ -26,23 +26,25 @@ class Orthotropic(Material):
     the new x (radians, right hand): the columns of Rz(yaw) Ry(pitch) Rx(roll). In the plane use yaw
     alone: otherwise the body would leave the plane.
 
+    Source: R. M. Jones, Mechanics of Composite Materials (1999), section 2.3.
+
     Raises:
         ValueError: if a modulus is not positive, the energy is not positive for all strains, or a
             number is not finite.
     """
 
-    E1: Parameter
-    E2: Parameter
-    E3: Parameter
+    E1: Parameter  # Young's modulus along axis 1
+    E2: Parameter  # along axis 2
+    E3: Parameter  # along axis 3
     nu12: Parameter  # contraction along 2 by stress along 1
-    nu13: Parameter
-    nu23: Parameter
-    G12: Parameter
-    G13: Parameter
-    G23: Parameter
-    yaw: Parameter = 0.0
-    pitch: Parameter = 0.0
-    roll: Parameter = 0.0
+    nu13: Parameter  # along 3 by stress along 1
+    nu23: Parameter  # along 3 by stress along 2
+    G12: Parameter  # shear modulus in the plane of axes 1 and 2
+    G13: Parameter  # of axes 1 and 3
+    G23: Parameter  # of axes 2 and 3
+    yaw: Parameter = 0.0  # radians about z
+    pitch: Parameter = 0.0  # radians about the new y
+    roll: Parameter = 0.0  # radians about the new x
 
     state: ClassVar[Mapping[str, tuple[int, ...]]] = {}
     linear: ClassVar[bool] = True

@@ -37,7 +37,7 @@ GMSH_OPTIONS = {
 class TaggedMesh(NamedTuple):
     """A mesh with its bodies and their sides, by name."""
 
-    mesh: dmesh.Mesh
+    mesh: dmesh.Mesh  # of all bodies
     cell_tags: Tags  # bodies
     facet_tags: Tags  # sides and supports
 

@@ -82,6 +82,12 @@ class ContactProblem:
 
     Raises:
         ValueError: for invalid arguments, on all ranks, with the remedy.
+
+    Attributes:
+        solid: as given.
+        geometry: as given.
+        committed: the state that the next step starts from, besides ``u`` and ``solid.state``:
+            closed contacts, slips and ``committed.level``, the load level.
     """
 
     def __init__(

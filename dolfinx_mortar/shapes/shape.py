@@ -24,8 +24,8 @@ class Distance:
     """Signed distances of points and their derivatives."""
 
     value: Floats  # (n,) phi, positive outside
-    gradient: Floats  # (n, d)
-    hessian: Floats  # (n, d, d)
+    gradient: Floats  # (n, d) unit normals, out of the tool
+    hessian: Floats  # (n, d, d) curvatures, 1 / length
 
     def __neg__(self) -> Distance:
         """Return the distance from the same surface with the other side as outside."""
@@ -41,7 +41,7 @@ class Distance:
 
 
 class Shape(ABC):
-    """A region of space, by the signed distance of points from its surface.
+    """A region of space, by the signed distance phi of points from its surface, positive outside.
 
     Its coordinates are those of the mesh while the tool is where it starts. In an axisymmetric
     problem points are (r, z), and shapes are their sections.

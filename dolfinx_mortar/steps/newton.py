@@ -114,8 +114,10 @@ def newton(
 
     At the iterate u^k the energy is replaced by its quadratic model (paper, eq. 9) and the
     bound-constrained QP is solved (eq. 10), warm-started from the last active set and the last
-    directions of slip. A line search on J(v) + s sum_j D_jj (w_n - gap)_+ shortens the step; laws
-    with a stress but no energy have no J, and no line search.
+    directions of slip. A line search on J(v) + s sum_j D_jj (w_n - gap)_+, with s twice the largest
+    multiplier, shortens the step; laws with a stress but no energy have no J, and no line search.
+    With geometry="updated" normals, segments, D and M are computed anew in every iteration, and
+    their derivatives are part of the tangent where that converges faster.
 
     Args:
         problem: the bodies and their constraints; ``problem.commit()`` accepts the step.

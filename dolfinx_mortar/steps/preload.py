@@ -37,10 +37,10 @@ class PreloadNotReached(RuntimeError):
 
 @dataclass(frozen=True)
 class Preload:
-    """A tightened bolt."""
+    """A tightened bolt: what `preload` returns."""
 
     jump: Floats  # (d,) the tie's tightening, which stays
-    force: float  # along the direction
+    force: float  # of the tie along the direction, positive in tension
     report: StepReport = field(repr=False)  # of the step, which may tighten several bolts
 
 

@@ -172,13 +172,17 @@ def time_steps(
         for step in dm.time_steps(problem, np.linspace(0.0, 80e-6, 801)[1:]):
             print(step.time, step.report.ledger)
 
-    It works like `load_steps`, with the same ramps, cuts and checkpoints, which hold the
-    velocities, too. Each step minimises the energy of the step plus kappa/2 |u - p|_M^2, p the
-    position to which velocity and acceleration carry the bodies, within the bounds of contact.
-    Bodies that nothing holds are free to fly. The first acceleration is that of the forces at
-    the start, with which nodes without mass are in equilibrium from then on; loads and supports of
-    the start are those of ``start``. An initial velocity where a
-    support holds still is set to 0, with a note.
+    It works like `load_steps`, with the same ramps, cuts and checkpoints, which contain velocities
+    and accelerations, too. With the trapezoidal rule a step of length dt minimises, within the
+    bounds of contact, the incremental potential plus
+
+        kappa/2 |u - p|_M^2,     kappa = 4 / dt^2,     p = u_n + dt v_n + dt^2/4 a_n,
+
+    M being the mass matrix; the generalised alpha method has other factors, see
+    `dolfinx_mortar.terms.inertia`. Bodies without supports are free to move. The initial
+    acceleration is that of the forces at the start, whose loads and supports are those of
+    ``start``; nodes without mass are then in equilibrium. The initial velocity is set to 0 where a
+    support does not move, with a note.
 
     Args:
         problem: bodies and constraints, with an `Inertia` among its terms.

@@ -134,10 +134,12 @@ class Inertia(Term):
         cell_tags: tags of the cells, where ``density`` or ``velocity`` are given by tag.
         velocity: at the start; d numbers, a Function on ``solid.V``, a function of the coordinates
             as `fem.Function.interpolate` takes it, or d numbers by tag of cells.
-
         relief: directions in which contact nodes lose their mass: "all", or "normal" for contacts
             without friction at small strain. That is along the normals at X alone, and needs one
             layer of cells where "all" needs four.
+
+    Source: J. Chung, G. M. Hulbert, J. Appl. Mech. 60 (1993) 371-375, for the schemes; H. B.
+    Khenous, P. Laborde, Y. Renard, Eur. J. Mech. A 27 (2008) 918-932, for the mass.
 
     Raises:
         ValueError: on all ranks, for densities that are missing or not positive, unknown tags,
