@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Contacts proposed by the program: which bodies are near and face each other."""
+"""Contacts proposed by the program, between bodies that are near and face each other."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -215,7 +215,7 @@ def _tags_of_cells(mesh: Mesh, cell_tags: MeshTags | None) -> Longs:
     return tags
 
 
-# -- bodies and what they face ---------------------------------------------------------------------
+# -- bodies and the bodies that they face ----------------------------------------------------------
 
 
 @dataclass
@@ -237,7 +237,7 @@ class _Side:
         return float(own), float(other)
 
     def add(self, more: "_Side") -> None:
-        """Add what another rank has found."""
+        """Add the results of another rank."""
         self.faces |= more.faces
         self.area += more.area
         self.distance = min(self.distance, more.distance)
@@ -247,7 +247,7 @@ class _Side:
 
 @dataclass(frozen=True)
 class _Found:
-    """What the search has found."""
+    """Results of the search."""
 
     names: Sequence[str]  # of the bodies
     facets: Facets  # exterior ones of this rank

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What constrains a side of a body, as its user describes it, and its results."""
+"""Interfaces: constraints on a side of a body, as their user describes them, and their results."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Resultants:
 
 @dataclass(frozen=True)
 class Outline:
-    """What a tool is and where, for pictures and files."""
+    """Shape and position of a tool, for pictures and files."""
 
     shape: Shape
     pose: Pose
@@ -111,7 +111,7 @@ FEATURE_ANGLE = 40.0
 
 
 class Interface(ABC):
-    """What constrains the nodes of a slave side, marked in facet tags.
+    """A constraint on the nodes of a slave side, marked in facet tags: the base of all kinds.
 
     `Contact` and `Tie` do so by another side of the mesh. A kind of your own says in `couple` at
     which nodes, along which directions and by how much; in `constraints` which bounds follow.
@@ -161,7 +161,7 @@ class Interface(ABC):
 
     @property
     def sides(self) -> str:
-        """How messages call the sides."""
+        """Names of the sides in messages."""
         return f"slave={label(self.facet_tags, self.slave)}"
 
     def given(self) -> dict[str, Any]:
@@ -272,7 +272,7 @@ class Interface(ABC):
 
     @property
     def rough(self) -> bool:
-        """Whether it has friction."""
+        """Whether the interface has friction."""
         return False
 
     @property
@@ -322,14 +322,14 @@ class Interface(ABC):
         return None
 
     def derivatives(self, link: CoupledSides) -> LinkDerivatives | None:
-        """Return what differentiates forces and gaps as the side moves; None for none; collective.
+        """Return derivatives of forces and gaps by the motion of the side; None for none; collective.
 
         For the pattern of a link.
         """
         return None
 
     def warnings(self, link: CoupledSides, x: PETSc.Vec) -> list[str]:
-        """Return what the audit shall warn of, on all ranks; collective.
+        """Return warnings for the audit, the same on all ranks; collective.
 
         Args:
             link: the interface, coupled.
@@ -379,14 +379,14 @@ class Interface(ABC):
         """Make the end of a step, see `ended`, the state from which the next one starts."""
 
     def found(self) -> dict[str, list[float]]:
-        """Return what steps have found and no nodal result holds, for a checkpoint.
+        """Return results of steps that are not nodal, for a checkpoint.
 
         Finite numbers in lists whose names and lengths do not change.
         """
         return {}
 
     def take_found(self, found: Mapping[str, list[float]]) -> None:
-        """Take over what `found` has returned."""
+        """Restore what `found` has returned."""
 
     def driven(self) -> Driven | None:
         """Return the motions of a tool that given forces drive; None where none are."""
@@ -426,13 +426,13 @@ class Interface(ABC):
         return self.resultants, [(f, f.x.array.copy()) for f in self.functions]
 
     def put_back(self, kept: Any) -> None:
-        """Show what `keep` has returned; without communication."""
+        """Restore the results that `keep` has returned; without communication."""
         self.resultants, functions = kept
         for f, values in functions:
             f.x.array[:] = values
 
     def clear(self) -> None:
-        """Have no results, as before the first step; without communication."""
+        """Remove the results, as before the first step; without communication."""
         self.resultants = None
         for f in self.functions:
             f.x.array[:] = 0.0

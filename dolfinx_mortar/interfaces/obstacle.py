@@ -154,7 +154,7 @@ class Obstacle(Movable, Unilateral):
 
     @property
     def sides(self) -> str:
-        """How messages call the side and the tool."""
+        """Names of the side and the tool in messages."""
         names = {None: "", True: ", surface='smooth'", False: ", surface='facets'"}
         return f"{super().sides}, shape={type(self.tool.shape).__name__}{names[self.meant]}"
 
@@ -165,7 +165,7 @@ class Obstacle(Movable, Unilateral):
 
     @property
     def rigid(self) -> Tool:
-        """What is rigid: the tool."""
+        """The rigid body: the tool."""
         return self.tool
 
     def given(self) -> dict[str, Any]:
@@ -190,7 +190,7 @@ class Obstacle(Movable, Unilateral):
         return self.tool.pose()
 
     def commit(self, ended: Pose) -> None:
-        """Keep where the tool was at the end of a step: the slips of the next count from there."""
+        """Keep the position of the tool at the end of a step, from which later slips count."""
         self.began = ended
 
     def found(self) -> dict[str, list[float]]:
@@ -203,7 +203,7 @@ class Obstacle(Movable, Unilateral):
         }
 
     def take_found(self, found: Mapping[str, list[float]]) -> None:
-        """Take that over."""
+        """Restore where the tool was."""
         position, rotation = (np.array(found[name], float) for name in ("position", "rotation"))
         self.began = Pose(position, rotation, self.tool.point)
         self.tool.travel = np.array(found["travel"], float)
@@ -213,7 +213,7 @@ class Obstacle(Movable, Unilateral):
         return super().keep(), self.began, self.tool.travel
 
     def put_back(self, kept: Any) -> None:
-        """Show what `keep` has returned; without communication."""
+        """Restore what `keep` has returned; without communication."""
         shown, self.began, self.tool.travel = kept
         super().put_back(shown)
 
@@ -434,7 +434,7 @@ class Obstacle(Movable, Unilateral):
         return depth / sizes[which], depth, np.concatenate([points, middles, point[met]])
 
     def heights(self, link: CoupledSides, u: fem.Function | None) -> Floats | None:
-        """Return those of facets of first order, see `Interface.heights`; collective."""
+        """Return the heights of facets of first order, see `Interface.heights`; collective."""
         pattern, slave = link.pattern, link.sides.slave
         assert isinstance(pattern, SidePattern) and pattern.side is not None
         if slave.element.degree > 1 or pattern.nodal:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""All interfaces of a problem together: paired, claimed, coupled, and one change of basis."""
+"""All interfaces of a problem: pairs of facets, claims on slave nodes, couplings, and one T."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Configuration:
 
     @property
     def paired(self) -> Paired:
-        """What the next step needs to know of it."""
+        """The pairing from which the next step may start."""
         return Paired(self.paired_at, [link.near for link in self.links])
 
     def largest_slip(self, u: PETSc.Vec, jumps: Mapping[int, PETSc.Vec]) -> float:
@@ -100,7 +100,7 @@ class Configuration:
 
 @dataclass(frozen=True)
 class Room:
-    """The last search and the last T: their matrices serve once more where they fit."""
+    """The last search and the last T, whose matrices are reused where their patterns fit."""
 
     pairs: Sequence[
         tuple[Pairing | None, Pattern]
@@ -171,7 +171,7 @@ class InterfaceSystem:
 
     @property
     def ties(self) -> list[Interface]:
-        """The interfaces that cannot."""
+        """The interfaces that cannot open."""
         return [interface for interface in self.interfaces if not interface.unilateral]
 
     @property
@@ -232,11 +232,11 @@ class InterfaceSystem:
 
     @property
     def notes(self) -> list[str]:
-        """What the present claims have removed."""
+        """Notes on multipliers that the present claims have removed."""
         return [] if self.present.claims is None else list(self.present.claims.notes)
 
     def link(self, interface: Interface) -> Link:
-        """Return what is known of an interface at present."""
+        """Return the present link of an interface."""
         return self.links[next(k for k, i in enumerate(self.interfaces) if i is interface)]
 
     # -- configurations --------------------------------------------------------------------------
@@ -522,7 +522,7 @@ class InterfaceSystem:
 
     @property
     def has_friction(self) -> bool:
-        """Tell whether some contact has."""
+        """Tell whether some contact has friction."""
         return any(interface.rough for interface in self.interfaces)
 
     def slip_limits(

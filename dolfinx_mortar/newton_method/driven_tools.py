@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-r"""What forces drive: its motion in a Newton step, so that each tool carries its load.
+r"""Tools driven by forces: their motions in a Newton step, with which each carries its load.
 
 With the motions e_a (in the frames of the nodes) of the unknowns q_a of the tools, a QP with its
 bounds and slips taken relative to the moved tools,
@@ -11,12 +11,12 @@ derivatives of a convex function, piecewise linear in q: of one unknown they are
 which begin with the diagonal of K^ at the closed nodes, of several by Newton's method with
 differences. All QPs have one matrix; on one rank they have one factorisation, too.
 
-Nodes of a rigid side follow it, w = w_0 + e.q, and are eliminated: q moves their values to the
-right-hand side, and z is r^ - K^ y there. The arms of moments turn with the side, e = e_0 + De q:
-with the reactions z_0 of the iterate De q.z_0 belongs to the equations, so that Newton's method is
-quadratic. A step t q turns the side as a rigid body: its nodes end beside u_0 + t e.q, on its arcs,
-so that nothing is left to prescribe, and the energy less the work of the loads, which decreases
-along the way, can tell how long the step may be.
+Nodes of a rigid side follow it, w = w_0 + e.q, and are eliminated: q changes the right-hand side,
+and z = r^ - K^ y there. The arms of moments turn with the side, e = e_0 + De q. The term De q.z_0
+with the reactions z_0 of the iterate belongs to the equations, so that Newton's method is
+quadratic. A step t q rotates the side as a rigid body: its nodes move on arcs, not to u_0 + t e.q,
+so that no increment remains to be prescribed. The energy less the work of the loads decreases along
+this path, so it can limit the length of the step.
 """
 
 from __future__ import annotations
@@ -58,10 +58,9 @@ from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPSolution
 
 OVERSHOOT = 0.5
-"""Share of the force along a step that may be there in the other direction at its end.
+"""Largest force at the end of a step in the opposite direction, as a share of that at its start.
 
-A force that changes linearly from 1 to -s vanishes at 1 / (1 + s) of the step: beyond that it may
-go by a third of itself.
+A force that changes linearly from 1 to -s vanishes at 1 / (1 + s) of the step, here at two thirds.
 """
 
 Solve = Callable[[Linearisation], QPSolution]
@@ -132,7 +131,7 @@ class Drives:
         return maximum(self.comm, *np.abs(self.motions).max(axis=1, initial=0.0))
 
     def allowed(self, force: float) -> Floats:
-        """Return what may be missing at rigid sides (m,) where a force may be; collective."""
+        """Return tolerances (m,) of loads on rigid sides for one of forces; collective."""
         return np.where(self.follows, force * self.arms(), 0.0)
 
     def shifted(self, lin: Linearisation, travel: Floats) -> Linearisation:
@@ -160,7 +159,7 @@ class Drives:
         return replace(lin, qp=replace(lin.qp, b=b), balance=balance)
 
     def reactions(self, lin: Linearisation, solved: QPSolution) -> Floats:
-        """Return what the closed nodes carry (n,)."""
+        """Return the reactions (n,) at the closed nodes."""
         z, dofs = solved.z.array_r, lin.balance.bounds.dofs
         carried, on = np.zeros(len(z)), solved.active > 0
         carried[dofs[on]] = z[dofs[on]]
@@ -174,7 +173,7 @@ class Drives:
     def carried(
         self, lin: Linearisation, solved: QPSolution, travel: Floats
     ) -> tuple[Floats, Floats, Floats, bool]:
-        """Return what closed nodes carry (n,), what is missing, its size, and if any does."""
+        """Return reactions (n,) at closed nodes, missing loads, their sizes, and if any is closed."""
         found, turned = self.reactions(lin, solved), np.zeros_like(self.motions)
         touches = self.comm.allreduce(bool((self.motions * found).any()), op=MPI.LOR)
         if self.follows.any():
@@ -200,7 +199,7 @@ class Drives:
 
 @dataclass(frozen=True)
 class _Try:
-    """A QP with the tools moved, its solution, and what their loads miss."""
+    """A QP with the tools moved, its solution, and the residual of their loads."""
 
     lin: Linearisation
     solved: QPSolution
@@ -211,7 +210,7 @@ class _Try:
     touches: bool
 
     def far(self, diagonal: Floats) -> float:
-        """Return the norm of what is missing."""
+        """Return the norm of the residual of the loads."""
         return float(np.linalg.norm(self.missing / np.sqrt(diagonal)))
 
 
@@ -365,7 +364,7 @@ def _overshoots(here: _Try, there: _Try, way: Floats) -> bool:
 
 
 def _not_met(drives: Drives, lin: Linearisation, here: _Try) -> str:
-    """Say which load is not met, and what to do."""
+    """Say which load is not balanced, and what to do."""
     worst = int(np.argmax(np.abs(here.missing) / np.maximum(here.size, TINY)))
     name, _ = _names(drives)[worst]
     remedy = (
@@ -433,7 +432,7 @@ def _names(drives: Drives) -> list[tuple[str, Interface]]:
 
 
 def _unresisted(drives: Drives, lin: Linearisation, which: Floats) -> str:
-    """Say which load of which tool has nothing against it; collective."""
+    """Say which load of which tool nothing resists; collective."""
     k = int(np.argmax(which))
     name, owner = _names(drives)[k]
     closing = -np.sign(drives.loads[k]) * drives.motions[k][lin.balance.bounds.dofs]
@@ -517,7 +516,7 @@ def _describe_way(owner: Interface, names: Sequence[str], length: Floats) -> str
 def notes_on_loose_tools(
     problem: ContactProblem, stiffness: Floats | None, balance: Balance, contacts: Contacts
 ) -> list[str]:
-    """Return notes on tools that loads have brought where the mesh alone holds them; collective.
+    """Return notes on tools that only the facets of the mesh hold against their loads; collective.
 
     A step may end there: between nodes a tool lies as in a valley. Of three nodes and more the
     stiffness tells, see `loose_motion`, of nodes of one facet what else they would resist if they

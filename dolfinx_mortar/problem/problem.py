@@ -217,12 +217,12 @@ class ContactProblem:
 
     @property
     def contacts(self) -> list[Any]:
-        """The unilateral interfaces: each a `Contact`, or of a kind of the user's."""
+        """The unilateral interfaces: `Contact`, `Obstacle`, or a user's own kind."""
         return self.system.contacts
 
     @property
     def ties(self) -> list[Any]:
-        """The other interfaces: each a `Tie`, or of a kind of the user's."""
+        """The other interfaces: `Tie`, `RigidSide`, or a user's own kind."""
         return self.system.ties
 
     @property
@@ -255,7 +255,7 @@ class ContactProblem:
         check_same_on_all_ranks(self.comm, **controls, **constants, interfaces=self.interfaces)
 
     def constants(self) -> list[Any] | None:
-        """Return the Constants that steps read; None where parts of a user's own may read more."""
+        """Return the Constants that steps read; None where a user's own terms may read others."""
         parts = [i.constants for i in (self.solid.inputs, self._inputs)]
         parts.append(find_constants(self.interfaces))
         found: list[Any] = []
@@ -438,7 +438,7 @@ class ContactProblem:
     def _completed(
         self, here: Configuration, partners: Sequence[Sequence[Partners | None] | None]
     ) -> list[Partners | None]:
-        """Return the first partners that nodes have, None being those of ``here``; collective."""
+        """Return the first partners of nodes; None stands for those of ``here``; collective."""
         first, *others = (self._found_partners(here) if p is None else p for p in partners)
         result = list(first)
         for other in others:
@@ -447,7 +447,7 @@ class ContactProblem:
         return result
 
     def _found_partners(self, found: Configuration) -> list[Partners | None]:
-        """Return those of a configuration; collective."""
+        """Return the partners in a configuration; collective."""
         frozen = self.geometry == "reference"
         return found.partners(self._committed_positions(), frozen=frozen)
 
@@ -558,7 +558,7 @@ class ContactProblem:
             self.outcome = None
 
     def ends_of_interfaces(self) -> list[Any]:
-        """Return what the interfaces take over of the present state; collective."""
+        """Return what `commit` of each interface gets, from the present state; collective."""
         return [ask(self.comm, interface, "ended") for interface in self.interfaces]
 
     def ended_here(self) -> StepOutcome | None:

@@ -55,8 +55,8 @@ from dolfinx_mortar.supports.bodies import with_ties
 from dolfinx_mortar.terms.free_rotation import free_groups, give_back, moments
 from dolfinx_mortar.terms.inertia import Damping, Inertia, Motion
 
-# Defect from which on a note tells of it: velocities, of which energies are squares, are then off
-# by half a per cent.
+# Smallest defect with a note: velocities, of which energies are squares, are then wrong by half a
+# per cent.
 LARGE_DEFECT = 0.01
 MASS = (
     ". Contact nodes of thin bodies, of one or two layers of cells, have kept their mass, with "
@@ -296,7 +296,7 @@ class EnergyLedger:
     def _in_bodies(
         self, before: Ends, after: Ends, potential: float | None
     ) -> tuple[float, float, float]:
-        """Return what is stored after a step, what has been dissipated, and the work of heat.
+        """Return the stored energy after a step, the dissipated one, and the work of heat.
 
         Args:
             before: forces at the start.
@@ -315,7 +315,7 @@ class EnergyLedger:
         return stored, potential - stored, heat
 
     def _turned(self, motion: Motion, before: Ends, after: Ends, groups: list[Bools]) -> Motion:
-        """Return a motion with the moment of momentum that forces leave to groups; collective.
+        """Return a motion with the angular momentum that the forces on groups imply; collective.
 
         These are loads and, of bodies on tools, what the tools do. At finite strain; the linear
         theory keeps it about X.
@@ -356,7 +356,7 @@ class EnergyLedger:
 
     @cached_property
     def _on_tools(self) -> list[Bools]:
-        """Those where no support holds it, but tools may."""
+        """Marks of groups that tools may hold, but no support."""
         comm = self.problem.comm
         groups = self._groups(self._held)
         return [on for on in groups if any_rank(comm, (on & self._tools).any())[0]]
@@ -490,7 +490,7 @@ def _balanced(ledger: Ledger) -> Ledger:
 
 
 def notes_on_energy(ledger: Ledger, *, thin: bool = False) -> list[str]:
-    """Return a note if energy has come from nowhere, or is missing.
+    """Return a note if energy has appeared or is lost.
 
     Args:
         ledger: of the last step.

@@ -63,7 +63,7 @@ HIGHEST_RULE = 30
 
 
 class Solid(Term):
-    """Elasto-plastic bodies on one mesh, seen from the displacement u and the committed state.
+    """Elasto-plastic bodies on one mesh: energy, forces and tangent at u and the committed state.
 
     Attributes:
         u: displacement; its ghosts must be up to date in every call.
@@ -409,7 +409,7 @@ class Solid(Term):
             raise
 
     def keep(self) -> list[tuple[fem.Function, Floats]]:
-        """Return copies of what is shown and of the parameters behind it, for `put_back`.
+        """Return copies of the results and of the parameters that they depend on, for `put_back`.
 
         A second evaluation would differ: u may have been set since, or nothing evaluated yet, and
         a law that depends on the size of a step would flow further.
@@ -420,7 +420,7 @@ class Solid(Term):
         return [(f, f.x.array.copy()) for f in functions]
 
     def put_back(self, kept: list[tuple[fem.Function, Floats]]) -> None:
-        """Show what `keep` has returned, and let `commit` take it; without communication."""
+        """Restore the results that `keep` has returned; without communication."""
         for f, values in kept:
             f.x.array[:] = values
         for followed in self._followed():
@@ -432,7 +432,7 @@ class Solid(Term):
         return parameters if self.eigenstrain is None else [*parameters, self.eigenstrain]
 
     def follow(self) -> None:
-        """Take over what the forms read and has changed, ask pointwise laws; collective.
+        """Update the data of the forms that have changed, evaluate pointwise laws; collective.
 
         Raises:
             ValueError: on all ranks, if parameters are out of range, the eigenstrain is undefined,
@@ -444,15 +444,15 @@ class Solid(Term):
         fill_point_values(self.mesh.comm, self._forms.found)
 
     def commit(self) -> None:
-        """Make the internal variables that `evaluate` found last those of the next step's start.
+        """Make the internal variables of the last `evaluate` the committed ones.
 
-        Nothing that is shown changes.
+        Results do not change.
         """
         for name, staged in self._staged.items():
             self._committed[name].x.array[:] = staged.x.array
 
     def lasting_fields(self) -> dict[str, fem.Function]:
-        """Return what lasts from step to step at the integration points, by name.
+        """Return the fields at integration points that are kept from step to step, by name.
 
         The stress, the internal variables that are committed, and those that `evaluate` found last,
         which are what is shown.
@@ -484,7 +484,7 @@ class Solid(Term):
         return largest_stress_lost(self.mesh.comm, self._forms.found)
 
     def energies(self) -> dict[int | str, Energies]:
-        """Return what each body has stored, and dissipated since the start; collective.
+        """Return the energy stored in each body, and dissipated since the start; collective.
 
             solid.energies()["block"].dissipated
 

@@ -319,9 +319,9 @@ class _Step:
         raise self.told(end, iterate)
 
     def told(self, error: failures.StepFailed, last: Iterate) -> failures.StepFailed:
-        """Return the error with what tools may have to do with it; collective.
+        """Return the error with causes that tools may be; collective.
 
-        That is a motion that hardly anything resists, or corners without a normal.
+        These are a motion that hardly anything resists, and corners without a normal.
         """
         at = self.stiffness, last.balance, last.contacts
         loose = driven_tools.loose_motion(self.problem, *at) if self.driven else ""

@@ -90,7 +90,7 @@ def generalised_alpha(radius: float) -> Scheme:
 
 @dataclass(frozen=True)
 class Motion:
-    """How the bodies move at a time, (owned nodes, d) each."""
+    """Velocity, acceleration and forces of the bodies at a time, (owned nodes, d) each."""
 
     velocity: Floats
     acceleration: Floats
@@ -99,7 +99,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Start:
-    """What a step starts from."""
+    """Data at the start of a step."""
 
     dt: float
     scheme: Scheme
@@ -286,14 +286,14 @@ class Inertia(Term):
 
     @property
     def start(self) -> Start:
-        """What the present step starts from."""
+        """Data at the start of the present step."""
         if self._start is None:
             raise ValueError(f"Inertia: no step has begun; {NO_TIME}")
         return self._start
 
     @property
     def _change(self) -> Floats:
-        """The displacement beyond the predicted one."""
+        """The displacement less the predicted one."""
         return self._owned(self.solid.u) - self.start.predicted
 
     def energy(self) -> Floats:
@@ -318,7 +318,7 @@ class Inertia(Term):
         self._added = K.handle, factor
 
     def varies(self, K: PETSc.Mat) -> bool:
-        """Tell whether a matrix holds another kappa, as of a step of another length."""
+        """Tell whether a matrix was assembled with another kappa: for another length of step."""
         return self._added != (K.handle, self.start.kappa)
 
     def end(self) -> Motion:
@@ -439,12 +439,12 @@ class Damping(Term):
 
     @property
     def inertia(self) -> Inertia:
-        """Of the bodies that are damped."""
+        """The inertia of the damped bodies."""
         return self._inertia
 
     @property
     def shares(self) -> list[float]:
-        """Those of the mass and of the stiffness, a and b."""
+        """The factors a of the mass and b of the stiffness."""
         return [self._mass, self._stiffness]
 
     def times(self, velocity: Floats) -> Floats:
@@ -487,7 +487,7 @@ class Damping(Term):
             F.array_w[:] += self.times(self.velocity()).ravel()
 
     def varies(self, K: PETSc.Mat) -> bool:
-        """Tell whether a matrix holds another rate, which goes with the length of a step."""
+        """Tell whether a matrix was assembled with another rate: for another length of step."""
         return self._inertia.varies(K)
 
     def add_tangent(self, K: PETSc.Mat) -> None:
@@ -533,7 +533,7 @@ def _value(given: Any) -> Any:
 
 
 def check_relief(relief: Any, solid: Solid) -> None:
-    """Raise a ValueError unless a relief of contact nodes is one that bodies may have."""
+    """Raise a ValueError unless `relief` is known and admissible for the bodies."""
     if not is_name(relief, ("all", "normal")):
         raise ValueError(f"Inertia: relief is {relief!r}: choose 'all' or 'normal'")
     if relief == "normal" and solid.strain == "finite":
