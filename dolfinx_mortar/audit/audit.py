@@ -92,7 +92,7 @@ class InterfaceAudit:
 
 @dataclass(frozen=True)
 class Audit:
-    """What the audit found."""
+    """Results of the audit."""
 
     bodies: int
     interfaces: list[InterfaceAudit]
@@ -183,7 +183,7 @@ def find_free_motions(
 def _held_motions(
     system: InterfaceSystem, supports: Dirichlet, springs: Callable[[PETSc.Vec], Floats]
 ) -> list[Motion]:
-    """Return what supports, springs and ties resist."""
+    """Return the motions that supports, springs and ties resist."""
     held: list[Motion] = [lambda v: v.array_r[supports.owned.ravel()], springs]
     released = {pretension.number: pretension for pretension in system.pretensions}
     for k, link in enumerate(system.links):

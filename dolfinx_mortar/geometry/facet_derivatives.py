@@ -345,7 +345,7 @@ def _add_gap(n, Phi, b, slope, N_s, N_m, e, gap):  # type: ignore[no-untyped-def
 
 @numba.njit(**_PRODUCTS)
 def _dual_change(w, N, Phi, s, c, inverse, g, t, y, v):  # type: ignore[no-untyped-def]
-    """Write w times what stands in C_b and in the gaps beside dw / w into t (3, k) and y (k,).
+    """Write w times the factors of dw / w in C_b and in the gaps into t (3, k) and y (k,).
 
     Phi and s are those of the point times its weight.
     """
@@ -378,7 +378,7 @@ class _Sides(NamedTuple):
 
 
 class _AtPoints(NamedTuple):
-    """What is known at the points of segments."""
+    """Values at the points of segments."""
 
     pair: Longs  # (q,)
     part: Longs  # (q,) of the slave facet
@@ -394,7 +394,7 @@ class _AtPoints(NamedTuple):
 
 
 class _OnEdges(NamedTuple):
-    """What is known at the points on edges; P_s and P_m are functions of parts."""
+    """Values at the points on edges; P_s and P_m are functions of parts."""
 
     pair: Longs
     part: Longs

@@ -51,7 +51,7 @@ class SlidingFields:
 
     @property
     def functions(self) -> list[fem.Function]:
-        """All of them."""
+        """All nodal results of friction."""
         return [self.traction, self.step_slip, self.slip, self.status, self.energy]
 
 
@@ -113,7 +113,7 @@ class Unilateral(Interface):
         return [] if self.sliding is None else self.sliding.functions
 
     def clear(self) -> None:
-        """Have no results, as before the first step; without communication."""
+        """Remove the results, as before the first step; without communication."""
         super().clear()
         self.dissipated = 0.0
 
@@ -134,18 +134,18 @@ class Unilateral(Interface):
         return super().keep(), self.dissipated
 
     def put_back(self, kept: Any) -> None:
-        """Show what `keep` has returned; without communication."""
+        """Restore what `keep` has returned; without communication."""
         shown, self.dissipated = kept
         super().put_back(shown)
 
     @property
     def friction(self) -> Limit | None:
-        """What was given as coefficient of friction; None if there is none."""
+        """The coefficient of friction as given; None if there is none."""
         return self._limit("friction")
 
     @property
     def tresca(self) -> Limit | None:
-        """What was given as limit of the tangential traction; None if there is none."""
+        """The limit of the tangential traction as given; None if there is none."""
         return self._limit("tresca")
 
     def _limit(self, name: str) -> Limit | None:
@@ -153,7 +153,7 @@ class Unilateral(Interface):
 
     @property
     def rough(self) -> bool:
-        """Whether it has friction."""
+        """Whether the contact has friction."""
         return self.law is not None
 
     @property
@@ -350,5 +350,5 @@ class Contact(Unilateral, MortarInterface):
         self.law = create_law(friction, tresca)
 
     def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:
-        """Return that their heights correct the gap."""
+        """Return the argument by which heights of smooth surfaces correct the gap."""
         return {"heights_of": smooth}

@@ -322,7 +322,7 @@ class Interface(ABC):
         return None
 
     def derivatives(self, link: CoupledSides) -> LinkDerivatives | None:
-        """Return derivatives of forces and gaps by the motion of the side; None for none; collective.
+        """Return derivatives of forces and gaps by motions of the side, None for none; collective.
 
         For the pattern of a link.
         """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which slave nodes take part in the change of basis: those that the master may reach.
+"""Slave nodes that take part in the change of basis: those that the master may reach.
 
 Far from the contact T would couple the bodies where they cannot meet, which costs fill in every
 factorisation, and new pairs wherever curved sides slide past each other at a distance. So T holds

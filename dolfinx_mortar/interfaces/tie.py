@@ -216,7 +216,7 @@ class Tie(MortarInterface):
         return np.asarray(P[:, :, None] * np.eye(P.shape[1]))
 
     def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:
-        """Return that the motions of their offsets complete P."""
+        """Return the argument by which motions of offset vectors complete P."""
         return {"motions_of": smooth}
 
     def measured(self, x: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What forces drive, what is rigid and where it is; and a tool, which has a shape."""
+"""Rigid bodies that touch or hold a side: their pose, loads that drive them, and tools."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Driven(Protocol):
 
     @property
     def names(self) -> Sequence[str]:
-        """How messages call the m motions, and the forces that drive them."""
+        """Names in messages of the m motions, and of the forces that drive them."""
 
     def loads(self) -> Floats:
         """Return the given forces (m,) on the tool.
@@ -60,7 +60,7 @@ class Driven(Protocol):
         """
 
     def curve(self, X: Floats, amounts: Floats) -> Floats:
-        """Return by how much a motion ends beside its tangent (n, d), at points that follow it.
+        """Return the difference (n, d) of a motion from its tangent, at points that follow it.
 
         Asked only of what `holds` nodes.
 
@@ -116,7 +116,7 @@ def motions_in(d: int) -> tuple[str, ...]:
 
 
 class RigidBody:
-    """The Constants that say where something rigid is, and the forces that drive it instead.
+    """Position and rotation of a rigid body as Constants, and the loads that drive it instead.
 
     Attributes:
         point: (d,) about which it turns, where it starts.
@@ -248,26 +248,26 @@ class RigidBody:
 
 
 class Movable(ABC):
-    """What users of an interface with something rigid set and see of it."""
+    """The part of an interface with a rigid body that users set and read."""
 
     @property
     @abstractmethod
     def rigid(self) -> RigidBody:
-        """What is rigid."""
+        """The rigid body."""
 
     @property
     def reference(self) -> Floats:
-        """Where its point is when it starts (d,)."""
+        """Position of its point at the start (d,)."""
         return self.rigid.point
 
     @property
     def position(self) -> fem.Constant:
-        """Where its point is (d,); set its value."""
+        """Position of its point (d,); set its value."""
         return self.rigid.position
 
     @property
     def rotation(self) -> fem.Constant:
-        """How it is turned from where it starts; set its value.
+        """Rotation since the start, in radians; set its value.
 
         An angle in the plane, in space a rotation vector (3,): axis times angle, in radians.
         """
@@ -284,7 +284,7 @@ class Movable(ABC):
 
     @property
     def travel(self) -> Floats:
-        """How far loads have moved it beyond position and rotation, (3,) or (6,).
+        """Motion by loads in addition to position and rotation, (3,) or (6,).
 
         Displacement and angle in the plane, displacement and rotation vector in space.
         """
@@ -292,7 +292,7 @@ class Movable(ABC):
 
 
 class Tool(RigidBody):
-    """A shape, and where it is.
+    """A tool: a shape and its pose.
 
     Attributes:
         shape: as given.

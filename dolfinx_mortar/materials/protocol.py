@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a material law is: parameters, and its response in UFL or as a function of arrays."""
+"""The protocol of material laws: parameters, and a response in UFL or as a function of arrays."""
 
 import dataclasses
 import math
@@ -271,7 +271,7 @@ def _check_parameters(law: Law, material: Any) -> None:
 
 
 def _is_isotropic(name: str, material: Any, state: Any) -> bool:
-    """Return whether a law says that it is isotropic; a ValueError if its memory is not."""
+    """Return whether a law declares to be isotropic; a ValueError if its state is not."""
     isotropic = bool(getattr(material, "isotropic", False))
     tensors = [variable for variable, shape in state.items() if shape and variable != PLASTIC]
     if isotropic and tensors:

@@ -311,7 +311,7 @@ def dual_values(N_s: Floats, weight: Floats, slave: Ints, keep: Bools) -> Floats
 
 
 class Integrated(Protocol):
-    """What integrals over a slave side need to know; a `Pairing` does, or a side alone."""
+    """Data for integrals over a slave side: a `Pairing`, or a side alone."""
 
     @property
     def slave(self) -> Surface:

@@ -44,7 +44,7 @@ from dolfinx_mortar.mortar.surface import (
 Weight = Callable[[Floats], Floats]
 """Points (q, d) at X -> factor (q,) of integrals over a surface, such as 2 pi r; positive."""
 THROUGH = 0.5
-"""A partner deeper behind the slave than this part of the thinner body lies across that body.
+"""A facet further behind the slave than this part of the thinner body is on its far side.
 
 Overlaps end where contact begins, far less deep, and the far side lies one thickness deep. With
 parts from .25 to .9 stacks, edges and corners have the same iterations and forces.
@@ -82,7 +82,7 @@ class Pairing:
 
     @cached_property
     def order(self) -> Longs:
-        """The received master facets (mm,) in an order in space, of X."""
+        """The received master facets (mm,), sorted in space at X."""
         return sort_in_space(self.master_X[self.master_facets].mean(axis=1))
 
 

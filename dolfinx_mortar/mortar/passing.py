@@ -117,7 +117,7 @@ class SeenByTool:
 
 @dataclass(frozen=True)
 class Passing:
-    """What has passed through a surface, over all ranks."""
+    """Bodies that have passed through a surface, over all ranks."""
 
     surface: Surface | None  # through which, None for a tool
     count: int  # facets of the other side behind which the middle of the body has passed

@@ -173,7 +173,7 @@ class Drives:
     def carried(
         self, lin: Linearisation, solved: QPSolution, travel: Floats
     ) -> tuple[Floats, Floats, Floats, bool]:
-        """Return reactions (n,) at closed nodes, missing loads, their sizes, and if any is closed."""
+        """Return reactions (n,) at closed nodes, missing loads, their sizes, and if any acts."""
         found, turned = self.reactions(lin, solved), np.zeros_like(self.motions)
         touches = self.comm.allreduce(bool((self.motions * found).any()), op=MPI.LOR)
         if self.follows.any():

@@ -98,7 +98,7 @@ def _look_at(problem: ContactProblem, u: Floats) -> tuple[str, str]:
 
 
 def _with_loose_motions(problem: ContactProblem, message: str) -> str:
-    """Return a message with what nothing holds, or contact alone; collective."""
+    """Return a message that names motions that nothing resists, or contact alone; collective."""
     if problem.system.pretensions and (loose := problem.loose_motions()):
         return (
             f"nothing resists the overlap of a tie with a pretension, against {'; '.join(loose)}: "
@@ -116,7 +116,7 @@ def _with_loose_motions(problem: ContactProblem, message: str) -> str:
 
 
 def _describe_tangents(problem: ContactProblem, report: StepReport, inverted: bool) -> str:
-    """Say whether tangents were indefinite, or that nobody could tell; collective.
+    """Say whether tangents were indefinite, or that it could not be found out; collective.
 
     Args:
         problem: the problem.
@@ -163,7 +163,7 @@ def unsettled(problem: ContactProblem) -> str:
 
 
 def _describe_pressures(problem: ContactProblem) -> str:
-    """Say of pressures that follow which potential they lack; empty without any; collective."""
+    """Say which follower pressures have no potential; empty without any; collective."""
     told = ""
     for name, term in problem.terms.named:
         if not isinstance(term, Pressure) or term.has_potential(~problem.supports.owned):
@@ -185,7 +185,7 @@ def _describe_pressures(problem: ContactProblem) -> str:
 
 
 def _describe_own_laws(problem: ContactProblem) -> str:
-    """Say how to check laws that are not of this package; empty without any."""
+    """Say how to check a user's own laws; empty without any."""
     package = __name__.partition(".")[0]
     kinds = {type(law): None for region in problem.solid.regions for law, _ in region.parts}
     own = [kind.__name__ for kind in kinds if not kind.__module__.startswith(f"{package}.")]

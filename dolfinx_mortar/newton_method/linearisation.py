@@ -97,7 +97,7 @@ def find_balance(problem: ContactProblem, data: StepData, overlap: float = 0.0) 
 
 
 def support_slots(problem: ContactProblem) -> tuple[Ints, Ints]:
-    """Return the owned prescribed dofs (m,) of u, and the unknowns of y that they are."""
+    """Return the owned prescribed dofs (m,) of u, and the unknowns of y that stand for them."""
     node, component = np.nonzero(problem.supports.owned)
     slots = problem.d * node + problem.system.slots()[node, component]
     return problem.d * node + component, slots
@@ -314,7 +314,7 @@ def _eliminated(
 def _follow(
     problem: ContactProblem, balance: Balance, change: PETSc.Mat | None
 ) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
-    """Return the same, with K^ as an operator that is not formed."""
+    """Return K^ as an operator that is not formed, r^ after, and the diagonal before."""
     problem.operator.follow(change, balance.eliminated)
     return _lifted(problem, balance, problem.operator)
 

@@ -21,7 +21,7 @@ COLUMN_OF_TERM = "term"
 
 @dataclass(frozen=True)
 class SupportForces:
-    """What supports exert on the bodies at the end of a step."""
+    """Forces of the supports on the bodies at the end of a step."""
 
     forces: Floats  # (owned nodes, d), zero without a Dirichlet condition
     points: Floats  # (owned nodes, d) at which they act
@@ -54,7 +54,7 @@ class Turns:
 
 @dataclass(frozen=True)
 class StepOutcome:
-    """What a converged step leaves for `Committed.commit`."""
+    """Results of a converged step that `Committed.commit` takes."""
 
     at: Floats  # (n,) displacement at the end of the step
     active: Bools  # (owned nodes,) closed contacts

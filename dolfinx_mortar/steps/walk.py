@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A walk along load levels or times: smaller steps after a failure, commits, checkpoints.
+"""A run of steps along load levels or times: smaller steps after a failure, commits, checkpoints.
 
 The drivers `load_steps` and `time_steps` check arguments, and say how a step is solved.
 """
@@ -79,7 +79,7 @@ class Loading:
 
 @dataclass
 class Solves:
-    """How the steps of a walk are solved; with factorisations from where multigrid has failed."""
+    """How the steps of a run are solved; with factorisations after multigrid has failed."""
 
     problem: ContactProblem
     qp: str
@@ -98,11 +98,11 @@ class Solves:
         self.problem.commit()
 
     def settings(self) -> dict[str, Any]:
-        """Return what changes the answers, by the name of the argument, of what JSON can hold."""
+        """Return the settings that change results, by the name of the argument, as JSON values."""
         return {}
 
     def may_cut(self, loading: Loading) -> bool:
-        """Tell whether a part of a step is another problem than the whole of it."""
+        """Tell whether a part of a step is another problem than the whole step."""
         return loading.changes
 
     def to(self, level: Level) -> StepReport:
@@ -289,7 +289,7 @@ def _check_walked(levels: list[float], walk: list[float], file: Path) -> None:
 def _check_settings(
     present: Mapping[str, Any], before: Mapping[str, Any] | None, where: str
 ) -> None:
-    """Raise a ValueError unless steps are made as before, where that is known."""
+    """Raise a ValueError unless the settings of steps are those before, where these are known."""
     if before is None:
         return
     for name in {**present, **before}:
