@@ -2,8 +2,10 @@
 """The exact tangent of moving geometry in 2D: its derivatives, its rate, and when it is used."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ import dolfinx_mortar as dm
 import dolfinx_mortar.steps.newton as newton_module
 from dolfinx import fem
 from dolfinx_mortar.algebra import congruence, triplets
+from dolfinx_mortar.interfaces.constraints import Constraints
 from dolfinx_mortar.mortar import edges
 from dolfinx_mortar.mortar.curvature_correction import (
     height_slopes,
@@ -21,7 +24,9 @@ from dolfinx_mortar.mortar.edges import Sharing, open_duals
 from dolfinx_mortar.mortar.integrals import (
     find_segments,
 )
+from dolfinx_mortar.newton_method.linearisation import Corrections, Linearisation
 from dolfinx_mortar.newton_method.watch import DIGIT, MOST_RISES, Watch
+from dolfinx_mortar.qp import BoundQP
 from tests import meshes, on_edges
 from tests.choice import quick
 from tests.finite_sliding import indentation, walk
@@ -146,6 +151,31 @@ def test_what_lumped_rows_neglect_is_corrected(monkeypatch):
     walk(case, lambda t: (0.0, -t), [0.1])
     first, second = (left for _, left in changes[:2])
     assert 0.0 < second < 0.01 * first  # with the rows of T 0.08
+
+
+def test_corrections_of_a_node_that_opens_and_closes_in_turns_lie_between():
+    """The true closing grows five times as fast as the unknown of the lumped row, by 2.5 ahead.
+
+    Free, at x = 0.5, it is 3.0, beyond the gap of 2.5: the node is closed, at x = 0.4, v = 2.1.
+    With v = 0 the QP leaves it open and v becomes 2.5, with that it closes it and v becomes 0.5,
+    with which it would be open again: the secant of both, which change v by 2.5 and -2, goes on.
+    """
+    A = PETSc.Mat().createDense((1, 1), array=np.ones(1), comm=COMM)
+    A.assemble()
+    b, lower, upper = (PETSc.Vec().createWithArray([x], comm=COMM) for x in (0.5, -1e30, 2.5))
+    x, dofs = PETSc.Vec().createWithArray(np.zeros(1), comm=COMM), np.zeros(1, dtype=np.int32)
+    bounds = Constraints(dofs, np.array([-np.inf]), np.array([2.5]), np.ones(1))
+    geometry = SimpleNamespace(trial=None, closing=lambda du: 3.0 + 5.0 * (du.array_r - 0.5))
+    balance = SimpleNamespace(bounds=bounds, limits=None)
+    lin = Linearisation(BoundQP(A, b, lower, upper, dofs), balance, A.getDiagonal(), geometry)
+    corrections = Corrections()
+    for closed in (False, True):
+        x.array[:] = min(0.5, lin.qp.upper.array_r[0])
+        assert (x.array_r[0] < 0.5) == closed
+        solved = SimpleNamespace(x=x, active=np.array([closed], dtype=np.int8))
+        lin, _ = corrections.apply(lin, solved)
+    v = (2.0 * 2.5 + 2.5 * 0.5) / 4.5
+    assert lin.qp.upper.array_r[0] == pytest.approx(2.5 - v, rel=1e-12)
 
 
 def test_a_tangent_without_solution_gives_way_to_the_fixed_point(monkeypatch):

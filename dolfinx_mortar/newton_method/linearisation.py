@@ -17,7 +17,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator, OperatorOfBases, as_aij
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Actives, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, equalities, join
@@ -210,15 +210,16 @@ def linearise_all(
 class Corrections:
     """The parts v of gap rows that T_g neglects, as they are at the solution of the QP with v.
 
-    They are some per cent of the rows, and affine in v while the active set stays: few corrections
-    suffice, with Anderson's mixing also where a mode of them grows by each.
+    They are some per cent of the rows, and a continuous function of v, affine while the active set
+    stays: few corrections suffice, with Anderson's mixing also where a mode of them grows by each,
+    or where a node opens with the one v and closes with the next.
     """
 
     def __init__(self) -> None:
         """Begin with v = 0."""
         self.given: Floats | None = None  # v of the last QP, (n,)
-        self.active: Actives | None = None  # of its solution
-        self.found: list[Floats] = []  # v at solutions with this active set
+        self.weight: Floats | None = None  # (n,) stiffness where a bound has acted, 0 elsewhere
+        self.found: list[Floats] = []  # v at the solutions
         self.changes: list[Floats] = []  # by which they differ from the v of their QPs
 
     def apply(self, lin: Linearisation, solved: QPSolution) -> tuple[Linearisation, float]:
@@ -245,13 +246,10 @@ class Corrections:
         weight[acting] = np.abs(lin.diagonal.array_r[acting])
         largest = float(maximum(comm, np.abs(weight * change).max(initial=0.0))[0])
 
-        same = self.active is not None and np.array_equal(self.active, solved.active)
-        if any_rank(comm, not same)[0]:
-            self.found, self.changes = [], []
-        self.active = solved.active.copy()
+        self.weight = weight if self.weight is None else np.maximum(self.weight, weight)
         self.found.append(found)
         self.changes.append(change)
-        given = self.given = least_change(comm, self.found, self.changes, weight)
+        given = self.given = least_change(comm, self.found, self.changes, self.weight)
 
         upper = lin.qp.upper.copy()
         upper.array[dofs] = np.minimum(bounds.upper - given[dofs], PETSc.INFINITY)
