@@ -85,6 +85,19 @@ def check_real(name: str, *values: Any) -> None:
             )
 
 
+def mean_cell_sizes(V: dolfinx.fem.FunctionSpace) -> Floats:
+    """Return the mean size of the cells around the node of each owned dof (n,); collective."""
+    domain, d, bs = V.mesh, V.mesh.topology.dim, V.dofmap.index_map_bs
+    cells = np.arange(domain.topology.index_map(d).size_local, dtype=np.int32)
+    sums, counts = (dolfinx.la.vector(V.dofmap.index_map, 1) for _ in range(2))
+    for total, values in ((sums, domain.h(d, cells)), (counts, np.ones(len(cells)))):
+        nodes = V.dofmap.list[cells]
+        np.add.at(total.array, nodes, values[:, None])
+        total.scatter_reverse(dolfinx.la.InsertMode.add)
+    n = V.dofmap.index_map.size_local
+    return np.repeat(sums.array[:n] / counts.array[:n], bs)
+
+
 def set_owned(f: dolfinx.fem.Function, values: Floats) -> None:
     """Set the owned values (n, c) of a Function, and those of ghosts; collective."""
     f.x.array[: values.size] = values.ravel()

@@ -47,6 +47,26 @@ def test_the_rubber_cylinder():
     assert iterations.max() <= 12
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize("volumetric", ["full", "reduced"])
+def test_what_nothing_loads_is_in_balance(volumetric):
+    """A tool comes nearer, and does not touch yet: stresses are round-off of F, K times 1e-16."""
+    square = mesh.create_unit_square(MPI.COMM_WORLD, 4, 4, mesh.CellType.quadrilateral)
+    V = fem.functionspace(square, ("Lagrange", 1, (2,)))
+    top = mesh.locate_entities_boundary(square, 1, lambda x: np.isclose(x[1], 1.0))
+    tags = mesh.meshtags(square, 1, top, np.ones_like(top))
+    base = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], 0.0))
+    solid = dm.Solid(fem.Function(V), RUBBER, strain="finite", volumetric=volumetric)
+    tool = dm.Obstacle(tags, slave=1, shape=dm.shapes.Plane((0.0, 1.2), (0.0, -1.0)))
+    bcs = [fem.dirichletbc(np.zeros(2, dtype=default_scalar_type), base, V)]
+    problem = dm.ContactProblem(solid, [tool], bcs=bcs)
+    for height in (1.1, 1.05):
+        tool.position.value[1] = height
+        assert dm.newton(problem).newton_iterations == 1
+        problem.commit()
+    assert np.abs(solid.u.x.array).max(initial=0.0) < 1e-12
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("cells", [{}, *SECOND], ids=str)
 def test_no_locking_and_no_dependence_on_the_bulk_modulus(cells):

@@ -3,8 +3,10 @@
 
 Forces are relative to the largest force of the step, a penetration counts as the force that would
 undo it, a complementarity defect as the work of the multiplier in the gap, and both are at most
-rtol facet lengths. In rigid motion or after unloading there is no force: then the first residual of
-the step and the round-off of K u are the scales.
+rtol facet lengths. In rigid motion, before loading and after unloading there is no force: then the
+first residual of the step and the round-off of K u are the scales. At finite strain F = I + grad u
+is rounded, too, whatever u: as if u were the size h of the cells around each node. Measured at
+u = 0, with K/mu from 2 to 1e5: residuals of .1 to .7 EPS |diag(K) h|, where ROUND_OFF is 16 EPS.
 """
 
 from collections.abc import Sequence
@@ -42,6 +44,7 @@ class Scales:
     work: float = 0.0  # |u|_e^2 at the start of the step
     extent: float = np.inf  # size of the mesh plus the largest prescribed displacement
     tensions: tuple[float, ...] = ()  # larger one of force and pretension, of each, at the start
+    cells: Floats | float = 0.0  # size of the cells around each owned dof, 0 at small strain
 
 
 @dataclass(frozen=True)
@@ -55,13 +58,18 @@ class Residuals:
     pretension: float = 0.0  # force of a tie less its pretension, over the larger at the start
 
 
-def round_off(u: fem.Function, diagonal: PETSc.Vec, extent: float = np.inf) -> float:
-    """Return the round-off of K u, ROUND_OFF times the norm of diag(K) u; collective.
+def round_off(
+    u: fem.Function,
+    diagonal: PETSc.Vec,
+    extent: float = np.inf,
+    cells: Floats | float = 0.0,
+) -> float:
+    """Return the round-off of K u, ROUND_OFF times the norm of diag(K) (|u| + h); collective.
 
     Displacements count up to the ``extent`` of mesh and supports: where a singular tangent gives
-    larger ones, they must not loosen the force tolerance.
+    larger ones, they must not loosen the force tolerance. h: see `Scales.cells`.
     """
-    near = np.clip(u.x.array[: diagonal.local_size], -extent, extent)
+    near = np.abs(u.x.array[: diagonal.local_size]).clip(max=extent) + cells
     return ROUND_OFF * norm(u.function_space.mesh.comm, diagonal.array_r * near)
 
 
@@ -125,7 +133,7 @@ def measure(
         missing = sliders.error().ravel()
         carried = np.concatenate([z, sliders.reaction.ravel()])
     free[balance.equal.dofs] = 0.0
-    forces, floor = norm(comm, free), round_off(u, diagonal, scales.extent)
+    forces, floor = norm(comm, free), round_off(u, diagonal, scales.extent, scales.cells)
     acting = max(scales.begun, largest_force(comm, balance, carried))
     # the residual that a QP may leave at the start is the only scale of a stress-free step
     scale = max(acting, tightest(rtol) / rtol * scales.first)

@@ -49,7 +49,7 @@ from dolfinx_mortar.solid.pointwise import (
 from dolfinx_mortar.solid.sources import Followed, follow_changed
 from dolfinx_mortar.solid.state import create_evaluations, create_field, create_state, fill_all
 from dolfinx_mortar.solid.term import MatrixForm, Term, assemble
-from dolfinx_mortar.spaces import check_real, check_space
+from dolfinx_mortar.spaces import check_real, check_space, mean_cell_sizes
 
 # Written first, and if a law has them; then all internal variables and the output of the laws.
 OUTPUT_FIELDS = (
@@ -313,6 +313,11 @@ class Solid(Term):
     def _moduli(self) -> float:
         """The integral over this rank's cells of the norm of the elastic stress of a unit shear."""
         return float(fem.assemble_scalar(create_moduli(self.regions, self.kinematics, self.stress)))
+
+    @cached_property
+    def cell_sizes(self) -> Floats:
+        """Mean size of the cells around the node of each owned dof (n,); collective at first."""
+        return mean_cell_sizes(self.V)
 
     def add_forces(self, F: PETSc.Vec) -> None:
         """Add F(u)_i = int sigma : eps(phi_i) to the owned part of F; collective."""
