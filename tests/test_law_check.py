@@ -2,13 +2,16 @@
 """`materials.check` compares a user's law with finite differences and says where they differ."""
 
 import re
-from dataclasses import make_dataclass
+from dataclasses import dataclass, make_dataclass
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 import dolfinx_mortar as dm
 import ufl
+from tests.test_finite_laws import Arrays
 from tests.test_user_laws import Isotropic, variant
 
 
@@ -144,3 +147,68 @@ def test_an_unsymmetric_tangent_is_reported():
 
     report = dm.materials.check(variant(stress=stress), rate_independent=False)
     assert report.skew > 1e-3 and "not symmetric" in str(report)
+
+
+# A metal; how small the yield strain is must not matter to differences.
+METAL = dm.VonMises(1e11, 0.49, 1e6, 1e3)
+
+
+def test_a_small_yield_strain_is_no_fault():
+    """Differences that go across a yield surface 1.5e-5 away said that the tangent was wrong."""
+    found = dm.materials.check(METAL, strain="finite")
+    assert found.tangent_error < 1e-7 and found.energy_error < 1e-7
+
+
+@pytest.mark.parametrize("where", ["everywhere", "in flow"])
+def test_a_wrong_tangent_of_a_small_yield_strain_is_found(where):
+    """By 1e-5 of the shear modulus, a fiftieth of the largest one."""
+
+    @dataclass(frozen=True)
+    class Off(dm.VonMises):
+        @staticmethod
+        def tangent(strain, state, p, direction):
+            change = dm.VonMises.tangent(strain, state, p, direction)
+            elastic = dm.Elastic.elastic_stress(direction, p)
+            return change + 1e-5 * (change if where == "everywhere" else elastic - change)
+
+    with pytest.raises(ValueError, match="Off: dP/dF"):
+        dm.materials.check(Off(1e11, 0.49, 1e6, 1e3), strain="finite")
+
+
+def test_a_stress_with_noise_is_refused():
+    """No difference tells anything about its tangent."""
+
+    @dataclass(frozen=True)
+    class Noisy(Arrays):
+        @staticmethod
+        def update(F, state, p):
+            P, tangent, new = Arrays.update(F, state, p)
+            noise = 1e-3 * np.sin(1e9 * (np.linalg.det(F) - 1))
+            return (1 + noise[:, None, None]) * P, tangent, new
+
+        energy = None
+
+    with pytest.raises(ValueError, match=r"Noisy: differences of P .* disagree .* at .* of 30"):
+        dm.materials.check(Noisy(200.0, 0.3))
+
+
+@pytest.mark.slow
+@settings(max_examples=8, deadline=None)
+@given(
+    kind=st.sampled_from(["kinematic", "isotropic", "voce", "cone"]),
+    log_ratio=st.floats(1.5, 6.0),
+    nu=st.sampled_from([0.0, 0.3, 0.49, 0.4999]),
+    seed=st.integers(0, 10**6),
+)
+@example(kind="kinematic", log_ratio=6.0, nu=0.4999, seed=1)
+def test_yield_strains_of_any_size(kind, log_ratio, nu, seed):
+    """E / Y from 30 to 1e6; hardly a sample is on a kink, and left out."""
+    E = 10.0**log_ratio
+    law = {
+        "kinematic": lambda: dm.VonMises(E, nu, 1.0, 1e-3 * E),
+        "isotropic": lambda: dm.VonMises(E, nu, 1.0, 0.0, 1e-3 * E),
+        "voce": lambda: dm.VonMisesVoce(E, nu, 1.0, 0.0, 1e-3 * E, 0.5, 20.0),
+        "cone": lambda: dm.DruckerPrager(E, nu, 1.0, 0.4),
+    }[kind]()
+    assert dm.materials.check(law, strain="finite", seed=seed).samples > 26
+    assert dm.materials.check(law, seed=seed).tangent_error < 1e-5
