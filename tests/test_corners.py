@@ -10,8 +10,9 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
 from tests.meshes import BOTTOM as BOTTOM_TAG
-from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, UPPER, two_blocks
+from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, UPPER, skins, two_blocks
 from tests.meshes import TOP as TOP_TAG
+from tests.meshes_3d import rotation, two_boxes
 from tests.pressed_blocks import COMM, rejected
 from tests.tool_case import Block
 
@@ -97,10 +98,8 @@ def test_an_outer_corner_of_a_tool_is_none():
     assert tool.in_corners(link, problem.positions()) == ""
 
 
-@pytest.mark.parametrize("slave", [BOTTOM_OF_UPPER, TOP_OF_LOWER])
-def test_a_corner_drawn_over_a_face(slave):
-    """Friction is mu times the force normal to the face, if that is the slave; else a note."""
-    tilt, mu = 0.3, 0.3
+def friction_of_a_drawn_corner(slave, tilt, whole=False, mu=0.3):
+    """Draw a block that stands on its corner over another one; return |Ft/Fn| and the notes."""
     ends = {"x_lower": (0.0, 2.0), "x_upper": (0.6, 1.2)}
     domain, cells, facets = two_blocks(COMM, (20, 10), (6, 10), cell="quadrilateral", **ends)
     upper = np.unique(domain.geometry.dofmap[cells.indices[cells.values == UPPER]])
@@ -112,18 +111,59 @@ def test_a_corner_drawn_over_a_face(slave):
     held = [fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (BOTTOM_TAG, TOP_TAG)]
     bcs = [fem.dirichletbc(np.zeros(2), held[0], V), fem.dirichletbc(lid, held[1], V)]
     (master,) = {BOTTOM_OF_UPPER, TOP_OF_LOWER} - {slave}
-    contact = dm.Contact(facets, slave=slave, master=master, friction=mu)
+    tags = skins(domain, cells, facets) if whole else facets
+    contact = dm.Contact(tags, slave=slave, master=master, friction=mu)
     problem = dm.ContactProblem(dm.Solid(u, dm.Elastic(1.0, 0.3)), [contact], bcs=bcs)
     for way in (0.0, 0.03, 0.06, 0.09):
         lid.value[0] = way
         report = dm.newton(problem)
         problem.commit()
-    noted = any("degrees askew" in note for note in report.notes)
-    found = abs(contact.force[0] / contact.force[1])
-    if slave == TOP_OF_LOWER:
-        assert not noted and found == pytest.approx(mu, abs=0.005)
-    else:
-        assert noted and found > mu + 0.05
+    return abs(contact.force[0] / contact.force[1]), report.notes
+
+
+def askew(notes):
+    """Tell whether one of the notes is on edges and corners that press askew."""
+    return any("degrees askew" in note for note in notes)
+
+
+def test_a_corner_drawn_over_a_face():
+    """Friction is mu times the force normal to the face, if that is the slave; else a note.
+
+    Also where the side runs around the corner, of which the flank faces nothing.
+    """
+    found, notes = friction_of_a_drawn_corner(TOP_OF_LOWER, 0.3)
+    assert not askew(notes) and found == pytest.approx(0.3, abs=0.005)
+    for tilt, whole in ((0.3, False), (0.2, True)):
+        found, notes = friction_of_a_drawn_corner(BOTTOM_OF_UPPER, tilt, whole)
+        assert askew(notes) and found > 0.35
+
+
+@pytest.mark.parametrize("axis", [(0, -1, 0), (1, -1, 0), None])
+@pytest.mark.parametrize("slave", [BOTTOM_OF_UPPER, TOP_OF_LOWER])
+def test_edges_and_corners_on_a_plate_in_space(axis, slave):
+    """The force of a cube without friction is normal to the plate, but for what is noted."""
+
+    def turned(x):
+        turn = rotation(axis or (0, 1, 0), 0.0 if axis is None else 0.2)
+        return np.where(x[:, 2:] > 0.5, (x - [0.5, 0.5, 1.0]) @ turn.T + [0.5, 0.5, 0.0], x)
+
+    high, low = (0.5, 1.0, 0.5, 1.0), (0.0, 1.5, 0.0, 1.5)
+    domain, _, facets = two_boxes(
+        COMM, (6, 6, 3), (2, 2, 2), lower=low, upper=high, heights=(1.0, 0.5), gap=1.0,
+        cell="hexahedron", transform=turned,
+    )  # fmt: skip
+    V = fem.functionspace(domain, ("Lagrange", 1, (3,)))
+    held = [fem.locate_dofs_topological(V, 2, facets.find(tag)) for tag in (BOTTOM_TAG, TOP_TAG)]
+    moves = np.zeros(3), np.array([0.0, 0.0, -0.01])
+    bcs = [fem.dirichletbc(move, dofs, V) for move, dofs in zip(moves, held, strict=True)]
+    (master,) = {BOTTOM_OF_UPPER, TOP_OF_LOWER} - {slave}
+    contact = dm.Contact(facets, slave=slave, master=master)
+    solid = dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3))
+    notes = dm.newton(dm.ContactProblem(solid, [contact], bcs=bcs)).notes
+    *across, along = contact.force
+    assert askew(notes) == (axis is not None and slave == BOTTOM_OF_UPPER)
+    part = np.hypot(*across) / abs(along)
+    assert part > 0.1 if askew(notes) else part < 0.01
 
 
 def pressed(split, slave):

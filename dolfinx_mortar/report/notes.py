@@ -9,7 +9,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.audit.stand_off import note_on_ends, note_on_facets
+from dolfinx_mortar.audit.stand_off import note_on_edges, note_on_facets
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.linearisation import Balance
@@ -72,7 +72,7 @@ def _pressures(end: StepEnd) -> list[str]:
         spoilt = note_on_facets(link, x, u, forces, stiffness, end.problem.solid.potential)
         notes += [spoilt] if spoilt else []
         if any_rank(end.problem.comm, forces[link.nodes].any())[0]:
-            askew = note_on_ends(link, u, forces)
+            askew = note_on_edges(link, end.problem.system.boundary, u, forces)
             few += [askew, note_on_few_nodes(link, end.contacts, not (spoilt or askew))]
     return notes + [note for note in few if note]
 
