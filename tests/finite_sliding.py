@@ -88,6 +88,7 @@ def indentation(
     blocks=(0.0,),
     strain="finite",
     surface="facets",
+    unit=1.0,
     **options,
 ):
     """Create the case.
@@ -103,6 +104,7 @@ def indentation(
         start: x of the middle of the half ring.
         strain: that of the solid.
         surface: of the contact.
+        unit: factor of all lengths.
         options: of the contact.
     """
     parts = [grid(*n[0], lambda s, t, x=x: (x + length * s, height * (t - 1))) for x in blocks]
@@ -121,6 +123,7 @@ def indentation(
         return np.where(body == TOOL, tool, block)
 
     bodies = Bodies.of((lower, upper), tag)
+    bodies.mesh.geometry.x[:] *= unit
     V = fem.functionspace(bodies.mesh, ("Lagrange", 1, (2,)))
     u = fem.Function(V)
     held, base = (fem.Constant(bodies.mesh, default_scalar_type((0.0, 0.0))) for _ in range(2))

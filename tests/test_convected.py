@@ -21,23 +21,30 @@ A = np.array([[0.3, -0.2, 0.5], [0.1, 0.4, -0.6], [0.7, 0.2, 0.1]])
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize("size", [1.0, 1e-6])
 @pytest.mark.parametrize("cell", CELLS)
-def test_values_are_those_at_the_nearest_points(cell):
-    """A linear field at random points, of which some lie outside by up to the reach."""
+def test_values_are_those_at_the_nearest_points(cell, size):
+    """A linear field at random points, of which some lie outside by up to the reach.
+
+    In whatever units; and the mesh is as before, to the last digit.
+    """
     kind, d = CELLS[cell]
     make = mesh.create_unit_square if d == 2 else mesh.create_unit_cube
     V = fem.functionspace(make(COMM, *[5, 4, 3][:d], kind), ("Lagrange", 1, (d,)))
+    V.mesh.geometry.x[:] *= size
+    before = V.mesh.geometry.x.copy()
     u = fem.Function(V)
-    u.interpolate(lambda x: A[:d] @ x)
+    u.interpolate(lambda x: A[:d] @ x / size)
     own = np.arange(V.mesh.topology.index_map(d).size_local, dtype=np.int32)
     points = np.zeros((30, 3))
     points[:, :d] = np.random.default_rng(COMM.rank).uniform(-0.2, 1.2, (30, d))
-    found = convected.values_near(u, own, points, 0.2 * np.sqrt(d))
+    found = convected.values_near(u, own, size * points, 0.2 * size * np.sqrt(d))
+    assert np.array_equal(V.mesh.geometry.x, before)
     assert np.abs(found - points.clip(0.0, 1.0) @ A[:d].T).max() < 1e-12
     if COMM.rank == 0:
         assert convected.values_near(u, own, points[:0], 0.1).shape == (0, d)
     else:
-        convected.values_near(u, own, points, 0.1)
+        convected.values_near(u, own, size * points, 0.1 * size)
 
 
 PRESSED, DRAGGED = 3, 4
@@ -73,6 +80,22 @@ def test_it_saves_iterations_and_changes_no_answer(slave, monkeypatch):
             assert np.abs(same - force).max() < 1e-7 * np.abs(force).max()
     assert abs(count(other) - count(steps)) <= 1
     assert count(steps) + 3 <= count(rigid)
+
+
+def test_units():
+    """Bodies of some micrometres take the same iterations in metres."""
+    found = []
+    for m, pa in ((1.0, 1.0), (1e-6, 1e9)):
+        options = dict(n=((24, 5), (16, 2)), moduli=(pa, 10.0 * pa), friction=0.1, unit=m)
+        case = indentation(**options, **SIZES)
+        path = lambda t, m=m: (0.6 * m * max(t - 1.0, 0.0), -0.3 * m)  # noqa: E731
+        steps = walk(case, path, [1.0, 2.0], rtol=1e-8, progress=False)
+        forces = [force / (m * pa) for _, force, _ in steps]
+        costs = [[i.updates for i in report.iterations] for _, _, report in steps]
+        found.append((np.array(forces), costs))
+    (expected, costs), (forces, same) = found
+    assert same == costs
+    assert np.abs(forces - expected).max() < 1e-9 * np.abs(expected).max()
 
 
 def ironed_by_tool(law, *, friction=0.0, way=0.6, degree=1, angle=0.0):
