@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Arguments that must be the same on all ranks, compared by one digest; for all floors.
+"""Arguments that must be the same on all ranks, compared by one digest; for all modules.
 
 Every rank runs the same program, so a number, a name or a law that is not the same on all of them
 makes a mixture of problems, or ranks that wait for each other in different places. Whatever a user

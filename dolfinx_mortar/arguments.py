@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Checks of arguments that all rooms share, without communication."""
+"""Checks of arguments that all sub-packages share, without communication."""
 
 import math
 from collections.abc import Collection

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Names of the array types that travel through the package, and the round-off of their numbers."""
+"""Names of the array types of the package, and the round-off of their numbers."""
 
 import numpy as np
 import numpy.typing as npt

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Displacement spaces: which are supported, and values of their Functions; for all floors."""
+"""Displacement spaces: which are supported, and values of their Functions; for all modules."""
 
 from typing import Any
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Tags of cells or facets with names; for all floors."""
+"""Tags of cells or facets with names; for all modules."""
 
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What numbers closed solutions take; all errors are ValueErrors that name the argument."""
+"""Checks of the numbers of closed solutions; all errors are ValueErrors that name the argument."""
 
 from __future__ import annotations
 

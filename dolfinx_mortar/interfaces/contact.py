@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Unilateral contact, without and with friction: between two sides, and what all kinds share.
+"""Unilateral contact with and without friction: between two sides, and the base of all kinds.
 
 The functional of contact, with Lagrange multipliers lambda_j >= 0 and weighted gaps g_j, its first
 variation and its linearisation are

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a search and an update find for one interface: records, made anew and never changed.
+"""Results of a search and an update for one interface, as immutable records.
 
 At a kept slave node j with frame R_j = (n_j, t_j, ..) the displacement is written
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""An interface in one configuration: what is constrained, where it acts, what its results show."""
+"""An interface in one configuration: its constraints, the nodes they act on, its results."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a user gives as a Function of an interface: one value at every node, on the bodies' mesh."""
+"""Functions that users give to an interface: one value at every node, on the mesh of the bodies."""
 
 from typing import Any
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A law against itself: stress and energy, tangent and stress, state and stress must fit."""
+"""Checks of a law: stress against energy, tangent against stress, state against stress."""
 
 import dataclasses
 from collections.abc import Mapping

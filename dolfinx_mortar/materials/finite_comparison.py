@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A law of the deformation gradient against itself: energy, P, dP/dF, rotations."""
+"""Checks of a law of the deformation gradient: energy, P, dP/dF, rotations."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-r"""Logarithmic strains at points, and what stresses of them are in terms of the deformation.
+r"""Logarithmic strains at points, and the transformation of their stresses and moduli to P.
 
 With F = I + H, a symmetric G = I + g and C = (F G)^T F G, whose eigenvalues are 1 + x_a and whose
 eigenvectors are N_a,

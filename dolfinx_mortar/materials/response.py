@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a law makes of a strain: its methods called, and what they return judged."""
+"""The response of a law to a strain: its methods are called and what they return is checked."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

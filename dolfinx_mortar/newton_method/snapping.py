@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Has a step passed a limit point of its loads? Then the equilibrium found is one beyond it.
+"""Whether a step has passed a limit point of its loads, to an equilibrium beyond it.
 
 At the start u_0 bodies are in a stable equilibrium under the loads f_0: J(u) = Psi(u) - f_0.u has a
 local minimum there. If J is smaller at the end, the step has passed an energy barrier, or the

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""A contact problem: arguments, loads, interfaces, and what a step reads at its start."""
+"""A contact problem: arguments, loads, interfaces, and the data of a step."""

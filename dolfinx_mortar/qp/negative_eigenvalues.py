@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether a symmetric matrix has negative eigenvalues, by what a linear solver has of it.
+"""Whether a symmetric matrix has negative eigenvalues, by the data of a linear solver.
 
 A factorisation by MUMPS for symmetric matrices counts them (Sylvester's law of inertia). Other
 factorisations do not, so that one more is made. Conjugate gradients meet a negative curvature: of a

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The error of the small-strain measure, estimated after every step, and told in notes.
+"""The error of the small-strain measure, estimated after every step, and notes on it.
 
 The small strain neglects the term H^T H / 2 of the Green-Lagrange strain, H = grad u. Of a strain e
 it is about e / 2 relatively, which is also what different measures of finite strain differ by. Of a

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Ties of bodies that have turned far: what of a tie is linear in the rotation, or no part of it.
+"""Ties of bodies after large rotations: errors of what is linear in them, or fixed in space.
 
 A tie is an equation linear in u with the matrices of X. A jump b, and the overlap of a bolt with
 it, is a given vector: where bodies turn by a rotation R it should be R b, and is off by |R b - b|.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Shapes made of others: all of them together, what they have in common, and what is left out."""
+"""Shapes made of others: union, intersection and complement."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar

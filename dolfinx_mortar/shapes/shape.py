@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What all shapes have in common: a signed distance with its derivatives, and where it is of use.
+"""The base of all shapes: a signed distance with its derivatives, and the problems it suits.
 
 phi(x) is the distance of a point from the surface of a tool, positive outside and negative inside.
 grad phi is the unit normal of the surface at the nearest point of it, out of the tool, and the

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What is found at the integration points of a region before anything is assembled."""
+"""Values computed at the integration points of a region before each assembly."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-r"""What bodies have stored and dissipated, from the potentials of their laws.
+r"""Energy stored in bodies and dissipated, from the potentials of their laws.
 
 The potential of a step, psi(eps; state_n), is the least sum of the energy that is stored at its end
 and of what is dissipated in it. At the state that the step has led to nothing flows, so that

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Finite strain: what it cannot be combined with, volumes at the points, Cauchy's stress."""
+"""Finite strain: checks of arguments, volumes at the integration points, Cauchy's stress."""
 
 import dataclasses
 from typing import Any

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Strain and rotation at the integration points: what a small strain leaves out of a finite one.
+"""Strain and rotation at the integration points, and the terms that a small strain omits.
 
 With the strain e and the rotation w, the symmetric and the skew part of H = grad u, Green and
 Lagrange's strain is e + H^T H / 2. A small strain takes e; of a rotation by an angle a, however

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Laws of a small strain at finite strain: energy, P and dP/dF at the integration points.
+"""Small-strain laws at finite strain: energy, P and dP/dF at the integration points.
 
 Stress and tangent are evaluated for each assembly, straight into what the forms read; internal
 variables at the end of a step only.

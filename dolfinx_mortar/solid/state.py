@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Functions at the integration points: stress, internal variables, and what fills them."""
+"""Functions at the integration points: stress and internal variables, and their evaluation."""
 
 from collections.abc import Mapping, Sequence
 

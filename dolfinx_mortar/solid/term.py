@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A term of the energy: what bodies, loads and your own classes have in common."""
+"""A term of the energy: the base of bodies, loads and your own classes."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What adds energy, forces and stiffness: the terms of a problem, and their sum.
+"""The terms of a problem, which add energy, forces and stiffness, and their sum.
 
 Knows nothing of contact, Newton's method or load levels.
 """

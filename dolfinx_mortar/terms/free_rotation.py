@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-r"""The moment of momentum that the trapezoidal rule misses at finite strain, given back.
+r"""Correction of the angular momentum that the trapezoidal rule misses at finite strain.
 
 With the forces G on the nodes, whose moment about x at the same time is that of the loads, the rule
 changes J = sum x x M v in a step by

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A pressure that follows the surface on which it acts."""
+"""Follower pressure: a pressure on the deformed surface."""
 
 from typing import Any
 
