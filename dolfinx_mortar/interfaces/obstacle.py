@@ -101,8 +101,8 @@ class Obstacle(Movable, Unilateral):
     ``tool_moment`` are those on the tool, the latter about its point.
 
     A node of several interfaces belongs to the first one that it faces; it faces a tool within two
-    facet lengths of it. Of facets on which a tool's surface is steep (78 degrees or more), as on
-    the flanks of a body beside it, none is in contact.
+    facet lengths of it. Facets at 78 degrees or more to the tool's surface, as on the flanks of a
+    body beside it, are not in contact.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
@@ -112,8 +112,8 @@ class Obstacle(Movable, Unilateral):
         load: forces on the tool that are given instead of its position, by name: "x", "y" and
             "moment" about its point in the plane, "x", "y", "z", "moment x" to "moment z" in space,
             "y" in axisymmetric problems, each a number or a scalar Constant, read at every step.
-            What is not named, position and rotation prescribe. The tool moves until contact carries
-            the load: ``tool_force + load = 0``; ``travel`` is how far.
+            Motions that are not named are prescribed by position and rotation. The tool moves until
+            contact balances the load, ``tool_force + load = 0``; ``travel`` is this motion.
         surface: as of `Contact`, for straight cells: "smooth" measures the gap between the smooth
             surface through the nodes and the tool, "facets" that of the facets. For displacements
             of first order "smooth" takes the distances of the nodes, so that a tip between them

@@ -104,7 +104,7 @@ class RigidSide(Movable, Interface):
         load: forces and moments that are given instead of its motion, by name: "x", "y" and
             "moment" about its point in the plane, "x", "y", "z", "moment x" to "moment z" in space,
             "y" in axisymmetric problems, each a number or a scalar Constant, read at every step; 0
-            leaves a motion free. What is not named, position and rotation prescribe.
+            leaves a motion free. Other motions are prescribed by position and rotation.
 
     Raises:
         ValueError: for tags that are none, unknown names, a point or loads that are none. When a

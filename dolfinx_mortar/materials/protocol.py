@@ -38,15 +38,15 @@ class Material(Protocol):
     its derivative: `tangent(strain, state, p, direction)`, d stress / d strain : direction. A class
     that inherits it and has another energy or stress has to give its own; else UFL differentiates.
 
-    In plane stress a law sees the strain out of the plane that leaves no stress there, which is
-    solved for at every integration point; the law itself need not know. One that knows this strain
-    in closed form saves most of the time by `normal_strain(strain, state, p)`, which is None, or a
-    property that gives None, where it is to be solved for. It is inherited as `tangent` is.
+    In plane stress the strain out of the plane is solved for at every integration point, such that
+    the stress there vanishes; the law need not do anything. A law that has this strain in closed
+    form saves most of the time by `normal_strain(strain, state, p)`, which is None, or a property
+    that gives None, where it is to be solved for. It is inherited as `tangent` is.
 
-    A law may inherit from this class, which has no memory and no output, or just look like it.
+    A law may inherit from this class, which has no state and no output, or just have its methods.
 
     **Finite strain.** A law with ``strain = "finite"`` gets the deformation gradient F (3x3, not
-    symmetric, det F > 0) where the others get the strain: `energy(F, state, p)` is psi per volume
+    symmetric, det F > 0) in place of the strain: `energy(F, state, p)` is psi per volume
     at X, `stress(F, state, p)` the first Piola-Kirchhoff stress P = d psi / dF, `tangent` dP/dF :
     direction, of a direction that is not symmetric either. Only `elastic_stress` is still that of a
     small strain, at F = I. psi has to be objective, psi(Q F) = psi(F) for rotations Q, which a

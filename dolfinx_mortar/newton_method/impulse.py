@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What forces at the end of a step would move within its length: the response to an impulse."""
+"""The response of the bodies to an impulse of the forces at the end of a step."""
 
 from dataclasses import replace
 

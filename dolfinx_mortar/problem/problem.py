@@ -273,12 +273,12 @@ class ContactProblem:
         """Read loads, Dirichlet values and jumps, predict u, pair the surfaces; collective.
 
         The prediction moves every body, or tied group of bodies, as a whole by the mean of its
-        prescribed increments, without strain. It removes from the first QP what would be forty
+        prescribed increments, without strain. Without it the forces of the first QP would be forty
         times the contact force in the paper's problem, and a disc that is pressed down by many
-        facet lengths has other partners there than at its start. A body over which another one
-        slides has its deformation moved along, see `convected`. The surfaces are paired again if
-        they have slid past their partners. A step is a function of the displacement and the
-        committed state: failed steps, audits or output before it have no influence.
+        facet lengths would be paired where it was before. The deformation of a body over which
+        another one slides is moved along, see `convected`. The surfaces are paired again if they
+        have slid out of the margin of the last search. A step is a function of the displacement
+        and the committed state: failed steps, audits or output before it have no influence.
 
         Args:
             level: load level of the step, for its terms; None for that of the committed state.
@@ -454,9 +454,9 @@ class ContactProblem:
     def audit(self) -> Audit:
         """Return the geometry audit at the present displacement; collective.
 
-        The first step begins with one, too, and logs it. Sides that are beyond each other are no
-        error where the Dirichlet conditions, as they are now, may bring them together. The next
-        step is not affected.
+        The first step also begins with one, and logs it. Sides that do not face each other are no
+        error if the present Dirichlet conditions may bring them together. The next step is not
+        affected.
 
         Raises:
             ValueError: if nothing holds a body, a pair of surfaces cannot meet, or another problem
@@ -588,9 +588,9 @@ class ContactProblem:
         Displacement, internal variables, stress, closed contacts and slips, load level, results
         of the interfaces, tightening of ties, and `history`. Not the data that a program sets
         before each step: loads, supports, jumps, parameters and eigenstrain that may change. An
-        older file of this name is replaced in one move, when the new one is complete and on the
-        disk. Nodes are identified by their coordinates and those of their cells, so bodies that lie
-        on each other cell by cell cannot be restored.
+        older file of this name is replaced when the new one is complete and on the disk. Nodes are
+        identified by their coordinates and those of their cells, so bodies that coincide cell by
+        cell cannot be restored.
 
         Args:
             path: the file, HDF5; its folder must exist.
@@ -615,8 +615,8 @@ class ContactProblem:
 
         Raises:
             OSError: on all ranks, if there is no such file, or it cannot be read.
-            ValueError: on all ranks, if it is no checkpoint, cut off or damaged, of another version
-                or another problem; the message names the differences. Nothing is changed then.
+            ValueError: on all ranks, if it is no checkpoint, truncated or damaged, of another
+                version or another problem; the message names the differences. Nothing is changed.
         """
         with self.timings("checkpoint"):
             self.outcome = restoring.read(self.state, path).put()
@@ -626,7 +626,7 @@ class ContactProblem:
 
         The displacement, ``solid.output_fields()``, and the interfaces' pressure, gap, status and
         "facing", 1 at slave nodes that face a master; elsewhere the gap is 0. With friction also
-        "traction" and "slip" (see `Contact`), and a status of 1 is stick, 2 slip.
+        "traction" and "slip" (see `Contact`); then a status of 1 is stick, 2 slip.
 
         Raises:
             ValueError: if a problem made later uses one of the interfaces.

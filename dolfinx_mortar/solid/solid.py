@@ -99,27 +99,27 @@ class Solid(Term):
             quadrature_degree: None means 2(p - 1), at least 1, on simplices and 2p on
                 quadrilaterals and hexahedra, p the degree of u.
             kinematics: "plane_strain" (the default in 2D), "plane_stress" (thin plates, forces per
-                thickness), "axisymmetric" (x[0] is the radius r,
-                x[1] the axis z; strains, stresses and loads are in the order r, z, theta, forces,
-                energies and volumes those of the whole ring), "spatial" (the only choice in 3D), or
-                a `Kinematics`.
-            eigenstrain: strain without stress (thermal, of a fit, initial), of which the laws see
-                nothing: a scalar (the same in all three directions, also out of the plane) or a 3x3
-                tensor, as a number, an array, a Constant, a Function or UFL of these and of the
-                coordinates; or a dictionary of such by cell tag or name, zero at other tags.
-                What it depends on may change between steps, as loads do: in ``on_time`` of
-                `load_steps`.
-            volumetric: "full", or "reduced" for quadrilaterals and hexahedra that do not lock when
-                their volume hardly changes: the trace of the strain is then its mean over the cell,
-                and so is the mean stress that is shown. For laws that split into a deviator and a
-                trace, see `Material`. At finite strain for cells of degree 2 of all shapes, too:
-                the volume ratio is then linear in quadrilaterals and hexahedra, see `mean_volume`.
-            strain: "small", or "finite" for bodies that turn or strain by more than a few percent:
-                laws see the deformation gradient F = I + grad u, the weak form is int P : dF[v].
-                Without eigenstrain.
-            energies: whether the end of each step evaluates what is stored and dissipated, for
-                `energies`, and as the fields "stored_energy" and "dissipated_energy". All laws need
-                a potential.
+                thickness), "axisymmetric" (x[0] is the radius r, x[1] the axis z; strains, stresses
+                and loads are in the order r, z, theta, forces, energies and volumes those of the
+                whole ring), "spatial" (the only choice in 3D), or a `Kinematics`.
+            eigenstrain: strain without stress (thermal, of a fit, initial), which is subtracted
+                from the strain before laws are evaluated: a scalar (the same in all three
+                directions, also out of the plane) or a 3x3 tensor, as a number, an array, a
+                Constant, a Function or UFL of these and of the coordinates; or a dictionary of such
+                by cell tag or name, zero at other tags. What it depends on may change between
+                steps, as loads do: in ``on_time`` of `load_steps`.
+            volumetric: "full", or "reduced" (mean dilatation) for quadrilaterals and hexahedra,
+                which then do not lock where their volume hardly changes: the trace of the strain
+                and the mean stress are their means over the cell. For laws that split into a
+                deviator and a trace, see `Material`. At finite strain for cells of degree 2 of all
+                shapes, too: the volume ratio is then linear in quadrilaterals and hexahedra, see
+                `mean_volume`.
+            strain: "small", or "finite" for large rotations and strains of more than a few percent:
+                laws are functions of the deformation gradient F = I + grad u, and the internal
+                virtual work is int P : dF[v] dX. Without eigenstrain.
+            energies: whether stored and dissipated energies are evaluated at the end of each step,
+                for `energies`, and as the fields "stored_energy" and "dissipated_energy". All laws
+                need a potential.
 
         Raises:
             ValueError: if u is complex or in another kind of space, materials and tags do not

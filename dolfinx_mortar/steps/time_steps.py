@@ -189,11 +189,11 @@ def time_steps(
         times: ends of the steps, increasing. If they begin with all those of the last run on this
             problem, as after `ContactProblem.restore`, that run goes on.
         scheme: "energy-conserving" is the trapezoidal rule, with an impulse of the contact forces
-            after each step that gives back what contact has taken from the energy, or takes what it
-            has given, so that impacts conserve it, and friction only takes its part. With
-            "generalised-alpha" (Chung and Hulbert 1993) high frequencies are damped.
-        spectral_radius: of "generalised-alpha": the share of the highest frequencies that is left
-            after each step, from 0 to 1, by default 0.8; 1 damps none.
+            after each step that restores the energy that contact has taken or given, so that
+            impacts conserve energy and only friction dissipates it. With "generalised-alpha" (Chung
+            and Hulbert 1993) high frequencies are damped.
+        spectral_radius: of "generalised-alpha": the factor of the amplitude of the highest
+            frequencies in each step, from 0 to 1, by default 0.8; 1 means no damping.
         ramp: as in `load_steps`, over time.
         on_time: as in `load_steps`; also called for the start.
         start: time of the committed state; by default the last one reached, at first 0.

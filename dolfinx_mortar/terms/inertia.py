@@ -118,9 +118,8 @@ class Inertia(Term):
 
     The mass matrix is consistent and assembled once. Nodes of sides that can open have no mass, or
     none along their normals: it is moved to the nodes behind them such that the mass of each body,
-    its centre and its moments of inertia stay what they are, see `dolfinx_mortar.terms.mass`. Of
-    rings mass, energy and momentum are those of the whole ring, in the plane they are per
-    thickness.
+    its centre and its moments of inertia are conserved, see `dolfinx_mortar.terms.mass`. In
+    axisymmetry mass, energy and momentum are those of the whole ring, in the plane per thickness.
 
     Attributes:
         scheme: how steps are made; `time_steps` sets it.

@@ -25,7 +25,7 @@ from ufl.core.expr import Expr
 
 
 class Pressure(WeakForm):
-    """A pressure p on the surface as it is: traction -p n per present area, at finite strain.
+    """A follower pressure p: the traction -p n per present area of the deformed surface.
 
     By Nanson's formula, with F = I + grad u and the normal N at X,
 
