@@ -16,8 +16,8 @@ VERIFICATION = """\
 
 Version {version}. `containers/run python3 docs/tools/verification.py` solves these problems with
 the code of the tests and demos, and writes `docs/verification.json`; this page is that file. A
-difference says how far two numbers are apart, not how far either is from nature: references are for
-half spaces and small strains, or are meshes themselves, as each source says.
+difference is that of two numbers, both of which have errors: references assume half spaces and
+small strains, or are themselves results on meshes, as each source says.
 
 {cases}
 """
@@ -44,10 +44,10 @@ degree 2 on a finer mesh.
 
 ## A contact step in 2D
 
-In units of the same run (`hertz_2d.py`). Mortar: search to change of basis, over one
-factorisation of the plain tangent. Step: the first step over what its factorisations and assemblies
-cost alone. Memory: its peak over that of a program that only factorises. The last column names
-ratios beyond the limits that the benchmark sets.
+Ratios within one run (`hertz_2d.py`). Mortar: from search to change of basis, over one
+factorisation of the tangent without contact. Step: the first step over the cost of its factorisations and
+assemblies alone. Memory: its peak over that of a program that only factorises. The last column names
+ratios beyond the limits of the benchmark.
 
 {in_plane}
 
@@ -72,8 +72,8 @@ Search, cutting, D, M and T of two tied blocks (`mortar_3d.py`).
 
 ## A quadratic program
 
-In units of one factorisation (`qp_reuse.py`): from nothing, and again for a tangent that has
-changed.
+In units of one factorisation (`qp_reuse.py`): without a factorisation at the start, and again for a
+tangent that has changed.
 
 {reuse}
 
