@@ -45,9 +45,9 @@ degree 2 on a finer mesh.
 ## A contact step in 2D
 
 Ratios within one run (`hertz_2d.py`). Mortar: from search to change of basis, over one
-factorisation of the tangent without contact. Step: the first step over the cost of its factorisations and
-assemblies alone. Memory: its peak over that of a program that only factorises. The last column names
-ratios beyond the limits of the benchmark.
+factorisation of the tangent without contact. Step: the first step over the cost of its
+factorisations and assemblies alone. Memory: its peak over that of a program that only factorises.
+The last column names ratios beyond the limits of the benchmark.
 
 {in_plane}
 
