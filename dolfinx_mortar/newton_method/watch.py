@@ -20,9 +20,15 @@ from dolfinx_mortar.problem.problem import ContactProblem
 
 # A fixed point whose change grows so often, with Newton converged in between, does not contract.
 MOST_RISES = 2
-# The exact tangent serves once forces and gaps miss their balance by no more than this share: from
-# further away it may lead elsewhere, where the fixed point survives.
-NEAR = 0.03
+# The exact tangent serves once forces and gaps miss their balance by no more than this share, by
+# strain: from further away it may lead elsewhere, where the fixed point survives. Small strain:
+# residuals of plastic laws stay at .2 for ten iterations in a frozen geometry (sweep pile, seed 4),
+# and an exact tangent that fails there starts the fixed point anew, in its cycle. Finite strain,
+# sweep, seeds 5006 to 5015: with .03 5013 fails, as the fixed point leads away from .01 to .15
+# again and again, with .1, too; with .3 and 1 it takes 4.9 iterations a step, 6 at most. The others
+# take 115 iterations with .03, 112 with .3, shallow ironing in 30 steps 112 and 113, with the block
+# as slave 128 and 129.
+NEAR = {"small": 0.03, "finite": 0.3}
 # It is of use where updates of the geometry, not the laws, cause so much of the residual.
 SHARE = 0.5
 # And where it saves iterations: each costs an unsymmetric factorisation, which with linear laws

@@ -632,8 +632,9 @@ class _Step:
         last = residuals[-1]
         if watch.rises >= MOST_RISES:
             return True
-        near = max(last.forces, last.contact) < NEAR and self.missed(last) < watch.barred
-        if self.problem.solid.strain == "finite":  # where tangents are new in any case
+        strain = self.problem.solid.strain
+        near = max(last.forces, last.contact) < NEAR[strain] and self.missed(last) < watch.barred
+        if strain == "finite":  # where tangents are new in any case
             return near
         return near and watch.is_slow(self.linear, last.forces / self.report.rtol, last.excess)
 
