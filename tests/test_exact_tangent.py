@@ -317,8 +317,25 @@ def test_when_the_exact_tangent_pays():
     assert not Watch(True).turning(100.0).is_slow(True, 100.0, 100.0)  # no rate yet
     assert slow.after_exact(1.0, 100.0).is_slow(True, 1.0, 1.0)
     assert slow.after_exact(90.0, 100.0).barred == DIGIT * 100.0
+    jumped = slow.after_exact(90.0, 100.0, other_nodes=True)
+    assert jumped.exact and jumped.barred == np.inf
     held = replace(slow, held=True, change=1.0, forces=1.0, barred=0.5)
     thawed = held.thawed().after(2.0, 2.0)  # the first change since then is no rise
     assert (thawed.held, thawed.rises, thawed.barred) == (False, 0, 0.5)
-    lost = replace(slow, rises=MOST_RISES).after_exact(90.0, 100.0)
-    assert (lost.failed, lost.rises) == (1, MOST_RISES)
+    for other_nodes in (False, True):
+        lost = replace(slow, rises=MOST_RISES).after_exact(90.0, 100.0, other_nodes=other_nodes)
+        assert (lost.failed, lost.rises) == (1, MOST_RISES)
+
+
+@pytest.mark.parametrize("strain", ["small", "finite"])
+def test_nodes_that_get_or_lose_multipliers_are_seen_at_finite_strain(dragged, strain):
+    """Of any node of a side; at small strain the fixed point goes on there."""
+    problem, _ = dragged
+    solid = SimpleNamespace(strain=strain)
+    parts = SimpleNamespace(solid=solid, system=problem.system, comm=problem.comm)
+    step = SimpleNamespace(problem=parts, carrying=lambda: [link.coupling.kept for link in links])
+    links = problem.system.unilateral
+    before = [kept.copy() for kept in newton_module._Step.carrying(step)]
+    assert not newton_module._Step.differ(step, before)
+    before[0][0] = ~before[0][0]
+    assert newton_module._Step.differ(step, before) == (strain == "finite")

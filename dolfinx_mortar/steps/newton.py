@@ -28,9 +28,9 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar import qp as backends
-from dolfinx_mortar.algebra.parallel import free_unused, maximum, ratio
+from dolfinx_mortar.algebra.parallel import any_rank, free_unused, maximum, ratio
 from dolfinx_mortar.arguments import is_number
-from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Actives, Floats
+from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Actives, Bools, Floats
 from dolfinx_mortar.interfaces.interface import ask
 from dolfinx_mortar.interfaces.near import predict_active
 from dolfinx_mortar.newton_method import driven_tools, failures
@@ -793,7 +793,7 @@ class _Step:
             residual = judge(balance)
             if not watch.moving or residual.excess > 1.0:
                 return balance, residual, watch, 0.0
-        before = contact_forces(problem, contacts)
+        before, carrying = contact_forces(problem, contacts), self.carrying()
         problem.follow_geometry()
         balance = self.balance()
         residual = judge(balance)
@@ -802,12 +802,28 @@ class _Step:
         if self.driven:  # what is measured is the motion of tools, too
             return balance, residual, watch, change / problem.system.facet_length
         if last is not None:
-            watch = watch.after_exact(self.missed(residual), self.missed(last))
+            at = self.missed(residual), self.missed(last)
+            watch = watch.after_exact(*at, other_nodes=self.differ(carrying))
         else:
             watch = watch.after(work, residual.forces).turning(ratio(turned, residual.limit))
         if watch.failed > MOST_RISES or (watch.rises >= MOST_RISES and not self.may_be_exact):
             raise failures.StepFailed(failures.unsettled(problem))
         return balance, residual, watch, change / problem.system.facet_length
+
+    def carrying(self) -> list[Bools]:
+        """Return which nodes (n, c) of each contact carry multipliers."""
+        return [link.coupling.kept for link in self.problem.system.unilateral]
+
+    def differ(self, carrying: list[Bools]) -> bool:
+        """Tell whether other nodes than these do at present, at finite strain; collective.
+
+        At small strain the fixed point goes on there: it contracts, and is cheaper.
+        """
+        if self.problem.solid.strain == "small":
+            return False
+        pairs = zip(carrying, self.carrying(), strict=True)
+        differ = not all(np.array_equal(one, other) for one, other in pairs)
+        return bool(any_rank(self.problem.comm, differ)[0])
 
     def thaw(self, old: Iterate, watch: Watch) -> tuple[Iterate, Watch, Residuals]:
         """Return the iterate in the geometry at u, which was frozen; collective.
