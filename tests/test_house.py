@@ -129,6 +129,16 @@ def test_modules_form_no_circle():
     TopologicalSorter(graph).prepare()
 
 
+def test_modules_with_a_cache_have_one_name():
+    """What numba keeps under one name of a module stops programs that know it by another."""
+    folder = Path(__file__).parent
+    cached = [f.stem for f in folder.glob("*.py") if "@numba.njit(cache=True)" in f.read_text()]
+    assert "pointwise_laws" in cached
+    files = [*folder.rglob("*.py"), *(folder.parent / "benchmarks").glob("*.py")]
+    short = re.compile(rf"^\s*(from|import) ({'|'.join(cached)})\b", re.MULTILINE)
+    assert [str(f) for f in files if short.search(f.read_text())] == []
+
+
 def test_floors_know_no_more_than_they_must():
     wrong = {
         str(file.relative_to(PACKAGE)): sorted(libraries & FOREIGN.get(floor, set()))

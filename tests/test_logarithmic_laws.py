@@ -7,7 +7,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from pointwise_laws import Compiled
 
 import dolfinx_mortar as dm
 import ufl
@@ -15,6 +14,7 @@ from dolfinx_mortar.materials import logarithms
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
 from dolfinx_mortar.materials.protocol import create_law
 from tests.choice import quick
+from tests.pointwise_laws import Compiled
 from tests.user_laws import Cubic
 
 E, NU, SIGMA_Y = 200e3, 0.3, 200.0

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Laws that are functions of numbers, against the same laws in UFL, and their mistakes."""
 
+import importlib.util
+import subprocess
+import sys
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -225,6 +228,29 @@ MISTAKES = {
     ),
     "raises": ({"stress": lambda s: 1 // 0}, r"Spoilt.update raised ZeroDivisionError"),
 }
+
+
+CACHED = """
+import numba
+
+@numba.njit(cache=True)
+def twice(values):
+    return 2.0 * values
+"""
+
+
+def test_a_cache_of_another_name_is_named(tmp_path):
+    """One program imports a file by its name; another, which knows it by another one, calls it."""
+    file = tmp_path / "first_name.py"
+    file.write_text(CACHED)
+    program = "import first_name, numpy; first_name.twice(numpy.ones(3))"
+    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True)
+    found = importlib.util.spec_from_file_location("other_name", file)
+    module = importlib.util.module_from_spec(found)
+    found.loader.exec_module(module)
+    law = spoilt(stress=lambda s: module.twice(np.ones(3)))
+    with pytest.raises(ValueError, match=r"as first_name: delete the __pycache__ beside it"):
+        dm.materials.check(law)
 
 
 @pytest.mark.mpi

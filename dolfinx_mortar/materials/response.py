@@ -271,7 +271,7 @@ def _updated(
         found = law.update(strain, state, p)
     except Exception as error:
         what = f"{type(error).__name__}: {error}"
-        raise ValueError(f"{where} raised {what} (at {q} points)") from error
+        raise ValueError(f"{where} raised {what} (at {q} points){_remedy(error)}") from error
     if not isinstance(found, tuple) or len(found) != 3 or not isinstance(found[2], Mapping):
         raise ValueError(
             f"{where} returns {type(found).__name__}; it must return stress, tangent, new state "
@@ -285,6 +285,20 @@ def _updated(
         shaped_array(f"{where}: the stress", stress, (q, 3, 3)),
         shaped_array(f"{where}: the tangent", tangent, (q, 3, 3, 3, 3)),
         {n: shaped_array(f"{where}: {n}", new[n], (q, *shape)) for n, shape in law.state.items()},
+    )
+
+
+def _remedy(error: Exception) -> str:
+    """Return what helps against an error of a user's function, "" if that is not known.
+
+    What numba keeps of a function asks for the module by the name that it had then.
+    """
+    if not isinstance(error, ModuleNotFoundError):
+        return ""
+    return (
+        "; if it calls functions of numba with cache=True, they were compiled by a program that "
+        f"imports their file as {error.name}: delete the __pycache__ beside it, and import it by "
+        "one name everywhere"
     )
 
 
