@@ -11,12 +11,14 @@ from dolfinx import fem
 from dolfinx.mesh import exterior_facet_indices, meshtags
 from dolfinx_mortar.geometry.crossings import find_crossings, near_pairs
 from dolfinx_mortar.geometry.facets import facet_sizes
+from dolfinx_mortar.mortar.edges import SUNK
 from dolfinx_mortar.mortar.surface import create_surface, facets_at, nodal_sagittas
 from dolfinx_mortar.report.uncoupled import find_crossing
 from tests import lug_case
 from tests.box_piles import THREE, create_boxes
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
 from tests.meshes_3d import two_boxes
+from tests.msh_files import msh_file
 
 COMM = MPI.COMM_WORLD
 LAW = dm.Elastic(1000.0, 0.3)
@@ -186,6 +188,35 @@ def test_sagittas_of_a_cylinder():
     found = nodal_sagittas(surface, surface.X)
     size = facet_sizes(facets_at(surface, surface.X).x).mean() / (angle * lug_case.HOLE)
     assert found / size == pytest.approx(np.full(len(found), exact), rel=0.02)
+
+
+def ring_on_shaft(model):
+    """Draw a ring that fits on a longer shaft of radius .5."""
+    occ = model.occ
+    shaft = occ.addCylinder(0, 0, -0.8, 0, 0, 1.6, 0.5)
+    ring, bore = (occ.addCylinder(0, 0, -0.3, 0, 0, 0.6, r) for r in (0.7, 0.5))
+    (part,), _ = occ.cut([(3, ring)], [(3, bore)])
+    occ.synchronize()
+    for tag in (shaft, part[1]):
+        model.addPhysicalGroup(3, [tag])
+    model.mesh.generate(3)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("down", [False, True])
+def test_the_end_of_a_ring_on_a_shaft(down):
+    """Facets of the shaft cross it at the rim of the bore, by sagittas; pressed down, deeper."""
+    with msh_file(ring_on_shaft, MeshSizeMax=0.15, MeshSizeMin=0.15) as file:
+        mesh, cells, _ = dm.meshing.read_msh(file, COMM)
+    contacts = dm.find_pairs(mesh, cells, show=False).contacts
+    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), contacts)
+    if down:
+        move = np.array([[0.0], [-0.1], [0.0]])
+        problem.u.interpolate(
+            lambda x: np.where(np.hypot(*x[:2]) > 0.499, move, 0.0), cells.find(2)
+        )
+    assert (find_crossing(problem).share > SUNK) is down
 
 
 @pytest.mark.serial

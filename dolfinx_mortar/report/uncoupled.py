@@ -162,7 +162,8 @@ def _find_between(problem: ContactProblem) -> Crossing:
     reach = np.minimum(_seen_reach(one, other), _seen_reach(other, one))
     tied = (_touched(one) & _touched(other)[:, ::-1]).any(axis=1)
     meant = (tied * _longest_jumps(problem)).max(axis=1, initial=0.0)
-    depth = np.minimum(found.depth - one.sagitta - other.sagitta, reach) - meant
+    deep = np.minimum(found.depth, _from_seen_edges(found.place, one, other))
+    depth = np.minimum(deep - one.sagitta - other.sagitta, reach) - meant
     depth = _least_at_edges(found, depth.clip(min=0.0))
     bodies = np.stack([one.body, other.body], axis=1)
     return _deepest(comm, depth / size, depth, found.place, bodies)
@@ -209,6 +210,29 @@ def _seen_reach(one: _Skin, other: _Skin) -> Floats:
     behind = -np.einsum("mkd,md->mk", other.x - one.x[:, :1], n)
     seen = (one.sides[:, None] & other.on[:, :, ::-1]).any(axis=(2, 3))
     return np.where(seen | (behind <= 0.0), behind, np.inf).max(axis=1, initial=0.0)
+
+
+def _from_seen_edges(place: Floats, one: _Skin, other: _Skin) -> Floats:
+    """Return how far (m,) from an edge that an interface sees facets are crossed, or infinity.
+
+    The end of a ring on a shaft is crossed by facets along the shaft, far from both of their ends,
+    but beside the rim of the bore, by the sagittas of both.
+
+    Args:
+        place: (m, d) where edges of facets cross others.
+        one: (m,) those with the edges.
+        other: (m,) those which are crossed.
+    """
+    d, least = place.shape[1], np.full(len(place), np.inf)
+    beside = ~(one.sides & other.sides[:, ::-1]).any(axis=(1, 2))
+    on = one.sides[:, None] & other.on[:, :, ::-1]
+    for k in range(d) if d == 3 else ():
+        p, along = other.x[:, k], other.x[:, (k + 1) % d] - other.x[:, k]
+        t = ((place - p) * along).sum(axis=1) / (along * along).sum(axis=1)
+        away = np.linalg.norm(place - p - t.clip(0.0, 1.0)[:, None] * along, axis=1)
+        seen = beside & (on[:, k] & on[:, (k + 1) % d]).any(axis=(1, 2))
+        least = np.where(seen, np.minimum(least, away), least)
+    return least
 
 
 def notes_on_crossings(problem: ContactProblem, found: Crossing) -> list[str]:
