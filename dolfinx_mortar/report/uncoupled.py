@@ -231,7 +231,7 @@ def _from_seen_edges(place: Floats, one: _Skin, other: _Skin) -> Floats:
         t = ((place - p) * along).sum(axis=1) / (along * along).sum(axis=1)
         away = np.linalg.norm(place - p - t.clip(0.0, 1.0)[:, None] * along, axis=1)
         seen = beside & (on[:, k] & on[:, (k + 1) % d]).any(axis=(1, 2))
-        least = np.where(seen, np.minimum(least, away), least)
+        np.minimum(least, np.where(seen, away, np.inf), out=least)
     return least
 
 
