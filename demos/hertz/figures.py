@@ -2,8 +2,8 @@
 """The pictures of the Hertz demo: figures 2 to 7 of the paper, deformed shape, contact pressure.
 
 They are drawn on one rank from the XDMF file, so they look the same on any number of ranks. Fields
-are constant per cell, as computed; like the paper's they are averaged at the nodes for the eye, and
-drawn on the deformed bodies at true scale.
+are computed as constants per cell; as in the paper they are averaged at the nodes before they are
+drawn, on the deformed bodies at true scale.
 """
 
 from __future__ import annotations
