@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The pictures of the sphere demo: bodies in perspective, contact pressure as a map and a curve.
 
-Fields are constant per cell, as computed, and drawn on the deformed bodies at true scale.
+Fields are computed as constants per cell, and drawn on the deformed bodies at true scale.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import dolfinx_mortar as dm
 log = logging.getLogger(__name__)
 
 DPI = 150
-VIEW = (-1.0, -1.1, 0.75)  # from where the symmetry planes are seen
+VIEW = (-1.0, -1.1, 0.75)  # direction of the camera: both symmetry planes are visible
 
 Pressure = tuple[np.ndarray, np.ndarray]  # positions (n, 2), pressures (n,)
 
@@ -81,7 +81,7 @@ def _photograph(plotter: Any, file: Path, title: str, size: float | None) -> Non
         plotter.camera.focal_point = (0.0, 0.0, 0.0)
         plotter.camera.position = tuple(100.0 * c for c in VIEW)
         plotter.camera.parallel_scale = size
-    # a title and a scale beside the bodies can be read whatever is behind them
+    # title and colour bar are drawn beside the bodies, so that nothing covers them
     scale = None
     if plotter.scalar_bars:
         scale = Normalize(*plotter.scalar_bar.GetLookupTable().GetRange())

@@ -3,18 +3,36 @@
 
 # # A half ball pressed into a block, both elasto-plastic
 #
-# The three-dimensional companion of the Hertz demo. It shows how to
+# The Hertz demo in three dimensions. This demo shows how to
 #
 # - model a quarter of two bodies with symmetry planes that cut through the contact,
-# - solve contact in 3D with the default solver: conjugate gradients with algebraic multigrid,
-# - check the result against Hertz' point contact, and look at the pressure as a map.
+# - solve contact in 3D with the default linear solver, conjugate gradients with algebraic
+#   multigrid,
+# - compare the result with Hertz' point contact, and draw the contact pressure as a map.
 #
-# A half ball of radius 8 mm touches the block $[-15, 15]^2 \times [-10, 0]$ mm in the origin. The
-# block is clamped at the bottom, the flat face of the ball is pushed down by $d$. In every step
+# **Problem.** A half ball of radius 8 mm touches the block $[-15, 15]^2 \times [-10, 0]$ mm at the
+# origin. Both are of steel: $E$ = 206.9 GPa, $\nu$ = 0.29, uniaxial yield stress 450 MPa, linear
+# kinematic hardening. The block is clamped at the bottom; the flat face of the ball is moved down
+# by $d$ = 0.2 mm. A quarter of both bodies is meshed. Every step minimises the energy under the
+# equalities of the supports and the inequalities of contact,
 #
 # $$\min_v \Psi(v) - f \cdot v \quad\text{subject to}\quad B_E v = c_E,\; B_I v \le c_I,$$
 #
-# with $B_I = N^T (D - M)$ the weighted gap of the mortar method. Units: mm, MPa, N.
+# with $B_I = N^T (D - M)$: the mortar matrices $D$ and $M$ give the relative displacement of the
+# two sides, $N$ contains the normals, and $c_I$ is the initial weighted gap. Units: mm, MPa, N.
+#
+# **Picture.** The bodies in perspective with the von Mises stress, and the contact pressure twice:
+# as a map with Hertz' circle, and along the radius beside Hertz' elastic solution for the same
+# force.
+#
+# **Compare with.** Hertz' formulas hold while both bodies are elastic. At
+# `--material elastic --displacement 0.05` an axisymmetric computation finds a force of 5036 N on
+# the whole ball.
+#
+# **Options to try.** `--h` is the element size at the contact. `--cell tetrahedron` and
+# `--degree 2` choose other elements. `--slave ball` exchanges slave and master side; results should
+# hardly depend on it. `--geometry reference` keeps normals and segments of the undeformed bodies;
+# `--surface facets` measures the gap between the facets.
 
 import argparse
 import logging
@@ -29,7 +47,7 @@ import dolfinx_mortar as dm
 from dolfinx import fem
 
 RADIUS = 8.0  # mm
-NOTHING = 1e-300  # N, where Hertz' formulas want a force and there is none
+NOTHING = 1e-300  # N, in place of a force of zero, for which Hertz' formulas divide by zero
 
 parser = argparse.ArgumentParser(
     description="A half ball pressed into a block, both elasto-plastic."
@@ -54,9 +72,9 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Mesh
     #
-    # A quarter of both bodies, in one mesh with two disconnected parts, graded towards the contact.
-    # The bodies are called block and ball, their sides bottom and top (of the block), flat and
-    # sphere (of the ball), symmetry_x and symmetry_y (the planes $x = 0$ and $y = 0$).
+    # A quarter of both bodies in one mesh, graded towards the contact, as two disconnected parts.
+    # The bodies are named block and ball. Their sides are bottom and top of the block, flat and
+    # sphere of the ball, and symmetry_x and symmetry_y in the planes $x = 0$ and $y = 0$.
 
     mesh, cell_tags, facet_tags = dm.meshing.sphere(
         comm, cell=options.cell, h=options.h, radius=RADIUS
@@ -64,7 +82,7 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Bodies
     #
-    # Von Mises plasticity with kinematic hardening, with a uniaxial yield stress of 450 MPa.
+    # Von Mises plasticity with linear kinematic hardening; the uniaxial yield stress is 450 MPa.
 
     steel = dm.VonMises(E=206_900.0, nu=0.29, Y=450.0 * np.sqrt(2.0 / 3.0), a=10_000.0)
     if options.material == "elastic":
@@ -75,8 +93,9 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Supports and contact
     #
-    # The slave side carries the multipliers (the pressures); either side may be the slave. The gap
-    # is that of smooth surfaces through the nodes, or of the facets, as in the paper.
+    # The slave side carries the Lagrange multipliers, which are the contact pressures at its nodes.
+    # Either side may be the slave. The gap is measured between smooth surfaces through the nodes,
+    # or between the facets, as in the paper.
 
     push = fem.Constant(mesh, 0.0)
     bcs = supports(V, facet_tags, push)
@@ -88,8 +107,9 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Load steps
     #
-    # The linear systems are solved by conjugate gradients with algebraic multigrid. To choose
-    # another solver, say `petsc_options={"pc_type": "cholesky"}`.
+    # The linear systems are solved by conjugate gradients with algebraic multigrid. The argument
+    # `petsc_options` of `ContactProblem` chooses another solver, for example
+    # `petsc_options={"pc_type": "cholesky"}`.
 
     options.output.mkdir(parents=True, exist_ok=True)
     levels = np.linspace(0.0, options.displacement, options.steps + 1)[1:]
@@ -106,7 +126,7 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Pictures
     #
-    # The bodies in perspective, the contact pressure as a map and along the radius.
+    # The bodies in perspective, and the contact pressure as a map and along the radius.
 
     figures.draw(options.output, problem, cell_tags, steps[-1], (x, nodes["pressure"]))
     if comm.rank == 0:
@@ -117,8 +137,8 @@ def main(options: argparse.Namespace) -> None:
 
 # ## Supports
 #
-# On a symmetry plane only the component across it is prescribed. Slave nodes there keep their
-# contact: their normals are taken within the plane.
+# In a symmetry plane only the normal component of the displacement is prescribed. Slave nodes in
+# the plane keep their contact constraint; their normals are projected into the plane.
 
 
 def supports(
@@ -140,8 +160,8 @@ def supports(
 # ## What is measured in a step
 #
 # Forces are those of the whole ball, four times those of the quarter. Contact radius and peak
-# pressure come from a least-squares fit of Hertz' semi-ellipsoid, $p^2 = p_0^2 (1 - r^2/a^2)$; the
-# radius of the last node in contact is known to one element only.
+# pressure come from a least-squares fit of Hertz' semi-ellipsoid, $p^2 = p_0^2 (1 - r^2/a^2)$, to
+# the nodal pressures, because the last node in contact gives the radius to one element only.
 
 
 def measure(
@@ -151,7 +171,7 @@ def measure(
     x: np.ndarray,
     nodes: dict[str, np.ndarray],
 ) -> dict:
-    """Return the step's cost, force and pressure beside Hertz, the largest stress and strain."""
+    """Return cost, force, pressures beside those of Hertz, and largest stress and strain."""
     r, p, active = np.hypot(*x.T), nodes["pressure"], nodes["active"] > 0
     solid, contact = problem.solid, problem.interfaces[0]
     force = 4.0 * abs(contact.force[2])
