@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""The mesh of the demo: a quarter of a ball in a socket that is a little larger.
+"""The mesh of the demo: a quarter of a ball in a slightly larger socket.
 
-Hexahedra are mapped from cubes in shells: a cube in the middle of the ball, and shells that become
-spheres towards the surface; around it shells that end at the sides of the block. Tetrahedra come
-from gmsh.
+Hexahedra: the ball is a cube in the middle and layers around it that become spherical towards the
+surface; the block consists of layers from the socket to its plane sides. Tetrahedra are made by
+Gmsh.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def ball_in_socket(
         cell: "hexahedron" or "tetrahedron" (which needs gmsh).
         h: Element sizes of block and ball where they touch [mm], at most half of the radius.
         radius: Radius of the socket [mm].
-        clearance: How much smaller that of the ball is [mm], at most half of the radius.
+        clearance: Radius of the socket less that of the ball [mm], at most half of the radius.
     """
     R, r = radius, radius - clearance
 

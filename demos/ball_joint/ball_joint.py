@@ -1,18 +1,36 @@
 # SPDX-License-Identifier: MIT
 # ruff: noqa: D100
 
-# # A ball in its socket: facets beside smooth surfaces
+# # A ball in its socket: gaps between facets and between smooth surfaces
 #
-# A steel ball of radius 9.9 mm is pressed by 0.05 mm into a socket of radius 10 mm. Facets of a
-# millimetre stand off such spheres by 0.01 to 0.03 mm, which is what the bodies are pressed in. So
-# the gap between facets says little of that between the spheres, and force and pressure become
-# those of the mesh. With `surface="smooth"`, the default, the gap is that of the smooth surfaces
-# through the nodes:
+# Closely fitting curved sides on coarse meshes, in 3D. This demo compares the two ways to measure
+# the gap, `surface="facets"` and `surface="smooth"`, the default.
 #
-# $$g_j - \int \Phi_j (h_s + h_m), \qquad h = \tfrac12 \sum_{a<b} N_a N_b\, c_{ab},$$
+# **Problem.** A steel ball ($E$ = 200 GPa, $\nu$ = 0.3, elastic) of radius 9.9 mm is pressed by
+# 0.05 mm into a socket of radius 10 mm, without friction. A quarter is meshed. Facets with edges of
+# one millimetre deviate from such spheres by 0.01 to 0.03 mm, which is comparable with the
+# approach. The gap between the facets is therefore far from the gap between the spheres, and force
+# and pressure depend on the mesh. With `surface="smooth"` the weighted gap $g_j$ is corrected to
+# that between smooth surfaces through the nodes,
 #
-# with heights $h$ of the surface that both sides share, over the facets of either. D and M stay.
-# Units: mm, MPa, N.
+# $$g_j - \int \Phi_j (h_s + h_m), \qquad
+#   h = \tfrac12 \sum_{a<b} N_a N_b\, (n_b - n_a) \cdot (x_b - x_a).$$
+#
+# Here $\Phi_j$ is the dual function of slave node $j$, $h_s$ and $h_m$ are the heights of the
+# smooth surfaces over the facets of the slave and of the master side, and $N_a$, $n_a$ and $x_a$
+# are the shape functions, unit normals and positions of the nodes of a facet. The mortar matrices
+# $D$ and $M$ do not change. Units: mm, MPa, N.
+#
+# **Picture.** The contact pressure on the ball, seen along its axis, for two meshes (rows) and both
+# gaps (columns). With facets the pressure has isolated peaks, and the force changes from 200 to 32
+# kN between the two meshes. With smooth surfaces both meshes give 69.9 kN and nearly the same
+# pressure.
+#
+# **Compare with.** A mesh of hexahedra with 120 000 unknowns gives 67.8 kN. On the four meshes of
+# this demo, with either slave side, smooth surfaces give 68.7 to 69.9 kN, facets 32 to 200 kN.
+#
+# **Options to try.** `--meshes 1` solves on the first mesh only. `--surface smooth` leaves out the
+# facets. `--cell hexahedron` meshes with hexahedra.
 
 import argparse
 from pathlib import Path
@@ -31,9 +49,9 @@ SIZES = [(1.5, 1.0), (1.0, 1.5), (1.0, 0.7), (0.7, 1.0)]  # mm, of facets in the
 SIDES = {"socket": ("socket", "sphere"), "ball": ("sphere", "socket")}
 SURFACES = ("facets", "smooth")
 SHOWN = "ball"  # the slave side of the picture
-TOP_OF_SCALE = 1600.0  # MPa, twice the right peak
+TOP_OF_SCALE = 1600.0  # MPa, twice the peak pressure with smooth surfaces
 
-parser = argparse.ArgumentParser(description="A ball in its socket, with facets and without.")
+parser = argparse.ArgumentParser(description="A ball in its socket: facets and smooth surfaces.")
 parser.add_argument("--cell", choices=["tetrahedron", "hexahedron"], default="tetrahedron")
 parser.add_argument("--surface", choices=SURFACES, nargs="+", default=list(SURFACES))
 parser.add_argument("--meshes", type=int, default=len(SIZES), help="how many of the four meshes")
@@ -64,11 +82,11 @@ def press(mesh: dm.meshing.TaggedMesh, slave: str, surface: str) -> dict:
     return {"force": force, "peak": peak, "nodes": nodes, "unknowns": unknowns, "report": report}
 
 
-# ## The table, and the picture
+# ## Table and picture
 
 
 def main(options: argparse.Namespace) -> None:
-    """Solve on all meshes with either slave; print a table, draw the first two."""
+    """Solve on all meshes with either slave side; print a table, draw the first two meshes."""
     found = {}
     for h in SIZES[: options.meshes]:
         mesh = ball_in_socket(MPI.COMM_WORLD, cell=options.cell, h=h)
@@ -88,7 +106,7 @@ def main(options: argparse.Namespace) -> None:
 
 
 def draw(found: dict, options: argparse.Namespace) -> Figure:
-    """Draw the pressure on the ball, seen along its axis: a row a mesh, a column a surface."""
+    """Draw the pressure on the ball along its axis: one row per mesh, one column per surface."""
     rows, columns = SIZES[: min(2, options.meshes)], options.surface
     shape = (len(rows), len(columns))
     figure = Figure(figsize=(3.1 * shape[1] + 1.0, 2.9 * shape[0]), layout="constrained")
