@@ -1,25 +1,43 @@
 # SPDX-License-Identifier: MIT
 # ruff: noqa: D100
 
-# # A bolted T-stub: preload, prying, yielding
+# # A bolted T-stub: preload, prying forces, yielding
 #
-# Two T-stubs lie flange on flange, held together by two bolts in one row, and are pulled apart by
-# their webs: the tension zone of a bolted end plate. The flanges bend, and beyond the bolts they
-# press on each other; this prying force $Q$ comes on top of what each bolt carries,
+# The tension zone of a bolted end plate, in 3D. This demo shows how to
+#
+# - preload a bolt: `dm.Tie` with a jump, which `dm.preload` determines for a given force,
+# - combine several contacts and a tie on non-matching meshes,
+# - compare with a design rule, EN 1993-1-8 (6.2.4).
+#
+# **Problem.** Two T-stubs lie with their flanges on each other, are held together by two bolts in
+# one row, and are pulled apart at their webs by 2 mm. Dimensions are about those of an IPE 300 with
+# bolts M12 of grade 8.8. Flanges and bolts are of von Mises steel with linear hardening ($E$ = 210
+# GPa, $\nu$ = 0.3; yield stresses 275 and 640 MPa). Each bolt is preloaded with 30 kN. A quarter of
+# both stubs is modelled with half a bolt, which is cut in the plane where the flanges meet. The two
+# halves of the bolt are tied with a jump, which stays constant while the webs are pulled. The
+# contacts are between both flanges, head and flange, nut and flange. Units: mm, MPa, N; forces are
+# those of the whole joint, or of one bolt.
+#
+# **Picture.** Left: the force $F$ on the webs, the force $B$ of a bolt and the contact force $Q$
+# between the flanges (per bolt) over the opening of the flanges at the web, with the resistances
+# $F_1$ and $F_2$. Right: the plastic strain in the plane of symmetry, with displacements five times
+# as large. The flanges bend and press on each other outside the bolts; this prying force adds to
+# the load of the bolts,
 #
 # $$B = \tfrac12 F + Q.$$
 #
-# EN 1993-1-8 (6.2.4) bounds the force that flanges and bolts carry together by three modes, with
-# the distances $m$ from the bolt to the web and $n \le 1.25\, m$ to the prying force, the plastic
-# moment $M = \tfrac14 \ell_{eff} t_f^2 f_y$ of a flange and the strength $F_t$ of a bolt:
+# **Compare with.** EN 1993-1-8 estimates the resistance by three failure modes: yielding of the
+# flanges; yielding of the flanges together with failure of the bolts; failure of the bolts,
 #
-# $$F_1 = \frac{4 M}{m}, \qquad F_2 = \frac{2 M + n \sum F_t}{m + n}, \qquad F_3 = \sum F_t.$$
+# $$F_1 = \frac{4 M}{m}, \qquad F_2 = \frac{2 M + n \sum F_t}{m + n}, \qquad F_3 = \sum F_t,$$
 #
-# The size is about that of an IPE 300 with bolts M12 of grade 8.8. A quarter of both stubs is
-# modelled with half a bolt, which is cut where the flanges meet. Its halves are tied, with a jump
-# that `preload` finds for the force to which the bolt is tightened; the jump then stays while the
-# webs are pulled. Flange and flange, head and flange, nut and flange are contacts of meshes that do
-# not match. Units: mm, MPa, N; forces are those of the whole joint, or of one bolt.
+# with the distance $m$ from the bolt to the web, the distance $n \le 1.25\, m$ from the bolt to the
+# prying force, the plastic moment $M = \tfrac14 \ell_{eff} t_f^2 f_y$ of a flange and the strength
+# $F_t$ of a bolt. The program prints them beside the knee of the computed curve.
+#
+# **Options to try.** `--layers` and `--degree 2` refine the mesh (table below). `--friction 0.2`
+# adds friction to all contacts. `--material elastic` shows the bolt force without yielding.
+# `--preload` and `--pull` change the loads.
 
 import argparse
 from pathlib import Path
@@ -35,17 +53,17 @@ import dolfinx_mortar as dm
 from dolfinx import fem
 
 E, NU = 210e3, 0.3
-YIELD, MODULUS = 275.0, 1000.0  # MPa, of the flanges: in tension, and of straight hardening
+YIELD, MODULUS = 275.0, 1000.0  # MPa, of the flanges: yield stress, modulus of linear hardening
 BOLT_YIELD, BOLT_STRENGTH = 640.0, 800.0  # MPa, grade 8.8
 STRESS_AREA = np.pi * tees.SHANK**2 / 4.0  # mm2, 84.3
-RTOL = 1e-9  # of the steps: forces shall balance to as much
+RTOL = 1e-9  # of the steps, so that the forces balance to this accuracy
 LINKS = {  # slave, master
     "flanges": ("lower flange", "upper flange"),
     "head": ("head", "seat"),
     "nut": ("nut's face", "lower seat"),
 }
 
-parser = argparse.ArgumentParser(description="A bolted T-stub: preload, prying, yielding.")
+parser = argparse.ArgumentParser(description="A bolted T-stub: preload, prying forces, yielding.")
 parser.add_argument("--layers", type=int, default=3, help="of elements in the upper flange")
 parser.add_argument("--degree", type=int, choices=[1, 2], default=1, help="of the displacement")
 parser.add_argument("--preload", type=float, default=30.0, help="of each bolt, in kN")
@@ -59,15 +77,15 @@ parser.add_argument("--output", type=Path, default=Path("results/bolted_tee"))
 
 
 def create(options: argparse.Namespace) -> tuple[dm.ContactProblem, fem.Constant, dm.Tags]:
-    """Return the problem, what pulls its webs, and the tags of the sides."""
+    """Return the problem, the prescribed displacement of its webs, and the tags of its sides."""
     # ## Bodies
     #
-    # Von Mises' law with a little hardening, for the flanges and for the bolt.
+    # Von Mises plasticity with linear hardening, for the flanges and for the bolt.
 
     mesh, cell_tags, sides = tees.create(MPI.COMM_WORLD, options.layers)
     V = fem.functionspace(mesh, ("Lagrange", options.degree, (3,)))
     u = fem.Function(V, name="displacement")
-    hard = (BOLT_STRENGTH - BOLT_YIELD) / 0.1  # to the strength at a plastic strain of a tenth
+    hard = (BOLT_STRENGTH - BOLT_YIELD) / 0.1  # reaches the strength at a plastic strain of 0.1
     steel = dm.VonMises.from_uniaxial(E, NU, YIELD, MODULUS)
     strong = dm.VonMises.from_uniaxial(E, NU, BOLT_YIELD, hard)
     if options.material == "elastic":
@@ -78,9 +96,9 @@ def create(options: argparse.Namespace) -> tuple[dm.ContactProblem, fem.Constant
 
     # ## Supports
     #
-    # Symmetry at the middle of the web and of the bolt. The upper web is pulled, the lower one is
-    # held. Only friction keeps the bolt from sliding across; without friction one line of its cut
-    # is constrained, which needs no force.
+    # Symmetry in the middle planes of the web and of the bolt. The upper web is pulled, the lower
+    # web is held. Without friction nothing keeps the bolt from moving across its axis; therefore
+    # one line of its cut is held in this direction. The reaction there is zero.
 
     pull = fem.Constant(mesh, 0.0)
     zero = fem.Constant(mesh, 0.0)
@@ -94,7 +112,7 @@ def create(options: argparse.Namespace) -> tuple[dm.ContactProblem, fem.Constant
         W, collapsed = V.sub(0), V.sub(0).collapse()[0]
         bcs.append(fem.dirichletbc(fem.Function(collapsed), axis_of_bolt(W, collapsed), W))
 
-    # ## Contacts, and the cut through the bolt
+    # ## Contacts, and the tie of the bolt
 
     friction = {"friction": options.friction} if options.friction else {}
     contacts = [dm.Contact(sides, slave=a, master=b, **friction) for a, b in LINKS.values()]
@@ -120,8 +138,9 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Preload
     #
-    # Half a bolt gets half the force. The nut's half is the slave side of the cut; its pretension
-    # points out of it, upwards. The webs' ends are held meanwhile, which needs little force.
+    # The half bolt gets half of the force, in N: 500 times the preload in kN. The nut's half is the
+    # slave side of the tie; the direction of the pretension points out of it, upwards. The ends of
+    # the webs are held during this step, with a small reaction.
 
     tight = dm.preload(problem, cut, 500.0 * options.preload, [0.0, 0.0, 1.0], rtol=RTOL)
     shown = figures.Section(problem, sides)
@@ -140,10 +159,12 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Results
     #
-    # The knee of the curve, where the lines of its first and of its last step meet, beside the
-    # modes of the code, which knows nothing of hardening.
+    # The program prints the force at the knee of the curve, where the tangents of its first and of
+    # its last step intersect, and the three resistances of EN 1993-1-8, which do not include
+    # hardening.
     #
-    # Hexahedra of first order are stiff in bending. At a pull of 2 mm, without friction, in kN:
+    # Hexahedra of first order are stiff in bending. Results at a pull of 2 mm without friction, in
+    # kN:
     #
     # | `--layers` | unknowns | $F$ | knee | $B$ | $Q$ |
     # |---|---|---|---|---|---|
@@ -154,10 +175,11 @@ def main(options: argparse.Namespace) -> None:
     # | 2, `--degree 2` | 12 702 | 56.59 | 53.14 | 47.40 | 19.10 |
     # | 3, `--degree 2` | 41 526 | 55.12 | 52.10 | 47.93 | 20.37 |
     #
-    # From 3 to 5 layers forces change by 3 % at most, from 4 to 5 by 1.4 %. Two layers of second
-    # order are too few for the bolt; of three of them the default is 2.6 % ($F$, $B$), 2.7 % ($Q$)
-    # and 3.3 % (knee) away. With friction of 0.2 (3 layers)
-    # $F$ is 56.4, $B$ 52.1 and $Q$ 23.9: heads that do not slide clamp the flanges.
+    # Forces change by 3 % at most from 3 to 5 layers, and by 1.4 % from 4 to 5. Two layers of
+    # second order are too few for the bolt. The default (3 layers) differs from 3 layers of second
+    # order by 2.6 % ($F$, $B$), 2.7 % ($Q$) and 3.3 % (knee). With a friction coefficient of 0.2
+    # and 3 layers, $F$ is 56.4, $B$ 52.1 and $Q$ 23.9, because heads that do not slide clamp the
+    # flanges.
 
     knee = find_knee(rows)
     dm.write_summary(
@@ -208,7 +230,7 @@ def measure(problem: dm.ContactProblem, sides: dm.Tags, pull: float) -> dict[str
 
 
 def find_knee(rows: list[dict]) -> float:
-    """Return the force at which the lines of the first and of the last step meet."""
+    """Return the force where the tangents of the first and of the last step intersect."""
     x, F = (np.array([row[name] for row in rows]) for name in ("pull", "force"))
     if len(x) < 3:
         return float("nan")
@@ -219,7 +241,7 @@ def find_knee(rows: list[dict]) -> float:
 
 
 def report(rows: list[dict], limits: TeeStub, knee: float) -> None:
-    """Print what the joint carries."""
+    """Print forces, resistances and the knee of the curve."""
     print("pull [mm]  opening [mm]    F [kN]    B [kN]    Q [kN]   F/2 - B + Q, of B")
     for row in rows:
         kN = [1e-3 * row[name] for name in ("force", "bolt", "prying")]

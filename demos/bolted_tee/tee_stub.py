@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Resistance of a T-stub with one row of two bolts, as EN 1993-1-8 estimates it.
 
-Plastic hinges in the flange at the web and at the bolts, or bolts that fail, in three modes.
-Partial factors are 1. Source: EN 1993-1-8:2005, 6.2.4, tables 6.2 and 6.4 (a row alone, without
-stiffeners).
+Three failure modes combine plastic hinges in the flange, at the web and at the bolts, with failure
+of the bolts. Partial factors are 1. Source: EN 1993-1-8:2005, 6.2.4, tables 6.2 and 6.4 (a single
+row, without stiffeners).
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-LEVER = 1.25  # the prying force is no farther from the bolt than this times m
+LEVER = 1.25  # largest distance of the prying force from the bolt, over m
 
 
 @dataclass(frozen=True)
 class TeeStub:
-    """What a T-stub carries."""
+    """Effective lengths, lever arm and resistances of a T-stub."""
 
     length_1: float  # effective length of mode 1: least of 2 pi m, 4 m + 1.25 e and the width
     length_2: float  # of mode 2, without the circular pattern 2 pi m

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """The mesh of the demo: a quarter of two T-stubs, flange on flange, and half of their bolt.
 
-Hexahedra in blocks. Axes: x across the web, y along it, z along the bolt. The webs' middle x = 0
-and the bolt's middle y = 0 are planes of symmetry; the flanges meet at z = 0, where the bolt is
-cut.
+Structured blocks of hexahedra. Axes: x across the web, y along it, z along the bolt. The middle
+planes of the webs, x = 0, and of the bolt, y = 0, are planes of symmetry. The flanges meet at
+z = 0, where the bolt is cut.
 """
 
 from mpi4py import MPI
@@ -165,7 +165,7 @@ def merge(parts) -> tuple[Array, npt.NDArray[np.int64]]:
 def create(comm: MPI.Comm, n: int) -> tuple[dolfinx.mesh.Mesh, dm.Tags, dm.Tags]:
     """Return mesh, cell tags and facet tags with names; n layers in the upper flange.
 
-    The lower tee and the nut have other meshes, so that nothing matches.
+    The meshes of lower tee and nut differ from those of upper tee and bolt, so that no sides match.
     """
     down = np.array([1.0, 1.0, -1.0])
     bodies = [*(tee(n, half) for half in AROUND), bolt(n, 0), bolt(n, 1)]
