@@ -67,7 +67,7 @@ def _curve(axes: Axes, case: str, at: YieldOfSphere, steps: list[dict[str, Any]]
 def _pressures(
     axes: Axes, steps: list[dict[str, Any]], surfaces: list[dict[str, np.ndarray]], S: float
 ) -> None:
-    """Draw pressures over the radius: an ellipse at first, in the end a plateau."""
+    """Draw pressures over the radius: first an ellipse, at large interferences a plateau."""
     for k in _chosen(steps):
         r, p = surfaces[k]["x"][:, 0], surfaces[k]["pressure"] / S
         order = np.argsort(r)
@@ -87,7 +87,7 @@ def _chosen(steps: list[dict[str, Any]]) -> list[int]:
 def _profiles(
     axes: Axes, steps: list[dict[str, Any]], surfaces: list[dict[str, np.ndarray]]
 ) -> None:
-    """Draw the surface around the contact: what is pressed down, and what piles up beside it."""
+    """Draw the profile of the surface, with the pile-up beside the contact."""
     size = 2.2 * steps[-1]["contact_radius"]
     for k in _chosen(steps)[1:]:
         order = np.argsort(surfaces[k]["x"][:, 0])

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""A sphere without hardening pressed flat by a rigid plane, without friction: fits of computations.
+"""Published fits for a perfectly plastic sphere, flattened by a rigid plane without friction.
 
-The interference w is the approach of the plane and the sphere's middle. All is in units of first
-yield. The two fits differ by up to five per cent.
+The interference w is the approach of the plane and the centre of the sphere. The two fits differ by
+up to five per cent.
 
 Sources: R. L. Jackson, I. Green, "A finite element study of elasto-plastic hemispherical contact
 against a rigid flat", J. Tribol. 127 (2005) 343-354; L. Kogut, I. Etsion, "Elastic-plastic contact
 analysis of a sphere and a rigid flat", J. Appl. Mech. 69 (2002) 657-662. Only their abstracts were
-at hand: the fits are from memory, and agree with each other and with our computations to 5 %.
+available: the fits are quoted from memory, and agree with each other and with our computations to
+5 %.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class YieldOfSphere:
 
 @dataclass(frozen=True)
 class Flattening:
-    """What a fit says at given interferences."""
+    """Force and contact radius of a fit at given interferences."""
 
     force: Floats
     contact_radius: Floats
@@ -64,7 +65,7 @@ def first_yield_sphere(yield_stress: float, radius: float, E: float, nu: float) 
 def jackson_green(w: npt.ArrayLike, at: YieldOfSphere) -> Flattening:
     """Return force and contact radius by Jackson and Green.
 
-    With w* = w/w_c, e = S/E*, up to w* = 1.9 those of Hertz, beyond
+    With w* = w/w_c and e = S/E*: Hertz' formulas up to w* = 1.9, beyond this
 
         a*^2 = w* (w*/1.9)^B,      B = 0.14 exp(23 e)
         P*   = exp(-w*^(5/12)/4) w*^(3/2) + 4 H/(C S) (1 - exp(-w*^(5/9)/25)) w*
@@ -89,7 +90,7 @@ def jackson_green(w: npt.ArrayLike, at: YieldOfSphere) -> Flattening:
 def kogut_etsion(w: npt.ArrayLike, at: YieldOfSphere) -> Flattening:
     """Return force and contact radius by Kogut and Etsion; NaN beyond 110 w_c.
 
-    With w* = w/w_c, up to w* = 1 those of Hertz, then
+    With w* = w/w_c: Hertz' formulas up to w* = 1, beyond this
 
         P* = 1.03 w*^1.425,  A* = 0.93 w*^1.136   up to w* = 6
         P* = 1.40 w*^1.263,  A* = 0.94 w*^1.146   up to w* = 110

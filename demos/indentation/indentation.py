@@ -3,24 +3,43 @@
 
 # # A ball flattened by a plate, a plate indented by a ball
 #
-# Both are bodies of revolution, so that the half section is enough: `x[0]` is the radius $r$,
-# `x[1]` the axis $z$, the hoop strain is $u_r / r$, and all integrals, those of the mortar method
-# too, are over $2 \pi r$. One body is rigid, the other elastic and then ideally plastic, with the
-# uniaxial yield stress $S$.
+# Axisymmetric elasto-plastic contact far beyond first yield. This demo shows how to
 #
-# - `flattening`: a rigid plate is pressed by $w$ on a ball. Jackson and Green (2005) and Kogut and
-#   Etsion (2002) have fitted force and contact radius of many such computations; the two differ by
-#   up to five per cent.
-# - `indentation`: a rigid ball is pressed into a plate. The mean pressure ends at the hardness, two
-#   to three times the yield stress, and the surface piles up beside the ball.
+# - compute with bodies of revolution, `kinematics="axisymmetric"`: the mesh is the half section,
+#   `x[0]` is the radius $r$, `x[1]` the axis $z$, the hoop strain is $u_r / r$, and all integrals,
+#   those of the mortar method too, have the weight $2 \pi r$,
+# - make a meshed body rigid by Dirichlet conditions,
+# - compare a whole load history with published fits.
 #
-# Interferences are in units of that of first yield,
+# **Problem.** A ball of radius 20 mm and a plate; one of them is rigid, the other elastic and
+# perfectly plastic ($E$ = 200 GPa, $\nu$ = 0.3, uniaxial yield stress $S$ = 1000 MPa). There is no
+# friction. Two cases:
+#
+# - `--case flattening` (default): a rigid plate is pressed on the ball, up to 50 times the
+#   interference of first yield.
+# - `--case indentation`: a rigid ball is pressed into the plate.
+#
+# The interference $w$ is the approach of the two bodies. With $E^* = E / (1 - \nu^2)$, first yield
+# is at
 #
 # $$w_c = \left(\frac{\pi C S}{2 E^*}\right)^2 R, \qquad
 #   P_c = \tfrac43 \frac{R^2}{E^{*2}} \left(\frac{\pi C S}{2}\right)^3, \qquad
 #   C = 1.295\, e^{0.736 \nu}.$$
 #
 # Units: mm, MPa, N; forces are those of the whole bodies.
+#
+# **Picture.** Force and contact area over the interference, both in units of first yield; contact
+# pressure over the radius, in units of the yield stress; plastic strain; profile of the surface.
+# The pressure changes from Hertz' ellipse to a plateau.
+#
+# **Compare with.** Flattening: Jackson and Green (2005) and Kogut and Etsion (2002) fitted force
+# and contact radius to many such computations; the two fits differ by up to five per cent.
+# Indentation: the mean pressure approaches the hardness, two to three yield stresses, and the
+# surface piles up beside the ball.
+#
+# **Options to try.** `--case indentation`. `--interference` is the largest $w / w_c$, `--steps` the
+# number of steps to it, `--h` the element size at the axis. `--cell triangle` chooses triangles;
+# with `--degree 1` they lock in plastic flow.
 
 import argparse
 import logging
@@ -60,8 +79,8 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Bodies
     #
-    # Without hardening, the plastic modulus is zero. First-order triangles lock in plastic flow:
-    # take quadrilaterals, or second order.
+    # The plastic modulus is zero: there is no hardening. Triangles of first order lock in plastic
+    # flow; use quadrilaterals or second order.
 
     V = fem.functionspace(mesh, ("Lagrange", options.degree, (2,)))
     u = fem.Function(V, name="displacement")
@@ -72,7 +91,8 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Supports
     #
-    # All nodes of the rigid body are held, or moved. Nodes on the axis stay there.
+    # The displacement of all nodes of the rigid body is prescribed. The radial displacement on the
+    # axis is zero.
 
     down, zero = fem.Constant(mesh, 0.0), fem.Constant(mesh, 0.0)
     mesh.topology.create_connectivity(2, 2)
@@ -91,7 +111,7 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Contact and load steps
     #
-    # The body that deforms is the slave: its nodes carry the pressures.
+    # The deformable body is the slave: its nodes carry the contact pressures.
 
     slave, master = (4, 3) if rigid == 1 else (3, 4)
     contact = dm.Contact(facet_tags, slave=slave, master=master)
@@ -104,7 +124,7 @@ def main(options: argparse.Namespace) -> None:
     options.output.mkdir(parents=True, exist_ok=True)
     results = options.output / "indentation.xdmf"
     levels = options.interference * np.linspace(0.0, 1.0, options.steps + 1)[1:] ** 2
-    levels = levels[levels >= 0.5 * min(1.0, options.interference)]  # elastic so far
+    levels = levels[levels >= 0.5 * min(1.0, options.interference)]  # elastic below
     steps, surfaces = [], []
     with dm.Writer(results, problem, notes={"units": "mm, MPa"}) as writer:
         for step in dm.load_steps(problem, levels, on_time=press):
@@ -126,7 +146,7 @@ def measure(
     nodes: dict[str, np.ndarray],
     at: YieldOfSphere,
 ) -> dict:
-    """Return force and contact radius beside the fits, in units of first yield, and pressures."""
+    """Return force and radius beside the fits, in units of first yield, and pressures."""
     force, radius = abs(problem.interfaces[0].force[1]), edge(nodes)
     w = step.time * at.interference
     green, kogut = jackson_green(w, at), kogut_etsion(w, at)
@@ -147,9 +167,9 @@ def measure(
 
 
 def edge(nodes: dict[str, np.ndarray]) -> float:
-    """Return the contact radius: where p^2, extrapolated from the last two nodes, reaches zero.
+    """Return the contact radius: the zero of p^2, extrapolated from the last two loaded nodes.
 
-    It is kept between the last loaded node and the next one.
+    It is limited to the interval from the last loaded node to the next node.
     """
     r, p = nodes["x"][:, 0], nodes["pressure"]
     order = np.argsort(r)
@@ -176,7 +196,7 @@ def show(case: str, steps: list[dict]) -> None:
             f" {s['mean_pressure']:10.2f} {s['peak_pressure']:8.2f} {s['newton_iterations']:8d}"
         )
     if case == "indentation":
-        print("J & G and K & E are those of flattening")
+        print("J & G and K & E are fits for the flattening of a ball")
 
 
 if __name__ == "__main__":
