@@ -1,26 +1,44 @@
 # SPDX-License-Identifier: MIT
 # ruff: noqa: D100
 
-# # A disc pushed sideways: stick, slip, and a loop that costs energy
+# # Partial slip: a disc pushed sideways, and the energy of a load cycle
 #
-# A half disc is pressed on a block with a force $P$ and then pushed sideways with $Q < \mu P$. The
-# middle of the contact sticks, its edges slip (Cattaneo 1938, Mindlin 1949). With Hertz' half-width
-# $a$ and peak pressure $p_0$ the stick zone and the shear traction are
+# Contact with Coulomb friction under a tangential load that alternates (Cattaneo 1938, Mindlin
+# 1949). This demo shows how to
+#
+# - add friction to a contact, with a coefficient that is a `Constant` and changes between steps,
+# - read tractions, stick and slip states of nodes, and the dissipated energy,
+# - compare with the closed solution, `dm.analytic.cattaneo_line`.
+#
+# **Problem.** Plane strain. A half disc of radius 40 mm is pressed on a block with a force $P$,
+# then pushed sideways with $Q < \mu P$, back to $-Q$, and forward again. Both are elastic ($E$ =
+# 206.9 GPa, $\nu$ = 0.29), the coefficient of friction is $\mu$ = 0.2. The flat face of the disc is
+# displaced: 0.06 mm down, then 0.011 mm to either side. Units: mm, MPa, N per mm.
+#
+# **Picture.** Top: the shear traction during the first push and on the way back, computed (points)
+# and by the formula (lines), between the limits $\pm \mu p$ (dotted). Bottom: the half-width $c$ of
+# the stick zone, and the loop of the force over the displacement.
+#
+# **Compare with.** The middle of the contact sticks, its edges slip. With Hertz' half-width $a$ and
+# peak pressure $p_0$ the stick zone and the shear traction are
 #
 # $$\frac{c}{a} = \sqrt{1 - \frac{Q}{\mu P}}, \qquad
 #   q(x) = \mu p_0 \left(\sqrt{1 - \frac{x^2}{a^2}}
 #          - \frac{c}{a} \sqrt{1 - \frac{x^2}{c^2}}\right),$$
 #
-# the last term for $|x| < c$. When the force reverses, all of the contact sticks again, and slip
-# spreads from the edges: a change of $Q$ acts as a first load with twice the friction does. So a
-# force that alternates between $-Q$ and $Q$ makes a closed loop, which dissipates the energy
+# where the last term applies for $|x| < c$. When the force reverses, the whole contact sticks
+# again, and slip spreads from the edges: a change of $Q$ after the reversal has the effect of a
+# first load with twice the coefficient of friction. A force that alternates between $-Q$ and $Q$
+# therefore describes a closed loop, which dissipates the energy
 #
 # $$W = \frac{2 \mu^2 P^2}{\pi E^*} \left(1 - k^2 + 2 k \ln k\right), \qquad
 #   k = 1 - \frac{Q}{\mu P}, \qquad E^* = \frac{E}{2 (1 - \nu^2)}$$
 #
-# for unit thickness and one material. `dm.analytic.cattaneo_line` has these formulas, for any
-# history of the force; this demo shows how close contact with friction comes to them. Units: mm,
-# MPa, N per mm.
+# per unit thickness, for two bodies of one material.
+#
+# **Options to try.** `--rough` applies friction while the disc is pressed down, too. `--slave disc`
+# exchanges slave and master side. `--h` is the element size at the contact. `--geometry updated`
+# follows the motion of the surfaces. `--sideways` and `--friction` change the share $Q / \mu P$.
 
 import argparse
 import logging
@@ -41,7 +59,9 @@ parser.add_argument("--friction", type=float, default=0.2, help="coefficient of 
 parser.add_argument("--radius", type=float, default=40.0, help="of the disc, in mm")
 parser.add_argument("--displacement", type=float, default=0.06, help="of the flat face, in mm")
 parser.add_argument("--sideways", type=float, default=0.011, help="of the flat face, in mm")
-parser.add_argument("--steps", type=int, default=6, help="of the first push; each way back has 2x")
+parser.add_argument(
+    "--steps", type=int, default=6, help="of the first push; each later way has twice as many"
+)
 parser.add_argument("--h", type=float, default=0.05, help="element size at the contact, in mm")
 parser.add_argument("--slave", choices=["block", "disc"], default="block")
 parser.add_argument("--rough", action="store_true", help="friction while it is pressed down, too")
@@ -57,8 +77,9 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Bodies
     #
-    # Half spaces are infinite; a disc of forty times the contact's half-width on a block of three
-    # times its radius come close. Elements grow with the distance from the contact.
+    # The formulas are those of half spaces. A disc whose radius is large compared with the
+    # half-width of the contact, on a block of three times this radius, approximates them. Elements
+    # grow with the distance from the contact.
 
     R = options.radius
     mesh, cell_tags, facet_tags = dm.meshing.hertz(
@@ -75,11 +96,11 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Supports, contact and friction
     #
-    # The block is held at the bottom, the flat face of the disc is moved, first down and then
-    # sideways. Cattaneo's theory starts from a contact without shear; so friction, a Constant,
-    # sets in when the disc has been pressed down. A round body on a flat one is no pair of half
-    # spaces: with `--rough`, friction as it is pressed down, there is shear of some per cent before
-    # it is pushed.
+    # The block is held at the bottom. The flat face of the disc is displaced, first down and then
+    # sideways. Cattaneo's solution starts from a contact without shear traction. The coefficient of
+    # friction is therefore a Constant, which is zero until the disc has been pressed down. With
+    # `--rough` it has its final value from the beginning: since a disc and a block are not two
+    # equal half spaces, pressing down then causes shear tractions of some per cent.
 
     push, friction = fem.Constant(mesh, np.zeros(2)), fem.Constant(mesh, 0.0)
     bottom, flat = (
@@ -133,7 +154,7 @@ def measure(contact: dm.Contact, options: argparse.Namespace, sideways: float) -
 
 
 def centred(nodes: dict[str, np.ndarray], place: str) -> dict[str, np.ndarray]:
-    """Return the slave nodes in the order of x, which is measured from the middle of the pressure.
+    """Return the slave nodes in the order of x, measured from the centroid of the pressure.
 
     The disc tilts a little, because it is pushed at its flat face.
     """
@@ -144,9 +165,10 @@ def centred(nodes: dict[str, np.ndarray], place: str) -> dict[str, np.ndarray]:
     return {"x": x - middle, "p": p, "q": q, "status": nodes["status"][order]}
 
 
-# ## Beside the formulas
+# ## Comparison with the formulas
 #
-# $a$ and $p_0$ are those of Hertz for the force $P$ of the step, and $Q$ is that of the step, too.
+# $a$ and $p_0$ are Hertz' values for the normal force $P$ of the step; $Q$ is the tangential force
+# of the step.
 
 
 def compare(
@@ -154,7 +176,7 @@ def compare(
 ) -> tuple[list[dict], list[dm.analytic.PartialSlip | None]]:
     """Add Cattaneo's stick zone, traction and energy to the rows; return his solutions, too."""
     sign = 1.0 if options.slave == "block" else -1.0
-    path: list[float] = []  # the forces at which the disc turned, and the present one
+    path: list[float] = []  # the forces at which the direction of the push was reversed
     rows, states = [], []
     for step, nodes in zip(steps, surfaces, strict=True):
         nodes["q"] *= sign
@@ -164,7 +186,7 @@ def compare(
             continue
         hertz = dm.analytic.hertz_line(step["normal_force"], options.radius, *STEEL * 2)
         limit = options.friction * hertz.force
-        # on the way back the force may pass the one that closes the loop by the error of the mesh
+        # the discretisation error may take the force slightly beyond the one that closes the loop
         bound = min([limit, *(abs(Q) for Q in path)])
         present = float(np.clip(step["tangential_force"], -bound, bound))
         state = dm.analytic.cattaneo_line(hertz, options.friction, (*path, present))
@@ -178,8 +200,8 @@ def compare(
 def beside(state: dm.analytic.PartialSlip, nodes: dict[str, np.ndarray], h: float) -> dict:
     """Return the stick zone and the error of the traction.
 
-    The traction has an edge at each end of a stick zone and of the contact; the largest error away
-    from edges by two facets, and the mean error over the contact, are given in units of mu p0.
+    The traction has a kink at each end of a stick zone and of the contact. Errors, in units of
+    mu p0: the largest one farther than two facets from all kinks, and the mean over the contact.
     """
     x, q = nodes["x"], nodes["q"]
     a, peak = state.contact.half_width, state.friction * state.contact.peak_pressure
@@ -204,12 +226,13 @@ def beside(state: dm.analytic.PartialSlip, nodes: dict[str, np.ndarray], h: floa
 
 # ## The loop
 #
-# In the plane the distance that the bodies move has no limit as they grow, but it is only the
-# linear part $C Q$ that grows. What slip adds to it is known. Its area, too, is the energy.
+# In plane strain the displacement of two half spaces under a force is unbounded, but only its part
+# $C Q$, linear in the force, depends on the size of the bodies. The part that slip adds is given by
+# the formula. The area of the loop is the dissipated energy, too.
 
 
 def loop(rows: list[dict], states: list[dm.analytic.PartialSlip | None]) -> dict:
-    """Return the energy of the closed loop, from slip and as area, beside the formula."""
+    """Return the energy of the closed loop, by slip and as area, beside the formula."""
     turned = [i for i, row in enumerate(rows) if row["time"] >= 2.0]
     first, last = turned[0], turned[-1]
     s, Q = (np.array([rows[i][name] for i in turned]) for name in ("sideways", "tangential_force"))

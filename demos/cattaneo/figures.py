@@ -54,7 +54,7 @@ def _tractions(
     states: list[dm.analytic.PartialSlip | None],
     title: str,
 ) -> None:
-    """Draw the traction of some steps over the formula, and the limits of Coulomb."""
+    """Draw the traction of some steps, the formula, and Coulomb's limits."""
     for colour, i in zip(COLOURS, chosen, strict=False):
         state, nodes = states[i], surfaces[i]
         a, peak = state.contact.half_width, state.friction * state.contact.peak_pressure
@@ -74,9 +74,10 @@ def _tractions(
 def _zone(
     axes: Axes, rows: list[dict[str, Any]], states: list[dm.analytic.PartialSlip | None], h: float
 ) -> None:
-    """Draw the stick zone over the change of the force since it last turned.
+    """Draw the stick zone over the change of the force since its last reversal.
 
-    It ends between the last node that sticks and the next one, a facet of length h away.
+    It ends between the last node that sticks and the next node, a facet of length h away; the bars
+    show this interval.
     """
     k = np.linspace(0.0, 1.0, 201)
     axes.plot(1.0 - k, np.sqrt(k), "k-", lw=1.0, label="Cattaneo")
@@ -88,8 +89,8 @@ def _zone(
         stick = np.array([rows[i]["stick_half_width"] for i in on])
         axes.vlines(share, stick / a, (stick + h) / a, color="#b0b0b0", lw=1.0)
         axes.plot(share, stick / a, "o", color=colour, ms=size, label=name)
-    axes.set(xlabel=r"change of $Q$ over $\mu P$, or over $2 \mu P$ after a turn")
-    axes.set(ylabel="$c/a$", title="half-width that sticks, to the facet", ylim=(0.0, 1.05))
+    axes.set(xlabel=r"change of $Q$ over $\mu P$, or over $2 \mu P$ after a reversal")
+    axes.set(ylabel="$c/a$", title="half-width of the stick zone", ylim=(0.0, 1.05))
     axes.grid(alpha=0.3)
     axes.legend(fontsize="small")
 
@@ -97,7 +98,7 @@ def _zone(
 def _loop(
     axes: Axes, rows: list[dict[str, Any]], states: list[dm.analytic.PartialSlip | None]
 ) -> None:
-    """Draw the force over what slip adds to the displacement, beside the formula."""
+    """Draw the force over the part of the displacement due to slip, beside the formula."""
     on = [i for i, state in enumerate(states) if state is not None]
     turn = next(i for i in on if rows[i]["time"] == 2.0)
     largest = states[turn].force
