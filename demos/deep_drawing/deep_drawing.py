@@ -1,33 +1,48 @@
 # SPDX-License-Identifier: MIT
 # ruff: noqa: D100
 
-# # Deep drawing: a cup is drawn from a sheet
+# # Deep drawing of a cup
 #
-# A punch draws a disc of steel through a die, while a holder presses on its flange by a given
-# force, so that it does not wrinkle. None of the tools has a mesh: the edges of punch and die are
-# `dm.shapes.Wedge`, in an axisymmetric problem a rounded rim, and the holder is a plane that
-# `load=` drives. The sheet hardens, $k_f = 200 + 150 (1 - e^{-10 \varphi}) + 250 \varphi$, at
-# finite strain.
+# Sheet metal forming with rigid tools, axisymmetric, at finite strain. This demo shows how to
 #
-# The flange is drawn to a smaller radius, so it is compressed around the axis. At its rim nothing
-# pulls: with that stress alone, and without a change of volume, the strains along the radius and
-# through the thickness are half of that around the axis, so that the thickness grows like
-# $t = t_0 \sqrt{R_0 / r}$ (Hill 1950, chapter XI). For the largest force there is the estimate of
-# Siebel (Siebel and Beisswaenger 1955), when the outer diameter $D$ is 0.77 of the disc's, with
-# the diameter $d$ of the wall's middle,
+# - describe rigid tools without a mesh: the edges of punch and die as `dm.shapes.Wedge`, in an
+#   axisymmetric problem a rounded rim, and the blank holder as a `dm.shapes.Plane`,
+# - drive one tool by its position and another one by its force, `load=`,
+# - use a saturating hardening law at finite strain.
+#
+# **Problem.** A punch of radius 25 mm draws a disc of steel, of radius 40 mm and 1 mm thick, by
+# 14.4 mm into a die of radius 26.5 mm. A blank holder presses on the flange with 10 kN, so that it
+# does not wrinkle. The edges of punch and die have a radius of 6 mm. The coefficient of friction is
+# 0.1. The yield stress of the sheet is $k_f = 200 + 150 (1 - e^{-10 \varphi}) + 250 \varphi$ MPa at
+# the plastic strain $\varphi$. Units: mm, MPa, N.
+#
+# **Picture.** The force of the punch over its depth, with Siebel's estimate of the largest force,
+# and the von Mises stress in the section of the cup.
+#
+# **Compare with.** The flange is drawn to a smaller radius and is compressed in the hoop direction.
+# At its outer edge the radial stress is zero. In uniaxial compression at constant volume, the
+# radial strain and the strain through the thickness are half of the hoop strain, with the opposite
+# sign, so that the thickness grows like $t = t_0 \sqrt{R_0 / r}$ (Hill 1950, chapter XI).
+#
+# For the largest force there is the estimate of Siebel (Siebel and Beisswaenger 1955), at an outer
+# diameter $D$ of 0.77 times that of the disc. With the diameter $d$ of the middle of the wall,
 #
 # $$F = \pi d t_0 \left[ 1.1\, e^{\mu \pi / 2} k_f \ln \frac Dd + e^{\mu \pi / 2}
 #       \frac{2 \mu F_h}{\pi D t_0} + k_f' \frac{t_0}{2 r} \right],$$
 #
-# with the force $F_h$ of the holder, the radius $r$ of the die's edge, the mean yield stress $k_f$
-# of the flange and that at the edge, $k_f'$: what the flange would take without friction and a
-# tenth for the bending of it, the holder's friction on both sides, both by the rope around the
-# edge, and the bending there.
+# where $F_h$ is the force of the holder, $r$ the radius of the die's edge, $k_f$ the mean yield
+# stress of the flange and $k_f'$ the yield stress at the edge. The first term is the ideal drawing
+# stress of the flange, increased by a tenth; the second is the friction under the holder, on both
+# faces of the sheet; both are multiplied by the factor of rope friction at the edge. The third term
+# is bending at the edge.
+#
+# **Options to try.** `--cells` is the number of cells along the radius, `--depth` the depth of the
+# punch.
 #
 # *Sources.* R. Hill, The Mathematical Theory of Plasticity (1950); E. Siebel, H. Beisswaenger,
-# Tiefziehen (1955); M. Gruener, M. Merklein, Prod. Eng. 8 (2014) 577, who find friction by this
-# formula. None of them was at hand: Hill's is derived above, Siebel's is from memory, its numbers
-# 1.1 and 0.77 among it. Units: mm, MPa, N.
+# Tiefziehen (1955); M. Gruener, M. Merklein, Prod. Eng. 8 (2014) 577, who determine friction by
+# Siebel's formula. None of them was available: Hill's formula is derived above; Siebel's formula
+# with its numbers 1.1 and 0.77 is quoted from memory.
 
 import argparse
 import logging
@@ -47,7 +62,9 @@ PUNCH, DIE, EDGE = 25.0, 26.5, 6.0  # mm, radii of the tools and of their edges
 HOLDER, FRICTION = 10_000.0, 0.1
 TOP, BOTTOM = 1, 2  # facet tags
 
-parser = argparse.ArgumentParser(description="A cup drawn from a disc, with a holder.")
+parser = argparse.ArgumentParser(
+    description="Deep drawing of a cup from a disc, with a blank holder."
+)
 parser.add_argument("--cells", type=int, default=32, help="along the radius")
 parser.add_argument("--depth", type=float, default=14.4, help="of the punch, in mm")
 parser.add_argument("--output", type=Path, default=Path("results/deep_drawing"))
@@ -73,13 +90,13 @@ def sheet(cells: int) -> tuple[mesh.Mesh, mesh.MeshTags]:
 
 
 def rim(corner: tuple[float, float], into: tuple[float, float]) -> dm.shapes.Wedge:
-    """Return a right angle at a corner, rounded, of a tool that lies in a direction of it."""
+    """Return the rounded right angle of a tool, by its corner and the direction into the tool."""
     axis = np.array(into) / np.sqrt(2.0)
     tip = np.array(corner) + (np.sqrt(2.0) - 1.0) * EDGE * axis
     return dm.shapes.Wedge(tip, 45.0, axis, EDGE)
 
 
-# ## The tools close, then the punch draws
+# ## Closing the tools, then drawing
 
 
 def main(options: argparse.Namespace) -> None:
@@ -87,7 +104,7 @@ def main(options: argparse.Namespace) -> None:
     domain, facets = sheet(options.cells)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
     u = fem.Function(V, name="displacement")
-    s = np.sqrt(2.0 / 3.0)  # of uniaxial numbers in the Frobenius norm
+    s = np.sqrt(2.0 / 3.0)  # from uniaxial values to the Frobenius norm
     steel = dm.VonMisesVoce(E, NU, Y=s * 200.0, a=0.0, H=s * s * 250.0, Q=s * 150.0, b=s * 10.0)
     solid = dm.Solid(u, steel, kinematics="axisymmetric", strain="finite", volumetric="reduced")
     W = V.sub(0)
@@ -102,8 +119,8 @@ def main(options: argparse.Namespace) -> None:
     )
     problem = dm.ContactProblem(solid, [punch, die, holder], bcs=bcs, geometry="updated")
 
-    # In the first step the holder stands still and is pressed on by the sheet; from then on its
-    # force is given, and changes to the wanted one within two steps.
+    # In the first step the position of the holder is given, and the sheet presses on it. From then
+    # on its force is given; it changes from the force of the first step to 10 kN within two steps.
 
     times = np.arange(1.0, 1.0 + round(options.depth / 0.4))
     start = punch.position.value.copy()
@@ -129,7 +146,7 @@ def main(options: argparse.Namespace) -> None:
             print(f"{name.replace('_', ' ')}: {value:.5g}")
 
 
-# ## What comes out
+# ## Results
 
 
 def measure(u: fem.Function, upper: dm.Obstacle, lower: dm.Obstacle) -> tuple[float, float]:
@@ -155,7 +172,7 @@ def siebel() -> float:
 
 def compare(rows: list[dict]) -> dict:
     """Return the largest force and the thickness of the rim beside the estimates."""
-    flat = [row for row in rows if row["rim"] > DIE + EDGE]  # the rim is not yet on the edge
+    flat = [row for row in rows if row["rim"] > DIE + EDGE]  # the rim is not yet at the die's edge
     largest = max(rows, key=lambda row: row["force"])
     return {
         "largest_force": largest["force"],
