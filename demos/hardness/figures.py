@@ -20,7 +20,7 @@ DPI = 110
 
 @dataclass(frozen=True)
 class Result:
-    """What one tool has given."""
+    """The results of one tool."""
 
     name: str
     tool: Tool
@@ -45,11 +45,11 @@ def draw(path: Path, results: list[Result]) -> None:
 
 
 def _curve(axes: Axes, result: Result) -> None:
-    """Draw force over depth, with the slope where unloading begins."""
+    """Draw force over depth, with the slope at the start of unloading."""
     depth, force = (
         np.array([0.0, *(row[name] for row in result.rows)]) for name in ("depth", "force")
     )
-    axes.plot(depth, force, "o-", color="#20609f", ms=3, label="in and out")
+    axes.plot(depth, force, "o-", color="#20609f", ms=3, label="loading, unloading")
     if "slope" in result.found:
         top = force.max()
         start = depth.max() - top / result.found["slope"]
@@ -78,7 +78,7 @@ def _section(axes: Axes, result: Result) -> None:
 
 
 def _map(axes: Axes, result: Result) -> None:
-    """Draw the heights of the surface seen from above, all six images, and what is touched."""
+    """Draw the surface from above, all six symmetric parts, and the nodes in contact."""
     nodes = result.nodes
     images = []
     for k in range(6):

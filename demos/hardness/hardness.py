@@ -1,60 +1,78 @@
 # SPDX-License-Identifier: MIT
 # ruff: noqa: D100
 
-# # Hardness: a cone, a ball or a pyramid is pressed into a metal, and drawn out
+# # Hardness: indentation of a metal by a cone, a ball or a pyramid
 #
-# A rigid tool without a mesh is pressed into a half-space of elastic, ideally plastic material at
-# finite strain: a cone of 70.3 degrees to its axis (`dm.shapes.Cone`), which displaces as much as
-# Berkovich's pyramid; that pyramid itself (`dm.shapes.berkovich`), in space, of which a sixth is
-# enough; or a ball (`dm.shapes.Sphere`). Chosen by `--tool`, one or several. What an instrument
-# would measure is the force $P$ over the depth $h$, and what it makes of it (Oliver and Pharr
-# 1992) is
+# Instrumented indentation with rigid tools, loading and unloading, at finite strain. This demo
+# shows how to
+#
+# - describe rigid tools without a mesh by their distance functions: `dm.shapes.Cone`,
+#   `dm.shapes.Sphere`, `dm.shapes.berkovich`,
+# - move a tool through a load table, and read its force,
+# - determine hardness and modulus from the curve, and from the true contact area.
+#
+# **Problem.** A rigid tool is pressed 1 micrometre into a half-space of elastic, perfectly plastic
+# material ($E$ = 200 GPa, $\nu$ = 0.3, yield stress $Y$ = 1 GPa) and withdrawn, without friction.
+# `--tool` chooses one or several of a cone with an angle of 70.3 degrees to its axis, which
+# displaces the same volume as Berkovich's pyramid at the same depth; that pyramid, in 3D, of which
+# a sixth is modelled; and a ball of radius 40 micrometres. Units: micrometres, GPa, mN.
+#
+# **Picture.** One row for each tool. Left: the force $P$ over the depth $h$ and the slope $S$ at
+# the start of unloading. Right: the surface at the largest depth with the contact pressure, for the
+# pyramid as a map with the nodes in contact. The material piles up beside the cone and the pyramid.
+#
+# **Compare with.** The method of Oliver and Pharr (1992) computes hardness $H$ and reduced modulus
+# $E_r$ from the curve,
 #
 # $$h_c = h_\max - \epsilon \frac{P_\max}{S}, \qquad A = A(h_c), \qquad
 #   H = \frac{P_\max}{A}, \qquad E_r = \frac{\sqrt\pi}{2 \beta} \frac{S}{\sqrt A},$$
 #
-# with the slope $S = dP/dh$ where unloading begins, the tool's section $A(h)$, $\epsilon = 0.75$
-# (of a paraboloid; by experience of Berkovich's pyramid, too) and $E_r = E / (1 - \nu^2)$ of a
-# rigid tool. Here the contact is known, too: where metal piles up beside the tool it is wider than
-# $h_c$ says, so that Oliver and Pharr find too large a modulus and hardness (Bolshakov and Pharr
-# 1998, who find areas wrong by up to 60 %). With its true area both come out: the modulus that was
-# put in, and the hardness of nearly three yield stresses (Tabor 1951).
+# with the slope $S = dP/dh$ at the start of unloading, the cross-section $A(h)$ of the tool,
+# $\epsilon = 0.75$ (exact for a paraboloid, and used for Berkovich's pyramid by experience) and
+# $E_r = E / (1 - \nu^2)$ for a rigid tool. Where material piles up, the contact is larger than
+# $A(h_c)$, so that the method overestimates modulus and hardness (Bolshakov and Pharr 1998, who
+# find areas wrong by up to 60 %). The computation also gives the true area. With it the modulus
+# should be the given one, and the hardness nearly three yield stresses (Tabor 1951).
 #
-# The factor $\beta$ is 1 of a round punch, 1.034 of a flat punch with Berkovich's section (King
-# 1987). The slope of a cone that is not flat is larger by (Hay, Bolshakov and Pharr 1999)
+# The factor $\beta$ is 1 for a circular punch, and 1.034 for a flat punch with Berkovich's
+# cross-section (King 1987). For a cone it is (Hay, Bolshakov and Pharr 1999)
 #
 # $$\beta = \pi \frac{\pi/4 + 0.15483073 \cot\alpha\, q}{(\pi/2 - 0.83119312 \cot\alpha\, q)^2},
 #   \qquad q = \frac{1 - 2\nu}{4 (1 - \nu)}.$$
 #
-# On an elastic half-space, `--elastic`, the forces should be this factor times Sneddon's (1948),
-# Hertz', and for the pyramid the fit of Larsson and others (1996) to their computations,
+# On an elastic half-space, `--elastic`, the forces to compare with are for the cone this factor
+# times Sneddon's force (1948), for the ball Hertz' force, and for the pyramid a fit of Larsson and
+# others (1996) to their computations:
 #
 # $$P = \frac{2 \beta}{\pi} E_r \tan\alpha\, h^2, \qquad P = \tfrac43 E_r \sqrt{R h^3},$$
 #
 # $$P = 2.1891\, (1 - 0.21 \nu - 0.01 \nu^2 - 0.41 \nu^3) E_r h^2.$$
 #
-# The ball begins like Hertz', too, and ends at its hardness. In between, Johnson (1970) takes the
-# contact for half a spherical cavity with the radius $a$ of the contact, which the ball's volume
-# blows up in an elastic, plastic space. A motion $da$ displaces $\pi a^3 / R\, da$, the cavity's
-# wall moves by a $2 \pi a^2$-th of that, and with Hill's solution for the cavity (1950) the mean
-# pressure is, with two thirds of a yield stress for the core not being a fluid,
+# In the elasto-plastic case, too, the first forces of the ball are those of Hertz; at the end the
+# mean pressure $p$ is the hardness. In between, Johnson (1970) models the contact as half a
+# spherical cavity with the contact radius $a$ in an elasto-plastic space, which is expanded by the
+# volume that the ball displaces. An increment $da$ displaces the volume $\pi a^3 / R\, da$, and the
+# wall of the cavity, of area $2 \pi a^2$, moves by this volume over its area. With Hill's solution
+# for the cavity (1950), and two thirds of a yield stress added since the core is not a fluid,
 #
 # $$\frac pY = \frac23 \left[2 + \ln \frac{E a / (Y R) + 4 (1 - 2 \nu)}{6 (1 - \nu)}\right].$$
 #
-# It holds until the metal flows up to the surface, at $E a / (Y R)$ of about 30.
+# This holds until the plastic flow reaches the surface, at $E a / (Y R)$ of about 30.
+#
+# **Options to try.** `--tool cone ball berkovich` computes all three tools. `--elastic` compares
+# with the formulas for elastic half-spaces. `--h` is the element size at the tip of the cone,
+# `--steps` the number of steps of loading.
 #
 # *Sources.* W. C. Oliver, G. M. Pharr, J. Mater. Res. 7 (1992) 1564 and 19 (2004) 3; A. Bolshakov,
 # G. M. Pharr, J. Mater. Res. 13 (1998) 1049; J. C. Hay, A. Bolshakov, G. M. Pharr, J. Mater. Res.
 # 14 (1999) 2296; R. B. King, Int. J. Solids Struct. 23 (1987) 1657; I. N. Sneddon, Proc. Camb.
-# Phil. Soc. 44 (1948) 492; P.-L. Larsson and others, Int. J. Solids Struct. 33 (1996) 221;
-# K. L. Johnson, J. Mech. Phys. Solids 18 (1970) 115; R. Hill, The Mathematical Theory of
-# Plasticity (1950), chapter V; D. Tabor, The Hardness of Metals (1951). The abstract of Bolshakov
-# and Pharr was read; the formulas of Oliver and Pharr, King, Hay and Larsson were compared with
-# the manual of another program for such tests (NIMS, D. Mercier); Johnson's was derived anew, for
-# a rigid ball. Tabor's book was not at hand; others give 2.8 to 3.0 as generally accepted
-# (Y. Tirupataiah, Metall. Trans. A 22 (1991) 2375).
-#
-# Units: micrometres, GPa, mN.
+# Phil. Soc. 44 (1948) 492; P.-L. Larsson and others, Int. J. Solids Struct. 33 (1996) 221; K. L.
+# Johnson, J. Mech. Phys. Solids 18 (1970) 115; R. Hill, The Mathematical Theory of Plasticity
+# (1950), chapter V; D. Tabor, The Hardness of Metals (1951). Of Bolshakov and Pharr the abstract
+# was read. The formulas of Oliver and Pharr, King, Hay and Larsson were compared with the manual of
+# another program for such tests (NIMS, D. Mercier). Johnson's formula was derived anew, for a rigid
+# ball. Tabor's book was not available; others give 2.8 to 3.0 as generally accepted (Y.
+# Tirupataiah, Metall. Trans. A 22 (1991) 2375).
 
 import argparse
 import logging
@@ -72,16 +90,16 @@ E, NU, STRENGTH = 200.0, 0.3, 1.0  # GPa, -, GPa
 REDUCED = E / (1.0 - NU**2)
 OUT = np.array([1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1])  # of the elastic recovery
 
-parser = argparse.ArgumentParser(description="A tool pressed into a metal, and drawn out.")
+parser = argparse.ArgumentParser(description="A rigid tool pressed into a metal and withdrawn.")
 parser.add_argument("--tool", choices=list(TOOLS), nargs="+", default=["cone"])
 parser.add_argument("--h", type=float, default=0.15, help="element size at a cone's tip")
-parser.add_argument("--steps", type=int, default=16, help="of loading; of the pyramid a fourth")
-parser.add_argument("--elastic", action="store_true", help="a half-space that does not yield")
+parser.add_argument("--steps", type=int, default=16, help="of loading; a quarter for the pyramid")
+parser.add_argument("--elastic", action="store_true", help="an elastic half-space")
 parser.add_argument("--output", type=Path, default=Path("results/hardness"))
 
 
 def main(options: argparse.Namespace) -> None:
-    """Press and draw out with each tool; write summaries and the picture."""
+    """Load and unload with each tool; write summaries and the picture."""
     options.output.mkdir(parents=True, exist_ok=True)
     results = [indent(name, options) for name in options.tool]
     if results[0].problem.comm.rank == 0:
@@ -92,13 +110,14 @@ def main(options: argparse.Namespace) -> None:
                 print(f"  {name.replace('_', ' ')}: {value:.4g}")
 
 
-# ## In, and out
+# ## Loading and unloading
 #
-# Where unloading begins the slope is that of the first hundredth; then down to no force.
+# The slope at the start of unloading is that of a parabola through the last point of loading and
+# the first two points of unloading. The tool is then withdrawn until the force is zero.
 
 
 def indent(name: str, options: argparse.Namespace) -> figures.Result:
-    """Press one tool in and draw it out; write its summary."""
+    """Press one tool in and withdraw it; write its summary."""
     tool = TOOLS[name]()
     domain, facets = tool.block(options.h)
     V = fem.functionspace(domain, ("Lagrange", 1, (domain.geometry.dim,)))
@@ -140,7 +159,7 @@ def indent(name: str, options: argparse.Namespace) -> figures.Result:
     return figures.Result(name, tool, problem, rows, surfaces[steps - 1], found)
 
 
-# ## What comes out
+# ## Results
 
 
 def compare(tool: Tool, rows: list[dict[str, Any]], last: int) -> dict[str, float]:
@@ -166,7 +185,7 @@ def compare(tool: Tool, rows: list[dict[str, Any]], last: int) -> dict[str, floa
 
 
 def compare_elastic(tool: Tool, rows: list[dict[str, Any]]) -> dict[str, float]:
-    """Return the force over that of Hertz, Larsson, or Sneddon with the factor beta."""
+    """Return the force over that of Hertz, Larsson, or Sneddon times beta."""
     return {"force_over_theory": over_theory(tool, rows[-1])}
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Three indenters: shape, a mesh of what they are pressed into, and what theory says of them.
+"""Three indenters: shape, mesh of the indented block, and formulas from theory.
 
-Lengths are in micrometres, and each is pressed in by DEPTH.
+Lengths are in micrometres; each tool is pressed in by DEPTH.
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ import ufl
 from dolfinx import fem, mesh
 
 DEPTH = 1.0
-TOP, FOLD = 1, 2  # facet tags: the indented side, and the symmetry plane that is inclined
+TOP, FOLD = 1, 2  # facet tags: the indented side, and the inclined symmetry plane
 Floats = np.ndarray
 Mesh = tuple[mesh.Mesh, mesh.MeshTags]
 
 
 class Tool(ABC):
-    """An indenter of revolution, in the half section of a block; others override what differs."""
+    """An indenter of revolution in the half section of a block; other tools override methods."""
 
     kinematics: Mapping[str, str] = MappingProxyType({"kinematics": "axisymmetric"})
-    share = 1  # the whole over the part of it that has a mesh
-    epsilon = 0.75  # of Oliver and Pharr, for paraboloids and, by experience, for Berkovich's
-    recovery = 0.08  # by which it is drawn out until it parts, about
+    share = 1  # the whole body over the meshed part
+    epsilon = 0.75  # of Oliver and Pharr, for paraboloids and, by experience, for pyramids
+    recovery = 0.08  # about the distance over which the tool is withdrawn until contact is lost
     power = 1.0  # depths of loading are DEPTH (k / n)^power
-    sparse = 1  # how many steps are made as one
+    sparse = 1  # the number of steps is divided by this
     zones: tuple[tuple[float, float], ...] = ((4.0, 1.0), (115.0, 1.2))  # mesh: up to, growth
     shape: dm.shapes.Shape
 
     def block(self, h: float) -> Mesh:
-        """Return a mesh that is fine at the tip, z <= 0, with its top side tagged."""
+        """Return a mesh of z <= 0, refined at the tip, with its top side tagged."""
         x = graded(h, *self.zones)
         n = len(x) - 1
         domain = mesh.create_rectangle(
@@ -49,7 +49,7 @@ class Tool(ABC):
         return domain, tagged(domain, {TOP: lambda p: np.isclose(p[1], 0.0)})
 
     def supports(self, V: fem.FunctionSpace) -> list[fem.DirichletBC]:
-        """Return what holds the axis, and the bottom from below."""
+        """Return u_r = 0 on the axis and u_z = 0 at the bottom."""
         low = lowest(V.mesh, 1)
         return [
             support(V, 0, lambda x: np.isclose(x[0], 0.0)),
@@ -57,11 +57,11 @@ class Tool(ABC):
         ]
 
     def potential(self, _u: fem.Function, _facets: mesh.MeshTags, _E: float) -> ufl.Form | None:
-        """Return a potential that holds more, or None."""
+        """Return a potential for supports that no component describes, or None."""
         return None
 
     def touched(self, nodes: Mapping[str, Floats]) -> float:
-        """Return the area of contact: up to half-way between the last node in it and the next."""
+        """Return the area of contact, up to the radius that `edge` returns."""
         return float(np.pi * edge(nodes) ** 2)
 
     @abstractmethod
@@ -78,7 +78,7 @@ class Tool(ABC):
 
 
 class Cone(Tool):
-    """A cone that displaces as much as Berkovich's pyramid, with a tip of 0.05."""
+    """A cone that displaces the volume of Berkovich's pyramid, with a tip radius of 0.05."""
 
     angle = 70.3
     shape = dm.shapes.Cone((0.0, 0.0), angle, (0.0, 1.0), radius=0.05)
@@ -99,7 +99,7 @@ class Cone(Tool):
 
 
 class Ball(Tool):
-    """A ball. Elements grow by 6 % each, so that small contacts have as many as large ones."""
+    """A ball. Elements grow by 6 % each: small contacts have as many nodes as large ones."""
 
     radius = 40.0
     recovery = 0.3
@@ -116,7 +116,7 @@ class Ball(Tool):
         return float(np.pi * (2.0 * self.radius - depth) * depth)
 
     def beta(self, nu: float) -> float:
-        """Return 1: the impression that it leaves is nearly as round as the ball."""
+        """Return 1: the impression is nearly as round as the ball."""
         return 1.0
 
     def elastic(self, depth: float, modulus: float, nu: float) -> float:
@@ -158,7 +158,7 @@ class Berkovich(Tool):
         return domain, tagged(domain, sides)
 
     def supports(self, V: fem.FunctionSpace) -> list[fem.DirichletBC]:
-        """Return what holds the symmetry plane y = 0, the axis, and the bottom from below."""
+        """Return u_y = 0 on y = 0, u_x = 0 on the axis, and u_z = 0 at the bottom."""
         low = lowest(V.mesh, 2)
         return [
             support(V, 0, lambda x: np.isclose(x[0], 0.0) & np.isclose(x[1], 0.0)),
@@ -167,16 +167,17 @@ class Berkovich(Tool):
         ]
 
     def potential(self, u: fem.Function, facets: mesh.MeshTags, E: float) -> ufl.Form | None:
-        """Return stiff springs across the inclined plane of symmetry, which no component is.
+        """Return stiff springs normal to the inclined symmetry plane.
 
-        The elastic force is that of a rigid plane to 2e-4; with a tenth of this stiffness to 2e-3.
+        No component of the displacement is normal to it. The elastic force is that of a rigid plane
+        to 2e-4; with a tenth of this stiffness to 2e-3.
         """
         across = ufl.as_vector((-np.sqrt(0.75), 0.5, 0.0))
         ds = ufl.Measure("ds", u.function_space.mesh, subdomain_data=facets)
         return 0.5 * 1000.0 * E / DEPTH * ufl.dot(u, across) ** 2 * ds(FOLD)
 
     def touched(self, nodes: Mapping[str, Floats]) -> float:
-        """Return the area of contact: each node has a quarter of the cells around it."""
+        """Return the area of contact: a node has a quarter of each cell around it."""
         order, (n, m) = grid(nodes["X"])
         x = nodes["x"][order, :2].T.reshape(2, n, m)
         on = nodes["pressure"][order].reshape(n, m) > 0.0
@@ -190,7 +191,7 @@ class Berkovich(Tool):
         return float(3.0**1.5 * (depth * np.tan(np.radians(65.27))) ** 2)
 
     def beta(self, nu: float) -> float:
-        """Return King's 1.034 of a flat punch with this section; others say 1.023 to 1.062."""
+        """Return King's 1.034 for a flat punch of this section; others give 1.023 to 1.062."""
         return 1.034
 
     def elastic(self, depth: float, modulus: float, nu: float) -> float:
@@ -249,9 +250,9 @@ def support(
 
 
 def edge(nodes: Mapping[str, Floats]) -> float:
-    """Return the contact radius: where the gap, extrapolated from the next two nodes, is zero.
+    """Return the contact radius: the zero of the gap, extrapolated from the next two nodes.
 
-    It is kept between the last node in contact and the next one.
+    It is limited to the interval from the last node in contact to the next node.
     """
     order = np.argsort(nodes["x"][:, 0])
     r, gap = nodes["x"][order, 0], nodes["gap"][order]
