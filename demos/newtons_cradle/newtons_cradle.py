@@ -1,23 +1,39 @@
 # SPDX-License-Identifier: MIT
 # ruff: noqa: D100
 
-# # Newton's cradle of rods, and where the energy is
+# # Newton's cradle of elastic rods
 #
-# A rod of steel hits a second one at rest, and this a third one. Saint-Venant (1867): a wave runs
-# through the rods from each side that is hit, with the speed $c = \sqrt{E / \rho}$ and, between
-# equal rods, the force
+# Impact of elastic bodies, with waves. This demo shows how to
+#
+# - compute a motion with contact: `dm.Inertia` with initial velocities, and `dm.time_steps`,
+# - check the balance of energies in the ledger of every step,
+# - compare velocities and contact forces with Saint-Venant's solution.
+#
+# **Problem.** Three rods of steel ($E$ = 206.9 GPa, $\rho$ = 7850 kg/m³), each 100 mm long, 5 mm
+# high and 1 mm thick, lie in a row with gaps of 0.02 mm. The first one moves with $v$ = 1 m/s and
+# hits the second one, which hits the third one. Displacements are along the rods only, so that the
+# waves are one-dimensional. Units: mm, MPa, N, s, tonnes; energies in mJ.
+#
+# **Picture.** Mean velocities of the rods, contact forces, and kinetic and stored energy over time.
+# The last rod leaves with the velocity of the first one.
+#
+# **Compare with.** Saint-Venant (1867): from the contact a wave runs into both rods with the speed
+# $c = \sqrt{E / \rho}$. Between two equal rods the force is
 #
 # $$F = \tfrac12 \sqrt{E \rho}\, v A.$$
 #
-# It comes back from the free ends, and after $2 L / c$ the rod that has hit is at rest, without any
-# strain, and the one that was hit has its velocity: they part. So the last rod leaves with the
-# velocity $v$ and all of the energy, and the others stay where they are.
+# The waves are reflected at the free ends. After the time $2 L / c$ the rod that has hit is at rest
+# and without strain, the rod that was hit has the velocity $v$, and they separate. Thus the last
+# rod leaves with the velocity $v$ and all of the energy.
 #
-# In time steps this is a test of what contact does to energy: a node with mass that is hit bounces
-# or stops, and plain rules make or lose energy with every impact. Here contact nodes have no mass,
-# and what contact takes in a step is given back, so that the ledger closes to round-off. What the
-# rods keep as vibrations is what the mesh does not resolve of the sharp front. Units: mm, MPa, N,
-# s, tonnes; energies in mJ.
+# In a time integration this is a test of what contact does to the energy. A node with mass that
+# hits another body stops or bounces at once, and standard schemes gain or lose energy in every
+# impact. Here the contact nodes have no mass, and the work of the contact forces in a step is
+# returned, so that the energies balance to round-off. The vibrations that remain in the rods are
+# those of the sharp wave front that the mesh does not resolve.
+#
+# **Options to try.** `--cells` is the number of cells along each rod, `--courant` the length of the
+# time steps as $c\, \Delta t / h$.
 
 import argparse
 import logging
@@ -49,7 +65,7 @@ parser.add_argument("--output", type=Path, default=Path("results/newtons_cradle"
 
 
 def rods(cells: int) -> tuple[mesh.Mesh, mesh.MeshTags, mesh.MeshTags]:
-    """Return a mesh of the rods with tags of cells and of ends; rank 0 makes it."""
+    """Return a mesh of the rods with tags of cells and of ends; it is created on rank 0."""
     comm = MPI.COMM_WORLD
     points, quads = np.zeros((0, 2)), np.zeros((0, 4), dtype=np.int64)
     if comm.rank == 0:
@@ -86,11 +102,11 @@ def rods(cells: int) -> tuple[mesh.Mesh, mesh.MeshTags, mesh.MeshTags]:
     )
 
 
-# ## From the first touch until all rods have parted
+# ## From the first contact to the last separation
 
 
 def main(options: argparse.Namespace) -> None:
-    """Let them collide; write the summary and the picture, and compare with Saint-Venant."""
+    """Compute the impacts; write the summary and the picture, and compare with Saint-Venant."""
     domain, cells, facets = rods(options.cells)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
     solid = dm.Solid(fem.Function(V, name="displacement"), dm.Elastic(E=E, nu=0.0), cells)
