@@ -1,33 +1,49 @@
 # SPDX-License-Identifier: MIT
 # ruff: noqa: D100
 
-# # Two rings collide, and where the energy is
+# # Collision of two rings, and the energy of their vibrations
 #
-# A ring of steel hits an equal one at rest, head on. Of two balls the second would leave with the
-# velocity of the first. Rings are so soft that they are still pressed flat when they part: they go
-# on ringing, mostly as ovals, and that energy is missing from their flight. Momentum is kept, so
-# that the velocities after it, $v_1 + v_2 = v$, say how much: what is stored and vibrates is
+# Impact of bodies that vibrate afterwards. This demo shows how to
 #
-# $$\Delta = m v_1 v_2, \qquad \text{as} \quad
+# - compute a collision of deformable bodies with `dm.Inertia` and `dm.time_steps`,
+# - separate the energy of rigid motion from that of vibrations,
+# - compare the period of a vibration with the formula for a thin ring.
+#
+# **Problem.** A ring of steel ($E$ = 206.9 GPa, $\nu$ = 0, $\rho$ = 7850 kg/m³; mean radius $R$ =
+# 10 mm, wall thickness $t$ = 1 mm) hits an equal ring at rest with $v$ = 4 m/s, head on. By
+# symmetry one half of each ring is meshed. Strains are small. Units: mm, MPa, N, s, tonnes;
+# energies in mJ, of the halves.
+#
+# **Picture.** Mean velocities of the rings, the change of width of the second ring, and the ledger
+# of energies over time. After the collision both rings vibrate, mainly in the oval mode.
+#
+# **Compare with.** If the rings were compact bodies, like balls, the second one would leave with
+# the velocity of the first. Rings are so flexible that they are still deformed when they separate,
+# and the energy of this deformation is lost to the rigid motion. Momentum is conserved, so the
+# velocities after the collision satisfy $v_1 + v_2 = v$, and the energy of the vibrations is
+#
+# $$\Delta = m v_1 v_2, \qquad \text{since} \quad
 #   \tfrac12 m v^2 - \tfrac12 m (v_1^2 + v_2^2) = m v_1 v_2.$$
 #
-# The period of the oval is that of a thin ring that bends without a change of its length, in the
-# mode $n = 2$ (Hoppe 1871; Blevins, Formulas for Natural Frequency and Mode Shape, 1979),
+# The frequency of the oval mode, $n = 2$, is that of a thin ring in inextensional bending (Hoppe
+# 1871; Blevins, Formulas for Natural Frequency and Mode Shape, 1979),
 #
 # $$f_n = \frac{n (n^2 - 1)}{2 \pi R^2} \sqrt{\frac{E I}{m' (n^2 + 1)}}, \qquad
 #   \frac{E I}{m'} = \frac{E}{\rho} \frac{t^2}{12},$$
 #
-# less the shear and the rotation of sections, some tenths of a per cent for $t = R / 10$. The
-# formula was compared with that of code_aster's test V2.03.109, which quotes Blevins.
+# where $m'$ is the mass per length. Shear and rotatory inertia lower it by some tenths of a per
+# cent for $t = R / 10$. The formula was compared with that of code_aster's test V2.03.109, which
+# quotes Blevins.
 #
-# Thin walls ring in higher modes, too, and the rings touch several times before they part. How
-# much of the energy stays in vibrations hangs on the last of these touches, so that it changes by
-# some hundredths with mesh and steps; what is above does not. In steps that are longer than a wave
-# takes through the wall the energy is kept to 3e-4 with 300 steps in a period, to 6e-3 with 150;
-# with 100, and coarser cells, a fifth appears, and the notes of the report say so.
+# Thin rings also vibrate in higher modes, and they touch several times before they separate. The
+# share of the energy in vibrations depends on the last of these contacts and changes by some
+# hundredths with mesh and steps; the two comparisons do not depend on it. The steps are longer than
+# a wave takes through the wall. With 300 steps in a period the energy is conserved to 3e-4, with
+# 150 steps to 6e-3. With 100 steps and coarser cells a fifth of the energy appears, and the notes
+# of the report say so.
 #
-# Both rings are symmetric, half of each is enough. At small strain, with Poisson's ratio zero, in
-# units of mm, MPa, N, s, tonnes; energies in mJ, of the halves.
+# **Options to try.** `--steps` is the number of steps in a period of the oval mode, `--cells` the
+# number of cells around half a ring.
 
 import argparse
 import logging
@@ -46,19 +62,19 @@ E, DENSITY = 206_900.0, 7.85e-9  # MPa, tonnes per mm^3
 RADIUS, THICKNESS = 10.0, 1.0  # mm, of the middle of the wall; one mm long
 SPEED, GAP = 4000.0, 0.01  # mm/s, mm
 FIRST, SECOND = 1, 2  # cell tags
-RIGHT, LEFT = 10, 20  # facet tags of the sides that meet: of the first ring, of the second
+RIGHT, LEFT = 10, 20  # facet tags of the contact sides of the first and of the second ring
 
 parser = argparse.ArgumentParser(description="Two rings that collide.")
 parser.add_argument("--cells", type=int, default=24, help="around half a ring")
-parser.add_argument("--steps", type=int, default=300, help="in a period of the oval")
+parser.add_argument("--steps", type=int, default=300, help="in a period of the oval mode")
 parser.add_argument("--output", type=Path, default=Path("results/bouncing_rings"))
 
 
-# ## Two halves of rings
+# ## Mesh of the two half rings
 
 
 def rings(cells: int) -> tuple[mesh.Mesh, mesh.MeshTags, mesh.MeshTags]:
-    """Return a mesh of both halves, two cells thick, with tags of rings and of what meets."""
+    """Return a mesh of both halves, two cells thick, with tags of rings and of contact sides."""
     comm = MPI.COMM_WORLD
     points, quads = np.zeros((0, 2)), np.zeros((0, 4), dtype=np.int64)
     if comm.rank == 0:
@@ -96,21 +112,21 @@ def rings(cells: int) -> tuple[mesh.Mesh, mesh.MeshTags, mesh.MeshTags]:
 
 
 def middle(ring: int) -> float:
-    """Return where the middle of a ring is at the start."""
+    """Return the position of the centre of a ring at the start."""
     return (ring - FIRST) * (2.0 * RADIUS + THICKNESS + GAP)
 
 
 def period() -> float:
-    """Return the period of the oval."""
+    """Return the period of the oval mode of a thin ring."""
     root = (E / DENSITY * THICKNESS**2 / 12.0 / 5.0) ** 0.5
     return float(2.0 * np.pi * RADIUS**2 / 6.0 / root)
 
 
-# ## From the first touch to some periods later
+# ## The collision and some periods after it
 
 
 def main(options: argparse.Namespace) -> None:
-    """Let them collide; write the summary and the picture, and compare."""
+    """Compute the collision; write the summary and the picture, and compare."""
     domain, cells, facets = rings(options.cells)
     V = fem.functionspace(domain, ("Lagrange", 2, (2,)))
     u = fem.Function(V, name="displacement")
@@ -149,7 +165,7 @@ def total(form: fem.Form) -> float:
 
 
 def width(u: fem.Function) -> float:
-    """Return by how much the second ring is wider than at the start, along the flight."""
+    """Return the change of width of the second ring in the direction of motion."""
     x = u.function_space.tabulate_dof_coordinates()[:, :2] - [middle(SECOND), 0.0]
     own = u.function_space.dofmap.index_map.size_local
     moved = u.x.array.reshape(-1, 2)[:own, 0]
@@ -182,7 +198,7 @@ def compare(rows: list[dict], mass: float) -> dict[str, float]:
 
 
 def fitted(t: np.ndarray, w: np.ndarray) -> float:
-    """Return the period of the cosine and sine that fit the width best, beside a constant."""
+    """Return the period of the harmonic, plus a constant, that fits the width best."""
 
     def left(T: float) -> float:
         A = np.stack([np.ones_like(t), np.cos(2 * np.pi * t / T), np.sin(2 * np.pi * t / T)], 1)
