@@ -68,7 +68,7 @@ def draw_energies(axes: Axes, rows: list[dict[str, Any]], upto: int) -> None:
 
 
 def draw_shape(axes: Axes, rows: list[dict[str, Any]], upto: int) -> None:
-    """Draw radius and length up to a step, beside what other codes end with."""
+    """Draw radius and length up to a step, beside the final values of other codes."""
     t = 1e6 * np.array([row["time"] for row in rows])
     for (name, band), colour in zip(RADII.items(), ("#c03a2b", "#20609f"), strict=True):
         values = [row[name] for row in rows[: upto + 1]]
