@@ -19,9 +19,9 @@
 # **Picture.** The bar with its equivalent plastic strain; radius of the foot and length over time,
 # with the range of other codes at the end; the ledger of energies.
 #
-# **Compare with.** The test has been used to compare codes for forty years, because in the foot,
-# whose area grows to more than three times its value at constant volume, most finite elements lock.
-# Published final radii of the foot:
+# **Compare with.** The test has been used to compare codes for forty years, because most finite
+# elements lock in the foot, which is strongly deformed at constant volume. Published final radii of
+# the foot:
 #
 # | | mm |
 # |---|---|
