@@ -1,22 +1,30 @@
 # SPDX-License-Identifier: MIT
 # ruff: noqa: D100
 
-# # Shallow ironing: a tool is pressed into a soft block and dragged along it
+# # Shallow ironing
 #
-# A tool with a round underside is pressed 1 mm down, 0.8 mm of it into a soft block, and then
-# dragged by 10 mm, many facets in each step, with friction. Strains are large: cells under the tool
-# lose a third of their volume. This demo shows how to
+# Large sliding with friction at finite strain. This demo shows how to
 #
-# - compute at finite strain, `Solid(.., strain="finite")`, with a hyperelastic law,
+# - compute at finite strain with a hyperelastic law, `Solid(.., strain="finite")`,
 # - let bodies slide over many facets, with friction,
-# - read reactions from supports, and write what XDMF and an animation show.
+# - read the reaction of a support, and write XDMF files and an animation.
 #
-# The problem is that of Fischer and Wriggers (2006), in plane strain, with a compressible
-# neo-Hookean law, E = 689.6 MPa in the block and ten times as much in the tool, Poisson's ratio
-# 0.32 and a friction coefficient of 0.3. Six programs have published its forces, vertical V and
-# horizontal H, which differ by a quarter in V and by 85 % in H (`literature.py`). So it is the
-# better test that one's own numbers hardly depend on the mesh or on which side is the slave, and
-# that without friction H vanishes in the middle of the way, by symmetry. Units: mm, MPa, N per mm.
+# **Problem.** Fischer and Wriggers (2006), plane strain. A tool with a round underside is pressed
+# down by 1 mm, 0.8 mm of it into a soft block, and then dragged along the block by 10 mm, over many
+# facets in each step. The law is compressible neo-Hookean with $E$ = 689.6 MPa in the block, ten
+# times as much in the tool, and Poisson's ratio 0.32. The coefficient of friction is 0.3. Cells
+# under the tool lose a third of their volume. Units: mm, MPa, N per mm.
+#
+# **Picture.** The vertical force V and the horizontal force H of the tool, beside those of six
+# programs, and the von Mises stress half way along.
+#
+# **Compare with.** The published forces of the six programs (`literature.py`) differ by a quarter
+# in V and by 85 % in H. Two other tests are stricter: the forces should hardly depend on the mesh
+# and on the choice of the slave side, and without friction H must vanish half way along, by
+# symmetry.
+#
+# **Options to try.** `--slave block`, `--h 0.075` and `--friction 0` (table below). `--steps` is
+# the total number of steps.
 
 import argparse
 import logging
@@ -34,9 +42,11 @@ from dolfinx import fem
 DOWN, ALONG = 1.0, 10.0  # mm
 SIDES = {"tool": ("underside", "top"), "block": ("top", "underside")}  # slave, master
 
-parser = argparse.ArgumentParser(description="A tool dragged over a soft block.")
+parser = argparse.ArgumentParser(
+    description="Shallow ironing: a tool is dragged over a soft block."
+)
 parser.add_argument("--h", type=float, default=0.15, help="length of facets, in mm")
-parser.add_argument("--steps", type=int, default=30, help="in all; a third of them down")
+parser.add_argument("--steps", type=int, default=30, help="total number; a third of them down")
 parser.add_argument("--friction", type=float, default=0.3, help="coefficient")
 parser.add_argument("--slave", choices=list(SIDES), default="tool")
 parser.add_argument("--no-animation", action="store_true", help="draw no animation")
@@ -47,8 +57,8 @@ def main(options: argparse.Namespace) -> None:
     """Press and drag, write results and pictures."""
     # ## Bodies
     #
-    # Laws see the deformation gradient. The stress that is shown is Cauchy's, force per area as it
-    # is then.
+    # Hyperelastic laws are functions of the deformation gradient. The stress in pictures and files
+    # is Cauchy's, force per deformed area.
 
     mesh, cell_tags, facet_tags = block_and_tool(MPI.COMM_WORLD, options.h)
     V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
@@ -58,8 +68,8 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Supports
     #
-    # The base is held, the top of the tool moves: down, then along. Its reaction is what the tool
-    # is pushed with.
+    # The base of the block is held. The displacement of the top of the tool is prescribed, first
+    # down, then along the block. The reaction at the top of the tool has the components V and H.
 
     still, motion = fem.Constant(mesh, (0.0, 0.0)), fem.Constant(mesh, (0.0, 0.0))
     base, held = (
@@ -72,8 +82,8 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Contact
     #
-    # The flanks of the tool belong to its side: the block rises beside the underside, and touches
-    # them.
+    # The contact side of the tool includes its flanks, because the block rises beside the underside
+    # and touches them.
 
     slave, master = SIDES[options.slave]
     friction = {"friction": options.friction} if options.friction else {}
@@ -82,7 +92,8 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Steps
     #
-    # At the end of a third of the steps the tool is down, t = 1; at t = 2 it has been dragged.
+    # In the first third of the steps the tool moves down, until $t$ = 1; in the others it is
+    # dragged, until $t$ = 2.
 
     down = options.steps // 3
     along = options.steps - down
@@ -96,8 +107,8 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Results
     #
-    # V at t = 1 and 1.5 changes by 0.6 % and 0.8 % at most if the sides are swapped or all facets
-    # halved, H by 7 %.
+    # If the sides are exchanged or all facets are halved, V at $t$ = 1 and 1.5 changes by at most
+    # 0.6 % and 0.8 %, and H by 7 %.
     #
     # | | V(1) | H(1) | V(1.5) | H(1.5) | Newton iterations a step |
     # |---|---|---|---|---|---|
@@ -106,8 +117,8 @@ def main(options: argparse.Namespace) -> None:
     # | `--h 0.075` | 315.8 | 66.6 | 401.7 | 140.7 | 4.3 |
     # | `--friction 0` | 309.9 | 32.7 | 400.8 | 0.2 | 3.7 |
     #
-    # While it goes down the block yields more to the near free end than to the far one, and the
-    # tool feels a thrust, also without friction.
+    # While the tool moves down, the block yields more towards its near free end than towards the
+    # far one. This causes a horizontal force, also without friction.
 
     dm.write_summary(options.output / "summary.json", problem, rows, options=vars(options))
     if mesh.comm.rank == 0:
@@ -117,7 +128,7 @@ def main(options: argparse.Namespace) -> None:
 
 
 def measure(step: dm.LoadStep, problem: dm.ContactProblem, held: fem.DirichletBC) -> dict:
-    """Return the forces on the tool's top, and how far cells are compressed; collective."""
+    """Return the forces at the top of the tool, smallest J and largest stress; collective."""
     H, V = dm.reaction(problem, held).force
     return {
         "vertical": -float(V),
