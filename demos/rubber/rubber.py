@@ -1,23 +1,33 @@
 # SPDX-License-Identifier: MIT
 # ruff: noqa: D100
 
-# # A rubber cylinder pressed between plates to half its height
+# # A rubber cylinder pressed between rigid plates
 #
-# A long cylinder of rubber, of radius 200 mm, between two rigid plates without friction: the model
-# of a seal or a bearing pad, and a problem of Sussman and Bathe (1987). This demo shows how to
+# Nearly incompressible rubber at finite strain. This demo shows how to
 #
-# - compute with rubber that hardly changes its volume, `volumetric="reduced"`,
-# - take a symmetric problem apart, and put it together again in pictures,
-# - follow energies: what the plates do, the rubber has to store.
+# - avoid volumetric locking of rubber, `volumetric="reduced"`,
+# - model a quarter of a symmetric problem, and draw the whole,
+# - compare the work of the supports with the stored energy.
 #
-# Mooney and Rivlin's law with $C_{10}$ = 0.293 MPa, $C_{01}$ = 0.177 MPa and a bulk modulus of 1410
-# MPa, 1500 times the shear modulus, in plane strain. A quarter is modelled: of the approach of the
-# plates each makes half. Sussman and Bathe's curve gives 250 and 1400 N/mm, read off their graph,
-# at approaches of 100 and 200 mm; twelve variants of another program (Ansys, VM201 and VM211) lie
-# between 0.966 and 1.066 of it. Units: mm, MPa, N per mm, N mm per mm.
+# **Problem.** Sussman and Bathe (1987), plane strain: a long cylinder of rubber, of radius 200 mm,
+# is compressed between two rigid plates without friction until the plates have approached by 200
+# mm, half of its diameter. This is a model of a seal or a bearing pad. The law is Mooney-Rivlin's
+# with $C_{10}$ = 0.293 MPa, $C_{01}$ = 0.177 MPa and a bulk modulus of 1410 MPa, 1500 times the
+# shear modulus. A quarter is meshed; it takes half of the approach. Units: mm, MPa, N per mm, N mm
+# per mm.
 #
-# T. Sussman, K.-J. Bathe, "A finite element formulation for nonlinear incompressible elastic and
-# inelastic analysis", Computers and Structures 26 (1987) 357-409.
+# **Picture.** The force over the approach of the plates, with the reference values, and the von
+# Mises stress in the deformed cylinder.
+#
+# **Compare with.** Sussman and Bathe's curve gives 250 and 1400 N/mm, read off their graph, at
+# approaches of 100 and 200 mm. Twelve variants of another program (Ansys, VM201 and VM211) lie
+# between 0.966 and 1.066 times these values.
+#
+# **Options to try.** `--volumetric full` shows locking. `--degree 2`, `--cell triangle` and `--h`
+# change the elements, `--slave plate` exchanges slave and master side (table below).
+#
+# *Source.* T. Sussman, K.-J. Bathe, "A finite element formulation for nonlinear incompressible
+# elastic and inelastic analysis", Computers and Structures 26 (1987) 357-409.
 
 import argparse
 import logging
@@ -39,7 +49,11 @@ parser = argparse.ArgumentParser(description="A rubber cylinder pressed between 
 parser.add_argument("--h", type=float, default=10.0, help="size of the cells, in mm")
 parser.add_argument("--cell", choices=["quadrilateral", "triangle"], default="quadrilateral")
 parser.add_argument("--degree", type=int, choices=[1, 2], default=1, help="of the displacement")
-parser.add_argument("--volumetric", choices=["reduced", "full"], help="reduced where that exists")
+parser.add_argument(
+    "--volumetric",
+    choices=["reduced", "full"],
+    help="default: reduced, for quadrilaterals of degree 1",
+)
 parser.add_argument("--slave", choices=list(SIDES), default="cylinder")
 parser.add_argument("--approach", type=float, default=200.0, help="of the plates, in mm")
 parser.add_argument("--steps", type=int, default=20, help="number of equal load steps")
@@ -61,9 +75,9 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Bodies
     #
-    # A plate that is a hundred thousand times as stiff as the rubber is a rigid one. Cells of first
-    # order would lock, since they cannot keep their volume at every point: with "reduced" they keep
-    # it in the mean.
+    # The plate is rigid in effect: its modulus is a hundred thousand times that of the rubber.
+    # Cells of first order lock, since they cannot keep their volume at every point. With
+    # `volumetric="reduced"`, mean dilatation, they keep it in the mean over the cell.
 
     V = fem.functionspace(mesh, ("Lagrange", options.degree, (2,)))
     u = fem.Function(V, name="displacement")
@@ -75,7 +89,7 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Supports
     #
-    # Symmetry on the axis, and on the flat face of the quarter, which is pressed down.
+    # Symmetry on the axis, and on the flat face of the quarter, which is moved down.
 
     push, zero = fem.Constant(mesh, 0.0), fem.Constant(mesh, 0.0)
     pressed, axis, ground_x, ground_y = (
@@ -106,7 +120,7 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Results
     #
-    # Force in N/mm at approaches of 100 and 200 mm, and the Newton iterations of 20 steps.
+    # The force in N/mm at approaches of 100 and 200 mm, and the Newton iterations of all 20 steps:
     #
     # | | F(100) | F(200) | iterations |
     # |---|---|---|---|
@@ -117,10 +131,10 @@ def main(options: argparse.Namespace) -> None:
     # | `--cell triangle --degree 2 --h 20` | 253.2 | 1417.0 | 233 |
     # | `--volumetric full` | 296.7 | 1528.0 | 78 |
     #
-    # The last one locks, as every cell of first order does without "reduced".
+    # The last row locks, as all cells of first order do without `volumetric="reduced"`.
     #
-    # The work of the plates is summed by the trapezoidal rule; it is the stored energy up to the
-    # error of that.
+    # The work of the plates is integrated by the trapezoidal rule. Up to the error of this rule it
+    # equals the stored energy.
 
     dm.write_summary(options.output / "summary.json", problem, rows, options=vars(options))
     if comm.rank == 0:
@@ -130,7 +144,7 @@ def main(options: argparse.Namespace) -> None:
 
 
 def measure(step: dm.LoadStep, problem: dm.ContactProblem, pressed: fem.DirichletBC) -> dict:
-    """Return force and energy of the whole cylinder, stress and volumes of cells; collective."""
+    """Return force, energy, stress and volume change of the whole cylinder; collective."""
     solid, (contact,) = problem.solid, problem.contacts
     nodes, J = contact.gather(problem.u), solid.cell_values("J").x.array
     return {
