@@ -1,31 +1,48 @@
 # SPDX-License-Identifier: MIT
 # ruff: noqa: D100
 
-# # A hub shrunk on a shaft, and the force that pulls the shaft out
+# # Shrink fit, and the force that pulls the shaft out of the hub
 #
-# A hub whose bore is too narrow by $d$ presses on its hollow shaft. Without axial stress Lame's
-# thick cylinders say how much,
+# Interference fit with friction, axisymmetric or in 3D, elastic or plastic. This demo shows how to
+#
+# - describe thermal strain as an eigenstrain, `eigenstrain=`,
+# - apply dead loads as a linear form, and springs as a potential of the displacement,
+# - compare with Lame's thick cylinders, `dm.analytic.shrink_fit`.
+#
+# **Problem.** A hub (outer radius 30 mm) whose bore is smaller than the shaft (radius 20 mm, with a
+# bore of radius 10 mm) by an interference of 0.02 mm in the radius. Both are of steel ($E$ = 200
+# GPa, $\nu$ = 0.3) and 20 mm long; the coefficient of friction is 0.2. Only friction holds the
+# shaft. The load history has three parts:
+#
+# 1. The hub is cooled until the interference is reached, without friction: the surfaces are
+#    lubricated. A weak spring keeps the shaft in its place.
+# 2. The lubrication and the spring are removed, so that friction acts. Dead loads pull at the end
+#    of the shaft. The shaft does not slide.
+# 3. A spring pulls further until the shaft slides.
+#
+# Units: mm, MPa, N; forces are those of the whole bodies.
+#
+# **Picture.** Pressure and shear traction along the shaft at several pulling forces, and the
+# pulling force over the motion of the end of the shaft.
+#
+# **Compare with.** Without axial stress Lame's thick cylinders give the pressure for the
+# interference $d$,
 #
 # $$p = \frac{d}{c} \left(\frac{1}{E_1} \left(\frac{c^2 + a^2}{c^2 - a^2} - \nu_1\right)
 #       + \frac{1}{E_2} \left(\frac{b^2 + c^2}{b^2 - c^2} + \nu_2\right)\right)^{-1},$$
 #
-# with the radii $a < c < b$ of the bore, of where they meet, and of the outside. The shaft can then
-# be pulled with up to
+# with the radii $a < c < b$ of the shaft's bore, of the common surface and of the outer surface.
+# The shaft then slides at the force
 #
 # $$F = \mu p \, 2 \pi c L,$$
 #
-# and a little less, because it gets thinner as it is stretched: `dm.analytic.shrink_fit` has that,
-# too. Only friction holds the shaft.
+# or at a slightly smaller one, because the shaft contracts as it is stretched:
+# `dm.analytic.shrink_fit` includes this, too.
 #
-# 1. The hub is cooled. There is oil between the two: no friction. A weak spring keeps the shaft in
-#    its place. With `--dry` there is friction from the beginning: the hub, which gets shorter as it
-#    cools, presses the shaft together, and the pressure differs from Lame's. In the end the shaft
-#    slides at the same force, whatever the path.
-# 2. The oil is drained, the spring taken away. Dead loads pull at the end of the shaft; it stays.
-# 3. A spring pulls further until the shaft slides.
-#
-# With `--plastic` the interference is so large that the hub flows. `--space` is the same in 3D, a
-# quarter, on a coarse mesh. Units: mm, MPa, N; forces are those of the whole bodies.
+# **Options to try.** `--dry` applies friction from the beginning: the hub, which becomes shorter as
+# it cools, compresses the shaft, and the pressure differs from Lame's; at the end the shaft slides
+# at the same force. `--plastic` has an interference of 0.06 mm, at which the hub yields. `--space`
+# computes a quarter in 3D, on a coarse mesh. `--slave hub` exchanges slave and master side.
 
 import argparse
 import logging
@@ -44,10 +61,10 @@ import ufl
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 
-RADII = (10.0, 20.0, 30.0)  # mm: bore of the shaft, where they meet, outside of the hub
+RADII = (10.0, 20.0, 30.0)  # mm: bore of the shaft, common surface, outside of the hub
 LENGTH = 20.0  # mm, of both
 E, NU, STRENGTH = 200e3, 0.3, 250.0  # MPa, -, MPa: steel; the uniaxial yield stress of the hub
-INTERFERENCE = {False: 0.02, True: 0.06}  # mm, of the radii; of a hub that flows
+INTERFERENCE = {False: 0.02, True: 0.06}  # mm, in the radius; True: the hub yields
 PULLED = (0.3, 0.6, 0.9)  # dead loads, over mu p A
 WEAK, STRONG = 1e-4 * E / LENGTH, E / LENGTH  # N/mm^3, springs at the end of the shaft
 SECTION = np.pi * (RADII[1] ** 2 - RADII[0] ** 2)  # mm^2, of the shaft
@@ -56,8 +73,8 @@ CONTACT = 2.0 * np.pi * RADII[1] * LENGTH  # mm^2
 parser = argparse.ArgumentParser(description="A hub shrunk on a shaft, which is then pulled.")
 parser.add_argument("--friction", type=float, default=0.2, help="coefficient of friction")
 parser.add_argument("--space", action="store_true", help="in 3D, a quarter of both")
-parser.add_argument("--plastic", action="store_true", help="more interference: the hub flows")
-parser.add_argument("--dry", action="store_true", help="friction while the hub cools, too")
+parser.add_argument("--plastic", action="store_true", help="larger interference: the hub yields")
+parser.add_argument("--dry", action="store_true", help="friction while the hub is cooled, too")
 parser.add_argument("--slave", choices=["shaft", "hub"], default="shaft")
 parser.add_argument("--cells", type=int, default=0, help="across the shaft; default 8, 3D: 3")
 parser.add_argument("--output", type=Path, default=Path("results/shrink_fit"))
@@ -65,24 +82,24 @@ parser.add_argument("--output", type=Path, default=Path("results/shrink_fit"))
 
 # ## The problem
 #
-# What changes in the course of time is a Constant.
+# Everything that changes during the load history is a Constant.
 
 
 @dataclass
 class Fit:
-    """Hub and shaft, and what drives them."""
+    """Hub and shaft, and the Constants that drive them."""
 
     problem: dm.ContactProblem
     contact: dm.Contact
-    whole: float  # how many such parts make the bodies
+    whole: float  # the whole bodies over the meshed part
     cooling: fem.Constant
     friction: fem.Constant
     load: fem.Constant  # MPa, at the end of the shaft
     stiffness: fem.Constant  # N/mm^3, of the spring there
-    anchor: fem.Constant  # mm, where the spring would be without force
-    mean: fem.Form  # integral of the motion of that end
-    area: float  # of the same part of it
-    thrust: fem.Form  # integral of the pressure
+    anchor: fem.Constant  # mm, position of the end at which the spring is without force
+    mean: fem.Form  # integral of the axial displacement over that end
+    area: float  # of the meshed part of that end
+    thrust: fem.Form  # integral of the pressure over the meshed part of the contact
 
     def end(self) -> float:
         """Return the mean motion of the end of the shaft."""
@@ -94,8 +111,8 @@ class Fit:
 
 
 def create(options: argparse.Namespace) -> Fit:
-    """Create the problem: a half section, or a quarter in 3D."""
-    # Cells do not match where hub and shaft meet.
+    """Create the problem: the half section, or a quarter in 3D."""
+    # The meshes of hub and shaft do not match at their common surface.
     comm = MPI.COMM_WORLD
     n = options.cells or (3 if options.space else 8)
     cells: tuple = ((n, 2 * n), (n + 1, 2 * n + 3))
@@ -106,7 +123,7 @@ def create(options: argparse.Namespace) -> Fit:
 
     # ### Bodies
     #
-    # The hub's cooling is an eigenstrain, the same in all directions.
+    # The cooling of the hub is an eigenstrain, the same in all directions.
 
     V = fem.functionspace(mesh, ("Lagrange", 1, (d,)))
     u = fem.Function(V, name="displacement")
@@ -124,10 +141,10 @@ def create(options: argparse.Namespace) -> Fit:
 
     # ### Supports
     #
-    # The hub is held along the axis at one end, the shaft is pulled at the other one. The edge of
-    # the hub's bore is left free: where a support takes a direction of a slave node, there is no
-    # friction in it. In 3D both are cut in two planes of symmetry; the half section needs no other
-    # support.
+    # The hub is held in the axial direction at one end; the shaft is pulled at the other end. The
+    # edge of the hub's bore is not held: where a support prescribes a direction of a slave node, no
+    # friction acts there in this direction. In 3D both bodies are cut by two planes of symmetry.
+    # The half section needs no other support.
 
     def but_the_edge(x: np.ndarray) -> np.ndarray:
         r = np.hypot(x[0], x[1]) if options.space else x[0]
@@ -144,7 +161,8 @@ def create(options: argparse.Namespace) -> Fit:
 
     # ### Contact, dead load and spring
     #
-    # The load is the linear form of its work, the spring a potential of the displacement.
+    # The dead load is given as the linear form of its virtual work, the spring as a potential of
+    # the displacement.
 
     load, stiffness, anchor, friction = (fem.Constant(mesh, 0.0) for _ in range(4))
     sides = {"shaft": "around_inner", "hub": "within_outer"}
@@ -161,11 +179,11 @@ def create(options: argparse.Namespace) -> Fit:
         loads=load * ufl.TestFunction(V)[d - 1] * end,
         potential=0.5 * stiffness * (u[d - 1] - anchor) ** 2 * end,
     )
-    # what a mean over the whole body weighs with
+    # weight of integrals over the whole body
     weight = (
         fem.Constant(mesh, 1.0) if options.space else 2.0 * np.pi * ufl.SpatialCoordinate(mesh)[0]
     )
-    # pressures of rings are per circumference as it is now
+    # axisymmetric pressures are per deformed circumference
     around = 1.0 if options.space else 1.0 + u[0] / ufl.SpatialCoordinate(mesh)[0]
     return Fit(
         problem=problem,
@@ -184,7 +202,7 @@ def create(options: argparse.Namespace) -> Fit:
 
 # ## The steps
 #
-# Time is 0 to 1 while the hub is cooled, 1 to 2 with dead loads, 2 to 3 while the spring pulls.
+# From time 0 to 1 the hub is cooled, from 1 to 2 the dead loads grow, from 2 to 3 the spring pulls.
 
 
 def main(options: argparse.Namespace) -> None:
@@ -192,8 +210,8 @@ def main(options: argparse.Namespace) -> None:
     case, interference = create(options), INTERFERENCE[options.plastic]
     problem, contact, u = case.problem, case.contact, case.problem.u
     pressure = expected_pressure(interference, STRENGTH if options.plastic else np.inf)
-    stress = options.friction * pressure * CONTACT / SECTION  # in the shaft when it slides, about
-    rest = 0.0  # mm, where the end of the shaft is when the spring takes over
+    stress = options.friction * pressure * CONTACT / SECTION  # about that in the sliding shaft
+    rest = 0.0  # mm, displacement of the end of the shaft when the spring begins to pull
 
     def drive(t: float) -> None:
         case.cooling.value = -interference / RADII[1] * min(t, 1.0)
@@ -225,9 +243,9 @@ def main(options: argparse.Namespace) -> None:
 
 
 def measure(case: Fit, nodes: dict[str, np.ndarray], slave: str) -> dict:
-    """Return the pull, which is the axial force on the hub, pressures, and how much slips."""
+    """Return the pulling force (the axial force on the hub), pressures and slipping nodes."""
     contact, on = case.contact, nodes["active"] > 0
-    # Lame's pressure is per area before anything moves, that of a contact per area as it is now.
+    # Lame's pressure is per undeformed area, the pressure of a contact per deformed area
     grown = (np.linalg.norm(nodes[x][:, :-1], axis=1) for x in ("x", "X"))
     p = nodes["pressure"] * np.divide(*grown)
     sign = -1.0 if slave == "shaft" else 1.0
@@ -246,19 +264,20 @@ def measure(case: Fit, nodes: dict[str, np.ndarray], slave: str) -> dict:
     }
 
 
-# ## A hub that flows
+# ## A hub that yields
 #
-# By Tresca's rule the hub is plastic up to a radius $\rho$ (free ends, no hardening), with
+# By Tresca's yield criterion the hub is plastic up to a radius $\rho$ (free ends, no hardening),
+# with
 #
 # $$p = Y \left(\ln \frac{\rho}{c} + \frac12 \left(1 - \frac{\rho^2}{b^2}\right)\right), \qquad
 #   u(c) = \frac{Y \rho^2}{E c} - \frac{1 - \nu}{E} c\, p.$$
 #
-# What a law of von Mises of the same uniaxial strength carries lies between that of $Y$ and that of
-# $2 Y / \sqrt 3$.
+# The pressure of a hub that obeys von Mises' criterion with the same uniaxial yield stress lies
+# between those by Tresca's criterion for $Y$ and for $2 Y / \sqrt 3$.
 
 
 def expected_pressure(interference: float, strength: float) -> float:
-    """Return the pressure between a hub that flows by Tresca's rule and an elastic shaft."""
+    """Return the pressure between a hub that obeys Tresca's criterion and an elastic shaft."""
     a, c, b = RADII
     lame = dm.analytic.shrink_fit(interference, RADII, E, NU, E, NU).pressure
     if lame <= 0.5 * strength * (1.0 - (c / b) ** 2):
@@ -276,7 +295,7 @@ def expected_pressure(interference: float, strength: float) -> float:
     return float(pressure(brentq(misfit, c, b)))
 
 
-# ## Beside the formulas
+# ## Comparison with the formulas
 
 
 def compare(rows: list[dict], interference: float, options: argparse.Namespace) -> dict:

@@ -25,7 +25,7 @@ def tubes(
     length: float,
     cells: Sequence[Sequence[int]],
 ) -> TaggedMesh:
-    """Mesh two tubes of one length, one on the other, non-matching where they meet (collective).
+    """Mesh two coaxial tubes of equal length, non-matching at their common surface (collective).
 
     The section has coordinates (r, z) and quadrilaterals, the quarter x, y >= 0 in 3D coordinates
     (x, y, z) and hexahedra; z runs from 0 to the length. Nodes lie on circles; the tubes have no
@@ -35,9 +35,9 @@ def tubes(
 
     Args:
         comm: Communicator of the mesh.
-        radii: Radii of the bore, of the side where the tubes meet, and of the outside.
+        radii: Radii of the bore, of the common surface, and of the outside.
         length: Length of both tubes.
-        cells: For each tube how many cells lie across the wall and along the axis; with a third
+        cells: For each tube the numbers of cells across the wall and along the axis; with a third
             number, around the quarter, the mesh is in 3D.
     """
     space = len(cells[0]) == 3

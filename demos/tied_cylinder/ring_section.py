@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The mesh of the demo: a quarter of one ring, or of two that meet without matching."""
+"""The mesh of the demo: a quarter of one ring, or of two rings with non-matching meshes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def ring_section(
     Args:
         comm: Communicator of the mesh.
         radii: Radii from the bore to the outside, two for one ring, three for two.
-        cells: For each ring how many cells lie across and along it.
+        cells: For each ring the numbers of cells across and along it.
         cell: "triangle" or "quadrilateral".
     """
 
