@@ -1,32 +1,50 @@
 # SPDX-License-Identifier: MIT
 # ruff: noqa: D100
 
-# # A law of one's own, in UFL, in NumPy and in JAX
+# # A material law of your own, in UFL, in NumPy and in JAX
 #
-# Hardening of metals that a power law fits (Swift): the yield stress in tension grows with the
-# plastic strain $p$ as $\sigma_0 (1 + p/p_0)^n$. The package has no such law. This demo writes it
-# three times, presses a half disc into a block of it, and asks that all give the same forces and
-# stresses to $10^{-12}$. With $r(k) = Y (1 + k/k_0)^n$ in the Frobenius norm,
-# $Y = \sqrt{2/3}\, \sigma_0$, $k = \int |\dot\varepsilon_p| = \sqrt{3/2}\, p$, a point whose trial
-# stress $\xi = 2\mu\, \mathrm{dev}(\varepsilon - \varepsilon_p)$ lies outside of the yield surface,
-# $|\xi| > r(k)$, flows by the root $g$ of
+# The package has no hardening by a power law (Swift). This demo shows how to
+#
+# - write an elasto-plastic law as a `dm.Material`, in UFL,
+# - write it as a `dm.materials.PointwiseLaw`, a function of arrays, in NumPy or in JAX, which
+#   derives the consistent tangent,
+# - check a law by `dm.materials.check`, and compare the three versions in a contact problem.
+#
+# **Problem.** The yield stress in tension grows with the plastic strain $p$ as
+# $\sigma_0 (1 + p/p_0)^n$, with $\sigma_0$ = 450 MPa, $p_0$ = 0.005, $n$ = 0.2 ($E$ = 206.9 GPa,
+# $\nu$ = 0.29). An elastic half disc is pressed by 0.15 mm into a block of this metal, in plane
+# strain. In the Frobenius norm the yield radius is $r(k) = Y (1 + k/k_0)^n$ with
+# $Y = \sqrt{2/3}\, \sigma_0$ and $k = \int |\dot\varepsilon_p| = \sqrt{3/2}\, p$. Return mapping:
+# where the trial stress $\xi = 2\mu\, \mathrm{dev}(\varepsilon - \varepsilon_p)$ lies outside the
+# yield surface, $|\xi| > r(k)$, the plastic increment is the root $g$ of
 #
 # $$|\xi| - 2\mu g - r(k + g) = 0, \qquad
-# \sigma = C (\varepsilon - \varepsilon_p) - 2\mu g\, \frac{\xi}{|\xi|},$$
+# \sigma = C (\varepsilon - \varepsilon_p) - 2\mu g\, \frac{\xi}{|\xi|}.$$
 #
-# an equation without a closed solution. Newton's method from $g = 0$ comes from below for every
-# concave $r$ and doubles its digits. Its steps must not be differentiated; by the implicit function
-# theorem $dg / d|\xi| = 1 / (2\mu + r'(k + g))$. Units: mm, MPa, N per mm.
+# This equation has no closed solution. For every concave $r$, Newton's method from $g = 0$
+# approaches the root from below and converges quadratically. The derivative of $g$ does not come
+# from differentiating the iteration but from the implicit function theorem,
+# $dg / d|\xi| = 1 / (2\mu + r'(k + g))$. Units: mm, MPa, N per mm.
 #
-# Without JAX the other two versions are compared. The container has none; an environment beside it:
-# `containers/run python3 -m venv --system-site-packages build/jax`, then `containers/run
-# build/jax/bin/pip install jax` and `containers/run build/jax/bin/python demos/own_law/own_law.py`.
+# **Picture.** The plastic strain below the disc, and the contact pressures of all versions.
 #
-# **External operators.** A function written for dolfinx-external-operator returns the same values
-# at the same points. Its operators stand in forms in which they have to be replaced before these
-# are compiled, whereas `Solid` compiles its forms itself: `PointwiseLaw` is the door for such
-# functions here. The releases of that package on PyPI ask for dolfinx 0.10 or newer, so they do not
-# install beside Debian's 0.9, and this demo does not use it.
+# **Compare with.** The versions with each other: the program ends with an error if force, pressures
+# or stresses differ by more than $10^{-12}$ of the largest value.
+#
+# **Options to try.** `--versions` chooses the versions, `--exponent` the exponent $n$, `--h` the
+# element size at the contact.
+#
+# **JAX.** Without JAX the other two versions are compared. The container has no JAX; it can be
+# installed in an environment beside it:
+# `containers/run python3 -m venv --system-site-packages build/jax`, then
+# `containers/run build/jax/bin/pip install jax` and
+# `containers/run build/jax/bin/python demos/own_law/own_law.py`.
+#
+# **External operators.** Functions written for dolfinx-external-operator return the same values at
+# the same points. Its operators appear in forms and have to be replaced before these are compiled,
+# whereas `Solid` compiles its forms itself. Use such functions here in a `PointwiseLaw`. The
+# releases of that package on PyPI require dolfinx 0.10 or newer, so they cannot be installed with
+# Debian's 0.9, and this demo does not use it.
 
 import argparse
 import sys
@@ -53,11 +71,13 @@ else:
     jax.config.update("jax_enable_x64", True)
 
 AGREEMENT = 1e-12  # of the largest force and stress
-STEPS = 6  # of Newton's method: more than round-off needs in steps of ten yield strains
+STEPS = 6  # of Newton's method: enough for round-off in increments of ten yield strains
 INSTALL = "pip install 'dolfinx_mortar[jax]'"
-GUARD, BAND = 1e-14, 1e-10  # of Y: |xi| is differentiable at 0, what lies on the surface rests
+GUARD, BAND = 1e-14, 1e-10  # of Y: makes |xi| differentiable at 0; tolerance of the yield limit
 
-parser = argparse.ArgumentParser(description="A law of one's own, in UFL, in NumPy and in JAX.")
+parser = argparse.ArgumentParser(
+    description="A material law of your own, in UFL, in NumPy and in JAX."
+)
 parser.add_argument(
     "--versions",
     nargs="+",
@@ -71,15 +91,15 @@ parser.add_argument("--h", type=float, default=0.2, help="element size at the co
 parser.add_argument("--output", type=Path, default=Path("results/own_law"))
 
 
-# ## What all versions share
+# ## What all versions have in common
 #
-# Parameters and what they may be, and what a point remembers. The law splits into a deviator and a
-# trace, which `volumetric="reduced"` asks for.
+# The parameters and their ranges, and the internal variables. The law is the sum of a deviatoric
+# and a volumetric part, which `volumetric="reduced"` requires.
 
 
 @dataclass(frozen=True)
 class Swift:
-    """Von Mises plasticity with Swift's hardening, as far as all versions have it in common."""
+    """Parameters, ranges and state of von Mises plasticity with Swift's hardening."""
 
     E: float
     nu: float
@@ -105,13 +125,14 @@ class Swift:
 
 # ## In UFL
 #
-# With $x = k_0 + k + g$ and $r = c x^n$ a step of Newton's method takes one power. Stress and
-# tangent are written down, so that UFL differentiates no iteration. The potential of the step,
+# With $x = k_0 + k + g$ and $r = c x^n$ an iteration of Newton's method needs a single power.
+# Stress and tangent are written explicitly, so that UFL does not differentiate the iteration. The
+# incremental potential,
 #
 # $$\psi = \tfrac12 (\varepsilon - \varepsilon_p) : C (\varepsilon - \varepsilon_p) - |\xi| g
 # + \mu g^2 + \int_k^{k+g} r,$$
 #
-# is for the line search; its derivative by $g$ vanishes.
+# is used by the line search; its derivative with respect to $g$ vanishes.
 
 
 class SwiftUfl(Swift, dm.Material):
@@ -170,7 +191,7 @@ class SwiftUfl(Swift, dm.Material):
 
 # ## In NumPy
 #
-# The same for all points at once, with loops as one likes; the tangent by hand.
+# The same law for the arrays of all points, with a loop for the iteration and an explicit tangent.
 
 
 class SwiftNumpy(Swift, dm.materials.PointwiseLaw):
@@ -202,10 +223,11 @@ class SwiftNumpy(Swift, dm.materials.PointwiseLaw):
 
 # ## In JAX
 #
-# One point, in the words of the formulas; JAX derives $r'$ and the tangent, and makes functions of
-# all points of it. The step of Newton's method after the loop has the root as its value and the
-# derivative of the implicit function as its own, because the root before is held. Another curve is
-# another `radius`, and nothing else.
+# The law of a single point, written like the formulas; JAX derives $r'$ and the consistent tangent,
+# and vectorises the law over all points. After the loop there is one more iteration of Newton's
+# method. The result of the loop is a constant in it (`stop_gradient`), so that its value is the
+# root and its derivative that of the implicit function. For another hardening curve only `radius`
+# has to be changed.
 
 
 def radius(k, p):
@@ -214,7 +236,7 @@ def radius(k, p):
 
 
 def respond(strain, state, p):
-    """Return the stress at one point, and beside it all that is not to be differentiated."""
+    """Return the stress at one point, and (stress, state) that JAX does not differentiate."""
     ep, k = state["plastic_strain"], state["accumulated_plastic_strain"]
     mu, bulk = p["E"] / (2 * (1 + p["nu"])), p["E"] / (3 * (1 - 2 * p["nu"]))
     trace = jnp.trace(strain)
@@ -250,7 +272,7 @@ class SwiftJax(Swift, dm.materials.PointwiseLaw):
 LAWS = {"ufl": SwiftUfl, "numpy": SwiftNumpy, "jax": SwiftJax}
 
 
-# ## A contact problem
+# ## The contact problem
 #
 # An elastic half disc is pressed into a block of the metal.
 
@@ -286,10 +308,10 @@ def press(law: Swift, options: argparse.Namespace) -> tuple[dm.ContactProblem, l
     return problem, steps
 
 
-# ## What is compared
+# ## Comparison
 #
-# Each version walks all steps by itself. The force on the block, the pressures of its nodes and the
-# stresses at all integration points have to be those of the first version.
+# Each version computes all steps. The force on the block, the pressures at its nodes and the
+# stresses at all integration points are compared with those of the first version.
 
 
 COMPARED = {
@@ -310,11 +332,13 @@ def disagreements(one: dm.ContactProblem, other: dm.ContactProblem) -> dict[str,
 
 
 def assembly_seconds(solid: dm.Solid) -> float:
-    """Return the shortest of five times that the tangent takes, law included."""
+    """Return the shortest of five times of the assembly of the tangent, with the law."""
     K, u, taken = solid.create_matrix(), solid.u.x.array, []
     kept = u.copy()
     for k in range(5):
-        u[:] = (1 + 1e-9 * k) * kept  # what has not changed is not evaluated again
+        u[:] = (
+            1 + 1e-9 * k
+        ) * kept  # changed, since the law is not evaluated again at equal values
         start = time.perf_counter()
         solid.assemble_tangent(K)
         taken.append(time.perf_counter() - start)
@@ -323,14 +347,14 @@ def assembly_seconds(solid: dm.Solid) -> float:
 
 
 def main(options: argparse.Namespace) -> None:
-    """Solve with all versions, compare them, draw what was found."""
+    """Solve with all versions, compare them, draw the results."""
     comm = MPI.COMM_WORLD
     options.output.mkdir(parents=True, exist_ok=True)
     problems, steps, compared = {}, {}, {}
     for name in options.versions:
         law = LAWS[name].from_uniaxial(206_900.0, 0.29, 450.0, 0.005, options.exponent)
         if comm.rank == 0:
-            print(dm.materials.check(law, size=0.03))  # the law against itself, without a mesh
+            print(dm.materials.check(law, size=0.03))  # stress and tangent against differences
         problems[name], steps[name] = press(law, options)
         first = problems[options.versions[0]]
         compared[name] = disagreements(first, problems[name]) | {
@@ -362,7 +386,7 @@ def tell(compared: dict[str, dict], options: argparse.Namespace, last: dict) -> 
 
 # ## Picture
 #
-# The plastic strain below the disc, and the pressures of all versions.
+# The plastic strain below the disc, and the contact pressures of all versions.
 
 
 def draw(path: Path, problems: dict[str, dm.ContactProblem]) -> None:
@@ -385,11 +409,11 @@ def draw(path: Path, problems: dict[str, dm.ContactProblem]) -> None:
 
 
 def check(options: argparse.Namespace) -> None:
-    """End with a message if something cannot be."""
+    """End with a message if an option is invalid."""
     if "jax" in options.versions and jax is None:
         parser.error(f"--versions jax: JAX is missing; {INSTALL}, or leave that version out")
     if options.steps < 1 or not 0.0 < options.exponent <= 1.0:
-        parser.error(f"--steps {options.steps}, --exponent {options.exponent}: 1.., in (0, 1]")
+        parser.error(f"--steps {options.steps}, --exponent {options.exponent}: give 1.. and (0, 1]")
     if not (options.displacement > 0.0 and options.h > 0.0):
         parser.error(f"--displacement {options.displacement}, --h {options.h}: more than 0 each")
 
