@@ -1,21 +1,29 @@
 # SPDX-License-Identifier: MIT
 # ruff: noqa: D100
 
-# # Curved beams that flow and slide over each other until they part
+# # Curved beams that slide over each other
 #
-# A half ring stands on its feet. Another one hangs with its ends from above, touches it, and is
-# dragged over it: both bend far beyond yield, the upper one slides over the lower one, snaps past
-# its crown, and parts from it. This demo shows how to
+# Finite plasticity with large sliding and loss of contact. This demo shows how to
 #
-# - take a law of small strain to finite strain: `dm.VonMises` as it is, with the logarithm of the
-#   elastic stretch,
-# - follow contact that comes, slides over whole bodies and goes, with friction or without,
-# - read the energy that plastic flow has dissipated.
+# - use a small-strain law at finite strain: `dm.VonMises` applied to the logarithmic elastic
+#   strain,
+# - follow contact that closes, slides over whole bodies and opens, with or without friction,
+# - read the energy dissipated by plastic flow.
 #
-# The problem is that of Yang, Laursen and Meng (2005), in plane strain, with E = 689.56 MPa,
-# Poisson's ratio 0.32, a yield stress of 31 MPa and isotropic hardening of 261.2 MPa. Its reactions
-# have been published by Neto and others (2016) for friction coefficients of 0, 0.3 and 0.6.
+# **Problem.** Yang, Laursen and Meng (2005), plane strain. A half ring stands on its feet. A second
+# one, whose ends are held from above, touches it and is dragged over it by 31.5 mm. Both bend far
+# beyond yield; the upper beam slides over the lower one, snaps past its crown and separates from
+# it. $E$ = 689.56 MPa, Poisson's ratio 0.32, yield stress 31 MPa, isotropic hardening of 261.2 MPa.
 # Units: mm, MPa, N per mm.
+#
+# **Picture.** The reactions of the lower feet over the motion, beside published values; the von
+# Mises stress at the largest vertical reaction, and the plastic strain at the end.
+#
+# **Compare with.** Neto and others (2016) published the reactions for friction coefficients of 0,
+# 0.3 and 0.6 (`literature.py`; table below).
+#
+# **Options to try.** `--friction 0.3` and `--friction 0.6`. `--along 100` halves the length of the
+# cells, `--slave upper` exchanges slave and master side.
 
 import argparse
 import logging
@@ -32,7 +40,9 @@ from dolfinx import fem
 
 SIDES = {"lower": ("lower_arc", "upper_arc"), "upper": ("upper_arc", "lower_arc")}
 
-parser = argparse.ArgumentParser(description="Curved beams that flow and slide over each other.")
+parser = argparse.ArgumentParser(
+    description="Elasto-plastic curved beams that slide over each other."
+)
 parser.add_argument("--along", type=int, default=50, help="number of cells along a beam")
 parser.add_argument("--across", type=int, default=5, help="number of cells across")
 parser.add_argument("--friction", type=float, default=0.0, help="coefficient")
@@ -47,8 +57,9 @@ def main(options: argparse.Namespace) -> None:
     """Drag the upper beam, write results and pictures."""
     # ## Bodies
     #
-    # Plastic flow keeps the volume; with "reduced" cells of first order can do so. Where hardening
-    # is isotropic alone, the law holds for any strain.
+    # Plastic flow keeps the volume; cells of first order do so in the mean with
+    # `volumetric="reduced"`. Where hardening is purely isotropic, the law at finite strain is valid
+    # for strains of any size.
 
     mesh, cell_tags, facet_tags = half_rings(MPI.COMM_WORLD, options.along, options.across)
     V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
@@ -83,8 +94,9 @@ def main(options: argparse.Namespace) -> None:
 
     # ## Results
     #
-    # Reactions of the lower feet in N/mm at motions of 5, 15 and 25 mm, and the largest one
-    # upwards; of this program (50 x 5 cells, 63 steps), and of Neto and others on such a mesh.
+    # Horizontal and vertical reaction of the lower feet in N/mm at motions of 5, 15 and 25 mm, and
+    # the largest vertical reaction: of this program (50 x 5 cells, 63 steps), and of Neto and
+    # others on such a mesh.
     #
     # | friction | | 5 mm | 15 mm | 25 mm | largest | Newton iterations |
     # |---|---|---|---|---|---|---|
@@ -95,14 +107,15 @@ def main(options: argparse.Namespace) -> None:
     # | 0.6 | computed | -15.48, 8.49 | -24.05, 19.70 | -27.56, 33.55 | 46.12 | 308 |
     # | | Neto | -15.23, 8.42 | -23.83, 19.57 | -27.63, 33.26 | 45.63 | |
     #
-    # In the end the ends have done 84.9 N mm/mm of work without friction, 67 are dissipated and 20
-    # stored in what stays bent; the 2.3 % between come of sliding over corners of the facets
-    # (0.6 % with `--along 100`).
+    # Without friction the held ends have done a work of 84.9 N mm/mm at the end of the motion. Of
+    # this, 67 are dissipated and 20 are stored in the beams, which remain bent. The difference of
+    # 2.3 % is due to sliding over the corners between facets (0.6 % with `--along 100`).
     #
-    # No step is cut. Beyond their largest value forces fall by several N/mm in each mm, so that a
-    # crown that is passed 0.1 mm later changes them by 3 %. With `--along 100` forces are lower by
-    # up to 4 % (without friction -7.79, 28.47 at 15 mm, and 34.48 at most); with 0.3 they are
-    # -4.76, 37.04 at 25 mm, and -4.83, 37.09 with the upper beam as slave.
+    # No step is cut. Beyond their largest value the forces fall by several N/mm in each mm: if the
+    # crown is passed 0.1 mm later, they change by 3 %. With `--along 100` forces are lower by up to
+    # 4 % (without friction -7.79, 28.47 at 15 mm, and a largest one of 34.48). With a friction
+    # coefficient of 0.3 they are then -4.76, 37.04 at 25 mm, and -4.83, 37.09 with the upper beam
+    # as slave.
 
     dm.write_summary(options.output / "summary.json", problem, rows, options=vars(options))
     if mesh.comm.rank == 0:

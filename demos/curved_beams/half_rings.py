@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The mesh of the demo: a half ring that stands, and one that hangs and touches it."""
+"""The mesh of the demo: a standing half ring, and a hanging one that touches it."""
 
 from __future__ import annotations
 
