@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
 
-# # Glue two meshes
+# # Tie two meshes
 #
-# Two blocks whose meshes do not match are glued and pulled at the top. With rollers on the left and
-# on the bottom the pair must strain as one piece, a patch test. In plane strain, under a traction
-# $t$,
+# Two blocks with non-matching meshes are tied and pulled at the top by a traction $t$, in plane
+# strain. With rollers on the left and at the bottom, the strain is uniform; this is a patch test:
 #
 # $$u_x = -\nu (1 + \nu) \frac{t}{E} x, \qquad u_y = (1 - \nu^2) \frac{t}{E} y.$$
 
@@ -17,7 +16,8 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 
-# Gmsh draws both on rank 0. Without `fragment` each has nodes of its own where they touch.
+# Gmsh meshes both blocks on rank 0. Without `fragment` each block has its own nodes on the common
+# line.
 
 if MPI.COMM_WORLD.rank == 0:
     gmsh.initialize()

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 
-# # Press a disc
+# # Press a disc on a block
 #
 # Half a disc of steel, radius 8 mm, is pressed 0.03 mm into a block of steel, in plane strain. Both
-# are elastic, so that Hertz' formulas hold: for the force $F$ per depth, the effective modulus
-# $E^* = E / (2 (1 - \nu^2))$ and the radius $R$, the half-width and the peak of the pressure are
+# are elastic, so that Hertz' formulas apply: with the force $F$ per unit depth, the effective
+# modulus $E^* = E / (2 (1 - \nu^2))$ and the radius $R$, half-width and peak pressure are
 #
 # $$b = \sqrt{4 F R / (\pi E^*)}, \qquad p_0 = 2 F / (\pi b).$$
 
@@ -24,8 +24,8 @@ u = fem.Function(V, name="displacement")
 E, nu, radius = 206_900.0, 0.29, 8.0  # MPa, -, mm
 solid = dm.Solid(u, dm.Elastic(E=E, nu=nu), bodies)
 
-# The bottom is held, the flat of the disc goes down: a table gives the value of `push` for every
-# load level.
+# The bottom of the block is held, the flat face of the disc is moved down. A table gives the value
+# of `push` at every load level.
 
 push = fem.Constant(mesh, (0.0, 0.0))
 bottom, flat = (fem.locate_dofs_topological(V, 1, sides.find(name)) for name in ("bottom", "flat"))
@@ -37,7 +37,7 @@ problem = dm.ContactProblem(solid, [contact], bcs=bcs)
 for step in dm.load_steps(problem, [0.01, 0.02, 0.03], ramp={push: table}):
     print(f"{step.time:.2f} mm: {contact.force[1]:.0f} N/mm")
 
-# The pressures of all slave nodes, on every rank, beside Hertz' for the same force.
+# The pressures of all slave nodes, on every rank, are compared with Hertz' for the same force.
 
 nodes = contact.gather(u)
 hertz = dm.analytic.hertz_line(-contact.force[1], radius, E, nu, E, nu)

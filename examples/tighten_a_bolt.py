@@ -2,10 +2,10 @@
 
 # # Tighten a bolt
 #
-# A bolt is tightened in a housing, then its head is pulled. Bodies of revolution: `x[0]` is the
-# radius, `x[1]` the axis. A tie with a jump closes the cut between shank and housing. As long as
-# the head presses on the housing, with a force $F_c$, the bolt carries $F_b = F_c + W$ and feels
-# little of the pull $W$; once the joint is open, it carries all of it.
+# A bolt is preloaded in a housing, then its head is pulled. Axisymmetric: `x[0]` is the radius,
+# `x[1]` the axis. A tie with a jump connects shank and housing. While the head presses on the
+# housing, with a force $F_c$, the bolt force is $F_b = F_c + W$ and changes little with the pull
+# $W$. Once the joint is open, the bolt force is the pull.
 
 from mpi4py import MPI
 
