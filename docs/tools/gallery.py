@@ -42,20 +42,20 @@ class Demo:
 EXAMPLES = [
     Demo(
         "press_a_disc",
-        "Contact: a table of loads, the force, and the pressure beside Hertz'.",
+        "Contact: a load table, the contact force, and the pressure beside Hertz'.",
         {"press_a_disc.png": "Contact pressure along the top of the block."},
         example=True,
     ),
     Demo(
         "glue_two_meshes",
-        "A tie: two meshes that do not match strain as one piece, to round-off.",
+        "Mesh tying: two non-matching meshes pass the patch test to round-off.",
         {"glue_two_meshes.png": "The two meshes, with the names of their sides."},
         example=True,
     ),
     Demo(
         "tighten_a_bolt",
-        "A preload: the bolt feels little of a pull until the joint opens.",
-        {"tighten_a_bolt.png": "Von Mises stress in the half section, the joint open."},
+        "Preload: the bolt force hardly changes under a pull until the joint opens.",
+        {"tighten_a_bolt.png": "Von Mises stress in the half section; the joint is open."},
         example=True,
     ),
 ]
@@ -63,16 +63,16 @@ EXAMPLES = [
 DEMOS = [
     Demo(
         "hertz",
-        "The paper's benchmark in plane strain: contact, plasticity, load steps, Hertz.",
+        "The paper's benchmark in plane strain: contact of elasto-plastic bodies, beside Hertz.",
         {
             "fig7_von_mises_zoom.png": "Von Mises stress at the contact.",
             "pressure.png": "Contact pressure beside that of Hertz for the same force.",
-            "fig2_mesh.png": "The mesh of the paper's size.",
+            "fig2_mesh.png": "The mesh, of the same size as the paper's.",
             "fig3_hardening.png": "Hardening, the norm of the back stress.",
         },
         ("--steps", "4"),
-        others="The picture of the first page and of the README is that of the graded mesh, "
-        "`--mesh graded`, whose numbers differ; the program below makes one step.",
+        others="The picture of the first page and of the README was computed on the graded mesh, "
+        "`--mesh graded`, whose numbers differ. By default the program makes one step.",
     ),
     Demo(
         "sphere",
@@ -84,98 +84,98 @@ DEMOS = [
         },
         ("--h", "0.2"),
         "sphere.xdmf",
-        others="The mesh is a coarse one, for speed; the script's own default is `--h 0.125`, "
-        "whose force and pressure are nearer to those of other pages.",
+        others="The mesh is coarse, to save time. The default of the program is `--h 0.125`; force "
+        "and pressure are then closer to those of other pages.",
     ),
     Demo(
         "ball_joint",
-        "Sides that fit closely, on coarse meshes: with facets the force is that of the mesh.",
-        {"pressure.png": "Pressure on the ball, first two meshes, facets and smooth surfaces."},
+        "Closely fitting sides on coarse meshes: gaps between facets and smooth surfaces.",
+        {"pressure.png": "Pressure on the ball, two meshes, with facets and smooth surfaces."},
     ),
     Demo(
         "tied_cylinder",
-        "Mesh tying: glued on meshes that do not match, the tube flows at the load of one piece.",
-        {"limit.png": "Pressure against the growth of the bore, and plastic strain."},
+        "Mesh tying: a tube of two tied rings reaches the limit load of a single body.",
+        {"limit.png": "Pressure over the growth of the bore, with the limit load; plastic strain."},
     ),
     Demo(
         "bolted_tee",
         "A bolted T-stub in 3D: preload, contact of flanges, prying forces, yielding.",
         {
-            "result.png": "Forces beside the modes of EN 1993-1-8; plastic strain in the section.",
+            "result.png": "Forces, resistances of EN 1993-1-8; plastic strain in the section.",
             "pull.gif": "The pull, step by step.",
         },
     ),
     Demo(
         "indentation",
-        "Bodies of revolution: a ball is flattened, far beyond first yield.",
-        {"result.png": "Forces and contact radii beside the fits of others; plastic strain."},
+        "Axisymmetric contact: a ball is flattened by a rigid plate, far beyond first yield.",
+        {"result.png": "Forces and areas beside published fits; pressures; plastic strain."},
     ),
     Demo(
         "hardness",
-        "Rigid tools: a cone, a ball and a pyramid are pressed into a metal, as instruments do.",
-        {"result.png": "Force over depth with the slope of unloading; the metal piles up."},
+        "Rigid tools: instrumented indentation of a metal by a cone, a ball and a pyramid.",
+        {"result.png": "Force over depth, slope of unloading; the surface with pile-up."},
         ("--tool", "cone", "ball", "berkovich"),
     ),
     Demo(
         "deep_drawing",
-        "Rigid tools, one of them driven by a force: a cup is drawn from a sheet.",
-        {"result.png": "Force of the punch beside Siebel's estimate; the cup between its tools."},
+        "Rigid tools, one of them driven by a force: deep drawing of a cup.",
+        {"result.png": "Force of the punch beside Siebel's estimate; von Mises stress in the cup."},
     ),
     Demo(
         "own_law",
-        "A law that the package lacks, in UFL, in NumPy, and in JAX, which derives its tangent.",
+        "A material law of your own, in UFL, in NumPy, and in JAX, which derives its tangent.",
         {"own_law.png": "Plastic strain below the disc, and the pressures of all versions."},
         ("--versions", "ufl", "numpy", "jax"),
     ),
     Demo(
         "cattaneo",
-        "Friction: a disc is pushed back and forth; the middle of its contact sticks, edges slip.",
-        {"result.png": "Shear tractions, stick zone and loop of the force, beside Cattaneo."},
+        "Friction: partial slip of a disc that is pushed back and forth, beside Cattaneo.",
+        {"result.png": "Shear tractions, stick zone and force over displacement, beside Cattaneo."},
     ),
     Demo(
         "shrink_fit",
-        "A hub is shrunk on a shaft, which friction alone holds until it is pulled out.",
-        {"result.png": "Pressure and friction along the shaft, and the pull over its motion."},
+        "Interference fit: friction holds a shaft in a hub until it is pulled out.",
+        {"result.png": "Pressure and shear traction along the shaft; the pulling force."},
     ),
     Demo(
         "ironing",
-        "Finite strain: a tool is pressed into a soft block and dragged along it, with friction.",
+        "Finite strain: shallow ironing, large sliding of a tool over a block with friction.",
         {
-            "result.png": "Forces beside those of six programs; Cauchy's stress half way along.",
-            "ironing.gif": "Down and along, step by step.",
+            "result.png": "Forces beside those of six programs; von Mises stress half way along.",
+            "ironing.gif": "The motion of the tool, step by step.",
         },
     ),
     Demo(
         "rubber",
-        "Rubber that keeps its volume: a cylinder is pressed between plates to half its height.",
+        "Nearly incompressible rubber: a cylinder is pressed between rigid plates.",
         {
-            "result.png": "Force beside Sussman and Bathe's; Cauchy's stress in the cylinder.",
+            "result.png": "Force beside Sussman and Bathe's; von Mises stress in the cylinder.",
             "rubber.gif": "The approach of the plates, step by step.",
         },
     ),
     Demo(
         "newtons_cradle",
-        "Dynamics: three rods hit each other, the last one leaves with all of the energy.",
-        {"result.png": "Velocities, forces beside Saint-Venant's, and the ledger of energies."},
+        "Dynamics: impact of three elastic rods; the last one leaves with all of the energy.",
+        {"result.png": "Velocities, forces beside Saint-Venant's, ledger of energies."},
     ),
     Demo(
         "bouncing_rings",
-        "Dynamics: a ring hits another one, both go on ringing; where the energy is.",
-        {"result.png": "Velocities, the oval that rings, and the ledger of energies."},
+        "Dynamics: collision of two rings, and the energy of their vibrations.",
+        {"result.png": "Velocities, width of the second ring, and the ledger of energies."},
     ),
     Demo(
         "taylor_bar",
-        "Dynamics and finite plasticity: copper hits a wall at 227 m/s; where its energy goes.",
+        "Dynamics and finite plasticity: a copper bar hits a wall at 227 m/s.",
         {
-            "result.png": "Plastic strain; radius and length beside other codes'; the ledger.",
+            "result.png": "Plastic strain; radius, length beside other codes; ledger of energies.",
             "taylor_bar.gif": "The 80 microseconds of the impact.",
         },
     ),
     Demo(
         "curved_beams",
-        "Finite plasticity: a half ring is dragged over another one until they part.",
+        "Finite plasticity: a half ring is dragged over another one until they separate.",
         {
-            "result.png": "Reactions beside those of others; stress, and plastic strain at last.",
+            "result.png": "Reactions beside published ones; von Mises stress; plastic strain.",
             "curved_beams.gif": "The motion, step by step.",
         },
     ),
