@@ -5,7 +5,7 @@
 # A bolt is preloaded in a housing, then its head is pulled. Axisymmetric: `x[0]` is the radius,
 # `x[1]` the axis. A tie with a jump connects shank and housing. While the head presses on the
 # housing, with a force $F_c$, the bolt force is $F_b = F_c + W$ and changes little with the pull
-# $W$. Once the joint is open, the bolt force is the pull.
+# $W$. Once the joint is open, the bolt force is the pull. Units: mm, MPa, N.
 
 from mpi4py import MPI
 
