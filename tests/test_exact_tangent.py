@@ -158,7 +158,7 @@ def test_corrections_of_a_node_that_opens_and_closes_in_turns_lie_between():
 
     Free, at x = 0.5, it is 3.0, beyond the gap of 2.5: the node is closed, at x = 0.4, v = 2.1.
     With v = 0 the QP leaves it open and v becomes 2.5, with that it closes it and v becomes 0.5,
-    with which it would be open again: the secant of both, which change v by 2.5 and -2, goes on.
+    with which it is open again, and v would be 2.5.
     """
     A = PETSc.Mat().createDense((1, 1), array=np.ones(1), comm=COMM)
     A.assemble()
@@ -169,13 +169,12 @@ def test_corrections_of_a_node_that_opens_and_closes_in_turns_lie_between():
     balance = SimpleNamespace(bounds=bounds, limits=None)
     lin = Linearisation(BoundQP(A, b, lower, upper, dofs), balance, A.getDiagonal(), geometry)
     corrections = Corrections()
-    for closed in (False, True):
+    for closed in (False, True, False):
         x.array[:] = min(0.5, lin.qp.upper.array_r[0])
         assert (x.array_r[0] < 0.5) == closed
         solved = SimpleNamespace(x=x, active=np.array([closed], dtype=np.int8))
         lin, _ = corrections.apply(lin, solved)
-    v = (2.0 * 2.5 + 2.5 * 0.5) / 4.5
-    assert lin.qp.upper.array_r[0] == pytest.approx(2.5 - v, rel=1e-12)
+    assert 0.5 < 2.5 - lin.qp.upper.array_r[0] < 2.4
 
 
 def test_a_tangent_without_solution_gives_way_to_the_fixed_point(monkeypatch):

@@ -17,7 +17,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator, OperatorOfBases, as_aij
-from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Actives, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, equalities, join
@@ -211,14 +211,16 @@ class Corrections:
     """The parts v of gap rows that T_g neglects, as they are at the solution of the QP with v.
 
     They are some per cent of the rows, and a continuous function of v, affine while the active set
-    stays: few corrections suffice, with Anderson's mixing also where a mode of them grows by each,
-    or where a node opens with the one v and closes with the next.
+    stays: few corrections suffice, with Anderson's mixing also where a mode of them grows by each.
+    A new set begins it anew, but not one that comes back, as where a node opens with one v and
+    closes with the next.
     """
 
     def __init__(self) -> None:
         """Begin with v = 0."""
         self.given: Floats | None = None  # v of the last QP, (n,)
-        self.weight: Floats | None = None  # (n,) stiffness where a bound has acted, 0 elsewhere
+        self.sets: list[Actives] = []  # active sets of the solutions
+        self.weights: list[Floats] = []  # (n,) stiffness where a bound acts in them, 0 elsewhere
         self.found: list[Floats] = []  # v at the solutions
         self.changes: list[Floats] = []  # by which they differ from the v of their QPs
 
@@ -246,10 +248,14 @@ class Corrections:
         weight[acting] = np.abs(lin.diagonal.array_r[acting])
         largest = float(maximum(comm, np.abs(weight * change).max(initial=0.0))[0])
 
-        self.weight = weight if self.weight is None else np.maximum(self.weight, weight)
+        self.sets.append(solved.active.copy())
+        self.weights.append(weight)
         self.found.append(found)
         self.changes.append(change)
-        given = self.given = least_change(comm, self.found, self.changes, self.weight)
+        others = any_rank(comm, *(not np.array_equal(one, solved.active) for one in self.sets))
+        since = list(others).index(False)  # the first of this set
+        mixed = self.found[since:], self.changes[since:], np.max(self.weights[since:], axis=0)
+        given = self.given = least_change(comm, *mixed)
 
         upper = lin.qp.upper.copy()
         upper.array[dofs] = np.minimum(bounds.upper - given[dofs], PETSc.INFINITY)
