@@ -174,7 +174,8 @@ def linearise_all(
 ) -> Linearisation:
     """Assemble the QP of the exact tangent, that of the moving surfaces included; collective.
 
-    Its K^ = T^T (K + H) T_g is not symmetric, see `interfaces.moving_geometry`.
+    Its K^ = T^T (K + H) T_g is not symmetric, see `interfaces.moving_geometry`, and H has the
+    antisymmetric parts of terms without a potential, too.
 
     Args:
         problem: the problem, in the geometry of the balance, at the present u.
@@ -193,6 +194,8 @@ def linearise_all(
     if tangent or not problem.K.isAssembled():
         with problem.timings("assembly"):
             problem.terms.assemble_tangent(problem.K, pressure)
+    with problem.timings("assembly"):
+        found = replace(found, forces=[*found.forces, *problem.terms.skews()])
     with problem.timings("transform"):
         T = problem.system.transformation
         assert T is not None

@@ -67,6 +67,13 @@ class Term(ABC):
     def add_tangent(self, K: PETSc.Mat) -> None:
         """Add K_ij, symmetric, with ``K.setValues(.., addv=True)``, on the pattern that K has."""
 
+    def skew(self) -> PETSc.Mat | None:
+        """Return the antisymmetric part of dF/du, if there is one; collective.
+
+        `add_tangent` leaves it out. Tangents of moving surfaces, not symmetric either, take it.
+        """
+        return None
+
     def meet(self, contact: Bools, body: Ints) -> None:
         """Learn where the bodies may meet others, when a problem is made; collective.
 

@@ -34,8 +34,9 @@ class Pressure(WeakForm):
     Its tangent is the symmetric part of dF/du. On a closed surface, or one whose edges are held or
     slide in planes through the origin, it is symmetric: p then has the potential p V, V the volume
     that the surface bounds, and Newton's method is quadratic and has its line search. Else whole
-    steps are made and converge linearly, at a rate of about p over the moduli. Dead loads, whose
-    direction and area are those at X, are the argument ``loads`` of the problem.
+    steps are made and converge linearly, at a rate of about p over the moduli, but for the end of
+    steps in which contact is closed: tangents of moving surfaces have the antisymmetric part, too.
+    Dead loads, whose direction and area are those at X, are the argument ``loads`` of the problem.
 
     In plane stress cof F is that of the plane times the stretch through the thickness, which the
     law finds at the integration points; on the edge it is continued from the adjacent cell by its
@@ -100,6 +101,7 @@ class Pressure(WeakForm):
             share = 2 if solid.kinematics.radius is None and d == 2 else 3  # div x
             volume = ufl.inner(traction, place) / share * ds
             self._energy = fem.form(weighted(volume, solid))
+            self._asymmetric = None
 
     def add_forces(self, F: PETSc.Vec) -> None:
         """Add the forces, at the present thickness; collective."""
@@ -110,6 +112,11 @@ class Pressure(WeakForm):
         """Add the tangent, at the present thickness; collective."""
         self._follow()
         super().add_tangent(K)
+
+    def skew(self) -> PETSc.Mat | None:
+        """Return the antisymmetric part at the present thickness, None if closed; collective."""
+        self._follow()
+        return super().skew()
 
     def _follow(self) -> None:
         if self._thickness is not None:

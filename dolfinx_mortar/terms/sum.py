@@ -33,6 +33,7 @@ CALLED_WITH = {  # the arguments of what a term may define
     "energy": (),
     "add_forces": ("F",),
     "add_tangent": ("K",),
+    "skew": (),
     "begin": ("start", "end"),
     "commit": (),
     "roll_back": (),
@@ -170,6 +171,11 @@ class Terms:
             raise ValueError(
                 f"{self._of_users}: add_tangent gives NaN or infinity at the present u"
             )
+
+    def skews(self) -> list[PETSc.Mat]:
+        """Return the antisymmetric parts of tangents, always of the same terms; collective."""
+        found = [self._ask(f"{n}: skew()", term, term.skew) for n, term in self.named]
+        return [A for A in found if A is not None]
 
     @property
     def _of_users(self) -> str:

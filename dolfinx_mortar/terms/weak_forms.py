@@ -12,6 +12,7 @@ axisymmetric.
 """
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 from petsc4py import PETSc
@@ -20,6 +21,7 @@ import numpy as np
 
 import ufl
 from dolfinx import fem
+from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.solid.solid import Solid
@@ -86,7 +88,8 @@ class WeakForm(Term):
 
     With ``energy`` forces and tangent are its first and second derivative. With ``residual``, a
     linear form R(u; v), the forces are R(u; phi_i) and the tangent is the symmetric part of dR/du:
-    Newton stays quadratic if R has a potential, and converges linearly otherwise.
+    Newton stays quadratic if R has a potential, and converges linearly otherwise, except where
+    contact has the exact tangent, which is not symmetric in any case and takes the rest of dR/du.
 
     Subclasses keep a state: Functions in the form that `commit` sets, Constants that `begin` sets
     (see the guide).
@@ -115,7 +118,9 @@ class WeakForm(Term):
         forces = ufl.derivative(form, u, ufl.TestFunction(V)) if residual is None else form
         du = ufl.TrialFunction(V)
         tangent = expand_derivatives(ufl.derivative(forces, u, du))
+        self._asymmetric: ufl.Form | None = None
         if residual is not None and not tangent.empty():
+            self._asymmetric = tangent
             tangent = expand_derivatives(0.5 * (tangent + ufl.adjoint(tangent)))
         self.u = u
         self.linear = u not in tangent.coefficients()
@@ -141,6 +146,25 @@ class WeakForm(Term):
         """Add the second derivative; collective."""
         if self._tangent is not None:
             self._tangent.add_to(K)
+
+    def skew(self) -> PETSc.Mat | None:
+        """Return the antisymmetric part of dR/du; valid until the next call; collective."""
+        if self._skew is None:
+            return None
+        form, A = self._skew
+        A.zeroEntries()
+        form.add_to(A)
+        A.assemble()
+        return A
+
+    @cached_property
+    def _skew(self) -> tuple[MatrixForm, PETSc.Mat] | None:
+        """Its form and its matrix; few problems need it."""
+        if self._asymmetric is None:
+            return None
+        half = 0.5 * (self._asymmetric - ufl.adjoint(self._asymmetric))
+        form = fem.form(expand_derivatives(half))
+        return MatrixForm(form), fem_petsc.create_matrix(form)
 
 
 def check_loads(u: fem.Function, loads: Any) -> None:
