@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-r"""A block of hexahedra that hardly changes its volume is bent into a sector of a ring.
+r"""A block that hardly changes its volume is bent into a sector of a ring.
 
 Rivlin's problem in plane strain (R. S. Rivlin, Proc. R. Soc. Lond. A 195 (1949) 463-473): planes
 x = const of an incompressible block, 0 <= x <= t, become circles, and y = const rays,
@@ -10,6 +10,10 @@ With the difference D = sigma_angle - sigma_r, which the law gives as a function
 along r and free faces are int D / r dr = 0, which yields r_1, and the moment per width is
 
     M = int sigma_angle r dr = 1/2 int D r dr = 1/(2 c) int_0^t D dx.
+
+There is no force, so that M is the same about any point. Cells leave some force, and the centre of
+the circles is an arm of 1/c away: about it a force of 2 % of the plastic one made 90 % of the
+moment of a metal. So moments are taken about the middle of the section.
 
 Laws that flow have D at each x after the whole path of c. Directions of strain turn with the body,
 so that each fibre is a problem of its own, in logarithmic strains.
@@ -91,6 +95,7 @@ def bent(
     n=(4, 8, 1),
     degree=1,
     *,
+    cell="hexahedron",
     volumetric="reduced",
     end=0.5,
     steps=5,
@@ -99,7 +104,7 @@ def bent(
     """Bend half of a block; return moments over exact ones, error of u, iterations of each step."""
     law, fibres = case[0], case[1]()
     corners = [(0.0, 0.0, 0.0), (THICKNESS, HALF, WIDTH)]
-    domain = mesh.create_box(COMM, corners, n, mesh.CellType.hexahedron)
+    domain = mesh.create_box(COMM, corners, n, mesh.CellType[cell])
     V = fem.functionspace(domain, ("Lagrange", degree, (3,)))
     u, exact = fem.Function(V), fem.Function(V)
 
@@ -136,6 +141,8 @@ def bent(
         own = at_end[at_end < r.local_size // 3]
         x, F = V.tabulate_dof_coordinates()[own], r.array.reshape(-1, 3)[own]
         x = x + u.x.array.reshape(-1, 3)[own] + [fibres.r1, 0.0, 0.0]
+        middle, angle = np.sqrt(fibres.r1**2 + THICKNESS / c), c * HALF
+        x = x - middle * np.array([np.cos(angle), np.sin(angle), 0.0])
         moment = COMM.allreduce(float(np.sum(x[:, 0] * F[:, 1] - x[:, 1] * F[:, 0])), op=MPI.SUM)
         ratios.append(moment / WIDTH / fibres.moment)
     off = COMM.allreduce(float(np.abs(u.x.array - exact.x.array).max()), op=MPI.MAX)
@@ -155,29 +162,37 @@ def check(found, ratio, off, most=6):
     ids=["neo", "mooney", "ogden"],
 )
 def test_rubber_does_not_lock(case):
-    """Four cells across the thickness, K/mu = 5000: 2 to 4 % as is usual; by multigrid."""
-    check(bent(case), 0.042, 2.5e-3)
+    """Four cells across the thickness, K/mu = 5000: 1.6 to 2.6 %; by multigrid."""
+    check(bent(case), 0.0265, 2.5e-3)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", [NEO, MOONEY, STRETCHED], ids=["neo", "mooney", "ogden"])
 def test_what_is_missing_is_of_second_order(case):
-    check(bent(case, n=(8, 16, 1)), 0.042 / 3.9, 2.5e-3 / 3.9)
+    check(bent(case, n=(8, 16, 1)), 0.0265 / 3.9, 2.5e-3 / 3.9)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", [NEO, STRETCHED], ids=["neo", "ogden"])
 def test_second_order_does_not_lock(case):
     """Two cells across the thickness."""
-    check(bent(case, n=(2, 4, 1), degree=2), 1.5e-3, 5e-4)
+    check(bent(case, n=(2, 4, 1), degree=2), 1.1e-3, 5e-4)
+
+
+@pytest.mark.slow
+def test_tetrahedra_of_second_order_converge():
+    """With a constant volume ratio in each: the order of hexahedra of degree 1, 3 times the error.
+
+    The displacement's error falls by 2.8.
+    """
+    for n, ratio, off in (((2, 4, 1), 0.063, 0.017), ((4, 8, 1), 0.063 / 3.9, 0.017 / 2.7)):
+        check(bent(NEO, n, degree=2, cell="tetrahedron"), ratio, off)
 
 
 @pytest.mark.slow
 def test_metal_does_not_lock():
-    """In plastic flow, which changes no volume either; the first steps are partly elastic."""
-    ratios, error, iterations = bent(METAL)
-    assert np.abs(ratios[-2:] - 1).max() < 0.025 and error < 2e-3
-    assert max(iterations) <= 6
+    """In plastic flow, which changes no volume either; the middle of the section is elastic."""
+    check(bent(METAL), 0.028, 2e-3)
 
 
 def test_without_mean_volumes_it_locks():

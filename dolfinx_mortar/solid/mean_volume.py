@@ -20,7 +20,10 @@ see `cell_functions`: with M = int N N^T, B_ka = int N_k dJ/du_a, S = int U''(j)
     psi_vol = int U(j),  j = N^T M^-1 int N J,  p = N^T M^-1 int N U'(j),  B^T M^-1 S M^-1 B.
 
 Triangles and tetrahedra of second order have constants: with N they would have one pressure for
-each two displacements, which locks.
+each two displacements, which locks. (Smallest singular values of B, in the norms of strains and
+pressures: constants on triangles .53 on any mesh; linear ones 0. Constants on tetrahedra cut out of
+cubes fall with h, .40 to .20 with 2 to 5 cubes along an edge, so that pressures alternate; those of
+hexahedra of first order do, too.)
 
 Where U'' is far above the other moduli, Newton's method on u alone takes many short steps: after
 one that changes shears by e, j is wrong by e^2, and p by U'' e^2, which makes the next tangent
