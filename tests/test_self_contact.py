@@ -211,12 +211,14 @@ def test_balances_are_over_the_sum_of_nodal_forces():
     problem, own = fold.problem, fold.contact
     assert own.resultants is not None and fold.active > 0
     x = problem.positions().array_r.reshape(problem.n, -1)
-    none = np.zeros(3)
+    links, length, none = problem.system.links, problem.system.facet_length, np.zeros(3)
+    balances = _balances(links, x, length)
+    assert _balances(links, x + 100.0, length) == pytest.approx(balances, rel=1e-9)
     own.resultants = replace(
         own.resultants, force=none[:2], moment=none, master_force=none[:2] + 1e-20,
         master_moment=none + 1e-20,
     )  # fmt: skip
-    assert max(_balances(problem.system.links, x, problem.system.facet_length)) < 1e-12
+    assert max(_balances(links, x, length)) < 1e-12
 
 
 def test_moments_lack_what_turns_the_normals_and_nothing_else():

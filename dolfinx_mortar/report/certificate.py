@@ -8,7 +8,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum, ratio
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import TINY, Floats
 from dolfinx_mortar.interfaces.coupling import along_and_across, relative_motions
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.near import nodal_gaps
@@ -50,7 +50,8 @@ def operator_errors(link: Link, X: Floats, facet_length: float) -> tuple[float, 
 def _balances(links: Sequence[Link], x: Floats, facet_length: float) -> tuple[float, float]:
     """Return the largest relative imbalances of forces and moments between the two sides.
 
-    The resultants of a surface that meets itself may cancel; there the sums of nodal sizes count.
+    The resultants of a surface that meets itself may cancel; there the sums of nodal sizes count,
+    with arms from the middle of the forces, wherever the origin is.
 
     Args:
         x: (owned nodes, d) coordinates.
@@ -61,10 +62,11 @@ def _balances(links: Sequence[Link], x: Floats, facet_length: float) -> tuple[fl
         i = link.interface
         scale, arm = np.linalg.norm(i.force), np.linalg.norm(i.moment)
         if i.meets_itself:
-            size = np.abs(i.multiplier) * link.coupling.weight[:, 0]
-            arms = np.linalg.norm(x[link.nodes], axis=1)
-            own = np.array([size.sum(), (size * arms).sum()])
-            scale, arm = link.sides.V.mesh.comm.allreduce(own, op=MPI.SUM)
+            size, comm = np.abs(i.multiplier) * link.coupling.weight[:, 0], link.sides.V.mesh.comm
+            total = comm.allreduce(np.append(size @ x[link.nodes], size.sum()))
+            scale, middle = total[-1], total[:-1] / np.maximum(total[-1], TINY)
+            arms = np.linalg.norm(x[link.nodes] - middle, axis=1)
+            arm = comm.allreduce(float(size @ arms))
         arm += scale * facet_length
         force = max(force, ratio(np.linalg.norm(i.force + i.master_force), scale))
         moment = max(moment, ratio(np.linalg.norm(i.moment + i.master_moment), arm))
