@@ -104,8 +104,14 @@ class EnergyLedger:
                 ("dissipated", "friction", "damping", "loads", "supports", "contact", "defect"), 0.0
             )
             last = Ledger(
-                initial=total, kinetic=kinetic, stored=stored or 0.0, largest=total, **zeros
+                initial=total,
+                kinetic=kinetic,
+                stored=stored or 0.0,
+                largest=total,
+                impulses=[None] * len(problem.interfaces),
+                **zeros,
             )
+        self._told = len(last.impulses) == len(problem.interfaces)  # or said that they are unknown
         self._acting = self._resultants()
         self.last, self._potential = last, stored
         self._before: Ends | None = None
@@ -125,7 +131,7 @@ class EnergyLedger:
         ]
 
     def _impulses(self, restored: float) -> list[list[float] | None]:
-        """Return those of the contacts until the end of the step.
+        """Return those of the contacts until the end of the step; nothing where they are unknown.
 
         Args:
             restored: time for which the sum of the forces at its start and end has restored the
@@ -133,7 +139,9 @@ class EnergyLedger:
         """
         before, self._acting = self._acting, self._resultants()
         time = 0.5 * self.inertia.start.dt + restored
-        sums = self.last.impulses or [None] * len(before)
+        sums = self.last.impulses
+        if len(sums) != len(before):  # of a checkpoint that has none
+            return []
         return [
             None
             if start is None or end is None
@@ -288,6 +296,12 @@ class EnergyLedger:
         self.last = report.ledger = _balanced(ledger)
         if report.certificate is not None:
             report.certificate = replace(report.certificate, energy_defect=self.last.defect)
+        if not self._told:
+            report.notes.append(
+                "Ledger.impulses stays empty: what contacts gave before this step is not in the "
+                "checkpoint, which is of an earlier version; start the motion anew for it"
+            )
+            self._told = True
         left = float(ratio(left, self.last.largest))
         if abs(left) > report.rtol:
             report.notes.append(_not_restored(left, unsolved=unsolved))
