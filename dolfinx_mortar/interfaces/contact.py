@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 
@@ -28,11 +29,13 @@ from dolfinx.mesh import MeshTags
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, upper_bounds
 from dolfinx_mortar.interfaces.coulomb import FrictionLaw, Limit, create_law
-from dolfinx_mortar.interfaces.coupling import Frame, normal_frames
+from dolfinx_mortar.interfaces.coupling import CoupledSides, Frame, normal_frames
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface, NoResult
 from dolfinx_mortar.interfaces.mortar_interface import MortarInterface
 from dolfinx_mortar.interfaces.nodal import check_mesh
+from dolfinx_mortar.mortar.edges import facing_edges
 from dolfinx_mortar.mortar.operators import SmoothSides
+from dolfinx_mortar.mortar.surface import accumulate, mean_facet_length
 
 # A slave normal of which Dirichlet data, or the motion of surfaces, leave less than this share of
 # its length has no direction in which contact could act: what is left is more than 60 degrees off.
@@ -352,3 +355,29 @@ class Contact(Unilateral, MortarInterface):
     def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:
         """Return the argument by which heights of smooth surfaces correct the gap."""
         return {"heights_of": smooth}
+
+    def in_corners(self, link: CoupledSides, x: PETSc.Vec) -> str:
+        """Say where an edge or a corner of the master presses on slave facets; collective.
+
+        The gap there is a mean over both of its flanks, and changes by their slopes where it moves
+        along the side: what friction moves it by may change the force by more than that.
+        """
+        if self.meets_itself:  # which part is the slave is not for the user to say
+            return ""
+        pairing, operators = link.mortar
+        slave, comm = link.sides.slave, link.sides.V.mesh.comm
+        near = np.zeros(len(slave.nodes))
+        gaps = np.abs(link.gaps(x)) <= mean_facet_length(slave)
+        near[: slave.owned] = link.coupling.kept[:, 0] & gaps
+        faced = facing_edges(pairing, operators.segments, self.feature_angle)
+        found = faced & (accumulate(slave, near) > 0)[slave.facets].any(axis=1)
+        places = slave.X[slave.facets[found][:1]].mean(axis=1)
+        told = [place for part in comm.allgather(places.tolist()) for place in part]
+        if not told:
+            return ""
+        where = ", ".join(f"{c:.3g}" for c in told[0])
+        return (
+            f"{self!r}: around ({where}) an edge or a corner of the master presses on facets of "
+            "the slave side, over which its gap is a mean, so that Newton's method need not "
+            "converge, not even in small steps: exchange slave and master"
+        )

@@ -355,7 +355,7 @@ class Interface(ABC):
         return None
 
     def in_corners(self, link: CoupledSides, x: PETSc.Vec) -> str:
-        """Say where a tool has no one normal, for steps that fail at x = X + u; collective."""
+        """Say where corners have no one normal, for steps that fail at x = X + u; collective."""
         return ""
 
     # -- what steps read and find ----------------------------------------------------------------

@@ -102,6 +102,30 @@ def find_edges(surface: Surface, feature_angle: float) -> Bools | None:
     return edges if any_rank(surface.V.mesh.comm, edges.any())[0] else None
 
 
+def facing_edges(pairing: Pairing, segments: Segments, feature_angle: float) -> Bools:
+    """Return the slave facets (m,) that convex edges or corners of the master face; collective.
+
+    On more than `SUNK` of what such a facet faces, the normal of the master is turned from the mean
+    there by more than half of the feature angle, and normals point apart. At X.
+
+    Args:
+        feature_angle: Degrees between facets from which on they meet in an edge.
+    """
+    on, count, w = segments.slave, len(pairing.slave.facets), segments.weight
+    received = received_facets(pairing, None)
+    n = facet_normals(received)[segments.master]
+    x = points_of(received, segments.master, segments.xi_m)
+    whole = np.maximum(np.bincount(on, w, count), TINY)
+    middle, mean = (
+        np.stack([np.bincount(on, w * part, count) for part in v.T], axis=1) / whole[:, None]
+        for v in (x, n)
+    )
+    turned = (n * unit(mean)[on]).sum(axis=1) < np.cos(np.radians(feature_angle / 2))
+    apart = ((x - middle[on]) * (n - mean[on])).sum(axis=1)
+    convex = np.bincount(on, w * apart, count) > 0.0
+    return np.asarray(convex & (np.bincount(on, w * turned, count) > SUNK * whole))
+
+
 def edge_normals(
     pairing: Pairing,
     segments: Segments,

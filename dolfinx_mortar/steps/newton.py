@@ -319,7 +319,7 @@ class _Step:
         raise self.told(end, iterate)
 
     def told(self, error: failures.StepFailed, last: Iterate) -> failures.StepFailed:
-        """Return the error with causes that tools may be; collective.
+        """Return the error with causes that tools and corners may be; collective.
 
         These are a motion that hardly anything resists, and corners without a normal.
         """
