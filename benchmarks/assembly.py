@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""What residuals and tangents of bodies cost, over those of the plain law in plain kinematics.
+"""Cost of residuals and tangents of bodies, relative to the plain law in plain kinematics.
 
 Run with ``containers/run python3 benchmarks/assembly.py [--cells 40000] [--rounds 7] [--output
-FILE]``. One block, partly plastic; all solids on one mesh and in one space, with the same
-integration points. They are measured in turns, and the least processor time of each counts, so that
-the ratios of one run mean something.
+FILE]``. The body is one block, partly plastic. All solids use the same mesh, space and integration
+points. They are measured in turns, and the least processor time of each solid counts, so that the
+ratios of one run can be compared.
 """
 
 import argparse
@@ -29,7 +29,7 @@ ELASTIC, VOCE = dm.Elastic(E, NU), dm.VonMisesVoce(E, NU, Y, A, 500.0, 200.0, 20
 DRUCKER_PRAGER, MIXED = dm.DruckerPrager(E, NU, Y, 0.3), dm.VonMises(E, NU, Y, A, H=5_000.0)
 EIGEN, FINITE = {"eigenstrain": 1e-4}, {"strain": "finite"}
 RUBBER = dm.MooneyRivlin(E / 12, E / 12, E)
-# name: law, options of Solid; first what the others of this law are compared with
+# name: law, options of Solid; the first entry of a law is the reference of the others
 PLANE = {
     "von Mises": (PLAIN, {}),
     "reduced": (PLAIN, {"volumetric": "reduced"}),
@@ -71,14 +71,16 @@ def create_space(cell: str, degree: int, cells: int) -> fem.FunctionSpace:
 
 
 def create_tasks(V: fem.FunctionSpace, law: Any, options: Any) -> list[Callable[[], None]]:
-    """Return what assembles residual and tangent of a solid, part of which flows."""
+    """Return functions that assemble residual and tangent of a partly plastic solid."""
     u = fem.Function(V)
     u.interpolate(lambda x: 4e-3 * np.array([x[1] * x[0], -0.3 * x[0] ** 2, 0 * x[0]][: len(u)]))
     solid = dm.Solid(u, law, **options)
     K, r = solid.create_matrix(), u.x.petsc_vec.copy()
 
     def residual() -> None:
-        u.x.array[:] *= 1.0 + 1e-9  # as in a step: pointwise laws look whether anything is new
+        u.x.array[:] *= (
+            1.0 + 1e-9
+        )  # pointwise laws are evaluated only if the displacement has changed
         solid.assemble_residual(r)
 
     return [residual, lambda: solid.assemble_tangent(K)]
@@ -97,7 +99,7 @@ def measure(
     }
     tasks = {name: create_tasks(V, law, given) for name, (law, given) in chosen.items()}
     least = {name: [np.inf, np.inf] for name in tasks}
-    for turn in range(rounds + 1):  # the first one is for the caches
+    for turn in range(rounds + 1):  # the first round fills the caches
         for name, both in tasks.items():
             for i, task in enumerate(both):
                 begin = process_time()
@@ -118,7 +120,9 @@ def measure(
 def main() -> None:
     """Measure all kinds on all cells."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cells", type=int, default=40_000, help="a quarter in space")
+    parser.add_argument(
+        "--cells", type=int, default=40_000, help="number of cells; a quarter of it in 3D"
+    )
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--output", type=Path)
     options = parser.parse_args()

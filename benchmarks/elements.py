@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Which element? The plastic Hertz problem with each: error of the force against unknowns and time.
+"""Error of the force in the plastic Hertz problem over unknowns and time, for all element types.
 
 Run with ``containers/run python3 benchmarks/elements.py [--output DIR]``. The paper's problem at
-d = 0.2 mm in one step, on graded meshes. Errors are against second-order triangles on a mesh finer
-than all others; times are those of a second solve, without compilation, so that the ratios of one
-run count. Writes elements.json and elements.png.
+d = 0.2 mm in one step, on graded meshes. The reference of the errors is a mesh of second-order
+triangles, finer than all others. Times are those of a second solve, without compilation; compare
+them within one run only. Writes elements.json and elements.png.
 """
 
 import argparse

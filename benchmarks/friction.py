@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""What friction costs: steps of Hertz' contacts with it over that of pressing without.
+"""Cost of friction: steps of Hertz' contacts with friction over the step of pressing without it.
 
 Run with ``containers/run python3 benchmarks/friction.py [--rounds 3] [--output FILE]``. A disc (2D)
 and a quarter of a ball (3D) are pressed on a block and then pushed sideways by a part of the depth,
-which without friction would move them and no more.
-Processes of their own for the memory, problems made anew for every round, in turns; the least
-processor time of each counts, after a first round that compiles.
+which without friction would only move them. Memory is measured in separate processes. Problems are
+created anew for every round, in turns; the least processor time of each counts, after a first round
+that compiles.
 """
 
 import argparse

@@ -5,8 +5,9 @@ Run with ``containers/run python3 benchmarks/ironing_3d.py [--tool ball] [--n 1 
 or with ``mpirun``. A rubber tool of radius 1, ten times as stiff as the block, goes down by 0.2 and
 then along by 1.5 diameters in 20 steps. One row per mesh: Newton and linear iterations a step, cut
 steps, wall-clock seconds of the slowest rank, forces while it slides, which hardly depend on the
-mesh, and without friction the drag, which is that of facets and of the ends of the block. The ends
-of the cylinder and the sides of its block slide in two planes, so that it is in plane strain.
+mesh, and without friction the horizontal force, which is due to facets and to the ends of the
+block. The ends of the cylinder and the sides of its block slide in two planes, so that the problem
+is one of plane strain.
 """
 
 import argparse

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""What a bound-constrained QP costs in factorisations: a block under a rigid parabolic obstacle.
+"""Factorisations in a bound-constrained QP: a block under a rigid parabolic obstacle.
 
 Run with ``containers/run python3 benchmarks/qp_reuse.py [--cells 50 158 316] [--output FILE]``. One
-table row per mesh: the plain factorisation and solve that everything is measured in, then the QP
-from nothing, then again for a tangent that has changed by a few per cent.
+table row per mesh: the plain factorisation and solve, which are the units of all ratios; the QP
+without a previous solution; the QP again, for a tangent that has changed by a few per cent.
 """
 
 import argparse

@@ -3,11 +3,11 @@
 
 Run with ``containers/run python3 benchmarks/scaling_3d.py [--ranks 1 2 4] [--h 0.125] [--weak]
 [--output FILE]``; it starts ``mpirun`` itself.
-The quarter ball is pressed elasto-plastically in one step. Weak: as many unknowns per rank
-as the first row has. Strong: one mesh on one and two ranks, CPU time beside the clock, because a
-rank that waits for its turn is not slow. Messages, bytes and reductions are PETSc's (matrices,
-vectors, multigrid), per rank; what the search sends is counted apart: slave cones that every rank
-gathers, and master facets that travel to a rank.
+The elasto-plastic quarter ball is pressed in one step. Weak scaling: the number of unknowns per
+rank is that of the first row. Strong scaling: one mesh on one and two ranks, with processor time
+and elapsed time, which differ where a rank waits for a core. Messages, bytes and reductions are
+PETSc's (matrices, vectors, multigrid), per rank. The data that the search sends are counted
+separately: slave cones, which every rank gathers, and master facets, which are sent to a rank.
 """
 
 import argparse

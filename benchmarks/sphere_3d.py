@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Contact in 3D on the quarter ball: what a step costs, and that iterations do not grow with 1/h.
+"""Cost of a contact step in 3D on the quarter ball, and its iterations, which do not grow with 1/h.
 
 Run with ``containers/run python3 benchmarks/sphere_3d.py [--h 0.125 ...] [--output FILE]``, or with
-``mpirun``. One row per mesh: the contact step from nothing, with frozen and with updated geometry,
-against the same model with the interface tied; ten elastic steps against the first of them; an
-elasto-plastic step against its Newton iterations; seconds per part, memory. Times are wall-clock of
-the slowest rank, ratios are of one run; the first mesh is solved twice so that no compilation is
-measured.
+``mpirun``. One row per mesh: the first contact step, with frozen and with updated geometry,
+relative to the same model with a tied interface; ten elastic steps relative to the first of them;
+an elasto-plastic step relative to its Newton iterations; seconds per part, memory. Times are
+elapsed times of the slowest rank; compare ratios within one run. The first mesh is solved twice, so
+that no compilation is measured.
 """
 
 import argparse
