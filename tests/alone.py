@@ -20,30 +20,31 @@ WORKER = "PYTEST_XDIST_WORKER"  # set by pytest-xdist
 
 
 class Machine:
-    """Two locks: a room, and its door, which is shut while somebody wants or has the room alone."""
+    """Two locks: of the machine, and of the queue, held by who waits for or has it alone."""
 
     def __init__(self, folder: Path) -> None:
         """Open the files of the locks."""
-        self.door, self.room = ((folder / name).open("a") for name in ("door", "room"))
+        names = ("queue", "machine")
+        self.queue, self.machine = ((folder / name).open("a") for name in names)
 
     @contextmanager
     def shared(self) -> Iterator[None]:
         """Run beside others that share it, when nobody waits to have it alone."""
-        with _locked(self.door, fcntl.LOCK_SH):
+        with _locked(self.queue, fcntl.LOCK_SH):
             pass
-        with _locked(self.room, fcntl.LOCK_SH):
+        with _locked(self.machine, fcntl.LOCK_SH):
             yield
 
     @contextmanager
     def alone(self) -> Iterator[None]:
         """Within `shared`: wait for the others to end their tests, and keep them from the next."""
-        fcntl.flock(self.room, fcntl.LOCK_UN)
-        with _locked(self.door, fcntl.LOCK_EX):
-            fcntl.flock(self.room, fcntl.LOCK_EX)
+        fcntl.flock(self.machine, fcntl.LOCK_UN)
+        with _locked(self.queue, fcntl.LOCK_EX):
+            fcntl.flock(self.machine, fcntl.LOCK_EX)
             try:
                 yield
             finally:
-                fcntl.flock(self.room, fcntl.LOCK_SH)
+                fcntl.flock(self.machine, fcntl.LOCK_SH)
 
 
 @contextmanager

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Spaces, vectors and operators of one interface, for the tests of the mortar room."""
+"""Spaces, vectors and operators of one interface, for the tests of `dolfinx_mortar.mortar`."""
 
 import numpy as np
 

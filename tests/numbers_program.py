@@ -35,10 +35,10 @@ from tests.surfaces import assemble, grid, joined, ring
 from tests.test_mortar import bend
 from tests.test_mortar_3d import curved
 
-ROOMS = [
-    import_module(f"dolfinx_mortar.{floor}.{file.stem}")
-    for floor in ("geometry", "mortar")
-    for file in sorted(Path(import_module(f"dolfinx_mortar.{floor}").__path__[0]).glob("[!_]*.py"))
+MODULES = [
+    import_module(f"dolfinx_mortar.{layer}.{file.stem}")
+    for layer in ("geometry", "mortar")
+    for file in sorted(Path(import_module(f"dolfinx_mortar.{layer}").__path__[0]).glob("[!_]*.py"))
 ]
 
 
@@ -62,11 +62,11 @@ def numbers():
     A private number belongs to its module, whatever others call by the same name.
     """
     found = {}
-    for room in ROOMS:
-        for name, value in vars(room).items():
+    for module in MODULES:
+        for name, value in vars(module).items():
             table = isinstance(value, dict) and all(isinstance(v, float) for v in value.values())
             if name.strip("_").isupper() and (isinstance(value, int | float) or table):
-                own = f"{room.__name__.split('.')[-1]}." if name.startswith("_") else ""
+                own = f"{module.__name__.split('.')[-1]}." if name.startswith("_") else ""
                 found[own + name] = value
     return found
 
@@ -74,9 +74,9 @@ def numbers():
 def replace(label, value):
     """Set a number wherever it is known."""
     own, _, name = label.rpartition(".")
-    for room in ROOMS:
-        if name in vars(room) and room.__name__.endswith(own):
-            setattr(room, name, value)
+    for module in MODULES:
+        if name in vars(module) and module.__name__.endswith(own):
+            setattr(module, name, value)
     area._rules.cache_clear()
 
 

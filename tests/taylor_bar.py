@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Taylor's bar: copper at 227 m/s against a wall without friction, to three times its foot's area.
+"""Taylor's bar: a copper cylinder that hits a wall without friction at 227 m/s.
 
 Length 32.4, radius 3.2 mm, 8930 kg/m^3, E = 117 GPa, nu = .35, yield stress 400 MPa and isotropic
 hardening of 100 MPa, 80 us. The wall of that benchmark holds the foot: u_z = 0.

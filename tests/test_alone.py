@@ -59,7 +59,7 @@ def test_workers_share_the_machine_during_each_test():
     if machine is not None:
         other = Machine(Path(os.environ[alone.FOLDER]))
         with pytest.raises(BlockingIOError):
-            fcntl.flock(other.room, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(other.machine, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 @pytest.mark.parametrize("ranks", [1, 2])

@@ -45,7 +45,7 @@ def tool(name):
 def resolve(name):
     """Return what a dotted name stands for; AttributeError if there is none."""
     parts = name.split(".")
-    for k in range(1, len(parts) + 1):  # a room and a function may share a name
+    for k in range(1, len(parts) + 1):  # a sub-package and a function may share a name
         try:
             found = importlib.import_module(".".join(parts[:k]))
             return functools.reduce(getattr, parts[k:], found)
@@ -132,8 +132,8 @@ def test_no_program_of_the_pages_escapes():
 
 def public():
     """Return the full names of all that is public."""
-    rooms = [dm, dm.analytic, dm.materials, dm.meshing, dm.plotting, dm.shapes]
-    return {id(getattr(room, n)): f"{room.__name__}.{n}" for room in rooms for n in room.__all__}
+    modules = [dm, dm.analytic, dm.materials, dm.meshing, dm.plotting, dm.shapes]
+    return {id(getattr(m, n)): f"{m.__name__}.{n}" for m in modules for n in m.__all__}
 
 
 def called_by_users():

@@ -302,7 +302,7 @@ def test_types_told_from_counts_are_found():
     assert list(counts(ast.parse(text))) == text.split("; ")[:4]
 
 
-@pytest.mark.parametrize("floor", ["geometry", "mortar", "interfaces"])
-def test_no_type_is_told_from_a_number_of_nodes(floor):
-    for file in sorted((PACKAGE / floor).glob("*.py")):
+@pytest.mark.parametrize("layer", ["geometry", "mortar", "interfaces"])
+def test_no_type_is_told_from_a_number_of_nodes(layer):
+    for file in sorted((PACKAGE / layer).glob("*.py")):
         assert not list(counts(ast.parse(file.read_text()))), file

@@ -65,8 +65,8 @@ pytestmark = pytest.mark.serial
 
 
 def test_no_number_is_left_out():
-    floors = ("materials", "solid", "analytic")
-    for file in (file for floor in floors for file in (PACKAGE / floor).glob("*.py")):
+    layers = ("materials", "solid", "analytic")
+    for file in (file for layer in layers for file in (PACKAGE / layer).glob("*.py")):
         module = ".".join(file.relative_to(PACKAGE).with_suffix("").parts)
         if module not in OTHERS:
             assert set(numbers_in(file)) - TABLES == set(NUMBERS.get(module, ())), module

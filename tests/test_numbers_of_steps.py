@@ -24,7 +24,7 @@ from tests.pressed_blocks import PressedBlocks
 from tests.sweep.problems import create
 
 COMM = MPI.COMM_WORLD
-FLOORS = (
+LAYERS = (
     "supports",
     "audit",
     "persistence",
@@ -84,9 +84,9 @@ def numbers_in(file):
 
 
 def test_no_number_is_left_out():
-    for floor in FLOORS:
-        for file in sorted((PACKAGE / floor).glob("*.py")):
-            module = f"{floor}.{file.stem}"
+    for layer in LAYERS:
+        for file in sorted((PACKAGE / layer).glob("*.py")):
+            module = f"{layer}.{file.stem}"
             if module not in OTHERS:
                 assert set(numbers_in(file)) == set(NUMBERS.get(module, ())), module
 
@@ -159,9 +159,9 @@ def set_everywhere(monkeypatch, module, name, factor):
         changed = {key: factor * number for key, number in value.items()}
     else:
         changed = type(value)(factor * value)
-    for known, room in list(sys.modules.items()):
-        if known.startswith("dolfinx_mortar") and vars(room).get(name) is value:
-            monkeypatch.setattr(room, name, changed)
+    for known, imported in list(sys.modules.items()):
+        if known.startswith("dolfinx_mortar") and vars(imported).get(name) is value:
+            monkeypatch.setattr(imported, name, changed)
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The floors of the house: which way imports point (ARCHITECTURE.md)."""
+"""The layers of the package and the imports between them (ARCHITECTURE.md)."""
 
 import ast
 import functools
@@ -13,7 +13,7 @@ import dolfinx_mortar
 
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 
-# Floor -> the floors it may import; those of OPEN are open to all.
+# Layer -> the layers it may import; every layer may import the modules of OPEN.
 BELOW = {
     "algebra": set(),
     "geometry": set(),
@@ -55,8 +55,8 @@ OPEN = {
     *("agreement", "arguments", "arrays", "compat", "disk", "kernels", "spaces"),
     *("step_report", "tags"),
 }
-BELOW |= {room: set() for room in OPEN}  # what all may import imports nothing but the like
-FOREIGN = {  # libraries that a floor must not know
+BELOW |= {module: set() for module in OPEN}  # they import only each other
+FOREIGN = {  # libraries that a layer must not import
     "geometry": {"dolfinx", "petsc4py", "mpi4py", "ufl"},
     "algebra": {"dolfinx", "ufl", "basix"},
     "qp": {"dolfinx", "ufl", "basix"},
@@ -82,8 +82,8 @@ def imported(file):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-def floors():
-    """Return (file, its floor, the floors it imports, the libraries it imports)."""
+def layers():
+    """Return (file, its layer, the layers it imports, the libraries it imports)."""
     found = []
     for file in sorted(PACKAGE.rglob("*.py")):
         parts = file.relative_to(PACKAGE).with_suffix("").parts
@@ -96,30 +96,30 @@ def floors():
 
 
 def test_no_two_modules_share_a_name():
-    """A room may have a module of its own name."""
-    rooms = [p.parent.name for p in PACKAGE.rglob("__init__.py") if p.parent != PACKAGE]
+    """A sub-package may have a module of its own name."""
+    packages = [p.parent.name for p in PACKAGE.rglob("__init__.py") if p.parent != PACKAGE]
     modules = [p for p in PACKAGE.rglob("*.py") if p.stem not in ("__init__", p.parent.name)]
-    names = rooms + [p.stem for p in modules]
+    names = packages + [p.stem for p in modules]
     assert sorted(names) == sorted(set(names))
 
 
 def test_imports_point_down():
     wrong = {
-        str(file.relative_to(PACKAGE)): sorted(ours - BELOW[floor])
-        for file, floor, ours, _ in floors()
-        if ours - BELOW[floor]
+        str(file.relative_to(PACKAGE)): sorted(ours - BELOW[layer])
+        for file, layer, ours, _ in layers()
+        if ours - BELOW[layer]
     }
     assert not wrong
 
 
-def test_floors_form_no_circle():
+def test_layers_form_no_cycle():
     TopologicalSorter(BELOW).prepare()
     with pytest.raises(CycleError):
         TopologicalSorter(BELOW | {"algebra": {"steps"}}).prepare()
 
 
-def test_modules_form_no_circle():
-    """Within a floor, too, and not for types either."""
+def test_modules_form_no_cycle():
+    """Also within a layer, and also in imports for types only."""
     files = [f for f in PACKAGE.rglob("*.py") if f.stem != "__init__"]
     modules = {".".join(f.relative_to(PACKAGE.parent).with_suffix("").parts): f for f in files}
     graph = {}
@@ -139,19 +139,19 @@ def test_modules_with_a_cache_have_one_name():
     assert [str(f) for f in files if short.search(f.read_text())] == []
 
 
-def test_floors_know_no_more_than_they_must():
+def test_layers_import_no_foreign_library():
     wrong = {
-        str(file.relative_to(PACKAGE)): sorted(libraries & FOREIGN.get(floor, set()))
-        for file, floor, _, libraries in floors()
-        if libraries & FOREIGN.get(floor, set())
+        str(file.relative_to(PACKAGE)): sorted(libraries & FOREIGN.get(layer, set()))
+        for file, layer, _, libraries in layers()
+        if libraries & FOREIGN.get(layer, set())
     }
     assert not wrong
 
 
-def test_every_floor_says_what_it_is_for():
-    for floor in BELOW:
-        if (PACKAGE / floor).is_dir():
-            assert ast.get_docstring(nodes(PACKAGE / floor / "__init__.py")[0])
+def test_every_layer_has_a_docstring():
+    for layer in BELOW:
+        if (PACKAGE / layer).is_dir():
+            assert ast.get_docstring(nodes(PACKAGE / layer / "__init__.py")[0])
 
 
 def creations(file):
@@ -164,14 +164,14 @@ def creations(file):
 
 
 def test_objects_of_petsc_name_their_communicator():
-    """By default it is that of the world: a problem on fewer ranks waits for all others."""
+    """The default is the world: a problem on fewer ranks would wait for all other ranks."""
     made = [text for file in PACKAGE.rglob("*.py") for text in creations(file)]
     assert len(made) > 20
     of_arguments = "createDiagonal"  # takes that of its vector
     assert [t for t in made if "comm" not in t.lower() and of_arguments not in t] == []
 
 
-# Named numbers that decide nothing: formats of files, capabilities, codes of other programs.
+# Named numbers without influence on results: file formats, capabilities, error codes.
 FORMATS = """
     FORMAT HEAD INDEX HEADER RECORD CELLS GMSH_OPTIONS TOPOLOGY KINDS WORKSPACE_ERRORS MEMORY_ERRORS
     OUT_OF_MEMORY OUT_OF_RANGE HIGHEST HIGHEST_RULE
@@ -188,7 +188,7 @@ TAGS = "LOOSE TIGHT FACE EDGE POINT".split()
 
 
 def test_named_numbers_are_few():
-    """At most seventy that are no format, size, table or tag; those that decide have tests."""
+    """At most seventy that are no format, size, table or tag; those have tests of their own."""
     names = [
         (file.stem, name.id)
         for file in PACKAGE.rglob("*.py")
@@ -202,7 +202,7 @@ def test_named_numbers_are_few():
 
 
 def assigned_numbers(node):
-    """Return the constants that a statement of a module makes of numbers written there."""
+    """Return the names of constants that a statement of a module assigns numbers to."""
     if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
         return []
     numbers = [
@@ -216,7 +216,7 @@ def assigned_numbers(node):
 
 
 def test_classes_have_few_attributes():
-    """At most twelve on self: more belong to several subjects."""
+    """At most twelve attributes on self: a class with more has more than one subject."""
     kinds = [
         kind
         for file in PACKAGE.rglob("*.py")
