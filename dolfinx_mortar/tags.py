@@ -44,7 +44,9 @@ class Tags(mesh.MeshTags):
             raise ValueError(f"names is {names!r}: give a dictionary, name -> tag.")
         for name, tag in names.items():
             if not isinstance(name, str) or not name or not is_integer(tag):
-                raise ValueError(f"names: {name!r} -> {tag!r} is no text and its tag, an integer.")
+                raise ValueError(
+                    f"names: {name!r} -> {tag!r}: give a text and its tag, an integer."
+                )
             check_tag(f"names: {name!r}", tag)
         super().__init__(tags._cpp_object)
         self.names: Mapping[str, int] = MappingProxyType(

@@ -218,7 +218,7 @@ def test_results_that_belong_to_another_problem(good, folder):
     press = Press()
     dm.ContactProblem(press.problem.solid, [press.contact], bcs=press.problem.bcs)
     for action, file in ((press.problem.save, folder / "x.h5"), (press.problem.restore, good)):
-        with rejected("belongs to a problem made later", "give each its own"):
+        with rejected("is also in a problem that was made later", "for each problem"):
             action(file)
 
 

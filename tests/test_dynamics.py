@@ -560,7 +560,7 @@ def test_the_mass_is_that_of_the_problem_made_last():
     """Where nodes have no mass depends on the contacts: a problem without any has it everywhere."""
     case = Blocks(velocity=(0.0, -1.0))
     dm.ContactProblem(case.solid, terms=[case.inertia])
-    with rejected("problem made later", "other contacts", "make an Inertia for each"):
+    with rejected("in a problem that was made later", "other contacts", "make an Inertia for each"):
         next(dm.time_steps(case.problem, [0.1]))
 
 

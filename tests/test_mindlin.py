@@ -64,7 +64,7 @@ def test_a_loop_dissipates_what_it_encloses(share):
     [
         (0.0, NU, 1.0, "friction = "),
         (MU, 0.5, 1.0, "nu = "),
-        (MU, NU, 1.01 * LIMIT, "all slides"),
+        (MU, NU, 1.01 * LIMIT, "the whole contact slides"),
         (MU, NU, (0.5 * LIMIT, -0.6 * LIMIT), "closes a loop"),
         (MU, NU, "1", "force = "),
     ],

@@ -502,7 +502,7 @@ def test_where_a_tool_cannot_be():
     assert "no slave node carries a multiplier" in note and "Plane" in note
     case, tool = obstacle(shape=dm.shapes.Plane([0.0, -20.0], [0.0, -1.0]))
     problem = case.problem([tool])
-    with rejected("Obstacle", "20 deep", "turn it round"):
+    with rejected("Obstacle", "20 deep", "reverse it"):
         problem.audit()
     case = Block(n=8)
     tool = case.tool(dm.shapes.Cylinder([0.0, 1.0], 5.0))

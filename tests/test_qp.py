@@ -170,14 +170,14 @@ def test_a_body_held_by_its_bounds_alone(backend: str) -> None:
 
 
 def test_a_body_pulled_away_is_an_error() -> None:
-    with pytest.raises(QPNotSolved, match=r"float away|held by nothing"):
+    with pytest.raises(QPNotSolved, match=r"moves away|nothing holds a body"):
         solve(membrane(6, held=False, force=-1.0))
 
 
 def test_a_body_held_by_nothing_is_an_error() -> None:
     qp = membrane(8, held=False, force=1.0)
     qp.upper.set(PETSc.INFINITY)
-    with pytest.raises(QPNotSolved, match="held by nothing"):
+    with pytest.raises(QPNotSolved, match="nothing holds a body"):
         solve(replace(qp, bounded=np.zeros(0, dtype=np.int32)))
 
 

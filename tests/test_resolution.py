@@ -22,7 +22,10 @@ COMM = MPI.COMM_WORLD
 
 def said(report):
     """Return the number of nodes in the note on too few, if there is one."""
-    found = [re.search(r"largest pressure is that of (\d+) nodes", note) for note in report.notes]
+    found = [
+        re.search(r"largest pressure is not resolved: its patch has (\d+) nodes", note)
+        for note in report.notes
+    ]
     return [int(match[1]) for match in found if match]
 
 

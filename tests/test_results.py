@@ -80,7 +80,7 @@ def test_nothing_is_shown_of_an_interface_that_another_problem_has(tmp_path):
         lambda: first.save(folder / "first.h5"),
         lambda: list(dm.load_steps(first, [1.0])),
     ):
-        with rejected("belongs to a problem made later", "give each its own Contact"):
+        with rejected("is also in a problem that was made later", "make a Contact for each"):
             show()
     writer.close()
     assert (folder / "first.xdmf").read_text() == written

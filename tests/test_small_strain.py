@@ -254,7 +254,7 @@ def test_a_free_body_may_turn_a_little():
 
 def small_no_more(report):
     """Return the notes on points where strain or rotation is not small."""
-    return [note for note in report.notes if "are not small" in note]
+    return [note for note in report.notes if "no longer small" in note]
 
 
 @pytest.mark.parametrize(("degrees", "noted"), [(2.5, False), (6.0, True)])

@@ -176,11 +176,13 @@ def legs_of(
             share > before + HALF_OF_DIGITS
         ):  # a force that closes a loop may exceed its range by so much
             raise ValueError(
-                f"force = {force!r}: {Q:g} is beyond friction * P = {limit:g}, where all slides, "
-                "or closes a loop: leave out the forces inside loops that are closed."
+                f"force = {force!r}: {Q:g} exceeds friction * P = {limit:g}, at which the whole "
+                "contact slides, or closes a loop: leave out the forces inside closed loops."
             )
     if any(later * before > 0.0 for before, later in pairwise(weights)):
-        raise ValueError(f"force = {force!r} must turn at each of its values but the last.")
+        raise ValueError(
+            f"force = {force!r} must change its direction at every value except the last."
+        )
     return path, weights, tuple(min(share, 1.0) for share in shares)
 
 

@@ -81,8 +81,8 @@ def shrink_fit(
     numeric = sizes.dtype.kind in "fiu" and sizes.shape == (3,) and np.isfinite(sizes).all()
     if not (numeric and 0.0 < sizes[0] < sizes[1] < sizes[2]):
         raise ValueError(
-            f"radii = {radii!r} must be three growing positive numbers: bore, where they meet, "
-            "outside."
+            f"radii = {radii!r} must be three increasing positive numbers: the radii of the bore, "
+            "of the common surface, and of the outside."
         )
     a, c, b = (float(r) for r in sizes)
     shaft, hub = (float(E1), float(nu1)), (float(E2), float(nu2))

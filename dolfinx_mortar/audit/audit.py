@@ -146,7 +146,9 @@ def create_audit(
     found = [_audit(link, x) for link in links]
     warnings = list(system.notes) + empty
     if by_contact:
-        warnings.append(f"contact alone holds {'; '.join(by_contact)}: the loads must press it on")
+        warnings.append(
+            f"contact alone holds {'; '.join(by_contact)}: the loads must press the sides together"
+        )
     shears = [describe_shear(links[one.number], one.axis) for one in system.pretensions]
     warnings += [shear for shear in shears if shear]
     for link, i in zip(links, found, strict=True):
@@ -235,15 +237,15 @@ def _warnings(i: InterfaceAudit) -> list[str]:
     warnings = []
     if i.kept_nodes == 0 and not i.meets_itself:
         warnings.append(
-            f"{i.name}: no slave node carries a multiplier, so it does nothing; check the "
-            "tags, or let the other side be the slave if this one has Dirichlet data"
+            f"{i.name}: no slave node carries a multiplier, so that the interface has no effect; "
+            "check the tags, or let the other side be the slave if Dirichlet data hold this one"
         )
     if i.reach is not None and i.reach.warning:
         warnings.append(i.reach.warning)
     if i.edges is not None and i.edges.without_normal:
         warnings.append(
-            f"{i.name}: {i.edges.without_normal} nodes have no normal, because facets there look "
-            "away from each other; the facets count there, not the smooth surface"
+            f"{i.name}: {i.edges.without_normal} nodes have no normal, because the normals of "
+            "their facets cancel; the gap there is that of the facets, not of the smooth surface"
         )
     if i.size_ratio > COARSE:
         warnings.append(
@@ -252,11 +254,11 @@ def _warnings(i: InterfaceAudit) -> list[str]:
         )
     if i.facing_away:
         warnings.append(
-            f"{i.name}: {i.facing_away} slave facets turn their back on the master side; "
+            f"{i.name}: {i.facing_away} slave facets face away from the master side; "
             "mark only facets that can touch"
         )
     if i.dirichlet_nodes:
-        remedy = "let the other side be the slave, or prescribe less"
+        remedy = "let the other side be the slave, or prescribe fewer components there"
         if i.unheld is not None:
             remedy = (
                 f"{i.unheld} have no multiplier at all, and the master is not held to them: let "

@@ -281,8 +281,8 @@ def _find(
     told = f". {describe_joined(joined)}" if joined else ""
     if count == 1:
         raise ValueError(
-            "mesh is one connected body: bodies need nodes of their own where they touch; one that "
-            f"touches itself is a Contact with one tag as both sides{told}"
+            "mesh is one connected body: each body needs its own nodes where bodies touch. A body "
+            f"that touches itself needs a Contact whose slave and master are the same tag{told}"
         )
 
     boundary = find_boundary(V)

@@ -616,6 +616,6 @@ def check_owned(interfaces: Iterable[Interface], owner: object) -> None:
     for interface in interfaces:
         if interface.owner is not owner:
             raise ValueError(
-                f"interfaces: {interface} belongs to a problem made later, whose results it shows; "
-                f"give each its own {type(interface).__name__}"
+                f"interfaces: {interface} is also in a problem that was made later, and has the "
+                f"results of that one; make a {type(interface).__name__} for each problem"
             )

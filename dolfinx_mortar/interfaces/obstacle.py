@@ -363,13 +363,13 @@ class Obstacle(Movable, Unilateral):
         where = f"({', '.join(f'{c:.4g}' for c in place)})"
         if shallowest > 0.0:
             raise ValueError(
-                f"{self!r}: where it starts, the tool has all of the side in it, {most:.3g} deep "
-                f"around {where}; the normal of a tool points out of it, towards the body: turn "
-                "it round, or let the tool start beside the body"
+                f"{self!r}: at its start the tool contains the whole side, up to {most:.3g} deep, "
+                f"around {where}; the normal of a tool has to point out of the tool, towards the "
+                "body: reverse it, or let the tool start beside the body"
             )
         return [
-            f"{self!r}: where it starts, the tool lies {most:.3g} deep in the body around {where}, "
-            "more than a facet: the first step has to remove that; let it start beside the body"
+            f"{self!r}: at its start the tool lies {most:.3g} deep in the body around {where}, "
+            "more than a facet, which the first step has to remove: let it start beside the body"
         ]
 
     def in_corners(self, link: CoupledSides, x: PETSc.Vec) -> str:

@@ -181,7 +181,7 @@ class RigidSide(Movable, Interface):
         sides = super().find_sides(V, fixed, weight)
         free = 1 if self.plate.revolved else 0  # on the axis u_r = 0, as on the side
         held = np.asarray(fixed[sides.nodes][:, free:].any(axis=1))
-        self._refuse(sides, held, "Dirichlet conditions hold", "of these")
+        self._refuse(sides, held, "Dirichlet conditions hold", "of the two")
         return sides
 
     def couple(
@@ -194,7 +194,7 @@ class RigidSide(Movable, Interface):
         before: Coupling | None = None,
     ) -> Coupling:
         """Return that all nodes are held in all directions, see `Interface.couple`; collective."""
-        self._refuse(sides, banned[sides.nodes], "an earlier interface has", "to that")
+        self._refuse(sides, banned[sides.nodes], "an earlier interface has", "of the two")
         slave, n, d = sides.slave, len(sides.nodes), sides.fixed.shape[1]
         x = coordinates(slave, u)
         areas = tributary_weights(facets_at(slave, x)).mean(axis=1)  # equal parts, none is zero
@@ -222,8 +222,8 @@ class RigidSide(Movable, Interface):
         count = int(sides.V.mesh.comm.allreduce(int(wrong.sum()), op=MPI.SUM))
         if count:
             raise ValueError(
-                f"{self!r}: {who} {count} of its nodes, but all of them move as it does: leave "
-                f"them to one {whose}"
+                f"{self!r}: {who} {count} of its nodes, but all nodes of a RigidSide move with it: "
+                f"remove one {whose} there"
             )
 
     # -- constraints -----------------------------------------------------------------------------

@@ -276,8 +276,8 @@ def _is_isotropic(name: str, material: Any, state: Any) -> bool:
     tensors = [variable for variable, shape in state.items() if shape and variable != PLASTIC]
     if isotropic and tensors:
         raise ValueError(
-            f"{name}: isotropic is True, but state has the tensor {tensors[0]!r}; what an "
-            f"isotropic law remembers are scalars and {PLASTIC!r}: leave isotropic out."
+            f"{name}: isotropic is True, but state has the tensor {tensors[0]!r}; the state of an "
+            f"isotropic law may have scalars and {PLASTIC!r} only: leave isotropic out."
         )
     return isotropic
 

@@ -368,14 +368,14 @@ def _not_met(drives: Drives, lin: Linearisation, here: _Try) -> str:
     worst = int(np.argmax(np.abs(here.missing) / np.maximum(here.size, TINY)))
     name, _ = _names(drives)[worst]
     remedy = (
-        "take smaller steps, or prescribe the position. With inertia, let them begin where they "
-        "touch: tools have no mass, so that forces move them over a gap in no time"
+        "take smaller steps, or prescribe the position. With inertia, let the tools touch the body "
+        "at the start: tools have no mass, so that forces move them across a gap instantaneously"
     )
     if lin.qp.friction is not None and len(drives.loads) > 1:
         remedy = (
-            "what friction has to carry it can carry only up to its limit, and is not found in the "
-            "step in which a tool is first pressed on: give the force that presses it in an "
-            "earlier step"
+            "friction carries loads along the side up to its limit only, and a step in which the "
+            "tool is first pressed on finds no such equilibrium: give the force that presses it "
+            "in an earlier step"
         )
     return (
         f"the loads of {', '.join(repr(owner) for owner, _ in drives.tools)} are not met in "
@@ -440,17 +440,17 @@ def _unresisted(drives: Drives, lin: Linearisation, which: Floats) -> str:
     if drives.follows[k]:
         remedy = "hold the body against it"
     elif "moment" in name:
-        remedy = "a tool that is round about that axis turns there without friction; take it away"
+        remedy = "a tool that is round about that axis turns freely without friction; leave it out"
     elif sums[0] < -OVERSHOOT * sums[1]:
-        remedy = "it is the force on the tool, which has to press it on the body; turn it round"
+        remedy = "the force on a tool has to press it on the body; change its sign"
     elif sums[0] > OVERSHOOT * sums[1]:
         remedy = "the other motions of the step take the tool off the side; take smaller steps"
     elif lin.qp.friction is None:
         remedy = f"along {name} the side carries nothing without friction; give friction"
     else:
         remedy = (
-            f"along {name} friction carries only what another force presses on; give that force in "
-            "an earlier step"
+            f"along {name} friction carries a load only where another force presses the tool on "
+            "the body; give that force in an earlier step"
         )
     return (
         f"nothing resists the load {name!r} = {drives.loads[k]:g} on {owner!r}: {remedy}, or "
@@ -506,11 +506,11 @@ def _describe_way(owner: Interface, names: Sequence[str], length: Floats) -> str
     turns = ["moment" in name for name in along]
     does, remedy = "moves along the side", "give friction, or prescribe its position"
     if all(turns):
-        does, remedy = "turns", "take the moment away, or prescribe its rotation"
+        does, remedy = "turns", "leave the moment out, or prescribe its rotation"
     elif any(turns):
         does, remedy = "rolls", "prescribe its position or its rotation along that way"
     loads = " and ".join(f"{name!r}" for name in along)
-    return f"hardly anything resists that {owner!r} {does}, by {loads} of its loads: {remedy}"
+    return f"{owner!r} {does} almost without resistance under its loads {loads}: {remedy}"
 
 
 def notes_on_loose_tools(
@@ -532,7 +532,7 @@ def notes_on_loose_tools(
     if not found[0]:
         x = problem.positions().array_r.reshape(problem.n, problem.d)
         found = [_loose_on_a_facet(link, contacts, x) for link in problem.system.links]
-    held = "the facets between its nodes hold it where it is, which a flat side would not"
+    held = "only the facets between its nodes hold it in its place, a flat side would not"
     return [f"{loose}; {held}" for loose in found if loose]
 
 

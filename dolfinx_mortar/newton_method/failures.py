@@ -102,7 +102,7 @@ def _with_loose_motions(problem: ContactProblem, message: str) -> str:
     if problem.system.pretensions and (loose := problem.loose_motions()):
         return (
             f"nothing resists the overlap of a tie with a pretension, against {'; '.join(loose)}: "
-            "supports, ties or contacts have to hold both ends of the bolt against the direction, "
+            "supports, ties or contacts have to hold both ends of the bolt along tie.direction, "
             f"which points out of the slave side for tension. {message}"
         )
     if not (held := problem.held_by_contact()):
@@ -110,8 +110,8 @@ def _with_loose_motions(problem: ContactProblem, message: str) -> str:
     if problem.system.has_friction:  # solvers report this cause in several ways
         message = f"{TOO_MUCH[is_loaded(problem)]}: {message}"
     return message + (
-        f". Contact alone holds {'; '.join(held)}: it may float away (do the loads press it "
-        "on?), or slides or rolls freely (then prescribe that motion)"
+        f". Contact alone holds {'; '.join(held)}: it moves away if the loads do not press the "
+        "sides together, or it slides or rolls freely (then prescribe that motion)"
     )
 
 
@@ -157,7 +157,7 @@ def unsettled(problem: ContactProblem) -> str:
     return (
         "the geometry does not settle: normals and gaps change more from one update to the "
         "next, although the forces are in balance in between. Contact forces that turn with the "
-        f"surfaces may be stiffer than {soft}take smaller steps, or hold the surfaces, "
+        f"surfaces may be stiffer than {soft}take smaller steps, or freeze the geometry, "
         "geometry='reference'"
     )
 

@@ -465,7 +465,7 @@ class LinearSolver:
         try:
             setup.preconditioner.follow(held)
         except LinAlgError as error:
-            raise NotDefinite(f"a body is held by nothing ({error})") from error
+            raise NotDefinite(f"nothing holds a body ({error})") from error
         stale = not setup.preconditioner.is_of(held)
         ksp, floor = self._ksp, self._operator.round_off(x) * (EPS / ROUND_OFF)
 
@@ -518,9 +518,9 @@ class LinearSolver:
             cause += f" after {iterations} iterations"
         raise LinearSolveFailed(
             f"The linear solver, {self.description}, gave no solution: {cause} (PETSc reason "
-            f"{self._ksp.getConvergedReason()}). Most often the matrix is singular: a body "
-            "is held by nothing, or plastic flow or buckling has left the tangent no stiffness, so "
-            f"that smaller steps help.{self.remedy}"
+            f"{self._ksp.getConvergedReason()}). Most often the matrix is singular: either nothing "
+            "holds a body, or plastic flow or buckling has reduced the stiffness to zero; smaller "
+            f"steps help then.{self.remedy}"
         )
 
 

@@ -485,7 +485,7 @@ def _not_restored(share: float, *, unsolved: bool) -> str:
         unsolved: whether there is no response to the impulse.
     """
     what = "taken from the bodies without giving it back" if share > 0.0 else "given to the bodies"
-    why = "its forces push too little against the motion for the impulse that restores the energy"
+    why = "its forces are too small along the motion for the impulse that restores the energy"
     if unsolved:
         why = "the linear solver found no response to the impulse that restores the energy"
     return (

@@ -127,7 +127,7 @@ def notes_on_sliding(problem: ContactProblem, contacts: Contacts) -> list[str]:
         if farthest > length:
             notes.append(
                 f"{link.interface} has slid {farthest:.3g}, {farthest / length:.1f} facet lengths, "
-                "with frozen geometry, which is for small sliding; choose geometry='updated'"
+                "but frozen geometry is for small sliding; choose geometry='updated'"
             )
     return notes
 
@@ -199,8 +199,8 @@ def notes_on_lost_friction(problem: ContactProblem, contacts: Contacts) -> list[
             farthest = float(maximum(problem.comm, lost.max(initial=0.0))[0])
             notes.append(
                 f"{link.interface} has no friction at {count} slave nodes, which slide by up to "
-                f"{farthest:.3g} as Dirichlet data prescribe; let the other side be the slave, or "
-                "prescribe less"
+                f"{farthest:.3g}, because Dirichlet data prescribe their motion; let the other "
+                "side be the slave, or prescribe fewer components there"
             )
     return notes
 
@@ -216,9 +216,9 @@ def notes_on_missed_tools(links: Sequence[Link]) -> list[str]:
         met = link.pairing is not None or link.constrained.any() or any(shared)
         if not any_rank(link.sides.V.mesh.comm, met)[0]:
             notes.append(
-                f"{link.interface}: no slave node carries a multiplier, so that the step has gone "
-                "on as if it were not there: no facet of the side faces it (the normal of a tool "
-                "points out of it, towards the body), or Dirichlet data hold them all; see "
-                "dm.audit(problem)"
+                f"{link.interface}: no slave node carries a multiplier, so that the tool had no "
+                "effect in this step: either no facet of the side faces it (the normal of a tool "
+                "has to point out of the tool, towards the body), or Dirichlet data hold all "
+                "nodes; see problem.audit()"
             )
     return notes

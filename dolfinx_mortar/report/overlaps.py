@@ -69,8 +69,8 @@ def _note_on_tool(link: Link, u: fem.Function) -> list[str]:
         return []
     return [
         f"{link.interface}: around ({', '.join(f'{c:.4g}' for c in x)}) the tool lies "
-        f"{deepest:.3g} deep in the side, {ratio:.0%} of a facet there: it is sharper than the "
-        "facets, over which the gap is a mean; refine there, or give the tool a radius"
+        f"{deepest:.3g} deep in the side, {ratio:.0%} of a facet there, because it is sharper than "
+        "the facets, over which the gap is averaged; refine there, or give the tool a radius"
     ]
 
 
@@ -93,7 +93,7 @@ def _note(link: Link, u: fem.Function, unseen: float | None) -> list[str]:
     part = f"{ratio:.0%}" if ratio >= 0.01 else f"{ratio:.1g}"
     bare = link.prescribed_facets()[link.mortar[0].pairs[pair, 0]]
     why = (
-        f"nodes of slave={link.sides.slave.label} have no gap at an edge or corner between them; "
+        f"no gap is measured at an edge or corner between nodes of slave={link.sides.slave.label}; "
         "let the finer or sharper side be the slave, or refine there"
     )
     if _deepest(comm, np.where(bare, share, 0.0), depth, place)[0] == ratio:
@@ -140,9 +140,9 @@ def _note_on_poles(link: Link, u: fem.Function, rtol: float) -> list[str]:
         return []
     return [
         f"{link.interface}: at ({', '.join(f'{c:.4g}' for c in place)}) on the axis the sides lie "
-        f"{deepest:.3g} deep in each other without a force: of second order a node there has no "
-        "multiplier, and no other one is closed; refine there until it is, or take displacements "
-        "of degree 1"
+        f"{deepest:.3g} deep in each other without a force: with displacements of degree 2 the "
+        "node on the axis has no multiplier, and no other node is in contact; refine until others "
+        "are, or take displacements of degree 1"
     ]
 
 

@@ -36,10 +36,10 @@ def note_on_few_nodes(link: Link, contacts: Contacts, sure: bool = True) -> str:
     needed = NODES[link.sides.fixed.shape[1]]
     if not 0 < count < needed or not ends:
         return ""
-    forces = "forces and moments are; " if sure else ""
+    forces = "forces and moments are accurate; " if sure else ""
     return (
-        f"{link.interface}: the largest pressure is that of {count} nodes in contact and "
-        f"not resolved, for which it takes {needed}; {forces}refine there"
+        f"{link.interface}: the largest pressure is not resolved: its patch has {count} nodes in "
+        f"contact, and {needed} are needed; {forces}refine there"
     )
 
 
@@ -56,8 +56,8 @@ def notes_on_rims(links: Sequence[Link]) -> list[str]:
         if count := link.sides.V.mesh.comm.allreduce(own, op=MPI.SUM):
             notes.append(
                 f"{link.interface}: {count} slave nodes at the rim of the other side gained and "
-                "lost their multiplier in turn, as each state moves the bodies into the other one; "
-                "they keep it. A finer mesh at the rim makes the difference small"
+                "lost their multiplier by turns, because each of the two states leads to the "
+                "other; they keep it. The finer the mesh at the rim, the smaller the difference"
             )
     return notes
 

@@ -152,11 +152,11 @@ def notes_on_small_strain(problem: ContactProblem, found: LeftOut) -> list[str]:
     others = f" (and {found.felt - 1} more)" if found.felt > 1 else ""
     return [
         f"{name_of(bodies, [found.worst])}{others} turns by up to {np.degrees(turn):.1f} degrees, "
-        f"and the small strain leaves out up to {left:.2g}, near {at}, where the largest strain in "
-        f"the bodies is {found.largest:.2g}: this is a stress of {worth:.3g} there (norm; the "
+        f"and the small strain leaves out up to {left:.2g}, near {at} (the largest strain in the "
+        f"bodies is {found.largest:.2g}). The error is a stress of {worth:.3g} there (norm; the "
         f"largest shown is {shown:.3g}), {found.work:.1%} of the work of the stresses and "
-        f"{found.lengths:.1%} of lengths. Turn or strain it less, let X be nearer to where it "
-        "turns to, or choose a finite strain, Solid(.., strain='finite')"
+        f"{found.lengths:.1%} of lengths. Choose a finite strain, Solid(.., strain='finite'), "
+        "reduce strains and rotations, or mesh the body nearer to its final position"
     ]
 
 
@@ -175,10 +175,10 @@ def _notes_on_large_ones(problem: ContactProblem, found: LeftOut) -> list[str]:
     return [
         f"strains of up to {found.largest:.1%} and rotations of up to "
         f"{np.degrees(found.rotation):.1f} degrees, near {at} in {name_of(bodies, [body])}, are "
-        f"not small, which is less than {LARGE:.0%} or {np.degrees(LARGE):.1f} degrees: the strain "
-        f"there is wrong by about {max(found.largest, found.strain) / 2:.1%}, the work of the "
-        f"stresses by {found.work:.1%}, lengths by {found.lengths:.2%}. If that is too much, "
-        "choose a finite strain, Solid(.., strain='finite')"
+        f"larger than {LARGE:.0%} or {np.degrees(LARGE):.1f} degrees, where strains are no longer "
+        f"small: the strain there is wrong by about {max(found.largest, found.strain) / 2:.1%}, "
+        f"the work of the stresses by {found.work:.1%}, lengths by {found.lengths:.2%}. If that "
+        "is too much, choose a finite strain, Solid(.., strain='finite')"
     ]
 
 
@@ -188,8 +188,8 @@ def notes_on_lost_stress(problem: ContactProblem) -> list[str]:
     if share < LARGEST_SHARE:
         return []
     return [
-        f"{name} runs in the logarithmic strain space, where shears soften: the norm of the stress "
-        f"is up to {100 * share:.0f} % below that of the law (2 % where a shear reaches 1, whose "
-        "stress is then 3 % too low; 9 % at 2, with 17 %). Isotropic laws, without kinematic "
-        "hardening, have no such limit"
+        f"{name} is computed in the logarithmic strain space, where shear softens: the norm of the "
+        f"stress is up to {100 * share:.0f} % below that of the law (2 % at a shear of 1, whose "
+        "shear stress is 3 % too low; 9 % and 17 % at a shear of 2). Isotropic laws without "
+        "kinematic hardening have no such limit"
     ]

@@ -82,9 +82,9 @@ def notes_on_swept(problem: ContactProblem, crossing: Crossing) -> list[str]:
     x, y = (point(problem.bodies.centre[k]) for k in pair)
     more = f" (the first of {len(found)} pairs of bodies)" if len(found) > 1 else ""
     return [
-        f"the bodies around {x} and {y} have moved into or through each other in this step, as "
-        f"what was at {point(np.array(place))} at its start{more}: no interface couples them "
-        "there; give them a Contact, or take smaller steps to see where they meet"
+        f"the bodies around {x} and {y} have moved into or through each other in this step, at "
+        f"the material point that was at {point(np.array(place))} before it{more}: no interface "
+        "couples them there; give them a Contact, or take smaller steps to see where they meet"
     ]
 
 

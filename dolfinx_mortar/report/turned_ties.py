@@ -98,10 +98,10 @@ def _note_on_jump(problem: ContactProblem, at: TurnedTie) -> str:
         return ""
     return (
         f"{at.tie}: its jump, with the tightening, is up to {at.longest:.3g} long and has kept its "
-        f"direction, but its sides have turned by {np.degrees(angle):.0f} degrees: it is off by up "
-        f"to {off:.3g}, so that bolts lose force. Turn it with them: set tie.jump, "
-        "tie.tightening and tie.direction for each step, as by on_time=, to R times what they "
-        "were, R the rotation at the end of the step"
+        f"direction, but its sides have turned by {np.degrees(angle):.0f} degrees: the jump is "
+        f"wrong by up to {off:.3g}, so that bolts lose force. Rotate it with the sides: in each "
+        "step, for example by on_time=, set tie.jump, tie.tightening and tie.direction to R times "
+        "their values before any rotation, where R is the rotation at the end of the step"
     )
 
 
@@ -121,10 +121,10 @@ def _note_on_distance(problem: ContactProblem, tie: Tie, link: Link, R: Floats) 
     remedy = "finer facets" if smooth else "surface='smooth', finer facets"
     return (
         f"{tie}: its sides are up to {apart:.3g} apart at X and have turned by "
-        f"{np.degrees(angle):.0f} degrees, but what lies between them "
-        f"{'turns as by small rotations' if smooth else 'does not turn'}: it is off by up to "
-        f"{off * apart:.3g}, {off * share:.0%} of a facet. Take sides that fit, {remedy}, or let X "
-        "be nearer to where they turn to"
+        f"{np.degrees(angle):.0f} degrees, but the vectors between them "
+        f"{'turn as by small rotations' if smooth else 'do not turn'}: they are wrong by up to "
+        f"{off * apart:.3g}, {off * share:.0%} of a facet. Take sides that fit, {remedy}, or mesh "
+        "the bodies nearer to their final position"
     )
 
 

@@ -244,8 +244,8 @@ def notes_on_crossings(problem: ContactProblem, found: Crossing) -> list[str]:
     if len(set(found.bodies)) == 1:
         return [
             f"the surface of the body around {around[0]} lies in itself around {where}, by "
-            f"{found.depth:.3g}, {found.share:.0%} of a facet there, where its contact with itself "
-            "does not see it; take smaller steps, finer facets, or a tag for each of the two parts"
+            f"{found.depth:.3g}, {found.share:.0%} of a facet there, and its contact with itself "
+            "has no pairs there; take smaller steps, finer facets, or a tag for each of the parts"
         ]
     return [
         f"the bodies around {around[0]} and {around[1]} lie in each other around {where}, where no "

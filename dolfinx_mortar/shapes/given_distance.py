@@ -141,7 +141,7 @@ def _compile(phi: Expr, d: int) -> Kernel:
     if others:
         raise ValueError(
             f"phi contains {', '.join(others)}: give an expression of x, a SpatialCoordinate, and "
-            "numbers; where the tool is, position and rotation say"
+            "numbers; position and rotation move the tool"
         )
     at = [part for part in parts if isinstance(part, ufl.SpatialCoordinate)]
     wrong = [x for x in at if x.ufl_shape != (d,)]

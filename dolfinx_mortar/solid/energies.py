@@ -73,7 +73,7 @@ class EnergyDensities:
             raise ValueError(
                 f"energies is True, but {', '.join(without)} has a stress and no potential, of "
                 "which stored and dissipated energies are parts: give the law an energy, or leave "
-                "energies away"
+                "energies out"
             )
         self.stored = point_function(domain, degree, (), STORED)
         self._of_volume, self._mesh, self._cell_tags = of_volume, domain, cell_tags

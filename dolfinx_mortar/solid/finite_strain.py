@@ -29,8 +29,8 @@ def check_finite(strain: Any, eigenstrain: Any) -> None:
     if eigenstrain is not None:
         raise ValueError(
             "strain is 'finite', and eigenstrain is given: a strain without stress is subtracted "
-            "from a small strain, while F would have to be split into a product; leave it away, or "
-            "choose strain='small'"
+            "from a small strain, while F would have to be split into a product; leave eigenstrain "
+            "out, or choose strain='small'"
         )
 
 

@@ -194,7 +194,8 @@ def solve_step(
         unread = [option for option in linear.options.unread() if option in last.options.unread()]
         if report.converged and unread:
             report.notes.append(
-                f"petsc_options without effect: {', '.join(unread)}; misspelt, or of no use here"
+                f"petsc_options without effect: {', '.join(unread)}; they are misspelt, or this "
+                "solver does not use them"
             )
         report.notes += [note for note in problem.system.notes if note not in report.notes]
     return report
@@ -736,8 +737,9 @@ class _Step:
         farthest = du.norm(PETSc.NormType.INFINITY)
         if not QUARTER_OF_DIGITS * farthest <= extent:
             raise failures.StepFailed(
-                f"a step goes {farthest:.1e} far, in a model of size {extent:.1e}: the tangent is "
-                "singular, so nothing holds a body, or nothing resists its flow"
+                f"a Newton step is {farthest:.1e} long in a model of size {extent:.1e}: the "
+                "tangent is singular, because nothing holds a body or nothing resists its plastic "
+                "flow"
             )
 
     def move(
@@ -906,7 +908,8 @@ class _Step:
         if self.negative or shifted[-1:] == [len(self.report.iterations)]:
             notes.append(
                 "the tangent is indefinite at the end: the equilibrium found is unstable, and a "
-                "small disturbance leads elsewhere; give the mesh an imperfection to follow that"
+                "small disturbance leads to another one; give the mesh an imperfection to find "
+                "that one"
             )
         if notes:
             notes[-1] += failures.describe_cells(self.problem)

@@ -323,11 +323,11 @@ def notes_on_chatter(problem: ContactProblem) -> list[str]:
         opened = np.count_nonzero(closed[:-1] & ~closed[1:])
         if interface.rough and opened > 2:
             notes.append(
-                f"{interface} has opened wholly {opened} times in the last {len(forces)} steps, "
-                "which are too long for vibrations along its normals, so that forces of friction "
-                f"are wrong: bring loads up over some 20 steps, give scheme={DAMPED!r} with "
-                "spectral_radius=0, or take steps in which a wave crosses the body once at most, "
-                "with dm.Damping(.., stiffness=..)"
+                f"{interface} has opened completely {opened} times in the last {len(forces)} "
+                "steps, which are too long for vibrations along its normals, so that forces of "
+                f"friction are wrong: increase loads over some 20 steps, give scheme={DAMPED!r} "
+                "with spectral_radius=0, or take steps in which a wave crosses the body once at "
+                "most, with dm.Damping(.., stiffness=..)"
             )
     return notes
 
@@ -379,8 +379,9 @@ def find_inertia(problem: ContactProblem) -> list[Inertia]:
             raise ValueError(f"problem: {name} is that of another Inertia: make it with this one")
     if inertia.relief == "normal" and any(interface.rough for interface in problem.interfaces):
         raise ValueError(
-            "problem: its Inertia has relief='normal', with which contacts that stick make nodes "
-            "with mass stop in no time, and chatter: leave it out where there is friction"
+            "problem: its Inertia has relief='normal', with which nodes that stick have mass and "
+            "stop instantaneously, so that their forces oscillate: leave it out where there is "
+            "friction"
         )
     inertia.check_met(problem.system.can_open[: problem.n], problem.bodies.label)
     return found

@@ -153,8 +153,8 @@ class Checkpoint:
         """Raise a ValueError if another run has started: each would change the other's state."""
         if self.problem.committed.walk is not self.walk:
             raise ValueError(
-                "problem: a second load_steps has begun on it before this one was done, and has "
-                "moved it on; finish one run before the next, or give each a problem of its own"
+                "problem: another load_steps has begun on it before this one was finished, and has "
+                "changed its state; finish one run before the next, or make a problem for each"
             )
 
     def write(self) -> None:

@@ -257,8 +257,8 @@ class Inertia(Term):
         same = self._met is not None and all(map(np.array_equal, self._met, (contact, body)))
         if any_rank(self.comm, not same)[0]:
             raise ValueError(
-                "problem: a problem made later, with other contacts or ties, has taken its Inertia,"
-                " whose mass is now for those: make an Inertia for each, or this problem last"
+                "problem: its Inertia is also in a problem that was made later with other "
+                "contacts or ties, and has the mass of that one: make an Inertia for each problem"
             )
 
     def begin(self, start: float, end: float) -> None:
@@ -537,8 +537,8 @@ def check_relief(relief: Any, solid: Solid) -> None:
         raise ValueError(f"Inertia: relief is {relief!r}: choose 'all' or 'normal'")
     if relief == "normal" and solid.strain == "finite":
         raise ValueError(
-            "Inertia: relief is 'normal', but at finite strain the normals turn, and mass would "
-            "turn with them: leave it out, for 'all' directions"
+            "Inertia: relief is 'normal', but at finite strain the normals turn, and the mass "
+            "matrix would change with them: leave relief out (it is 'all' then)"
         )
 
 

@@ -211,7 +211,7 @@ class Terms:
             raise ValueError(
                 f"{self._of_users}: add_tangent() is not symmetric, |K - K^T| is about "
                 f"{skew / K.norm():.2g} |K|: K has to be the second derivative of an energy, which "
-                "is; without one, add the symmetric part"
+                "is symmetric; if there is no energy, add the symmetric part"
             )
 
     def create_matrix(self, *, blocks: bool = False) -> PETSc.Mat:
@@ -295,7 +295,7 @@ def _add(method: Callable[[Any], object], to: PETSc.Vec | PETSc.Mat) -> None:
     returned = _within_pattern(partial(method, to))
     if returned is not None:
         raise ValueError(
-            f"it returns a {type(returned).__name__}, which nobody reads: add to its argument, "
+            f"it returns a {type(returned).__name__}, which is not used: add to its argument, "
             "F.array[:] += .. or K.setValues(.., addv=True), and return nothing"
         )
 
