@@ -256,7 +256,7 @@ class Corrections:
         self.found.append(found)
         self.changes.append(change)
         others = any_rank(comm, *(not np.array_equal(one, solved.active) for one in self.sets))
-        since = list(others).index(False)  # the first of this set
+        since = int(np.argmin(others))  # the first of this set
         mixed = self.found[since:], self.changes[since:], np.max(self.weights[since:], axis=0)
         given = self.given = least_change(comm, *mixed)
 
