@@ -334,13 +334,13 @@ def test_a_set_up_frees_matrices_at_once(monkeypatch, capfd):
 
     join, factors = Multigrid._join, []
 
-    def watched_join(self, *matrices):
+    def watched_join(self, *matrices, **options):
         for level in range(self.inner.getMGLevels() - 1):
             product, first = self.inner.getMGSmoother(level).getOperators()[0], ctypes.c_void_p()
             handle = ctypes.c_void_p(product.handle)
             call("MatProductGetMats", handle, ctypes.byref(first), None, None)
             factors.append(first.value)
-        join(self, *matrices)
+        join(self, *matrices, **options)
 
     monkeypatch.setattr(Multigrid, "_join", watched_join)
     for owner, name in ((congruence, "_split"), (Multigrid, "renew"), (Multigrid, "_release")):

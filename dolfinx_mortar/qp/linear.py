@@ -26,7 +26,7 @@ from dolfinx_mortar.qp.negative_eigenvalues import (
     negative_pivots,
 )
 from dolfinx_mortar.qp.operator import Operator
-from dolfinx_mortar.qp.options import SolverOptions, check_options
+from dolfinx_mortar.qp.options import OF_AGGREGATES, SolverOptions, check_options
 from dolfinx_mortar.qp.preconditioner import (
     RENEWAL_COST,
     LinearCounts,
@@ -281,6 +281,7 @@ class LinearSolver:
         """Free the matrices and their factorisations; collective."""
         for kind in list(self._setups):
             self._drop(kind)
+        self.options.grown.pop(OF_AGGREGATES, None)
 
     def _drop(self, kind: bool) -> None:
         """Free one of them, and what has its preconditioner; collective."""
@@ -420,6 +421,41 @@ class LinearSolver:
 
     def _correct(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, aim: Aim, norm: float) -> float:
         """Correct x until the norm of its residual is below the tolerance or round-off; return it.
+
+        Where multigrid is indefinite, the smoothers estimate eigenvalues by themselves, and from
+        then on; unless that does not help: then the matrix may be indefinite.
+        """
+        norm = self._iterate(b, x, held, aim, norm)
+        if norm <= max(aim.atol, self._operator.round_off(x)) or not self._overshoots():
+            return norm
+        self._estimate_anew(True)
+        norm = self._iterate(b, x, held, aim, norm)
+        if not norm <= max(aim.atol, self._operator.round_off(x)):
+            self._estimate_anew(False)
+        return norm
+
+    def _overshoots(self) -> bool:
+        """Tell whether smoothers may have made multigrid indefinite in the last iteration."""
+        multigrid = self.setup.preconditioner.multigrid
+        if multigrid is None or not multigrid.follows or multigrid.negative:
+            return False
+        if OF_AGGREGATES in self.options.given or OF_AGGREGATES in self.options.grown:
+            return False
+        indefinite = PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_PC
+        return bool(self._ksp.getConvergedReason() == indefinite)
+
+    def _estimate_anew(self, anew: bool) -> None:
+        """Let smoothers estimate eigenvalues by themselves or not, from the next set-up on."""
+        if anew:
+            self.options.grown[OF_AGGREGATES] = False
+        else:
+            del self.options.grown[OF_AGGREGATES]
+        self.setup.preconditioner.begin_anew()
+        if anew and self._comm.rank == 0:
+            log.info("multigrid is indefinite: its smoothers estimate eigenvalues by themselves")
+
+    def _iterate(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, aim: Aim, norm: float) -> float:
+        """Correct x in the same way with the present method, until it fails; return the norm.
 
         It ends as well if a new factorisation does not reduce it.
         """
