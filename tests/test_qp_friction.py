@@ -180,6 +180,25 @@ def slipping(seed: int = 3) -> tuple[Problem, QPSolution]:
     return p, solution
 
 
+def test_forces_over_slips_are_the_kappa_to_start_with() -> None:
+    """From directions 0.1 away no update is left, with the matrix's larger ones, the default, one.
+
+    Larger ones than those of the matrix count as these.
+    """
+    p, solution = slipping()
+    assert solution.sliding is not None
+    force = np.linalg.norm(solution.z.array_r[p.tangential], axis=1)
+    kappa = force / np.linalg.norm(solution.x.array_r[p.tangential] - p.rest, axis=1)
+    c, s = np.cos(0.1), np.sin(0.1)
+    turned = solution.sliding @ np.array([[c, -s], [s, c]])
+    start = {"start_active": solution.active, "start_sliding": turned, "rtol": 1e-10}
+    assert solve(p.qp(), start_kappa=kappa, **start).updates == 1
+    for given in ({}, {"start_kappa": np.full(3, np.inf)}):
+        other = solve(p.qp(), **given, **start)
+        assert other.updates == 2
+        np.testing.assert_allclose(other.x.array_r, solution.x.array_r, atol=EXACT)
+
+
 def test_the_check_sees_a_law_that_is_broken() -> None:
     """Zero for the solution, not for another coefficient, a limit, a rest, or a slip aside."""
     p, solution = slipping()

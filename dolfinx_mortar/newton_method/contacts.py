@@ -41,6 +41,18 @@ class Contacts:
         size = np.linalg.norm(along, axis=1, keepdims=True)
         return np.divide(along, size, out=np.zeros_like(along), where=size > 0.0)
 
+    def kappa(self, limits: SlipLimits | None) -> Floats | None:
+        """Return tangential reactions over slips (m,), inf where one of them is 0.
+
+        By it nodes that slip resist a change of their direction. None without friction.
+        """
+        if limits is None:
+            return None
+        force = np.linalg.norm(self.tangential_reactions(limits), axis=1)
+        slip = np.linalg.norm(limits.slip, axis=1)
+        some = (force > 0.0) & (slip > 0.0)
+        return np.divide(force, slip, out=np.full_like(slip, np.inf), where=some)
+
 
 def go_on(
     contacts: tuple[Bools, Floats | None], limits: SlipLimits | None, noise: float

@@ -48,17 +48,23 @@ class State:
     stiffness: Floats  # (m,) kappa of `qp.friction`
 
     @staticmethod
-    def create(qp: BoundQP, active: Actives, sliding: Floats | None = None) -> State:
+    def create(
+        qp: BoundQP,
+        active: Actives,
+        sliding: Floats | None = None,
+        kappa: Floats | None = None,
+    ) -> State:
         """Return an initial state, in which closed nodes stick unless directions (m, t) are given.
 
-        Its kappa are entries of |diag(A)|.
+        Its kappa are those that are given (m,), but no larger than entries of |diag(A)|.
         """
         law = qp.friction
         if law is None:
             return State(active, np.zeros((0, 1)), np.zeros(0))
         d = np.zeros(law.rest.shape) if sliding is None else sliding
         diagonal = law.pick(qp.stiffness)
-        return State(active, d, law.across * diagonal.max(axis=1, initial=0.0))
+        most = law.across * diagonal.max(axis=1, initial=0.0)
+        return State(active, d, most if kappa is None else np.minimum(kappa, most))
 
     @staticmethod
     def holding(qp: BoundQP) -> State:

@@ -53,6 +53,7 @@ def solve(
     *,
     start_active: Actives | None = None,
     start_sliding: Floats | None = None,
+    start_kappa: Floats | None = None,
     changes: int | None = None,
     guess: PETSc.Vec | None = None,
     rtol: float = 1e-10,
@@ -66,6 +67,8 @@ def solve(
             default every unknown at its bound nearest to zero, which constrains every body.
         start_sliding: (m, t) initial directions of slip on ``qp.friction``, zero at sticking nodes;
             by default everywhere.
+        start_kappa: (m,) forces over slips there, by which nodes resist a change of their direction
+            to begin with; by default, and at most, the diagonal of the matrix.
         changes: bounded unknowns in which the solution is expected to differ from ``start_active``,
             such as `QPSolution.changes` of the Newton iteration before; by default any number. It
             affects the cost only.
@@ -114,7 +117,7 @@ def solve(
         if backend == INTERIOR_POINT:
             solution = interior_point.solve(qp, linear, rtol=rtol)
         else:
-            first = State.create(qp, start, start_sliding)
+            first = State.create(qp, start, start_sliding, start_kappa)
             solution = active_set.solve(
                 qp, linear, start=first, changes=changes, rtol=rtol, guess=guess
             )

@@ -715,13 +715,19 @@ class _Step:
         guess: PETSc.Vec | None = None,
     ) -> QPSolution:
         """Solve the QP with the backend of the step."""
+        limits, kappa = old.balance.limits, None
+        if self.problem.solid.strain == "finite":
+            # Where it slides, diag(A) is a hundred times too large: a ball dragged over a block (50
+            # thousand unknowns) had eigenvalues with a negative real part, and GMRES stood still.
+            kappa = old.contacts.kappa(limits)
         with self.problem.timings("linear_solves"):
             solved = backends.solve(
                 lin.qp,
                 self.report.backend,
                 self.solver,
                 start_active=start,
-                start_sliding=old.contacts.directions(old.balance.limits),
+                start_sliding=old.contacts.directions(limits),
+                start_kappa=kappa,
                 # a linear law has its set after the first QP: geometries change it hardly
                 changes=0 if self.linear and old.changes is not None else old.changes,
                 guess=guess,
