@@ -264,27 +264,86 @@ def test_lost_stress_is_told():
     assert lost == pytest.approx(0.0200, abs=5e-4)
 
 
-@pytest.mark.parametrize("name", ["hardening", "mixed"])
-def test_a_stretched_bar(name):
-    """To lambda = 2 in 20 steps: tau = (sigma_y + h ln lambda) / (1 + h / E)."""
-    h = 900.0
-    law = dm.VonMises.from_uniaxial(
-        E, NU, SIGMA_Y, h, isotropic=1.0 if name == "hardening" else 0.5
-    )
-    state, width = None, 1.0
-    for stretch in np.linspace(1.05, 2.0, 20):
+@dataclass
+class Bar:
+    """A bar along x whose sides are free; Q turns it with all that it has in it."""
+
+    law: Any
+    width: float = 1.0
+    length: float = 1.0
+    state: Any = None
+    Q: Any = dataclasses.field(default_factory=lambda: IDENTITY)
+
+    def stretch(self, length: float, poisson: float = 0.5) -> float:
+        """Return Kirchhoff's stress along the bar; the ratio of the strains is a first guess."""
+        self.width *= (length / self.length) ** -poisson
+        self.length = length
         for _ in range(20):
-            F = np.diag([stretch, width, width])[None]
-            found = respond(law, F, state)
-            side, slope = found.stress[0, 1, 1], found.tangent[0, 1, 1]
-            width -= side / (slope[1, 1] + slope[2, 2])
-            if abs(side) < 1e-11:
+            found = respond(self.law, (self.Q @ self.F)[None], self.state)
+            stress = self.Q.T @ found.stress[0]
+            slope = np.einsum("ji,jikl,kl->i", self.Q, found.tangent[0, :, :], self.Q * [0, 1, 1])
+            self.width -= stress[1, 1] / slope[1]
+            if abs(stress[1, 1]) < 1e-11:  # of 200 and more
                 break
-        state = found.state
-    tau = found.stress[0, 0, 0] * stretch
-    assert tau == pytest.approx((SIGMA_Y + h * np.log(2.0)) / (1 + h / E), rel=1e-12)
+        self.state = found.state
+        return stress[0, 0] * length
+
+    @property
+    def F(self) -> np.ndarray:
+        return np.diag([self.length, self.width, self.width])
+
+
+H_BAR, SATURATED, RATE = 900.0, 150.0, 12.0
+HALVES = np.sqrt(2 / 3) * np.array([SATURATED, RATE])
+BARS = {
+    "isotropic": dm.VonMises.from_uniaxial(E, NU, SIGMA_Y, H_BAR, isotropic=1.0),
+    "mixed": dm.VonMises.from_uniaxial(E, NU, SIGMA_Y, H_BAR, isotropic=0.5),
+    "kinematic": dm.VonMises.from_uniaxial(E, NU, SIGMA_Y, H_BAR),
+    "voce": dm.VonMisesVoce(E, NU, Y, 0.0, 2 / 3 * H_BAR, *HALVES),
+}
+
+
+@pytest.mark.parametrize("name", BARS)
+def test_a_stretched_bar(name):
+    """To lambda = 2 in 20 steps: tau = sigma_y(p), p = ln lambda - tau / E."""
+    bar, saturated = Bar(BARS[name]), SATURATED * (name == "voce")
+    for stretch in np.linspace(1.05, 2.0, 20):
+        tau = bar.stretch(stretch)
+        p = np.log(stretch) - tau / E
+        assert tau == pytest.approx(
+            SIGMA_Y + H_BAR * p + saturated * (1 - np.exp(-RATE * p)), rel=1e-12
+        )
     # the plastic strain is the logarithmic one: ln 2 without its elastic part
-    assert found.state["plastic_strain"][0, 0, 0] == pytest.approx(np.log(2) - tau / E, rel=1e-12)
+    assert bar.state["plastic_strain"][0, 0, 0] == pytest.approx(p, rel=1e-12)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_bar_that_dilates_in_flow(sign):
+    """Drucker and Prager's: tau stays, ln J grows by beta of the distortion; to 2 and to 1/2."""
+    beta, bar = 0.4, Bar(LAWS["cone"])
+    tau = sign * Y / (np.sqrt(2 / 3) + sign * beta / 3)
+    axial, side = sign * 2 / np.sqrt(6) + beta / 3, -sign / np.sqrt(6) + beta / 3  # dep / |dep'|
+    for log_stretch in sign * np.log(2.0) * np.linspace(0.05, 1.0, 20):
+        found = bar.stretch(np.exp(log_stretch), -side / axial)
+        assert found == pytest.approx(tau, rel=1e-11)
+        log_J = tau / E * (1 - 2 * NU) + beta * (log_stretch - tau / E) / axial
+        assert np.log(np.linalg.det(bar.F)) == pytest.approx(log_J, rel=1e-11)
+
+
+@pytest.mark.parametrize("name", ["isotropic", "mixed", "kinematic"])
+def test_a_stretched_bar_that_is_turned_and_shortened(name):
+    """By 90 degrees: the back stress turns along, and yields where a bar that stays does."""
+    bar = Bar(BARS[name])
+    for stretch in np.linspace(1.02, 1.3, 15):
+        first = bar.stretch(stretch)
+    bar.Q = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    assert bar.stretch(1.3) == pytest.approx(first, rel=1e-11)
+    p, share = np.log(1.3) - first / E, {"isotropic": 1.0, "mixed": 0.5, "kinematic": 0.0}[name]
+    lowest = (1 - 2 * share) * H_BAR * p - SIGMA_Y  # back stress less the radius
+    for stretch in np.linspace(1.299, 1.2, 20):
+        elastic = first + E * np.log(stretch / 1.3)
+        flow = max(lowest - elastic, 0.0) / (E + H_BAR)
+        assert bar.stretch(stretch) == pytest.approx(elastic + E * flow, rel=1e-9, abs=1e-9 * Y)
 
 
 def test_flow_keeps_volume_and_what_does_not_flow_keeps_its_state():
