@@ -315,6 +315,27 @@ def test_assembly_of_gmsh_in_the_plane_without_sides():
     assert sorted(p.facets for p in bodies.found) == sorted(p.facets for p in pairs.found)
 
 
+def nested_pipes(model):
+    """Draw two pipes, .005 apart, turned so that facets of one cross those of the other."""
+    occ = model.occ
+    for k, (outer, turn) in enumerate(((1.0, 0.0), (0.965, 0.07))):
+        disc, hole = (occ.addDisk(0, 0, 0, r, r) for r in (outer, outer - 0.03))
+        part, _ = occ.cut([(2, disc)], [(2, hole)])
+        occ.rotate(part, 0, 0, 0, 0, 0, 1, turn)
+        occ.synchronize()
+        model.addPhysicalGroup(2, [part[0][1]], k + 1)
+    model.mesh.generate(2)
+
+
+@pytest.mark.mpi
+def test_curved_sides_that_fit_more_closely_than_facets():
+    """Facets stand off the arcs by .011, so that all of them cross others, beside their middles."""
+    with msh_file(nested_pipes, MeshSizeMax=0.3, MeshSizeMin=0.3) as file:
+        domain, cells, _ = dm.meshing.read_msh(file, COMM)
+    (pair,) = dm.find_pairs(domain, cells, show=False).found
+    assert pair.distance == 0.0 and pair.area == pytest.approx(6.05, abs=0.05)
+
+
 def bolted(model):
     """Draw a bolt with a head through a plate with a hole, on a block."""
     occ = model.occ

@@ -108,7 +108,8 @@ def _distances(facets: Facets, others: Facets, least: Floats) -> Floats:
     """Return the distances (p,) of pairs; infinite where a facet merely looks past a body's edge.
 
     A facet lies in the other body where its middle does. Otherwise, a facet just above another body
-    would see, askew, the next flank of that body behind itself.
+    would see, askew, the next flank of that body behind itself. But facets that cross at less than
+    45 degrees touch: those of curved sides that fit, whose vertices lie in turn on either side.
 
     Args:
         facets: (p,) the first ones.
@@ -123,8 +124,10 @@ def _distances(facets: Facets, others: Facets, least: Floats) -> Floats:
     inside = are_inside(vertices, other, middle + along[:, None] * n)
     distance = facet_distances(facets, others)
     distance[distance < ROUND_OFF * np.maximum(size, facet_sizes(others.x))] = 0.0
+    across = (distance == 0.0) & ((n * other).sum(axis=1) < -np.sqrt(0.5))
+    otherwise = np.where(across, 0.0, np.inf)
     return np.where(
-        least < -HALF_OF_DIGITS * size, np.where(inside & (along < 0.0), along, np.inf), distance
+        least < -HALF_OF_DIGITS * size, np.where(inside & (along < 0.0), along, otherwise), distance
     )
 
 
