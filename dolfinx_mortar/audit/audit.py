@@ -35,7 +35,11 @@ from dolfinx_mortar.mortar.surface import (
 from dolfinx_mortar.supports.bodies import Bodies, Motion, find_free
 from dolfinx_mortar.supports.dirichlet import Dirichlet
 
-# A slave facet this many times longer than the master's makes the contact pressure coarse.
+# A slave facet this many times longer than the master's makes the contact pressure coarse. A disc
+# on a block, moduli 1:1 to 1:1000, either one meshed coarser: with the coarser side as slave forces
+# are those of fine meshes to .3 % up to 4 times and peaks of pressure to .7 %, at 6 times to 1.7
+# and 1.6 %, at 8 times peaks to 6 %, at 12 times to 11 % and forces to 3 %, with 3 to 5 nodes. So 2
+# leaves a factor of two for patches of fewer facets.
 COARSE = 2.0
 # Added to the message about unconstrained bodies where the overlap of a tie is free
 PRETENSION_HINT = (
@@ -250,7 +254,7 @@ def _warnings(i: InterfaceAudit) -> list[str]:
     if i.size_ratio > COARSE:
         warnings.append(
             f"{i.name}: slave facets are {i.size_ratio:.1f} times as long as master facets; "
-            "let the finer side be the slave"
+            "let the finer side be the slave, unless it is much stiffer: its pressures would oscillate"
         )
     if i.facing_away:
         warnings.append(
