@@ -245,7 +245,13 @@ def test_loads_that_cannot_be_carried():
         (plane, {"y": 1.0}, None, "'y' = 1", "change its sign"),
         (plane, {"x": 1.0}, None, "'x' = 1", "along x the side carries nothing without friction"),
         (disc, {"x": 1.0}, None, "'x'", "give friction"),  # before it moves, or after it
-        (plane, {"x": 1.0}, 0.3, "'x' = 1", "along x friction carries only what another force"),
+        (
+            plane,
+            {"x": 1.0},
+            0.3,
+            "'x' = 1",
+            "along x friction carries a load only where another force",
+        ),
     ):
         case = Block(n=10, fine=10.0)
         problem = case.problem([case.tool(shape, load=load, friction=mu)])
