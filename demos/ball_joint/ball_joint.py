@@ -21,10 +21,10 @@
 # are the shape functions, unit normals and positions of the nodes of a facet. The mortar matrices
 # $D$ and $M$ do not change. Units: mm, MPa, N.
 #
-# **Picture.** The contact pressure on the ball, seen along its axis, for two meshes (rows) and both
-# gaps (columns). With facets the pressure has isolated peaks, and the force changes from 200 to 32
-# kN between the two meshes. With smooth surfaces both meshes give 69.9 kN and nearly the same
-# pressure.
+# **Result.** The picture shows the contact pressure on the ball, seen along its axis, for two
+# meshes (rows) and both gaps (columns). With facets the pressure has isolated peaks, and the force
+# changes from 200 to 32 kN between the two meshes. With smooth surfaces both meshes give 69.9 kN
+# and nearly the same pressure.
 #
 # **Compare with.** A mesh of hexahedra with 120 000 unknowns gives 67.8 kN. On the four meshes of
 # this demo, with either slave side, smooth surfaces give 68.7 to 69.9 kN, facets 32 to 200 kN.

@@ -18,11 +18,11 @@
 # contacts are between both flanges, head and flange, nut and flange. Units: mm, MPa, N; forces are
 # those of the whole joint, or of one bolt.
 #
-# **Picture.** Left: the force $F$ on the webs, the force $B$ of a bolt and the contact force $Q$
-# between the flanges (per bolt) over the opening of the flanges at the web, with the resistances
-# $F_1$ and $F_2$. Right: the plastic strain in the plane of symmetry, with displacements five times
-# as large. The flanges bend and press on each other outside the bolts; this prying force adds to
-# the load of the bolts,
+# **Result.** The left part shows the force $F$ on the webs, the force $B$ of a bolt and the contact
+# force $Q$ between the flanges (per bolt) over the opening of the flanges at the web, with the
+# resistances $F_1$ and $F_2$. The right part shows the plastic strain in the plane of symmetry,
+# with displacements five times as large. The flanges bend and press on each other outside the
+# bolts; this prying force adds to the load of the bolts,
 #
 # $$B = \tfrac12 F + Q.$$
 #

@@ -14,8 +14,9 @@
 # symmetry one half of each ring is meshed. Strains are small. Units: mm, MPa, N, s, tonnes;
 # energies in mJ, of the halves.
 #
-# **Picture.** Mean velocities of the rings, the change of width of the second ring, and the ledger
-# of energies over time. After the collision both rings vibrate, mainly in the oval mode.
+# **Result.** The picture shows the mean velocities of the rings, the change of width of the second
+# ring, and the ledger of energies over time. After the collision both rings vibrate, mainly in the
+# oval mode.
 #
 # **Compare with.** If the rings were compact bodies, like balls, the second one would leave with
 # the velocity of the first. Rings are so flexible that they are still deformed when they separate,

@@ -10,14 +10,14 @@
 # - read tractions, stick and slip states of nodes, and the dissipated energy,
 # - compare with the closed solution, `dm.analytic.cattaneo_line`.
 #
-# **Problem.** Plane strain. A half disc of radius 40 mm is pressed on a block with a force $P$,
+# **Problem.** In plane strain, a half disc of radius 40 mm is pressed on a block with a force $P$,
 # then pushed sideways with $Q < \mu P$, back to $-Q$, and forward again. Both are elastic ($E$ =
 # 206.9 GPa, $\nu$ = 0.29), the coefficient of friction is $\mu$ = 0.2. The flat face of the disc is
 # displaced: 0.06 mm down, then 0.011 mm to either side. Units: mm, MPa, N per mm.
 #
-# **Picture.** Top: the shear traction during the first push and on the way back, computed (points)
-# and by the formula (lines), between the limits $\pm \mu p$ (dotted). Bottom: the half-width $c$ of
-# the stick zone, and the loop of the force over the displacement.
+# **Result.** The upper half shows the shear traction during the first push and on the way back,
+# computed (points) and by the formula (lines), between the limits $\pm \mu p$ (dotted). The lower
+# half shows the half-width $c$ of the stick zone, and the loop of the force over the displacement.
 #
 # **Compare with.** The middle of the contact sticks, its edges slip. With Hertz' half-width $a$ and
 # peak pressure $p_0$ the stick zone and the shear traction are

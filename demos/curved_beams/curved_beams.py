@@ -10,20 +10,20 @@
 # - follow contact that closes, slides over whole bodies and opens, with or without friction,
 # - read the energy dissipated by plastic flow.
 #
-# **Problem.** Yang, Laursen and Meng (2005), plane strain. A half ring stands on its feet. A second
-# one, whose ends are held from above, touches it and is dragged over it by 31.5 mm. Both bend far
-# beyond yield; the upper beam slides over the lower one, snaps past its crown and separates from
-# it. $E$ = 689.56 MPa, Poisson's ratio 0.32, yield stress 31 MPa, isotropic hardening of 261.2 MPa.
-# Units: mm, MPa, N per mm.
+# **Problem.** The problem is that of Yang, Laursen and Meng (2005), in plane strain. A half ring
+# stands on its feet. A second one, whose ends are held from above, touches it and is dragged over
+# it by 31.5 mm. Both bend far beyond yield; the upper beam slides over the lower one, snaps past
+# its crown and separates from it. $E$ = 689.56 MPa, Poisson's ratio 0.32, yield stress 31 MPa,
+# isotropic hardening of 261.2 MPa. Units: mm, MPa, N per mm.
 #
-# **Picture.** The reactions of the lower feet over the motion, beside published values; the von
-# Mises stress at the largest vertical reaction, and the plastic strain at the end.
+# **Result.** The picture shows the reactions of the lower feet over the motion, beside published
+# values; the von Mises stress at the largest vertical reaction, and the plastic strain at the end.
 #
 # **Compare with.** Neto and others (2016) published the reactions for friction coefficients of 0,
 # 0.3 and 0.6 (`literature.py`; table below).
 #
-# **Options to try.** `--friction 0.3` and `--friction 0.6`. `--along 100` halves the length of the
-# cells, `--slave upper` exchanges slave and master side.
+# **Options to try.** `--friction 0.3` and `--friction 0.6` are the other published cases.
+# `--along 100` halves the length of the cells, `--slave upper` exchanges slave and master side.
 
 import argparse
 import logging

@@ -16,8 +16,8 @@
 # 0.1. The yield stress of the sheet is $k_f = 200 + 150 (1 - e^{-10 \varphi}) + 250 \varphi$ MPa at
 # the plastic strain $\varphi$. Units: mm, MPa, N.
 #
-# **Picture.** The force of the punch over its depth, with Siebel's estimate of the largest force,
-# and the von Mises stress in the section of the cup.
+# **Result.** The picture shows the force of the punch over its depth, with Siebel's estimate of the
+# largest force, and the von Mises stress in the section of the cup.
 #
 # **Compare with.** The flange is drawn to a smaller radius and is compressed in the hoop direction.
 # At its outer edge the radial stress is zero. In uniaxial compression at constant volume, the

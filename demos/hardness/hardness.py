@@ -17,9 +17,10 @@
 # displaces the same volume as Berkovich's pyramid at the same depth; that pyramid, in 3D, of which
 # a sixth is modelled; and a ball of radius 40 micrometres. Units: micrometres, GPa, mN.
 #
-# **Picture.** One row for each tool. Left: the force $P$ over the depth $h$ and the slope $S$ at
-# the start of unloading. Right: the surface at the largest depth with the contact pressure, for the
-# pyramid as a map with the nodes in contact. The material piles up beside the cone and the pyramid.
+# **Result.** The picture has one row for each tool. On the left is the force $P$ over the depth $h$
+# and the slope $S$ at the start of unloading. On the right is the surface at the largest depth with
+# the contact pressure, for the pyramid as a map with the nodes in contact. The material piles up
+# beside the cone and the pyramid.
 #
 # **Compare with.** The method of Oliver and Pharr (1992) computes hardness $H$ and reduced modulus
 # $E_r$ from the curve,

@@ -9,11 +9,11 @@
 # - impose unilateral contact on non-matching meshes with the dual mortar method,
 # - apply the load in steps, write every step for ParaView, and compare every step with Hertz.
 #
-# **Problem.** Plane strain. A half disc of radius 8 mm touches the block
-# $[-15, 15] \times [-10, 0]$ mm at the origin. Both are of steel: $E$ = 206.9 GPa, $\nu$ = 0.29,
-# uniaxial yield stress 450 MPa, linear kinematic hardening. The block is clamped at the bottom; the
-# flat face of the disc is moved down by $d$ = 0.2 mm. Every step minimises the energy under the
-# equalities of the supports and the inequalities of contact,
+# **Problem.** A half disc of radius 8 mm touches the block $[-15, 15] \times [-10, 0]$ mm at the
+# origin, in plane strain. Both are of steel: $E$ = 206.9 GPa, $\nu$ = 0.29, uniaxial yield stress
+# 450 MPa, linear kinematic hardening. The block is clamped at the bottom; the flat face of the disc
+# is moved down by $d$ = 0.2 mm. Every step minimises the energy under the equalities of the
+# supports and the inequalities of contact,
 #
 # $$\min_v \Psi(v) - f \cdot v \quad\text{subject to}\quad B_E v = c_E,\; B_I v \le c_I,$$
 #
@@ -21,7 +21,7 @@
 # two sides, $N$ contains the normals, and $c_I$ is the initial weighted gap. Units: mm, MPa, N per
 # mm.
 #
-# **Picture.** The program draws figures 2 to 7 of the paper (mesh, hardening, stresses), the
+# **Result.** The program draws figures 2 to 7 of the paper (mesh, hardening, stresses), the
 # deformed mesh, and the contact pressure beside Hertz' elastic solution for the same force. Where
 # the bodies flow, the peak pressure stays below that of Hertz.
 #

@@ -11,9 +11,9 @@
 # - make a meshed body rigid by Dirichlet conditions,
 # - compare a whole load history with published fits.
 #
-# **Problem.** A ball of radius 20 mm and a plate; one of them is rigid, the other elastic and
-# perfectly plastic ($E$ = 200 GPa, $\nu$ = 0.3, uniaxial yield stress $S$ = 1000 MPa). There is no
-# friction. Two cases:
+# **Problem.** A ball of radius 20 mm and a plate are pressed on each other. One of them is rigid,
+# the other elastic and perfectly plastic ($E$ = 200 GPa, $\nu$ = 0.3, uniaxial yield stress $S$ =
+# 1000 MPa). There is no friction. Two cases:
 #
 # - `--case flattening` (default): a rigid plate is pressed on the ball, up to 50 times the
 #   interference of first yield.
@@ -28,18 +28,18 @@
 #
 # Units: mm, MPa, N; forces are those of the whole bodies.
 #
-# **Picture.** Force and contact area over the interference, both in units of first yield; contact
-# pressure over the radius, in units of the yield stress; plastic strain; profile of the surface.
-# The pressure changes from Hertz' ellipse to a plateau.
+# **Result.** The picture shows force and contact area over the interference, both in units of first
+# yield; contact pressure over the radius, in units of the yield stress; plastic strain; profile of
+# the surface. The pressure changes from Hertz' ellipse to a plateau.
 #
 # **Compare with.** Flattening: Jackson and Green (2005) and Kogut and Etsion (2002) fitted force
 # and contact radius to many such computations; the two fits differ by up to five per cent.
 # Indentation: the mean pressure approaches the hardness, two to three yield stresses, and the
 # surface piles up beside the ball.
 #
-# **Options to try.** `--case indentation`. `--interference` is the largest $w / w_c$, `--steps` the
-# number of steps to it, `--h` the element size at the axis. `--cell triangle` chooses triangles;
-# with `--degree 1` they lock in plastic flow.
+# **Options to try.** `--case indentation` computes the other case. `--interference` is the largest
+# $w / w_c$, `--steps` the number of steps to it, `--h` the element size at the axis.
+# `--cell triangle` chooses triangles; with `--degree 1` they lock in plastic flow.
 
 import argparse
 import logging

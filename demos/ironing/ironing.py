@@ -9,22 +9,22 @@
 # - let bodies slide over many facets, with friction,
 # - read the reaction of a support, and write XDMF files and an animation.
 #
-# **Problem.** Fischer and Wriggers (2006), plane strain. A tool with a round underside is pressed
-# down by 1 mm, 0.8 mm of it into a soft block, and then dragged along the block by 10 mm, over many
-# facets in each step. The law is compressible neo-Hookean with $E$ = 689.6 MPa in the block, ten
-# times as much in the tool, and Poisson's ratio 0.32. The coefficient of friction is 0.3. Cells
-# under the tool lose a third of their volume. Units: mm, MPa, N per mm.
+# **Problem.** The problem is that of Fischer and Wriggers (2006), in plane strain. A tool with a
+# round underside is pressed down by 1 mm, 0.8 mm of it into a soft block, and then dragged along
+# the block by 10 mm, over many facets in each step. The law is compressible neo-Hookean with $E$ =
+# 689.6 MPa in the block, ten times as much in the tool, and Poisson's ratio 0.32. The coefficient
+# of friction is 0.3. Cells under the tool lose a third of their volume. Units: mm, MPa, N per mm.
 #
-# **Picture.** The vertical force V and the horizontal force H of the tool, beside those of six
-# programs, and the von Mises stress half way along.
+# **Result.** The picture shows the vertical force V and the horizontal force H of the tool, beside
+# those of six programs, and the von Mises stress half way along.
 #
 # **Compare with.** The published forces of the six programs (`literature.py`) differ by a quarter
 # in V and by 85 % in H. Two other tests are stricter: the forces should hardly depend on the mesh
 # and on the choice of the slave side, and without friction H must vanish half way along, by
 # symmetry.
 #
-# **Options to try.** `--slave block`, `--h 0.075` and `--friction 0` (table below). `--steps` is
-# the total number of steps.
+# **Options to try.** `--slave block`, `--h 0.075` and `--friction 0` give the other rows of the
+# table below. `--steps` is the total number of steps.
 
 import argparse
 import logging

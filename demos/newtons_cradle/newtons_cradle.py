@@ -14,8 +14,8 @@
 # hits the second one, which hits the third one. Displacements are along the rods only, so that the
 # waves are one-dimensional. Units: mm, MPa, N, s, tonnes; energies in mJ.
 #
-# **Picture.** Mean velocities of the rods, contact forces, and kinetic and stored energy over time.
-# The last rod leaves with the velocity of the first one.
+# **Result.** The picture shows mean velocities of the rods, contact forces, and kinetic and stored
+# energy over time. The last rod leaves with the velocity of the first one.
 #
 # **Compare with.** Saint-Venant (1867): from the contact a wave runs into both rods with the speed
 # $c = \sqrt{E / \rho}$. Between two equal rods the force is

@@ -26,10 +26,11 @@
 # from differentiating the iteration but from the implicit function theorem,
 # $dg / d|\xi| = 1 / (2\mu + r'(k + g))$. Units: mm, MPa, N per mm.
 #
-# **Picture.** The plastic strain below the disc, and the contact pressures of all versions.
+# **Result.** The picture shows the plastic strain below the disc, and the contact pressures of all
+# versions.
 #
-# **Compare with.** The versions with each other: the program ends with an error if force, pressures
-# or stresses differ by more than $10^{-12}$ of the largest value.
+# **Compare with.** The versions are compared with each other: the program ends with an error if
+# force, pressures or stresses differ by more than $10^{-12}$ of the largest value.
 #
 # **Options to try.** `--versions` chooses the versions, `--exponent` the exponent $n$, `--h` the
 # element size at the contact.

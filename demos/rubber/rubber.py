@@ -9,15 +9,15 @@
 # - model a quarter of a symmetric problem, and draw the whole,
 # - compare the work of the supports with the stored energy.
 #
-# **Problem.** Sussman and Bathe (1987), plane strain: a long cylinder of rubber, of radius 200 mm,
-# is compressed between two rigid plates without friction until the plates have approached by 200
-# mm, half of its diameter. This is a model of a seal or a bearing pad. The law is Mooney-Rivlin's
-# with $C_{10}$ = 0.293 MPa, $C_{01}$ = 0.177 MPa and a bulk modulus of 1410 MPa, 1500 times the
-# shear modulus. A quarter is meshed; it takes half of the approach. Units: mm, MPa, N per mm, N mm
-# per mm.
+# **Problem.** The problem is that of Sussman and Bathe (1987), in plane strain: a long cylinder of
+# rubber, of radius 200 mm, is compressed between two rigid plates without friction until the plates
+# have approached by 200 mm, half of its diameter. This is a model of a seal or a bearing pad. The
+# law is Mooney-Rivlin's with $C_{10}$ = 0.293 MPa, $C_{01}$ = 0.177 MPa and a bulk modulus of 1410
+# MPa, 1500 times the shear modulus. A quarter is meshed; it takes half of the approach. Units: mm,
+# MPa, N per mm, N mm per mm.
 #
-# **Picture.** The force over the approach of the plates, with the reference values, and the von
-# Mises stress in the deformed cylinder.
+# **Result.** The picture shows the force over the approach of the plates, with the reference
+# values, and the von Mises stress in the deformed cylinder.
 #
 # **Compare with.** Sussman and Bathe's curve gives 250 and 1400 N/mm, read off their graph, at
 # approaches of 100 and 200 mm. Twelve variants of another program (Ansys, VM201 and VM211) lie

@@ -9,8 +9,8 @@
 # - apply dead loads as a linear form, and springs as a potential of the displacement,
 # - compare with Lame's thick cylinders, `dm.analytic.shrink_fit`.
 #
-# **Problem.** A hub (outer radius 30 mm) whose bore is smaller than the shaft (radius 20 mm, with a
-# bore of radius 10 mm) by an interference of 0.02 mm in the radius. Both are of steel ($E$ = 200
+# **Problem.** The bore of a hub (outer radius 30 mm) is smaller than the hollow shaft (radius 20
+# mm, bore of radius 10 mm) by the interference, 0.02 mm in the radius. Both are of steel ($E$ = 200
 # GPa, $\nu$ = 0.3) and 20 mm long; the coefficient of friction is 0.2. Only friction holds the
 # shaft. The load history has three parts:
 #
@@ -22,8 +22,8 @@
 #
 # Units: mm, MPa, N; forces are those of the whole bodies.
 #
-# **Picture.** Pressure and shear traction along the shaft at several pulling forces, and the
-# pulling force over the motion of the end of the shaft.
+# **Result.** The picture shows pressure and shear traction along the shaft at several pulling
+# forces, and the pulling force over the motion of the end of the shaft.
 #
 # **Compare with.** Without axial stress Lame's thick cylinders give the pressure for the
 # interference $d$,

@@ -21,9 +21,9 @@
 # with $B_I = N^T (D - M)$: the mortar matrices $D$ and $M$ give the relative displacement of the
 # two sides, $N$ contains the normals, and $c_I$ is the initial weighted gap. Units: mm, MPa, N.
 #
-# **Picture.** The bodies in perspective with the von Mises stress, and the contact pressure twice:
-# as a map with Hertz' circle, and along the radius beside Hertz' elastic solution for the same
-# force.
+# **Result.** The pictures show the bodies in perspective with the von Mises stress, and the contact
+# pressure twice: as a map with Hertz' circle, and along the radius beside Hertz' elastic solution
+# for the same force.
 #
 # **Compare with.** Hertz' formulas hold while both bodies are elastic. At
 # `--material elastic --displacement 0.05` an axisymmetric computation finds a force of 5036 N on

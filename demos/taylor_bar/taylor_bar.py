@@ -16,8 +16,8 @@
 # hardening of 100 MPa, 8930 kg/m³. After 80 µs the cylinder is at rest: it is shorter by a third,
 # and the radius of its foot has more than doubled. Units: mm, MPa, N, s, tonnes; energies in mJ.
 #
-# **Picture.** The bar with its equivalent plastic strain; radius of the foot and length over time,
-# with the range of other codes at the end; the ledger of energies.
+# **Result.** The picture shows the bar with its equivalent plastic strain; radius of the foot and
+# length over time, with the range of other codes at the end; the ledger of energies.
 #
 # **Compare with.** The test has been used to compare codes for forty years, because most finite
 # elements lock in the foot, which is strongly deformed at constant volume. Published final radii of
