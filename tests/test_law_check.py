@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 import dolfinx_mortar as dm
 import ufl
+from tests.pointwise_laws import Radial
 from tests.test_finite_laws import Arrays
 from tests.test_user_laws import Isotropic, variant
 
@@ -173,6 +174,21 @@ def test_a_wrong_tangent_of_a_small_yield_strain_is_found(where):
 
     with pytest.raises(ValueError, match="Off: dP/dF"):
         dm.materials.check(Off(1e11, 0.49, 1e6, 1e3), strain="finite")
+
+
+def test_a_tangent_that_is_wrong_after_flow_is_found():
+    """It is right from the virgin state; from a plastic strain of .5 it is wrong by .1 %."""
+
+    @dataclass(frozen=True)
+    class Off(Radial):
+        @staticmethod
+        def update(strain, state, p):
+            stress, tangent, new = Radial.update(strain, state, p)
+            size = np.linalg.norm(state["plastic_strain"], axis=(1, 2))
+            return stress, tangent * (1 + 2e-3 * size[:, None, None, None, None]), new
+
+    with pytest.raises(ValueError, match=r"Off: dP/dF.*, plastic_strain = \[.*[1-9]"):
+        dm.materials.check(Off(1000.0, 0.3, 1.0, 100.0), strain="finite")
 
 
 def test_a_stress_with_noise_is_refused():

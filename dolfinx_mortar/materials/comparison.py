@@ -147,8 +147,8 @@ def check(
         strain: "finite" judges what the law does in ``Solid(.., strain="finite")``; the default is
             the strain that the law is made for. At deformation gradients from small ones to
             stretches of .3 to 3 and J from .3 to 3, with coincident stretches, d psi / dF has to be
-            P and dP/dF its derivative, both by differences of sixth order to 1e-7, and energy and
-            stress have to turn with F.
+            P and dP/dF its derivative, both by differences of sixth order to 1e-7, from the virgin
+            state and from a changed one, and energy and stress have to turn with F.
         initial_stress: True for a law that is meant to have a stress before anything has moved.
 
     Returns:

@@ -55,7 +55,7 @@ At = Callable[[Floats, Mapping[str, Floats]], FinitePoint]
 class FiniteLawErrors:
     """What `compare_at_finite_strain` found, relative to the elastic stress or moduli."""
 
-    samples: int  # without those on a kink
+    samples: int  # pairs of F and state, without those on a kink
     changed: int  # samples in which an internal variable changed
     energy: float  # P against differences of the energy; NaN without an energy
     tangent: float
@@ -162,6 +162,8 @@ def compare_at_finite_strain(
 ) -> FiniteLawErrors:
     """Compare energy, P and dP/dF of a law at random F, and its answer to rotations.
 
+    At each F from the virgin state, and from one that has changed at another F.
+
     Raises:
         ValueError: where they do not fit, with F and both values.
     """
@@ -170,21 +172,26 @@ def compare_at_finite_strain(
     virgin = {n: np.zeros(6 if shape else ()) for n, shape in law.state.items()}
     if not initial_stress:
         check_start(law, at(np.eye(3), virgin).stress, RTOL * stiffness)
-    found, tried = [], list(gradients(rng, size))
-    for F in tried:
-        here = at(F, virgin)
-        scale = max(stiffness, float(np.abs(here.tangent).max()))
-        sample = _Sample(law, at, F, virgin, here, scale, has_energy)
-        derivatives = sample.compare_with_differences(rng.uniform(-1.0, 1.0, (3, 3)))
-        turned = sample.compare_turned(rotation(rng))
-        if derivatives is not None:
-            changed = any(np.any(here.state[n] != virgin[n]) for n in virgin)
-            found.append((changed, *derivatives, turned, sample.skew()))
-    if len(found) < len(tried) / 2:
+    found, tried, flowed = [], 0, virgin
+    for F in gradients(rng, size):
+        for state in [virgin] if flowed is virgin else [virgin, flowed]:
+            here = at(F, state)
+            scale = max(stiffness, float(np.abs(here.tangent).max()))
+            sample = _Sample(law, at, F, state, here, scale, has_energy)
+            derivatives = sample.compare_with_differences(rng.uniform(-1.0, 1.0, (3, 3)))
+            # tensors that a law remembers may turn with the body
+            turned = sample.compare_turned(rotation(rng)) if state is virgin else 0.0
+            changed = any(np.any(here.state[n] != state[n]) for n in state)
+            tried += 1
+            if derivatives is not None:
+                found.append((changed, *derivatives, turned, sample.skew()))
+            if changed and state is virgin:
+                flowed = here.state
+    if len(found) < tried / 2:
         raise ValueError(
             f"{law.name}: differences of P by steps of several lengths disagree with each other at "
-            f"{len(tried) - len(found)} of {len(tried)} deformation gradients, so that no tangent "
-            "fits: P has noise, as of iterations that end too early, or kinks everywhere"
+            f"{tried - len(found)} of {tried} deformation gradients, so that no tangent fits: P "
+            "has noise, as of iterations that end too early, or kinks everywhere"
         )
     changed_, *errors = np.array(found, dtype=float).T
     return FiniteLawErrors(len(found), int(changed_.sum()), *(float(e.max()) for e in errors))
@@ -272,7 +279,7 @@ class _Sample:
             place, *both = (_written(v) for v in (self.F, given, wanted))
             raise ValueError(
                 f"{self.law.name}: {what} is {both[0]}, but should be {both[1]} ({why}) at F = "
-                f"{place}"
+                f"{place}{''.join(f', {n} = {_written(v)}' for n, v in self.state.items())}"
             )
 
 
