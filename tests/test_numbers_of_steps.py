@@ -36,7 +36,7 @@ LAYERS = (
 )
 PACKAGE = Path(dm.__file__).parent
 NUMBERS = {
-    "interfaces.near": ("INCREMENT_SHARE", "FACETS", "ROOM", "OVERLAP"),
+    "interfaces.near": ("INCREMENT_SHARE", "FACETS", "MARGIN", "OVERLAP"),
     "audit.audit": ("COARSE",),
     "newton_method.failures": ("SOFT", "SQUEEZED"),
     "newton_method.line_search": ("ARMIJO",),

@@ -22,9 +22,9 @@ from dolfinx_mortar.interfaces.link import Link
 # Beside a node that touches, the next one is a facet away, and its gap below two facet lengths if
 # the surfaces are inclined to each other by less than 63 degrees; at right angles none faces.
 INCREMENT_SHARE, FACETS = 0.25, 2.0
-# T gets room for so many times that distance, so that it need not change in every step. Eight cases
-# of large sliding need 74, 70, 66, 66, 66 of them with 1, 1.25, 2, 4, 8, in the same time.
-ROOM = 2.0
+# T holds nodes up to so many times that distance, so that it need not change in every step. Eight
+# cases of large sliding need 74, 70, 66, 66, 66 of them with 1, 1.25, 2, 4, 8, in the same time.
+MARGIN = 2.0
 # Two round bodies that overlap by delta touch where they would overlap by half of it (Hertz: a^2 =
 # R delta, while the overlap ends at 2 R delta).
 OVERLAP = 0.5
@@ -60,7 +60,7 @@ class Reach:
         """Return which slave nodes (n,) of an interface T shall hold; all where it acts openly."""
         if link.interface.acts_openly:
             return np.ones(len(link.nodes), dtype=bool)
-        close = (self.beyond <= ROOM * self.distance) | (self.gap <= 0.0)
+        close = (self.beyond <= MARGIN * self.distance) | (self.gap <= 0.0)
         return np.asarray(close[link.nodes])
 
 

@@ -99,7 +99,7 @@ class Configuration:
 
 
 @dataclass(frozen=True)
-class Room:
+class Reused:
     """The last search and the last T, whose matrices are reused where their patterns fit."""
 
     pairs: Sequence[
@@ -144,7 +144,7 @@ class InterfaceSystem:
         ]
         self.facet_length = max((mean_facet_length(s.slave) for s in self.sides), default=1.0)
         self.present = Configuration()
-        self._room = Room()
+        self._reused = Reused()
         self.searches = 0
         self.middles: list[tuple[Middles, ...]] | None = None  # when first asked for
         self.faced = False
@@ -257,7 +257,11 @@ class InterfaceSystem:
         found = [
             ask(comm, interface, "pair", sides, v, again=self.faced, earlier=earlier)
             for interface, sides, v, earlier in zip(
-                self.interfaces, self.sides, displacements, self._room.pairs or unknown, strict=True
+                self.interfaces,
+                self.sides,
+                displacements,
+                self._reused.pairs or unknown,
+                strict=True,
             )
         ]
         self.faced = True
@@ -273,7 +277,7 @@ class InterfaceSystem:
             coverage = [full_coverage(self.sides[0])]
         claims = resolve_claims(self.interfaces, self.sides, patterns, coverage)
         at = np.zeros(0) if u is None else u.x.array[: self.n * self.V.dofmap.bs].copy()
-        self._room = replace(self._room, pairs=found, claims=claims, at_X={}, paired_at=at)
+        self._reused = replace(self._reused, pairs=found, claims=claims, at_X={}, paired_at=at)
         near = [np.ones(len(sides.nodes), dtype=bool) for sides in self.sides]
         links = self._coupled(u, near, before)
         return Configuration(links, claims, paired_at=at, searched=True)
@@ -282,10 +286,10 @@ class InterfaceSystem:
         self, u: fem.Function | None, near: Sequence[Bools], before: Configuration | None = None
     ) -> list[Link]:
         """Return the interfaces at X + u with the pairs and claims of the last search."""
-        links, claims = [], self._room.claims
+        links, claims = [], self._reused.claims
         assert claims is not None
         for k, (interface, sides) in enumerate(zip(self.interfaces, self.sides, strict=True)):
-            parts = sides, *self._room.pairs[k], claims.banned[k]
+            parts = sides, *self._reused.pairs[k], claims.banned[k]
             coupling = self._couple(k, parts, u, before.links[k].coupling if before else None)
             links.append(Link(*parts[:3], coupling, near[k], claims.banned[k], interface))
         return links
@@ -308,14 +312,14 @@ class InterfaceSystem:
         comm, interface = self.V.mesh.comm, self.interfaces[k]
         at = ask(comm, interface, "configuration", u)
         first = at is None and interface.lasts and before is None
-        if first and k in self._room.at_X:
-            return self._room.at_X[k]
+        if first and k in self._reused.at_X:
+            return self._reused.at_X[k]
         sides, pairing, pattern, banned = parts
         with raised_together(comm), named(f"{interface!r}: couple()"):
             found = interface.couple(sides, pairing, pattern, banned, at, before)
             check_coupling(repr(interface), found, sides, pattern)
         if first:
-            self._room = replace(self._room, at_X={**self._room.at_X, k: found})
+            self._reused = replace(self._reused, at_X={**self._reused.at_X, k: found})
         return found
 
     def _followed(self, k: int, link: Link, u: fem.Function | None) -> Link:
@@ -341,11 +345,13 @@ class InterfaceSystem:
         """
         if known is None or not self.interfaces:
             return self.at(u)
-        same = self._room.paired_at is not None and np.array_equal(self._room.paired_at, known.at)
+        same = self._reused.paired_at is not None and np.array_equal(
+            self._reused.paired_at, known.at
+        )
         if not self.V.mesh.comm.allreduce(same, op=MPI.LAND):
             self.at(None if u is None else with_values(self.V, known.at))
         links = self._coupled(u, known.near)
-        claims = self._room.claims
+        claims = self._reused.claims
         assert claims is not None
         if self._slid(links, u, everywhere=True) or self._are_outdated(claims, links):
             return self.at(u)
@@ -405,17 +411,17 @@ class InterfaceSystem:
         """Make these links of a configuration the present ones; tell whether T is another one."""
         assert found.claims is not None
         order, held = found.claims.order, _pattern_of(links)
-        room, T = self._room, self._room.transformation
-        same = order == room.order and len(held) == len(room.held)
-        same = same and all(map(np.array_equal, held, room.held))
+        reused, T = self._reused, self._reused.transformation
+        same = order == reused.order and len(held) == len(reused.held)
+        same = same and all(map(np.array_equal, held, reused.held))
         if T is None or not self.V.mesh.comm.allreduce(same, op=MPI.LAND):
             self.present = Configuration()  # the old T goes before the new one needs the memory
-            self._room = replace(room, transformation=None, moving=None)
+            self._reused = replace(reused, transformation=None, moving=None)
             T = Transformation(self.V, links, order)
-            self._room = replace(self._room, transformation=T, held=held, order=order)
+            self._reused = replace(self._reused, transformation=T, held=held, order=order)
         T.update(links)
         self.present = replace(found, links=links, transformation=T)
-        return T is not room.transformation
+        return T is not reused.transformation
 
     def _slid(self, links: Sequence[Link], u: fem.Function | None, *, everywhere: bool) -> bool:
         """Tell whether sides slid out of the margins of their pairings; collective."""
@@ -438,12 +444,12 @@ class InterfaceSystem:
 
         So an audit between steps is no search of the next step, and leaves its matrices alone.
         """
-        present, room = self.present, self._room
+        present, reused = self.present, self._reused
         try:
             yield
         finally:  # an error may be one of this rank only: no communication
             if present.transformation is not None:
-                self.present, self._room = present, room
+                self.present, self._reused = present, reused
         if present.transformation is not None:
             present.transformation.update(present.links)  # the block may have refilled it
 
@@ -472,11 +478,11 @@ class InterfaceSystem:
             tangential: tangential tractions (owned nodes, d), None without friction.
             slips: displacement since the last commit, and the partners of each interface.
         """
-        moving = self._room.moving
+        moving = self._reused.moving
         lacks = moving is None or not moving.serves(self.links)
         if moving is None or any_rank(self.V.mesh.comm, lacks)[0]:
-            moving = MovingGeometry(self.V, self.links, list(self._room.order))
-            self._room = replace(self._room, moving=moving)
+            moving = MovingGeometry(self.V, self.links, list(self._reused.order))
+            self._reused = replace(self._reused, moving=moving)
         return moving.linearise(self.links, u, multipliers, tangential, slips)
 
     # -- what the QP needs -----------------------------------------------------------------------
