@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Runs on ranks have the machine to themselves while workers of pytest-xdist run the tests.
+"""Locks that keep other workers of pytest-xdist idle while a test runs a job on ranks.
 
 A rank that waits for a message yields its core. Beside other tests it gets the core back after
 their time slice, some milliseconds, and every message takes that long: 330 tests of 100 s on three

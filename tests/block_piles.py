@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Meshes of any number of rectangular blocks, and what tests gather from them."""
+"""Meshes of any number of rectangular blocks, and results gathered from all ranks."""
 
 from mpi4py import MPI
 from petsc4py import PETSc

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Walk through load steps with a checkpoint, perhaps be killed on the way; see test_checkpoint.
+"""Compute load steps with a checkpoint, killed on request before the end; see test_checkpoint.
 
     checkpoint_program.py CHECKPOINT RESULT STEPS [step|send|write|replace|output|on]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Runs that are compared with one that goes through: in this program, and as jobs of their own."""
+"""Interrupted runs to compare with an uninterrupted one, in this program and as separate jobs."""
 
 from pathlib import Path
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What every test needs: reproducible random numbers, and an orderly life on several ranks."""
+"""Settings of all tests: reproducible random numbers, order and errors on several ranks."""
 
 import gc
 import os

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""One cell under a prescribed homogeneous strain: a law seen without any boundary value problem."""
+"""One cell under a prescribed homogeneous strain: the response of a law at a material point."""
 
 from functools import cached_property
 from typing import Any

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Two blocks pressed together by their supports: good input, for the tests to spoil or to solve."""
+"""Two blocks pressed together by their supports: valid input, which tests solve or change."""
 
 import re
 

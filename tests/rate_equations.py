@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rate equations of associated plasticity, integrated with adaptive steps: laws from outside.
+"""Rate equations of associated plasticity, integrated with adaptive steps, as references of laws.
 
 Elastic C, yield function f(sigma, ep, k) <= 0, flow direction m = df/dsigma, hardening h:
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Ranks that give something else than the others: an error on all of them, before anything hangs.
+"""Arguments that differ between ranks: an error on all ranks before a collective call.
 
 Without it the answer is that of a mixture of problems, or there is none.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Arguments of steps: what they may be, and that all ranks have to give the same."""
+"""Arguments of steps: admissible values, and equality on all ranks."""
 
 from types import SimpleNamespace
 

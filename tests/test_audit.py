@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The geometry audit: it names what would go wrong before the first step, and only that."""
+"""The audit before the first step: it reports errors of the set-up, and nothing else."""
 
 import logging
 import re

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the certificate says of the mortar operators."""
+"""The entries of the certificate about the mortar operators."""
 
 from dataclasses import replace
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Checkpoints with a wrong bit, cut off, or with more behind: never taken over, never a crash.
+"""Checkpoints with a changed bit, truncated or extended: always rejected, without a crash.
 
 HDF5 itself does not survive all of them: nothing is given to it before the checksum is right.
 """

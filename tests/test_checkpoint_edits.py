@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Checkpoints that were edited and sealed anew: all is checked before any of it is taken."""
+"""Edited checkpoints with a valid checksum: all contents are checked before any is restored."""
 
 import copy
 import json

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Checkpoints that cannot be trusted or written: told on all ranks, and nothing is changed."""
+"""Checkpoints that are invalid or cannot be written: an error on all ranks, and no change."""
 
 import errno
 import os

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Two squares on each other: constant and linear stress states that are exact to round-off.
+"""Two squares in contact: constant and linear stress states, exact to round-off.
 
 E = 1000, nu = 0 and the expected numbers follow the control tests of EdelweissFE's contact fork.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The documentation: its programs run, its names exist, what is public is described."""
+"""The documentation: its programs run, its names exist, all public names are described."""
 
 import dataclasses
 import doctest

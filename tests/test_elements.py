@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Types of facets: what one says about itself is consistent, and nobody else knows it."""
+"""Types of facets: their data are consistent, and no other module depends on the type."""
 
 import ast
 from pathlib import Path

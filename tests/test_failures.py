@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Steps that cannot be solved: floating bodies, useless solvers, too few iterations."""
+"""Steps that cannot be solved: unconstrained bodies, unsuitable solvers, too few iterations."""
 
 import json
 from dataclasses import dataclass, replace

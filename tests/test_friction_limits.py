@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a QP with friction falls back on: given limits, and the worst nodes alone."""
+"""Fallbacks of a QP with friction: given limits, and updates of the worst nodes only."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What friction costs Newton: few iterations, elastic and plastic, up to mu = 1."""
+"""Newton iterations with friction, elastic and plastic, up to mu = 1."""
 
 from itertools import pairwise
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A step begins with the slips of the last one: what slides goes on, what is taken back sticks."""
+"""A step begins with the slips of the last one: further sliding slips, reversal sticks."""
 
 from mpi4py import MPI
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Jumps that cannot be: an error on all ranks that says what to give, and nothing is lost."""
+"""Invalid jumps: an error on all ranks that names the remedy, and no change of the state."""
 
 import numpy as np
 import pytest

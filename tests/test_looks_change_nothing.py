@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a user may do between steps changes no number, to the last bit, on any number of ranks.
+"""Audits, output and other calls between steps change no result, to the last bit, on any ranks.
 
 A plate is glued on a block, and a plastic block is pressed and pushed along it: four load steps
 with updated geometry, the third of them in parts. Each test walks so and does something besides.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What `measure` and the certificate say, against numbers that are found without them."""
+"""The results of `measure` and the certificate against independently computed numbers."""
 
 from dataclasses import replace
 

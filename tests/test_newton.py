@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Newton ends: without contact, at round-off, with moving geometry; each rule by what it does."""
+"""Termination of Newton's method: without contact, at round-off, with moving geometry."""
 
 from dataclasses import replace
 

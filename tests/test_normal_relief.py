@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Contact nodes without mass along their normals: bodies of any thickness keep what they weigh."""
+"""Contact nodes without mass along their normals: the mass of bodies of any thickness is kept."""
 
 from mpi4py import MPI
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Preload: the jump for a force, signs, the diagram of a bolted joint, and what cannot be."""
+"""Preload: the jump for a force, signs, the diagram of a bolted joint, invalid input."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Ties whose resultant is given: one unknown of the Newton step, in all that steps may meet."""
+"""Ties with a given resultant: one more unknown of Newton's method, in all kinds of steps."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Matrices that are not symmetric, or not positive definite: who relies on `BoundQP.definite`."""
+"""Unsymmetric and indefinite matrices, and the functions that use `BoundQP.definite`."""
 
 from dataclasses import replace
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sets with friction that go in circles: a descent of the energy for given limits, in the plane."""
+"""Cycles of active sets with friction: a descent of the energy for given limits, in 2D."""
 
 from dataclasses import replace
 

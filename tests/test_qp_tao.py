@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What TAO is given, and what is left of it."""
+"""The QP that TAO receives, and the release of its objects."""
 
 from types import ModuleType
 from typing import Any

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Reactions of supports: equilibrium to round-off, nodes with contact, rings, what cannot be."""
+"""Reactions of supports: equilibrium to round-off, contact nodes, rings, invalid input."""
 
 import json
 

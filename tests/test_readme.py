@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the README tells a newcomer to type must work, and it must be short."""
+"""The commands and the program of the README work, and the README is short."""
 
 import re
 from pathlib import Path

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Laws on cell tags, and displacements and tags that no solid can be made of."""
+"""Laws by cell tag, and invalid displacements and tags."""
 
 from typing import Any
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What is said of contacts with too few nodes: the largest pressure is not resolved."""
+"""Notes on contacts with too few nodes, whose largest pressure is not resolved."""
 
 import re
 

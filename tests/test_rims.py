@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Slave nodes at the rim of the other side, which just carry a multiplier or just do not."""
+"""Slave nodes at the rim of the master side, on the threshold of carrying a multiplier."""
 
 import numpy as np
 import pytest

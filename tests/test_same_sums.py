@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What ranks add up is the same each time, to the last bit, whoever's message comes first."""
+"""Sums over ranks are reproducible to the last bit, whatever the order of messages."""
 
 import time
 

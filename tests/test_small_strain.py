@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the small strain leaves out: measured exactly, told where it matters and only there."""
+"""The error of the small strain: its measure, and the note where it matters."""
 
 import dataclasses
 import math

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What is said of facets that stand for curved sides: before a step, and after it."""
+"""Warnings and notes on facets that approximate curved sides badly."""
 
 from mpi4py import MPI
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Random problems: discs by their own certificate, and the sweep, which judges from outside."""
+"""Random problems: discs checked by the certificate, and the sweep, an independent check."""
 
 import json
 

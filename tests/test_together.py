@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""An error on one rank is raised on all, with its text."""
+"""An error on one rank is raised on all ranks, with its text."""
 
 from mpi4py import MPI
 

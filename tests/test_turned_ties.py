@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Ties of bodies that turn far at finite strain: what does not turn with them is told.
+"""Ties of bodies with large rotations: notes on jumps and distances that do not rotate.
 
 A body under forces that turn with it carries the same stress in each direction: whatever a tie
 changes under a rotation is its error.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Steps that fail because of laws and parameters: what is said, and what is shown after them."""
+"""Steps that fail because of laws and parameters: messages, and fields after the failure."""
 
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Laws that a user writes: what is wrong is named, what is right is computed and written."""
+"""Laws of users: errors name the mistake; valid laws are computed and written to files."""
 
 import re
 from dataclasses import dataclass, make_dataclass

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A glued bar that is tightened, and what a failure must leave as it was."""
+"""A tied bar that is tightened, and the state that a failure must not change."""
 
 import numpy as np
 

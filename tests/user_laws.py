@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Laws of users in UFL, by what tests ask of them; they begin with E times the strain."""
+"""Laws of users in UFL for the tests; initially the stress is E times the strain."""
 
 from dataclasses import dataclass
 from typing import ClassVar
