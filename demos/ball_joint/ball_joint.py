@@ -3,8 +3,8 @@
 
 # # A ball in its socket: gaps between facets and between smooth surfaces
 #
-# Closely fitting curved sides on coarse meshes, in 3D. This demo compares the two ways to measure
-# the gap, `surface="facets"` and `surface="smooth"`, the default.
+# This demo is about closely fitting curved sides on coarse meshes, in 3D. It compares the two ways
+# to measure the gap, `surface="facets"` and `surface="smooth"`, the default.
 #
 # **Problem.** A steel ball ($E$ = 200 GPa, $\nu$ = 0.3, elastic) of radius 9.9 mm is pressed by
 # 0.05 mm into a socket of radius 10 mm, without friction. A quarter is meshed. Facets with edges of

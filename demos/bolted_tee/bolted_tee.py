@@ -3,7 +3,7 @@
 
 # # A bolted T-stub: preload, prying forces, yielding
 #
-# The tension zone of a bolted end plate, in 3D. This demo shows how to
+# This demo computes the tension zone of a bolted end plate, in 3D. It shows how to
 #
 # - preload a bolt: `dm.Tie` with a jump, which `dm.preload` determines for a given force,
 # - combine several contacts and a tie on non-matching meshes,

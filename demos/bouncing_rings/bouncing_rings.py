@@ -3,7 +3,7 @@
 
 # # Collision of two rings, and the energy of their vibrations
 #
-# Impact of bodies that vibrate afterwards. This demo shows how to
+# This demo computes the impact of two bodies that vibrate afterwards. It shows how to
 #
 # - compute a collision of deformable bodies with `dm.Inertia` and `dm.time_steps`,
 # - separate the energy of rigid motion from that of vibrations,

@@ -3,8 +3,8 @@
 
 # # Partial slip: a disc pushed sideways, and the energy of a load cycle
 #
-# Contact with Coulomb friction under a tangential load that alternates (Cattaneo 1938, Mindlin
-# 1949). This demo shows how to
+# This demo computes contact with Coulomb friction under an alternating tangential load (Cattaneo
+# 1938, Mindlin 1949). It shows how to
 #
 # - add friction to a contact, with a coefficient that is a `Constant` and changes between steps,
 # - read tractions, stick and slip states of nodes, and the dissipated energy,

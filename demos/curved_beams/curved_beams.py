@@ -3,7 +3,7 @@
 
 # # Curved beams that slide over each other
 #
-# Finite plasticity with large sliding and loss of contact. This demo shows how to
+# This demo computes finite plasticity with large sliding and loss of contact. It shows how to
 #
 # - use a small-strain law at finite strain: `dm.VonMises` applied to the logarithmic elastic
 #   strain,

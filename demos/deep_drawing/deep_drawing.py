@@ -3,7 +3,8 @@
 
 # # Deep drawing of a cup
 #
-# Sheet metal forming with rigid tools, axisymmetric, at finite strain. This demo shows how to
+# This demo computes sheet metal forming with rigid tools, axisymmetric and at finite strain. It
+# shows how to
 #
 # - describe rigid tools without a mesh: the edges of punch and die as `dm.shapes.Wedge`, in an
 #   axisymmetric problem a rounded rim, and the blank holder as a `dm.shapes.Plane`,

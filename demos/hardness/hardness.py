@@ -3,8 +3,8 @@
 
 # # Hardness: indentation of a metal by a cone, a ball or a pyramid
 #
-# Instrumented indentation with rigid tools, loading and unloading, at finite strain. This demo
-# shows how to
+# This demo computes instrumented indentation with rigid tools, loading and unloading, at finite
+# strain. It shows how to
 #
 # - describe rigid tools without a mesh by their distance functions: `dm.shapes.Cone`,
 #   `dm.shapes.Sphere`, `dm.shapes.berkovich`,

@@ -3,7 +3,7 @@
 
 # # A half disc pressed into a block, both elasto-plastic
 #
-# The benchmark of Cermak, Svetlik, Varga and Pospisil (2024). This demo shows how to
+# This demo computes the benchmark of Cermak, Svetlik, Varga and Pospisil (2024). It shows how to
 #
 # - describe two elasto-plastic bodies by one displacement and one law per cell tag,
 # - impose unilateral contact on non-matching meshes with the dual mortar method,

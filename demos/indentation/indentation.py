@@ -3,7 +3,7 @@
 
 # # A ball flattened by a plate, a plate indented by a ball
 #
-# Axisymmetric elasto-plastic contact far beyond first yield. This demo shows how to
+# This demo computes axisymmetric elasto-plastic contact far beyond first yield. It shows how to
 #
 # - compute with bodies of revolution, `kinematics="axisymmetric"`: the mesh is the half section,
 #   `x[0]` is the radius $r$, `x[1]` the axis $z$, the hoop strain is $u_r / r$, and all integrals,

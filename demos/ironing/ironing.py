@@ -3,7 +3,7 @@
 
 # # Shallow ironing
 #
-# Large sliding with friction at finite strain. This demo shows how to
+# This demo computes large sliding with friction at finite strain. It shows how to
 #
 # - compute at finite strain with a hyperelastic law, `Solid(.., strain="finite")`,
 # - let bodies slide over many facets, with friction,

@@ -3,7 +3,7 @@
 
 # # Newton's cradle of elastic rods
 #
-# Impact of elastic bodies, with waves. This demo shows how to
+# This demo computes impacts of elastic bodies, with waves. It shows how to
 #
 # - compute a motion with contact: `dm.Inertia` with initial velocities, and `dm.time_steps`,
 # - check the balance of energies in the ledger of every step,

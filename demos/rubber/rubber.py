@@ -3,7 +3,7 @@
 
 # # A rubber cylinder pressed between rigid plates
 #
-# Nearly incompressible rubber at finite strain. This demo shows how to
+# This demo computes nearly incompressible rubber at finite strain. It shows how to
 #
 # - avoid volumetric locking of rubber, `volumetric="reduced"`,
 # - model a quarter of a symmetric problem, and draw the whole,

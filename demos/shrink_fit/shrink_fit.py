@@ -3,7 +3,8 @@
 
 # # Shrink fit, and the force that pulls the shaft out of the hub
 #
-# Interference fit with friction, axisymmetric or in 3D, elastic or plastic. This demo shows how to
+# This demo computes an interference fit with friction, axisymmetric or in 3D, elastic or plastic.
+# It shows how to
 #
 # - describe thermal strain as an eigenstrain, `eigenstrain=`,
 # - apply dead loads as a linear form, and springs as a potential of the displacement,

@@ -3,7 +3,7 @@
 
 # # A half ball pressed into a block, both elasto-plastic
 #
-# The Hertz demo in three dimensions. This demo shows how to
+# This demo is the Hertz demo in three dimensions. It shows how to
 #
 # - model a quarter of two bodies with symmetry planes that cut through the contact,
 # - solve contact in 3D with the default linear solver, conjugate gradients with algebraic

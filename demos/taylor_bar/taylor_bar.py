@@ -3,7 +3,7 @@
 
 # # Taylor's impact test of a copper bar
 #
-# Dynamics with finite plasticity. This demo shows how to
+# This demo computes an impact with finite plasticity. It shows how to
 #
 # - compute finite plastic strain without locking: `volumetric="reduced"` on cells of second order,
 # - set a body of revolution in motion: `dm.Inertia` with an initial velocity, and `dm.time_steps`,

@@ -3,16 +3,17 @@
 
 # # A tube of two tied rings, up to its limit load
 #
-# Mesh tying with plastic flow, in plane strain. This demo shows how to
+# This demo computes mesh tying with plastic flow, in plane strain. It shows how to
 #
 # - tie two bodies on non-matching meshes, `dm.Tie`,
 # - avoid volumetric locking in plastic flow, `volumetric="reduced"`,
 # - compute the internal pressure from the nodal forces at the bore.
 #
 # **Problem.** A tube with radii $R_i$ = 1 mm and $R_e$ = 1.3 mm is under internal pressure. It is
-# of elastic, perfectly plastic steel ($E$ = 70 GPa, $\nu$ = 0.3, uniaxial yield stress $\sigma_0$ =
-# 250 MPa). The tube is solved as one body, and as two rings that are tied at a radius of 1.15 mm by
-# the dual mortar method. A quarter of the section is meshed. Units: mm, MPa, N per mm.
+# of an elastic, perfectly plastic metal ($E$ = 70 GPa, $\nu$ = 0.3, uniaxial yield stress
+# $\sigma_0$ = 250 MPa). The tube is solved as one body, and as two rings that are tied at a radius
+# of 1.15 mm by the dual mortar method. A quarter of the section is meshed. Units: mm, MPa, N per
+# mm.
 #
 # **Result.** The picture shows the pressure of both tubes over the growth of the bore, with the
 # limit load, and the plastic strain of the tied rings.
