@@ -330,6 +330,19 @@ def test_a_bar_that_dilates_in_flow(sign):
         assert np.log(np.linalg.det(bar.F)) == pytest.approx(log_J, rel=1e-11)
 
 
+def test_plane_stress_out_of_the_apex():
+    """There all moduli are those of the stress: the first step would end at a stretch of zero."""
+    cone, plastic = LAWS["cone"], np.zeros((1, 3, 3))
+    plastic[0] = np.diag([0.00103059, -0.00358583, 0.00498685])
+    p = {f.name: np.full(1, getattr(cone, f.name)) for f in dataclasses.fields(cone)}
+    H = np.diag([0.01, 0.01, 0.0])[None].copy()
+    law = compiled(cone, 2)
+    law.find_normal(law.start(1, {"plastic_strain": plastic}, p), H)
+    assert -0.009 < H[0, 2, 2] < -0.008
+    found = respond(cone, IDENTITY + H, {"plastic_strain": plastic}, dimension=2)
+    assert abs(found.stress[0, 2, 2]) < 1e-6 * found.stress[0, 0, 0]
+
+
 @pytest.mark.parametrize("name", ["isotropic", "mixed", "kinematic"])
 def test_a_stretched_bar_that_is_turned_and_shortened(name):
     """By 90 degrees: the back stress turns along, and yields where a bar that stays does."""

@@ -85,7 +85,8 @@ def solve(
     neighbouring numbers. Where C_zzzz is not positive, steps are those of the elastic modulus, and
     double.
 
-    At finite strain z, a stretch less 1, is above -1, and stresses have the round-off of moduli.
+    At finite strain z, a stretch less 1, is above -1, no step goes further than half of the way
+    there, and stresses have the round-off of moduli.
 
     The shape is the number of rows that the equation evaluates together, such as cells, and that of
     points in each.
@@ -125,6 +126,8 @@ def _advance(z, low, high, rows, values, share, floor, softer):  # type: ignore[
                 continue
             step = -residual / (softer * elastic)
             new = z[row, q] - residual / modulus if modulus > 0.0 else z[row, q] + step
+            if floor > 0.0:  # a stretch: at most halved, since at zero nothing is defined
+                new = max(new, (z[row, q] - 1.0) / 2)
             small = abs(residual) <= max(share * stress, floor * elastic) and np.isfinite(stress)
             if not small:
                 if residual < 0.0:
