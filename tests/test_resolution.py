@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.report.resolution import _measure
+from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.report.resolution import _measure, oscillation
 from tests.ball_case import create_problem
 from tests.choice import quick
 from tests.close_fits import create_pin, create_shrink_fit
+from tests.finite_sliding import indentation
 from tests.hertz_case import ELASTIC, create_case, create_mesh
 from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
 from tests.pressed_blocks import PressedBlocks
@@ -94,3 +96,24 @@ def test_forces_of_round_off_have_no_peak():
         blocks.top.value[1] = -depth
         assert not dm.newton(problem).notes
         problem.commit()
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("slave", "oscillate"), [("tool", True), ("block", False)])
+def test_pressures_of_a_finer_and_stiffer_slave_oscillate(slave, oscillate):
+    """A disc ten times as stiff as the block, facets .52 times as long: forces are the same."""
+    case = indentation(
+        n=((64, 16), (96, 8)), moduli=(1.0, 10.0), slave=slave, radius=1.0, length=4.0, height=2.0,
+        start=2.0, strain="small",
+    )  # fmt: skip
+    case.held.value[:] = (0.0, -0.1)
+    report = dm.newton(case.problem)
+    found = [note for note in report.notes if "oscillate" in note]
+    assert bool(found) == oscillate and not said(report)
+    assert abs(case.contact.force[1]) == pytest.approx(0.0616, rel=0.01)
+    if oscillate:
+        (link,) = case.problem.system.links
+        multipliers = np.zeros(case.problem.n)
+        multipliers[link.nodes] = case.contact.multiplier
+        found = oscillation(link, Contacts(multipliers > 0.0, multipliers))
+        assert found == pytest.approx(0.26, abs=0.01)

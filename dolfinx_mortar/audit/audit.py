@@ -254,7 +254,7 @@ def _warnings(i: InterfaceAudit) -> list[str]:
     if i.size_ratio > COARSE:
         warnings.append(
             f"{i.name}: slave facets are {i.size_ratio:.1f} times as long as master facets; "
-            "let the finer side be the slave, unless it is much stiffer: its pressures would oscillate"
+            "let the finer side be the slave, unless it is much stiffer: pressures would oscillate"
         )
     if i.facing_away:
         warnings.append(
