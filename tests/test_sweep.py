@@ -120,7 +120,7 @@ def test_random_problems(kind):
         *(pytest.param("friction", n, marks=pytest.mark.slow) for n in (9, 10, 16)),
         pytest.param("heated", 3, marks=pytest.mark.slow),
         ("finite", 29),
-        pytest.param("finite", 12, marks=pytest.mark.slow),  # multigrid fails: factorised
+        pytest.param("finite", 12, marks=pytest.mark.slow),  # smoothers estimate anew
     ],
 )
 def test_some_random_problems(kind, seed):
