@@ -69,7 +69,10 @@ def count(steps):
     return sum(report.newton_iterations for _, _, report in steps)
 
 
-@pytest.mark.parametrize("slave", [pytest.param("tool", marks=pytest.mark.mpi), "block"])
+@pytest.mark.parametrize(
+    "slave",
+    [pytest.param("tool", marks=pytest.mark.mpi), pytest.param("block", marks=pytest.mark.slow)],
+)
 def test_it_saves_iterations_and_changes_no_answer(slave, monkeypatch):
     """Whichever body is moved: that it is the block whose dent moves is found by the overlap."""
     steps, other = slid(slave), slid(slave, tool_held=True)

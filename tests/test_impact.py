@@ -352,6 +352,7 @@ def test_a_tool_that_moves_does_work(v, angle):
     assert ledger.supports == pytest.approx(0.25 * v * (found - 1e-3 - v), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_friction_takes_as_much_where_the_tool_slides_as_where_the_block_does():
     """In a step that restores the energy, too: that of tools is no loss of friction."""
     of_block, of_tool = (meet_a_tool(1e-3, 0.0, 0.5, 0.1, v)[1] for v in ((2e-3, 0), (0, -2e-3)))
@@ -436,6 +437,7 @@ def openings(problem, contact, times):
     return noted, [k for k in range(1, len(closed)) if closed[k - 1] and not closed[k]]
 
 
+@pytest.mark.slow
 def test_friction_in_steps_that_do_not_resolve_vibrations_is_noted(monkeypatch):
     """A weight jumps on a slope of 30 degrees, in steps of five crossings of a wave."""
     case = Blocks((6, 2), (4, 4), law=dm.Elastic(1e5, 0.3), friction=0.3, x_lower=(-1.0, 4.0))
@@ -452,6 +454,7 @@ def test_friction_in_steps_that_do_not_resolve_vibrations_is_noted(monkeypatch):
     assert notes_on_chatter(problem) == []
 
 
+@pytest.mark.slow
 def test_the_impulse_that_restores_the_energy_brings_its_friction():
     """What slides gets mu times the whole normal impulse, chattering or not."""
     mu, (pull, push) = 0.3, (5.0, 8.66)

@@ -64,6 +64,7 @@ LAWS = {
     "arrays": Compiled(E, NU, Y, 500.0),
     "turning arrays": Turning(E, NU, Y, 0.0),
 }
+EACH = quick(LAWS, *(name for name in LAWS if name != "voce mixed"))  # which compiles for 4 s
 MULTIPLICATIVE = {"elastic", "hardening", "voce", "cone", "turning arrays"}
 
 
@@ -126,7 +127,7 @@ def differences(material: Any, F: np.ndarray, state: Any, h: float) -> tuple[Any
 
 
 @pytest.mark.parametrize("gap", [0.0, 1e-12, 1e-7, 1e-3, 0.1, None])
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", EACH)
 def test_stress_and_tangent_are_derivatives(name, gap):
     """In elastic and plastic flow, from a state that has flowed, with coincident stretches, too."""
     material = LAWS[name]
@@ -141,7 +142,7 @@ def test_stress_and_tangent_are_derivatives(name, gap):
         assert np.abs(found.stress - P).max() < 1e-10 * scale
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", EACH)
 def test_a_turn_of_the_body_turns_the_stress(name):
     material, rng = LAWS[name], np.random.default_rng(5)
     F, state = stretched(None, 1.2), flowed(LAWS[name])

@@ -11,6 +11,7 @@ from dolfinx import fem
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
 from dolfinx_mortar.mortar.contact_normals import contact_normals
 from dolfinx_mortar.mortar.surface import find_boundary
+from tests.choice import quick
 from tests.meshes import LOWER, UPPER
 from tests.meshes_3d import BOTTOM_OF_UPPER, TOP_OF_LOWER, rotation, two_boxes
 from tests.moving_bodies import Blocks, Rod
@@ -79,7 +80,7 @@ def test_the_moments_of_inertia_in_space(cell, jitter):
     check(problem, inertia)
 
 
-@pytest.mark.parametrize("layers", [1, 2])
+@pytest.mark.parametrize("layers", quick([1, 2], 1))
 def test_thin_bodies_keep_their_energy(layers):
     """All layers of the block have mass; with relief in all directions 3 to 7 % appear."""
     case = Blocks(

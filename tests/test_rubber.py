@@ -91,7 +91,7 @@ def test_sizes_sides_and_elements_agree():
     np.testing.assert_allclose(ends, np.broadcast_to(ends[0], ends.shape), rtol=0.01)
 
 
-@pytest.mark.parametrize("cell", quick(CELLS, "quadrilateral", "tetrahedron"))
+@pytest.mark.parametrize("cell", quick(CELLS, "quadrilateral"))
 def test_cells_of_second_order_bear_volumes_that_stay(cell):
     """Their functions reproduce what they hold: uniform J gives p = U'(J) and no other energy."""
     solid = second_order(cell)
@@ -118,7 +118,7 @@ def test_cells_of_second_order_bear_volumes_that_stay(cell):
     [
         (2, "reduced", 1e3, 0.7, []),
         (2, "reduced", 1e3, 0.58, [True]),
-        (1, "reduced", 1e3, 0.58, []),
+        pytest.param(1, "reduced", 1e3, 0.58, [], marks=pytest.mark.slow),
         (2, "full", 2.0, 0.5, [False]),  # where the continuum has lost its stability, too
     ],
 )
