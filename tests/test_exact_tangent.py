@@ -25,6 +25,7 @@ from dolfinx_mortar.mortar.integrals import (
     find_segments,
 )
 from dolfinx_mortar.newton_method.linearisation import Corrections, Linearisation
+from dolfinx_mortar.newton_method.residuals import Residuals
 from dolfinx_mortar.newton_method.watch import DIGIT, MOST_RISES, Watch
 from dolfinx_mortar.qp import BoundQP
 from tests import meshes, on_edges
@@ -324,6 +325,19 @@ def test_when_the_exact_tangent_pays():
     for other_nodes in (False, True):
         lost = replace(slow, rises=MOST_RISES).after_exact(90.0, 100.0, other_nodes=other_nodes)
         assert (lost.failed, lost.rises) == (1, MOST_RISES)
+
+
+@pytest.mark.parametrize(
+    ("forces", "shifted", "exact"),
+    [(0.1, 0, True), (0.1, 2, False), (0.01, 2, True), (0.5, 0, False)],
+)
+def test_from_where_on_the_exact_tangent_serves_at_finite_strain(forces, shifted, exact):
+    """Nearer where the last tangent was indefinite, and was shifted."""
+    problem = SimpleNamespace(solid=SimpleNamespace(strain="finite"))
+    step = SimpleNamespace(problem=problem, may_be_exact=True, shifted=shifted)
+    step.missed = lambda last: newton_module._Step.missed(step, last)
+    found = Residuals(forces, contact=0.0, excess=1e6, limit=1.0)
+    assert newton_module._Step.is_exact(step, Watch(True), [found]) == exact
 
 
 @pytest.mark.parametrize("strain", ["small", "finite"])

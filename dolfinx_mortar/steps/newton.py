@@ -635,7 +635,8 @@ class _Step:
         if watch.rises >= MOST_RISES:
             return True
         strain = self.problem.solid.strain
-        near = max(last.forces, last.contact) < NEAR[strain] and self.missed(last) < watch.barred
+        share = NEAR["small" if self.shifted else strain]
+        near = max(last.forces, last.contact) < share and self.missed(last) < watch.barred
         if strain == "finite":  # where tangents are new in any case
             return near
         return near and watch.is_slow(self.linear, last.forces / self.report.rtol, last.excess)
