@@ -6,6 +6,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from time import perf_counter
 from typing import Any
 
 from mpi4py import MPI
@@ -329,7 +330,9 @@ class LinearSolver:
         self._operator.hold(held)
         if self.setup.preconditioner.is_of(held):
             return
+        begin = perf_counter()
         failure = self.setup.preconditioner.renew(held, self.counts)
+        self.counts.seconds_factor += perf_counter() - begin
         if failure:
             order = self._operator.matrix.size[0]
             raise LinearSolveFailed(
@@ -363,11 +366,13 @@ class LinearSolver:
 
     def apply(self, r: PETSc.Vec, x: PETSc.Vec) -> None:
         """Apply the present factorisation or preconditioner once: x = F^-1 r."""
+        begin = perf_counter()
         held = self._operator.held
         assert held is not None
         self.setup.preconditioner.follow(held)
         self.setup.ksp.getPC().apply(r, x)
         self.counts.iterations += 1
+        self.counts.seconds_solve += perf_counter() - begin
 
     def solve(
         self,
@@ -404,6 +409,7 @@ class LinearSolver:
         operator.free.sliding = sliding
         operator.hold(held)
         before = self.counts.iterations
+        self.counts.solves += 1
         first = norm = operator.residual(b, x, held, z).norm()
         aim = Aim(atol, go_on)
         while norm <= aim.atol and aim.next(x, operator.z) > 0.0:
@@ -489,6 +495,7 @@ class LinearSolver:
 
     def _sweep(self, b: PETSc.Vec, x: PETSc.Vec, aim: Aim, norm: float) -> None:
         """Solve for the correction dx that takes the residual from a norm to the tolerance."""
+        begin = perf_counter()
         setup, held = self.setup, self._operator.held
         assert held is not None
         try:
@@ -520,6 +527,7 @@ class LinearSolver:
         test.go_on = no_more  # it refers to the KSP, which keeps the test: a circle
         self.counts.iterations += max(1, ksp.getIterationNumber())
         setup.renewal.learn(test.norms, stale=stale)
+        self.counts.seconds_solve += perf_counter() - begin
 
     def _judge(
         self, b: PETSc.Vec, x: PETSc.Vec, norms: tuple[float, float, float], iterations: int

@@ -45,7 +45,10 @@ class LinearCounts:
     symbolic: int = 0  # analyses of a pattern
     factorisations: int = 0  # numeric factorisations or preconditioner set-ups
     iterations: int = 0  # applications of the factorisation or preconditioner
+    solves: int = 0
     breakdowns: int = 0  # old set-ups with which an iteration failed
+    seconds_factor: float = 0.0
+    seconds_solve: float = 0.0
 
 
 class Renewal:
