@@ -140,7 +140,7 @@ def test_a_corner_drawn_over_a_face():
 
 def test_a_corner_drawn_over_facets_of_the_slave():
     """Where both flanks count, 17 and 73 degrees steep, steps fail, and the error says why."""
-    said = "around (0.65, ", "an edge or a corner of the master", "exchange slave and master"
+    said = "around X = (0.65, ", "an edge or a corner of the master", "exchange slave and master"
     with rejected(*said, error=dm.NewtonNotConverged):
         friction_of_a_drawn_corner(TOP_OF_LOWER, 0.3, whole=True, max_it=15)
 

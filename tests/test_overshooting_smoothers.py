@@ -101,10 +101,15 @@ def test_nothing_is_tried_where_the_coarsest_level_is_indefinite():
     assert solver.counts.factorisations == 1
 
 
-def test_the_choice_of_the_user_stays():
-    """Who has set the option keeps it."""
+@pytest.mark.parametrize("database", [False, True])
+def test_the_choice_of_the_user_stays(database):
+    """Who has set the option keeps it, and no set-up is made in vain."""
     solver, A = problem(1.0)
-    solver.options.given[OF_AGGREGATES] = True
-    with pytest.raises(LinearSolveFailed):
-        left(solver, A)
-    assert solver.options[OF_AGGREGATES] == "True"
+    given = PETSc.Options(solver.options.prefix) if database else solver.options.given
+    given[OF_AGGREGATES] = True
+    try:
+        with pytest.raises(LinearSolveFailed):
+            left(solver, A)
+    finally:
+        del given[OF_AGGREGATES]
+    assert solver.counts.factorisations == 1

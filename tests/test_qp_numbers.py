@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from programs import gathered, membrane
 
-from dolfinx_mortar import qp as qp_floor
+from dolfinx_mortar import qp as qp_package
 from dolfinx_mortar.qp import LinearSolver, QPNotSolved, solve
 from dolfinx_mortar.qp.preconditioner import RENEWAL_COST, Renewal
 
 COMM = MPI.COMM_WORLD
 
-# What the floor still has in numbers: all are costs, or units of round-off.
+# Numbers of the sub-package qp: all are costs, or units of round-off.
 COSTS = {"RENEWAL_COST": 0.2, "HALF_OF_DIGITS": 1e12}
 DECIDE = {"LIMIT": 0.0, "ROUND_OFF": 1e12, "SHARE": 1e12, "QUARTER_OF_DIGITS": 1e-12}
 ABSURD = COSTS | DECIDE  # with factors that must be felt
@@ -27,7 +27,7 @@ CASES += [("active-set", "gamg")]
 
 
 def modules() -> list[ModuleType]:
-    found = walk_packages(qp_floor.__path__, f"{qp_floor.__name__}.")
+    found = walk_packages(qp_package.__path__, f"{qp_package.__name__}.")
     return [import_module(module.name) for module in found]
 
 

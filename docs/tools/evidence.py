@@ -29,7 +29,7 @@ def find(name: str) -> Any:
     'check'
     """
     parts = name.split(".")
-    for k in range(1, len(parts) + 1):  # a room and a function may share a name
+    for k in range(1, len(parts) + 1):  # a sub-package and a function may share a name
         try:
             found = importlib.import_module(".".join(parts[:k]))
             return functools.reduce(getattr, parts[k:], found)

@@ -360,24 +360,23 @@ class Contact(Unilateral, MortarInterface):
         """Say where an edge or a corner of the master presses on slave facets; collective.
 
         The gap there is a mean over both of its flanks, and changes by their slopes where it moves
-        along the side: what friction moves it by may change the force by more than that.
+        along the side, with and without friction. Near are gaps of at most a facet.
         """
         if self.meets_itself:  # which part is the slave is not for the user to say
             return ""
         pairing, operators = link.mortar
         slave, comm = link.sides.slave, link.sides.V.mesh.comm
-        near = np.zeros(len(slave.nodes))
-        gaps = np.abs(link.gaps(x)) <= mean_facet_length(slave)
-        near[: slave.owned] = link.coupling.kept[:, 0] & gaps
+        near, length = np.zeros(len(slave.nodes)), mean_facet_length(slave)
+        near[: slave.owned] = link.coupling.kept[:, 0] & (np.abs(link.gaps(x)) <= length)
         faced = facing_edges(pairing, operators.segments, self.feature_angle)
         found = faced & (accumulate(slave, near) > 0)[slave.facets].any(axis=1)
         places = slave.X[slave.facets[found][:1]].mean(axis=1)
         told = [place for part in comm.allgather(places.tolist()) for place in part]
         if not told:
             return ""
-        where = ", ".join(f"{c:.3g}" for c in told[0])
+        where = ", ".join(f"{c if abs(c) > 1e-9 * length else 0.0:.3g}" for c in told[0])
         return (
-            f"{self!r}: around ({where}) an edge or a corner of the master presses on facets of "
+            f"{self!r}: around X = ({where}) an edge or a corner of the master lies at facets of "
             "the slave side, over which its gap is a mean, so that Newton's method need not "
             "converge, not even in small steps: exchange slave and master"
         )

@@ -439,7 +439,8 @@ class LinearSolver:
         multigrid = self.setup.preconditioner.multigrid
         if multigrid is None or not multigrid.follows or multigrid.negative:
             return False
-        if OF_AGGREGATES in self.options.given or OF_AGGREGATES in self.options.grown:
+        chosen = PETSc.Options(self.options.prefix).hasName(OF_AGGREGATES)
+        if chosen or OF_AGGREGATES in self.options.given or OF_AGGREGATES in self.options.grown:
             return False
         indefinite = PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_PC
         return bool(self._ksp.getConvergedReason() == indefinite)

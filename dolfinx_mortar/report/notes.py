@@ -73,8 +73,8 @@ def _pressures(end: StepEnd) -> list[str]:
         notes += [spoilt] if spoilt else []
         if any_rank(end.problem.comm, forces[link.nodes].any())[0]:
             askew = note_on_edges(link, end.problem.system.boundary, u, forces)
-            uneven = note_on_oscillation(link, end.contacts)
             sure = not (spoilt or askew)
+            uneven = note_on_oscillation(link, end.contacts, sure)
             few += [askew, uneven or note_on_few_nodes(link, end.contacts, sure)]
     return notes + [note for note in few if note]
 
