@@ -38,10 +38,10 @@ SLOW_ON_TWO = """
     tie_reach tool_files tool_friction tool_pictures triangles tying undone user_laws volumetric
 """.split()
 SLOW_ON_THREE = """
-    checkpoint_edits crossings
+    checkpoint_edits convected corners crossings
     driven_tools exact_tangent exact_tangent_3d friction_path friction_state impact load_steps
-    looks_change_nothing mortar_3d near normal_relief numbers_of_steps own_interface patch
-    plotting_space preload_restart pretension rigid_side same_sums skins stack swept
+    looks_change_nothing mortar_3d near normal_relief numbers_of_steps own_interface pairs patch
+    plotting_space preload_restart pretension rigid_side same_sums skins stack swept turned_ties
 """.split()
 QUICK = "mpi and not slow and not serial"
 SLOW = "mpi and not nightly and not serial"
