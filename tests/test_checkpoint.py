@@ -124,7 +124,7 @@ def test_a_walk_that_is_done_yields_nothing(folder, caplog):
     assert [step.number for step in fresh.walk(LEVELS[:3], checkpoint=file)] == [3]
     for others, words in (
         ([0.25, 0.6, 1.0, 0.75], r"level 2 is 0.6, but .* has 3 levels, this one 0.5:"),
-        (LEVELS[:2], r"level 3 is missing, but .* and there to 1.0: give times that begin so"),
+        (LEVELS[:2], r"level 3 is missing, but .* this one 1.0: give times that begin so"),
     ):
         with pytest.raises(ValueError, match=words):
             list(Press().walk(others, checkpoint=file))

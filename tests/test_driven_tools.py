@@ -255,7 +255,7 @@ def test_loads_that_cannot_be_carried():
     ):
         case = Block(n=10, fine=10.0)
         problem = case.problem([case.tool(shape, load=load, friction=mu)])
-        with rejected("resists", *words, error=dm.NewtonNotConverged):
+        with rejected("resist", *words, error=dm.NewtonNotConverged):
             dm.newton(problem)
         assert not case.u.x.array.any()
     case = Block(n=4)

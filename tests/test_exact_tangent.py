@@ -328,12 +328,20 @@ def test_when_the_exact_tangent_pays():
 
 
 @pytest.mark.parametrize(
-    ("forces", "shifted", "exact"),
-    [(0.1, 0, True), (0.1, 2, False), (0.01, 2, True), (0.5, 0, False)],
+    ("forces", "shifted", "itself", "exact"),
+    [
+        (0.1, 0, False, True),
+        (0.1, 2, False, False),
+        (0.1, 0, True, False),
+        (0.01, 2, True, True),
+        (0.5, 0, False, False),
+    ],
 )
-def test_from_where_on_the_exact_tangent_serves_at_finite_strain(forces, shifted, exact):
-    """Nearer where the last tangent was indefinite, and was shifted."""
-    problem = SimpleNamespace(solid=SimpleNamespace(strain="finite"))
+def test_from_where_on_the_exact_tangent_serves_at_finite_strain(forces, shifted, itself, exact):
+    """Nearer where the last tangent was indefinite, and where a surface meets itself."""
+    link = SimpleNamespace(interface=SimpleNamespace(meets_itself=itself))
+    system, solid = SimpleNamespace(unilateral=[link]), SimpleNamespace(strain="finite")
+    problem = SimpleNamespace(solid=solid, system=system)
     step = SimpleNamespace(problem=problem, may_be_exact=True, shifted=shifted)
     step.missed = lambda last: newton_module._Step.missed(step, last)
     found = Residuals(forces, contact=0.0, excess=1e6, limit=1.0)

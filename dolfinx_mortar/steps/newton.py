@@ -635,7 +635,8 @@ class _Step:
         if watch.rises >= MOST_RISES:
             return True
         strain = self.problem.solid.strain
-        share = NEAR["small" if self.shifted else strain]
+        itself = any(link.interface.meets_itself for link in self.problem.system.unilateral)
+        share = NEAR["small" if self.shifted or itself else strain]
         near = max(last.forces, last.contact) < share and self.missed(last) < watch.barred
         if strain == "finite":  # where tangents are new in any case
             return near
