@@ -184,7 +184,7 @@ def test_the_tangent_of_an_open_side_is_the_symmetric_part(cell):
     assert said.has_potential(free)
 
 
-def leaning(p, *, skew=True):
+def press_askew(p, *, skew=True):
     """Press a block from one side, where it is free, against a tool at its other side.
 
     Return the iterations of steps to a pressure p, and the force on the tool.
@@ -219,8 +219,8 @@ def leaning(p, *, skew=True):
 @pytest.mark.mpi
 def test_where_contact_is_closed_the_tangent_of_an_open_side_is_whole():
     """With the symmetric part alone steps to p = .2 E take 6 to 14 iterations."""
-    few, force = leaning(0.6)
-    many, same = leaning(0.6, skew=False)
+    few, force = press_askew(0.6)
+    many, same = press_askew(0.6, skew=False)
     assert max(few) <= 4 < min(many)
     assert np.allclose(force, same, rtol=3e-6, atol=1e-12)
 

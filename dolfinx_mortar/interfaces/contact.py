@@ -26,7 +26,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
-from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, upper_bounds
 from dolfinx_mortar.interfaces.coulomb import FrictionLaw, Limit, create_law
 from dolfinx_mortar.interfaces.coupling import CoupledSides, Frame, normal_frames
@@ -370,13 +370,21 @@ class Contact(Unilateral, MortarInterface):
         near[: slave.owned] = link.coupling.kept[:, 0] & (np.abs(link.gaps(x)) <= length)
         faced = facing_edges(pairing, operators.segments, self.feature_angle)
         found = faced & (accumulate(slave, near) > 0)[slave.facets].any(axis=1)
-        places = slave.X[slave.facets[found][:1]].mean(axis=1)
-        told = [place for part in comm.allgather(places.tolist()) for place in part]
-        if not told:
+        where = first_place(comm, slave.X[slave.facets[found]].mean(axis=1), length)
+        if not where:
             return ""
-        where = ", ".join(f"{c if abs(c) > 1e-9 * length else 0.0:.3g}" for c in told[0])
         return (
             f"{self!r}: around X = ({where}) an edge or a corner of the master lies at facets of "
             "the slave side, over which its gap is a mean, so that Newton's method need not "
             "converge, not even in small steps: exchange slave and master"
         )
+
+
+def first_place(comm: MPI.Comm, places: Floats, length: float) -> str:
+    """Return the coordinates of the first of places (p, d) of all ranks, "" if there is none.
+
+    What is round-off of the length is zero; collective.
+    """
+    told = [place for part in comm.allgather(places[:1].tolist()) for place in part][:1]
+    least = HALF_OF_DIGITS * length
+    return ", ".join(f"{c if abs(c) > least else 0.0:.3g}" for place in told for c in place)

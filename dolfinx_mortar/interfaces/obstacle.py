@@ -27,7 +27,7 @@ from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats
 from dolfinx_mortar.geometry.facets import are_inside, facet_normals, facet_sizes
-from dolfinx_mortar.interfaces.contact import Unilateral
+from dolfinx_mortar.interfaces.contact import Unilateral, first_place
 from dolfinx_mortar.interfaces.coulomb import Limit, create_law
 from dolfinx_mortar.interfaces.coupling import (
     CoupledSides,
@@ -389,10 +389,9 @@ class Obstacle(Movable, Unilateral):
                 ahead, behind = (pose.distance(self.shape, near + s * beside) for s in (1, -1))
                 turn = (ahead.gradient - behind.gradient) @ way
                 ridge |= turn <= -2.0 * np.sin(np.radians(0.5 * FEATURE_ANGLE))
-        found = [place for part in comm.allgather(near[ridge].tolist()) for place in part]
-        if not found:
+        where = first_place(comm, near[ridge], length)
+        if not where:
             return ""
-        where = ", ".join(f"{c:.3g}" for c in found[0])
         return (
             f"{self!r}: at ({where}) the body reaches into an inner corner of the tool, which has "
             "no one normal there, so that Newton's method need not converge: give each side of the "

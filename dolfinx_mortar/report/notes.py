@@ -22,7 +22,7 @@ from dolfinx_mortar.report.interface_results import (
     notes_on_turns,
 )
 from dolfinx_mortar.report.overlaps import notes_on_overlaps
-from dolfinx_mortar.report.resolution import note_on_few_nodes, note_on_oscillation, notes_on_rims
+from dolfinx_mortar.report.resolution import note_on_resolution, notes_on_rims
 from dolfinx_mortar.report.small_strain import LeftOut, notes_on_lost_stress, notes_on_small_strain
 from dolfinx_mortar.report.swept import notes_on_swept
 from dolfinx_mortar.report.turned_ties import TurnedTie, notes_on_turned_ties
@@ -74,8 +74,7 @@ def _pressures(end: StepEnd) -> list[str]:
         if any_rank(end.problem.comm, forces[link.nodes].any())[0]:
             askew = note_on_edges(link, end.problem.system.boundary, u, forces)
             sure = not (spoilt or askew)
-            uneven = note_on_oscillation(link, end.contacts, sure)
-            few += [askew, uneven or note_on_few_nodes(link, end.contacts, sure)]
+            few += [askew, note_on_resolution(link, end.contacts, sure)]
     return notes + [note for note in few if note]
 
 

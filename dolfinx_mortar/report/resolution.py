@@ -29,51 +29,39 @@ NODES = {2: 7, 3: 17}
 OSCILLATION = 0.1
 
 
-def note_on_few_nodes(link: Link, contacts: Contacts, sure: bool = True) -> str:
-    """Return the note on a contact whose largest pressure is not resolved, or ""; collective.
+def note_on_resolution(link: Link, contacts: Contacts, sure: bool = True) -> str:
+    """Return the note on pressures that are not resolved, or that oscillate, or ""; collective.
 
-    A patch that reaches the ends of its sides is left out: its size is given by the model.
-
-    Args:
-        contacts: which contacts are closed, and their multipliers.
-        sure: whether facets do not spoil its forces, as far as is known.
-    """
-    count, ends = _peak_patch(link, contacts)
-    needed = NODES[link.sides.fixed.shape[1]]
-    if not 0 < count < needed or not ends:
-        return ""
-    forces = "forces and moments are accurate; " if sure else ""
-    return (
-        f"{link.interface}: the largest pressure is not resolved: its patch has {count} nodes in "
-        f"contact, and {needed} are needed; {forces}refine there"
-    )
-
-
-def note_on_oscillation(link: Link, contacts: Contacts, sure: bool = True) -> str:
-    """Return the note on pressures that oscillate from node to node, in the plane; collective.
-
-    Multipliers of a slave side that is finer and stiffer than the master are not controlled by it:
-    their dual space has more dofs than the trace of the displacements that yield. Patches that
-    reach the ends of their sides are left out, as pressures may be singular there. "" if there is
-    nothing to say.
+    A patch that reaches the ends of its sides is left out: its size is given by the model, and its
+    pressures may be singular there. Multipliers of a slave side that is finer and stiffer than the
+    master are not controlled by it, and oscillate: their dual space has more dofs than the trace of
+    the displacements that yield. That is measured in the plane only.
 
     Args:
         link: the interface.
         contacts: which contacts are closed, and their multipliers.
         sure: whether facets and edges do not spoil its forces, as far as is known.
     """
-    if link.sides.fixed.shape[1] > 2 or len(link.sides.surfaces) < 2:
+    count, ends = _peak_patch(link, contacts)
+    if not ends:
         return ""
-    if _count(link, contacts) < NODES[2] or not _peak_patch(link, contacts)[1]:
+    d, comm = link.sides.fixed.shape[1], link.sides.V.mesh.comm
+    closed = comm.allreduce(int(contacts.active[link.nodes].sum()))
+    if d == 2 and len(link.sides.surfaces) > 1 and closed >= NODES[d]:
+        share = oscillation(link, contacts)
+        if share > OSCILLATION:
+            told = "; forces are accurate, single pressures are not" if sure else ""
+            return (
+                f"{link.interface}: pressures oscillate from node to node, by {share:.0%} of their "
+                f"mean{told}. The cause may be that the slave is finer and stiffer than the "
+                "master: let the softer side be the slave, or refine the master there"
+            )
+    if not 0 < count < NODES[d]:
         return ""
-    share = oscillation(link, contacts)
-    if share <= OSCILLATION:
-        return ""
-    told = "forces are accurate, single pressures are not" if sure else "single pressures are wrong"
+    forces = "forces and moments are accurate; " if sure else ""
     return (
-        f"{link.interface}: pressures oscillate from node to node, by {share:.0%} of their mean; "
-        f"{told}. The cause may be that the slave is finer and stiffer "
-        "than the master: let the softer side be the slave, or refine the master there"
+        f"{link.interface}: the largest pressure is not resolved: its patch has {count} nodes in "
+        f"contact, and {NODES[d]} are needed; {forces}refine there"
     )
 
 
@@ -101,12 +89,6 @@ def oscillation(link: Link, contacts: Contacts) -> float:
     w = link.coupling.weight[:, 0]
     amplitude, pressure = comm.allreduce(w @ np.column_stack([size, p])[: slave.owned], op=MPI.SUM)
     return ratio(amplitude, pressure)
-
-
-def _count(link: Link, contacts: Contacts) -> int:
-    """Return the number of slave nodes in contact; collective."""
-    own = int(contacts.active[link.nodes].sum())
-    return int(link.sides.V.mesh.comm.allreduce(own, op=MPI.SUM))
 
 
 def notes_on_rims(links: Sequence[Link]) -> list[str]:
