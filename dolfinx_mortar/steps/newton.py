@@ -352,7 +352,9 @@ class _Step:
         length = problem.system.facet_length
         tensions = find_tensions(balance)
         cells = problem.solid.cell_sizes if problem.solid.strain == "finite" else 0.0
-        scales = Scales(length, begun, 0.0, norm**2, extent, tensions, cells)
+        scales = Scales(
+            length, begun=begun, work=norm**2, extent=extent, tensions=tensions, cells=cells
+        )
         return Iterate(balance, contacts, scales, energy, norm, 0.0, problem.vector()), start
 
     def balance(self) -> Balance:
