@@ -26,8 +26,8 @@ RTOL = 1e-7
 # round-off of formulas that cancel. At the second truncation and round-off of central differences
 # are equal, and fewer of them go across a kink, where a law yields. The third stays inside the
 # yield surface of a body that only changes its volume up to E / Y = 1e6, with a round-off of 5e-8
-# at most. The last is for flow at strains of 1e-6.
-LENGTHS = tuple(EPS**power for power in (1 / 5, 1 / 3, 0.45, 0.5))
+# at most.
+LENGTHS = tuple(EPS**power for power in (1 / 5, 1 / 3, 0.45))
 SIZES = tuple(np.geomspace(1e-5, 1.0, 6))  # of strains, over five decades
 WEIGHTS = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}  # central differences of sixth order
 STEPS = [k for m in WEIGHTS for k in (-m, m)]
