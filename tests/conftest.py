@@ -20,6 +20,7 @@ from tests import alone, compiling
 
 COMM = MPI.COMM_WORLD
 WAIT = 60.0  # seconds a failed test waits for the other ranks before it ends the whole run
+FAILED = pytest.StashKey[bool]()  # of tests that failed on this rank
 WORKERS = 4  # at most: each holds the libraries, half a GiB
 
 # Kernels of tests see few cells, so compiling them without optimisation takes a fifth off a cold
@@ -95,6 +96,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, None, None]:
     outcome = yield
     report = outcome.get_result()  # type: ignore[attr-defined]
     if report.failed and COMM.size > 1:
+        item.stash[FAILED] = True
         capture = item.config.pluginmanager.get_plugin("capturemanager")
         with capture.global_and_fixture_disabled():
             text = f"\n[rank {COMM.rank}] {item.nodeid}, {report.when}\n{report.longreprtext}\n"
@@ -102,21 +104,26 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, None, None]:
 
 
 @pytest.hookimpl(trylast=True)
-def pytest_runtest_teardown() -> None:
+def pytest_runtest_teardown(item: pytest.Item) -> None:
     """Destroy PETSc objects in the same order on all ranks, and end the run if a rank is missing.
 
     A rank that failed stands here while the others wait in a collective call of the test: without
-    the time limit that would last for ever.
+    the time limit that would last for ever. So would the next test where a failure ends the run on
+    some ranks only.
     """
     if COMM.size == 1:
         return
-    arrived = COMM.Ibarrier()
+    failed = np.array(item.stash.get(FAILED, False))
+    failed_somewhere = np.empty_like(failed)
+    arrived = COMM.Iallreduce(failed, failed_somewhere, MPI.LOR)
     start = time.monotonic()
     while not arrived.Test():
         if time.monotonic() - start > WAIT:
             os.write(2, f"[rank {COMM.rank}] the other ranks did not finish\n".encode())
             COMM.Abort(1)
         time.sleep(1e-3)
+    if failed_somewhere and item.config.getoption("maxfail"):
+        item.session.shouldstop = "a test failed on a rank"
     gc.collect()
     PETSc.garbage_cleanup(COMM)
 

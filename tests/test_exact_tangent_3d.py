@@ -481,13 +481,18 @@ class Stuck:
         )
 
     def step(self, turn, pushed):
-        """Turn all after the upper end has moved; return the local tractions, turned back."""
+        """Turn all after the upper end has moved; return the nodal contact forces, turned back.
+
+        Of owned nodes: tractions times D_jj.
+        """
         for end, shift in zip(self.ends, (np.zeros(3), np.array(pushed)), strict=True):
             end.interpolate(lambda X, shift=shift: turn @ (X + shift[:, None]) - X)
         dm.newton(self.problem, rtol=1e-11)
         self.problem.commit()
         assert not (self.contact.status.x.array == 2.0).any()  # no slip
-        return self.contact.traction.x.array.reshape(-1, 3) @ turn
+        (link,) = self.problem.system.unilateral
+        tractions = self.contact.traction.x.array.reshape(-1, 3)[link.nodes]
+        return link.coupling.weight[:, :1] * tractions @ turn
 
 
 @pytest.mark.mpi
@@ -499,16 +504,19 @@ class Stuck:
         pytest.param("tetrahedron", 2, marks=pytest.mark.slow),
     ],
 )
-def test_a_stuck_pair_that_turns_keeps_its_tractions(cell, degree):
+def test_a_stuck_pair_that_turns_keeps_its_nodal_forces(cell, degree):
     """Those of all nodes, to round-off, after 90 degrees in two steps about an oblique axis.
 
-    So it spins about its normal, too.
+    So it spins about its normal, too. Displacements differ by 1e-15 then, internal forces by 8 eps
+    of modulus times side squared at any node: tractions of a node of second order with a D_jj of
+    6 % of the largest differ by 1e-11, the nodal forces by 2e-12.
     """
     case, pushed = Stuck(cell, degree), (0.02, 0.01, -0.06)
     case.step(np.eye(3), (0.0, 0.0, -0.05))
     before = case.step(np.eye(3), pushed)
     largest = maximum(MPI.COMM_WORLD, np.abs(before).max(initial=0.0))[0]
-    assert largest > 0.005
+    assert largest > 1e-3
     for angle in (np.pi / 4, np.pi / 2):
         after = case.step(meshes_3d.rotation((1.0, 2.0, 3.0), angle), pushed)
-        assert np.abs(after - before).max(initial=0.0) < 1e-11 * largest
+        difference = maximum(MPI.COMM_WORLD, np.abs(after - before).max(initial=0.0))[0]
+        assert difference < 1e-11 * largest

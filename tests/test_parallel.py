@@ -7,6 +7,7 @@ At night, all that have not one rank only run on two and on three.
 
 import os
 from collections.abc import Iterable
+from pathlib import Path
 
 from mpi4py import MPI
 
@@ -80,6 +81,32 @@ def files_on(ranks: int, slow: bool) -> list[str]:
 def test_tests_on_ranks(ranks: int, slow: bool) -> None:
     selection, seconds = (SLOW, 1800.0) if slow else (QUICK, 900.0)
     run_on_ranks(ranks, selection, seconds, files_on(ranks, slow))
+
+
+FAILS_ON_ONE_RANK = """
+from mpi4py import MPI
+
+def test_on_one_rank():
+    assert MPI.COMM_WORLD.rank != {rank}
+
+def test_of_all_ranks():
+    MPI.COMM_WORLD.Barrier()
+"""
+
+
+@pytest.mark.serial
+@pytest.mark.slow
+@pytest.mark.parametrize("rank", [0, 1])
+def test_what_fails_on_one_rank_ends_the_run_on_all(rank: int, tmp_path: Path) -> None:
+    """The others would wait for it in the next test, to the time limit of the run."""
+    (tmp_path / "test_it.py").write_text(FAILS_ON_ONE_RANK.format(rank=rank))
+    arguments = ["-c", "pyproject.toml", "-p", "tests.conftest", "-x", tmp_path / "test_it.py"]
+    done = jobs.run(2, "-m", "pytest", *arguments, cwd=jobs.ROOT, seconds=60.0)
+    said = done.stdout + done.stderr
+    assert done.returncode != 0
+    assert f"[rank {rank}] " in said
+    assert "a test failed on a rank" in said
+    assert "ended after" not in said
 
 
 @pytest.mark.serial
