@@ -212,9 +212,9 @@ def test_tangent_of_a_problem_is_that_of_its_forces_and_gaps(cell, friction, deg
     direction = problem.vector(v[: 3 * problem.n])
     by_force, by_gap = np.array((H * direction).array_r), found.closing(direction)
     by_gap = (-by_gap[3 * link.nodes] * link.coupling.weight[:, 0])[on]
-    high, low = moved(1e-5), moved(-1e-5)
+    high, low = moved(2e-6), moved(-2e-6)  # errors are of the second order
     for tangent, a, b in zip((by_force, by_gap), high, low, strict=True):
-        difference = (a - b) / 2e-5
+        difference = (a - b) / 4e-6
         errors = np.abs(tangent - difference).max(initial=0.0), np.abs(difference).max(initial=0.0)
         error, size = maximum(mesh.comm, *errors)
         assert error < 1e-8 * size
