@@ -24,7 +24,7 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.congruence import Congruence
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
-from dolfinx_mortar.interfaces.claims import find_referenced
+from dolfinx_mortar.interfaces.claims import Claims
 from dolfinx_mortar.interfaces.coupling import create_blocks
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.pretension import Pretension, find_pretensions
@@ -35,27 +35,18 @@ class Transformation:
 
     Args:
         links: the interfaces with their pairings, claims and near nodes.
-        order: topological order of the interfaces, from ``resolve_claims``.
+        claims: order of the interfaces, and which of them depend on slave nodes of others.
 
     Attributes:
+        claims: as given.
         pretensions: the unknown overlaps of ties with a pretension.
         released: directions of these, of all interfaces; None for those that have none.
     """
 
-    def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], order: list[int]) -> None:
+    def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], claims: Claims) -> None:
         # Without chains all interfaces fit in one matrix, which saves the products.
-        n = V.dofmap.index_map.size_local
-        referenced = [
-            find_referenced(link.sides, link.pattern, link.banned[:n], link.coupling.coverage)
-            for link in links
-        ]
-        chained = any(
-            (referenced[i] & links[k].sides.on_slave[:n] & ~links[k].banned[:n]).any()
-            for position, i in enumerate(order)
-            for k in order[position + 1 :]
-        )
-        self.chained = bool(any_rank(V.mesh.comm, chained)[0])
-        groups = [[i] for i in order] if self.chained else [order]
+        self.claims = claims
+        groups = [[i] for i in claims.order] if self.chained else [claims.order]
         self.links = links
         self.released = [link.interface.released for link in links]
         self.pretensions = find_pretensions(links)
@@ -69,6 +60,16 @@ class Transformation:
             _Factor(V, links, *part, overlaps) for part, overlaps in zip(parts, last, strict=True)
         ]
         self._congruences: list[Congruence] = []
+
+    @property
+    def chained(self) -> bool:
+        """Whether interfaces may refer to each other's slave nodes before the next search."""
+        return bool(self.claims.dependencies)
+
+    def serves(self, claims: Claims) -> bool:
+        """Tell whether its factors are those of other claims, too."""
+        mine = self.claims
+        return claims.order == mine.order and claims.dependencies == mine.dependencies
 
     def update(self, links: Sequence[Link]) -> None:
         """Refill T from the interfaces' frames and couplings; collective."""

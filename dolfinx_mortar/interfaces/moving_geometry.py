@@ -38,6 +38,7 @@ from dolfinx_mortar.algebra.congruence import (
 from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.interfaces.basis import Transformation
+from dolfinx_mortar.interfaces.claims import Claims
 from dolfinx_mortar.interfaces.contact import MIN_FREE_NORMAL
 from dolfinx_mortar.interfaces.contact_derivatives import SlipRows
 from dolfinx_mortar.interfaces.link import Link
@@ -127,14 +128,14 @@ class MovingGeometry:
 
     Args:
         links: the interfaces, of which the ties stay at X.
-        order: topological order of the interfaces.
+        claims: of T, that of the test functions, whose factors T_g has, too.
     """
 
-    def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], order: list[int]) -> None:
+    def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], claims: Claims) -> None:
         """Make the patterns; collective."""
         found = {k: link.interface.derivatives(link) for k, link in enumerate(links)}
         self._contacts = {k: one for k, one in found.items() if one is not None}
-        self._trial = Transformation(V, links, order)
+        self._trial = Transformation(V, links, claims)
         self._products = Products()
 
     def serves(self, links: Sequence[Link]) -> bool:

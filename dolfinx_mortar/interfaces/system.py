@@ -19,7 +19,7 @@ from dolfinx_mortar.algebra.errors import named, raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
-from dolfinx_mortar.interfaces.claims import Claims, are_outdated, find_referenced, resolve_claims
+from dolfinx_mortar.interfaces.claims import Claims, are_outdated, resolve_claims
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, join, join_limits
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides, check_coupling
 from dolfinx_mortar.interfaces.interface import (
@@ -110,7 +110,6 @@ class Reused:
     paired_at: Floats | None = None  # where that search was made
     transformation: Transformation | None = None
     held: Sequence[Any] = ()  # what its pattern depends on, see `_pattern_of`
-    order: Sequence[int] = ()
     moving: MovingGeometry | None = None  # matrices of the exact tangent, where it has served
 
 
@@ -410,15 +409,15 @@ class InterfaceSystem:
     def _enter(self, found: Configuration, links: Sequence[Link]) -> bool:
         """Make these links of a configuration the present ones; tell whether T is another one."""
         assert found.claims is not None
-        order, held = found.claims.order, _pattern_of(links)
+        claims, held = found.claims, _pattern_of(links)
         reused, T = self._reused, self._reused.transformation
-        same = order == reused.order and len(held) == len(reused.held)
+        same = T is not None and T.serves(claims) and len(held) == len(reused.held)
         same = same and all(map(np.array_equal, held, reused.held))
         if T is None or not self.V.mesh.comm.allreduce(same, op=MPI.LAND):
             self.present = Configuration()  # the old T goes before the new one needs the memory
             self._reused = replace(reused, transformation=None, moving=None)
-            T = Transformation(self.V, links, order)
-            self._reused = replace(self._reused, transformation=T, held=held, order=order)
+            T = Transformation(self.V, links, claims)
+            self._reused = replace(self._reused, transformation=T, held=held)
         T.update(links)
         self.present = replace(found, links=links, transformation=T)
         return T is not reused.transformation
@@ -478,10 +477,11 @@ class InterfaceSystem:
             tangential: tangential tractions (owned nodes, d), None without friction.
             slips: displacement since the last commit, and the partners of each interface.
         """
-        moving = self._reused.moving
+        T, moving = self.transformation, self._reused.moving
+        assert T is not None
         lacks = moving is None or not moving.serves(self.links)
         if moving is None or any_rank(self.V.mesh.comm, lacks)[0]:
-            moving = MovingGeometry(self.V, self.links, list(self._reused.order))
+            moving = MovingGeometry(self.V, self.links, T.claims)
             self._reused = replace(self._reused, moving=moving)
         return moving.linearise(self.links, u, multipliers, tangential, slips)
 
@@ -564,15 +564,12 @@ class InterfaceSystem:
 
 
 def _pattern_of(links: Sequence[Link]) -> list[Any]:
-    """Return what the pattern of T depends on, beside the order of the interfaces; collective."""
+    """Return what the pattern of T depends on, beside the claims; collective."""
     held: list[Any] = []
     for link in links:
         released = link.interface.released
         held += [link.pattern.row, link.pattern.column, link.near, link.banned]
         held.append((released is not None, *(released or ())))
-        if len(links) > 1:  # chains
-            owned = link.banned[: link.sides.n_owned]
-            held.append(find_referenced(link.sides, link.pattern, owned, link.coupling.coverage))
     return held
 
 
