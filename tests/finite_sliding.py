@@ -86,6 +86,7 @@ def indentation(
     height=4.0,
     start=3.0,
     blocks=(0.0,),
+    apart=False,
     strain="finite",
     surface="facets",
     unit=1.0,
@@ -100,6 +101,7 @@ def indentation(
         radius: of the half ring.
         length: of the block, from x = 0.
         blocks: where it starts; of several, which belong to one side of the contact.
+        apart: whether each of these has a contact of its own instead.
         height: of the block, below y = 0.
         start: x of the middle of the half ring.
         strain: that of the solid.
@@ -119,7 +121,8 @@ def indentation(
         away = np.hypot(x[:, 0] - start, x[:, 1] - radius)
         tool = np.where(away > 0.9 * radius, ARC, HELD)
         tool[(x[:, 1] > radius - 1e-9) | (away < 0.45 * radius)] = HELD
-        block = np.select([x[:, 1] > -1e-9, x[:, 1] < 1e-9 - height], [TOP, BASE], 0)
+        top = TOP + apart * 10 * np.searchsorted(blocks[1:], x[:, 0])
+        block = np.select([x[:, 1] > -1e-9, x[:, 1] < 1e-9 - height], [top, BASE], 0)
         return np.where(body == TOOL, tool, block)
 
     bodies = Bodies.of((lower, upper), tag)
@@ -132,9 +135,12 @@ def indentation(
     make = dm.NeoHooke if strain == "finite" else dm.Elastic
     laws = {BLOCK: make(moduli[0], 0.3), TOOL: make(moduli[1], 0.3)}
     solid = dm.Solid(u, laws, bodies.cells, strain=strain, energies=strain == "finite")
-    sides = (ARC, TOP) if slave == "tool" else (TOP, ARC)
-    contact = dm.Contact(bodies.facets, slave=sides[0], master=sides[1], surface=surface, **options)
-    return Indentation(dm.ContactProblem(solid, [contact], bcs=bcs), contact, held, base)
+    tops = [TOP + 10 * k for k in range(len(blocks))] if apart else [TOP]
+    sides = [(ARC, top) if slave == "tool" else (top, ARC) for top in tops]
+    contacts = [
+        dm.Contact(bodies.facets, slave=s, master=m, surface=surface, **options) for s, m in sides
+    ]
+    return Indentation(dm.ContactProblem(solid, contacts, bcs=bcs), contacts[0], held, base)
 
 
 def walk(case, path, times, **options):

@@ -101,6 +101,8 @@ SHIFTS = (0.0, 0.01, 0.1, 1.0, 10.0, 100.0, 1000.0)
 # neglects. They are some per cent of the rows, so that each correction gains one to two digits:
 # with 0, 1, 2, 4, 6 of them five cases in the plane take 219, 194, 192, 192, 192 iterations.
 CORRECTIONS = 3
+# So many iterations without a lower residual, and the updates of the geometry lead nowhere.
+STALLS = 4
 
 
 def newton(
@@ -634,7 +636,7 @@ class _Step:
         if not residuals or not watch.moving or not self.may_be_exact:
             return False
         last = residuals[-1]
-        if watch.rises >= MOST_RISES:
+        if watch.rises >= MOST_RISES or self.stalls(residuals):
             return True
         strain = self.problem.solid.strain
         itself = any(link.interface.meets_itself for link in self.problem.system.unilateral)
@@ -643,6 +645,20 @@ class _Step:
         if strain == "finite":  # where tangents are new in any case
             return near
         return near and watch.is_slow(self.linear, last.forces / self.report.rtol, last.excess)
+
+    def stalls(self, residuals: list[Residuals]) -> bool:
+        """Tell whether the updates of the geometry lead nowhere, at finite strain.
+
+        They may return to the same iterates: one contact opens the gap beside it, which closes
+        where that contact is open, as at the end of a block. Nor do residuals come near a balance
+        then, nor do changes rise, which are those of closed contacts. Residuals in a frozen
+        geometry do not count, as they end in each.
+        """
+        if self.problem.solid.strain == "small":
+            return False
+        pairs = zip(residuals, self.report.iterations, strict=True)
+        missed = [np.inf if it.geometry_held else self.missed(one) for one, it in pairs]
+        return len(missed) > STALLS + int(np.argmin(missed))
 
     def missed(self, residual: Residuals) -> float:
         """Return what an iteration with the exact tangent has to lower.
