@@ -78,10 +78,11 @@ class Certificate:
     gap: float  # deepest violation of w_n <= gap
     sign: float  # largest tensile multiplier
     complementarity: float  # largest lambda_j * gap_j
-    force_balance: float  # resultants on slave and master side added up
-    # the same for moments at X + u, about the origin (of a surface that meets itself, about the
-    # middle of its forces): round-off on flat sides; on curved ones the forces along nodal normals
-    # leave O(h^2) of the angle between these and the projections
+    # resultants of slave and master side added up, |sum_j (s_j + t_j)|, over sum_j |s_j|
+    force_balance: float
+    # the same for moments at X + u about the middle c of the slave forces, of arms a_j = x_j - c,
+    # over sum_j |s_j| (|a_j| + h), h the facet length: round-off on flat sides; on curved ones the
+    # forces along nodal normals leave O(h^2) of the angle between these and the projections
     moment_balance: float
     linear_field_error: float  # tangential part of x_s - P x_m per gap + facet length
     row_sum_error: float  # largest row sum of D - M over D_jj

@@ -152,6 +152,7 @@ def create_shrink_fit(
     comm=COMM,
     degree=1,
     order=1,
+    shift=(0.0, 0.0),
     **options,
 ):
     """Create the rings 10 to 20 and 20 to 30, with facets in such numbers where they meet.
@@ -165,6 +166,7 @@ def create_shrink_fit(
         comm: communicator of the mesh.
         degree: of the displacement.
         order: degree of the cells.
+        shift: of the origin of coordinates to the middle.
         options: of the contact.
     """
     a, b, c = 10.0, 20.0, 30.0
@@ -179,6 +181,7 @@ def create_shrink_fit(
     slave, master = (3, 2) if swap else (2, 3)
     contact = dm.Contact(tags, slave=slave, master=master, **options)
     bcs = [*hold(V, a), *hold(V, c)]
+    domain.geometry.x[:, :2] += shift
     loads = None
     if pressure:
         ds, n = ufl.Measure("ds", domain, subdomain_data=tags), ufl.FacetNormal(domain)

@@ -11,6 +11,7 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arrays import ROUND_OFF
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.linearisation import find_balance, linearise
@@ -20,6 +21,7 @@ from dolfinx_mortar.report.certificate import create_certificate, operator_error
 from dolfinx_mortar.report.interface_results import set_results
 from tests.ball_case import STEEL, create_problem
 from tests.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
+from tests.close_fits import create_shrink_fit
 from tests.hertz_case import ELASTIC, create_case
 from tests.meshes_3d import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, rotation, two_boxes
 
@@ -57,10 +59,10 @@ def judge(problem, report, active, multipliers):
     balance = find_balance(problem, data)
     lin = linearise(problem, balance)
     contacts = Contacts(active, multipliers)
-    set_results(problem, balance, contacts)
+    _, balances = set_results(problem, balance, contacts)
     scales = Scales(problem.system.facet_length)
     residual = measure(problem.u, balance, contacts, lin.diagonal, scales, 1.0, 1e-6)
-    return create_certificate(problem, report, contacts, residual)
+    return create_certificate(problem, report, contacts, residual, balances)
 
 
 @pytest.mark.mpi
@@ -106,6 +108,45 @@ def test_every_field_jumps(spoil, fields):
         problem.system.present = present
     spoilt = judge(problem, report, active, multipliers)
     assert all(getattr(spoilt, name) > 1e-5 for name in fields)
+
+
+def imbalances_of_a_fit(shift):
+    """Return force and moment balance (3, 2) of a ring on a shaft: solved, and with two errors.
+
+    The shaft's forces 1 % too large on the right half; all of them turned by 0.01.
+    """
+    case = create_shrink_fit((16, 24), True, shift=shift)
+    report, problem = dm.newton(case.problem, rtol=1e-10), case.problem
+    found = [report.certificate]
+    (link,) = problem.system.links
+    active, multipliers = problem.committed.active.copy(), np.zeros(problem.n)
+    multipliers[link.nodes] = link.interface.multiplier
+    blocks, p = link.coupling.blocks, link.pattern
+    of_M = (np.arange(len(p.row)) >= p.split)[:, None, None]
+    x = (problem.X[link.nodes[p.row], 0] - shift[0])[:, None, None]
+    half = np.where(np.abs(x) < 1e-3, 0.5, x > 0.0)
+    s, c = np.sin(0.01), np.cos(0.01)
+    for wrong in ((1.0 + 0.01 * half) * blocks, blocks @ [[c, s], [-s, c]]):
+        coupling = replace(link.coupling, blocks=np.where(of_M, wrong, blocks))
+        links = [replace(link, coupling=coupling)]
+        problem.system.present = replace(problem.system.present, links=links)
+        found.append(judge(problem, report, active, multipliers))
+    return np.array([[c.force_balance, c.moment_balance] for c in found])
+
+
+@pytest.mark.mpi
+def test_balances_where_resultants_cancel():
+    """Around a shaft, by the origin or 1000 diameters away; coordinates have round-off there.
+
+    The force of half a circle is sum n ds = 1 / pi of it, without a moment; the moment of turned
+    forces sin(0.01) R / (R + h), h = 2 R sin(pi / 24), without a force. The pressures of so few
+    facets differ by some per cent.
+    """
+    near, far = (imbalances_of_a_fit(shift) for shift in ((0.0, 0.0), (5e4, -3e4)))
+    assert max(near[0].max(), far[0].max()) < ROUND_OFF * 6e4 / 20.0
+    moment = np.sin(0.01) / (1.0 + 2.0 * np.sin(np.pi / 24))
+    assert near[1:].ravel() == pytest.approx([0.01 / np.pi, 0.0, 0.0, moment], rel=0.03, abs=1e-4)
+    assert far[1:] == pytest.approx(near[1:], rel=1e-6, abs=1e-9)
 
 
 def press_ball(slave, h):

@@ -56,11 +56,11 @@ class Judged:
 
     def certify(self, contacts):
         """Return the certificate."""
-        set_results(self.problem, self.balance, contacts)
+        _, balances = set_results(self.problem, self.balance, contacts)
         noise, limits = gap_round_off(self.problem.u), self.balance.limits
         sliders = None if limits is None else find_sliders(limits, contacts, self.diagonal, noise)
         residual = self.measure(contacts)
-        return create_certificate(self.problem, self.report, contacts, residual, sliders)
+        return create_certificate(self.problem, self.report, contacts, residual, balances, sliders)
 
 
 @pytest.fixture(scope="module")
@@ -184,5 +184,5 @@ def test_equilibrium_of_one_cell(excess):
     contacts = Contacts(np.zeros(4, dtype=bool), np.zeros(4))
     rest = linearise(problem, balance).diagonal, Scales(1.0), 1.0, RTOL
     residual = measure(u, balance, contacts, *rest)
-    said = create_certificate(problem, report, contacts, residual).equilibrium
+    said = create_certificate(problem, report, contacts, residual, (0.0, 0.0)).equilibrium
     assert said == pytest.approx(excess / (np.sqrt(2.0) * (1.0 + excess)), rel=1e-9)

@@ -26,7 +26,6 @@ from dolfinx_mortar.mortar.surface import (
     normal_derivatives,
 )
 from dolfinx_mortar.newton_method.tunnelling import describe_passing
-from dolfinx_mortar.report.certificate import _balances
 from dolfinx_mortar.report.uncoupled import find_crossing, notes_on_crossings
 from tests.block_piles import create_blocks
 from tests.folds import (
@@ -201,24 +200,6 @@ def test_facets_with_a_common_node_are_no_pair():
     one, other = np.array([[1, 0], [2, 1]]), np.array([[1, 0], [3, 2]])
     found = [distances_in_reach(facets, facets, pairs, (n, n), deep)[0] for n in (one, other)]
     assert found[0] == np.inf and found[1] == 0.0
-
-
-def test_balances_are_over_the_sum_of_nodal_forces():
-    """Of parts that press each other in two places, up and down, the resultant may be nothing."""
-    fold = create_hairpin(cells=(24, 2))
-    for way in (0.3, 0.42):
-        fold.close(way)
-    problem, own = fold.problem, fold.contact
-    assert own.resultants is not None and fold.active > 0
-    x = problem.positions().array_r.reshape(problem.n, -1)
-    links, length, none = problem.system.links, problem.system.facet_length, np.zeros(3)
-    balances = _balances(links, x, length)
-    assert _balances(links, x + 100.0, length) == pytest.approx(balances, rel=1e-9)
-    own.resultants = replace(
-        own.resultants, force=none[:2], moment=none, master_force=none[:2] + 1e-20,
-        master_moment=none + 1e-20,
-    )  # fmt: skip
-    assert max(_balances(links, x, length)) < 1e-12
 
 
 def test_moments_lack_what_turns_the_normals_and_nothing_else():

@@ -8,16 +8,18 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx import fem, la
+from dolfinx_mortar.algebra.parallel import ratio
 from dolfinx_mortar.arrays import TINY, Bools, Floats
 from dolfinx_mortar.interfaces.coupling import Sides, with_ghosts
 from dolfinx_mortar.interfaces.interface import Interface, Resultants, ask
 from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.mortar.surface import mean_facet_length
 
 
 def set_results(
     link: Link, reaction: Floats, gap: Floats, active: Bools, x: Floats, growth: Floats
-) -> None:
-    """Set resultants and Functions of an interface; collective.
+) -> tuple[float, float]:
+    """Set resultants and Functions of an interface; return its `_balances`; collective.
 
     Args:
         reaction: (n, d) D_jj lambda_j in the frames, at the owned slave nodes; zero in directions
@@ -34,7 +36,7 @@ def set_results(
     weight = np.broadcast_to(D, reaction.shape)
     multiplier = np.divide(reaction, weight, out=np.zeros_like(reaction), where=weight > 0)
     forces = np.einsum("nij,nj->ni", link.coupling.R, reaction)
-    link.interface.resultants = _resultants(link, forces, multiplier, x)
+    link.interface.resultants, balances = _resultants(link, forces, multiplier, x)
     area = np.maximum(D.max(axis=1, initial=0.0) * growth, TINY)
     normal = np.einsum("ni,ni->n", forces, link.coupling.normals) / area
     _fill(fields.pressure, link, np.where(kept, normal, 0.0), kept)
@@ -46,6 +48,7 @@ def set_results(
     fields.active.x.array[:] = 0.0
     fields.active.x.array[link.nodes] = active | around
     fields.active.x.scatter_forward()
+    return balances
 
 
 def set_sliding(
@@ -65,25 +68,54 @@ def set_sliding(
     ask(comm, interface, "sum_up", comm, nodes)
 
 
-def _resultants(link: Link, forces: Floats, multiplier: Floats, x: Floats) -> Resultants:
-    """Return the resultants of the forces (n, d) that the slave nodes exert; collective."""
-    n, d = link.sides.n_owned, forces.shape[1]
+def _resultants(
+    link: Link, forces: Floats, multiplier: Floats, x: Floats
+) -> tuple[Resultants, tuple[float, float]]:
+    """Return the resultants and balances of what slave nodes exert (n, d); collective."""
+    comm, n, d = link.sides.V.mesh.comm, link.sides.n_owned, forces.shape[1]
     f, points = np.zeros((2, n, 3)), np.zeros((n, 3))
     f[:, :, :d], points[:, :d] = link.transpose(forces), x
     if link.sides.master is None:  # what is no part of the mesh takes the same forces
         f[1] = -f[0]
     local = np.array([[-s.sum(axis=0), -np.cross(points, s).sum(axis=0)] for s in f])
-    total = link.sides.V.mesh.comm.allreduce(local, op=MPI.SUM)
-    return Resultants(
+    total = comm.allreduce(local, op=MPI.SUM)
+    found = Resultants(
         force=total[0, 0, :d],
         moment=total[0, 1],
         master_force=total[1, 0, :d],
         master_moment=total[1, 1],
-        multiplier=ask(link.sides.V.mesh.comm, link.interface, "shown", multiplier),
+        multiplier=ask(comm, link.interface, "shown", multiplier),
         nodes=link.nodes,
         carries=np.asarray(link.coupling.kept.any(axis=1)),
-        place=ask(link.sides.V.mesh.comm, link.interface, "place"),
+        place=ask(comm, link.interface, "place"),
     )
+    return found, _balances(comm, f, points, mean_facet_length(link.sides.slave))
+
+
+def _balances(comm: MPI.Comm, f: Floats, points: Floats, h: float) -> tuple[float, float]:
+    """Return the relative imbalances of forces and of moments of the two sides; collective.
+
+        |sum_j (s_j + t_j)| / S,   |sum_j a_j x (s_j + t_j)| / sum_j |s_j| (|a_j| + h)
+
+    with S = sum_j |s_j|, the middle c = sum_j |s_j| x_j / S and the arms a_j = x_j - c. Sums of
+    sizes do not cancel where resultants do, as around a shaft. Arms from the middle are the same
+    wherever the origin is, and so is the moment about it, even of forces that do not balance. The
+    facet length is for forces at one point.
+
+    Args:
+        comm: communicator of the mesh.
+        f: (2, n, 3) forces s and t of the slave and the master side at owned nodes.
+        points: (n, 3) where they act, x.
+        h: mean slave facet length.
+    """
+    size = np.linalg.norm(f[0], axis=1)
+    whole = comm.allreduce(np.append(size @ points, size.sum()), op=MPI.SUM)
+    arms, both = points - whole[:3] / np.maximum(whole[3], TINY), f.sum(axis=0)
+    scale = size @ np.linalg.norm(arms, axis=1)
+    left = [*both.sum(axis=0), *np.cross(arms, both).sum(axis=0), scale]
+    total = comm.allreduce(np.array(left), op=MPI.SUM)
+    force, moment = (float(np.linalg.norm(v)) for v in (total[:3], total[3:6]))
+    return ratio(force, whole[3]), ratio(moment, total[6] + h * whole[3])
 
 
 def _fill(function: fem.Function, link: Link, values: Floats, kept: Bools) -> None:

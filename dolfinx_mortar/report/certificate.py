@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: MIT
 """The certificate of a converged step: residuals of equilibrium and of the contact laws."""
 
-from collections.abc import Sequence
-
 from mpi4py import MPI
 
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum, ratio
-from dolfinx_mortar.arrays import TINY, Floats
+from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces.coupling import along_and_across, relative_motions
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.near import nodal_gaps
@@ -47,37 +45,12 @@ def operator_errors(link: Link, X: Floats, facet_length: float) -> tuple[float, 
     return float(linear), float(sums)
 
 
-def _balances(links: Sequence[Link], x: Floats, facet_length: float) -> tuple[float, float]:
-    """Return the largest relative imbalances of forces and moments between the two sides.
-
-    The resultants of a surface that meets itself may cancel; there the sums of nodal sizes count,
-    with arms from the middle of the forces, wherever the origin is.
-
-    Args:
-        x: (owned nodes, d) coordinates.
-        facet_length: added to the arms of moments.
-    """
-    force = moment = 0.0
-    for link in links:
-        i = link.interface
-        scale, arm = np.linalg.norm(i.force), np.linalg.norm(i.moment)
-        if i.meets_itself:
-            size, comm = np.abs(i.multiplier) * link.coupling.weight[:, 0], link.sides.V.mesh.comm
-            total = comm.allreduce(np.append(size @ x[link.nodes], size.sum()))
-            scale, middle = total[-1], total[:-1] / np.maximum(total[-1], TINY)
-            arms = np.linalg.norm(x[link.nodes] - middle, axis=1)
-            arm = comm.allreduce(float(size @ arms))
-        arm += scale * facet_length
-        force = max(force, ratio(np.linalg.norm(i.force + i.master_force), scale))
-        moment = max(moment, ratio(np.linalg.norm(i.moment + i.master_moment), arm))
-    return force, moment
-
-
 def create_certificate(
     problem: ContactProblem,
     report: StepReport,
     contacts: Contacts,
     residual: Residuals,
+    balances: tuple[float, float],
     sliders: Sliders | None = None,
     left_out: LeftOut | None = None,
     crossing: Crossing | None = None,
@@ -88,6 +61,7 @@ def create_certificate(
         problem: the problem, in the geometry of the step's end.
         report: iterations of the step.
         residual: of equilibrium there.
+        balances: of forces and moments of the two sides, of `set_results`.
         sliders: slips and tangential reactions, with friction.
         left_out: what the small strain leaves out; None measures it.
         crossing: of boundaries that are not coupled; None looks for it.
@@ -107,8 +81,6 @@ def create_certificate(
     errors = [operator_errors(link, problem.X, length) for link in links if link.pairing] or [
         (0.0, 0.0)
     ]
-    x = problem.positions().array_r.reshape(problem.n, problem.d)
-    force, moment = _balances(links, x, length)
     kept = [link.coupling.kept.any(axis=1) for link in links]
     covered = [link.coupling.coverage.share for link in links]
     counts = [
@@ -123,8 +95,8 @@ def create_certificate(
         gap=ratio(deepest, length),
         sign=ratio(tensile, pressure),
         complementarity=ratio(product, pressure * length),
-        force_balance=force,
-        moment_balance=moment,
+        force_balance=balances[0],
+        moment_balance=balances[1],
         linear_field_error=max(e[0] for e in errors),
         row_sum_error=max(e[1] for e in errors),
         smallest_coverage=float(-maximum(problem.comm, -least)[0]),

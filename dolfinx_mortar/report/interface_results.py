@@ -29,8 +29,11 @@ def set_results(
     balance: Balance,
     contacts: Contacts,
     jumps: Mapping[int, PETSc.Vec] | None = None,
-) -> Slips | None:
-    """Set the interfaces' resultants and Functions; return the slips until here; collective.
+) -> tuple[Slips | None, tuple[float, float]]:
+    """Set the interfaces' resultants and Functions; collective.
+
+    Return the slips until here, and the largest imbalances of the forces and of the moments of two
+    sides, see `results`.
 
     Reactions of equalities are the residual forces that they take; those of contact are D_jj times
     the multipliers. Ties are as open as their jumps, see `StepData`. Tractions are shown per area
@@ -49,10 +52,11 @@ def set_results(
     forces = reaction.reshape(-1, d)
     gap = nodal_gaps(problem.system.links, problem.vector(moved), n)
     growth = [_growth(problem, link) for link in problem.system.links]
+    balances = [(0.0, 0.0)]
     for k, link in enumerate(problem.system.links):
         frozen = ask(problem.comm, link.interface, "configuration", problem.configuration) is None
         on = link.constrained
-        results.set_results(
+        found = results.set_results(
             link,
             np.where(on, forces[link.nodes], 0.0),
             link.shown_gap(gap, (jumps or {}).get(k)),
@@ -60,9 +64,10 @@ def set_results(
             problem.X if frozen else moved,  # where the forces act
             growth[k],
         )
-    if balance.limits is None:
-        return None
-    return _set_sliding(problem, balance.limits, contacts, growth)
+        balances.append(found)
+    slips = None if limits is None else _set_sliding(problem, limits, contacts, growth)
+    force, moment = np.max(balances, axis=0)
+    return slips, (float(force), float(moment))
 
 
 def _growth(problem: ContactProblem, link: Link) -> Floats:

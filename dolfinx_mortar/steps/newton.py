@@ -893,7 +893,7 @@ class _Step:
             jumps = tighten(problem.system, u, self.data.jumps)
         except TooFar as error:
             raise failures.StepFailed(str(error)) from error
-        slips = set_results(problem, iterate.balance, contacts, jumps)
+        slips, balances = set_results(problem, iterate.balance, contacts, jumps)
         sliders = None
         if (limits := iterate.balance.limits) is not None:
             noise = gap_round_off(problem.u)
@@ -911,7 +911,7 @@ class _Step:
             found = self.stiffness, iterate.balance, contacts
             report.notes += driven_tools.notes_on_loose_tools(problem, *found)
         report.certificate = create_certificate(
-            problem, report, contacts, residual, sliders, left_out, crossing
+            problem, report, contacts, residual, balances, sliders, left_out, crossing
         )
         supports = support_forces(problem, iterate.balance)  # last, as no error may follow
         at, paired = problem.owned_u.copy(), problem.system.present.paired
