@@ -41,7 +41,7 @@ NUMBERS = {
         "PATHS": (0,),
         "RTOL": (1e-10, 1e5),
     },
-    "analytic.fit": {"EDGE": (1e-6, 11.0), "ENOUGH": (100,)},
+    "analytic.fit": {"EDGE": (1e-6, 11.0)},
 }
 # Of another module: the same.
 SHARED = {

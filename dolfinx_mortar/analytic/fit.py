@@ -13,9 +13,6 @@ from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
 # out of the contact, and its pressure is their mean. Half and twice as much change the peak and the
 # half-width of nodal means over 19 facets by less than 0.5 % (tests/test_analytic.py).
 EDGE = 0.1
-# Nodes that must remain for the edge to be left out: on fewer, two at the edge are most of the
-# slope, and without them the fit follows the errors of the others.
-ENOUGH = 5
 
 
 def fit_pressure(x: npt.ArrayLike, p: npt.ArrayLike) -> tuple[float, float]:
@@ -25,7 +22,8 @@ def fit_pressure(x: npt.ArrayLike, p: npt.ArrayLike) -> tuple[float, float]:
 
     Unlike the largest nodal value and the last active node, the fit is not limited to the
     resolution of one element. Nodes at the edge, where the p^2 that the nodes farther inside
-    predict is below a tenth of p0^2, are left out if five others remain.
+    predict is below a tenth of p0^2, are left out. Nodal means with 3, 4 and 6 facets across the
+    contact give a to 6, 5 and 3 %, with the edge to 35, 24 and 13 % (root mean square of places).
 
     Args:
         x: distances (n,) of the active nodes from the middle of the contact.
@@ -50,21 +48,16 @@ def fit_pressure(x: npt.ArrayLike, p: npt.ArrayLike) -> tuple[float, float]:
     squares = distances**2, values**2
     # The farthest nodes may be at the edge: the others tell where it is.
     farthest = squares[0].max(initial=0.0)
-    c0, c1 = _fit_line(*_leave_out(*squares, squares[0] > (1.0 - EDGE) * farthest))
-    c0, c1 = _fit_line(*_leave_out(*squares, c0 + c1 * squares[0] < EDGE * c0))
+    c0, c1 = _fit_line(*squares, squares[0] <= (1.0 - EDGE) * farthest)
+    c0, c1 = _fit_line(*squares, ~(c0 + c1 * squares[0] < EDGE * c0))  # all, if that is no line
     if not (c1 < 0.0 < c0):
         return np.nan, np.nan
     return float(np.sqrt(c0)), float(np.sqrt(-c0 / c1))
 
 
-def _leave_out(x: Floats, y: Floats, edge: Bools) -> tuple[Floats, Floats]:
-    """Return the points without those at the edge, or all where too few would remain."""
-    kept = ~edge if np.count_nonzero(~edge) >= ENOUGH else np.ones_like(edge)
-    return x[kept], y[kept]
-
-
-def _fit_line(x: Floats, y: Floats) -> tuple[float, float]:
-    """Return (c0, c1) of the least-squares line y = c0 + c1 x; NaN for fewer than two x."""
+def _fit_line(x: Floats, y: Floats, on: Bools) -> tuple[float, float]:
+    """Return (c0, c1) of the least-squares line y = c0 + c1 x of some points; NaN of one x."""
+    x, y = x[on], y[on]
     if len(x) < 2 or np.ptp(x) <= HALF_OF_DIGITS * np.max(x):
         return np.nan, np.nan
     slope = float(np.sum((x - x.mean()) * (y - y.mean())) / np.sum((x - x.mean()) ** 2))
