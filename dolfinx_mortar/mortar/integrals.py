@@ -70,7 +70,13 @@ from dolfinx_mortar.mortar.surface import (
 
 _OF_POINTS = "pair", "slave", "master", "xi_s", "xi_m", "weight"  # what segments say of each point
 LEAST_COVERAGE = 0.05
-"""A slave node carries a multiplier if more than this part of its tributary weight is covered."""
+"""A slave node carries a multiplier if more than this part of its tributary weight is covered.
+
+The pressure shown there is a force over what is covered. Under punches whose edges are anywhere in
+a facet (2D, hexahedra, tetrahedra) 1e-5 shows up to 80 times the pressure beside it, 0.005 five
+times, 0.025 to 0.1 at most twice. From 1e-5 to 0.1 forces differ by up to 0.5 % in 2D, 2 % in 3D,
+and iterations by two.
+"""
 STAYS = 0.5
 """A node that has lost its multiplier in the course of a step, and got it back, keeps it down to
 this part of that coverage. Its multiplier moves the bodies, and so changes its coverage: where the

@@ -61,6 +61,8 @@ OVERSHOOT = 0.5
 """Largest force at the end of a step in the opposite direction, as a share of that at its start.
 
 A force that changes linearly from 1 to -s vanishes at 1 / (1 + s) of the step, here at two thirds.
+Of five plates, four discs and a disc that rolls over facets, 0.05 to 2 give the same, 0.05 and 0.1
+in up to twice as many QPs; with 5 the disc that rolls is not found.
 """
 
 Solve = Callable[[Linearisation], QPSolution]

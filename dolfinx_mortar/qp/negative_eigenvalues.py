@@ -16,7 +16,10 @@ import numpy as np
 
 from dolfinx_mortar.qp.operator import Operator
 
-# Of |b| / sqrt(n): what is left of the part along an eigenvector that has been resolved.
+# Of |b| / sqrt(n): what is left of the part along an eigenvector that has been resolved. With a
+# chance of 0.8 % the part is smaller from the start (a normal variable below 0.01). Of 480 runs (4
+# matrices, 3 preconditioners, 4 lowest eigenvalues) 1e-4 to 0.1 meet all, in the same iterations,
+# 0.3 misses 1 %, 1 5 %, 3 21 %. Where there is none to meet, 0.1 saves a tenth of the iterations.
 RESOLVED = 0.01
 
 

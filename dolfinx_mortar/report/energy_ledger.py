@@ -56,7 +56,8 @@ from dolfinx_mortar.terms.free_rotation import free_groups, give_back, moments
 from dolfinx_mortar.terms.inertia import Damping, Inertia, Motion
 
 # Smallest defect with a note: velocities, of which energies are squares, are then wrong by half a
-# per cent.
+# per cent. Measured on a rod that hits a wall and a bar over four periods, with generalised alpha,
+# radii 0 to 1 and two steps each (defects of 3e-4 to 8 %): by 0.4 to 0.7 of the defect.
 LARGE_DEFECT = 0.01
 MASS = (
     ". Contact nodes of thin bodies, of one or two layers of cells, have kept their mass, with "
