@@ -8,7 +8,7 @@ import pytest
 
 import dolfinx_mortar as dm
 import ufl
-from dolfinx import fem
+from dolfinx import fem, mesh
 from tests.choice import crosswise, quick
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP_OF_LOWER
 from tests.rings import (
@@ -298,3 +298,29 @@ def test_multigrid_does_not_see_the_mesh():
         iterations.append(sum(i.linear_iterations for i in report.iterations))
     assert abs(norms[1] / norms[0] - 1) < 1e-7
     assert iterations[1] < 40 and iterations[2] < 1.6 * iterations[1]
+
+
+@pytest.mark.mpi
+def test_given_friction_is_per_present_area():
+    """A washer that is upset to 0.7 of its height slides outwards, on a face that has grown."""
+    s, low = 0.005, 0.7
+    domain = mesh.create_rectangle(COMM, [(0.5, 0.0), (1.0, 1.0)], (4, 8))
+    face = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[1], 1.0))
+    tags = mesh.meshtags(domain, 1, np.sort(face), np.ones(len(face), dtype=np.int32))
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    law = dm.NeoHooke(E=1.0, nu=0.3)
+    solid = dm.Solid(fem.Function(V), law, kinematics="axisymmetric", strain="finite")
+    base = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[1], 0.0))
+    foot = fem.locate_dofs_topological(V.sub(1), 1, base)
+    bcs = [fem.dirichletbc(fem.Constant(domain, 0.0), foot, V.sub(1))]
+    tool = dm.Obstacle(tags, slave=1, shape=dm.shapes.Plane((0.0, 1.0), (0.0, -1.0)), tresca=s)
+    problem = dm.ContactProblem(solid, [tool], bcs=bcs)
+    ramp = {tool.position: [(0.0, (0.0, 1.0)), (1.0, (0.0, low))]}
+    for _ in dm.load_steps(problem, [0.5, 1.0], ramp=ramp, rtol=1e-9, progress=False):
+        now = tool.gather(problem.u)
+    assert (now["status"] == 2.0).all()
+    assert np.allclose(now["traction"], [-s, 0.0], rtol=1e-12)
+    r = now["x"][:, 0]
+    assert r.max() > 1.05
+    area = np.pi * (r.max() ** 2 - r.min() ** 2)
+    assert abs(tool.force[0] / (-s * area) - 1) < 1e-3  # 2 pi r of nodes, on four facets

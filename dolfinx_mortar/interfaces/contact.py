@@ -322,7 +322,7 @@ class Contact(Unilateral, MortarInterface):
         tresca: limit of the tangential traction instead, of the same kinds: given friction, which
             acts at every slave node that faces the master, whatever the pressure, also where there
             is none (let a Function be 0 there). Then a step is a convex minimisation. In
-            axisymmetry it is per circumference at X.
+            axisymmetry it is per circumference at X where strains are small.
 
     Source: the paper, eqs. 12 to 20; friction: S. Hueeber, G. Stadler, B. Wohlmuth, SIAM J. Sci.
     Comput. 30 (2008) 572-596; M. Gitterle, A. Popp, M. W. Gee, W. A. Wall, Int. J. Numer. Methods

@@ -24,6 +24,7 @@ from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, equal
 from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent
 from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.interfaces.slip_partners import Partners
+from dolfinx_mortar.problem.circumference import growth
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.qp import BoundQP, Friction, LinearSolver, QPSolution
@@ -87,13 +88,33 @@ def find_balance(problem: ContactProblem, data: StepData, overlap: float = 0.0) 
         limits = None
         if data.limits:
             u.array[:] -= problem.committed.displacement
-            limits = problem.system.slip_limits(u, data.limits, data.partners)
+            now = _present_limits(problem, data.limits)
+            limits = problem.system.slip_limits(u, now, data.partners)
     equal, bounds = found.select(found.equal), found.select(~found.equal)
     if overlap > 0.0:
         bounds = replace(bounds, upper=bounds.upper + overlap)
     supported = join([asked, equal])
     forces = elements, external
     return Balance(r, reduced, supported, bounds, *forces, limits, problem.pretensions)
+
+
+def _present_limits(
+    problem: ContactProblem, limits: Sequence[Floats | None]
+) -> Sequence[Floats | None]:
+    """Return coefficients, and given tractions times the growth of circumferences; collective.
+
+    A given traction is per present area, D_jj times this growth, see `growth`. Small strains leave
+    it as it is.
+    """
+    if problem.solid.strain != "finite":
+        return limits
+    now: list[Floats | None] = []
+    for link, limit in zip(problem.system.links, limits, strict=True):
+        if limit is not None and link.interface.acts_openly:
+            limit = limit.copy()
+            limit[link.nodes] *= growth(problem, link)
+        now.append(limit)
+    return now
 
 
 def support_slots(problem: ContactProblem) -> tuple[Ints, Ints]:

@@ -15,13 +15,12 @@ from dolfinx_mortar.interfaces.coupling import relative_motions, slipped
 from dolfinx_mortar.interfaces.interface import ask
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.near import nodal_gaps
-from dolfinx_mortar.mortar.surface import coordinates, sum_at_nodes
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.linearisation import Balance
 from dolfinx_mortar.persistence.committed import Slips
+from dolfinx_mortar.problem.circumference import growth
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.small_strain import LARGE
-from dolfinx_mortar.solid.kinematics import on_axis
 
 
 def set_results(
@@ -37,7 +36,7 @@ def set_results(
 
     Reactions of equalities are the residual forces that they take; those of contact are D_jj times
     the multipliers. Ties are as open as their jumps, see `StepData`. Tractions are shown per area
-    of the configuration at which the interface is taken, see `_growth`.
+    of the configuration at which the interface is taken, see `growth`.
     """
     d, n = problem.d, problem.n
     moved = problem.X + problem.u.x.array[: d * n].reshape(-1, d)
@@ -51,7 +50,7 @@ def set_results(
         reaction[limits.tangential[some]] = contacts.tangential_reactions(limits)[some]
     forces = reaction.reshape(-1, d)
     gap = nodal_gaps(problem.system.links, problem.vector(moved), n)
-    growth = [_growth(problem, link) for link in problem.system.links]
+    grown = [growth(problem, link) for link in problem.system.links]
     balances = [(0.0, 0.0)]
     for k, link in enumerate(problem.system.links):
         frozen = ask(problem.comm, link.interface, "configuration", problem.configuration) is None
@@ -62,37 +61,16 @@ def set_results(
             link.shown_gap(gap, (jumps or {}).get(k)),
             link.acting(contacts.active),
             problem.X if frozen else moved,  # where the forces act
-            growth[k],
+            grown[k],
         )
         balances.append(found)
-    slips = None if limits is None else _set_sliding(problem, limits, contacts, growth)
+    slips = None if limits is None else _set_sliding(problem, limits, contacts, grown)
     force, moment = np.max(balances, axis=0)
     return slips, (float(force), float(moment))
 
 
-def _growth(problem: ContactProblem, link: Link) -> Floats:
-    """Return the ratio (n,) of present to initial circumference at the slave nodes; collective.
-
-    D is integrated over the length of the section as it is now, but with 2 pi r at X: D_jj times
-    this is the area that a node has now. On the axis it is the mean of the other nodes of the
-    facets, to second order of their size. One elsewhere, and at X.
-    """
-    kinematics, slave = problem.solid.kinematics, link.sides.slave
-    u = ask(problem.comm, link.interface, "configuration", problem.configuration)
-    if kinematics.radius is None or u is None:
-        return np.ones(len(link.nodes))
-    now, at_X = (kinematics.weight(x.T) for x in (coordinates(slave, u), slave.X))
-    # zero on the axis; a node beyond it has no circumference
-    known = ~on_axis(kinematics, problem.V.mesh, slave.X) & (now > 0.0)
-    factor = np.where(known, now / np.where(known, at_X, 1.0), 0.0)
-    columns = np.stack([factor, known], axis=1)[slave.facets].sum(axis=1, keepdims=True)
-    around = sum_at_nodes(slave, np.repeat(columns, slave.facets.shape[1], axis=1))
-    mean = around[:, 0] / np.maximum(around[:, 1], 1.0)
-    return np.asarray(np.where(known, factor, mean)[: slave.owned])
-
-
 def _set_sliding(
-    problem: ContactProblem, limits: SlipLimits, contacts: Contacts, growth: Sequence[Floats]
+    problem: ContactProblem, limits: SlipLimits, contacts: Contacts, grown: Sequence[Floats]
 ) -> Slips:
     """Set the results of friction, those of the step added to what is committed; collective."""
     n, d, committed = problem.n, problem.d, problem.committed
@@ -115,7 +93,7 @@ def _set_sliding(
             total.dissipated[k, nodes] += carries * energy[nodes]
             way, spent = total.slid[k, nodes], total.dissipated[k, nodes]
             drag, last = (carries[:, None] * v[nodes] for v in (traction, slip))
-            drag /= growth[k][:, None]
+            drag /= grown[k][:, None]
             results.set_sliding(link, drag, last, way, carries * status[nodes], spent)
     return total
 
