@@ -15,6 +15,7 @@ from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.linearisation import Balance
 from dolfinx_mortar.newton_method.residuals import gap_round_off
 from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.report.beside_tools import notes_beside_tools
 from dolfinx_mortar.report.interface_results import (
     notes_on_lost_friction,
     notes_on_missed_tools,
@@ -92,6 +93,9 @@ DIAGNOSES: tuple[Diagnosis, ...] = (
     _pressures,
     lambda end: notes_on_rims(end.links),
     _overlaps,
+    lambda end: notes_beside_tools(
+        end.unilateral, end.problem.system.boundary, end.problem.u, end.contacts.active
+    ),
     lambda end: notes_on_crossings(end.problem, end.crossing),
     lambda end: notes_on_swept(end.problem, end.crossing),
     lambda end: notes_on_small_strain(end.problem, end.left_out),

@@ -64,7 +64,7 @@ def _note_on_tool(link: Link, u: fem.Function) -> list[str]:
     found = link.interface.depths(link, u)
     if found is None:
         return []
-    ratio, deepest, x = _deepest(link.sides.V.mesh.comm, *found)
+    ratio, deepest, x = find_deepest(link.sides.V.mesh.comm, *found)
     if ratio <= SUNK:
         return []
     return [
@@ -87,7 +87,7 @@ def _note(link: Link, u: fem.Function, unseen: float | None) -> list[str]:
         sagittas = _sagittas(link, u)[pair]
         off = share - sagittas
         share = np.where(off > SUNK, off, share - HIGHER * sagittas)
-    ratio, deepest, x = _deepest(comm, share, depth, place)
+    ratio, deepest, x = find_deepest(comm, share, depth, place)
     if ratio <= least:
         return []
     part = f"{ratio:.0%}" if ratio >= 0.01 else f"{ratio:.1g}"
@@ -96,7 +96,7 @@ def _note(link: Link, u: fem.Function, unseen: float | None) -> list[str]:
         f"no gap is measured at an edge or corner between nodes of slave={link.sides.slave.label}; "
         "let the finer or sharper side be the slave, or refine there"
     )
-    if _deepest(comm, np.where(bare, share, 0.0), depth, place)[0] == ratio:
+    if find_deepest(comm, np.where(bare, share, 0.0), depth, place)[0] == ratio:
         why = (
             f"Dirichlet data prescribe the nodes of slave={link.sides.slave.label} there, so that "
             "none has a multiplier, and nothing holds the master; let the other side be the slave"
@@ -107,7 +107,7 @@ def _note(link: Link, u: fem.Function, unseen: float | None) -> list[str]:
     ]
 
 
-def _deepest(
+def find_deepest(
     comm: MPI.Comm, share: Floats, depth: Floats, place: Floats
 ) -> tuple[float, float, list[float]]:
     """Return share, depth and place of the largest share of all ranks; 0 for none; collective."""
@@ -135,7 +135,7 @@ def _note_on_poles(link: Link, u: fem.Function, rtol: float) -> list[str]:
     at = np.einsum("mki,mk->mi", slave.x, poles / np.maximum(poles.sum(axis=1), 1)[:, None])
     there = np.linalg.norm(x - at[s[pair]], axis=1) <= HALF_OF_DIGITS * finer[pair]
     share = np.where(there & (depth < pairing.deepest[pair]), depth / finer[pair], 0.0)
-    ratio, deepest, place = _deepest(comm, share, depth, x)
+    ratio, deepest, place = find_deepest(comm, share, depth, x)
     if ratio <= rtol:
         return []
     return [
