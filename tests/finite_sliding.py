@@ -173,7 +173,15 @@ class TurningHub:
             u[nodes] = X[nodes] @ (np.array([[c, s], [-s, c]]) - np.eye(2))
 
 
-def turning_hub(*, overlap=0.05, moduli=(10.0, 1.0), slave="inner", surface="facets", **options):
+def turning_hub(
+    *,
+    overlap=0.05,
+    moduli=(10.0, 1.0),
+    slave="inner",
+    surface="facets",
+    geometry="updated",
+    **options,
+):
     """Create the case: radii .4, 1 + overlap in 1, 1.8; 40 and 36 facets; inner modulus first."""
     counts, shift = (40, 36), (0.0, 0.03)
     radii = (0.4, 1.0 + overlap), (1.0, 1.8)
@@ -193,7 +201,8 @@ def turning_hub(*, overlap=0.05, moduli=(10.0, 1.0), slave="inner", surface="fac
     laws = {k + 1: dm.NeoHooke(E, 0.3) for k, E in enumerate(moduli)}
     sides = (2, 3) if slave == "inner" else (3, 2)
     contact = dm.Contact(facets, slave=sides[0], master=sides[1], surface=surface, **options)
-    problem = dm.ContactProblem(dm.Solid(u, laws, cells, strain="finite"), [contact], bcs=bcs)
+    solid = dm.Solid(u, laws, cells, strain="finite")
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=geometry)
     return TurningHub(problem, contact, turned, tuple(circles))
 
 

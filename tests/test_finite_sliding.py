@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+from dolfinx import fem
 from tests.finite_sliding import COMM, indentation, soft_block, turning_hub, walk
 
 
@@ -243,6 +244,34 @@ def test_a_stuck_pair_that_turns_keeps_its_traction():
     assert abs(moments[1]) > 0.05
     assert np.abs(np.array(moments[2:]) - moments[1]).max() < 1e-9 * abs(moments[1])
     assert report.newton_iterations <= 3
+
+
+@pytest.mark.mpi
+def test_a_pair_that_turns_in_frozen_geometry_is_noted():
+    """The normals stay what they are at X, all around."""
+    case = turning_hub(geometry="reference")
+    for angle, noted in ((0.0, False), (0.02, False), (0.1, True)):
+        case.turn(angle, angle)
+        report = dm.newton(case.problem)
+        case.problem.commit()
+        notes = [note for note in report.notes if "has turned by" in note]
+        assert len(notes) == noted
+
+
+@pytest.mark.mpi
+def test_flanks_of_a_dent_do_not_turn_a_contact():
+    """Normals under a disc that is pressed in turn, by 4 degrees in the mean, both ways alike."""
+    domain, bodies, sides = dm.meshing.hertz(COMM)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    solid = dm.Solid(fem.Function(V), dm.NeoHooke(E=1000.0, nu=0.3), bodies, strain="finite")
+    push = fem.Constant(domain, (0.0, 0.0))
+    bottom, flat = (fem.locate_dofs_topological(V, 1, sides.find(n)) for n in ("bottom", "flat"))
+    bcs = [fem.dirichletbc(np.zeros(2), bottom, V), fem.dirichletbc(push, flat, V)]
+    contact = dm.Contact(sides, slave="top", master="arc")
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry="reference")
+    ramp = {push: [(0.0, (0.0, 0.0)), (1.5, (0.0, -1.5))]}
+    for step in dm.load_steps(problem, [0.5, 1.0, 1.5], ramp=ramp, progress=False):
+        assert not any("has turned by" in note for note in step.report.notes)
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ from dolfinx_mortar.interfaces.coupling import relative_motions, slipped
 from dolfinx_mortar.interfaces.interface import ask
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.near import nodal_gaps
+from dolfinx_mortar.mortar.surface import coordinates, nodal_normals
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.linearisation import Balance
 from dolfinx_mortar.persistence.committed import Slips
@@ -99,7 +100,7 @@ def _set_sliding(
 
 
 def notes_on_sliding(problem: ContactProblem, contacts: Contacts) -> list[str]:
-    """Return a note for every contact that has slid too far for frozen geometry; collective."""
+    """Return a note where contacts slid or turned too far for frozen geometry; collective."""
     if problem.geometry == "updated":
         return []
     notes, length = [], problem.system.facet_length
@@ -112,7 +113,30 @@ def notes_on_sliding(problem: ContactProblem, contacts: Contacts) -> list[str]:
                 f"{link.interface} has slid {farthest:.3g}, {farthest / length:.1f} facet lengths, "
                 "but frozen geometry is for small sliding; choose geometry='updated'"
             )
+        if problem.solid.strain == "finite" and link.pairing is not None:
+            angle = _turn(problem, link, contacts)
+            if angle > LARGE:
+                notes.append(
+                    f"{link.interface} has turned by {np.degrees(angle):.2g} degrees where it is "
+                    "closed, but frozen geometry keeps the normals at X; choose geometry='updated'"
+                )
     return notes
+
+
+def _turn(problem: ContactProblem, link: Link, contacts: Contacts) -> float:
+    """Return atan2(|sum_j z_j N_j x n_j|, sum_j z_j N_j . n_j), how far normals turned; collective.
+
+    z_j are the reactions, N_j and n_j the averaged normals at X and now. The flanks of a dent turn
+    against each other, which cancels.
+    """
+    slave, d = link.sides.slave, problem.d
+    at_X, now = np.zeros((2, slave.owned, 3))
+    for normals, u in ((at_X, None), (now, problem.u)):
+        normals[:, :d] = nodal_normals(slave, coordinates(slave, u))[: slave.owned]
+    z = link.coupling.weight[:, 0] * contacts.multipliers[link.nodes]
+    mine = np.append(z @ np.cross(at_X, now), z @ (at_X * now).sum(axis=1))
+    total = np.sum(problem.comm.allgather(mine), axis=0)
+    return float(np.arctan2(np.linalg.norm(total[:3]), total[3]))
 
 
 def notes_on_turns(problem: ContactProblem, contacts: Contacts) -> list[str]:
