@@ -344,8 +344,29 @@ def test_from_where_on_the_exact_tangent_serves_at_finite_strain(forces, shifted
     problem = SimpleNamespace(solid=solid, system=system)
     step = SimpleNamespace(problem=problem, may_be_exact=True, shifted=shifted)
     step.missed = lambda last: newton_module._Step.missed(step, last)
+    step.stalls = lambda residuals: False
     found = Residuals(forces, contact=0.0, excess=1e6, limit=1.0)
     assert newton_module._Step.is_exact(step, Watch(True), [found]) == exact
+
+
+@pytest.mark.parametrize(
+    ("forces", "held", "strain", "stalls"),
+    [
+        ([9.0, 8.0, 9.0, 9.0, 9.0, 9.0], [], "finite", True),
+        ([9.0, 8.0, 9.0, 9.0, 9.0, 9.0], [], "small", False),
+        ([9.0, 8.0, 9.0, 9.0, 9.0, 7.0], [], "finite", False),
+        ([9.0, 8.0, 9.0, 1e-9, 9.0, 9.0], [2, 3], "finite", True),
+        ([9.0, 1e-9, 8.0, 9.0, 9.0, 9.0], [1], "finite", False),
+    ],
+)
+def test_where_updates_of_the_geometry_lead_nowhere(forces, held, strain, stalls):
+    """Four iterations after the lowest residual, but for those in a frozen geometry."""
+    step = SimpleNamespace(problem=SimpleNamespace(solid=SimpleNamespace(strain=strain)))
+    step.missed = lambda last: newton_module._Step.missed(step, last)
+    made = [SimpleNamespace(geometry_held=k in held) for k in range(len(forces))]
+    step.report = SimpleNamespace(iterations=made)
+    found = [Residuals(one, contact=0.0, excess=1e6, limit=1.0) for one in forces]
+    assert newton_module._Step.stalls(step, found) == stalls
 
 
 @pytest.mark.parametrize("strain", ["small", "finite"])
