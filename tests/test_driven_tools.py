@@ -11,6 +11,7 @@ from dolfinx import default_real_type, fem
 from dolfinx_mortar.interfaces.tool import SPACE, Tool, motions_in
 from dolfinx_mortar.newton_method import driven_tools
 from tests.choice import quick
+from tests.meshes import two_blocks
 from tests.pressed_blocks import rejected
 from tests.tool_case import BASE, DEPTH, ELASTIC, Block, E, R
 
@@ -466,3 +467,38 @@ def test_friction_is_not_symmetric(monkeypatch):
         problem.commit()
     assert tool.tool_force == pytest.approx([-0.5, 10.0], rel=1e-5)
     assert len(made) < 70
+
+
+def pressed_stack(load):
+    """Press a block with bulging sides onto another one by a plane; return tool and problem.
+
+    The interface has no friction, and supports hold the middle line along x, below also along y.
+    """
+
+    def bulge(points):
+        x, y = points.T
+        return np.column_stack([x * (1 + 0.04 * np.sin(3 * y) * y * (1 - abs(y))), y])
+
+    n = (4, 3)
+    domain, _, tags = two_blocks(COMM, n, n, cell="quadrilateral", transform=bulge)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    zero = fem.Constant(domain, 0.0)
+    sides = [fem.locate_dofs_topological(V.sub(k), 1, tags.find(t)) for k, t in enumerate((5, 1))]
+    bcs = [fem.dirichletbc(zero, dofs, V.sub(k)) for k, dofs in enumerate(sides)]
+    tool = dm.Obstacle(tags, slave=2, shape=dm.shapes.Plane((0.0, 1.0), (0.0, -1.0)), load=load)
+    contact = dm.Contact(tags, slave=4, master=3)
+    solid = dm.Solid(fem.Function(V), dm.NeoHooke(E=10.0, nu=0.3), strain="finite")
+    return tool, dm.ContactProblem(solid, [tool, contact], bcs=bcs)
+
+
+def test_a_stack_pressed_by_a_force_at_finite_strain():
+    """Quadratic, where the fixed point of the inner contact grows by 1.4 an iteration."""
+    tool, problem = pressed_stack({"y": -1.875})
+    report = dm.newton(problem)
+    assert report.newton_iterations <= 8
+    assert any(iteration.exact_tangent for iteration in report.iterations)
+    # prescribed there, it has the same force
+    moved, other = pressed_stack(None)
+    moved.position.value[1] += tool.travel[1]
+    dm.newton(other)
+    assert moved.tool_force[1] == pytest.approx(1.875, rel=1e-5)
