@@ -168,12 +168,12 @@ def test_dragged_over_an_edge_onto_the_next_body(slave):
 
 def slider(depth, **options):
     """Press a half ring on the first of some blocks, and drag it along; forces and reports."""
-    sizes = {"radius": 0.5, "length": 2.0, "height": 1.0, "start": 0.9, "moduli": (1.0, 1.0)}
+    sizes = {"radius": 0.5, "length": 2.0, "height": 1.0, "start": 1.67, "moduli": (1.0, 1.0)}
     case = indentation(n=((12, 6), (16, 3)), friction=0.3, **sizes, **options)
-    times = [0.5, 1.0, *(1 + np.arange(1, 21) / 20)]
+    times = [0.5, 1.0, *(1 + np.arange(1, 12) / 11)]
 
     def follow(t):
-        case.held.value[:] = 2.2 * max(t - 1.0, 0.0), -depth * min(t, 1.0)
+        case.held.value[:] = 1.21 * max(t - 1.0, 0.0), -depth * min(t, 1.0)
 
     steps = dm.load_steps(case.problem, times, on_time=follow, rtol=1e-8)
     return [(np.sum(step.forces, axis=0), step.report) for step in steps]
@@ -187,19 +187,18 @@ def test_over_a_gap_with_a_contact_for_each_block():
     """
     runs = [slider(0.1, blocks=(0.0, 2.15), apart=apart) for apart in (False, True)]
     (one, _), (each, _) = (steps[-1] for steps in runs)
-    assert all(len(steps) == 22 and not any(r.cuts for _, r in steps) for steps in runs)
+    assert all(len(steps) == 13 and not any(r.cuts for _, r in steps) for steps in runs)
     assert np.abs(one).max() > 0.01
     assert np.abs(one - each).max() < 1e-6 * np.abs(one).max()
 
 
-@pytest.mark.mpi
 def test_past_the_end_of_a_block_without_a_cut():
     """At the end one contact opens a gap that closes without it, far from a balance of its force.
 
     The fixed point of the geometry returned to the same four iterates, after eight cuts, too.
     """
     steps = slider(0.2)
-    assert len(steps) == 22 and not any(report.cuts for _, report in steps)
+    assert len(steps) == 13 and not any(report.cuts for _, report in steps)
     assert steps[1][0].any() and not steps[-1][0].any()
     assert max(report.newton_iterations for _, report in steps) <= 10
 
