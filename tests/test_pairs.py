@@ -10,6 +10,8 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
+from dolfinx_mortar.audit import pairs as pairs_module
+from dolfinx_mortar.audit.roles import assess, choose_roles
 from tests.block_piles import ABOVE, BELOW, EAST, WEST, create_blocks
 from tests.meshes_3d import rotation, two_boxes
 from tests.msh_files import msh_file
@@ -153,18 +155,28 @@ def test_walls_pass_the_patch_test_with_proposed_contacts(boxes):
 
 
 @pytest.mark.serial
-def test_slaves_of_many_blocks():
-    """A wall of 32 blocks has more pairs than are compared in all ways: hardly any cycles."""
-    rng, boxes = np.random.default_rng(1), []
+def test_slaves_of_many_blocks(monkeypatch):
+    """A wall of 32 blocks has more pairs than are compared in all ways: hardly any cycles.
+
+    How many depends on the order of the pairs, and so on the numbering of the mesh: in ten orders
+    1 to 3, and 10 to 13 where the finer sides are slaves.
+    """
+    rng, boxes, given = np.random.default_rng(1), [], []
     for row in range(5):
         shift = 0.5 * (row % 2)
         cuts = [0.0, *np.arange(shift or 1.0, 6.0), 6.0]
         for a, b in pairwise(cuts):
             boxes.append((a, b, float(row), row + 1.0, *map(int, rng.integers(1, 4, 2))))
+    monkeypatch.setattr(pairs_module, "choose_roles", lambda c: given.append(c) or choose_roles(c))
     pairs, *_ = create(boxes, show=False)
     assert len(boxes) == 32 and len(pairs.found) == 75
-    cycles = [text for text in pairs.lost if "cycle" in text]
-    assert len(cycles) <= 1
+    (candidates,), chosen, finer = given, 0, 0
+    for _ in range(5):
+        some = candidates[rng.permutation(75)]
+        chosen += len(choose_roles(some).cyclic)
+        finer += len(assess(some, np.argmin(some.sizes, axis=1)).cyclic)
+    assert chosen < finer / 4
+    assert len([text for text in pairs.lost if "cycle" in text]) < finer / 5 / 3
 
 
 def test_blocks_that_touch_in_an_edge_are_no_pair_in_any_direction():
