@@ -238,8 +238,8 @@ def run_once(name: str, options: list[str], folder: Path, now: str, where: Path)
 
 
 def run_all(demos: list[Demo]) -> None:
-    """Run demos as `run` does, as many at a time as there are cores, the longest one first."""
-    first = sorted(demos, key=lambda demo: demo.name != "indentation")
+    """Run demos as `run` does, as many at a time as there are cores, the longest ones first."""
+    first = sorted(demos, key=lambda demo: demo.name not in ("deep_drawing", "indentation"))
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
         for _ in pool.map(run, first):
             pass
