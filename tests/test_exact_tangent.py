@@ -352,23 +352,24 @@ def test_from_where_on_the_exact_tangent_serves_at_finite_strain(forces, shifted
 
 
 @pytest.mark.parametrize(
-    ("forces", "held", "strain", "stalls"),
+    ("gaps", "held", "forces", "strain", "stalls"),
     [
-        ([9.0, 8.0, 9.0, 9.0, 9.0, 9.0], [], "finite", True),
-        ([9.0, 8.0, 9.0, 9.0, 9.0, 9.0], [], "small", False),
-        ([9.0, 8.0, 9.0, 9.0, 9.0, 7.0], [], "finite", False),
-        ([9.0, 8.0, 9.0, 1e-9, 9.0, 9.0], [2, 3], "finite", True),
-        ([9.0, 1e-9, 8.0, 9.0, 9.0, 9.0], [1], "finite", False),
-        ([9.0, 8.0, 4.0, 2.0, 1.0, 1e-9], [1, 2, 3, 4, 5], "finite", False),
+        ([9.0, 8.0, 9.0, 9.0, 9.0, 9.0], [], 1.0, "finite", True),
+        ([9.0, 8.0, 9.0, 9.0, 9.0, 9.0], [], 1.0, "small", False),
+        ([9.0, 8.0, 9.0, 9.0, 9.0, 9.0], [], 9.1, "finite", False),
+        ([9.0, 8.0, 9.0, 9.0, 9.0, 7.0], [], 1.0, "finite", False),
+        ([9.0, 8.0, 9.0, 1e-9, 9.0, 9.0], [2, 3], 1.0, "finite", True),
+        ([9.0, 1e-9, 8.0, 9.0, 9.0, 9.0], [1], 1.0, "finite", False),
+        ([9.0, 8.0, 4.0, 2.0, 1.0, 1e-9], [1, 2, 3, 4, 5], 0.0, "finite", False),
     ],
 )
-def test_where_updates_of_the_geometry_lead_nowhere(forces, held, strain, stalls):
-    """Four iterations after the lowest residual, of which two update the geometry."""
+def test_where_updates_of_the_geometry_lead_nowhere(gaps, held, forces, strain, stalls):
+    """Four iterations after the lowest residual, that of gaps; two of them update the geometry."""
     step = SimpleNamespace(problem=SimpleNamespace(solid=SimpleNamespace(strain=strain)))
     step.missed = lambda last: newton_module._Step.missed(step, last)
-    made = [SimpleNamespace(geometry_held=k in held) for k in range(len(forces))]
+    made = [SimpleNamespace(geometry_held=k in held) for k in range(len(gaps))]
     step.report = SimpleNamespace(iterations=made)
-    found = [Residuals(one, contact=0.0, excess=1e6, limit=1.0) for one in forces]
+    found = [Residuals(forces, contact=one, excess=1e6, limit=1.0) for one in gaps]
     assert newton_module._Step.stalls(step, found) == stalls
 
 
