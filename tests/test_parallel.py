@@ -48,23 +48,13 @@ SLOW = "mpi and slow and not nightly and not serial"
 
 
 def run_on_ranks(ranks: int, selection: str, seconds: float, files: Iterable[str]) -> None:
-    arguments = [
-        "-m",
-        "pytest",
-        *sorted(files),
-        "-p",
-        "no:cacheprovider",
-        "-x",
-        "-q",
-        "-m",
-        selection,
-    ]
+    command = ["-m", "pytest", *sorted(files), "-p", "no:cacheprovider", "-x", "-q"]
     variables = {RANKS: str(ranks), "PYTEST_ADDOPTS": ""}
-    done = jobs.run(ranks, *arguments, cwd=jobs.ROOT, seconds=seconds, variables=variables)
+    where = {"cwd": jobs.ROOT, "seconds": seconds, "variables": variables}
+    done = jobs.run(ranks, *command, "-m", selection, **where)
     if done.returncode != 0:
         last = "\n".join((done.stdout + done.stderr).splitlines()[-80:])
-        command = " ".join(done.args)
-        pytest.fail(f"{command}\nexit code {done.returncode}\n{last}", pytrace=False)
+        pytest.fail(f"{' '.join(done.args)}\nexit code {done.returncode}\n{last}", pytrace=False)
 
 
 @pytest.mark.mpi
