@@ -2,7 +2,7 @@
 """The tests again, on more ranks.
 
 Those marked `mpi` once for each change: quick files by the default run, the others by the slow one.
-At night, tests that are slow by themselves, and on two and on three ranks all that may have them.
+At night all quick tests on two and on three ranks, and slow ones on one of these numbers.
 """
 
 import os
@@ -106,9 +106,8 @@ def test_all_tests_on_ranks(ranks: int) -> None:
 @pytest.mark.nightly
 @pytest.mark.parametrize("ranks", [2, 3])
 def test_slow_tests_on_ranks(ranks: int) -> None:
-    at_night = files_of(AT_NIGHT)
-    files = at_night if ranks == 2 else files_of(SLOW_ON_THREE) | other_files()
-    run_on_ranks(ranks, SLOW, 7200.0, files)
+    on_three = files_of(SLOW_ON_THREE) | other_files()
+    run_on_ranks(ranks, SLOW, 7200.0, on_three if ranks == 3 else files_of([*ON_TWO, *AT_NIGHT]))
 
 
 FAILS_ON_ONE_RANK = """
