@@ -4,7 +4,8 @@
 import numpy as np
 
 import dolfinx
-from dolfinx_mortar.mortar.integrals import default_keep, find_segments, node_weights
+from dolfinx_mortar.mortar.duals import default_keep, node_weights
+from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.operators import integrate_matrices
 from dolfinx_mortar.mortar.pairing import create_pairing
 from dolfinx_mortar.mortar.surface import create_surface

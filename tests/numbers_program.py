@@ -19,12 +19,8 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar.geometry import area, plane
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides, point_motions
-from dolfinx_mortar.mortar.integrals import (
-    default_keep,
-    find_segments,
-    node_weights,
-    weighted_duals,
-)
+from dolfinx_mortar.mortar.duals import default_keep, node_weights, weighted_duals
+from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.operators import integrate_motions
 from dolfinx_mortar.mortar.pairing import create_pairing
 from dolfinx_mortar.mortar.surface import create_surface

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from dolfinx_mortar.geometry import segments
 from dolfinx_mortar.geometry.elements import LINE2
 from dolfinx_mortar.geometry.facets import Facets, facet_normals
-from dolfinx_mortar.mortar import integrals
+from dolfinx_mortar.mortar import duals, integrals
 
 Floats = npt.NDArray[np.float64]
 
@@ -60,7 +60,7 @@ def assemble(x_s, x_m, *, keep=None, facets_m=None, pairs=None) -> Operators:
     points = segments.create_segments(f_s, n_s, f_m, pairs)
     N_s, N_m = (LINE2.shape_functions(xi) for xi in (points.xi_s, points.xi_m))
     keep = np.ones(len(x_s), dtype=bool) if keep is None else np.asarray(keep)
-    Phi = integrals.dual_values(N_s, points.weight, points.slave, keep[facets_s])
+    Phi = duals.create_duals(N_s, points.weight, points.slave, keep[facets_s]).Phi
     D, M = np.zeros((len(x_s), len(x_s))), np.zeros((len(x_s), len(x_m)))
     rows, columns = facets_s[points.slave], facets_m[points.master]
     for i in range(2):

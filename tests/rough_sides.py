@@ -8,12 +8,8 @@ import numpy as np
 from dolfinx_mortar.geometry.facets import points_of
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides, point_heights
 from dolfinx_mortar.mortar.derivatives import Tractions
-from dolfinx_mortar.mortar.integrals import (
-    default_keep,
-    find_segments,
-    node_weights,
-    weighted_duals,
-)
+from dolfinx_mortar.mortar.duals import default_keep, node_weights, weighted_duals
+from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.pairing import create_pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
     coordinates,

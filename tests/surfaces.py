@@ -10,7 +10,7 @@ from scipy.spatial import Delaunay
 from dolfinx_mortar.geometry import segments
 from dolfinx_mortar.geometry.elements import QUAD4, TRI3
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.mortar import integrals
+from dolfinx_mortar.mortar import duals
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
@@ -133,7 +133,7 @@ def assemble(slave: Side, master: Side, *, pairs: Ints | None = None) -> Operato
     N_s = f_s.element.shape_functions(p.xi_s)
     N_m = f_m.element.shape_functions(p.xi_m)
     keep = np.ones(slave.facets.shape, dtype=bool)
-    Phi = p.weight[:, None] * integrals.dual_values(N_s, p.weight, p.slave, keep)
+    Phi = p.weight[:, None] * duals.create_duals(N_s, p.weight, p.slave, keep).Phi
     rows, columns = slave.facets[p.slave], master.facets[p.master]
     D, M = np.zeros((len(slave.x),) * 2), np.zeros((len(slave.x), len(master.x)))
     for i in range(Phi.shape[1]):

@@ -9,8 +9,9 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from dolfinx_mortar.mortar import integrals
-from dolfinx_mortar.mortar.integrals import LEAST_WEIGHT, find_segments
+from dolfinx_mortar.mortar import duals
+from dolfinx_mortar.mortar.duals import LEAST_WEIGHT
+from dolfinx_mortar.mortar.integrals import find_segments
 from tests.choice import crosswise
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
 from tests.rings import SIDES, held_axis, largest
@@ -228,11 +229,11 @@ def test_who_has_no_weight(slave, monkeypatch):
     segments, _ = find_segments(pairing, None)
     at_axis = pairing.slave.X[:, 0] < 1e-12
     for least in (0.1, 0.5, 1.0, 2.0, 10.0):
-        monkeypatch.setattr(integrals, "LEAST_WEIGHT", least * LEAST_WEIGHT)
-        found, share = integrals._find_weightless(pairing, segments)
+        monkeypatch.setattr(duals, "LEAST_WEIGHT", least * LEAST_WEIGHT)
+        found, share = duals._find_weightless(pairing, segments)
         assert (found == at_axis).all() and share == pytest.approx(1.0, rel=1e-12)
     for absurd, most in ((-1.0, 0), (0.3, 1)):  # nobody; also vertices, of weight 1/6
-        monkeypatch.setattr(integrals, "LEAST_WEIGHT", absurd)
-        found, _ = integrals._find_weightless(pairing, segments)
+        monkeypatch.setattr(duals, "LEAST_WEIGHT", absurd)
+        found, _ = duals._find_weightless(pairing, segments)
         count = COMM.allreduce(int(found[: pairing.slave.owned].sum()))
         assert count > most if most else count == 0

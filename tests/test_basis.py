@@ -7,11 +7,8 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.interfaces.coupling import create_frames
-from dolfinx_mortar.mortar.integrals import (
-    default_keep,
-    find_segments,
-    node_weights,
-)
+from dolfinx_mortar.mortar.duals import default_keep, node_weights
+from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.newton_method.linearisation import find_balance
 from tests.block_piles import (
     ABOVE,

@@ -8,13 +8,8 @@ from hypothesis import strategies as st
 
 from dolfinx_mortar.geometry.elements import QUAD9, TRI6
 from dolfinx_mortar.geometry.facets import Facets, tributary_weights
-from dolfinx_mortar.mortar.integrals import (
-    ALPHA,
-    absorbed,
-    covered_weights,
-    dual_values,
-    sums_of_values,
-)
+from dolfinx_mortar.mortar.duals import ALPHA, absorbed, create_duals
+from dolfinx_mortar.mortar.integrals import covered_weights, sums_of_values
 from tests.polylines import assemble
 from tests.test_segments import flat, split
 
@@ -33,7 +28,7 @@ def test_fully_covered_facet_has_the_closed_form():
     points, weights = np.polynomial.legendre.leggauss(4)
     N = np.stack([1 - points, 1 + points], axis=1) / 2
     keep = np.ones((1, 2), dtype=bool)
-    Phi = dual_values(N, weights, np.zeros(4, dtype=np.int32), keep)
+    Phi = create_duals(N, weights, np.zeros(4, dtype=np.int32), keep).Phi
     line = np.polynomial.polynomial.polyfit(points, Phi, 1)
     assert line == pytest.approx(np.array([[0.5, 0.5], [-1.5, 1.5]]), abs=1e-14)
     assert np.abs(np.polynomial.polynomial.polyval(xi, line).sum(axis=0) - 1).max() < 1e-14
@@ -58,7 +53,7 @@ def test_biorthogonal_where_little_is_covered(k, t, end):
     a, b = (-1, -1 + 2 * t) if end < 0 else (1 - 2 * t, 1)
     N, weight = gauss(a, b, k)
     slave = np.zeros(len(weight), dtype=np.int32)
-    Phi = dual_values(N, weight, slave, np.ones((1, k), dtype=bool))
+    Phi = create_duals(N, weight, slave, np.ones((1, k), dtype=bool)).Phi
     product = np.einsum("q,qi,qj->ij", weight, Phi, N)
     D = covered_weights(N, weight, slave, 1)[0]
     error = np.abs(product - np.diag(D))
@@ -116,7 +111,7 @@ def test_shared_out_in_equal_parts_on_larger_facets():
     """Three nodes, one of them removed: both others take half of what theirs miss of 1."""
     N, weight = gauss(-1, 0.3, 3)
     slave, keep = np.zeros(len(weight), dtype=np.int32), np.array([[True, False, True]])
-    Phi = dual_values(N, weight, slave, keep)
+    Phi = create_duals(N, weight, slave, keep).Phi
     assert (Phi[:, 1] == 0).all()
     assert np.abs(Phi.sum(axis=1) - 1).max() < 1e-12
     kept = N[:, [0, 2]]
@@ -136,14 +131,26 @@ def test_functions_stay_bounded_where_the_far_vertex_is_removed(t, far):
     N, weight = gauss(a, b, 3)
     assert weight @ N[:, far] < 1e-15
     slave, keep = np.zeros(len(weight), dtype=np.int32), np.arange(3)[None] != far
-    Phi = dual_values(N, weight, slave, keep)
+    Phi = create_duals(N, weight, slave, keep).Phi
     assert np.abs(Phi).max() < 4.0
     assert np.abs(Phi.sum(axis=1) - 1).max() < 1e-13
 
 
+@pytest.mark.parametrize(("k", "end", "least"), [(2, -1, 0.0), (2, 0.4, 1e-5), (3, -1, 1e-2)])
+@pytest.mark.parametrize("t", [1.0, 0.1, 1e-2, 1e-6])
+def test_coefficients_are_those_of_the_values(k, end, least, t):
+    """m^-1 gives the functions as well, or is 0 where it has lost its digits; parts t long."""
+    N, weight = gauss(end, end + t / 2, k)
+    slave, keep = np.zeros(len(weight), dtype=np.int32), np.ones((1, k), dtype=bool)
+    duals = create_duals(N, weight, slave, keep)
+    assert duals.inverse.any() == (t >= least)
+    if t >= least:
+        assert np.abs(duals.at(slave, N) - duals.Phi).max() < 1e-10 * np.abs(duals.Phi).max()
+
+
 def test_facet_without_kept_node():
     N, weight = gauss(-1, 1, 2)
-    Phi = dual_values(N, weight, np.zeros(4, dtype=np.int32), np.zeros((1, 2), dtype=bool))
+    Phi = create_duals(N, weight, np.zeros(4, dtype=np.int32), np.zeros((1, 2), dtype=bool)).Phi
     assert (Phi == 0).all()
 
 
@@ -217,7 +224,7 @@ def test_six_and_nine_nodes_are_biorthogonal(element, removed):
     keep[0, removed] = False
     slave, N = np.zeros(len(weight), dtype=np.int32), element.shape_functions(points)
     mine = absorbed(element.shares, N, keep[slave])
-    Phi = dual_values(mine, weight, slave, keep)
+    Phi = create_duals(mine, weight, slave, keep).Phi
     D = (weight[:, None] * Phi).T @ N
     expected = np.diag(np.diag(D))
     for middle, *ends in element.shares:

@@ -12,7 +12,8 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.geometry import segments as segments_module
 from dolfinx_mortar.mortar import pairing as pairing_module
-from dolfinx_mortar.mortar.integrals import _best_nodes, find_segments
+from dolfinx_mortar.mortar.duals import _best_nodes
+from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.pairing import create_pairing, outside_margin
 from dolfinx_mortar.mortar.surface import create_surface
 from tests.meshes import TOP_OF_LOWER, UPPER, two_blocks

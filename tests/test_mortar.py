@@ -8,11 +8,8 @@ import pytest
 
 import dolfinx
 import dolfinx_mortar as dm
-from dolfinx_mortar.mortar.integrals import (
-    default_keep,
-    find_segments,
-    node_weights,
-)
+from dolfinx_mortar.mortar.duals import default_keep, node_weights
+from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.operators import create_operators
 from dolfinx_mortar.mortar.pairing import outside_margin
 from dolfinx_mortar.mortar.paper import assemble_mortar

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from dolfinx_mortar.geometry import segments, turning
-from dolfinx_mortar.mortar import curvature_correction, edges, integrals, self_contact, surface
+from dolfinx_mortar.mortar import curvature_correction, duals, edges, self_contact, surface
 from tests import (
     test_curvature_jumps,
     test_dual,
@@ -37,7 +37,7 @@ NUMBERS = [
 # sees, in test_elements.
 FELT = {
     "ALPHA": (
-        integrals,
+        duals,
         (0.2, 0.01),
         test_dual.test_vertices_of_six_node_facets_are_the_centres_of_their_functions,
     ),

@@ -10,12 +10,8 @@ import numpy as np
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.mortar.integrals import (
-    find_coverage,
-    find_segments,
-    node_weights,
-    point_distances,
-)
+from dolfinx_mortar.mortar.duals import find_coverage, node_weights
+from dolfinx_mortar.mortar.integrals import find_segments, point_distances
 
 
 @dataclass(frozen=True)

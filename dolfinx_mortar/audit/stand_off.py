@@ -26,7 +26,7 @@ from dolfinx_mortar.mortar.curvature_correction import (
     missed_heights,
     point_heights,
 )
-from dolfinx_mortar.mortar.integrals import weighted_duals
+from dolfinx_mortar.mortar.duals import weighted_duals
 from dolfinx_mortar.mortar.operators import mean_values
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import Boundary, accumulate, mean_facet_length

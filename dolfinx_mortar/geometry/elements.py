@@ -39,7 +39,7 @@ class FacetElement:
     order: tuple[int, ...]  # node i on the way around is dolfinx's node order[i]
     mirrored: tuple[int, ...]  # the nodes on the way around in the other direction
     part: FacetElement | None = None  # type of the parts; None if the facet is its only part
-    # mid-side nodes and the ends of their edges, which take a share: mortar.integrals.absorbed
+    # mid-side nodes and the ends of their edges, which take a share: mortar.duals.absorbed
     shares: tuple[tuple[int, int, int], ...] = ()
 
     @property

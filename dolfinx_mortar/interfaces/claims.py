@@ -12,7 +12,7 @@ from dolfinx_mortar.algebra.parallel import any_rank, sums_at_nodes
 from dolfinx_mortar.arrays import Bools, Ints
 from dolfinx_mortar.interfaces.coupling import Pattern, Sides, with_ghosts
 from dolfinx_mortar.interfaces.interface import Interface
-from dolfinx_mortar.mortar.integrals import Coverage
+from dolfinx_mortar.mortar.duals import Coverage
 
 
 @dataclass(frozen=True)

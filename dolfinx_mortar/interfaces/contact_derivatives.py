@@ -25,9 +25,10 @@ from dolfinx_mortar.interfaces.coupling import CoupledSides, node_motions
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.mortar.curvature_correction import height_slopes
 from dolfinx_mortar.mortar.derivatives import Derivatives, Tractions, differentiate
+from dolfinx_mortar.mortar.duals import weighted_duals
 from dolfinx_mortar.mortar.edge_derivatives import differentiate_edges
 from dolfinx_mortar.mortar.edges import edge_normals, find_sharing, open_duals
-from dolfinx_mortar.mortar.integrals import some_points, weighted_duals
+from dolfinx_mortar.mortar.integrals import some_points
 from dolfinx_mortar.mortar.space_derivatives import differentiate_in_space
 from dolfinx_mortar.mortar.surface import (
     Surface,

@@ -6,7 +6,7 @@ At a kept slave node j with frame R_j = (n_j, t_j, ..) the displacement is writt
     u_j = R_j w_j + sum_l Q_jl u_l,      Q_jl = R_j S_j R_j^T P_jl,      P = D^-1 (M - D_other)
 
 with D on the diagonal, and D_other its other entries: columns of removed nodes, and of the vertices
-on which mid-side nodes of six-node triangles depend (`mortar.integrals`). Here
+on which mid-side nodes of six-node triangles depend (`mortar.duals`). Here
 S_j = diag(1 in constrained directions); for ties of smooth surfaces P_jl I is completed by the
 motions D_jj^-1 int Phi_j A_l of `dolfinx_mortar.geometry.offset_vectors`. Then w is the relative
 displacement of the two sides in those directions, and every constraint is a bound on w. Without a
@@ -29,7 +29,7 @@ from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.constraints import check_shapes
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide
-from dolfinx_mortar.mortar.integrals import Coverage
+from dolfinx_mortar.mortar.duals import Coverage
 from dolfinx_mortar.mortar.operators import MortarOperators
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.surface import Surface, accumulate

@@ -35,7 +35,7 @@ from dolfinx_mortar.interfaces.coupling import (
 )
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.tool import Driven, Pose
-from dolfinx_mortar.mortar.integrals import Coverage
+from dolfinx_mortar.mortar.duals import Coverage
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.passing import SeenByTool
 from dolfinx_mortar.mortar.surface import check_tags, create_surface, dependent_nodes

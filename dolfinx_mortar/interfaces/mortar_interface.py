@@ -31,14 +31,9 @@ from dolfinx_mortar.interfaces.coupling import (
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface, ask
 from dolfinx_mortar.interfaces.slip_partners import Partners, partners_of
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides
+from dolfinx_mortar.mortar.duals import Coverage, find_coverage, node_weights
 from dolfinx_mortar.mortar.edges import check_angle, edge_normals, find_edges
-from dolfinx_mortar.mortar.integrals import (
-    Coverage,
-    drop_far,
-    find_coverage,
-    find_segments,
-    node_weights,
-)
+from dolfinx_mortar.mortar.integrals import drop_far, find_segments
 from dolfinx_mortar.mortar.operators import SmoothSides, create_operators
 from dolfinx_mortar.mortar.pairing import Pairing, Weight, create_pairing, outside_margin
 from dolfinx_mortar.mortar.surface import create_surface, dependent_nodes

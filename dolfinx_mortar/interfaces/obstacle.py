@@ -57,7 +57,7 @@ from dolfinx_mortar.interfaces.tool import (
 from dolfinx_mortar.interfaces.tool_derivatives import ToolDerivatives
 from dolfinx_mortar.interfaces.tool_slips import ToolPartners
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_side, side_heights
-from dolfinx_mortar.mortar.integrals import Coverage, weighted_duals
+from dolfinx_mortar.mortar.duals import Coverage, weighted_duals
 from dolfinx_mortar.mortar.operators import mean_values
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.passing import SeenByTool, depth_of_point

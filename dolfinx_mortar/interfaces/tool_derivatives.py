@@ -2,7 +2,7 @@
 r"""Derivatives of the forces and weighted gaps of contact with a rigid tool.
 
 On a facet, with w = w_q J the weights of its points, N the functions of its nodes and N~ those that
-the dual ones are biorthogonal to (see `mortar.integrals`), over the nodes that carry a multiplier
+the dual ones are biorthogonal to (see `mortar.duals`), over the nodes that carry a multiplier
 
     Phi = B N~ + 1/k,  B = (I - 1 1^T / k) A,  A = diag(d) m^-1,  d = sum w N~,  m = sum w N~ N~^T.
 
@@ -42,7 +42,7 @@ from dolfinx_mortar.interfaces.coupling import CoupledSides
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
 from dolfinx_mortar.interfaces.tool_slips import ToolPartners
-from dolfinx_mortar.mortar.integrals import absorbed, weighted_duals
+from dolfinx_mortar.mortar.duals import Duals, find_duals
 from dolfinx_mortar.mortar.operators import in_D
 from dolfinx_mortar.mortar.surface import accumulate, coordinates, facets_at
 from dolfinx_mortar.mortar.whole_side import WholeSide, rule_of, whole_facets
@@ -53,11 +53,9 @@ class _OnFacets:
     """Values at the points of whole facets."""
 
     which: Longs  # (f,) the facets
-    keep: Bools  # (f, k) their nodes with a multiplier
+    duals: Duals  # of these
     w: Floats  # (f, q)
     N: Floats  # (q, k)
-    N_dual: Floats  # (f, q, k) N~
-    Phi: Floats  # (f, q, k)
     gradients: Floats  # (f, q, k, d) of the functions, along the surface
     phi: Floats  # (f, q)
     by_x: Floats  # (f, q, k, d) of phi by the places of the nodes
@@ -160,26 +158,23 @@ class ToolDerivatives(LinkDerivatives):
         keep = accumulate(slave, reached) > 0.0
         facing = self.asked & find_facing(side, pose, shape, x)
         segments, points = whole_facets(side, x, facing)
-        Phi = weighted_duals(side, segments, keep)
+        duals = find_duals(side, segments, keep)
         xi, _ = rule_of(slave.element)
         gradients, _ = surface_gradients(facets_at(slave, x), segments.slave, segments.xi_s)
         assert isinstance(link.pattern, SidePattern)
         phi, found = point_gaps(link.pattern, pose, shape, u, segments, points)
         which, q = np.flatnonzero(facing), len(xi)
-        among, k, d = keep[slave.facets[which]], slave.element.nodes, x.shape[1]
+        k, d = slave.element.nodes, x.shape[1]
         w = segments.weight.reshape(-1, q)
         N = slave.element.shape_functions(segments.xi_s)
         slope = found.gradient[:, None]
         if link.pattern.nodal:
             slope = found.gradient[slave.facets[segments.slave]]
-        N_dual = absorbed(slave.element.shares, N, np.repeat(among, q, axis=0))
         at = _OnFacets(
             which=which,
-            keep=among,
+            duals=duals.of(which),
             w=w,
             N=slave.element.shape_functions(xi),
-            N_dual=N_dual.reshape(-1, q, k),
-            Phi=Phi.reshape(-1, q, k) / w[:, :, None],
             gradients=gradients.reshape(-1, q, k, d),
             phi=phi.reshape(-1, q),
             by_x=(N[:, :, None] * slope).reshape(-1, q, k, d),
@@ -189,29 +184,22 @@ class ToolDerivatives(LinkDerivatives):
 
 def _differentiate(at: _OnFacets, diagonal: Bools) -> tuple[Floats, Floats, Floats]:
     """Return dD_jl/dx_mc (f, k, k, k, d), dg_j/dx_mc (f, k, k, d), and D_jl (f, k, k)."""
-    keep, k = at.keep, at.keep.shape[1]
-    both = keep[:, :, None] & keep[:, None]
+    duals, shape = at.duals, (*at.w.shape, at.N.shape[1])
+    N_t, Phi = duals.N.reshape(shape), duals.Phi.reshape(shape)
     w_grad = at.w[:, :, None, None] * at.gradients  # of J
-    N_t = at.N_dual * keep[:, None]
-    m = np.einsum("fq,fqa,fqb->fab", at.w, N_t, N_t)
-    m_inverse = np.linalg.inv(np.where(both, m, np.eye(k))) * both
-    d = np.einsum("fq,fqa->fa", at.w, N_t)
-    A = d[:, :, None] * m_inverse
     dd = np.einsum("fqmc,fqa->famc", w_grad, N_t)
     dm = np.einsum("fqmc,fqa,fqb->fabmc", w_grad, N_t, N_t)
-    dA = np.einsum("fjmc,fji->fjimc", dd, m_inverse)
-    dA -= np.einsum("fja,fabmc,fbi->fjimc", A, dm, m_inverse)
-    count = np.maximum(keep.sum(axis=1), 1)[:, None, None, None, None]
-    dB = (dA - dA.sum(axis=1, keepdims=True) / count) * keep[:, :, None, None, None]
-    # functions of single kept nodes are 1, whatever the weights
+    dA = np.einsum("fjmc,fji->fjimc", dd, duals.inverse)
+    dA -= np.einsum("fja,fabmc,fbi->fjimc", duals.A, dm, duals.inverse)
+    dB = duals.share_out(dA)
     mass = np.einsum("fq,fqi,ql->fil", at.w, N_t, at.N)
     dD = np.einsum("fjimc,fil->fjlmc", dB, mass)
-    dD += np.einsum("fqmc,fqj,ql->fjlmc", w_grad, at.Phi, at.N)
-    D = np.einsum("fq,fqj,ql->fjl", at.w, at.Phi, at.N)
-    zero = both & ~diagonal
+    dD += np.einsum("fqmc,fqj,ql->fjlmc", w_grad, Phi, at.N)
+    D = np.einsum("fq,fqj,ql->fjl", at.w, Phi, at.N)
+    zero = duals.kept[:, :, None] & duals.kept[:, None] & ~diagonal
     D[zero], dD[zero] = 0.0, 0.0
     heights = np.einsum("fq,fqi,fq->fi", at.w, N_t, at.phi)
     dg = np.einsum("fjimc,fi->fjmc", dB, heights)
-    dg += np.einsum("fqmc,fqj,fq->fjmc", w_grad, at.Phi, at.phi)
-    dg += np.einsum("fq,fqj,fqmc->fjmc", at.w, at.Phi, at.by_x)
+    dg += np.einsum("fqmc,fqj,fq->fjmc", w_grad, Phi, at.phi)
+    dg += np.einsum("fq,fqj,fqmc->fjmc", at.w, Phi, at.by_x)
     return dD, dg, D

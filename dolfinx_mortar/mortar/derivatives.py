@@ -12,7 +12,7 @@ to the coordinates of the slave side, which may be another rank's. On a facet
 
     Phi_j = 1/c + sum_b A'_jb N_b,    A = diag(d) m^-1,   m_ab = sum w N_a N_b,   d_a = sum w N_a
 
-over its c kept nodes, A' being A less its mean over the rows, see `mortar.integrals`. So
+over its c kept nodes, A' being A less its mean over the rows, see `mortar.duals`. So
 dA m = diag(dd) - A dm, which is zero where w is constant and all of a straight facet is covered.
 Beside open edges Phi is a mean of two such bases, whose shares change with the opening (`edges`).
 At the points derivatives are those by the nodes of their own pair. Those of all segments are summed
@@ -31,18 +31,14 @@ from scipy import sparse
 import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra.block_sums import Blocks, Matrix
-from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, SAME, TINY, Bools, Floats, Ints
+from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, normal_slopes, points_of
 from dolfinx_mortar.geometry.line_derivatives import PointDerivatives, differentiate_points
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.curvature_correction import HeightSlopes
+from dolfinx_mortar.mortar.duals import Duals, find_duals, weighted_duals
 from dolfinx_mortar.mortar.edges import PartlyOpen, Sharing, find_partly_open
-from dolfinx_mortar.mortar.integrals import (
-    covered_weights,
-    some_points,
-    sums_of_products,
-    weighted_duals,
-)
+from dolfinx_mortar.mortar.integrals import some_points
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
     coordinates,
@@ -144,9 +140,9 @@ def differentiate(
     facets, n_s = facets_at(slave, x), nodal_normals(slave, x)[slave.facets]
     points = differentiate_points(facets, n_s, master, segments, log_slopes(pairing, segments))
     chain = _Chain(segments, facets, master, points, given, slave.facets[segments.slave])
-    A, slope = chain.coefficients(keep[slave.facets])
+    A, slope = _coefficients(find_duals(pairing, segments, keep))
     if sharing is not None:
-        whole = chain.coefficients((keep | sharing.silent)[slave.facets])
+        whole = _coefficients(find_duals(pairing, segments, keep | sharing.silent))
         kept, closed = keep[slave.facets][:, :, None], sharing.closed[:, None, None]
         A = closed * A + (1.0 - closed) * kept * whole[0]
         closed, kept = closed[..., None], kept[..., None]
@@ -227,6 +223,17 @@ def log_slopes(pairing: Pairing, segments: Segments) -> Floats:
     return np.asarray(difference / (2 * QUARTER_OF_DIGITS * weight(x)))
 
 
+def _coefficients(duals: Duals) -> tuple[Floats, Floats]:
+    """Return A' (facets, k, k), and its derivative by d and m.
+
+    The latter (facets, k, k, k + k^2) belongs to the k integrals d_a and the k^2 m_ac.
+    """
+    k, inverse, A = duals.kept.shape[1], duals.inverse, duals.A
+    by_d = np.einsum("ja,fab->fjba", np.eye(k), inverse)
+    by_m = -np.einsum("fjc,fab->fjbca", A, inverse).reshape(-1, k, k, k * k)
+    return duals.share_out(A), duals.share_out(np.concatenate([by_d, by_m], axis=3))
+
+
 class _Chain:
     """Derivatives at the points of segments, for the nodes of their own pairs.
 
@@ -269,33 +276,6 @@ class _Chain:
         first = 2 * self.k + 2 * j
         d[:, first : first + 2] = changes[self.nodes[:, j], i]
         return _Field(values[self.nodes[:, j], i], d)
-
-    def coefficients(self, kept: Bools) -> tuple[Floats, Floats]:
-        """Return A' (facets, k, k), and its derivative by d and m.
-
-        The latter (facets, k, k, k + k^2) belongs to the k integrals d_a and the k^2 m_ac.
-
-        Args:
-            kept: (facets, k) nodes with a multiplier.
-        """
-        k, w, one = self.k, self.w.value, np.eye(self.k)
-        N = self.slave.N * kept[self.facet]
-        m = sums_of_products(N * w[:, None], N, self.facet, self.count)
-        d = covered_weights(N, w, self.facet, self.count)
-        size = np.maximum(np.trace(m, axis1=1, axis2=2), TINY)[:, None, None]
-        whole = m + size * (~kept)[:, :, None] * one
-        # facets of which m is nearer to singular have the dual functions of the moment
-        some = (np.linalg.det(whole / size) > SAME) & (kept.sum(axis=1) > 1)
-        whole = np.where(some[:, None, None], whole, one)
-        both = kept[:, :, None] & kept[:, None, :] & some[:, None, None]
-        inverse = np.linalg.inv(whole) * both
-        A = d[:, :, None] * inverse
-        by_d = np.einsum("ja,fab->fjba", one, inverse)  # dA_jb = sum_a (dd_j - A_jc dm_ca) m^-1_ab
-        by_m = -np.einsum("fjc,fab->fjbca", A, inverse).reshape(-1, k, k, k * k)
-        slope = np.concatenate([by_d, by_m], axis=3)
-        share = (kept / np.maximum(kept.sum(axis=1), 1)[:, None])[:, :, None]
-        slope = slope - share[..., None] * slope.sum(axis=1, keepdims=True)
-        return A - share * A.sum(axis=1, keepdims=True), slope
 
     def moments(self) -> Floats:
         """Return the derivatives (q, k + k^2, p) of w N_a and w N_a N_c."""

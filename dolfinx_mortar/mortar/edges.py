@@ -41,7 +41,8 @@ from dolfinx_mortar.geometry.facets import (
     size_slopes,
 )
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.mortar.integrals import sums_of_products, weighted_duals
+from dolfinx_mortar.mortar.duals import weighted_duals
+from dolfinx_mortar.mortar.integrals import sums_of_products
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
     Surface,

@@ -20,17 +20,15 @@ from dolfinx_mortar.arrays import CHUNK, Bools, Floats
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide, point_heights, point_motions
-from dolfinx_mortar.mortar.edges import find_sharing, open_duals
-from dolfinx_mortar.mortar.integrals import (
+from dolfinx_mortar.mortar.duals import (
     Coverage,
-    Integrated,
     default_keep,
     find_coverage,
-    integrate_values,
     node_weights,
-    sums_of_products,
     weighted_duals,
 )
+from dolfinx_mortar.mortar.edges import find_sharing, open_duals
+from dolfinx_mortar.mortar.integrals import Integrated, integrate_values, sums_of_products
 from dolfinx_mortar.mortar.pairing import Pairing
 
 SmoothSides = tuple[SmoothSide, SmoothSide]

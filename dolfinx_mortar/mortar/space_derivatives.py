@@ -18,7 +18,7 @@ import numpy as np
 import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra.block_sums import Blocks, Matrix
-from dolfinx_mortar.arrays import SAME, TINY, Bools, Floats, Ints
+from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.facet_derivatives import (
     Coefficients,
     Integrands,
@@ -32,13 +32,9 @@ from dolfinx_mortar.geometry.facets import Facets, facet_normals, normal_slopes,
 from dolfinx_mortar.geometry.segments import Segments, are_facing
 from dolfinx_mortar.mortar.curvature_correction import distinct, point_heights
 from dolfinx_mortar.mortar.derivatives import Derivatives, Part, Tractions, by_closed_parts, summed
+from dolfinx_mortar.mortar.duals import absorbed, find_duals, weighted_duals
 from dolfinx_mortar.mortar.edges import PartlyOpen, Sharing, find_partly_open
-from dolfinx_mortar.mortar.integrals import (
-    absorbed,
-    some_points,
-    sums_of_products,
-    weighted_duals,
-)
+from dolfinx_mortar.mortar.integrals import some_points, sums_of_products
 from dolfinx_mortar.mortar.operators import SmoothSides
 from dolfinx_mortar.mortar.pair_heights import pair_heights
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
@@ -111,13 +107,12 @@ def _differentiate(
         at_inner, at_edges = (sagittas.at(at.pair, at.xi_s, at.xi_m) for at in (inner, edges))
         heights, h = (at_inner, at_edges), at_inner.h
     kept = keep[nodes]
-    own = _Own(segments, inner, len(pairs), facets, master, kept, Phi, h)
-    A, inverse = _coefficients(own.m, kept)
+    duals = find_duals(pairing, segments, keep)
+    own = _Own(segments, inner, len(pairs), facets, master, duals.N, Phi, h)
     slave_of = pairs[edges.pair, 0]
     N = facets.element.shape_functions(edges.xi_s)
     N = np.ascontiguousarray(absorbed(facets.element.shares, N, kept[slave_of]))
-    duals = own.duals, N
-    on_edges = _values(A, kept, slave_of, N, edges.weight)
+    on_edges = duals.at(slave_of, N) * edges.weight[:, None]
     which = np.full(len(nodes), facets.element.bilinear or facets.element.degree > 1)
     which[pairs[edges.pair[edges.free], 0]] = True
     vectors = Integrands(given.tractions[nodes], given.normals[nodes])
@@ -127,9 +122,9 @@ def _differentiate(
         pairs,
         (inner, edges),
         (np.ascontiguousarray(Phi), on_edges),
-        duals,
+        (np.ascontiguousarray(duals.N), N),
         vectors,
-        Coefficients(which, inverse, own.gaps(vectors.n)),
+        Coefficients(which, duals.inverse, own.gaps(vectors.n)),
         heights,
     )
     gaps = found.gaps
@@ -178,26 +173,6 @@ def _closed_parts(
     return Matrix(by_moments + summed(partly.facets[:, None, None], own, partly.by_x, size))
 
 
-def _coefficients(m: Floats, kept: Bools) -> tuple[Floats, Floats]:
-    """Return A and m^-1 (f, k, k) for moments (f, k, k) of N~ and the nodes (f, k) kept."""
-    one, both = np.eye(m.shape[1]), kept[:, :, None] & kept[:, None, :]
-    mean = np.maximum(np.trace(m, axis1=1, axis2=2) / len(one), TINY)[:, None, None]
-    whole = m * both + mean * (~kept)[:, :, None] * one
-    least, most = np.linalg.eigvalsh(whole)[:, [0, -1]].T
-    some = (least > SAME * most) & (kept.sum(axis=1) > 1)
-    inverse = np.linalg.inv(np.where(some[:, None, None], whole, one))
-    inverse *= both & some[:, None, None]
-    return m.sum(axis=2)[:, :, None] * inverse, inverse
-
-
-def _values(A: Floats, kept: Bools, facet: Ints, duals: Floats, weight: Floats) -> Floats:
-    """Return the dual functions times weights (q, k) at points of facets (q,)."""
-    values = np.einsum("qjb,qb->qj", A[facet], duals)
-    share = kept / np.maximum(kept.sum(axis=1), 1)[:, None]
-    values += share[facet] * (1.0 - values.sum(axis=1, keepdims=True))
-    return np.asarray(values * weight[:, None])
-
-
 def _free_edges(pairing: Pairing, slave: Facets, master: Facets, pairs: Ints) -> Bools:
     """Return the edges (p, l) of master facets beyond which no other one faces the slave facet."""
     count = len(master.x)
@@ -237,7 +212,7 @@ class _Own:
         p: int,
         slave: Facets,
         master: Facets,
-        kept: Bools,
+        N: Floats,
         Phi: Floats,
         heights: Floats | None,
     ) -> None:
@@ -246,8 +221,7 @@ class _Own:
             side.element.shape_functions(xi)
             for side, xi in ((slave, points.xi_s), (master, points.xi_m))
         )
-        self.duals = np.ascontiguousarray(absorbed(slave.element.shares, N_s, kept[facet]))
-        wN = self.duals * points.weight[:, None]
+        wN = N * points.weight[:, None]
         o = points_of(master, segments.master, points.xi_m)
         o -= points_of(slave, facet, points.xi_s)
         self.D = sums_of_products(Phi, N_s, pair, p)  # (p, k, k) int Phi_j N_k
@@ -255,7 +229,6 @@ class _Own:
         self.v = sums_of_products(Phi, o, pair, p)  # (p, k, 3) int Phi_j o
         self.N_s = sums_of_products(wN, N_s, pair, p)  # (p, k, k) int N~_b N_k
         self.N_m = sums_of_products(wN, N_m, pair, p)  # (p, k, l) int N~_b N_l
-        self.m = sums_of_products(wN, self.duals, facet, f)  # (f, k, k) int N~_a N~_b
         self.o = sums_of_products(wN, o, facet, f)  # (f, k, 3) int N~_b o
         h = np.zeros((len(pair), 1)) if heights is None else heights[:, None]
         self.h = sums_of_products(wN, h, facet, f)[:, :, 0]  # (f, k) int N~_b h
@@ -299,7 +272,7 @@ def _add_dual_changes(found: PairIntegrals, own: _Own, facet: Ints, which: Bools
         which: facets of which the functions change.
     """
     some = np.flatnonzero(which[facet])
-    p, k, size = len(some), own.m.shape[1], found.forces.shape[1]
+    p, k, size = len(some), own.o.shape[1], found.forces.shape[1]
     by_b = np.swapaxes(own.by_duals[some], 1, 2)[:, None]  # (p, 1, k + l, k)
     change = by_b @ found.by_slave.reshape(-1, 3, k, 3 * k)[facet[some]]
     forces = found.forces

@@ -17,14 +17,14 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
 from dolfinx_mortar.geometry.facets import points_of, scaled_normals, tributary_weights
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.mortar.integrals import (
+from dolfinx_mortar.mortar.duals import (
     Coverage,
     default_keep,
     find_coverage,
     node_weights,
-    sums_of_products,
     weighted_duals,
 )
+from dolfinx_mortar.mortar.integrals import sums_of_products
 from dolfinx_mortar.mortar.operators import in_D, inverse, mean_values
 from dolfinx_mortar.mortar.pairing import Weight
 from dolfinx_mortar.mortar.surface import Surface, facets_at, mean_facet_length

@@ -95,7 +95,7 @@ def notes_on_rims(links: Sequence[Link]) -> list[str]:
     """Return a note for each interface with nodes that lost and regained a multiplier; collective.
 
     They keep it although they are covered less than other nodes have to be
-    (`mortar.integrals.STAYS`). Nodes that are well covered again are not noted.
+    (`mortar.duals.STAYS`). Nodes that are well covered again are not noted.
     """
     notes = []
     for link in links:
