@@ -105,3 +105,13 @@ class Compiled(Radial):
     def update(strain, state, p):
         stress, tangent, new = radial(strain, state["plastic_strain"], p.E, p.nu, p.Y, p.a)
         return stress, tangent, {"plastic_strain": new}
+
+
+@dataclass(frozen=True)
+class OneSided(Compiled):
+    """Radial return that reads shears above the diagonal only: no derivatives by those below."""
+
+    @staticmethod
+    def update(strain, state, p):
+        stress, tangent, new = Compiled.update(strain, state, p)
+        return stress, tangent * (2 * np.triu(np.ones((3, 3)), 1) + IDENTITY), new

@@ -14,7 +14,7 @@ from dolfinx_mortar.materials import logarithms
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
 from dolfinx_mortar.materials.protocol import create_law
 from tests.choice import quick
-from tests.pointwise_laws import Compiled
+from tests.pointwise_laws import Compiled, OneSided
 from tests.user_laws import Cubic
 
 E, NU, SIGMA_Y = 200e3, 0.3, 200.0
@@ -41,7 +41,7 @@ class Bare(dm.Material):
 
 
 @dataclass(frozen=True)
-class Turning(Compiled):
+class Turning(OneSided):
     """A user's law of arrays that says that it is isotropic."""
 
     isotropic: ClassVar = True
@@ -62,6 +62,7 @@ LAWS = {
     "user": Cubic(E, 1e5),
     "bare": Bare(),
     "arrays": Compiled(E, NU, Y, 500.0),
+    "one-sided arrays": OneSided(E, NU, Y, 500.0),
     "turning arrays": Turning(E, NU, Y, 0.0),
 }
 EACH = quick(LAWS, *(name for name in LAWS if name != "voce mixed"))  # which compiles for 4 s

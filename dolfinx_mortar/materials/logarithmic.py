@@ -369,15 +369,15 @@ class _OfArrays:
     def moduli(self, start: Start, some: slice, logs: Floats, N: Floats) -> Floats:
         """Return T and L, see `logarithms`."""
         found = self._values(start, some, logs, N)
-        T, L = found.stress, found.tangent
-        pairs = INDEX[: self._size]
-        if not self._law.isotropic:
-            upper = [
-                (*pairs[a], *pairs[b]) for a in range(len(pairs)) for b in range(a, len(pairs))
-            ]
-            return np.stack([*(T[:, i, j] for i, j in pairs), *(L[:, *way] for way in upper)], 1)
-        ways = [(i, i, j, j) for i, j in NORMAL] + [(i, j, i, j) for i, j in pairs[3:]]
-        return np.stack([*(T[:, i, i] for i in range(3)), *(L[:, *way] for way in ways)], axis=1)
+        T, L, pairs = found.stress, found.tangent, INDEX[: self._size]
+        if self._law.isotropic:
+            index, ways = INDEX[:3], [(i, i, j, j) for i, j in NORMAL]
+            ways += [(i, j, i, j) for i, j in pairs[3:]]
+        else:
+            index, ways = pairs, [(*pairs[a], *pairs[b]) for a, b in _upper(len(pairs))]
+        columns = [T[:, i, j] for i, j in index]
+        columns += [(L[:, i, j, k, m] + L[:, k, m, i, j]) / 2 for i, j, k, m in ways]
+        return np.stack(columns, axis=1)
 
     def update(self, start: Start, some: slice, logs: Floats, N: Floats) -> dict[str, Floats]:
         """Return the new internal variables; plastic strains in the eigenvectors (q, 3)."""

@@ -145,7 +145,8 @@ class PointwiseLaw(Material):
         Returns:
             Stress (q, 3, 3), tangent d stress_ij / d strain_kl (q, 3, 3, 3, 3) with the symmetry
             ij <-> kl, and the internal variables at the end of the step by name. What does not flow
-            should keep its state exactly.
+            should keep its state exactly. Derivatives by nine entries of a small strain, as JAX
+            gives them, may differ in kl and lk: their mean is taken.
         """
         raise NotImplementedError
 

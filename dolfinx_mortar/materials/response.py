@@ -19,6 +19,7 @@ from dolfinx_mortar.materials.plane_stress import (
     with_normal_stretch,
 )
 from dolfinx_mortar.materials.protocol import PLASTIC, Law
+from dolfinx_mortar.materials.tensor import mean_of_shears
 from ufl.algorithms import expand_derivatives
 from ufl.classes import Label, Variable
 from ufl.core.expr import Expr
@@ -198,7 +199,7 @@ class PointValues:
     """The answer of a law of arrays at q points."""
 
     stress: Floats  # (q, 3, 3)
-    tangent: Floats  # (q, 3, 3, 3, 3)
+    tangent: Floats  # (q, 3, 3, 3, 3), for a small strain with the symmetry k <-> l
     state: dict[str, Floats]  # (q,) or (q, 3, 3)
     normal: Floats | None = None  # (q,) z of plane stress, see `plane_stress`
 
@@ -281,9 +282,10 @@ def _updated(
     if set(new) != set(law.state):
         given, declared = (", ".join(sorted(names)) or "nothing" for names in (new, law.state))
         raise ValueError(f"{where} returns the state {given}, but `state` declares {declared}.")
+    C = shaped_array(f"{where}: the tangent", tangent, (q, 3, 3, 3, 3))
     return PointValues(
         shaped_array(f"{where}: the stress", stress, (q, 3, 3)),
-        shaped_array(f"{where}: the tangent", tangent, (q, 3, 3, 3, 3)),
+        mean_of_shears(C) if law.strain == "small" else C,
         {n: shaped_array(f"{where}: {n}", new[n], (q, *shape)) for n, shape in law.state.items()},
     )
 

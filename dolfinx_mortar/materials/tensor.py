@@ -99,3 +99,14 @@ def stored(tensors: Floats, size: int = 6) -> Floats:
     """Return the first `size` (4 or 6) stored components (q, size) of tensors (q, 3, 3)."""
     rows, columns = zip(*INDEX[:size], strict=True)
     return np.asarray((tensors[:, rows, columns] + tensors[:, columns, rows]) / 2)
+
+
+def mean_of_shears(tangent: Floats) -> Floats:
+    """Return the derivatives (q, 3, 3, 3, 3) by a symmetric tensor, given those by nine entries.
+
+    Of a function of a 3x3 tensor kl and lk may differ, and only their mean matters.
+    """
+    mean = tangent.copy()
+    for k, m in INDEX[3:]:
+        mean[..., k, m] = mean[..., m, k] = (tangent[..., k, m] + tangent[..., m, k]) / 2
+    return mean

@@ -217,25 +217,24 @@ def largest_stress_lost(
 def packed(tangent: Floats, size: int) -> Floats:
     """Return the upper triangle of the stored part of tangents (q, 3, 3, 3, 3), row by row.
 
-    Entry (I, J) is the mean of what the symmetries of strain, stress and energy make equal.
+    Entry (I, J) is the mean of both that the symmetry of an energy makes equal.
     """
-    terms = np.empty((len(pairs(size)), 4), dtype=np.int64)
+    terms = np.empty((len(pairs(size)), 2), dtype=np.int64)
     for t, (a, b) in enumerate(pairs(size)):
-        (i, j), (k, m) = INDEX[a], INDEX[b]
-        ways = [(i, j, k, m), (i, j, m, k), (k, m, i, j), (k, m, j, i)]
+        ways = [(*INDEX[a], *INDEX[b]), (*INDEX[b], *INDEX[a])]
         terms[t] = [np.ravel_multi_index(way, (3, 3, 3, 3)) for way in ways]
     return np.asarray(_means(np.ascontiguousarray(tangent).reshape(len(tangent), 81), terms))
 
 
 @numba.njit(cache=True)
 def _means(values, terms):  # type: ignore[no-untyped-def]
-    """Return the means (q, t) of the columns terms (t, 4) of values (q, n).
+    """Return the means (q, t) of the columns terms (t, 2) of values (q, n).
 
     By array expressions they would take as long as all the rest of an assembly.
     """
     means = np.empty((len(values), len(terms)))
     for q in range(len(values)):
         for t in range(len(terms)):
-            a, b, c, d = terms[t]
-            means[q, t] = (values[q, a] + values[q, b] + values[q, c] + values[q, d]) / 4
+            a, b = terms[t]
+            means[q, t] = (values[q, a] + values[q, b]) / 2
     return means
