@@ -116,6 +116,104 @@ def test_ranks_that_own_nothing():
 
 
 @pytest.mark.mpi
+def test_groups_of_one_name_are_one():
+    """Gmsh gives a name once, and leaves the other group without one, which is told."""
+    with msh_file(squares) as file:
+        if COMM.rank == 0:
+            text = file.read_text()
+            for old, new in (('2 12 "up"', '2 12 "low"'), ('1 7 "master"', '1 7 "slave"')):
+                text = text.replace(old, new)
+            file.write_text(text)
+        COMM.Barrier()
+        mesh, cell_tags, facet_tags = dm.meshing.read_msh(file)
+    assert sizes(mesh, cell_tags, "dx") == pytest.approx({"low": 2.5})
+    assert facet_tags.names == {"bottom": 3, "slave": 5}
+    assert sizes(mesh, facet_tags, "ds") == pytest.approx({"bottom": 1.5, "slave": 2.5})
+
+
+def test_a_group_that_has_lost_its_name_is_told(caplog):
+    def draw(model):
+        squares(model)
+        model.addPhysicalGroup(1, [8], 41, "bottom")
+
+    with msh_file(draw) as file:
+        facet_tags = dm.meshing.read_msh(file).facet_tags
+    assert COMM.allreduce(len(facet_tags.find(41))) > 0
+    if COMM.rank == 0:
+        assert "without a name, of dimension 1: 9, 41" in caplog.text
+
+
+def cut(model):
+    """Draw the squares, in partitions."""
+    squares(model)
+    model.mesh.partition(2)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("version", [2.2, 4.1])
+def test_partitions_of_a_file_are_left_out(version):
+    options = {"MshFileVersion": version, "PartitionCreateGhostCells": 1}
+    with msh_file(squares) as file:
+        whole = dm.meshing.read_msh(file)
+    with msh_file(cut, **options) as file:
+        mesh, cell_tags, facet_tags = dm.meshing.read_msh(file)
+    for d in (0, 2):
+        counts = [m.topology.index_map(d).size_global for m in (mesh, whole.mesh)]
+        assert counts[0] == counts[1] > 0
+    assert sizes(mesh, cell_tags, "dx") == pytest.approx({"low": 1.5, "up": 1.0})
+    lengths = {"bottom": 1.5, "slave": 1.0, "master": 1.5}
+    assert sizes(mesh, facet_tags, "ds") == pytest.approx(lengths)
+
+
+MESHIO = """$MeshFormat
+2.2 0 8
+$EndMeshFormat
+$PhysicalNames
+4
+1 3 "right of a"
+1 4 "left of b"
+2 1 "a"
+2 2 "b"
+$EndPhysicalNames
+$Nodes
+8
+1 0 0 0
+2 1 0 0
+3 1 1 0
+4 0 1 0
+5 2 0 0
+6 4 0 0
+7 4 1 0
+8 2 1 0
+$EndNodes
+$Elements
+4
+1 3 2 1 0 1 2 3 4
+2 3 2 2 0 5 6 7 8
+3 1 2 3 0 2 3
+4 1 2 4 0 5 8
+$EndElements
+"""
+
+
+@pytest.mark.mpi
+def test_version_2_without_tags_of_geometry():
+    """As meshio writes it, with 0 for the elementary tags."""
+    with folder() as there:
+        file = there / "case.msh"
+        if COMM.rank == 0:
+            file.write_text(MESHIO)
+        COMM.Barrier()
+        mesh, cell_tags, facet_tags = dm.meshing.read_msh(file)
+    assert (cell_tags.names, facet_tags.names) == (
+        {"a": 1, "b": 2},
+        {"right of a": 3, "left of b": 4},
+    )
+    assert sizes(mesh, cell_tags, "dx") == pytest.approx({"a": 1.0, "b": 2.0})
+    assert sizes(mesh, facet_tags, "ds") == pytest.approx({"right of a": 1.0, "left of b": 1.0})
+
+
+@pytest.mark.mpi
 def test_a_contact_problem_in_names():
     """Two bars under uniform pressure, E d / 2; gmsh is as it was found, and not running."""
     with msh_file(squares, RecombineAll=1) as file:
@@ -170,6 +268,52 @@ def test_files_that_are_none():
             dm.meshing.read_msh(geo)
         with pytest.raises(ValueError, match=r"cut\.msh.* damaged: gmsh says"):
             dm.meshing.read_msh(cut)
+
+
+@pytest.mark.mpi
+def test_arguments_that_are_none():
+    with pytest.raises(ValueError, match=r"comm is None: give a communicator"):
+        dm.meshing.read_msh("case.msh", None)
+    with pytest.raises(ValueError, match="path is None: give the name of a file"):
+        dm.meshing.read_msh(None)
+
+
+def forgotten(model):
+    """Draw the squares, the upper of which is in no group, but sides of it are."""
+    squares(model)
+    model.removePhysicalGroups([(2, 12), (1, 9)])
+
+
+def forgotten_in_part(model):
+    """The same, of one group of sides for both."""
+    forgotten(model)
+    model.removePhysicalGroups([(1, 5)])
+    model.addPhysicalGroup(1, [4, 8], 21, "left")
+
+
+def section(model):
+    """Draw boxes and a plane beside them."""
+    boxes(model)
+    plane = model.occ.addRectangle(2.0, 0.0, 0.0, 1.0, 1.0)
+    model.occ.synchronize()
+    model.addPhysicalGroup(2, [plane], 9, "plane")
+    model.mesh.clear()
+    model.mesh.generate(3)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("draw", "options", "words"),
+    [
+        (forgotten, {}, ["4 of the 4", "'slave'", "give it a physical surface"]),
+        (forgotten_in_part, {"ElementOrder": 2}, ["4 of the 8", "'left'"]),
+        (section, {}, ["'plane'", "dimension 2", "physical volume", "out of the groups"]),
+        (section, {"ElementOrder": 2}, ["'plane'"]),
+    ],
+)
+def test_sides_that_bound_no_body(draw, options, words):
+    """Dolfinx ends the process at these."""
+    refused(draw, "are no facets of a body", *words, **options)
 
 
 @pytest.mark.mpi
@@ -236,16 +380,6 @@ def test_a_mesh_of_lines():
         model.mesh.generate(1)
 
     refused(draw, "dimension 1", "physical surface or volume")
-
-
-def test_two_groups_of_one_name():
-    with msh_file(squares) as file:
-        if COMM.rank == 0:
-            text = file.read_text()
-            file.write_text(text.replace('2 12 "up"', '2 12 "low"'))
-        COMM.Barrier()
-        with pytest.raises(ValueError, match="11 and 12 of dimension 2 are both called 'low'"):
-            dm.meshing.read_msh(file)
 
 
 @pytest.mark.parametrize("version", [2.2, 4.1])

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Meshes of a user's own: files of Gmsh, with the names of their physical groups."""
 
+import logging
 import os
 import re
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -16,12 +16,15 @@ import numpy as np
 
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Longs
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Longs
+from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.meshing.two_bodies import TaggedMesh, gmsh_model
 from dolfinx_mortar.tags import Tags
 
-# Gmsh's numbers of the cells that the package knows.
-CELLS = (2, 3, 9, 10, 4, 5, 11, 12)
+log = logging.getLogger(__name__)
+
+# Gmsh's numbers of the cells that the package knows, and how many corners their facets have.
+CELLS = {2: 2, 3: 2, 9: 2, 10: 2, 4: 3, 5: 4, 11: 3, 12: 4}
 KNOWN = "triangles, quadrilaterals, tetrahedra or hexahedra of degree 1 or 2"
 # A line of $PhysicalNames: dimension, tag, name. Text also in binary files.
 NAMED = re.compile(rb'\s*(\d+)\s+(\d+)\s+"(.*)"\s*')
@@ -29,10 +32,10 @@ NAMED = re.compile(rb'\s*(\d+)\s+(\d+)\s+"(.*)"\s*')
 
 @dataclass(frozen=True)
 class Group:
-    """A physical group of a file, on one rank."""
+    """The physical groups of a file that have one name, on one rank."""
 
     dim: int
-    tag: int
+    tag: int  # of the first
     name: str  # empty if it has none
     kinds: tuple[str, ...]  # of its elements, in Gmsh's words
     types: tuple[int, ...]  # Gmsh's numbers of these kinds
@@ -51,8 +54,9 @@ def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
 
     Bodies are physical groups of the highest dimension, sides and supports those of the next lower
     one (others are left out); each body is meshed apart, without common nodes where bodies touch.
-    The tags are Gmsh's numbers of the groups, and their names the groups' names. Rank 0 reads, and
-    distributes.
+    The tags are Gmsh's numbers of the groups, and their names the groups' names; groups of one
+    dimension with one name are one, with the lowest of their numbers. Partitions of the file are
+    left out. Rank 0 reads, and distributes.
 
     Args:
         path: file of version 2 or 4, text or binary; in the plane z = 0 or in space, of first or
@@ -61,56 +65,43 @@ def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
 
     Raises:
         OSError: if there is no such file, or it cannot be read.
-        ValueError: if the file is no .msh file or damaged; has no physical groups, empty ones, or
-            two of one kind with one name; if cells are in no group or in several, of several kinds,
-            of an unknown kind, lines, or a surface in space.
+        ValueError: if the file is no .msh file or damaged; has no physical groups, or empty ones;
+            if cells are in no group or in several, of several kinds, of an unknown kind, lines, or
+            a surface in space; if a group of sides has elements that are no facets of a body.
         RuntimeError: if gmsh is not installed. All errors are raised on all ranks.
     """
+    if not isinstance(comm, MPI.Intracomm):
+        raise ValueError(f"comm is {comm!r}: give a communicator, such as MPI.COMM_WORLD")
+    file = check_path(comm, path)
     with ExitStack() as stack:
         groups: list[Group] = []
         model: Any = None
         with raised_together(comm):
             if comm.rank == 0:
-                file = _check_file(path)
-                model = _open_model(file, stack)
-                groups = _read_groups(model, file)
-                _check(model, groups, f"path = {os.fspath(path)!r}")
-                model.mesh.renumberNodes()  # dolfinx wants no gaps
+                gmsh = _open(file, stack)
+                groups = _check(gmsh.model, _read_groups(gmsh.model, file), f"path = {str(file)!r}")
+                model = _create_model(gmsh, groups)
         told = comm.bcast([(g.dim, g.tag, g.name) for g in groups])
         dim = max(d for d, _, _ in told)
         domain, cell_tags, facet_tags = compat.mesh_from_gmsh(model, comm, dim)
-    domain.name = Path(path).stem
+    domain.name = file.stem
     cell_tags.name, facet_tags.name = "bodies", "boundary"
     names = [{name: tag for d, tag, name in told if d == of and name} for of in (dim, dim - 1)]
     return TaggedMesh(domain, Tags(cell_tags, names[0]), Tags(facet_tags, names[1]))
 
 
-def _check_file(path: Any) -> Path:
-    """Return the path of a file of Gmsh.
+def _open(file: Path, stack: ExitStack) -> Any:
+    """Return gmsh with the model of a file, which the stack closes.
+
+    Elements of version 2 may lack a tag of geometry, as meshio writes them: gmsh puts all of them
+    in one entity, 0, which is in all groups. Then the tags of groups stand for those of entities.
 
     Raises:
-        OSError: if there is none.
-        ValueError: if it is something else.
-    """
-    file = Path(path)
-    if not file.is_file():
-        raise FileNotFoundError(f"path = {str(file)!r}: there is no such file in {Path.cwd()}.")
-    with file.open("rb") as stream:
-        if b"$MeshFormat" not in stream.read(4096):
-            raise ValueError(
-                f"path = {str(file)!r} is no mesh of Gmsh (version 2 or 4): it does not begin with "
-                "$MeshFormat. Make one of a geometry with: gmsh -3 FILE -format msh41"
-            )
-    return file
-
-
-def _open_model(file: Path, stack: ExitStack) -> Any:
-    """Return gmsh's model of a file; the stack closes it.
-
-    Raises:
+        OSError: if there is no such file.
         ValueError: if gmsh cannot read it.
         RuntimeError: if there is no gmsh.
     """
+    _check_file(file)
     try:
         gmsh = stack.enter_context(gmsh_model())
     except ImportError as error:
@@ -119,20 +110,61 @@ def _open_model(file: Path, stack: ExitStack) -> Any:
         ) from error
     try:
         gmsh.merge(str(file))
+        if all(tag for dim, tag in gmsh.model.getEntities() if dim):
+            return gmsh
+        _renew(gmsh)
+        gmsh.option.setNumber("Mesh.SwitchElementTags", 1)
+        gmsh.merge(str(file))
     except Exception as error:  # gmsh raises bare Exception
         raise ValueError(f"path = {str(file)!r} is damaged: gmsh says: {error}") from error
-    return gmsh.model
+    gmsh.model.removePhysicalGroups()
+    for dim, tag in gmsh.model.getEntities():
+        if tag > 0:
+            gmsh.model.addPhysicalGroup(dim, [tag], tag)
+    return gmsh
+
+
+def _renew(gmsh: Any) -> None:
+    """Put an empty model in the place of the present one."""
+    name = gmsh.model.getCurrent()
+    gmsh.model.remove()
+    gmsh.model.add(name)
+
+
+def _check_file(file: Path) -> None:
+    """Raise an OSError if there is no file, and a ValueError if it is none of Gmsh."""
+    if not file.is_file():
+        raise FileNotFoundError(f"path = {str(file)!r}: there is no such file in {Path.cwd()}.")
+    with file.open("rb") as stream:
+        if b"$MeshFormat" not in stream.read(4096):
+            raise ValueError(
+                f"path = {str(file)!r} is no mesh of Gmsh (version 2 or 4): it does not begin with "
+                "$MeshFormat. Make one of a geometry with: gmsh -3 FILE -format msh41"
+            )
 
 
 def _read_groups(model: Any, file: Path) -> list[Group]:
-    """Return the groups that have elements or a name.
+    """Return the groups that have elements or a name, those of one name as one.
 
     Gmsh forgets the names of empty groups, and one of two that are the same: those are read from
     the file.
     """
     names = {(dim, tag): name for dim, tag, name in _named(file)}
-    keys = sorted({*names, *((int(d), int(t)) for d, t in model.getPhysicalGroups())})
-    return [_read_group(model, dim, tag, names.get((dim, tag), "")) for dim, tag in keys]
+    filled = {(int(d), int(t)) for d, t in model.getPhysicalGroups()}
+    alike: dict[tuple[int, int | str], list[int]] = {}
+    for dim, tag in sorted({*names, *filled}):
+        alike.setdefault((dim, names.get((dim, tag)) or tag), []).append(tag)
+    found = []
+    for (dim, name), tags in alike.items():
+        entities = {
+            int(entity)
+            for tag in tags
+            if (dim, tag) in filled
+            for entity in model.getEntitiesForPhysicalGroup(dim, tag)
+        }
+        of = name if isinstance(name, str) else ""
+        found.append(_read_group(model, dim, tags[0], of, sorted(entities)))
+    return found
 
 
 def _named(file: Path) -> Iterator[tuple[int, int, str]]:
@@ -145,11 +177,10 @@ def _named(file: Path) -> Iterator[tuple[int, int, str]]:
                 yield int(found[1]), int(found[2]), found[3].decode(errors="replace")
 
 
-def _read_group(model: Any, dim: int, tag: int, name: str) -> Group:
-    """Return a group with its elements."""
+def _read_group(model: Any, dim: int, tag: int, name: str, entities: list[int]) -> Group:
+    """Return a group with the elements of its entities."""
     found: dict[int, list[tuple[Longs, Longs]]] = {}
-    known = (dim, tag) in {(int(d), int(t)) for d, t in model.getPhysicalGroups()}
-    for entity in model.getEntitiesForPhysicalGroup(dim, tag) if known else ():
+    for entity in entities:
         for kind, *arrays in zip(*model.mesh.getElements(dim, entity), strict=True):
             tags, nodes = (np.asarray(a, dtype=np.int64) for a in arrays)
             found.setdefault(int(kind), []).append((tags, nodes.reshape(len(tags), -1)))
@@ -165,8 +196,29 @@ def _read_group(model: Any, dim: int, tag: int, name: str) -> Group:
     )
 
 
-def _check(model: Any, groups: list[Group], path: str) -> None:
-    """Raise a ValueError unless a mesh of ours can be made of the groups."""
+def _create_model(gmsh: Any, groups: list[Group]) -> Any:
+    """Return a model of bodies and sides alone, which takes the place of that of the file.
+
+    So dolfinx sees an entity for each group, with elements of one kind, and nodes without gaps.
+    """
+    tags, x, _ = gmsh.model.mesh.getNodes()
+    used = np.unique(np.concatenate([nodes.ravel() for g in groups for nodes in g.nodes]))
+    order = np.argsort(tags)
+    x = x.reshape(-1, 3)[order[np.searchsorted(tags[order], used)]]
+    _renew(gmsh)
+    entities = [gmsh.model.addDiscreteEntity(g.dim) for g in groups]
+    numbers = np.arange(1, len(used) + 1)
+    gmsh.model.mesh.addNodes(groups[0].dim, entities[0], numbers, x.ravel())
+    for g, entity in zip(groups, entities, strict=True):
+        for kind, nodes in zip(g.types, g.nodes, strict=True):
+            positions = np.searchsorted(used, nodes) + 1
+            gmsh.model.mesh.addElementsByType(entity, kind, [], positions.ravel())
+        gmsh.model.addPhysicalGroup(g.dim, [entity], g.tag)
+    return gmsh.model
+
+
+def _check(model: Any, groups: list[Group], path: str) -> list[Group]:
+    """Return bodies and sides, or raise a ValueError if no mesh of ours can be made of them."""
     if not groups:
         raise ValueError(
             f"{path} has no physical groups, so that nothing tells bodies and sides apart: in "
@@ -179,19 +231,23 @@ def _check(model: Any, groups: list[Group], path: str) -> None:
             f"{path}: the physical group {', '.join(map(str, empty))} is empty (dimension "
             f"{empty[0].dim}): give it entities, or take it out; mesh all dimensions (gmsh -3)."
         )
-    twice = [key for key, n in Counter((g.dim, g.name) for g in groups if g.name).items() if n > 1]
-    for dim, name in twice:
-        tags = [g.tag for g in groups if (g.dim, g.name) == (dim, name)]
-        raise ValueError(
-            f"{path}: the physical groups {' and '.join(map(str, tags))} of dimension {dim} are "
-            f"both called {name!r}: rename one, or make them one group."
-        )
-    dim = max((g.dim for g in groups), default=0)
-    bodies = [g for g in groups if g.dim == dim]
+    dim = max(g.dim for g in groups)
+    bodies, sides = ([g for g in groups if g.dim == of] for of in (dim, dim - 1))
     _check_cells(model, bodies, path)
     _check_plane(model, bodies, path)
-    for sort in (bodies, [g for g in groups if g.dim == dim - 1]):
-        _check_apart(sort, path)
+    _check_apart(bodies, path)
+    _check_apart(sides, path)
+    _check_facets(model, bodies, sides, path)
+    for sort in (bodies, sides):
+        nameless = [str(g.tag) for g in sort if not g.name]
+        if 0 < len(nameless) < len(sort):
+            log.warning(
+                "%s: physical groups without a name, of dimension %d: %s; where another group has "
+                "the name already, gmsh.model.addPhysicalGroup leaves it out: put all entities of "
+                "a name into one group, or use the numbers",
+                *(path, sort[0].dim, ", ".join(nameless)),
+            )
+    return bodies + sides
 
 
 def _check_cells(model: Any, bodies: list[Group], path: str) -> None:
@@ -202,8 +258,8 @@ def _check_cells(model: Any, bodies: list[Group], path: str) -> None:
             f"{path}: the physical groups are of dimension {dim}; bodies are surfaces in 2D or "
             "volumes in 3D: add a physical surface or volume for each."
         )
-    every = {d: model.mesh.getElements(d)[1] for d in range(dim, 4)}
-    left = {d: sum(map(len, tags)) for d, tags in every.items()}
+    every = {d: model.mesh.getElements(d)[1] for d in range(dim, 4)}  # overlaps of partitions twice
+    left = {d: len(np.unique(np.concatenate([*tags, []]))) for d, tags in every.items()}
     left[dim] -= len(np.unique(np.concatenate([g.elements for g in bodies])))
     for d, n in reversed(left.items()):
         if n:
@@ -223,6 +279,39 @@ def _check_cells(model: Any, bodies: list[Group], path: str) -> None:
             f"{path}: cells of the kind {name!r} are not supported; use {KNOWN} (in Gmsh, "
             "Mesh.ElementOrder 1 or 2, Mesh.SecondOrderIncomplete 0)."
         )
+
+
+def _check_facets(model: Any, bodies: list[Group], sides: list[Group], path: str) -> None:
+    """Raise a ValueError if elements of sides are no facets of a body, of which dolfinx aborts."""
+    (kind,) = {kind for g in bodies for kind in g.types}
+    k = CELLS[kind]
+    parts = [nodes[:, :k] for g in sides for nodes in g.nodes]
+    if not parts:
+        return
+    if bodies[0].dim == 2:
+        found = model.mesh.getElementEdgeNodes(kind, primary=True)
+    else:
+        found = model.mesh.getElementFaceNodes(kind, k, primary=True)
+    facets = np.asarray(found, dtype=np.int64).reshape(-1, k)
+    facets = facets[np.isin(facets, np.concatenate([part.ravel() for part in parts])).all(axis=1)]
+    for g in sides:
+        off = sum(int((~_are_in(nodes[:, :k], facets)).sum()) for nodes in g.nodes)
+        if off:
+            raise ValueError(
+                f"{path}: {off} of the {len(g.elements)} elements of the physical group {g} "
+                f"(dimension {g.dim}) are no facets of a body: if they bound one that is in no "
+                f"group, give it a physical {('surface', 'volume')[g.dim - 1]}; take what bounds "
+                "no body, such as a section, an axis or the surface of a tool, out of the groups."
+            )
+
+
+def _are_in(facets: Longs, known: Longs) -> Bools:
+    """Return which facets (m, k) are among known ones (n, k), by their nodes in any order."""
+    if facets.shape[1] != known.shape[1]:
+        return np.zeros(len(facets), dtype=bool)
+    every = np.sort(np.concatenate([known, facets]), axis=1)
+    number = np.unique(every, axis=0, return_inverse=True)[1].ravel()
+    return np.isin(number[len(known) :], number[: len(known)])
 
 
 def _check_plane(model: Any, bodies: list[Group], path: str) -> None:

@@ -31,6 +31,7 @@ GMSH_OPTIONS = {
     "Mesh.MeshSizeMin": 0.0,
     "Mesh.RecombinationAlgorithm": 1.0,
     "Mesh.RecombineAll": 0.0,
+    "Mesh.SwitchElementTags": 0.0,
 }
 
 
