@@ -9,8 +9,11 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+import ufl
 from dolfinx import mesh
 from dolfinx_mortar.arguments import is_integer
+from dolfinx_mortar.arrays import Ints
+from dolfinx_mortar.compat import on_same_mesh
 
 Value = TypeVar("Value")
 
@@ -29,7 +32,7 @@ class Tags(mesh.MeshTags):
     """
 
     def __init__(self, tags: mesh.MeshTags, names: Mapping[str, int]) -> None:
-        """Give names to tags; the tags themselves are shared, not copied.
+        """Give names to tags; these are shared, or copied in the order of the entities.
 
         Args:
             names: tag by name, the same on all ranks.
@@ -48,7 +51,7 @@ class Tags(mesh.MeshTags):
                     f"names: {name!r} -> {tag!r}: give a text and its tag, an integer."
                 )
             check_tag(f"names: {name!r}", tag)
-        super().__init__(tags._cpp_object)
+        super().__init__(in_order(tags)._cpp_object)
         self.names: Mapping[str, int] = MappingProxyType(
             {name: int(names[name]) for name in sorted(names, key=lambda name: int(names[name]))}
         )
@@ -73,6 +76,70 @@ class Tags(mesh.MeshTags):
         tag = tag_of(self, value, "value")
         check_tag("value", tag)
         return np.asarray(super().find(int(tag)))
+
+
+def in_order(tags: mesh.MeshTags) -> mesh.MeshTags:
+    """Return tags whose entities rise, as dolfinx assumes of facets in ``ds``; else it loses some.
+
+    Those that do are returned as they are.
+    """
+    order = np.argsort(tags.indices, kind="stable")
+    if (np.diff(order) == 1).all():
+        return tags
+    of, names = tags._cpp_object, names_of(tags)
+    found = mesh.MeshTags(type(of)(of.topology, of.dim, of.indices[order], of.values[order]))
+    found.name = tags.name
+    return Tags(found, names) if names else found
+
+
+def find_exterior(tags: mesh.MeshTags, tag: int, domain: mesh.Mesh) -> tuple[Ints, Ints]:
+    """Return the owned facets that have a tag, and those of them on the boundary; collective."""
+    topology = domain.topology
+    topology.create_connectivity(tags.dim, topology.dim)
+    marked = tags.find(tag)
+    marked = marked[marked < topology.index_map(tags.dim).size_local]
+    return marked, np.intersect1d(marked, mesh.exterior_facet_indices(topology))
+
+
+def check_measures(name: str, form: ufl.Form, domain: mesh.Mesh) -> None:
+    """Raise a ValueError on all ranks if a measure of a form leaves out what it names; collective.
+
+    Dolfinx integrates over nothing where a tag has no cell or no exterior facet, or there are no
+    tags, and over a part of the facets where these are not sorted.
+    """
+    dims = {"cell": domain.topology.dim, "exterior_facet": domain.topology.dim - 1}
+    for integral in form.integrals():
+        tag, tags = integral.subdomain_id(), integral.subdomain_data()
+        kind = integral.integral_type()
+        if not is_integer(tag) or kind not in dims or isinstance(tags, list):
+            continue
+        sort, on = ("dx", "cells") if kind == "cell" else ("ds", "facets")
+        measure = f"{name}: {sort}({label(tags, tag)})"
+        if not isinstance(tags, mesh.MeshTags) or tags.dim != dims[kind]:
+            raise ValueError(
+                f"{measure} needs tags of {on}: ufl.Measure({sort!r}, mesh, subdomain_data=tags)"
+            )
+        if not on_same_mesh(tags, domain):
+            raise ValueError(f"{measure}: the tags belong to another mesh than solid.u")
+        marked = found = tags.find(tag)
+        if kind != "cell":
+            marked, found = find_exterior(tags, tag, domain)
+        shuffled = kind != "cell" and bool((np.diff(marked) < 0).any())
+        counts = domain.comm.allreduce(np.array([len(marked), len(found), shuffled]))
+        if counts[2]:
+            raise ValueError(
+                f"{measure}: the facets of the tags are not sorted, so that dolfinx would lose "
+                "some: sort indices and values before dolfinx.mesh.meshtags, or give them names, "
+                "tags = dolfinx_mortar.Tags(tags, {..}), which sorts"
+            )
+        if not counts[1]:
+            known = sorted(set().union(*domain.comm.allgather({*tags.values.tolist()})))
+            why = (
+                "all of its facets lie inside the mesh"
+                if counts[0]
+                else f"no {on[:-1]} has this tag; the tags are {labels(tags, known)}"
+            )
+            raise ValueError(f"{measure} acts nowhere: {why}")
 
 
 def check_tag(name: str, tag: Any) -> None:

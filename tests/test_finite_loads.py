@@ -6,6 +6,7 @@ import pytest
 from scipy.integrate import quad, solve_bvp
 
 import dolfinx_mortar as dm
+import ufl
 from dolfinx import default_scalar_type, fem, mesh
 from tests.pressed_blocks import COMM, rejected
 from tests.solid_case import create_displacement, create_domain, set_wave
@@ -319,8 +320,49 @@ def test_what_pressure_needs():
         skin = mesh.exterior_facet_indices(domain.topology)
         skin = mesh.meshtags(domain, 1, skin, np.ones(len(skin), dtype=np.int32))
         dm.Pressure(plate, skin, 1, 1.0, closed=True)
+    solid = dm.Solid(u, dm.NeoHooke(1.0, 0.3), strain="finite")
     with rejected("Pressure", "no facet"):
-        dm.Pressure(dm.Solid(u, dm.NeoHooke(1.0, 0.3), strain="finite"), tags, 1, 1.0)
+        dm.Pressure(solid, tags, 1, 1.0)
+    with rejected("Pressure", "test or trial function"):
+        dm.Pressure(solid, skin, 1, ufl.TestFunction(u.function_space)[0])
+    with rejected("Pressure", "closed is 'no'"):
+        dm.Pressure(solid, skin, 1, 1.0, closed="no")
+    every = np.arange(domain.topology.index_map(1).size_local, dtype=np.int32)
+    with rejected("Pressure", "tag is 1", "facets inside the mesh"):
+        dm.Pressure(solid, mesh.meshtags(domain, 1, every, np.ones_like(every)), 1, 1.0)
+
+
+def pressed_top(p, *, rising=True):
+    """Return bodies, a pressure on their top, 1 long, and p as a Constant."""
+    domain = create_domain("quadrilateral", 4)
+    solid = dm.Solid(create_displacement(domain), dm.NeoHooke(1.0, 0.3), strain="finite")
+    top = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[1], 2.0))
+    top = np.sort(top)[:: 1 if rising else -1].copy()
+    tags = mesh.meshtags(domain, 1, top, np.ones_like(top))
+    p = fem.Constant(domain, default_scalar_type(p))
+    return solid, dm.Pressure(solid, tags, 1, p), p
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_pressure_that_is_no_number(value):
+    """An error of its own, before the audit, whose eigenvalues do not exist."""
+    solid, pressure, p = pressed_top(value)
+    work = p * ufl.inner(solid.u, ufl.TestFunction(solid.V)) * ufl.dx
+    for term in (pressure, dm.WeakForm(solid, residual=work)):
+        with rejected("terms[0]", "at the present displacement", "check its coefficients"):
+            dm.newton(dm.ContactProblem(solid, [], terms=[term]))
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("rising", [True, False])
+def test_a_pressure_acts_on_all_of_a_side(rising):
+    """The sum of its forces at u = 0, p times the length, in whatever order the facets are."""
+    solid, pressure, _ = pressed_top(3.0, rising=rising)
+    F = solid.create_matrix().createVecLeft()
+    pressure.add_forces(F)
+    forces = COMM.allreduce(F.array_r.reshape(-1, 2).sum(axis=0))
+    np.testing.assert_allclose(forces, [0.0, 3.0], atol=1e-14)
 
 
 def flap(p, *, closed, held=False):

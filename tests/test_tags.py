@@ -9,6 +9,8 @@ from meshes import two_blocks
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
+from dolfinx import mesh as dmesh
+from tests.integrals import integral
 
 COMM = MPI.COMM_WORLD
 SIDES = {"ball": 4, "plate": 3, "plates": 99}
@@ -39,6 +41,63 @@ def test_a_name_stands_for_its_tag():
     with pytest.raises(TypeError):
         facet_tags.names["ball"] = 3
     dm.Tie(facet_tags, slave="ball", master="plate")
+
+
+def falling(V, tags):
+    """Return tags, their entities last to first, as lists that are stacked may have them."""
+    order = slice(None, None, -1)
+    entities, values = tags.indices[order].copy(), tags.values[order].copy()
+    return dmesh.meshtags(V.mesh, tags.dim, entities, values)
+
+
+@pytest.mark.mpi
+def test_unsorted_tags_lose_no_facet():
+    """Of the facets in falling order ds finds one on each rank."""
+    V, _, facet_tags = case()
+    sides = dm.Tags(falling(V, facet_tags), SIDES)
+    assert (sides.indices == facet_tags.indices).all()
+    assert (sides.values == facet_tags.values).all()
+    ds, one = ufl.Measure("ds", V.mesh, subdomain_data=sides), fem.Constant(V.mesh, 1.0)
+    assert integral(one * ds(sides.tag("plate"))) == pytest.approx(1.0, rel=1e-14)
+
+
+def inside(V):
+    """Return tags 7 of the facets inside the mesh."""
+    V.mesh.topology.create_connectivity(1, 2)
+    count = V.mesh.topology.index_map(1).size_local
+    facets = np.setdiff1d(np.arange(count), dmesh.exterior_facet_indices(V.mesh.topology))
+    facets = facets.astype(np.int32)
+    return dmesh.meshtags(V.mesh, 1, facets, np.full(len(facets), 7, dtype=np.int32))
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("kind", "choose", "words"),
+    [
+        ("ds", lambda V, bodies, sides: (falling(V, sides), 3), ["ds(3)", "not sorted", "Tags"]),
+        ("ds", lambda V, bodies, sides: (sides, 99), ["ds('plates')", "nowhere", "'ball' (4)"]),
+        ("ds", lambda V, bodies, sides: (inside(V), 7), ["ds(7)", "nowhere", "inside the mesh"]),
+        ("ds", lambda V, bodies, sides: (None, 3), ["ds(3) needs tags of facets"]),
+        ("ds", lambda V, bodies, sides: (bodies, 1), ["ds('low') needs tags of facets"]),
+        ("ds", lambda V, bodies, sides: (case()[2], 3), ["ds('plate')", "another mesh"]),
+        ("dx", lambda V, bodies, sides: (bodies, 77), ["dx(77)", "nowhere", "'up' (2)"]),
+    ],
+)
+def test_integrals_that_would_be_lost_are_refused(kind, choose, words):
+    """On all ranks, of loads and of other terms; dolfinx integrates what it finds."""
+    V, cell_tags, facet_tags = case()
+    tags, tag = choose(V, cell_tags, facet_tags)
+    solid = dm.Solid(fem.Function(V), SOFT)
+    over = ufl.Measure(kind, V.mesh, subdomain_data=tags)(tag)
+    v, u = ufl.TestFunction(V), solid.u
+    for name, make in (
+        ("loads", lambda: dm.ContactProblem(solid, loads=v[0] * over)),
+        ("potential", lambda: dm.ContactProblem(solid, potential=u[0] ** 2 * over)),
+        ("residual", lambda: dm.WeakForm(solid, residual=u[0] * v[0] * over)),
+    ):
+        with pytest.raises(ValueError) as error:
+            make()
+        assert all(word in str(error.value) for word in (f"{name}: ", *words)), str(error.value)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,8 @@ import numpy as np
 
 import ufl
 from dolfinx import default_scalar_type, fem
-from dolfinx.mesh import MeshTags
+from dolfinx.mesh import Mesh, MeshTags
+from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Bools
@@ -19,8 +20,9 @@ from dolfinx_mortar.solid.cell_functions import CellFunctions
 from dolfinx_mortar.solid.laws import measure
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import assemble
-from dolfinx_mortar.tags import check_entities, check_tag, tag_of
+from dolfinx_mortar.tags import check_entities, check_tag, find_exterior, in_order, tag_of
 from dolfinx_mortar.terms.weak_forms import WeakForm, weighted
+from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr
 
 
@@ -52,8 +54,9 @@ class Pressure(WeakForm):
             plate has none.
 
     Raises:
-        ValueError: for a solid of small strain, tags of another mesh, a tag that no facet has,
-            a p that is no scalar, or ``closed`` in plane stress.
+        ValueError: for a solid of small strain, tags of another mesh, a tag that no facet or one
+            inside the mesh has, a p that is no scalar or holds a test function, or ``closed`` in
+            plane stress; at the start of a step, for a p that is NaN or infinite.
     """
 
     def __init__(
@@ -66,20 +69,10 @@ class Pressure(WeakForm):
                 "traction -p n as loads=inner(-p * n, v) * ds"
             )
         domain = solid.mesh
-        if not isinstance(facet_tags, MeshTags) or not on_same_mesh(facet_tags, domain):
-            raise ValueError("Pressure: facet_tags must be tags of the facets of the solid's mesh")
-        if facet_tags.dim != domain.topology.dim - 1:
-            raise ValueError(f"Pressure: facet_tags tag entities of dimension {facet_tags.dim}")
-        domain.topology.create_entities(facet_tags.dim)
-        check_entities("facet_tags", facet_tags)
-        number = tag_of(facet_tags, tag, "tag")
-        check_tag("tag", number)
-        if not domain.comm.allreduce(len(facet_tags.find(number))):
-            raise ValueError(f"Pressure: tag is {tag!r}, which no facet has")
-        if is_number(p):
-            p = fem.Constant(domain, default_scalar_type(p))
-        if not isinstance(p, Expr) or p.ufl_shape != ():
-            raise ValueError(f"Pressure: p is {p!r}: give a number, or a scalar Constant or UFL")
+        facet_tags, number = _exterior(domain, facet_tags, tag)
+        p = _as_scalar(domain, p)
+        if not isinstance(closed, bool):
+            raise ValueError(f"Pressure: closed is {closed!r}: give True or False")
         if closed and solid.kinematics.plane_stress:
             raise ValueError(
                 "Pressure: closed is True, but in plane stress the edge of a plate changes its "
@@ -152,6 +145,41 @@ class Pressure(WeakForm):
         error = slope - work[~held].sum()
         sums = comm.allreduce(np.array([error, np.abs(work).sum()]), op=MPI.SUM)
         return bool(abs(sums[0]) <= QUARTER_OF_DIGITS * sums[1])
+
+
+def _exterior(domain: Mesh, facet_tags: Any, tag: Any) -> tuple[MeshTags, int]:
+    """Return tags in order, and the number of a tag of exterior facets; collective."""
+    if not isinstance(facet_tags, MeshTags) or not on_same_mesh(facet_tags, domain):
+        raise ValueError("Pressure: facet_tags must be tags of the facets of the solid's mesh")
+    if facet_tags.dim != domain.topology.dim - 1:
+        raise ValueError(f"Pressure: facet_tags tag entities of dimension {facet_tags.dim}")
+    domain.topology.create_entities(facet_tags.dim)
+    with raised_together(domain.comm):
+        check_entities("facet_tags", facet_tags)
+    number = tag_of(facet_tags, tag, "tag")
+    check_tag("tag", number)
+    facet_tags = in_order(facet_tags)
+    sizes = np.array([len(found) for found in find_exterior(facet_tags, number, domain)])
+    marked, outside = domain.comm.allreduce(sizes)
+    if not marked:
+        raise ValueError(f"Pressure: tag is {tag!r}, which no facet has")
+    if outside < marked:
+        raise ValueError(
+            f"Pressure: tag is {tag!r}, which {marked - outside} facets inside the mesh have, "
+            "where no pressure acts: tag exterior facets only"
+        )
+    return facet_tags, int(number)
+
+
+def _as_scalar(domain: Mesh, p: Any) -> Expr:
+    """Return a pressure as an expression of UFL."""
+    if is_number(p):
+        p = fem.Constant(domain, default_scalar_type(p))
+    if not isinstance(p, Expr) or p.ufl_shape != ():
+        raise ValueError(f"Pressure: p is {p!r}: give a number, or a scalar Constant or UFL")
+    if extract_arguments(p):
+        raise ValueError("Pressure: p holds a test or trial function: give the pressure alone")
+    return p
 
 
 class _Thickness:

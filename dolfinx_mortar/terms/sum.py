@@ -258,12 +258,18 @@ class Terms:
     def check_energies(self) -> None:
         """Raise a ValueError on all ranks unless the energies of terms are finite at u; collective.
 
-        Those of dead loads are checked as forces.
+        Of those that have none the forces, as users' are wherever they are added up; dead loads
+        check theirs.
         """
         for name, term in self.named:
             if isinstance(term, DeadLoads):
                 continue
             addends = self._ask(name, term, partial(_addends, term, term.energy))
+            if addends is None and is_ours(term):
+                F = self.solid.u.x.petsc_vec.duplicate()
+                F.set(0.0)
+                term.add_forces(F)
+                addends = F.array_r
             total = self.comm.allreduce(0.0 if addends is None else float(addends.sum()))
             if not np.isfinite(total):
                 raise ValueError(

@@ -27,6 +27,7 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import MatrixForm, Term, assemble, create_vector
 from dolfinx_mortar.spaces import check_real
+from dolfinx_mortar.tags import check_measures
 from ufl.algorithms import estimate_total_polynomial_degree, expand_derivatives
 
 REMEDY = "give its potential instead, ContactProblem(..., potential=...)"
@@ -48,6 +49,7 @@ class DeadLoads(Term):
             ValueError: if it cannot work, with the remedy.
         """
         check_loads(solid.u, loads)
+        check_measures("loads", loads, solid.mesh)
         self._u = solid.u
         self._form = fem.form(weighted(loads, solid))
         self._vector = create_vector(solid.V)
@@ -180,7 +182,7 @@ WANTED = (
 
 
 def check_form(u: fem.Function, name: str, form: Any, *, arguments: int = 0) -> None:
-    """Raise ValueError unless a form of u with so many test functions, 0 or 1, can be added."""
+    """Raise ValueError unless a form of u with so many test functions can be added; collective."""
     wanted = WANTED[arguments]
     if isinstance(form, fem.Form):
         raise ValueError(f"{name} is a compiled form: {wanted}, in UFL as before fem.form")
@@ -198,6 +200,7 @@ def check_form(u: fem.Function, name: str, form: Any, *, arguments: int = 0) -> 
             "(ds) are possible"
         )
     _check_spaces(u, name, form)
+    check_measures(name, form, u.function_space.mesh)
 
 
 def _check_spaces(u: fem.Function, name: str, form: ufl.Form) -> None:
