@@ -8,11 +8,14 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem
+from dolfinx_mortar.report.energy_ledger import EnergyLedger
 from dolfinx_mortar.steps import newton as newton_module
-from tests import friction_case
+from dolfinx_mortar.steps import walk
+from tests import friction_case, tool_case
 from tests.pressed_blocks import PressedBlocks
 from tests.user_laws import Softening
 
@@ -157,3 +160,169 @@ def test_a_step_that_was_taken_back_is_never_committed():
     for _ in range(2):
         problem.commit()
         assert np.array_equal(committed.slid, before)
+
+
+# -- steps that are stopped while they are committed ---------------------------------------------
+
+
+class Counter(dm.Term):
+    """Adds nothing, and counts its commits; may fail when it is asked the next time."""
+
+    has_tangent = False
+    linear = True
+
+    def __init__(self, V):
+        self.count = fem.Function(V)
+        self.fails = ""  # in which method
+
+    @property
+    def state(self):
+        return {"count": self.count}
+
+    def energy(self):
+        return 0.0
+
+    def add_forces(self, F):
+        if self.fails == "add_forces":
+            raise OSError("no licence")
+
+    def add_tangent(self, K):
+        pass
+
+    def commit(self):
+        self.count.x.array[:] += 1.0
+        if self.fails == "commit":
+            raise OSError("no licence")
+
+
+METAL = dm.VonMises(200.0, 0.3, 0.5, 10.0)
+
+
+class Stopped:
+    """A metal block, which may move in time, and a plane that slides over it."""
+
+    times = (0.02, 0.04, 0.06, 0.08)
+
+    def __init__(self, law=METAL, *, in_time=True):
+        block = tool_case.Block(n=4)
+        solid = dm.Solid(block.u, law)
+        self.counter = Counter(block.V)
+        self.inertia = dm.Inertia(solid, 1e-3, velocity=(0.0, -0.5))
+        terms = [self.counter, self.inertia][: 1 + in_time]
+        self.tool = block.tool(dm.shapes.Plane([0.0, 0.02], [0.0, -1.0]), friction=0.2)
+        self.problem = dm.ContactProblem(solid, [self.tool], bcs=block.bcs(), terms=terms)
+
+    def run(self, count):
+        times, at_time = self.times[:count], self.at_time
+        return list(dm.time_steps(self.problem, times, on_time=at_time, progress=False))
+
+    def at_time(self, time):
+        self.tool.position.value[:] = 0.2 * time, 0.02 - 0.3 * time
+
+    def state(self):
+        """Return all that a step changes, to be compared bit by bit."""
+        problem, tool, committed = self.problem, self.tool, self.problem.committed
+        fields = [problem.u, *problem.state.states_of_terms.values(), *tool.functions]
+        fields += [*problem.solid.state.values(), problem.solid.stress]
+        found = [f.x.array.copy() for f in fields] + [committed.active, committed.displacement]
+        found += [committed.slid, tool.began.position, tool.dissipation, committed.level]
+        found += [len(problem.history), committed.walked]
+        found += [] if tool.resultants is None else [tool.force, tool.moment, tool.master_force]
+        return [np.array(values) for values in found]
+
+    def __eq__(self, other):
+        pairs = zip(self.state(), other.state(), strict=True)
+        return all(np.array_equal(*pair, equal_nan=True) for pair in pairs)
+
+
+def in_ledger(case, patch):
+    """Stop after the impulse."""
+    stop_in(patch, EnergyLedger, "_in_bodies")
+
+
+def in_history(case, patch):
+    """Stop when all is committed."""
+    stop_in(patch, walk, "reactions")
+
+
+def stop_in(patch, owner, name):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    patch.setattr(owner, name, stop)
+
+
+def in_commit(case, patch):
+    """Stop when bodies have been committed, and a part of the terms."""
+    case.counter.fails = "commit"
+
+
+def in_forces(case, patch):
+    """Stop when the ledger asks for the loads at the end of the step."""
+    end = EnergyLedger._end
+
+    def fail(ledger):
+        case.counter.fails = "add_forces"
+        return end(ledger)
+
+    patch.setattr(EnergyLedger, "_end", fail)
+
+
+@pytest.mark.parametrize("done", [0, 2])
+@pytest.mark.parametrize("stop", [in_ledger, in_history, in_commit, in_forces])
+def test_a_step_in_time_that_is_stopped_when_it_is_committed(monkeypatch, stop, done):
+    """The state is that before, bit by bit, and going on is as if nothing had been."""
+    case, same, whole = Stopped(), Stopped(), Stopped()
+    for each in (case, same):
+        each.run(done) if done else each.at_time(0.0)
+    with monkeypatch.context() as patch:
+        stop(case, patch)
+        with pytest.raises((KeyboardInterrupt, OSError)):
+            case.run(done + 1)
+    case.counter.fails = ""
+    assert case == same
+    case.run(4)
+    whole.run(4)
+    assert case == whole and whole.tool.force[1] < 0.0
+
+
+def test_a_step_in_time_is_tried_again_from_the_last_commit(tmp_path):
+    """As in statics; what is committed has the level of the step, from which the next one goes on.
+
+    Without contact a step of `time_steps` is one of `newton`.
+    """
+    case, other = Stopped(tool_case.ELASTIC), Stopped(tool_case.ELASTIC)
+    for each, times in ((case, [0.02]), (other, [0.02, 0.04, 0.07])):
+        each.tool.position.value[1] = 1.0
+        list(dm.time_steps(each.problem, times, rtol=1e-12, progress=False))
+    for level in (0.04, 0.05, 0.07):
+        for _ in range(2):
+            dm.newton(case.problem, level=level, rtol=1e-12)
+        if level != 0.05:  # never committed
+            case.problem.commit()
+            assert case.problem.committed.level == level
+    pairs = (case.problem.u, other.problem.u), (case.inertia.velocity, other.inertia.velocity)
+    for one, same in pairs:
+        assert_allclose(one.x.array, same.x.array, rtol=0.0, atol=1e-10 * same.x.petsc_vec.max()[1])
+    dm.newton(case.problem, level=0.1)
+    with pytest.raises(ValueError, match="is not committed"):
+        case.problem.save(tmp_path / "half.h5")
+
+
+def test_a_load_step_that_is_stopped_when_it_is_committed():
+    """Plastic strains, slips, and where a tool was, are those of the last commit, as is u."""
+    case = Stopped(in_time=False)
+    problem, position = case.problem, case.tool.position.value
+    position[1] = -0.05
+    dm.newton(problem)
+    problem.commit()
+    before = case.state()
+    position[:] = 0.02, -0.1
+    for _ in range(2):  # a second try, which begins at the u of the first
+        dm.newton(problem)
+    case.counter.fails = "commit"
+    with pytest.raises(OSError, match="no licence"):
+        problem.commit()
+    now = case.state()
+    assert all(np.array_equal(*pair, equal_nan=True) for pair in zip(before, now, strict=True))
+    assert problem.solid.max("plastic_strain_norm") > 0.0

@@ -422,7 +422,7 @@ class Interface(ABC):
         return []
 
     def keep(self) -> Any:
-        """Return copies of the results, for `put_back`."""
+        """Return copies of the results, and of what `commit` sets, for `put_back`."""
         return self.resultants, [(f, f.x.array.copy()) for f in self.functions]
 
     def put_back(self, kept: Any) -> None:

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""The committed state of a problem in one record, of which checkpoints are made."""
+"""The committed state of a problem in one record, of which checkpoints are made; its undoing."""
+
+from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -9,7 +11,7 @@ from mpi4py import MPI
 
 from dolfinx import fem
 from dolfinx_mortar.arrays import Bools, Floats
-from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.interfaces.interface import Interface, ask
 from dolfinx_mortar.interfaces.system import InterfaceSystem, Paired
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term
@@ -66,6 +68,8 @@ class StepOutcome:
     tangential: Floats | None = None
     ended: Sequence[Any] = ()  # of the interfaces, see `Interface.ended`
     turns: Sequence[Turns | None] = ()  # of the interfaces, () for none
+    level: float | None = None  # at which the step ends; None for that of the committed state
+    before: Before | None = None  # the last commit; None for a step of a checkpoint
 
 
 @dataclass
@@ -99,6 +103,8 @@ class Committed:
             return
         self.active, self.sliding, self.paired = outcome.active, outcome.sliding, outcome.paired
         self.turns = outcome.turns
+        if outcome.level is not None:
+            self.level = outcome.level
         if outcome.slips is not None:
             self.slid, self.dissipated = outcome.slips.slid, outcome.slips.dissipated
 
@@ -133,3 +139,35 @@ class ProblemState:
     def comm(self) -> MPI.Comm:
         """The ranks."""
         return self.solid.mesh.comm
+
+
+class Before:
+    """All that a step and its commit change, as it was before: displacement, results, state."""
+
+    def __init__(self, state: ProblemState, outcome: StepOutcome | None) -> None:
+        """Copy it; collective.
+
+        Args:
+            state: of the problem, to which no reference is kept.
+            outcome: of a step before that has not been committed.
+        """
+        self.state, self.outcome = state, outcome
+        functions = [state.u, *state.states_of_terms.values()]
+        self._values = [(f, f.x.array.copy()) for f in functions]
+        self._points = state.solid.keep()
+        self._results = [(i, ask(state.comm, i, "keep")) for i in state.interfaces]
+        self._committed = vars(state.committed) | {"history": [*state.committed.history]}
+
+    def restore(self) -> None:
+        """Put it back, perhaps on this rank only: without communication."""
+        state = self.state
+        for f, values in self._values:
+            f.x.array[:] = values
+        state.solid.put_back(self._points)
+        for interface, kept in self._results:
+            interface.put_back(kept)
+        history = state.committed.history  # which programs may hold
+        history[:] = self._committed["history"]
+        vars(state.committed).update(self._committed, history=history)
+        for term in (state.solid, *(term for _, term in state.terms)):
+            term.roll_back()

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -30,7 +31,7 @@ from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.system import Configuration, InterfaceSystem
 from dolfinx_mortar.persistence import restoring, saving
-from dolfinx_mortar.persistence.committed import Committed, ProblemState, StepOutcome
+from dolfinx_mortar.persistence.committed import Before, Committed, ProblemState, StepOutcome
 from dolfinx_mortar.problem.checks import check_arguments
 from dolfinx_mortar.problem.convected import (
     convected,
@@ -49,6 +50,7 @@ from dolfinx_mortar.step_report import LoadStep, Timings
 from dolfinx_mortar.supports.axis import check_axis, check_targets
 from dolfinx_mortar.supports.bodies import Bodies, find_bodies, with_ties
 from dolfinx_mortar.supports.dirichlet import Dirichlet, create_dirichlet
+from dolfinx_mortar.terms.inertia import Inertia
 from dolfinx_mortar.terms.sum import Terms, check_terms
 from dolfinx_mortar.terms.weak_forms import DeadLoads, WeakForm, check_form
 
@@ -544,18 +546,49 @@ class ContactProblem:
     def commit(self) -> None:
         """Make the converged step the state from which the next one starts; collective.
 
+        An error of a term or an interface, or Ctrl-C, undoes the step: displacement, results and
+        state are then those of the last commit.
+
         Raises:
             ValueError: if a problem made later uses one of the interfaces.
         """
         self.check_owned()
-        with self.timings("commit"):
-            self.terms.commit()
-            outcome = self.ended_here()
-            self.committed.commit(self.owned_u, outcome)
+        outcome = self.ended_here()
+        before = outcome.before if outcome and outcome.before else Before(self.state, None)
+        with self.timings("commit"), self.undone(before):
             ended = outcome.ended if outcome and outcome.ended else self.ends_of_interfaces()
+            self.terms.commit()
+            self.committed.commit(self.owned_u, outcome)
             for interface, end in zip(self.interfaces, ended, strict=True):
                 ask(self.comm, interface, "commit", end)
             self.outcome = None
+
+    @contextmanager
+    def undone(self, before: Before) -> Iterator[None]:
+        """Run a block; if it fails or is stopped, perhaps on this rank only, undo the step."""
+        try:
+            yield
+        except BaseException:
+            self.undo(before)
+            raise
+
+    def undo(self, before: Before) -> None:
+        """Put back what was before a step, perhaps on this rank only: without communication."""
+        before.restore()
+        self.outcome = before.outcome
+
+    def go_back(self) -> None:
+        """Undo a step in time that has not been committed: the next one is another try; collective.
+
+        Steps of statics begin at the present u, which is but an initial guess.
+        """
+        if (outcome := self._uncommitted_in_time()) is not None and outcome.before is not None:
+            self.undo(outcome.before)
+
+    def _uncommitted_in_time(self) -> StepOutcome | None:
+        """Return the outcome of a step in time that has not been committed, if any; collective."""
+        moves = any(isinstance(term, Inertia) for _, term in self.terms.named)
+        return self.ended_here() if moves else None
 
     def ends_of_interfaces(self) -> list[Any]:
         """Return what `commit` of each interface gets, from the present state; collective."""
@@ -597,9 +630,16 @@ class ContactProblem:
 
         Raises:
             OSError: on all ranks, if it cannot be written; the older one stays.
-            ValueError: if a problem made later uses one of the interfaces.
+            ValueError: if a problem made later uses one of the interfaces, and for a step in time
+                that is not committed, which velocities do not belong to.
             RuntimeError: if h5py is missing (an ImportError on rank 0).
         """
+        outcome = self._uncommitted_in_time()
+        if outcome is not None and outcome.before is not None:
+            raise ValueError(
+                "problem: the last step in time is not committed, so that the velocities are those "
+                "before it: call problem.commit() before save()"
+            )
         with self.timings("checkpoint"):
             saving.save(self.state, path, self.ended_here())
 

@@ -414,12 +414,12 @@ class Solid(Term):
             raise
 
     def keep(self) -> list[tuple[fem.Function, Floats]]:
-        """Return copies of the results and of the parameters that they depend on, for `put_back`.
+        """Return copies of results, state, and the parameters that they rest on, for `put_back`.
 
         A second evaluation would differ: u may have been set since, or nothing evaluated yet, and
         a law that depends on the size of a step would flow further.
         """
-        shown = [self.stress, *self._staged.values()]
+        shown = [self.stress, *self._staged.values(), *self._committed.values()]
         shown += self._shown.values()
         functions = shown + [followed.function for followed in self._followed()]
         return [(f, f.x.array.copy()) for f in functions]

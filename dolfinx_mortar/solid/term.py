@@ -109,7 +109,10 @@ class Term(ABC):
         """
 
     def commit(self) -> None:
-        """Make the converged step the state from which the next one starts."""
+        """Make the converged step the state from which the next one starts.
+
+        An error undoes the step, of all terms: what ``state`` holds is put back.
+        """
 
     def roll_back(self) -> None:
         """Forget a step that has failed; the committed state stands as it is."""

@@ -31,7 +31,6 @@ from dolfinx_mortar import qp as backends
 from dolfinx_mortar.algebra.parallel import any_rank, free_unused, maximum, ratio
 from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Actives, Bools, Floats
-from dolfinx_mortar.interfaces.interface import ask
 from dolfinx_mortar.interfaces.near import predict_active
 from dolfinx_mortar.newton_method import driven_tools, failures
 from dolfinx_mortar.newton_method.contacts import Contacts, find_sliders, found_by, go_on
@@ -69,7 +68,7 @@ from dolfinx_mortar.newton_method.watch import (
     normal_forces,
     tangential_forces,
 )
-from dolfinx_mortar.persistence.committed import StepOutcome
+from dolfinx_mortar.persistence.committed import Before, StepOutcome
 from dolfinx_mortar.problem.checks import check_controls, check_problem
 from dolfinx_mortar.problem.jumps import TooFar, tighten
 from dolfinx_mortar.problem.problem import ContactProblem
@@ -127,6 +126,7 @@ def newton(
             the step and their work; round-off is the limit.
         max_it: largest number of Newton iterations.
         level: load level at the end of the step, for terms that depend on it, see `Term.begin`.
+            With `Inertia` the time: a step that has not been committed is made anew.
 
     Returns:
         The report of the converged step.
@@ -170,7 +170,9 @@ def solve_step(
     if overlap > 0.0:
         report.notes.append(f"an initial overlap of {overlap:.3g} remains in this part")
     linear = linear or problem.linear
-    before, earlier = Before(problem), dict(problem.timings.seconds)
+    problem.go_back()
+    last = problem.ended_here()
+    before, earlier = Before(problem.state, problem.outcome), dict(problem.timings.seconds)
     step: _Step | None = None
     try:
         with problem.timings("total"):
@@ -178,21 +180,24 @@ def solve_step(
                 data = problem.begin_step(level, audit=audit)
                 step = _Step(problem, report, data, overlap, linear)
                 step.run(max_it)
+                assert problem.outcome is not None
+                start = before if last is None or last.before is None else last.before
+                problem.outcome = replace(problem.outcome, level=level, before=start)
             except (failures.StepFailed, backends.QPNotSolved, backends.UnusableQP) as error:
                 reached = problem.u.x.array.copy()
-                before.restore()
+                problem.undo(before)
                 if not linear.direct:
                     linear.clear()  # levels of tangents of the step that is undone
                     problem.operator.rows.forget()
                 raise failures.explain(problem, report, error, reached) from error
             except BaseException:  # perhaps of this rank only: no communication
-                before.restore()
+                problem.undo(before)
                 raise
     finally:
         report.seconds = problem.timings.since(earlier)
-        last = linear if step is None else step.solver
-        report.linear_solver += last.description  # to those that another one took over from
-        unread = [option for option in linear.options.unread() if option in last.options.unread()]
+        solver = linear if step is None else step.solver
+        report.linear_solver += solver.description  # to those that another one took over from
+        unread = [option for option in linear.options.unread() if option in solver.options.unread()]
         if report.converged and unread:
             report.notes.append(
                 f"petsc_options without effect: {', '.join(unread)}; they are misspelt, or this "
@@ -200,26 +205,6 @@ def solve_step(
             )
         report.notes += [note for note in problem.system.notes if note not in report.notes]
     return report
-
-
-class Before:
-    """Displacement, results and contact set before a step."""
-
-    def __init__(self, problem: ContactProblem) -> None:
-        """Copy them."""
-        self.problem = problem
-        self.u, self.shown = problem.u.x.array.copy(), problem.solid.keep()
-        self.results = [(i, ask(problem.comm, i, "keep")) for i in problem.interfaces]
-        self.found = problem.outcome, problem.committed.supports
-
-    def restore(self) -> None:
-        """Undo the step, perhaps on this rank only."""
-        self.problem.u.x.array[:] = self.u
-        self.problem.solid.put_back(self.shown)
-        self.problem.terms.roll_back()
-        self.problem.outcome, self.problem.committed.supports = self.found
-        for interface, kept in self.results:
-            interface.put_back(kept)
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arguments import is_name, is_number
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, ROUND_OFF, SAME, Bools, Floats
+from dolfinx_mortar.persistence.committed import Before
 from dolfinx_mortar.problem.checks import check_every, check_load_steps, check_problem
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.energy_ledger import EnergyLedger
@@ -49,16 +50,31 @@ class TimeSolves(Solves):
 
     def to(self, level: Level) -> StepReport:
         """Solve a step to a time; collective."""
-        if self.ledger is None:
-            (inertia,) = find_inertia(self.problem)
-            if any(step.report.ledger is not None for step in self.problem.history[-1:]):
-                self.loading.set(self.problem, self.problem.committed.level)
-                self.ledger = EnergyLedger(self.problem, inertia, conserve=self.conserve)
-                self.loading.set(self.problem, level.time)
-            else:
-                self.ledger = self._start(inertia, level)
-        self.ledger.open()
-        return super().to(level)
+        if self.ledger is not None:
+            self.ledger.open()
+            return super().to(level)
+        problem = self.problem
+        before = Before(problem.state, problem.outcome)
+        with problem.undone(before):
+            ledger = self._begin(level)
+            ledger.open()
+            report = super().to(level)
+            assert problem.outcome is not None
+            problem.outcome = replace(problem.outcome, before=before)  # start and all
+        self.ledger = ledger
+        return report
+
+    def _begin(self, level: Level) -> EnergyLedger:
+        """Return the ledger of the first step of a call, to a level; collective."""
+        problem = self.problem
+        (inertia,) = find_inertia(problem)
+        if any(step.report.ledger is not None for step in problem.history[-1:]):
+            self.loading.set(problem, problem.committed.level)
+            ledger = EnergyLedger(problem, inertia, conserve=self.conserve)
+            self.loading.set(problem, level.time)
+        else:
+            ledger = self._start(inertia, level)
+        return ledger
 
     def _start(self, inertia: Inertia, level: Level) -> EnergyLedger:
         """Return the ledger of a motion that begins, with a step to a level; collective."""
@@ -100,6 +116,7 @@ class TimeSolves(Solves):
                 assert outcome.tangential is not None
                 inertia.put(contact=outcome.normal, friction=outcome.tangential)
                 inertia.roll_back()
+                problem.outcome = replace(outcome, level=begin)
                 problem.commit()
                 assert problem.committed.supports is not None
                 forces[on_sides] = problem.committed.supports.forces[on_sides]
@@ -229,6 +246,7 @@ def time_steps(
     if on_time is not None and not callable(on_time):
         raise ValueError(f"on_time is {on_time!r}: give a function of the time, or None")
     file = check_every(problem.comm, checkpoint, every)
+    problem.go_back()
     inertia.scheme = found
     yield from walk(
         TimeSolves(

@@ -205,13 +205,8 @@ def walk(
     idle = _idle(problem, loading)
     tell = lines(problem.comm, False if progress is None and len(levels) == 1 else progress)
     for number, time in enumerate(levels[done:], start=done + 1):
-        parts = _walk(solves, number, time, loading, most, written)
-        parts[-1].notes += idle if number == done + 1 else []
-        supports = [one.as_dict() for one in reactions(problem)]
-        forces = [list(map(float, interface.force)) for interface in problem.interfaces]
-        step = LoadStep(number, time, parts[-1], parts, forces, supports)
-        committed.history.append(step)
-        committed.walked = number
+        step = _walk(solves, number, time, loading, most, written)
+        step.report.notes += idle if number == done + 1 else []
         tell(f"{solves.name} {number} of {len(levels)} {step.outcome}")
         yield step
         written.check_alone()
@@ -315,8 +310,8 @@ def _check_tables(ramps: Sequence[Ramp], saved: Saved, file: Path) -> None:
 
 def _walk(
     solves: Solves, number: int, time: float, loading: Loading, most: int, written: Checkpoint
-) -> list[StepReport]:
-    """Step to a level, in parts if that fails; return the reports of the parts; collective."""
+) -> LoadStep:
+    """Step to a level, in parts if that fails; return what the history has got; collective."""
     problem = solves.problem
     parts: list[StepReport] = []
     reached, pending = Level(problem.committed.level, share=0.0), [Level(time)]
@@ -349,16 +344,32 @@ def _walk(
                 log.warning("no convergence at %g, trying half the step", level.time)
             pending.append(level.between(reached))
             continue
-        solves.commit(report)
-        written.new, problem.committed.level = True, level.time
-        reached = level
         parts.append(report)
         pending.pop()
-    if failures:
+        assert problem.outcome is not None and problem.outcome.before is not None
+        with problem.undone(problem.outcome.before):
+            solves.commit(report)
+            if not pending:
+                step = _book(problem, number, time, parts, failures)
+        written.new, reached = True, level
+    return step
+
+
+def _book(
+    problem: ContactProblem, number: int, time: float, parts: list[StepReport], cuts: int
+) -> LoadStep:
+    """Put a step whose parts are committed into the history; return its entry; collective."""
+    last = parts[-1]
+    last.cuts = cuts
+    if cuts:
         shown = ", ".join(f"{n} iterations" for n in (p.newton_iterations for p in parts))
-        parts[-1].notes.append(f"the step was cut {failures} times and made in parts: {shown}")
-    parts[-1].cuts = failures
-    return parts
+        last.notes.append(f"the step was cut {cuts} times and made in parts: {shown}")
+    supports = [one.as_dict() for one in reactions(problem)]
+    forces = [list(map(float, interface.force)) for interface in problem.interfaces]
+    step = LoadStep(number, time, last, parts, forces, supports)
+    problem.committed.history.append(step)
+    problem.committed.walked = number
+    return step
 
 
 def find_overlap(problem: ContactProblem, rtol: float) -> float:
