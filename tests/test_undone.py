@@ -12,6 +12,9 @@ from numpy.testing import assert_allclose
 
 import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem
+from dolfinx_mortar.qp import interior_point, schur
+from dolfinx_mortar.qp.linear import Applied
+from dolfinx_mortar.qp.operator import FreePart
 from dolfinx_mortar.report.energy_ledger import EnergyLedger
 from dolfinx_mortar.steps import newton as newton_module
 from dolfinx_mortar.steps import walk
@@ -203,13 +206,13 @@ class Stopped:
 
     times = (0.02, 0.04, 0.06, 0.08)
 
-    def __init__(self, law=METAL, *, in_time=True):
+    def __init__(self, law=METAL, *, in_time=True, friction=0.2):
         block = tool_case.Block(n=4)
         solid = dm.Solid(block.u, law)
         self.counter = Counter(block.V)
         self.inertia = dm.Inertia(solid, 1e-3, velocity=(0.0, -0.5))
         terms = [self.counter, self.inertia][: 1 + in_time]
-        self.tool = block.tool(dm.shapes.Plane([0.0, 0.02], [0.0, -1.0]), friction=0.2)
+        self.tool = block.tool(dm.shapes.Plane([0.0, 0.02], [0.0, -1.0]), friction=friction)
         self.problem = dm.ContactProblem(solid, [self.tool], bcs=block.bcs(), terms=terms)
 
     def run(self, count):
@@ -225,7 +228,13 @@ class Stopped:
         fields = [problem.u, *problem.state.states_of_terms.values(), *tool.functions]
         fields += [*problem.solid.state.values(), problem.solid.stress]
         found = [f.x.array.copy() for f in fields] + [committed.active, committed.displacement]
-        found += [committed.slid, tool.began.position, tool.dissipation, committed.level]
+        found += [
+            committed.slid,
+            committed.dissipated,
+            tool.began.position,
+            tool.dissipated,
+            committed.level,
+        ]
         found += [len(problem.history), committed.walked]
         found += [] if tool.resultants is None else [tool.force, tool.moment, tool.master_force]
         return [np.array(values) for values in found]
@@ -326,3 +335,41 @@ def test_a_load_step_that_is_stopped_when_it_is_committed():
     now = case.state()
     assert all(np.array_equal(*pair, equal_nan=True) for pair in zip(before, now, strict=True))
     assert problem.solid.max("plastic_strain_norm") > 0.0
+
+
+CALLED_BY_PETSC = {
+    "active-set": [(schur._Product, "apply"), (FreePart, "mult"), (Applied, "apply")],
+    "interior-point": [(interior_point, "check")],
+}
+
+
+@pytest.mark.parametrize("backend", CALLED_BY_PETSC)
+@pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
+def test_what_is_stopped_while_petsc_calls_back(monkeypatch, backend, error):
+    """Ctrl-C is raised as such, a lack of memory is told, and the next step is as without."""
+    friction = 0.2 if backend == "active-set" else None
+    case, same = (Stopped(in_time=False, friction=friction) for _ in range(2))
+    raised = []
+
+    def stopped(method):
+        def call(*args):
+            if not raised:
+                raised.append(error())
+                raise raised[0]
+            return method(*args)
+
+        return call
+
+    for each in (case, same):
+        each.tool.position.value[:] = 0.02, -0.05
+    with monkeypatch.context() as patch:
+        for owner, name in CALLED_BY_PETSC[backend]:
+            patch.setattr(owner, name, stopped(getattr(owner, name)))
+        told = "" if error is KeyboardInterrupt else "MemoryError"
+        with pytest.raises((KeyboardInterrupt, dm.NewtonNotConverged), match=told) as caught:
+            dm.newton(case.problem, qp=backend)
+    assert isinstance(caught.value, KeyboardInterrupt) == (error is KeyboardInterrupt)
+    assert raised and case == same
+    for each in (case, same):
+        dm.newton(each.problem, qp=backend)
+    assert case == same

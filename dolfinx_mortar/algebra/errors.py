@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 
 @contextmanager
@@ -47,6 +48,24 @@ def named(name: str) -> Iterator[None]:
         else:
             error.add_note(f"in {name}")
         raise
+
+
+@contextmanager
+def from_callbacks() -> Iterator[None]:
+    """Run a block; what Python code that PETSc calls raises there is raised as it is.
+
+    PETSc makes an error of its own of it, also of Ctrl-C, and leaves the vectors that it was
+    working on locked: solvers have to be made anew.
+    """
+    try:
+        yield
+    except PETSc.Error as error:
+        cause: BaseException = error
+        while isinstance(cause, PETSc.Error) and cause.__cause__ is not None:
+            cause = cause.__cause__
+        if cause is error:
+            raise
+        raise cause from cause.__cause__
 
 
 def is_ours(thing: object) -> bool:

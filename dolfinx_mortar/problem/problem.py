@@ -20,7 +20,7 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar.agreement import Inputs, check_same_on_all_ranks, find_constants
 from dolfinx_mortar.algebra.congruence import CongruentOperator
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.errors import from_callbacks, raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import TINY, Bools, Floats
 from dolfinx_mortar.audit.audit import Audit, create_audit, find_free_motions
@@ -567,9 +567,11 @@ class ContactProblem:
     def undone(self, before: Before) -> Iterator[None]:
         """Run a block; if it fails or is stopped, perhaps on this rank only, undo the step."""
         try:
-            yield
+            with from_callbacks():
+                yield
         except BaseException:
             self.undo(before)
+            self.linear.abandon()
             raise
 
     def undo(self, before: Before) -> None:

@@ -15,6 +15,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_mortar.algebra.errors import from_callbacks
 from dolfinx_mortar.arrays import LIMIT
 from dolfinx_mortar.qp import condensed, interior_point
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPNotSolved, QPSolution, check
@@ -27,6 +28,7 @@ from dolfinx_mortar.qp.updates import LOOSE, TIGHT, Outcome, update
 EXACT, GIVEN = "exact linearisation", "given limits"
 
 
+@from_callbacks()
 def solve(
     qp: BoundQP,
     linear: LinearSolver,

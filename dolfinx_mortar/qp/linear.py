@@ -283,6 +283,11 @@ class LinearSolver:
             self._drop(kind)
         self.options.grown.pop(OF_AGGREGATES, None)
 
+    def abandon(self) -> None:
+        """Use no matrix of before, as an error may have left it locked; without communication."""
+        self._setups = {}  # freed when PETSc collects its garbage
+        self.options.grown.pop(OF_AGGREGATES, None)
+
     def _drop(self, kind: bool) -> None:
         """Free one of them, and what has its preconditioner; collective."""
         beside = self._setups.get(False)

@@ -122,6 +122,8 @@ def solve(
                 qp, linear, start=first, changes=changes, rtol=rtol, guess=guess
             )
     except FAILURES as error:
+        if not isinstance(error, LinearSolveFailed):
+            linear.abandon()
         raise QPNotSolved(f"The backend {backend!r} stopped{_cause(error, linear)}") from error
     now = linear.counts
     solution = replace(

@@ -28,6 +28,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar import qp as backends
+from dolfinx_mortar.algebra.errors import from_callbacks
 from dolfinx_mortar.algebra.parallel import any_rank, free_unused, maximum, ratio
 from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Actives, Bools, Floats
@@ -175,7 +176,7 @@ def solve_step(
     before, earlier = Before(problem.state, problem.outcome), dict(problem.timings.seconds)
     step: _Step | None = None
     try:
-        with problem.timings("total"):
+        with problem.timings("total"), from_callbacks():
             try:
                 data = problem.begin_step(level, audit=audit)
                 step = _Step(problem, report, data, overlap, linear)
@@ -192,6 +193,7 @@ def solve_step(
                 raise failures.explain(problem, report, error, reached) from error
             except BaseException:  # perhaps of this rank only: no communication
                 problem.undo(before)
+                linear.abandon()
                 raise
     finally:
         report.seconds = problem.timings.since(earlier)
