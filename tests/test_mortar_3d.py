@@ -90,6 +90,56 @@ def test_inclined_flat_interface(partition, sides, cell, degree):
     assert (weight > 0).all()
 
 
+@pytest.mark.mpi
+@CELLS
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("n", [1, 2])
+def test_multipliers_push_wherever_the_master_ends(n, cell, degree):
+    """Row sums of D, the forces of unit pressures, are positive, and add up to the covered area.
+
+    A small master in far corners of facets, where functions of second order are negative.
+    """
+    mesh, _, tags = two_boxes(COMM, (n, n, 1), (2, 2, 1), cell=cell, gap=0.5)
+    V = space(mesh, degree)
+    u, rng = fem.Function(V), np.random.default_rng(7)
+    for _ in range(50):
+        size = rng.uniform(0.1, 0.6, 2)
+        corner = rng.uniform(0.0, 1.0 - size)
+
+        def move(x, corner=corner, size=size):
+            way = corner[:, None] + (size - 1.0)[:, None] * x[:2]
+            return np.where(x[2] > 0.25, np.vstack([way, np.zeros_like(x[2])]), 0.0)
+
+        u.interpolate(move)
+        mortar = assemble_mortar(V, tags, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER, u=u)
+        force = (mortar.D * field(mortar.D, np.ones(len(owned_coordinates(V)) * 3))).array[::3]
+        assert (force > 0).all()
+        assert COMM.allreduce(force.sum()) == pytest.approx(size.prod(), abs=EXACT)
+
+
+@pytest.mark.parametrize("friction", [None, 0.2], ids=["pull", "push"])
+def test_what_nothing_holds_leaves(friction):
+    """A block in far corners of slave facets: pulled up, or pushed by 5 % more than mu N."""
+    mesh, _, tags = two_boxes(
+        MPI.COMM_SELF, (2, 2, 1), (2, 2, 1), cell="hexahedron", upper=(0.25, 0.75, 0.25, 0.75)
+    )
+    V = space(mesh, 2)
+    solid, top = dm.Solid(fem.Function(V), dm.Elastic(E=210e3, nu=0.0)), tags.find(TOP)
+    bcs = [fem.dirichletbc(np.zeros(3), fem.locate_dofs_topological(V, 2, tags.find(BOTTOM)), V)]
+    if friction is None:
+        guides = ((V.sub(i), fem.locate_dofs_topological(V.sub(i), 2, top)) for i in (0, 1))
+        bcs += [fem.dirichletbc(0.0, dofs, part) for part, dofs in guides]
+    t = fem.Constant(mesh, np.array([0.0, 0.0, -100.0]))
+    loads = ufl.inner(t, ufl.TestFunction(V)) * ufl.Measure("ds", mesh, subdomain_data=tags)(TOP)
+    contact = dm.Contact(tags, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER, friction=friction)
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs, loads=loads)
+    dm.newton(problem)
+    assert contact.force[2] == pytest.approx(-25.0, rel=1e-5)
+    t.value[:] = (0.0, 0.0, 20.0) if friction is None else (21.0, 0.0, -100.0)
+    with pytest.raises(dm.NewtonNotConverged):
+        dm.newton(problem)
+
+
 def curved(x):
     """Bend both bodies, the upper one away from the lower."""
     z = x[:, 2] + 0.2 * x[:, 0] ** 2 - 0.15 * x[:, 1] ** 2 + 0.1 * x[:, 0] * x[:, 1]

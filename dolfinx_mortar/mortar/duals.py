@@ -42,13 +42,14 @@ facets across the contact radius, differ from Hertz' by 1.0 % (rms over the inne
 radius), with 1/5 by 0.7 %; forces are the same to 5e-4.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numba
 import numpy as np
 
 from dolfinx.common import timed
+from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import (
     HALF_OF_DIGITS,
     QUARTER_OF_DIGITS,
@@ -61,7 +62,14 @@ from dolfinx_mortar.arrays import (
 from dolfinx_mortar.geometry.facets import facet_sizes
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
-from dolfinx_mortar.mortar.integrals import SUMS, Integrated, add, covered_weights, product
+from dolfinx_mortar.mortar.integrals import (
+    SUMS,
+    Integrated,
+    add,
+    covered_weights,
+    integrate_values,
+    product,
+)
 from dolfinx_mortar.mortar.surface import accumulate, sum_at_nodes
 
 LEAST_COVERAGE = 0.05
@@ -376,6 +384,40 @@ def default_keep(
     best = _best_nodes(coverage[facets], pairing.slave.X[facets])
     rescued = np.bincount(facets[np.arange(len(facets)), best], minlength=len(covered))
     return keep | (accumulate(pairing.slave, rescued) > 0)
+
+
+def choose_duals(
+    pairing: Integrated,
+    segments: Segments,
+    weights: tuple[Floats, Floats],
+    allowed: Bools,
+    stays: Bools | None,
+    N_s: Floats,
+    opened: Callable[[Floats, Bools], Floats] | None = None,
+) -> tuple[Bools, Floats]:
+    """Return the slave nodes (n,) that carry a multiplier, and w Phi_j (q, k) (collective).
+
+    Of those of `default_keep` the ones whose multipliers push: int Phi_j, the force of a unit
+    pressure and the row sum of D, contains what nodes without multiplier share out, and may be
+    negative where D_jj is positive, as that of a second-order vertex whose facets are covered in
+    their far corners. Such nodes may carry none, and the choice is made anew.
+
+    Args:
+        weights: Covered and whole weights of `node_weights`.
+        allowed: Nodes (n,) that may be kept.
+        stays: Nodes (n,) that are kept down to less; none if not given.
+        N_s: Values (q, k) of the slave shape functions.
+        opened: Returns w Phi_j for the nodes kept from those of `weighted_duals`; see `open_duals`.
+    """
+    while True:  # each time with fewer nodes
+        keep = default_keep(pairing, segments, *weights, allowed, stays, N_s)
+        Phi = weighted_duals(pairing, segments, keep, N_s)
+        Phi = Phi if opened is None else opened(Phi, keep)
+        force = integrate_values(pairing, segments, Phi, np.ones(len(Phi)))
+        pulls = keep & (force <= LEAST_COVERAGE * weights[0])
+        if not any_rank(pairing.slave.V.mesh.comm, pulls.any())[0]:
+            return keep, Phi
+        allowed = allowed & ~pulls
 
 
 def _best_nodes(coverage: Floats, X: Floats) -> Ints:

@@ -22,7 +22,7 @@ from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide, point_heights, point_motions
 from dolfinx_mortar.mortar.duals import (
     Coverage,
-    default_keep,
+    choose_duals,
     find_coverage,
     node_weights,
     weighted_duals,
@@ -83,7 +83,15 @@ def create_operators(
     """
     comm, own = pairing.slave.V.mesh.comm, slice(None, pairing.slave.owned)
     N_s = pairing.slave.element.shape_functions(segments.xi_s)
-    covered, tributary = node_weights(pairing, segments, N_s=N_s)
+    weights = node_weights(pairing, segments, N_s=N_s)
+    claimed = np.zeros(len(allowed), dtype=bool) if claimed is None else claimed
+
+    def opened(Phi: Floats, keep: Bools) -> Floats:
+        if edges is None:
+            return Phi
+        sharing = find_sharing(pairing, segments, u, keep, edges, claimed)
+        return open_duals(pairing, segments, Phi, keep, sharing)
+
     # choices that keep the same nodes share one integration
     differ = any_rank(comm, *(allowed != allowed[:, :1]).any(axis=0))
     choices = [c if differ[c] else 0 for c in range(allowed.shape[1])]
@@ -91,12 +99,8 @@ def create_operators(
     matrices: dict[int, tuple[Floats, Floats]] = {}
     for c in sorted(set(choices)):
         stays = None if returned is None else returned[:, c]
-        keep = default_keep(pairing, segments, covered, tributary, allowed[:, c], stays, N_s)
-        Phi[c] = weighted_duals(pairing, segments, keep, N_s)
-        if edges is not None:
-            others = np.zeros_like(keep) if claimed is None else claimed
-            sharing = find_sharing(pairing, segments, u, keep, edges, others)
-            Phi[c] = open_duals(pairing, segments, Phi[c], keep, sharing)
+        given = pairing, segments, weights, allowed[:, c], stays, N_s
+        keep, Phi[c] = choose_duals(*given, opened)
         matrices[c] = integrate_matrices(pairing, segments, keep, Phi[c], N_s)
     entries_D, entries_M = (np.column_stack([matrices[c][i] for c in choices]) for i in (0, 1))
     weight = np.zeros((pairing.slave.owned, len(choices)))
@@ -122,7 +126,7 @@ def create_operators(
         weight=weight,
         P=P,
         heights=heights,
-        coverage=find_coverage(pairing, segments, covered, tributary),
+        coverage=find_coverage(pairing, segments, *weights),
         motions=motions,
     )
 

@@ -19,10 +19,9 @@ from dolfinx_mortar.geometry.facets import points_of, scaled_normals, tributary_
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.duals import (
     Coverage,
-    default_keep,
+    choose_duals,
     find_coverage,
     node_weights,
-    weighted_duals,
 )
 from dolfinx_mortar.mortar.integrals import sums_of_products
 from dolfinx_mortar.mortar.operators import in_D, inverse, mean_values
@@ -131,9 +130,8 @@ def integrate_side(
     slave, own = side.slave, slice(None, side.slave.owned)
     segments, points = whole_facets(side, x, facing)
     N = slave.element.shape_functions(segments.xi_s)
-    covered, tributary = node_weights(side, segments, N_s=N)
-    keep = default_keep(side, segments, covered, tributary, allowed, returned, N)
-    Phi = weighted_duals(side, segments, keep, N)
+    weights = node_weights(side, segments, N_s=N)
+    keep, Phi = choose_duals(side, segments, weights, allowed, returned, N)
     blocks = sums_of_products(Phi, N, segments.slave, len(slave.facets))
     among = keep[slave.facets]
     blocks[(among[:, :, None] & among[:, None]) & ~in_D(slave.element)] = 0.0
@@ -149,7 +147,7 @@ def integrate_side(
         kept=keep[own, None] & (weight > 0.0),
         weight=weight,
         P=-entries[side.off_diagonal, None] * inverse(weight)[side.row],
-        coverage=find_coverage(side, segments, covered, tributary),
+        coverage=find_coverage(side, segments, *weights),
     )
 
 
