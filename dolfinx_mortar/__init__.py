@@ -42,6 +42,7 @@ from dolfinx_mortar.steps.preload import Preload, PreloadNotReached, preload
 from dolfinx_mortar.steps.time_steps import time_steps
 from dolfinx_mortar.tags import Tags
 from dolfinx_mortar.terms.inertia import Damping, Inertia
+from dolfinx_mortar.terms.point_terms import PointForce, PointSpring
 from dolfinx_mortar.terms.pressure import Pressure
 from dolfinx_mortar.terms.weak_forms import WeakForm
 
@@ -66,6 +67,8 @@ __all__ = [
     "Orthotropic",
     "Pair",
     "Pairs",
+    "PointForce",
+    "PointSpring",
     "Preload",
     "PreloadNotReached",
     "Pressure",

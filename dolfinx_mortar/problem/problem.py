@@ -695,7 +695,7 @@ def _create_terms(
     solid: Solid, loads: ufl.Form | None, potential: ufl.Form | None, terms: Sequence[Term]
 ) -> Terms:
     """Return the sum over the bodies, dead loads, the potential and the user's terms."""
-    own = check_terms(solid.V.mesh.comm, terms, solid.V)
+    own = check_terms(solid.V.mesh.comm, terms, solid.u)
     named: list[tuple[str, Term]] = []
     if loads is not None:
         named.append(("loads", DeadLoads(solid, loads)))

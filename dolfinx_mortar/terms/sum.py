@@ -20,6 +20,7 @@ from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Floats
 from dolfinx_mortar.solid.mean_volume import VolumeStep
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term
+from dolfinx_mortar.terms.point_terms import PointTerm
 from dolfinx_mortar.terms.weak_forms import DeadLoads
 
 R = TypeVar("R")
@@ -341,8 +342,8 @@ def _dofs(name: str, dofs: object, n: int) -> np.ndarray:
     return given.astype(PETSc.IntType)
 
 
-def check_terms(comm: MPI.Comm, terms: Any, V: fem.FunctionSpace) -> list[Term]:
-    """Return terms as a list if they can take part; collective.
+def check_terms(comm: MPI.Comm, terms: Any, u: fem.Function) -> list[Term]:
+    """Return terms as a list if they can take part at the displacement u; collective.
 
     Raises:
         ValueError: on all ranks, naming what is missing.
@@ -358,7 +359,9 @@ def check_terms(comm: MPI.Comm, terms: Any, V: fem.FunctionSpace) -> list[Term]:
             if any(term is other for other in terms[:k]):
                 raise ValueError(f"terms holds the same object {term!r} twice: give it once")
             _check_signatures(k, term)
-            _check_state(k, term, V)
+            _check_state(k, term, u.function_space)
+            if isinstance(term, PointTerm):
+                term.act_on(u)
     return list(terms)
 
 
