@@ -292,8 +292,8 @@ def _check_facets(model: Any, bodies: list[Group], sides: list[Group], path: str
         found = model.mesh.getElementEdgeNodes(kind, primary=True)
     else:
         found = model.mesh.getElementFaceNodes(kind, k, primary=True)
-    facets = np.asarray(found, dtype=np.int64).reshape(-1, k)
-    facets = facets[np.isin(facets, np.concatenate([part.ravel() for part in parts])).all(axis=1)]
+    every = np.asarray(found, dtype=np.int64).reshape(-1, k)
+    facets = every[np.isin(every, np.concatenate([part.ravel() for part in parts])).all(axis=1)]
     for g in sides:
         off = sum(int((~_are_in(nodes[:, :k], facets)).sum()) for nodes in g.nodes)
         if off:
