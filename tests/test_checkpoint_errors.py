@@ -19,6 +19,8 @@ from dolfinx_mortar import disk
 from dolfinx_mortar.checkpoint import writing
 from dolfinx_mortar.checkpoint.seal import HEAD, seal
 from dolfinx_mortar.persistence.identity import describe, differences, material_numbers
+from dolfinx_mortar.shapes import Cylinder
+from tests import tool_case
 from tests.checkpoint_program import STEEL, Press
 from tests.pressed_blocks import rejected
 
@@ -144,6 +146,47 @@ def test_another_format(press, good, folder, number):
 )
 def test_another_problem(good, options, words):
     refused(Press(**options), good, "a checkpoint of another problem", *words)
+
+
+def with_tool(shape, **options):
+    """Return a problem with a tool of a shape, and a rigid side with a point."""
+    block = tool_case.Block(n=3)
+    point = options.pop("point", [0.0, -10.0])
+    base = dm.RigidSide(block.facets, tool_case.BASE, reference=point)
+    tool = block.tool(shape, friction=0.3, **options)
+    return dm.ContactProblem(dm.Solid(block.u, tool_case.ELASTIC), [base, tool])
+
+
+def disc(radius, at=8.0):
+    """Return a disc that touches the origin from above, as a function, with a point on the axis."""
+    return dm.shapes.SignedDistance(
+        lambda x: np.hypot(x[0], x[1] - radius) - radius, [0.0, at], length=radius
+    )
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("shape", "options", "word"),
+    [
+        (disc(8.0), {}, ""),
+        (disc(9.0, at=8.0), {}, "distances"),
+        (disc(8.0, at=9.0), {}, "reference"),
+        (disc(8.0), {"point": [5.0, -10.0]}, "reference"),
+        (Cylinder([0.0, 8.0], 8.0), {}, ""),
+        (Cylinder([0.0, 8.0], 7.0), {}, "distances"),
+        (Cylinder([0.0, 8.0], 8.0), {"reference": [0.0, 0.0]}, "reference"),
+    ],
+)
+def test_another_tool(folder, shape, options, word):
+    """Its shape and its point belong to the slips, forces and positions of a checkpoint."""
+    first = type(shape)([0.0, 8.0], 8.0) if isinstance(shape, Cylinder) else disc(8.0)
+    with_tool(first).save(folder / "tool.h5")
+    problem = with_tool(shape, **options)
+    if word:
+        with rejected("a checkpoint of another problem: interfaces[", f"{word} is off by up to "):
+            problem.restore(folder / "tool.h5")
+    else:
+        problem.restore(folder / "tool.h5")
 
 
 @pytest.mark.mpi

@@ -168,6 +168,11 @@ class Interface(ABC):
         """Return what all ranks have to give the same, by name; see `agreement`."""
         return {"facet_tags": self.facet_tags, "slave": self.slave}
 
+    @property
+    def identity(self) -> Mapping[str, Any]:
+        """What results belong to, by name, of what JSON can hold: a checkpoint is refused else."""
+        return {}
+
     def check(self, V: fem.FunctionSpace) -> None:
         """Raise a ValueError unless a problem with the displacement's space can take it."""
 

@@ -151,6 +151,7 @@ class Obstacle(Movable, Unilateral):
         self.load = load or {}
         self.law = create_law(friction, tresca)
         self.began = self.tool.pose()
+        self._probes = np.zeros((0, facet_tags.topology.dim))  # points of the box of the side
 
     @property
     def sides(self) -> str:
@@ -172,7 +173,24 @@ class Obstacle(Movable, Unilateral):
         """Return what all ranks have to give the same, by name; see `agreement`."""
         names = "shape", "point", "position", "rotation", "load"
         given = super().given() | {name: getattr(self.tool, name) for name in names}
-        return given | {"surface": self.meant}
+        return given | {"surface": self.meant, "distances": self._probed()}
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """The point, and distances from the shape where it starts."""
+        return super().identity | {"distances": self._probed()}
+
+    def _probed(self) -> list[float] | str:
+        """Return distances from the shape, which tell functions from others, or how they fail.
+
+        Before them the largest coordinate, of whose round-off they are.
+        """
+        try:
+            found = [*map(float, self.shape.values(self._probes))]
+        except Exception as error:  # which steps will raise where it is of consequence
+            return type(error).__name__
+        size = float(np.abs(self._probes).max(initial=0.0))
+        return [size, *found] if np.isfinite(found).all() else "NaN or infinity"
 
     def check_kinematics(self, d: int, revolved: bool, strain: str) -> None:
         """Raise a ValueError for shapes that are none in d dimensions, or not of revolution."""
@@ -182,6 +200,13 @@ class Obstacle(Movable, Unilateral):
         """Belong to a problem from now on; slips count from where the tool is now; collective."""
         super().take(owner, V)
         self.began = self.tool.pose()
+        facets, d = self.facet_tags.find(self.slave), V.mesh.geometry.dim
+        dofs = fem.locate_dofs_topological(V, self.facet_tags.dim, facets)
+        X = V.tabulate_dof_coordinates()[dofs, :d]
+        ends = maximum(V.mesh.comm, *np.hstack([-X, X]).max(axis=0, initial=-np.inf))
+        low, high = -ends[:d], ends[d:]
+        axes = np.stack([low, (low + high) / 2.0, high], axis=1)
+        self._probes = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, d)
 
     # -- state -----------------------------------------------------------------------------------
 

@@ -261,6 +261,11 @@ class Movable(ABC):
         return self.rigid.point
 
     @property
+    def identity(self) -> dict[str, Any]:
+        """The point, by which position and rotation say where it is."""
+        return {"reference": self.reference.tolist()}
+
+    @property
     def position(self) -> fem.Constant:
         """Position of its point (d,); set its value."""
         return self.rigid.position

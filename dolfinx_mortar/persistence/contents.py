@@ -16,6 +16,7 @@ import numpy as np
 from dolfinx_mortar.arguments import as_numbers, is_integer
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.persistence.committed import ProblemState
+from dolfinx_mortar.persistence.identity import subject_of
 
 NODES, POINTS = "nodes", "points"
 SLIPS = ("slid", "dissipated")
@@ -96,8 +97,9 @@ def check_about(state: ProblemState, about: Mapping[str, Any], present: Mapping[
         about: what a checkpoint says beside its tables.
         present: what `identity.describe` returns, which is that of the checkpoint where it has it.
     """
-    terms = {name for name, _ in state.terms}  # of which files of before say nothing
-    if missing := present.keys() - about["problem"].keys() - terms:
+    newer = {name for name, _ in state.terms}  # of which files of before say nothing
+    newer |= {subject_of(k, interface) for k, interface in enumerate(state.interfaces)}
+    if missing := present.keys() - about["problem"].keys() - newer:
         raise ValueError(f"problem lacks {', '.join(sorted(missing))}")
     if not isinstance(about["begun"], bool):
         raise ValueError(f"begun is {about['begun']!r}: need true or false")

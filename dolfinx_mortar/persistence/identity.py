@@ -13,7 +13,9 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_mortar import compat
-from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.arguments import as_numbers
+from dolfinx_mortar.arrays import SAME, Floats, Ints
+from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.materials.ranges import named_parameters
 from dolfinx_mortar.persistence.committed import ProblemState
 from dolfinx_mortar.solid.solid import Solid
@@ -62,7 +64,14 @@ def describe(state: ProblemState) -> dict[str, dict[str, Any]]:
         f"material {k}, {type(material).__name__}": _describe_material(material) | {"cells": count}
         for k, ((material, _), count) in enumerate(zip(parts, counts, strict=True))
     }
-    return identity | {name: dict(term.identity) for name, term in state.terms if term.identity}
+    named: list[tuple[str, Any]] = [*state.terms]
+    named += [(subject_of(k, interface), interface) for k, interface in enumerate(state.interfaces)]
+    return identity | {name: dict(part.identity) for name, part in named if part.identity}
+
+
+def subject_of(k: int, interface: Interface) -> str:
+    """Return how differences of an interface are named."""
+    return f"interfaces[{k}], {interface!r}"
 
 
 def _parts(solid: Solid) -> list[tuple[Any, Ints]]:
@@ -96,10 +105,19 @@ def differences(saved: Identity, present: Identity) -> list[str]:
         present: the same for this one.
     """
     return [
-        f"{subject}: {name} is {new.get(name, 'missing')!r}, in the checkpoint "
-        f"{saved[subject].get(name, 'missing')!r}"
+        f"{subject}: {name} {told}"
         for subject, new in present.items()
         if subject in saved
         for name in {**saved[subject], **new}
-        if saved[subject].get(name) != new.get(name)
+        if (told := _difference(saved[subject].get(name, "missing"), new.get(name, "missing")))
     ]
+
+
+def _difference(before: Any, now: Any) -> str:
+    """Say how a value differs from that of a checkpoint; lists of numbers beyond round-off."""
+    a, b = as_numbers(before), as_numbers(now)
+    if isinstance(now, list) and a is not None and b is not None and a.shape == b.shape:
+        off = float(np.abs(a - b).max(initial=0.0))
+        same = off <= SAME * np.abs(b).max(initial=0.0)
+        return "" if same else f"is off by up to {off:.3g} from the checkpoint"
+    return "" if before == now else f"is {now!r}, in the checkpoint {before!r}"
