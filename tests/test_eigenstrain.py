@@ -11,6 +11,7 @@ import ufl
 from dolfinx import fem, mesh
 from tests.choice import quick
 from tests.meshes import BOTTOM_OF_UPPER, LOWER, TOP_OF_LOWER, UPPER
+from tests.pointwise_laws import Radial
 from tests.pressed_blocks import rejected
 from tests.rings import held_ends, shrink_fit_pressure, tubes
 
@@ -201,6 +202,52 @@ def test_plastic_bodies_see_it_as_they_see_strain():
         stresses.append(solid.stress.x.array.copy())
     assert largest(states[0]) > 1e-4
     assert largest(states[0] - states[1]) < 1e-16 and largest(stresses[0] - stresses[1]) < 1e-12
+
+
+PERFECT = dm.VonMises(E, NU, Y=E * 1e-3, a=0.0)  # flows from strains of 1e-3 on
+BEYOND = [6e-3, -3e-3, 6e-3]
+SWELLING = {
+    "plate": (2, PERFECT, [5e-3] * 3, {"kinematics": "plane_stress"}),
+    "ring": (2, PERFECT, BEYOND, {"kinematics": "axisymmetric"}),
+    "space": (3, PERFECT, BEYOND, {}),
+    "arrays": (3, Radial(E, NU, E * 1e-3, 0.0), BEYOND, {}),
+    "mean dilatation": (3, PERFECT, BEYOND, {"volumetric": "reduced"}),
+}
+
+
+@pytest.mark.parametrize("name", quick(SWELLING, "plate", "mean dilatation"))
+@pytest.mark.parametrize("before", ["virgin", "flowed", "elsewhere"])
+def test_what_does_not_harden_may_swell_beyond_yield(name, before):
+    """In one step, also after flow in tension, and with a start beyond yield.
+
+    The tangent is singular where all flows: a step begins with that of the committed state.
+    """
+    d, law, strain, options = SWELLING[name]
+    cell = mesh.CellType.quadrilateral if d == 2 else mesh.CellType.hexahedron
+    kind = mesh.create_unit_square if d == 2 else mesh.create_unit_cube
+    domain = kind(COMM, *d * [2], cell)
+    V = fem.functionspace(domain, ("Lagrange", 1, (d,)))
+    u, swollen, end = fem.Function(V), fem.Function(V), fem.Constant(domain, 0.0)
+    swollen.interpolate(lambda x: np.diag(strain[:d]) @ x[:d])
+    heat = fem.Constant(domain, np.zeros((3, 3)))
+    solid, bcs = dm.Solid(u, law, eigenstrain=heat, **options), rollers(V, range(d))
+    if before == "flowed":
+        (top,) = rollers(V, [d - 1], ends=(1.0,))
+        bcs.append(fem.dirichletbc(end, top.dof_indices()[0], V.sub(d - 1)))
+    problem = dm.ContactProblem(solid, bcs=bcs, petsc_options={"pc_type": "cholesky"})
+    if before == "flowed":
+        end.value = 3e-3
+        dm.newton(problem, rtol=1e-12)
+        problem.commit()
+        assert solid.max("plastic_strain_norm") > 1e-3
+    expected, stress = u.x.array + swollen.x.array, solid.stress.x.array.copy()
+    if before == "elsewhere":
+        u.x.array[:] = 7.0 * swollen.x.array
+    heat.value, end.value = np.diag(strain), end.value + strain[d - 1]
+    report = dm.newton(problem, rtol=1e-12)
+    assert report.newton_iterations == 1
+    assert largest(u.x.array - expected) < 1e-14
+    assert largest(solid.stress.x.array - stress) < 1e-11 * E
 
 
 @pytest.mark.parametrize("slave", [TOP_OF_LOWER, BOTTOM_OF_UPPER])

@@ -43,6 +43,7 @@ class Balance:
     external: float  # largest norm of the forces of a term, of dead loads for one
     limits: SlipLimits | None = None  # of friction
     pretensions: tuple[tuple[Pretension, float], ...] = ()  # of ties, and their forces
+    from_committed: bool = False  # whether forces of bodies are linearised about that state
 
     @property
     def nodes(self) -> Ints:
@@ -65,7 +66,9 @@ class Linearisation:
     geometry: GeometryTangent | None = None  # where the motion of the surfaces is linearised
 
 
-def find_balance(problem: ContactProblem, data: StepData, overlap: float = 0.0) -> Balance:
+def find_balance(
+    problem: ContactProblem, data: StepData, overlap: float = 0.0, *, from_committed: bool = False
+) -> Balance:
     """Assemble the forces and constraints at the present u; collective.
 
     Args:
@@ -73,10 +76,11 @@ def find_balance(problem: ContactProblem, data: StepData, overlap: float = 0.0) 
         data: loads and prescribed values of the step.
         overlap: depth by which the sides may still overlap (initial overlaps are resolved in
             parts).
+        from_committed: linearise forces of bodies about the committed state.
     """
     with problem.timings("assembly"):
         r = problem.vector()
-        external = problem.terms.assemble_forces(r)
+        external = problem.terms.assemble_forces(r, from_committed=from_committed)
         elements = problem.solid.element_force_norm()
         r.scale(-1.0)
     with problem.timings("transform"):
@@ -95,7 +99,8 @@ def find_balance(problem: ContactProblem, data: StepData, overlap: float = 0.0) 
         bounds = replace(bounds, upper=bounds.upper + overlap)
     supported = join([asked, equal])
     forces = elements, external
-    return Balance(r, reduced, supported, bounds, *forces, limits, problem.pretensions)
+    parts = r, reduced, supported, bounds, *forces, limits, problem.pretensions
+    return Balance(*parts, from_committed)
 
 
 def _present_limits(
@@ -147,7 +152,8 @@ def linearise(
     spoilt = direct and T is None  # by the elimination, then in K itself
     if tangent or spoilt or not problem.K.isAssembled():
         with problem.timings("assembly"):
-            problem.terms.assemble_tangent(problem.K, pressure)
+            first = balance.from_committed
+            problem.terms.assemble_tangent(problem.K, pressure, from_committed=first)
             if shift > 0.0:
                 problem.solid.add_elastic(problem.K, shift)
     change = None if T is None else T.change

@@ -80,6 +80,7 @@ class Saved:
         for name, field in state.solid.lasting_fields().items():
             same = name.replace("shown/", "committed/")
             set_owned(field, shown[name] if name in shown else shown[same])
+        state.solid.forget_data()
         slips = Slips(*np.zeros((2, *committed.slid.shape)))
         for k, resultants in enumerate(self.about["interfaces"]):
             _take(state, k, slips, resultants, self.tables.get(name_of(k), {}))

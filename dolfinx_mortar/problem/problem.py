@@ -336,6 +336,7 @@ class ContactProblem:
         start = self.committed.level
         with self.timings("assembly"):
             self.terms.begin(start, start if level is None else level)
+            flows = self.solid.flows_at_start()
         check_targets(self.solid, target)
         jumps = read_jumps(self.system, self.vector())
         asked = self.supports.increment(target, self.u.x.array)
@@ -343,7 +344,7 @@ class ContactProblem:
         largest = max(largest, self.terms.stride())
         last = self.ended_here() or self.committed
         contacts = last.active, last.sliding
-        return StepData(target, asked, largest, jumps, contacts, limits)
+        return StepData(target, asked, largest, jumps, contacts, limits, flows=flows)
 
     def _mean(self, asked: Floats) -> Floats:
         """Return the displacement (n,) of bodies moved by their mean increments; collective."""

@@ -26,3 +26,5 @@ class StepData:
     # which slips are measured, None for the present ones
     limits: Sequence[Floats | None] = ()
     partners: Sequence[Partners | None] = ()
+    # whether what has changed makes bodies flow, so that the committed state is linearised
+    flows: bool = False

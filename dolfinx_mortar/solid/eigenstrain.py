@@ -79,9 +79,12 @@ class Eigenstrain(Followed):
     @property
     def tensor(self) -> Expr:
         """The eigenstrain as a 3x3 tensor in UFL."""
-        if not self.function.ufl_shape:
-            return self.function * ufl.Identity(3)
-        return from_components(self.function)
+        return self.tensor_of(self.function)
+
+    @staticmethod
+    def tensor_of(function: fem.Function) -> Expr:
+        """Return the 3x3 tensor of a Function such as `function`."""
+        return from_components(function) if function.ufl_shape else function * ufl.Identity(3)
 
     def judge(self) -> None:
         """Raise a ValueError if it is NaN, infinite, not symmetric, or shears out of the plane."""

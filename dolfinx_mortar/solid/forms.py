@@ -20,7 +20,9 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.protocol import Law
 from dolfinx_mortar.materials.response import Response, elastic_response, respond
 from dolfinx_mortar.materials.tensor import GRADIENT
+from dolfinx_mortar.solid.committed_data import CommittedData
 from dolfinx_mortar.solid.dilatation import MeanDilatation
+from dolfinx_mortar.solid.eigenstrain import Eigenstrain
 from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.laws import Region, measures
 from dolfinx_mortar.solid.mean_volume import MeanVolume
@@ -74,6 +76,7 @@ class Forms:
     )  # what tangent, elastic_norm and energy leave out
     evaluations: Sequence[Source]  # of stress and new internal variables at the points
     found: Mapping[Law, PointValuesOfRegion]  # at the points before each assembly
+    committed: CommittedData  # what the stress of the committed state rests on
 
 
 def create_responses(
@@ -121,6 +124,7 @@ def create_forms(
     *,
     points: tuple[Sequence[Source], Mapping[Law, PointValuesOfRegion]],
     dilatation: MeanDilatation | MeanVolume | None = None,
+    committed: CommittedData,
 ) -> Forms:
     """Compile all forms that a Newton step needs; collective.
 
@@ -168,6 +172,7 @@ def create_forms(
         dilatation=dilatation,
         evaluations=points[0],
         found=points[1],
+        committed=committed,
     )
 
 
@@ -188,6 +193,31 @@ def create_elastic(
         stress = elastic_response(region.law, of_w, region.symbols)
         terms.append(weight * ufl.inner(stress, of_v) * dx)
     return MatrixForm(fem.form(reduce(add, terms))), factor
+
+
+def create_change(
+    u: fem.Function,
+    regions: Sequence[Region],
+    responses: Sequence[Response],
+    kinematics: Kinematics,
+    degree: int,
+    eigenstrain: Eigenstrain | None,
+) -> tuple[fem.Form, list[fem.Function]]:
+    """Return int C : (eps(w) - e) : eps(v), C the tangent, and the Functions w and e; collective.
+
+    For a strain that is linear in u.
+    """
+    V = u.function_space
+    weight = ufl.as_ufl(kinematics.weight(ufl.SpatialCoordinate(V.mesh)))
+    changes, v = [fem.Function(V)], ufl.TestFunction(V)
+    strain, virtual = kinematics.virtual(u, changes[0]), kinematics.virtual(u, v)
+    if eigenstrain is not None:
+        changes.append(eigenstrain.function.copy())
+        strain -= eigenstrain.tensor_of(changes[1])
+    terms = []
+    for response, dx in zip(responses, measures(V, regions, degree), strict=True):
+        terms.append(weight * ufl.inner(response.change(strain), virtual) * dx)
+    return fem.form(reduce(add, terms)), changes
 
 
 def create_moduli(

@@ -12,7 +12,7 @@ is assembled or evaluated next.
 
 import math
 from collections.abc import Mapping
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 from mpi4py import MPI
@@ -26,15 +26,23 @@ from dolfinx.fem import petsc as fem_petsc
 from dolfinx.mesh import CellType, Mesh, MeshTags
 from dolfinx_mortar.agreement import Inputs, check_same_on_all_ranks, find_constants
 from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import is_integer
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.materials.plane_stress import with_normal_stretch
+from dolfinx_mortar.solid.committed_data import CommittedData
 from dolfinx_mortar.solid.dilatation import MeanDilatation
 from dolfinx_mortar.solid.eigenstrain import create_eigenstrain
 from dolfinx_mortar.solid.energies import DISSIPATED, STORED, Energies, EnergyDensities
 from dolfinx_mortar.solid.finite_strain import Volumes, as_cauchy, check_finite
-from dolfinx_mortar.solid.forms import create_elastic, create_forms, create_moduli, create_responses
+from dolfinx_mortar.solid.forms import (
+    create_change,
+    create_elastic,
+    create_forms,
+    create_moduli,
+    create_responses,
+)
 from dolfinx_mortar.solid.gradients import PointGradients
 from dolfinx_mortar.solid.kinematics import Kinematics, check_radius, choose_kinematics
 from dolfinx_mortar.solid.laws import create_regions
@@ -205,8 +213,13 @@ class Solid(Term):
             evaluations.append(self.volumes.source)
         laws = self.regions, responses
         points = evaluations, found
+        parameters = [region.parameters for region in self.regions]
+        change = partial(create_change, u, *laws, self.kinematics, degree, self.eigenstrain)
         self._forms = create_forms(
-            u, *laws, self.kinematics, degree, points=points, dilatation=dilatation
+            *(u, *laws, self.kinematics, degree),
+            points=points,
+            dilatation=dilatation,
+            committed=CommittedData(u, self.eigenstrain, parameters, change),
         )
 
     @property
@@ -340,6 +353,45 @@ class Solid(Term):
             dilatation.follow()
             dilatation.add_tangent(K)
 
+    def flows_at_start(self) -> bool:
+        """Tell whether what has changed since the last commit makes bodies flow; collective.
+
+        Then a step begins with `add_first_forces` and `add_first_tangent`. False at finite strain,
+        where a tangent that is singular is shifted, see `newton`.
+        """
+        if not self.gradients.small or not self._staged:
+            return False
+        self.follow()
+        if not any_rank(self.mesh.comm, self._forms.committed.differ())[0]:
+            return False
+        kept = self.keep()
+        try:
+            self.evaluate()
+            return bool(any_rank(self.mesh.comm, self.flowing().any())[0])
+        finally:
+            self.put_back(kept)
+
+    def add_first_forces(self, F: PETSc.Vec) -> None:
+        """Add forces linearised about the committed state to the owned part of F; collective.
+
+        Those that `add_forces` would give if no point had flowed since, see `committed_data`.
+        """
+        self.follow()
+        change, dilatation = self._forms.committed.change(), self._forms.dilatation
+        linear = [] if dilatation is None else [dilatation.mean_stress.x.array]
+        mean_stress = [values.copy() for values in linear]
+        with self._forms.committed.put():
+            self.follow()
+            for values, now in zip(linear, mean_stress, strict=True):
+                values[:] = now
+            for form in (self._forms.residual, change):
+                F.array_w[:] += assemble(form, self._forms.force)[: F.local_size]
+
+    def add_first_tangent(self, K: PETSc.Mat) -> None:
+        """Add the tangent of the committed state to K, see `add_tangent`; collective."""
+        with self._forms.committed.put():
+            self.add_tangent(K)
+
     def volume_step(self, du: fem.Function) -> VolumeStep | None:
         """Return volumes and pressures along a step, None unless mean; collective."""
         dilatation = self._forms.dilatation
@@ -447,6 +499,7 @@ class Solid(Term):
         if self._forms.dilatation is not None:
             self._forms.dilatation.follow()
         fill_point_values(self.mesh.comm, self._forms.found)
+        self._forms.committed.complete()
 
     def commit(self) -> None:
         """Make the internal variables of the last `evaluate` the committed ones.
@@ -455,6 +508,11 @@ class Solid(Term):
         """
         for name, staged in self._staged.items():
             self._committed[name].x.array[:] = staged.x.array
+        self._forms.committed.keep()
+
+    def forget_data(self) -> None:
+        """Take what is followed next for the data of the committed state, which was restored."""
+        self._forms.committed.forget()
 
     def lasting_fields(self) -> dict[str, fem.Function]:
         """Return the fields at integration points that are kept from step to step, by name.

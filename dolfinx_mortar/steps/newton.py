@@ -335,10 +335,10 @@ class _Step:
 
     def first(self) -> tuple[Iterate, Actives]:
         """Return the initial iterate, and the initial active set of its QP."""
-        problem = self.problem
-        balance = self.balance()
+        problem, flows = self.problem, self.data.flows
+        balance = find_balance(problem, self.data, self.overlap, from_committed=flows)
         contacts = go_on(self.data.contacts, balance.limits, gap_round_off(problem.u))
-        energy = problem.terms.energy()
+        energy = None if flows else problem.terms.energy()
         norm = problem.solid.elastic_norm(problem.u)
         start = contacts.active[balance.nodes].astype(np.int8)
         if problem.contacts and not problem.comm.allreduce(bool(start.any()), op=MPI.LOR):
@@ -780,10 +780,11 @@ class _Step:
     ) -> tuple[float, int, Energy | None]:
         """Move u along the step; return its length, the halvings, and J.
 
-        The step is whole if there is no energy, or if supports or ties still prescribe increments,
-        for which the energy may increase; they do not once the supports have moved their bodies
-        rigidly at the start of the step. Nor does the energy decrease towards a balance that is a
-        saddle. The step is shorter where it would turn a cell inside out.
+        The step is whole if there is no energy, if the committed state is linearised, or if
+        supports or ties still prescribe increments, for which the energy may increase; they do not
+        once the supports have moved their bodies rigidly at the start of the step. Nor does the
+        energy decrease towards a balance that is a saddle. The step is shorter where it would turn
+        a cell inside out.
         """
         problem, energy = self.problem, old.energy
         lin, solved, driven = found.lin, found.solved, found.driven

@@ -120,13 +120,15 @@ class Terms:
         self.comm.Allreduce(MPI.IN_PLACE, sums)
         return None if sums[2] > 0.0 else Energy(sums[0], sums[1])
 
-    def assemble_forces(self, F: PETSc.Vec) -> float:
+    def assemble_forces(self, F: PETSc.Vec, *, from_committed: bool = False) -> float:
         """Fill F with dJ/du; return the largest norm of the forces of a term; collective.
 
-        Those of the bodies are not among them: their scale are the unassembled element forces.
+        Those of the bodies are not among them: their scale are the unassembled element forces. They
+        may be linearised about the committed state, see `Solid.add_first_forces`.
         """
         F.array_w[:] = 0.0
-        self.solid.add_forces(F)
+        solid = self.solid
+        (solid.add_first_forces if from_committed else solid.add_forces)(F)
         one, largest = F.duplicate(), 0.0
         for name, term in self.named:
             one.array_w[:] = 0.0
@@ -138,15 +140,21 @@ class Terms:
             F.axpy(1.0, one)
         return largest
 
-    def assemble_tangent(self, K: PETSc.Mat, pressure: Floats | None = None) -> None:
+    def assemble_tangent(
+        self, K: PETSc.Mat, pressure: Floats | None = None, *, from_committed: bool = False
+    ) -> None:
         """Fill K with d2J/du2; collective.
 
-        With the pressures of a linearisation, see `Solid.add_tangent`.
+        With the pressures of a linearisation, see `Solid.add_tangent`, or of bodies in the
+        committed state.
         K stays symmetric; whether it stays definite depends on the terms: a foundation adds
         stiffness, a load that grows with the displacement takes some away.
         """
         K.zeroEntries()
-        self.solid.add_tangent(K, pressure)
+        if from_committed:
+            self.solid.add_first_tangent(K)
+        else:
+            self.solid.add_tangent(K, pressure)
         self.add_tangents(K)
 
     def add_tangents(self, K: PETSc.Mat) -> None:
