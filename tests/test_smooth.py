@@ -20,6 +20,7 @@ from dolfinx_mortar.geometry.elements import LINE2, QUAD4, TRI3
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.meshing.two_bodies import distribute
 from dolfinx_mortar.mortar.curvature_correction import count_edges, smooth_normals
+from dolfinx_mortar.mortar.mirrors import find_mirrors
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
 from tests.close_fits import create_ring
 from tests.meshes import two_blocks
@@ -267,6 +268,57 @@ def test_only_what_may_be_a_symmetry_completes_the_normal(components, completed)
     top = int(np.argmax(surface.X[:, 1]))
     assert found.open[top] != completed
     assert not completed or found.n[top] == pytest.approx([0.0, 1.0], abs=1e-14)
+
+
+def upper_side(points):
+    """Return the side of a body through points (n, 2) above it, and what x = 0 prescribes."""
+    count = len(points)
+    X = np.concatenate([points, points - [0.0, 2.0]])
+    cells = np.array([[count + i, count + i + 1, i, i + 1] for i in range(count - 1)])
+    bodies = (X, cells), (X + 9.0, cells)
+    domain, _ = distribute(MPI.COMM_SELF, lambda: bodies, "quadrilateral")
+    domain.topology.create_connectivity(1, 2)
+    facets = mesh.exterior_facet_indices(domain.topology)
+    middle = mesh.compute_midpoints(domain, 1, facets)[:, None, :2]
+    gap = np.linalg.norm(middle - (points[1:] + points[:-1]) / 2, axis=2).min(axis=1)
+    on = facets[gap < 1e-9]
+    tags = mesh.meshtags(domain, 1, on, np.full(len(on), 3, dtype=np.int32))
+    surface = create_surface(fem.functionspace(domain, ("Lagrange", 1, (2,))), tags, 3, "slave")
+    fixed = np.zeros(surface.X.shape, dtype=bool)
+    fixed[np.abs(surface.X[:, 0]) < 1e-9, 0] = True
+    return surface, fixed
+
+
+def arc(n, oblique, growth=1.0):
+    """Return n chords of an arc of 57 degrees that ends oblique at x = 0, by so many degrees."""
+    angle = np.concatenate([[0.0], np.cumsum(growth ** np.arange(n))])
+    angle = angle / angle[-1] + np.radians(oblique)
+    points = np.column_stack([np.sin(angle), np.cos(angle)])
+    return points - [points[0, 0], 0.0]
+
+
+def straight(n, degrees):
+    """Return n facets of a flat side that is inclined by so many degrees."""
+    x = np.linspace(0.0, 1.0, n + 1)
+    return np.column_stack([x, np.tan(np.radians(degrees)) * x])
+
+
+MIRRORS = [(arc(n, 0.0, growth), True) for n in (2, 3, 6) for growth in (0.7, 1.0, 2.0)]
+MIRRORS += [(arc(n, oblique), False) for n in (6, 24) for oblique in (-20.0, -5.0, 5.0, 20.0)]
+MIRRORS += [(straight(n, a), False) for n in (1, 2, 6) for a in (-60.0, -1.0, 1e-3, 20.0)]
+MIRRORS += [(straight(n, 0.0), True) for n in (1, 6)] + [(arc(1, 0.0), False)]
+
+
+@pytest.mark.parametrize(("points", "mirror"), MIRRORS)
+def test_the_curvature_tells_mirrors_from_other_supports(points, mirror):
+    """Whatever the sign of the component, and the units; the normal leans where it is none."""
+    for turned, size in ((1.0, 1.0), (-1.0, 1e-3)):
+        surface, fixed = upper_side(size * points[:: int(turned)] * [turned, 1.0])
+        found = find_mirrors(surface, fixed, 40.0)
+        assert found.sum() == mirror and not (found & ~fixed).any()
+        end = int(np.argmin(np.abs(surface.X[:, 0])))
+        n = smooth_normals(surface, surface.X, fixed, 40.0).n[end]
+        assert (n[0] == 0.0) == mirror and np.linalg.norm(n) == pytest.approx(1.0, abs=1e-14)
 
 
 # -- where there is no normal ----------------------------------------------------------------------

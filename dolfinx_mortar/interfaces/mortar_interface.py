@@ -34,6 +34,7 @@ from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides
 from dolfinx_mortar.mortar.duals import Coverage, find_coverage, node_weights
 from dolfinx_mortar.mortar.edges import check_angle, edge_normals, find_edges
 from dolfinx_mortar.mortar.integrals import drop_far, find_segments
+from dolfinx_mortar.mortar.mirrors import find_mirrors
 from dolfinx_mortar.mortar.operators import SmoothSides, create_operators
 from dolfinx_mortar.mortar.pairing import Pairing, Weight, create_pairing, outside_margin
 from dolfinx_mortar.mortar.surface import create_surface, dependent_nodes
@@ -151,7 +152,9 @@ class MortarInterface(Interface):
             master = create_surface(V, self.facet_tags, self.master, "master")
         dependent = dependent_nodes(slave)[: slave.owned]
         edges = find_edges(slave, self.feature_angle) if self.unilateral else None
-        return Sides(V, slave, master, mark(slave), mark(master), fixed, dependent, edges, weight)
+        mirrors = find_mirrors(slave, fixed[slave.nodes], self.feature_angle)
+        marks = mark(slave), mark(master)
+        return Sides(V, slave, master, *marks, fixed, dependent, edges, weight, mirrors)
 
     def pair(
         self,

@@ -25,6 +25,7 @@ from dolfinx_mortar.geometry.curvature import (
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
 from dolfinx_mortar.geometry.offset_vectors import offset_motions
 from dolfinx_mortar.geometry.segments import Segments
+from dolfinx_mortar.mortar.mirrors import find_mirrors
 from dolfinx_mortar.mortar.pairing import Pairing, receive, received_facets
 from dolfinx_mortar.mortar.surface import (
     Surface,
@@ -54,9 +55,8 @@ def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: flo
 
     There is none, n = 0, where the normal of a facet has no positive component along the sum: at a
     cusp, between opposite facets, and where the sum over a closed one-ring cancels. On a plane of
-    symmetry facets are completed by their mirror images, which removes the components with
-    Dirichlet data from the normal; but not where its direction would change by more than half of
-    the feature angle: a support at the end of a surface need not be a symmetry.
+    symmetry, see `find_mirrors`, facets are completed by their mirror images, which removes the
+    component across it from the normal.
 
     In space the sums of `one_ring_sums` are exact on spheres only. So edges are projected by the
     deviatoric part of the curvatures that these normals give, and summed anew.
@@ -66,12 +66,12 @@ def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: flo
         fixed: (n, d) components of the nodes with Dirichlet data.
         feature_angle: degrees between facets from which on they meet in an edge.
     """
-    facets = facets_at(surface, x)
-    normals = _classify(surface, facets, one_ring_sums(facets), fixed, feature_angle)
+    facets, mirrors = facets_at(surface, x), find_mirrors(surface, fixed, feature_angle)
+    normals = _classify(surface, facets, one_ring_sums(facets), mirrors, feature_angle)
     for _ in range(PROJECTIONS if x.shape[1] > 2 else 0):
         K = _deviators(surface, facets, normals)[surface.facets]
         parts = one_ring_sums(facets, normals.n[surface.facets], K)
-        normals = _classify(surface, facets, parts, fixed, feature_angle)
+        normals = _classify(surface, facets, parts, mirrors, feature_angle)
     if x.shape[1] == 2:
         normals = replace(normals, jumps=_find_jumps(surface, facets, normals))
     return normals
@@ -128,25 +128,23 @@ def _classify(
     surface: Surface,
     facets: Facets,
     parts: tuple[Floats, Floats],
-    fixed: Bools,
+    mirrors: Bools,
     feature_angle: float,
 ) -> NodeNormals:
     """Return the normals of sums over one-rings, and which are open or sharp; collective."""
     n, around = parts
     columns = np.concatenate([n, around, np.abs(around).sum(axis=2, keepdims=True)], axis=2)
     total = sum_at_nodes(surface, columns)
-    d = fixed.shape[1]
+    d = mirrors.shape[1]
     n, gap, size = unit(total[:, :d]), total[:, d:-1], total[:, -1]
     is_open = np.linalg.norm(gap, axis=1) > HALF_OF_DIGITS * size
     limits = np.cos(np.radians(feature_angle / 2)), HALF_OF_DIGITS  # of cosines
-    mirrored = unit(np.where(fixed, 0.0, n))
-    cosine = np.einsum("ni,ni->n", mirrored, n)
-    straightened = is_open & fixed.any(axis=1) & (cosine > limits[0])
-    completed = straightened
+    completed = straightened = is_open & mirrors.any(axis=1)
     if d > 2:  # one mirror closes a one-ring that begins and ends on it; in the plane any does
-        off_plane = np.linalg.norm(np.where(fixed, gap, 0.0), axis=1) > HALF_OF_DIGITS * size
-        completed = straightened & ((fixed.sum(axis=1) > 1) | ~off_plane)
-    n = np.where(straightened[:, None], mirrored, n)  # where a rim meets the plane, too
+        off_plane = np.linalg.norm(np.where(mirrors, gap, 0.0), axis=1) > HALF_OF_DIGITS * size
+        completed = straightened & ((mirrors.sum(axis=1) > 1) | ~off_plane)
+    straight = unit(np.where(mirrors, 0.0, n))
+    n = np.where(straightened[:, None], straight, n)  # where a rim meets the plane, too
     along = np.einsum("mki,mi->mk", n[surface.facets], facet_normals(facets))
     beyond = np.stack([along < limit for limit in limits], axis=2)
     counts = sum_at_nodes(surface, beyond)
