@@ -40,9 +40,12 @@ class InSpace:
         return dm.Obstacle(self.facets, slave=TOP, shape=shape, **options)
 
     def problem(self, interfaces, law=ELASTIC, **options):
-        """Return the problem, with one side of the top held."""
+        """Return the problem, with one side of the top held, and one on rollers."""
         at = fem.locate_dofs_geometrical(self.V, lambda x: x[0] > 0.8)
+        Q, _ = self.V.sub(1).collapse()
+        rollers = fem.locate_dofs_geometrical((self.V.sub(1), Q), lambda x: x[1] < -0.99)
         bcs = [fem.dirichletbc(np.zeros(3), at, self.V)]
+        bcs.append(fem.dirichletbc(fem.Function(Q), rollers, self.V.sub(1)))
         return dm.ContactProblem(dm.Solid(self.u, law), interfaces, bcs=bcs, **options)
 
 
@@ -101,13 +104,11 @@ class Differences:
         self.link = self.at(0.0, np.zeros_like(self.start))
         n, d = len(self.link.nodes), self.problem.d
         kept = self.link.coupling.kept
-        assert kept.any() and not kept.all()
+        assert kept.any() and not kept.all() and (kept[:, 0] & self.held).any()
         self.multipliers, self.tangential = np.zeros(self.problem.n), np.zeros((self.problem.n, d))
         self.multipliers[self.link.nodes] = rng.uniform(0.5, 1.0, n) * kept[:, 0]
-        along = rng.standard_normal((n, d)) * kept
-        normals = self.link.coupling.normals
-        along -= (along * normals).sum(axis=1)[:, None] * normals
-        self.tangential[self.link.nodes] = along
+        self.along = rng.standard_normal((n, d - 1)) * self.link.coupling.directions[:, 1:]
+        self.tangential[self.link.nodes] = self.tangential_at(self.link.coupling)
         x = self.problem.vector(self.problem.X + 0.01 * rng.standard_normal(self.problem.X.shape))
         self.partners = self.tool.partners(self.link, x, frozen=False)
         self.since = x
@@ -118,18 +119,32 @@ class Differences:
         (link,) = self.problem.system.at(self.problem.u).links
         return link
 
+    @property
+    def held(self):
+        """Nodes (n,) of which something is prescribed."""
+        return (self.link.coupling.slot >= 0).any(axis=1)
+
+    def tangents(self, coupling):
+        """Return tangents without spin, at nodes that are held those normal to prescribed axes."""
+        old = self.link.coupling
+        rows = np.swapaxes(old.rows[:, 1:], 0, 1)
+        free = np.stack([turned(row, old.normals, coupling.normals) for row in rows], axis=1)
+        return np.where(self.held[:, None, None], coupling.rows[:, 1:], free)
+
+    def tangential_at(self, coupling):
+        """Return the tangential tractions (n, d) of given components."""
+        return np.einsum("nk,nki->ni", self.along, self.tangents(coupling))
+
     def values(self, h, du):
         """Return forces, weighted gaps and slips in turning frames."""
         link = self.at(h, du)
         coupling, nodes = link.coupling, link.nodes
-        old, n = self.link.coupling.normals, coupling.normals
-        traction = self.multipliers[nodes, None] * n + turned(self.tangential[nodes], old, n)
+        traction = self.multipliers[nodes, None] * coupling.normals + self.tangential_at(coupling)
         forces, _ = link.transpose(coupling.weight * traction)
         gaps = coupling.weight[:, 0] * link.gaps(self.problem.positions())
         motion = self.partners.motion(link, self.problem.positions() - self.since)
-        frames = np.swapaxes(self.link.coupling.R, 1, 2)[:, 1:]
-        slips = [(turned(frames[:, k], old, n) * motion).sum(axis=1) for k in range(len(frames[0]))]
-        return forces.ravel(), gaps, np.stack(slips, axis=1)
+        slips = np.einsum("nki,ni->nk", self.tangents(coupling), motion)
+        return forces.ravel(), gaps, slips * coupling.directions[:, 1:]
 
     def derivatives(self, du):
         """Return what the derivatives say."""
@@ -141,7 +156,7 @@ class Differences:
         since = self.problem.positions() - self.since
         slips = found.slips(link, self.problem.u, self.partners, since)
         gaps = (G * v).array_r.reshape(-1, d)[link.nodes, 0]
-        return (H * v).array_r, gaps, slips.of(v)
+        return (H * v).array_r, gaps, slips.of(v) * link.coupling.directions[:, 1:]
 
 
 @pytest.mark.parametrize("name", quick(CASES, *CASES.keys() - {"hexahedra2", "rings2"}))

@@ -223,10 +223,10 @@ class _Factor:
             free_now = link.constrained & ~is_held[dofs]
             used = blocks.any(axis=(1, 2)) & near[p.row]
             off = used & free_now[p.row].any(axis=1)
-            R, free = link.coupling.R[p.row[off]], free_now[p.row[off]]
-            in_frame = np.where(free[:, :, None], np.swapaxes(R, 1, 2) @ blocks[off], 0.0)
+            at, free = p.row[off], free_now[p.row[off]]
+            in_frame = np.where(free[:, :, None], link.coupling.rows[at] @ blocks[off], 0.0)
             kept = blocks.copy()
-            kept[off] -= R @ in_frame
+            kept[off] -= link.coupling.R[at] @ in_frame
             kept[off & (link.constrained == free_now)[p.row].all(axis=1)] = 0.0  # not round-off
             on = used & kept.any(axis=(1, 2))
             C.append((link.nodes[p.row[on]], p.column[on], kept[on]))
@@ -234,7 +234,7 @@ class _Factor:
         return _create(V, C), _create(V, E)
 
     def inverse(self, links: Sequence[Link], u: PETSc.Vec) -> PETSc.Vec:
-        """Return y with T y = u: w_j = R_j^T (u_j - sum_l Q_jl u_l) at slave nodes; collective."""
+        """Return y with T y = u: w_j = R_j^-1 (u_j - sum_l Q_jl u_l) at slave nodes; collective."""
         difference, d = u.copy(), self.V.dofmap.index_map_bs
         for k, _, near in self.parts:
             moved = (links[k].Q * u).array_r.reshape(-1, d)
@@ -244,7 +244,7 @@ class _Factor:
         for k, mine, _ in self.parts:
             nodes = links[k].nodes[mine]
             slip = difference.array_r.reshape(-1, d)[nodes]
-            y.array.reshape(-1, d)[nodes] = np.einsum("nij,ni->nj", links[k].frames[mine], slip)
+            y.array.reshape(-1, d)[nodes] = np.einsum("nij,nj->ni", links[k].rows[mine], slip)
         return y
 
 

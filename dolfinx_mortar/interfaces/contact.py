@@ -37,9 +37,9 @@ from dolfinx_mortar.mortar.edges import facing_edges
 from dolfinx_mortar.mortar.operators import SmoothSides
 from dolfinx_mortar.mortar.surface import accumulate, mean_facet_length
 
-# A slave normal of which Dirichlet data, or the motion of surfaces, leave less than this share of
-# its length has no direction in which contact could act: what is left is more than 60 degrees off.
-MIN_FREE_NORMAL = 0.5
+# A slave node of whose normal Dirichlet data leave less than this share, at more than 84 degrees,
+# carries no multiplier: it would balance the forces in what is left, ten times as large.
+MIN_FREE_NORMAL = 0.1
 
 
 @dataclass(frozen=True)
@@ -191,12 +191,12 @@ class Unilateral(Interface):
         return Frame(R, slot, directions, np.where(kept, normals, 0.0))
 
     def blocks(self, P: Floats, frame: Frame, row: Ints) -> Floats:
-        """Return P_jl n_j n_j^T, with friction P_jl R_j S_j R_j^T."""
+        """Return P_jl R_j S_j R_j^-1, without friction P_jl r_j n_j^T, r_j the first of R_j."""
         if self.law is None:
-            n = frame.normals[row]
-            return np.asarray(P[:, 0, None, None] * n[:, :, None] * n[:, None, :])
+            r, n = frame.R[row, :, 0], frame.normals[row]
+            return np.asarray(P[:, 0, None, None] * r[:, :, None] * n[:, None, :])
         R = frame.R * frame.directions[:, None, :]
-        return np.asarray(P[:, 0, None, None] * (R @ np.swapaxes(frame.R, 1, 2))[row])
+        return np.asarray(P[:, 0, None, None] * (R @ np.linalg.inv(frame.R))[row])
 
     def constraints(self, nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
         """Return w_n <= gap, the gap being minus the relative position along the normal."""
@@ -210,7 +210,7 @@ class Unilateral(Interface):
         Args:
             nodes: (n,) owned slave nodes.
             directions: (n, d) which directions of the frames are constrained.
-            frames: (n, d, d).
+            frames: (n, d, d) of which rows are the directions.
             slip: (n, d) relative motion since the last commit, in the frames.
             D: (n, c) weights.
             limit: (owned nodes,) mu or s.
@@ -225,7 +225,7 @@ class Unilateral(Interface):
             nodes=nodes[on],
             normal=normal,
             tangential=tangential,
-            axes=np.swapaxes(frames[on, :, 1:], 1, 2),
+            axes=frames[on, 1:],
             slip=np.where(some, slip[on, 1:], 0.0),
             coefficient=values if coulomb else np.zeros_like(values),
             cohesion=np.zeros_like(values) if coulomb else values * weight,

@@ -250,10 +250,10 @@ class ContactDerivatives(LinkDerivatives):
         """Return the rows of slips at the iterate that was differentiated last; collective."""
         own = slice(None, link.sides.slave.owned)
         n, turning = _turning(link, self._normals(link, u)[own])
-        along = (partners.motion(link, since) * n).sum(axis=1)
+        along = (partners.motion(link, since) * link.coupling.R[:, :, 0]).sum(axis=1)
         by_n = partners.motion_by_normals(link) - along[:, None, None] * np.eye(n.shape[1])
         by_n[~partners.known] = 0.0
-        tangents = np.swapaxes(link.coupling.R, 1, 2)[:, 1:]
+        tangents = link.coupling.rows[:, 1:]
         N = (self.averaged if self.normals is None else self.normals).zero()
         return SlipRows(link, partners, tangents @ by_n @ turning, N, tangents)
 
@@ -293,12 +293,13 @@ def layout_of(V: fem.FunctionSpace) -> Unknowns:
 def _turning(link: CoupledSides, averaged: Floats) -> tuple[Floats, Floats]:
     """Return the normals n_j (n, d) of the owned slave nodes, 0 where not kept, and dn_j/dn.
 
-    n_j is the averaged normal (n, d), or that on an edge, without the directions that are
-    prescribed.
+    n_j is the averaged normal (n, d), or that on an edge, without the directions that mirror planes
+    take.
     """
     kept = link.coupling.kept[:, 0]
     n = np.where(kept[:, None], link.coupling.normals, 0.0)
-    free = ~link.sides.fixed[link.nodes]
+    assert link.sides.mirrors is not None
+    free = ~link.sides.mirrors[: len(n)]
     left = np.linalg.norm(averaged * free, axis=1)
     turning = (np.eye(n.shape[1]) - n[:, :, None] * n[:, None, :]) * free[:, None, :]
     turning /= np.where(kept, left, 1.0)[:, None, None]
@@ -325,7 +326,7 @@ def _tractions(
         along = tangential[nodes] - (tangential[nodes] * n).sum(axis=1)[:, None] * n
         along *= kept[:, None]
         traction += along
-        change -= n[:, :, None] * (along[:, None] @ turning)  # as tangents turn, n'dt = -t'dn
+        change -= link.coupling.R[:, :, :1] * (along[:, None] @ turning)  # as tangents turn
     parts = n, turning, traction, change, kept
     d = n.shape[1]
     columns = np.zeros((len(slave.nodes), 2 * d + 2 * d * d + 1))

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Results of a search and an update for one interface, as immutable records.
 
-At a kept slave node j with frame R_j = (n_j, t_j, ..) the displacement is written
+At a kept slave node j the displacement is written, in a frame R_j of which the rows of R_j^-1 are
+n_j, t_j, ..,
 
-    u_j = R_j w_j + sum_l Q_jl u_l,      Q_jl = R_j S_j R_j^T P_jl,      P = D^-1 (M - D_other)
+    u_j = R_j w_j + sum_l Q_jl u_l,      Q_jl = R_j S_j R_j^-1 P_jl,     P = D^-1 (M - D_other)
 
 with D on the diagonal, and D_other its other entries: columns of removed nodes, and of the vertices
 on which mid-side nodes of six-node triangles depend (`mortar.duals`). Here
@@ -11,11 +12,18 @@ S_j = diag(1 in constrained directions); for ties of smooth surfaces P_jl I is c
 motions D_jj^-1 int Phi_j A_l of `dolfinx_mortar.geometry.offset_vectors`. Then w is the relative
 displacement of the two sides in those directions, and every constraint is a bound on w. Without a
 master Q is empty, and w the motion of the node itself.
+
+Where a Cartesian component e of a slave node is prescribed, and n = n_f + n_e e, the rows are n, e,
+.., t: w_n = n.(u_j - P u) is that of the whole normal, and the columns are n_f / |n_f|^2,
+e - n_e n_f / |n_f|^2, .., t. So a reaction z exerts the forces R^-T z on the slave side and
+-P^T R^-T z on the master: the master has its part of all, whatever the support takes at the slave
+node, and the reaction of u_e is that of the support alone. Elsewhere frames are orthonormal.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from petsc4py import PETSc
@@ -85,12 +93,12 @@ class Coupling:
 
     blocks: Floats  # (e, d, d) entries of Q on the pattern, read-only
     P: Floats  # (e, c) D^-1 (M - D_other) on the pattern, for each of c choices of direction
-    R: Floats  # (n, d, d) frames; columns are the directions, which the interface chooses
+    R: Floats  # (n, d, d) frames; columns are the motions of unit unknowns
     slot: Ints  # (n, d) column of R that is a prescribed Cartesian direction, else -1
     directions: Bools  # (n, d) which directions of the frame the interface constrains
     kept: Bools  # (n, c) nodes that carry a multiplier
     weight: Floats  # (n, c) D_jj, 0 where not kept
-    normals: Floats  # (n, d) outward, without prescribed directions; 0 if nothing else is left
+    normals: Floats  # (n, d) outward; 0 if nothing but prescribed directions is left
     heights: Floats  # (n,) by how much the gap is smaller than n.(P x - x_j), see `Link.gaps`
     coverage: Coverage  # how far the nodes face the master
     lost: Bools  # (n, c) nodes that have lost a multiplier in the course of the step
@@ -100,6 +108,11 @@ class Coupling:
     def returned(self) -> Bools:
         """Nodes (n, c) that have lost a multiplier in the course of the step and got it back."""
         return self.kept & self.lost
+
+    @cached_property
+    def rows(self) -> Floats:
+        """R^-1 (n, d, d): its rows are the directions of motions and forces."""
+        return np.asarray(np.linalg.inv(self.R))
 
 
 def check_coupling(name: str, found: object, sides: Sides, pattern: Pattern) -> None:
@@ -212,14 +225,20 @@ class CoupledSides:
         bound = np.asarray(self.constrained.any(axis=1))[:, None, None]
         return np.where(bound, self.coupling.R, np.eye(self.coupling.R.shape[1]))
 
-    def relative(self, v: PETSc.Vec) -> Floats:
-        """Return R^T (v_j - sum_l Q_jl v_l) at the owned slave nodes, (n, d); collective.
+    @property
+    def rows(self) -> Floats:
+        """The inverses (n, d, d) of the frames in use."""
+        bound = np.asarray(self.constrained.any(axis=1))[:, None, None]
+        return np.where(bound, self.coupling.rows, np.eye(self.coupling.R.shape[1]))
 
-        In constrained directions this is the relative motion of the two sides, R_j^T (v_j - P v).
+    def relative(self, v: PETSc.Vec) -> Floats:
+        """Return R^-1 (v_j - sum_l Q_jl v_l) at the owned slave nodes, (n, d); collective.
+
+        In constrained directions this is the relative motion of the two sides, R_j^-1 (v_j - P v).
         """
         difference = v.array_r - (self.Q * v).array_r
         local = difference.reshape(-1, self.coupling.R.shape[1])[self.nodes]
-        return np.asarray(np.einsum("nij,ni->nj", self.coupling.R, local))
+        return np.asarray(np.einsum("nij,nj->ni", self.coupling.rows, local))
 
     def gaps(self, v: PETSc.Vec) -> Floats:
         """Return n_j.(P v - v_j) - h_j at the owned slave nodes (n,) for v = X + u; collective.
@@ -298,10 +317,10 @@ def slipped(coupled: CoupledSides, u: PETSc.Vec) -> Floats:
 class Frame:
     """Directions at the owned slave nodes, and which of them an interface constrains."""
 
-    R: Floats  # (n, d, d) orthonormal, the columns are the directions
+    R: Floats  # (n, d, d) columns are the motions of unit unknowns, rows of R^-1 the directions
     slot: Ints  # (n, d) column of R that is a prescribed Cartesian direction, else -1
     directions: Bools  # (n, d) columns of R that are constrained
-    normals: Floats  # (n, d)
+    normals: Floats  # (n, d) 0 where not kept
 
 
 def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:
@@ -336,18 +355,31 @@ def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:
 def normal_frames(normals: Floats, kept: Bools, fixed: Bools) -> tuple[Floats, Ints, Bools]:
     """Return frames of which the normal is constrained at kept nodes; Cartesian ones elsewhere.
 
+    Rows of R^-1 are the whole normal, the prescribed axes, and tangents normal to all of these.
+
     Args:
-        normals: (n, d) unit normals; zero in every prescribed direction.
+        normals: (n, d) unit normals, of which something is not prescribed at kept nodes.
         kept: (n,) nodes that carry a multiplier.
         fixed: (n, d) True where a Cartesian direction is prescribed.
 
     Returns:
-        R (n, d, d) and slot (n, d) as of `create_frames`, and the constrained directions (n, d).
+        R (n, d, d), slot (n, d): the column of R that belongs to a prescribed axis, else -1, and
+        the constrained directions (n, d).
+
+    >>> n, e = np.array([[0.6, 0.8]]), np.array([[True, False]])
+    >>> R, slot, directions = normal_frames(n, np.array([True]), e)
+    >>> np.linalg.inv(R[0]).round(12).tolist(), slot[0].tolist()
+    ([[0.6, 0.8], [1.0, 0.0]], [1, -1])
     """
     n, d = normals.shape
     R, axes = np.tile(np.eye(d), (n, 1, 1)), np.arange(d, dtype=np.int32)
     slot = np.where(fixed, axes, -1).astype(np.int32)
-    R[kept], slot[kept] = create_frames(normals[kept], fixed[kept])
+    free, _ = free_directions(normals[kept], fixed[kept])
+    Q, slot[kept] = create_frames(free, fixed[kept])
+    shares = np.einsum("nij,ni->nj", Q, normals[kept])  # of n = sum_k shares_k q_k
+    Q[:, :, 0] /= shares[:, :1]
+    Q[:, :, 1:] -= Q[:, :, :1] * shares[:, None, 1:]
+    R[kept] = Q
     return R, slot, kept[:, None] & (axes == 0)
 
 

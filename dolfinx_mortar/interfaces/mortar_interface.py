@@ -230,7 +230,9 @@ class MortarInterface(Interface):
         if sides.edges is not None:
             normals = edge_normals(pairing, segments, u, normals, sides.edges)
         nodes, own = sides.slave.nodes, slice(None, sides.slave.owned)
-        direction, left = free_directions(normals, sides.fixed[nodes])
+        assert sides.mirrors is not None
+        normals, _ = free_directions(normals, sides.mirrors)  # the side goes on as its image
+        _, left = free_directions(normals, sides.fixed[nodes])
         may = ask(sides.V.mesh.comm, self, "may_carry", left, sides.fixed[nodes])
         allowed = may & ~banned[nodes, None]
         operators = create_operators(
@@ -245,9 +247,7 @@ class MortarInterface(Interface):
             **({} if pattern.smooth is None else self.corrections(pattern.smooth)),
         )
         kept = operators.kept
-        frame = ask(
-            sides.V.mesh.comm, self, "frame", direction[own], kept, sides.fixed[sides.nodes]
-        )
+        frame = ask(sides.V.mesh.comm, self, "frame", normals[own], kept, sides.fixed[sides.nodes])
         blocks = self.blocks(operators.P, frame, pattern.row)
         if operators.motions is not None:
             blocks[pattern.split :] += operators.motions

@@ -13,8 +13,9 @@ node. What that neglects is some per cent; it is known once du is, and belongs t
 
 With friction y_t is the change of the slip t.m, t.(du_j - P du) + m.dt + t.(dm/dn dn), with P of
 the partners, see `slip_partners`, and the motion m so far; the tangents do not spin about the
-normal, dt = -n (t.dn). Its law holds for tractions lambda and tau, which are reactions over D_jj in
-the geometry of the iterate.
+normal and stay normal to prescribed axes, dt = -r (t.dn) with the first column r of R, which is n
+where nothing is prescribed. Its law holds for tractions lambda and tau, which are reactions over
+D_jj in the geometry of the iterate.
 """
 
 from __future__ import annotations
@@ -39,7 +40,6 @@ from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.claims import Claims
-from dolfinx_mortar.interfaces.contact import MIN_FREE_NORMAL
 from dolfinx_mortar.interfaces.contact_derivatives import SlipRows
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.slip_partners import Partners
@@ -182,7 +182,7 @@ def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None
     be, each correction gains three digits, with all of them one.
     """
     coupling, nodes, row = link.coupling, link.nodes, link.pattern.row
-    kept, R, across = coupling.kept[:, 0], coupling.R, np.swapaxes(coupling.R, 1, 2)
+    kept, R, across = coupling.kept[:, 0], coupling.R, coupling.rows
     d = R.shape[1]
     scale = weighted.createVecLeft()
     on = kept & known
@@ -195,12 +195,12 @@ def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None
         for t in range(1, d):
             slid[:, t], q[:, t] = _lumped(link, slips.rows(t - 1))
         # far slips lump partners beyond the pattern on j, so that nothing may be left there
-        regular = np.linalg.det(slid) * np.linalg.det(R) > MIN_FREE_NORMAL
+        regular = np.linalg.det(slid) * np.linalg.det(R) > 0.5
         faced = (slips.partners.known & regular)[:, None, None]
         rows, moved = np.where(faced, slid, rows), np.where(faced[row], q, moved)
     rows[:, 1:] = np.where(coupling.directions[:, 1:, None], rows[:, 1:], across[:, 1:])
     moved[:, 1:] *= coupling.directions[row, 1:, None]
-    moves = kept & ((rows[:, 0] * coupling.normals).sum(axis=1) > MIN_FREE_NORMAL)
+    moves = kept & ((rows[:, 0] * coupling.normals).sum(axis=1) > 0.5)
     inverted = np.linalg.inv(np.where(moves[:, None, None], rows, across))
     blocks = np.where(moves[row][:, None, None], inverted[row] @ moved, coupling.blocks)
     frames = np.where(moves[:, None, None], inverted, R)

@@ -313,7 +313,7 @@ class Obstacle(Movable, Unilateral):
             facing = find_facing(side, pose, self.shape, x)
         size = np.maximum(np.linalg.norm(at_nodes.gradient, axis=1), TINY)
         into = -at_nodes.gradient / size[:, None]
-        normals, left = free_directions(into, sides.fixed[slave.nodes])
+        _, left = free_directions(into, sides.fixed[slave.nodes])
         allowed = self.may_carry(left, sides.fixed[slave.nodes])[:, 0] & ~banned[slave.nodes]
         near = at_nodes.value <= FACETS * side.facet_length
         if any_rank(comm, banned[slave.nodes].any())[0]:  # others have the rest
@@ -321,7 +321,7 @@ class Obstacle(Movable, Unilateral):
         returned = returned_nodes(sides, before)
         returned = None if returned is None else returned[:, 0]
         found = integrate_side(side, x, facing, allowed, returned)
-        frame = self.frame(normals[own], found.kept, sides.fixed[sides.nodes])
+        frame = self.frame(into[own], found.kept, sides.fixed[sides.nodes])
         gaps, _ = point_gaps(pattern, pose, self.shape, u, found.segments, found.x)
         at = means(side, found, np.column_stack([found.x, gaps]))
         # at these positions the gap n.(P x - x_j) - h_j is the mean of phi

@@ -35,7 +35,7 @@ def set_results(
     D = link.coupling.weight
     weight = np.broadcast_to(D, reaction.shape)
     multiplier = np.divide(reaction, weight, out=np.zeros_like(reaction), where=weight > 0)
-    forces = np.einsum("nij,nj->ni", link.coupling.R, reaction)
+    forces = np.einsum("nji,nj->ni", link.coupling.rows, reaction)
     link.interface.resultants, balances = _resultants(link, forces, multiplier, x)
     area = np.maximum(D.max(axis=1, initial=0.0) * growth, TINY)
     normal = np.einsum("ni,ni->n", forces, link.coupling.normals) / area

@@ -87,7 +87,7 @@ class Partners:
         Args:
             moved: (n,) displacement since the last commit.
         """
-        in_frames = np.einsum("nij,ni->nj", link.coupling.R, self.motion(link, moved))
+        in_frames = np.einsum("nij,nj->ni", link.coupling.rows, self.motion(link, moved))
         return np.where(self.known[:, None], in_frames, link.relative(moved))
 
 

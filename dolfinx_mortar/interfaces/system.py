@@ -548,7 +548,7 @@ class InterfaceSystem:
         for link, limit, partner in zip(self.links, limits, partners, strict=True):
             if limit is not None:
                 slip = link.relative(moved) if partner is None else partner.slip(link, moved)
-                at = link.nodes, link.constrained, link.frames, slip, link.coupling.weight
+                at = link.nodes, link.constrained, link.rows, slip, link.coupling.weight
                 parts.append(ask(moved.comm.tompi4py(), link.interface, "slip_limits", *at, limit))
         return join_limits(parts) if parts else None
 

@@ -12,7 +12,8 @@ Its points move with the nodes, dx = N_m dx_m, and dJ = J grad N_m . dx_m. So
     D_jl = sum w Phi_j N_l,   dD_jl = sum w [dB N~ + Phi dJ/J]_j N_l,   F_l = sum_j t_j D_jl,
     dA = (diag(dd) - A dm) m^-1,
 
-and the tractions t_j = lambda_j n_j + tau_j turn with n_j, dn_j = -(I - n n^T) Hess phi dx_j.
+and the tractions t_j = lambda_j n_j + tau_j turn with n_j, dn_j = -(I - n n^T) Hess phi dx_j, and
+their tangents as in `moving_geometry`.
 For phi stands what `point_gaps` has there. Of distances of nodes, sum N_m phi_m, the last term has
 N_m grad phi_m for grad phi N_m; the change of heights of second order by the strain of the bodies
 along the normal is left out.
@@ -108,8 +109,10 @@ class ToolDerivatives(LinkDerivatives):
         slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
         x = coordinates(slave, u)
         assert isinstance(partners, ToolPartners)
-        by_x, by_n = partners.derivatives(link, since)  # the motion has no part along n
-        tangents = np.swapaxes(link.coupling.R, 1, 2)[:, 1:]
+        by_x, by_n = partners.derivatives(link, since)
+        along = (partners.motion(link, since) * link.coupling.R[:, :, 0]).sum(axis=1)
+        by_n -= along[:, None, None] * np.eye(by_n.shape[1])
+        tangents = link.coupling.rows[:, 1:]
         turned = np.zeros((len(slave.nodes), *by_n.shape[1:]))
         turned[own] = self._turning(link, x)
         alone = np.arange(len(turned))[:, None]
@@ -121,11 +124,9 @@ class ToolDerivatives(LinkDerivatives):
         own = slice(None, link.sides.slave.owned)
         kept, n = link.coupling.kept[:, 0], link.coupling.normals
         found = self.tool.pose().distance(self.tool.shape, x[own])
-        free = ~link.sides.fixed[link.nodes]
         size = np.linalg.norm(found.gradient, axis=1)
-        left = np.linalg.norm(found.gradient * free, axis=1)
-        across = (np.eye(n.shape[1]) - n[:, :, None] * n[:, None, :]) * free[:, None, :]
-        across /= np.where(kept & (size > 0.0), left, 1.0)[:, None, None]
+        across = np.eye(n.shape[1]) - n[:, :, None] * n[:, None, :]
+        across /= np.where(kept & (size > 0.0), size, 1.0)[:, None, None]
         across[~kept] = 0.0
         return -across @ found.hessian
 
@@ -143,7 +144,7 @@ class ToolDerivatives(LinkDerivatives):
             along = tangential[nodes] - (tangential[nodes] * n).sum(axis=1)[:, None] * n
             along *= kept
             traction = traction + along
-            turned = turned - n[:, :, None] * (along[:, None] @ turning)  # tangents turn with n
+            turned = turned - link.coupling.R[:, :, :1] * (along[:, None] @ turning)
         columns = np.zeros((len(slave.nodes), d + d * d))
         columns[own] = np.concatenate([traction, turned.reshape(-1, d * d)], axis=1)
         summed = accumulate(slave, columns)

@@ -27,8 +27,8 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats
-from dolfinx_mortar.interfaces.coupling import CoupledSides, free_directions
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Floats
+from dolfinx_mortar.interfaces.coupling import CoupledSides
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.tool import Pose, Tool, spun, turn_between
 
@@ -40,7 +40,6 @@ class ToolPartners(Partners):
     at: Floats  # (n, d) where the nodes were, X on frozen surfaces
     place: Floats  # (n, d) the points of the tool on which they were, as it starts
     into: Floats  # (n, d) the normals there, into the tool as it starts
-    fixed: Bools  # (n, d) prescribed directions
     tool: Tool
     began: Pose
     frozen: bool
@@ -72,7 +71,6 @@ class ToolPartners(Partners):
             at=at,
             place=place - found.value[:, None] * found.gradient,
             into=-found.gradient,
-            fixed=link.sides.fixed[link.nodes],
             tool=tool,
             began=began,
             frozen=frozen,
@@ -109,10 +107,8 @@ class ToolPartners(Partners):
         """Return the arcs to nodes that are at x (n, d)."""
         now = self.tool.pose()
         found, end = now.distance(self.tool.shape, x), link.coupling.normals
-        start, left = free_directions(self.into @ now.R.T, self.fixed)
-        start = np.where((left > HALF_OF_DIGITS)[:, None], start, end)
         foot = x - found.value[:, None] * found.gradient
-        return _Arcs(foot - now.to_space(self.place), start, end)
+        return _Arcs(foot - now.to_space(self.place), self.into @ now.R.T, end)
 
 
 class _Arcs:

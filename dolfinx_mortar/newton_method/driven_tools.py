@@ -241,7 +241,7 @@ def find_drives(problem: ContactProblem) -> Drives | None:
             ways = tool.motions(x[link.nodes], problem.X[link.nodes], q)
             if not tool.holds:
                 ways = np.array([_mean(problem, link, way) for way in ways])
-            in_frames = np.einsum("nij,mni->mnj", link.coupling.R, ways) * link.constrained
+            in_frames = np.einsum("nij,mnj->mni", link.coupling.rows, ways) * link.constrained
             e = np.zeros((len(q), problem.n, problem.d))
             e[:, link.nodes] = in_frames
             rows.append(e.reshape(len(q), -1))

@@ -190,12 +190,12 @@ def notes_on_lost_friction(problem: ContactProblem, contacts: Contacts) -> list[
     for link in problem.system.links:
         if not link.interface.rough:
             continue
-        R, directions = link.coupling.R, link.coupling.directions
+        rows, directions = link.coupling.rows, link.coupling.directions
         # prescribed directions, too, unlike `link.relative`
-        relative = np.einsum("nij,ni->nj", R, relative_motions(link, moved)[0])
+        relative = np.einsum("nij,nj->ni", rows, relative_motions(link, moved)[0])
         way = link.interface.tool_way(began[link.nodes], now[link.nodes])
         if way is not None:
-            relative = relative - np.einsum("nij,ni->nj", R, way)
+            relative = relative - np.einsum("nij,nj->ni", rows, way)
         on = contacts.active[link.nodes] & directions[:, 0]
         lost = np.abs(np.where(on[:, None] & ~directions, relative, 0.0)).max(axis=1, initial=0.0)
         # on a plane of symmetry a slave node stands still, and P u of the master is zero for linear
