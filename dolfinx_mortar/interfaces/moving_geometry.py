@@ -194,11 +194,11 @@ def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None
         slid, q = rows.copy(), moved.copy()
         for t in range(1, d):
             slid[:, t], q[:, t] = _lumped(link, slips.rows(t - 1))
+        slid[:, 1:] = np.where(coupling.directions[:, 1:, None], slid[:, 1:], across[:, 1:])
         # far slips lump partners beyond the pattern on j, so that nothing may be left there
         regular = np.linalg.det(slid) * np.linalg.det(R) > 0.5
         faced = (slips.partners.known & regular)[:, None, None]
         rows, moved = np.where(faced, slid, rows), np.where(faced[row], q, moved)
-    rows[:, 1:] = np.where(coupling.directions[:, 1:, None], rows[:, 1:], across[:, 1:])
     moved[:, 1:] *= coupling.directions[row, 1:, None]
     moves = kept & ((rows[:, 0] * coupling.normals).sum(axis=1) > 0.5)
     inverted = np.linalg.inv(np.where(moves[:, None, None], rows, across))

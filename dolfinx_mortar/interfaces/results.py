@@ -37,8 +37,10 @@ def set_results(
     multiplier = np.divide(reaction, weight, out=np.zeros_like(reaction), where=weight > 0)
     forces = np.einsum("nji,nj->ni", link.coupling.rows, reaction)
     link.interface.resultants, balances = _resultants(link, forces, multiplier, x)
-    area = np.maximum(D.max(axis=1, initial=0.0) * growth, TINY)
-    normal = np.einsum("ni,ni->n", forces, link.coupling.normals) / area
+    traction = np.einsum("nji,nj->ni", link.coupling.rows, multiplier)
+    if D.shape[1] > 1:  # components that supports take are those of the nodes around
+        traction = np.nan_to_num(_extended(link, traction, link.coupling.kept)[link.nodes])
+    normal = np.einsum("ni,ni->n", traction, link.coupling.normals) / np.maximum(growth, TINY)
     _fill(fields.pressure, link, np.where(kept, normal, 0.0), kept)
     fields.pressure.x.array[:] = np.nan_to_num(fields.pressure.x.array)
     _fill(fields.gap, link, gap, kept)
@@ -119,17 +121,23 @@ def _balances(comm: MPI.Comm, f: Floats, points: Floats, h: float) -> tuple[floa
 
 
 def _fill(function: fem.Function, link: Link, values: Floats, kept: Bools) -> None:
-    """Set a Function to nodal values on the slave side, zero off it; collective.
+    """Set a Function to nodal values on the slave side, zero off it; collective."""
+    result = _extended(link, values[:, None], kept[:, None])[:, 0]
+    function.x.array[:] = np.where(link.sides.on_slave, result, 0.0)
+
+
+def _extended(link: Link, values: Floats, kept: Bools) -> Floats:
+    """Return nodal values (local nodes, k) of those (n, k) at kept slave nodes (n, k); collective.
 
     Covered slave nodes without multiplier get the mean of the kept ones on their facets. A kept
     node's value is a traction even if the node is partly covered, because D_jj is its covered
     weight; a removed node has handed its dual function to those neighbours. Nodes beyond the master
     are not-a-number.
     """
-    sides = link.sides
-    vector = la.vector(sides.V.dofmap.index_map, 2)
-    array = vector.array.reshape(-1, 2)
-    array[link.nodes] = np.column_stack([np.where(kept, values, 0.0), kept])
+    sides, k = link.sides, values.shape[1]
+    vector = la.vector(sides.V.dofmap.index_map, 2 * k)
+    array = vector.array.reshape(-1, 2, k)
+    array[link.nodes] = np.stack([np.where(kept, values, 0.0), kept], axis=1)
     vector.scatter_forward()
     known = array.copy()
     covered = np.zeros(sides.n_owned, dtype=bool)
@@ -140,9 +148,9 @@ def _fill(function: fem.Function, link: Link, values: Floats, kept: Bools) -> No
     vector.scatter_reverse(la.InsertMode.add)
     vector.scatter_forward()
     with np.errstate(invalid="ignore"):
-        extended = np.where(with_ghosts(sides.V, covered), array[:, 0] / array[:, 1], np.nan)
-    result = np.where(known[:, 1] > 0, known[:, 0], extended)
-    function.x.array[:] = np.where(sides.on_slave, result, 0.0)
+        mean = array[:, 0] / array[:, 1]
+    extended = np.where(with_ghosts(sides.V, covered)[:, None], mean, np.nan)
+    return np.asarray(np.where(known[:, 1] > 0, known[:, 0], extended))
 
 
 def merge_results(
