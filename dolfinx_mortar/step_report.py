@@ -69,14 +69,15 @@ class Certificate:
     """Residuals of a converged step, each relative to its own scale.
 
     Scales: forces to the largest of external, contact, reaction and element forces; lengths to the
-    mean slave facet; multipliers to the largest multiplier; tangential reactions to the largest
-    limit of friction, their energies to the limits times the slips. What the small strain leaves
-    out is that of the body with the largest share.
+    mean slave facet; multipliers to the largest multiplier, their forces to the largest of these,
+    resultants of patches to the sum of forces; tangential reactions to the largest limit of
+    friction, their energies to the limits times the slips. What the small strain leaves out is that
+    of the body with the largest share.
     """
 
     equilibrium: float  # forces on free unknowns
     gap: float  # deepest violation of w_n <= gap
-    sign: float  # largest tensile multiplier
+    sign: float  # largest pull: of a multiplier, as a pressure and as a force, or of a patch
     complementarity: float  # largest lambda_j * gap_j
     # resultants of slave and master side added up, |sum_j (s_j + t_j)|, over sum_j |s_j|
     force_balance: float

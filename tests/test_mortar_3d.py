@@ -12,11 +12,13 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.geometry.facets import facet_normals
+from dolfinx_mortar.mortar import duals
 from dolfinx_mortar.mortar.duals import default_keep, node_weights
 from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.pairing import create_pairing
 from dolfinx_mortar.mortar.paper import assemble_mortar
 from dolfinx_mortar.mortar.surface import accumulate, create_surface, facets_at, nodal_normals
+from dolfinx_mortar.report import pulls
 from tests.meshes_3d import (
     BACK,
     BOTTOM,
@@ -117,27 +119,58 @@ def test_multipliers_push_wherever_the_master_ends(n, cell, degree):
         assert COMM.allreduce(force.sum()) == pytest.approx(size.prod(), abs=EXACT)
 
 
-@pytest.mark.parametrize("friction", [None, 0.2], ids=["pull", "push"])
-def test_what_nothing_holds_leaves(friction):
-    """A block in far corners of slave facets: pulled up, or pushed by 5 % more than mu N."""
-    mesh, _, tags = two_boxes(
-        MPI.COMM_SELF, (2, 2, 1), (2, 2, 1), cell="hexahedron", upper=(0.25, 0.75, 0.25, 0.75)
-    )
-    V = space(mesh, 2)
-    solid, top = dm.Solid(fem.Function(V), dm.Elastic(E=210e3, nu=0.0)), tags.find(TOP)
-    bcs = [fem.dirichletbc(np.zeros(3), fem.locate_dofs_topological(V, 2, tags.find(BOTTOM)), V)]
-    if friction is None:
-        guides = ((V.sub(i), fem.locate_dofs_topological(V.sub(i), 2, top)) for i in (0, 1))
-        bcs += [fem.dirichletbc(0.0, dofs, part) for part, dofs in guides]
-    t = fem.Constant(mesh, np.array([0.0, 0.0, -100.0]))
-    loads = ufl.inner(t, ufl.TestFunction(V)) * ufl.Measure("ds", mesh, subdomain_data=tags)(TOP)
-    contact = dm.Contact(tags, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER, friction=friction)
-    problem = dm.ContactProblem(solid, [contact], bcs=bcs, loads=loads)
-    dm.newton(problem)
-    assert contact.force[2] == pytest.approx(-25.0, rel=1e-5)
-    t.value[:] = (0.0, 0.0, 20.0) if friction is None else (21.0, 0.0, -100.0)
+class Corners:
+    """A block of second order in far corners of slave facets, pressed by 25 N."""
+
+    def __init__(self, friction=None):
+        """Make the problem, and solve it."""
+        mesh, _, tags = two_boxes(
+            MPI.COMM_SELF, (2, 2, 1), (2, 2, 1), cell="hexahedron", upper=(0.25, 0.75, 0.25, 0.75)
+        )
+        V = space(mesh, 2)
+        solid, top = dm.Solid(fem.Function(V), dm.Elastic(E=210e3, nu=0.0)), tags.find(TOP)
+        foot = fem.locate_dofs_topological(V, 2, tags.find(BOTTOM))
+        bcs = [fem.dirichletbc(np.zeros(3), foot, V)]
+        if friction is None:
+            guides = ((V.sub(i), fem.locate_dofs_topological(V.sub(i), 2, top)) for i in (0, 1))
+            bcs += [fem.dirichletbc(0.0, dofs, part) for part, dofs in guides]
+        self.t = fem.Constant(mesh, np.array([0.0, 0.0, -100.0]))
+        ds = ufl.Measure("ds", mesh, subdomain_data=tags)
+        loads = ufl.inner(self.t, ufl.TestFunction(V)) * ds(TOP)
+        self.contact = dm.Contact(
+            tags, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER, friction=friction
+        )
+        self.problem = dm.ContactProblem(solid, [self.contact], bcs=bcs, loads=loads)
+        self.report = dm.newton(self.problem)
+
+
+@pytest.mark.parametrize(
+    ("friction", "load"),
+    [(None, (0.0, 0.0, 20.0)), (0.2, (21.0, 0.0, -100.0))],
+    ids=["pull", "push"],
+)
+def test_what_nothing_holds_leaves(friction, load):
+    """Pulled up, or pushed by 5 % more than mu N."""
+    case = Corners(friction)
+    assert case.contact.force[2] == pytest.approx(-25.0, rel=1e-5)
+    assert case.report.certificate.sign < EXACT
+    case.t.value[:] = load
     with pytest.raises(dm.NewtonNotConverged):
-        dm.newton(problem)
+        dm.newton(case.problem)
+
+
+def test_contacts_that_pull_are_told(monkeypatch):
+    """With multipliers whose row sums are negative the same block is held by -5 N."""
+    monkeypatch.setattr(duals, "any_rank", lambda *_: [False])
+    case = Corners()
+    case.t.value[2] = 20.0
+    report, (link,) = dm.newton(case.problem), case.problem.system.links
+    assert case.contact.force[2] == pytest.approx(5.0, rel=1e-5)
+    assert (case.contact.multiplier >= 0.0).all()
+    assert report.certificate.sign > 0.1
+    assert any(note.startswith("contacts pull, by ") for note in report.notes)
+    forces = link.coupling.weight * case.contact.multiplier[:, None] * link.coupling.normals
+    assert pulls._pull_of_patches(link, forces) > 0.1
 
 
 def curved(x):

@@ -10,7 +10,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx_mortar.newton_method.contacts import Contacts
-from dolfinx_mortar.report.resolution import _measure, oscillation
+from dolfinx_mortar.report.resolution import _measure, _patches, oscillation
 from tests.ball_case import create_problem
 from tests.choice import quick
 from tests.close_fits import create_pin, create_shrink_fit
@@ -72,10 +72,10 @@ def test_only_the_patch_with_the_peak_counts():
         [[10, 1.0, 0, 1], [1, 2.0, 1, 0], [3, 2.5, 1, 0], [2, 3.0, 0, 0], [11, 0.5, 0, 1]]
     )
     pairs = np.array([[2, 1], [3, 2], [10, 11], [1, 2]])
-    assert _measure(table, pairs) == (4, False)
+    assert _measure(_patches(table, pairs)) == (4, False)
     table[4, 1] = 9.0
-    assert _measure(table, pairs) == (2, True)
-    assert _measure(table, pairs[:2]) == (1, True)
+    assert _measure(_patches(table, pairs)) == (2, True)
+    assert _measure(_patches(table, pairs[:2])) == (1, True)
 
 
 @pytest.mark.mpi

@@ -14,6 +14,7 @@ from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.residuals import Residuals
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import Sliders
+from dolfinx_mortar.report.pulls import find_pull
 from dolfinx_mortar.report.small_strain import LeftOut, find_left_out
 from dolfinx_mortar.report.uncoupled import Crossing, find_crossing
 from dolfinx_mortar.step_report import Certificate, StepReport
@@ -54,6 +55,7 @@ def create_certificate(
     sliders: Sliders | None = None,
     left_out: LeftOut | None = None,
     crossing: Crossing | None = None,
+    pull: float | None = None,
 ) -> Certificate:
     """Return the certificate of the present state, whose results are set; collective.
 
@@ -65,9 +67,11 @@ def create_certificate(
         sliders: slips and tangential reactions, with friction.
         left_out: what the small strain leaves out; None measures it.
         crossing: of boundaries that are not coupled; None looks for it.
+        pull: of `find_pull`; None looks for it.
     """
     left_out = left_out or find_left_out(problem)
     crossing = crossing or find_crossing(problem)
+    pull = find_pull(problem, contacts) if pull is None else pull
     links, length = problem.system.links, problem.system.facet_length
     gap: list[Floats] = [np.zeros(0)]
     multiplier: list[Floats] = [np.zeros(0)]
@@ -93,7 +97,7 @@ def create_certificate(
     return Certificate(
         equilibrium=residual.forces,
         gap=ratio(deepest, length),
-        sign=ratio(tensile, pressure),
+        sign=max(ratio(tensile, pressure), pull),
         complementarity=ratio(product, pressure * length),
         force_balance=balances[0],
         moment_balance=balances[1],

@@ -23,6 +23,7 @@ from dolfinx_mortar.report.interface_results import (
     notes_on_turns,
 )
 from dolfinx_mortar.report.overlaps import notes_on_overlaps
+from dolfinx_mortar.report.pulls import notes_on_pulls
 from dolfinx_mortar.report.resolution import note_on_resolution, notes_on_rims
 from dolfinx_mortar.report.small_strain import LeftOut, notes_on_lost_stress, notes_on_small_strain
 from dolfinx_mortar.report.swept import notes_on_swept
@@ -43,6 +44,7 @@ class StepEnd:
     overlap: float  # of the sides at X, left to later steps
     left_out: LeftOut
     crossing: Crossing
+    pull: float  # of contacts, see `find_pull`
     ties: Sequence[TurnedTie | None]
     rtol: float  # of the step
     limit: float  # norm of the forces that it may leave out of balance
@@ -90,6 +92,7 @@ DIAGNOSES: tuple[Diagnosis, ...] = (
     lambda end: notes_on_sliding(end.problem, end.contacts),
     lambda end: notes_on_turns(end.problem, end.contacts),
     lambda end: notes_on_lost_friction(end.problem, end.contacts),
+    lambda end: notes_on_pulls(end.pull, end.rtol),
     _pressures,
     lambda end: notes_on_rims(end.links),
     _overlaps,

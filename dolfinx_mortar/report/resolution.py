@@ -117,21 +117,31 @@ def _peak_patch(link: Link, contacts: Contacts) -> tuple[int, bool]:
     facet, over all ranks. Of a model cut by planes of symmetry the whole patch counts: a node off
     all planes stands for two to the number of planes.
     """
-    slave, nodes, comm = link.sides.slave, link.nodes, link.sides.V.mesh.comm
+    slave, nodes = link.sides.slave, link.nodes
     active, fixed = contacts.active[nodes], link.sides.fixed[nodes].sum(axis=1)
-    open_ = link.coupling.kept[:, 0] & ~active
-    marks = np.zeros((len(slave.nodes), 2))
-    marks[: slave.owned] = np.column_stack([active, open_])
-    on, off = (accumulate(slave, marks) > 0).T
-    layout = link.sides.V.dofmap.index_map
-    number = layout.local_to_global(slave.nodes).astype(np.int64)
-    pairs = _pairs(number[slave.facets], on[slave.facets])
+    marks = np.zeros((len(slave.nodes), 1))
+    marks[: slave.owned, 0] = link.coupling.kept[:, 0] & ~active
+    (off,) = (accumulate(slave, marks) > 0).T
     beside = np.repeat(off[slave.facets].any(axis=1)[:, None], slave.facets.shape[1], axis=1)
     ends = sum_at_nodes(slave, beside[:, :, None])[: slave.owned, 0] > 0
-    table = np.column_stack([number[: slave.owned], contacts.multipliers[nodes], fixed, ends])
-    table = np.concatenate(comm.allgather(table[active]))
-    pairs = np.concatenate(comm.allgather(pairs))
-    return _measure(table, pairs) if len(table) else (0, False)
+    return _measure(find_patches(link, active, contacts.multipliers[nodes], fixed, ends))
+
+
+def find_patches(link: Link, marked: Bools, *columns: Floats | Bools) -> list[Floats]:
+    """Return the patches of connected slave nodes, those of one facet over all ranks; collective.
+
+    Args:
+        marked: (n,) nodes that count.
+        columns: (n,) or (n, c) what the tables of patches shall say of their nodes.
+    """
+    slave, comm, layout = link.sides.slave, link.sides.V.mesh.comm, link.sides.V.dofmap.index_map
+    marks = np.zeros((len(slave.nodes), 1))
+    marks[: slave.owned, 0] = marked
+    on = accumulate(slave, marks)[:, 0] > 0
+    number = layout.local_to_global(slave.nodes).astype(np.int64)
+    table = np.column_stack([number[: slave.owned], *columns])
+    pairs = np.concatenate(comm.allgather(_pairs(number[slave.facets], on[slave.facets])))
+    return _patches(np.concatenate(comm.allgather(table[marked])), pairs)
 
 
 def _pairs(facets: Longs, on: Bools) -> Longs:
@@ -142,17 +152,27 @@ def _pairs(facets: Longs, on: Bools) -> Longs:
     return np.concatenate(found)
 
 
-def _measure(table: Floats, pairs: Longs) -> tuple[int, bool]:
-    """Return the size of the patch with the largest multiplier, and whether it ends.
+def _patches(table: Floats, pairs: Longs) -> list[Floats]:
+    """Return the rows of a table (n, 1 + c) of each patch, without their numbers.
 
     Args:
-        table: number, multiplier, prescribed components and open neighbours of nodes (n, 4).
+        table: numbers of nodes, and more of them.
         pairs: connected ones (p, 2), by number.
     """
     table = table[np.argsort(table[:, 0])]
     ends = np.searchsorted(table[:, 0], pairs)
     graph = coo_array((np.ones(len(ends)), ends.T), shape=(len(table), len(table)))
-    _, label = connected_components(graph, directed=False)
-    patch = table[label == label[np.argmax(table[:, 1])]]
-    planes = patch[:, 2].max() - patch[:, 2]
-    return int((2.0**planes).sum()), bool(patch[:, 3].any())
+    count, label = connected_components(graph, directed=False)
+    return [table[label == k, 1:] for k in range(count)]
+
+
+def _measure(patches: Sequence[Floats]) -> tuple[int, bool]:
+    """Return the size of the patch with the largest multiplier, and whether it ends.
+
+    Args:
+        patches: multiplier, prescribed components and open neighbours of nodes, (n, 3) each.
+    """
+    if not patches:
+        return 0, False
+    fixed, open_ = max(patches, key=lambda patch: float(patch[:, 0].max()))[:, 1:].T
+    return int((2.0 ** (fixed.max() - fixed)).sum()), bool(open_.any())

@@ -80,6 +80,7 @@ from dolfinx_mortar.qp.solver import ACTIVE_SET
 from dolfinx_mortar.report.certificate import create_certificate
 from dolfinx_mortar.report.interface_results import set_results
 from dolfinx_mortar.report.notes import StepEnd, find_notes
+from dolfinx_mortar.report.pulls import find_pull
 from dolfinx_mortar.report.reaction import support_forces
 from dolfinx_mortar.report.small_strain import find_left_out
 from dolfinx_mortar.report.turned_ties import find_turned_ties
@@ -903,7 +904,8 @@ class _Step:
         left_out, crossing = find_left_out(problem), find_crossing(problem)
         stiffness = iterate.stiffness.array_r
         ties = find_turned_ties(problem)
-        how = self.overlap, left_out, crossing, ties, report.rtol, residual.limit
+        pull = find_pull(problem, contacts)
+        how = self.overlap, left_out, crossing, pull, ties, report.rtol, residual.limit
         end = StepEnd(problem, iterate.balance, contacts, stiffness, *how)
         self.negative = self.negative or self.ends_indefinite()
         report.notes += (
@@ -913,7 +915,7 @@ class _Step:
             found = self.stiffness, iterate.balance, contacts
             report.notes += driven_tools.notes_on_loose_tools(problem, *found)
         report.certificate = create_certificate(
-            problem, report, contacts, residual, balances, sliders, left_out, crossing
+            problem, report, contacts, residual, balances, sliders, left_out, crossing, pull
         )
         supports = support_forces(problem, iterate.balance)  # last, as no error may follow
         at, paired = problem.owned_u.copy(), problem.system.present.paired
