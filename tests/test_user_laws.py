@@ -73,6 +73,27 @@ def variant(**changes):
     return law(1000.0, 0.3, 1.0, 100.0)
 
 
+@pytest.mark.parametrize(
+    ("base", "said"),
+    [
+        (
+            dm.Material,
+            "has no elastic_stress; add elastic_stress(strain, p), the stress of a small",
+        ),
+        (dm.materials.PointwiseLaw, "has no elastic_stress, no stress or energy; add elastic_str"),
+    ],
+)
+def test_what_a_base_class_leaves_open_is_missing(base, said):
+    """Not the NotImplementedError of what the base class declares."""
+    methods = {name: vars(Isotropic)[name] for name in ("stress", "updated_state")}
+    own = methods | {"state": {}} if base is dm.Material else {}
+    fields = [("E", float), ("nu", float)]
+    law = make_dataclass("Own", fields, bases=(base,), namespace={"linear": False, **own})
+    for use in (create_solid, dm.materials.check):
+        with pytest.raises(ValueError, match=re.escape(f"Own {said}")):
+            use(law(1000.0, 0.3))
+
+
 def create_solid(*laws):
     """Return a square with the laws in stripes."""
     domain = mesh.create_unit_square(COMM, 6, 6)

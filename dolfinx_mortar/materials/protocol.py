@@ -81,7 +81,11 @@ class Material(Protocol):
 
     @staticmethod
     def elastic_stress(strain: Expr, p: Any) -> Expr:
-        """Return C : strain, the stress of an elastic increment (defines the energy norm)."""
+        """Return C : strain, the stress of a small elastic strain; every law has to give it.
+
+        It defines the energy norm, and stands for the stiffness in estimates. With parameters other
+        than E and nu, C is what the law has at no strain, in UFL.
+        """
         raise NotImplementedError
 
     @staticmethod
@@ -187,10 +191,10 @@ class Law:
 _REMEDIES = {
     "state": "declare its internal variables, state: ClassVar = {} if it has none",
     "linear": "declare linear: ClassVar = False, or True if the stress is linear in the strain",
-    "elastic_stress": "add elastic_stress(strain, p), for example "
-    "staticmethod(dolfinx_mortar.Elastic.elastic_stress)",
+    "elastic_stress": "add elastic_stress(strain, p), the stress of a small elastic strain, for "
+    "example staticmethod(dolfinx_mortar.Elastic.elastic_stress), of parameters E and nu",
     "stress or energy": "add energy(strain, state, p), the potential of the step, or "
-    "stress(strain, state, p)",
+    "stress(strain, state, p), or update(strain, state, p) of arrays",
     "updated_state": "add updated_state(strain, state, p) for the internal variables of `state`",
 }
 # Fields that are written beside those of the laws; a law must not hide them.
@@ -284,9 +288,10 @@ def _is_isotropic(name: str, material: Any, state: Any) -> bool:
 
 
 def _method(kind: type, name: str) -> Callable[..., Any] | None:
-    """Return a method of a class, None if it has none of that name."""
+    """Return a method of a class, None if it has none of that name, or one that is to be given."""
     found = getattr(kind, name, None)
-    return found if callable(found) else None
+    given = found not in (Material.elastic_stress, PointwiseLaw.update)
+    return found if callable(found) and given else None
 
 
 def _fitting(material: Any, part: str) -> Callable[..., Any] | None:
