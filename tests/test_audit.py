@@ -278,6 +278,31 @@ def test_range_of_gaps(gap):
     assert ("overlap 0.01" in str(audit)) == (gap < 0)
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("facets", "oblique", "bent"),
+    [(3, 5.0, True), (2, 5.0, True), (2, -5.0, True), (3, 0.0, False), (12, 5.0, False)],
+)
+def test_a_support_that_may_be_a_mirror(facets, oblique, bent):
+    """An arc of 57 degrees that ends 5 degrees off the right angle, like one that is no circle."""
+    start = np.radians(oblique)
+
+    def rounded(domain, tags):
+        x, y, _ = domain.geometry.x.T.copy()
+        domain.geometry.x[:, 0] = np.sin(start + x) - np.sin(start)
+        domain.geometry.x[:, 1] = y + np.cos(start + x)
+        return tags
+
+    boxes = [(0.0, 1.0, -1.0, 0.0, facets, 3), (0.0, 1.0, 0.0, 1.0, facets, 3)]
+    rollers = ((11, None), (23, None), (10 + WEST, 0), (20 + WEST, 0))
+    warnings = create(boxes, supports=rollers, tags=rounded).audit().warnings
+    told = [w for w in warnings if "plane of symmetry" in w]
+    assert len(told) == 2 * bent
+    for side, warning in zip(("slave", "master"), told, strict=False):
+        assert f"at 1 nodes of its {side} side, such as the one at (" in warning
+        assert ", 0.9962), a support" in warning and "an angle 5 degrees off the right" in warning
+
+
 def uneven_angles(rng, n):
     """Return n angles around the circle, up to a quarter of a step off even ones."""
     return 2 * np.pi * (np.arange(n) + rng.uniform(-0.25, 0.25, n)) / n

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Closely fitting sides in 3D: a ball in its socket, a pin in a lug, on any mesh and slave."""
 
+import itertools
+
 from mpi4py import MPI
 
 import numpy as np
@@ -8,10 +10,12 @@ import pytest
 
 import dolfinx_mortar as dm
 from demos.ball_joint.ball_in_socket import ball_in_socket
-from dolfinx import fem
+from dolfinx import fem, mesh
 from dolfinx_mortar.mortar import curvature_correction as smooth
+from dolfinx_mortar.mortar.mirrors import find_mirrors
 from dolfinx_mortar.mortar.surface import create_surface
 from tests import lug_case
+from tests.choice import crosswise
 
 CELLS = ["tetrahedron", "hexahedron"]
 MESHES = [(1.5, 1.0), (1.0, 1.5), (1.0, 0.7), (0.7, 1.0)]
@@ -97,3 +101,63 @@ def test_normals_of_a_cylinder_on_uneven_triangles(monkeypatch):
     assert error[0.5, 2] < 0.02 * error[0.5, 0]
     assert error[1.0, 2] > 4.0 * error[0.5, 2]
     assert error[0.5, 4] > 0.7 * error[0.5, 2]
+
+
+# -- supports at the ends of sides -----------------------------------------------------------------
+
+
+def round_side(along, across, oblique=0.0, slope=0.0):
+    """Return the points at s and c (n,), of a torus or a sphere, cylinder, cone or plane.
+
+    Args:
+        along: angle of the side on the way from the support, x = 0.
+        across: angle of the side around the axis z = 0, y = 0; 0 for none.
+        oblique: degrees by which an arc begins beside its summit.
+        slope: degrees by which straight lines are inclined.
+    """
+    start, rise = np.radians(oblique), np.tan(np.radians(slope))
+
+    def points(s, c):
+        x = np.sin(start + along * s) - np.sin(start) if along else s
+        radius = (np.cos(start + along * s) if along else 1.0) + rise * s
+        turn = across * (c - 0.5)
+        y = radius * np.sin(turn) if across else c
+        return np.column_stack([x, y, radius * np.cos(turn)])
+
+    return points
+
+
+SIDES = {
+    "sphere": (round_side(1.2, 1.2), True),
+    "cylinder, curved towards the support": (round_side(1.2, 0.0), True),
+    "cylinder, straight towards the support": (round_side(0.0, 1.2), True),
+    "level plane": (round_side(0.0, 0.0), True),
+    "cone of 3 degrees": (round_side(0.0, 1.2, slope=3.0), False),
+    "cone of -3 degrees": (round_side(0.0, 1.2, slope=-3.0), False),
+    "plane at 1 degree": (round_side(0.0, 0.0, slope=1.0), False),
+    "plane at -60 degrees": (round_side(0.0, 0.0, slope=-60.0), False),
+    "arc at 15 degrees": (round_side(1.2, 0.0, oblique=15.0), False),
+    "barrel at 15 degrees": (round_side(1.2, 1.2, oblique=-15.0), False),
+}
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("name", "cell", "degree"), crosswise([*SIDES], [*itertools.product(CELLS, (1, 2))])
+)
+def test_the_curvature_tells_mirrors_from_other_supports(name, cell, degree):
+    """All nodes on the support alike, on uneven facets, also where it meets the free rim."""
+    points, mirror = SIDES[name]
+    m = mesh.create_box(MPI.COMM_WORLD, [(0, 0, 0), (1, 1, 1)], (6, 8, 1), mesh.CellType[cell])
+    m.topology.create_connectivity(2, 3)
+    top = mesh.locate_entities_boundary(m, 2, lambda x: np.isclose(x[2], 1.0))
+    s, c, depth = m.geometry.x.T.copy()
+    wave = 0.2 * np.sin(np.pi * s) * np.sin(np.pi * c)
+    s, c = s + wave * np.sin(40 * c + 9 * s) / 6, c + wave * np.cos(30 * s + 7 * c) / 8
+    m.geometry.x[:] = points(s, c) - 0.3 * (1 - depth)[:, None] * [0.0, 0.0, 1.0]
+    tags = mesh.meshtags(m, 2, np.sort(top), np.full(len(top), 3, dtype=np.int32))
+    surface = create_surface(fem.functionspace(m, ("Lagrange", degree, (3,))), tags, 3, "slave")
+    fixed = np.zeros(surface.X.shape, dtype=bool)
+    fixed[np.abs(surface.X[:, 0]) < 1e-9, 0] = True
+    assert MPI.COMM_WORLD.allreduce(int(fixed[: surface.owned].sum())) == 8 * degree + 1
+    assert np.array_equal(find_mirrors(surface, fixed, 40.0), fixed & mirror)

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.audit.doubtful_mirrors import warnings_on_mirrors
 from dolfinx_mortar.audit.far_ties import TieReach, measure_reach
 from dolfinx_mortar.audit.neighbours import warnings_on_neighbours
 from dolfinx_mortar.audit.stand_off import warnings_on_straight_facets
@@ -158,7 +159,7 @@ def create_audit(
     for link, i in zip(links, found, strict=True):
         warnings += _warnings(i)
         taken = ask(bodies.V.mesh.comm, link.interface, "configuration", at)
-        warnings += warnings_on_straight_facets(link, taken)
+        warnings += warnings_on_straight_facets(link, taken) + warnings_on_mirrors(link)
         warnings += ask(bodies.V.mesh.comm, link.interface, "warnings", link, x)
     warnings += warnings_on_neighbours(bodies, system, at)
     return Audit(bodies.count, found, by_contact, warnings)

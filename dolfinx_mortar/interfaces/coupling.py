@@ -53,10 +53,10 @@ class Sides:
     on_slave: Bools  # (local nodes,)
     on_master: Bools  # (local nodes,)
     fixed: Bools  # (local nodes, d) directions with Dirichlet data
+    mirrors: Bools  # (local slave nodes, d) those of planes of symmetry, see `find_mirrors`
     dependent: Bools  # (n,) owned slave nodes that depend on other ones, which may be kept
     edges: Bools | None = None  # (n,) slave nodes on edges where a contact has normals of its own
     weight: Weight | None = None  # of all integrals over the interface; None for 1
-    mirrors: Bools | None = None  # (n, d) components of slave nodes, of `find_mirrors`; or unknown
 
     @property
     def nodes(self) -> Ints:

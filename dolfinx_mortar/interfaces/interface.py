@@ -36,6 +36,7 @@ from dolfinx_mortar.interfaces.coupling import (
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.tool import Driven, Pose
 from dolfinx_mortar.mortar.duals import Coverage
+from dolfinx_mortar.mortar.mirrors import find_mirrors
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.passing import SeenByTool
 from dolfinx_mortar.mortar.surface import check_tags, create_surface, dependent_nodes
@@ -210,7 +211,8 @@ class Interface(ABC):
         slave = create_surface(V, self.facet_tags, self.slave, "slave")
         on_slave, dependent = mark(slave), dependent_nodes(slave)[: slave.owned]
         nowhere = np.zeros_like(on_slave)
-        return Sides(V, slave, None, on_slave, nowhere, fixed, dependent, weight=weight)
+        mirrors = find_mirrors(slave, fixed[slave.nodes], self.feature_angle)
+        return Sides(V, slave, None, on_slave, nowhere, fixed, mirrors, dependent, weight=weight)
 
     def pair(
         self,

@@ -154,7 +154,7 @@ class MortarInterface(Interface):
         edges = find_edges(slave, self.feature_angle) if self.unilateral else None
         mirrors = find_mirrors(slave, fixed[slave.nodes], self.feature_angle)
         marks = mark(slave), mark(master)
-        return Sides(V, slave, master, *marks, fixed, dependent, edges, weight, mirrors)
+        return Sides(V, slave, master, *marks, fixed, mirrors, dependent, edges, weight)
 
     def pair(
         self,

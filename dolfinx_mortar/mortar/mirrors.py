@@ -2,68 +2,107 @@
 """Which supports at the ends of a side are planes of symmetry, as the curvature of the side tells.
 
 A support at the end of a side prescribes a component e of the displacement. If it stands for a
-plane of symmetry, the side goes on as its image, so that its normal there has no component along e;
-if it is a roller on which a side ends at an angle, the normal keeps that component. Dirichlet data
-are the same, the side is not: towards a plane of symmetry n.e falls to zero. With the normals n_f
-of the facets at the support, n_k of the smooth surface at their vertices off it, and n.e linear
-along the side,
+plane of symmetry, the side goes on as its image, and the normal of the smooth surface has no
+component along e there; if it is a roller on which a side ends at an angle, the normal keeps that
+component. Dirichlet data are the same, the sides are not. Where normals change linearly, chords are
+perpendicular to the mean of those at their ends,
 
-    A = sum_f n_f.e,     B = sum_f sum_k (n_k - n_f).e / (vertices of f on the support),
+    (n_j + n_k).(x_k - x_j) = 0,
 
-A - B is n.e at the support, times the number of facets. On a circle about a point of the plane
-A = B, whatever the lengths of facets; a flat side and one of a single facet have B = 0.
+exactly so on spheres and cylinders. From the vertices x_k of its facets that are off the support
+this gives the normal n_j of a node on it, and with the normals n_f of these facets
+
+    A = mean of n_f.e,     B = A - n_j.e,
+
+by how much the facets are turned from the support, and from the side at the support. On a plane of
+symmetry A = B; on a flat side and one of a single facet B = 0.
 """
 
 import numpy as np
 
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, QUARTER_OF_DIGITS, SAME, Bools, Floats
 from dolfinx_mortar.geometry.curvature import one_ring_sums, unit
 from dolfinx_mortar.geometry.facets import facet_normals
 from dolfinx_mortar.mortar.surface import Surface, facets_at, sum_at_nodes
 
 
 def find_mirrors(surface: Surface, fixed: Bools, feature_angle: float) -> Bools:
-    """Return which prescribed components (n, d) are those of planes of symmetry, at X; collective.
+    """Return which prescribed components (n, d) are those of planes of symmetry; collective.
 
     The side goes on as its image there: normals of the smooth surface, and those of contact, have
     no such component. All other prescribed components are those of supports, which take forces but
-    say nothing about the shape of the side.
+    say nothing about the shape of the side. The arguments are those of `judge_supports`.
+    """
+    return judge_supports(surface, fixed, feature_angle)[0]
 
-    Each component is judged by itself. It is that of a plane of symmetry if A and B above have the
-    same sign and A is within a factor of two of B; or if the side meets the support at a right
-    angle: A vanishes, or is hidden in the scatter of the n_f.e of uneven facets. A node of which
-    all components are prescribed is clamped, and inside a side nothing goes on.
+
+def judge_supports(surface: Surface, fixed: Bools, feature_angle: float) -> tuple[Bools, Floats]:
+    """Return which components (n, d) are those of planes of symmetry, and n_j.e (n, d); collective.
+
+    At X, each component by itself. It is that of a plane of symmetry if A and B above have the same
+    sign and differ by a factor of at most two; or if the side meets the support at a right angle: A
+    vanishes, or is hidden in the scatter of n_f.e over the facets of the nodes around. A node of
+    which all components are prescribed is clamped, and inside a side nothing goes on. Nodes between
+    vertices have the means of these.
 
     Args:
         surface: the side.
         fixed: (n, d) components of its nodes with Dirichlet data.
         feature_angle: degrees between facets from which on they meet in an edge; across an edge
-            nothing is known of a facet's curvature.
+            nothing is known of the curvature.
     """
-    facets, d = facets_at(surface, surface.X), fixed.shape[1]
-    n, closed = _one_rings(surface)
     vertices = surface.facets[:, list(surface.element.vertices)]
-    n_f, n_k, held = facet_normals(facets), n[vertices], fixed[vertices]
-    known = np.einsum("mki,mi->mk", n_k, n_f) > np.cos(np.radians(feature_angle / 2))
-    turns = np.where(~held & known[:, :, None], n_k - n_f[:, None], 0.0).sum(axis=1)
-    turns /= np.maximum(held.sum(axis=1), 1)
-    columns = np.concatenate([n_f, turns, n_f**2, np.ones_like(n_f)], axis=1)[:, None]
-    total = sum_at_nodes(surface, np.repeat(columns, surface.facets.shape[1], axis=1))
-    # nodes between vertices have the mean of these; scatter is that of all facets around
-    columns = np.column_stack([total[:, : 2 * d], closed])[vertices]
-    between = surface.element.vertex_functions(surface.element.points) @ columns
-    around = np.delete(total, np.s_[d : 2 * d], axis=1)[vertices] * np.tile(held, 3)
-    around = np.repeat(around.sum(axis=1, keepdims=True), between.shape[1], axis=1)
-    found = sum_at_nodes(surface, np.concatenate([between, around], axis=2))
-    A, B = found[:, :d], found[:, d : 2 * d]
-    is_open = found[:, [2 * d]] == 0.0
-    first, square, count = np.split(found[:, 2 * d + 1 :], 3, axis=1)
-    scatter = np.sqrt(np.maximum(square * count - first**2, 0.0))
-    upright = np.abs(first) <= np.maximum(scatter, HALF_OF_DIGITS * count)
-    curved = (A * B > 0.0) & (np.abs(A) <= 2.0 * np.abs(B)) & (np.abs(B) <= 2.0 * np.abs(A))
-    return np.asarray(
-        fixed & ~fixed.all(axis=1, keepdims=True) & is_open & (upright | curved), dtype=bool
-    )
+    n_f, (n, closed) = facet_normals(facets_at(surface, surface.X)), _one_rings(surface)
+    cosines = np.einsum("mki,mi->mk", n[vertices], n_f)
+    weights = np.where(closed[vertices], 1.0, QUARTER_OF_DIGITS)  # others where these tell nothing
+    weights[cosines < np.cos(np.radians(feature_angle / 2))] = 0.0
+    between = surface.element.vertex_functions(surface.element.points)
+    one, leaning = np.ones(len(n_f)), np.zeros(fixed.shape)
+    mirrors = fixed & ~fixed.all(axis=1, keepdims=True)
+    for i, across in enumerate(n_f.T):
+        held = fixed[vertices, i]
+        columns = np.stack([across, across**2, one], axis=1)[:, None].repeat(len(between), axis=1)
+        sums = sum_at_nodes(surface, columns)
+        n_j = _by_chords(surface, n, weights * ~held, fixed[:, i])
+        means = np.ones((len(n), 4))
+        means[:, :3] = np.stack([sums[:, 0] / sums[:, 2], n_j[:, i], closed], axis=1)
+        around = np.where(held[:, :, None], sums[vertices], 0.0).sum(axis=1, keepdims=True)
+        own, around = between @ means[vertices], around.repeat(len(between), axis=1)
+        sums = sum_at_nodes(surface, np.concatenate([own, around], axis=2))
+        A, leaning[:, i], inside = sums.T[:3] / sums[:, 3]
+        B, (mean, square, count) = A - leaning[:, i], sums.T[4:]
+        spread = np.sqrt(np.maximum(square * count - mean**2, 0.0))
+        upright = np.abs(mean) <= np.maximum(spread, HALF_OF_DIGITS * count)
+        curved = (A * B > 0.0) & (np.abs(A) <= 2.0 * np.abs(B)) & (np.abs(B) <= 2.0 * np.abs(A))
+        mirrors[:, i] &= (inside == 0.0) & (upright | curved)
+    return mirrors, leaning
+
+
+def _by_chords(surface: Surface, n: Floats, weights: Floats, which: Bools) -> Floats:
+    """Return the normals (n, d) that chords give at some nodes, elsewhere n (n, d); collective.
+
+    By least squares in the tangent plane, with weights (m, v) of the vertices of facets at the
+    other ends of chords. Where chords say nothing, n stays.
+    """
+    corners, d = list(surface.element.vertices), n.shape[1]
+    some = np.flatnonzero(which[surface.facets[:, corners]].any(axis=1))
+    ends = surface.facets[some][:, corners]
+    x = surface.X[ends]
+    t = unit(x[:, None] - x[:, :, None])  # (m, v, v, d) from j to k
+    products = weights[some][:, None, :, None, None] * t[..., None] * t[..., None, :]
+    squares = products.sum(axis=2).reshape(*ends.shape, d * d)
+    moments = np.einsum("mjkil,mkl->mji", products, n[ends])
+    columns = np.zeros((*surface.facets.shape, d * d + d))
+    columns[some[:, None], corners] = np.concatenate([squares, moments], axis=2)
+    square, moment = np.split(sum_at_nodes(surface, columns)[which], [d * d], axis=1)
+    square, result, n = square.reshape(-1, d, d), n.copy(), n[which]
+    across = np.eye(d) - n[:, :, None] * n[:, None]
+    right = across @ (moment[:, :, None] + square @ n[:, :, None])
+    inverse = np.linalg.pinv(across @ square @ across, SAME, hermitian=True)
+    change = -(inverse @ right)[:, :, 0]
+    rest = np.sqrt(np.maximum(1.0 - (change**2).sum(axis=1, keepdims=True), 0.0))
+    result[which] = change + rest * n
+    return result
 
 
 def _one_rings(surface: Surface) -> tuple[Floats, Bools]:

@@ -118,13 +118,13 @@ def _peak_patch(link: Link, contacts: Contacts) -> tuple[int, bool]:
     all planes stands for two to the number of planes.
     """
     slave, nodes = link.sides.slave, link.nodes
-    active, fixed = contacts.active[nodes], link.sides.fixed[nodes].sum(axis=1)
+    active, planes = contacts.active[nodes], link.sides.mirrors[: slave.owned].sum(axis=1)
     marks = np.zeros((len(slave.nodes), 1))
     marks[: slave.owned, 0] = link.coupling.kept[:, 0] & ~active
     (off,) = (accumulate(slave, marks) > 0).T
     beside = np.repeat(off[slave.facets].any(axis=1)[:, None], slave.facets.shape[1], axis=1)
     ends = sum_at_nodes(slave, beside[:, :, None])[: slave.owned, 0] > 0
-    return _measure(find_patches(link, active, contacts.multipliers[nodes], fixed, ends))
+    return _measure(find_patches(link, active, contacts.multipliers[nodes], planes, ends))
 
 
 def find_patches(link: Link, marked: Bools, *columns: Floats | Bools) -> list[Floats]:
